@@ -300,16 +300,11 @@ class Calibration:
             )
         if self.glass is not None:
             return replace(self.glass, conditions={**self.glass.conditions, **(conditions or {})})
-        at = [self.parameter_names.index(name) for name in self.collimator.parameter_names]
-        return Passport(
-            self.collimator.parameter_names,
-            self.values[at],
-            self.covariance[np.ix_(at, at)],
-            self.collimator.reference,
-            self.birge_ratio,
-            tuple(view.name for view in self.views),
-            conditions or {},
-        )
+        names, reference = self.collimator.parameter_names, self.collimator.reference
+        at = [self.parameter_names.index(name) for name in names]
+        values, covariance = self.values[at], self.covariance[np.ix_(at, at)]
+        views = tuple(view.name for view in self.views)
+        return Passport(names, values, covariance, reference, self.birge_ratio, views, conditions or {})
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain numbers, lists and names, ready for JSON.

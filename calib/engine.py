@@ -6,24 +6,19 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
-from calib.calibration import (
-    EARLIER_MODELS,
-    REFERENCE_MODELS,
-    Calibration,
-    CalibrationOptions,
-    ViewSummary,
-)
+from calib.calibration import EARLIER_MODELS, REFERENCE_MODELS, Calibration, CalibrationOptions
 from calib.compiled import on_one_thread
 from calib.diagnosis.checks import check_image_size, check_views
-from calib.diagnosis.gross_stars import GrossStars, find_gross_stars, without_gross_stars
+from calib.diagnosis.gross_stars import find_gross_stars, without_gross_stars
 from calib.errors import DegenerateViews, InputMismatch
 from calib.fit import fit_model, summarize
 from calib.joint.result import calibrate_jointly
+from calib.model.camera import CameraModel
 from calib.model.lens import is_fisheye
 from calib.model.type_b_terms import corrected_passport, corrected_views
 from calib.view import View
 
-__all__ = ["Calibration", "CalibrationOptions", "ViewSummary", "calibrate"]
+__all__ = ["Calibration", "CalibrationOptions", "calibrate"]
 
 
 @on_one_thread
@@ -74,38 +69,30 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
     wrong = find_gross_stars(views)
     known_r = options.passport.values_by_name["r"] if options.passport else None
     doubts = check_views(without_gross_stars(views, wrong), known_r_mm=known_r)
-    if options.model not in REFERENCE_MODELS:
-        return _with_unused(_jointly(views, options, wrong, doubts), options)
-    result = summarize(fit_model(views, options, options.model, wrong=wrong))
-    named = (one.sentence for one in wrong if one.sentence)
-    return _with_unused(replace(result, notes=(*named, *doubts, *result.notes)), options)
+    if options.model in REFERENCE_MODELS:
+        result, found = summarize(fit_model(views, options, options.model, wrong=wrong)), ""
+    else:
+        result = calibrate_jointly(views, options, wrong)
+        found = check_image_size(views, result.camera, (result.sigma["cx"], result.sigma["cy"]))
+    remarks = _remarks(options, result.camera)
+    named = [one.sentence for one in wrong]
+    notes = filter(None, (*named, *doubts, *result.notes, found, *remarks))
+    return replace(result, notes=tuple(notes), remarks=(*result.remarks, *remarks))
 
 
-def _with_unused(result: Calibration, options: CalibrationOptions) -> Calibration:
-    """Return a result that says which options its model does not use."""
-    said = (options.unused,) if options.unused else ()
-    return replace(result, notes=(*result.notes, *said), remarks=(*result.remarks, *said))
-
-
-def _jointly(
-    views: Sequence[View], options: CalibrationOptions, wrong: Sequence[GrossStars], doubts: Sequence[str]
-) -> Calibration:
-    """Return the result of the joint adjustment, with the checks of wrong data."""
-    result = calibrate_jointly(views, options, wrong)
-    named = [one.sentence for one in wrong if one.sentence]
+def _remarks(options: CalibrationOptions, camera: CameraModel) -> list[str]:
+    """Return sentences on the model that was asked for, the lens that was chosen, and options that took no part."""
     remarks = []
     if options.model in EARLIER_MODELS:
         remarks.append(
             f"The model {options.model} of earlier versions is part of the joint adjustment, which made this result."
         )
-    if options.compares_lenses:
-        lens = "fisheye" if is_fisheye(result.camera.distortion) else "k1k2k3p1p2"
+    if options.compares_lenses and options.model not in REFERENCE_MODELS:
+        lens = "fisheye" if is_fisheye(camera.distortion) else "k1k2k3p1p2"
         remarks.append(f"The data chose the lens model {lens}.")
-    sigma = result.sigma
-    size = check_image_size(views, result.camera, (sigma["cx"], sigma["cy"]))
-    found = (size,) if size else ()
-    notes = (*named, *doubts, *result.notes, *found, *remarks)
-    return replace(result, notes=notes, remarks=(*result.remarks, *remarks))
+    if options.unused:
+        remarks.append(options.unused)
+    return remarks
 
 
 def _check(views: Sequence[View], fewest: int) -> None:

@@ -83,7 +83,9 @@ def fit_model(
     bundle, start = initialize(kept, options, model)
     refined, loss = refine_robustly(bundle, start, options)
     bundle = replace(bundle, poses=poses_of(refined.parameters.rotations))
-    estimate = _constrained(kept, options, bundle, refined, loss)
+    if options.passport is None:
+        require_distinct_poses(refined.parameters)
+    estimate = _constrained(kept, bundle, refined, loss)
     left_out = None
     if len(views_of_poses(bundle)) >= MIN_VIEWS and (leave_out or estimate.inconsistent):
         left_out = leave_one_out(bundle, refined.parameters, loss)
@@ -95,16 +97,10 @@ def fit_model(
 
 
 def _constrained(
-    views: Sequence[View],
-    options: CalibrationOptions,
-    bundle: Bundle,
-    refined: Refinement[AdjustmentParameters],
-    loss: Loss,
+    views: Sequence[View], bundle: Bundle, refined: Refinement[AdjustmentParameters], loss: Loss
 ) -> Uncertainty:
     """Refuse views that do not constrain the camera; else return the uncertainty if the model is right."""
     parameters = refined.parameters
-    if options.passport is None:
-        require_distinct_poses(parameters)
     try:
         estimate = covariance_at_optimum(bundle, parameters, loss)
         require_constrained(parameters, bundle.names, estimate.covariance)

@@ -254,12 +254,9 @@ class ViewEquations:
         known = np.concatenate([self.coupling, self.right[:, count:, None]], axis=2)
         solved = np.linalg.solve(local, known)
         eliminated = np.swapaxes(self.coupling, 1, 2) @ solved
-        return ViewScores(
-            self.normal[:, :count, :count] - eliminated[:, :, :count],
-            self.right[:, :count] - eliminated[:, :, count],
-            solved[:, :, :count],
-            solved[:, :, count],
-        )
+        information = self.normal[:, :count, :count] - eliminated[:, :, :count]
+        score = self.right[:, :count] - eliminated[:, :, count]
+        return ViewScores(information, score, solved[:, :, :count], solved[:, :, count])
 
     def step(self, damping: float) -> tuple[Array, Array]:
         """Return the damped step (Marquardt, 1963) of the shared (G,) and of the local (n, L) parameters.

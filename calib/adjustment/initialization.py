@@ -15,6 +15,7 @@ from calib.errors import DegenerateViews
 from calib.model.camera import CameraModel
 from calib.model.closed_forms import (
     camera_matrix_from_centre,
+    central_matrix,
     linear_solution,
     poses_from_homographies,
     rotations_from_centre,
@@ -55,8 +56,8 @@ def spherical_starts(
     cameras = [CameraModel.of_matrix(matrix, image_size, distortion) for matrix, _ in known]
     centres = [collimator for _, collimator in known]
     planar = planar_starts(homographies, image_size, distortion)
-    for x, y, z in np.median([start.centres for start in planar], axis=1).tolist():
-        centres.append(Collimator(x, y, -z))
+    medians = np.median([start.centres for start in planar], axis=1).tolist()
+    centres += [Collimator(x, y, -z) for x, y, z in medians]
     return _about(homographies, centres, [*cameras, *(start.camera for start in planar)])
 
 
@@ -68,10 +69,8 @@ def planar_starts(
     Camera and poses: Zhang (2000), 3.1. ``homographies``: (n, 3, 3) of `calib.model.homography.view_homography`.
     """
     matrices = [zhang_matrix(homographies, image_size, free_principal_point=free) for free in (True, False)]
-    middle = ((image_size[0] - 1) / 2, (image_size[1] - 1) / 2)
-    for share in _FOCAL_SHARES:
-        f = share * float(np.hypot(*image_size))
-        matrices.append(np.array([[f, 0.0, middle[0]], [0.0, f, middle[1]], [0.0, 0.0, 1.0]]))
+    diagonal = float(np.hypot(*image_size))
+    matrices += [central_matrix(share * diagonal, image_size) for share in _FOCAL_SHARES]
     known = np.array([matrix for matrix in matrices if matrix is not None])
     nowhere, poses = Collimator(0.0, 0.0, 0.0), poses_from_homographies(homographies, known)
     return [
@@ -158,10 +157,9 @@ def _about(
     """Return the parameters of cameras, each with a known centre."""
     centres = np.array([one.centre for one in collimators])
     turns = rotations_from_centre(homographies, np.array([one.matrix for one in cameras]), centres)
+    offsets = np.zeros((len(homographies), 3))
     return [
-        AdjustmentParameters(
-            camera, Collimator(one.x, one.y, one.r), rotations, np.zeros((len(rotations), 3))
-        )
+        AdjustmentParameters(camera, Collimator(one.x, one.y, one.r), rotations, offsets)
         for one, camera, rotations in zip(collimators, cameras, turns, strict=True)
     ]
 

@@ -68,6 +68,7 @@ class Refinement(Generic[A]):
     iterations: int
 
 
+@np.errstate(all="ignore")  # a step may lead where nothing can be projected
 def refine(
     bundle: Adjustable[A],
     start: A,
@@ -80,13 +81,6 @@ def refine(
     It ends when the predicted reduction is below the share ``tolerance`` of the cost. ``converged`` is False if the
     number of steps was reached, or if a star cannot be projected at the start.
     """
-    with np.errstate(all="ignore"):  # a step may lead where nothing can be projected
-        return _search(bundle, start, loss, max_iterations, tolerance)
-
-
-def _search(
-    bundle: Adjustable[A], start: A, loss: Loss, max_iterations: int, tolerance: float
-) -> Refinement[A]:
     parameters, cost = start, bundle.costs(start, loss).sum()
     if not np.isfinite(cost):
         return Refinement(start, math.inf, False, 0)

@@ -127,7 +127,8 @@ def explain_weak_geometry(views: Sequence[View], parameters: AdjustmentParameter
     Own rules: a roll, if the parts of all rotation vectors across the axis are below 0.05 of the longest vector; one
     axis, if the second singular value of the vectors is.
     """
-    turns = relative_rotations_deg(parameters.rotations)
+    # R_i R_1^T as vectors, from the first view to another (Diebel, 2006).
+    turns = log_map(parameters.rotations[1:] @ parameters.rotations[0].T)
     lengths = np.linalg.norm(turns, axis=1)
     if len(views) > 1 and (np.linalg.norm(turns[:, :2], axis=1) < _PARALLEL_SINE * lengths.max()).all():
         return "The views differ only by a roll about the optical axis."
@@ -137,11 +138,6 @@ def explain_weak_geometry(views: Sequence[View], parameters: AdjustmentParameter
     if beam < _NARROW_DEG:
         return f"The stars span only +-{beam:.1f} degrees: the beam is too narrow."
     return ""
-
-
-def relative_rotations_deg(rotations: Array) -> Array:
-    """Return (n - 1, 3) vectors, degrees, of the rotations R_i R_1^T from the first view to another (Diebel, 2006)."""
-    return np.asarray(np.rad2deg(log_map(rotations[1:] @ rotations[0].T)))
 
 
 def beam_half_angle_deg(parameters: AdjustmentParameters, views: Sequence[View]) -> float:

@@ -9,7 +9,6 @@ locates the centres in an image of how strongly each pixel blinks, with the curv
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import cv2
@@ -56,8 +55,7 @@ class _Dots(NamedTuple):
     areas: Ints
 
 
-@dataclass(frozen=True)
-class _Named:
+class _Named(NamedTuple):
     """Dots with their ids, and the map of the grid to the image."""
 
     ids: Ints
@@ -168,11 +166,10 @@ def _dots(kinds: NDArray[np.int32], count: int) -> _Dots:
         for area, (cx, cy) in zip(stats[1:, cv2.CC_STAT_AREA].tolist(), centres[1:].tolist(), strict=True):
             if area >= _SMALLEST_DOT:
                 found.append((kind, cx + left - 1, cy + top - 1, area))
-    if not found:
-        return _Dots(np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros(0, np.int64))
-    table = np.array(found, np.float64)
+    table = np.array(found, np.float64).reshape(-1, 4)
     largest = [table[table[:, 0] == kind, 3].max() for kind in np.unique(table[:, 0])]
-    table = table[table[:, 3] >= max(_SMALLEST_DOT, _SMALLEST_SHARE * float(np.median(largest)))]
+    if largest:
+        table = table[table[:, 3] >= _SMALLEST_SHARE * float(np.median(largest))]
     return _Dots(table[:, 0].astype(np.int64), table[:, 1:3], table[:, 3].astype(np.int64))
 
 
@@ -226,16 +223,12 @@ def _named_by_grid(dots: _Dots, kind_of_dot: Ints, board: Board) -> _Named:
         grid = _grid_of_dots(dots.centres, size)
         if grid is None:
             continue
-        for turned in (np.rot90(grid, quarter) for quarter in range(4)):
-            for mirrored in (turned, turned[:, ::-1]):
-                if mirrored.shape != (board.rows, board.columns) or not _seen_from_front(
-                    dots.centres[mirrored]
-                ):
-                    continue
-                order = mirrored.ravel()
-                agree = int(np.count_nonzero(dots.kind[order] == kind_of_dot))
-                if agree > best[0]:
-                    best = (agree, order)
+        # OpenCV may start at any corner, and may count the columns from either side.
+        columns = slice(None, None, 1 if _seen_from_front(dots.centres[grid]) else -1)
+        for turned in (np.rot90(grid, quarter)[:, columns] for quarter in range(4)):
+            if turned.shape == (board.rows, board.columns):
+                agree = int(np.count_nonzero(dots.kind[turned.ravel()] == kind_of_dot))
+                best = max(best, (agree, turned.ravel()), key=lambda one: one[0])
     if best[0] < _LEAST_OF_GRID * len(kind_of_dot):
         raise TargetNotFound(
             f"No {board.words} was found: {len(dots.kind)} dots blink at its frequencies, and at most "
@@ -391,28 +384,19 @@ def _frequencies(times: Any, ends: Any, counts: Any) -> Any:
         period = np.median(np.diff(own))
         if period <= 0:
             continue
-        regular, number, used = 0, 0.0, 1
-        sum_n, sum_t, sum_nn, sum_nt = 0.0, 0.0, 0.0, 0.0
-        at = own[0]
+        number, late, regular, used = np.zeros(count), own - own[0], 0, 1
         for i in range(1, count):
-            steps = (own[i] - at) / period
+            steps = (late[i] - late[used - 1]) / period
             whole = np.round(steps)
             if whole < 1.0 or abs(steps - whole) > _TOLERANCE:
                 continue  # an additional start, of noise
-            if whole == 1.0:
-                regular += 1
-            number += whole
-            at = own[i]
-            delta = own[i] - own[0]
+            regular += whole == 1.0
+            number[used], late[used] = number[used - 1] + whole, late[i]
             used += 1
-            sum_n += number
-            sum_t += delta
-            sum_nn += number * number
-            sum_nt += number * delta
         if used < LEAST_STARTS or regular < _REGULAR_SHARE * (count - 1):
             continue
-        spread = used * sum_nn - sum_n * sum_n
-        slope = (used * sum_nt - sum_n * sum_t) / spread
+        n, t = number[:used], late[:used]
+        slope = (used * (n * t).sum() - n.sum() * t.sum()) / (used * (n * n).sum() - n.sum() ** 2)
         if slope > 0:
             found[pixel] = 1e6 / slope
     return found

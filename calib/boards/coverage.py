@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 
 from calib.arrays import Array, Bools, rms_length
@@ -124,9 +123,7 @@ def turned_upside_down(points_px: Array, board: Board) -> bool:
 
 def is_cut(points_px: Array, image_size: tuple[int, int]) -> bool:
     """Return whether one of all (N, 2) points of a board, px, also those not found in the image, lies outside of it."""
-    hull = cv2.boundingRect(points_px.astype(np.float32).reshape(-1, 1, 2))
-    x, y, width, height = hull
-    return x < 0 or y < 0 or x + width > image_size[0] or y + height > image_size[1]
+    return bool(((points_px < 0) | (points_px >= image_size)).any())
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -17,7 +17,7 @@ from calib.boards.board import Board
 from calib.errors import InputMismatch, TargetNotFound, placed
 from calib.events.grey_image import require_grey_plane, to_uint8
 from calib.stars.centring import SYMMETRY_REACH, refine_by_symmetry, smooth, symmetry_samples, variance_factor
-from calib.stars.grid_map import fit_grid_map
+from calib.stars.grid_map import fit_grid_map, without_outliers
 from calib.view import View
 
 #: Blur before the points are located, px: it lowers the noise of single pixels.
@@ -102,16 +102,11 @@ def _found(grey: Bytes, board: Board) -> Array | None:
     if board.kind == "checkerboard":  # its finder takes either contrast
         tried = iter([cv2.findChessboardCornersSB(grey, size, flags=_SECTORS)])
     else:
-        flags, blobs = _circle_flags(board), _blobs(grey.shape)
+        grid = cv2.CALIB_CB_SYMMETRIC_GRID if board.kind == "circles" else cv2.CALIB_CB_ASYMMETRIC_GRID
+        flags, blobs = grid | cv2.CALIB_CB_CLUSTERING, _blobs(grey.shape)
         both = (grey, np.asarray(255 - grey, np.uint8))
         tried = (cv2.findCirclesGrid(shown, size, flags=flags, blobDetector=blobs) for shown in both)
     return next((np.asarray(points, np.float64).reshape(-1, 2) for ok, points in tried if ok), None)
-
-
-def _circle_flags(board: Board) -> int:
-    """Return OpenCV's flags of a grid of circles."""
-    grid = cv2.CALIB_CB_SYMMETRIC_GRID if board.kind == "circles" else cv2.CALIB_CB_ASYMMETRIC_GRID
-    return int(grid | cv2.CALIB_CB_CLUSTERING)
 
 
 def _blobs(shape: tuple[int, ...]) -> Any:
@@ -133,27 +128,25 @@ def locate_points(image: Array32, coarse: Array, board: Board, ids: Ints) -> tup
     """
     smoothed = smooth(image, _BLUR_PX)
     nodes = board.nodes[ids]
+    grid = nodes.astype(float)
     # An asymmetric grid leaves every second place of its lattice free: the cell of a circle is turned by 45 degrees.
     reach = SYMMETRY_REACH * (1.0 if board.kind != "asymmetric-circles" else 1.4)
     points, good = coarse, np.ones(len(coarse), np.bool_)
     covariances = np.full((len(points), 2, 2), np.nan)
     for step_px in _STEPS_PX:
-        grid_map, _ = fit_grid_map(nodes[good].astype(float), points[good])
-        local_map = grid_map.local_map(nodes.astype(float))
+        grid_map, _ = fit_grid_map(grid[good], points[good])
+        local_map = grid_map.local_map(grid)
         pitch = local_map.pitch_px
         samples = symmetry_samples(pitch / step_px) * (reach / SYMMETRY_REACH)
         used_to = np.full((len(points), 2), reach)
         fit = refine_by_symmetry(smoothed, points, local_map, samples, used_to, _MOST_MOVE_PITCHES * pitch)
-        good = fit.converged.copy()
+        good = fit.converged
         if np.count_nonzero(good) < _LEAST_SHARE * len(good):
             return np.full_like(points, np.nan), covariances
-        fitted, residuals = fit_grid_map(nodes[good].astype(float), fit.centres[good])
-        limit = max(_OUTLIER_SIGMAS * fitted.sigma_px, _OUTLIER_PX)
-        good[np.flatnonzero(good)[np.linalg.norm(residuals, axis=1) > limit]] = False
+        good = without_outliers(grid, fit.centres, good, sigmas=_OUTLIER_SIGMAS, least_px=_OUTLIER_PX)
         points = np.where(good[:, None], fit.centres, coarse)
-        covariances = fit.mean_square[:, None, None] * np.linalg.inv(
-            np.where(good[:, None, None], fit.information, np.eye(2))
-        )
+        information = np.where(good[:, None, None], fit.information, np.eye(2))
+        covariances = fit.mean_square[:, None, None] * np.linalg.inv(information)
     factor = variance_factor(nodes[good], points[good], covariances[good], typical=_TYPICAL_FACTOR)
     return np.where(good[:, None], points, np.nan), covariances * factor + _COMMON_PX**2 * np.eye(2)
 
@@ -266,7 +259,4 @@ def _by_subpixel(grey: Bytes, board: Board) -> Array:
             window = (_WINDOW_PX, _WINDOW_PX)
             found = cv2.cornerSubPix(cv2.GaussianBlur(shown, (0, 0), 2.0), corners, window, (-1, -1), _STOP)
             return np.asarray(found, np.float64).reshape(-1, 2)
-    raise TargetNotFound(
-        f"No checkerboard of {board.columns} x {board.rows} inner corners was found.",
-        remedy="Show the whole board, in focus.",
-    )
+    raise TargetNotFound(f"No {board.words} was found.", remedy="Show the whole board, in focus.")

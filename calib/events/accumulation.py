@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from calib.arrays import Array, Array32, Bools, EventArrays, Ints
 from calib.compiled import KERNEL
-from calib.errors import TooFewEvents
-from calib.events.flicker import EventTimes, Flicker, event_times, folded
+from calib.errors import InputMismatch, TooFewEvents
+from calib.events.flicker import EventTimes, Flicker, event_times, folded_rates
 
 #: Share of a period that a window may lack and still count as whole: 33 ms at 60 Hz are two periods less 1 %.
 PERIOD_TOLERANCE = 0.03
@@ -33,18 +33,12 @@ class BurstWindow(NamedTuple):
     length_us: float  # Length, us
 
 
-def folded_rate(times: EventTimes, start_us: float, period_us: float) -> Array:
-    """Return (2, FOLD_BINS) OFF and ON events over the phase of a period (epoch folding; Leahy et al., 1983)."""
-    late = np.asarray(times.t - start_us, np.float64)
-    return np.array([folded(late, count, period_us, FOLD_BINS) for count in (times.off, times.on)])
-
-
 def burst_window(folded: Array, start_us: float, period_us: float) -> BurstWindow:
     """Find the shortest part of the period that holds the share `BURST_SHARE` of a burst; all of it without a burst.
 
     The background is the lower quartile of the bins. A bin counts by what exceeds it by more than three standard
     deviations of a Poisson count. Own procedure: a bin of n events counts max(n - b - 3 b^(1/2), 0), with the
-    background b. ``folded`` is a (FOLD_BINS,) row of `folded_rate`; times are in us.
+    background b. ``folded`` is a (FOLD_BINS,) row of `folded_rates`; times are in us.
     """
     background = np.percentile(folded, 25)
     excess = np.maximum(folded - background - 3.0 * np.sqrt(background), 0.0)
@@ -127,6 +121,15 @@ class PixelSums(NamedTuple):
         return mean
 
 
+def require_inside(x: NDArray[np.uint16], y: NDArray[np.uint16], size: tuple[int, int]) -> None:
+    """Raise InputMismatch if an event lies outside of the sensor."""
+    if x.size and (int(x.max()) >= size[0] or int(y.max()) >= size[1]):
+        raise InputMismatch(
+            f"An event lies at column {int(x.max())} or row {int(y.max())} of a {size[0]} x {size[1]} sensor.",
+            remedy="Give the size that stands in the recording's header.",
+        )
+
+
 def accumulate(
     events: EventArrays, size: tuple[int, int], start_us: float, period_us: float
 ) -> tuple[PixelSums, BurstWindow]:
@@ -135,31 +138,26 @@ def accumulate(
     The phase 0 of the lock-in sum (synchronous detection; Meade, 1983) is that of the first Fourier coefficient: the ON
     rate minus the OFF rate of the whole image is largest there. There is at least one event.
     """
-    t, x, y, p = events
-    times = event_times(t, p)
-    off_rate, on_rate = folded_rate(times, start_us, period_us)
-    on_window = burst_window(on_rate, start_us, period_us)
-    off_window = burst_window(off_rate, start_us, period_us)
+    times = event_times(events[0], events[3])
+    on_rate, off_rate = folded_rates(times, start_us, period_us, FOLD_BINS)
+    on_window, off_window = (burst_window(rate, start_us, period_us) for rate in (on_rate, off_rate))
     wave = np.exp(2j * np.pi * (np.arange(FOLD_BINS) + 0.5) / FOLD_BINS)
     response_us = start_us + float(np.angle((on_rate - off_rate) @ wave)) / (2 * np.pi) * period_us
     sums = PixelSums.empty(size)
     parts: tuple[Any, ...] = sums
     flat = PixelSums(*(part.ravel() for part in parts))
-    _add_events(times, x, y, p, size[0], period_us, response_us, on_window, off_window, flat)
+    _add_events(times, events, size[0], period_us, response_us, (on_window, off_window), flat)
     return sums, on_window
 
 
 @njit(**KERNEL)
 def _add_events(
     times: EventTimes,
-    x: Any,
-    y: Any,
-    p: Any,
+    events: Any,
     width: int,
     period: float,
     response_us: float,
-    on: BurstWindow,
-    off: BurstWindow,
+    bursts: Any,
     sums: PixelSums,
 ) -> None:
     """Add every event to all sums, which are flat; what depends on the time alone is computed once for each time.
@@ -167,6 +165,7 @@ def _add_events(
     Whether an event is the first of its burst is added as 0 or 1: a branch would be foreseen wrongly too often, and the
     loop would take four times as long. Equations: head of `calib.events.event_image`; lock-in: Meade (1983).
     """
+    (_, x, y, p), (on, off) = events, bursts
     # In variables of their own: the compiled loop would load their addresses from the tuple for every event.
     on_count, off_count, on_seen, off_seen, on_latency, lock_in, on_fired, off_fired, last_polarity = sums
     columns = np.uint64(width)

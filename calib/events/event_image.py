@@ -29,7 +29,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -42,6 +42,7 @@ from calib.events.accumulation import (
     PixelSums,
     accumulate,
     hot_pixels,
+    require_inside,
     whole_period_window,
     without_hot_pixels,
 )
@@ -108,20 +109,14 @@ class EventImages:
         after the other (no ``one_phase``), the lock-in sum is smaller where they change early or late, and this slope
         displaces edges: count is used instead.
         """
-        rate = self.facts.events_per_edge
-        if rate >= LOCK_IN_MIN_EVENTS and not one_phase:
-            reason = f"{rate:.2f} events per edge; no sync edges show that all pixels change at once."
-            return ChosenImage("count", self.named("count"), reason)
-        if rate >= LOCK_IN_MIN_EVENTS:
-            reason = (
-                f"{rate:.2f} events per edge, {LOCK_IN_MIN_EVENTS} or more: their number carries grey levels."
-            )
-            return ChosenImage("lock-in", self.named("lock-in"), reason)
-        reason = (
-            f"{rate:.2f} events per edge, fewer than {LOCK_IN_MIN_EVENTS}: "
-            "only whether a pixel fired is reliable."
-        )
-        return ChosenImage("fired-per-edge", self.fired_per_edge, reason)
+        name, least = "lock-in" if one_phase else "count", LOCK_IN_MIN_EVENTS
+        why = f", {least} or more: their number carries grey levels."
+        if self.facts.events_per_edge < least:
+            name, why = "fired-per-edge", f", fewer than {least}: only whether a pixel fired is reliable."
+        elif not one_phase:
+            why = "; no sync edges show that all pixels change at once."
+        reason = f"{self.facts.events_per_edge:.2f} events per edge{why}"
+        return ChosenImage(name, self.named(name), reason)
 
     def named(self, name: str) -> Array32:
         """Return the (H, W) image of one kind, brighter where the target is brighter.
@@ -196,7 +191,12 @@ def make_images(
         If the arrays differ in length, or an event lies outside of the sensor.
     """
     with placed("event image"):
-        _check(t, x, y, p, size)
+        if not t.shape == x.shape == y.shape == p.shape:
+            raise InputMismatch(
+                f"The arrays of events differ in length: {t.size} times, {x.size} columns, {y.size} rows, "
+                f"{p.size} polarities."
+            )
+        require_inside(x, y, size)
         start, end, whole = whole_period_window(t, flicker, window_us, periods)
         # Whole numbers: with floats, NumPy would convert all times.
         first, last = (int(i) for i in np.searchsorted(t, [math.ceil(start), math.ceil(end)]))
@@ -238,20 +238,6 @@ def _facts(
         silent_rows=int(np.count_nonzero(silent[rows[0] : rows[-1]])) if len(rows) else 0,
         on_window=on_window,
     )
-
-
-def _check(t: Any, x: Any, y: Any, p: Any, size: tuple[int, int]) -> None:
-    """Refuse arrays of different lengths and events outside of the sensor."""
-    if not t.shape == x.shape == y.shape == p.shape:
-        raise InputMismatch(
-            f"The arrays of events differ in length: {t.size} times, {x.size} columns, {y.size} rows, "
-            f"{p.size} polarities."
-        )
-    if t.size and (int(x.max()) >= size[0] or int(y.max()) >= size[1]):
-        raise InputMismatch(
-            f"An event lies at column {int(x.max())} or row {int(y.max())} of a {size[0]} x {size[1]} sensor.",
-            remedy="Give the size that stands in the recording's header.",
-        )
 
 
 class QuickImage(NamedTuple):

@@ -33,9 +33,8 @@ class EventTimes(NamedTuple):
 def event_times(t: Ints, p: NDArray[np.integer]) -> EventTimes:
     """Gather (N,) events by their time, each time once; times are us, ascending, N >= 1; polarity 1 is ON."""
     first = np.concatenate([[0], np.flatnonzero(t[1:] != t[:-1]) + 1, [len(t)]])
-    return EventTimes(
-        t[first[:-1]].astype(np.int64), first, np.add.reduceat(p > 0, first[:-1], dtype=np.int64)
-    )
+    on = np.add.reduceat(p > 0, first[:-1], dtype=np.int64)
+    return EventTimes(t[first[:-1]].astype(np.int64), first, on)
 
 
 #: Largest distance of an edge from its place in the train, as a share of the period.
@@ -200,14 +199,13 @@ def flicker_from_events(
             remedy="Check that the light is on.",
         )
     times = event_times(t_us, np.asarray(p))
-    counts = (times.on, times.off)
     start, span = float(times.t[0]), float(times.t[-1] - times.t[0])
     late = times.t.astype(np.float64) - start
     bin_us = max(RATE_BIN_US, span / RATE_BINS)
     bins, at = int(span / bin_us) + 1, (late / bin_us).astype(np.int64)
-    rates = np.array([np.bincount(at, count, bins) for count in counts])
+    rates = np.array([np.bincount(at, count, bins) for count in (times.on, times.off)])
     period = 1e6 / _search_frequency(rates, bin_us, band_hz)
-    on, off = (_onset(folded(late, count, period, ONSET_BINS)) for count in counts)
+    on, off = map(_onset, folded_rates(times, start, period, ONSET_BINS))
     return Flicker(
         period_us=period,
         phase_us=start + on * period,
@@ -276,22 +274,17 @@ def _fit_trains(
     t = np.concatenate([rising[0], falling[0]])
     k = np.concatenate([rising[1], falling[1]])
     is_rising = np.arange(t.size) < rising[0].size
-    columns = [is_rising.astype(float), (~is_rising).astype(float)]
     origin = t[0]
     fixed_period = len(np.unique(rising[1])) < 2 and len(np.unique(falling[1])) < 2
     target = t - origin - (k * period if fixed_period else 0.0)
-    design = np.column_stack(columns if fixed_period else [*columns, k])
+    design = np.column_stack([is_rising, ~is_rising, k])[:, : 2 if fixed_period else 3]
     solution, _, rank, _ = np.linalg.lstsq(design, target, rcond=None)
     residuals = target - design @ solution
     spare = t.size - int(rank)
     jitter = float(np.sqrt(residuals @ residuals / spare)) if spare > 0 else float("nan")
     fall_phase = origin + solution[1] if falling[0].size else float("nan")
-    return (
-        period if fixed_period else float(solution[2]),
-        float(origin + solution[0]),
-        float(fall_phase),
-        jitter,
-    )
+    fitted = period if fixed_period else float(solution[2])
+    return fitted, float(origin + solution[0]), float(fall_phase), jitter
 
 
 def _search_frequency(rates: Array, bin_us: float, band_hz: tuple[float, float]) -> float:
@@ -345,11 +338,11 @@ def _harmonic_power(rates: Array, bin_us: float, frequencies_hz: Array) -> Array
     return power
 
 
-def folded(late_us: Array, count: Ints, period_us: float, bins: int) -> Array:
-    """Count the events, ``count`` at each time, over the phase of one period (Leahy et al., 1983), in (bins,)."""
-    turns = late_us / period_us
+def folded_rates(times: EventTimes, start_us: float, period_us: float, bins: int) -> Array:
+    """Return (2, bins) ON and OFF events over the phase of a period (epoch folding; Leahy et al., 1983)."""
+    turns = np.asarray(times.t - start_us, np.float64) / period_us
     at = np.minimum(((turns - np.floor(turns)) * bins).astype(np.int64), bins - 1)
-    return np.asarray(np.bincount(at, count, bins), np.float64)
+    return np.array([np.bincount(at, count, bins) for count in (times.on, times.off)])
 
 
 def _onset(rate: Array) -> float:

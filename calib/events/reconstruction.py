@@ -30,7 +30,8 @@ import cv2
 import numpy as np
 
 from calib.arrays import Array, Array32, EventArrays
-from calib.errors import InputMismatch, TooFewEvents
+from calib.errors import InputMismatch, TooFewEvents, placed
+from calib.events.accumulation import require_inside
 
 DEFAULT_CUTOFF_HZ = 10.0
 """Cutoff frequency of the filter, Hz: pixels forget with a time constant of 16 ms."""
@@ -83,7 +84,8 @@ class HighPassFilter:
 
     def add(self, events: EventArrays) -> None:
         """Add events: times, us, ascending and not before those added earlier; columns, rows, polarities."""
-        _require_inside(events, self.size)
+        with placed("reconstruction"):
+            require_inside(*events[1:3], self.size)
         if len(events[0]):
             last_us = int(events[0][-1])
             self._sums = self.sums_at(last_us) + _weighted(events, last_us, self.alpha_us, self._sums.shape)
@@ -113,7 +115,6 @@ def reconstruct(
     reach_us = -math.log(FORGOTTEN) / past.alpha_us if two_sided else 0.0
     waiting, open_pictures = deque(at_us), deque[_OpenPicture]()
     for events in _ascending(pieces):
-        _require_inside(events, size)
         first = 0
         while waiting and waiting[0] < events[0][-1]:
             until = int(np.searchsorted(events[0], waiting[0], side="right"))
@@ -138,24 +139,22 @@ class _OpenPicture:
     def __init__(self, at_us: float, sums: Array, two_sided: bool) -> None:
         self.at_us = at_us
         self._past = sums
-        self._later = np.zeros_like(sums) if two_sided else None
+        self._later, self._share = np.zeros_like(sums), 0.5 if two_sided else 1.0
 
     def add_later(self, events: EventArrays, alpha_us: float, reach_us: float) -> None:
         """Add the events that lie within reach after the picture's time."""
-        if self._later is not None:
-            first, last = np.searchsorted(events[0], [self.at_us, self.at_us + reach_us], side="right")
-            later = _part(events, int(first), int(last))
-            self._later += _weighted(later, self.at_us, alpha_us, self._later.shape)
+        first, last = np.searchsorted(events[0], [self.at_us, self.at_us + reach_us], side="right")
+        later = _part(events, int(first), int(last))
+        self._later += _weighted(later, self.at_us, alpha_us, self._later.shape)
 
     def finished(self) -> ReconstructedPicture:
         """Return the picture."""
-        later = np.zeros_like(self._past) if self._later is None else self._later
-        total = np.asarray((self._past + later).sum(axis=0), np.float32)
+        total = np.asarray((self._past + self._later).sum(axis=0), np.float32)
         active = float(np.mean(total > FORGOTTEN))
-        off, on = self._past - later if self._later is not None else self._past
-        off_sum, on_sum = (self._past + later).sum(axis=(1, 2))
+        off, on = self._past - self._later
+        off_sum, on_sum = (self._past + self._later).sum(axis=(1, 2))
         off_weight = float(on_sum / off_sum) if off_sum > 0 else 1.0
-        image = np.asarray((on - off_weight * off) * (0.5 if self._later is not None else 1.0), np.float32)
+        image = np.asarray((on - off_weight * off) * self._share, np.float32)
         hot = total > _HOT_FACTOR * cv2.medianBlur(total, 5) + _HOT_OFFSET
         image[hot] = cv2.medianBlur(image, 5)[hot]
         return ReconstructedPicture(self.at_us, image, active)
@@ -174,16 +173,6 @@ def _ascending(pieces: Iterable[EventArrays]) -> Iterator[EventArrays]:
 def _part(events: EventArrays, first: int, last: int) -> EventArrays:
     t, x, y, p = events
     return t[first:last], x[first:last], y[first:last], p[first:last]
-
-
-def _require_inside(events: EventArrays, size: tuple[int, int]) -> None:
-    """Raise InputMismatch if an event lies outside of the sensor."""
-    _, x, y, _ = events
-    if len(x) and (int(x.max()) >= size[0] or int(y.max()) >= size[1]):
-        raise InputMismatch(
-            f"An event lies at ({int(x.max())}, {int(y.max())}), outside of {size[0]} x {size[1]} px.",
-            where="reconstruction",
-        )
 
 
 def _weighted(events: EventArrays, at_us: float, alpha_us: float, shape: tuple[int, ...]) -> Array:

@@ -73,6 +73,12 @@ def _camera_matrix(f_squared: Array, cx: float, cy: float) -> Array | None:
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
+def central_matrix(focal_px: float, image_size: tuple[int, int]) -> Array:
+    """Return the (3, 3) camera matrix K with the principal point at the image's centre (Hartley and Zisserman, 6.1)."""
+    cx, cy = (image_size[0] - 1) / 2, (image_size[1] - 1) / 2
+    return np.array([[focal_px, 0.0, cx], [0.0, focal_px, cy], [0.0, 0.0, 1.0]])
+
+
 def rotations_from_centre(homographies: Array, matrix: Array, centre: Array) -> Array:
     """Return for each camera matrix, (..., 3, 3), and centre, (..., 3) mm, rotations (..., n, 3, 3), camera <- target.
 

@@ -7,7 +7,6 @@ References
 - Birge (1932), The calculation of errors by the method of least squares, Physical Review 40, 207.
 - Cleveland (1979), Robust locally weighted regression and smoothing scatterplots, Journal of the American Statistical
   Association 74, 829.
-- Crow (1984), Summed-area tables for texture mapping, Computer Graphics 18 (SIGGRAPH), 207.
 - Dornaika and Horaud (1998), Simultaneous robot-world and hand-eye calibration, IEEE Trans. Robotics and Automation 14,
   617.
 - Garrido-Jurado et al. (2014), Automatic generation and detection of highly reliable fiducial markers under occlusion,

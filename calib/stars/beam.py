@@ -58,24 +58,21 @@ def find_beam(image: AnyArray, *, least: float = 0.0, radius_px: float | None = 
     """
     small, scale = reduced(image, REDUCED)
     side = 2 * round(CLOSING * REDUCED / 2) + 1
+    disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
     # A dark border would stop the closing at the frame; the default border of OpenCV's morphology does not.
-    closed = cv2.morphologyEx(
-        small, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side))
-    )
+    closed = cv2.morphologyEx(small, cv2.MORPH_CLOSE, disc)
     white, dark = float(np.quantile(closed, 0.98)), max(float(np.quantile(closed, 0.01)), 0.0)
     level = LIT * white if dark < LIT * white else 0.0
     lit = _filled((closed > level).astype(np.uint8))
     share = float(lit.mean())
     if white <= least or share < MIN_LIT:
         return Beam(0.0, None, None, None, np.zeros(small.shape, np.uint8), scale)
-    rim = _rim(lit)
-    if len(rim) < MIN_RIM:
-        return Beam(share, False, None, None, lit, scale)
-    circle = None
-    if share <= 1.0 - MIN_DARK:
+    rim, circle = _rim(lit), None
+    in_view = len(rim) >= MIN_RIM
+    if in_view and share <= 1.0 - MIN_DARK:
         circle = _circle(rim, lit) if radius_px is None else _circle_of(radius_px / scale, rim, lit)
     if circle is None:
-        return Beam(share, True, None, None, lit, scale)
+        return Beam(share, in_view, None, None, lit, scale)
     (x, y), radius = circle
     centre = ((x + 0.5) * scale - 0.5, (y + 0.5) * scale - 0.5)
     return Beam(share, True, centre, radius * scale, lit, scale)

@@ -17,7 +17,7 @@ from calib.events.grey_image import to_uint8
 from calib.model.homography import apply_homography, fit_homography
 from calib.stars.grid_map import predict_locally
 from calib.stars.growth import GrowthStart, StarGrid, find_lattice, grow_star_grid, start_at_tag
-from calib.stars.tag import find_tag
+from calib.stars.tag import TagDetection, find_tag
 from calib.stars.template import values_at
 from calib.target import StarTarget
 
@@ -29,9 +29,7 @@ MIN_INNER_SHARE = 1 / 3
 MIN_MARGIN = 0.15
 #: Largest distance of the stars from whole nodes, and their largest scatter, by an expected pose, pitches.
 MAX_OFF_NODE, MAX_SCATTER = 0.3, 0.35
-_QUARTER_TURNS = [
-    np.array(m) for m in ([[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]])
-]
+_QUARTER_TURNS = [np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), quarter) for quarter in range(4)]
 
 
 class StarLabels(NamedTuple):
@@ -107,14 +105,13 @@ def label_by_tag(image: Array32, grown: StarGrid, sign: float, target: StarTarge
 
 
 def _gaps(nodes: Ints, target: StarTarget) -> Array:
-    """Return the (M, 2) centres, pitches, of gaps as large as the tag's, by a summed-area table (Crow, 1984)."""
+    """Return the (M, 2) centres, pitches, of gaps as large as the tag's."""
     side = target.tag_squares + 1
     low, high = nodes.min(axis=0) - side, nodes.max(axis=0) + side
-    taken = np.zeros(high - low + 1, np.int64)
-    taken[nodes[:, 0] - low[0], nodes[:, 1] - low[1]] = 1
-    total = np.pad(taken.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
-    inside = total[side:, side:] - total[:-side, side:] - total[side:, :-side] + total[:-side, :-side]
-    return np.argwhere(inside == 0) + low + (side - 1) / 2.0
+    taken = np.zeros(high - low + 1, np.bool_)
+    taken[tuple((nodes - low).T)] = True
+    filled = np.lib.stride_tricks.sliding_window_view(taken, (side, side)).any(axis=(2, 3))
+    return np.argwhere(~filled) + low + (side - 1) / 2.0
 
 
 def _white_and_black(image: Array32, grown: StarGrid, h: Array, sign: float) -> tuple[float, float]:
@@ -178,8 +175,13 @@ def find_candidates(
             tag = find_tag(picture, target)
     if tag is None:
         return _label_without_tag(found, target, expected)
-    grown = grow_star_grid(smoothed, start_at_tag(tag, target), target.segments, lambda n: printed(target, n))
+    grown = grow_from_tag(smoothed, tag, target)
     return Candidates(grown.nodes(), grown.places()), tag.sign, "tag"
+
+
+def grow_from_tag(image: Array32, tag: TagDetection, target: StarTarget) -> StarGrid:
+    """Find possible stars, starting with the ring around the tag."""
+    return grow_star_grid(image, start_at_tag(tag, target), target.segments, lambda n: printed(target, n))
 
 
 def printed(target: StarTarget, nodes: Ints) -> Bools:
@@ -188,11 +190,11 @@ def printed(target: StarTarget, nodes: Ints) -> Bools:
 
 
 class Unlabelled(NamedTuple):
-    """Stars on a relative grid, where growth started (None if nowhere), and their labels by a part of the tag."""
+    """Stars on a relative grid, +1 if white is bright, else -1, and their labels by a part of the tag."""
 
     grown: StarGrid
-    start: GrowthStart | None
-    labels: StarLabels | StarsUnnamed | None
+    sign: float
+    labels: StarLabels | StarsUnnamed | None  # None without stars
 
 
 def find_without_tag(image: Array32, target: StarTarget, expected: Array | None) -> Unlabelled:
@@ -200,19 +202,19 @@ def find_without_tag(image: Array32, target: StarTarget, expected: Array | None)
     start = find_lattice(image, target.segments)
     starts = [start] if start is not None else _starts_as_expected(image, expected)
     size = max(target.columns, target.rows)
-    grown = StarGrid()
+    grown, sign = StarGrid(), 1.0
     for tried in starts:
         found = grow_star_grid(
             image, tried, target.segments, lambda nodes: np.asarray((np.abs(nodes) < size).all(axis=1))
         )
         if len(found.points) > len(grown.points):
-            start, grown = tried, found
-    if start is None or len(grown.points) < MIN_STARS:
-        return Unlabelled(grown, None, None)
+            grown, sign = found, tried.sign
+    if len(grown.points) < MIN_STARS:
+        return Unlabelled(grown, sign, None)
     try:
-        return Unlabelled(grown, start, label_by_tag(image, grown, start.sign, target))
+        return Unlabelled(grown, sign, label_by_tag(image, grown, sign, target))
     except StarsUnnamed as unnamed:
-        return Unlabelled(grown, start, unnamed)
+        return Unlabelled(grown, sign, unnamed)
 
 
 def _is_tag_cut(image: Array32, found: Unlabelled, target: StarTarget) -> bool:
@@ -230,8 +232,8 @@ def _label_without_tag(
     found: Unlabelled, target: StarTarget, expected: Array | None
 ) -> tuple[Candidates, float, NamedBy]:
     """Return stars with their nodes, labelled by the visible part of the tag or by the pose."""
-    grown, start, labels = found
-    if start is None or labels is None:
+    grown, sign, labels = found
+    if labels is None:
         raise TargetNotFound(
             f"Tag {target.tag_id} of family {target.tag_family} is not in the image, and no stars are either.",
             remedy="Turn the camera so that the tag is in view; check focus, light and the target's description.",
@@ -248,7 +250,7 @@ def _label_without_tag(
             f"{np.count_nonzero(~seen)} of {len(nodes)} stars would lie where the target has none.",
             remedy="Check the target's description and the expected pose.",
         )
-    return selected(Candidates(nodes, grown.places()), seen), start.sign, named_by
+    return selected(Candidates(nodes, grown.places()), seen), sign, named_by
 
 
 def _starts_as_expected(image: Array32, expected: Array | None) -> list[GrowthStart]:

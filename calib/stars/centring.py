@@ -36,7 +36,7 @@ import cv2
 import numpy as np
 from numba import njit
 
-from calib.arrays import Array, Array32, Bools, Ints
+from calib.arrays import Array, Array32, Bools, Ints, selected
 from calib.compiled import INNER, KERNEL
 from calib.stars.grid_map import LocalMap
 
@@ -108,36 +108,26 @@ def _spline(pixels: Any, width: Any, at: Any, a: Any, b: Any) -> tuple[Any, Any,
 
 @njit(**KERNEL)
 def normal_equations(
-    pixels: Any,
-    width: int,
-    centres: Any,
-    linear: Any,
-    quadratic: Any,
-    samples: Any,
-    used_to: Any,
-    slopes: Any,
-    space: Any,
-    normal: Any,
-    right: Any,
-    mean_square: Any,
-) -> None:
-    """Compute J^T J, J^T r and the mean of r^2 of the symmetry residuals of N stars in place.
+    image: Any, centres: Any, local_map: LocalMap, samples: Any, used_to: Any, slopes: Any
+) -> tuple[Any, Any, Any]:
+    """Return J^T J, (N, 6, 6), J^T r, (N, 6), and the mean of r^2, (N,), of the symmetry residuals of N stars.
 
     Residuals: Schöps et al. (2020), with this project's own slopes and curvature; the head of `calib.stars.centring`
     gives the equations.
-    pixels: (H W,) float32, rows of the smoothed image, one after the other.
-    linear, quadratic: (N, 2, 2) px per pitch and (N, 2, 3) px per square pitch, local maps at the centres, (N, 2) px.
+    The mean is nan if too few samples lie in the image, which is (H, W) float32, smoothed.
+    local_map: at the centres, (N, 2) px; its arrays in the order of rows.
     samples: (2, M) float32, pitches, offsets along the columns and along the rows, one of each pair.
     used_to: (N, 2) float64, pitches, how far from its centre each star's cell is used.
     slopes: (N, 4) float64, current relative slope g, 1/pitch, and absolute slope b, brightness/pitch.
-    space: (2, M) float32, space for the samples that are used and lie in the image.
-    normal, right, mean_square: (N, 6, 6), (N, 6), (N,) float64, filled in; nan if too few samples lie in the image.
     """
-    height, reach = pixels.size // width, 0.0
+    (height, width), pixels, reach, count = image.shape, image.ravel(), 0.0, len(centres)
+    normal = np.zeros((count, SYMMETRY_UNKNOWNS, SYMMETRY_UNKNOWNS))
+    right, mean_square = np.zeros((count, SYMMETRY_UNKNOWNS)), np.full(count, np.nan)
+    space = np.empty_like(samples)  # for the samples that are used and lie in the image
     for i in range(samples.shape[1]):
         reach = max(reach, abs(samples[0, i]), abs(samples[1, i]))
-    for star in range(len(centres)):
-        a, b = linear[star], quadratic[star]
+    for star in range(count):
+        a, b = local_map.linear[star], local_map.quadratic[star]
         far_x = (abs(a[0, 0]) + abs(a[0, 1])) * reach
         far_x += (abs(b[0, 0]) + abs(b[0, 1]) + abs(b[0, 2])) * reach * reach
         far_y = (abs(a[1, 0]) + abs(a[1, 1])) * reach
@@ -149,13 +139,11 @@ def normal_equations(
         if not inside or min(used_to[star, 0], used_to[star, 1]) < reach:
             n, used = _copy_inside(width, height, centres[star], a, b, samples, used_to[star], space)
             places = space
-        mean_square[star] = np.nan
         if n > 0 and n >= MIN_COVERED * used:
-            far = int(max(far_x, far_y)) + 2
-            squares = _sums_inside(
-                pixels, width, centres[star], far, a, b, places, n, slopes[star], normal[star], right[star]
-            )
+            far, sums = int(max(far_x, far_y)) + 2, (normal[star], right[star])
+            squares = _sums_inside(pixels, width, centres[star], far, (a, b), places, n, slopes[star], sums)
             mean_square[star] = squares / n
+    return normal, right, mean_square
 
 
 @njit(**INNER)
@@ -189,20 +177,20 @@ def _sums_inside(
     width: int,
     centre: Any,
     far: int,
-    linear: Any,
-    quadratic: Any,
+    bent: Any,
     samples: Any,
     count: int,
     slopes: Any,
-    normal: Any,
-    right: Any,
+    sums: Any,
 ) -> float:
     """Compute J^T J and J^T r in place for the first samples, which all lie in the image; return the sum of r^2.
 
     Residuals: Schöps et al. (2020), as in `normal_equations`. Every sum is a variable of its own, and so is every
     number of the map: arrays could share memory, and the loop would not run over several samples at once. Places are
     relative to a pixel ``far`` px to the upper left of the centre: there, single precision is right to 1e-5 px.
+    bent: A and B of the star's local map. sums: J^T J and J^T r.
     """
+    (linear, quadratic), (normal, right) = bent, sums
     left, top, row = int(centre[0]) - far, int(centre[1]) - far, np.int32(width)
     origin = np.int32(top * width + left)
     x, y = np.float32(centre[0] - left), np.float32(centre[1] - top)
@@ -321,23 +309,14 @@ def refine_by_symmetry(
     along columns and rows. A centre that moves further than ``reach_px`` from its guess, px, or whose cell lies too far
     outside of the image, is nan and not converged.
     """
-    n = len(guesses)
-    fit = SymmetryFit(
-        np.full((n, 2), np.nan),
-        np.full((n, 2, 2), np.nan),
-        np.full(n, np.nan),
-        np.full(n, np.nan),
-        np.zeros(n, np.bool_),
-    )
-    pixels, places = image.ravel(), np.ascontiguousarray(samples.T, np.float32)
-    linear, quadratic = np.ascontiguousarray(local_map.linear), np.ascontiguousarray(local_map.quadratic)
+    n, nan = len(guesses), np.full((len(guesses), 2, 2), np.nan)
+    fit = SymmetryFit(nan[:, 0].copy(), nan, nan[:, 0, 0].copy(), nan[:, 0, 0].copy(), np.zeros(n, np.bool_))
+    places = np.ascontiguousarray(samples.T, np.float32)
+    maps = LocalMap(*map(np.ascontiguousarray, local_map))
     stars, centres, slopes = np.arange(n), guesses.astype(float), np.zeros((n, SYMMETRY_UNKNOWNS - 2))
     for _ in range(_MAX_STEPS):
-        normal = np.zeros((len(stars), SYMMETRY_UNKNOWNS, SYMMETRY_UNKNOWNS))
-        right, mean_square = np.zeros((len(stars), SYMMETRY_UNKNOWNS)), np.empty(len(stars))
-        fixed = linear[stars], quadratic[stars], places, used_to[stars]
-        filled = np.empty_like(places), normal, right, mean_square
-        normal_equations(pixels, image.shape[1], centres, *fixed, slopes, *filled)
+        fixed = selected(maps, stars), places, used_to[stars]
+        normal, right, mean_square = normal_equations(image, centres, *fixed, slopes)
         regular, step = solve_steps(normal, right)
         length = np.hypot(step[:, 0], step[:, 1])
         shorter = 1.5 / np.maximum(length, 1.5)

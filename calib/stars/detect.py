@@ -13,7 +13,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from calib.arrays import AnyArray, Array, Array32, Bools, selected
+from calib.arrays import AnyArray, Array, Array32, selected
 from calib.errors import TooFewStars, placed
 from calib.events.grey_image import require_grey_plane
 from calib.stars.candidates import MIN_STARS, Candidates, NamedBy, find_candidates
@@ -26,7 +26,7 @@ from calib.stars.centring import (
     variance_factor,
 )
 from calib.stars.edge_pixels import quantise
-from calib.stars.grid_map import LocalMap, fit_grid_map
+from calib.stars.grid_map import LocalMap, fit_grid_map, without_outliers
 from calib.stars.likelihood import edge_width_px, refine_by_likelihood
 from calib.stars.printed_star import cell_reach, open_sides
 from calib.stars.template import SHARP_CORRELATION, StarTemplate, star_contrasts
@@ -124,19 +124,17 @@ def detect_stars(
         blurred = False
         for step_px in (COARSE_STEP_PX, FINE_STEP_PX):
             _require_enough(len(candidates.nodes), blurred=blurred)
-            candidates, fit, local_map, blurred = refine_candidates(
-                smoothed, candidates, target, sign, step_px
-            )
+            refined = refine_candidates(smoothed, candidates, target, sign, step_px)
+            candidates, fit, local_map, blurred = refined
         _require_enough(len(candidates.nodes), blurred=blurred)
         points, covariances, measure_width = _best_centres(image, candidates, fit, local_map, target)
-        kept = np.isfinite(points).all(axis=1)
-        least = MIN_FOR_LIKELIHOOD if blurred else MIN_STARS
-        _require_enough(int(np.count_nonzero(kept)), least, blurred=blurred, measure_width=measure_width)
-        ids = target.id_at(candidates.nodes[kept, 0], candidates.nodes[kept, 1])
+        ids = target.id_at(*candidates.nodes.T)
         order = np.argsort(ids)
-        size, stars = (image.shape[1], image.shape[0]), ids[order]
-        points, covariances = points[kept][order], covariances[kept][order]
-        view = View(name, size, stars, points, target.positions_mm(stars), covariances)
+        kept = order[np.isfinite(points[order]).all(axis=1)]
+        least = MIN_FOR_LIKELIHOOD if blurred else MIN_STARS
+        _require_enough(len(kept), least, blurred=blurred, measure_width=measure_width)
+        size, stars = (image.shape[1], image.shape[0]), ids[kept]
+        view = View(name, size, stars, points[kept], target.positions_mm(stars), covariances[kept])
         return Detection(view, named_by, measure_width)
 
 
@@ -155,8 +153,9 @@ def _best_centres(
     by_symmetry = nominal * variance_factor(nodes, points, nominal, typical=TYPICAL_SYMMETRY_FACTOR)
     by_symmetry += _uneven_light(fit.light_slope)
     levels = quantise(image)
+    measure_width = partial(edge_width_px, levels, points, local_map, target)
     if len(nodes) < MIN_FOR_LIKELIHOOD:
-        return points, by_symmetry, partial(edge_width_px, levels, points, local_map, target)
+        return points, by_symmetry, measure_width
     likely = refine_by_likelihood(levels, points, local_map, target, open_sides(target, nodes))
     factor = variance_factor(nodes, likely.centres, likely.covariances, typical=1.0)
     by_likelihood = likely.covariances * factor
@@ -165,8 +164,8 @@ def _best_centres(
     squares = np.einsum("ni,nij,nj->n", apart, np.linalg.inv(by_symmetry + by_likelihood), apart)
     agree = (squares <= MAX_APART_SIGMAS**2)[:, None]
     if _typical_variance(by_likelihood) < _typical_variance(by_symmetry):
-        return np.where(agree, likely.centres, np.nan), by_likelihood, lambda: likely.edge_width_px
-    return np.where(agree, points, np.nan), by_symmetry, lambda: likely.edge_width_px
+        return np.where(agree, likely.centres, np.nan), by_likelihood, measure_width
+    return np.where(agree, points, np.nan), by_symmetry, measure_width
 
 
 def _uneven_light(light_slope: Array) -> Array:
@@ -198,7 +197,8 @@ def refine_candidates(
     good = fit.converged & (score >= MIN_CORRELATION) & (contrast.min(axis=1) >= MIN_OCTANT * middle)
     if good.any():
         good &= middle >= MIN_CONTRAST * np.median(middle[good])
-    good = _without_outliers(grid, fit.centres, good)
+    if np.count_nonzero(good) >= MIN_STARS:
+        good = without_outliers(grid, fit.centres, good, sigmas=OUTLIER_SIGMAS, least_px=OUTLIER_PX)
     refined = selected(Candidates(candidates.nodes, fit.centres), good)
     return refined, selected(fit, good), selected(local_map, good), blurred
 
@@ -220,17 +220,6 @@ def _scores(
         return score, contrast, True
     score, contrast = star_contrasts(image, fit.centres, linear, learnt, sign)
     return score, contrast, True
-
-
-def _without_outliers(grid: Array, points: Array, good: Bools) -> Bools:
-    """Return which good stars lie on the smooth map of the others: within `OUTLIER_SIGMAS` or `OUTLIER_PX` (own)."""
-    if np.count_nonzero(good) < MIN_STARS:
-        return good
-    fitted, residuals = fit_grid_map(grid[good], points[good])
-    out = np.linalg.norm(residuals, axis=1) > max(OUTLIER_SIGMAS * fitted.sigma_px, OUTLIER_PX)
-    good = good.copy()
-    good[np.flatnonzero(good)[out]] = False
-    return good
 
 
 def _require_enough(

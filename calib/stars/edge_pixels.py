@@ -52,43 +52,35 @@ def gather_edge_pixels(
     used_to = cell_reach(none if is_open is None else is_open, SYMMETRY_REACH, strip)
     linear = local_map.linear
     reach = SYMMETRY_REACH * np.abs(linear).sum(axis=2)  # half the sides of the cells' bounding boxes, px
-    boxes = (2.0 * reach + 4.0).prod(axis=1)
     # One block, since the system gives a large one in few pages.
-    room, most = int(boxes.sum()), int(boxes.max(initial=0.0))
+    room = int((2.0 * reach + 4.0).prod(axis=1).sum())
     first, level = np.zeros(len(centres) * edges + 1, np.int64), np.empty(room, np.uint8)
     tau, along_x, along_y, u, v = np.empty((5, room), np.float32)
     found = EdgePixels(first, tau, along_x, along_y, u, v, level)
-    space = np.empty((5, most), np.float32), np.empty((2, most), np.uint8)
     # In the order of rows, as the kernel is compiled once.
-    inverse, bends = np.ascontiguousarray(np.linalg.inv(linear)), np.ascontiguousarray(local_map.quadratic)
-    at = np.ascontiguousarray(centres), reach, used_to, inverse, bends
-    _gather(levels, *at, edge_map, edges, *space, found)
+    inverse = np.ascontiguousarray(np.linalg.inv(linear), np.float64)
+    back = LocalMap(inverse, np.ascontiguousarray(local_map.quadratic))
+    _gather(levels, np.ascontiguousarray(centres), reach, used_to, back, edge_map, found)
     used = slice(int(first[-1]))
     return EdgePixels(first, tau[used], along_x[used], along_y[used], u[used], v[used], level[used])
 
 
 @njit(**KERNEL)
 def _gather(
-    levels: Any,
-    centres: Any,
-    reach: Any,
-    used_to: Any,
-    inverse: Any,
-    quadratic: Any,
-    edge_map: EdgeMap,
-    edges: int,
-    space: Any,
-    small: Any,
-    found: EdgePixels,
+    levels: Any, centres: Any, reach: Any, used_to: Any, back: LocalMap, edge_map: EdgeMap, found: EdgePixels
 ) -> None:
     """Store the pixels near an edge of each star's cell, sorted by edges (counting sort: Knuth, 1998).
 
     The interpolation is bilinear (Abramowitz and Stegun, 1972, section 25.2). Own derivatives: tau changes by -grad tau
     A^-1 with the centre, by 1 with the threshold, and by s with its slope.
-    reach: (N, 2) px. used_to: (N, 2) pitches. inverse: (N, 2, 2) pitches per px.
-    space, small: (5, K), (2, K), space for the pixels of one star: tau to v, and their levels and edges.
+    reach: (N, 2) px. used_to: (N, 2) pitches. back: the local maps, with the inverses of their linear parts.
     """
     height, width = levels.shape
+    edges, most = (len(found.first) - 1) // max(len(centres), 1), 0.0
+    for k in range(len(centres)):
+        most = max(most, (2.0 * reach[k, 0] + 4.0) * (2.0 * reach[k, 1] + 4.0))
+    # Space for the pixels of one star: tau to v, and their levels and edges.
+    space, small = np.empty((5, int(most)), np.float32), np.empty((2, int(most)), np.uint8)
     taus, nearest, one = edge_map.tau, edge_map.edge, np.uint64(1)
     scale, half, limit_px = edge_map.samples_per_pitch, edge_map.half, edge_map.limit_px
     counts = np.empty(edges, np.int64)
@@ -96,9 +88,10 @@ def _gather(
     for k in range(len(centres)):
         # Every number is a variable of its own: arrays could share memory, and would be read again for each pixel.
         x, y, u_to, v_to = centres[k, 0], centres[k, 1], used_to[k, 0], used_to[k, 1]
-        u_x, u_y, v_x, v_y = inverse[k, 0, 0], inverse[k, 0, 1], inverse[k, 1, 0], inverse[k, 1, 1]
-        x_uu, x_uv, x_vv = quadratic[k, 0, 0], quadratic[k, 0, 1], quadratic[k, 0, 2]
-        y_uu, y_uv, y_vv = quadratic[k, 1, 0], quadratic[k, 1, 1], quadratic[k, 1, 2]
+        inverse, bend = back.linear[k], back.quadratic[k]
+        u_x, u_y, v_x, v_y = inverse[0, 0], inverse[0, 1], inverse[1, 0], inverse[1, 1]
+        x_uu, x_uv, x_vv = bend[0, 0], bend[0, 1], bend[0, 2]
+        y_uu, y_uv, y_vv = bend[1, 0], bend[1, 1], bend[1, 2]
         left, right = int(max(0.0, x - reach[k, 0])), int(min(width - 1.0, x + reach[k, 0] + 1.0))
         n: Any = np.uint64(0)
         counts[:] = 0
@@ -241,34 +234,16 @@ def edge_scores(
     scores = tables.score.ravel()
     for k in range(n):
         for e in range(edges):
-            group = k * edges + e
-            _add_edge(
-                pixels,
-                pixels.first[group],
-                pixels.first[group + 1],
-                unknowns[k],
-                scores,
-                tables.fisher,
-                limit_px,
-                score[k, e],
-                fisher[k, e],
-            )
+            sums = score[k, e], fisher[k, e]
+            _add_edge(pixels, k * edges + e, unknowns[k], scores, tables.fisher, limit_px, sums)
     return score, fisher
 
 
 @njit(**INNER, fastmath={"reassoc", "contract", "nsz", "nnan", "ninf"}, forceinline=True)
 def _add_edge(
-    pixels: EdgePixels,
-    begin: int,
-    end: int,
-    unknowns: Any,
-    scores: Any,
-    fishers: Any,
-    limit_px: float,
-    score: Any,
-    fisher: Any,
+    pixels: EdgePixels, group: int, unknowns: Any, scores: Any, fishers: Any, limit_px: float, sums: Any
 ) -> None:
-    """Sum score, (5,), and Fisher information, (5, 5), over the pixels of one edge of one star.
+    """Sum score, (5,), and Fisher information, (5, 5), over the pixels of edge number ``group``.
 
     ``scores`` are the rows of `ScoreTables.score`, one after the other. Fisher scoring: Osborne (1992). Every sum is a
     variable of its own, in single precision, and there is no branch and no store in the loop, so that it runs over
@@ -276,17 +251,13 @@ def _add_edge(
     """
     single, zero, one = np.float32, np.float32(0.0), np.float32(1.0)
     _, taus, along_x, along_y, us, vs, levels = pixels
-    x, y, slope_u, slope_v = (
-        single(unknowns[0]),
-        single(unknowns[1]),
-        single(unknowns[3]),
-        single(unknowns[4]),
-    )
+    x, y = single(unknowns[0]), single(unknowns[1])
+    slope_u, slope_v = single(unknowns[3]), single(unknowns[4])
     shift, per_px = single(unknowns[2] + limit_px), single(_BINS_PER_PX)
     bins, last = np.int32(fishers.size), single(fishers.size - 1)
     s0 = s1 = s2 = s3 = s4 = f00 = f10 = f11 = f20 = f21 = f22 = zero
     f30 = f31 = f32 = f33 = f40 = f41 = f42 = f43 = f44 = zero
-    for m in range(begin, end):
+    for m in range(pixels.first[group], pixels.first[group + 1]):
         d0, d1, u, v = along_x[m], along_y[m], us[m], vs[m]
         at = (taus[m] + d0 * x + d1 * y + shift + u * slope_u + v * slope_v) * per_px
         known = one if at >= zero and at < last else zero
@@ -298,17 +269,13 @@ def _add_edge(
         gradient = a * scores[np.uint64(row)] + b * scores[np.uint64(row + np.int32(1))]
         weight = a * fishers[np.uint64(i)] + b * fishers[np.uint64(i + np.int32(1))]
         w0, w1, w3, w4 = weight * d0, weight * d1, weight * u, weight * v
-        s0, s1, s2, s3, s4 = (
-            s0 + gradient * d0,
-            s1 + gradient * d1,
-            s2 + gradient,
-            s3 + gradient * u,
-            s4 + gradient * v,
-        )
+        s0, s1, s2 = s0 + gradient * d0, s1 + gradient * d1, s2 + gradient
+        s3, s4 = s3 + gradient * u, s4 + gradient * v
         f00, f10, f11 = f00 + w0 * d0, f10 + w1 * d0, f11 + w1 * d1
         f20, f21, f22 = f20 + w0, f21 + w1, f22 + weight
         f30, f31, f32, f33 = f30 + w3 * d0, f31 + w3 * d1, f32 + w3, f33 + w3 * u
         f40, f41, f42, f43, f44 = f40 + w4 * d0, f41 + w4 * d1, f42 + w4, f43 + w4 * u, f44 + w4 * v
+    score, fisher = sums
     score[0], score[1], score[2], score[3], score[4] = s0, s1, s2, s3, s4
     fisher[0, 0], fisher[1, 0], fisher[1, 1] = f00, f10, f11
     fisher[2, 0], fisher[2, 1], fisher[2, 2] = f20, f21, f22

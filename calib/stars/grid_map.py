@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Array
+from calib.arrays import Array, Bools
 from calib.model.homography import apply_homography, fit_homography
 
 
@@ -53,10 +53,8 @@ def predict_locally(h: Array, grid: Array, points: Array, wanted: Array) -> Arra
         return base
     off = points - apply_homography(h, grid)
     k = min(NEIGHBOURS, len(grid))
-    squares = (
-        np.subtract.outer(wanted[:, 0], grid[:, 0]) ** 2 + np.subtract.outer(wanted[:, 1], grid[:, 1]) ** 2
-    )
-    near = np.argpartition(squares, k - 1, axis=1)[:, :k]
+    dx, dy = (np.subtract.outer(wanted[:, axis], grid[:, axis]) for axis in (0, 1))
+    near = np.argpartition(dx * dx + dy * dy, k - 1, axis=1)[:, :k]
     return base + _local_deviations(off, grid, wanted, near)
 
 
@@ -92,12 +90,8 @@ class GridMap:
         east, west = self.apply(grid + right), self.apply(grid - right)
         south, north = self.apply(grid + down), self.apply(grid - down)
         here = self.apply(grid)
-        mixed = (
-            self.apply(grid + h)
-            + self.apply(grid - h)
-            - self.apply(grid + right - down)
-            - self.apply(grid - right + down)
-        )
+        mixed = self.apply(grid + h) + self.apply(grid - h)
+        mixed = mixed - self.apply(grid + right - down) - self.apply(grid - right + down)
         linear = np.stack([(east - west) / (2 * h), (south - north) / (2 * h)], axis=-1)
         xx, yy = (east + west - 2 * here) / (2 * h * h), (south + north - 2 * here) / (2 * h * h)
         return LocalMap(linear, np.stack([xx, mixed / (4 * h * h), yy], axis=-1))
@@ -132,6 +126,14 @@ def fit_grid_map(grid: Array, points: Array) -> tuple[GridMap, Array]:
             break
         kept = now if np.count_nonzero(now) >= max(4, len(grid) // 2) else kept
     return GridMap(h, centre, scale, degree, coefficients, sigma), residuals
+
+
+def without_outliers(grid: Array, points: Array, good: Bools, *, sigmas: float, least_px: float) -> Bools:
+    """Return which good points lie on the smooth map of the others: within ``sigmas`` or ``least_px`` (own rule)."""
+    fitted, residuals = fit_grid_map(grid[good], points[good])
+    kept = good.copy()
+    kept[good] = np.linalg.norm(residuals, axis=1) <= max(sigmas * fitted.sigma_px, least_px)
+    return kept
 
 
 def _monomials(at: Array, degree: int) -> Array:

@@ -29,8 +29,8 @@ ratio (its overdispersion).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import cache, cached_property, lru_cache
+from functools import cache, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -73,11 +73,8 @@ MAX_STEP_PX = 0.15
 PITCH_DIGITS = 6
 _RIDGE = 1e-6
 
-InformationByBlur = Callable[[float], float]
 
-
-@dataclass(frozen=True)
-class LikelihoodFit:
+class LikelihoodFit(NamedTuple):
     """Most likely centres of N stars."""
 
     centres: Array  # (N, 2) float64, px
@@ -85,12 +82,6 @@ class LikelihoodFit:
     covariances: Array
     # (N,) float64, px per pitch, length of b: how uneven the light is across the star.
     light_slope: Array
-    _information: InformationByBlur = field(repr=False)
-
-    @cached_property
-    def edge_width_px(self) -> float:
-        """Width of the stars' edges, px, from `edge_width_px`; measured when it is asked for."""
-        return _most_informative_blur(self._information)
 
 
 def refine_by_likelihood(
@@ -123,7 +114,7 @@ def refine_by_likelihood(
             overdispersion = overdispersion_of_edges(score, fisher)
     light_slope = np.linalg.norm(unknowns[:, 3:], axis=1)
     covariances = np.linalg.inv(normal)[:, :2, :2]
-    return LikelihoodFit(centres + unknowns[:, :2], covariances, light_slope, information)
+    return LikelihoodFit(centres + unknowns[:, :2], covariances, light_slope)
 
 
 def edge_width_px(
@@ -138,13 +129,27 @@ def edge_width_px(
     """Measure the standard deviation, px, of the stars' blur by lens and pixel together, between `EDGE_WIDTHS_PX`.
 
     The printed star is blurred by Gaussians of several widths. The width is that with which the pixels near the edges
-    give most information about the centres (own criterion). On simulated recordings, it is 0.8 to 1.0 of the blur by
-    lens and pixel up to 2 px, under a square and under a sine flicker; it does not grow beyond that. Levels and centres
-    are those of `refine_by_likelihood`. The blurred printed stars are kept for the next call with the same pitch; None
-    takes it from ``local_map``. None for the start is the middle of `EDGE_WIDTHS_PX`.
+    give most information about the centres (own criterion): the vertex of a parabola over its logarithm. On simulated
+    recordings, it is 0.8 to 1.0 of the blur by lens and pixel up to 2 px, under a square and under a sine flicker; it
+    does not grow beyond that. Levels and centres are those of `refine_by_likelihood`. The blurred printed stars are
+    kept for the next call with the same pitch; None takes it from ``local_map``. None for the start is the middle of
+    `EDGE_WIDTHS_PX`.
     """
-    pitch = local_map.pitch_px if pitch_px is None else pitch_px
-    return _most_informative_blur(_information_by_blur(levels, centres, local_map, target, pitch), start_px)
+    pitch = round(local_map.pitch_px, PITCH_DIGITS) if pitch_px is None else pitch_px
+    information = _information_by_blur(levels, centres, local_map, target, pitch)
+    steps = np.arange(np.log(EDGE_WIDTHS_PX[0]), np.log(EDGE_WIDTHS_PX[1]), EDGE_WIDTH_STEP)
+    blurs = np.exp(steps).tolist()
+    k = len(blurs) // 2 if start_px is None else int(np.argmin(np.abs(steps - np.log(start_px))))
+    while k + 1 < len(blurs) and information(blurs[k + 1]) > information(blurs[k]):
+        k += 1
+    while k > 0 and information(blurs[k - 1]) > information(blurs[k]):
+        k -= 1
+    if k in (0, len(blurs) - 1):
+        return float(blurs[k])
+    low, top, high = (information(blurs[i]) for i in (k - 1, k, k + 1))
+    bend = low - 2.0 * top + high
+    shift = 0.5 * (low - high) / bend if bend < 0.0 else 0.0
+    return float(np.exp(steps[k] + shift * EDGE_WIDTH_STEP))
 
 
 def _prior_precision(unknowns: Array) -> Array:
@@ -175,7 +180,7 @@ def _edge_map(target: StarTarget, pitch: float, blur_px: float) -> EdgeMap:
 
 def _information_by_blur(
     levels: Bytes, centres: Array, local_map: LocalMap, target: StarTarget, pitch: float
-) -> InformationByBlur:
+) -> Callable[[float], float]:
     """Return the information of some of the stars about their centres, by the blur of the printed star.
 
     The trace of the Fisher information, 1/px^2; it is kept for each blur.
@@ -196,23 +201,6 @@ def _information_by_blur(
     return trace
 
 
-def _most_informative_blur(information: InformationByBlur, start_px: float | None = None) -> float:
-    """Return the blur with most information, px: the vertex of a parabola through three blurs over log(blur)."""
-    steps = np.arange(np.log(EDGE_WIDTHS_PX[0]), np.log(EDGE_WIDTHS_PX[1]), EDGE_WIDTH_STEP)
-    blurs = [float(b) for b in np.exp(steps)]
-    k = len(blurs) // 2 if start_px is None else int(np.argmin(np.abs(steps - np.log(start_px))))
-    while k + 1 < len(blurs) and information(blurs[k + 1]) > information(blurs[k]):
-        k += 1
-    while k > 0 and information(blurs[k - 1]) > information(blurs[k]):
-        k -= 1
-    if k in (0, len(blurs) - 1):
-        return blurs[k]
-    low, top, high = (information(blurs[i]) for i in (k - 1, k, k + 1))
-    bend = low - 2.0 * top + high
-    shift = 0.5 * (low - high) / bend if bend < 0.0 else 0.0
-    return float(np.exp(steps[k] + shift * EDGE_WIDTH_STEP))
-
-
 def overdispersion_of_edges(score: Array, fisher: Array) -> Array:
     """Return by how much the scores of each edge scatter more than the Fisher information says, (edges,).
 
@@ -231,12 +219,8 @@ def overdispersion_of_edges(score: Array, fisher: Array) -> Array:
     gain = pair_fisher @ np.linalg.inv(total)[:, None]
     left = pair_score - np.einsum("neij,nj->nei", gain, pair_score.sum(axis=1))
     measured = np.mean(left[:, :, 0] ** 2 + left[:, :, 1] ** 2, axis=0)
-    expected = np.empty((half, half))
-    for e in range(half):
-        for f in range(half):
-            through = (np.eye(EDGE_UNKNOWNS) if e == f else 0.0) - gain[:, e]
-            rows = through[:, :2]
-            expected[e, f] = ((rows @ pair_fisher[:, f]) * rows).sum() / len(rows)
+    rows = np.eye(half)[:, :, None, None] * np.eye(2, EDGE_UNKNOWNS) - gain[:, :, None, :2]
+    expected = ((rows @ pair_fisher[:, None]) * rows).sum(axis=(0, 3, 4)) / len(score)
     ratio = np.linalg.solve(expected + 1e-9 * np.eye(half) * np.trace(expected), measured)
     typical = max(float(np.median(ratio)), 1e-3)
     lowest, highest = OVERDISPERSION_RANGE

@@ -15,14 +15,14 @@ views; then the prediction is refused.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from calib.arrays import Array
 from calib.errors import DegenerateViews
-from calib.model.closed_forms import poses_from_homographies
+from calib.model.closed_forms import central_matrix, poses_from_homographies
 from calib.model.homography import apply_homography
 from calib.model.rotation import euler_zxy, exp_map, log_map
 
@@ -79,7 +79,7 @@ class _Observations(NamedTuple):
         """Return H of the head of the module, (3, 3), for values of the unknowns (arXiv:2512.16092, eqs. 1 to 3)."""
         rotation = exp_map(values[_MOUNTING]) @ turn @ exp_map(values[_BASE])
         centre = np.array([*values[_CENTRE], -np.exp(values[_LOG_R])])
-        matrix = _matrix(float(np.exp(values[_LOG_F])), self.image_size)
+        matrix = central_matrix(float(np.exp(values[_LOG_F])), self.image_size)
         return grid_homography(matrix, rotation, centre, self.pitch_mm)
 
     def residuals(self, values: Array) -> Array:
@@ -93,15 +93,6 @@ class _Observations(NamedTuple):
             for turn, nodes in zip(self.turns, self.nodes, strict=True)
         ]
         return np.concatenate([*views, values[_MOUNTING] / np.radians(MOUNTING_SIGMA_DEG)])
-
-
-class _Fit(NamedTuple):
-    """Values of the unknowns, their covariance, the cost, and the variance factor (1 or more) of the residuals."""
-
-    values: Array
-    covariance: Array
-    cost: float
-    variance_factor: float
 
 
 def predict_grid(
@@ -124,9 +115,8 @@ def predict_grid(
     nodes = [apply_homography(np.asarray(np.linalg.inv(s.grid)), points) for s in seen]
     turns = [_gimbal_rotation(s.reading_deg) for s in seen]
     observed = _Observations(image_size, pitch_mm, points, turns, nodes)
-    starts = (_first_values(seen[0].grid, observed, ratio * image_size[0]) for ratio in FIRST_FOCAL_LENGTHS)
-    fit = min((_fitted(observed, start) for start in starts), key=lambda f: f.cost)
-    prediction = _predicted(observed, fit, _gimbal_rotation(reading_deg))
+    starts = [_first_values(seen[0].grid, observed, ratio * image_size[0]) for ratio in FIRST_FOCAL_LENGTHS]
+    prediction = _predicted(observed, starts, _gimbal_rotation(reading_deg))
     if not prediction.sigma_pitches <= MAX_SIGMA_PITCHES:
         raise DegenerateViews(
             f"{len(seen)} earlier views with the tag predict the stars from the gimbal's reading to "
@@ -147,12 +137,6 @@ def _image_points(image_size: tuple[int, int]) -> Array:
     return np.column_stack([u.ravel(), v.ravel()])
 
 
-def _matrix(focal_px: float, image_size: tuple[int, int]) -> Array:
-    """Return the (3, 3) camera matrix K (Hartley and Zisserman, 2004, section 6.1)."""
-    cx, cy = (image_size[0] - 1) / 2, (image_size[1] - 1) / 2
-    return np.array([[focal_px, 0.0, cx], [0.0, focal_px, cy], [0.0, 0.0, 1.0]])
-
-
 def _gimbal_rotation(reading_deg: Mapping[str, float]) -> Array:
     """Return the (3, 3) rotation G of the gimbal."""
     return euler_zxy(*(reading_deg.get(axis, 0.0) for axis in ("pan", "tilt", "roll")))
@@ -166,7 +150,7 @@ def _first_values(grid: Array, observed: _Observations, focal_px: float) -> Arra
     per_mm = np.diag([1.0 / observed.pitch_mm, 1.0 / observed.pitch_mm, 1.0])
     grid, middle_mm = grid @ per_mm, observed.nodes[0][len(observed.points) // 2] * observed.pitch_mm
     in_front = np.sign(grid[2] @ np.append(middle_mm, 1.0))
-    poses = poses_from_homographies(in_front * grid[None], _matrix(focal_px, observed.image_size))
+    poses = poses_from_homographies(in_front * grid[None], central_matrix(focal_px, observed.image_size))
     rotation, centre = poses[0][0], poses[1][0]
     values = np.zeros(_UNKNOWNS)
     values[_LOG_F] = np.log(focal_px)
@@ -176,33 +160,27 @@ def _first_values(grid: Array, observed: _Observations, focal_px: float) -> Arra
     return values
 
 
-def _fitted(observed: _Observations, values: Array) -> _Fit:
-    """Minimise the sum of squares by steps within a trusted region (Branch, Coleman and Li, 1999).
+def _predicted(observed: _Observations, starts: Sequence[Array], turn: Array) -> PredictedGrid:
+    """Return the grid at a rotation of the gimbal, with the uncertainty by the fit (JCGM 100:2008, section 5.2).
 
-    The covariance is the inverse of J^T J, times the mean square of the residuals if it exceeds 1 (Birge, 1932).
+    The least sum of squares by steps within a trusted region (Branch, Coleman and Li, 1999), of all starts. Its
+    covariance is the inverse of J^T J, times the mean square of the residuals if it exceeds 1 (Birge, 1932).
     """
     from scipy.optimize import least_squares
 
-    found = least_squares(observed.residuals, values, x_scale="jac")
-    cost, jacobian = 2.0 * float(found.cost), np.asarray(found.jac)
+    fits = (least_squares(observed.residuals, start, x_scale="jac") for start in starts)
+    fit = min(fits, key=lambda one: float(one.cost))
     redundancy = max(2 * POINTS_PER_VIEW * len(observed.nodes) - _UNKNOWNS, 1)
-    factor = max(cost / redundancy, 1.0)
-    covariance = factor * np.asarray(np.linalg.pinv(jacobian.T @ jacobian, hermitian=True))
-    return _Fit(np.asarray(found.x), covariance, cost, factor)
-
-
-def _predicted(observed: _Observations, fit: _Fit, turn: Array) -> PredictedGrid:
-    """Return the grid at a rotation of the gimbal, with the uncertainty by the fit (JCGM 100:2008, section 5.2)."""
-    grid = observed.grid(fit.values, turn)
+    factor = max(2.0 * float(fit.cost) / redundancy, 1.0)
+    values, slopes = np.asarray(fit.x), np.asarray(fit.jac)
+    covariance = factor * np.linalg.pinv(slopes.T @ slopes, hermitian=True)
+    grid = observed.grid(values, turn)
     nodes = apply_homography(np.asarray(np.linalg.inv(grid)), observed.points)
-    jacobian = _jacobian(lambda v: apply_homography(observed.grid(v, turn), nodes).ravel(), fit.values)
-    propagated = np.einsum("ij,jk,ik->i", jacobian, fit.covariance, jacobian)
-    variance = propagated + fit.variance_factor * MODEL_SIGMA_PX**2
+    # By forward differences (Abramowitz and Stegun, 1972, section 25.3).
+    ends = [observed.grid(values + step, turn) for step in 1e-6 * np.eye(_UNKNOWNS)]
+    moved = [apply_homography(end, nodes) - apply_homography(grid, nodes) for end in ends]
+    jacobian = np.array(moved).reshape(_UNKNOWNS, -1).T / 1e-6
+    propagated = np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian)
+    variance = propagated + factor * MODEL_SIGMA_PX**2
     pitch = np.linalg.norm(apply_homography(grid, nodes + np.array([1.0, 0.0])) - observed.points, axis=1)
     return PredictedGrid(grid, float(np.sqrt(variance.max()) / np.median(pitch)))
-
-
-def _jacobian(function: Callable[[Array], Array], values: Array) -> Array:
-    """Return derivatives by the unknowns, by forward differences (Abramowitz and Stegun, 1972, section 25.3)."""
-    here = function(values)
-    return np.column_stack([(function(values + 1e-6 * e) - here) / 1e-6 for e in np.eye(len(values))])

@@ -13,11 +13,10 @@ import numpy as np
 from calib.arrays import AnyArray, Array, Ints
 from calib.errors import placed
 from calib.events.grey_image import to_uint8
-from calib.stars.candidates import MIN_STARS, Candidates, StarLabels, find_without_tag, printed
+from calib.stars.candidates import MIN_STARS, Candidates, StarLabels, find_without_tag, grow_from_tag, printed
 from calib.stars.centring import smooth
 from calib.stars.detect import BLUR_PX, COARSE_STEP_PX, refine_candidates
 from calib.stars.grid_map import LocalMap
-from calib.stars.growth import GrowthStart, grow_star_grid, start_at_tag
 from calib.stars.tag import TagDetection, find_tag, modules_correlation
 from calib.target import StarTarget
 
@@ -56,28 +55,23 @@ def find_stars_quickly(image: AnyArray, target: StarTarget) -> QuickStars:
     smoothed = smooth(np.nan_to_num(np.asarray(image, np.float32)), BLUR_PX)
     named_by: Literal["tag", "part of the tag", ""] = "tag"
     if tag is not None:
-        ring = start_at_tag(tag, target)
-        grown = grow_star_grid(smoothed, ring, target.segments, lambda n: printed(target, n))
-        start: GrowthStart | None = ring
+        grown, sign = grow_from_tag(smoothed, tag, target), tag.sign
         nodes = grown.nodes()
     else:
-        grown, start, labels = find_without_tag(smoothed, target, None)
+        grown, sign, labels = find_without_tag(smoothed, target, None)
         nodes, named_by = grown.nodes(), ""
         if isinstance(labels, StarLabels) and printed(target, labels.apply(nodes)).all():
             nodes, named_by = labels.apply(nodes), "part of the tag"
-    if start is None or len(nodes) < MIN_STARS:
+    if len(nodes) < MIN_STARS:
         return _none(tag)
-    candidates, _, local_map, blurred = refine_candidates(
-        smoothed, Candidates(nodes, grown.places()), target, start.sign, COARSE_STEP_PX
-    )
+    found = Candidates(nodes, grown.places())
+    candidates, _, local_map, blurred = refine_candidates(smoothed, found, target, sign, COARSE_STEP_PX)
     # Far out of focus, the pattern shows again with its contrast reversed: shapes that are learnt there are no stars.
     if len(candidates.nodes) < MIN_STARS or (blurred and not named_by):
         return _none(tag)
     nodes = candidates.nodes
     ids = target.id_at(nodes[:, 0], nodes[:, 1]) if named_by else np.full(len(nodes), -1, np.int64)
-    return QuickStars(
-        ids, nodes.astype(float), candidates.points, local_map, tag, named_by, blurred, start.sign
-    )
+    return QuickStars(ids, nodes.astype(float), candidates.points, local_map, tag, named_by, blurred, sign)
 
 
 def follow_stars(image: AnyArray, last: QuickStars, target: StarTarget) -> QuickStars | None:

@@ -86,12 +86,8 @@ def rim_in_sections(
     direction = middle + fit.shift / radius
     points = centre + fit.place[:, None] * np.column_stack([np.cos(direction), np.sin(direction)])
     lit = _last_bright(all_sections, all_rho, coarse.levels > 0.5, np.isnan(start), pitch_mm)
-    return RimPoints(
-        points[found],
-        np.hypot(fit.sigma[found], _MAP_SIGMA_PX / px_per_mm),
-        coarse.places_mm[lit],
-        _LEVEL_SIGMA * fit.width,
-    )
+    sigmas_mm = np.hypot(fit.sigma[found], _MAP_SIGMA_PX / px_per_mm)
+    return RimPoints(points[found], sigmas_mm, coarse.places_mm[lit], _LEVEL_SIGMA * fit.width)
 
 
 def _polar(away: Array, count: int) -> tuple[Ints, Array, Array]:
@@ -119,10 +115,9 @@ def _start(border_mm: Array, centre: Array, section: Ints, rho: Array, levels: A
     start = np.full(count, np.nan)
     if not len(border_mm):
         return start
-    away = border_mm - centre
-    at = ((np.arctan2(away[:, 1], away[:, 0]) + np.pi) * (count / (2.0 * np.pi))) - 0.5
+    _, distance, phi = _polar(border_mm - centre, count)
+    at = (phi + np.pi) * (count / (2.0 * np.pi)) - 0.5
     apart = np.abs((at[None, :] - np.arange(count)[:, None] + count / 2) % count - count / 2)
-    distance = np.hypot(*away.T)
     near = apart < 1.2
     has = near.any(axis=1)
     start[has] = (near[has] * distance).sum(axis=1) / near[has].sum(axis=1)

@@ -121,9 +121,8 @@ def _verified(picture: Bytes, scale: float, corners: Array, target: StarTarget) 
 
 def _homography(nodes: Array, corners: Array) -> Array:
     """Return the (3, 3) homography from four grid positions to four image points."""
-    return np.asarray(
-        cv2.getPerspectiveTransform(nodes.astype(np.float32), corners.astype(np.float32)), np.float64
-    )
+    found = cv2.getPerspectiveTransform(nodes.astype(np.float32), corners.astype(np.float32))
+    return np.asarray(found, np.float64)
 
 
 def modules_correlation(picture: AnyArray, scale: float, homography: Array, target: StarTarget) -> float:
@@ -161,9 +160,8 @@ def _refined_corners(picture: Array32, scale: float, corners: Array, target: Sta
         answers = np.array([np.convolve(p, step[::-1], "same") for p in profiles.reshape(32, -1)])
         inner = np.abs(offsets) <= 0.7 * clear
         edges = places + offsets[inner][np.argmax(answers[:, inner], axis=1)][:, None] * outward
-        vx, vy, x, y = np.ravel(cv2.fitLine(edges.astype(np.float32), cv2.DIST_HUBER, 0, 0.01, 0.01)).astype(
-            float
-        )
+        line = cv2.fitLine(edges.astype(np.float32), cv2.DIST_HUBER, 0, 0.01, 0.01)
+        vx, vy, x, y = np.ravel(line).astype(float)
         lines.append(np.cross([x, y, 1.0], [x + vx, y + vy, 1.0]))
     cuts = np.array([np.cross(lines[i - 1], lines[i]) for i in range(4)])
     sharp = cuts[:, :2] / cuts[:, 2:]
@@ -173,11 +171,9 @@ def _refined_corners(picture: Array32, scale: float, corners: Array, target: Sta
 
 def _values(picture: Array32, scale: float, at: Array) -> Array:
     """Return the bilinear values, (N,), of a scaled picture at (N, 2) points of the full image."""
-    points = ((at + 0.5) * scale - 0.5).astype(np.float32)
-    return np.asarray(
-        cv2.remap(picture, points[:, 0], points[:, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE),
-        float,
-    ).ravel()
+    x, y = np.ascontiguousarray(((at + 0.5) * scale - 0.5).T, np.float32)
+    seen = cv2.remap(picture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return np.asarray(seen, float).ravel()
 
 
 Border = Literal["left", "right", "upper", "lower"]

@@ -43,6 +43,7 @@ class StarTemplate(NamedTuple):
     # (S,) float64, brightness with mean 0 and variance 1 with which an image is correlated: ``values``, or
     # what `learnt` found in an image that is out of focus.
     expected: Array
+    segments: int  # Number of segments
 
     @classmethod
     def of(cls, segments: int, radii: tuple[float, ...] = TEMPLATE_RADII) -> StarTemplate:
@@ -54,16 +55,10 @@ class StarTemplate(NamedTuple):
         turns = (np.arange(segments)[:, None] + across[None, :]).ravel() / segments
         angle, radius = np.meshgrid(2 * np.pi * (turns + 0.25), radii)
         white = np.floor(turns * segments) % 2 == 0
-        octant = np.floor(turns * OCTANTS).astype(np.int64)
-        shape = radius.shape
-        values = np.broadcast_to(np.where(white, 1.0, -1.0), shape).ravel().copy()
-        return cls(
-            np.column_stack([(radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()]),
-            values,
-            np.broadcast_to(octant, shape).ravel().copy(),
-            (radius >= OUTER_RADIUS).ravel(),
-            values,
-        )
+        values = np.tile(np.where(white, 1.0, -1.0), len(radii))
+        octants = np.tile(np.floor(turns * OCTANTS).astype(np.int64), len(radii))
+        offsets = np.column_stack([(radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()])
+        return cls(offsets, values, octants, (radius >= OUTER_RADIUS).ravel(), values, segments)
 
     def learnt(self, image: Array32, centres: Array, linear: Array, sign: float) -> StarTemplate | None:
         """Learn from stars, right to a few px, what a star looks like in an image; None if the places show no stars.
@@ -77,13 +72,9 @@ class StarTemplate(NamedTuple):
         samples = sign * samples[np.isfinite(samples).all(axis=1)]
         if not len(samples):
             return None
-        seen = samples.mean(axis=0)
-        across = len(TEMPLATE_ACROSS)
-        radii = np.unique(np.hypot(*self.offsets.T).round(9)).size
-        segments = self.values.size // radii // across
-        turns = 4 if segments % 8 == 0 else 2
-        folded = seen.reshape(radii, turns, -1).mean(axis=1, keepdims=True)
-        whole = np.broadcast_to(folded, (radii, turns, folded.shape[2])).ravel()
+        turns = 4 if self.segments % 8 == 0 else 2
+        folded = samples.mean(axis=0).reshape(-1, turns, self.segments * len(TEMPLATE_ACROSS) // turns)
+        whole = np.repeat(folded.mean(axis=1, keepdims=True), turns, axis=1).ravel()
         spread = float(whole.std())
         if spread == 0.0 or float(((whole - whole.mean()) * self.values).mean()) < MIN_LIKENESS * spread:
             return None

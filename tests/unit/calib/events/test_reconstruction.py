@@ -134,7 +134,7 @@ def test_a_time_that_steps_back_counts_at_the_latest_time_before():
         ({"at_us": [2.0, 1.0]}, "do not ascend"),
         ({"cutoff_hz": 0.0}, "0 Hz"),
         ({"cutoff_hz": math.nan}, "nan Hz"),
-        ({"size": (8, 8)}, r"outside of 8 x 8"),
+        ({"size": (8, 8)}, r"of a 8 x 8 sensor"),
         ({"size": (0, 8)}, "size of the sensor"),
     ],
 )

@@ -5,6 +5,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from calib.stars.centring import normal_equations, symmetry_samples
+from calib.stars.grid_map import LocalMap
 
 random = np.random.default_rng(5)
 IMAGE = random.normal(100.0, 30.0, (60, 70)).astype(np.float32)
@@ -16,9 +17,8 @@ SLOPES = np.array([0.02, -0.03, 0.4, 0.1])
 
 def equations(centre, used_to=0.5):
     """Return the mean square, J^T J and J^T r of the loop."""
-    normal, right, square = np.zeros((1, 6, 6)), np.zeros((1, 6)), np.empty(1)
-    star = np.array([centre]), LINEAR[None], QUADRATIC[None], SAMPLES, np.full((1, 2), used_to), SLOPES[None]
-    normal_equations(IMAGE.ravel(), IMAGE.shape[1], *star, np.empty_like(SAMPLES), normal, right, square)
+    star = np.array([centre]), LocalMap(LINEAR[None], QUADRATIC[None])
+    normal, right, square = normal_equations(IMAGE, *star, SAMPLES, np.full((1, 2), used_to), SLOPES[None])
     return square[0], normal[0], right[0]
 
 
