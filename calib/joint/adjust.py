@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import zip_longest
 
 import numpy as np
@@ -199,7 +200,8 @@ def _approached(problem: Problem, start: State, views: Sequence[View], options: 
             alone = search(free, near, options.max_iterations)
             near = alone.state
             if _is_far(free, near, stated):
-                shifted = find_shifted_ids(alone, views, options.max_iterations)
+                again = partial(adjust, options=replace(options, passport=None))
+                shifted = find_shifted_ids(alone, views, options.max_iterations, again)
                 seen = f"{near.shared[free.bench.layout.index['r']]:.3g} mm"
                 raise InputMismatch(
                     f"The certificate of the collimator says {stated:.6g} mm; the views alone show about {seen}. "

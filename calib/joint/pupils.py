@@ -7,7 +7,7 @@ discs say where it is, and the stars say it better (`calib.joint.places`).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +40,12 @@ class Pupils:
 
     shown: Array  # (n, 2) by the discs
     information: Array  # (2 n, 2 n) of that
+    r_mm: float  # Radius by which lengths on the target are these tangents
+
+    def moved(self, shifts_mm: Array) -> Pupils:
+        """Return the pupils if the discs are shifted by (n, 2) on the target."""
+        away = shifts_mm - shifts_mm.mean(axis=0)
+        return replace(self, shown=self.shown + _AS_TURNS / self.r_mm * away)
 
 
 class Poses(NamedTuple):
@@ -97,4 +103,4 @@ def pupils_of(found: Discs, r_mm: float) -> Pupils | None:
     n, as_turns = len(away), _AS_TURNS / r_mm
     covariance = as_turns**2 * differences
     covariance += _SAME**2 * np.kron(np.full((n, n), 1.0 / n), np.eye(2))
-    return Pupils(as_turns * away, np.asarray(np.linalg.inv(covariance)))
+    return Pupils(as_turns * away, np.asarray(np.linalg.inv(covariance)), r_mm)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -53,7 +54,7 @@ def calibrate_jointly(
         options = replace(options, gimbal=None)
         found = posterior(adjust(kept, options), options.max_iterations)
         parameters = _parameters(found)
-    shifted = find_shifted_ids(found.optimum, kept, options.max_iterations)
+    shifted = find_shifted_ids(found.optimum, kept, options.max_iterations, partial(adjust, options=options))
     require_determined(found, kept, parameters, options, shifted)
     result = _calibration(found, views, used, parameters, gimbal)
     other = "" if shifted else find_other_origins(found.optimum, kept)

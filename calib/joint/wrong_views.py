@@ -8,14 +8,14 @@ promise enough, the shifted views are adjusted, and the likelihood ratio decides
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.arrays import Array
-from calib.errors import NotConverged
+from calib.errors import CalibrationError, NotConverged
 from calib.joint import amplitudes as amp
 from calib.joint.curvature import best_amplitudes
 from calib.joint.fields import COEFFICIENTS
@@ -128,9 +128,12 @@ def _moved(first: Optimum, near: Optimum, rounds: int, shifts_mm: Array) -> Opti
         polynomials = problem.bench.layout.basis.polynomials(target)
         stars.append(replace(one, target_mm=target, polynomials=polynomials, disc=disc))
     discs = tuple(one.disc for one in stars if one.disc)
-    bench = replace(problem.bench, stars=tuple(stars), discs=discs)
+    bench, pupils = replace(problem.bench, stars=tuple(stars), discs=discs), problem.pupils
+    if pupils is not None:
+        pupils = pupils.moved(bench.by_pose(shifts_mm) / bench.by_pose(np.ones((len(stars), 1))))
+        bench = replace(bench, pupils=pupils.shown)
     start = bench.aligned(near.state, first.marginal.equations.weights)
-    return _ended(search(replace(problem, bench=bench), start, rounds))
+    return _ended(search(replace(problem, bench=bench, pupils=pupils), start, rounds))
 
 
 def _ended(optimum: Optimum) -> Optimum:
@@ -144,11 +147,14 @@ def _gain(first: Optimum, there: Optimum) -> float:
     return _ended(first).solution.value - value_as_weighed(there, first)
 
 
-def find_shifted_ids(optimum: Optimum, views: Sequence[View], rounds: int) -> str:
+def find_shifted_ids(
+    optimum: Optimum, views: Sequence[View], rounds: int, again: Callable[[Sequence[View]], Optimum]
+) -> str:
     """Look for views whose ids are shifted by columns and rows of the lattice against those of the others.
 
     The best shift of one view is kept, and the search goes on with the next view, up to half of the views. A sentence,
-    which is empty if the views agree, if no shift explains their errors, or if the stars lie on no lattice.
+    which is empty if the views agree, if no shift explains their errors, or if the stars lie on no lattice. A pupil
+    that a hand moves can imitate a shift: then the views, adjusted ``again``, must be more probable too.
     """
     pitch = _lattice_pitch(views)
     if len(views) < 2 or pitch is None:
@@ -169,7 +175,8 @@ def find_shifted_ids(optimum: Optimum, views: Sequence[View], rounds: int) -> st
         if worth(better) <= worth(best):
             break
         best = better
-    if not best.shifts.any():
+    by_hand = optimum.marginal.problem.pupils is not None
+    if not best.shifts.any() or (by_hand and not _better_again(optimum, views, pitch * best.shifts, again)):
         return ""
     others = {
         _in_words(views, one) for one in every if one.shifts.any() and worth(one) > worth(best) - DECISIVE
@@ -211,6 +218,20 @@ def _shifted(first: Optimum, best: _Moved, pitch: float, rounds: int) -> list[_M
                 there = _moved(first, best.optimum, rounds, pitch * shifts)
                 found.append(_Moved(shifts, _gain(first, there), there))
     return found
+
+
+def _better_again(
+    optimum: Optimum, views: Sequence[View], shifts_mm: Array, again: Callable[[Sequence[View]], Optimum]
+) -> bool:
+    """Tell whether views with (m, 2) shifts of their stars, adjusted anew, are more probable than as they are."""
+    moved = [
+        replace(view, target_mm=view.target_mm + shift) for view, shift in zip(views, shifts_mm, strict=True)
+    ]
+    try:
+        there = _ended(again(moved))
+    except CalibrationError:
+        return False
+    return there.solution.value < _ended(optimum).solution.value
 
 
 def _in_words(views: Sequence[View], moved: _Moved) -> str:
