@@ -180,7 +180,7 @@ _SHAPE_SCATTERS = (0.0004, 0.0015, 0.005, 0.015, 0.04)
 #: Prior weight of a scatter: its power of this exponent. A few arcs cannot exclude large scatters, and sigmas would be
 #: too small on benches whose rims differ from view to view; where the rims are alike, the data decide.
 _SCATTER_POWER = 1.0
-#: A gimbal holds the pupil so well that the centres scatter by at most this share of the radius.
+#: A gimbal holds the pupil so well that the centres scatter by at most this share of the disc's radius.
 _HELD = 0.017
 #: So many matrices, one for each view and scatter, are handled at once.
 _MOST_MATRICES = 1000
