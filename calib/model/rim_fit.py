@@ -287,9 +287,8 @@ class Discs:
     of_views: list[Disc]
     covariance_mm2: Array  # (2 V, 2 V) float64, covariance of the centres of all views, mm^2
     motion: DiscMotion  # With the look of the camera; its prior is zero with a 1-sigma of 0.3 for each entry
-    wander: float = (
-        0.0  # 2 log of the likelihood ratio: the centres scatter about that motion as on no gimbal, or not
-    )
+    # 2 log of the likelihood ratio: the centres scatter about that motion more than on a gimbal, or not.
+    wander: float = 0.0
 
 
 def fit_rims(rims: Sequence[RimPoints], looks_mm: Array, stars_mm: Array) -> Discs:
@@ -456,9 +455,10 @@ def _weights(log_likelihood: Array, scatters: Array) -> Array:
 
 
 def _wander(log_likelihood: Array, shares: Array) -> float:
-    """Return 2 log of the likelihood ratio: no gimbal holds the pupil, or one does. shares: (G, P) scatters over r.
+    """Return 2 log of the likelihood ratio: no gimbal holds the pupil, or one does.
 
-    All scatters of the centre are as probable as the others of their kind. Those of radius and shape are averaged.
+    Scatters of the centre of one kind are equally probable. Those of radius and shape are averaged. shares: (G, P)
+    scatters over the disc's radius.
     """
     logs = log_likelihood + _SCATTER_POWER * np.log(shares[:, [2, 3]]).sum(axis=1)
     held = shares[:, 0] < _HELD

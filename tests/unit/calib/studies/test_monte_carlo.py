@@ -79,8 +79,8 @@ def test_the_spherical_model_is_twice_as_sure_as_the_planar_one():
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-@pytest.mark.parametrize(("count", "limit"), [(1, 0.75), (3, 0.2)])
+@pytest.mark.parametrize(("count", "limit"), [(1, 0.75), (3, 0.65)])
 def test_a_passport_makes_the_focal_length_a_hundred_times_surer(count, limit):
-    """A third of it is that stars at the rim of the beam count less, on these ideal benches too (decision 52)."""
+    """Stars at the rim of the beam count less, on these ideal benches too. Three poses show no gimbal, so each has its own radius."""
     study = run_monte_carlo(NARROW, POSES[:count], CalibrationOptions(passport=EXACT), 100, 19)
     assert study.scatter["fx"] < limit
