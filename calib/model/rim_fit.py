@@ -323,8 +323,8 @@ def fit_rims(rims: Sequence[RimPoints], looks_mm: Array, stars_mm: Array) -> Dis
             grid, weights = grid[weights > _LEAST_WEIGHT], weights[weights > _LEAST_WEIGHT]
     sites.precision[:, sigmas.shape[1] :] = 0.0  # Bright points do not show the rim
     own = _own_sigmas(evidence_of(design, distance, sites).information, grid[:, 2], weights, reach_mm)
-    wander = _wander(every.log_likelihood, tried / reach_mm)
-    return replace(_discs(rims, found, share, own, middle_mm), wander=wander)
+    discs = _discs(rims, found, share, own, middle_mm)
+    return replace(discs, wander=_wander(every.log_likelihood, tried / reach_mm))
 
 
 def _discs(rims: Sequence[RimPoints], found: _Posterior, share: Array, own: Array, middle_mm: Array) -> Discs:
@@ -461,10 +461,10 @@ def _wander(log_likelihood: Array, shares: Array) -> float:
     scatters over the disc's radius.
     """
     logs = log_likelihood + _SCATTER_POWER * np.log(shares[:, [2, 3]]).sum(axis=1)
-    held = shares[:, 0] < _HELD
-    kinds = [np.logaddexp.reduce(logs[own], initial=-np.inf) for own in (held, ~held)]
-    counts = [sum(one < _HELD for one in _CENTRE_SCATTERS), sum(one >= _HELD for one in _CENTRE_SCATTERS)]
-    return float(2.0 * np.diff(np.subtract(kinds, np.log(counts)))[0])
+    small = shares[:, 0] < _HELD
+    gimbal, hand = (np.logaddexp.reduce(logs[own], initial=-np.inf) for own in (small, ~small))
+    count = sum(one < _HELD for one in _CENTRE_SCATTERS)
+    return float(2.0 * (hand - gimbal - np.log((len(_CENTRE_SCATTERS) - count) / count)))
 
 
 def _mixed(weights: Array, means: Array, covariances: Array) -> tuple[Array, Array]:

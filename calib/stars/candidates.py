@@ -105,7 +105,7 @@ def label_by_tag(image: Array32, grown: StarGrid, sign: float, target: StarTarge
 
 
 def _gaps(nodes: Ints, target: StarTarget) -> Array:
-    """Return the (M, 2) centres, pitches, of gaps as large as the tag's."""
+    """Return the (M, 2) centres of gaps that are as large as the tag, in pitches."""
     side = target.tag_squares + 1
     low, high = nodes.min(axis=0) - side, nodes.max(axis=0) + side
     taken = np.zeros(high - low + 1, np.bool_)

@@ -114,7 +114,7 @@ def normal_equations(
 
     Residuals: Schöps et al. (2020), with this project's own slopes and curvature; the head of `calib.stars.centring`
     gives the equations.
-    The mean is nan if too few samples lie in the image, which is (H, W) float32, smoothed.
+    If too few samples lie in the image, the mean is nan. The image is smoothed, (H, W) float32.
     local_map: at the centres, (N, 2) px; its arrays in the order of rows.
     samples: (2, M) float32, pitches, offsets along the columns and along the rows, one of each pair.
     used_to: (N, 2) float64, pitches, how far from its centre each star's cell is used.

@@ -79,7 +79,7 @@ def clock_offset(name: str, first_us: Sequence[int] | Array, second_us: Sequence
 
 
 def common_rate(clocks: Sequence[ClockOffset]) -> tuple[float, float]:
-    """Return the weighted mean of the rates, and its 1-sigma, ppm, enlarged if they scatter more (Birge, 1932)."""
+    """Return the weighted mean of the rates and its 1-sigma, ppm. Larger scatter enlarges it (Birge, 1932)."""
     rates = np.array([one.rate_ppm for one in clocks])
     weights = np.array([one.sigma_rate_ppm for one in clocks]) ** -2.0
     mean = float(weights @ rates / weights.sum())

@@ -198,7 +198,7 @@ class GimbalFit:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Number of measured components minus the number of determined parameters."""
+        """How many measured numbers there are more than parameters that they determine."""
         return len(self.off) - self.jacobian.shape[1] + self.open_directions.shape[1]
 
     @property

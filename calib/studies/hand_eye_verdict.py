@@ -245,8 +245,8 @@ def _scale(found: HandEyeCheck) -> tuple[VerdictKind, str] | None:
         )
     if off <= PARALLAX:
         return "scale_or_parallax", (
-            f"{seen} This is a scale error of the gimbal, or parallax (entrance pupil off the pivot, collimator out "
-            "of focus): up to about 1 % they cannot be told apart."
+            f"{seen} The gimbal has a scale error, or there is parallax: the entrance pupil is off the pivot and the "
+            "collimator out of focus. Below about 1 % nothing tells the two apart."
         )
     return "gimbal_scale", (
         f"{seen} So the scale of the gimbal is in question. Check the steps or counts per degree in the station file."

@@ -69,10 +69,10 @@ class CollimatorErrors:
     def times_good(
         self, focal_px: float, star_sigma_px: float, r_mm: float, edge: float
     ) -> tuple[float, float, float]:
-        """Return how many times larger the errors are than those of a good collimator.
+        """Return three ratios: errors over those of a good collimator.
 
-        Those that follow the collimator, those that follow the turn, and those that differ from pose to pose; ``edge``
-        is the tangent of the half angle.
+        The first is for errors that all poses share, the second for those that follow the turn, the third for those
+        that differ from pose to pose. ``edge`` is the tangent of the half angle.
         """
         own = _per_axis(self.pose_rms_px, star_sigma_px) / focal_px
         common = max(_per_axis(self.rms_px, star_sigma_px) / focal_px / GOOD_RAD, _IDEAL)

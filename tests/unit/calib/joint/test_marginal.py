@@ -127,7 +127,7 @@ def test_innovation_is_what_an_adjustment_says_for_which_nobody_had_stated_it(op
 
 
 def lit(bench, discs_mm):
-    """Return the views of nine poses that see the stars about (9, 2) middles of their discs only."""
+    """Return the views of nine poses. Each sees only the stars of its disc; the discs have (9, 2) middles."""
     views = bench.views(np.random.default_rng(5), 0.02, NINE)
     return [
         view.part(np.hypot(*(view.target_mm - disc).T) < 25.0)
