@@ -5,14 +5,15 @@ Fields by turn are multiplied by these places. At the fields found, the equation
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from calib.arrays import Array
 from calib.joint import amplitudes as amp
 from calib.joint.marginal import Marginal, Solution
-from calib.joint.prior import block_diagonal
+from calib.joint.prior import block_diagonal, inverse_root
+from calib.joint.pupils import Pupils
 
 #: Share of what the stars say of the places that counts in the uncertainty. Glass that does not follow the pupil alone
 #: moves the places: with all of it, 25 poses before such a glass were up to 2.8 U wrong. With none of it, U of nine
@@ -20,56 +21,93 @@ from calib.joint.prior import block_diagonal
 _COUNTED = 0.1
 
 
-@dataclass(frozen=True)
-class Places:
-    """The linear equations of the places of n poses, with all other unknowns eliminated."""
+class _Seen(NamedTuple):
+    """What stars and readings say of the bases of n poses, each with its own field eliminated."""
 
-    step: Array  # (n, 2) to the most probable places, sines
-    spread: Array  # (S, S) covariance of the shared unknowns that comes from the uncertainty of the discs
+    information: Array  # (n, B, B)
+    shared: Array  # (n, S, B) information with the shared unknowns
+    right: Array  # (n, B) right-hand side, after the step of all other unknowns
 
 
-def places_of(marginal: Marginal, eta: Array, found: Solution) -> Places | None:
-    """Return the places at a solution for given amplitudes; None on a gimbal."""
-    problem, equations = marginal.problem, marginal.equations
-    if problem.pupils is None:
-        return None
-    bench, by_turn = problem.bench, problem.bench.layout.by_turn
-    squares, own_places = np.exp(2.0 * eta), problem.bench.layout.pose_places
-    star = squares[problem.hyper.at(amp.STAR)]
-    b = (marginal.state.shared + found.step)[by_turn.columns]
-    moved = ((by_turn.slopes(bench.pupils) * b) @ np.eye(bench.layout.size)[by_turn.rows]).swapaxes(1, 2)
-    back = moved.swapaxes(1, 2)
-    seen = equations.squares @ moved / star
-    alone, with_own = back @ seen, seen[:, own_places]
-    across = equations.maps.swapaxes(1, 2) @ seen
-    pull = (back @ (equations.right / star)[:, :, None])[:, :, 0]
-    if marginal.uses_readings:  # what the readings say of the places, in the axes of each view's rotation
-        rows = marginal.axes @ equations.coupling @ moved[bench.poses]
+def step_to_places(marginal: Marginal, eta: Array, found: Solution) -> Array:
+    """Return the (n, 2) step to the most probable places at a solution for given amplitudes, sines."""
+    bench, pupils, squares = marginal.problem.bench, _pupils(marginal), np.exp(2.0 * eta)
+    seen, moved = _seen(marginal, squares, found), _moved(marginal, found)
+    pull = (moved.swapaxes(1, 2) @ seen.right[:, :, None])[:, :, 0]
+    away = pupils.information @ (bench.pupils - pupils.shown).reshape(-1)
+    gradient, curvature = _of_determinant(marginal, found, squares)
+    information = pupils.information + _information(seen, moved, found) + block_diagonal(curvature)
+    step = np.linalg.solve(information, (pull - gradient).reshape(-1) - away)
+    return np.asarray(step.reshape(-1, 2), np.float64)
+
+
+def spread_of_places(marginal: Marginal, eta: Array, found: Solution) -> Array:
+    """Return the (S, S) covariance of the shared unknowns that comes from errors of the places.
+
+    Fields by turn multiply an error of a place, and so do their own errors: the product of two independent errors has
+    the product of their variances.
+    """
+    by_turn, seen = marginal.problem.bench.layout.by_turn, _seen(marginal, np.exp(2.0 * eta), found)
+    stars = _information(seen, _moved(marginal, found), found)
+    places = inverse_root(_pupils(marginal).information + _COUNTED * stars)[0]
+    known = found.covariance[by_turn.columns[:, None], by_turn.columns]
+    fields = np.column_stack([_fields(marginal, found), np.linalg.cholesky(known)])
+    slopes = by_turn.slopes(marginal.problem.bench.pupils)
+    turned = np.einsum("kia,iaq->kiq", places.reshape(len(places), *slopes.shape[:2]), slopes)
+    errors = np.einsum("kiq,isq->ksq", turned, seen.shared[:, :, by_turn.rows]) @ fields
+    half = found.covariance @ errors.swapaxes(0, 1).reshape(len(found.covariance), -1)
+    return half @ half.T
+
+
+def _pupils(marginal: Marginal) -> Pupils:
+    """Return what the visible discs show; there are no places on a gimbal."""
+    assert marginal.problem.pupils is not None
+    return marginal.problem.pupils
+
+
+def _fields(marginal: Marginal, found: Solution) -> Array:
+    """Return the (Q,) coefficients of the fields by turn."""
+    return (marginal.state.shared + found.step)[marginal.problem.bench.layout.by_turn.columns]
+
+
+def _moved(marginal: Marginal, found: Solution) -> Array:
+    """Return (n, B, 2) what the places do to the bases."""
+    bench, by_turn = marginal.problem.bench, marginal.problem.bench.layout.by_turn
+    slopes = by_turn.slopes(bench.pupils) * _fields(marginal, found)
+    return np.asarray((slopes @ np.eye(bench.layout.size)[by_turn.rows]).swapaxes(1, 2))
+
+
+def _information(seen: _Seen, moved: Array, found: Solution) -> Array:
+    """Return the (2 n, 2 n) information of the places, all else eliminated."""
+    shared = np.concatenate(list(seen.shared @ moved), axis=1)
+    alone = moved.swapaxes(1, 2) @ seen.information @ moved
+    return np.asarray(block_diagonal(alone) - shared.T @ found.covariance @ shared)
+
+
+def _seen(marginal: Marginal, squares: Array, found: Solution) -> _Seen:
+    bench, equations = marginal.problem.bench, marginal.equations
+    star, own = squares[marginal.problem.hyper.at(amp.STAR)], bench.layout.pose_places
+    information, right = equations.squares / star, equations.right / star
+    shared = equations.maps.swapaxes(1, 2) @ information
+    if marginal.uses_readings:  # in the axes of each view's rotation
+        rows = marginal.axes @ equations.coupling
         weighted = marginal.reading_weights(squares)[:, :, None] * rows
-        np.add.at(alone, bench.poses, rows.swapaxes(1, 2) @ weighted)
-        np.add.at(with_own, bench.poses, marginal.own_rows.swapaxes(1, 2) @ weighted)
-        np.add.at(across, bench.poses, marginal.rows.swapaxes(1, 2) @ weighted)
-        np.add.at(pull, bench.poses, (weighted.swapaxes(1, 2) @ marginal.off[:, :, None])[:, :, 0])
-    pull -= across.swapaxes(1, 2) @ found.step + (with_own.swapaxes(1, 2) @ found.fields[:, :, None])[:, :, 0]
-    alone = alone - with_own.swapaxes(1, 2) @ found.own @ with_own
-    shared = np.concatenate(list(across - found.follow.swapaxes(1, 2) @ with_own), axis=1)
-    follow = found.covariance @ shared
-    information = problem.pupils.information + block_diagonal(alone) - shared.T @ follow
-    discs = problem.pupils.information
-    spread = follow @ np.linalg.solve(discs + _COUNTED * (information - discs), follow.T)
-    away = problem.pupils.information @ (bench.pupils - problem.pupils.shown).reshape(-1)
-    gradient, curvature = _of_determinant(marginal, found, equations.squares / star)
-    step = np.linalg.solve(information + block_diagonal(curvature), (pull - gradient).reshape(-1) - away)
-    return Places(step.reshape(-1, 2), np.asarray(spread))
+        information = information + bench.by_pose(rows.swapaxes(1, 2) @ weighted)
+        shared = shared + bench.by_pose(marginal.rows.swapaxes(1, 2) @ weighted)
+        right = right + bench.by_pose((weighted.swapaxes(1, 2) @ marginal.off[:, :, None])[:, :, 0])
+    with_own = information[:, own]
+    right = right - found.step @ shared - (found.fields[:, None] @ with_own)[:, 0]
+    information = information - with_own.swapaxes(1, 2) @ found.own @ with_own
+    return _Seen(information, shared - found.follow.swapaxes(1, 2) @ with_own, right)
 
 
-def _of_determinant(marginal: Marginal, found: Solution, stars: Array) -> tuple[Array, Array]:
+def _of_determinant(marginal: Marginal, found: Solution, squares: Array) -> tuple[Array, Array]:
     """Return (n, 2), (n, 2, 2) half of gradient and curvature of log det of the shared information by the places.
 
     Without them the places would follow fields that are hardly known. Readings have no part in them. Where a pose alone
-    determines the fields, its place changes hardly any determinant: only what others know of it bends. stars: (n, B, B)
-    information of the bases.
+    determines the fields, its place changes hardly any determinant: only what others know of it bends.
     """
+    stars = marginal.equations.squares / squares[marginal.problem.hyper.at(amp.STAR)]
     bench, layout = marginal.problem.bench, marginal.problem.bench.layout
     by_turn, own = layout.by_turn, layout.pose_places
     slopes = by_turn.slopes(bench.pupils)

@@ -22,7 +22,7 @@ from calib.joint import amplitudes as amp
 from calib.joint.curvature import ROUGH, best_amplitudes, expected_curvature
 from calib.joint.knowledge import FAULTS, WRONG, Statement
 from calib.joint.marginal import Marginal, Solution
-from calib.joint.places import places_of
+from calib.joint.places import spread_of_places
 from calib.joint.prior import NO_FAULT, Faults, block_diagonal
 from calib.joint.samples import Node, log_odds, nodes_about, trusted
 from calib.joint.solve import Optimum, beside, relative_step, weighed_as
@@ -98,8 +98,9 @@ class Posterior:
     def pupils(self) -> Array | None:
         """(S, S) covariance that the places of the pupil add; None on a gimbal."""
         optimum = self.optimum
-        places = places_of(optimum.marginal, optimum.eta, optimum.solution)
-        return None if places is None else places.spread
+        if optimum.marginal.problem.pupils is None:
+            return None
+        return spread_of_places(optimum.marginal, optimum.eta, optimum.solution)
 
     @cached_property
     def counted(self) -> Array:
@@ -328,12 +329,12 @@ def _faults(optimum: Optimum, curvature: Array, base: Node) -> list[Node]:
 
 def _share_of_stars(marginal: Marginal, eta: Array, found: Solution, faults: Faults) -> float:
     """Return the share of evidence against statements that counts: places of pupils may be the cause of the rest."""
-    places = places_of(marginal, eta, found)
-    if places is None:
+    if marginal.problem.pupils is None:
         return 1.0
+    places = spread_of_places(marginal, eta, found)
     witnesses = marginal.problem.knowledge.witnesses
     rows = np.concatenate([witnesses[name].rows for name, _ in faults])
-    stars, discs = (float(((rows @ one) * rows).sum()) for one in (found.covariance, places.spread))
+    stars, discs = (float(((rows @ one) * rows).sum()) for one in (found.covariance, places))
     return stars / (stars + discs)
 
 

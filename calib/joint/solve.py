@@ -17,7 +17,7 @@ from calib.joint import amplitudes as amp
 from calib.joint.curvature import FINE, ROUGH, best_amplitudes
 from calib.joint.equations import Equations, State, robust_sigma
 from calib.joint.marginal import Marginal, Problem, Solution
-from calib.joint.places import places_of
+from calib.joint.places import step_to_places
 from calib.joint.prior import Faults
 
 #: Rounds with large robust limits, before the first search of amplitudes.
@@ -115,9 +115,8 @@ def _placed(
 
     ``size`` is the share of the step. Whole steps of places and of state in turn may swing for ever.
     """
-    problem, places = marginal.problem, places_of(marginal, eta, found)
-    assert places is not None
-    bench = replace(problem.bench, pupils=problem.bench.pupils + size * places.step)
+    problem, step = marginal.problem, step_to_places(marginal, eta, found)
+    bench = replace(problem.bench, pupils=problem.bench.pupils + size * step)
     state = bench.aligned(state, marginal.equations.weights)
     return replace(problem, bench=bench), state, bench.whitened(state)
 

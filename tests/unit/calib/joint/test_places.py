@@ -10,7 +10,7 @@ from calib.joint import amplitudes as amp
 from calib.joint.adjust import adjust
 from calib.joint.budget import variances
 from calib.joint.marginal import Marginal
-from calib.joint.places import places_of
+from calib.joint.places import spread_of_places, step_to_places
 from calib.joint.posterior import posterior
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.result_parts import PUPILS
@@ -87,7 +87,7 @@ def test_places_elsewhere_come_back(optimum):
     at = optimum.marginal.problem.bench.pupils
     moved = at + 0.02 * np.random.default_rng(1).normal(size=at.shape)
     marginal = with_pupils(optimum, moved)
-    back = moved + places_of(marginal, optimum.eta, marginal.solve(optimum.eta)).step
+    back = moved + step_to_places(marginal, optimum.eta, marginal.solve(optimum.eta))
     assert doubt(optimum, back) < doubt(optimum, moved) - 1.0
     assert np.abs(back - at).max() < 0.1 * np.abs(moved - at).max()
 
@@ -138,7 +138,7 @@ def test_pupils_that_are_known_exactly_add_nothing(optimum):
     known = replace(marginal.problem.pupils, information=1e12 * marginal.problem.pupils.information)
     problem = replace(marginal.problem, pupils=known)
     exact = Marginal(problem, marginal.equations, marginal.state)
-    spread = places_of(exact, optimum.eta, solution).spread
+    spread = spread_of_places(exact, optimum.eta, solution)
     assert np.diag(spread).max() < 1e-6 * np.diag(solution.covariance).max()
 
 
@@ -148,7 +148,7 @@ def test_stars_bind_pupils_that_discs_hardly_show(optimum):
     for share in (1.0, 1e-6):
         problem = replace(marginal.problem, pupils=replace(pupils, information=share * pupils.information))
         poor = Marginal(problem, marginal.equations, marginal.state)
-        sigmas.append(np.sqrt(np.diag(places_of(poor, optimum.eta, optimum.solution).spread)[:4]))
+        sigmas.append(np.sqrt(np.diag(spread_of_places(poor, optimum.eta, optimum.solution))[:4]))
     assert (sigmas[1] > sigmas[0]).all()
     assert (sigmas[1] < 30.0 * sigmas[0]).all()  # 1000 times by the discs alone
 
@@ -168,8 +168,28 @@ def test_spread_is_how_far_the_camera_moves_with_the_pupils(optimum):
     tight = 1e4 * marginal.problem.pupils.information  # so that the stars add nothing to what the discs say
     problem = replace(marginal.problem, pupils=replace(marginal.problem.pupils, information=tight))
     tightened = Marginal(problem, marginal.equations, marginal.state)
-    spread = places_of(tightened, optimum.eta, solution).spread
+    spread = spread_of_places(tightened, optimum.eta, solution)
     expected = np.array(moves).T @ np.linalg.inv(tight) @ np.array(moves)
     camera = slice(0, 4)
     sigmas, theirs = (np.sqrt(np.diag(one)[camera]) for one in (spread, expected))
     assert sigmas == pytest.approx(theirs, rel=0.25)  # residuals bend what the differences see
+
+
+def test_places_before_fields_that_are_zero_but_hardly_known_move_the_camera_too(optimum):
+    """On average over such fields as far as places move it with fields that are known."""
+    marginal, columns = optimum.marginal, optimum.marginal.problem.bench.layout.by_turn.columns
+    pupils = marginal.problem.pupils
+    tight = replace(pupils, information=1e4 * pupils.information)  # the stars say nothing of the places
+    problem = replace(marginal.problem, pupils=tight)
+    found = replace(optimum.solution, step=np.zeros_like(optimum.solution.step))
+    errors = np.linalg.cholesky(found.covariance[columns[:, None], columns])
+
+    def variances_with(fields):
+        shared = optimum.state.shared.copy()
+        shared[columns] = fields
+        there = Marginal(problem, marginal.equations, replace(optimum.state, shared=shared))
+        return np.diag(spread_of_places(there, optimum.eta, found))[:4]
+
+    unseen, rng = variances_with(0.0), np.random.default_rng(1)
+    drawn = [variances_with(errors @ rng.standard_normal(len(columns))) - unseen for _ in range(100)]
+    assert np.mean(drawn, axis=0) == pytest.approx(unseen, rel=0.3)
