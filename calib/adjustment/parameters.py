@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.arrays import Array
+from calib.arrays import Array, Bools
 from calib.errors import DegenerateViews
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
@@ -65,13 +65,16 @@ class AdjustmentParameters:
 SAME_POSE_DEG = 0.2
 
 
-def poses_of(rotations: Array) -> tuple[int, ...]:
+def poses_of(rotations: Array, moved: Bools | None = None) -> tuple[int, ...]:
     """Return for each view the index of its pose, from (n, 3, 3) rotations, camera <- target.
 
-    A view belongs to the first pose whose first view is turned by less than 0.2 degrees against it. Own rule.
+    A view belongs to the first pose whose first view is turned by less than 0.2 degrees against it. Own rule. ``moved``
+    may tell for (n, n) pairs of views that the camera was moved between them, although it is turned alike.
     """
     flat = np.asarray(rotations).reshape(len(rotations), 9)
     same = np.linalg.norm(flat[:, None] - flat[None], axis=2) < _chord(SAME_POSE_DEG)
+    if moved is not None:
+        same &= ~moved
     firsts: list[int] = []
     found = []
     for i, near in enumerate(same):

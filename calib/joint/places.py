@@ -45,17 +45,28 @@ def spread_of_places(marginal: Marginal, eta: Array, found: Solution) -> Array:
     """Return the (S, S) covariance of the shared unknowns that comes from errors of the places.
 
     Fields by turn multiply an error of a place, and so do their own errors: the product of two independent errors has
-    the product of their variances.
+    the product of their variances. It counts as far as a hand may move the pupil: places by a gimbal are certain.
     """
+    columns = marginal.problem.bench.layout.by_turn.columns
+    errors = np.linalg.cholesky(found.covariance[columns[:, None], columns])
+    fields = np.column_stack([_fields(marginal, found), np.sqrt(_pupils(marginal).by_hand) * errors])
+    return _spread(marginal, eta, found, fields)
+
+
+def spread_by_fields(marginal: Marginal, eta: Array, found: Solution) -> Array:
+    """Return the part of `spread_of_places` that comes from the fields found, without their errors."""
+    return _spread(marginal, eta, found, _fields(marginal, found)[:, None])
+
+
+def _spread(marginal: Marginal, eta: Array, found: Solution, fields: Array) -> Array:
+    """Return the (S, S) sum of what errors of the places do, each multiplied by (Q, L) fields by turn."""
     by_turn, seen = marginal.problem.bench.layout.by_turn, _seen(marginal, np.exp(2.0 * eta), found)
     stars = _information(seen, _moved(marginal, found), found)
     places = inverse_root(_pupils(marginal).information + _COUNTED * stars)[0]
-    known = found.covariance[by_turn.columns[:, None], by_turn.columns]
-    fields = np.column_stack([_fields(marginal, found), np.linalg.cholesky(known)])
     slopes = by_turn.slopes(marginal.problem.bench.pupils)
     turned = np.einsum("kia,iaq->kiq", places.reshape(len(places), *slopes.shape[:2]), slopes)
-    errors = np.einsum("kiq,isq->ksq", turned, seen.shared[:, :, by_turn.rows]) @ fields
-    half = found.covariance @ errors.swapaxes(0, 1).reshape(len(found.covariance), -1)
+    moved = np.einsum("kiq,isq->ksq", turned, seen.shared[:, :, by_turn.rows]) @ fields
+    half = found.covariance @ moved.swapaxes(0, 1).reshape(len(found.covariance), -1)
     return half @ half.T
 
 

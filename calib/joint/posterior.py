@@ -22,7 +22,7 @@ from calib.joint import amplitudes as amp
 from calib.joint.curvature import ROUGH, best_amplitudes, expected_curvature
 from calib.joint.knowledge import FAULTS, WRONG, Statement
 from calib.joint.marginal import Marginal, Solution
-from calib.joint.places import spread_of_places
+from calib.joint.places import spread_by_fields, spread_of_places
 from calib.joint.prior import NO_FAULT, Faults, block_diagonal
 from calib.joint.samples import Node, log_odds, nodes_about, trusted
 from calib.joint.solve import Optimum, beside, relative_step, weighed_as
@@ -331,7 +331,7 @@ def _share_of_stars(marginal: Marginal, eta: Array, found: Solution, faults: Fau
     """Return the share of evidence against statements that counts: places of pupils may be the cause of the rest."""
     if marginal.problem.pupils is None:
         return 1.0
-    places = spread_of_places(marginal, eta, found)
+    places = spread_by_fields(marginal, eta, found)
     witnesses = marginal.problem.knowledge.witnesses
     rows = np.concatenate([witnesses[name].rows for name, _ in faults])
     stars, discs = (float(((rows @ one) * rows).sum()) for one in (found.covariance, places))

@@ -24,6 +24,8 @@ from calib.view import View
 _GIMBAL = 2.0
 #: Tangent of the turn that brings the pupil aside by the radius: one prior then serves fields by turn and by pupil.
 _AS_TURNS = 12.0
+#: Discs lie at different places if the square of their distance, in sigmas, is larger: once in 1000 pairs by chance.
+_APART = 13.8
 #: What `lever_of` returns if no disc shows it. The same if a hand moves the camera, where `_AS_TURNS` holds.
 _LEVER, LEVER_BY_HAND = 0.03, 1.0 / _AS_TURNS
 #: 1-sigma of its logarithm beforehand, and the grid of its posterior in these: a pupil 3 to 20 mm before the pivot.
@@ -40,6 +42,7 @@ class Pupils:
 
     shown: Array  # (n, 2) by the discs
     information: Array  # (2 n, 2 n) of that
+    by_hand: float  # Probability of that: a gimbal and a hand are equally probable beforehand
     r_mm: float  # Radius by which lengths on the target are these tangents
 
     def moved(self, shifts_mm: Array) -> Pupils:
@@ -56,9 +59,23 @@ class Poses(NamedTuple):
 
 
 def seen_poses(views: Sequence[View], rotations: Array) -> Poses:
-    """Return the poses of views with (V, 3, 3) rotations. Repeats of a pose show the same rim."""
+    """Return the poses of views with (V, 3, 3) rotations. Repeats of a pose show the same rim at the same place."""
     poses = np.array(poses_of(rotations), np.int64)
+    if poses.max() + 1 < len(views) and (discs := discs_of(views)):
+        poses = np.array(poses_of(rotations, _apart(discs)), np.int64)
     return Poses(poses, discs_of([views[v] for v in np.unique(poses, return_index=True)[1]]))
+
+
+def _apart(found: Discs) -> NDArray[np.bool_]:
+    """Tell for (V, V) pairs of views that their discs are not at the same place."""
+    middles = np.array([disc.centre_mm for disc in found.of_views])
+    away, n = middles[:, None] - middles[None], len(middles)
+    blocks = found.covariance_mm2.reshape(n, 2, n, 2).swapaxes(1, 2)
+    alone = blocks[range(n), range(n)]
+    spread = alone[:, None] + alone[None] - blocks - blocks.swapaxes(0, 1)
+    spread[range(n), range(n)] = np.eye(2)
+    squares = (away[:, :, None] @ np.linalg.solve(spread, away[..., None]))[:, :, 0, 0]
+    return np.asarray(squares > _APART)
 
 
 def lever_of(found: Discs | None, turns: Array, r_mm: float) -> float:
@@ -103,4 +120,5 @@ def pupils_of(found: Discs, r_mm: float) -> Pupils | None:
     n, as_turns = len(away), _AS_TURNS / r_mm
     covariance = as_turns**2 * differences
     covariance += _SAME**2 * np.kron(np.full((n, n), 1.0 / n), np.eye(2))
-    return Pupils(as_turns * away, np.asarray(np.linalg.inv(covariance)), r_mm)
+    by_hand = 1.0 / (1.0 + np.exp(-0.5 * found.wander))
+    return Pupils(as_turns * away, np.asarray(np.linalg.inv(covariance)), float(by_hand), r_mm)

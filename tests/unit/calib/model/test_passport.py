@@ -49,7 +49,7 @@ def test_a_passport_made_from_views_calibrates_another_camera(make_bench, bench)
     other = make_bench(fx=2900.0, fy=2901.0, cx=650.0, cy=340.0, k=(-0.1, 0.2))
     result = calibrate(other.views(np.random.default_rng(65), 0.05)[:1], with_passport(passport))
     assert result.camera.fx == pytest.approx(2900.0, abs=4 * result.sigma["fx"])
-    assert result.sigma["fx"] < 0.001 * result.camera.fx
+    assert result.sigma["fx"] < 0.0015 * result.camera.fx
     assert result.collimator.r == pytest.approx(first.collimator.r, abs=2 * result.sigma["r"])
 
 
