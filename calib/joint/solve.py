@@ -30,8 +30,9 @@ _REWEIGHTED = 7
 #: A step is small if it moves the camera by less than this, px, and less than this share of its sigma.
 _SMALL_PX, _SMALL_SHARE = 1e-3, 0.04
 #: From this round on a larger share is small: the result holds the last step, so that it lacks only where that bends.
-#: The amplitudes stay as they are: two ends, each better by the equations of the other, would take turns for ever.
 _LATE, _LATE_SHARE = 20, 0.25
+#: A round that takes back what the last one did shortens all steps; others make them longer again.
+_SLOWER, _FASTER = 0.5, 1.5
 #: A start is near if a step moves no focal length by more than this share.
 _NEAR = 0.003
 _HALVINGS = 6
@@ -85,21 +86,21 @@ class Optimum:
 def search(problem: Problem, start: State, rounds: int) -> Optimum:
     """Return the optimum after at most ``rounds`` linearisations; `NotConverged` if the equations cannot be solved."""
     eta, state = first_amplitudes(problem, start), start
-    equations, short_steps = first_equations(problem, start), 0
+    equations, short_steps, pace = first_equations(problem, start), 0, _Pace(np.zeros(len(eta)))
     for k in range(rounds):
         marginal = Marginal(problem, equations, state)
-        eta, found = _in_round(k, marginal, eta)
+        eta, found, pace = _in_round(k, marginal, eta, pace)
         share = _SMALL_SHARE if k < _LATE else _LATE_SHARE
         short_steps += relative_step(marginal, found.step) < _TRUSTED
         placed = problem.pupils is None or short_steps > 1
         if k > _FIRST_ROUNDS and placed and small(marginal, found, share):
-            if k < _LATE:
+            if pace.size == 1.0:
                 eta, found = better_amplitudes(marginal, eta, found)
             if small(marginal, found, share):
                 return Optimum(marginal, eta, found, k + 1, converged=True)
-        state, lengths = shortened(marginal, eta, found)
+        state, lengths = shortened(marginal, eta, found, pace.size)
         if short_steps and problem.pupils is not None:
-            problem, state, lengths = _placed(marginal, eta, found, state, 1.0 / (1 + k // _LATE))
+            problem, state, lengths = _placed(marginal, eta, found, state, pace.size)
         spread = robust_sigma(lengths)
         limit = spread if k else 3.0 * spread
         if k >= _FIRST_ROUNDS:
@@ -113,7 +114,7 @@ def _placed(
 ) -> tuple[Problem, State, list[Array]]:
     """Return the problem with better places of the pupils, and a state there with the lengths of its residuals.
 
-    ``size`` is the share of the step. Whole steps of places and of state in turn may swing for ever.
+    ``size`` is the share of the step.
     """
     problem, step = marginal.problem, step_to_places(marginal, eta, found)
     bench = replace(problem.bench, pupils=problem.bench.pupils + size * step)
@@ -121,11 +122,29 @@ def _placed(
     return replace(problem, bench=bench), state, bench.whitened(state)
 
 
-def _in_round(k: int, marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
-    """Return the amplitudes of a round, and their solution."""
-    if _FIRST_ROUNDS <= k < _LATE:
-        return trusted_amplitudes(marginal, eta)
-    return eta, solved(marginal, eta)
+@dataclass(frozen=True)
+class _Pace:
+    """How far a round goes: less while amplitudes swing between two ends, each better by the equations of the other."""
+
+    change: Array  # (A,) of the logarithms of the amplitudes, as the last round would have them
+    size: float = 1.0  # Share of steps that is taken
+
+    def after(self, change: Array) -> _Pace:
+        """Return the pace after a change: half if it takes back the last one."""
+        swings = float(change @ self.change) < 0.0
+        return _Pace(change, self.size * _SLOWER if swings else min(1.0, self.size * _FASTER))
+
+
+def _in_round(k: int, marginal: Marginal, eta: Array, pace: _Pace) -> tuple[Array, Solution, _Pace]:
+    """Return the amplitudes of a round, their solution, and the pace."""
+    if k < _FIRST_ROUNDS:
+        return eta, solved(marginal, eta), pace
+    better, found = trusted_amplitudes(marginal, eta)
+    pace = pace.after(better - eta)
+    if pace.size == 1.0:
+        return better, found, pace
+    eta = eta + pace.size * pace.change
+    return eta, solved(marginal, eta), pace
 
 
 def first_equations(problem: Problem, state: State, lengths: Sequence[Array] | None = None) -> Equations:
@@ -255,15 +274,18 @@ def better_amplitudes(marginal: Marginal, eta: Array, found: Solution) -> tuple[
     return (better, ended) if relative_step(marginal, ended.step) < _TRUSTED else (eta, found)
 
 
-def shortened(marginal: Marginal, eta: Array, found: Solution) -> tuple[State, list[Array]]:
+def shortened(
+    marginal: Marginal, eta: Array, found: Solution, most: float = 1.0
+) -> tuple[State, list[Array]]:
     """Return the state after a step, shorter and shorter while the cost rises, and the lengths of its residuals.
 
+    ``most`` is the share of the step that is tried first.
     Centre, rotations and the middles of the discs move along a curve, so a whole step is tried with these behind it.
     """
     bench = marginal.problem.bench
     before = cost(marginal, eta, marginal.state, marginal.equations.lengths)
     share = relative_step(marginal, found.step)
-    size = min(1.0, _LONGEST / share) if share > 0 else 1.0
+    size = min(most, _LONGEST / share) if share > 0 else most
     for k in range(_HALVINGS):
         state = _moved(marginal, eta, found, size)
         lengths = bench.whitened(state)
