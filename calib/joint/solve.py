@@ -30,6 +30,7 @@ _REWEIGHTED = 7
 #: A step is small if it moves the camera by less than this, px, and less than this share of its sigma.
 _SMALL_PX, _SMALL_SHARE = 1e-3, 0.04
 #: From this round on a larger share is small: the result holds the last step, so that it lacks only where that bends.
+#: The amplitudes stay as they are: with a lens of the wrong family they would change for 100 rounds.
 _LATE, _LATE_SHARE = 20, 0.25
 #: A round that takes back what the last one did shortens all steps; others make them longer again.
 _SLOWER, _FASTER = 0.5, 1.5
@@ -94,7 +95,7 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
         short_steps += relative_step(marginal, found.step) < _TRUSTED
         placed = problem.pupils is None or short_steps > 1
         if k > _FIRST_ROUNDS and placed and small(marginal, found, share):
-            if pace.size == 1.0:
+            if k < _LATE and pace.size == 1.0:
                 eta, found = better_amplitudes(marginal, eta, found)
             if small(marginal, found, share):
                 return Optimum(marginal, eta, found, k + 1, converged=True)
@@ -137,7 +138,7 @@ class _Pace:
 
 def _in_round(k: int, marginal: Marginal, eta: Array, pace: _Pace) -> tuple[Array, Solution, _Pace]:
     """Return the amplitudes of a round, their solution, and the pace."""
-    if k < _FIRST_ROUNDS:
+    if not _FIRST_ROUNDS <= k < _LATE:
         return eta, solved(marginal, eta), pace
     better, found = trusted_amplitudes(marginal, eta)
     pace = pace.after(better - eta)
