@@ -263,6 +263,6 @@ def _without_wrong_certificate(found: Optimum, near: State, options: Calibration
     faults = ((CERTIFICATE, WRONG),)
     try:
         there = beside(found, faults, options.max_iterations, near)
+        return there if odds_of(there, faults, found) > 1.0 else found
     except (NotConverged, np.linalg.LinAlgError):
         return found
-    return there if odds_of(there, faults, found) > 1.0 else found

@@ -17,7 +17,6 @@ import numpy as np
 from calib.arrays import Array
 from calib.calibration import CalibrationOptions
 from calib.errors import InputMismatch
-from calib.joint import amplitudes as amp
 from calib.joint.fields import FieldBasis
 from calib.joint.layout import (
     ASIDE,
@@ -293,16 +292,18 @@ def _elsewhere(layout: Layout, passport: Passport) -> Array:
 def _parallax(layout: Layout, bound: ParallaxBound, r_mm: float) -> list[Statement]:
     """Return what bounds the parallax: its size, how alike it is along both axes, how far the pupil is beside them."""
     stated, aside = bound.mean_and_sigma(r_mm), max(bound.aside_sigma(r_mm), 1e-9)
-    names = [layout.names[k] for k in layout.parallax]
-    unit = amp.UNIT_TURN
     value, sigma = stated[0], max(stated[1], 1e-9)
     station = _Source(layout, rows.PARALLAX, "station: pupil_off_pivot_mm and defocus")
     free = max(_FREE_PARALLAX, 5.0 * sigma)
-    along = {names[0]: 0.5 / unit, names[3]: 0.5 / unit}
     other = 0.2 * sigma + 2e-5
-    alike = ({names[0]: 0.5 / unit, names[3]: -0.5 / unit}, {names[1]: 1.0 / unit}, {names[2]: 1.0 / unit})
+    x, y = layout.on_axis("turn_x", 0, 0.5), layout.on_axis("turn_y", 1, 0.5)
+    alike = (
+        x | layout.on_axis("turn_y", 1, -0.5),
+        layout.on_axis("turn_x", 1),
+        layout.on_axis("turn_y", 0),
+    )
     return [
-        station.says(PARALLAX, along, (value, sigma), free, "1"),
+        station.says(PARALLAX, x | y, (value, sigma), free, "1"),
         *(station.says(PARALLAX, terms, (0.0, other)) for terms in alike),
         *(station.says(PARALLAX, {name: 1.0}, (0.0, aside)) for name in ASIDE),
     ]

@@ -356,6 +356,15 @@ class Layout:
         half = COEFFICIENTS // 2
         return self.places([f"{turn}_{k}" for turn in _TURNS for k in (0, half)])
 
+    def on_axis(self, turn: str, axis: int, times: float = 1.0) -> dict[str, float]:
+        """Return what each coefficient of a field by turn adds to the shift of the axis along X or Y, for a turn of 1.
+
+        Field curvature adds to the shift elsewhere.
+        """
+        values = self.basis.polynomials(np.array([self.basis.reference[:2]]))[0] * times / amp.UNIT_TURN
+        named = {f"{turn}_{axis * len(values) + k}": float(value) for k, value in enumerate(values)}
+        return {name: value for name, value in named.items() if name in self.index}
+
     def _turn(self, hyper: amp.Hyperprior) -> RandomBlock:
         """Return the fields by turn of degree 1 and above.
 

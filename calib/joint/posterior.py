@@ -18,6 +18,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.arrays import Array
+from calib.errors import NotConverged
 from calib.joint import amplitudes as amp
 from calib.joint.curvature import ROUGH, best_amplitudes, expected_curvature
 from calib.joint.knowledge import FAULTS, WRONG, Statement
@@ -188,8 +189,11 @@ def posterior(optimum: Optimum, rounds: int) -> Posterior:
     likeliest = max((one for one, away in zip(modes, far, strict=True) if away), key=_by_weight, default=None)
     if likeliest is None or likeliest.weight < _COUNTS:
         return _mixture(optimum, curvature, modes)
-    there = beside(optimum, likeliest.faults, rounds)
-    odds = odds_of(there, likeliest.faults, optimum)
+    try:
+        there = beside(optimum, likeliest.faults, rounds)
+        odds = odds_of(there, likeliest.faults, optimum)
+    except (NotConverged, np.linalg.LinAlgError):  # without the statement nothing determines the camera
+        return _mixture(optimum, curvature, near)
     if odds > 1.0 and likeliest.weight > max(one.weight for one in near):
         curvature_there, modes_there = _modes(there)
         near_there = [one for one in modes_there if _holds(there, one)]

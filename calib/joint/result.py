@@ -34,7 +34,7 @@ from calib.model.result_parts import WORST_CORNER, Amplitude, GimbalEstimate, Wi
 from calib.view import View
 
 #: Amplitudes that are given in microradians of a direction; all others are factors or coefficients.
-_DIRECTIONS = (*amp.POSE, *amp.COMMON, *amp.TURN, *amp.TURN_2, amp.DISCS, amp.CHANGE)
+_DIRECTIONS = (*amp.POSE, *amp.COMMON, *amp.TURN, *amp.TURN_2, amp.CHANGE)
 #: Readings that scatter this many times more than stated contradict the stars, and do not enter.
 _MOST_SCATTER = 3.0
 #: Nor if a scale differs by this many times what a wrong statement is expected to.

@@ -63,6 +63,10 @@ _SIGMA = 12.0**-0.5
 _MARGIN = 6
 #: A node that differs from so many of its four neighbours is an error of finding stars, not a rim.
 _ERROR = 3
+#: Side of a square block of nodes.
+_BLOCK = 3
+#: Missed stars look like darkness beyond the rim so often in a view.
+_BY_CHANCE = 0.01
 _NEIGHBOURS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])
 #: Nodes are amid the stars if, along each of these directions, some star lies farther out.
 _DIRECTIONS = np.column_stack([np.cos(np.linspace(0.0, 6.2, 72)), np.sin(np.linspace(0.0, 6.2, 72))])
@@ -119,7 +123,7 @@ def _rim(view: View, grid: _Grid, not_printed: Bools) -> RimPoints:
     state[grid.marked(view.target_mm)] = _PRESENT
     opposite = np.where(state == _PRESENT, _ABSENT, _PRESENT)
     errors = (_around(state) == opposite).sum(axis=0) >= _ERROR
-    state[errors & (state >= _ABSENT)] = _NOT_PRINTED
+    state[(errors & (state >= _ABSENT)) | ((state == _ABSENT) & ~_dark(state))] = _NOT_PRINTED
     around, present = _around(state), state == _PRESENT
     nodes = grid.nodes_mm.reshape(*grid.size, 2)
     points = [
@@ -129,6 +133,23 @@ def _rim(view: View, grid: _Grid, not_printed: Bools) -> RimPoints:
     rim = np.concatenate(points)
     lit = present & (around == _OUT_OF_FRAME).any(axis=0) & ~(around == _ABSENT).any(axis=0)
     return RimPoints(rim, np.full(len(rim), _SIGMA * grid.pitch_mm), nodes[lit], 0.0)
+
+
+def _dark(state: Ints) -> Bools:
+    """Tell which nodes may lie beyond the rim: in a block without a star that missed stars do not make by chance.
+
+    How many stars are missed, nodes amid four stars show. Without any, all nodes may.
+    """
+    amid = (_around(state) == _PRESENT).all(axis=0) & (state >= _ABSENT)
+    missed = float((state[amid] == _ABSENT).mean()) if amid.any() else 0.0
+    if missed == 0.0:
+        return np.ones(state.shape, np.bool_)
+    needed = np.log(_BY_CHANCE / (state >= _ABSENT).sum()) / np.log(missed)
+    wide = np.pad(state, _BLOCK - 1, constant_values=_OUT_OF_FRAME)
+    blocks = np.lib.stride_tricks.sliding_window_view(wide, (_BLOCK, _BLOCK))
+    starless = np.isin(blocks, (_OUT_OF_FRAME, _ABSENT)).all(axis=(2, 3))
+    starless &= (blocks == _ABSENT).sum(axis=(2, 3)) >= min(needed, _BLOCK**2)
+    return np.asarray(np.lib.stride_tricks.sliding_window_view(starless, (_BLOCK, _BLOCK)).any(axis=(2, 3)))
 
 
 def _around(state: Ints) -> Ints:

@@ -31,8 +31,9 @@ class ParallaxBound:
     """What bounds the parallax of a gimbal before a collimator: each quantity with its standard uncertainty.
 
     Defocus, dimensionless: when the camera moves across the beam by s, the pattern appears to move by -defocus s on the
-    target. A target at the finite distance D has the defocus r / D; an ideal collimator has 0. Off pivot, mm, is how
-    far the entrance pupil is in front of the pivot; beside axes is the 1-sigma of its place along the other directions.
+    target, on the optical axis. A target at the finite distance D has the defocus r / D; an ideal collimator has 0. Off
+    pivot, mm, is how far the entrance pupil is in front of the pivot; beside axes is the 1-sigma of its place along the
+    other directions.
     """
 
     defocus: float

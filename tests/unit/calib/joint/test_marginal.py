@@ -213,6 +213,21 @@ def test_a_statement_of_which_nobody_else_knows_is_not_contradicted(views, exact
     assert abs(pupil.innovation) < 1.5
 
 
+def test_a_stated_defocus_is_that_of_the_axis(bench):
+    """Field curvature shifts the stars elsewhere: over the field its mean is not zero."""
+    optimum = adjust(bench.views(poses=POSES[:3]), CalibrationOptions("joint"))
+    basis, layout = optimum.marginal.problem.bench.layout.basis, optimum.marginal.problem.bench.layout
+    along = layout.on_axis("turn_x", 0)
+
+    def shift(field):
+        return sum(size * field[int(name.removeprefix("turn_x_"))] for name, size in along.items())
+
+    curved = basis.shape(lambda h: (h**2).sum(axis=1, keepdims=True) * np.array([1.0, 0.0]))
+    flat = basis.shape(lambda h: np.broadcast_to([1.0, 0.0], h.shape))
+    assert shift(flat) == pytest.approx(1.0 / UNIT_TURN)
+    assert abs(shift(curved)) < 1e-6 * abs(curved[0]) / UNIT_TURN
+
+
 def test_a_pupil_before_the_pivot_moves_across_the_beam_as_the_camera_turns(bench):
     """Forty degrees, defocus 0.1, 10 mm: by the sine."""
     poses = ((0.0, 0.0), (40.0, 0.0), (-25.0, 20.0))

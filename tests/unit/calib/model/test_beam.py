@@ -48,6 +48,15 @@ def test_stars_missing_inside_hardly_move_it(small_disc):
     assert np.abs(thin - whole).max() < 1.0
 
 
+def test_stars_that_are_missed_are_no_rim(small_disc, make_bench):
+    rng = np.random.default_rng(52)
+    view = small_disc.view("one", small_disc.turn(0.0, 0.0))
+    whole, thin = (visible_discs([one])[0] for one in (view, view.part(rng.random(len(view)) > 0.3)))
+    assert np.abs(thin.centre_mm - whole.centre_mm).max() < 2.0
+    views = make_bench(half_angle_deg=20.0).views()
+    assert visible_discs([one.part(rng.random(len(one)) > 0.1) for one in views]) == []
+
+
 def test_a_tag_without_stars_is_no_rim(make_bench):
     """Tags of reticles take the place of 5 x 5 stars; where a view shows few stars, they are a large part of it."""
     bench = make_bench(half_angle_deg=8.0, centre=(97.0, 100.0, -255.0), fx=4400.0, fy=4400.0)

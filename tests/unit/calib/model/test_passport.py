@@ -102,3 +102,13 @@ def test_the_planar_model_has_no_passport_to_give(bench):
     planar = calibrate(bench.views(np.random.default_rng(67), 0.05), CalibrationOptions(model="planar"))
     with pytest.raises(InputMismatch, match="planar"):
         planar.passport()
+
+
+def test_a_state_without_a_wrong_passport_that_cannot_be_found_is_no_crash(bench, monkeypatch):
+    def without(*_):
+        raise np.linalg.LinAlgError
+
+    views = bench.views(np.random.default_rng(66), 0.02)
+    wrong = Passport(EXACT.names, EXACT.values + 25.0 * np.eye(3)[2], np.diag([0.05, 0.05, 0.1]) ** 2)
+    monkeypatch.setattr("calib.joint.posterior.beside", without)
+    assert calibrate(views, with_passport(wrong)).camera.fx > 0.0
