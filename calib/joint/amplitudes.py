@@ -93,9 +93,12 @@ FAMILIES = (
     Family(COMMON, smooth(12e-6, DEGREE), 1.0, 0.5, 0.25, 0.9),
     Family(TURN, smooth(3e-6, len(TURN)), 1.0, 0.5, 0.25, 0.9),
     Family(TURN_2, smooth(1e-6, len(TURN_2)), 1.0, 0.5, 0.0, 0.9),
-    Family((RADIAL, SHIFTED, CURVATURE_TURN, SCALE_TURN_2), (0.05, 1e-3, 4e-4, 4e-6), 1.3, 0.5),
-    # A well corrected collimator may be as far out of focus as a poor one.
-    Family((PARALLAX, ASIDE), (0.06, 3e-4), 1.3, 0.5),
+    Family(
+        (RADIAL, PARALLAX, SHIFTED, CURVATURE_TURN, SCALE_TURN_2, ASIDE),
+        (0.05, 0.06, 1e-3, 4e-4, 4e-6, 3e-4),
+        1.3,
+        0.5,
+    ),
     Family((DISTORTION,), (0.015,), 1.5, 0.0),  # Share of the distance from the axis, at the sensor's corner
     Family((TANGENTIAL,), (4e-4,), 0.6, 0.0),
     Family((PRISM,), (2e-4,), 1.0, 0.0),
