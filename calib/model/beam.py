@@ -141,7 +141,7 @@ def _dark(state: Ints) -> Bools:
     How many stars are missed, nodes amid four stars show. Without any, all nodes may.
     """
     amid = (_around(state) == _PRESENT).all(axis=0) & (state >= _ABSENT)
-    missed = float((state[amid] == _ABSENT).mean()) if amid.any() else 0.0
+    missed = float((state[amid] == _ABSENT).sum()) / (amid.sum() + 1.0)
     if missed == 0.0:
         return np.ones(state.shape, np.bool_)
     needed = np.log(_BY_CHANCE / (state >= _ABSENT).sum()) / np.log(missed)

@@ -57,6 +57,14 @@ def test_stars_that_are_missed_are_no_rim(small_disc, make_bench):
     assert visible_discs([one.part(rng.random(len(one)) > 0.1) for one in views]) == []
 
 
+def test_a_few_stars_about_a_missed_one_are_enough_to_go_on(small_disc):
+    view = small_disc.view("few", small_disc.turn(0.0, 0.0))
+    away = np.linalg.norm(view.target_mm - view.target_mm[len(view) // 2], axis=1)
+    ring = view.part((away > 0.0) & (away < 1.1 * np.sort(away)[1]))
+    assert len(ring) == 4
+    assert len(visible_discs([ring, view])) == 2
+
+
 def test_a_tag_without_stars_is_no_rim(make_bench):
     """Tags of reticles take the place of 5 x 5 stars; where a view shows few stars, they are a large part of it."""
     bench = make_bench(half_angle_deg=8.0, centre=(97.0, 100.0, -255.0), fx=4400.0, fy=4400.0)
