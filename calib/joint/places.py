@@ -30,7 +30,7 @@ class _Seen(NamedTuple):
 
 
 def step_to_places(marginal: Marginal, eta: Array, found: Solution) -> Array:
-    """Return the (n, 2) step to the most probable places at a solution for given amplitudes, sines."""
+    """Return the (n, 2) step, in sines, from the present places to the most probable ones."""
     bench, pupils, squares = marginal.problem.bench, _pupils(marginal), np.exp(2.0 * eta)
     seen, moved = _seen(marginal, squares, found), _moved(marginal, found)
     pull = (moved.swapaxes(1, 2) @ seen.right[:, :, None])[:, :, 0]
@@ -71,7 +71,7 @@ def _spread(marginal: Marginal, eta: Array, found: Solution, fields: Array) -> A
 
 
 def _pupils(marginal: Marginal) -> Pupils:
-    """Return what the visible discs show; there are no places on a gimbal."""
+    """Return what the visible discs show of the places. Only a pupil that is moved by hand has them."""
     assert marginal.problem.pupils is not None
     return marginal.problem.pupils
 

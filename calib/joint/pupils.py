@@ -24,7 +24,7 @@ from calib.view import View
 _GIMBAL = 2.0
 #: Tangent of the turn that brings the pupil aside by the radius: one prior then serves fields by turn and by pupil.
 _AS_TURNS = 12.0
-#: Discs lie at different places if the square of their distance, in sigmas, is larger: once in 1000 pairs by chance.
+#: Discs are apart if the square of their distance, in sigmas, is larger. By chance it is so in 1 of 1000 pairs.
 _APART = 13.8
 #: What `lever_of` returns if no disc shows it. The same if a hand moves the camera, where `_AS_TURNS` holds.
 _LEVER, LEVER_BY_HAND = 0.03, 1.0 / _AS_TURNS
@@ -42,7 +42,7 @@ class Pupils:
 
     shown: Array  # (n, 2) by the discs
     information: Array  # (2 n, 2 n) of that
-    by_hand: float  # Probability of that: a gimbal and a hand are equally probable beforehand
+    by_hand: float  # Probability that a hand moves the pupil, by the discs; beforehand one half
     r_mm: float  # Radius by which lengths on the target are these tangents
 
     def moved(self, shifts_mm: Array) -> Pupils:

@@ -65,7 +65,7 @@ _MARGIN = 6
 _ERROR = 3
 #: Side of a square block of nodes.
 _BLOCK = 3
-#: Missed stars look like darkness beyond the rim so often in a view.
+#: In this share of the views, missed stars may pass for darkness beyond the rim.
 _BY_CHANCE = 0.01
 _NEIGHBOURS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])
 #: Nodes are amid the stars if, along each of these directions, some star lies farther out.
@@ -136,9 +136,9 @@ def _rim(view: View, grid: _Grid, not_printed: Bools) -> RimPoints:
 
 
 def _dark(state: Ints) -> Bools:
-    """Tell which nodes may lie beyond the rim: in a block without a star that missed stars do not make by chance.
+    """Tell which nodes may lie beyond the rim: they are in a block without a star that is too large for missed stars.
 
-    How many stars are missed, nodes amid four stars show. Without any, all nodes may.
+    Dark nodes between four stars show how many stars are missed. If there are none, all nodes may lie beyond the rim.
     """
     amid = (_around(state) == _PRESENT).all(axis=0) & (state >= _ABSENT)
     missed = float((state[amid] == _ABSENT).sum()) / (amid.sum() + 1.0)
