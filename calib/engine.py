@@ -68,12 +68,13 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
     views = corrected_views(views, options.budget)
     wrong = find_gross_stars(views)
     known_r = options.passport.values_by_name["r"] if options.passport else None
-    doubts = check_views(without_gross_stars(views, wrong), known_r_mm=known_r)
+    right = without_gross_stars(views, wrong)
+    doubts = check_views(right, known_r_mm=known_r)
     if options.model in REFERENCE_MODELS:
-        result, found = summarize(fit_model(views, options, options.model, wrong=wrong)), ""
+        result = summarize(fit_model(views, options, options.model, wrong=wrong))
     else:
         result = calibrate_jointly(views, options, wrong)
-        found = check_image_size(views, result.camera, (result.sigma["cx"], result.sigma["cy"]))
+    found = check_image_size(right, result.camera, (result.sigma["cx"], result.sigma["cy"]))
     remarks = _remarks(options, result.camera)
     named = [one.sentence for one in wrong]
     notes = filter(None, (*named, *doubts, *result.notes, found, *remarks))

@@ -23,7 +23,6 @@ from calib.adjustment.parameters import (
 )
 from calib.arrays import RAYLEIGH_MEDIAN, Bools, median
 from calib.calibration import Calibration, CalibrationOptions, ViewSummary, rms_and_mean
-from calib.diagnosis.checks import check_image_size
 from calib.diagnosis.gross_stars import GrossStars, used_stars
 from calib.errors import DegenerateViews, NotConverged
 from calib.model import result_parts as names
@@ -35,7 +34,6 @@ from calib.uncertainty.covariance import (
     MIN_VIEWS,
     Uncertainty,
     covariance_at_optimum,
-    enlarged,
     leave_one_out,
     rotation_covariance,
     views_of_poses,
@@ -50,7 +48,6 @@ class Fit:
 
     model: str
     views: Sequence[View]
-    kept: Sequence[View]
     bundle: Bundle
     refined: Refinement[AdjustmentParameters]
     loss: Loss
@@ -85,25 +82,23 @@ def fit_model(
     bundle = replace(bundle, poses=poses_of(refined.parameters.rotations))
     if options.passport is None:
         require_distinct_poses(refined.parameters)
-    estimate = _constrained(kept, bundle, refined, loss)
+    found = _constrained(kept, bundle, refined, loss)
     left_out = None
-    if len(views_of_poses(bundle)) >= MIN_VIEWS and (leave_out or estimate.inconsistent):
+    if len(views_of_poses(bundle)) >= MIN_VIEWS and (leave_out or found.inconsistent):
         left_out = leave_one_out(bundle, refined.parameters, loss)
-    final = enlarged(estimate)
-    require_constrained(refined.parameters, final.names, final.covariance)
     everything = np.concatenate(used)
     whole = bundle if everything.all() else replace(bundle, observations=Observations.from_views(views))
-    return Fit(model, views, kept, bundle, refined, loss, whole, everything, final, left_out)
+    return Fit(model, views, bundle, refined, loss, whole, everything, found, left_out)
 
 
 def _constrained(
     views: Sequence[View], bundle: Bundle, refined: Refinement[AdjustmentParameters], loss: Loss
 ) -> Uncertainty:
-    """Refuse views that do not constrain the camera; else return the uncertainty if the model is right."""
+    """Refuse views that do not constrain the camera; else return the uncertainty."""
     parameters = refined.parameters
     try:
-        estimate = covariance_at_optimum(bundle, parameters, loss)
-        require_constrained(parameters, bundle.names, estimate.covariance)
+        found = covariance_at_optimum(bundle, parameters, loss)
+        require_constrained(parameters, found.sigma)
     except DegenerateViews as error:
         why = explain_weak_geometry(views, parameters)
         raise DegenerateViews(f"{error.what} {why}".strip(), remedy=error.remedy) from error
@@ -113,7 +108,7 @@ def _constrained(
             f"The adjustment did not converge within {refined.iterations} steps. {why}".strip(),
             remedy="Add views from other angles, or estimate fewer distortion coefficients.",
         )
-    return estimate
+    return found
 
 
 #: Limit of the robust loss in robust standard deviations per axis, and the number of times it is estimated again.
@@ -130,13 +125,12 @@ def refine_robustly(
     each robust optimum. The result therefore depends on the data only, not on the start. Own procedure: sigma is the
     median length of the residuals over 1.1774 = sqrt(2 ln 2), that of a two-dimensional standard normal vector.
     """
-    name = options.loss or "huber"
-    given = None if options.huber_px is None else options.huber_px * bundle.observations.sigmas_per_px
-    loss = Loss("l2") if given is None else Loss(name, given)
+    name, loss = options.loss or "huber", Loss("l2")
+    if name != "l2" and options.huber_px is not None:
+        loss = Loss(name, options.huber_px * bundle.observations.sigmas_per_px)
     refined = refine(bundle, start, loss, options.max_iterations)
     iterations = refined.iterations
-    robust = name != "l2" and given is None
-    for _ in range(_LIMIT_ROUNDS if robust else 0):
+    for _ in range(_LIMIT_ROUNDS if loss.name != name else 0):
         residuals = bundle.weighted_residuals(refined.parameters)
         spread = median(lengths(residuals)) / RAYLEIGH_MEDIAN
         if not spread > 0:
@@ -207,8 +201,8 @@ def summarize(fitted: Fit) -> Calibration:
         iterations=fitted.refined.iterations,
         rotation_covariance=rotation_covariance(fitted.bundle, parameters, uncertainty),
         budget={
-            source: dict(replace(uncertainty, covariance=part).sigma)
-            for source, part in uncertainty.parts.items()
+            source: {name: share**0.5 * sigma for name, sigma in uncertainty.sigma.items()}
+            for source, share in uncertainty.shares.items()
         },
         notes=_notes(fitted),
         poses=whole.poses or (),
@@ -222,18 +216,15 @@ def _budget_rows(camera: CameraModel, uncertainty: Uncertainty) -> tuple[BudgetR
     gradients = np.zeros((len(ROW_QUANTITIES), len(uncertainty.names)))
     gradients[range(4), range(4)] = 1.0
     gradients[4, :size] = worst_point(camera, uncertainty.covariance[:size, :size])
-    variances = {
-        source: np.maximum(np.einsum("qg,gh,qh->q", gradients, part, gradients), 0.0)
-        for source, part in uncertainty.parts.items()
-    }
-    total = sum(variances.values(), start=np.zeros(len(gradients)))
+    total = np.maximum(np.einsum("qg,gh,qh->q", gradients, uncertainty.covariance, gradients), 0.0)
     return tuple(
-        BudgetRow.of(source, "A", _SOURCES[source], part, total) for source, part in variances.items()
+        BudgetRow.of(source, "A", _SOURCES[source], share * total, total)
+        for source, share in uncertainty.shares.items()
     )
 
 
 def _notes(fitted: Fit) -> tuple[str, ...]:
-    """Return notes for the reader: a weak focal length, views that disagree, and doubts about some of them."""
+    """Return notes for the reader: a weak focal length, and views that disagree."""
     notes, sigma, camera = [], fitted.uncertainty.sigma, fitted.parameters.camera
     relative = {"fx": sigma["fx"] / camera.fx, "fy": sigma["fy"] / camera.fy}
     name = max(relative, key=lambda focal: relative[focal])
@@ -247,4 +238,4 @@ def _notes(fitted: Fit) -> tuple[str, ...]:
             f"are enlarged by this ratio. The {fitted.model} model is for comparison; the joint adjustment describes "
             "such errors."
         )
-    return (*notes, *filter(None, [check_image_size(fitted.kept, camera, (sigma["cx"], sigma["cy"]))]))
+    return tuple(notes)

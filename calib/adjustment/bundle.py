@@ -75,7 +75,7 @@ class Bundle:
         residuals = self.weighted_residuals(parameters)
         influence = residuals * loss.weights(lengths(residuals))[:, None]
         slopes = curving = self.derivatives(parameters)
-        if curved and loss.is_robust:
+        if curved and loss.name != "l2":
             curving = mapped(loss.curvature_root(residuals), slopes)
         bent = self.observations.by_view(curving)
         steep = bent if curving is slopes else self.observations.by_view(slopes)
@@ -190,19 +190,14 @@ def mapped(matrices: Array, rows: Array) -> Array:
 
 
 def _whitening(covariances: Array) -> Array:
-    """Return (N, 2, 2) the inverses of the Cholesky factors of (N, 2, 2) covariances, written out."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        first = 1.0 / np.sqrt(covariances[:, 0, 0])
-        lower = covariances[:, 1, 0] * first
-        second = 1.0 / np.sqrt(covariances[:, 1, 1] - lower * lower)
-    found = np.zeros_like(covariances)
-    found[:, 0, 0], found[:, 1, 0], found[:, 1, 1] = first, -lower * first * second, second
-    if not np.isfinite(found).all():
+    """Return (N, 2, 2) the inverses of the Cholesky factors of (N, 2, 2) covariances."""
+    try:
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariances)))
+    except np.linalg.LinAlgError as error:
         raise InputMismatch(
             "A star's covariance is not positive definite.",
             remedy="Use unit covariances if they are unknown.",
-        )
-    return found
+        ) from error
 
 
 def _stacked(counts: Sequence[int]) -> tuple[tuple[slice, ...], Ints]:

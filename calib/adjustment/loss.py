@@ -16,45 +16,35 @@ LossName = Literal["l2", "huber", "cauchy"]
 class Loss:
     """A cost rho of the length e of a weighted residual, quadratic near zero.
 
-    Above it is linear (huber) or logarithmic (cauchy); ``l2`` is e^2 / 2. Huber (1964) is the loss of arXiv:2512.16092,
-    eq. 7, divided by two. The loss leaves the parabola at the length ``limit``, in standard deviations.
+    Above it is linear (huber) or logarithmic (cauchy); ``l2`` is e^2 / 2, as huber without a limit. Huber (1964) is the
+    loss of arXiv:2512.16092, eq. 7, divided by two. The loss leaves the parabola at the length ``limit``, in standard
+    deviations.
     """
 
     name: LossName
-    limit: float = float("inf")
-
-    @property
-    def is_robust(self) -> bool:
-        """Whether the loss leaves the parabola anywhere."""
-        return self.name != "l2" and bool(np.isfinite(self.limit))
+    limit: float = np.inf
 
     def costs(self, lengths: Array) -> Array:
         """Return the costs of (N,) lengths of weighted residuals.
 
         ``huber``: Huber (1964). ``cauchy``: Holland and Welsch (1977), limit^2 / 2 log(1 + (e / limit)^2).
         """
-        if not self.is_robust:
-            return np.asarray(0.5 * lengths**2)
-        if self.name == "huber":
-            inside = np.minimum(lengths, self.limit)
-            return np.asarray(inside * (lengths - 0.5 * inside))
-        return np.asarray(0.5 * self.limit**2 * np.log1p((lengths / self.limit) ** 2))
+        if self.name == "cauchy":
+            return np.asarray(0.5 * self.limit**2 * np.log1p((lengths / self.limit) ** 2))
+        inside = np.minimum(lengths, self.limit)
+        return np.asarray(inside * (lengths - 0.5 * inside))
 
     def weights(self, lengths: Array) -> Array:
         """Return (N,) weights rho'(e) / e, 0 to 1, of (N,) lengths (Huber, 1964; Holland and Welsch, 1977)."""
-        if not self.is_robust:
-            return np.ones_like(lengths)
-        if self.name == "huber":
-            return np.asarray(self.limit / np.maximum(lengths, self.limit))
-        return np.asarray(1.0 / (1.0 + (lengths / self.limit) ** 2))
+        if self.name == "cauchy":
+            return np.asarray(1.0 / (1.0 + (lengths / self.limit) ** 2))
+        return np.divide(self.limit, lengths, out=np.ones_like(lengths), where=lengths > self.limit)
 
     def second_derivatives(self, lengths: Array) -> Array:
         """Return (N,) rho''(e) along the residuals (losses as in `costs`); negative where Cauchy's is concave."""
-        if not self.is_robust:
-            return np.ones_like(lengths)
-        if self.name == "huber":
-            return np.where(lengths <= self.limit, 1.0, 0.0)
-        return np.asarray((1.0 - (lengths / self.limit) ** 2) * self.weights(lengths) ** 2)
+        if self.name == "cauchy":
+            return np.asarray((1.0 - (lengths / self.limit) ** 2) * self.weights(lengths) ** 2)
+        return np.where(lengths <= self.limit, 1.0, 0.0)
 
     def curvature_root(self, residuals: Array) -> Array:
         """Return the (2, 2, N) square roots of the second derivatives of rho in the plane of (N, 2) residuals.

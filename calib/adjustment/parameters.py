@@ -6,7 +6,7 @@ Views that do not constrain a camera are recognised by the computed uncertaintie
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -112,11 +112,10 @@ def require_distinct_poses(parameters: AdjustmentParameters) -> None:
         )
 
 
-def require_constrained(parameters: AdjustmentParameters, names: Sequence[str], covariance: Array) -> None:
+def require_constrained(parameters: AdjustmentParameters, sigmas: Mapping[str, float]) -> None:
     """Refuse a focal length with a 1-sigma over 5 % (own limit)."""
-    sigmas = dict(zip(names, np.sqrt(np.diag(covariance)), strict=True))
     for name, value in (("fx", parameters.camera.fx), ("fy", parameters.camera.fy)):
-        if name in sigmas and not sigmas[name] <= MAX_FOCAL_SIGMA * value:
+        if not sigmas[name] <= MAX_FOCAL_SIGMA * value:
             share = 200.0 * sigmas[name] / value
             raise DegenerateViews(
                 f"These views determine {name} only to ±{share:.0f} % (k = 2).",

@@ -124,7 +124,8 @@ def published_recipe(views: Sequence[View], options: CalibrationOptions) -> Meth
         )
     left_out = leave_one_out(bundle, parameters, loss) if len(views) >= MIN_VIEWS else None
     lengths = _rms_and_mean(bundle, parameters)
-    return MethodResult(_PUBLISHED, parameters.camera, estimate.sigma, *lengths, left_out)
+    sigma = replace(estimate, inconsistent=False).sigma  # not enlarged
+    return MethodResult(_PUBLISHED, parameters.camera, sigma, *lengths, left_out)
 
 
 def _rms_and_mean(bundle: Bundle, parameters: AdjustmentParameters) -> tuple[float, float]:

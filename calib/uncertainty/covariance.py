@@ -38,19 +38,31 @@ class Uncertainty:
     """Covariance of the shared parameters."""
 
     names: tuple[str, ...]
-    covariance: Array  # (G, G) float64 covariance, in the order of the names
+    nominal: Array  # (G, G) float64 covariance if the model is right, in the order of the names
     variance_factor: float  # Estimated variance of a component of the weighted residuals
     degrees_of_freedom: int
+    views_freedom: int  # Degrees of freedom of the comparison of the views
     # How many times more than star noise explains the estimates of the views differ (Birge, 1932); 1 is
     # agreement.
     birge_ratio: float
     # Whether the ratio is more than chance allows; the covariance is then enlarged.
     inconsistent: bool
-    # Degrees of freedom of the covariance: those of the stars if the views are consistent, else those of the
-    # views.
-    effective_degrees_of_freedom: float
-    # (G, G) float64 covariances of the parameters by source; they add up to the covariance.
-    parts: Mapping[str, Array]
+
+    @property
+    def growth(self) -> float:
+        """Square of the Birge ratio (Birge, 1932) if the views are inconsistent, else 1."""
+        return self.birge_ratio**2 if self.inconsistent else 1.0
+
+    @property
+    def covariance(self) -> Array:
+        """(G, G) float64 covariance, enlarged if the views are inconsistent."""
+        return self.growth * self.nominal
+
+    @property
+    def shares(self) -> Mapping[str, float]:
+        """Share of the covariance by source."""
+        stars = 1.0 / self.growth
+        return {STARS: stars, POSE_FIELDS: 1.0 - stars} if self.inconsistent else {STARS: stars}
 
     @property
     def sigma(self) -> Mapping[str, float]:
@@ -60,8 +72,11 @@ class Uncertainty:
 
     @property
     def coverage_factor(self) -> float:
-        """The k for which value +- k sigma covers 95.45 % (Student's distribution; JCGM 100:2008, annex G)."""
-        return coverage_factor(self.effective_degrees_of_freedom)
+        """The k for which value +- k sigma covers 95.45 % (Student's distribution; JCGM 100:2008, annex G).
+
+        Degrees of freedom are those of the stars if the views are consistent, else those of the views.
+        """
+        return coverage_factor(self.views_freedom if self.inconsistent else self.degrees_of_freedom)
 
 
 def coverage_factor(degrees_of_freedom: float) -> float:
@@ -75,7 +90,7 @@ def coverage_factor(degrees_of_freedom: float) -> float:
 
 
 def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> Uncertainty:
-    """Return the covariance, not enlarged yet, of shared parameters, if the model is right (Huber, 1981, chapter 7).
+    """Return the covariance of shared parameters (Huber, 1981, chapter 7).
 
     The Birge ratio of the views is tested by an F test.
     Raises DegenerateViews: If there are no more measurements than parameters, or a parameter is not constrained.
@@ -98,22 +113,20 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
     variance = float((influence**2).sum() / freedom)
     factor = variance / float(slope) ** 2
     inverse = inverse_information(views.information.sum(axis=0), bundle.names)
-    covariance = factor * inverse
     ratio, views_freedom = _birge(bundle, views, variance)
     limit = special.fdtri(views_freedom, freedom, 1.0 - _FALSE_ALARMS) if views_freedom > 0 else np.inf
     return Uncertainty(
         bundle.names,
-        covariance,
+        factor * inverse,
         factor,
         freedom,
+        views_freedom,
         birge_ratio=float(np.sqrt(ratio)),
         inconsistent=bool(ratio > limit),
-        effective_degrees_of_freedom=float(views_freedom if ratio > limit else freedom),
-        parts={STARS: covariance},
     )
 
 
-def rotation_covariance(bundle: Bundle, parameters: AdjustmentParameters, nominal: Uncertainty) -> Array:
+def rotation_covariance(bundle: Bundle, parameters: AdjustmentParameters, found: Uncertainty) -> Array:
     """Return the joint (3 n, 3 n) covariance of the rotation vectors of all views on the camera's side, rad^2.
 
     It holds the star noise of each view, and the shared uncertainty of camera and collimator. Own derivation from the
@@ -121,26 +134,13 @@ def rotation_covariance(bundle: Bundle, parameters: AdjustmentParameters, nomina
     the local parameters, S their coupling to the shared ones, C the covariance of the shared ones, and v the variance
     of star noise. Then the covariance is v L^-1 + L^-1 S^T C S L^-1.
     """
-    whole = replace(bundle, names=nominal.names)
-    equations = whole.equations(parameters, Loss("l2"))
-    growth = nominal.birge_ratio if nominal.inconsistent else 1.0
+    equations = bundle.equations(parameters, Loss("l2"))
     inverse = np.linalg.inv(equations.local)
-    answer = -(inverse @ equations.coupling)[:, :3].reshape(-1, len(nominal.names))
-    joint = answer @ nominal.covariance @ answer.T
+    answer = -(inverse @ equations.coupling)[:, :3].reshape(-1, len(found.names))
+    joint = answer @ found.covariance @ answer.T
     for i, own in enumerate(inverse[:, :3, :3]):
-        joint[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += growth**2 * nominal.variance_factor * own
+        joint[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += found.growth * found.variance_factor * own
     return np.asarray(joint)
-
-
-def enlarged(nominal: Uncertainty) -> Uncertainty:
-    """Return the uncertainty, multiplied by the Birge ratio (Birge, 1932) if the views are inconsistent."""
-    if not nominal.inconsistent:
-        return nominal
-    growth = nominal.birge_ratio**2
-    added = (growth - 1.0) * nominal.covariance
-    return replace(
-        nominal, covariance=growth * nominal.covariance, parts={**nominal.parts, POSE_FIELDS: added}
-    )
 
 
 def _birge(bundle: Bundle, views: ViewScores, variance: float) -> tuple[float, int]:
