@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from calib.arrays import Array, Array32, Bytes, EventArrays, Ints
 from calib.boards.board import Board
-from calib.boards.detect import located_view
+from calib.boards.detect import find_points, located_view
 from calib.errors import FlickerNotFound, TargetNotFound, TooFewEvents, placed
 from calib.model.homography import apply_homography
 from calib.model.local_consistency import local_spacing
@@ -261,11 +261,10 @@ def _grid_of_dots(centres: Array, size: tuple[int, int]) -> Ints | None:
     picture = np.full((height, width), 255, np.uint8)
     for x, y in np.round(drawn).astype(int).tolist():
         cv2.circle(picture, (x, y), _DRAWN_PITCH // 4, 0, -1)
-    flags = cv2.CALIB_CB_SYMMETRIC_GRID | cv2.CALIB_CB_CLUSTERING
-    ok, found = cv2.findCirclesGrid(picture, size, flags=flags)
-    if not ok:
+    found = find_points(picture, Board("circles", *size, 1.0))
+    if found is None:
         return None
-    away = np.linalg.norm(np.asarray(found).reshape(-1, 1, 2) - drawn[None], axis=2)
+    away = np.linalg.norm(found[:, None] - drawn[None], axis=2)
     return np.asarray(away.argmin(axis=1), np.int64).reshape(size[1], size[0])
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 
@@ -42,44 +43,42 @@ class Board:
     frequencies_hz: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        what, remedy = self._fault()
-        if not what and self.kind == "blinking-dots" and not self.frequencies_hz:
+        for what, remedy in self._faults():
+            raise InputMismatch(what, where="board", remedy=remedy)
+        if self.kind == "blinking-dots" and not self.frequencies_hz:
             count = self.columns * self.rows
             object.__setattr__(self, "frequencies_hz", tuple(np.linspace(FIRST_HZ, LAST_HZ, count).tolist()))
-        what, remedy = (what, remedy) if what else self._fault_of_frequencies()
-        if what:
-            raise InputMismatch(what, where="board", remedy=remedy)
 
-    def _fault(self) -> tuple[str, str]:
-        """Return why there is no such board, and what to do; empty if there is."""
+    def _faults(self) -> Iterator[tuple[str, str]]:
+        """Yield why there is no such board, and what to do."""
         if self.kind not in KINDS:
-            return f"There is no board {self.kind!r}.", f"Known boards: {', '.join(KINDS)}."
+            yield f"There is no board {self.kind!r}.", f"Known boards: {', '.join(KINDS)}."
         if not (_FEWEST <= self.columns <= _MOST and _FEWEST <= self.rows <= _MOST):
-            return (
-                f"A board of {self.columns} x {self.rows} points cannot be found.",
+            what = f"A board of {self.columns} x {self.rows} points cannot be found."
+            yield (
+                what,
                 f"Give {_FEWEST} to {_MOST} points along each side. Of a checkerboard count the inner corners.",
             )
         if not 0.001 <= self.pitch_mm <= 10_000.0:
-            return f"The points are {self.pitch_mm:g} mm apart.", "Give 0.001 to 10000 mm."
-        return "", ""
-
-    def _fault_of_frequencies(self) -> tuple[str, str]:
-        """Return why the frequencies do not identify the dots, and what to do; empty if they do."""
+            yield f"The points are {self.pitch_mm:g} mm apart.", "Give 0.001 to 10000 mm."
         given, count = self.frequencies_hz, self.columns * self.rows
+        if not given:
+            return
         if self.kind != "blinking-dots":
-            has = f"A board of the kind {self.kind} has no frequencies."
-            return (has, "Leave them out, or use blinking-dots.") if given else ("", "")
+            what = f"A board of the kind {self.kind} has no frequencies."
+            yield what, "Leave them out, or use blinking-dots."
         if len(given) != count:
-            what = f"{len(given)} frequencies are given for {count} dots."
-            return what, "Give one for each dot, row by row."
+            yield (
+                f"{len(given)} frequencies are given for {count} dots.",
+                "Give one for each dot, row by row.",
+            )
         if not all(_LOWEST_HZ <= one <= _HIGHEST_HZ for one in given):
             what = f"The frequencies go from {min(given):g} to {max(given):g} Hz."
-            return what, f"Give {_LOWEST_HZ:g} to {_HIGHEST_HZ:g} Hz."
+            yield what, f"Give {_LOWEST_HZ:g} to {_HIGHEST_HZ:g} Hz."
         different = np.unique(given)
         if len(different) < 2 or (np.diff(different) / different[:-1]).min() < _LEAST_STEP:
             what = f"The frequencies of the dots differ by less than {100 * _LEAST_STEP:g} %."
-            return what, "Give frequencies that are farther apart, or the same one to several dots."
-        return "", ""
+            yield what, "Give frequencies that are farther apart, or the same one to several dots."
 
     @classmethod
     def parse(cls, text: str) -> Board:
@@ -103,11 +102,10 @@ class Board:
                 remedy="Write KIND:COLUMNSxROWS:PITCHmm, such as checkerboard:11x7:20mm (count the inner corners), "
                 "circles:9x6:25mm or blinking-dots:9x6:25mm@50-150Hz.",
             )
-        kind = next((known for known in KINDS if known == found[1]), found[1])
         columns, rows, frequencies = int(found[2]), int(found[3]), ()
         if found[5] is not None:
             frequencies = tuple(np.linspace(float(found[5]), float(found[6]), columns * rows).tolist())
-        return cls(kind, columns, rows, float(found[4]), frequencies)  # type: ignore[arg-type]  # checked above
+        return cls(cast("Kind", found[1]), columns, rows, float(found[4]), frequencies)
 
     @property
     def nodes(self) -> Ints:

@@ -66,17 +66,14 @@ class Seen:
 
         Own estimate: the homography's change of scale from side to side of the image; it needs no focal length.
         """
-        low, high = self.points_px.min(axis=0), self.points_px.max(axis=0)
+        (left, upper), (right, lower) = self.points_px.min(axis=0), self.points_px.max(axis=0)
         back = np.linalg.inv(fit_homography(board.nodes.astype(np.float64), self.points_px))
-        x, y = (low + high) / 2
-        found = set()
-        ends = np.array([[low[0], y], [high[0], y], [x, low[1]], [x, high[1]]])
+        x, y = (left + right) / 2, (upper + lower) / 2
+        ends = np.array([[left, y, 1.0], [right, y, 1.0], [x, upper, 1.0], [x, lower, 1.0]])
         # The depth of the plane at an image point p is 1 / (b . p), with the last row b of the inverse homography.
-        depth = 1.0 / np.abs(np.column_stack([ends, np.ones(4)]) @ back[2])
-        for one, other in ((0, 1), (2, 3)):
-            if abs(depth[one] / depth[other] - 1.0) > TILTED:
-                found.add(_SIDES[one if depth[one] < depth[other] else other])
-        return frozenset(found)
+        one, other = (1.0 / np.abs(ends @ back[2])).reshape(2, 2).T
+        nearer = np.where(one < other, _SIDES[::2], _SIDES[1::2])
+        return frozenset(nearer[np.abs(one / other - 1.0) > TILTED].tolist())
 
 
 def shift_px(one: Seen, other: Seen, board: Board) -> float:

@@ -90,13 +90,13 @@ def find_board(grey: Bytes, board: Board) -> Array:
 
     Checkerboards: Duda and Frese (2018), as OpenCV has it. Circles: OpenCV's ``findCirclesGrid``.
     """
-    found = _found(grey, board)
+    found = find_points(grey, board)
     if found is None:
         raise TargetNotFound(f"No {board.words} was found.", remedy=_remedy(grey, board))
     return found
 
 
-def _found(grey: Bytes, board: Board) -> Array | None:
+def find_points(grey: Bytes, board: Board) -> Array | None:
     """Return (N, 2) points of the board, bright on dark or dark on bright, or None."""
     size = (board.columns, board.rows)
     if board.kind == "checkerboard":  # its finder takes either contrast
@@ -159,7 +159,7 @@ def _refuse_second(grey: Bytes, points: Array, board: Board) -> None:
     painted = grey.copy()
     outline = np.asarray(np.round(middle + share * (hull - middle)), np.int32)
     cv2.fillConvexPoly(painted, outline, int(np.median(grey)))
-    if _found(painted, board) is not None:
+    if find_points(painted, board) is not None:
         raise TargetNotFound(
             f"The image shows two boards: a second {board.words} was found.", remedy="Leave only one in view."
         )

@@ -8,7 +8,8 @@ the points and the principal point.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Sequence
+from itertools import combinations
 
 import numpy as np
 
@@ -48,10 +49,13 @@ def find_duplicates(views: Sequence[View]) -> list[str]:
     the common stars per axis is below half of sqrt(2) times the noise that neighbouring stars show.
     """
     found = []
-    for one, other in _alike(views):
-        _, here, there = np.intersect1d(one.ids, other.ids, return_indices=True)
-        apart = one.points_px[here] - other.points_px[there]
-        rms = rms_length(apart)
+    for one, other in combinations(views, 2):
+        _, here, there = np.intersect1d(one.ids, other.ids, assume_unique=True, return_indices=True)
+        if len(here) < max(_FEWEST, _COMMON_SHARE * min(len(one), len(other))):
+            continue
+        rms = rms_length(one.points_px[here] - other.points_px[there])
+        if rms > _NEAR_PX:
+            continue
         both, stars = f"Views {one.name} and {other.name}", f"their {len(here)} common stars"
         if rms <= SAME_PX:
             found.append(
@@ -66,24 +70,6 @@ def find_duplicates(views: Sequence[View]) -> list[str]:
                 f"would ({1.4142 * noise:.2g} px per axis). Check that one recording was not used twice."
             )
     return found
-
-
-def _alike(views: Sequence[View]) -> Iterator[tuple[View, View]]:
-    """Yield the pairs of views that show many of the same stars at about the same points; most pairs do not."""
-    known = np.unique(np.concatenate([view.ids for view in views]))
-    points = np.full((2, len(views), len(known)), np.nan)
-    for i, view in enumerate(views):
-        points[:, i, np.searchsorted(known, view.ids)] = view.points_px.T
-    stars = np.array([len(view) for view in views])
-    for i in range(len(views) - 1):
-        x, y = points[:, i + 1 :] - points[:, i, None]
-        squares = x * x + y * y
-        common = np.isfinite(squares)
-        count = common.sum(axis=1)
-        enough = count >= np.maximum(_FEWEST, _COMMON_SHARE * np.minimum(stars[i], stars[i + 1 :]))
-        near = np.where(common, squares, 0.0).sum(axis=1) <= _NEAR_PX**2 * count
-        for j in np.flatnonzero(enough & near).tolist():
-            yield views[i], views[i + 1 + j]
 
 
 Size = tuple[int, int]
@@ -182,7 +168,8 @@ def require_points_inside(views: Sequence[View]) -> None:
             continue
         beyond = np.maximum(view.points_px - limit, -_OUTSIDE_PX - view.points_px).max(axis=1)
         x, y = view.points_px[int(beyond.argmax())]
-        size = _holding(_reached(views), views)
+        before = min(view.points_px.min() for view in views) < -_OUTSIDE_PX
+        size = None if before else _known_size(_reached(views), 2.0 * _NEAR_BORDER)
         hint = f" The points fit into {size[0]} x {size[1]}." if size else ""
         raise InputMismatch(
             f"{np.count_nonzero(outside)} of {len(view)} stars lie outside of the stated image size "
@@ -204,16 +191,13 @@ def check_image_size(views: Sequence[View], camera: CameraModel, sigma_px: tuple
     away = np.abs(point - (size - 1) / 2)
     if not (away - 4.0 * np.array(sigma_px) > _FAR_FROM_MIDDLE * size).any():
         return ""
+
+    def explains(known: Array) -> bool:
+        near = np.abs(point - (known - 1) / 2) < _NEAR_MIDDLE * known
+        return bool((near & (known <= size)).all())
+
     reached = _reached(views)
-    explained = [
-        one
-        for one in KNOWN_SIZES
-        if (np.array(one) <= size).all()
-        and (reached <= np.array(one) - 1.0 + _OUTSIDE_PX).all()
-        and (np.array(one) - reached < _NEAR_BORDER * np.array(one)).all()
-        and (np.abs(point - (np.array(one) - 1) / 2) < _NEAR_MIDDLE * np.array(one)).all()
-    ]
-    plausible = min(explained, key=lambda one: one[0] * one[1], default=None)
+    plausible = _known_size(reached, _NEAR_BORDER, explains)
     text = (
         f"The principal point lies {np.hypot(*away):.0f} px from the middle of the stated image size "
         f"{views[0].image_size[0]} x {views[0].image_size[1]}, and no point lies beyond x = {reached[0]:.0f} and "
@@ -229,12 +213,13 @@ def _reached(views: Sequence[View]) -> Array:
     return np.asarray(np.max([view.points_px.max(axis=0) for view in views], axis=0))
 
 
-def _holding(reached: Array, views: Sequence[View]) -> Size | None:
-    """Return the smallest known size that holds all points closely; None if there is none."""
-    if min(view.points_px.min() for view in views) < -_OUTSIDE_PX:
-        return None
-    holding = [one for one in KNOWN_SIZES if (reached <= np.array(one) - 1.0 + _OUTSIDE_PX).all()]
-    smallest = min(holding, key=lambda one: one[0] * one[1], default=None)
-    if smallest is None or not (np.array(smallest) - reached < 2.0 * _NEAR_BORDER * np.array(smallest)).all():
-        return None
-    return smallest
+def _known_size(
+    reached: Array, share: float, explains: Callable[[Array], bool] = lambda _known: True
+) -> Size | None:
+    """Return the smallest known size that explains the views, and whose border they reach to a share of it, or None."""
+    for size in sorted(KNOWN_SIZES, key=lambda one: one[0] * one[1]):
+        known = np.array(size, float)
+        close = (reached <= known - 1.0 + _OUTSIDE_PX) & (known - reached < share * known)
+        if close.all() and explains(known):
+            return size
+    return None

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -144,36 +145,34 @@ def _regions(
     places: Array, length: Array, expanded: Array, image_size: Sequence[int]
 ) -> tuple[RegionCheck, ...]:
     """Return the worst place of each of the nine parts of the sensor; a part without a ray is left out."""
-    cell = np.minimum((places / np.array(image_size) * _REGIONS).astype(int), _REGIONS - 1)
+    column, row = np.minimum((places / np.array(image_size) * _REGIONS).astype(int), _REGIONS - 1).T
     found = []
-    for row, of_row in enumerate(_ROWS):
-        for column, of_column in enumerate(_COLUMNS):
-            here = np.flatnonzero((cell[:, 0] == column) & (cell[:, 1] == row))
-            if len(here):
-                worst = here[np.argmax(length[here] / expanded[here])]
-                x, y = places[worst].tolist()
-                name = f"{of_row} {of_column}"
-                found.append(RegionCheck(name, (x, y), float(length[worst]), float(expanded[worst])))
+    for number, (of_row, of_column) in enumerate(product(_ROWS, _COLUMNS)):
+        here = np.flatnonzero(_REGIONS * row + column == number)
+        if len(here):
+            worst = here[np.argmax(length[here] / expanded[here])]
+            x, y = places[worst].tolist()
+            name = f"{of_row} {of_column}"
+            found.append(RegionCheck(name, (x, y), float(length[worst]), float(expanded[worst])))
     return tuple(found)
 
 
 def _shares(camera: CameraModel, slope: Array, offset: Array) -> dict[str, float]:
     """Return the share of the squared change that a change of one kind explains, by least squares."""
-    names = camera.parameter_names
-    flat, total = offset.ravel(), float((offset**2).sum())
-    by_name = {name: slope[:, :, at].ravel() for at, name in enumerate(names)}
-    kinds = {
-        "scale": [by_name["fx"] * camera.fx + by_name["fy"] * camera.fy],
-        "principal point": [by_name["cx"], by_name["cy"]],
-        "lens": [by_name[name] for name in names if name not in PINHOLE],
-    }
+    flat, single = offset.ravel(), np.eye(len(camera.values))
+    kinds = {"scale": _scaled(camera)[None], "principal point": single[2:4], "lens": single[4:]}
     shares = {}
-    for kind, columns in kinds.items():
-        if columns and total > 0:
-            basis = np.stack(columns, axis=1)
+    for kind, changes in kinds.items():
+        if len(changes) and flat.any():
+            basis = (slope @ changes.T).reshape(len(flat), -1)
             left = flat - basis @ np.linalg.lstsq(basis, flat, rcond=None)[0]
-            shares[kind] = 1.0 - float(left @ left) / total
+            shares[kind] = 1.0 - float(left @ left) / float(flat @ flat)
     return shares
+
+
+def _scaled(camera: CameraModel) -> Array:
+    """Return the (K,) change of the parameters of a camera that is larger by a share."""
+    return np.append([camera.fx, camera.fy], np.zeros(len(camera.values) - 2))
 
 
 #: Changes of the camera that a pose imitates to this share of their effect are not judged.
@@ -303,13 +302,12 @@ def _judge(
 
 def _seen_from(camera: CameraModel, moved: Array, inverse: Array, limit: float) -> dict[str, float]:
     """Return the least change of each kind that reaches the limit by itself."""
-    names = camera.parameter_names
-    kinds = {"scale": np.array([{"fx": camera.fx, "fy": camera.fy}.get(name, 0.0) for name in names])}
-    kinds |= {name: np.eye(len(names))[at] for at, name in enumerate(names) if name not in PINHOLE[:2]}
+    single = dict(zip(camera.parameter_names, np.eye(len(camera.values)), strict=True))
     found = {}
-    for kind, change in kinds.items():
+    for kind, change in {"scale": _scaled(camera), **single}.items():
         squares = float(moved @ change @ inverse @ (moved @ change))
-        found[kind] = float(np.sqrt(limit / squares)) if squares > 0 else np.inf
+        if kind not in PINHOLE[:2]:
+            found[kind] = float(np.sqrt(limit / squares)) if squares > 0 else np.inf
     return found
 
 
