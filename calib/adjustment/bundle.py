@@ -46,10 +46,9 @@ class Bundle:
 
     def thinned(self, stars: int) -> Bundle:
         """Return a bundle with fewer stars, evenly spread; views with fewer than twice as many stars keep all."""
-        obs = self.observations
-        steps = np.maximum(1, obs.stars // stars).tolist()
-        kept = [np.arange(rows.start, rows.stop, step) for rows, step in zip(obs.slices, steps, strict=True)]
-        return replace(self, observations=obs.part(kept))
+        every = [np.arange(rows.start, rows.stop) for rows in self.observations.slices]
+        kept = [rows[:: max(1, len(rows) // stars)] for rows in every]
+        return replace(self, observations=self.observations.part(kept))
 
     def residuals_px(self, parameters: AdjustmentParameters) -> Array:
         """Return (N, 2) found minus predicted, px; NaN if it cannot be projected (arXiv:2512.16092, eq. 6, negated)."""
@@ -77,11 +76,12 @@ class Bundle:
         slopes = curving = self.derivatives(parameters)
         if curved and loss.name != "l2":
             curving = mapped(loss.curvature_root(residuals), slopes)
-        bent = self.observations.by_view(curving)
-        steep = bent if curving is slopes else self.observations.by_view(slopes)
-        pulled = self.observations.by_view(influence.T[None])
-        right = (steep @ np.swapaxes(pulled, 1, 2))[:, :, 0]
-        return ViewEquations(bent @ np.swapaxes(bent, 1, 2), right, len(self.names))
+        normal, right = [], []
+        for rows in self.observations.slices:
+            bent, steep = (each[:, :, rows].reshape(len(each), -1) for each in (curving, slopes))
+            normal.append(bent @ bent.T)
+            right.append(steep @ influence[rows].T.ravel())
+        return ViewEquations(np.array(normal), np.array(right), len(self.names))
 
     def rounding(self, cost: float) -> float:
         """Return how much rounding of the image points changes the cost.
@@ -143,11 +143,6 @@ class Observations:
         )
 
     @cached_property
-    def stars(self) -> Ints:
-        """(n,) int64 number of stars of each view."""
-        return np.array([rows.stop - rows.start for rows in self.slices], np.int64)
-
-    @cached_property
     def farthest_px(self) -> float:
         """Largest coordinate of an image point, px."""
         return float(np.abs(self.points_px).max())
@@ -161,17 +156,6 @@ class Observations:
     def factors(self) -> Array:
         """(2, 2, N) float64 the whitening as contiguous rows over the stars, for `mapped`."""
         return np.ascontiguousarray(self.whitening.transpose(1, 2, 0))
-
-    @cached_property
-    def _places(self) -> Ints:
-        """(N,) int64 place of each row in its view."""
-        return np.concatenate([np.arange(count) for count in self.stars])
-
-    def by_view(self, values: Array) -> Array:
-        """Return values (G, 2, N) of the rows as (n, G, 2 M): those of each view, and zeros up to the most stars."""
-        found = np.zeros((len(self.stars), len(values), 2, int(self.stars.max())))
-        found[self.view, :, :, self._places] = values.transpose(2, 0, 1)
-        return found.reshape(len(found), len(values), -1)
 
     def part(self, rows: Sequence[Ints]) -> Observations:
         """Return observations of one view for each entry of `rows`: its row indices, (N_i,) int64."""

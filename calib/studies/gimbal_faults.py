@@ -66,12 +66,6 @@ class Scatter:
         root = np.linalg.inv(self.whitening)
         return np.asarray(root @ root.T)
 
-    @property
-    def excess(self) -> float:
-        """Mean variance of a component of a rotation that the stated covariance does not contain, rad^2."""
-        root = np.linalg.inv(self.basis.T)
-        return self.variance * float((root**2).sum(axis=1).mean())
-
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
@@ -85,7 +79,10 @@ class Explanation:
     @property
     def excess_rad(self) -> float:
         """Scatter of each component of a rotation that the stated covariance does not explain, 1 sigma, rad, or 0."""
-        return float(np.sqrt(self.scatter.excess)) if self.scattered else 0.0
+        if not self.scattered:
+            return 0.0
+        root = np.linalg.inv(self.scatter.basis.T)
+        return float(np.sqrt(self.scatter.variance * (root**2).sum(axis=1).mean()))
 
     @cached_property
     def covariance(self) -> Array:

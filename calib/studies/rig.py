@@ -161,12 +161,10 @@ def through_collimator(
     pairs = second.rotations[b] @ np.swapaxes(first.rotations[a], 1, 2)
     start = nearest_rotation(pairs.mean(axis=0))
     one, other = _errors(first), _errors(second)
-    information, pull, places = _one_collimator(one, other)
-    for calibration, camera, at in zip(
-        (first, second), stated, (np.arange(len(one.names)), places), strict=True
-    ):
+    information, pull, places, shift = _one_collimator(one, other)
+    of_first, of_second = np.arange(len(first.camera.values)), places[: len(second.camera.values)]
+    for calibration, camera, here in zip((first, second), stated, (of_first, of_second), strict=True):
         if camera is not None:
-            here = at[: len(calibration.camera.values)]
             known, toward = _known(calibration, *camera)
             information[np.ix_(here, here)] += known
             pull[here] += toward
@@ -179,7 +177,7 @@ def through_collimator(
     own = other.own[np.ix_(rows_b, rows_b)] + turns @ one.own[np.ix_(rows_a, rows_a)] @ turns.T
     weight = np.linalg.pinv(own, rcond=1e-12, hermitian=True)
     # The common rotation follows the error of each pose: omega - by u = off + noise.
-    off = log_map(pairs @ start.T).reshape(-1) + other.by_shared[rows_b] @ _shift(one, other)
+    off = log_map(pairs @ start.T).reshape(-1) + other.by_shared[rows_b] @ shift
     rows = np.hstack([-by, np.tile(np.eye(3), (len(common), 1))])
     whole = linalg.block_diag(information, np.zeros((3, 3))) + rows.T @ weight @ rows
     covariance = np.linalg.inv(whole)
@@ -187,12 +185,10 @@ def through_collimator(
     # Each pose by what the cameras know alone.
     expected = np.linalg.pinv(own + by @ np.linalg.inv(information) @ by.T, rcond=1e-12, hermitian=True)
     scatter = off + by @ np.linalg.solve(information, pull) - np.tile(found[-3:], len(common))
-    kept = np.r_[0 : len(first.camera.values), places[: len(second.camera.values)], size : size + 3]
-    k = len(first.camera.values)
-    cameras, rotation = found[kept], exp_map(found[-3:]) @ start
+    kept, rotation = np.r_[of_first, of_second, size : size + 3], exp_map(found[-3:]) @ start
     return Rig(
-        first.camera.with_values(first.camera.values + cameras[:k]),
-        second.camera.with_values(second.camera.values + cameras[k:-3]),
+        first.camera.with_values(first.camera.values + found[of_first]),
+        second.camera.with_values(second.camera.values + found[of_second]),
         rotation,
         None,
         covariance[np.ix_(kept, kept)],
@@ -245,49 +241,37 @@ def _errors(calibration: Calibration) -> RotationErrors:
     """Return how the rotations follow what the views share; of a reference method, the camera beside them."""
     if calibration.rotation_errors is not None:
         return calibration.rotation_errors
-    size, rows = len(calibration.camera.values), len(calibration.rotation_covariance)
-    return RotationErrors(
-        calibration.camera.parameter_names,
-        calibration.camera.values,
-        calibration.camera_covariance,
-        np.zeros((size, size)),
-        np.zeros(size),
-        np.zeros((rows, size)),
-        calibration.rotation_covariance,
-    )
+    camera, rows = calibration.camera, len(calibration.rotation_covariance)
+    names, size = camera.parameter_names, len(camera.values)
+    prior = np.zeros((size, size)), np.zeros(size), np.zeros((rows, size))
+    known = calibration.camera_covariance, *prior, calibration.rotation_covariance
+    return RotationErrors(names, camera.values, *known)
 
 
-def _shift(one: RotationErrors, other: RotationErrors) -> Array:
-    """Return by how much the second calibration must move so that both have one collimator, (S,)."""
-    ours, shared = dict(zip(one.names, one.means.tolist(), strict=True)), _shared(one, other)
-    theirs = zip(other.names, other.means.tolist(), strict=True)
-    return np.array([ours[name] - mean if name in shared else 0.0 for name, mean in theirs])
+def _one_collimator(one: RotationErrors, other: RotationErrors) -> tuple[Array, Array, Ints, Array]:
+    """Return (U, U) information and (U,) pull with one collimator, and the (S,) places of the second's unknowns.
 
-
-def _shared(one: RotationErrors, other: RotationErrors) -> tuple[str, ...]:
-    return tuple(name for name in CENTRE if name in one.names and name in other.names)
-
-
-def _one_collimator(one: RotationErrors, other: RotationErrors) -> tuple[Array, Array, Ints]:
-    """Return (U, U) information and (U,) pull with one collimator, and the (S,) places of the second's unknowns."""
-    shared = _shared(one, other)
-    unknowns = [*one.names, *(f"second {name}" for name in other.names if name not in shared)]
-    places = np.array([unknowns.index(name if name in shared else f"second {name}") for name in other.names])
-    size = len(unknowns)
-    information, pull = np.zeros((size, size)), np.zeros(size)
-    k = len(one.names)
+    Also by how much the second calibration must move so that both have one collimator, (S,).
+    """
+    k, shared = len(one.names), [name for name in CENTRE if name in one.names and name in other.names]
+    own = iter(range(k, k + len(other.names)))
+    places = np.array([one.names.index(name) if name in shared else next(own) for name in other.names])
+    size = max(k, int(places.max()) + 1)
+    information, pull, shift = np.zeros((size, size)), np.zeros(size), np.zeros(len(places))
     information[:k, :k] = np.linalg.inv(one.covariance)
     second = np.linalg.inv(other.covariance)
     information[np.ix_(places, places)] += second
-    pull[places] -= second @ _shift(one, other)
+    alike = places < k
+    shift[alike] = one.means[places[alike]] - other.means[alike]
+    pull[places] -= second @ shift
     if shared:  # both calibrations hold what was known of the collimator
-        glass = np.array([one.names.index(name) for name in shared])
+        glass = places[alike]
         rest = np.setdiff1d(np.arange(k), glass)
         between, others = one.prior[np.ix_(glass, rest)], one.prior[np.ix_(rest, rest)]
         carry: Array = between @ np.linalg.pinv(others, hermitian=True)
         information[np.ix_(glass, glass)] -= one.prior[np.ix_(glass, glass)] - carry @ between.T
         pull[glass] -= one.prior_pull[glass] - carry @ one.prior_pull[rest]
-    return information, pull, places
+    return information, pull, places, shift
 
 
 def stated_cameras(
