@@ -209,8 +209,7 @@ def _named_by_frequency(dots: _Dots, kind_of_dot: Ints, board: Board) -> _Named:
     first = order[np.unique(ids[order], return_index=True)[1]]
     h = _plane(board, ids[first], dots.centres[first])
     off = np.linalg.norm(apply_homography(h, board.nodes[ids].astype(float)) - dots.centres, axis=1)
-    pitch = _pitch_px(h, board)
-    near = np.flatnonzero(off < _MOST_OFF_PLANE * pitch)
+    near = np.flatnonzero(off < _MOST_OFF_PLANE * local_spacing(dots.centres[first]))
     near = near[np.argsort(off[near], kind="stable")]
     kept = near[np.unique(ids[near], return_index=True)[1]]
     return _Named(ids[kept], dots.centres[kept], h)
@@ -287,13 +286,6 @@ def _plane(board: Board, ids: Ints, centres: Array) -> Array:
             remedy="List the frequencies row by row from the left as the camera sees the board; remove mirrors.",
         )
     return np.asarray(h, np.float64)
-
-
-def _pitch_px(h: Array, board: Board) -> float:
-    """Return the pitch in the middle of the board, px."""
-    middle, right = board.nodes.mean(axis=0), np.array([1.0, 0.0])
-    ends = apply_homography(h, np.array([middle, middle + right, middle + right[::-1]]))
-    return float(np.linalg.norm(ends[1:] - ends[0], axis=1).min())
 
 
 def _require_enough(named: _Named, board: Board, size: tuple[int, int], least_share: float) -> None:

@@ -23,7 +23,6 @@ from calib.arrays import Array, rms_length
 from calib.compiled import on_one_thread
 from calib.errors import DegenerateViews, InputMismatch, NotConverged
 from calib.model.camera import CameraModel, require_image_size
-from calib.model.collimator import Collimator
 from calib.model.rotation import exp_map, nearest_rotation, skew
 from calib.studies.rig import Rig, common_names
 from calib.uncertainty.covariance import inverse_information
@@ -49,12 +48,8 @@ class _State:
     def second(self) -> AdjustmentParameters:
         """The boards before the second camera: P = rotation R (X - c) + translation."""
         rotations = self.rotation @ self.first.rotations
-        return replace(
-            self.first,
-            camera=self.camera,
-            rotations=rotations,
-            offsets=self.first.offsets - self.translation @ rotations,
-        )
+        offsets = self.first.offsets - self.translation @ rotations
+        return replace(self.first, camera=self.camera, rotations=rotations, offsets=offsets)
 
     def after_step(self, names: Sequence[str], shared: Array, local: Array) -> _State:
         """Return the state after a step. shared: (G,). local: (m + 1, 6); the last row is that of the prior."""
@@ -70,20 +65,21 @@ class _State:
 
 @dataclass(frozen=True)
 class _Boards:
-    """What is adjusted: the boards in both images, and (G, G) information of what is known before."""
+    """What is adjusted: (G, G) information of what is known before, and the boards in both images."""
 
-    bundles: tuple[Bundle, Bundle]
     information: Array
+    first: Bundle
+    second: Bundle
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the G shared unknowns: values of both cameras, rotation vector and translation of the rig."""
         rig = ("turn_x", "turn_y", "turn_z", "x", "y", "z")
-        return (*self.bundles[0].names, *self.bundles[1].names, *rig)
+        return (*self.first.names, *self.second.names, *rig)
 
     def squares(self, state: _State) -> Array:
         """Return the (m, 2) sums of squares of each board in each image; NaN behind a camera."""
-        return _squares(self.bundles, (state.first, state.second))
+        return _squares((self.first, self.second), (state.first, state.second))
 
     def costs(self, state: _State, _loss: Loss) -> Array:
         """Return the (m + 1,) costs of the boards, and that of the prior."""
@@ -96,7 +92,7 @@ class _Boards:
         The second camera's poses follow from a turn t and a shift s of the board before the first camera, a turn u and
         a shift v of the rig: they turn by R t + u, and their centres move by s + R_2^T ((R t + u) x T - v).
         """
-        first, second = self.bundles
+        first, second = self.first, self.second
         k, size, boards = len(first.names), len(self.information), len(state.first.rotations)
         normal, right = np.zeros((boards + 1, size + 6, size + 6)), np.zeros((boards + 1, size + 6))
         to = np.zeros((boards, len(second.names) + 6, size + 6))
@@ -119,7 +115,7 @@ class _Boards:
 
     def rounding(self, cost: float) -> float:
         """Return how much rounding of the image points changes the cost."""
-        return max(bundle.rounding(cost) for bundle in self.bundles)
+        return max(self.first.rounding(cost), self.second.rounding(cost))
 
     def covariance(self, state: _State) -> Array:
         """Return the (G, G) covariance of the shared unknowns at the optimum; `DegenerateViews` if there is none."""
@@ -154,18 +150,13 @@ def with_boards(start: Rig, first: Sequence[View], second: Sequence[View], *, fr
         np.linalg.inv(start.covariance) if not free else np.zeros_like(start.covariance),
         np.zeros((3 if known else 6,) * 2),
     )
-    alone = [_alone(camera, views) for camera, views in zip(cameras, seen, strict=True)]
-    state = _start(cameras, start.rotation if known else None, alone, len(information))
-    bundles = [
-        Bundle(Observations.from_views(views), camera.parameter_names, free_centres=True)
-        for camera, views in zip(cameras, seen, strict=True)
-    ]
+    bundles, alone = zip(*(_alone(*pair) for pair in zip(cameras, seen, strict=True)), strict=True)
+    state = _start(alone, start.rotation if known else None, len(information))
     left = 2.0 * np.array([len(bundle.observations.view) for bundle in bundles]) - 6 * len(names)
     apart = _apart(bundles, alone)
     for _ in range(_NOISE_ROUNDS):
         noise = np.sqrt(apart.sum(axis=0) / left)
-        scaled = [_with_noise(bundle, sigma) for bundle, sigma in zip(bundles, noise, strict=True)]
-        boards = _Boards((scaled[0], scaled[1]), information)
+        boards = _Boards(information, *map(_with_noise, bundles, noise))
         found = refine(boards, state, Loss("l2"))
         state = found.parameters
         now = _apart(bundles, (state.first, state.second))
@@ -222,8 +213,8 @@ def _with_noise(bundle: Bundle, sigma: float) -> Bundle:
     return replace(bundle, observations=replace(seen, whitening=seen.whitening / sigma))
 
 
-def _alone(camera: CameraModel, views: Sequence[View]) -> AdjustmentParameters:
-    """Return the poses of boards before a camera, from each image alone."""
+def _alone(camera: CameraModel, views: Sequence[View]) -> tuple[Bundle, AdjustmentParameters]:
+    """Return the boards before a camera, and their poses from each image alone."""
     poses = []
     for view in views:
         if len(view) < _MIN_POINTS:
@@ -237,10 +228,11 @@ def _alone(camera: CameraModel, views: Sequence[View]) -> AdjustmentParameters:
                 remedy="Show more of the board, and check that the calibration is of this camera.",
             )
         poses.append(pose)
-    turns, centres = (
-        np.concatenate([getattr(one, name) for one in poses]) for name in ("rotations", "offsets")
+    bundle = Bundle(Observations.from_views(views), camera.parameter_names, free_centres=True)
+    rotations = np.concatenate([pose.rotations for pose in poses])
+    return bundle, replace(
+        poses[0], rotations=rotations, offsets=np.concatenate([pose.offsets for pose in poses])
     )
-    return AdjustmentParameters(camera, Collimator(0.0, 0.0, 0.0), turns, centres)
 
 
 def _apart(bundles: Sequence[Bundle], seen: Sequence[AdjustmentParameters]) -> Array:
@@ -253,12 +245,7 @@ def _apart(bundles: Sequence[Bundle], seen: Sequence[AdjustmentParameters]) -> A
     return _squares(held, ends)
 
 
-def _start(
-    cameras: tuple[CameraModel, CameraModel],
-    rotation: Array | None,
-    alone: Sequence[AdjustmentParameters],
-    size: int,
-) -> _State:
+def _start(alone: Sequence[AdjustmentParameters], rotation: Array | None, size: int) -> _State:
     """Return a start from the poses that each camera finds alone; medians, since a flat board may be seen turned."""
     first, second = alone
     pairs = second.rotations @ np.swapaxes(first.rotations, 1, 2)
@@ -266,4 +253,4 @@ def _start(
         apart = np.arccos(np.clip((np.einsum("iab,jab->ij", pairs, pairs) - 1.0) / 2.0, -1.0, 1.0))
         rotation = nearest_rotation(pairs[np.median(apart, axis=1).argmin()])
     at, there = (-np.einsum("nij,nj->ni", one.rotations, one.offsets) for one in alone)
-    return _State(first, cameras[1], rotation, np.median(there - at @ rotation.T, axis=0), np.zeros(size))
+    return _State(first, second.camera, rotation, np.median(there - at @ rotation.T, axis=0), np.zeros(size))
