@@ -92,7 +92,8 @@ class Bundle:
         cost)^(1/2).
         """
         obs = self.observations
-        return _ROUNDED_OPERATIONS * _EPSILON * obs.farthest_px * obs.sigmas_per_px * math.sqrt(2.0 * cost)
+        farthest_px = float(np.abs(obs.points_px).max())
+        return _ROUNDED_OPERATIONS * _EPSILON * farthest_px * obs.sigmas_per_px * math.sqrt(2.0 * cost)
 
     def _in_camera(self, parameters: AdjustmentParameters) -> Array:
         """Return the (3, N) stars in the camera frame, P = R (X - c), mm (arXiv:2512.16092, eq. 2)."""
@@ -141,11 +142,6 @@ class Observations:
             _whitening(np.concatenate([view.covariances_px2 for view in views])),
             *_stacked([len(view) for view in views]),
         )
-
-    @cached_property
-    def farthest_px(self) -> float:
-        """Largest coordinate of an image point, px."""
-        return float(np.abs(self.points_px).max())
 
     @cached_property
     def sigmas_per_px(self) -> float:

@@ -95,14 +95,8 @@ class CameraCheck:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content as JSON holds it."""
-        return {
-            "right": self.right,
-            "cause": self.cause or None,
-            "rms_px": self.rms_px,
-            "coverage_factor": self.coverage_factor,
-            "shares": dict(self.shares),
-            "regions": [{**asdict(one), "normalised": one.normalised} for one in self.regions],
-        }
+        regions = [{**asdict(one), "normalised": one.normalised} for one in self.regions]
+        return {"right": self.right, "cause": self.cause or None, **asdict(self), "regions": regions}
 
 
 @on_one_thread

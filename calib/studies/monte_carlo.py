@@ -35,9 +35,6 @@ class MonteCarloStudy:
     values: Array
     sigmas: Array
     factors: Array  # (runs, G) float64 stated coverage factors k
-    # (runs,) float64 squared error, weighted by the stated covariance; its mean is G if the covariance is
-    # right.
-    chi_squares: Array
     failed: tuple[str, ...]  # Reason for each run without a calibration
 
     @property
@@ -75,7 +72,6 @@ class Repetition:
     values: tuple[float, ...] = ()
     sigmas: tuple[float, ...] = ()
     factors: tuple[float, ...] = ()
-    chi_square: float = 0.0
     failed: str = ""  # Why there is no calibration; empty if there is one
 
 
@@ -99,11 +95,9 @@ def calibrate_once(
         result = calibrate(_noisy(bench, poses_deg, rng, drift_mm, outliers), options)
     except CalibrationError as error:
         return Repetition(failed=str(error))
-    names, sigmas = result.parameter_names, list(result.sigma.values())
-    off = (result.values - _truth(bench, names)) / sigmas
-    chi_square = float(off @ np.linalg.solve(result.correlation, off))
+    names, sigmas = tuple(result.parameter_names), tuple(result.sigma.values())
     factors = tuple(result.coverage_factors.get(name, result.coverage_factor) for name in names)
-    return Repetition(tuple(names), tuple(result.values.tolist()), tuple(sigmas), factors, chi_square)
+    return Repetition(names, tuple(result.values.tolist()), sigmas, factors)
 
 
 def study_of(bench: ExpectedBench, outcomes: Sequence[Repetition]) -> MonteCarloStudy:
@@ -115,15 +109,10 @@ def study_of(bench: ExpectedBench, outcomes: Sequence[Repetition]) -> MonteCarlo
             f"None of the {len(outcomes)} calibrations has a result. The first one: {failed[0]}",
             remedy="Give less noise, fewer outliers, or more poses.",
         )
-    names, kinds = good[-1].names, ("values", "sigmas", "factors", "chi_square")
-    values, sigmas, factors, squares = (np.array([getattr(one, kind) for one in good]) for kind in kinds)
-    return MonteCarloStudy(names, _truth(bench, names), values, sigmas, factors, squares, failed)
-
-
-def _truth(bench: ExpectedBench, names: Sequence[str]) -> Array:
-    """Return the (G,) true values of parameters; what the bench does not have is zero."""
-    truth = {**bench.camera.to_dict(), **bench.collimator.to_dict()}
-    return np.array([truth.get(name, 0.0) for name in names])
+    kinds, true = ("values", "sigmas", "factors"), {**bench.camera.to_dict(), **bench.collimator.to_dict()}
+    values, sigmas, factors = (np.array([getattr(one, kind) for one in good]) for kind in kinds)
+    truth = np.array([true.get(name, 0.0) for name in good[-1].names])  # what the bench does not have is zero
+    return MonteCarloStudy(good[-1].names, truth, values, sigmas, factors, failed)
 
 
 def _noisy(

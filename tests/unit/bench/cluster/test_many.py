@@ -62,7 +62,7 @@ def planned():
 
 
 def same(first, second):
-    arrays = ("truth", "values", "sigmas", "factors", "chi_squares")
+    arrays = ("truth", "values", "sigmas", "factors")
     assert first.names == second.names
     assert first.failed == second.failed
     assert all(np.array_equal(getattr(first, one), getattr(second, one)) for one in arrays)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from monte_carlo_runs import run_monte_carlo, z_joint
+from monte_carlo_runs import run_monte_carlo, z_of_all
 from paper_camera import NARROW, POSES
 
 from calib.engine import CalibrationOptions, calibrate
@@ -18,7 +18,7 @@ def test_one_seed_gives_one_result():
     study = run_monte_carlo(NARROW, POSES, L2, 3, 5)
     assert np.array_equal(study.values, run_monte_carlo(NARROW, POSES, L2, 3, 5).values)
     assert not np.array_equal(study.values, run_monte_carlo(NARROW, POSES, L2, 3, 6).values)
-    assert 0.3 < z_joint(study) < 3
+    assert 0.3 < z_of_all(study) < 3
 
 
 def test_stars_that_are_grossly_wrong_are_left_out_whatever_the_loss():
@@ -29,7 +29,7 @@ def test_stars_that_are_grossly_wrong_are_left_out_whatever_the_loss():
     clean = run_monte_carlo(NARROW, POSES, L2, 4, 5)
     assert (plain.sigmas < 4 * clean.sigmas).all()
     assert (robust.sigmas < 1.5 * clean.sigmas).all()
-    assert z_joint(robust) < 3
+    assert z_of_all(robust) < 3
 
 
 def test_runs_without_a_calibration_are_kept_with_their_reason(monkeypatch):
@@ -60,7 +60,7 @@ def test_two_sigma_intervals_cover_as_often_as_they_should(loss, outliers):
     low, high = study.coverage_band
     assert not study.failed
     assert all(low <= share <= high for share in study.coverage.values())
-    assert 0.95 < z_joint(study) < 1.05
+    assert 0.95 < z_of_all(study) < 1.05
     # With half the sigmas the same study fails.
     halved = np.abs(study.values - study.truth) <= study.sigmas
     assert (halved.mean(axis=0) < low).all()
