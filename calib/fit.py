@@ -31,12 +31,10 @@ from calib.model.collimator import CENTRE
 from calib.model.homography import view_homography
 from calib.model.result_parts import ROW_QUANTITIES, BudgetRow
 from calib.uncertainty.covariance import (
-    MIN_VIEWS,
     Uncertainty,
     covariance_at_optimum,
     leave_one_out,
     rotation_covariance,
-    views_of_poses,
 )
 from calib.uncertainty.projection_uncertainty import worst_point
 from calib.view import View
@@ -48,11 +46,10 @@ class Fit:
 
     model: str
     views: Sequence[View]
-    bundle: Bundle
+    bundle: Bundle  # Of the stars that were used
     refined: Refinement[AdjustmentParameters]
     loss: Loss
-    whole: Bundle  # Bundle of all stars, also of those that were not used
-    used: Bools  # (N,) bool, which stars of `whole` were used
+    used: Bools  # (N,) bool, which stars of all views were used
     uncertainty: Uncertainty
     # Root mean square residual of views left out, px; None if the views are consistent, or if there are too few.
     left_out_rms_px: float | None
@@ -79,16 +76,13 @@ def fit_model(
     kept = [view if own.all() else view.part(own) for view, own in zip(views, used, strict=True)]
     bundle, start = initialize(kept, options, model)
     refined, loss = refine_robustly(bundle, start, options)
-    bundle = replace(bundle, poses=poses_of(refined.parameters.rotations))
     if options.passport is None:
         require_distinct_poses(refined.parameters)
     found = _constrained(kept, bundle, refined, loss)
     left_out = None
-    if len(views_of_poses(bundle)) >= MIN_VIEWS and (leave_out or found.inconsistent):
+    if leave_out or found.inconsistent:
         left_out = leave_one_out(bundle, refined.parameters, loss)
-    everything = np.concatenate(used)
-    whole = bundle if everything.all() else replace(bundle, observations=Observations.from_views(views))
-    return Fit(model, views, bundle, refined, loss, whole, everything, found, left_out)
+    return Fit(model, views, bundle, refined, loss, np.concatenate(used), found, left_out)
 
 
 def _constrained(
@@ -168,7 +162,8 @@ _SOURCES = {
 
 def summarize(fitted: Fit) -> Calibration:
     """Convert a fit to a calibration result."""
-    parameters, whole, used, uncertainty = fitted.parameters, fitted.whole, fitted.used, fitted.uncertainty
+    parameters, used, uncertainty = fitted.parameters, fitted.used, fitted.uncertainty
+    whole = replace(fitted.bundle, observations=Observations.from_views(fitted.views))
     residuals = whole.residuals_px(parameters)
     weights = used * fitted.loss.weights(np.linalg.norm(whole.weighted_residuals(parameters), axis=1))
     lengths = np.linalg.norm(residuals, axis=1)
@@ -205,7 +200,7 @@ def summarize(fitted: Fit) -> Calibration:
             for source, share in uncertainty.shares.items()
         },
         notes=_notes(fitted),
-        poses=whole.poses or (),
+        poses=poses_of(parameters.rotations),
         budget_rows=_budget_rows(parameters.camera, uncertainty),
     )
 

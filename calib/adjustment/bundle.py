@@ -34,15 +34,12 @@ class Bundle:
     observations: Observations
     names: tuple[str, ...]
     free_centres: bool = False  # Whether each view has its own centre
-    # The pose of each view, as an index; None if each view is a pose of its own.
-    poses: tuple[int, ...] | None = None
 
     def subset(self, kept: Sequence[int]) -> Bundle:
         """Return the bundle of some of the views."""
         slices = [self.observations.slices[i] for i in kept]
         fewer = self.observations.part([np.arange(rows.start, rows.stop) for rows in slices])
-        poses = tuple(self.poses[i] for i in kept) if self.poses else None
-        return replace(self, observations=fewer, poses=poses)
+        return replace(self, observations=fewer)
 
     def thinned(self, stars: int) -> Bundle:
         """Return a bundle with fewer stars, evenly spread; views with fewer than twice as many stars keep all."""

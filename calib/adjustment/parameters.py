@@ -90,8 +90,9 @@ def _chord(turned_deg: float) -> float:
     return float(np.sqrt(8.0) * np.sin(np.deg2rad(turned_deg) / 2.0))
 
 
-def members(poses: Sequence[int]) -> list[list[int]]:
-    """Return the views of each pose."""
+def views_of_poses(rotations: Array) -> list[list[int]]:
+    """Return the views of each pose, as `poses_of`."""
+    poses = poses_of(rotations)
     return [[i for i, pose in enumerate(poses) if pose == k] for k in range(max(poses) + 1)]
 
 

@@ -24,7 +24,6 @@ from calib.adjustment.bundle import Bundle, Observations
 from calib.adjustment.initialization import pose_start
 from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
-from calib.adjustment.parameters import AdjustmentParameters
 from calib.arrays import Array, Bools
 from calib.calibration import Calibration, CalibrationOptions
 from calib.compiled import on_one_thread
@@ -234,7 +233,12 @@ class _Seen:
                 f"Cannot check by one view: {len(view)} usable points; at least {_LEAST_POINTS} are needed.",
                 remedy="Record the target so that it fills more of the image.",
             )
-        bundle, posed = _best_pose(camera, view)
+        bundle = Bundle(Observations.from_views([view]), camera.parameter_names, free_centres=True)
+        start = pose_start(camera, view)
+        found = refine(replace(bundle, names=()), start, Loss("l2")) if start else None
+        if found is None or not found.converged:
+            raise DegenerateViews("The stated camera does not see these points on a plane before it.")
+        posed = found.parameters
         rows = bundle.derivatives(posed).transpose(2, 1, 0).reshape(-1, len(camera.values) + 6)
         by_camera, by_pose = rows[:, :-6], rows[:, -6:]
         residuals = bundle.weighted_residuals(posed).ravel()
@@ -250,16 +254,6 @@ class _Seen:
         over = self.residuals - self.basis @ (self.basis.T @ self.residuals)
         sigma = float(np.median(np.abs(over))) / _MEDIAN_OF_NORMAL
         return np.asarray(np.linalg.norm(over.reshape(-1, 2), axis=1) > _GROSS * max(sigma, 1e-12))
-
-
-def _best_pose(camera: CameraModel, view: View) -> tuple[Bundle, AdjustmentParameters]:
-    """Adjust the pose before the camera, which is held; return also the bundle in which the camera is free."""
-    bundle = Bundle(Observations.from_views([view]), camera.parameter_names, free_centres=True)
-    start = pose_start(camera, view)
-    found = refine(replace(bundle, names=()), start, Loss("l2")) if start else None
-    if found is None or not found.converged:
-        raise DegenerateViews("The stated camera does not see these points on a plane before it.")
-    return bundle, found.parameters
 
 
 def _judge(

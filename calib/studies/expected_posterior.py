@@ -168,9 +168,7 @@ class PoseGains:
 
     def information(self, weights: Array) -> Array:
         """Return the (S, S) information of all priors and of the first poses, which count by (k,) weights."""
-        return self._prior + sum(
-            (self.added(k, weight) for k, weight in enumerate(weights) if weight), np.zeros_like(self._prior)
-        )
+        return sum(map(self.added, range(len(weights)), weights), start=self._prior)
 
     def added(self, place: int, weight: float) -> Array:
         """Return the (S, S) information that a pose adds."""

@@ -125,11 +125,8 @@ def _compared(
     own = float(np.median(np.linalg.eigvalsh(last.scatter.covariance)))
     scatter = max(float(fit.off @ fit.off) / max(freedom, 1), own)
     alone = scatter * np.diag(fit.covariance(np.eye(len(fit.off))))[scales]
-    values = fit.values[: len(free)]
-    apart = np.zeros(len(free))
-    if free:
-        apart[values.argmax()] += 1.0
-        apart[values.argmin()] -= 1.0
+    values, each = fit.values[: len(free)], np.eye(len(free))
+    apart = each[values.argmax()] - each[values.argmin()] if free else np.zeros(0)
     ambiguous = bool(free) and (
         fit.undetermined_scales or bool(sigma.max() > _UNDETERMINED) or _ambiguous(seen, last, sigma)
     )

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.adjustment.parameters import SAME_POSE_DEG, AdjustmentParameters, members, poses_of
+from calib.adjustment.parameters import SAME_POSE_DEG, AdjustmentParameters, views_of_poses
 from calib.arrays import Array
 from calib.calibration import CalibrationOptions
 from calib.compiled import on_one_thread
@@ -99,7 +99,7 @@ def forecast(bench: ExpectedBench, poses_deg: Sequence[Angles]) -> Forecast:
     bench = with_distortion(bench)
     views = [predicted_view(bench, pose, f"pose {i}") for i, pose in enumerate(poses_deg, start=1)]
     rotations = np.array([rotation for _, rotation in views])
-    firsts = [repeats[0] for repeats in members(poses_of(rotations))]
+    firsts = [repeats[0] for repeats in views_of_poses(rotations)]
     kept, turned = [views[i][0] for i in firsts], rotations[firsts]
     found = expected_posterior(bench, kept, turned, [poses_deg[i] for i in firsts])
     layout = found.optimum.marginal.problem.bench.layout

@@ -23,7 +23,7 @@ from calib.model.camera import PINHOLE, SKEW, CameraModel
 from calib.model.collimator import CENTRE
 from calib.model.lens import BROWN, FISHEYE, is_fisheye
 from calib.model.passport import Passport
-from calib.uncertainty.covariance import MIN_VIEWS, covariance_at_optimum, leave_one_out
+from calib.uncertainty.covariance import covariance_at_optimum, leave_one_out
 from calib.view import View
 
 #: Limit of the Huber loss: the paper does not state it.
@@ -122,7 +122,7 @@ def published_recipe(views: Sequence[View], options: CalibrationOptions) -> Meth
         raise NotConverged(
             f"The adjustment did not converge within {refined.iterations} steps.", remedy="Add views."
         )
-    left_out = leave_one_out(bundle, parameters, loss) if len(views) >= MIN_VIEWS else None
+    left_out = leave_one_out(bundle, parameters, loss)
     lengths = _rms_and_mean(bundle, parameters)
     sigma = replace(estimate, inconsistent=False).sigma  # not enlarged
     return MethodResult(_PUBLISHED, parameters.camera, sigma, *lengths, left_out)

@@ -19,7 +19,7 @@ import numpy as np
 from calib.adjustment.bundle import Bundle, ViewScores
 from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
-from calib.adjustment.parameters import AdjustmentParameters, members
+from calib.adjustment.parameters import AdjustmentParameters, views_of_poses
 from calib.arrays import Array, rms_length
 from calib.errors import DegenerateViews
 from calib.model.collimator import Collimator
@@ -113,7 +113,7 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
     variance = float((influence**2).sum() / freedom)
     factor = variance / float(slope) ** 2
     inverse = inverse_information(views.information.sum(axis=0), bundle.names)
-    ratio, views_freedom = _birge(bundle, views, variance)
+    ratio, views_freedom = _birge(views_of_poses(parameters.rotations), views, variance)
     limit = special.fdtri(views_freedom, freedom, 1.0 - _FALSE_ALARMS) if views_freedom > 0 else np.inf
     return Uncertainty(
         bundle.names,
@@ -143,7 +143,7 @@ def rotation_covariance(bundle: Bundle, parameters: AdjustmentParameters, found:
     return np.asarray(joint)
 
 
-def _birge(bundle: Bundle, views: ViewScores, variance: float) -> tuple[float, int]:
+def _birge(poses: Sequence[Sequence[int]], views: ViewScores, variance: float) -> tuple[float, int]:
     """Return the squared Birge ratio of P poses and its degrees of freedom.
 
     At the optimum the scores s_i (P, G) of the poses cancel. Star noise gives s_i the covariance variance * A_i, where
@@ -151,7 +151,6 @@ def _birge(bundle: Bundle, views: ViewScores, variance: float) -> tuple[float, i
     freedom as the poses determine directions, minus the number of shared parameters. Own extension of Birge (1932) from
     one measurand to several, of which a pose may determine only some.
     """
-    poses = views_of_poses(bundle)
     information, scores = (
         np.array([each[own].sum(axis=0) for own in poses]) for each in (views.information, views.score)
     )
@@ -161,7 +160,7 @@ def _birge(bundle: Bundle, views: ViewScores, variance: float) -> tuple[float, i
     determined = eigenvalues > _DETERMINED * eigenvalues[:, -1:]
     along = np.einsum("pgk,pg->pk", vectors, scale * scores)
     squares = np.divide(along**2, eigenvalues, out=np.zeros_like(along), where=determined)
-    freedom = int(determined.sum()) - len(bundle.names)
+    freedom = int(determined.sum()) - len(scores[0])
     if freedom <= 0 or variance <= 0:
         return 1.0, 0
     return float(squares.sum()) / freedom / variance, freedom
@@ -187,13 +186,8 @@ def inverse_information(information: Array, names: Sequence[str]) -> Array:
     return np.asarray((vectors / eigenvalues) @ vectors.T * np.outer(scale, scale))
 
 
-def views_of_poses(bundle: Bundle) -> list[list[int]]:
-    """Return the views of each pose; without `Bundle.poses`, each view is a pose of its own."""
-    return members(bundle.poses) if bundle.poses else [[i] for i in range(len(bundle.observations.slices))]
-
-
-#: Leaving one view out must leave enough to calibrate with.
-MIN_VIEWS = 3
+#: Leaving one pose out must leave enough to calibrate with.
+_MIN_POSES = 3
 #: Views differ by far more than what a refit leaves undone at this tolerance: some hundredths of a sigma.
 _TOLERANCE = 1e-8
 #: Behind a collimator the centres of the views agree to a few per cent of the radius. If they scatter by more than this
@@ -201,10 +195,12 @@ _TOLERANCE = 1e-8
 _PLACED_BY_HAND = 0.1
 
 
-def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> float:
+def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> float | None:
     """Predict the views of each of at least 3 poses from all others; return the rms residual, px (Stone, 1974)."""
-    residuals = []
-    for views in views_of_poses(bundle):
+    residuals, poses = list[Array](), views_of_poses(parameters.rotations)
+    if len(poses) < _MIN_POSES:
+        return None
+    for views in poses:
         others = without_pose(bundle, views, parameters, loss)
         residuals += [predicted_residuals(bundle, i, parameters, others) for i in views]
     return rms_length(np.concatenate(residuals))

@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from calib.adjustment.parameters import views_of_poses
 from calib.studies.monte_carlo import calibrate_once, study_of
-from calib.uncertainty.covariance import views_of_poses, without_pose
+from calib.uncertainty.covariance import without_pose
 
 
 def run_monte_carlo(bench, poses_deg, options, runs, seed, **noise):
@@ -24,7 +25,7 @@ def jackknife(fitted):
     values = np.array(
         [
             without_pose(bundle, views, fitted.parameters, fitted.loss).values(bundle.names)
-            for views in views_of_poses(bundle)
+            for views in views_of_poses(fitted.parameters.rotations)
         ]
     )
     off = values - values.mean(axis=0)
