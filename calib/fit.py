@@ -79,9 +79,7 @@ def fit_model(
     if options.passport is None:
         require_distinct_poses(refined.parameters)
     found = _constrained(kept, bundle, refined, loss)
-    left_out = None
-    if leave_out or found.inconsistent:
-        left_out = leave_one_out(bundle, refined.parameters, loss)
+    left_out = leave_one_out(bundle, refined.parameters, loss) if leave_out or found.inconsistent else None
     return Fit(model, views, bundle, refined, loss, np.concatenate(used), found, left_out)
 
 
@@ -90,14 +88,13 @@ def _constrained(
 ) -> Uncertainty:
     """Refuse views that do not constrain the camera; else return the uncertainty."""
     parameters = refined.parameters
+    why = explain_weak_geometry(views, parameters)
     try:
         found = covariance_at_optimum(bundle, parameters, loss)
         require_constrained(parameters, found.sigma)
     except DegenerateViews as error:
-        why = explain_weak_geometry(views, parameters)
         raise DegenerateViews(f"{error.what} {why}".strip(), remedy=error.remedy) from error
     if not refined.converged:
-        why = explain_weak_geometry(views, parameters)
         raise NotConverged(
             f"The adjustment did not converge within {refined.iterations} steps. {why}".strip(),
             remedy="Add views from other angles, or estimate fewer distortion coefficients.",

@@ -218,7 +218,7 @@ def search_faults(
     """
     places = _places(len(seen.rotations), axes)
     number = Counter(fault.kind for fault in places)
-    cost = {kind: needed(count) for kind, count in number.items()}
+    cost = {fault: needed(number[fault.kind]) for fault in places}
     current = first
     for _ in range(_ROUNDS if places else 0):
         known = current.fit.model.faults
@@ -231,7 +231,7 @@ def search_faults(
         if best is current:
             break
         current = best
-    faults = [_described(seen, current, fault, places, cost) for fault in current.fit.model.faults]
+    faults = [_described(seen, current, fault, cost) for fault in current.fit.model.faults]
     return current, tuple(sorted(faults, key=lambda fault: fault.probability))
 
 
@@ -244,17 +244,13 @@ def _places(count: int, axes: tuple[int, ...]) -> list[Fault]:
     return [*square, *slips, *(Fault("pose", pose=pose) for pose in range(count))]
 
 
-def _cost(faults: Sequence[Fault], cost: Mapping[FaultKind, float]) -> float:
-    """Return what 2 log(likelihood) must gain by faults, from what it must gain by one of each kind."""
-    return sum(cost[fault.kind] for fault in faults)
+def _cost(faults: Sequence[Fault], cost: Mapping[Fault, float]) -> float:
+    """Return what 2 log(likelihood) must gain by faults, from what it must gain by each that can be seen."""
+    return sum(cost[fault] for fault in faults)
 
 
 def _described(
-    seen: SeenRotations,
-    found: Explanation,
-    fault: Fault,
-    places: Sequence[Fault],
-    cost: Mapping[FaultKind, float],
+    seen: SeenRotations, found: Explanation, fault: Fault, cost: Mapping[Fault, float]
 ) -> GimbalFault:
     """Return one of the faults found with its size, its uncertainty and its rival."""
     model = found.fit.model
@@ -262,7 +258,7 @@ def _described(
     value = model.of(fault, found.fit.values)
     size = float(value[0] if fault.size == 1 else np.linalg.norm(value))
     others = tuple(one for one in model.faults if one != fault)
-    rivals = [(*others, one) for one in places if one.kind != fault.kind and one not in others]
+    rivals = [(*others, one) for one in cost if one.kind != fault.kind and one not in others]
     tried = [model.faults, others, *rivals]
     worth = seen.likelihoods(found.fit, tried) - [_cost(one, cost) for one in tried]
     worth[1] -= DECISIVE

@@ -212,8 +212,7 @@ class PoseWeigher:
     ) -> None:
         self._bench = with_distortion(bench)
         self._gimbal = gimbal
-        self._taken = tuple(taken_deg)
-        self._refused = tuple(refused_deg)
+        self._taken, self._refused = tuple(taken_deg), tuple(refused_deg)
         self._min_stars = min_stars
         views = self._views(self._taken)
         self._shown = [(self._taken[i], view) for i, view in views.items()]
