@@ -5,15 +5,9 @@ Rotation vectors are in radians. Stacks of matrices have shape (..., 3, 3), stac
 
 from __future__ import annotations
 
-import math
-from typing import TypeVar
-
 import numpy as np
 
 from calib.arrays import Array
-
-Quaternion = tuple[float, float, float, float]
-T = TypeVar("T", float, Array)
 
 
 def skew(vectors: Array) -> Array:
@@ -34,7 +28,12 @@ def exp_map(vectors: Array) -> Array:
         angle = np.sqrt(x * x + y * y + z * z)
         half = np.full(len(angle), 0.5)
         scale = np.divide(np.sin(0.5 * angle), angle, out=half, where=angle > 0.0)
-        elements = np.array(_elements(scale * x, scale * y, scale * z, np.cos(0.5 * angle)))
+        x, y, z, w = scale * x, scale * y, scale * z, np.cos(0.5 * angle)
+        xx, yy, zz, ww = x * x, y * y, z * z, w * w
+        first = xx - yy - zz + ww, 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)
+        second = 2.0 * (x * y + z * w), -xx + yy - zz + ww, 2.0 * (y * z - x * w)
+        third = 2.0 * (x * z - y * w), 2.0 * (y * z + x * w), -xx - yy + zz + ww
+    elements = np.array([*first, *second, *third])
     return np.ascontiguousarray(elements.T).reshape(*v.shape, 3)
 
 
@@ -73,42 +72,8 @@ def nearest_rotation(matrices: Array) -> Array:
 def euler_zxy(pan_deg: float, tilt_deg: float, roll_deg: float = 0.0) -> Array:
     """Return the (3, 3) rotation Rz(roll) Rx(tilt) Ry(pan) of a gimbal; y is down, z the optical axis.
 
-    The product of three unit quaternions, and the matrix of the product (Diebel 2006). SciPy's ``Rotation.from_euler``
-    gives the same bits; it is not used, because loading it takes longer than a whole plan.
+    The product of three rotations (Diebel, 2006). SciPy's ``Rotation.from_euler`` gives the same to rounding; it is not
+    used, because loading it takes longer than a whole plan.
     """
-    roll, tilt, pan = (math.radians(angle) / 2.0 for angle in (roll_deg, tilt_deg, pan_deg))
-    turned = _quaternion_product(
-        (0.0, 0.0, math.sin(roll), math.cos(roll)), (math.sin(tilt), 0.0, 0.0, math.cos(tilt))
-    )
-    return np.array(
-        _elements(*_quaternion_product(turned, (0.0, math.sin(pan), 0.0, math.cos(pan))))
-    ).reshape(3, 3)
-
-
-def _quaternion_product(p: Quaternion, q: Quaternion) -> Quaternion:
-    """Return p q, the rotation q followed by p; quaternions are (x, y, z, w) (Diebel, 2006)."""
-    return (
-        p[3] * q[0] + q[3] * p[0] + (p[1] * q[2] - p[2] * q[1]),
-        p[3] * q[1] + q[3] * p[1] + (p[2] * q[0] - p[0] * q[2]),
-        p[3] * q[2] + q[3] * p[2] + (p[0] * q[1] - p[1] * q[0]),
-        p[3] * q[3] - p[0] * q[0] - p[1] * q[1] - p[2] * q[2],
-    )
-
-
-def _elements(x: T, y: T, z: T, w: T) -> list[T]:
-    """Return the nine elements of the rotation matrices of unit quaternions, row by row (Diebel, 2006)."""
-    xx: T = x * x
-    yy: T = y * y
-    zz: T = z * z
-    ww: T = w * w
-    return [
-        xx - yy - zz + ww,
-        2.0 * (x * y - z * w),
-        2.0 * (x * z + y * w),
-        2.0 * (x * y + z * w),
-        -xx + yy - zz + ww,
-        2.0 * (y * z - x * w),
-        2.0 * (x * z - y * w),
-        2.0 * (y * z + x * w),
-        -xx - yy + zz + ww,
-    ]
+    roll, tilt, pan = exp_map(np.radians(np.diag([tilt_deg, pan_deg, roll_deg])[[2, 0, 1]]))
+    return np.asarray(roll @ tilt @ pan)
