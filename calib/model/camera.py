@@ -386,12 +386,10 @@ def undistort(camera: CameraModel, keep: float = 0.0) -> Undistortion:
     pinhole = _rectified(plane.reshape(height, width, 2), keep, camera.image_size)
     scale, middle = np.array([pinhole.fx, pinhole.fy]), np.array([pinhole.cx, pinhole.cy])
     reach = _BEYOND * np.nanmax(np.linalg.norm(plane, axis=1))
-    maps = np.empty((len(pixels), 2), np.float32)
-    for block in blocks:
-        wanted = (pixels[block] - middle) / scale
-        found = camera.project(np.column_stack([wanted, np.ones(len(wanted))]))
-        seen = (np.linalg.norm(wanted, axis=1) <= reach) & np.isfinite(found).all(axis=1)
-        maps[block] = np.where(seen[:, None], found, _OUTSIDE)
+    wanted = (pixels - middle) / scale
+    found = np.concatenate([camera.project(np.insert(wanted[block], 2, 1.0, axis=1)) for block in blocks])
+    seen = (np.linalg.norm(wanted, axis=1) <= reach) & np.isfinite(found).all(axis=1)
+    maps = np.where(seen[:, None], found, _OUTSIDE).astype(np.float32)
     shape = (height, width)
     return Undistortion(
         rays.astype(np.float32).reshape(*shape, 3),

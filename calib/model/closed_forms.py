@@ -122,14 +122,18 @@ def _plane_conditioning(homographies: Array, image_size: tuple[int, int]) -> Arr
     return np.array([[scale, 0.0, middle[0]], [0.0, scale, middle[1]], [0.0, 0.0, 1.0]])
 
 
+def _symmetric(entries: Sequence[tuple[int, int]]) -> Array:
+    """Return for each of K entries the symmetric (3, 3) matrix with a 1 there, (K, 3, 3)."""
+    matrices = np.zeros((len(entries), 3, 3))
+    for one, (i, j) in zip(matrices, entries, strict=True):
+        one[i, j] = one[j, i] = 1.0
+    return matrices
+
+
 def _equations(g: Array, unknown: Sequence[tuple[int, int]]) -> Array:
     """Return the rows g W g^T - B, 6 a view, for chosen entries of W, then B (arXiv:2512.16092, eq. 5)."""
-    columns = []
-    for i, j in unknown:
-        basis = np.zeros((3, 3))
-        basis[i, j] = basis[j, i] = 1.0
-        columns.append((g @ basis @ g.T)[_UPPER])
-    return np.column_stack([*columns, -np.eye(6)])
+    columns = (g @ _symmetric(unknown) @ g.T)[:, _UPPER[0], _UPPER[1]]
+    return np.hstack([columns.T, -np.eye(6)])
 
 
 # The planar model, in which each view has its own free centre (Zhang, 2000): a comparison, and a second way to start
@@ -145,13 +149,15 @@ def zhang_matrix(
     3.1. A principal point that is not free is the image's centre. None if frontal views or noise do not allow it.
     """
     to_unit, unknown = _image_conditioning(image_size), _IMAGE[: 4 if free_principal_point else 2]
-    rows, right = [], []
-    for h in to_unit @ homographies:
-        h1, h2 = h[:, 0] / np.linalg.norm(h[:, 0]), h[:, 1] / np.linalg.norm(h[:, 0])
-        rows.append([_entry(h1, h2, ij) for ij in unknown])
-        rows.append([_entry(h1, h1, ij) - _entry(h2, h2, ij) for ij in unknown])
-        right += [-h1[2] * h2[2], h2[2] ** 2 - h1[2] ** 2]
-    solution, _, rank, _ = np.linalg.lstsq(np.array(rows), np.array(right), rcond=1e-9)
+    h = to_unit @ homographies
+    h1, h2 = (h[:, :, column] / np.linalg.norm(h[:, :, :1], axis=1) for column in (0, 1))
+    # The last entry, w33 = 1, is known.
+    crossed, first, second = (
+        np.einsum("ni,kij,nj->nk", one, _symmetric((*unknown, (2, 2))), other)
+        for one, other in ((h1, h2), (h1, h1), (h2, h2))
+    )
+    rows = np.concatenate([crossed, first - second])
+    solution, _, rank, _ = np.linalg.lstsq(rows[:, :-1], -rows[:, -1], rcond=1e-9)
     if rank < len(unknown):
         return None
     w = dict(zip(unknown, solution, strict=True))
@@ -162,12 +168,6 @@ def zhang_matrix(
     true_scale = 1.0 - w[0, 0] * cx**2 - w[1, 1] * cy**2
     camera = _camera_matrix(true_scale / np.array([w[0, 0], w[1, 1]]), cx, cy)
     return None if camera is None else np.asarray(np.linalg.inv(to_unit) @ camera)
-
-
-def _entry(a: Array, b: Array, ij: tuple[int, int]) -> float:
-    """Return the factor of w_ij in a^T w b (Zhang, 2000, section 3.1)."""
-    i, j = ij
-    return float(a[i] * b[j] + (a[j] * b[i] if i != j else 0.0))
 
 
 def poses_from_homographies(homographies: Array, matrix: Array) -> tuple[Array, Array]:

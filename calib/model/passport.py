@@ -211,22 +211,18 @@ class Passport:
                 f"Not a passport: its schema is {document.get('schema')!r}.", where="passport"
             )
         try:
+            reference = document["reference"]
+            if reference is not None:
+                x, y, r = map(float, reference)
+                reference = x, y, r
             return cls(
                 tuple(str(name) for name in document["names"]),
                 np.array(document["values"], float),
                 np.array(document["covariance"], float),
-                _triple(document["reference"]),
+                reference,
                 float(document["disagreement"]),
                 tuple(str(name) for name in document["views"]),
                 dict(document["conditions"]),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise InputMismatch(f"Not a passport: {error}.", where="passport") from error
-
-
-def _triple(numbers: Sequence[float] | None) -> tuple[float, float, float] | None:
-    """Return three numbers as a tuple."""
-    if numbers is None:
-        return None
-    x, y, r = (float(v) for v in numbers)
-    return x, y, r

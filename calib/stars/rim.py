@@ -346,13 +346,11 @@ def _cells(nodes: Ints, values: Array, inside: Bools) -> _Cells:
 
 def _nodes_near(grid: Ints, target: StarTarget) -> Ints:
     """Return the (N, 2) printed nodes near the stars."""
-    first, last = grid.min(axis=0) - _REACH, grid.max(axis=0) + _REACH
-    shape = int(last[1] - first[1]) + 1, int(last[0] - first[0]) + 1
-    taken = np.zeros(shape, np.uint8)
-    taken[grid[:, 1] - first[1], grid[:, 0] - first[0]] = 1
+    taken = np.zeros((target.rows, target.columns), np.uint8)
+    taken[grid[:, 1], grid[:, 0]] = 1
     near = cv2.dilate(taken, np.ones((2 * _REACH + 1, 2 * _REACH + 1), np.uint8))
-    nodes = np.argwhere(near > 0)[:, ::-1] + first
-    return np.asarray(nodes[target.id_at(nodes[:, 0], nodes[:, 1]) >= 0])
+    nodes = target.node_of(target.ids)
+    return nodes[near[nodes[:, 1], nodes[:, 0]] > 0]
 
 
 def _values(image: NDArray[Any], mapped: _Map, offsets: Array) -> tuple[Array, Bools]:

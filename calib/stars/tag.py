@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from calib.arrays import AnyArray, Array, Array32, Bools, Bytes
 from calib.errors import TargetNotFound
+from calib.model.homography import fit_homography
 from calib.stars.beam import Beam, reduced
 from calib.target import StarTarget
 
@@ -111,18 +112,12 @@ def read_tags(picture: Bytes, scale: float, family: str) -> Iterator[tuple[Array
 def _verified(picture: Bytes, scale: float, corners: Array, target: StarTarget) -> TagDetection | None:
     """Compare the modules with the print; return the detection, with refined corners, if they agree, else None."""
     nodes = target.tag_corners_mm / target.pitch_mm
-    correlation = modules_correlation(picture, scale, _homography(nodes, corners), target)
+    correlation = modules_correlation(picture, scale, fit_homography(nodes, corners), target)
     if abs(correlation) < MIN_CORRELATION:
         return None
     sign = float(np.sign(correlation))
     corners = _refined_corners(picture.astype(np.float32) * np.float32(sign), scale, corners, target)
-    return TagDetection(_homography(nodes, corners), corners, sign, abs(correlation))
-
-
-def _homography(nodes: Array, corners: Array) -> Array:
-    """Return the (3, 3) homography from four grid positions to four image points."""
-    found = cv2.getPerspectiveTransform(nodes.astype(np.float32), corners.astype(np.float32))
-    return np.asarray(found, np.float64)
+    return TagDetection(fit_homography(nodes, corners), corners, sign, abs(correlation))
 
 
 def modules_correlation(picture: AnyArray, scale: float, homography: Array, target: StarTarget) -> float:
