@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.model.homography import apply_homography, gross_errors, view_homography
-from calib.model.local_consistency import LIMIT_PX, contradicts_neighbours, local_sigma_px
+from calib.model.homography import apply_homography, gross_errors, neighbours_of, view_homography
+from calib.model.local_consistency import LIMIT_PX, contradicts_neighbours, local_sigma_px, nearest_stars
 from tests.benchmarks.worlds.recordings import read
 from tests.unit.calib.conftest import TARGET, Bench, FisheyeBench
 
@@ -94,7 +94,9 @@ def test_gross_errors_do_not_move_the_homography(share, seed, size):
 
 def test_few_stars_are_not_judged():
     target = TARGET.positions_mm(TARGET.ids[:7])
-    assert not contradicts_neighbours(target, target, target + np.eye(7)[:, :2] * 500).any()
+    assert not contradicts_neighbours(
+        target, target, target + np.eye(7)[:, :2] * 500, None, nearest_stars(target)
+    ).any()
 
 
 def test_small_deviations_are_left_to_the_robust_loss():
@@ -123,4 +125,6 @@ def test_neighbours_show_the_noise(sigma):
     for pose in range(3):
         view = view_of_bench(7, sigma, pose)
         mapped = apply_homography(view_homography(view), view.target_mm)
-        assert local_sigma_px(view.target_mm, mapped, view.points_px) == pytest.approx(sigma, rel=0.2)
+        assert local_sigma_px(view.target_mm, mapped, view.points_px, neighbours_of(view)) == pytest.approx(
+            sigma, rel=0.2
+        )
