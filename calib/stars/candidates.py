@@ -265,5 +265,4 @@ def _starts_as_expected(image: Array32, expected: Array | None) -> list[GrowthSt
     middle = apply_homography(inverse, np.array([[width / 2.0, height / 2.0]]))
     steps = np.arange(-2, 3)
     nodes = (np.round(middle) + np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)).astype(np.int64)
-    nothing = np.zeros((0, 2))
-    return [GrowthStart(expected, sign, nodes, nothing, nothing) for sign in (1.0, -1.0)]
+    return [GrowthStart(expected, sign, nodes) for sign in (1.0, -1.0)]

@@ -72,12 +72,6 @@ class StarGrid:
 
     # Image point, (2,) float64, px, of each node (column, row).
     points: dict[tuple[int, ...], Array] = field(default_factory=dict)
-    tries: Counter[tuple[int, ...]] = field(default_factory=Counter)
-
-    def record(self, tried: Ints, found: Ints, places: Array) -> None:
-        """Add a search: (M, 2) nodes tried, (N, 2) nodes at which a star was found, and these stars' places, px."""
-        self.tries.update(map(tuple, tried.tolist()))
-        self.points.update(zip(map(tuple, found.tolist()), places, strict=True))
 
     def nodes(self) -> Ints:
         """Return the (N, 2) nodes, columns and rows, of the stars found."""
@@ -97,8 +91,8 @@ class GrowthStart(NamedTuple):
     nodes: Ints  # (M, 2) int64, nodes that are searched first
     # anchor_grid, anchor_px: (K, 2) float64, pitches and px, points known beforehand on the grid and in the
     # image, which take part in all fits.
-    anchor_grid: Array
-    anchor_px: Array
+    anchor_grid: Array = np.zeros((0, 2))
+    anchor_px: Array = np.zeros((0, 2))
 
 
 def start_at_tag(tag: TagDetection, target: StarTarget) -> GrowthStart:
@@ -154,7 +148,7 @@ def _grow(
     image: Array32, start: GrowthStart, template: StarTemplate, exists: Callable[[Ints], Bools]
 ) -> tuple[StarGrid, list[float]]:
     """Grow the grid with one template; return it, and the correlations of its stars."""
-    grown = StarGrid()
+    grown, tries = StarGrid(), Counter[tuple[int, ...]]()
     scores: list[float] = []
     h, wanted, reach = start.homography, start.nodes, FIRST_REACH
     while len(wanted):
@@ -169,9 +163,13 @@ def _grow(
             break
         scores += score[good].tolist()
         new = wanted[seen][good]
-        grown.record(wanted, new, found[good])
+        tries.update(map(tuple, wanted.tolist()))
+        grown.points.update(zip(map(tuple, new.tolist()), found[good], strict=True))
         h = _refitted(h, start, grown)
-        wanted = _neighbours(new, grown, exists)
+        around = {(c + i, r + j) for c, r in new.tolist() for i, j in _AROUND}
+        again = (node for node in around if node not in grown.points and tries[node] < MAX_TRIES)
+        wanted = np.array(sorted(again), np.int64).reshape(-1, 2)
+        wanted = wanted[exists(wanted)]
         reach = REACH
     return grown, scores
 
@@ -183,14 +181,6 @@ def _refitted(h: Array, start: GrowthStart, grown: StarGrid) -> Array:
     if len(grid) >= PERSPECTIVE_FROM:
         return fit_homography(grid, places)
     return fit_affine(grid, places) if len(grid) >= PERSPECTIVE_FROM // 2 else h
-
-
-def _neighbours(nodes: Ints, grown: StarGrid, exists: Callable[[Ints], Bools]) -> Ints:
-    """Return the (M, 2) nodes next to some stars that have no star yet and may be searched again."""
-    around = {(c + i, r + j) for c, r in nodes.tolist() for i, j in _AROUND}
-    open_ = [key for key in around if key not in grown.points and grown.tries[key] < MAX_TRIES]
-    next_to = np.array(sorted(open_), np.int64).reshape(-1, 2)
-    return next_to[exists(next_to)]
 
 
 #: Pitches that are tried, px. Neighbouring ones are so close that a star responds to one of them.
@@ -330,6 +320,5 @@ def _confirmed_start(image: Array32, place: Array, linear: Array, segments: int)
             at, score = search_stars(image, place + around, shapes, reach, template, sign)
             if (score >= MIN_FIRST_CORRELATION).all():
                 homography = np.array([[*steps[0], at[0, 0]], [*steps[1], at[0, 1]], [0.0, 0.0, 1.0]])
-                empty = np.zeros((0, 2))
-                return GrowthStart(homography, sign, np.array([[0, 0]]), empty, empty)
+                return GrowthStart(homography, sign, np.array([[0, 0]]))
     return None
