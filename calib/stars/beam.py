@@ -34,10 +34,6 @@ MAX_OFF, MAX_RADIUS = 0.1, 4.0
 MIN_ARC_DEG = 50.0
 
 
-#: Steps of the fit of a centre, and the step below which it has ended, cells.
-_MOST_STEPS, _ENDED = 30, 0.01
-
-
 class Beam(NamedTuple):
     """The beam's disc in a picture."""
 
@@ -133,24 +129,22 @@ def _circle(rim: Array, lit: Bytes) -> tuple[tuple[float, float], float] | None:
 def _circle_of(radius: float, rim: Array, lit: Bytes) -> tuple[tuple[float, float], float] | None:
     """Fit the centre, cells, of a circle of a given radius; None if the rim does not lie on one around the light.
 
-    Gauss-Newton steps of the sum of squared distances from the circle (Gander, Golub & Strebel, 1994).
+    Least squares of the distances from the circle (Gander, Golub & Strebel, 1994).
     """
+    from scipy.optimize import least_squares
+
     # Begin on the side of the light: a short arc fits as well from its other side.
     away = _middle(lit) - rim.mean(axis=0)
-    centre = rim.mean(axis=0) + radius * away / max(float(np.hypot(*away)), 1e-9)
-    off = np.zeros(len(rim))
-    for _ in range(_MOST_STEPS):
-        out = rim - centre
-        distance = np.maximum(np.hypot(out[:, 0], out[:, 1]), 1e-9)
-        off = distance - radius
-        step = np.linalg.lstsq(out / distance[:, None], off, rcond=1e-6)[0]
-        centre = centre + step
-        if np.hypot(*step) < _ENDED:
-            break
-    inside = np.hypot(*(_middle(lit) - centre)) < radius
-    if not inside or float(np.sqrt(np.mean(off**2))) > MAX_OFF * radius:
+    start = rim.mean(axis=0) + radius * away / max(float(np.hypot(*away)), 1e-9)
+
+    def off(centre: Array) -> Array:
+        return np.asarray(np.hypot(*(rim - centre).T) - radius)
+
+    fit = least_squares(off, start)
+    inside = np.hypot(*(_middle(lit) - fit.x)) < radius
+    if not inside or float(np.sqrt(np.mean(fit.fun**2))) > MAX_OFF * radius:
         return None
-    return (float(centre[0]), float(centre[1])), radius
+    return (float(fit.x[0]), float(fit.x[1])), radius
 
 
 def _middle(lit: Bytes) -> Array:

@@ -137,14 +137,7 @@ def without_outliers(grid: Array, points: Array, good: Bools, *, sigmas: float, 
 
 
 def _monomials(at: Array, degree: int) -> Array:
-    """Return all products x^i y^j up to a degree along a new last axis: 1, x, y, x^2, x y, y^2, ..."""
-    x, y = at[..., 0], at[..., 1]
-    terms = np.empty((*x.shape, (degree + 1) * (degree + 2) // 2))
-    terms[..., 0] = 1.0
-    last, end = 0, 1
-    for total in range(1, degree + 1):
-        # Each term is one of the degree below times x; the last one is times y.
-        terms[..., end : end + total] = terms[..., last:end] * x[..., None]
-        terms[..., end + total] = terms[..., end - 1] * y
-        last, end = end, end + total + 1
-    return terms
+    """Return all products x^i y^j up to a degree along a new last axis."""
+    powers = np.arange(degree + 1)
+    products = np.polynomial.polynomial.polyvander2d(at[..., 0], at[..., 1], [degree, degree])
+    return np.asarray(products[..., np.add.outer(powers, powers).ravel() <= degree])

@@ -435,7 +435,7 @@ def vignetted_stars(view: View, target: StarTarget) -> Bools:
     return np.asarray((absent & inside).any(axis=1))
 
 
-def downweight_vignetted(view: View, target: StarTarget, sigma_px: float = VIGNETTED_SIGMA_PX) -> View:
-    """Add the variance of ``sigma_px``, per axis, to a view's vignetted stars: an independent error (own model)."""
-    added = np.where(vignetted_stars(view, target), sigma_px**2, 0.0)
+def downweight_vignetted(view: View, target: StarTarget) -> View:
+    """Add the variance of `VIGNETTED_SIGMA_PX`, per axis, to vignetted stars: an independent error (own model)."""
+    added = np.where(vignetted_stars(view, target), VIGNETTED_SIGMA_PX**2, 0.0)
     return replace(view, covariances_px2=view.covariances_px2 + added[:, None, None] * np.eye(2))

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calib.stars.centring import stencil_residuals, variance_factor
-from calib.stars.rim import downweight_vignetted, vignetted_stars
+from calib.stars.rim import VIGNETTED_SIGMA_PX, downweight_vignetted, vignetted_stars
 from calib.target import StarTarget
 from calib.view import View
 
@@ -111,9 +111,10 @@ def test_the_neighbours_of_a_star_that_was_missed_count_as_rim():
 def test_only_vignetted_stars_get_less_weight():
     seen = view(20.0)
     rim = vignetted_stars(seen, TARGET)
-    weighted = downweight_vignetted(seen, TARGET, 0.3)
+    weighted = downweight_vignetted(seen, TARGET)
     np.testing.assert_allclose(
-        weighted.covariances_px2[rim], np.broadcast_to(0.0904 * np.eye(2), (rim.sum(), 2, 2))
+        weighted.covariances_px2[rim],
+        np.broadcast_to((0.0004 + VIGNETTED_SIGMA_PX**2) * np.eye(2), (rim.sum(), 2, 2)),
     )
     np.testing.assert_array_equal(weighted.covariances_px2[~rim], seen.covariances_px2[~rim])
     np.testing.assert_array_equal(weighted.points_px, seen.points_px)
