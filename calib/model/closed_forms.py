@@ -9,7 +9,7 @@ solutions are only starting values.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -33,40 +33,45 @@ def linear_solution(
     if len(homographies) < (3 if free_principal_point else 2):
         return None
     to_unit, plane = _image_conditioning(image_size), _plane_conditioning(homographies, image_size)
-    inverses = np.linalg.inv(to_unit @ homographies @ plane)
     unknown = _IMAGE if free_principal_point else _IMAGE[:2]
-    left = np.concatenate([_equations(g, unknown) for g in inverses])
-    right = np.concatenate([-np.outer(g[:, 2], g[:, 2])[_UPPER] for g in inverses])
+    basis, g = _basis(unknown), np.linalg.inv(to_unit @ homographies @ plane)[:, None]
+    # The rows g W g^T - B, 6 a view, for the entries of W, of which the last one is known, then of B.
+    image = (g @ basis @ np.swapaxes(g, 2, 3))[:, :, *_UPPER].swapaxes(1, 2).reshape(-1, len(basis))
+    left = np.hstack([image[:, :-1], np.tile(-np.eye(6), (len(g), 1))])
     scale = np.linalg.norm(left, axis=0)
-    solution = np.linalg.lstsq(left / scale, right, rcond=None)[0] / scale
-    image = dict(zip(unknown, solution, strict=False))
-    return _solution_from_entries(image, solution[len(unknown) :], to_unit, plane)
-
-
-def _solution_from_entries(
-    image: Mapping[tuple[int, int], float], target: Array, to_unit: Array, plane: Array
-) -> tuple[Array, Collimator] | None:
-    """Return camera matrix and collimator by entries of K K^T, (2, 2) = 1, and of the right side; None if not real.
-
-    Own, of arXiv:2512.16092, eq. 5: fx^2 = w11 - w13^2, fy^2 = w22 - w23^2 with W = K K^T; r^2 is the mean of two.
-    """
-    cx, cy = image.get((0, 2), 0.0), image.get((1, 2), 0.0)
-    camera = _camera_matrix(np.array([image[0, 0] - cx**2, image[1, 1] - cy**2]), cx, cy)
-    right = np.zeros((3, 3))
-    right[_UPPER] = target
-    if right[2, 2] == 0.0:
+    solution = np.linalg.lstsq(left / scale, -image[:, -1], rcond=None)[0] / scale
+    camera = _camera_matrix(_combined(solution[: len(unknown)], basis))
+    target = np.zeros((3, 3))
+    target[_UPPER] = solution[len(unknown) :]
+    if camera is None or target[2, 2] == 0.0:
         return None
-    x, y = right[0, 2] / right[2, 2], right[1, 2] / right[2, 2]
-    r_squared = 0.5 * ((right[0, 0] + right[1, 1]) / right[2, 2] - x**2 - y**2)
-    if camera is None or not r_squared > 0:
+    # Own, of arXiv:2512.16092, eq. 5: r^2 is the mean of two.
+    x, y = target[:2, 2] / target[2, 2]
+    r_squared = 0.5 * ((target[0, 0] + target[1, 1]) / target[2, 2] - x**2 - y**2)
+    if not r_squared > 0:
         return None
     x_mm, y_mm, _ = plane @ [x, y, 1.0]
     collimator = Collimator(float(x_mm), float(y_mm), float(np.sqrt(r_squared) * plane[0, 0]))
     return np.asarray(np.linalg.inv(to_unit) @ camera), collimator
 
 
-def _camera_matrix(f_squared: Array, cx: float, cy: float) -> Array | None:
-    """Return the (3, 3) camera matrix with (2,) squares of fx and fy; None if they are not positive."""
+def _basis(unknown: Sequence[tuple[int, int]]) -> Array:
+    """Return for each unknown entry of a symmetric (3, 3) matrix, then for (2, 2), the matrix with a 1 there."""
+    matrices = np.zeros((len(unknown) + 1, 3, 3))
+    for one, (i, j) in zip(matrices, (*unknown, (2, 2)), strict=True):
+        one[i, j] = one[j, i] = 1.0
+    return matrices
+
+
+def _combined(entries: Array, basis: Array) -> Array:
+    """Return the symmetric (3, 3) matrix with some entries; (2, 2) is 1."""
+    return np.tensordot(np.append(entries, 1.0), basis, axes=1)
+
+
+def _camera_matrix(square: Array) -> Array | None:
+    """Return the (3, 3) camera matrix K by K K^T, (2, 2) = 1; None if a squared focal length is not positive."""
+    cx, cy = square[:2, 2]
+    f_squared = np.diag(square)[:2] - square[:2, 2] ** 2
     if not (f_squared > 0).all():
         return None
     fx, fy = np.sqrt(f_squared)
@@ -98,9 +103,7 @@ def camera_matrix_from_centre(homographies: Array, collimator: Collimator) -> Ar
     x, y, r = collimator.x, collimator.y, collimator.r
     right = np.array([[r**2 + x**2, x * y, x], [x * y, r**2 + y**2, y], [x, y, 1.0]])
     squares = homographies @ right @ np.swapaxes(homographies, 1, 2)
-    square = (squares / squares[:, 2:, 2:]).mean(axis=0)
-    cx, cy = square[0, 2], square[1, 2]
-    return _camera_matrix(np.array([square[0, 0] - cx**2, square[1, 1] - cy**2]), cx, cy)
+    return _camera_matrix((squares / squares[:, 2:, 2:]).mean(axis=0))
 
 
 def _image_conditioning(image_size: tuple[int, int]) -> Array:
@@ -122,20 +125,6 @@ def _plane_conditioning(homographies: Array, image_size: tuple[int, int]) -> Arr
     return np.array([[scale, 0.0, middle[0]], [0.0, scale, middle[1]], [0.0, 0.0, 1.0]])
 
 
-def _symmetric(entries: Sequence[tuple[int, int]]) -> Array:
-    """Return for each of K entries the symmetric (3, 3) matrix with a 1 there, (K, 3, 3)."""
-    matrices = np.zeros((len(entries), 3, 3))
-    for one, (i, j) in zip(matrices, entries, strict=True):
-        one[i, j] = one[j, i] = 1.0
-    return matrices
-
-
-def _equations(g: Array, unknown: Sequence[tuple[int, int]]) -> Array:
-    """Return the rows g W g^T - B, 6 a view, for chosen entries of W, then B (arXiv:2512.16092, eq. 5)."""
-    columns = (g @ _symmetric(unknown) @ g.T)[:, _UPPER[0], _UPPER[1]]
-    return np.hstack([columns.T, -np.eye(6)])
-
-
 # The planar model, in which each view has its own free centre (Zhang, 2000): a comparison, and a second way to start
 # the spherical model.
 
@@ -149,24 +138,18 @@ def zhang_matrix(
     3.1. A principal point that is not free is the image's centre. None if frontal views or noise do not allow it.
     """
     to_unit, unknown = _image_conditioning(image_size), _IMAGE[: 4 if free_principal_point else 2]
-    h = to_unit @ homographies
-    h1, h2 = (h[:, :, column] / np.linalg.norm(h[:, :, :1], axis=1) for column in (0, 1))
-    # The last entry, w33 = 1, is known.
+    h, basis = to_unit @ homographies, _basis(unknown)
+    h1, h2 = (h[:, :, column] / np.linalg.norm(h[:, :, 0], axis=1, keepdims=True) for column in (0, 1))
     crossed, first, second = (
-        np.einsum("ni,kij,nj->nk", one, _symmetric((*unknown, (2, 2))), other)
-        for one, other in ((h1, h2), (h1, h1), (h2, h2))
+        np.einsum("ni,kij,nj->nk", one, basis, other) for one, other in ((h1, h2), (h1, h1), (h2, h2))
     )
     rows = np.concatenate([crossed, first - second])
     solution, _, rank, _ = np.linalg.lstsq(rows[:, :-1], -rows[:, -1], rcond=1e-9)
-    if rank < len(unknown):
+    w = _combined(solution, basis)
+    if rank < len(unknown) or np.linalg.det(w) == 0.0:
         return None
-    w = dict(zip(unknown, solution, strict=True))
-    if not min(w[0, 0], w[1, 1]) > 0:
-        return None
-    cx, cy = -w.get((0, 2), 0.0) / w[0, 0], -w.get((1, 2), 0.0) / w[1, 1]
-    # w33 = 1 fixes the scale of w; the true one is 1 + cx^2 / fx^2 + cy^2 / fy^2.
-    true_scale = 1.0 - w[0, 0] * cx**2 - w[1, 1] * cy**2
-    camera = _camera_matrix(true_scale / np.array([w[0, 0], w[1, 1]]), cx, cy)
+    square = np.linalg.inv(w)
+    camera = _camera_matrix(square / square[2, 2])
     return None if camera is None else np.asarray(np.linalg.inv(to_unit) @ camera)
 
 
