@@ -228,14 +228,6 @@ _COARSE, _FINE = (24, 0.055), (56, 0.04)
 _FLAT = 0.35
 
 
-class _Cells(NamedTuple):
-    """Nodes in the frame as a grid: (rows, columns) bright, (rows, columns) in the frame, and its first node."""
-
-    bright: Bools
-    framed: Bools
-    first: Ints
-
-
 class _Map(NamedTuple):
     """Map of a view: (N, 2) nodes, and for each its (2,) image point and (2, 2) derivatives, px and px per pitch."""
 
@@ -244,12 +236,8 @@ class _Map(NamedTuple):
     linear: Array
 
 
-class _Levels(NamedTuple):
-    """Grey values of black print and of white print inside the beam; and whether white print is the dark one."""
-
-    black: float
-    white: float
-    inverted: bool
+#: Grey values of dark and bright print inside the beam, and whether white print is the dark one.
+_Levels = tuple[float, float, bool]
 
 
 def find_rim(image: NDArray[Any], view: View, target: StarTarget) -> RimPoints | None:
@@ -266,14 +254,13 @@ def find_rim(image: NDArray[Any], view: View, target: StarTarget) -> RimPoints |
     levels = _levels(image, selected(mapped, own), target)
     if levels is None:
         return None
-    coarse, values, inside = _sample(image, mapped, levels, target, *_COARSE)
-    cells = _cells(mapped.nodes, values, inside)
-    border = _border_mm(cells, target.pitch_mm)
+    coarse, values, inside = _sample(image, mapped, levels, target, _COARSE)
+    border = _border_mm(*_cells(mapped.nodes, values, inside, target), target.pitch_mm)
     centre, radius = _coarse_circle(border, coarse)
     fine = coarse
     if len(border):
         apart = np.abs(mapped.nodes[:, None, :] * target.pitch_mm - border).max(axis=2).min(axis=1)
-        fine, _, _ = _sample(image, selected(mapped, apart < 2.0 * target.pitch_mm), levels, target, *_FINE)
+        fine, _, _ = _sample(image, selected(mapped, apart < 2.0 * target.pitch_mm), levels, target, _FINE)
     return rim_in_sections((coarse, fine), border, centre, radius, target.pitch_mm, _px_per_mm(view))
 
 
@@ -308,7 +295,7 @@ def _map_nodes(view: View, target: StarTarget) -> _Map:
 
 
 def _levels(image: NDArray[Any], stars: _Map, target: StarTarget) -> _Levels | None:
-    """Return the grey values of white and black print at the stars; None if they do not differ clearly."""
+    """Return the levels of dark and bright print at the stars; None if they do not differ clearly."""
     white, black = _print_offsets(target, *_COARSE)
     if not len(white) or not len(black):
         return None
@@ -317,31 +304,29 @@ def _levels(image: NDArray[Any], stars: _Map, target: StarTarget) -> _Levels | N
     low, high = np.nanpercentile(bright if at_white > at_black else dark, [16.0, 84.0])
     if not abs(at_white - at_black) > 0.5 * (high - low):
         return None
-    inverted = at_white < at_black
-    return _Levels(min(at_white, at_black), max(at_white, at_black), inverted)
+    return min(at_white, at_black), max(at_white, at_black), at_white < at_black
 
 
 def _sample(
-    image: NDArray[Any], mapped: _Map, levels: _Levels, target: StarTarget, along: int, clearance: float
+    image: NDArray[Any], mapped: _Map, levels: _Levels, target: StarTarget, density: tuple[int, float]
 ) -> tuple[Samples, Array, Bools]:
     """Sample the bright print around nodes; return also the (N, K) levels, nan outside, and which are inside."""
-    offsets = _print_offsets(target, along, clearance)[int(levels.inverted)]
+    dark, bright, inverted = levels
+    offsets = _print_offsets(target, *density)[int(inverted)]
     values, inside = _values(image, mapped, offsets)
-    values = (values - levels.black) / (levels.white - levels.black)
+    values = (values - dark) / (bright - dark)
     places = ((mapped.nodes[:, None, :] + offsets) * target.pitch_mm)[inside]
     return Samples(places, values[inside]), values, inside
 
 
-def _cells(nodes: Ints, values: Array, inside: Bools) -> _Cells:
-    """Return which cells are in the frame, and which are bright, as grids."""
-    first = nodes.min(axis=0)
-    column, row = (nodes - first).T
-    framed = np.zeros((int(row.max()) + 1, int(column.max()) + 1), np.bool_)
-    bright = framed.copy()
-    seen = inside.sum(axis=1)
-    framed[row, column] = seen >= 0.25 * inside.shape[1]
-    bright[row, column] = (values > 0.5).sum(axis=1) > 0.5 * np.maximum(seen, 1)
-    return _Cells(bright & framed, framed, first)
+def _cells(nodes: Ints, values: Array, inside: Bools, target: StarTarget) -> tuple[Bools, Bools]:
+    """Return which nodes of the target have bright cells, (rows, columns), and which are in the frame."""
+    framed = np.zeros((target.rows, target.columns), np.bool_)
+    bright, seen = framed.copy(), inside.sum(axis=1)
+    at = nodes[:, 1], nodes[:, 0]
+    framed[at] = seen >= 0.25 * inside.shape[1]
+    bright[at] = (values > 0.5).sum(axis=1) > 0.5 * np.maximum(seen, 1)
+    return bright & framed, framed
 
 
 def _nodes_near(grid: Ints, target: StarTarget) -> Ints:
@@ -363,24 +348,24 @@ def _values(image: NDArray[Any], mapped: _Map, offsets: Array) -> tuple[Array, B
     return values, inside
 
 
-def _border_mm(cells: _Cells, pitch_mm: float) -> Array:
+def _border_mm(bright: Bools, framed: Bools, pitch_mm: float) -> Array:
     """Return the (B, 2) mm places half-way between neighbouring bright and dark cells.
 
     Dark cells count only if they reach the frame's border or the last nodes; others are spots inside the beam.
     """
-    dark = (cells.framed & ~cells.bright).astype(np.uint8)
+    dark = (framed & ~bright).astype(np.uint8)
     _, parts = cv2.connectedComponents(dark, connectivity=8)
-    outside = cv2.dilate((~cells.framed).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    outside = cv2.dilate((~framed).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
     outside[[0, -1]] = outside[:, [0, -1]] = True
     reaching = np.unique(parts[outside & (dark > 0)])
     outer = np.isin(parts, reaching) & (dark > 0)
     places = []
     for axis in (0, 1):
         step = np.array([axis == 1, axis == 0], float)
-        a, b = (np.delete(cells.bright, i, axis=axis) for i in (-1, 0))
+        a, b = (np.delete(bright, i, axis=axis) for i in (-1, 0))
         c, d = (np.delete(outer, i, axis=axis) for i in (-1, 0))
         places.append(np.argwhere((a & d) | (b & c))[:, ::-1] + 0.5 * step)
-    return np.asarray((np.concatenate(places) + cells.first) * pitch_mm)
+    return np.asarray(np.concatenate(places) * pitch_mm)
 
 
 def _coarse_circle(border_mm: Array, samples: Samples) -> tuple[Array, float]:
