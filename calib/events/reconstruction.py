@@ -113,51 +113,37 @@ def reconstruct(
         raise InputMismatch("The times of the pictures do not ascend.", where="reconstruction")
     past = HighPassFilter(size, cutoff_hz)
     reach_us = -math.log(FORGOTTEN) / past.alpha_us if two_sided else 0.0
-    waiting, open_pictures = deque(at_us), deque[_OpenPicture]()
+    # Pictures whose later events are still to come: time, and sums of the events before and after it.
+    waiting, begun = deque(at_us), deque[tuple[float, Array, Array]]()
     for events in _ascending(pieces):
         first = 0
         while waiting and waiting[0] < events[0][-1]:
             until = int(np.searchsorted(events[0], waiting[0], side="right"))
             past.add(_part(events, first, until))
-            first = until
-            begun = _OpenPicture(waiting[0], past.sums_at(waiting[0]), two_sided)
-            open_pictures.append(begun)
-            waiting.popleft()
+            first, sums = until, past.sums_at(waiting[0])
+            begun.append((waiting.popleft(), sums, np.zeros_like(sums)))
         past.add(_part(events, first, len(events[0])))
-        for picture in open_pictures:
-            picture.add_later(events, past.alpha_us, reach_us)
-        while open_pictures and open_pictures[0].at_us + reach_us <= events[0][-1]:
-            yield open_pictures.popleft().finished()
-    open_pictures.extend(_OpenPicture(time_us, past.sums_at(time_us), two_sided) for time_us in waiting)
-    while open_pictures:
-        yield open_pictures.popleft().finished()
+        for time_us, _, later in begun:
+            after, last = np.searchsorted(events[0], [time_us, time_us + reach_us], side="right")
+            later[:] += _weighted(_part(events, int(after), int(last)), time_us, past.alpha_us, later.shape)
+        while begun and begun[0][0] + reach_us <= events[0][-1]:
+            yield _picture(*begun.popleft(), 0.5 if two_sided else 1.0)
+    begun.extend((time_us, past.sums_at(time_us), np.zeros((2, *size[::-1]))) for time_us in waiting)
+    for one in begun:
+        yield _picture(*one, 0.5 if two_sided else 1.0)
 
 
-class _OpenPicture:
-    """A picture whose later events are still to come."""
-
-    def __init__(self, at_us: float, sums: Array, two_sided: bool) -> None:
-        self.at_us = at_us
-        self._past = sums
-        self._later, self._share = np.zeros_like(sums), 0.5 if two_sided else 1.0
-
-    def add_later(self, events: EventArrays, alpha_us: float, reach_us: float) -> None:
-        """Add the events that lie within reach after the picture's time."""
-        first, last = np.searchsorted(events[0], [self.at_us, self.at_us + reach_us], side="right")
-        later = _part(events, int(first), int(last))
-        self._later += _weighted(later, self.at_us, alpha_us, self._later.shape)
-
-    def finished(self) -> ReconstructedPicture:
-        """Return the picture."""
-        total = np.asarray((self._past + self._later).sum(axis=0), np.float32)
-        active = float(np.mean(total > FORGOTTEN))
-        off, on = self._past - self._later
-        off_sum, on_sum = (self._past + self._later).sum(axis=(1, 2))
-        off_weight = float(on_sum / off_sum) if off_sum > 0 else 1.0
-        image = np.asarray((on - off_weight * off) * self._share, np.float32)
-        hot = total > _HOT_FACTOR * cv2.medianBlur(total, 5) + _HOT_OFFSET
-        image[hot] = cv2.medianBlur(image, 5)[hot]
-        return ReconstructedPicture(self.at_us, image, active)
+def _picture(at_us: float, past: Array, later: Array, share: float) -> ReconstructedPicture:
+    """Return a picture from the sums before and after its time, of which it gets a share."""
+    total = np.asarray((past + later).sum(axis=0), np.float32)
+    active = float(np.mean(total > FORGOTTEN))
+    off, on = past - later
+    off_sum, on_sum = (past + later).sum(axis=(1, 2))
+    off_weight = float(on_sum / off_sum) if off_sum > 0 else 1.0
+    image = np.asarray((on - off_weight * off) * share, np.float32)
+    hot = total > _HOT_FACTOR * cv2.medianBlur(total, 5) + _HOT_OFFSET
+    image[hot] = cv2.medianBlur(image, 5)[hot]
+    return ReconstructedPicture(at_us, image, active)
 
 
 def _ascending(pieces: Iterable[EventArrays]) -> Iterator[EventArrays]:
