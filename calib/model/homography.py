@@ -53,11 +53,8 @@ def view_homography(view: View) -> Array:
     Raises DegenerateViews: If all stars lie on one line, on the target or in the image.
     Raises InputMismatch: If the image shows the target mirrored.
     """
-    h, wrong = view.remembered("homography", _fit_without_gross_errors)
-    kept = ~wrong
-    part = wrong.any() and np.count_nonzero(kept) >= MIN_STARS
     with placed(f"view {view.name}"):
-        return _oriented(h, view.part(kept) if part else view)
+        return _oriented(rough_homography(view), view)
 
 
 def gross_errors(view: View) -> Bools:

@@ -86,15 +86,11 @@ class GridMap:
     def local_map(self, grid: Array) -> LocalMap:
         """Expand to second order around (N, 2) pitches, by central differences (Abramowitz and Stegun, 1972, 25.3)."""
         h = _STEP_PITCHES
-        right, down = np.array([h, 0.0]), np.array([0.0, h])
-        east, west = self.apply(grid + right), self.apply(grid - right)
-        south, north = self.apply(grid + down), self.apply(grid - down)
-        here = self.apply(grid)
-        mixed = self.apply(grid + h) + self.apply(grid - h)
-        mixed = mixed - self.apply(grid + right - down) - self.apply(grid - right + down)
+        steps = h * np.array([(i, j) for j in (-1, 0, 1) for i in (-1, 0, 1)])
+        nw, north, ne, west, here, east, sw, south, se = (self.apply(grid + step) for step in steps)
         linear = np.stack([(east - west) / (2 * h), (south - north) / (2 * h)], axis=-1)
         xx, yy = (east + west - 2 * here) / (2 * h * h), (south + north - 2 * here) / (2 * h * h)
-        return LocalMap(linear, np.stack([xx, mixed / (4 * h * h), yy], axis=-1))
+        return LocalMap(linear, np.stack([xx, (nw + se - ne - sw) / (4 * h * h), yy], axis=-1))
 
 
 def fit_grid_map(grid: Array, points: Array) -> tuple[GridMap, Array]:

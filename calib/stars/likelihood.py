@@ -33,6 +33,7 @@ from functools import cache, lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
 from calib.arrays import Array, Array32, Bools, Bytes, selected
 from calib.stars.edge_pixels import (
@@ -234,12 +235,7 @@ def _score_tables(counts: Array, bandwidth_bins: float) -> ScoreTables:
     information: sum over the levels of P'^2 / P.
     """
     reach = int(4 * bandwidth_bins) + 1
-    steps = np.arange(-reach, reach + 1)
-    kernel = np.exp(-0.5 * (steps / bandwidth_bins) ** 2)
-    kernel /= kernel.sum()
-    smoothed = np.zeros(counts.shape)  # an image of few levels leaves most rows empty
-    for level in np.flatnonzero(counts.any(axis=1)):
-        smoothed[level] = np.convolve(counts[level], kernel, "same")
+    smoothed = gaussian_filter1d(counts, bandwidth_bins, axis=1, mode="constant", radius=reach)
     overall = (counts.sum(axis=1, keepdims=True) + 1.0) / (counts.sum() + len(counts))
     share = (smoothed + PSEUDO_COUNT * overall) / (smoothed.sum(axis=0) + PSEUDO_COUNT)
     slope = np.gradient(share, axis=1) / TAU_BIN_PX
