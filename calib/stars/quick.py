@@ -62,13 +62,15 @@ def find_stars_quickly(image: AnyArray, target: StarTarget) -> QuickStars:
         nodes, named_by = grown.nodes(), ""
         if isinstance(labels, StarLabels) and printed(target, labels.apply(nodes)).all():
             nodes, named_by = labels.apply(nodes), "part of the tag"
+    nothing = np.zeros((0, 2))
+    none = QuickStars(np.zeros(0, np.int64), nothing, nothing, None, tag, "", blurred=False)
     if len(nodes) < MIN_STARS:
-        return _none(tag)
+        return none
     found = Candidates(nodes, grown.places())
     candidates, _, local_map, blurred = refine_candidates(smoothed, found, target, sign, COARSE_STEP_PX)
     # Far out of focus, the pattern shows again with its contrast reversed: shapes that are learnt there are no stars.
     if len(candidates.nodes) < MIN_STARS or (blurred and not named_by):
-        return _none(tag)
+        return none
     nodes = candidates.nodes
     ids = target.id_at(nodes[:, 0], nodes[:, 1]) if named_by else np.full(len(nodes), -1, np.int64)
     return QuickStars(ids, nodes.astype(float), candidates.points, local_map, tag, named_by, blurred, sign)
@@ -98,9 +100,3 @@ def follow_stars(image: AnyArray, last: QuickStars, target: StarTarget) -> Quick
     return last._replace(
         ids=last.ids[seen], nodes=last.nodes[seen], points_px=found.points, local_map=local_map
     )
-
-
-def _none(tag: TagDetection | None) -> QuickStars:
-    """Return that no stars were found."""
-    empty = np.zeros((0, 2))
-    return QuickStars(np.zeros(0, np.int64), empty, empty, None, tag, "", blurred=False)
