@@ -26,7 +26,7 @@ import cv2
 import numpy as np
 
 from calib.arrays import AnyArray, Array, Array32, Bools, Bytes, Ints, selected
-from calib.model.homography import apply_homography
+from calib.model.homography import apply_homography, linear_at
 from calib.stars.edge_pixels import quantise
 from calib.stars.grid_map import LocalMap
 from calib.stars.likelihood import edge_width_px
@@ -94,7 +94,7 @@ def blur_circle(
     middle = np.array(target.tag_centre_mm) / target.pitch_mm
     steps = (np.arange(ALONG) + 0.5) / ALONG * 2.0 * COMPARED - COMPARED
     places = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
-    pitch = _pitch_px(homography, middle)
+    pitch = float(np.sqrt(np.abs(np.linalg.det(linear_at(homography, middle[None])[0]))))
     in_focus = round(IN_FOCUS_PX / pitch, 3)
     cells = np.rint((places + HALF_SIDE) * PER_PITCH - 0.5).astype(np.int64)
     best: BlurCircle | None = None
@@ -164,13 +164,6 @@ def _inside(lit: Bytes, shape: tuple[int, ...], margin: int) -> Bools:
     """Return which pixels of an image of some shape are lit; cells within half a margin of the dark are not."""
     away = cv2.erode(lit, np.ones((margin, margin), np.uint8), borderType=cv2.BORDER_REPLICATE)
     return np.asarray(cv2.resize(away, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST) > 0)
-
-
-def _pitch_px(homography: Array, at: Array) -> float:
-    """Return the distance of neighbouring stars near a place of the grid, px."""
-    corners = apply_homography(homography, at + np.array([[-0.5, 0.0], [0.5, 0.0], [0.0, -0.5], [0.0, 0.5]]))
-    along, down = corners[1] - corners[0], corners[3] - corners[2]
-    return float(np.sqrt(abs(along[0] * down[1] - along[1] * down[0])))
 
 
 @lru_cache(maxsize=2)
