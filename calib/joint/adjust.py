@@ -18,7 +18,7 @@ from calib.joint import amplitudes as amp
 from calib.joint.equations import Bench, State, ViewStars, sines_of, turns_of
 from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
 from calib.joint.knowledge import CERTIFICATE, WRONG, gather, stated_names, term_shapes, wavefront
-from calib.joint.layout import Layout
+from calib.joint.layout import ASIDE, Layout
 from calib.joint.marginal import Marginal, Problem
 from calib.joint.posterior import odds_of
 from calib.joint.pupils import LEVER_BY_HAND, Poses, lever_of, pupils_of, seen_poses
@@ -245,7 +245,12 @@ def _searched(
     named = dict(zip(problem.bench.layout.names, near.shared.tolist(), strict=True))
     camera, centre = problem.bench.camera(near.shared), Collimator(named["x"], named["y"], named["r"])
     start = AdjustmentParameters(camera, centre, near.rotations, start.offsets)
+    before = problem.bench.layout.basis.reference[2]
     problem, state = posed(views, options, start, lens, seen)
+    layout = problem.bench.layout
+    # Fields begin again at zero. Rotations and centre fit what shifts the image, in shares of the reference radius.
+    shifts = [*layout.places(ASIDE), *layout.parallax]
+    state.shared[shifts] = before / layout.basis.reference[2] * near.shared[shifts]
     return search(problem, state, options.max_iterations), state
 
 

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,12 +94,9 @@ FAMILIES = (
     Family(COMMON, smooth(12e-6, DEGREE), 1.0, 0.5, 0.25, 0.9),
     Family(TURN, smooth(3e-6, len(TURN)), 1.0, 0.5, 0.25, 0.9),
     Family(TURN_2, smooth(1e-6, len(TURN_2)), 1.0, 0.5, 0.0, 0.9),
-    Family(
-        (RADIAL, PARALLAX, SHIFTED, CURVATURE_TURN, SCALE_TURN_2, ASIDE),
-        (0.05, 0.06, 1e-3, 4e-4, 4e-6, 3e-4),
-        1.3,
-        0.5,
-    ),
+    Family((RADIAL, SHIFTED, CURVATURE_TURN, SCALE_TURN_2), (0.05, 1e-3, 4e-4, 4e-6), 1.3, 0.5),
+    # A defocus of 0.06, times how far a pupil moves: a well corrected collimator can be out of focus, too.
+    Family((PARALLAX, ASIDE), (0.06, 3e-4), 0.8, 0.5),
     Family((DISTORTION,), (0.015,), 1.5, 0.0),  # Share of the distance from the axis, at the sensor's corner
     Family((TANGENTIAL,), (4e-4,), 0.6, 0.0),
     Family((PRISM,), (2e-4,), 1.0, 0.0),
@@ -174,15 +172,18 @@ def _families(pupil: Pupil, *, passport: bool) -> list[Family]:
     return [family.first(counts.get(family.names, len(family.names))) for family in FAMILIES]
 
 
-def hyperprior(lever: float, pupil: Pupil, *, passport: bool = False) -> Hyperprior:
-    """Return the hyperprior. ``lever``: how far the pupil moves across the beam per unit turn, as a share of r.
+class Lever(NamedTuple):
+    """How far a pupil moves across the beam per unit turn, as a share of r."""
 
-    ``passport``: whether a passport states the irregular errors of the glass.
-    """
+    middle: float
+    spread: float  # 1-sigma of its logarithm
+
+
+def hyperprior(lever: Lever, pupil: Pupil, *, passport: bool = False) -> Hyperprior:
+    """Return the hyperprior. ``passport``: whether a passport states the irregular errors of the glass."""
     families = _families(pupil, passport=passport)
     names = tuple(name for family in families for name in family.names)
     mean = np.log([median for family in families for median in family.medians])
-    mean[names.index(PARALLAX)] += np.log(lever)
     glass = np.array([family.glass for family in families for _ in family.names])
     covariance = np.outer(glass, glass)
     begin = 0
@@ -190,4 +191,7 @@ def hyperprior(lever: float, pupil: Pupil, *, passport: bool = False) -> Hyperpr
         own = slice(begin, begin + len(family.names))
         covariance[own, own] = family.covariance
         begin = own.stop
+    parallax = names.index(PARALLAX)
+    mean[parallax] += np.log(lever.middle)
+    covariance[parallax, parallax] += lever.spread**2
     return Hyperprior(names, mean, covariance)

@@ -40,8 +40,8 @@ RIM_OWN = 0.2 * np.array([1.0, _RIM_RATIO])
 _LENS_RATIOS = {"k1": 1.0, "k2": 0.4, "k3": 0.15, "kb1": 1.0, "kb2": 0.4, "kb3": 0.15, "kb4": 0.05}
 #: Change of the focal length, or of the radius, from the first pose to the last, as a share.
 DRIFT = "drift"
-#: Change of the radius by the sines of the turns along X and Y, as a share: a pupil that is beside the pivot moves
-#: along the axis when the camera turns.
+#: Defocus times how far the pupil is beside the pivot along the camera's x and y axes, as a share of the radius. The
+#: image is shifted along these axes. When the camera turns, the pupil moves along the beam, which changes the radius.
 ASIDE = ("aside_x", "aside_y")
 #: radial_4 is typically so many times radial.
 RADIAL_RATIO = 20.0
@@ -200,11 +200,14 @@ class Layout:
         found = np.zeros((len(turns), self.size, len(self.names)))
         found[:, range(k), range(k)] = 1.0
         found[:, k, self.index["r"]] = 1.0
-        found[:, k, self.places(ASIDE)] = r_mm * turns * cosines[:, None]
+        aside = self.places(ASIDE)
+        found[:, k, aside] = r_mm * (axes @ turns[:, :, None])[:, :, 0] * cosines[:, None]
         if self.by_hand:
             found[:, k, self.places(self.along)] = r_mm * np.eye(len(turns))
         found[:, range(k + 1, self.field), self.places(self.rim)] = 1.0
         field, half = self.field, COEFFICIENTS // 2
+        if not self.by_hand:
+            found[:, field, aside], found[:, field + half, aside] = -axes[:, :, 0], -axes[:, :, 1]
         found[:, field, self.index["x"]] = found[:, field + half, self.index["y"]] = -1.0 / r_mm
         found[:, field : self.middle, self.places(RADIAL)] = self.basis.radial
         found[:, field + self.common, self.places([f"{FIELD}{j}" for j in self.common])] = 1.0

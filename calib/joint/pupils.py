@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from calib.adjustment.parameters import poses_of
 from calib.arrays import Array
+from calib.joint.amplitudes import Lever
 from calib.model.beam import discs_of
 from calib.model.rim_fit import Discs
 from calib.view import View
@@ -27,7 +28,7 @@ _AS_TURNS = 12.0
 #: Discs are apart if the square of their distance, in sigmas, is larger. By chance it is so in 1 of 1000 pairs.
 _APART = 13.8
 #: What `lever_of` returns if no disc shows it. The same if a hand moves the camera, where `_AS_TURNS` holds.
-_LEVER, LEVER_BY_HAND = 0.03, 1.0 / _AS_TURNS
+_LEVER, LEVER_BY_HAND = 0.03, Lever(1.0 / _AS_TURNS, 0.0)
 #: 1-sigma of its logarithm beforehand, and the grid of its posterior in these: a pupil 3 to 20 mm before the pivot.
 _LEVER_SPREAD, _LEVERS = 1.0, np.linspace(-3.0, 3.0, 61)
 #: Turns whose tangent is smaller say nothing of how a pupil moves.
@@ -78,14 +79,14 @@ def _apart(found: Discs) -> NDArray[np.bool_]:
     return np.asarray(squares > _APART)
 
 
-def lever_of(found: Discs | None, turns: Array, r_mm: float) -> float:
-    """Return how far the pupil of a gimbal moves across the beam per unit turn, as a share of r. turns: (n, 2).
+def lever_of(found: Discs | None, turns: Array, r_mm: float) -> Lever:
+    """Return how far the pupil of a gimbal moves across the beam. turns: (n, 2).
 
-    The logarithm of its size is Gaussian beforehand. The mean of the posterior is returned: with how far the discs
-    move along X as the turn along X says, and along Y as that along Y, and their covariance.
+    The logarithm of its size is Gaussian beforehand. The posterior counts how far the discs move along X as the turn
+    along X says, and along Y as that along Y, with their covariance.
     """
     if found is None or len(turns) < 2:
-        return _LEVER
+        return Lever(_LEVER, _LEVER_SPREAD)
     away, differences = _about_their_mean(found)
     along = _along(turns) / r_mm
     ways, unseen = along @ away.reshape(-1), np.diag(np.where(np.ptp(turns, axis=0) < _NO_TURN, 1.0, 0.0))
@@ -94,7 +95,8 @@ def lever_of(found: Discs | None, turns: Array, r_mm: float) -> float:
     fit = np.einsum("a,gab,b->g", ways, np.linalg.inv(variances), ways)
     density = -0.5 * (_LEVERS**2 + fit + np.linalg.slogdet(variances)[1])
     weights = np.exp(density - density.max())
-    return float(np.exp(weights @ logs / weights.sum()))
+    mean = np.average(logs, weights=weights)
+    return Lever(float(np.exp(mean)), float(np.sqrt(np.average((logs - mean) ** 2, weights=weights))))
 
 
 def _along(turns: Array) -> Array:

@@ -24,22 +24,24 @@ def discs(turns, ways, sigma_mm):
 
 @pytest.mark.parametrize(("way", "least", "most"), [(0.17, 0.14, 0.2), (0.05, 0.04, 0.06), (0.0, 0.0, 0.01)])
 def test_discs_that_are_well_seen_decide(way, least, most):
-    assert least < lever_of(discs(RASTER, (way, way), 0.1), RASTER, R_MM) < most
+    assert least < lever_of(discs(RASTER, (way, way), 0.1), RASTER, R_MM).middle < most
 
 
 def test_discs_that_show_little_leave_what_is_expected():
-    expected = lever_of(None, RASTER, R_MM)
+    expected = lever_of(None, RASTER, R_MM).middle
     assert expected == pytest.approx(0.03)
-    assert lever_of(discs(RASTER, (0.17, 0.17), 500.0), RASTER, R_MM) == pytest.approx(expected, rel=0.1)
+    assert lever_of(discs(RASTER, (0.17, 0.17), 500.0), RASTER, R_MM).middle == pytest.approx(
+        expected, rel=0.1
+    )
 
 
 def test_a_pupil_far_off_the_pivot_is_seen_by_three_sigmas_of_its_discs():
     # sigma of the motion along X: 2.45 mm over 250 mm and a root of the sum of squares of 0.245
-    assert lever_of(discs(RASTER, (0.17, 0.17), 2.45), RASTER, R_MM) > 0.1
+    assert lever_of(discs(RASTER, (0.17, 0.17), 2.45), RASTER, R_MM).middle > 0.1
 
 
 def test_an_axis_that_stands_still_says_nothing():
     table = RASTER * (1.0, 0.0)
-    seen, unseen = (lever_of(discs(table, (0.17, 0.0), sigma), table, R_MM) for sigma in (0.1, 500.0))
+    seen, unseen = (lever_of(discs(table, (0.17, 0.0), sigma), table, R_MM).middle for sigma in (0.1, 500.0))
     assert unseen == pytest.approx(0.03, rel=0.1)
     assert 0.1 < seen < 0.2

@@ -1,0 +1,49 @@
+"""Collimators out of focus: a pupil off the pivot or beside the axes sees other stars, which nothing may hide in U."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.calibration import CalibrationOptions
+from calib.engine import calibrate
+from tests.unit.calib.conftest import Bench
+
+RASTER = tuple((pan, tilt) for tilt in (-2.0, 0.0, 2.0) for pan in (-5.0, 0.0, 5.0))
+ROLLED = tuple((*pose, roll) for pose, roll in zip(RASTER, 4 * (0, 90, 180, 270), strict=False))
+#: The beam is wider than the views, so that no rim shows where the pupil is.
+WIDE = Bench(half_angle_deg=40.0)
+
+
+def recorded(bench, pupil_mm, defocus, poses, seed):
+    """Views of a camera whose pupil lies at (3,) in the camera's axes, from where the gimbal's axes cross."""
+    centres = []
+    for pose in poses:
+        moved = np.array(pupil_mm) @ bench.turn(*pose) - (0.0, 0.0, pupil_mm[2])
+        centres.append(np.array(bench.centre) + defocus * moved)
+    return bench.views(np.random.default_rng(seed), 0.02, poses, centres)
+
+
+def largest_error_over_u(bench, result):
+    return max(
+        abs(getattr(result.camera, name) - bench.truth[name])
+        / (result.coverage_factors[name] * result.sigma[name])
+        for name in ("fx", "fy", "cx", "cy")
+    )
+
+
+@pytest.mark.parametrize(("off_mm", "defocus"), [(30.0, 0.06), (-30.0, 0.06), (15.0, -0.1)])
+def test_a_well_corrected_collimator_may_be_out_of_focus(off_mm, defocus):
+    """Nothing is stated, and the glass has no errors that could tell of its focus."""
+    result = calibrate(recorded(WIDE, (0.0, 0.0, off_mm), defocus, RASTER, 5), CalibrationOptions())
+    assert largest_error_over_u(WIDE, result) < 1.5
+    assert 2.0 * result.sigma["fx"] < 0.02 * WIDE.fx
+
+
+@pytest.mark.parametrize("focal_px", [3345.0, 1200.0])
+@pytest.mark.parametrize("beside_mm", [(6.0, -5.0), (-3.0, 7.0)])
+def test_a_pupil_beside_the_roll_axis_does_not_pass_for_another_principal_point(focal_px, beside_mm):
+    """Out of focus by 0.05, it moves the image by up to 5 px, along axes that turn with the camera."""
+    bench = replace(WIDE, fx=focal_px, fy=focal_px, k=(0.02, -0.05))
+    result = calibrate(recorded(bench, (*beside_mm, 20.0), 0.05, ROLLED, 6), CalibrationOptions())
+    assert largest_error_over_u(bench, result) < 1.0
