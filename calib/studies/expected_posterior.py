@@ -41,7 +41,9 @@ Angles = Mapping[str, float]
 
 #: Amplitudes of the errors that follow the collimator, and of those that follow the turn.
 _COMMON = (amp.RADIAL, amp.SHIFTED, *amp.COMMON)
-_BY_TURN = (amp.PARALLAX, amp.CURVATURE_TURN, amp.SCALE_TURN_2, amp.ASIDE, *amp.TURN, *amp.TURN_2)
+_BY_TURN = (amp.CURVATURE_TURN, amp.SCALE_TURN_2, *amp.TURN, *amp.TURN_2)
+#: A bad collimator may be badly focused, too. A good one is not better focused than others.
+_FOCUS = (amp.PARALLAX, amp.ASIDE)
 _PAIRS = 8
 #: Distortion of a lens at the corner of the sensor, as a share of the distance from the axis: as large as that of the
 #: camera of arXiv:2512.16092.
@@ -93,6 +95,7 @@ def expected_amplitudes(bench: ExpectedBench, hyper: amp.Hyperprior) -> Array:
     by_turn = [name for name in _BY_TURN if name in hyper.names]
     for names, larger in zip((_COMMON, by_turn, amp.POSE), times, strict=True):
         eta[hyper.places(names)] += np.log(larger)
+    eta[hyper.places(_FOCUS)] += max(np.log(times[1]), 0.0)
     if bench.readings is not None:
         wander_deg = np.degrees(errors.defocus * errors.pupil_wander_mm / bench.collimator.r)
         scatter = np.hypot(1.0, wander_deg / bench.readings.reading_sigma_deg)
