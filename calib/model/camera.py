@@ -22,6 +22,8 @@ PINHOLE = ("fx", "fy", "cx", "cy")
 SKEW = "skew"
 #: A fold of the distortion is looked for at so many places along a line.
 _ALONG = 1000
+#: Tangent of an angle beyond which no lens sees: a step that goes there does not come back.
+_FARTHEST = 1e6
 #: Sets of distortion coefficients, by the names that the command line accepts.
 DISTORTION_SETS: Mapping[str, tuple[str, ...]] = {
     "none": (),
@@ -278,6 +280,7 @@ class CameraModel:
                 ]
             )
             normalised = normalised + step
+            normalised[np.abs(normalised) > _FARTHEST] = np.nan
             if not (np.abs(step) > 1e-14).any():
                 break
         inverted = np.abs(distort_with_jacobians(normalised, self.distortion)[0] - wanted).max(axis=1) < 1e-9

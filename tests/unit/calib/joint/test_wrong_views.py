@@ -63,7 +63,7 @@ def named_shift(views):
     return shifts_of(said)
 
 
-@pytest.mark.parametrize(("place", "shift"), [(0, (1, 0)), (3, (-2, 1)), (4, (0, 2))])
+@pytest.mark.parametrize(("place", "shift"), [(1, (1, 0)), (3, (-2, 1)), (4, (0, 2))])
 def test_the_view_and_the_shift_are_named(place, shift):
     views = bench(3, count=8)
     views[place] = misnamed(views[place], *shift)
