@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.adjustment.bundle import Bundle, Observations
-from calib.adjustment.initialization import best_start, passport_starts, planar_starts, spherical_starts
+from calib.adjustment.initialization import initialized
 from calib.adjustment.levenberg_marquardt import Refinement, refine
 from calib.adjustment.loss import Loss, lengths
 from calib.adjustment.parameters import (
@@ -26,9 +26,7 @@ from calib.calibration import Calibration, CalibrationOptions, ViewSummary, rms_
 from calib.diagnosis.gross_stars import GrossStars, used_stars
 from calib.errors import DegenerateViews, NotConverged
 from calib.model import result_parts as names
-from calib.model.camera import PINHOLE, CameraModel
-from calib.model.collimator import CENTRE
-from calib.model.homography import view_homography
+from calib.model.camera import CameraModel
 from calib.model.result_parts import ROW_QUANTITIES, BudgetRow
 from calib.uncertainty.covariance import (
     Uncertainty,
@@ -74,7 +72,7 @@ def fit_model(
     """
     used = used_stars(views, options.guard_band, wrong)
     kept = [view if own.all() else view.part(own) for view, own in zip(views, used, strict=True)]
-    bundle, start = initialize(kept, options, model)
+    bundle, start = initialized(kept, options.distortion, options.passport, planar=model == "planar")
     refined, loss = refine_robustly(bundle, start, options)
     if options.passport is None:
         require_distinct_poses(refined.parameters)
@@ -130,23 +128,6 @@ def refine_robustly(
         refined = refine(bundle, refined.parameters, loss, options.max_iterations)
         iterations += refined.iterations
     return replace(refined, iterations=iterations), loss
-
-
-def initialize(
-    views: Sequence[View], options: CalibrationOptions, model: str
-) -> tuple[Bundle, AdjustmentParameters]:
-    """Return the ideal bundle, and its start; ``planar`` frees each view's centre, ``spherical`` shares one."""
-    size, distortion = views[0].image_size, tuple(options.distortion)
-    held = options.passport.names if options.passport else ()
-    centre = [] if model == "planar" else [name for name in CENTRE if name not in held]
-    observations = Observations.from_views(views)
-    bundle = Bundle(observations, (*PINHOLE, *distortion, *centre), free_centres=model == "planar")
-    h = np.array([view_homography(view) for view in views])
-    if options.passport:
-        starts = passport_starts(h, size, distortion, options.passport)
-    else:
-        starts = (planar_starts if model == "planar" else spherical_starts)(h, size, distortion)
-    return bundle, best_start(bundle, starts)
 
 
 #: Views are reported as weak if the 1-sigma of a focal length, as a share of it, reaches this.

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.adjustment.bundle import Bundle
+from calib.adjustment.bundle import Bundle, Observations
 from calib.adjustment.levenberg_marquardt import Refinement, refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.arrays import Array
 from calib.errors import DegenerateViews
-from calib.model.camera import CameraModel
+from calib.model.camera import PINHOLE, CameraModel
 from calib.model.closed_forms import (
     camera_matrix_from_centre,
     central_matrix,
@@ -21,7 +21,8 @@ from calib.model.closed_forms import (
     rotations_from_centre,
     zhang_matrix,
 )
-from calib.model.collimator import Collimator
+from calib.model.collimator import CENTRE, Collimator
+from calib.model.homography import view_homography
 from calib.model.passport import Passport
 from calib.model.rotation import exp_map
 from calib.view import View
@@ -37,6 +38,21 @@ _FINAL_STEPS = 30
 _COMPARISON_TOLERANCE = 1e-6
 #: Fewest points for a pose before a known camera, and their least spread across a line, as a share of that along it.
 _LEAST_POINTS, _IN_A_LINE = 6, 1e-6
+
+
+def initialized(
+    views: Sequence[View], distortion: Sequence[str], passport: Passport | None, *, planar: bool = False
+) -> tuple[Bundle, AdjustmentParameters]:
+    """Return the ideal bundle, and its start; ``planar`` frees each view's centre, else all share one."""
+    size, held = views[0].image_size, passport.names if passport else ()
+    centre = [] if planar else [name for name in CENTRE if name not in held]
+    bundle = Bundle(Observations.from_views(views), (*PINHOLE, *distortion, *centre), free_centres=planar)
+    h = np.array([view_homography(view) for view in views])
+    if passport:
+        starts = passport_starts(h, size, distortion, passport)
+    else:
+        starts = (planar_starts if planar else spherical_starts)(h, size, distortion)
+    return bundle, best_start(bundle, starts)
 
 
 def spherical_starts(

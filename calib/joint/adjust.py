@@ -9,8 +9,7 @@ from itertools import zip_longest
 
 import numpy as np
 
-from calib.adjustment.bundle import Bundle, Observations
-from calib.adjustment.initialization import best_start, passport_starts, spherical_starts
+from calib.adjustment.initialization import initialized
 from calib.adjustment.parameters import AdjustmentParameters, explain_weak_geometry
 from calib.calibration import CalibrationOptions
 from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotConverged
@@ -26,8 +25,7 @@ from calib.joint.readings import Readings
 from calib.joint.solve import Optimum, approached, beside, first_equations, search, solved, value_as_weighed
 from calib.joint.wrong_views import find_shifted_ids
 from calib.model.camera import DISTORTION_SETS, PINHOLE, SKEW
-from calib.model.collimator import CENTRE, Collimator
-from calib.model.homography import view_homography
+from calib.model.collimator import Collimator
 from calib.model.lens import BROWN, FISHEYE, is_fisheye
 from calib.view import View
 
@@ -58,15 +56,8 @@ def first_parameters(
     views: Sequence[View], options: CalibrationOptions, lens: Sequence[str]
 ) -> AdjustmentParameters:
     """Return the best of the closed forms, refined on a share of the stars."""
-    size, passport = views[0].image_size, options.passport
-    held = passport.names if passport else ()
     few = tuple(name for name in lens if name in ("k1", "k2", "kb1", "kb2"))
-    bundle = Bundle(
-        Observations.from_views(views), (*PINHOLE, *few, *(name for name in CENTRE if name not in held))
-    )
-    h = np.array([view_homography(view) for view in views])
-    starts = passport_starts(h, size, few, passport) if passport else spherical_starts(h, size, few)
-    return best_start(bundle, list(starts))
+    return initialized(views, few, options.passport)[1]
 
 
 def posed(

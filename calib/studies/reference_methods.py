@@ -12,13 +12,14 @@ import cv2
 import numpy as np
 
 from calib.adjustment.bundle import Bundle
+from calib.adjustment.initialization import initialized
 from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.arrays import Array
 from calib.calibration import Calibration, CalibrationOptions, rms_and_mean
 from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotConverged, TooFewStars
-from calib.fit import fit_model, initialize
+from calib.fit import fit_model
 from calib.model.camera import PINHOLE, SKEW, CameraModel
 from calib.model.collimator import CENTRE
 from calib.model.lens import BROWN, FISHEYE, is_fisheye
@@ -113,7 +114,7 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> MethodR
 
 def published_recipe(views: Sequence[View], options: CalibrationOptions) -> MethodResult:
     """Calibrate by arXiv:2512.16092: closed form (eq. 5), then Huber loss (eqs. 6, 7); sigmas by J^T J alone."""
-    bundle, start = initialize(views, options, "spherical")
+    bundle, start = initialized(views, options.distortion, options.passport)
     loss = Loss("huber", _PUBLISHED_LIMIT_PX * bundle.observations.sigmas_per_px)
     refined = refine(bundle, start, loss)
     parameters = refined.parameters
@@ -154,7 +155,7 @@ def _opencv_fisheye(views: Sequence[View], names: Sequence[str]) -> tuple[float,
 
     It starts at our best closed form: OpenCV's own start, 180 degrees, is far from lenses that look into a collimator.
     """
-    start = initialize(views, CalibrationOptions("planar", names, "l2"), "planar")[1].camera
+    start = initialized(views, names, None, planar=True)[1].camera
     held = [f"FIX_K{name[-1]}" for name in FISHEYE if name not in names]
     rms, matrix, found, _, _ = cv2.fisheye.calibrate(
         [np.column_stack([v.target_mm, np.zeros(len(v))])[None] for v in views],

@@ -96,16 +96,15 @@ def test_the_reference_methods_are_opencvs_and_the_published_one(views):
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("size", [2, 3])
 def test_every_subset_ends_in_the_same_minimum_from_many_starts(views, size):
-    from calib.adjustment.initialization import spherical_starts
+    from calib.adjustment.initialization import initialized, spherical_starts
     from calib.adjustment.levenberg_marquardt import refine
     from calib.adjustment.loss import Loss
-    from calib.fit import initialize
     from calib.model.homography import view_homography
 
     rng = np.random.default_rng(size)
     for _ in range(100):
         subset = [views[i] for i in rng.choice(20, size, replace=False)]
-        bundle, start = initialize(subset, L2, "spherical")
+        bundle, start = initialized(subset, L2.distortion, None)
         h = np.array([view_homography(view) for view in subset])
         ends = [refine(bundle, s, Loss("l2")).cost for s in spherical_starts(h, SIZE, ("k1", "k2"))]
         assert refine(bundle, start, Loss("l2")).cost <= min(ends) * (1 + 1e-6)
