@@ -7,6 +7,7 @@ import pytest
 
 from calib.calibration import CalibrationOptions
 from calib.engine import calibrate
+from tests.benchmarks.worlds.catalogue import result as drawn_result
 from tests.unit.calib.conftest import Bench
 
 RASTER = tuple((pan, tilt) for tilt in (-2.0, 0.0, 2.0) for pan in (-5.0, 0.0, 5.0))
@@ -47,3 +48,9 @@ def test_a_pupil_beside_the_roll_axis_does_not_pass_for_another_principal_point(
     bench = replace(WIDE, fx=focal_px, fy=focal_px, k=(0.02, -0.05))
     result = calibrate(recorded(bench, (*beside_mm, 20.0), 0.05, ROLLED, 6), CalibrationOptions())
     assert largest_error_over_u(bench, result) < 1.0
+
+
+def test_a_search_keeps_what_shifted_the_image_where_it_starts():
+    """If it forgot these shifts, which centre and rotations fit, the stars at the rim would pass for noise: U is 28 px."""
+    line = drawn_result("raytraced", 9, 401, "r")
+    assert abs(line["error"]["fx"]) < line["U"]["fx"] < 3.0
