@@ -35,6 +35,13 @@ def test_discs_that_show_little_leave_what_is_expected():
     )
 
 
+def test_the_better_discs_are_seen_the_better_the_way_is_known():
+    seen = [lever_of(discs(RASTER, (0.17, 0.17), sigma), RASTER, R_MM).spread for sigma in (0.1, 2.0, 500.0)]
+    assert seen == sorted(seen)
+    assert seen[0] < 0.45
+    assert seen[-1] == pytest.approx(lever_of(None, RASTER, R_MM).spread, rel=0.05)
+
+
 def test_a_pupil_far_off_the_pivot_is_seen_by_three_sigmas_of_its_discs():
     # sigma of the motion along X: 2.45 mm over 250 mm and a root of the sum of squares of 0.245
     assert lever_of(discs(RASTER, (0.17, 0.17), 2.45), RASTER, R_MM).middle > 0.1
