@@ -211,7 +211,7 @@ def test_beside_a_coarse_certificate_poses_are_recorded_as_long_as_they_help(tmp
     assert told["why"].startswith("U(fx) is ")
     assert "the goal is 1 px. With all 9 poses, U(fx) would still be about " in told["why"]
     assert told["why"].count("the goal") == 1
-    assert "The largest part of U(fx) comes from: stars, " in told["why"]
+    assert "The largest part of U(fx) comes from: passport of the collimator, " in told["why"]
 
 
 def test_a_chosen_pose_can_be_skipped_by_command_and_a_later_one_not_yet(tmp_path, monkeypatch):
