@@ -71,7 +71,7 @@ def _spread(marginal: Marginal, eta: Array, found: Solution, fields: Array) -> A
 
 
 def _pupils(marginal: Marginal) -> Pupils:
-    """Return what the visible discs show of the places. Only a pupil that is moved by hand has them."""
+    """Return the pupils of a mount that is moved by hand; no other mount has places."""
     assert marginal.problem.pupils is not None
     return marginal.problem.pupils
 

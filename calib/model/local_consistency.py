@@ -24,6 +24,8 @@ LIMIT_PX = 0.5
 _RIDGE_CONSTANT, _RIDGE_OTHERS = 1e-9, 1e-3
 #: Number of neighbours that predict a star; on a lattice they lie within about two pitches.
 _NEIGHBOURS = 14
+#: On a lattice, so many more neighbours may be as far as the last one; of equals, the first ones count.
+_EQUALLY_FAR = 8
 #: Neighbours that differ by more than this share of their distance do not belong to one patch. Stars are compared with
 #: neighbours within `_BESIDE` times the spacing of the stars.
 _PATCH_SHARE = 0.5
@@ -72,14 +74,19 @@ def nearest_stars(target: Array, most: int = _NEIGHBOURS) -> Nearest:
     """Return at most so many neighbours of each star from (N, 2) positions on the target, any unit; N >= 2."""
     from scipy.spatial import KDTree
 
-    found = KDTree(target).query(target, k=min(most + 1, len(target)))
-    distance, which = np.asarray(found[0], np.float64)[:, 1:], np.asarray(found[1], np.int64)[:, 1:]
+    target, count = np.ascontiguousarray(target, np.float64), min(most, len(target) - 1)
+    _, which = KDTree(target).query(target, k=min(count + 1 + _EQUALLY_FAR, len(target)))
+    offsets = target[which] - target[:, None]
+    squares = (offsets * offsets).sum(axis=2)
+    squares[which == np.arange(len(target))[:, None]] = np.inf
+    order = np.lexsort((which, squares), axis=1)[:, :count]
+    which, distance = (np.take_along_axis(each, order, axis=1) for each in (which, np.sqrt(squares)))
     spacing = max(median(distance[:, 0]), np.finfo(float).tiny)
     return Nearest(target, which, distance, spacing)
 
 
 def contradicts_neighbours(
-    target: Array, mapped: Array, points: Array, sigmas: Array | None, nearest: Nearest
+    target: Array, mapped: Array, points: Array, sigmas: Array | None = None, nearest: Nearest | None = None
 ) -> Bools:
     """Return which stars, (N,) bool, lie far from where their neighbours predict them; none of fewer than 8 stars.
 
@@ -96,6 +103,7 @@ def contradicts_neighbours(
     if len(target) < MIN_STARS:
         return np.zeros(len(target), bool)
     off = points - mapped
+    nearest = nearest or nearest_stars(target)
     apart = _outside_the_largest_patch(mapped, off, nearest)
     wrong = apart.copy()
     wider = 1.0 if sigmas is None else np.maximum(sigmas / np.quantile(sigmas, _BEST_STARS), 1.0)
@@ -119,7 +127,7 @@ def contradicts_neighbours(
     return wrong
 
 
-def local_sigma_px(target: Array, mapped: Array, points: Array, nearest: Nearest) -> float:
+def local_sigma_px(target: Array, mapped: Array, points: Array, nearest: Nearest | None = None) -> float:
     """Return the 1-sigma per axis, px, that neighbouring stars show, without any camera; NaN for fewer than 8.
 
     The median of the distances between stars and local quadratic least squares predictions, over 1.1774 = sqrt(2 ln 2),
@@ -127,7 +135,7 @@ def local_sigma_px(target: Array, mapped: Array, points: Array, nearest: Nearest
     """
     if len(target) < MIN_STARS:
         return float("nan")
-    deviations = _plain_deviations(nearest, points - mapped, quadratic=True)
+    deviations = _plain_deviations(nearest or nearest_stars(target), points - mapped, quadratic=True)
     return median(deviations) / RAYLEIGH_MEDIAN
 
 

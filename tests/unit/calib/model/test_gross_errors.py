@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.model.homography import apply_homography, gross_errors, neighbours_of, view_homography
+from calib.model.homography import apply_homography, gross_errors, view_homography
 from calib.model.local_consistency import LIMIT_PX, contradicts_neighbours, local_sigma_px, nearest_stars
 from tests.benchmarks.worlds.recordings import read
 from tests.unit.calib.conftest import TARGET, Bench, FisheyeBench
@@ -94,9 +94,7 @@ def test_gross_errors_do_not_move_the_homography(share, seed, size):
 
 def test_few_stars_are_not_judged():
     target = TARGET.positions_mm(TARGET.ids[:7])
-    assert not contradicts_neighbours(
-        target, target, target + np.eye(7)[:, :2] * 500, None, nearest_stars(target)
-    ).any()
+    assert not contradicts_neighbours(target, target, target + np.eye(7)[:, :2] * 500).any()
 
 
 def test_small_deviations_are_left_to_the_robust_loss():
@@ -125,6 +123,10 @@ def test_neighbours_show_the_noise(sigma):
     for pose in range(3):
         view = view_of_bench(7, sigma, pose)
         mapped = apply_homography(view_homography(view), view.target_mm)
-        assert local_sigma_px(view.target_mm, mapped, view.points_px, neighbours_of(view)) == pytest.approx(
-            sigma, rel=0.2
-        )
+        assert local_sigma_px(view.target_mm, mapped, view.points_px) == pytest.approx(sigma, rel=0.2)
+
+
+def test_a_star_is_no_neighbour_of_itself_where_two_lie_at_one_place():
+    lattice = np.stack(np.meshgrid(np.arange(5.0), np.arange(5.0)), axis=-1).reshape(-1, 2)
+    target = np.vstack([lattice, lattice[[3, 11, 20]]])
+    assert (nearest_stars(target).which != np.arange(len(target))[:, None]).all()
