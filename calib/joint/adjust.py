@@ -20,7 +20,7 @@ from calib.joint.knowledge import CERTIFICATE, WRONG, gather, stated_names, term
 from calib.joint.layout import ASIDE, Layout
 from calib.joint.marginal import Marginal, Problem
 from calib.joint.posterior import odds_of
-from calib.joint.pupils import LEVER_BY_HAND, Poses, lever_of, pupils_of, seen_poses
+from calib.joint.pupils import LEVER_BY_HAND, Poses, lever_of, pupils_of, seen_poses, shown_way
 from calib.joint.readings import Readings
 from calib.joint.solve import Optimum, approached, beside, first_equations, search, solved, value_as_weighed
 from calib.joint.wrong_views import find_shifted_ids
@@ -67,10 +67,7 @@ def posed(
     lens: Sequence[str],
     seen: Poses,
 ) -> tuple[Problem, State]:
-    """Return the problem and its first state.
-
-    A bound of the parallax says that the pupil is on a gimbal. Then the discs only tell which stars are at the rim.
-    """
+    """Return the problem and its first state."""
     passport = options.passport
     centre = start.collimator
     reference = (centre.x, centre.y, centre.r)
@@ -78,14 +75,11 @@ def posed(
         reference = passport.reference
     radius = passport.conditions.get(FIELD_RADIUS) if passport is not None else None
     basis = FieldBasis(reference, float(radius)) if radius else basis_of(views, reference)
-    poses, discs = seen
+    poses, discs, pupil = seen
     readings = Readings.of(options.gimbal) if options.gimbal else None
     names = (*PINHOLE, *lens)
-    bounded = options.gimbal is not None and options.gimbal.parallax is not None
-    moving = None if bounded else discs
     turns, axes = turns_of(start.rotations, poses)
-    pupils = pupils_of(moving, centre.r) if moving else None
-    pupil = amp.Pupil.BY_HAND if pupils else amp.Pupil.WALKS if moving else amp.Pupil.HELD
+    pupils = pupils_of(discs, centre.r) if discs and pupil is amp.Pupil.BY_HAND else None
     layout = Layout(
         names,
         basis,
@@ -106,6 +100,7 @@ def posed(
         shared[layout.index[name]] = float(name.startswith("scale_"))
     knowledge = gather(options, layout, views[0].image_size, values)
     corner = 0.5 * float(np.hypot(*views[0].image_size)) / start.camera.fx
+    moving = discs if pupil is amp.Pupil.WALKS else None
     lever = LEVER_BY_HAND if pupils else lever_of(moving, turns, centre.r)
     hyper = amp.hyperprior(lever, pupil, passport=bool(layout.passport))
     reach = float(np.hypot(*(turns - turns.mean(axis=0)).T).max())
@@ -130,26 +125,35 @@ def posed(
     )
     gimbal = readings.start(start.rotations) if readings else None
     state = State(shared, np.zeros((bench.n_poses, len(layout.pose_places))), start.rotations, gimbal)
-    return Problem(bench, knowledge, blocks, hyper, pupils), state
+    wander = discs.wander if discs and pupil is not amp.Pupil.HELD else -np.inf
+    return Problem(bench, knowledge, blocks, hyper, pupils, wander), state
 
 
-def adjust(views: Sequence[View], options: CalibrationOptions) -> Optimum:
+def adjust(views: Sequence[View], options: CalibrationOptions, pupil: amp.Pupil | None = None) -> Optimum:
     """Return the optimum of the joint adjustment; if the data choose the lens, that of the more probable family.
 
-    In a wide field both families are always tried: there the wrong one moves the focal length.
+    In a wide field both families are always tried: there the wrong one moves the focal length. ``pupil`` says how it is
+    moved; None: as the visible discs say.
     """
     chosen = lens_names(options.distortion)
-    found = _adjusted(views, options, chosen)
+    found = _adjusted(views, options, chosen, pupil)
     if not (options.compares_lenses or _is_wide(found)):
         return found
     other_set = "k1k2k3p1p2" if is_fisheye(dict.fromkeys(chosen, 0.0)) else "fisheye"
     try:
-        other = _adjusted(views, options, DISTORTION_SETS[other_set])
+        other = _adjusted(views, options, DISTORTION_SETS[other_set], pupil)
     except CalibrationError:  # these views cannot be those of such a lens
         return found
     if found.solution.value - value_as_weighed(other, found) < _EVIDENCE:
         return found
     return other if options.compares_lenses else replace(found, better_lens=other_set)
+
+
+def adjust_again(
+    found: Optimum, views: Sequence[View], options: CalibrationOptions, pupil: amp.Pupil
+) -> Optimum:
+    """Return the optimum with the same lens if the pupil is moved in another way."""
+    return _adjusted(views, options, found.marginal.problem.bench.layout.camera[len(PINHOLE) :], pupil)
 
 
 def _is_wide(found: Optimum) -> bool:
@@ -158,10 +162,17 @@ def _is_wide(found: Optimum) -> bool:
     return 0.5 * float(np.hypot(*bench.image_size)) > _WIDE_FIELD * float(found.state.shared[0])
 
 
-def _adjusted(views: Sequence[View], options: CalibrationOptions, lens: tuple[str, ...]) -> Optimum:
-    """Return the optimum with one family of the lens; if it cannot be solved, the error says why by the geometry."""
+def _adjusted(
+    views: Sequence[View], options: CalibrationOptions, lens: tuple[str, ...], pupil: amp.Pupil | None
+) -> Optimum:
+    """Return the optimum with one family of the lens; if it cannot be solved, the error says why by the geometry.
+
+    A bound of the parallax says that the pupil is on a gimbal. Then the discs only tell which stars are at the rim.
+    """
     start = first_parameters(views, options, lens)
     seen = seen_poses(views, start.rotations)
+    if seen.discs and (options.gimbal is None or options.gimbal.parallax is None):
+        seen = seen._replace(pupil=pupil or shown_way(seen.discs))
     try:
         found, near = _searched(views, options, lens, start, seen)
     except (NotConverged, np.linalg.LinAlgError) as error:
@@ -191,7 +202,9 @@ def _approached(problem: Problem, start: State, views: Sequence[View], options: 
             alone = search(free, near, options.max_iterations)
             near = alone.state
             if _is_far(free, near, stated):
-                again = partial(adjust, options=replace(options, passport=None))
+                again = partial(
+                    adjust, options=replace(options, passport=None), pupil=problem.bench.layout.pupil
+                )
                 shifted = find_shifted_ids(alone, views, options.max_iterations, again)
                 seen = f"{near.shared[free.bench.layout.index['r']]:.3g} mm"
                 raise InputMismatch(

@@ -41,14 +41,37 @@ _SOURCES = {
 def variances(posterior: Posterior, gradients: Array) -> dict[str, Array]:
     """Return by group the (p,) variances of quantities with (p, S) gradients; they add up to those of the posterior."""
     found: dict[str, Array] = {}
-    for node, weight in zip(posterior.nodes, posterior.counted, strict=True):
-        for group, own in _at_node(posterior.optimum.marginal, node, gradients).items():
-            found[group] = found.get(group, 0.0) + weight * own
-    away = (posterior.means - posterior.mean) @ gradients.T
-    if posterior.pupils is not None:
-        spread = ((gradients @ posterior.pupils) * gradients).sum(axis=1)
-        found[names.PUPILS] = found.get(names.PUPILS, 0.0) + spread
-    found[names.AMPLITUDES] = posterior.counted @ away**2
+    means = posterior.means @ gradients.T
+    middle, end = posterior.mean @ gradients.T, len(posterior.nodes)
+    ways = [(posterior, gradients, posterior.counted[:end], means[:end])]
+    if posterior.other is not None:
+        other = posterior.other.posterior
+        ways.append((other, _in_layout(posterior, other, gradients), posterior.counted[end:], means[end:]))
+    for way, slopes, weights, own_means in ways:
+        share = float(weights.sum())
+        for node, weight in zip(way.nodes, weights, strict=True):
+            _add_to(found, {k: weight * v for k, v in _at_node(way.optimum.marginal, node, slopes).items()})
+        own = weights @ own_means / share
+        _add_to(found, {names.AMPLITUDES: weights @ (own_means - own) ** 2})
+        if posterior.other is not None:
+            _add_to(found, {names.PUPILS: share * (own - middle) ** 2})
+        if way.pupils is not None:
+            _add_to(found, {names.PUPILS: share * ((slopes @ way.pupils) * slopes).sum(axis=1)})
+    return found
+
+
+def _add_to(found: dict[str, Array], parts: Mapping[str, Array]) -> None:
+    """Add (p,) variances by group to those of the same groups."""
+    for group, part in parts.items():
+        found[group] = found.get(group, 0.0) + part
+
+
+def _in_layout(posterior: Posterior, other: Posterior, gradients: Array) -> Array:
+    """Return (p, S) gradients, which read results alone, in the layout of the other way."""
+    layout, there = (one.optimum.marginal.problem.bench.layout for one in (posterior, other))
+    used = np.flatnonzero(gradients.any(axis=0))
+    found = np.zeros((len(gradients), len(there.names)))
+    found[:, there.places([layout.names[k] for k in used])] = gradients[:, used]
     return found
 
 

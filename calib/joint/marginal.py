@@ -34,6 +34,8 @@ class Problem:
     blocks: Sequence[RandomBlock]
     hyper: amp.Hyperprior
     pupils: Pupils | None = None  # What the visible discs show, if the camera is moved by hand
+    # 2 log of the odds that a hand moves the pupil, and not a gimbal, by the discs; -inf if none shows it
+    wander: float = -np.inf
     faults: Faults = NO_FAULT  # Statements that are at fault unless a call names others
 
     @cached_property

@@ -45,11 +45,11 @@ def spread_of_places(marginal: Marginal, eta: Array, found: Solution) -> Array:
     """Return the (S, S) covariance of the shared unknowns that comes from errors of the places.
 
     Fields by turn multiply an error of a place, and so do their own errors: the product of two independent errors has
-    the product of their variances. It counts as far as a hand may move the pupil: places by a gimbal are certain.
+    the product of their variances.
     """
     columns = marginal.problem.bench.layout.by_turn.columns
     errors = np.linalg.cholesky(found.covariance[columns[:, None], columns])
-    fields = np.column_stack([_fields(marginal, found), np.sqrt(_pupils(marginal).by_hand) * errors])
+    fields = np.column_stack([_fields(marginal, found), errors])
     return _spread(marginal, eta, found, fields)
 
 

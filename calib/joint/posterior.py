@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.arrays import Array
 from calib.errors import NotConverged
@@ -70,6 +71,16 @@ class Innovation:
 
 
 @dataclass(frozen=True)
+class OtherWay:
+    """The posterior of the same views if the pupil is moved in the other way, in the unknowns of the first one."""
+
+    posterior: Posterior
+    share: float
+    means: Array  # (L, S) of its nodes
+    covariances: list[Array]  # (S, S) of each
+
+
+@dataclass(frozen=True)
 class Posterior:
     """The mixture."""
 
@@ -78,22 +89,34 @@ class Posterior:
     spread: Array  # (A,) 1-sigma of the logarithms of the amplitudes
     faults: dict[str, float]  # Probability of a fault by name of the statement
     largest: Node  # The mode with the largest share
+    other: OtherWay | None = None
 
     @cached_property
     def weights(self) -> Array:
-        """(K,) weights of the nodes."""
-        return np.array([node.weight for node in self.nodes])
+        """(K,) weights of the nodes, those of the other way behind."""
+        own = np.array([node.weight for node in self.nodes])
+        if self.other is None:
+            return own
+        share = self.other.share
+        return np.concatenate([(1.0 - share) * own, share * self.other.posterior.weights])
 
     @cached_property
     def means(self) -> Array:
         """(K, S) means of the shared unknowns."""
-        return self.optimum.state.shared + np.array([node.solution.step for node in self.nodes])
+        own = self.optimum.state.shared + np.array([node.solution.step for node in self.nodes])
+        return own if self.other is None else np.concatenate([own, self.other.means])
 
     @cached_property
-    def _covariances(self) -> list[Array]:
+    def covariances(self) -> list[Array]:
         """(S, S) of each node."""
-        more = 0.0 if self.pupils is None else self.pupils
-        return [node.solution.covariance + more for node in self.nodes]
+        own = self.covariances_at(np.arange(self.means.shape[1]))
+        return own if self.other is None else own + self.other.covariances
+
+    def covariances_at(self, places: NDArray[np.int64]) -> list[Array]:
+        """Return the (C, C) covariances of some unknowns at each node, those of the other way not among them."""
+        more = 0.0 if self.pupils is None else self.pupils[np.ix_(places, places)]
+        roots = [node.solution.root[:, places] for node in self.nodes]
+        return [root.T @ root + more for root in roots]
 
     @cached_property
     def pupils(self) -> Array | None:
@@ -111,7 +134,7 @@ class Posterior:
         """
         row = np.eye(1, self.means.shape[1])[0]
         away = (self.means - self.weights @ self.means) @ row
-        within = np.array([own[0, 0] for own in self._covariances])
+        within = np.array([own[0, 0] for own in self.covariances])
         share = np.sqrt(within + away**2) / (_FAR * self._half_width(row, self.weights @ self.means))
         weights = self.weights / (1.0 + share**4)
         return np.asarray(weights / weights.sum())
@@ -125,7 +148,7 @@ class Posterior:
     def covariance(self) -> Array:
         """(S, S) covariance of the shared unknowns."""
         away = self.means - self.mean
-        within = sum(weight * own for weight, own in zip(self.counted, self._covariances, strict=True))
+        within = sum(weight * own for weight, own in zip(self.counted, self.covariances, strict=True))
         return np.asarray(within + (self.counted[:, None] * away).T @ away)
 
     def expanded(self, row: Array) -> float:
@@ -135,7 +158,7 @@ class Posterior:
     def _half_width(self, row: Array, mean: Array) -> float:
         at = np.flatnonzero(row)
         away = (self.means[:, at] - mean[at]) @ row[at]
-        sigmas = np.sqrt([row[at] @ own[at[:, None], at] @ row[at] for own in self._covariances])
+        sigmas = np.sqrt([row[at] @ own[at[:, None], at] @ row[at] for own in self.covariances])
         low, high = 0.0, float((np.abs(away) + 6.0 * sigmas).max())
         for _ in range(_HALVINGS):
             half = 0.5 * (low + high)
@@ -177,11 +200,11 @@ def _innovations(marginal: Marginal, eta: Array, faults: Faults) -> list[Innovat
     return answer
 
 
-def posterior(optimum: Optimum, rounds: int) -> Posterior:
+def posterior(optimum: Optimum, rounds: int, *, follow: bool = True) -> Posterior:
     """Return the posterior about an optimum, or about the most probable faults if these lead far away from it.
 
-    Faults that lead far away count as the equations there say, which are found by at most ``rounds`` linearisations. If
-    these promise only what lies far away again, it is not to be had.
+    Such faults count as the equations there say, which are found by at most ``rounds`` linearisations. If these promise
+    only what lies far away again, it is not to be had. Unless they are to be followed, they do not count.
     """
     curvature, modes = _modes(optimum)
     far = [bool(one.faults) and not _holds(optimum, one) for one in modes]
@@ -189,6 +212,8 @@ def posterior(optimum: Optimum, rounds: int) -> Posterior:
     likeliest = max((one for one, away in zip(modes, far, strict=True) if away), key=_by_weight, default=None)
     if likeliest is None or likeliest.weight < _COUNTS:
         return _mixture(optimum, curvature, modes)
+    if not follow:
+        return _mixture(optimum, curvature, near)
     try:
         there = beside(optimum, likeliest.faults, rounds)
         odds = odds_of(there, likeliest.faults, optimum)

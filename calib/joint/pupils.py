@@ -15,14 +15,11 @@ from numpy.typing import NDArray
 
 from calib.adjustment.parameters import poses_of
 from calib.arrays import Array
-from calib.joint.amplitudes import Lever
+from calib.joint.amplitudes import Lever, Pupil
 from calib.model.beam import discs_of
 from calib.model.rim_fit import Discs
 from calib.view import View
 
-#: Positive evidence (Kass and Raftery, 1995) of the discs for a gimbal, as 2 log of the likelihood ratio. Three poses
-#: show none: on a gimbal, places by their discs are then as good as by the turn.
-_GIMBAL = 2.0
 #: Tangent of the turn that brings the pupil aside by the radius: one prior then serves fields by turn and by pupil.
 _AS_TURNS = 12.0
 #: Discs are apart if the square of their distance, in sigmas, is larger. By chance it is so in 1 of 1000 pairs.
@@ -43,7 +40,6 @@ class Pupils:
 
     shown: Array  # (n, 2) by the discs
     information: Array  # (2 n, 2 n) of that
-    by_hand: float  # Probability that a hand moves the pupil, by the discs; beforehand one half
     r_mm: float  # Radius by which lengths on the target are these tangents
 
     def moved(self, shifts_mm: Array) -> Pupils:
@@ -57,6 +53,7 @@ class Poses(NamedTuple):
 
     of_views: NDArray[np.int64]  # (V,) pose of each view
     discs: Discs | None = None  # Of each pose, if a rim is in view
+    pupil: Pupil = Pupil.HELD
 
 
 def seen_poses(views: Sequence[View], rotations: Array) -> Poses:
@@ -65,6 +62,11 @@ def seen_poses(views: Sequence[View], rotations: Array) -> Poses:
     if poses.max() + 1 < len(views) and (discs := discs_of(views)):
         poses = np.array(poses_of(rotations, _apart(discs)), np.int64)
     return Poses(poses, discs_of([views[v] for v in np.unique(poses, return_index=True)[1]]))
+
+
+def shown_way(found: Discs) -> Pupil:
+    """Return how the pupil is more probably moved, by the discs alone."""
+    return Pupil.BY_HAND if found.wander > 0.0 and len(found.of_views) > 1 else Pupil.WALKS
 
 
 def _apart(found: Discs) -> NDArray[np.bool_]:
@@ -114,13 +116,10 @@ def _about_their_mean(found: Discs) -> tuple[Array, Array]:
     return middles - middles.mean(axis=0), about @ found.covariance_mm2 @ about
 
 
-def pupils_of(found: Discs, r_mm: float) -> Pupils | None:
-    """Return the pupils, unless the discs show a gimbal: there the turn shows them far better than a disc."""
-    if found.wander < -_GIMBAL or len(found.of_views) < 2:
-        return None
+def pupils_of(found: Discs, r_mm: float) -> Pupils:
+    """Return the pupils of a mount that is moved by hand."""
     away, differences = _about_their_mean(found)
     n, as_turns = len(away), _AS_TURNS / r_mm
     covariance = as_turns**2 * differences
     covariance += _SAME**2 * np.kron(np.full((n, n), 1.0 / n), np.eye(2))
-    by_hand = 1.0 / (1.0 + np.exp(-0.5 * found.wander))
-    return Pupils(as_turns * away, np.asarray(np.linalg.inv(covariance)), float(by_hand), r_mm)
+    return Pupils(as_turns * away, np.asarray(np.linalg.inv(covariance)), r_mm)

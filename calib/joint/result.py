@@ -23,8 +23,9 @@ from calib.joint.knowledge import CHANGED_FIELD, FREE_SCALE, READINGS
 from calib.joint.layout import CENTRE, RADIAL
 from calib.joint.left_out import left_out_rms, rotation_errors
 from calib.joint.marginal import Solution
-from calib.joint.posterior import Posterior, posterior
+from calib.joint.posterior import Posterior
 from calib.joint.solve import Optimum
+from calib.joint.ways import posterior_of
 from calib.joint.words import notes, require_determined
 from calib.joint.wrong_views import find_other_origins, find_shifted_ids
 from calib.model.collimator import Collimator
@@ -47,14 +48,15 @@ def calibrate_jointly(
     """Return the result; wrong stars take no part, nor do readings of the gimbal that contradict the stars."""
     used = used_stars(views, options.guard_band, wrong)
     kept = [view if own.all() else view.part(own) for view, own in zip(views, used, strict=True)]
-    found = posterior(adjust(kept, options), options.max_iterations)
+    found = posterior_of(kept, options)
     parameters = _parameters(found)
     gimbal = _gimbal(found, parameters, options)
     if gimbal is not None and not gimbal.entered:
         options = replace(options, gimbal=None)
-        found = posterior(adjust(kept, options), options.max_iterations)
+        found = posterior_of(kept, options)
         parameters = _parameters(found)
-    shifted = find_shifted_ids(found.optimum, kept, options.max_iterations, partial(adjust, options=options))
+    again = partial(adjust, options=options, pupil=found.optimum.marginal.problem.bench.layout.pupil)
+    shifted = find_shifted_ids(found.optimum, kept, options.max_iterations, again)
     require_determined(found, kept, parameters, options, shifted)
     result = _calibration(found, views, used, parameters, gimbal)
     other = "" if shifted else find_other_origins(found.optimum, kept)

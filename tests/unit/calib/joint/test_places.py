@@ -181,9 +181,7 @@ def test_places_before_fields_that_are_zero_but_hardly_known_move_the_camera_too
     """On average over such fields as far as places move it with fields that are known."""
     marginal, columns = optimum.marginal, optimum.marginal.problem.bench.layout.by_turn.columns
     pupils = marginal.problem.pupils
-    tight = replace(
-        pupils, information=1e4 * pupils.information, by_hand=1.0
-    )  # the stars say nothing of the places
+    tight = replace(pupils, information=1e4 * pupils.information)  # the stars say nothing of the places
     problem = replace(marginal.problem, pupils=tight)
     found = replace(optimum.solution, step=np.zeros_like(optimum.solution.step))
     errors = np.linalg.cholesky(found.covariance[columns[:, None], columns])

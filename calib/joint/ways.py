@@ -1,0 +1,82 @@
+"""Gimbal or hand: the posterior if it is not known how the camera's pupil was moved through the beam.
+
+On a gimbal the pupil follows the turn; a hand moves it anywhere. Each way is an adjustment of its own. The visible
+discs and the stars say how probable each is, and the result is the mixture of both: no threshold chooses.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.calibration import CalibrationOptions
+from calib.errors import CalibrationError
+from calib.joint.adjust import adjust, adjust_again
+from calib.joint.amplitudes import Pupil
+from calib.joint.layout import CENTRE, RADIAL, Places
+from calib.joint.posterior import OtherWay, Posterior, posterior
+from calib.joint.solve import value_as_weighed
+from calib.view import View
+
+#: 2 log of the odds by the stars counts at most so much: strong evidence needs discs. Each way has errors that it
+#: lacks, and a search may end at the wrong place: on mounts moved by hand, it reached -115 once.
+_MOST_BY_STARS = 4.0
+#: Where the discs say so much, the stars add nothing: the other way has a probability of 2 %, and is left out.
+_DECIDED = 8.0
+
+
+def posterior_of(views: Sequence[View], options: CalibrationOptions) -> Posterior:
+    """Return the posterior of views, over both ways of the pupil if the discs do not decide."""
+    rounds = options.max_iterations
+    first = adjust(views, options)
+    problem = first.marginal.problem
+    by_hand = problem.pupils is not None
+    open_by = _DECIDED - abs(problem.wander)
+    if open_by < 0.0 or problem.bench.n_poses < 2:
+        return posterior(first, rounds)
+    try:
+        second = adjust_again(first, views, options, Pupil.WALKS if by_hand else Pupil.BY_HAND)
+        by_stars = first.solution.value - value_as_weighed(second, first)
+        limit = min(_MOST_BY_STARS, open_by)
+        log = (-1.0 if by_hand else 1.0) * problem.wander + float(np.clip(by_stars, -limit, limit))
+        share = float(1.0 / (1.0 + np.exp(-0.5 * log)))
+        if share > 0.5 or not first.converged:
+            first, second, share = second, first, 1.0 - share
+        other = posterior(second, rounds, follow=False)
+    except (CalibrationError, np.linalg.LinAlgError):  # these views cannot be explained so
+        return posterior(first, rounds)
+    found = posterior(first, rounds)
+    return _mixed(found, other, share) if second.converged else found
+
+
+def _mixed(found: Posterior, other: Posterior, share: float) -> Posterior:
+    """Return a posterior as the mixture with that of the other way, which has a share.
+
+    Unknowns that are not results are those of the first way, and follow the results as in it.
+    """
+    layout, there = (one.optimum.marginal.problem.bench.layout for one in (found, other))
+    names = (*layout.camera, *CENTRE, *RADIAL, *layout.gimbal)
+    at, other_at = layout.places(names), there.places(names)
+    solution = found.largest.solution
+    follow = _follow(solution.covariance, at)
+    rest = solution.covariance - follow @ solution.covariance[at]
+    middle = found.optimum.state.shared + solution.step
+    means = middle + (other.means[:, other_at] - middle[at]) @ follow.T
+    covariances = [follow @ one @ follow.T + rest for one in other.covariances_at(other_at)]
+    faults = {
+        name: (1.0 - share) * found.faults.get(name, 0.0) + share * other.faults.get(name, 0.0)
+        for name in {**found.faults, **other.faults}
+    }
+    return replace(found, faults=faults, other=OtherWay(other, share, means, covariances))
+
+
+def _follow(covariance: Array, at: Places) -> Array:
+    """Return (S, C) how all unknowns follow the C at some places, for an (S, S) covariance."""
+    scale = np.sqrt(np.diag(covariance))
+    alike = covariance / np.outer(scale, scale)
+    follow = np.linalg.solve(alike[np.ix_(at, at)], alike[at]).T
+    follow[at] = np.eye(len(at))
+    return np.asarray(scale[:, None] * follow / scale[at])

@@ -1,0 +1,92 @@
+"""Gimbal or hand: results where visible discs cannot tell how the camera's pupil was moved through the beam."""
+
+import numpy as np
+import pytest
+from scipy import optimize, stats
+
+from calib import CalibrationOptions, calibrate
+from calib.joint.adjust import adjust, adjust_again
+from calib.joint.amplitudes import Pupil
+from calib.joint.budget import variances
+from calib.joint.posterior import posterior
+from calib.joint.ways import posterior_of
+from tests.benchmarks.worlds.catalogue import WORLDS
+from tests.benchmarks.worlds.knowledge import options_for, views_of
+from tests.benchmarks.worlds.polynomial import draw_world, record
+from tests.benchmarks.worlds.sweeps import nested_poses
+
+
+@pytest.fixture(scope="module")
+def undecided():
+    """Three poses of a mount that a hand moves, whose discs are hardly seen: both ways, and the result."""
+    bench = WORLDS["S1"](402, 3, 1, 0)
+    views, options = views_of(bench), options_for(bench, "0")
+    first = adjust(views, options, Pupil.WALKS)
+    second = adjust_again(first, views, options, Pupil.BY_HAND)
+    return posterior_of(views, options), [posterior(one, 100) for one in (first, second)]
+
+
+def fx_of(found):
+    row = np.eye(len(found.mean))[0]
+    return found.mean[0], found.expanded(row), row
+
+
+def test_the_result_lies_between_both_ways(undecided):
+    found, ways = undecided
+    low, high = sorted(fx_of(one)[0] for one in ways)
+    assert low < fx_of(found)[0] < high
+    assert high - low > 1.0
+
+
+def test_the_uncertainty_covers_both_ways_by_their_probabilities(undecided):
+    found, _ = undecided
+    middle, expanded, row = fx_of(found)
+    sigmas = [np.sqrt(row @ one @ row) for one in found.covariances]
+
+    def missing(half):
+        z = [(half + sign * (found.means[:, 0] - middle)) / sigmas for sign in (1.0, -1.0)]
+        return found.weights @ (stats.norm.cdf(z[0]) + stats.norm.cdf(z[1]) - 1.0) - 0.9545
+
+    assert expanded == pytest.approx(optimize.brentq(missing, 1e-3, 1e4), rel=1e-4)
+    assert found.weights.sum() == pytest.approx(1.0)
+    assert 0.01 < found.other.share < 0.5
+
+
+def test_the_budget_of_both_ways_adds_up_and_says_what_their_difference_makes(undecided):
+    found, _ = undecided
+    names = ("fx", "cx", "r")
+    at = found.optimum.marginal.problem.bench.layout.places(names)
+    parts = variances(found, np.eye(len(found.mean))[at])
+    assert sum(parts.values()) == pytest.approx(np.diag(found.covariance)[at], rel=1e-6)
+
+
+def test_the_covariance_of_both_ways_is_one(undecided):
+    found, _ = undecided
+    sigmas = np.sqrt(np.diag(found.covariance))
+    assert np.linalg.eigvalsh(found.covariance / np.outer(sigmas, sigmas)).min() > -1e-9
+
+
+def test_where_the_parallax_is_bounded_there_is_one_way():
+    bench = WORLDS["polynomial"](402, 3, 1, 0)
+    assert posterior_of(views_of(bench), options_for(bench, "cr")).other is None
+
+
+@pytest.mark.parametrize(("world", "seed"), [("S1", 405), ("S1", 406), ("S1", 407), ("product-S1", 404)])
+def test_three_poses_of_a_mount_moved_by_hand_are_covered_with_nothing_stated(world, seed):
+    """Each is 1.6 to 3 U wrong in one of both ways."""
+    bench = WORLDS[world](seed, 3, 1, 0)
+    found = calibrate(views_of(bench), CalibrationOptions())
+    for name in ("fx", "cx", "cy"):
+        error = abs(getattr(found.camera, name) - bench.camera.values[name])
+        assert error < 1.3 * found.coverage_factors[name] * found.sigma[name]
+
+
+def test_the_uncertainty_has_no_step_where_discs_begin_to_show_a_gimbal():
+    """A threshold made U of fx 3.4 times as large from nine to twelve poses."""
+    world, poses = draw_world(2), nested_poses(2)
+    expanded = []
+    for count in (9, 12):
+        bench = record(world, 2, poses[:count])
+        found = calibrate(views_of(bench), CalibrationOptions())
+        expanded.append(found.coverage_factors["fx"] * found.sigma["fx"])
+    assert expanded[1] < 1.5 * expanded[0]
