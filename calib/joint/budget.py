@@ -109,8 +109,7 @@ def _add(found: dict[str, Array], groups: Sequence[str], parts: Array) -> None:
     """Add (T, p) parts to those of their groups."""
     names_of = dict.fromkeys(groups)
     member = np.array([[group == name for group in groups] for name in names_of], float)
-    for name, part in zip(names_of, member @ parts, strict=True):
-        found[name] = found.get(name, 0.0) + part
+    _add_to(found, dict(zip(names_of, member @ parts, strict=True)))
 
 
 def row_gradients(posterior: Posterior, camera_covariance: Array) -> Array:

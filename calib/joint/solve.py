@@ -131,7 +131,7 @@ class _Pace:
     size: float = 1.0  # Share of steps that is taken
 
     def after(self, change: Array) -> _Pace:
-        """Return the pace of the next round: slower if the amplitudes turn back, else faster."""
+        """Return the pace of the next round. It is slower if the amplitudes turn back; else it is faster."""
         swings = float(change @ self.change) < 0.0
         return _Pace(change, self.size * _SLOWER if swings else min(1.0, self.size * _FASTER))
 
