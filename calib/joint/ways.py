@@ -7,6 +7,7 @@ less than 2 %.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -18,15 +19,15 @@ from calib.errors import CalibrationError
 from calib.joint.adjust import adjust, adjust_again
 from calib.joint.amplitudes import Pupil
 from calib.joint.layout import CENTRE, RADIAL, Places
+from calib.joint.places import narrowed
 from calib.joint.posterior import OtherWay, Posterior, posterior
-from calib.joint.solve import value_as_weighed
+from calib.joint.solve import Optimum, value_as_weighed
 from calib.view import View
 
-#: 2 log of the odds by the stars counts at most so much. Neither way has all errors that there are, and a search can
-#: end at the wrong place: on 5 of 48 drawn mounts moved by hand, it was -2 to -418.
-_MOST_BY_STARS = 4.0
-#: Where the discs say so much, the stars add nothing: the other way has a probability of 2 %, and is left out.
+#: From this 2 log of the odds by the discs on, one way has a probability of less than 2 %, and is left out.
 _DECIDED = 8.0
+#: A way with a smaller share adds nothing to the result.
+_LEAST = 1e-3
 
 
 def posterior_of(views: Sequence[View], options: CalibrationOptions) -> Posterior:
@@ -35,22 +36,30 @@ def posterior_of(views: Sequence[View], options: CalibrationOptions) -> Posterio
     first = adjust(views, options)
     problem = first.marginal.problem
     by_hand = problem.pupils is not None
-    open_by = _DECIDED - abs(problem.wander)
-    if open_by < 0.0 or problem.bench.n_poses < 2:
+    if abs(problem.wander) > _DECIDED or problem.bench.n_poses < 2:
         return posterior(first, rounds)
     try:
         second = adjust_again(first, views, options, Pupil.WALKS if by_hand else Pupil.BY_HAND)
-        by_stars = first.solution.value - value_as_weighed(second, first)
-        limit = min(_MOST_BY_STARS, open_by)
-        log = (-1.0 if by_hand else 1.0) * problem.wander + float(np.clip(by_stars, -limit, limit))
-        share = float(1.0 / (1.0 + np.exp(-0.5 * log)))
+        share = _share(first, second)
         if share > 0.5 or not first.converged:
             first, second, share = second, first, 1.0 - share
+        if share < _LEAST or not second.converged:
+            return posterior(first, rounds)
         other = posterior(second, rounds, follow=False)
     except (CalibrationError, np.linalg.LinAlgError):  # these views cannot be explained so
         return posterior(first, rounds)
-    found = posterior(first, rounds)
-    return _mixed(found, other, share) if second.converged else found
+    return _mixed(posterior(first, rounds), other, share)
+
+
+def _share(first: Optimum, second: Optimum) -> float:
+    """Return the probability of the way of the second optimum: one to one beforehand, by discs and stars.
+
+    The places of a hand's pupil are free, so they explain something on a gimbal, too. They are integrated out.
+    """
+    sign, by_hand = (-1.0, first) if first.marginal.problem.pupils is not None else (1.0, second)
+    by_stars = sign * (first.solution.value - value_as_weighed(second, first))
+    log = by_stars - narrowed(by_hand.marginal, by_hand.eta, by_hand.solution) + first.marginal.problem.wander
+    return 0.5 + 0.5 * math.tanh(0.25 * sign * log)
 
 
 def _mixed(found: Posterior, other: Posterior, share: float) -> Posterior:

