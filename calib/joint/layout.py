@@ -61,10 +61,9 @@ ECCENTRICITY = tuple(
 CHANGE = "change of {}"
 #: Begin of the names of `Layout.encoders`.
 ENCODER = "encoder"
-#: Products of the turns along X and Y, and with the places of the fields of each.
+#: Products of the turns along X and Y, with the highest degree of their fields.
 _TURNS = {"turn_x": (1, 0), "turn_y": (0, 1)}
 _TURNS_2 = {"turn_xx": (2, 0), "turn_xy": (1, 1), "turn_yy": (0, 2)}
-_TURNED = ((_TURNS, both(amp.TURN_DEGREE >= DEGREES)), (_TURNS_2, both(amp.TURN_DEGREE > DEGREES)))
 #: The degrees of a pose's own field.
 POSE_DEGREES = (1, amp.POSE_DEGREE)
 POSE_PLACES = both((POSE_DEGREES[0] <= DEGREES) & (POSE_DEGREES[1] >= DEGREES))
@@ -146,8 +145,8 @@ class Layout:
     def names(self) -> tuple[str, ...]:
         """Names of all shared unknowns."""
         fields = [f"{FIELD}{k}" for k in self.common]
-        for turns, places in _TURNED:
-            fields += [f"{name}_{k}" for name in turns for k in places]
+        for turns, degree in zip((_TURNS, _TURNS_2), amp.TURN_DEGREES[self.pupil], strict=True):
+            fields += [f"{name}_{k}" for name in turns for k in both(degree >= DEGREES)]
         if self.by_hand:
             fields += [f"own_{name}_{k}" for name in _TURNS for k in _SMOOTH_PLACES]
         errors = (*RADIAL, *self.turning, DRIFT, *ASIDE, *self.rim, *self.along, *fields, *self.terms)
@@ -238,7 +237,8 @@ class Layout:
     def by_turn(self) -> TurnFields:
         """The fields that follow the turn."""
         parts = []
-        for names, places in _TURNED:
+        for names, degree in zip((_TURNS, _TURNS_2), amp.TURN_DEGREES[self.pupil], strict=True):
+            places = both(degree >= DEGREES)
             parts += [self._turned(name, powers, places) for name, powers in names.items()]
         return TurnFields(*(np.concatenate(part) for part in zip(*parts, strict=True)))
 
@@ -375,12 +375,13 @@ class Layout:
         30 times larger than the others, and can be exchanged against fx. So has coma, which can be exchanged against
         p1, p2 and, with these, the principal point.
         """
-        places = both((DEGREES > 0) & (amp.TURN_DEGREE >= DEGREES))
+        highest = amp.TURN_DEGREES[self.pupil][0]
+        places = both((DEGREES > 0) & (highest >= DEGREES))
         degrees = np.tile(np.tile(DEGREES, 2)[places], 2)
         shifted = np.concatenate(
             [self.basis.shifted(e, _CURVATURE_SIZES)[places] for e in ((1.0, 0.0), (0.0, 1.0))]
         )
-        parts = [(hyper.at(name), _of_degree(degrees, d)) for d, name in enumerate(amp.TURN, start=1)]
+        parts = [(hyper.at(amp.TURN[d - 1]), _of_degree(degrees, d)) for d in range(1, highest + 1)]
         parts.append((hyper.at(amp.CURVATURE_TURN), shifted))
         beside = [
             np.concatenate([self.basis.shape(partial(_coma, e, turn))[places] for turn in np.eye(2)])
@@ -393,9 +394,10 @@ class Layout:
 
     def _turn_2(self, hyper: amp.Hyperprior) -> RandomBlock:
         """Return the fields by turn squared; those of round glass have an amplitude of their own, as in `_turn`."""
-        places = _TURNED[1][1]
+        highest = amp.TURN_DEGREES[self.pupil][1]
+        places = both(highest >= DEGREES)
         degrees = np.tile(np.tile(DEGREES, 2)[places], len(_TURNS_2))
-        parts = [(hyper.at(name), _of_degree(degrees, d)) for d, name in enumerate(amp.TURN_2)]
+        parts = [(hyper.at(amp.TURN_2[d]), _of_degree(degrees, d)) for d in range(highest + 1)]
         names = [f"{turn}_{k}" for turn in _TURNS_2 for k in places]
         round_glass = [
             np.concatenate([self.basis.shape(partial(shape, powers))[places] for powers in _TURNS_2.values()])

@@ -24,7 +24,8 @@ from calib.joint.posterior import OtherWay, Posterior, posterior
 from calib.joint.solve import Optimum, value_as_weighed
 from calib.view import View
 
-#: From this 2 log of the odds by the discs on, one way has a probability of less than 2 %, and is left out.
+#: From this 2 log of the odds by the discs on, one way has a probability of less than 2 %, and is left out. The stars
+#: count at most as much: neither way has all errors that there are, and a search can end at the wrong place.
 _DECIDED = 8.0
 #: A way with a smaller share adds nothing to the result.
 _LEAST = 1e-3
@@ -58,7 +59,8 @@ def _share(first: Optimum, second: Optimum) -> float:
     """
     sign, by_hand = (-1.0, first) if first.marginal.problem.pupils is not None else (1.0, second)
     by_stars = sign * (first.solution.value - value_as_weighed(second, first))
-    log = by_stars - narrowed(by_hand.marginal, by_hand.eta, by_hand.solution) + first.marginal.problem.wander
+    by_stars -= narrowed(by_hand.marginal, by_hand.eta, by_hand.solution)
+    log = first.marginal.problem.wander + min(max(by_stars, -_DECIDED), _DECIDED)
     return 0.5 + 0.5 * math.tanh(0.25 * sign * log)
 
 
