@@ -203,8 +203,8 @@ def _innovations(marginal: Marginal, eta: Array, faults: Faults) -> list[Innovat
 def posterior(optimum: Optimum, rounds: int, *, follow: bool = True) -> Posterior:
     """Return the posterior about an optimum, or about the most probable faults if these lead far away from it.
 
-    Such faults count as the equations there say, which are found by at most ``rounds`` linearisations. They do not
-    count if these equations lead far away again, or if ``follow`` is false.
+    The equations at the state that such faults lead to say how much they count; the search of that state takes at most
+    ``rounds`` linearisations. They do not count if these equations lead far away again, or if ``follow`` is false.
     """
     curvature, modes = _modes(optimum)
     far = [bool(one.faults) and not _holds(optimum, one) for one in modes]

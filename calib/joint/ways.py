@@ -1,8 +1,8 @@
 """Gimbal or hand: the posterior if it is not known how the camera's pupil was moved through the beam.
 
 On a gimbal the pupil follows the turn; a hand moves it anywhere. Each way is an adjustment of its own. The visible
-discs and the stars say how probable each is. The result is the mixture of both, unless the discs leave one
-less than 2 %.
+discs and the stars say how probable each is. The result is the mixture of both, unless the discs alone
+leave one less than 2 %.
 """
 
 from __future__ import annotations

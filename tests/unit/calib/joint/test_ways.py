@@ -1,4 +1,4 @@
-"""Gimbal or hand: results where visible discs cannot tell how the camera's pupil was moved through the beam."""
+"""Gimbal or hand: results where the visible discs do not tell how the camera was moved."""
 
 import numpy as np
 import pytest
