@@ -205,7 +205,7 @@ def _approached(problem: Problem, start: State, views: Sequence[View], options: 
                 again = partial(
                     adjust, options=replace(options, passport=None), pupil=problem.bench.layout.pupil
                 )
-                shifted = find_shifted_ids(alone, views, options.max_iterations, again)
+                shifted = find_shifted_ids(alone, views, options.max_iterations, again).words
                 seen = f"{near.shared[free.bench.layout.index['r']]:.3g} mm"
                 raise InputMismatch(
                     f"The certificate of the collimator says {stated:.6g} mm; the views alone show about {seen}. "

@@ -90,6 +90,7 @@ class Posterior:
     faults: dict[str, float]  # Probability of a fault by name of the statement
     largest: Node  # The mode with the largest share
     other: OtherWay | None = None
+    denied: Innovation | None = None  # A statement that is not in the equations: it is probably wrong
 
     @cached_property
     def weights(self) -> Array:
@@ -171,6 +172,7 @@ class Posterior:
         """Return the innovation of every statement that could be wrong, at the largest mode."""
         largest = self.largest
         found = _innovations(self.optimum.marginal, largest.eta, largest.faults)
+        found += [self.denied] if self.denied else []
         return [replace(one, probability=self.faults.get(one.name, 0.0)) for one in found]
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,6 @@ from calib.arrays import Array
 from calib.calibration import Calibration, CalibrationOptions, ViewSummary, rms_and_mean
 from calib.diagnosis.gross_stars import GrossStars, used_stars
 from calib.joint import amplitudes as amp
-from calib.joint.adjust import adjust
 from calib.joint.boresight import boresight
 from calib.joint.budget import budget_rows, row_gradients, variances
 from calib.joint.equations import State, ViewStars, robust_weights
@@ -25,9 +23,9 @@ from calib.joint.left_out import left_out_rms, rotation_errors
 from calib.joint.marginal import Solution
 from calib.joint.posterior import Posterior
 from calib.joint.solve import Optimum
-from calib.joint.ways import posterior_of
+from calib.joint.ways import posterior_of, shifted_ids, with_doubted_bound
 from calib.joint.words import notes, require_determined
-from calib.joint.wrong_views import find_other_origins, find_shifted_ids
+from calib.joint.wrong_views import find_other_origins
 from calib.model.collimator import Collimator
 from calib.model.gimbal import SCALES
 from calib.model.passport import Passport
@@ -49,14 +47,16 @@ def calibrate_jointly(
     used = used_stars(views, options.guard_band, wrong)
     kept = [view if own.all() else view.part(own) for view, own in zip(views, used, strict=True)]
     found = posterior_of(kept, options)
-    parameters = _parameters(found)
-    gimbal = _gimbal(found, parameters, options)
+    shifted = shifted_ids(found.optimum, kept, options).words
+    gimbal = _gimbal(found, parameters := _parameters(found), options)
+    if gimbal is not None and gimbal.entered:
+        found = with_doubted_bound(found, kept, options)
+        gimbal = _gimbal(found, parameters := _parameters(found), options)
     if gimbal is not None and not gimbal.entered:
         options = replace(options, gimbal=None)
         found = posterior_of(kept, options)
         parameters = _parameters(found)
-    again = partial(adjust, options=options, pupil=found.optimum.marginal.problem.bench.layout.pupil)
-    shifted = find_shifted_ids(found.optimum, kept, options.max_iterations, again)
+        shifted = shifted or shifted_ids(found.optimum, kept, options).words
     require_determined(found, kept, parameters, options, shifted)
     result = _calibration(found, views, used, parameters, gimbal)
     other = "" if shifted else find_other_origins(found.optimum, kept)

@@ -1,8 +1,11 @@
-"""Gimbal or hand: the posterior if it is not known how the camera's pupil was moved through the beam.
+"""How the camera's pupil was moved through the beam: the posterior if it is not known.
 
 On a gimbal the pupil follows the turn; a hand moves it anywhere. Each way is an adjustment of its own. The visible
 discs and the stars say how probable each is. The result is the mixture of both, unless the discs alone
 leave one less than 2 %.
+
+A bound of the parallax says that a gimbal holds the pupil near its pivot. It is a statement, and can be wrong. If
+something contradicts it, the ways without it are looked at too.
 """
 
 from __future__ import annotations
@@ -10,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -18,10 +22,13 @@ from calib.calibration import CalibrationOptions
 from calib.errors import CalibrationError
 from calib.joint.adjust import adjust, adjust_again
 from calib.joint.amplitudes import Pupil
+from calib.joint.knowledge import FAULTS, PARALLAX, WRONG, Statement
 from calib.joint.layout import CENTRE, RADIAL, Places
 from calib.joint.places import narrowed
-from calib.joint.posterior import OtherWay, Posterior, posterior
+from calib.joint.posterior import Innovation, OtherWay, Posterior, posterior
+from calib.joint.prior import block_diagonal
 from calib.joint.solve import Optimum, value_as_weighed
+from calib.joint.wrong_views import ShiftedIds, find_shifted_ids
 from calib.view import View
 
 #: From this 2 log of the odds by the discs on, one way has a probability of less than 2 %, and is left out. The stars
@@ -29,10 +36,14 @@ from calib.view import View
 _DECIDED = 8.0
 #: A way with a smaller share adds nothing to the result.
 _LEAST = 1e-3
+#: A statement that is wrong with a larger probability casts doubt on a bound.
+_DOUBTED = 0.1
+#: Readings with this standard uncertainty say nothing beside the stars.
+_NO_READING_DEG = 1.0
 
 
 def posterior_of(views: Sequence[View], options: CalibrationOptions) -> Posterior:
-    """Return the posterior of views, over both ways of the pupil if the discs do not decide."""
+    """Return the posterior of views, over both ways of the pupil if neither a bound nor the discs decide."""
     rounds = options.max_iterations
     first = adjust(views, options)
     problem = first.marginal.problem
@@ -92,3 +103,84 @@ def _follow(covariance: Array, at: Places) -> Array:
     follow = np.linalg.solve(alike[np.ix_(at, at)], alike[at]).T
     follow[at] = np.eye(len(at))
     return np.asarray(scale[:, None] * follow / scale[at])
+
+
+def with_doubted_bound(held: Posterior, views: Sequence[View], options: CalibrationOptions) -> Posterior:
+    """Return the posterior that allows for a wrong bound of the parallax, if something contradicts it.
+
+    Ids of a view that are shifted imitate a hand. If they explain more, the bound holds.
+    """
+    bounded = options.gimbal is not None and options.gimbal.parallax is not None
+    contradicted = max(held.faults.values(), default=0.0) > _DOUBTED
+    if not (bounded and contradicted and held.optimum.marginal.problem.bench.discs):
+        return held
+    try:
+        log = _log_odds(views, options)
+        if log > 0.0 and shifted_ids(held.optimum, views, options).worth > 2.0 * log:
+            return held
+        return _with_bound(held, posterior_of(views, _unbounded(options)), log)
+    except (CalibrationError, np.linalg.LinAlgError):  # without the bound nothing determines the camera
+        return held
+
+
+def shifted_ids(optimum: Optimum, views: Sequence[View], options: CalibrationOptions) -> ShiftedIds:
+    """Return the views whose ids are shifted, if the pupil is moved as in an optimum."""
+    pupil = optimum.marginal.problem.bench.layout.pupil
+    same = options if pupil is Pupil.HELD else _unbounded(options)
+    return find_shifted_ids(
+        optimum, views, options.max_iterations, partial(adjust, options=same, pupil=pupil)
+    )
+
+
+def _unbounded(options: CalibrationOptions) -> CalibrationOptions:
+    """Return options in which nothing bounds the parallax."""
+    gimbal = options.gimbal
+    return options if gimbal is None else replace(options, gimbal=replace(gimbal, parallax=None))
+
+
+def _log_odds(views: Sequence[View], options: CalibrationOptions) -> float:
+    """Return the logarithm of the odds that a bound of the parallax is wrong, by discs and stars.
+
+    Readings do not count: the own errors of a hand's poses could explain those that are wrong themselves.
+    """
+    assert options.gimbal is not None
+    options = replace(options, gimbal=replace(options.gimbal, reading_sigma_deg=_NO_READING_DEG))
+    held, free = (posterior_of(views, one) for one in (options, _unbounded(options)))
+    rows = _bound(held).rows
+    log = _log_evidence(free, held.optimum) - _log_evidence(held, held.optimum)
+    # A density of unknowns: that of what is stated, times the determinant of how it follows the unknowns.
+    return log + math.log(FAULTS[WRONG]) - 0.5 * float(np.linalg.slogdet(rows @ rows.T)[1])
+
+
+def _with_bound(held: Posterior, free: Posterior, log: float) -> Posterior:
+    """Return the mixture of the posteriors with a bound of the parallax and without it, by the odds of the latter."""
+    share = 0.5 + 0.5 * math.tanh(0.5 * log)
+    free = replace(free, faults={**free.faults, PARALLAX: 1.0})
+    first, second, less = (held, free, share) if share < 0.5 else (free, held, 1.0 - share)
+    if less > _LEAST and second.optimum.converged:
+        first = _mixed(first, replace(second, other=None), less)
+    if share < 0.5:
+        return first
+    bound = _bound(held)
+    sigma = np.sqrt(np.diag(bound.covariance))
+    return replace(first, denied=Innovation(PARALLAX, bound, bound.values, sigma, math.sqrt(2.0 * log)))
+
+
+def _log_evidence(found: Posterior, than: Optimum) -> float:
+    """Return the logarithm of the probability of the views, with the weights that the stars have at an optimum."""
+    optimum, largest = found.optimum, found.largest
+    value = optimum.solution.value if optimum is than else value_as_weighed(optimum, than)
+    value += largest.solution.value - optimum.solution.value
+    if optimum.marginal.problem.pupils is not None:
+        value += narrowed(optimum.marginal, optimum.eta, optimum.solution)
+    return -0.5 * value + sum(math.log(FAULTS[fault]) for _, fault in largest.faults)
+
+
+def _bound(held: Posterior) -> Statement:
+    """Return all that a bound states of the parallax as one statement."""
+    statements = held.optimum.marginal.problem.knowledge.statements
+    parts = [one for one in statements if one.name == PARALLAX]
+    rows, values = (np.concatenate([getattr(one, name) for one in parts]) for name in ("rows", "values"))
+    return replace(
+        parts[0], rows=rows, values=values, covariance=block_diagonal([one.covariance for one in parts])
+    )

@@ -95,7 +95,8 @@ def notes(result: Calibration, found: Posterior) -> tuple[str, ...]:
     named.sort(key=lambda one: (-one.fault_probability, -abs(one.innovation)))
     together = "" if len(named) < 2 else _TOGETHER
     sentences = [_lens(found) or _weakness(result, found), *map(_doubt, named), together]
-    return tuple(filter(None, [*sentences, _readings(result), _alone(result), _contradiction(result)]))
+    sentences += [_denied(found), _readings(result), _alone(result), _contradiction(result)]
+    return tuple(filter(None, sentences))
 
 
 def _lens(found: Posterior) -> str:
@@ -119,6 +120,16 @@ def _doubt(one: Witness) -> str:
     return (
         f"{what} says {one.stated:.6g} +- {one.sigma:.2g}{unit}; all others say {one.expected:.6g} +- "
         f"{one.expected_sigma:.2g}{unit}, {abs(one.innovation):.1f} sigma away; {probability}."
+    )
+
+
+def _denied(found: Posterior) -> str:
+    """Return what to do about a bound of the parallax that is probably wrong."""
+    if found.denied is None:
+        return ""
+    return (
+        "Visible discs and stars show that the entrance pupil moves otherwise through the beam, so that bound counts "
+        "little. Measure how far the pupil is in front of the pivot, or leave the bound out of the station."
     )
 
 

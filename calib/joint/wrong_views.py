@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -43,6 +44,13 @@ _ADJUSTED, _STEPS = 4, 20
 _RARE = 1e-4
 #: An origin at a pixel's corner instead of its centre, px.
 HALF_PX = 0.5
+
+
+class ShiftedIds(NamedTuple):
+    """Views whose ids are shifted."""
+
+    words: str = ""  # Empty if the views agree, or if no shift explains their errors
+    worth: float = 0.0  # 2 log of the odds of these shifts against none
 
 
 @dataclass(frozen=True)
@@ -149,16 +157,15 @@ def _gain(first: Optimum, there: Optimum) -> float:
 
 def find_shifted_ids(
     optimum: Optimum, views: Sequence[View], rounds: int, again: Callable[[Sequence[View]], Optimum]
-) -> str:
+) -> ShiftedIds:
     """Look for views whose ids are shifted by columns and rows of the lattice against those of the others.
 
-    The best shift of one view is kept, and the search goes on with the next view, up to half of the views. A sentence,
-    which is empty if the views agree, if no shift explains their errors, or if the stars lie on no lattice. A pupil
+    The best shift of one view is kept, and the search goes on with the next view, up to half of the views. A pupil
     that a hand moves can imitate a shift: then the views, adjusted ``again``, must be more probable too.
     """
     pitch = _lattice_pitch(views)
     if len(views) < 2 or pitch is None:
-        return ""
+        return ShiftedIds()
     each = needed(len(views) * len(_SHIFTS)) - 2.0 * math.log(_RARE)
 
     def cost(one: _Moved) -> float:
@@ -177,23 +184,25 @@ def find_shifted_ids(
         best = better
     by_hand = optimum.marginal.problem.pupils is not None
     if not best.shifts.any() or (by_hand and not _better_again(optimum, views, pitch * best.shifts, again)):
-        return ""
+        return ShiftedIds()
     others = {
         _in_words(views, one) for one in every if one.shifts.any() and worth(one) > worth(best) - DECISIVE
     } - {_in_words(views, best)}
     if len(views) == 2:  # what all views have in common is another centre
         others.add(_in_words(views, replace(best, shifts=(best.shifts - best.shifts.sum(axis=0)))))
     ratio = f"2 log(likelihood ratio) is {best.gain:.0f}; {cost(best):.0f} is enough"
-    if not others:
-        return (
+    if others:
+        words = (
+            "The star ids of one view may be shifted; these views cannot decide which: shift the ids of "
+            f"{', or '.join([_in_words(views, best), *sorted(others)])}. "
+            f"Then the stars fit far better ({ratio}). Check the ids of these views, or add views."
+        )
+    else:
+        words = (
             f"The star ids are wrong: shift the ids of {_in_words(views, best)}. "
             f"Then the stars fit far better ({ratio}). Check the tag or the id file of this view."
         )
-    return (
-        "The star ids of one view may be shifted; these views cannot decide which: shift the ids of "
-        f"{', or '.join([_in_words(views, best), *sorted(others)])}. "
-        f"Then the stars fit far better ({ratio}). Check the ids of these views, or add views."
-    )
+    return ShiftedIds(words, worth(best))
 
 
 def _shifted(first: Optimum, best: _Moved, pitch: float, rounds: int) -> list[_Moved]:

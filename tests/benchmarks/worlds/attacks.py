@@ -101,6 +101,17 @@ def _pupil_in_front(world: World) -> World:
     )
 
 
+def _moved_by_hand(world: World) -> World:
+    """A hand moves the camera; the station states the pupil 2 +- .5 mm in front of the pivot of a gimbal."""
+    terms = {**world.glass.terms, "defocus": 0.05}
+    return replace(
+        world,
+        glass=replace(world.glass, terms=terms),
+        mount=replace(world.mount, off_pivot_mm=44.0, wander_mm=8.5),
+        stated=replace(world.stated, off_pivot_mm=(2.0, 0.5), defocus=(0.05, 0.005)),
+    )
+
+
 def _wrong_defocus(world: World) -> World:
     """The defocus is stated with the wrong sign, the pupil 5 mm in front of the pivot rightly."""
     terms = {**world.glass.terms, "defocus": 0.05}
@@ -216,6 +227,8 @@ _ATTACKS |= {
     "gimbal scale of pan .5 %, no certificate": Attack(SCALE, "r", world=_gimbal_scale(0.005, 0.0)),
     "gimbal scale 1 %, no certificate": Attack(SCALE, "r", world=_gimbal_scale(0.01, 0.01), seen=False),
     "pupil 12 mm, stated 2": Attack(PARALLAX, world=_pupil_in_front),
+    "moved by hand, stated on a gimbal": Attack(PARALLAX, world=_moved_by_hand),
+    "moved by hand, stated on a gimbal, three poses": Attack(PARALLAX, world=_moved_by_hand, poses=THREE),
     "defocus of the wrong sign": Attack(PARALLAX, world=_wrong_defocus),
     "anisotropic print .3 %": Attack(PRINT, world=_glass(print_scale=np.array([0.003, 0.0]))),
     "anisotropic print .3 %, three poses": Attack(

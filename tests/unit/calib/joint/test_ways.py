@@ -1,4 +1,6 @@
-"""Gimbal or hand: results where the visible discs do not tell how the camera was moved."""
+"""Gimbal or hand: results where the visible discs do not tell how the camera was moved, or where it is stated wrongly."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +12,8 @@ from calib.joint.amplitudes import Pupil
 from calib.joint.budget import variances
 from calib.joint.posterior import posterior
 from calib.joint.ways import posterior_of
+from calib.model.gimbal_readings import ParallaxBound
+from tests.benchmarks.worlds.attacks import ATTACKS, RIGHT_WITHIN, attacked
 from tests.benchmarks.worlds.catalogue import WORLDS
 from tests.benchmarks.worlds.knowledge import options_for, views_of
 from tests.benchmarks.worlds.polynomial import draw_world, record
@@ -69,6 +73,33 @@ def test_the_covariance_of_both_ways_is_one(undecided):
 def test_where_the_parallax_is_bounded_there_is_one_way():
     bench = WORLDS["polynomial"](402, 3, 1, 0)
     assert posterior_of(views_of(bench), options_for(bench, "cr")).other is None
+
+
+@pytest.mark.parametrize(("world", "seed", "poses"), [("product-S1", 75, 3), ("S2", 73, 9)])
+def test_a_bound_of_the_parallax_that_is_not_so_is_named_alone_and_does_no_harm(world, seed, poses):
+    """A hand moved the camera, and the station states a gimbal. Certificate and scales were named; fx was 19 U wrong."""
+    bench = WORLDS[world](seed, poses, 1, 0)
+    options = options_for(bench, "cr")
+    bound = ParallaxBound(bench.stated.defocus[0], 0.01, 2.0, 0.5)
+    found = calibrate(views_of(bench), replace(options, gimbal=replace(options.gimbal, parallax=bound)))
+    doubted = {one.name: one.fault_probability for one in found.witnesses if one.fault_probability > 0.5}
+    assert list(doubted) == ["pupil and defocus"]
+    assert any("leave the bound out of the station" in note for note in found.notes)
+    for name in ("fx", "fy", "cx", "cy"):
+        error = abs(getattr(found.camera, name) - bench.camera.values[name])
+        assert error < RIGHT_WITHIN * found.coverage_factors[name] * found.sigma[name]
+
+
+def test_shifted_ids_of_a_view_do_not_deny_the_bound():
+    """They imitate a hand: without the bound the stars fit far better, but with the right ids better still."""
+    line = attacked("ids of a view shifted", 2)
+    assert ATTACKS["ids of a view shifted"].known == "cr"
+    assert line["right"]
+    assert any(
+        note.startswith("The star ids are wrong: shift the ids of view pose 5 by -1")
+        for note in line["notes"]
+    )
+    assert not any("pupil and defocus" in note for note in line["notes"])
 
 
 @pytest.mark.parametrize(("world", "seed"), [("S1", 405), ("S1", 406), ("S1", 407), ("product-S1", 404)])
