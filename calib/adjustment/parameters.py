@@ -71,8 +71,7 @@ def poses_of(rotations: Array, moved: Bools | None = None) -> tuple[int, ...]:
     A view belongs to the first pose whose first view is turned by less than 0.2 degrees against it. Own rule. ``moved``
     may tell for (n, n) pairs of views that the camera was moved between them, although it is turned alike.
     """
-    flat = np.asarray(rotations).reshape(len(rotations), 9)
-    same = np.linalg.norm(flat[:, None] - flat[None], axis=2) < _chord(SAME_POSE_DEG)
+    same = turned_alike(rotations)
     if moved is not None:
         same &= ~moved
     firsts: list[int] = []
@@ -83,6 +82,12 @@ def poses_of(rotations: Array, moved: Bools | None = None) -> tuple[int, ...]:
             firsts.append(i)
         found.append(pose)
     return tuple(found)
+
+
+def turned_alike(rotations: Array) -> Bools:
+    """Tell for (n, n) pairs of rotations (n, 3, 3) whether they differ by less than 0.2 degrees."""
+    flat = np.asarray(rotations).reshape(len(rotations), 9)
+    return np.asarray(np.linalg.norm(flat[:, None] - flat[None], axis=2) < _chord(SAME_POSE_DEG))
 
 
 def _chord(turned_deg: float) -> float:

@@ -19,8 +19,9 @@ from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
 from calib.joint.knowledge import CERTIFICATE, WRONG, gather, stated_names, term_shapes, wavefront
 from calib.joint.layout import ASIDE, Layout
 from calib.joint.marginal import Marginal, Problem
+from calib.joint.poses import Poses, seen_poses
 from calib.joint.posterior import odds_of
-from calib.joint.pupils import LEVER_BY_HAND, Poses, lever_of, pupils_of, seen_poses, shown_way
+from calib.joint.pupils import LEVER_BY_HAND, lever_of, pupils_of, shown_way
 from calib.joint.readings import Readings
 from calib.joint.solve import Optimum, approached, beside, first_equations, search, solved, value_as_weighed
 from calib.joint.wrong_views import find_shifted_ids
@@ -170,7 +171,7 @@ def _adjusted(
     A bound of the parallax says that the pupil is on a gimbal. Then the discs only tell which stars are at the rim.
     """
     start = first_parameters(views, options, lens)
-    seen = seen_poses(views, start.rotations)
+    seen = seen_poses(views, start)
     if seen.discs and (options.gimbal is None or options.gimbal.parallax is None):
         seen = seen._replace(pupil=pupil or shown_way(seen.discs))
     try:

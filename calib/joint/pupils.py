@@ -6,24 +6,16 @@ discs say where it is, and the stars say it better (`calib.joint.places`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib.adjustment.parameters import poses_of
 from calib.arrays import Array
 from calib.joint.amplitudes import Lever, Pupil
-from calib.model.beam import discs_of
 from calib.model.rim_fit import Discs
-from calib.view import View
 
 #: Tangent of the turn that brings the pupil aside by the radius: one prior then serves fields by turn and by pupil.
 _AS_TURNS = 12.0
-#: Discs are apart if the square of their distance, in sigmas, is larger. By chance it is so in 1 of 1000 pairs.
-_APART = 13.8
 #: What `lever_of` returns if no disc shows it. The same if a hand moves the camera, where `_AS_TURNS` holds.
 _LEVER, LEVER_BY_HAND = 0.03, Lever(1.0 / _AS_TURNS, 0.0)
 #: 1-sigma of its logarithm beforehand, and the grid of its posterior in these: a pupil 3 to 20 mm before the pivot.
@@ -48,37 +40,9 @@ class Pupils:
         return replace(self, shown=self.shown + _AS_TURNS / self.r_mm * away)
 
 
-class Poses(NamedTuple):
-    """The poses of a search. They are found once: a step of the search could join two poses, or part them."""
-
-    of_views: NDArray[np.int64]  # (V,) pose of each view
-    discs: Discs | None = None  # Of each pose, if a rim is in view
-    pupil: Pupil = Pupil.HELD
-
-
-def seen_poses(views: Sequence[View], rotations: Array) -> Poses:
-    """Return the poses of views with (V, 3, 3) rotations. Repeats of a pose show the same rim at the same place."""
-    poses = np.array(poses_of(rotations), np.int64)
-    if poses.max() + 1 < len(views) and (discs := discs_of(views)):
-        poses = np.array(poses_of(rotations, _apart(discs)), np.int64)
-    return Poses(poses, discs_of([views[v] for v in np.unique(poses, return_index=True)[1]]))
-
-
 def shown_way(found: Discs) -> Pupil:
     """Return how the pupil is more probably moved, by the discs alone."""
     return Pupil.BY_HAND if found.wander > 0.0 and len(found.of_views) > 1 else Pupil.WALKS
-
-
-def _apart(found: Discs) -> NDArray[np.bool_]:
-    """Tell for (V, V) pairs of views that their discs are not at the same place."""
-    middles = np.array([disc.centre_mm for disc in found.of_views])
-    away, n = middles[:, None] - middles[None], len(middles)
-    blocks = found.covariance_mm2.reshape(n, 2, n, 2).swapaxes(1, 2)
-    alone = blocks[range(n), range(n)]
-    spread = alone[:, None] + alone[None] - blocks - blocks.swapaxes(0, 1)
-    spread[range(n), range(n)] = np.eye(2)
-    squares = (away[:, :, None] @ np.linalg.solve(spread, away[..., None]))[:, :, 0, 0]
-    return np.asarray(squares > _APART)
 
 
 def lever_of(found: Discs | None, turns: Array, r_mm: float) -> Lever:

@@ -27,9 +27,9 @@ from calib.joint.equations import State, sines_of, turns_of
 from calib.joint.layout import DRIFT, POSE_PLACES
 from calib.joint.left_out import maps_with_gimbal, normal_of_poses
 from calib.joint.marginal import Marginal, Problem, Solution
+from calib.joint.poses import Poses
 from calib.joint.posterior import Posterior
 from calib.joint.prior import NO_FAULT
-from calib.joint.pupils import Poses
 from calib.joint.samples import Node
 from calib.joint.solve import Optimum
 from calib.model.lens import is_fisheye

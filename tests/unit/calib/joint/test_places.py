@@ -12,10 +12,8 @@ from calib.joint.budget import variances
 from calib.joint.marginal import Marginal
 from calib.joint.places import spread_of_places, step_to_places
 from calib.joint.posterior import posterior
-from calib.joint.pupils import seen_poses
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.result_parts import PUPILS
-from calib.view import RimPoints
 from tests.benchmarks.worlds.catalogue import WORLDS
 from tests.benchmarks.worlds.knowledge import options_for, views_of
 from tests.support.drawn_benches import NINE, THREE, draw_bench
@@ -195,15 +193,3 @@ def test_places_before_fields_that_are_zero_but_hardly_known_move_the_camera_too
     unseen, rng = variances_with(0.0), np.random.default_rng(1)
     drawn = [variances_with(errors @ rng.standard_normal(len(columns))) - unseen for _ in range(100)]
     assert np.mean(drawn, axis=0) == pytest.approx(unseen, rel=0.3)
-
-
-def test_views_turned_alike_are_one_pose_only_if_their_rims_are_at_the_same_place():
-    """A hand moved the camera across the beam without turning it; then it stood still for as many views."""
-    rng, angles, views = np.random.default_rng(1), np.linspace(0.0, 4.0, 60), []
-    for k, view in enumerate(2 * views_of(WORLDS["S1"](73, 3, 1, 0))):
-        middle = view.target_mm.mean(axis=0) + 4.0 * (k % 3)
-        points = middle + 60.0 * np.column_stack([np.cos(angles), np.sin(angles)])
-        points += rng.normal(0.0, 0.1, points.shape)
-        rim = RimPoints(points, np.full(len(points), 0.1), np.zeros((0, 2)), 0.0)
-        views.append(replace(view, rim=rim))
-    assert seen_poses(views, np.tile(np.eye(3), (6, 1, 1))).of_views.tolist() == [0, 1, 2, 0, 1, 2]
