@@ -41,6 +41,10 @@ MISJUDGED, WRONG = "misjudged", "wrong"
 MISJUDGED_TIMES = 5.0
 #: Probability of each fault before the views are seen.
 FAULTS = {MISJUDGED: 0.05, WRONG: 0.02}
+#: A statement is named, and casts doubt on a bound of the parallax, if it is at fault with this probability: beyond
+#: it, its fault decides how large U is, since U covers 95.45 %. An honest one is named at 2.3 sigma, in 1 of 50
+#: results.
+DOUBTED = 0.1
 #: Names of witnesses.
 CERTIFICATE = "certificate of the collimator"
 CHANGED_AXIS, CHANGED_RADIUS = (

@@ -60,16 +60,16 @@ def _moved(first: View, second: View, camera: CameraModel) -> bool:
     x, y = rays[:, 0], rays[:, 1]
     smooth = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
     left = np.linalg.norm(away - smooth @ np.linalg.lstsq(smooth, away)[0], axis=1)
-    kept = left <= _OUTLIER * np.median(left)
+    good = left <= _OUTLIER * np.median(left)
     by_point = camera.project_with_jacobians(rays)[1]
     turned = np.cross(np.eye(3)[:, None], rays[None]).transpose(1, 2, 0)
-    by_turn = (by_point @ turned)[kept]
-    rest = _squares(smooth[kept], away[kept])
-    more = max(_squares(by_turn.reshape(-1, 3), away[kept].reshape(-1)) - rest, 0.0)
-    share = more / max(rest, kept.sum() * _EXACT_PX**2)
-    return share > _SMOOTH and (2 * int(kept.sum()) - _COEFFICIENTS) * math.log1p(share) > _DECISIVE
+    by_turn = (by_point @ turned)[good]
+    rest = _squares(smooth[good], away[good])
+    more = max(_squares(by_turn.reshape(-1, 3), away[good].reshape(-1)) - rest, 0.0)
+    share = more / max(rest, good.sum() * _EXACT_PX**2)
+    return share > _SMOOTH and (2 * int(good.sum()) - _COEFFICIENTS) * math.log1p(share) > _DECISIVE
 
 
 def _squares(design: Array, values: Array) -> float:
-    """Return the sum of squares that a linear model leaves of values."""
+    """Return the sum of the squared residuals of a linear model."""
     return float(np.sum((values - design @ np.linalg.lstsq(design, values)[0]) ** 2))

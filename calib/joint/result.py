@@ -47,20 +47,24 @@ def calibrate_jointly(
     used = used_stars(views, options.guard_band, wrong)
     kept = [view if own.all() else view.part(own) for view, own in zip(views, used, strict=True)]
     found = posterior_of(kept, options)
-    shifted = shifted_ids(found.optimum, kept, options).words
+    shifted = shifted_ids(found.optimum, kept, options)
     gimbal = _gimbal(found, parameters := _parameters(found), options)
+    doubted = found
     if gimbal is not None and gimbal.entered:
-        found = with_doubted_bound(found, kept, options)
+        doubted = with_doubted_bound(found, kept, options, shifted)
+    if doubted is not found:
+        found = doubted
+        shifted = shifted_ids(found.optimum, kept, options)
         gimbal = _gimbal(found, parameters := _parameters(found), options)
     if gimbal is not None and not gimbal.entered:
         options = replace(options, gimbal=None)
         found = posterior_of(kept, options)
         parameters = _parameters(found)
-        shifted = shifted or shifted_ids(found.optimum, kept, options).words
-    require_determined(found, kept, parameters, options, shifted)
+        shifted = shifted if shifted.words else shifted_ids(found.optimum, kept, options)
+    require_determined(found, kept, parameters, options, shifted.words)
     result = _calibration(found, views, used, parameters, gimbal)
-    other = "" if shifted else find_other_origins(found.optimum, kept)
-    return replace(result, notes=(*filter(None, (shifted, other)), *notes(result, found)))
+    other = "" if shifted.words else find_other_origins(found.optimum, kept)
+    return replace(result, notes=(*filter(None, (shifted.words, other)), *notes(result, found)))
 
 
 def _parameters(found: Posterior) -> AdjustmentParameters:

@@ -1,4 +1,4 @@
-"""How the camera's pupil was moved through the beam: the posterior if it is not known.
+"""The posterior over the ways in which the camera's pupil may have been moved through the beam.
 
 On a gimbal the pupil follows the turn; a hand moves it anywhere. Each way is an adjustment of its own. The visible
 discs and the stars say how probable each is. The result is the mixture of both, unless the discs alone
@@ -22,7 +22,7 @@ from calib.calibration import CalibrationOptions
 from calib.errors import CalibrationError
 from calib.joint.adjust import adjust, adjust_again
 from calib.joint.amplitudes import Pupil
-from calib.joint.knowledge import FAULTS, PARALLAX, WRONG, Statement
+from calib.joint.knowledge import DOUBTED, FAULTS, PARALLAX, WRONG, Statement
 from calib.joint.layout import CENTRE, RADIAL, Places
 from calib.joint.places import narrowed
 from calib.joint.posterior import Innovation, OtherWay, Posterior, posterior
@@ -36,8 +36,6 @@ from calib.view import View
 _DECIDED = 8.0
 #: A way with a smaller share adds nothing to the result.
 _LEAST = 1e-3
-#: A statement that is wrong with a larger probability casts doubt on a bound.
-_DOUBTED = 0.1
 #: Readings with this standard uncertainty say nothing beside the stars.
 _NO_READING_DEG = 1.0
 
@@ -105,18 +103,20 @@ def _follow(covariance: Array, at: Places) -> Array:
     return np.asarray(scale[:, None] * follow / scale[at])
 
 
-def with_doubted_bound(held: Posterior, views: Sequence[View], options: CalibrationOptions) -> Posterior:
-    """Return the posterior that allows for a wrong bound of the parallax, if something contradicts it.
+def with_doubted_bound(
+    held: Posterior, views: Sequence[View], options: CalibrationOptions, shifted: ShiftedIds
+) -> Posterior:
+    """Return the posterior that allows for a wrong bound of the parallax, if something contradicts it; else ``held``.
 
     Ids of a view that are shifted imitate a hand. If they explain more, the bound holds.
     """
     bounded = options.gimbal is not None and options.gimbal.parallax is not None
-    contradicted = max(held.faults.values(), default=0.0) > _DOUBTED
+    contradicted = max(held.faults.values(), default=0.0) >= DOUBTED
     if not (bounded and contradicted and held.optimum.marginal.problem.bench.discs):
         return held
     try:
         log = _log_odds(views, options)
-        if log > 0.0 and shifted_ids(held.optimum, views, options).worth > 2.0 * log:
+        if shifted.worth > max(2.0 * log, 0.0):
             return held
         return _with_bound(held, posterior_of(views, _unbounded(options)), log)
     except (CalibrationError, np.linalg.LinAlgError):  # without the bound nothing determines the camera

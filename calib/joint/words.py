@@ -14,7 +14,7 @@ from calib.adjustment.parameters import (
 )
 from calib.calibration import Calibration, CalibrationOptions
 from calib.errors import DegenerateViews, NotConverged
-from calib.joint.knowledge import READINGS
+from calib.joint.knowledge import DOUBTED, READINGS
 from calib.joint.posterior import Posterior
 from calib.model import result_parts as rows
 from calib.model.gimbal import MOUNTING
@@ -22,9 +22,6 @@ from calib.model.result_parts import Witness
 from calib.model.rotation import exp_map
 from calib.view import View
 
-#: A statement is named if it is at fault with this probability: beyond it, its fault decides how large U is, since U
-#: covers 95.45 %. An honest statement is named at 2.3 sigma, in 1 of 50 results.
-_DOUBTED = 0.1
 #: Readings that scatter this many times more than stated are named.
 _SCATTER = 2.0
 _WEAK_FOCAL_SIGMA = 0.01
@@ -91,7 +88,7 @@ def _free_unknown(found: Posterior, at: int) -> str:
 
 def notes(result: Calibration, found: Posterior) -> tuple[str, ...]:
     """Return what a reader must know: weak geometry, statements that others contradict, readings that scatter."""
-    named = [one for one in result.witnesses if one.name != READINGS and one.fault_probability >= _DOUBTED]
+    named = [one for one in result.witnesses if one.name != READINGS and one.fault_probability >= DOUBTED]
     named.sort(key=lambda one: (-one.fault_probability, -abs(one.innovation)))
     together = "" if len(named) < 2 else _TOGETHER
     sentences = [_lens(found) or _weakness(result, found), *map(_doubt, named), together]
@@ -124,12 +121,13 @@ def _doubt(one: Witness) -> str:
 
 
 def _denied(found: Posterior) -> str:
-    """Return what to do about a bound of the parallax that is probably wrong."""
+    """Say what to do if the bound of the parallax is probably wrong."""
     if found.denied is None:
         return ""
     return (
-        "Visible discs and stars show that the entrance pupil moves otherwise through the beam, so that bound counts "
-        "little. Measure how far the pupil is in front of the pivot, or leave the bound out of the station."
+        "Visible discs and stars show that the entrance pupil does not move through the beam as this bound says. The "
+        "bound counts little here. Measure how far the pupil is in front of the pivot, or leave the bound out of the "
+        "station."
     )
 
 

@@ -193,7 +193,7 @@ def find_shifted_ids(
     ratio = f"2 log(likelihood ratio) is {best.gain:.0f}; {cost(best):.0f} is enough"
     if others:
         words = (
-            "The star ids of one view may be shifted; these views cannot decide which: shift the ids of "
+            "The star ids of one view may be shifted, but these views do not show which one. Shift the ids of "
             f"{', or '.join([_in_words(views, best), *sorted(others)])}. "
             f"Then the stars fit far better ({ratio}). Check the ids of these views, or add views."
         )

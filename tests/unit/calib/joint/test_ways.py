@@ -22,7 +22,7 @@ from tests.benchmarks.worlds.sweeps import nested_poses
 
 @pytest.fixture(scope="module")
 def undecided():
-    """Three poses that fit a gimbal and a hand alike: both ways, and the result."""
+    """The result, and both ways alone, of three poses that a gimbal and a hand explain equally well."""
     bench = WORLDS["product-S2"](76, 3, 1, 0)
     views, options = views_of(bench), options_for(bench, "0")
     first = adjust(views, options, Pupil.WALKS)
@@ -91,7 +91,7 @@ def test_a_bound_of_the_parallax_that_is_not_so_is_named_alone_and_does_no_harm(
 
 
 def test_shifted_ids_of_a_view_do_not_deny_the_bound():
-    """They imitate a hand: without the bound the stars fit far better, but with the right ids better still."""
+    """Such ids imitate a hand. Without the bound the stars fit far better; with the right ids they fit better still."""
     line = attacked("ids of a view shifted", 2)
     assert ATTACKS["ids of a view shifted"].known == "cr"
     assert line["right"]

@@ -27,7 +27,7 @@ POSES = [
 def test_the_forecast_is_what_a_calibration_then_states(bench):
     """Nine poses show that no hand moves the camera; fewer may leave that open, and then U is larger than expected.
 
-    They also show small errors: cy is 1.54 times as well known as expected.
+    The views also show small errors, so U of cy is smaller than its forecast: by a factor of 1.54.
     """
     rolls = (0.0, 10.0, -20.0, 45.0, 90.0, 0.0, -60.0, 20.0, 0.0)
     angles = [(pan, tilt) for tilt in (-2.5, 0.0, 2.5) for pan in (-5.0, 0.5, 5.0)]
