@@ -102,7 +102,8 @@ def posed(
     knowledge = gather(options, layout, views[0].image_size, values)
     corner = 0.5 * float(np.hypot(*views[0].image_size)) / start.camera.fx
     moving = discs if pupil is amp.Pupil.WALKS else None
-    lever = LEVER_BY_HAND if pupils else lever_of(moving, turns, centre.r)
+    bound = options.gimbal.parallax if options.gimbal else None
+    lever = LEVER_BY_HAND if pupils else lever_of(moving, turns, centre.r, bound)
     hyper = amp.hyperprior(lever, pupil, passport=bool(layout.passport))
     reach = float(np.hypot(*(turns - turns.mean(axis=0)).T).max())
     blocks = layout.random_blocks(

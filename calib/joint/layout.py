@@ -50,7 +50,7 @@ SHIFTED_SIZES = (1.0, 1.0, RADIAL_RATIO, RADIAL_RATIO)
 #: The same for a pupil that moves aside, as 40 ray-traced collimators have it: field curvature, and less astigmatism.
 _CURVATURE_SIZES = (1.0, 0.25)
 #: A pupil that is beside the axis at turn 0 sees the coma of `amp.SCALE_TURN_2` by turn too, so many times as large:
-#: twice its place over what a turn of `amp.UNIT_TURN` moves it. Visible discs show where the axis is.
+#: twice its place over what a turn of `amp.UNIT_TURN` moves it, with `amp.LEVER`. Visible discs show where the axis is.
 _BESIDE, _BESIDE_DISC = 10.0, 2.0
 #: Change of scale that comes with radial errors, as a share of what they do at the edge of the field.
 _RADIAL_SCALE = 0.06
@@ -387,7 +387,7 @@ class Layout:
             np.concatenate([self.basis.shape(partial(_coma, e, turn))[places] for turn in np.eye(2)])
             for e in np.eye(2)
         ]
-        size = _BESIDE_DISC if self.rim else _BESIDE
+        size = (_BESIDE_DISC if self.rim else _BESIDE) / hyper.far
         parts.append((hyper.at(amp.SCALE_TURN_2), size * np.column_stack(beside)))
         names = [f"{turn}_{k}" for turn in _TURNS for k in places]
         return RandomBlock(rows.TURN_FIELDS, self.places(names), tuple(parts))

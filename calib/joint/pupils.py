@@ -11,13 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.arrays import Array
-from calib.joint.amplitudes import Lever, Pupil
+from calib.joint.amplitudes import LEVER, Lever, Pupil
+from calib.model.gimbal_readings import ParallaxBound
 from calib.model.rim_fit import Discs
 
 #: Tangent of the turn that brings the pupil aside by the radius: one prior then serves fields by turn and by pupil.
 _AS_TURNS = 12.0
-#: What `lever_of` returns if no disc shows it. The same if a hand moves the camera, where `_AS_TURNS` holds.
-_LEVER, LEVER_BY_HAND = 0.03, Lever(1.0 / _AS_TURNS, 0.0)
+#: How far the pupil moves if a hand moves the camera.
+LEVER_BY_HAND = Lever(1.0 / _AS_TURNS, 0.0)
 #: 1-sigma of its logarithm beforehand, and the grid of its posterior in these: a pupil 3 to 20 mm before the pivot.
 _LEVER_SPREAD, _LEVERS = 1.0, np.linspace(-3.0, 3.0, 61)
 #: Turns whose tangent is smaller say nothing of how a pupil moves.
@@ -45,18 +46,22 @@ def shown_way(found: Discs) -> Pupil:
     return Pupil.BY_HAND if found.wander > 0.0 and len(found.of_views) > 1 else Pupil.WALKS
 
 
-def lever_of(found: Discs | None, turns: Array, r_mm: float) -> Lever:
-    """Return how far the pupil of a gimbal moves across the beam. turns: (n, 2).
+def lever_of(found: Discs | None, turns: Array, r_mm: float, bound: ParallaxBound | None = None) -> Lever:
+    """Return how far the pupil of a gimbal moves across the beam, as stated or as the discs show. turns: (n, 2).
 
-    The logarithm of its size is Gaussian beforehand. The posterior counts how far the discs move along X as the turn
-    along X says, and along Y as that along Y, with their covariance.
+    A stated distance from the pivot adds to what is expected. If none is stated, the logarithm of the size is Gaussian
+    beforehand. The posterior counts how far the discs move along X as the turn along X says, and along Y as that along
+    Y, with their covariance.
     """
+    if bound is not None:
+        off = np.hypot(bound.pupil_off_pivot_mm, bound.pupil_off_pivot_sigma_mm) / r_mm
+        return Lever(float(np.hypot(off, LEVER)), 0.0)
     if found is None or len(turns) < 2:
-        return Lever(_LEVER, _LEVER_SPREAD)
+        return Lever(LEVER, _LEVER_SPREAD)
     away, differences = _about_their_mean(found)
     along = _along(turns) / r_mm
     ways, unseen = along @ away.reshape(-1), np.diag(np.where(np.ptp(turns, axis=0) < _NO_TURN, 1.0, 0.0))
-    logs = np.log(_LEVER) + _LEVERS * _LEVER_SPREAD
+    logs = np.log(LEVER) + _LEVERS * _LEVER_SPREAD
     variances = along @ differences @ along.T + unseen + np.exp(2.0 * logs)[:, None, None] * np.eye(2)
     fit = np.einsum("a,gab,b->g", ways, np.linalg.inv(variances), ways)
     density = -0.5 * (_LEVERS**2 + fit + np.linalg.slogdet(variances)[1])

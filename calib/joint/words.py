@@ -169,10 +169,10 @@ def _contradiction(result: Calibration) -> str:
         return ""
     return (
         f"The gimbal's readings contradict the stars: {gimbal.rms_deg:.3f} degrees rms, chi-square "
-        f"{gimbal.chi_square:.0f} with {gimbal.degrees_of_freedom} degrees of freedom. They did not enter. Check the "
-        "sign and the scale of each axis, the stated bounds, whether each axis that moved is read, and whether one "
-        "slipped. A camera that moves across "
-        "the beam from pose to pose does the same: the collimator's errors then differ from view to view."
+        f"{gimbal.chi_square:.0f} with {gimbal.degrees_of_freedom} degrees of freedom. They did not enter. Either the "
+        "readings are wrong: check the sign and the scale of each axis, whether each axis that moved is read, and "
+        "whether one slipped. Or the camera moves across the beam from pose to pose, so that the collimator's errors "
+        "differ from view to view: check what the station states of pupil and pivot."
     )
 
 

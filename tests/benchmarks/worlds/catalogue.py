@@ -18,8 +18,8 @@ def _polynomial(kind: str, seed: int, poses: int, times: int = 1, camera: int = 
     return polynomial.record(polynomial.draw_world(seed, kind, camera), seed, POSES[poses], times, camera)
 
 
-def _ray_traced(seed: int, poses: int, times: int = 1, camera: int = 0) -> Bench:
-    return ray_traced.record(ray_traced.draw_world(seed, camera), seed, POSES[poses], times, camera)
+def _ray_traced(kind: str, seed: int, poses: int, times: int = 1, camera: int = 0) -> Bench:
+    return ray_traced.record(ray_traced.draw_world(seed, camera, kind), seed, POSES[poses], times, camera)
 
 
 def _product(profile: str, seed: int, poses: int, times: int = 1, camera: int = 0) -> Bench:
@@ -28,9 +28,11 @@ def _product(profile: str, seed: int, poses: int, times: int = 1, camera: int = 
 
 WORLDS: Mapping[str, Draw] = {
     "polynomial": partial(_polynomial, "real"),
-    "raytraced": _ray_traced,
+    "raytraced": partial(_ray_traced, "real"),
     "product": partial(_product, "like-bench"),
     "ideal": partial(_polynomial, "ideal"),
+    "polynomial-far": partial(_polynomial, "far"),
+    "raytraced-far": partial(_ray_traced, "far"),
     "S1": partial(_polynomial, "S1"),
     "S2": partial(_polynomial, "S2"),
     "product-S1": partial(_product, "S1"),

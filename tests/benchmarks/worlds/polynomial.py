@@ -29,6 +29,8 @@ LEVELS = {
 }
 HALF_ANGLE_DEG = 12.5
 BOW_RADIUS_MM = 40.0
+#: How far the pupil of a camera that nobody moved to the pivot is from it.
+FAR_MM = (20.0, 50.0)
 FAMILIES = ("k1k2", "p1p2k3", "k1k2", "p1p2k3", "fisheye")
 SEEDS = [seed for seed in range(100) if FAMILIES[seed % len(FAMILIES)] == "k1k2"]
 """Seeds whose lens needs k1 and k2 only."""
@@ -159,12 +161,13 @@ class World:
 def draw_world(seed: int, kind: str = "real", other_camera: int = 0) -> World:
     """Draw a bench before its poses.
 
-    kind: ``real``; ``ideal`` has no errors but noise, readings and a certificate; ``S1`` and ``S2`` have a mount that is
-      moved by hand.
+    kind: ``real``; ``far`` has a pupil far off the pivot; ``ideal`` has no errors but noise, readings and a certificate;
+      ``S1`` and ``S2`` have a mount that is moved by hand.
     other_camera: Another number draws another camera and mounting before the same glass.
     """
     rng = np.random.default_rng((seed, 1))
-    size = {"real": rng.uniform(0.2, 1.2), "ideal": 0.0}.get(kind, 1.0)
+    drawn = rng.uniform(0.2, 1.2)
+    size = {"real": drawn, "far": drawn, "ideal": 0.0}.get(kind, 1.0)
     stated, draws = _stated(rng, kind)
     glass = _glass(rng, size, kind, draws)
     own = np.random.default_rng((seed, 2, other_camera))
@@ -264,6 +267,8 @@ def _gimbal(rng: np.random.Generator, draws: Mapping[str, Any]) -> Gimbal:
 
 def _mount(rng: np.random.Generator, kind: str, beside: Array) -> Mount:
     off, aside = float(rng.normal(0, 3)), rng.normal(0, 4, 2)
+    if kind == "far":
+        off = float(rng.choice([-1, 1]) * rng.uniform(*FAR_MM))
     if kind in ("S1", "S2"):
         return Mount(float(44 * rng.choice([-1, 1])), aside, beside, 8.5 if kind == "S1" else 0.0)
     real = float(kind != "ideal")

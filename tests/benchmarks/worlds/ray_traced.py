@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from .bench import Bench, Camera, Pose, Stated, named_poses, noisy_view, pose_key
 from .geometry import COLUMNS, DEG, PITCH_MM, ROWS, SIZE, printed_stars, turn
 from .lens_system import Bumps, LensSystem, Surface, focal_and_back_mm
+from .polynomial import FAR_MM
 
 Array = NDArray[np.float64]
 
@@ -82,8 +83,11 @@ class World:
     facts: dict[str, Any]
 
 
-def draw_world(seed: int, other_camera: int = 0) -> World:
-    """Draw a bench before its poses; another number draws another camera and gimbal before the same glass."""
+def draw_world(seed: int, other_camera: int = 0, kind: str = "real") -> World:
+    """Draw a bench before its poses; another number draws another camera and gimbal before the same glass.
+
+    kind: ``real``; ``far`` has a pupil far in front of the pivot.
+    """
     rng = np.random.default_rng((seed, 21))
     size = float(rng.uniform(0.2, 1.2))
     bow_mm = float(np.exp(rng.uniform(np.log(0.005), np.log(0.02))))
@@ -106,6 +110,8 @@ def draw_world(seed: int, other_camera: int = 0) -> World:
     own = np.random.default_rng((seed, 22, other_camera))
     camera = draw_camera(own, FAMILIES[(seed + other_camera) % len(FAMILIES)])
     gimbal = _gimbal(own)
+    if kind == "far":
+        gimbal = replace(gimbal, arm_mm=np.array([*gimbal.arm_mm[:2], own.uniform(*FAR_MM)]))
     stated = replace(stated, off_pivot_mm=(float(gimbal.arm_mm[2] + 0.5 * own.normal()), 0.5))
     star = float(own.uniform(0.01, 0.02))
     pose_px = float(np.exp(own.uniform(np.log(0.003), np.log(0.03))))

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from calib.joint import amplitudes as amp
 from calib.joint.pupils import lever_of
+from calib.model.gimbal_readings import ParallaxBound
 from calib.model.rim_fit import Disc, DiscMotion, Discs
 
 R_MM = 250.0
@@ -52,3 +54,21 @@ def test_an_axis_that_stands_still_says_nothing():
     seen, unseen = (lever_of(discs(table, (0.17, 0.0), sigma), table, R_MM).middle for sigma in (0.1, 500.0))
     assert unseen == pytest.approx(0.03, rel=0.1)
     assert 0.1 < seen < 0.2
+
+
+@pytest.mark.parametrize(("off_mm", "way"), [(45.0, 0.18), (-45.0, 0.18), (2.0, 0.03)])
+def test_a_pupil_moves_at_least_as_far_as_stated(off_mm, way):
+    bound = ParallaxBound(0.06, 0.01, off_mm, 0.5)
+    stated = lever_of(discs(RASTER, (0.0, 0.0), 0.1), RASTER, R_MM, bound)
+    assert way < stated.middle < way + 0.005
+    assert stated.spread == 0.0
+
+
+def test_errors_by_turn_are_expected_in_proportion_to_how_far_the_pupil_moves():
+    near, far = (amp.hyperprior(amp.Lever(way, 0.0), amp.Pupil.WALKS) for way in (amp.LEVER, 3.0 * amp.LEVER))
+    times = dict(zip(near.names, np.exp(far.mean - near.mean).tolist(), strict=True))
+    for name in (amp.PARALLAX, amp.CURVATURE_TURN, *amp.TURN):
+        assert times.pop(name) == pytest.approx(3.0)
+    for name in (amp.SCALE_TURN_2, *amp.TURN_2):
+        assert times.pop(name) == pytest.approx(9.0)
+    assert list(times.values()) == pytest.approx([1.0] * len(times))
