@@ -54,3 +54,12 @@ def test_a_search_keeps_what_shifted_the_image_where_it_starts():
     """If it forgot these shifts, which centre and rotations fit, the stars at the rim would pass for noise: U is 28 px."""
     line = drawn_result("raytraced", 9, 401, "r")
     assert abs(line["error"]["fx"]) < line["U"]["fx"] < 3.0
+
+
+@pytest.mark.parametrize(("poses", "seed", "known"), [(3, 423, "r"), (3, 420, "cr"), (9, 425, "cr")])
+def test_the_coma_of_a_pupil_that_is_stated_far_off_the_pivot_is_no_distortion(poses, seed, known):
+    """It grows with the square of how far the pupil moves. Expected as small as near the pivot: 2.3 to 6.6 U wrong."""
+    line = drawn_result("raytraced-far", poses, seed, known)
+    for name, error in line["error"].items():
+        assert abs(error) < 1.3 * line["U"][name]
+    assert line["U"]["fx"] < 15.0
