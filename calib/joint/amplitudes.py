@@ -52,7 +52,7 @@ DISTORTION, TANGENTIAL, PRISM = "lens distortion", "tangential", "prism"
 UNIT_TURN = 0.1
 #: How far a pupil is expected to move across the beam per unit turn, as a share of r.
 LEVER = 0.03
-#: The power of that movement with which the errors of glass grow that the pupil's place makes. The medians hold for
+#: The power of that movement with which the errors of glass grow that the pupil's place makes. The medians hold up to
 #: `LEVER`, and for a hand, whose places are counted in such units that one prior serves both (`calib.joint.pupils`).
 _BY_PUPIL = {
     **dict.fromkeys((CURVATURE_TURN, *TURN), 1.0),
@@ -134,7 +134,7 @@ class Hyperprior:
     names: tuple[str, ...]
     mean: Array  # (A,)
     covariance: Array  # (A, A)
-    far: float  # How many times `LEVER` the pupil moves
+    far: float  # How many times `LEVER` the pupil of a gimbal moves, at least 1
 
     @cached_property
     def stiff(self) -> Array:
@@ -204,6 +204,6 @@ def hyperprior(lever: Lever, pupil: Pupil, *, passport: bool = False) -> Hyperpr
     parallax = names.index(PARALLAX)
     mean[parallax] += np.log(lever.middle)
     covariance[parallax, parallax] += lever.spread**2
-    far = 1.0 if pupil is Pupil.BY_HAND else lever.middle / LEVER
+    far = 1.0 if pupil is Pupil.BY_HAND else max(lever.middle / LEVER, 1.0)
     mean += np.log(far) * np.array([_BY_PUPIL.get(name, 0.0) for name in names])
     return Hyperprior(names, mean, covariance, far)

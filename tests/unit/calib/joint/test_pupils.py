@@ -72,3 +72,11 @@ def test_errors_by_turn_are_expected_in_proportion_to_how_far_the_pupil_moves():
     for name in (amp.SCALE_TURN_2, *amp.TURN_2):
         assert times.pop(name) == pytest.approx(9.0)
     assert list(times.values()) == pytest.approx([1.0] * len(times))
+
+
+def test_errors_by_turn_are_not_expected_smaller_than_those_near_the_pivot():
+    usual, still = (
+        amp.hyperprior(amp.Lever(way, 0.0), amp.Pupil.WALKS) for way in (amp.LEVER, 0.3 * amp.LEVER)
+    )
+    changed = np.array(usual.names)[usual.mean != still.mean]
+    assert changed.tolist() == [amp.PARALLAX]
