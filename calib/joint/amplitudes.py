@@ -127,6 +127,13 @@ _LARGEST_PARALLAX = 0.03
 _NOISIEST_READINGS, _NOISIEST_STARS = 1e6, 1e4
 
 
+class Lever(NamedTuple):
+    """How far a pupil moves across the beam per unit turn, as a share of r."""
+
+    middle: float
+    spread: float  # 1-sigma of its logarithm
+
+
 @dataclass(frozen=True)
 class Hyperprior:
     """Gaussian of the logarithms of the amplitudes."""
@@ -134,6 +141,7 @@ class Hyperprior:
     names: tuple[str, ...]
     mean: Array  # (A,)
     covariance: Array  # (A, A)
+    lever: Lever
     far: float  # How many times `LEVER` the pupil of a gimbal moves, at least 1
 
     @cached_property
@@ -182,13 +190,6 @@ def _families(pupil: Pupil, *, passport: bool) -> list[Family]:
     return [family.first(counts.get(family.names, len(family.names))) for family in FAMILIES]
 
 
-class Lever(NamedTuple):
-    """How far a pupil moves across the beam per unit turn, as a share of r."""
-
-    middle: float
-    spread: float  # 1-sigma of its logarithm
-
-
 def hyperprior(lever: Lever, pupil: Pupil, *, passport: bool = False) -> Hyperprior:
     """Return the hyperprior. ``passport``: whether a passport states the irregular errors of the glass."""
     families = _families(pupil, passport=passport)
@@ -206,4 +207,4 @@ def hyperprior(lever: Lever, pupil: Pupil, *, passport: bool = False) -> Hyperpr
     covariance[parallax, parallax] += lever.spread**2
     far = 1.0 if pupil is Pupil.BY_HAND else max(lever.middle / LEVER, 1.0)
     mean += np.log(far) * np.array([_BY_PUPIL.get(name, 0.0) for name in names])
-    return Hyperprior(names, mean, covariance, far)
+    return Hyperprior(names, mean, covariance, lever, far)

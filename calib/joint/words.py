@@ -25,6 +25,10 @@ from calib.view import View
 #: Readings that scatter this many times more than stated are named.
 _SCATTER = 2.0
 _WEAK_FOCAL_SIGMA = 0.01
+#: If these have this share of the variance of fx, it rests on how large errors are expected.
+_EXPECTED, _MOSTLY = (rows.UNBOUNDED_PARALLAX, rows.TURN_FIELDS, rows.LENS, rows.AMPLITUDES), 0.5
+#: Visible discs show how far the pupil moves if its logarithm is known to this, 1-sigma.
+_SEEN = 0.5
 _BACKWARDS = (
     "The gimbal's readings fit the stars only if the camera looked backwards on the head: the sign of one axis (pan or "
     "tilt) is probably wrong."
@@ -92,7 +96,7 @@ def notes(result: Calibration, found: Posterior) -> tuple[str, ...]:
     named.sort(key=lambda one: (-one.fault_probability, -abs(one.innovation)))
     together = "" if len(named) < 2 else _TOGETHER
     sentences = [_lens(found) or _weakness(result, found), *map(_doubt, named), together]
-    sentences += [_denied(found), _readings(result), _alone(result), _contradiction(result)]
+    sentences += [_denied(found), _readings(result), _expected(result, found), _contradiction(result)]
     return tuple(filter(None, sentences))
 
 
@@ -176,12 +180,22 @@ def _contradiction(result: Calibration) -> str:
     )
 
 
-def _alone(result: Calibration) -> str:
-    """Return a note if the focal length rests on one statement alone."""
-    shares = {row.name: row.share.get("fx", 0.0) for row in result.budget_rows if row.type == "B"}
-    if shares.get(rows.UNBOUNDED_PARALLAX, 0.0) <= 0.5:
+def _expected(result: Calibration, found: Posterior) -> str:
+    """Return a note if the focal length rests mostly on how large errors by turn are expected, which nothing states."""
+    shares = {row.name: row.share.get("fx", 0.0) for row in result.budget_rows}
+    if rows.UNBOUNDED_PARALLAX not in shares or sum(shares.get(name, 0.0) for name in _EXPECTED) <= _MOSTLY:
         return ""
+    note = (
+        "What is stated of collimator and gimbal does not determine the focal length. It rests on how large a parallax "
+        "and other errors by turn are expected, and the uncertainties include them."
+    )
+    problem = found.optimum.marginal.problem
+    lever, r_mm = problem.hyper.lever, problem.bench.layout.basis.reference[2]
+    if lever.spread < _SEEN:
+        return note
     return (
-        "What is stated of collimator and gimbal does not determine the focal length: it rests on how large a "
-        "parallax is expected of such a collimator, and the uncertainties include it."
+        f"{note} No visible rim of the beam shows how the entrance pupil moves, so it is expected some "
+        f"{lever.middle * r_mm:.0f} mm from the pivot. If it is more than twice as far away, the focal "
+        "length can be wrong by several times its uncertainty. So state pupil_off_pivot_mm and defocus in the station, "
+        "even roughly."
     )
