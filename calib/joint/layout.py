@@ -393,17 +393,14 @@ class Layout:
         return RandomBlock(rows.TURN_FIELDS, self.places(names), tuple(parts))
 
     def _turn_2(self, hyper: amp.Hyperprior) -> RandomBlock:
-        """Return the fields by turn squared; those of round glass have an amplitude of their own, as in `_turn`."""
+        """Return the fields by turn squared; the coma of round glass has an amplitude of its own, as in `_turn`."""
         highest = amp.TURN_DEGREES[self.pupil][1]
         places = both(highest >= DEGREES)
         degrees = np.tile(np.tile(DEGREES, 2)[places], len(_TURNS_2))
         parts = [(hyper.at(amp.TURN_2[d]), _of_degree(degrees, d)) for d in range(highest + 1)]
         names = [f"{turn}_{k}" for turn in _TURNS_2 for k in places]
-        round_glass = [
-            np.concatenate([self.basis.shape(partial(shape, powers))[places] for powers in _TURNS_2.values()])
-            for shape in (_turn_squared, _along_turn)
-        ]
-        parts.append((hyper.at(amp.SCALE_TURN_2), np.column_stack(round_glass)))
+        coma = [self.basis.shape(partial(_coma_of_turn, powers))[places] for powers in _TURNS_2.values()]
+        parts.append((hyper.at(amp.SCALE_TURN_2), np.concatenate(coma)[:, None]))
         return RandomBlock(rows.TURN_FIELDS, self.places(names), tuple(parts))
 
 
@@ -411,14 +408,9 @@ class Layout:
 PARALLAX_SHAPES = np.column_stack([np.sqrt(0.08) * np.eye(4), np.sqrt(0.96) * np.array([1.0, 0.0, 0.0, 1.0])])
 
 
-def _turn_squared(powers: tuple[int, int], h: Array) -> Array:
-    """Return the part of the field |t|^2 h that belongs to a product of turns t. h: (N, 2)."""
-    return h * float(powers != (1, 1))
-
-
-def _along_turn(powers: tuple[int, int], h: Array) -> Array:
-    """Return the part of the field (t h) t that belongs to a product of turns t. h: (N, 2)."""
-    return h[:, ::-1] if powers == (1, 1) else h * (np.array(powers) > 0)
+def _coma_of_turn(powers: tuple[int, int], h: Array) -> Array:
+    """Return the part of the coma |t|^2 h + 2 (t h) t that belongs to a product of turns t. h: (N, 2)."""
+    return 2.0 * h[:, ::-1] if powers == (1, 1) else h * (1.0 + 2.0 * (np.array(powers) > 0))
 
 
 def _coma(beside: Array, turn: Array, h: Array) -> Array:

@@ -70,3 +70,9 @@ def test_a_result_says_where_it_expects_a_pupil_that_is_neither_stated_nor_seen(
     unstated, stated = (drawn_result("raytraced-far", 3, 423, known)["notes"] for known in ("0", "r"))
     assert [note for note in unstated if "it is expected some 7 mm from the pivot" in note]
     assert not [note for note in stated if "mm from the pivot" in note]
+
+
+def test_coma_that_a_far_pupil_sees_is_no_other_focal_length():
+    """Nine poses tell the two apart, since that of round glass has a fixed shape. With a free one U of fx was 113 px."""
+    line = drawn_result("raytraced-far", 9, 433, "0")
+    assert abs(line["error"]["fx"]) < 1.3 * line["U"]["fx"] < 52.0
