@@ -118,7 +118,7 @@ def choose_pose(
         bench, gimbal, taken_deg, refused_deg=refused_deg, min_stars=int(MORE_STARS * wish.min_stars)
     )
     reached = _ranges(station.value.axes, bench, taken_deg)
-    axes = _visible_part(reached, weigher.possible(pose_grid(reached)))
+    axes = _visible_part(reached, weigher.visible(pose_grid(reached)))
     grid = list(pose_grid(axes)) if axes else []
     weighed = weigher.weigh(grid)
     if not weighed:
@@ -200,14 +200,14 @@ def _ranges(
     return found
 
 
-def _visible_part(axes: Mapping[str, Array], possible: Sequence[Angles]) -> dict[str, Array]:
+def _visible_part(axes: Mapping[str, Array], visible: Sequence[Angles]) -> dict[str, Array]:
     """Return a finer grid over the poses that show the target, and one step beyond them; empty if there are none."""
-    if not possible:
+    if not visible:
         return {}
     found = {}
     for name, angles in axes.items():
         step = float(angles[1] - angles[0])
-        seen = [pose[name] for pose in possible]
+        seen = [pose[name] for pose in visible]
         lowest, highest = max(angles[0], min(seen) - step), min(angles[-1], max(seen) + step)
         found[name] = np.linspace(lowest, highest, len(angles))
     return found

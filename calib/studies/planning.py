@@ -254,9 +254,9 @@ class PoseWeigher:
             chosen.append(self._weighed(shown[best][0], after[best]))
         return tuple(chosen)
 
-    def possible(self, candidates_deg: Iterable[Angles]) -> list[Angles]:
-        """Return the poses that show enough of the target and repeat no recorded or failed pose, in their order."""
-        return [pose for pose, _ in self._possible(candidates_deg)]
+    def visible(self, candidates_deg: Iterable[Angles]) -> list[Angles]:
+        """Return the poses that show enough of the target, in their order; recorded and failed ones count, too."""
+        return [pose for pose, _ in self._visible(list(candidates_deg))]
 
     def weigh(self, candidates_deg: Iterable[Angles]) -> list[WeighedPose]:
         """Return what each possible pose would add, in their order; others are left out."""
@@ -275,8 +275,11 @@ class PoseWeigher:
     def _possible(self, candidates_deg: Iterable[Angles]) -> list[tuple[Angles, View]]:
         """Return the possible poses, each with what it shows."""
         others = (*self._taken, *self._refused)
-        new = [pose for pose in candidates_deg if not _repeats(pose, others)]
-        return [(new[i], view) for i, view in self._views(new).items() if len(view) >= self._min_stars]
+        return self._visible([pose for pose in candidates_deg if not _repeats(pose, others)])
+
+    def _visible(self, poses: Sequence[Angles]) -> list[tuple[Angles, View]]:
+        """Return the poses that show enough of the target, each with what it shows."""
+        return [(poses[i], view) for i, view in self._views(poses).items() if len(view) >= self._min_stars]
 
     def _views(self, poses: Sequence[Angles]) -> dict[int, View]:
         """Return the stars that the poses show, by their places; poses that show too few are left out."""
