@@ -186,16 +186,15 @@ def _expected(result: Calibration, found: Posterior) -> str:
     if rows.UNBOUNDED_PARALLAX not in shares or sum(shares.get(name, 0.0) for name in _EXPECTED) <= _MOSTLY:
         return ""
     note = (
-        "What is stated of collimator and gimbal does not determine the focal length. It rests on how large a parallax "
-        "and other errors by turn are expected, and the uncertainties include them."
+        "What is stated of collimator and gimbal does not determine the focal length. So it rests on how large the "
+        "parallax, and other errors that follow the turn, are expected to be. The uncertainties include them."
     )
     problem = found.optimum.marginal.problem
     lever, r_mm = problem.hyper.lever, problem.bench.layout.basis.reference[2]
     if lever.spread < _SEEN:
         return note
     return (
-        f"{note} No visible rim of the beam shows how the entrance pupil moves, so it is expected some "
-        f"{lever.middle * r_mm:.0f} mm from the pivot. If it is more than twice as far away, the focal "
-        "length can be wrong by several times its uncertainty. So state pupil_off_pivot_mm and defocus in the station, "
-        "even roughly."
+        f"{note} No visible rim of the beam shows how the entrance pupil moves. The pupil is expected some "
+        f"{lever.middle * r_mm:.0f} mm from the pivot. If it is more than twice as far away, the focal length can be "
+        "wrong by several times its uncertainty. State pupil_off_pivot_mm and defocus in the station, even roughly."
     )

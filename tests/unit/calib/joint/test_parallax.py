@@ -68,7 +68,7 @@ def test_the_coma_of_a_pupil_that_is_stated_far_off_the_pivot_is_no_distortion(p
 def test_a_result_says_where_it_expects_a_pupil_that_is_neither_stated_nor_seen():
     """Here it is 42 mm before the pivot, and fx is several U wrong: views alone cannot show it."""
     unstated, stated = (drawn_result("raytraced-far", 3, 423, known)["notes"] for known in ("0", "r"))
-    assert [note for note in unstated if "it is expected some 7 mm from the pivot" in note]
+    assert [note for note in unstated if "The pupil is expected some 7 mm from the pivot" in note]
     assert not [note for note in stated if "mm from the pivot" in note]
 
 
