@@ -399,18 +399,16 @@ class Layout:
         degrees = np.tile(np.tile(DEGREES, 2)[places], len(_TURNS_2))
         parts = [(hyper.at(amp.TURN_2[d]), _of_degree(degrees, d)) for d in range(highest + 1)]
         names = [f"{turn}_{k}" for turn in _TURNS_2 for k in places]
-        coma = [self.basis.shape(partial(_coma_of_turn, powers))[places] for powers in _TURNS_2.values()]
+        x, y = np.eye(2)
+        # |t|^2 h + 2 (t h) t, by the products of the turns along X and Y
+        pairs = ((x, x), (x, 2.0 * y), (y, y))
+        coma = [self.basis.shape(partial(_coma, *pair))[places] for pair in pairs]
         parts.append((hyper.at(amp.SCALE_TURN_2), np.concatenate(coma)[:, None]))
         return RandomBlock(rows.TURN_FIELDS, self.places(names), tuple(parts))
 
 
 #: Parallax by turn (`Layout.parallax`): one size, alike along both axes but for a fifth in all ways.
 PARALLAX_SHAPES = np.column_stack([np.sqrt(0.08) * np.eye(4), np.sqrt(0.96) * np.array([1.0, 0.0, 0.0, 1.0])])
-
-
-def _coma_of_turn(powers: tuple[int, int], h: Array) -> Array:
-    """Return the part of the coma |t|^2 h + 2 (t h) t that belongs to a product of turns t. h: (N, 2)."""
-    return 2.0 * h[:, ::-1] if powers == (1, 1) else h * (1.0 + 2.0 * (np.array(powers) > 0))
 
 
 def _coma(beside: Array, turn: Array, h: Array) -> Array:
