@@ -95,23 +95,28 @@ class ViewStars:
         polynomials = layout.basis.polynomials(view.target_mm)
         return cls(view.target_mm, view.points_px, whitening, polynomials, disc, sigma_px, at_rim)
 
-    def about_disc(self, middle: Array) -> tuple[Array, Array]:
-        """Return (N, 2, R) displacements about the disc, mm, and (N, 2, R, 2) their derivatives by its middle.
+    def about_disc(self, middle: Array) -> Array:
+        """Return (N, 2, R) displacements about the disc, mm; middle: (2,) from where it was found, in sigmas."""
+        away, rho, beyond = self._from_middle(middle)
+        return np.asarray(away[:, :, None] * ((rho - _BEND * beyond) ** RIM_POWERS)[:, None])
 
-        middle: (2,) of the disc from where it was found, in sigmas.
-        """
+    def by_middle(self, middle: Array) -> Array:
+        """Return (N, 2, R, 2) derivatives of `about_disc` by the middle of the disc."""
+        assert self.disc is not None
+        away, rho, beyond = self._from_middle(middle)
+        inside, along = rho - _BEND * beyond, away / (rho * self.disc.radius_mm)
+        steep = RIM_POWERS * inside ** (RIM_POWERS - 1) * np.exp(-beyond)
+        slopes = np.einsum("na,nb,nr->narb", along, along, rho * steep)
+        slopes += np.eye(2)[:, None] * (inside**RIM_POWERS)[:, None, :, None]
+        return np.asarray(-slopes @ np.linalg.cholesky(self.disc.covariance_mm2))
+
+    def _from_middle(self, middle: Array) -> tuple[Array, Array, Array]:
+        """Return (N, 2) stars from the disc's middle, mm, (N, 1) in its radii, and (N, 1) how far beyond the rim."""
         assert self.disc is not None
         root = np.linalg.cholesky(self.disc.covariance_mm2)
         away = self.target_mm - self.disc.centre_mm - root @ middle
-        length = np.maximum(np.hypot(*away.T), _NOTHING)
-        rho, along = (length / self.disc.radius_mm)[:, None], away / length[:, None]
-        beyond = np.logaddexp(0.0, (rho - _BEYOND) / _BEND)
-        inside = rho - _BEND * beyond
-        sizes = inside**RIM_POWERS
-        steep = RIM_POWERS * inside ** (RIM_POWERS - 1) * np.exp(-beyond)
-        outwards = np.einsum("na,nb,nr->narb", along, along, rho * steep)
-        slopes = outwards + np.eye(2)[:, None] * sizes[:, None, :, None]
-        return away[:, :, None] * sizes[:, None], -slopes @ root
+        rho = np.maximum(np.hypot(*away.T), _NOTHING)[:, None] / self.disc.radius_mm
+        return away, rho, np.logaddexp(0.0, (rho - _BEYOND) / _BEND)
 
     def precision(self, rim: RimNoise) -> Array:
         """Return (N,) how precise stars are, 1 in the disc's middle."""
@@ -234,7 +239,7 @@ class Bench:
         depth = self.maps[self.poses[v], len(self.layout.camera)] @ state.shared
         moved = self.layout.basis.reference[2] * one.polynomials @ fields[self.poses[v]].T
         if self.layout.rim:
-            moved += one.about_disc(state.fields[self.poses[v], -2:])[0] @ self._rims(v, state)
+            moved += one.about_disc(state.fields[self.poses[v], -2:]) @ self._rims(v, state)
         return np.column_stack([one.target_mm + moved, np.full(len(moved), depth)])
 
     def _rims(self, v: int, state: State) -> Array:
@@ -390,9 +395,9 @@ class Bench:
         np.multiply(root, slopes[:k], out=columns[:k])
         columns[k] = by_star[2]
         if layout.rim:
-            moved, by_middle = one.about_disc(state.fields[self.poses[v], -2:])
-            columns[k + 1 : layout.field] = np.einsum("acn,nar->rcn", by_star[:2], moved)
-            along = by_middle.transpose(0, 1, 3, 2) @ self._rims(v, state)
+            middle = state.fields[self.poses[v], -2:]
+            columns[k + 1 : layout.field] = np.einsum("acn,nar->rcn", by_star[:2], one.about_disc(middle))
+            along = one.by_middle(middle).transpose(0, 1, 3, 2) @ self._rims(v, state)
             columns[layout.middle : size] = np.einsum("acn,nad->dcn", by_star[:2], along)
         fields = columns[layout.field : layout.middle].reshape(2, -1, 2, len(weights))
         across_mm = layout.basis.reference[2] * by_star[:2]

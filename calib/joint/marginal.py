@@ -7,7 +7,7 @@ each pose are eliminated; S shared unknowns are left. The equations stand in doc
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
@@ -151,11 +151,7 @@ class Marginal:
         self.problem, self.equations, self.state = problem, equations, state
         bench, places = problem.bench, problem.bench.layout.pose_places
         self._poses, maps = bench.poses, equations.maps
-        mapped = equations.squares @ maps
         size = maps.shape[2]
-        self.shared = maps.reshape(-1, size).T @ mapped.reshape(-1, size)
-        self.pull = maps.reshape(-1, size).T @ equations.right.reshape(-1)
-        self.between = mapped[:, places]
         self.own = equations.squares[:, places[:, None], places]
         self.own_pull = equations.right[:, places]
         self._sigma2 = bench.readings.sigma_rad**2 if bench.readings else 0.0
@@ -177,7 +173,30 @@ class Marginal:
     @cached_property
     def dimensions(self) -> tuple[int, int, int]:
         """Numbers of poses, of coefficients of an own field, of shared unknowns."""
-        return (*self.own_pull.shape, len(self.pull))
+        return (*self.own_pull.shape, self.equations.maps.shape[2])
+
+    @cached_property
+    def _mapped(self) -> Array:
+        """(n, B, S) star information between the bases of the poses and the shared unknowns."""
+        return np.asarray(self.equations.squares @ self.equations.maps)
+
+    @cached_property
+    def shared(self) -> Array:
+        """(S, S) star information of the shared unknowns."""
+        size = self.dimensions[2]
+        return np.asarray(self.equations.maps.reshape(-1, size).T @ self._mapped.reshape(-1, size))
+
+    @cached_property
+    def pull(self) -> Array:
+        """(S,) right-hand side of `shared`."""
+        return np.asarray(
+            self.equations.maps.reshape(-1, self.dimensions[2]).T @ self.equations.right.reshape(-1)
+        )
+
+    @cached_property
+    def between(self) -> Array:
+        """(n, F, S) star information between own fields and shared unknowns."""
+        return self._mapped[:, self.problem.bench.layout.pose_places]
 
     # -- priors
     @cached_property
@@ -206,19 +225,11 @@ class Marginal:
         return np.asarray(1.0 / (star * self.loose + self.reading_variance(squares)))
 
     # -- solution
-    def solve(
-        self,
-        eta: Array,
-        faults: Faults = NO_FAULT,
-        *,
-        damped: float = 0.0,
-        held: bool = False,
-    ) -> Solution:
+    def solve(self, eta: Array, faults: Faults = NO_FAULT, *, damped: float = 0.0) -> Solution:
         """Return the posterior for given logarithms of the amplitudes and faults of statements, by name.
 
         The equations are singular if nothing determines an unknown. ``damped``
         holds what has an amplitude at its present value, with so many times the weight of its prior: a shorter step.
-        ``held`` holds all shared unknowns.
         """
         n, f, size = self.dimensions
         squares = np.exp(2.0 * eta)
@@ -233,7 +244,7 @@ class Marginal:
         flat = between.reshape(n * f, size)
         root, last = inverse_root(normal.information - flat.T @ flat)
         along = root @ (normal.pull - alone.reshape(-1) @ flat)
-        step = np.zeros(size) if held else along @ root
+        step = along @ root
         away = eta - self.problem.hyper.mean
         gain = float(along @ along) + float((alone**2).sum())
         value = normal.constant + logs + last - gain
@@ -242,11 +253,28 @@ class Marginal:
         slope = partial(self._gradient, eta, squares)
         return Solution(value, gain, step, root, fields, own_root, between, normal.inside, faults, slope)
 
+    def own_steps(self, eta: Array) -> Array:
+        """Return the (n, F) steps of the own fields if all shared unknowns stay."""
+        own, pull = self._own_normal(np.exp(2.0 * eta))
+        root, _ = inverse_root(own)
+        return np.asarray((np.swapaxes(root, 1, 2) @ (root @ pull[:, :, None]))[:, :, 0])
+
+    def _own_normal(self, squares: Array) -> tuple[Array, Array]:
+        """Return the (n, F, F) normal equations of the own fields alone, and their (n, F) right-hand sides."""
+        w = 1.0 / squares[self.problem.hyper.at(amp.STAR)]
+        expected, places = self.problem.own_information(squares), range(self.dimensions[1])
+        own, pull = w * self.own, w * self.own_pull - expected * self.state.fields
+        own[:, places, places] += expected
+        if self.uses_readings:
+            across = np.swapaxes(self.reading_weights(squares)[:, :, None] * self.own_rows, 1, 2)
+            own += self.problem.bench.by_pose(across @ self.own_rows)
+            pull += self.problem.bench.by_pose((across @ self.off[:, :, None])[:, :, 0])
+        return own, pull
+
     def _normal(self, squares: Array, faults: Faults) -> _Normal:
         """Return the normal equations."""
         hyper, random, stated = self.problem.hyper, self.problem.random, self.problem.stated(faults)
         stated_pull, stated_cost = stated.off(self.state.shared)
-        n, f, _ = self.dimensions
         star = squares[hyper.at(amp.STAR)]
         w = 1.0 / star
         inside, logarithm = random.information(squares)
@@ -255,31 +283,26 @@ class Marginal:
         information[random.places[:, None], random.places] += inside
         pull[random.places] -= inside @ b
         expected = self.problem.own_information(squares)
-        own = w * self.own
-        own[:, range(f), range(f)] += expected
-        own_pull, between = w * self.own_pull - expected * fields, w * self.between
         constant = stated_cost + w * self.equations.cost + float(b @ inside @ b)
         constant += stated.logarithm + logarithm + self.rows_observed * float(np.log(star))
         constant += self.problem.places_cost - self.equations.logarithm
-        constant += float((expected * fields**2).sum()) - n * float(np.log(expected).sum())
-        normal = _Normal(information, pull, own, own_pull, between, inside, constant)
+        constant += float((expected * fields**2).sum()) - len(fields) * float(np.log(expected).sum())
+        own, own_pull = self._own_normal(squares)
+        normal = _Normal(information, pull, own, own_pull, w * self.between, inside, constant)
         return self._with_readings(normal, squares) if self.uses_readings else normal
 
     def _with_readings(self, normal: _Normal, squares: Array) -> _Normal:
-        """Return the normal equations with the readings."""
+        """Return the normal equations with the readings, which those of the own fields have already."""
         weights = self.reading_weights(squares)
         size = self.rows.shape[2]
         rows = (weights[:, :, None] * self.rows).reshape(-1, size)
-        own_rows = weights[:, :, None] * self.own_rows
-        across = np.swapaxes(own_rows, 1, 2)
-        return _Normal(
-            normal.information + self.rows.reshape(-1, size).T @ rows,
-            normal.pull + self.off.reshape(-1) @ rows,
-            normal.own + self.problem.bench.by_pose(across @ self.own_rows),
-            normal.own_pull + self.problem.bench.by_pose((across @ self.off[:, :, None])[:, :, 0]),
-            normal.between + self.problem.bench.by_pose(across @ self.rows),
-            normal.inside,
-            normal.constant
+        across = np.swapaxes(weights[:, :, None] * self.own_rows, 1, 2)
+        return replace(
+            normal,
+            information=normal.information + self.rows.reshape(-1, size).T @ rows,
+            pull=normal.pull + self.off.reshape(-1) @ rows,
+            between=normal.between + self.problem.bench.by_pose(across @ self.rows),
+            constant=normal.constant
             + float((weights * self.off**2).sum())
             - float((np.log(weights) / self.repeats).sum()),
         )
@@ -342,15 +365,15 @@ class Marginal:
         gradient[star] += 2.0 * (self.freedom(squares, found) - cost / squares[star])
         return gradient
 
-    def rotation_steps(self, eta: Array, found: Solution) -> Array:
-        """Return (m, 3) the rotation vectors to the posterior mean of each view, rad."""
-        basis = self.equations.maps @ found.step
-        basis[:, self.problem.bench.layout.pose_places] += found.fields
+    def rotation_steps(self, eta: Array, step: Array, fields: Array) -> Array:
+        """Return (m, 3) the rotation vectors of the views, rad, that belong to (S,) and (n, F) steps of all else."""
+        basis = self.equations.maps @ step
+        basis[:, self.problem.bench.layout.pose_places] += fields
         by_stars = self.equations.turned - (self.equations.coupling @ basis[self._poses][:, :, None])[:, :, 0]
         if not self.uses_readings:
             return np.asarray(by_stars)
         squares = np.exp(2.0 * eta)
-        predicted = self.equations.gimbal @ found.step[self.problem.bench.gimbal_places]
+        predicted = self.equations.gimbal @ step[self.problem.bench.gimbal_places]
         already = self.equations.off - self.equations.turned  # readings to the present rotation
         away = (self.axes @ (predicted - already - by_stars)[:, :, None])[:, :, 0]
         share = squares[self.problem.hyper.at(amp.STAR)] * self.loose * self.reading_weights(squares)

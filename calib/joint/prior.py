@@ -20,7 +20,7 @@ Faults = tuple[tuple[str, str], ...]
 NO_FAULT: Faults = ()
 
 #: Halves of triangles that are smaller than this are not halved again.
-_SMALLEST = 12
+_SMALLEST = 24
 
 
 def block_diagonal(blocks: Array | Sequence[Array]) -> Array:

@@ -20,7 +20,6 @@ from calib.joint.fields import FIELD_RADIUS
 from calib.joint.knowledge import CHANGED_FIELD, FREE_SCALE, READINGS
 from calib.joint.layout import CENTRE, RADIAL
 from calib.joint.left_out import left_out_rms, rotation_errors
-from calib.joint.marginal import Solution
 from calib.joint.posterior import Posterior
 from calib.joint.solve import Optimum
 from calib.joint.ways import posterior_of, shifted_ids, with_doubted_bound
@@ -74,16 +73,16 @@ def _parameters(found: Posterior) -> AdjustmentParameters:
     radial = {name: named[name] for name in RADIAL}
     centre = Collimator(named["x"], named["y"], named["r"], radial, bench.layout.basis.reference)
     best, step = optimum.solution, found.mean - optimum.state.shared
-    last = _reached(optimum, replace(best, step=step, fields=best.fields - best.follow @ (step - best.step)))
+    last = _reached(optimum, step, best.fields - best.follow @ (step - best.step))
     return AdjustmentParameters(
         bench.camera(found.mean), centre, last.rotations, np.zeros((len(last.rotations), 3)), last.gimbal
     )
 
 
-def _reached(optimum: Optimum, solution: Solution) -> State:
-    """Return the state at the end of the steps of a solution."""
-    turns = optimum.marginal.rotation_steps(optimum.eta, solution)
-    return optimum.marginal.problem.bench.moved(optimum.state, solution.step, solution.fields, turns)
+def _reached(optimum: Optimum, step: Array, fields: Array) -> State:
+    """Return the state at the end of (S,) and (n, F) steps of shared unknowns and own fields."""
+    turns = optimum.marginal.rotation_steps(optimum.eta, step, fields)
+    return optimum.marginal.problem.bench.moved(optimum.state, step, fields, turns)
 
 
 def _calibration(
@@ -166,7 +165,7 @@ def _residuals(
     discs = bench.discs or [None] * len(views)
     stars = tuple(ViewStars.of(view, bench.layout, disc) for view, disc in zip(views, discs, strict=True))
     whole = replace(bench, stars=stars, readings=None)
-    state = _reached(optimum, optimum.solution)
+    state = _reached(optimum, optimum.solution.step, optimum.solution.fields)
     lengths = whole.whitened(state)
     weights = []
     for one, length, own in zip(stars, lengths, used, strict=True):

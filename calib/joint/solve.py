@@ -6,7 +6,8 @@ are searched by Newton's method (`calib.joint.curvature`). A worse likelihood is
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -214,12 +215,19 @@ def first_amplitudes(problem: Problem, state: State) -> Array:
     return eta
 
 
-def solved(marginal: Marginal, eta: Array, damped: float = 0.0, *, held: bool = False) -> Solution:
-    """Return the solution for given amplitudes; `NotConverged` if the equations cannot be solved."""
+@contextmanager
+def _solvable() -> Iterator[None]:
+    """Raise `NotConverged` if the equations cannot be solved."""
     try:
-        return marginal.solve(eta, damped=damped, held=held)
+        yield
     except np.linalg.LinAlgError as error:
         raise NotConverged("The joint adjustment cannot be solved.") from error
+
+
+def solved(marginal: Marginal, eta: Array, damped: float = 0.0) -> Solution:
+    """Return the solution for given amplitudes; `NotConverged` if the equations cannot be solved."""
+    with _solvable():
+        return marginal.solve(eta, damped=damped)
 
 
 def small(marginal: Marginal, found: Solution, share: float = _SMALL_SHARE) -> bool:
@@ -256,10 +264,8 @@ def searched(
     found: Solution | None = None,
 ) -> tuple[Array, Solution]:
     """Return the best amplitudes from a start, and their solution; `NotConverged` if it cannot be solved."""
-    try:
+    with _solvable():
         return best_amplitudes(marginal, eta, steps, farthest=farthest, enough=enough, found=found)
-    except np.linalg.LinAlgError as error:
-        raise NotConverged("The joint adjustment cannot be solved.") from error
 
 
 def relative_step(marginal: Marginal, step: Array) -> float:
@@ -288,7 +294,7 @@ def shortened(
     share = relative_step(marginal, found.step)
     size = min(most, _LONGEST / share) if share > 0 else most
     for k in range(_HALVINGS):
-        state = _moved(marginal, eta, found, size)
+        state = _moved(marginal, eta, size * found.step, size * found.fields)
         lengths = bench.whitened(state)
         enough = before * (1.0 + 1e-9) - _LEAST_GAIN * size * (2.0 - size) * found.gain
         if cost(marginal, eta, state, lengths) <= enough:
@@ -311,16 +317,17 @@ def _corrected(marginal: Marginal, eta: Array, state: State) -> tuple[State, lis
     bench = marginal.problem.bench
     for _ in range(_CORRECTIONS):
         behind = Marginal(marginal.problem, bench.linearised(state, 1.0, marginal.equations), state)
-        state = _moved(behind, eta, solved(behind, eta, held=True), 1.0)
+        with _solvable():
+            fields = behind.own_steps(eta)
+        state = _moved(behind, eta, np.zeros_like(state.shared), fields)
     return state, bench.whitened(state)
 
 
-def _moved(marginal: Marginal, eta: Array, found: Solution, size: float) -> State:
-    """Return the state after a share of a step."""
+def _moved(marginal: Marginal, eta: Array, step: Array, fields: Array) -> State:
+    """Return the state after (S,) and (n, F) steps of shared unknowns and own fields; the rotations follow."""
     bench = marginal.problem.bench
-    turns = marginal.rotation_steps(eta, found)
-    state = bench.moved(marginal.state, size * found.step, size * found.fields, size * turns)
-    if size * relative_step(marginal, found.step) > _CURVED:
+    state = bench.moved(marginal.state, step, fields, marginal.rotation_steps(eta, step, fields))
+    if relative_step(marginal, step) > _CURVED:
         return bench.aligned(state, marginal.equations.weights)
     return state
 

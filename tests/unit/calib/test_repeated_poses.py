@@ -15,8 +15,10 @@ from tests.support.drawn_benches import NINE, THREE, draw_bench
 BENCHES = [
     pytest.param("ideal", THREE, {}, id="ideal"),
     pytest.param("like-bench", THREE, {}, id="like-bench"),
-    pytest.param("S3", THREE, {}, id="moved by hand"),
-    pytest.param("S3", NINE, {"passport": Passport.of_radius(255.0, 0.05)}, id="certificate"),
+    pytest.param("S3", THREE, {}, id="moved by hand", marks=pytest.mark.slow),
+    pytest.param(
+        "S3", NINE, {"passport": Passport.of_radius(255.0, 0.05)}, id="certificate", marks=pytest.mark.slow
+    ),
 ]
 
 
@@ -43,7 +45,12 @@ def test_a_recording_that_is_there_twice_changes_nothing(profile, poses, options
 
 
 @pytest.mark.parametrize(
-    ("profile", "poses"), [("like-bench", THREE), ("like-bench", NINE), ("like-real", THREE)]
+    ("profile", "poses"),
+    [
+        ("like-bench", THREE),
+        ("like-bench", NINE),
+        pytest.param("like-real", THREE, marks=pytest.mark.slow),
+    ],
 )
 def test_readings_that_are_there_twice_count_once(profile, poses):
     bench = draw_bench(profile, poses, 22)

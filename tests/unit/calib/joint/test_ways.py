@@ -75,7 +75,9 @@ def test_where_the_parallax_is_bounded_there_is_one_way():
     assert posterior_of(views_of(bench), options_for(bench, "cr")).other is None
 
 
-@pytest.mark.parametrize(("world", "seed", "poses"), [("product-S1", 75, 3), ("S2", 73, 9)])
+@pytest.mark.parametrize(
+    ("world", "seed", "poses"), [("product-S1", 75, 3), pytest.param("S2", 73, 9, marks=pytest.mark.slow)]
+)
 def test_a_bound_of_the_parallax_that_is_not_so_is_named_alone_and_does_no_harm(world, seed, poses):
     """A hand moved the camera, and the station states a gimbal. Certificate and scales were named; fx was 19 U wrong."""
     bench = WORLDS[world](seed, poses, 1, 0)
@@ -102,7 +104,10 @@ def test_shifted_ids_of_a_view_do_not_deny_the_bound():
     assert not any("pupil and defocus" in note for note in line["notes"])
 
 
-@pytest.mark.parametrize(("world", "seed"), [("S1", 405), ("S1", 406), ("S1", 407), ("product-S1", 404)])
+@pytest.mark.parametrize(
+    ("world", "seed"),
+    [pytest.param("S1", 405, marks=pytest.mark.slow), ("S1", 406), ("S1", 407), ("product-S1", 404)],
+)
 def test_three_poses_of_a_mount_moved_by_hand_are_covered_with_nothing_stated(world, seed):
     """Each is 1.7 to 2.7 U wrong in one of both ways."""
     bench = WORLDS[world](seed, 3, 1, 0)

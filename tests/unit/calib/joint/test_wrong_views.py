@@ -63,13 +63,21 @@ def named_shift(views):
     return shifts_of(said)
 
 
-@pytest.mark.parametrize(("place", "shift"), [(1, (1, 0)), (3, (-2, 1)), (4, (0, 2))])
+@pytest.mark.parametrize(
+    ("place", "shift"),
+    [
+        (1, (1, 0)),
+        pytest.param(3, (-2, 1), marks=pytest.mark.slow),
+        pytest.param(4, (0, 2), marks=pytest.mark.slow),
+    ],
+)
 def test_the_view_and_the_shift_are_named(place, shift):
     views = bench(3, count=8)
     views[place] = misnamed(views[place], *shift)
     assert named_shift(views) == {(f"pose-{place + 1:03d}", *shift)}
 
 
+@pytest.mark.slow
 @settings(max_examples=3, deadline=None)
 @given(place=st.integers(0, 4), shift=st.tuples(STEP, STEP).filter(any), seed=st.integers(0, 99))
 def test_a_shift_that_five_views_do_not_show_does_no_harm(place, shift, seed):
@@ -85,7 +93,7 @@ def test_a_shift_that_five_views_do_not_show_does_no_harm(place, shift, seed):
             assert away < 1.5 * result.coverage_factors[name] * result.sigma[name]
 
 
-@pytest.mark.parametrize("world", ["polynomial", "raytraced"])
+@pytest.mark.parametrize("world", [pytest.param("polynomial", marks=pytest.mark.slow), "raytraced"])
 def test_behind_a_real_collimator_a_shifted_view_is_named(world):
     """Errors of the glass, of the pupil and of each pose could hide the shift."""
     drawn = WORLDS[world](700, 9, 1, 0)
