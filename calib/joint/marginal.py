@@ -228,8 +228,8 @@ class Marginal:
     def solve(self, eta: Array, faults: Faults = NO_FAULT, *, damped: float = 0.0) -> Solution:
         """Return the posterior for given logarithms of the amplitudes and faults of statements, by name.
 
-        The equations are singular if nothing determines an unknown. ``damped``
-        holds what has an amplitude at its present value, with so many times the weight of its prior: a shorter step.
+        The equations are singular if nothing determines an unknown. ``damped`` holds what has an amplitude at its
+        present value, with so many times the weight of its prior: a shorter step.
         """
         n, f, size = self.dimensions
         squares = np.exp(2.0 * eta)
