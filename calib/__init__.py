@@ -21,7 +21,6 @@ References
 - Olson (2011), AprilTag: a robust and flexible visual fiducial system, ICRA.
 - Schöps, Larsson, Pollefeys and Sattler (2020), Why having 10,000 parameters in your camera model is better than
   twelve, CVPR, arXiv:1912.02908.
-- Schwarz (1978), Estimating the dimension of a model, Annals of Statistics 6, 461.
 
 Examples
 --------

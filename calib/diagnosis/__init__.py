@@ -5,6 +5,4 @@ Each module answers one question about views. Where the data cannot decide, its 
 References
 ----------
 - arXiv:2512.16092: Liu, Liang et al., Collimator-assisted high-precision calibration method for event cameras.
-- Huber (1964), Robust estimation of a location parameter, Annals of Mathematical Statistics 35, 73.
-- Triggs, McLauchlan, Hartley and Fitzgibbon (2000), Bundle adjustment - a modern synthesis, LNCS 1883, 298.
 """

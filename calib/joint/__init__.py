@@ -6,4 +6,27 @@ stars and readings, a small matrix a view. `marginal`: likelihood of the amplitu
 search. `poses`: which views are one pose. `adjust`: from views to the optimum. `posterior`: intervals, budget,
 witnesses. `ways`: a gimbal and a hand, a bound of the parallax and none, as one mixture. `words`: notes. `result`: the
 door, a `Calibration`. The equations stand in docs/adjustment.md. Nothing here chooses among models.
+
+References
+----------
+- Armijo (1966), Minimization of functions having Lipschitz continuous first partial derivatives, Pacific Journal of
+  Mathematics 16, 1.
+- Bickel (1975), One-step Huber estimates in the linear model, Journal of the American Statistical Association 70, 428.
+- Birge (1932), The calculation of errors by the method of least squares, Physical Review 40, 207.
+- Golub and Pereyra (1973), The differentiation of pseudo-inverses and nonlinear least squares problems whose variables
+  separate, SIAM Journal on Numerical Analysis 10, 413.
+- Golub and Van Loan (2013), Matrix Computations, fourth edition.
+- Harville (1977), Maximum likelihood approaches to variance component estimation and to related problems, Journal of
+  the American Statistical Association 72, 320.
+- Kass and Raftery (1995), Bayes factors, Journal of the American Statistical Association 90, 773.
+- Kish (1965), Survey Sampling, Wiley.
+- Levenberg (1944), A method for the solution of certain non-linear problems in least squares, Quarterly of Applied
+  Mathematics 2, 164.
+- McKay, Beckman and Conover (1979), A comparison of three methods for selecting values of input variables in the
+  analysis of output from a computer code, Technometrics 21, 239.
+- Patterson and Thompson (1971), Recovery of inter-block information when block sizes are unequal, Biometrika 58, 545.
+- Searle (1971), Linear Models, Wiley.
+- Weng, Cohen and Herniou (1992), Camera calibration with distortion models and accuracy evaluation, IEEE Transactions on
+  Pattern Analysis and Machine Intelligence 14, 965.
+- Woodbury (1950), Inverting modified matrices, Memorandum Report 42, Statistical Research Group, Princeton.
 """

@@ -3,12 +3,8 @@
 References
 ----------
 - arXiv:2512.16092: Liu, Liang et al., Collimator-assisted high-precision calibration method for event cameras.
-- Born and Wolf, Principles of Optics, chapter 5: geometrical theory of aberrations.
 - Brown (1971), Close-range camera calibration, Photogrammetric Engineering 37, 855.
-- Copas (1988), Binary regression models for contaminated data, Journal of the Royal Statistical Society B 50, 225.
-- Cox (1958), The regression analysis of binary sequences, Journal of the Royal Statistical Society B 20, 215.
 - Diebel (2006), Representing attitude: Euler angles, unit quaternions, and rotation vectors, Stanford University.
-- Golub and Van Loan (2013), Matrix Computations, fourth edition.
 - Hartley (1997), In defense of the eight-point algorithm, IEEE Trans. PAMI 19, 580.
 - Hartley and Zisserman (2004), Multiple View Geometry in Computer Vision, second edition.
 - Hoerl and Kennard (1970), Ridge regression: biased estimation for nonorthogonal problems, Technometrics 12, 55.
@@ -20,6 +16,5 @@ References
 - Liang et al. (2024), Camera calibration using a collimator system, ECCV.
 - Rousseeuw (1984), Least median of squares regression, Journal of the American Statistical Association 79, 871.
 - Schoenemann (1966), A generalized solution of the orthogonal Procrustes problem, Psychometrika 31, 1.
-- Tarjan (1975), Efficiency of a good but not linear set union algorithm, Journal of the ACM 22, 215.
 - Zhang (2000), A flexible new technique for camera calibration, IEEE Trans. PAMI 22, 1330.
 """

@@ -22,7 +22,6 @@ References
 - Lange, Little and Taylor (1989), Robust statistical modeling using the t distribution, Journal of the American
   Statistical Association 84, 881.
 - Lewis (1995), Fast normalized cross-correlation, Vision Interface, 120.
-- Marquardt (1963), An algorithm for least-squares estimation of nonlinear parameters, Journal of SIAM 11, 431.
 - Michelson (1927), Studies in Optics, University of Chicago Press.
 - Nadaraya (1964), On estimating regression, Theory of Probability and Its Applications 9, 141.
 - Olson (2011), AprilTag: a robust and flexible visual fiducial system, ICRA.

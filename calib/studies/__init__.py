@@ -8,8 +8,6 @@ References
 - JCGM 100:2008, Guide to the expression of uncertainty in measurement (GUM).
 - JCGM 101:2008, Propagation of distributions using a Monte Carlo method (GUM, supplement 1).
 - Kiefer and Wolfowitz (1960), The equivalence of two extremum problems, Canadian Journal of Mathematics 12, 363.
-- Rao (1945), Information and the accuracy attainable in the estimation of statistical parameters, Bulletin of the
-  Calcutta Mathematical Society 37, 81.
 - Tsai and Lenz (1989), A new technique for fully autonomous and efficient 3D robotics hand/eye calibration, IEEE Trans.
   Robotics and Automation 5, 345.
 - Zhang (2000), A flexible new technique for camera calibration, IEEE Trans. PAMI 22, 1330.
