@@ -26,7 +26,7 @@ References
   analysis of output from a computer code, Technometrics 21, 239.
 - Patterson and Thompson (1971), Recovery of inter-block information when block sizes are unequal, Biometrika 58, 545.
 - Searle (1971), Linear Models, Wiley.
-- Weng, Cohen and Herniou (1992), Camera calibration with distortion models and accuracy evaluation, IEEE Transactions on
-  Pattern Analysis and Machine Intelligence 14, 965.
+- Weng, Cohen and Herniou (1992), Camera calibration with distortion models and accuracy evaluation, IEEE Transactions
+  on Pattern Analysis and Machine Intelligence 14, 965.
 - Woodbury (1950), Inverting modified matrices, Memorandum Report 42, Statistical Research Group, Princeton.
 """
