@@ -111,7 +111,7 @@ class ViewStars:
         return np.asarray(-slopes @ np.linalg.cholesky(self.disc.covariance_mm2))
 
     def _from_middle(self, middle: Array) -> tuple[Array, Array, Array]:
-        """Return (N, 2) stars from the disc's middle, mm, (N, 1) in its radii, and (N, 1) how far beyond the rim."""
+        """Return (N, 2) stars from the disc's middle, mm; (N, 1) how far, in its radii; (N, 1) how far beyond it."""
         assert self.disc is not None
         root = np.linalg.cholesky(self.disc.covariance_mm2)
         away = self.target_mm - self.disc.centre_mm - root @ middle

@@ -177,7 +177,7 @@ class Marginal:
 
     @cached_property
     def _mapped(self) -> Array:
-        """(n, B, S) star information between the bases of the poses and the shared unknowns."""
+        """(n, B, S) what the stars say of each pose's basis together with the shared unknowns."""
         return np.asarray(self.equations.squares @ self.equations.maps)
 
     @cached_property
@@ -195,7 +195,7 @@ class Marginal:
 
     @cached_property
     def between(self) -> Array:
-        """(n, F, S) star information between own fields and shared unknowns."""
+        """(n, F, S) what the stars say of the own fields together with the shared unknowns."""
         return self._mapped[:, self.problem.bench.layout.pose_places]
 
     # -- priors

@@ -324,7 +324,7 @@ def _corrected(marginal: Marginal, eta: Array, state: State) -> tuple[State, lis
 
 
 def _moved(marginal: Marginal, eta: Array, step: Array, fields: Array) -> State:
-    """Return the state after (S,) and (n, F) steps of shared unknowns and own fields; the rotations follow."""
+    """Return the state after steps: (S,) of the shared unknowns, (n, F) of the own fields. The rotations follow."""
     bench = marginal.problem.bench
     state = bench.moved(marginal.state, step, fields, marginal.rotation_steps(eta, step, fields))
     if relative_step(marginal, step) > _CURVED:

@@ -27,7 +27,8 @@ _SCATTER = 2.0
 _WEAK_FOCAL_SIGMA = 0.01
 #: If these have this share of the variance of fx, it rests on how large errors are expected. With a certificate it is
 #: below 0.22 in 41 of 42 drawn benches.
-_EXPECTED, _RESTS = (rows.UNBOUNDED_PARALLAX, rows.TURN_FIELDS, rows.LENS, rows.AMPLITUDES), 0.4
+_EXPECTED = rows.UNBOUNDED_PARALLAX, rows.TURN_FIELDS, rows.LENS, rows.AMPLITUDES
+_EXPECTED_SHARE = 0.4
 #: Visible discs show how far the pupil moves if its logarithm is known to this, 1-sigma.
 _SEEN = 0.5
 _BACKWARDS = (
@@ -184,7 +185,10 @@ def _contradiction(result: Calibration) -> str:
 def _expected(result: Calibration, found: Posterior) -> str:
     """Return a note if the focal length rests on how large errors by turn are expected, which nothing states."""
     shares = {row.name: row.share.get("fx", 0.0) for row in result.budget_rows}
-    if rows.UNBOUNDED_PARALLAX not in shares or sum(shares.get(name, 0.0) for name in _EXPECTED) < _RESTS:
+    if (
+        rows.UNBOUNDED_PARALLAX not in shares
+        or sum(shares.get(name, 0.0) for name in _EXPECTED) < _EXPECTED_SHARE
+    ):
         return ""
     note = (
         "What is stated of collimator and gimbal does not determine the focal length. So it rests on how large the "

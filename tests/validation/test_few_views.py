@@ -28,7 +28,7 @@ def test_focal_lengths_of_triples_scatter_no_more_than_stated(scatter):
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 @pytest.mark.xfail(
-    reason="u is 1.14 times the robust scatter, which is known to a half, but 1.26 times the other",
+    reason="u is 1.14 times the robust scatter, and 1.26 times the standard deviation; 1.2 is allowed",
     strict=True,
 )
 def test_what_is_stated_of_triples_is_not_larger_than_their_scatter(scatter):

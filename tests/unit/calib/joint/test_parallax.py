@@ -68,7 +68,7 @@ def test_the_coma_of_a_pupil_that_is_stated_far_off_the_pivot_is_no_distortion(p
 
 @pytest.mark.parametrize("seed", [423, 428])
 def test_a_result_says_where_it_expects_a_pupil_that_is_neither_stated_nor_seen(seed):
-    """Here it is far before the pivot, and fx is several U wrong: views alone cannot show it."""
+    """The pupil is far before the pivot. Views alone cannot show that, and fx is several U wrong."""
     unstated, stated = (drawn_result("raytraced-far", 3, seed, known)["notes"] for known in ("0", "r"))
     assert [note for note in unstated if re.search("The pupil is expected some [78] mm from the pivot", note)]
     assert not [note for note in stated if "mm from the pivot" in note]
