@@ -70,7 +70,12 @@ def _share(first: Optimum, second: Optimum) -> float:
     by_stars = sign * (first.solution.value - value_as_weighed(second, first))
     by_stars -= narrowed(by_hand.marginal, by_hand.eta, by_hand.solution)
     log = first.marginal.problem.wander + min(max(by_stars, -_DECIDED), _DECIDED)
-    return 0.5 + 0.5 * math.tanh(0.25 * sign * log)
+    return _logistic(0.5 * sign * log)
+
+
+def _logistic(log_odds: float) -> float:
+    """Return the probability of odds."""
+    return 0.5 + 0.5 * math.tanh(0.5 * log_odds)
 
 
 def _mixed(found: Posterior, other: Posterior, share: float) -> Posterior:
@@ -116,7 +121,7 @@ def with_doubted_bound(
         return held
     try:
         log = _log_odds(views, options)
-        if shifted.worth > max(2.0 * log, 0.0):
+        if shifted.worth > max(2.0 * log, 0.0) or _logistic(log) < _LEAST:
             return held
         return _with_bound(held, posterior_of(views, _unbounded(options)), log)
     except (CalibrationError, np.linalg.LinAlgError):  # without the bound nothing determines the camera
@@ -154,7 +159,7 @@ def _log_odds(views: Sequence[View], options: CalibrationOptions) -> float:
 
 def _with_bound(held: Posterior, free: Posterior, log: float) -> Posterior:
     """Return the mixture of the posteriors with a bound of the parallax and without it, by the odds of the latter."""
-    share = 0.5 + 0.5 * math.tanh(0.5 * log)
+    share = _logistic(log)
     free = replace(free, faults={**free.faults, PARALLAX: 1.0})
     first, second, less = (held, free, share) if share < 0.5 else (free, held, 1.0 - share)
     if less > _LEAST and second.optimum.converged:
