@@ -15,9 +15,8 @@ import numpy as np
 from calib.arrays import Array
 from calib.joint import amplitudes as amp
 from calib.joint.knowledge import Statement
-from calib.joint.marginal import Marginal
+from calib.joint.marginal import Solution
 from calib.joint.posterior import Posterior
-from calib.joint.samples import Node
 from calib.model import result_parts as names
 from calib.model.result_parts import ROW_QUANTITIES, WORST_CORNER, BudgetRow
 from calib.uncertainty.projection_uncertainty import worst_point
@@ -50,7 +49,7 @@ def variances(posterior: Posterior, gradients: Array) -> dict[str, Array]:
     for way, slopes, weights, own_means in ways:
         share = float(weights.sum())
         for node, weight in zip(way.nodes, weights, strict=True):
-            _add_to(found, {k: weight * v for k, v in _at_node(way.optimum.marginal, node, slopes).items()})
+            _add_to(found, {k: weight * v for k, v in _at_node(node.solution, slopes).items()})
         own = weights @ own_means / share
         _add_to(found, {names.AMPLITUDES: weights @ (own_means - own) ** 2})
         if posterior.other is not None:
@@ -75,34 +74,34 @@ def _in_layout(posterior: Posterior, other: Posterior, gradients: Array) -> Arra
     return found
 
 
-def _at_node(marginal: Marginal, node: Node, gradients: Array) -> dict[str, Array]:
+def _at_node(found: Solution, gradients: Array) -> dict[str, Array]:
     """Return the variances by group for given amplitudes."""
-    squares, hyper = np.exp(2.0 * node.eta), marginal.problem.hyper
-    x = node.solution.covariance @ gradients.T
-    fields = -np.swapaxes(node.solution.own_root, 1, 2) @ (node.solution.between @ x)
+    marginal, squares, hyper = found.marginal, found.squares, found.marginal.problem.hyper
+    x = found.covariance @ gradients.T
+    fields = -np.swapaxes(found.own_root, 1, 2) @ (found.between @ x)
     stars = (x * (marginal.shared @ x)).sum(axis=0)
     stars = stars + 2.0 * (fields * (marginal.between @ x)).sum(axis=(0, 1))
     stars = stars + (fields * (marginal.own @ fields)).sum(axis=(0, 1))
-    found = {names.STARS: stars / squares[hyper.at(amp.STAR)]}
+    parts = {names.STARS: stars / found.star}
     own = marginal.problem.own_information(squares)
     rows = [
         names.PUPILS if hyper.names[at] == amp.DISCS else names.POSE_FIELDS
         for at in marginal.problem.pose_amplitudes
     ]
-    _add(found, rows, own[:, None] * (fields**2).sum(axis=0))
+    _add(parts, rows, own[:, None] * (fields**2).sum(axis=0))
     if marginal.uses_readings:
         pulled = marginal.rows @ x + marginal.own_rows @ fields[marginal.problem.bench.poses]
         pulled = marginal.reading_weights(squares)[:, :, None] * pulled
-        loose = squares[hyper.at(amp.STAR)] * marginal.loose[:, :, None]
-        found[names.STARS] = found[names.STARS] + (loose * pulled**2).sum(axis=(0, 1))
-        found[names.READINGS] = (marginal.reading_variance(squares)[:, :, None] * pulled**2).sum(axis=(0, 1))
-    stated = marginal.problem.stated(node.faults)
+        loose = found.star * marginal.loose[:, :, None]
+        parts[names.STARS] = parts[names.STARS] + (loose * pulled**2).sum(axis=(0, 1))
+        parts[names.READINGS] = (marginal.reading_variance(squares)[:, :, None] * pulled**2).sum(axis=(0, 1))
+    stated = marginal.problem.stated(found.faults)
     seen = stated.rows @ x
-    _add(found, stated.groups, seen * (stated.inside @ seen))
+    _add(parts, stated.groups, seen * (stated.inside @ seen))
     random = marginal.problem.random
     seen = x[random.places]
-    _add(found, random.groups, seen * (node.solution.inside @ seen))
-    return found
+    _add(parts, random.groups, seen * (found.inside @ seen))
+    return parts
 
 
 def _add(found: dict[str, Array], groups: Sequence[str], parts: Array) -> None:

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from calib.arrays import Array
 from calib.joint import amplitudes as amp
-from calib.joint.marginal import Marginal, Solution
-from calib.joint.prior import NO_FAULT, Faults
+from calib.joint.marginal import Solution
 
 #: No step of the search changes a logarithm by more than this.
 _LONGEST = 1.5
@@ -27,13 +26,13 @@ _MANY = 2
 _CURVED = 0.3
 
 
-def expected_curvature(marginal: Marginal, eta: Array, found: Solution) -> Array:
+def expected_curvature(found: Solution) -> Array:
     """Return (A, A) the expected second derivatives of the value by the logarithms of the amplitudes."""
-    problem, squares = marginal.problem, np.exp(2.0 * eta)
+    marginal, problem, squares = found.marginal, found.marginal.problem, found.squares
     n, f, size = marginal.dimensions
     random = problem.random
     at = random.places
-    scale = np.sqrt(marginal.problem.own_information(squares))
+    scale = np.sqrt(problem.own_information(squares))
     fields = scale[:, None] * found.followed
     alone = np.eye(f) - scale[:, None] * found.own * scale
     pulled = random.pulled(squares, found.inside)
@@ -49,13 +48,13 @@ def expected_curvature(marginal: Marginal, eta: Array, found: Solution) -> Array
     parts[:f, f:] = (both * both).sum(axis=0)
     parts[f:, :f] = parts[:f, f:].T
     parts[f:, f:] = shared * shared
-    belongs = np.zeros((len(parts), len(eta)))
+    belongs = np.zeros((len(parts), len(squares)))
     belongs[range(len(parts)), np.concatenate([problem.pose_amplitudes, random.amplitudes])] = 1.0
     whole = 4.0 * (belongs.T @ parts @ belongs + _of_products(flat, np.tile(belongs[:f], (n, 1))))
     star = problem.hyper.at(amp.STAR)
-    whole[star, star] += 4.0 * marginal.freedom(squares, found)
+    whole[star, star] += 4.0 * found.freedom
     whole += 2.0 * problem.hyper.information
-    return _with_readings(marginal, squares, found, spread, whole) if marginal.uses_readings else whole
+    return _with_readings(found, spread, whole) if marginal.uses_readings else whole
 
 
 def _of_products(rows: Array, belongs: Array) -> Array:
@@ -73,14 +72,14 @@ def _of_products(rows: Array, belongs: Array) -> Array:
     return found
 
 
-def _with_readings(marginal: Marginal, squares: Array, found: Solution, spread: Array, whole: Array) -> Array:
+def _with_readings(found: Solution, spread: Array, whole: Array) -> Array:
     """Return the curvature with that by the readings' noise; ``spread`` (S, Q) is that of the columns, times R."""
+    marginal, squares = found.marginal, found.squares
     problem, poses = marginal.problem, marginal.problem.bench.poses
     n_rows = 3 * len(poses)
     weights = marginal.reading_weights(squares)
     scaled = np.sqrt(marginal.reading_variance(squares)) * weights
-    direct = marginal.rows - marginal.own_rows @ found.follow[poses]
-    seen = (scaled[:, :, None] * direct).reshape(n_rows, -1) @ found.root.T
+    seen = (scaled[:, :, None] * found.predicted).reshape(n_rows, -1) @ found.root.T
     parts = np.diag((scaled**2 / weights).reshape(-1)) - seen @ seen.T
     own = scaled[:, :, None] * marginal.own_rows
     local = own @ found.own[poses] @ np.swapaxes(own, 1, 2)
@@ -96,54 +95,48 @@ def _with_readings(marginal: Marginal, squares: Array, found: Solution, spread: 
 
 
 def best_amplitudes(
-    marginal: Marginal,
-    eta: Array,
+    found: Solution,
     steps: int,
-    faults: Faults = NO_FAULT,
     farthest: float = np.inf,
     enough: float = FINE,
-    found: Solution | None = None,
     curvature: Array | None = None,
-    until: Callable[[Array], bool] | None = None,
-) -> tuple[Array, Solution]:
-    """Return the logarithms of the amplitudes of the largest posterior, from a start, and their solution.
+    until: Callable[[Solution], bool] | None = None,
+) -> Solution:
+    """Return the solution for the amplitudes of the largest posterior, from a start.
 
     Steps of Newton with the expected curvature, halved while the value does not fall; each changes a logarithm by at
-    most ``farthest``, and promises at least ``enough``. The equations must be solvable at the start, whose solution
-    and (A, A) curvature may be known. The search ends where ``until`` is true.
+    most ``farthest``, and promises at least ``enough``. The (A, A) curvature at the start may be known. The search ends
+    where ``until`` is true.
     """
-    bounds = np.array(marginal.problem.hyper.bounds).T
-    low, high = np.maximum(bounds[0], eta - farthest), np.minimum(bounds[1], eta + farthest)
-    if found is None:
-        found = marginal.solve(eta, faults)
+    bounds = np.array(found.marginal.problem.hyper.bounds).T
+    low, high = np.maximum(bounds[0], found.eta - farthest), np.minimum(bounds[1], found.eta + farthest)
     if curvature is None:
-        curvature = expected_curvature(marginal, eta, found)
+        curvature = expected_curvature(found)
     for _ in range(steps):
-        step = _newton(curvature, found.gradient, eta <= low, eta >= high)
+        step = _newton(curvature, found.gradient, found.eta <= low, found.eta >= high)
         if -float(found.gradient @ step) < enough:
             break
         step *= min(1.0, _LONGEST / float(np.abs(step).max()))
         for _ in range(_HALVINGS):
-            ahead = np.clip(eta + step, low, high)
-            tried = _tried(marginal, ahead, faults)
+            tried = _tried(found, np.clip(found.eta + step, low, high))
             if tried is not None and tried.value < found.value:
                 break
             step = 0.5 * step
         else:
             break
         assert tried is not None
-        if float(np.abs(ahead - eta).max()) > _CURVED:
-            curvature = expected_curvature(marginal, ahead, tried)
-        eta, found = ahead, tried
-        if until is not None and until(eta):
+        if float(np.abs(tried.eta - found.eta).max()) > _CURVED:
+            curvature = expected_curvature(tried)
+        found = tried
+        if until is not None and until(found):
             break
-    return eta, found
+    return found
 
 
-def _tried(marginal: Marginal, eta: Array, faults: Faults) -> Solution | None:
-    """Return the solution; None if the equations cannot be solved."""
+def _tried(found: Solution, eta: Array) -> Solution | None:
+    """Return the solution for other amplitudes; None if the equations cannot be solved."""
     try:
-        return marginal.solve(eta, faults)
+        return found.marginal.solve(eta, found.faults)
     except np.linalg.LinAlgError:
         return None
 

@@ -9,7 +9,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.joint import amplitudes as amp
 from calib.joint.equations import Bench, Equations, State
-from calib.joint.marginal import Problem
+from calib.joint.marginal import Problem, Solution
 from calib.joint.posterior import Posterior
 from calib.joint.solve import Optimum
 from calib.model.result_parts import RotationErrors
@@ -30,7 +30,7 @@ def left_out_rms(optimum: Optimum) -> float | None:
     n = bench.n_poses
     if n < MIN_POSES:
         return None
-    normal = normal_of_poses(marginal.problem, marginal.equations, optimum.state, np.exp(2.0 * optimum.eta))
+    normal = normal_of_poses(marginal.problem, marginal.equations, optimum.state, solution.squares)
     maps = maps_with_gimbal(bench, marginal.equations.maps)
     information = np.linalg.inv(solution.covariance)
     total, count = 0.0, 0.0
@@ -107,22 +107,21 @@ def maps_with_gimbal(bench: Bench, maps: Array) -> Array:
 def rotation_errors(found: Posterior) -> RotationErrors:
     """Return how the rotations of all m views follow the shared unknowns, and what each adds."""
     marginal, optimum = found.optimum.marginal, found.optimum
-    squares = np.exp(2.0 * optimum.eta)
     stated, random = marginal.problem.stated(), marginal.problem.random
     prior, pull = stated.information.copy(), stated.off(found.mean)[0].copy()
     prior[np.ix_(random.places, random.places)] += optimum.solution.inside
     pull[random.places] -= optimum.solution.inside @ found.mean[random.places]
-    by_shared, own = _follow(optimum, squares)
+    by_shared, own = _follow(optimum.solution)
     names = marginal.problem.bench.layout.names
     return RotationErrors(names, found.mean, found.covariance, prior, pull, by_shared, own)
 
 
-def _follow(optimum: Optimum, squares: Array) -> tuple[Array, Array]:
+def _follow(solution: Solution) -> tuple[Array, Array]:
     """Return (3 m, S) how the rotations follow the shared unknowns, and (3 m, 3 m) the covariance that views add."""
-    marginal, solution = optimum.marginal, optimum.solution
+    marginal, squares = solution.marginal, solution.squares
     bench, equations = marginal.problem.bench, marginal.equations
     back = np.swapaxes(marginal.axes, 1, 2)
-    loose = squares[marginal.problem.hyper.at(amp.STAR)] * (back * marginal.loose[:, None]) @ marginal.axes
+    loose = solution.star * (back * marginal.loose[:, None]) @ marginal.axes
     places = bench.layout.pose_places
     by_shared = -equations.coupling @ equations.maps[bench.poses]
     by_field = -equations.coupling[:, :, places]

@@ -6,9 +6,9 @@ each pose are eliminated; S shared unknowns are left. The equations stand in doc
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,6 +86,9 @@ class Problem:
 class Solution:
     """The posterior of the unknowns for given amplitudes, about the state of the equations."""
 
+    marginal: Marginal
+    eta: Array  # (A,) logarithms of the amplitudes
+    faults: Faults  # Of the statements
     value: float  # -2 log of likelihood times hyperprior
     gain: float  # By how much the step lowers the cost, if all is linear
     step: Array  # (S,) to the posterior mean
@@ -94,13 +97,16 @@ class Solution:
     own_root: Array  # (n, F, F) R, covariance R^T R of the own fields, if the shared unknowns were known
     between: Array  # (n, F, S) R times the information between own fields and shared unknowns
     inside: Array  # (K, K) prior information of the shared unknowns with amplitudes
-    faults: Faults  # Of the statements
-    slope: Callable[[Solution], Array]  # Finds the gradient
 
     @cached_property
-    def gradient(self) -> Array:
-        """(A,) of the value by the logarithms of the amplitudes."""
-        return self.slope(self)
+    def squares(self) -> Array:
+        """(A,) squares of the amplitudes."""
+        return np.exp(2.0 * self.eta)
+
+    @property
+    def star(self) -> float:
+        """Variance of the stars' noise over the stated one."""
+        return float(self.squares[self.marginal.problem.hyper.at(amp.STAR)])
 
     @cached_property
     def covariance(self) -> Array:
@@ -125,7 +131,63 @@ class Solution:
     @cached_property
     def followed(self) -> Array:
         """(n, F, S) `follow` times R^T: its products are the covariance of the own fields that the shared ones make."""
-        return np.asarray(self.follow @ self.root.T)
+        size = len(self.root)
+        return np.asarray((self.follow.reshape(-1, size) @ self.root.T).reshape(self.follow.shape))
+
+    @cached_property
+    def predicted(self) -> Array:
+        """(m, 3, S) how what the readings predict follows the shared unknowns, in the principal axes."""
+        marginal = self.marginal
+        return np.asarray(marginal.rows - marginal.own_rows @ self.follow[marginal.problem.bench.poses])
+
+    @cached_property
+    def reading_spread(self) -> Array:
+        """(m, 3) variances of what the readings predict, in the principal axes; zeros without readings."""
+        marginal = self.marginal
+        if not marginal.uses_readings:
+            return np.zeros(marginal.loose.shape)
+        size = len(self.root)
+        spread = (self.predicted.reshape(-1, size) @ self.root.T) ** 2
+        own = marginal.own_rows @ self.own[marginal.problem.bench.poses]
+        return np.asarray(spread.sum(axis=1).reshape(-1, 3) + (own * marginal.own_rows).sum(axis=2))
+
+    @cached_property
+    def freedom(self) -> float:
+        """Degrees of freedom of the stars' noise: coordinates, less the unknowns that they determine.
+
+        Priors, statements and readings determine the rest.
+        """
+        marginal, problem, squares = self.marginal, self.marginal.problem, self.squares
+        n, f, size = marginal.dimensions
+        at = problem.random.places
+        taken = float((self.inside * self.covariance[at[:, None], at]).sum())
+        taken += float((problem.own_information(squares) * self.own_variances).sum())
+        taken += float((problem.stated(self.faults).information * self.covariance).sum())
+        taken += float((marginal.reading_weights(squares) * self.reading_spread).sum())
+        return marginal.rows_observed - (size + n * f - taken)
+
+    @cached_property
+    def gradient(self) -> Array:
+        """(A,) of the value by the logarithms: number minus expected square of what each amplitude scales."""
+        marginal, problem, squares = self.marginal, self.marginal.problem, self.squares
+        hyper, random = problem.hyper, problem.random
+        gradient = 2.0 * hyper.information @ (self.eta - hyper.mean)
+        second = self.own_variances + (marginal.state.fields + self.fields) ** 2
+        own = 2.0 * (len(second) - problem.own_information(squares) * second.sum(axis=0))
+        gradient += np.bincount(problem.pose_amplitudes, own, len(squares))
+        at = random.places
+        b = (marginal.state.shared + self.step)[at]
+        parts = random.gradient(self.inside, self.covariance[at[:, None], at], b)
+        gradient += np.bincount(random.amplitudes, 2.0 * squares[random.amplitudes] * parts, len(squares))
+        gradient[hyper.at(amp.STAR)] += 2.0 * (self.freedom - marginal.star_cost(self) / self.star)
+        if marginal.uses_readings:
+            weights, spread = marginal.reading_weights(squares), self.reading_spread
+            inside = weights / marginal.repeats - weights**2 * (spread + marginal.readings_left(self) ** 2)
+            gradient[hyper.at(amp.STAR)] += 2.0 * self.star * float((inside * marginal.loose).sum())
+            gradient[hyper.at(amp.READING)] += 2.0 * float(
+                (inside * marginal.reading_variance(squares)).sum()
+            )
+        return gradient
 
 
 @dataclass(frozen=True)
@@ -250,12 +312,12 @@ class Marginal:
         value = normal.constant + logs + last - gain
         value += float(away @ self.problem.hyper.information @ away)
         fields = (np.swapaxes(own_root, 1, 2) @ (alone - (between @ step)[:, :, None]))[:, :, 0]
-        slope = partial(self._gradient, eta, squares)
-        return Solution(value, gain, step, root, fields, own_root, between, normal.inside, faults, slope)
+        inside = normal.inside
+        return Solution(self, eta, faults, value, gain, step, root, fields, own_root, between, inside)
 
-    def own_steps(self, eta: Array) -> Array:
+    def own_steps(self, squares: Array) -> Array:
         """Return the (n, F) steps of the own fields if all shared unknowns stay."""
-        own, pull = self._own_normal(np.exp(2.0 * eta))
+        own, pull = self._own_normal(squares)
         root, _ = inverse_root(own)
         return np.asarray((np.swapaxes(root, 1, 2) @ (root @ pull[:, :, None]))[:, :, 0])
 
@@ -307,72 +369,28 @@ class Marginal:
             - float((np.log(weights) / self.repeats).sum()),
         )
 
-    # -- gradient
-    def _gradient(self, eta: Array, squares: Array, found: Solution) -> Array:
-        """Return the gradient of the value: number minus expected square of what each amplitude scales."""
-        hyper, random = self.problem.hyper, self.problem.random
-        n = self.problem.bench.n_poses
-        gradient = 2.0 * hyper.information @ (eta - hyper.mean)
-        expected = self.problem.own_information(squares)
-        second = found.own_variances + (self.state.fields + found.fields) ** 2
-        own = 2.0 * (n - expected * second.sum(axis=0))
-        gradient += np.bincount(self.problem.pose_amplitudes, own, len(eta))
-        at = random.places
-        b = (self.state.shared + found.step)[at]
-        parts = random.gradient(found.inside, found.covariance[at[:, None], at], b)
-        gradient += np.bincount(random.amplitudes, 2.0 * squares[random.amplitudes] * parts, len(eta))
-        return gradient + self._noise_gradient(squares, found)
-
-    def freedom(self, squares: Array, found: Solution) -> float:
-        """Return the degrees of freedom of the stars' noise: coordinates, less the unknowns that they determine.
-
-        Priors, statements and readings determine the rest.
-        """
-        n, f, size = self.dimensions
-        at = self.problem.random.places
-        taken = float((found.inside * found.covariance[at[:, None], at]).sum())
-        taken += float((self.problem.own_information(squares) * found.own_variances).sum())
-        taken += float((self.problem.stated(found.faults).information * found.covariance).sum())
-        taken += float((self.reading_weights(squares) * self.reading_spread(found)).sum())
-        return self.rows_observed - (size + n * f - taken)
-
-    def reading_spread(self, found: Solution) -> Array:
-        """Return the (m, 3) variances of what the readings predict, in the principal axes; zeros without readings."""
-        if not self.uses_readings:
-            return np.zeros(self.loose.shape)
-        direct = self.rows - self.own_rows @ found.follow[self._poses]
-        spread = ((direct @ found.covariance) * direct).sum(axis=2)
-        return np.asarray(spread + ((self.own_rows @ found.own[self._poses]) * self.own_rows).sum(axis=2))
-
-    def _noise_gradient(self, squares: Array, found: Solution) -> Array:
-        """Return the gradient by the noise of stars and readings."""
-        hyper = self.problem.hyper
-        gradient = np.zeros(len(squares))
-        star, reading = hyper.at(amp.STAR), hyper.at(amp.READING)
+    # -- what a solution leaves
+    def star_cost(self, found: Solution) -> float:
+        """Return the weighted square sum of the stars' residuals at the mean of a solution, if all is linear."""
         step, fields = found.step, found.fields
         cost = (
             self.equations.cost - 2.0 * float(self.pull @ step) - 2.0 * float((self.own_pull * fields).sum())
         )
         cost += float(step @ self.shared @ step) + 2.0 * float((fields * (self.between @ step)).sum())
-        cost += float((fields * (self.own @ fields[:, :, None])[:, :, 0]).sum())
-        if self.uses_readings:
-            weights = self.reading_weights(squares)
-            spread = self.reading_spread(found)
-            left = self.off - self.rows @ step - (self.own_rows @ fields[self._poses][:, :, None])[:, :, 0]
-            inside = weights / self.repeats - weights**2 * (spread + left**2)
-            gradient[star] = 2.0 * squares[star] * float((inside * self.loose).sum())
-            gradient[reading] = 2.0 * float((inside * self.reading_variance(squares)).sum())
-        gradient[star] += 2.0 * (self.freedom(squares, found) - cost / squares[star])
-        return gradient
+        return cost + float((fields * (self.own @ fields[:, :, None])[:, :, 0]).sum())
 
-    def rotation_steps(self, eta: Array, step: Array, fields: Array) -> Array:
+    def readings_left(self, found: Solution) -> Array:
+        """Return the (m, 3) residuals of the readings at the mean of a solution, in the principal axes."""
+        own = (self.own_rows @ found.fields[self._poses][:, :, None])[:, :, 0]
+        return np.asarray(self.off - self.rows @ found.step - own)
+
+    def rotation_steps(self, squares: Array, step: Array, fields: Array) -> Array:
         """Return (m, 3) the rotation vectors of the views, rad, that belong to (S,) and (n, F) steps of all else."""
         basis = self.equations.maps @ step
         basis[:, self.problem.bench.layout.pose_places] += fields
         by_stars = self.equations.turned - (self.equations.coupling @ basis[self._poses][:, :, None])[:, :, 0]
         if not self.uses_readings:
             return np.asarray(by_stars)
-        squares = np.exp(2.0 * eta)
         predicted = self.equations.gimbal @ step[self.problem.bench.gimbal_places]
         already = self.equations.off - self.equations.turned  # readings to the present rotation
         away = (self.axes @ (predicted - already - by_stars)[:, :, None])[:, :, 0]

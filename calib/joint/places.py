@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.arrays import Array
-from calib.joint import amplitudes as amp
-from calib.joint.marginal import Marginal, Solution
+from calib.joint.marginal import Solution
 from calib.joint.prior import block_diagonal, inverse_root
 from calib.joint.pupils import Pupils
 
@@ -29,72 +28,74 @@ class _Seen(NamedTuple):
     right: Array  # (n, B) right-hand side, after the step of all other unknowns
 
 
-def step_to_places(marginal: Marginal, eta: Array, found: Solution) -> Array:
+def step_to_places(found: Solution) -> Array:
     """Return the (n, 2) step, in sines, from the present places to the most probable ones."""
-    bench, pupils, squares = marginal.problem.bench, _pupils(marginal), np.exp(2.0 * eta)
-    seen, moved = _seen(marginal, squares, found), _moved(marginal, found)
+    bench, pupils = found.marginal.problem.bench, _pupils(found)
+    seen, moved = _seen(found), _moved(found)
     pull = (moved.swapaxes(1, 2) @ seen.right[:, :, None])[:, :, 0]
     away = pupils.information @ (bench.pupils - pupils.shown).reshape(-1)
-    gradient, curvature = _of_determinant(marginal, found, squares)
+    gradient, curvature = _of_determinant(found)
     information = pupils.information + _information(seen, moved, found) + block_diagonal(curvature)
     step = np.linalg.solve(information, (pull - gradient).reshape(-1) - away)
     return np.asarray(step.reshape(-1, 2), np.float64)
 
 
-def narrowed(marginal: Marginal, eta: Array, found: Solution) -> float:
+def narrowed(found: Solution) -> float:
     """Return 2 log of by how much the stars narrow the places that the discs leave open.
 
     With the places integrated out, -2 log of the likelihood is so much larger than at the most probable ones (Laplace).
     """
-    seen, discs = _seen(marginal, np.exp(2.0 * eta), found), _pupils(marginal).information
-    with_stars = discs + _information(seen, _moved(marginal, found), found)
+    discs = _pupils(found).information
+    with_stars = discs + _information(_seen(found), _moved(found), found)
     return float(np.linalg.slogdet(with_stars)[1] - np.linalg.slogdet(discs)[1])
 
 
-def spread_of_places(marginal: Marginal, eta: Array, found: Solution) -> Array:
+def spread_of_places(found: Solution) -> Array:
     """Return the (S, S) covariance of the shared unknowns that comes from errors of the places.
 
     Fields by turn multiply an error of a place, and so do their own errors: the product of two independent errors has
     the product of their variances.
     """
-    columns = marginal.problem.bench.layout.by_turn.columns
+    columns = found.marginal.problem.bench.layout.by_turn.columns
     errors = np.linalg.cholesky(found.covariance[columns[:, None], columns])
-    fields = np.column_stack([_fields(marginal, found), errors])
-    return _spread(marginal, eta, found, fields)
+    return _spread(found, np.column_stack([_fields(found), errors]))
 
 
-def spread_by_fields(marginal: Marginal, eta: Array, found: Solution) -> Array:
+def spread_by_fields(found: Solution) -> Array:
     """Return the part of `spread_of_places` that comes from the fields found, without their errors."""
-    return _spread(marginal, eta, found, _fields(marginal, found)[:, None])
+    return _spread(found, _fields(found)[:, None])
 
 
-def _spread(marginal: Marginal, eta: Array, found: Solution, fields: Array) -> Array:
+def _spread(found: Solution, fields: Array) -> Array:
     """Return the (S, S) sum of what errors of the places do, each multiplied by (Q, L) fields by turn."""
-    by_turn, seen = marginal.problem.bench.layout.by_turn, _seen(marginal, np.exp(2.0 * eta), found)
-    stars = _information(seen, _moved(marginal, found), found)
-    places = inverse_root(_pupils(marginal).information + _COUNTED * stars)[0]
-    slopes = by_turn.slopes(marginal.problem.bench.pupils)
+    bench, seen = found.marginal.problem.bench, _seen(found)
+    by_turn, stars = bench.layout.by_turn, _information(seen, _moved(found), found)
+    places = inverse_root(_pupils(found).information + _COUNTED * stars)[0]
+    slopes = by_turn.slopes(bench.pupils)
     turned = np.einsum("kia,iaq->kiq", places.reshape(len(places), *slopes.shape[:2]), slopes)
     moved = np.einsum("kiq,isq->ksq", turned, seen.shared[:, :, by_turn.rows]) @ fields
     half = found.covariance @ moved.swapaxes(0, 1).reshape(len(found.covariance), -1)
     return half @ half.T
 
 
-def _pupils(marginal: Marginal) -> Pupils:
+def _pupils(found: Solution) -> Pupils:
     """Return the pupils of a mount that is moved by hand; no other mount has places."""
-    assert marginal.problem.pupils is not None
-    return marginal.problem.pupils
+    pupils = found.marginal.problem.pupils
+    assert pupils is not None
+    return pupils
 
 
-def _fields(marginal: Marginal, found: Solution) -> Array:
+def _fields(found: Solution) -> Array:
     """Return the (Q,) coefficients of the fields by turn."""
+    marginal = found.marginal
     return (marginal.state.shared + found.step)[marginal.problem.bench.layout.by_turn.columns]
 
 
-def _moved(marginal: Marginal, found: Solution) -> Array:
+def _moved(found: Solution) -> Array:
     """Return (n, B, 2) what the places do to the bases."""
-    bench, by_turn = marginal.problem.bench, marginal.problem.bench.layout.by_turn
-    slopes = by_turn.slopes(bench.pupils) * _fields(marginal, found)
+    bench = found.marginal.problem.bench
+    by_turn = bench.layout.by_turn
+    slopes = by_turn.slopes(bench.pupils) * _fields(found)
     return np.asarray((slopes @ np.eye(bench.layout.size)[by_turn.rows]).swapaxes(1, 2))
 
 
@@ -105,14 +106,14 @@ def _information(seen: _Seen, moved: Array, found: Solution) -> Array:
     return np.asarray(block_diagonal(alone) - shared.T @ found.covariance @ shared)
 
 
-def _seen(marginal: Marginal, squares: Array, found: Solution) -> _Seen:
-    bench, equations = marginal.problem.bench, marginal.equations
-    star, own = squares[marginal.problem.hyper.at(amp.STAR)], bench.layout.pose_places
-    information, right = equations.squares / star, equations.right / star
+def _seen(found: Solution) -> _Seen:
+    marginal, bench, equations = found.marginal, found.marginal.problem.bench, found.marginal.equations
+    own = bench.layout.pose_places
+    information, right = equations.squares / found.star, equations.right / found.star
     shared = equations.maps.swapaxes(1, 2) @ information
     if marginal.uses_readings:  # in the axes of each view's rotation
         rows = marginal.axes @ equations.coupling
-        weighted = marginal.reading_weights(squares)[:, :, None] * rows
+        weighted = marginal.reading_weights(found.squares)[:, :, None] * rows
         information = information + bench.by_pose(rows.swapaxes(1, 2) @ weighted)
         shared = shared + bench.by_pose(marginal.rows.swapaxes(1, 2) @ weighted)
         right = right + bench.by_pose((weighted.swapaxes(1, 2) @ marginal.off[:, :, None])[:, :, 0])
@@ -122,14 +123,18 @@ def _seen(marginal: Marginal, squares: Array, found: Solution) -> _Seen:
     return _Seen(information, shared - found.follow.swapaxes(1, 2) @ with_own, right)
 
 
-def _of_determinant(marginal: Marginal, found: Solution, squares: Array) -> tuple[Array, Array]:
+def _of_determinant(found: Solution) -> tuple[Array, Array]:
     """Return (n, 2), (n, 2, 2) half of gradient and curvature of log det of the shared information by the places.
 
     Without them the places would follow fields that are hardly known. Readings have no part in them. Where a pose alone
     determines the fields, its place changes hardly any determinant: only what others know of it bends.
     """
-    stars = marginal.equations.squares / squares[marginal.problem.hyper.at(amp.STAR)]
-    bench, layout = marginal.problem.bench, marginal.problem.bench.layout
+    marginal, bench, layout = (
+        found.marginal,
+        found.marginal.problem.bench,
+        found.marginal.problem.bench.layout,
+    )
+    stars = marginal.equations.squares / found.star
     by_turn, own = layout.by_turn, layout.pose_places
     slopes = by_turn.slopes(bench.pupils)
     left = stars - stars[:, :, own] @ found.own @ stars[:, own]

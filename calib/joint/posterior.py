@@ -16,16 +16,15 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.arrays import Array
 from calib.errors import NotConverged
 from calib.joint import amplitudes as amp
 from calib.joint.curvature import ROUGH, best_amplitudes, expected_curvature
 from calib.joint.knowledge import FAULTS, WRONG, Statement
-from calib.joint.marginal import Marginal, Solution
+from calib.joint.marginal import Solution
 from calib.joint.places import spread_by_fields, spread_of_places
-from calib.joint.prior import NO_FAULT, Faults, block_diagonal
+from calib.joint.prior import Faults, block_diagonal
 from calib.joint.samples import Node, log_odds, nodes_about, trusted
 from calib.joint.solve import Optimum, beside, relative_step, weighed_as
 from calib.model.result_parts import COVERAGE, GIMBAL_SCALE, PASSPORT
@@ -110,22 +109,16 @@ class Posterior:
     @cached_property
     def covariances(self) -> list[Array]:
         """(S, S) of each node."""
-        own = self.covariances_at(np.arange(self.means.shape[1]))
+        own = [node.solution.covariance for node in self.nodes]
+        if self.pupils is not None:
+            own = [one + self.pupils for one in own]
         return own if self.other is None else own + self.other.covariances
-
-    def covariances_at(self, places: NDArray[np.int64]) -> list[Array]:
-        """Return the (C, C) covariances of some unknowns at each node, those of the other way not among them."""
-        more = 0.0 if self.pupils is None else self.pupils[np.ix_(places, places)]
-        roots = [node.solution.root[:, places] for node in self.nodes]
-        return [root.T @ root + more for root in roots]
 
     @cached_property
     def pupils(self) -> Array | None:
         """(S, S) covariance that the places of the pupil add; None on a gimbal."""
-        optimum = self.optimum
-        if optimum.marginal.problem.pupils is None:
-            return None
-        return spread_of_places(optimum.marginal, optimum.eta, optimum.solution)
+        moved = self.optimum.marginal.problem.pupils is not None
+        return spread_of_places(self.optimum.solution) if moved else None
 
     @cached_property
     def counted(self) -> Array:
@@ -170,20 +163,20 @@ class Posterior:
 
     def innovations(self) -> list[Innovation]:
         """Return the innovation of every statement that could be wrong, at the largest mode."""
-        largest = self.largest
-        found = _innovations(self.optimum.marginal, largest.eta, largest.faults)
+        found = _innovations(self.largest.solution)
         found += [self.denied] if self.denied else []
         return [replace(one, probability=self.faults.get(one.name, 0.0)) for one in found]
 
 
-def _innovations(marginal: Marginal, eta: Array, faults: Faults) -> list[Innovation]:
+def _innovations(base: Solution) -> list[Innovation]:
     """Compare each statement with the posterior in which it counts as wrong.
 
     That is what all others say, and what would be known if nobody had stated it. The posterior in which all count as
     wrong is solved; what the others say is then added, which needs no difference of nearly equal numbers.
     """
-    witnesses, at_fault = marginal.problem.knowledge.witnesses, dict(faults)
-    found = marginal.solve(eta, tuple((name, WRONG) for name in witnesses))
+    marginal, at_fault = base.marginal, dict(base.faults)
+    witnesses = marginal.problem.knowledge.witnesses
+    found = marginal.solve(base.eta, tuple((name, WRONG) for name in witnesses))
     statements = list(witnesses.values())
     rows = np.concatenate([one.rows for one in statements])
     values = np.concatenate([one.values for one in statements])
@@ -256,9 +249,8 @@ def _also(
 def odds_of(there: Optimum, faults: Faults, than: Optimum) -> float:
     """Return the odds of faults, seen at the state that they lead to, against no fault at another optimum."""
     assert there.fault_eta is not None
-    again = weighed_as(there, than)
-    eta, found = best_amplitudes(again, there.fault_eta, _FAULT_STEPS, faults)
-    log = 0.5 * (than.solution.value - found.value) * _share_of_stars(again, eta, found, faults)
+    found = best_amplitudes(weighed_as(there, than).solve(there.fault_eta, faults), _FAULT_STEPS)
+    log = 0.5 * (than.solution.value - found.value) * _share_of_stars(found)
     return math.exp(min(log, _LARGEST_LOG)) * math.prod(FAULTS[fault] for _, fault in faults)
 
 
@@ -273,13 +265,12 @@ def _by_weight(mode: Node) -> float:
 
 def _modes(optimum: Optimum) -> tuple[Array, list[Node]]:
     """Return (A, A) the curvature at an optimum, and the modes of the posterior by its equations."""
-    curvature = 0.5 * expected_curvature(optimum.marginal, optimum.eta, optimum.solution)
-    first = Node(NO_FAULT, optimum.eta, optimum.solution, 1.0)
+    curvature = 0.5 * expected_curvature(optimum.solution)
+    first = Node(optimum.solution, 1.0)
     return curvature, [first, *_others(optimum, curvature), *_faults(optimum, curvature, first)]
 
 
 def _mixture(optimum: Optimum, curvature: Array, modes: Sequence[Node]) -> Posterior:
-    marginal = optimum.marginal
     lower: Array = np.asarray(np.linalg.cholesky(curvature), np.float64)
     whole = sum(mode.weight for mode in modes)
     nodes: list[Node] = []
@@ -289,7 +280,7 @@ def _mixture(optimum: Optimum, curvature: Array, modes: Sequence[Node]) -> Poste
         if share < _SMALL_SHARE:
             nodes.append(replace(mode, weight=share))
         else:
-            nodes += nodes_about(marginal, mode, lower, _FAULT_PAIRS if mode.faults else _PAIRS, share)
+            nodes += nodes_about(mode, lower, _FAULT_PAIRS if mode.faults else _PAIRS, share)
         for name, _ in mode.faults:
             probabilities[name] = probabilities.get(name, 0.0) + share
     spread = np.sqrt(np.diag(np.linalg.inv(curvature)))
@@ -303,20 +294,19 @@ def _others(optimum: Optimum, curvature: Array) -> list[Node]:
     start[hyper.places(amp.POSE)] = hyper.mean[hyper.places(amp.POSE)] - _LOWER
     start[hyper.at(amp.CURVATURE_TURN)] += _HIGHER
 
-    def near(eta: Array) -> bool:
-        away = eta - optimum.eta
+    def near(found: Solution) -> bool:
+        away = found.eta - optimum.eta
         return float(away @ curvature @ away) < _APART
 
     try:
-        eta, found = best_amplitudes(marginal, start, _FAULT_STEPS, enough=ROUGH, until=near)
+        found = best_amplitudes(marginal.solve(start), _FAULT_STEPS, enough=ROUGH, until=near)
     except np.linalg.LinAlgError:
         return []
-    if near(eta):
+    if near(found):
         return []
-    other = 0.5 * expected_curvature(marginal, eta, found)
-    wider = float(np.linalg.slogdet(curvature)[1] - np.linalg.slogdet(other)[1])
-    log = log_odds(marginal, found, optimum.solution, 0.5 * wider)
-    return [Node(NO_FAULT, eta, found, float(np.exp(min(log, _LARGEST_LOG))))]
+    wider = float(np.linalg.slogdet(curvature)[1] - np.linalg.slogdet(0.5 * expected_curvature(found))[1])
+    log = log_odds(found, optimum.solution, 0.5 * wider)
+    return [Node(found, float(np.exp(min(log, _LARGEST_LOG))))]
 
 
 def _faults(optimum: Optimum, curvature: Array, base: Node) -> list[Node]:
@@ -326,58 +316,55 @@ def _faults(optimum: Optimum, curvature: Array, base: Node) -> list[Node]:
     """
     marginal, found = optimum.marginal, []
     starts = _starts(optimum, base)
-    possible = _possible(marginal, [eta for eta, _ in starts], base)
+    possible = _possible(starts)
     # Without a fault, and where the search of the state did not let the amplitudes go as far as they would.
-    behind, known = base.solution, 2.0 * curvature if base.eta is optimum.eta else None
+    behind, known = base.solution, 2.0 * curvature
     if possible:
-        behind = best_amplitudes(
-            marginal, base.eta, _FAULT_STEPS, base.faults, found=behind, curvature=known
-        )[1]
-    none = max(0.0, log_odds(marginal, behind, base.solution))
+        at_optimum = base.eta is optimum.eta
+        behind = best_amplitudes(behind, _FAULT_STEPS, curvature=known if at_optimum else None)
+    none = max(0.0, log_odds(behind, base.solution))
     for names, usual in possible:
         for fault, probability in FAULTS.items():
             faults: Faults = (*base.faults, *((name, fault) for name in names))
-            start, eta = min(
-                ((marginal.solve(eta, faults), eta) for eta, _ in starts), key=lambda one: one[0].value
-            )
+            start = min((marginal.solve(one.eta, faults) for one in starts), key=lambda one: one.value)
             gain = 0.25 * float(start.gradient @ np.linalg.solve(curvature, start.gradient))
             if 0.5 * (start.value - base.solution.value) + none - gain > _FOLLOWED:
                 continue
-            known = 2.0 * curvature if eta is optimum.eta else None
-            eta, ended = best_amplitudes(
-                marginal, eta, _FAULT_STEPS, faults, enough=ROUGH, found=start, curvature=known
+            at_optimum = start.eta is optimum.eta
+            ended = best_amplitudes(
+                start, _FAULT_STEPS, enough=ROUGH, curvature=known if at_optimum else None
             )
             log = 0.5 * (base.solution.value - ended.value) - none
-            log *= _share_of_stars(marginal, eta, ended, faults)
-            log += math.log(trusted(marginal, ended, base.solution))
+            log *= _share_of_stars(ended)
+            log += math.log(trusted(ended, base.solution))
             if log > 0.0:
                 odds = base.weight * usual * probability * math.expm1(min(log, _LARGEST_LOG))
-                found.append(Node(faults, eta, ended, odds))
+                found.append(Node(ended, odds))
     likeliest = max(found, key=_by_weight, default=base)
     beside = _faults(optimum, curvature, likeliest) if likeliest.weight > base.weight else []
     return [*found, *beside]
 
 
-def _share_of_stars(marginal: Marginal, eta: Array, found: Solution, faults: Faults) -> float:
+def _share_of_stars(found: Solution) -> float:
     """Return the share of evidence against statements that counts: places of pupils may be the cause of the rest."""
-    if marginal.problem.pupils is None:
+    problem = found.marginal.problem
+    if problem.pupils is None:
         return 1.0
-    places = spread_by_fields(marginal, eta, found)
-    witnesses = marginal.problem.knowledge.witnesses
-    rows = np.concatenate([witnesses[name].rows for name, _ in faults])
+    places, witnesses = spread_by_fields(found), problem.knowledge.witnesses
+    rows = np.concatenate([witnesses[name].rows for name, _ in found.faults])
     stars, discs = (float(((rows @ one) * rows).sum()) for one in (found.covariance, places))
     return stars / (stars + discs)
 
 
-def _starts(optimum: Optimum, base: Node) -> list[tuple[Array, Solution]]:
-    """Return amplitudes at which faults are looked for: the best, usual ones, those of the fault whose state this is.
+def _starts(optimum: Optimum, base: Node) -> list[Solution]:
+    """Return solutions at which faults are looked for: the best, for usual amplitudes, for those of a fault there.
 
-    Amplitudes that do not determine all unknowns are left out.
+    This is the fault whose state the optimum has. Amplitudes that do not determine all unknowns are left out.
     """
-    found = [(base.eta, base.solution)]
+    found = [base.solution]
     for eta in (_usual(optimum), optimum.fault_eta):
         with suppress(np.linalg.LinAlgError):
-            found += [] if eta is None else [(eta, optimum.marginal.solve(eta, base.faults))]
+            found += [] if eta is None else [optimum.marginal.solve(eta, base.faults)]
     return found
 
 
@@ -393,17 +380,17 @@ def _usual(optimum: Optimum) -> Array:
     return eta
 
 
-def _possible(marginal: Marginal, starts: Sequence[Array], base: Node) -> list[tuple[tuple[str, ...], float]]:
-    """Return the statements that contradict all others, for at least one of the given amplitudes.
+def _possible(starts: Sequence[Solution]) -> list[tuple[tuple[str, ...], float]]:
+    """Return the statements that contradict all others, at one of the given solutions at least.
 
     Each has a factor. A fault's probability beforehand is this factor times that of `FAULTS`.
     One source states the scales of all axes, so they can be wrong together. So can all that a passport says of a glass:
     if it is another one, its radius is as unknown as what shows this. A reticle moves more often.
     """
-    at_fault = dict(base.faults)
-    found = [one for eta in starts for one in _innovations(marginal, eta, base.faults)]
-    away = {one.name for one in found if abs(one.normalised) > _AGREES}
-    undoubted = [one for name, one in marginal.problem.knowledge.witnesses.items() if name not in at_fault]
+    at_fault = dict(starts[0].faults)
+    away = {one.name for start in starts for one in _innovations(start) if abs(one.normalised) > _AGREES}
+    witnesses = starts[0].marginal.problem.knowledge.witnesses
+    undoubted = [one for name, one in witnesses.items() if name not in at_fault]
     doubted = [one.name for one in undoubted if one.name in away]
     sources = {group: tuple(one.name for one in undoubted if one.group == group) for group in _TOGETHER}
     together = [(names, _TOGETHER[group]) for group, names in sources.items() if len(names) > 1 and doubted]

@@ -81,7 +81,7 @@ def _parameters(found: Posterior) -> AdjustmentParameters:
 
 def _reached(optimum: Optimum, step: Array, fields: Array) -> State:
     """Return the state at the end of (S,) and (n, F) steps of shared unknowns and own fields."""
-    turns = optimum.marginal.rotation_steps(optimum.eta, step, fields)
+    turns = optimum.marginal.rotation_steps(optimum.solution.squares, step, fields)
     return optimum.marginal.problem.bench.moved(optimum.state, step, fields, turns)
 
 
@@ -92,15 +92,14 @@ def _calibration(
     parameters: AdjustmentParameters,
     gimbal: GimbalEstimate | None,
 ) -> Calibration:
-    marginal = found.optimum.marginal
-    bench, hyper = marginal.problem.bench, marginal.problem.hyper
+    bench = found.optimum.marginal.problem.bench
     names = (*bench.layout.camera, *CENTRE, *RADIAL)
     at = bench.layout.places(names)
     unit = np.eye(len(bench.layout.names))[at]
     covariance = found.covariance[np.ix_(at, at)]
     sigmas = np.sqrt(np.diag(covariance))
     factors = [float(found.expanded(row) / sigma) for row, sigma in zip(unit, sigmas, strict=True)]
-    star = float(np.exp(found.optimum.eta[hyper.at(amp.STAR)]))
+    star = float(np.sqrt(found.optimum.solution.star))
     residuals, weights = _residuals(found, views, used, star)
     lengths = [np.linalg.norm(e[own], axis=1) for e, own in zip(residuals, used, strict=True)]
     rms_px, mean_px = rms_and_mean(np.concatenate(lengths))
@@ -125,9 +124,7 @@ def _calibration(
         rms_px=rms_px,
         mean_px=mean_px,
         variance_factor=star**2,
-        degrees_of_freedom=max(
-            round(marginal.freedom(np.exp(2.0 * found.optimum.eta), found.optimum.solution)), 1
-        ),
+        degrees_of_freedom=max(round(found.optimum.solution.freedom), 1),
         views=tuple(
             ViewSummary(view.name, len(own), *rms_and_mean(own))
             for view, own in zip(views, lengths, strict=True)

@@ -16,7 +16,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.joint import amplitudes as amp
-from calib.joint.marginal import Marginal, Solution
+from calib.joint.marginal import Solution
 from calib.joint.prior import Faults
 from calib.joint.solve import relative_step
 
@@ -35,75 +35,82 @@ _HOLDS = 0.02
 class Node:
     """The Gaussian posterior for given amplitudes: at a mode of their posterior, or at a sample about it."""
 
-    faults: Faults
-    eta: Array  # (A,)
     solution: Solution
     weight: float  # Of a mode, its odds against the first one
 
+    @property
+    def faults(self) -> Faults:
+        """The faults of statements."""
+        return self.solution.faults
 
-def nodes_about(marginal: Marginal, mode: Node, lower: Array, pairs: int, share: float) -> list[Node]:
+    @property
+    def eta(self) -> Array:
+        """(A,) logarithms of the amplitudes."""
+        return self.solution.eta
+
+
+def nodes_about(mode: Node, lower: Array, pairs: int, share: float) -> list[Node]:
     """Return the nodes about a mode, twice ``pairs``, weights summing to ``share``; lower: L, L L^T the curvature."""
     eta, solution = mode.eta, mode.solution
-    found, logs = [(eta, solution)], [0.0]
-    bounds = np.array(marginal.problem.hyper.bounds).T
-    main = _main_directions(marginal, eta, solution, lower)
+    found, logs = [solution], [0.0]
+    bounds = np.array(solution.marginal.problem.hyper.bounds).T
+    main = _main_directions(solution, lower)
     for along, direction in _design(len(eta), pairs):
         beside = direction - main @ (main.T @ direction)
         beside *= np.sqrt(len(eta) - _DIRECTIONS) / np.linalg.norm(beside)
         at = np.clip(eta + np.linalg.solve(lower.T, _STRETCH * main @ along + beside), *bounds)
         try:
-            one = marginal.solve(at, mode.faults)
+            one = solution.marginal.solve(at, mode.faults)
         except np.linalg.LinAlgError:
             continue
-        found.append((at, one))
+        found.append(one)
         away = float(along @ along) + float(beside @ beside)
-        logs.append(log_odds(marginal, one, solution, 0.5 * away))
+        logs.append(log_odds(one, solution, 0.5 * away))
     weights = np.exp(np.array(logs) - max(logs))
     weights = np.minimum(weights, _LARGEST_WEIGHT * max(float(np.median(weights)), 1.0 / len(weights) ** 2))
     weights *= share / weights.sum()
-    return [Node(mode.faults, at, one, float(w)) for w, (at, one) in zip(weights, found, strict=True)]
+    return [Node(one, float(w)) for w, one in zip(weights, found, strict=True)]
 
 
-def log_odds(marginal: Marginal, one: Solution, other: Solution, more: float = 0.0) -> float:
+def log_odds(one: Solution, other: Solution, more: float = 0.0) -> float:
     """Return the logarithm of the odds of a solution against another, and ``more``, as far as the equations hold.
 
     Where they do not, other amplitudes may promise any gain, so that it counts the less the farther the solution is.
     """
-    share = trusted(marginal, one, other)
+    share = trusted(one, other)
     log = 0.5 * (other.value - one.value) + more
     return log * (share if log > 0.0 else 1.0) + float(np.log(share))
 
 
-def trusted(marginal: Marginal, one: Solution, other: Solution) -> float:
+def trusted(one: Solution, other: Solution) -> float:
     """Return the weight, 0 to 1, that a solution keeps so far from another."""
-    return float(1.0 / (1.0 + (relative_step(marginal, one.step - other.step) / _HOLDS) ** 4))
+    return float(1.0 / (1.0 + (relative_step(one.marginal, one.step - other.step) / _HOLDS) ** 4))
 
 
-def _main_directions(marginal: Marginal, eta: Array, found: Solution, lower: Array) -> Array:
+def _main_directions(found: Solution, lower: Array) -> Array:
     """Return (A, D) orthonormal standardised directions along which the variances of the camera change."""
-    problem, random = marginal.problem, marginal.problem.random
-    squares = np.exp(2.0 * eta)
+    problem, random, squares = found.marginal.problem, found.marginal.problem.random, found.squares
     pulled = random.pulled(squares, found.inside)
     scale = np.sqrt(problem.own_information(squares))
     columns = []
     for at in problem.bench.layout.places(_QUANTITIES):
         row = found.covariance[at] / np.sqrt(found.covariance[at, at])
-        change = np.bincount(random.amplitudes, (row[random.places] @ pulled) ** 2, len(eta))
+        change = np.bincount(random.amplitudes, (row[random.places] @ pulled) ** 2, len(squares))
         own = ((scale * (found.follow @ row)) ** 2).sum(axis=0)
-        change += np.bincount(problem.pose_amplitudes, own, len(eta))
-        change[problem.hyper.at(amp.READING)] += _by_readings(marginal, squares, found, row)
+        change += np.bincount(problem.pose_amplitudes, own, len(squares))
+        change[problem.hyper.at(amp.READING)] += _by_readings(found, row)
         columns.append(change)
     q, upper = np.linalg.qr(np.linalg.solve(lower, np.column_stack(columns)))
     return np.asarray(q * np.where(np.diag(upper) < 0.0, -1.0, 1.0))
 
 
-def _by_readings(marginal: Marginal, squares: Array, found: Solution, row: Array) -> float:
+def _by_readings(found: Solution, row: Array) -> float:
     """Return the share of a variance that the readings make; row: (S,) covariance with the quantity, over its sigma."""
+    marginal = found.marginal
     if not marginal.uses_readings:
         return 0.0
-    direct = marginal.rows - marginal.own_rows @ found.follow[marginal.problem.bench.poses]
-    seen = marginal.reading_weights(squares) * (direct @ row)
-    return float((marginal.reading_variance(squares) * seen**2).sum())
+    seen = marginal.reading_weights(found.squares) * (found.predicted @ row)
+    return float((marginal.reading_variance(found.squares) * seen**2).sum())
 
 
 @cache

@@ -63,13 +63,21 @@ _CORRECTED_AT = (0, 2)
 class Optimum:
     """The end of the search."""
 
-    marginal: Marginal
-    eta: Array  # (A,) logarithms of the amplitudes
     solution: Solution
     iterations: int
     converged: bool
     fault_eta: Array | None = None  # (A,) with the fault whose state this is (`beside`)
     better_lens: str = ""  # The set of coefficients of the other family, if it explains the views far better
+
+    @property
+    def marginal(self) -> Marginal:
+        """The equations."""
+        return self.solution.marginal
+
+    @property
+    def eta(self) -> Array:
+        """(A,) logarithms of the amplitudes."""
+        return self.solution.eta
 
     @property
     def state(self) -> State:
@@ -81,8 +89,7 @@ class Optimum:
         """How many times more than star noise the poses differ: 1 without own fields (Birge, 1932)."""
         fields = self.state.fields + self.solution.fields
         explained = float(np.einsum("nf,nfg,ng->", fields, self.marginal.own, fields))
-        star = float(np.exp(2.0 * self.eta[self.marginal.problem.hyper.at(amp.STAR)]))
-        return float(np.sqrt(1.0 + explained / (fields.size * star)))
+        return float(np.sqrt(1.0 + explained / (fields.size * self.solution.star)))
 
 
 def search(problem: Problem, start: State, rounds: int) -> Optimum:
@@ -91,36 +98,34 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
     equations, short_steps, pace = first_equations(problem, start), 0, _Pace(np.zeros(len(eta)))
     for k in range(rounds):
         marginal = Marginal(problem, equations, state)
-        eta, found, pace = _in_round(k, marginal, eta, pace)
+        found, pace = _in_round(k, solved(marginal, eta), pace)
         share = _SMALL_SHARE if k < _LATE else _LATE_SHARE
         short_steps += relative_step(marginal, found.step) < _TRUSTED
         placed = problem.pupils is None or short_steps > 1
-        if k > _FIRST_ROUNDS and placed and small(marginal, found, share):
+        if k > _FIRST_ROUNDS and placed and small(found, share):
             if k < _LATE and pace.size == 1.0:
-                eta, found = better_amplitudes(marginal, eta, found)
-            if small(marginal, found, share):
-                return Optimum(marginal, eta, found, k + 1, converged=True)
-        state, lengths = shortened(marginal, eta, found, pace.size)
+                found = better_amplitudes(found)
+            if small(found, share):
+                return Optimum(found, k + 1, converged=True)
+        state, lengths = shortened(found, pace.size)
         if short_steps and problem.pupils is not None:
-            problem, state, lengths = _placed(marginal, eta, found, state, pace.size)
-        spread = robust_sigma(lengths)
+            problem, state, lengths = _placed(found, state, pace.size)
+        eta, spread = found.eta, robust_sigma(lengths)
         limit = spread if k else 3.0 * spread
         if k >= _FIRST_ROUNDS:
-            limit = max(limit, float(np.exp(eta[problem.hyper.at(amp.STAR)])))
+            limit = max(limit, float(np.sqrt(found.star)))
         equations = problem.bench.linearised(state, limit, equations if short_steps >= _REWEIGHTED else None)
-    return Optimum(marginal, eta, marginal.solve(eta), rounds, converged=False)
+    return Optimum(marginal.solve(eta), rounds, converged=False)
 
 
-def _placed(
-    marginal: Marginal, eta: Array, found: Solution, state: State, size: float
-) -> tuple[Problem, State, list[Array]]:
+def _placed(found: Solution, state: State, size: float) -> tuple[Problem, State, list[Array]]:
     """Return the problem with better places of the pupils, and a state there with the lengths of its residuals.
 
     ``size`` is the share of the step.
     """
-    problem, step = marginal.problem, step_to_places(marginal, eta, found)
-    bench = replace(problem.bench, pupils=problem.bench.pupils + size * step)
-    state = bench.aligned(state, marginal.equations.weights)
+    problem = found.marginal.problem
+    bench = replace(problem.bench, pupils=problem.bench.pupils + size * step_to_places(found))
+    state = bench.aligned(state, found.marginal.equations.weights)
     return replace(problem, bench=bench), state, bench.whitened(state)
 
 
@@ -137,16 +142,15 @@ class _Pace:
         return _Pace(change, self.size * _SLOWER if swings else min(1.0, self.size * _FASTER))
 
 
-def _in_round(k: int, marginal: Marginal, eta: Array, pace: _Pace) -> tuple[Array, Solution, _Pace]:
-    """Return the amplitudes of a round, their solution, and the pace."""
+def _in_round(k: int, found: Solution, pace: _Pace) -> tuple[Solution, _Pace]:
+    """Return the solution for the amplitudes of a round, from that for those of the last one; and the pace."""
     if not _FIRST_ROUNDS <= k < _LATE:
-        return eta, solved(marginal, eta), pace
-    better, found = trusted_amplitudes(marginal, eta)
-    pace = pace.after(better - eta)
+        return found, pace
+    better = trusted_amplitudes(found)
+    pace = pace.after(better.eta - found.eta)
     if pace.size == 1.0:
-        return better, found, pace
-    eta = eta + pace.size * pace.change
-    return eta, solved(marginal, eta), pace
+        return better, pace
+    return solved(found.marginal, found.eta + pace.size * pace.change), pace
 
 
 def first_equations(problem: Problem, state: State, lengths: Sequence[Array] | None = None) -> Equations:
@@ -159,10 +163,9 @@ def approached(problem: Problem, start: State, equations: Equations, rounds: int
     """Return a state near the optimum: at most ``rounds`` steps at the first amplitudes, with wide robust limits."""
     state = start
     for _ in range(rounds):
-        eta = first_amplitudes(problem, state)
-        marginal = Marginal(problem, equations, state)
-        before, found = state, solved(marginal, eta)
-        state, lengths = shortened(marginal, eta, found)
+        found = solved(Marginal(problem, equations, state), first_amplitudes(problem, state))
+        before = state
+        state, lengths = shortened(found)
         if np.abs(state.shared / np.where(before.shared == 0.0, 1.0, before.shared) - 1.0)[:2].max() < _NEAR:
             break
         equations = first_equations(problem, state, lengths)
@@ -178,9 +181,9 @@ def beside(optimum: Optimum, faults: Faults, rounds: int, start: State | None = 
     problem = optimum.marginal.problem
     there = search(replace(problem, faults=faults), start or optimum.state, rounds)
     marginal = Marginal(problem, there.marginal.equations, there.state)
-    eta, found = searched(marginal, optimum.eta, _LONG, enough=FINE)
+    found = searched(solved(marginal, optimum.eta), _LONG, enough=FINE)
     iterations = optimum.iterations + there.iterations
-    return Optimum(marginal, eta, found, iterations, there.converged, there.eta, optimum.better_lens)
+    return Optimum(found, iterations, there.converged, there.eta, optimum.better_lens)
 
 
 def weighed_as(there: Optimum, than: Optimum) -> Marginal:
@@ -195,7 +198,7 @@ def weighed_as(there: Optimum, than: Optimum) -> Marginal:
 
 def value_as_weighed(there: Optimum, than: Optimum) -> float:
     """Return -2 log of the likelihood of an optimum with the star weights of another, at the best amplitudes then."""
-    return best_amplitudes(weighed_as(there, than), there.eta, _STEPS)[1].value
+    return best_amplitudes(weighed_as(there, than).solve(there.eta), _STEPS).value
 
 
 def first_amplitudes(problem: Problem, state: State) -> Array:
@@ -230,42 +233,34 @@ def solved(marginal: Marginal, eta: Array, damped: float = 0.0) -> Solution:
         return marginal.solve(eta, damped=damped)
 
 
-def small(marginal: Marginal, found: Solution, share: float = _SMALL_SHARE) -> bool:
+def small(found: Solution, share: float = _SMALL_SHARE) -> bool:
     """Tell whether a step no longer matters: of camera and centre, in px or in shares of their sigmas."""
-    layout = marginal.problem.bench.layout
+    layout = found.marginal.problem.bench.layout
     at = layout.places((*layout.camera, "x", "y", "r"))
     steps, sigmas = np.abs(found.step[at]), np.sqrt(np.diag(found.covariance)[at])
     return bool((steps < share * sigmas).all() or (steps[:4] < _SMALL_PX).all())
 
 
-def trusted_amplitudes(marginal: Marginal, eta: Array) -> tuple[Array, Solution]:
-    """Return better amplitudes whose step stays where the equations hold: half way back until it does.
+def trusted_amplitudes(found: Solution) -> Solution:
+    """Return the solution for better amplitudes whose step stays where the equations hold: half way back until it does.
 
     If the step is long with the old amplitudes too, one that is not longer is accepted. Otherwise a bad start would
     keep its amplitudes.
     """
-    before = solved(marginal, eta)
-    farthest = max(_TRUSTED, relative_step(marginal, before.step))
-    better, found = searched(marginal, eta, _QUICK, farthest=_FARTHEST, found=before)
+    marginal = found.marginal
+    farthest = max(_TRUSTED, relative_step(marginal, found.step))
+    better = searched(found, _QUICK, farthest=_FARTHEST)
     for _ in range(_HALVINGS):
-        if relative_step(marginal, found.step) < farthest:
-            return better, found
-        better = 0.5 * (better + eta)
-        found = solved(marginal, better)
-    return eta, before
+        if relative_step(marginal, better.step) < farthest:
+            return better
+        better = solved(marginal, 0.5 * (better.eta + found.eta))
+    return found
 
 
-def searched(
-    marginal: Marginal,
-    eta: Array,
-    steps: int,
-    farthest: float = np.inf,
-    enough: float = ROUGH,
-    found: Solution | None = None,
-) -> tuple[Array, Solution]:
-    """Return the best amplitudes from a start, and their solution; `NotConverged` if it cannot be solved."""
+def searched(found: Solution, steps: int, farthest: float = np.inf, enough: float = ROUGH) -> Solution:
+    """Return the solution for the best amplitudes, from a start; `NotConverged` if it cannot be solved."""
     with _solvable():
-        return best_amplitudes(marginal, eta, steps, farthest=farthest, enough=enough, found=found)
+        return best_amplitudes(found, steps, farthest=farthest, enough=enough)
 
 
 def relative_step(marginal: Marginal, step: Array) -> float:
@@ -275,41 +270,40 @@ def relative_step(marginal: Marginal, step: Array) -> float:
     return float(max(focal / abs(b[0]), centre / abs(b[layout.index["r"]])))
 
 
-def better_amplitudes(marginal: Marginal, eta: Array, found: Solution) -> tuple[Array, Solution]:
-    """Return the best amplitudes from a start; where the equations do not hold at their end, the start."""
-    better, ended = searched(marginal, eta, _LONG, enough=FINE, found=found)
-    return (better, ended) if relative_step(marginal, ended.step) < _TRUSTED else (eta, found)
+def better_amplitudes(found: Solution) -> Solution:
+    """Return the solution for the best amplitudes, from a start; where the equations do not hold there, the start."""
+    better = searched(found, _LONG, enough=FINE)
+    return better if relative_step(found.marginal, better.step) < _TRUSTED else found
 
 
-def shortened(
-    marginal: Marginal, eta: Array, found: Solution, most: float = 1.0
-) -> tuple[State, list[Array]]:
+def shortened(found: Solution, most: float = 1.0) -> tuple[State, list[Array]]:
     """Return the state after a step, shorter and shorter while the cost rises, and the lengths of its residuals.
 
     ``most`` is the share of the step that is tried first.
     Centre, rotations and the middles of the discs move along a curve, so a whole step is tried with these behind it.
     """
+    marginal, squares = found.marginal, found.squares
     bench = marginal.problem.bench
-    before = cost(marginal, eta, marginal.state, marginal.equations.lengths)
+    before = cost(marginal, squares, marginal.state, marginal.equations.lengths)
     share = relative_step(marginal, found.step)
     size = min(most, _LONGEST / share) if share > 0 else most
     for k in range(_HALVINGS):
-        state = _moved(marginal, eta, size * found.step, size * found.fields)
+        state = _moved(marginal, squares, size * found.step, size * found.fields)
         lengths = bench.whitened(state)
         enough = before * (1.0 + 1e-9) - _LEAST_GAIN * size * (2.0 - size) * found.gain
-        if cost(marginal, eta, state, lengths) <= enough:
+        if cost(marginal, squares, state, lengths) <= enough:
             break
         if k in _CORRECTED_AT and share < _CORRECTED:
-            corrected, lengths = _corrected(marginal, eta, state)
-            if cost(marginal, eta, corrected, lengths) <= enough:
+            corrected, lengths = _corrected(marginal, squares, state)
+            if cost(marginal, squares, corrected, lengths) <= enough:
                 return corrected, lengths
         size *= 0.5
         if share < _CORRECTED:
-            found = solved(marginal, eta, damped=_DAMPING**k)
+            found = solved(marginal, found.eta, damped=_DAMPING**k)
     return state, lengths
 
 
-def _corrected(marginal: Marginal, eta: Array, state: State) -> tuple[State, list[Array]]:
+def _corrected(marginal: Marginal, squares: Array, state: State) -> tuple[State, list[Array]]:
     """Return a state after further steps of what each pose has for itself, with the same weights and amplitudes.
 
     Variable projection (Golub and Pereyra, 1973).
@@ -318,27 +312,26 @@ def _corrected(marginal: Marginal, eta: Array, state: State) -> tuple[State, lis
     for _ in range(_CORRECTIONS):
         behind = Marginal(marginal.problem, bench.linearised(state, 1.0, marginal.equations), state)
         with _solvable():
-            fields = behind.own_steps(eta)
-        state = _moved(behind, eta, np.zeros_like(state.shared), fields)
+            fields = behind.own_steps(squares)
+        state = _moved(behind, squares, np.zeros_like(state.shared), fields)
     return state, bench.whitened(state)
 
 
-def _moved(marginal: Marginal, eta: Array, step: Array, fields: Array) -> State:
+def _moved(marginal: Marginal, squares: Array, step: Array, fields: Array) -> State:
     """Return the state after steps: (S,) of the shared unknowns, (n, F) of the own fields. The rotations follow."""
     bench = marginal.problem.bench
-    state = bench.moved(marginal.state, step, fields, marginal.rotation_steps(eta, step, fields))
+    state = bench.moved(marginal.state, step, fields, marginal.rotation_steps(squares, step, fields))
     if relative_step(marginal, step) > _CURVED:
         return bench.aligned(state, marginal.equations.weights)
     return state
 
 
-def cost(marginal: Marginal, eta: Array, state: State, lengths: Sequence[Array]) -> float:
+def cost(marginal: Marginal, squares: Array, state: State, lengths: Sequence[Array]) -> float:
     """Return the cost of a state: stars as the equations weigh them, readings, priors; infinite behind the camera.
 
     ``lengths`` are, for each view, (N,) lengths of the residuals over their sigma.
     """
     bench, hyper, weights = marginal.problem.bench, marginal.problem.hyper, marginal.equations.weights
-    squares = np.exp(2.0 * eta)
     if not all(np.isfinite(one).all() for one in lengths):
         return float("inf")
     stars = sum(float(w @ one**2) for w, one in zip(weights, lengths, strict=True))

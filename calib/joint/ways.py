@@ -68,7 +68,7 @@ def _share(first: Optimum, second: Optimum) -> float:
     """
     sign, by_hand = (-1.0, first) if first.marginal.problem.pupils is not None else (1.0, second)
     by_stars = sign * (first.solution.value - value_as_weighed(second, first))
-    by_stars -= narrowed(by_hand.marginal, by_hand.eta, by_hand.solution)
+    by_stars -= narrowed(by_hand.solution)
     log = first.marginal.problem.wander + min(max(by_stars, -_DECIDED), _DECIDED)
     return _logistic(0.5 * sign * log)
 
@@ -91,7 +91,7 @@ def _mixed(found: Posterior, other: Posterior, share: float) -> Posterior:
     rest = solution.covariance - follow @ solution.covariance[at]
     middle = found.optimum.state.shared + solution.step
     means = middle + (other.means[:, other_at] - middle[at]) @ follow.T
-    covariances = [follow @ one @ follow.T + rest for one in other.covariances_at(other_at)]
+    covariances = [follow @ one[np.ix_(other_at, other_at)] @ follow.T + rest for one in other.covariances]
     faults = {
         name: (1.0 - share) * found.faults.get(name, 0.0) + share * other.faults.get(name, 0.0)
         for name in {**found.faults, **other.faults}
@@ -177,7 +177,7 @@ def _log_evidence(found: Posterior, than: Optimum) -> float:
     value = optimum.solution.value if optimum is than else value_as_weighed(optimum, than)
     value += largest.solution.value - optimum.solution.value
     if optimum.marginal.problem.pupils is not None:
-        value += narrowed(optimum.marginal, optimum.eta, optimum.solution)
+        value += narrowed(optimum.solution)
     return -0.5 * value + sum(math.log(FAULTS[fault]) for _, fault in largest.faults)
 
 

@@ -17,7 +17,6 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.errors import CalibrationError, NotConverged
-from calib.joint import amplitudes as amp
 from calib.joint.curvature import best_amplitudes
 from calib.joint.fields import COEFFICIENTS
 from calib.joint.layout import Places
@@ -69,8 +68,7 @@ class ViewShifts:
         """
         marginal, found = optimum.marginal, optimum.solution
         equations, bench = marginal.equations, marginal.problem.bench
-        squares, own, poses = np.exp(2.0 * optimum.eta), bench.layout.pose_places, bench.poses
-        weight = 1.0 / squares[marginal.problem.hyper.at(amp.STAR)]
+        own, poses, weight = bench.layout.pose_places, bench.poses, 1.0 / found.star
         rows = weight * equations.of_views[:, places]
         basis = equations.maps @ found.step
         basis[:, own] += found.fields
@@ -78,10 +76,8 @@ class ViewShifts:
         direct, by_own, by_shared = rows[:, :, places], rows[:, :, own], rows @ equations.maps[poses]
         if marginal.uses_readings:
             turned = marginal.axes @ equations.coupling[:, :, places]
-            weighted = np.swapaxes(marginal.reading_weights(squares)[:, :, None] * turned, 1, 2)
-            left = marginal.off - marginal.rows @ found.step
-            left = left - (marginal.own_rows @ found.fields[poses][:, :, None])[:, :, 0]
-            gradient += (weighted @ left[:, :, None])[:, :, 0]
+            weighted = np.swapaxes(marginal.reading_weights(found.squares)[:, :, None] * turned, 1, 2)
+            gradient += (weighted @ marginal.readings_left(found)[:, :, None])[:, :, 0]
             direct = direct + weighted @ turned
             by_own, by_shared = by_own + weighted @ marginal.own_rows, by_shared + weighted @ marginal.rows
         m, taken = len(poses), by_own @ np.swapaxes(found.own_root[poses], 1, 2)
@@ -115,7 +111,7 @@ def _promised(optimum: Optimum, places: Places, shifts: Array) -> float:
         off=equations.off - turned[: len(equations.off)],
     )
     there = Marginal(problem, shifted, optimum.state)
-    return _ended(optimum).solution.value - best_amplitudes(there, optimum.eta, _STEPS)[1].value
+    return _ended(optimum).solution.value - best_amplitudes(there.solve(optimum.eta), _STEPS).value
 
 
 @dataclass(frozen=True)
@@ -146,8 +142,7 @@ def _moved(first: Optimum, near: Optimum, rounds: int, shifts_mm: Array) -> Opti
 
 def _ended(optimum: Optimum) -> Optimum:
     """Return an optimum with the best amplitudes, which a long search does not look for at its end."""
-    eta, solution = best_amplitudes(optimum.marginal, optimum.eta, _STEPS, found=optimum.solution)
-    return replace(optimum, eta=eta, solution=solution)
+    return replace(optimum, solution=best_amplitudes(optimum.solution, _STEPS))
 
 
 def _gain(first: Optimum, there: Optimum) -> float:

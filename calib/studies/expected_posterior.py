@@ -29,7 +29,6 @@ from calib.joint.left_out import maps_with_gimbal, normal_of_poses
 from calib.joint.marginal import Marginal, Problem, Solution
 from calib.joint.poses import Poses
 from calib.joint.posterior import Posterior
-from calib.joint.prior import NO_FAULT
 from calib.joint.samples import Node
 from calib.joint.solve import Optimum
 from calib.model.lens import is_fisheye
@@ -114,7 +113,7 @@ def expected_posterior(
     eta = expected_amplitudes(bench, hyper)
     try:
         middle = _still(marginal.solve(eta))
-        spread = np.linalg.inv(0.5 * expected_curvature(marginal, eta, middle))
+        spread = np.linalg.inv(0.5 * expected_curvature(middle))
         lower = np.linalg.cholesky(spread)
         deviates = np.random.default_rng(0).standard_normal((_PAIRS, len(eta)))
         places = [eta, *(eta + lower @ z for z in (*deviates, *-deviates))]
@@ -122,9 +121,8 @@ def expected_posterior(
         solved = [_still(marginal.solve(np.clip(place, *bounds))) for place in places]
     except np.linalg.LinAlgError as error:
         raise DegenerateViews("These poses do not determine the camera.") from error
-    weight = 1.0 / len(places)
-    nodes = tuple(Node(NO_FAULT, place, one, weight) for place, one in zip(places, solved, strict=True))
-    optimum = Optimum(marginal, eta, middle, 0, converged=True)
+    nodes = tuple(Node(one, 1.0 / len(solved)) for one in solved)
+    optimum = Optimum(middle, 0, converged=True)
     return Posterior(optimum, nodes, np.sqrt(np.diag(spread)), {}, replace(nodes[0], solution=middle))
 
 

@@ -79,7 +79,7 @@ def test_gradient_with_a_fault_is_that_of_finite_differences(optimum):
 
 
 def test_amplitudes_of_the_optimum_have_no_slope(optimum):
-    curvature = expected_curvature(optimum.marginal, optimum.eta, optimum.solution)
+    curvature = expected_curvature(optimum.solution)
     free = np.abs(optimum.solution.gradient) / np.sqrt(np.diag(curvature))
     assert free.max() < 0.1
 
@@ -93,7 +93,7 @@ def test_search_of_amplitudes_ends_where_that_of_scipy_does(optimum):
 
     options = {"maxiter": 400, "maxfun": 800, "ftol": 1e-12, "gtol": 1e-6}
     theirs = minimize(target, hyper.mean, jac=True, method="L-BFGS-B", bounds=hyper.bounds, options=options)
-    _, ours = best_amplitudes(marginal, hyper.mean, 40)
+    ours = best_amplitudes(marginal.solve(hyper.mean), 40)
     assert ours.value == pytest.approx(theirs.fun, abs=0.01)
 
 
@@ -356,13 +356,13 @@ def test_scale_of_the_print_is_expected_of_nobody_without_a_certificate(bench):
 
 
 def test_a_gain_that_equations_promise_beyond_where_they_hold_does_not_count(optimum):
-    marginal, solution = optimum.marginal, optimum.solution
+    solution = optimum.solution
     near, far = (
         replace(solution, value=solution.value - 200.0, step=share * optimum.state.shared)
         for share in (1e-3, 0.3)
     )
-    assert log_odds(marginal, near, solution) == pytest.approx(100.0, rel=1e-3)
-    assert log_odds(marginal, far, solution) < -5.0
+    assert log_odds(near, solution) == pytest.approx(100.0, rel=1e-3)
+    assert log_odds(far, solution) < -5.0
 
 
 def test_a_wave_in_the_glass_that_no_field_holds_does_not_move_the_foot_of_the_axis():

@@ -87,7 +87,7 @@ def test_places_elsewhere_come_back(optimum):
     at = optimum.marginal.problem.bench.pupils
     moved = at + 0.02 * np.random.default_rng(1).normal(size=at.shape)
     marginal = with_pupils(optimum, moved)
-    back = moved + step_to_places(marginal, optimum.eta, marginal.solve(optimum.eta))
+    back = moved + step_to_places(marginal.solve(optimum.eta))
     assert doubt(optimum, back) < doubt(optimum, moved) - 1.0
     assert np.abs(back - at).max() < 0.1 * np.abs(moved - at).max()
 
@@ -138,7 +138,7 @@ def test_pupils_that_are_known_exactly_add_nothing(optimum):
     known = replace(marginal.problem.pupils, information=1e12 * marginal.problem.pupils.information)
     problem = replace(marginal.problem, pupils=known)
     exact = Marginal(problem, marginal.equations, marginal.state)
-    spread = spread_of_places(exact, optimum.eta, solution)
+    spread = spread_of_places(replace(solution, marginal=exact))
     assert np.diag(spread).max() < 1e-6 * np.diag(solution.covariance).max()
 
 
@@ -148,7 +148,7 @@ def test_stars_bind_pupils_that_discs_hardly_show(optimum):
     for share in (1.0, 1e-6):
         problem = replace(marginal.problem, pupils=replace(pupils, information=share * pupils.information))
         poor = Marginal(problem, marginal.equations, marginal.state)
-        sigmas.append(np.sqrt(np.diag(spread_of_places(poor, optimum.eta, optimum.solution))[:4]))
+        sigmas.append(np.sqrt(np.diag(spread_of_places(replace(optimum.solution, marginal=poor)))[:4]))
     assert (sigmas[1] > sigmas[0]).all()
     assert (sigmas[1] < 30.0 * sigmas[0]).all()  # 1000 times by the discs alone
 
@@ -168,7 +168,7 @@ def test_spread_is_how_far_the_camera_moves_with_the_pupils(optimum):
     tight = 1e4 * marginal.problem.pupils.information  # so that the stars add nothing to what the discs say
     problem = replace(marginal.problem, pupils=replace(marginal.problem.pupils, information=tight))
     tightened = Marginal(problem, marginal.equations, marginal.state)
-    spread = spread_of_places(tightened, optimum.eta, solution)
+    spread = spread_of_places(replace(solution, marginal=tightened))
     expected = np.array(moves).T @ np.linalg.inv(tight) @ np.array(moves)
     camera = slice(0, 4)
     sigmas, theirs = (np.sqrt(np.diag(one)[camera]) for one in (spread, expected))
@@ -188,7 +188,7 @@ def test_places_before_fields_that_are_zero_but_hardly_known_move_the_camera_too
         shared = optimum.state.shared.copy()
         shared[columns] = fields
         there = Marginal(problem, marginal.equations, replace(optimum.state, shared=shared))
-        return np.diag(spread_of_places(there, optimum.eta, found))[:4]
+        return np.diag(spread_of_places(replace(found, marginal=there)))[:4]
 
     unseen, rng = variances_with(0.0), np.random.default_rng(1)
     drawn = [variances_with(errors @ rng.standard_normal(len(columns))) - unseen for _ in range(100)]
