@@ -357,9 +357,10 @@ def _share_of_stars(found: Solution) -> float:
 
 
 def _starts(optimum: Optimum, base: Node) -> list[Solution]:
-    """Return solutions at which faults are looked for: the best, for usual amplitudes, for those of a fault there.
+    """Return the solutions at which faults are looked for.
 
-    This is the fault whose state the optimum has. Amplitudes that do not determine all unknowns are left out.
+    They are those for the best amplitudes, for usual ones, and for those of the fault whose state the optimum has.
+    Amplitudes that do not determine all unknowns are left out.
     """
     found = [base.solution]
     for eta in (_usual(optimum), optimum.fault_eta):
