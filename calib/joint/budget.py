@@ -82,7 +82,7 @@ def _at_node(found: Solution, gradients: Array) -> dict[str, Array]:
     stars = (x * (marginal.shared @ x)).sum(axis=0)
     stars = stars + 2.0 * (fields * (marginal.between @ x)).sum(axis=(0, 1))
     stars = stars + (fields * (marginal.own @ fields)).sum(axis=(0, 1))
-    parts = {names.STARS: stars / found.star}
+    parts = {names.STARS: stars / found.star_variance}
     own = marginal.problem.own_information(squares)
     rows = [
         names.PUPILS if hyper.names[at] == amp.DISCS else names.POSE_FIELDS
@@ -92,7 +92,7 @@ def _at_node(found: Solution, gradients: Array) -> dict[str, Array]:
     if marginal.uses_readings:
         pulled = marginal.rows @ x + marginal.own_rows @ fields[marginal.problem.bench.poses]
         pulled = marginal.reading_weights(squares)[:, :, None] * pulled
-        loose = found.star * marginal.loose[:, :, None]
+        loose = found.star_variance * marginal.loose[:, :, None]
         parts[names.STARS] = parts[names.STARS] + (loose * pulled**2).sum(axis=(0, 1))
         parts[names.READINGS] = (marginal.reading_variance(squares)[:, :, None] * pulled**2).sum(axis=(0, 1))
     stated = marginal.problem.stated(found.faults)

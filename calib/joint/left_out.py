@@ -121,7 +121,7 @@ def _follow(solution: Solution) -> tuple[Array, Array]:
     marginal, squares = solution.marginal, solution.squares
     bench, equations = marginal.problem.bench, marginal.equations
     back = np.swapaxes(marginal.axes, 1, 2)
-    loose = solution.star * (back * marginal.loose[:, None]) @ marginal.axes
+    loose = solution.star_variance * (back * marginal.loose[:, None]) @ marginal.axes
     places = bench.layout.pose_places
     by_shared = -equations.coupling @ equations.maps[bench.poses]
     by_field = -equations.coupling[:, :, places]

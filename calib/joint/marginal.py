@@ -104,7 +104,7 @@ class Solution:
         return np.exp(2.0 * self.eta)
 
     @property
-    def star(self) -> float:
+    def star_variance(self) -> float:
         """Variance of the stars' noise over the stated one."""
         return float(self.squares[self.marginal.problem.hyper.at(amp.STAR)])
 
@@ -168,7 +168,7 @@ class Solution:
 
     @cached_property
     def gradient(self) -> Array:
-        """(A,) of the value by the logarithms: number minus expected square of what each amplitude scales."""
+        """(A,) slopes of the value along the logarithms: number minus expected square of what each amplitude scales."""
         marginal, problem, squares = self.marginal, self.marginal.problem, self.squares
         hyper, random = problem.hyper, problem.random
         gradient = 2.0 * hyper.information @ (self.eta - hyper.mean)
@@ -179,11 +179,11 @@ class Solution:
         b = (marginal.state.shared + self.step)[at]
         parts = random.gradient(self.inside, self.covariance[at[:, None], at], b)
         gradient += np.bincount(random.amplitudes, 2.0 * squares[random.amplitudes] * parts, len(squares))
-        gradient[hyper.at(amp.STAR)] += 2.0 * (self.freedom - marginal.star_cost(self) / self.star)
+        gradient[hyper.at(amp.STAR)] += 2.0 * (self.freedom - marginal.star_cost(self) / self.star_variance)
         if marginal.uses_readings:
             weights, spread = marginal.reading_weights(squares), self.reading_spread
             inside = weights / marginal.repeats - weights**2 * (spread + marginal.readings_left(self) ** 2)
-            gradient[hyper.at(amp.STAR)] += 2.0 * self.star * float((inside * marginal.loose).sum())
+            gradient[hyper.at(amp.STAR)] += 2.0 * self.star_variance * float((inside * marginal.loose).sum())
             gradient[hyper.at(amp.READING)] += 2.0 * float(
                 (inside * marginal.reading_variance(squares)).sum()
             )
@@ -257,7 +257,7 @@ class Marginal:
 
     @cached_property
     def between(self) -> Array:
-        """(n, F, S) what the stars say of the own fields together with the shared unknowns."""
+        """(n, F, S) star information between the own fields and the shared unknowns."""
         return self._mapped[:, self.problem.bench.layout.pose_places]
 
     # -- priors
@@ -380,7 +380,7 @@ class Marginal:
         return cost + float((fields * (self.own @ fields[:, :, None])[:, :, 0]).sum())
 
     def readings_left(self, found: Solution) -> Array:
-        """Return the (m, 3) residuals of the readings at the mean of a solution, in the principal axes."""
+        """Return the (m, 3) residuals of the readings at a solution, in the principal axes."""
         own = (self.own_rows @ found.fields[self._poses][:, :, None])[:, :, 0]
         return np.asarray(self.off - self.rows @ found.step - own)
 

@@ -109,7 +109,7 @@ def _information(seen: _Seen, moved: Array, found: Solution) -> Array:
 def _seen(found: Solution) -> _Seen:
     marginal, bench, equations = found.marginal, found.marginal.problem.bench, found.marginal.equations
     own = bench.layout.pose_places
-    information, right = equations.squares / found.star, equations.right / found.star
+    information, right = equations.squares / found.star_variance, equations.right / found.star_variance
     shared = equations.maps.swapaxes(1, 2) @ information
     if marginal.uses_readings:  # in the axes of each view's rotation
         rows = marginal.axes @ equations.coupling
@@ -134,7 +134,7 @@ def _of_determinant(found: Solution) -> tuple[Array, Array]:
         found.marginal.problem.bench,
         found.marginal.problem.bench.layout,
     )
-    stars = marginal.equations.squares / found.star
+    stars = marginal.equations.squares / found.star_variance
     by_turn, own = layout.by_turn, layout.pose_places
     slopes = by_turn.slopes(bench.pupils)
     left = stars - stars[:, :, own] @ found.own @ stars[:, own]

@@ -99,7 +99,7 @@ def _calibration(
     covariance = found.covariance[np.ix_(at, at)]
     sigmas = np.sqrt(np.diag(covariance))
     factors = [float(found.expanded(row) / sigma) for row, sigma in zip(unit, sigmas, strict=True)]
-    star = float(np.sqrt(found.optimum.solution.star))
+    star = float(np.sqrt(found.optimum.solution.star_variance))
     residuals, weights = _residuals(found, views, used, star)
     lengths = [np.linalg.norm(e[own], axis=1) for e, own in zip(residuals, used, strict=True)]
     rms_px, mean_px = rms_and_mean(np.concatenate(lengths))

@@ -89,7 +89,7 @@ class Optimum:
         """How many times more than star noise the poses differ: 1 without own fields (Birge, 1932)."""
         fields = self.state.fields + self.solution.fields
         explained = float(np.einsum("nf,nfg,ng->", fields, self.marginal.own, fields))
-        return float(np.sqrt(1.0 + explained / (fields.size * self.solution.star)))
+        return float(np.sqrt(1.0 + explained / (fields.size * self.solution.star_variance)))
 
 
 def search(problem: Problem, start: State, rounds: int) -> Optimum:
@@ -113,7 +113,7 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
         eta, spread = found.eta, robust_sigma(lengths)
         limit = spread if k else 3.0 * spread
         if k >= _FIRST_ROUNDS:
-            limit = max(limit, float(np.sqrt(found.star)))
+            limit = max(limit, float(np.sqrt(found.star_variance)))
         equations = problem.bench.linearised(state, limit, equations if short_steps >= _REWEIGHTED else None)
     return Optimum(marginal.solve(eta), rounds, converged=False)
 
@@ -143,7 +143,7 @@ class _Pace:
 
 
 def _in_round(k: int, found: Solution, pace: _Pace) -> tuple[Solution, _Pace]:
-    """Return the solution for the amplitudes of a round, from that for those of the last one; and the pace."""
+    """Return the solution and the pace of a round; ``found`` has the amplitudes of the last round."""
     if not _FIRST_ROUNDS <= k < _LATE:
         return found, pace
     better = trusted_amplitudes(found)
@@ -242,7 +242,7 @@ def small(found: Solution, share: float = _SMALL_SHARE) -> bool:
 
 
 def trusted_amplitudes(found: Solution) -> Solution:
-    """Return the solution for better amplitudes whose step stays where the equations hold: half way back until it does.
+    """Return the solution for better amplitudes. Its step ends where the equations hold; else they go half way back.
 
     If the step is long with the old amplitudes too, one that is not longer is accepted. Otherwise a bad start would
     keep its amplitudes.
@@ -258,7 +258,7 @@ def trusted_amplitudes(found: Solution) -> Solution:
 
 
 def searched(found: Solution, steps: int, farthest: float = np.inf, enough: float = ROUGH) -> Solution:
-    """Return the solution for the best amplitudes, from a start; `NotConverged` if it cannot be solved."""
+    """Search the best amplitudes from a solution, and return theirs; `NotConverged` if there is none."""
     with _solvable():
         return best_amplitudes(found, steps, farthest=farthest, enough=enough)
 
@@ -271,7 +271,7 @@ def relative_step(marginal: Marginal, step: Array) -> float:
 
 
 def better_amplitudes(found: Solution) -> Solution:
-    """Return the solution for the best amplitudes, from a start; where the equations do not hold there, the start."""
+    """Search the best amplitudes from a solution. Return theirs, or the first one where the equations do not hold."""
     better = searched(found, _LONG, enough=FINE)
     return better if relative_step(found.marginal, better.step) < _TRUSTED else found
 

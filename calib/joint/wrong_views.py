@@ -68,7 +68,7 @@ class ViewShifts:
         """
         marginal, found = optimum.marginal, optimum.solution
         equations, bench = marginal.equations, marginal.problem.bench
-        own, poses, weight = bench.layout.pose_places, bench.poses, 1.0 / found.star
+        own, poses, weight = bench.layout.pose_places, bench.poses, 1.0 / found.star_variance
         rows = weight * equations.of_views[:, places]
         basis = equations.maps @ found.step
         basis[:, own] += found.fields
