@@ -284,8 +284,10 @@ class Layout:
             blocks.append(RandomBlock(rows.READINGS, self.places(self.encoders), own))
         if not parallax_known:
             blocks.append(self._parallax(hyper))
-            aside = ((hyper.at(amp.ASIDE), np.eye(len(ASIDE))),)
-            blocks.append(RandomBlock(rows.UNBOUNDED_PARALLAX, self.places(ASIDE), aside))
+        # What is expected of it counts beside what a station states: else U of cx would grow with that statement.
+        aside = ((hyper.at(amp.ASIDE), np.eye(len(ASIDE))),)
+        group = rows.PARALLAX if parallax_known else rows.UNBOUNDED_PARALLAX
+        blocks.append(RandomBlock(group, self.places(ASIDE), aside))
         if self.by_hand:
             blocks.append(self._own_by_turn(hyper, reach))
             own = ((hyper.at(amp.ALONG), np.eye(self.n_poses)),)
