@@ -21,9 +21,10 @@ from calib.arrays import Array
 from calib.calibration import CalibrationOptions
 from calib.errors import CalibrationError
 from calib.joint.adjust import adjust, adjust_again
+from calib.joint.amplitudes import ASIDE as ASIDE_AMPLITUDE
 from calib.joint.amplitudes import Pupil
 from calib.joint.knowledge import DOUBTED, FAULTS, PARALLAX, WRONG, Statement
-from calib.joint.layout import CENTRE, RADIAL, Places
+from calib.joint.layout import ASIDE, CENTRE, RADIAL, Places
 from calib.joint.places import narrowed
 from calib.joint.posterior import Innovation, OtherWay, Posterior, posterior
 from calib.joint.prior import block_diagonal
@@ -154,7 +155,20 @@ def _log_odds(views: Sequence[View], options: CalibrationOptions) -> float:
     rows = _bound(held).rows
     log = _log_evidence(free, held.optimum) - _log_evidence(held, held.optimum)
     # A density of unknowns: that of what is stated, times the determinant of how it follows the unknowns.
-    return log + math.log(FAULTS[WRONG]) - 0.5 * float(np.linalg.slogdet(rows @ rows.T)[1])
+    log -= 0.5 * float(np.linalg.slogdet(rows @ rows.T)[1])
+    return log + _beside_as_stated(held) + math.log(FAULTS[WRONG])
+
+
+def _beside_as_stated(held: Posterior) -> float:
+    """Return the log density of what a bound states of a pupil beside the axes, by what is expected of it.
+
+    Both count with a bound, what is expected alone counts without one.
+    """
+    problem = held.optimum.marginal.problem
+    expected = math.exp(2.0 * problem.hyper.mean[problem.hyper.at(ASIDE_AMPLITUDE)])
+    beside = _bound(held).rows[:, problem.bench.layout.places(ASIDE)].any(axis=1)
+    variances = np.diag(_bound(held).covariance)[beside]
+    return float(-0.5 * np.log(variances + expected).sum())
 
 
 def _with_bound(held: Posterior, free: Posterior, log: float) -> Posterior:
