@@ -92,6 +92,15 @@ def test_a_bound_of_the_parallax_that_is_not_so_is_named_alone_and_does_no_harm(
         assert error < RIGHT_WITHIN * found.coverage_factors[name] * found.sigma[name]
 
 
+def test_what_is_expected_of_a_pupil_beside_the_axes_does_not_speak_for_a_bound_that_states_it_too():
+    """A hand moved the camera. The odds are even; counted for the bound alone, this datum made them 1 to 10 million."""
+    bench = WORLDS["product-S2"](77, 3, 1, 0)
+    stated = replace(bench.stated, bounded=True, off_pivot_mm=(2.0, 0.5))
+    found = calibrate(views_of(bench), options_for(replace(bench, stated=stated), "cr"))
+    probability = {one.name: one.fault_probability for one in found.witnesses}
+    assert 0.2 < probability["pupil and defocus"] < 0.8
+
+
 def test_shifted_ids_of_a_view_do_not_deny_the_bound():
     """Such ids imitate a hand. Without the bound the stars fit far better; with the right ids they fit better still."""
     line = attacked("ids of a view shifted", 2)
