@@ -39,7 +39,7 @@ _FOLLOWED = 2.0
 _FAULT_STEPS = 20
 #: No evidence is larger than this logarithm, so that the odds of several faults stay numbers.
 _LARGEST_LOG = 100.0
-#: Start of the search of another mode: logarithms of the own fields lower, of what moves with the turn higher.
+#: Starts of the searches of other modes: logarithms of what is expected to be smaller, and larger.
 _LOWER, _HIGHER = 2.5, 1.0
 #: A mode is another one if it is so far away: a square, in sigmas. A search that comes nearer ends where the first did.
 _APART = 2.0
@@ -288,25 +288,43 @@ def _mixture(optimum: Optimum, curvature: Array, modes: Sequence[Node]) -> Poste
 
 
 def _others(optimum: Optimum, curvature: Array) -> list[Node]:
-    """Return another mode, if there is one: what differs between poses follows their turn."""
-    marginal, hyper = optimum.marginal, optimum.marginal.problem.hyper
-    start = _usual(optimum)
-    start[hyper.places(amp.POSE)] = hyper.mean[hyper.places(amp.POSE)] - _LOWER
-    start[hyper.at(amp.CURVATURE_TURN)] += _HIGHER
+    """Return the other modes that there are."""
+    found: list[Solution] = []
+    for start in _starts_of_others(optimum):
+        known = [optimum.solution, *found]
 
-    def near(found: Solution) -> bool:
-        away = found.eta - optimum.eta
-        return float(away @ curvature @ away) < _APART
+        def near(one: Solution, known: Sequence[Solution] = known) -> bool:
+            away = [one.eta - other.eta for other in known]
+            return any(float(apart @ curvature @ apart) < _APART for apart in away)
 
-    try:
-        found = best_amplitudes(marginal.solve(start), _FAULT_STEPS, enough=ROUGH, until=near)
-    except np.linalg.LinAlgError:
-        return []
-    if near(found):
-        return []
-    wider = float(np.linalg.slogdet(curvature)[1] - np.linalg.slogdet(0.5 * expected_curvature(found))[1])
-    log = log_odds(found, optimum.solution, 0.5 * wider)
-    return [Node(found, float(np.exp(min(log, _LARGEST_LOG))))]
+        with suppress(np.linalg.LinAlgError):
+            ended = best_amplitudes(optimum.marginal.solve(start), _FAULT_STEPS, enough=ROUGH, until=near)
+            found += [] if near(ended) else [ended]
+    return [Node(one, _odds_of_mode(one, optimum.solution, curvature)) for one in found]
+
+
+def _starts_of_others(optimum: Optimum) -> list[Array]:
+    """Return the (A,) amplitudes at which searches of other modes start.
+
+    What differs between poses follows their turn; or what follows the turn is parallax, and no field curvature.
+    """
+    problem = optimum.marginal.problem
+    hyper, own = problem.hyper, problem.hyper.places(amp.POSE)
+    follows = _usual(optimum)
+    follows[own] = hyper.mean[own] - _LOWER
+    follows[hyper.at(amp.CURVATURE_TURN)] += _HIGHER
+    if problem.knowledge.parallax_known:
+        return [follows]
+    parallax = optimum.eta.copy()
+    parallax[hyper.at(amp.CURVATURE_TURN)] -= _LOWER
+    parallax[hyper.at(amp.PARALLAX)] += _HIGHER
+    return [follows, parallax]
+
+
+def _odds_of_mode(one: Solution, other: Solution, curvature: Array) -> float:
+    """Return the odds of a mode against another with a (A, A) curvature: by values and widths (Laplace)."""
+    wider = float(np.linalg.slogdet(curvature)[1] - np.linalg.slogdet(0.5 * expected_curvature(one))[1])
+    return float(np.exp(min(log_odds(one, other, 0.5 * wider), _LARGEST_LOG)))
 
 
 def _faults(optimum: Optimum, curvature: Array, base: Node) -> list[Node]:
