@@ -41,6 +41,8 @@ _WIDE_FIELD = 0.8
 _OTHER_RADIUS, _CLEARLY = 0.1, 6.0
 #: From this difference on, the state is looked at to which the search leads if the certificate is wrong.
 _OTHER_STATE = 0.02
+#: A search that ends so far from its start, as a share of the focal length, begins again.
+_FAR_START = 0.05
 #: Limit of the stars' weights, in sigmas, so that none counts as an outlier.
 _WIDE = 1e3
 
@@ -245,19 +247,43 @@ def _searched(
     start: AdjustmentParameters,
     seen: Poses,
 ) -> tuple[Optimum, State]:
-    """Return the optimum, and the state near it that the views alone show."""
+    """Return the optimum, and the state near it that the views alone show.
+
+    Fields that grew far from the optimum may keep the search from it. Then it begins again where it ended.
+    """
     problem, state = posed(views, options, start, lens, seen)
     near = _approached(problem, state, views, options)
-    named = dict(zip(problem.bench.layout.names, near.shared.tolist(), strict=True))
+    begin = _posed_at(near, problem, views, options, start, seen)
+    found = search(*begin, options.max_iterations)
+    away = np.abs(found.state.shared[:2] / near.shared[:2] - 1.0).max()
+    if away > _FAR_START:
+        begin = _posed_at(found.state, found.marginal.problem, views, options, start, seen)
+        found = search(*begin, options.max_iterations)
+    return found, near
+
+
+def _posed_at(
+    near: State,
+    problem: Problem,
+    views: Sequence[View],
+    options: CalibrationOptions,
+    start: AdjustmentParameters,
+    seen: Poses,
+) -> tuple[Problem, State]:
+    """Return the problem about a state of another one, and its first state there: fields begin again at zero.
+
+    Rotations and centre fit what shifts the image, in shares of the reference radius.
+    """
+    before = problem.bench.layout
+    named = dict(zip(before.names, near.shared.tolist(), strict=True))
     camera, centre = problem.bench.camera(near.shared), Collimator(named["x"], named["y"], named["r"])
-    start = AdjustmentParameters(camera, centre, near.rotations, start.offsets)
-    before = problem.bench.layout.basis.reference[2]
-    problem, state = posed(views, options, start, lens, seen)
+    there = AdjustmentParameters(camera, centre, near.rotations, start.offsets)
+    lens = before.camera[len(PINHOLE) :]
+    problem, state = posed(views, options, there, lens, seen)
     layout = problem.bench.layout
-    # Fields begin again at zero. Rotations and centre fit what shifts the image, in shares of the reference radius.
     shifts = [*layout.places(ASIDE), *layout.parallax]
-    state.shared[shifts] = before / layout.basis.reference[2] * near.shared[shifts]
-    return search(problem, state, options.max_iterations), state
+    state.shared[shifts] = before.basis.reference[2] / layout.basis.reference[2] * near.shared[shifts]
+    return problem, state
 
 
 def _without_wrong_certificate(found: Optimum, near: State, options: CalibrationOptions) -> Optimum:
