@@ -26,7 +26,7 @@ REFERENCE_MODELS = ("spherical", "planar")
 #: Models of earlier versions: what they describe is part of the joint adjustment.
 EARLIER_MODELS = ("radial", "pupil", "rim", "field", "coma", "drift")
 #: The version of each engine: results of another version are not compared with those of this one.
-ENGINES = {"joint": 19, "reference": 2}
+ENGINES = {"joint": 20, "reference": 2}
 
 
 _ONLY_JOINT = {

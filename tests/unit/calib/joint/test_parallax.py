@@ -36,10 +36,10 @@ def largest_error_over_u(bench, result):
 
 @pytest.mark.parametrize(("off_mm", "defocus"), [(30.0, 0.06), (-30.0, 0.06), (15.0, -0.1)])
 def test_a_well_corrected_collimator_may_be_out_of_focus(off_mm, defocus):
-    """Nothing is stated, and the glass has no errors that could tell of its focus."""
+    """Nothing is stated. Field curvature explains the views too, less probably: fx was 16 px wrong at U 12 px."""
     result = calibrate(recorded(WIDE, (0.0, 0.0, off_mm), defocus, RASTER, 5), CalibrationOptions())
-    assert largest_error_over_u(WIDE, result) < 1.5
-    assert 2.0 * result.sigma["fx"] < 0.02 * WIDE.fx
+    assert largest_error_over_u(WIDE, result) < 1.0
+    assert 2.0 * result.sigma["fx"] < 10.0
 
 
 @pytest.mark.parametrize("focal_px", [3345.0, 1200.0])
@@ -72,6 +72,12 @@ def test_a_result_says_where_it_expects_a_pupil_that_is_neither_stated_nor_seen(
     unstated, stated = (drawn_result("raytraced-far", 3, seed, known)["notes"] for known in ("0", "r"))
     assert [note for note in unstated if re.search("The pupil is expected some [78] mm from the pivot", note)]
     assert not [note for note in stated if "mm from the pivot" in note]
+
+
+def test_a_search_that_began_far_away_ends_at_the_more_probable_optimum():
+    """Closed forms miss the focal length by 16 %. Fields grew on the way, and held cy 67 px off at U 17 px."""
+    line = drawn_result("raytraced-far", 3, 461, "r")
+    assert abs(line["error"]["cy"]) < 2.0 * line["U"]["cy"] < 40.0
 
 
 def test_coma_that_a_far_pupil_sees_is_no_other_focal_length():
