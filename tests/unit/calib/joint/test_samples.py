@@ -1,0 +1,58 @@
+"""The mixture over the amplitudes against a Markov chain over them, which knows of no modes and no curvature."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import optimize, stats
+
+from calib.joint.adjust import adjust
+from calib.joint.curvature import expected_curvature
+from calib.joint.posterior import posterior
+from tests.benchmarks.worlds.catalogue import WORLDS
+from tests.benchmarks.worlds.knowledge import options_for, views_of
+
+STEPS, KEEPS = 4000, 0.35
+
+
+@pytest.fixture(scope="module")
+def optimum():
+    """Three poses of a ray-traced bench with nothing stated: the amplitudes make half of U of fx."""
+    bench = WORLDS["raytraced"](31, 3, 1, 0)
+    return adjust(views_of(bench), options_for(bench, "0"))
+
+
+@pytest.fixture(scope="module")
+def chain(optimum):
+    """Step and 1-sigma of fx at the places of a preconditioned Crank-Nicolson chain (Cotter et al., 2013)."""
+    rng, base = np.random.default_rng(1), optimum.solution
+    low, high = np.array(base.marginal.problem.hyper.bounds).T
+    to_eta = np.linalg.inv(np.linalg.cholesky(0.5 * expected_curvature(base))).T
+    place, log, one, found = np.zeros(len(base.eta)), 0.0, base, []
+    for _ in range(STEPS):
+        tried = math.sqrt(1.0 - KEEPS**2) * place + KEEPS * rng.standard_normal(len(place))
+        eta = base.eta + to_eta @ tried
+        if (eta >= low).all() and (eta <= high).all():
+            other = base.marginal.solve(eta)
+            gain = 0.5 * (base.value - other.value + tried @ tried)
+            if math.log(rng.random()) < gain - log:
+                place, log, one = tried, gain, other
+        found.append((one.step[0], math.sqrt(one.covariance[0, 0])))
+    return np.array(found).T
+
+
+def expanded(means, sigmas, weights):
+    middle = weights @ means
+
+    def missing(half):
+        ends = [(half + sign * (means - middle)) / sigmas for sign in (1.0, -1.0)]
+        return weights @ (stats.norm.cdf(ends[0]) + stats.norm.cdf(ends[1]) - 1.0) - 0.9545
+
+    return optimize.brentq(missing, 1e-3, 1e3)
+
+
+def test_the_uncertainty_is_that_of_a_markov_chain_over_the_amplitudes(optimum, chain):
+    """At the best amplitudes alone it is a third smaller."""
+    found = posterior(optimum, 100)
+    row = np.eye(len(found.mean))[0]
+    assert found.expanded(row) == pytest.approx(expanded(*chain, np.full(STEPS, 1.0 / STEPS)), rel=0.1)
