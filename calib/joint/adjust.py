@@ -258,7 +258,8 @@ def _searched(
     away = np.abs(found.state.shared[:2] / near.shared[:2] - 1.0).max()
     if away > _FAR_START:
         begin = _posed_at(found.state, found.marginal.problem, views, options, start, seen)
-        found = search(*begin, options.max_iterations)
+        again = search(*begin, options.max_iterations)
+        found = replace(again, iterations=found.iterations + again.iterations)
     return found, near
 
 

@@ -1,4 +1,4 @@
-"""The mixture over the amplitudes against a Markov chain over them, which knows of no modes and no curvature."""
+"""The mixture over the amplitudes against a Markov chain over them, which needs no modes, samples or weights."""
 
 import math
 
