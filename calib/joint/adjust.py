@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import zip_longest
@@ -258,8 +259,9 @@ def _searched(
     away = np.abs(found.state.shared[:2] / near.shared[:2] - 1.0).max()
     if away > _FAR_START:
         begin = _posed_at(found.state, found.marginal.problem, views, options, start, seen)
-        again = search(*begin, options.max_iterations)
-        found = replace(again, iterations=found.iterations + again.iterations)
+        with suppress(NotConverged):  # the first end stands
+            again = search(*begin, options.max_iterations)
+            found = replace(again, iterations=found.iterations + again.iterations)
     return found, near
 
 
