@@ -284,7 +284,7 @@ class Layout:
             blocks.append(RandomBlock(rows.READINGS, self.places(self.encoders), own))
         if not parallax_known:
             blocks.append(self._parallax(hyper))
-        # What is expected of it counts beside what a station states: else U of cx would grow with that statement.
+        # It counts together with what a station states: if that replaced it, U of cx would grow.
         aside = ((hyper.at(amp.ASIDE), np.eye(len(ASIDE))),)
         group = rows.PARALLAX if parallax_known else rows.UNBOUNDED_PARALLAX
         blocks.append(RandomBlock(group, self.places(ASIDE), aside))

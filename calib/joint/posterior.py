@@ -39,7 +39,7 @@ _FOLLOWED = 2.0
 _FAULT_STEPS = 20
 #: No evidence is larger than this logarithm, so that the odds of several faults stay numbers.
 _LARGEST_LOG = 100.0
-#: Starts of the searches of other modes: logarithms of what is expected to be smaller, and larger.
+#: A search of another mode starts with logarithms that are so much smaller, and larger, where the mode may differ.
 _LOWER, _HIGHER = 2.5, 1.0
 #: A mode is another one if it is so far away: a square, in sigmas. A search that comes nearer ends where the first did.
 _APART = 2.0
@@ -289,24 +289,23 @@ def _mixture(optimum: Optimum, curvature: Array, modes: Sequence[Node]) -> Poste
 
 def _others(optimum: Optimum, curvature: Array) -> list[Node]:
     """Return the other modes that there are."""
-    found: list[Solution] = []
+    known = [optimum.solution]
+
+    def near(one: Solution) -> bool:
+        away = np.array([one.eta - other.eta for other in known])
+        return bool((((away @ curvature) * away).sum(axis=1) < _APART).any())
+
     for start in _starts_of_others(optimum):
-        known = [optimum.solution, *found]
-
-        def near(one: Solution, known: Sequence[Solution] = known) -> bool:
-            away = [one.eta - other.eta for other in known]
-            return any(float(apart @ curvature @ apart) < _APART for apart in away)
-
         with suppress(np.linalg.LinAlgError):
             ended = best_amplitudes(optimum.marginal.solve(start), _FAULT_STEPS, enough=ROUGH, until=near)
-            found += [] if near(ended) else [ended]
-    return [Node(one, _odds_of_mode(one, optimum.solution, curvature)) for one in found]
+            known += [] if near(ended) else [ended]
+    return [Node(one, _odds_of_mode(one, optimum.solution, curvature)) for one in known[1:]]
 
 
 def _starts_of_others(optimum: Optimum) -> list[Array]:
-    """Return the (A,) amplitudes at which searches of other modes start.
+    """Return the (A,) logarithms at which searches of other modes start.
 
-    What differs between poses follows their turn; or what follows the turn is parallax, and no field curvature.
+    In one, what differs between poses follows their turn. In the other, parallax takes the place of field curvature.
     """
     problem = optimum.marginal.problem
     hyper, own = problem.hyper, problem.hyper.places(amp.POSE)
@@ -322,7 +321,7 @@ def _starts_of_others(optimum: Optimum) -> list[Array]:
 
 
 def _odds_of_mode(one: Solution, other: Solution, curvature: Array) -> float:
-    """Return the odds of a mode against another with a (A, A) curvature: by values and widths (Laplace)."""
+    """Return the odds of a mode against another one, which has the (A, A) curvature, by values and widths (Laplace)."""
     wider = float(np.linalg.slogdet(curvature)[1] - np.linalg.slogdet(0.5 * expected_curvature(one))[1])
     return float(np.exp(min(log_odds(one, other, 0.5 * wider), _LARGEST_LOG)))
 

@@ -152,23 +152,22 @@ def _log_odds(views: Sequence[View], options: CalibrationOptions) -> float:
     assert options.gimbal is not None
     options = replace(options, gimbal=replace(options.gimbal, reading_sigma_deg=_NO_READING_DEG))
     held, free = (posterior_of(views, one) for one in (options, _unbounded(options)))
-    rows = _bound(held).rows
+    bound = _bound(held)
     log = _log_evidence(free, held.optimum) - _log_evidence(held, held.optimum)
     # A density of unknowns: that of what is stated, times the determinant of how it follows the unknowns.
-    log -= 0.5 * float(np.linalg.slogdet(rows @ rows.T)[1])
-    return log + _beside_as_stated(held) + math.log(FAULTS[WRONG])
+    log -= 0.5 * float(np.linalg.slogdet(bound.rows @ bound.rows.T)[1])
+    return log + _beside_as_stated(bound, held.optimum) + math.log(FAULTS[WRONG])
 
 
-def _beside_as_stated(held: Posterior) -> float:
-    """Return the log density of what a bound states of a pupil beside the axes, by what is expected of it.
+def _beside_as_stated(bound: Statement, optimum: Optimum) -> float:
+    """Return how probable it is beforehand that a pupil lies beside the axes as a bound states: a logarithm.
 
-    Both count with a bound, what is expected alone counts without one.
+    With the bound, this statement is one more datum. Without the bound there is none, so its probability is taken out.
     """
-    problem = held.optimum.marginal.problem
+    problem = optimum.marginal.problem
     expected = math.exp(2.0 * problem.hyper.mean[problem.hyper.at(ASIDE_AMPLITUDE)])
-    beside = _bound(held).rows[:, problem.bench.layout.places(ASIDE)].any(axis=1)
-    variances = np.diag(_bound(held).covariance)[beside]
-    return float(-0.5 * np.log(variances + expected).sum())
+    beside = bound.rows[:, problem.bench.layout.places(ASIDE)].any(axis=1)
+    return float(-0.5 * np.log(np.diag(bound.covariance)[beside] + expected).sum())
 
 
 def _with_bound(held: Posterior, free: Posterior, log: float) -> Posterior:

@@ -1,23 +1,23 @@
-"""The mixture over the amplitudes against a Markov chain over them, which needs no modes, samples or weights."""
+"""The uncertainty by samples of the amplitudes against that by a Markov chain."""
 
 import math
 
 import numpy as np
 import pytest
-from scipy import optimize, stats
 
 from calib.joint.adjust import adjust
 from calib.joint.curvature import expected_curvature
 from calib.joint.posterior import posterior
 from tests.benchmarks.worlds.catalogue import WORLDS
 from tests.benchmarks.worlds.knowledge import options_for, views_of
+from tests.support.normal_mixture import half_width
 
 STEPS, KEEPS = 4000, 0.35
 
 
 @pytest.fixture(scope="module")
 def optimum():
-    """Three poses of a ray-traced bench with nothing stated: the amplitudes make half of U of fx."""
+    """Three poses of a ray-traced bench with nothing stated: the amplitudes make half of the variance of fx."""
     bench = WORLDS["raytraced"](31, 3, 1, 0)
     return adjust(views_of(bench), options_for(bench, "0"))
 
@@ -41,18 +41,8 @@ def chain(optimum):
     return np.array(found).T
 
 
-def expanded(means, sigmas, weights):
-    middle = weights @ means
-
-    def missing(half):
-        ends = [(half + sign * (means - middle)) / sigmas for sign in (1.0, -1.0)]
-        return weights @ (stats.norm.cdf(ends[0]) + stats.norm.cdf(ends[1]) - 1.0) - 0.9545
-
-    return optimize.brentq(missing, 1e-3, 1e3)
-
-
 def test_the_uncertainty_is_that_of_a_markov_chain_over_the_amplitudes(optimum, chain):
     """At the best amplitudes alone it is a third smaller."""
-    found = posterior(optimum, 100)
-    row = np.eye(len(found.mean))[0]
-    assert found.expanded(row) == pytest.approx(expanded(*chain, np.full(STEPS, 1.0 / STEPS)), rel=0.1)
+    found, (steps, sigmas) = posterior(optimum, 100), chain
+    by_chain = half_width(steps, sigmas, np.full(STEPS, 1.0 / STEPS), steps.mean())
+    assert found.expanded(np.eye(len(found.mean))[0]) == pytest.approx(by_chain, rel=0.1)

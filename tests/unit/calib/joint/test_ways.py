@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy import optimize, stats
 
 from calib import CalibrationOptions, calibrate
 from calib.joint.adjust import adjust, adjust_again
@@ -18,6 +17,7 @@ from tests.benchmarks.worlds.catalogue import WORLDS
 from tests.benchmarks.worlds.knowledge import options_for, views_of
 from tests.benchmarks.worlds.polynomial import draw_world, record
 from tests.benchmarks.worlds.sweeps import nested_poses
+from tests.support.normal_mixture import half_width
 
 
 @pytest.fixture(scope="module")
@@ -46,12 +46,7 @@ def test_the_uncertainty_covers_both_ways_by_their_probabilities(undecided):
     found, _ = undecided
     middle, expanded, row = fx_of(found)
     sigmas = [np.sqrt(row @ one @ row) for one in found.covariances]
-
-    def missing(half):
-        z = [(half + sign * (found.means[:, 0] - middle)) / sigmas for sign in (1.0, -1.0)]
-        return found.weights @ (stats.norm.cdf(z[0]) + stats.norm.cdf(z[1]) - 1.0) - 0.9545
-
-    assert expanded == pytest.approx(optimize.brentq(missing, 1e-3, 1e4), rel=1e-4)
+    assert expanded == pytest.approx(half_width(found.means[:, 0], sigmas, found.weights, middle), rel=1e-4)
     assert found.weights.sum() == pytest.approx(1.0)
     assert 0.01 < found.other.share < 0.5
 
@@ -93,7 +88,7 @@ def test_a_bound_of_the_parallax_that_is_not_so_is_named_alone_and_does_no_harm(
 
 
 def test_what_is_expected_of_a_pupil_beside_the_axes_does_not_speak_for_a_bound_that_states_it_too():
-    """A hand moved the camera. The odds are even; counted for the bound alone, this datum made them 1 to 10 million."""
+    """A hand moved the camera. The odds are even. Where this datum counted for the bound alone, they were 1 to 10 million."""
     bench = WORLDS["product-S2"](77, 3, 1, 0)
     stated = replace(bench.stated, bounded=True, off_pivot_mm=(2.0, 0.5))
     found = calibrate(views_of(bench), options_for(replace(bench, stated=stated), "cr"))
