@@ -5,12 +5,14 @@
 - A request that changes something must carry the ``Origin`` of one of our pages. So no other site can send a command.
 - Where there is a token, each request needs the cookie of a sign-in, or the token in its ``Authorization`` header.
   Pages learn from ``known_by`` whether there was one.
+- Browsers send a cookie to every port of its host (RFC 6265, section 8.5). So a server of this computer only moves a
+  browser to a host name that this start made, ``NAME.localhost`` (RFC 6761, section 6.3), and the cookie holds nothing
+  but a random session of this start.
 - The content security policy forbids every other host, and every script that is not a file of ours.
 """
 
 from __future__ import annotations
 
-import hashlib
 import hmac
 import ipaddress
 import os
@@ -45,6 +47,7 @@ TOKEN_VARIABLE = "STARBENCH_PAGE_TOKEN"  # noqa: S105 - the name of a variable
 LEAST_LENGTH = 12
 _MOST_BYTES = 4096
 _MADE_BYTES = 16
+_NAME_BYTES = 8  # 64 bits in the name of a host: no page of another site can guess where the cookie goes
 _MOST_WRONG, _WRONG_WINDOW_S = 10, 60.0
 _MOST_CLIENTS = 1000
 _USER_COLUMN = 7
@@ -110,11 +113,6 @@ def address_of(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | Non
     with suppress(ValueError):
         return ipaddress.ip_address(host)
     return None
-
-
-def session_of(token: str) -> str:
-    """Return what a browser keeps after a sign-in: HMAC-SHA256 (RFC 2104), 64 hex digits, of the token alone."""
-    return hmac.new(token.encode(), b"starbench page session", hashlib.sha256).hexdigest()
 
 
 class WrongTokens:
@@ -206,7 +204,11 @@ class Guard:
         self._cookie = f"starbench-{port}"  # browsers share cookies between the ports of a host
         self._port = port
         self._token = None if token is None else token.text.encode()
-        self._session = session_of(token.text) if token is not None else ""
+        self._session = secrets.token_urlsafe(_MADE_BYTES)
+        self._session_host = (
+            f"starbench-{secrets.token_hex(_NAME_BYTES)}.localhost" if token and is_loopback(host) else ""
+        )
+        """The only host that gets the cookie; empty where the server has one name for all its ports."""
         self._wrong = WrongTokens(monotonic)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -246,23 +248,28 @@ class Guard:
             )
         if self._token is None or request.url.path.startswith(ASSETS):
             return None
-        if request.url.path == SIGN_IN:
-            return await self._sign_in(request)
         scheme, _, given = request.headers.get("authorization", "").partition(" ")
         refusal: Response | None = None
         if scheme.lower() == "bearer":
             refusal = self._refusal_of(given.strip(), request)
+        elif self._session_host and _host_name(host) != self._session_host and _is_for_a_person(request):
+            return self._move_to_session_host(request, host)
+        elif request.url.path == SIGN_IN:
+            return await self._sign_in(request, host)
         elif not self._has_cookie(request):
             refusal = _ask_to_sign_in(request)
         request.scope[_SIGNED_IN] = refusal is None
         return refusal
 
+    def _move_to_session_host(self, request: Request, host: str) -> Response:
+        """Lead a browser to the host that gets the cookie; it keeps what stands behind the ``#`` of the address."""
+        port = host.rpartition(":")[2]  # a tunnel may have another port than this server
+        where = f"{self._session_host}:{port}" if port.isdigit() else self._session_host
+        return RedirectResponse(str(request.url.replace(netloc=where)), status_code=307)
+
     def _is_own(self, host: str) -> bool:
-        try:
-            name = urlsplit(f"//{host}").hostname or ""
-        except ValueError:
-            return False
-        if name.rstrip(".") in self._names:
+        name = _host_name(host)
+        if name in self._names or (self._session_host and name.endswith(".localhost")):
             return True
         # No other site can have an address of ours as its name.
         return self._addresses_allowed and address_of(name) is not None
@@ -286,7 +293,13 @@ class Guard:
         kept = request.cookies.get(self._cookie, "")
         return hmac.compare_digest(kept.encode(), self._session.encode())
 
-    async def _sign_in(self, request: Request) -> Response:
+    async def _sign_in(self, request: Request, host: str) -> Response:
+        if self._session_host and _host_name(host) != self._session_host:
+            return _refusal(
+                421,
+                "A sign-in is not possible at this address.",
+                "Open the address that the command has printed in a browser.",
+            )
         if request.method == "GET":
             return HTMLResponse((Path(__file__).parent / "assets" / "sign_in.html").read_text("utf-8"))
         if request.method != "POST":
@@ -301,8 +314,20 @@ class Guard:
         return answer
 
 
+def _host_name(host: str) -> str:
+    """Return the name in a ``Host`` header, in small letters, without its port and last dot; empty if it is none."""
+    with suppress(ValueError):
+        return (urlsplit(f"//{host}").hostname or "").rstrip(".")
+    return ""
+
+
+def _is_for_a_person(request: Request) -> bool:
+    """Return whether a browser asks for a page, not a program for data."""
+    return "text/html" in request.headers.get("accept", "") and request.method == "GET"
+
+
 def _ask_to_sign_in(request: Request) -> Response:
-    if "text/html" in request.headers.get("accept", "") and request.method == "GET":
+    if _is_for_a_person(request):
         return RedirectResponse(f"{SIGN_IN}?next={quote(request.url.path)}", status_code=303)
     return _refusal(401, "You are not signed in.", f"Open {SIGN_IN} and enter the token.")
 

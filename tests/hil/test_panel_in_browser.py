@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import re
 import signal
+import threading
 import time
+from contextlib import contextmanager
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
 from align_browser import NEEDS_CHROMIUM, running_chromium
@@ -49,7 +52,9 @@ def tabs(chromium):
     yield found
     found.context.close()
     assert found.errors == []
-    assert len(found.hosts) <= 2  # the panel, and the same one started again
+    assert all(
+        re.fullmatch(r"(127\.0\.0\.1|starbench-[0-9a-f]{16}\.localhost):\d+", host) for host in found.hosts
+    )
 
 
 def wait(holds, what=""):
@@ -185,6 +190,51 @@ def test_a_token_is_asked_for_and_stands_in_no_address(run, tabs):
         tab.wait_for_url(
             "**/sign-in?next=*", timeout=1000 * PATIENCE_S
         )  # a panel with a new token asks for it
+
+
+@contextmanager
+def _another_server():
+    """Serve on another port of this computer, as another user may, and keep the cookies that browsers bring."""
+    cookies = []
+
+    class Keeps(BaseHTTPRequestHandler):
+        def do_GET(self):
+            cookies.append(self.headers.get("Cookie", ""))
+            self.send_response(200)
+            self.end_headers()
+
+        def log_message(self, *_):
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Keeps) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        yield server.server_port, cookies
+        server.shutdown()
+        thread.join()
+
+
+def test_another_server_of_this_computer_gets_no_cookie_of_the_panel(run, tabs):
+    with served(panel_app(run.folder.parent), token=PageToken("0123456789abcdef", made=True)) as server:
+        tab = tabs.open(server.address)
+        wait_text(tab, "main", "run7")
+        assert tab.context.cookies()
+        with _another_server() as (port, cookies):
+            for host in ("127.0.0.1", "localhost"):
+                tab.context.new_page().goto(f"http://{host}:{port}/")
+    assert cookies
+    assert set(cookies) == {""}
+
+
+@pytest.mark.parametrize(
+    "elsewhere", ["/%09/127.0.0.1:9/x", "//127.0.0.1:9/x", "/%5C127.0.0.1:9/x", "javascript:1"]
+)
+def test_a_sign_in_leads_to_pages_of_this_server_only(run, tabs, elsewhere):
+    token = "0123456789abcdef"
+    with served(panel_app(run.folder.parent), token=PageToken(token)) as server:
+        tab = tabs.open(f"{server.url}sign-in?next={elsewhere}#token={token}")
+        tab.wait_for_function("location.pathname !== '/sign-in'", timeout=1000 * PATIENCE_S)
+        assert tab.evaluate("location.hostname").endswith(".localhost")
 
 
 @pytest.mark.slow

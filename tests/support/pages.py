@@ -33,7 +33,7 @@ class AppClient:
     """Sends requests to an application without a server; keeps cookies."""
 
     def __init__(self, app: Any, base_url: str = "http://127.0.0.1:8800") -> None:
-        self._app, self._base_url = app, base_url
+        self._app, self.base_url = app, base_url
         self.cookies, self.host = httpx.Cookies(), "127.0.0.1"
 
     def request(self, method: str, path: str, **options: Any) -> httpx.Response:
@@ -42,7 +42,7 @@ class AppClient:
         async def ask() -> httpx.Response:
             transport = httpx.ASGITransport(self._app, client=(self.host, 4711))
             async with httpx.AsyncClient(
-                transport=transport, base_url=self._base_url, cookies=self.cookies
+                transport=transport, base_url=self.base_url, cookies=self.cookies
             ) as client:
                 answer = await client.request(method, path, **options)
                 self.cookies = client.cookies

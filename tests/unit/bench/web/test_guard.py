@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import socket
 from pathlib import Path
 
@@ -91,46 +92,79 @@ def test_assets_are_served_and_asked_for_again():
     assert answer.headers["Cache-Control"] == "no-cache"
 
 
+def _session_url(client: AppClient) -> str:
+    """Follow a server of this computer to the host that its session goes to."""
+    moved = client.get("/", headers=HTML)
+    assert moved.status_code == 307
+    return moved.headers["Location"].rstrip("/")
+
+
+def _at_session_host(**options) -> tuple[AppClient, dict[str, str]]:
+    client = _client(**{"token": PageToken(TOKEN), **options})
+    url = _session_url(client)
+    client.base_url = url
+    return client, {"Origin": url}
+
+
 def test_without_the_token_a_page_leads_to_the_sign_in_and_a_request_is_refused():
-    client = _client(token=PageToken(TOKEN))
+    client, _ = _at_session_host()
     page = client.get("/", headers=HTML)
     assert (page.status_code, page.headers["Location"]) == (303, "/sign-in?next=/")
     assert client.get("/").status_code == 401
     assert 'type="password"' in client.get("/sign-in").text
 
 
-def test_a_sign_in_keeps_a_cookie_that_does_not_hold_the_token():
+def test_a_browser_is_led_to_a_host_of_this_start_alone_and_keeps_path_and_port_of_a_tunnel():
+    first, second = (_client(token=PageToken(TOKEN)) for _ in range(2))
+    asked = {"Host": "localhost:9911", **HTML}
+    moved = [client.get("/run/x?pose=3", headers=asked).headers["Location"] for client in (first, second)]
+    assert all(
+        re.fullmatch(r"http://starbench-[0-9a-f]{16}\.localhost:9911/run/x\?pose=3", one) for one in moved
+    )
+    assert moved[0] != moved[1]
+
+
+@pytest.mark.parametrize("name", ["127.0.0.1:8800", "localhost:8800", "starbench-0.localhost:8800"])
+def test_a_host_that_other_servers_share_gets_no_session(name):
     client = _client(token=PageToken(TOKEN))
-    own = {"Origin": "http://127.0.0.1:8800"}
+    answer = client.post(
+        "/sign-in", json={"token": TOKEN}, headers={"Host": name, "Origin": f"http://{name}"}
+    )
+    assert answer.status_code == 421
+    assert "Set-Cookie" not in answer.headers
+
+
+def test_a_sign_in_keeps_a_random_session_that_does_not_come_from_the_token():
+    client, own = _at_session_host()
     answer = client.post("/sign-in", json={"token": TOKEN}, headers=own)
     cookie = answer.headers["Set-Cookie"]
     assert "HttpOnly" in cookie
     assert "SameSite=strict" in cookie
-    assert TOKEN not in cookie
+    assert "Domain" not in cookie  # so it goes to this host alone
     assert client.get("/").text == "first page"
-    again = _client(token=PageToken(TOKEN))  # the server was started again: the browser stays signed in
-    again.cookies = client.cookies
-    assert again.get("/").text == "first page"
-    other = _client(token=PageToken("another token"))
-    other.cookies = client.cookies
-    assert other.get("/").status_code == 401
+    again, _ = _at_session_host()  # the server was started again, with the same token: another session
+    again.cookies = httpx.Cookies(dict(client.cookies))
+    assert again.get("/").status_code == 401
+
+
+def test_a_server_for_others_signs_in_at_its_own_name():
+    client = _client(host="0.0.0.0", token=PageToken(TOKEN), url="http://192.168.1.7:8800")
+    answer = client.post("/sign-in", json={"token": TOKEN}, headers={"Origin": "http://192.168.1.7:8800"})
+    assert answer.status_code == 200
+    assert client.get("/").text == "first page"
 
 
 @pytest.mark.parametrize("body", [b'{"token": "wrong"}', b"{}", b"[]", b"\xff", b'{"token": 7}', b"x" * 9000])
 def test_a_wrong_token_is_refused(body):
-    answer = _client(token=PageToken(TOKEN)).post(
-        "/sign-in", content=body, headers={"Origin": "http://127.0.0.1:8800"}
-    )
+    client, own = _at_session_host()
+    answer = client.post("/sign-in", content=body, headers=own)
     assert answer.status_code == 403
     assert answer.json()["error"]["what"] == "This token is wrong."
     assert "Set-Cookie" not in answer.headers
 
 
-OWN = {"Origin": "http://127.0.0.1:8800"}
-
-
 def _signs_in(client, token):
-    return client.post("/sign-in", json={"token": token}, headers=OWN).status_code
+    return client.post("/sign-in", json={"token": token}, headers={"Origin": client.base_url}).status_code
 
 
 def _bears(client, token):
@@ -139,7 +173,7 @@ def _bears(client, token):
 
 def test_guessing_is_slow_in_both_ways_and_shuts_out_nobody_else():
     now = [0.0]
-    client = _client(token=PageToken(TOKEN), monotonic=lambda: now[0])
+    client, _ = _at_session_host(monotonic=lambda: now[0])
     assert [_signs_in(client, "no") for _ in range(6)] == [403] * 6
     assert [_bears(client, "no") for _ in range(6)] == [401] * 4 + [429] * 2
     assert (_signs_in(client, TOKEN), _bears(client, TOKEN)) == (429, 429)
@@ -164,7 +198,8 @@ def test_the_users_of_this_computer_are_told_apart():
 @pytest.mark.parametrize("length", [1000, 5000])
 def test_a_number_of_any_length_is_answered(length):
     body = b'{"token": ' + b"9" * length + b"}"
-    assert _client(token=PageToken(TOKEN)).post("/sign-in", content=body, headers=OWN).status_code == 403
+    client, own = _at_session_host()
+    assert client.post("/sign-in", content=body, headers=own).status_code == 403
 
 
 def test_an_unknown_page_is_an_error_in_the_common_shape():
