@@ -11,10 +11,11 @@ import errno
 import hashlib
 import os
 import re
+import stat
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -130,21 +131,38 @@ def event_camera_name(serial: str) -> str:
     return f"event camera {serial}"
 
 
-FOLDER_MODE: Final = 0o1777
-"""All users of a computer share its devices: everybody may lock one, nobody may remove another user's file."""
 FOLDER_VARIABLE: Final = "STARBENCH_LOCKS"
 """Environment variable that names another folder: one that containers share, or one for a single test."""
+_SHARED_FOLDERS: Final = (Path("/run/lock"), Path("/tmp"))  # noqa: S108 - never trusted by its name: see _is_shared
 
 
-def locks_folder() -> Path:
-    """Return the folder of the lock files, the same one for all users of this computer.
+def locks_folder(shared: Sequence[Path] = _SHARED_FOLDERS) -> Path:
+    """Return the folder of the lock files, if possible the same one for all users of this computer.
 
-    It is the one that ``STARBENCH_LOCKS`` names, else ``starbench-devices`` in the system's temporary folder.
+    It is the one that ``STARBENCH_LOCKS`` names; else the first of ``shared`` in which the system lets every user make
+    files and nobody remove those of another; else the user's runtime folder (XDG Base Directory Specification), or the
+    user's temporary folder: then only this user's programs exclude each other.
     """
     if folder := os.environ.get(FOLDER_VARIABLE):
         return Path(folder)
-    base = Path(tempfile.gettempdir()) if sys.platform == "win32" else Path("/tmp")  # noqa: S108 - TMPDIR may differ between users
-    return base / "starbench-devices"
+    own = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
+    return next((one for one in shared if _is_shared(one)), Path(own))
+
+
+def _is_shared(folder: Path) -> bool:
+    """Return whether a folder is the system's own, sticky, and open to all; then no user can replace it by a link."""
+    if sys.platform == "win32":
+        return False
+    try:
+        status = folder.lstat()
+    except OSError:
+        return False
+    open_and_sticky = stat.S_ISVTX | stat.S_IWOTH
+    return (
+        stat.S_ISDIR(status.st_mode)
+        and status.st_uid == 0
+        and status.st_mode & open_and_sticky == open_and_sticky
+    )
 
 
 class DeviceHold:
@@ -162,7 +180,7 @@ class DeviceHold:
         self._descriptor = -1
         path = (locks_folder() if folder is None else folder) / _file_name(device)
         try:
-            _make_folder(path.parent)
+            path.parent.mkdir(parents=True, exist_ok=True)
             self._descriptor = _open(path)
             lock(self._descriptor)
         except BlockingIOError as error:
@@ -175,10 +193,9 @@ class DeviceHold:
         except OSError as error:
             self.release()
             raise self.DENIED(
-                f"The lock file of a device cannot be made: {error.strerror}.",
+                f"The lock file of a device cannot be used: {error.strerror}.",
                 where=str(path),
-                remedy="Remove this file, let all users write in its folder, or name another folder in"
-                f" {FOLDER_VARIABLE}.",
+                remedy=f"Remove this file, or name a folder in {FOLDER_VARIABLE} that you may write in.",
             ) from error
 
     def release(self) -> None:
@@ -192,29 +209,36 @@ def _file_name(device: str) -> str:
     """Return a readable file name that is different for every device.
 
     >>> _file_name("evk4 00050423")
-    'evk4-00050423-4642f8a7.lock'
+    'starbench-evk4-00050423-4642f8a7.lock'
     """
     readable = re.sub(r"[^A-Za-z0-9]+", "-", device).strip("-")[:60]
-    return f"{readable}-{hashlib.sha256(device.encode()).hexdigest()[:8]}.lock"
-
-
-def _make_folder(folder: Path) -> None:
-    folder.mkdir(parents=True, exist_ok=True)
-    with suppress(PermissionError):  # the folder of another user, who has set its mode
-        folder.chmod(FOLDER_MODE)
+    return f"starbench-{readable}-{hashlib.sha256(device.encode()).hexdigest()[:8]}.lock"
 
 
 def _open(path: Path) -> int:
-    """Open the lock file for every user, never through a symbolic link."""
-    flags = os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_CLOEXEC", 0)
+    """Open the lock file for every user: a plain file, never through a link; only the own file's mode is set."""
+    flags = os.O_RDWR | os.O_CREAT
+    extra = sum(getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC"))
     try:
-        descriptor = os.open(path, flags, 0o666)
+        descriptor = os.open(path, flags | extra, 0o666)
     except PermissionError:
         # In a sticky folder the kernel lets nobody create over another user's file; it can still be locked.
-        return os.open(path, flags & ~os.O_CREAT & ~os.O_RDWR | os.O_RDONLY)
-    with suppress(PermissionError, AttributeError):
+        descriptor = os.open(path, os.O_RDONLY | extra)
+    except OSError as error:
+        if error.errno == errno.ELOOP:  # O_NOFOLLOW: it is a link
+            raise _not_a_lock_file(path) from error
+        raise
+    status = os.fstat(descriptor)
+    if not stat.S_ISREG(status.st_mode) or status.st_nlink > 1:
+        os.close(descriptor)
+        raise _not_a_lock_file(path)
+    if hasattr(os, "fchmod") and status.st_uid == os.geteuid():
         os.fchmod(descriptor, 0o666)
     return descriptor
+
+
+def _not_a_lock_file(path: Path) -> OSError:
+    return OSError(errno.EPERM, "something else has its name, such as a link", str(path))
 
 
 class CameraLock(DeviceHold):

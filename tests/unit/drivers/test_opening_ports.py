@@ -7,6 +7,7 @@ import os
 import pty
 import tty
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import serial
@@ -90,6 +91,49 @@ def test_a_folder_that_knows_no_locks_is_not_called_busy(tmp_path, monkeypatch) 
     with pytest.raises(PortDenied, match="No locks available") as caught:
         DeviceHold("stage 1", folder=tmp_path)
     assert "STARBENCH_LOCKS" in caught.value.remedy
+
+
+def _another_users_folder(tmp_path) -> Path:
+    folder = tmp_path / "of another user"
+    folder.mkdir()
+    folder.chmod(0o700)
+    return folder
+
+
+def test_a_link_in_the_place_of_the_locks_opens_nobody_s_folder(tmp_path, monkeypatch) -> None:
+    """Another user may plant a link, or a folder, under any name in a shared folder, before the first use."""
+    monkeypatch.delenv(file_lock.FOLDER_VARIABLE)
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    victim = _another_users_folder(tmp_path)
+    planted = tmp_path / "planted"
+    planted.symlink_to(victim)
+    assert file_lock.locks_folder([planted, victim]) == tmp_path
+    DeviceHold("stage 1", folder=planted).release()
+    assert victim.stat().st_mode & 0o777 == 0o700
+
+
+@pytest.mark.skipif(
+    not Path("/tmp").is_dir() or Path("/tmp").stat().st_uid, reason="no folder is the system's"
+)
+def test_a_sticky_folder_of_the_system_is_shared_by_all_users(monkeypatch) -> None:
+    monkeypatch.delenv(file_lock.FOLDER_VARIABLE)
+    assert file_lock.locks_folder([Path("/nowhere"), Path("/etc"), Path("/tmp")]) == Path("/tmp")
+
+
+@pytest.mark.parametrize("planted", ["link", "hard link", "pipe"])
+def test_what_has_the_name_of_a_lock_file_is_neither_changed_nor_waited_for(tmp_path, planted) -> None:
+    DeviceHold("stage 1", folder=tmp_path).release()
+    (path,) = tmp_path.iterdir()
+    victim = tmp_path / "victim"
+    victim.write_text("keep me")
+    victim.chmod(0o600)
+    path.unlink()
+    plant = {"link": path.symlink_to, "hard link": path.hardlink_to, "pipe": lambda _: os.mkfifo(path)}
+    plant[planted](victim)
+    with pytest.raises(PortDenied, match="something else has its name"):
+        DeviceHold("stage 1", folder=tmp_path)
+    assert victim.stat().st_mode & 0o777 == 0o600
+    assert victim.read_text() == "keep me"
 
 
 @pytest.mark.parametrize("kind", ["spy", "SPY", "alt", "hwgrep", "loop", "cp2110", "gopher"])
