@@ -149,9 +149,9 @@ def main(arguments: list[str] | None = None) -> None:
     # Our matrices are small: several threads take three times as long as one. Must be set before numpy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from bench.base.home import remove_stale_kernels, set_kernel_cache
-    from bench.terminal.encoding import outlive_readers, replace_unencodable
+    from bench.terminal.encoding import protect_output, replace_unencodable
 
-    outlive_readers()
+    protect_output()
     set_kernel_cache(os.environ)
     remove_stale_kernels()
     replace_unencodable(sys.stdout, sys.stderr)

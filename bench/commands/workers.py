@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench.base.clock import reliable_interrupts
-from bench.terminal.encoding import clock_text
+from bench.terminal.encoding import Steering, clock_text, printable
 
 if TYPE_CHECKING:
     from bench.cluster.work import KeptRows, Workers
@@ -120,7 +120,7 @@ class LiveLine:
     def show(self, text: str) -> None:
         """Show a text in place of the one before."""
         if self._live:
-            click.echo(f"\r{text:<{self._width}}", nl=False, err=True)
+            self._overwrite(f"\r{printable(text):<{self._width}}")
             self._width = len(text)
         else:
             click.echo(text, err=True)
@@ -128,8 +128,13 @@ class LiveLine:
     def clear(self) -> None:
         """Remove the live line, so that another line can be printed."""
         if self._live and self._width:
-            click.echo(f"\r{'':<{self._width}}\r", nl=False, err=True)
+            self._overwrite(f"\r{'':<{self._width}}\r")
             self._width = 0
+
+    @staticmethod
+    def _overwrite(text: str) -> None:
+        Steering(sys.stderr).write(text)
+        sys.stderr.flush()
 
 
 class CountLine(LiveLine):

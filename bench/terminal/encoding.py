@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import io
 import os
+import re
 import sys
 import unicodedata
 from typing import Any, TextIO
@@ -42,8 +43,39 @@ class _Output(io.FileIO):
         os.close(nowhere)
 
 
-def outlive_readers() -> None:
-    """Let standard output and standard error outlive their readers. Streams of tests and files are left as they are."""
+class _PlainText(io.TextIOWrapper):
+    """A stream of plain text: names of folders, people and devices stand in what is printed, and may be hostile."""
+
+    def write(self, text: str) -> int:
+        """Write text; characters that would steer a terminal become escape sequences."""
+        super().write(printable(text))
+        return len(text)
+
+    def steer(self, text: str) -> int:
+        """Write text that steers the terminal; every part that comes from elsewhere is `printable` already."""
+        return super().write(text)
+
+
+class Steering:
+    """A stream through which a display may move the cursor; all other text to this stream stays plain."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Write text with control characters."""
+        write = self._stream.steer if isinstance(self._stream, _PlainText) else self._stream.write
+        return write(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+def protect_output() -> None:
+    """Keep standard output and standard error plain, and let them outlive their readers.
+
+    Streams of tests and files are left as they are.
+    """
     for name, descriptor in _STANDARD.items():
         stream = getattr(sys, name)
         if isinstance(stream, io.TextIOWrapper) and _is_descriptor(stream, descriptor):
@@ -62,9 +94,9 @@ def _is_descriptor(stream: io.TextIOWrapper, descriptor: int) -> bool:
         return False
 
 
-def _reopened(stream: io.TextIOWrapper, descriptor: int) -> io.TextIOWrapper:
+def _reopened(stream: io.TextIOWrapper, descriptor: int) -> _PlainText:
     stream.flush()
-    return io.TextIOWrapper(
+    return _PlainText(
         io.BufferedWriter(_Output(descriptor, "wb", closefd=False)),
         encoding=stream.encoding,
         errors=stream.errors,
@@ -92,13 +124,18 @@ def replace_unencodable(*streams: TextIO | None) -> None:
             stream.reconfigure(errors=_NAME)
 
 
+_ASCII_CONTROLS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f]")
+
+
 def printable(text: str) -> str:
     r"""Write characters that would steer a terminal as escape sequences; names of files may hold them.
 
     >>> print(printable("a\x1b[2Jb"))
     a\x1b[2Jb
     """
-    return "".join(_escaped(letter) for letter in text)
+    if text.isascii() and not _ASCII_CONTROLS.search(text):  # nearly every text, and the longest ones
+        return text
+    return "".join(map(_escaped, text))
 
 
 def _escaped(letter: str) -> str:

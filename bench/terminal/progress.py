@@ -9,7 +9,7 @@ import threading
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Self, TextIO
+from typing import Self, TextIO, cast
 
 from rich.cells import cell_len, set_cell_size
 from rich.console import Console
@@ -19,7 +19,7 @@ from rich.segment import ControlType
 from rich.text import Text
 
 from bench.base.clock import BenchClock
-from bench.terminal.encoding import clock_text
+from bench.terminal.encoding import Steering, clock_text
 
 # A block of text on a terminal that is drawn again in its place.
 #
@@ -36,7 +36,9 @@ class Block:
     """
 
     def __init__(self, stream: TextIO | None = None) -> None:
-        self._console = Console(file=stream or sys.stdout, highlight=False, markup=False, emoji=False)
+        self._console = Console(
+            file=cast("TextIO", Steering(stream or sys.stdout)), highlight=False, markup=False, emoji=False
+        )
         self._rows = 0
         self._size = self._console.size
 
@@ -114,7 +116,9 @@ class Progress:
         self._monotonic = monotonic
         self._total_s = total_s
         self.poses = poses
-        self._console = Console(file=stream or sys.stderr, stderr=stream is None, highlight=False)
+        self._console = Console(
+            file=cast("TextIO", Steering(stream or sys.stderr)), stderr=stream is None, highlight=False
+        )
         # A terminal that cannot overwrite a line gets one line for each change, as a file does.
         self._can_overwrite = self._console.is_terminal and not self._console.is_dumb_terminal
         self._state, self._detail, self._pose, self._done_s = "idle", "", 0, 0.0

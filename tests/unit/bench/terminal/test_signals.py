@@ -148,8 +148,8 @@ def test_other_errors_in_clearing_up_go_where_they_went(monkeypatch):
 
 PROGRAM = """
 import sys
-from bench.terminal.encoding import outlive_readers, output_is_lost
-outlive_readers()
+from bench.terminal.encoding import protect_output, output_is_lost
+protect_output()
 print(sys.stdin.readline(), flush=True)
 for number in range(3):
     print("line", number, flush=True)
