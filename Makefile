@@ -4,7 +4,9 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 PYTHON ?= $(shell for p in python3.13 python3.12 python3.11 python3; do \
 	$$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && command -v $$p && break; done)
-PIP = $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+PIP_COMPILED = $(BIN)/python -m pip install --quiet --disable-pip-version-check
+PIP = $(PIP_COMPILED) --no-compile
+OTHER_VERSIONS = echo "note: the tested versions cannot be had here; others are installed, within the ranges of pyproject.toml"
 PIP_OF_PYTHON := -c 'import ensurepip, glob, os, sysconfig; \
 	print(*glob.glob((sysconfig.get_config_var("WHEEL_PKG_DIR") or os.path.dirname(ensurepip.__file__) + "/_bundled") + "/pip-*.whl"))'
 # Libraries are installed without bytecode: the first process that imports a module keeps it for all others.
@@ -14,7 +16,7 @@ SEED ?= 1
 # An editable install holds a copy of these files (docs/decisions/0025).
 FRONT_DOOR := $(wildcard bench/front_door/*.py)
 
-.PHONY: demo night test test-slow lint types format bench clean help
+.PHONY: demo night test test-slow lint types format bench lock release clean help
 .DEFAULT_GOAL := help
 
 help: ## say what there is
@@ -28,17 +30,19 @@ $(VENV)/made:
 		|| { echo "Python's venv module is missing; on Debian and Ubuntu: apt install python3-venv"; exit 1; }
 	@touch $@
 
-$(VENV)/installed: $(VENV)/made pyproject.toml $(FRONT_DOOR)
+$(VENV)/installed: $(VENV)/made pyproject.toml requirements.lock $(FRONT_DOOR)
 	@echo "Installing Starbench into $(VENV) ..."
+	@$(PIP) --require-hashes -r requirements.lock || $(OTHER_VERSIONS)
 	@$(PIP) --editable .
 	@$(BIN)/python -m bench.warm_up
 	@touch $@
 
-$(VENV)/installed-dev: $(VENV)/made pyproject.toml $(FRONT_DOOR)
+$(VENV)/installed-dev: $(VENV)/made pyproject.toml requirements-dev.lock $(FRONT_DOOR)
 	@echo "Installing Starbench and its test tools into $(VENV) ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --editable '.[dev]'
+	@$(PIP_COMPILED) --require-hashes -r requirements-dev.lock || $(OTHER_VERSIONS)
+	@$(PIP_COMPILED) --editable '.[dev]'
 	@# The second opinions are not built for every platform: tests say so where one is missing.
-	@for p in 'evt3>=0.4' 'zaber-motion>=7' 'jsonschema>=4' 'libximc!=3.1.2' 'pymeasure>=0.14' 'dcclib>=0.4'; do $(BIN)/python -m pip install --quiet --disable-pip-version-check "$$p" \
+	@for p in 'evt3>=0.4' 'zaber-motion>=7' 'jsonschema>=4' 'libximc!=3.1.2' 'pymeasure>=0.14' 'dcclib>=0.4'; do $(PIP_COMPILED) "$$p" \
 		|| echo "note: $$p is not to be had here; the tests that ask it are skipped"; done
 	@$(BIN)/python -m bench.warm_up
 	@touch $@ $(VENV)/installed
@@ -69,6 +73,23 @@ format: $(VENV)/installed-dev ## put the code into its form
 
 bench: $(VENV)/installed-dev ## speeds, beside those of peers (never part of the tests)
 	for b in tests/benchmarks/bench_*.py; do $(BIN)/python $$b || exit 1; done
+
+lock: $(VENV)/made ## write down the newest versions within the ranges of pyproject.toml, with their hashes
+	$(PIP) 'uv>=0.13'
+	for set in "requirements" "requirements-dev --extra dev"; do set -- $$set; \
+		$(BIN)/uv pip compile pyproject.toml $${@:2} -o $$1.lock --quiet --upgrade --universal --python-version 3.11 --generate-hashes \
+			--no-emit-index-url --no-annotate --custom-compile-command "make lock" || exit 1; done
+
+# The same commit gives the same bytes anywhere: times in the archives are those of the commit.
+release: export SOURCE_DATE_EPOCH = $(shell git log -1 --format=%ct)
+release: $(VENV)/made ## wheel, source and list of parts (SBOM) in dist/, with SHA256SUMS; KEY=file signs it
+	@test -z "$$(git status --porcelain)" || { echo "There are changes that are not committed. Commit them first: a release is made of a commit."; exit 1; }
+	@$(PIP) 'build>=1.2' 'hatchling>=1.25' 'cyclonedx-bom>=7'
+	rm -rf dist && umask 022 && $(BIN)/python -m build --no-isolation --outdir dist . >/dev/null
+	$(BIN)/cyclonedx-py requirements requirements.lock --pyproject pyproject.toml --output-reproducible -o dist/starbench.cdx.json 2>/dev/null
+	cd dist && sha256sum *.whl *.tar.gz *.json > SHA256SUMS && cat SHA256SUMS
+	@if test -n "$(KEY)"; then ssh-keygen -Y sign -f "$(KEY)" -n starbench-release@v1 dist/SHA256SUMS; \
+	else echo "Not signed. To sign: make release KEY=~/.config/starbench/bench_key"; fi
 
 clean: ## remove the virtual environment and caches
 	rm -rf $(VENV) .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
