@@ -38,6 +38,7 @@ from sequences.strict_model import StrictModel, Within
 NotNegative = Annotated[int, Field(ge=0, le=8191)]
 Pixels = Annotated[int, Field(gt=0, le=8192)]
 Hertz = Annotated[float, Within(0.001, 1e7, "Hz")]
+Speed = Annotated[float, Within(0.001, 1000, "deg/s")]
 _A = TypeVar("_A")
 PortName = Callable[[str], str]
 """Returns the system's name of a port: of a simulated one, the name that it has today."""
@@ -57,7 +58,7 @@ class AxisConfig(StrictModel):
     limits_deg: Annotated[
         tuple[Angle, Angle], Field(description="Lowest and highest angle allowed on the bench.")
     ]
-    speed_deg_s: Annotated[float, Within(0.001, 1000, "deg/s")]
+    speed_deg_s: Speed
     acceleration_deg_s2: Annotated[float, Within(0.001, 100_000, "deg/s^2")]
     tolerance_deg: Tolerance = 0.002
 

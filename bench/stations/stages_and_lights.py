@@ -17,6 +17,7 @@ from bench.stations.sections import (
     AxisConfig,
     Hertz,
     PortName,
+    Speed,
     Tolerance,
     differing,
     driver_axes,
@@ -29,7 +30,7 @@ from drivers.light import Light, LightSettings
 from drivers.light.scpi import DialectName, Load
 from drivers.stage import Stage
 from drivers.wire_log import WireLog
-from sequences.schema import Axis
+from sequences.schema import Angle, Axis
 from sequences.script import Flicker
 from sequences.strict_model import Within
 
@@ -50,6 +51,20 @@ class ThorlabsAxisConfig(AxisConfig):
             description="136533.333 for a K10CR1, 1919.6418579 for a PRM1Z8; negative if the counter decreases."
         ),
     ]
+    home_offset_deg: Annotated[
+        Angle | None,
+        Field(
+            description="From the reference switch to the zero, by the counter. Default: 4 (K10CR1, PRM1Z8)."
+        ),
+    ] = None
+    home_direction: Annotated[
+        Literal["forward", "reverse"] | None,
+        Field(description="Direction of the reference search. Default: reverse (K10CR1, PRM1Z8)."),
+    ] = None
+    home_speed_deg_s: Annotated[
+        Speed | None,
+        Field(description="Speed of the reference search. Default: 10, or speed_deg_s if lower."),
+    ] = None
     tolerance_deg: Tolerance = 0.005
 
 

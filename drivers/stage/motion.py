@@ -18,7 +18,11 @@ PATIENCE_S = 1.5
 HOMING_PATIENCE_S = 10.0
 """An axis creeps at its home sensor, and its counter may stand still for a while; in seconds."""
 LONGEST_HOMING_S = 180.0
-"""A home-built stage may search its reference for minutes; in seconds."""
+"""A search of the reference whose speed the controller does not tell may take minutes; in seconds."""
+_HOMING_TRAVEL_DEG = 720.0
+"""A rotary axis may turn once to its reference sensor, and once more back to its edge; in degrees."""
+_HOMING_MARGIN_S = 30.0
+"""Added to that time, in seconds: for the slow approach of the edge, and for the ramps."""
 POLL_S = 0.02
 """Pause between two readings of a moving axis, in seconds."""
 
@@ -45,9 +49,20 @@ def move_time_s(limits: AxisLimits, from_deg: float, to_deg: float) -> float:
     return travel_time_s(to_deg - from_deg, limits.speed_deg_s, limits.acceleration_deg_s2)
 
 
-def longest_homing_s(limits: AxisLimits) -> float:
-    """Return the longest time, s, that a search of the reference may take: it may cross the travel several times."""
-    return 30.0 + 5.0 * (limits.highest_deg - limits.lowest_deg) / limits.speed_deg_s
+def longest_homing_s(axis: str, speed_deg_s: float | None) -> float:
+    """Return the longest time, s, of a search of the reference at the controller's own speed; None: it tells none.
+
+    A speed of 0 raises `MoveFailed`.
+    """
+    if speed_deg_s is None:
+        return LONGEST_HOMING_S
+    if speed_deg_s <= 0:
+        raise MoveFailed(
+            "the controller's speed of the reference search is 0. Nothing was moved.",
+            where=axis,
+            remedy="Set that speed with the maker's software, then home the stage.",
+        )
+    return _HOMING_MARGIN_S + _HOMING_TRAVEL_DEG / speed_deg_s
 
 
 def longest_move_s(

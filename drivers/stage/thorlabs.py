@@ -8,26 +8,48 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Final
+from typing import ClassVar, Final, Literal
 
-from drivers.errors import OutsideLimits
+from drivers.errors import DeviceRefused, OutsideLimits
 from drivers.stage import AxisIdentity
 from drivers.stage.motion import Axis
-from drivers.stage.thorlabs_controller import Status, ThorlabsController
+from drivers.stage.thorlabs_controller import (
+    FORWARD,
+    REVERSE,
+    SWITCHES,
+    HomeParameters,
+    Status,
+    ThorlabsController,
+)
 from drivers.stage.watched import CHECK_PORTS, AxisState, LinePerAxisStage, no_reference, not_movable
 
+_ZERO_UNKNOWN: Final = "the controller does not tell its home parameters, so its zero is not known"
 _BEGIN_S: Final = 0.3
 """A command has no reply, and the status shows the motion a little later; in seconds."""
 _LARGEST_COUNT: Final = 2**31 - 1
 _SAME_SCALE: Final = 1e-4
+_DIRECTIONS: Final = {"forward": FORWARD, "reverse": REVERSE}
+Direction = Literal["forward", "reverse"]
+_KNOWN_STAGES: Final = (409_600 / 3, 1919.6418579)
+"""Scales of K10CR1 and PRM1Z8: they search in reverse."""
+_KNOWN_OFFSET_DEG: Final = 4.0
+"""From their switch to their zero, as the maker's programs set it when they connect; in degrees."""
+_HOME_SPEED_DEG_S: Final = 10.0
+"""Speed of a search, as the maker's programs set it: after power-up a K10CR1 has one that takes minutes."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class ThorlabsAxis(Axis):
-    """One axis as the station file describes it. Homing ends at ``zero_deg``."""
+    """One axis as the station file describes it. Homing ends at ``zero_deg``.
+
+    None stands for the value of the stage, if this driver knows it.
+    """
 
     port: str
     counts_per_deg: float  # Counts per degree; negative when the counter falls as the angle grows
+    home_offset_deg: float | None = None  # From the reference switch to the zero, by the counter, in degrees
+    home_direction: Direction | None = None  # Direction of the search, by the counter
+    home_speed_deg_s: float | None = None  # Speed of the search
     tolerance_deg: float = 0.005
 
     @property
@@ -57,11 +79,12 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
 
     def _set_up(self) -> None:
         self._begun: dict[str, _Begun] = {}
+        self._home: dict[str, HomeParameters | None] = {}
         for axis in self._axes.values():
             self._check_scale(axis)
         self._bring_to_rest()
         for axis in self._axes.values():
-            self._program_speed(axis)
+            self._program(axis)
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`; serial numbers are compared with those in the station file."""
@@ -85,6 +108,8 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
             status.faults
             + ([] if status.homed else ["no reference"])
             + ([] if enabled else ["its channel is switched off"])
+            + ([] if self._home[axis.name] else [_ZERO_UNKNOWN])
+            + controller.reports
         )
 
     # ------------------------------------------------------------ on the wire
@@ -103,9 +128,10 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
             )
 
     def _clear_faults(self, axis: ThorlabsAxis) -> None:
-        """Raise the faults that are present, and switch the channel on."""
+        """Raise the faults that are present, set everything again (a restart has undone it), switch the channel on."""
         controller = self._lines[axis.name]
         self._raise_faults(axis, controller.read_status())
+        self._program(axis)
         controller.enable()
 
     def _raise_faults(self, axis: ThorlabsAxis, status: Status) -> None:
@@ -134,7 +160,10 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
         position_deg = axis.to_angle_deg(controller.read_position())
         at_goal = self._note_motion(axis, status, position_deg)
         busy = status.moving or (not at_goal and self._may_still_begin(axis))
-        return AxisState(position_deg, busy, self._problem(status, at_goal=at_goal or busy, homing=homing))
+        problem = self._problem(status, at_goal=at_goal or busy, homing=homing)
+        if controller.reports and not at_goal and not status.moving:
+            problem = "; ".join(controller.reports)
+        return AxisState(position_deg, busy, problem)
 
     def _read_final_state(self, axis: ThorlabsAxis, *, homing: bool) -> AxisState:
         state = self._read_state(axis, homing=homing)
@@ -200,6 +229,46 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
                 remedy="Correct limits and scale in the station file.",
             )
 
+    def _program(self, axis: ThorlabsAxis) -> None:
+        """Set all that another program may have left otherwise, or a restart has undone; read it back."""
+        self._program_speed(axis)
+        self._program_home(axis)
+        self._lines[axis.name].clear_backlash()
+
+    def _program_home(self, axis: ThorlabsAxis) -> None:
+        """Set how the reference is searched, and where its zero is; refuse to guess that."""
+        controller = self._lines[axis.name]
+        scale = abs(axis.counts_per_deg)
+        known = any(abs(scale - one) <= _SAME_SCALE * one for one in _KNOWN_STAGES)
+        offset_deg, direction = axis.home_offset_deg, axis.home_direction
+        if known:
+            offset_deg = _KNOWN_OFFSET_DEG if offset_deg is None else offset_deg
+            direction = direction or "reverse"
+        if offset_deg is None or direction is None:
+            present = controller.read_home()
+            raise DeviceRefused(
+                "the station file does not say how this axis is homed, and where its zero is."
+                + (_stated(present, scale) if present else "")
+                + " Nothing was set.",
+                where=axis.name,
+                remedy="Write home_offset_deg and home_direction into the station file.",
+            )
+        speed_deg_s = axis.home_speed_deg_s or min(_HOME_SPEED_DEG_S, axis.limits.speed_deg_s)
+        self._home[axis.name] = controller.set_home(
+            HomeParameters(
+                _DIRECTIONS[direction],
+                SWITCHES[_DIRECTIONS[direction]],
+                math.floor(speed_deg_s * scale * controller.family.speed_factor),
+                round(offset_deg * scale),
+            )
+        )
+
+    def _homing_speed_deg_s(self, axis: ThorlabsAxis) -> float | None:
+        home, controller = self._home[axis.name], self._lines[axis.name]
+        if home is None:
+            return None
+        return home.speed / controller.family.speed_factor / abs(axis.counts_per_deg)
+
     def _program_speed(self, axis: ThorlabsAxis) -> None:
         """Set speed and acceleration where they differ, and read them back."""
         controller = self._lines[axis.name]
@@ -213,3 +282,10 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
                 remedy="Change speed_deg_s and acceleration_deg_s2 in the station file.",
             )
         controller.set_speed(ramp, speed)
+
+
+def _stated(home: HomeParameters, scale: float) -> str:
+    """Return home parameters as they would stand in a station file, as a sentence."""
+    direction = next((word for word, number in _DIRECTIONS.items() if number == home.direction), "")
+    told = f"home_offset_deg: {home.offset / scale:.6g}" + (direction and f", home_direction: {direction}")
+    return f" The controller has {told}, from its maker's program or from power-up."

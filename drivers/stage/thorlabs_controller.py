@@ -39,6 +39,10 @@ REQUEST_POSITION: Final = 0x0411
 SET_SPEED: Final = 0x0413
 REQUEST_SPEED: Final = 0x0414
 REQUEST_STATUS: Final = 0x0429
+SET_BACKLASH: Final = 0x043A
+REQUEST_BACKLASH: Final = 0x043B
+SET_HOME: Final = 0x0440
+REQUEST_HOME: Final = 0x0441
 HOME: Final = 0x0443
 HOMED: Final = 0x0444
 MOVE_TO: Final = 0x0453
@@ -46,7 +50,9 @@ STOP: Final = 0x0465
 STILL_THERE: Final = 0x0492
 """A sign of life of the computer. Some controllers stop their updates after about 50 without it."""
 
-UNASKED: Final = frozenset({0x0080, 0x0081, HOMED, 0x0464, 0x0466, 0x0481, 0x0491})
+FAULT: Final = 0x0080
+REFUSED: Final = 0x0081
+UNASKED: Final = frozenset({FAULT, REFUSED, HOMED, 0x0464, 0x0466, 0x0481, 0x0491})
 """Ids of what a controller sends without a request of this driver: errors, ends of motions, updates."""
 ON: Final = 1
 STOP_BY_RAMP: Final = 2
@@ -55,6 +61,8 @@ INFORMATION_LAYOUT: Final = struct.Struct("<I8sH4B60sHHH")
 POSITION_LAYOUT: Final = struct.Struct("<Hi")
 STATUS_LAYOUT: Final = struct.Struct("<HI")
 SPEED_LAYOUT: Final = struct.Struct("<Hiii")
+HOME_LAYOUT: Final = struct.Struct("<HHHii")
+_REFUSED_LAYOUT: Final = struct.Struct("<HH64s")
 
 _MOVING: Final = 0x0000_00F0
 _HOMING: Final = 0x0000_0200
@@ -108,6 +116,34 @@ FAMILIES: Final = {
     "TBD001": _by_sample_time(102.4e-6),
 }
 """Families by the beginning of the model's name, as the controller reports it."""
+
+
+FORWARD: Final = 1
+REVERSE: Final = 2
+SWITCHES: Final = {FORWARD: 4, REVERSE: 1}
+"""Limit switch of a search of the reference, by its direction."""
+_SAME_SPEED: Final = 1e-3
+"""Largest relative difference of two equal speeds: a controller may round them to its own steps."""
+
+
+@dataclass(frozen=True)
+class HomeParameters:
+    """How a controller searches its reference, and how far from its switch it sets the counter to 0."""
+
+    direction: int  # ``FORWARD`` or ``REVERSE``, by the counter
+    switch: int  # Limit switch, one of ``SWITCHES``
+    speed: int  # In the controller's units
+    offset: int  # From the switch to the zero, in counts
+
+    def __eq__(self, other: object) -> bool:
+        """Whether all is equal; the speed within the controller's rounding."""
+        return (
+            isinstance(other, HomeParameters)
+            and (self.direction, self.switch, self.offset) == (other.direction, other.switch, other.offset)
+            and abs(self.speed - other.speed) <= max(1, _SAME_SPEED * abs(self.speed))
+        )
+
+    __hash__ = None  # type: ignore[assignment]
 
 
 @dataclass(frozen=True)
@@ -240,8 +276,8 @@ T = TypeVar("T")
 class ThorlabsController(Link):
     """The controller of one axis, on a line of messages. Opening asks for its identity; it sets nothing but silence.
 
-    The protocol needs 115200 baud. ``homings`` is how many ends of a homing it has reported. An unknown model is
-    refused.
+    The protocol needs 115200 baud. ``homings`` is how many ends of a homing it has reported, ``reports`` what it has
+    reported against the latest command, in words. An unknown model is refused.
     """
 
     reply_s = 0.5
@@ -249,6 +285,7 @@ class ThorlabsController(Link):
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
         self._sign_of_life = b""
         self.homings = 0
+        self.reports: list[str] = []
         super().__init__(port, clock=clock, wire_log=wire_log)
         self.mark_out_of_step()
         self.family = family_of(self.read_information().model, self.name)
@@ -270,9 +307,17 @@ class ThorlabsController(Link):
             raise
 
     def take_unsolicited(self, line: bytes) -> bool:
-        """Take a message that answers no request, and count the ends of homings."""
+        """Take a message that answers no request; count the ends of homings, and keep what it reports."""
         message = struct.unpack_from("<H", line)[0]
         self.homings += message == HOMED
+        if message == FAULT:
+            self.reports.append("the controller reports a fault of itself (message 0x0080)")
+        elif message == REFUSED and len(line) == HEAD_SIZE + _REFUSED_LAYOUT.size:
+            request, code, notes = _REFUSED_LAYOUT.unpack(line[HEAD_SIZE:])
+            words = notes.split(b"\0")[0].decode("ascii", errors="replace").strip()
+            self.reports.append(
+                f"the controller reports '{words or 'no reason'}' (code {code}, request {request:#06x})"
+            )
         return message in UNASKED
 
     def read_information(self) -> Information:
@@ -307,6 +352,36 @@ class ThorlabsController(Link):
             "acceleration and speed",
         )
 
+    def read_home(self) -> HomeParameters | None:
+        """Ask for the parameters of a search of the reference; None if the controller does not tell them."""
+        try:
+            data = self._read_twice(lambda: self._query(REQUEST_HOME, HOME_LAYOUT), "the home parameters")
+        except ReplyTimeout as error:
+            self._require_alive(error)
+            return None
+        return HomeParameters(*HOME_LAYOUT.unpack(data)[1:])
+
+    def set_home(self, wanted: HomeParameters) -> HomeParameters | None:
+        """Set the parameters of a search of the reference; return what is read back, as `read_home`."""
+        request = long(SET_HOME, HOME_LAYOUT.pack(CHANNEL, *vars(wanted).values()))
+        if self.read_home() is None:
+            self._command(request)
+        else:
+            self._set_until_right(request, self.read_home, wanted, "the home parameters")
+        return self.read_home()
+
+    def clear_backlash(self) -> None:
+        """Switch a correction of backlash off, which overruns the target; a controller without one does not answer."""
+        try:
+            self._set_until_right(
+                long(SET_BACKLASH, POSITION_LAYOUT.pack(CHANNEL, 0)),
+                lambda: self._query(REQUEST_BACKLASH, POSITION_LAYOUT),
+                POSITION_LAYOUT.pack(CHANNEL, 0),
+                "the backlash correction",
+            )
+        except ReplyTimeout as error:
+            self._require_alive(error)
+
     def is_enabled(self) -> bool:
         """Ask whether the channel is switched on."""
         state = self._read_twice(
@@ -321,10 +396,12 @@ class ThorlabsController(Link):
 
     def move(self, count: int) -> None:
         """Start a move to a count. The command is sent once, and has no reply."""
+        self.reports.clear()
         self._command(long(MOVE_TO, POSITION_LAYOUT.pack(CHANNEL, count)))
 
     def home(self) -> None:
         """Start a search of the reference. The command is sent once, and has no reply."""
+        self.reports.clear()
         self._command(short(HOME, CHANNEL))
 
     def stop(self, ramp_s: float) -> None:
@@ -351,7 +428,7 @@ class ThorlabsController(Link):
             remedy="Cut the stage's power.",
         )
 
-    def _set_until_right(self, request: bytes, read: Callable[[], T], wanted: T, what: str) -> None:
+    def _set_until_right(self, request: bytes, read: Callable[[], T | None], wanted: T, what: str) -> None:
         """Send a setting that has no reply, and read it back; send it again if it got lost."""
         for _ in range(3):
             if read() == wanted:
@@ -359,6 +436,12 @@ class ThorlabsController(Link):
             self._command(request)
         if (got := read()) != wanted:
             raise read_back_otherwise(self.name, what, wanted, got)
+
+    def _require_alive(self, error: ReplyTimeout) -> None:
+        """Raise the error of a silence unless the controller answers another question: it did not know that one."""
+        if error.late_s:
+            raise error
+        self.read_status()
 
     def _command(self, request: bytes) -> None:
         with self.lock:

@@ -122,6 +122,10 @@ class WatchedStage(ABC, Generic[A]):
     def _begin_homing(self, axis: A) -> None:
         """Start the search of one reference, with the line's lock held."""
 
+    def _homing_speed_deg_s(self, axis: A) -> float | None:  # noqa: ARG002 - many controllers do not tell it
+        """Ask for the speed of a search of the reference; None if the controller does not tell it."""
+        return None
+
     def _reachable_deg(self, axis: A, angle_deg: float) -> float:
         """Return the angle nearest to a target that the controller can count, in degrees."""
         return axis.to_angle_deg(axis.to_counts(angle_deg))
@@ -199,13 +203,14 @@ class WatchedStage(ABC, Generic[A]):
         """See `Stage.home`. Clears the faults that can be cleared, after checking the serial numbers."""
         check_not_stopped = self._new_stop_check()
         self.identify()
-        for axis in self._axes.values():
+        allowed_s = {}
+        for name, axis in self._axes.items():
             self._clear_faults(axis)
+            allowed_s[name] = motion.longest_homing_s(name, self._homing_speed_deg_s(axis))
         self._position_doubt = self._position_doubt or "homing did not end"
         try:
             self._homed_in = None
             self._start_homing(check_not_stopped)
-            allowed_s = {name: motion.longest_homing_s(limits) for name, limits in self.limits.items()}
             self._watch(dict.fromkeys(self._axes), allowed_s, check_not_stopped)
             for axis in self._axes.values():
                 self._finish_homing(axis)
@@ -235,8 +240,7 @@ class WatchedStage(ABC, Generic[A]):
         """See `Stage.stop`. Returns when all axes stand; no clock interrupts it."""
         self._stops += 1
         self._send_stop()
-        limits = self.limits.values()
-        ramp_s = max(limit.speed_deg_s / limit.acceleration_deg_s2 for limit in limits)
+        ramp_s = max(limit.speed_deg_s / limit.acceleration_deg_s2 for limit in self.limits.values())
         for _ in range(math.ceil((2.0 * ramp_s + 1.0) / _STOP_POLL_S)):
             if not any(self._read_state(axis).busy for axis in self._axes.values()):
                 return

@@ -5,8 +5,10 @@
 
 All numbers are little endian; the computer is 0x01, the unit 0x50. Commands have no answer, and no message has a
 checksum or a number. The end of a motion is told unasked (0x0464 arrived, 0x0444 homed, 0x0466 stopped). Updates of the
-status come ten times a second while they are switched on. A K10CR1 counts the steps that it sends; a KDC101 counts the
-encoder of the motor, and sends at most 50 updates, asked for or not, without a sign of life (0x0492) of the computer.
+status come ten times a second while they are switched on. The home parameters (0x0440) decide how fast the reference is
+searched, and how far from its switch the counter becomes 0; after power-up they are slow, with an offset of 0. A K10CR1
+counts the steps that it sends; a KDC101 counts the encoder of the motor, and sends at most 50 updates, asked for or
+not, without a sign of life (0x0492) of the computer.
 
 Source: Thorlabs, "APT Controllers Host-Controller Communications Protocol". That bytes of a message that is not
 completed are dropped after 0.5 s, and what the unit does at unknown ids (nothing), was written without a unit at hand.
@@ -15,6 +17,7 @@ completed are dropped after 0.5 s, and what the unit does at unknown ids (nothin
 from __future__ import annotations
 
 import struct
+from dataclasses import replace
 from typing import Final
 
 from simulators.stages.axis_motion import Axis, MotionEvent, SingleController
@@ -22,8 +25,13 @@ from simulators.stages.axis_motion import Axis, MotionEvent, SingleController
 _COMPUTER: Final = 0x01
 _UNIT: Final = 0x50
 _UPDATE_S: Final = 0.1
-_HOME_SPEED_DEG_S: Final = 10.0
-"""Speed of homing; the last part is ten times slower."""
+_HOME_SPEED_DEG_S: Final = 2.0
+"""Speed of homing after power-up; the last part of a homing is ten times slower."""
+_MAKERS_OFFSET_DEG: Final = 4.0
+"""From the switch to the zero of the stage, where the maker's programs put it when they connect."""
+_FORWARD: Final = 1
+_CAM_DEG: Final = 1.5
+"""Width of the cam at the switch: a search forward finds its other edge."""
 _PATIENCE: Final = 50
 _SERVO_PERIOD_S: Final = 2048.0 / 6.0e6
 _LONGEST: Final = 255
@@ -61,10 +69,12 @@ class AptController(SingleController):
 
     def _power_up(self) -> None:
         self._buffer = b""
-        self._kept = {number: bytes(length) for number, length in _KEPT.items()}
+        self._kept = {number: b"\1\0" + bytes(length - 2) for number, length in _KEPT.items()}
         speed, acceleration = self._speed_units()
         scale = self.model.mechanics.counts_per_deg
         ramp = round(self.model.acceleration_deg_s2 * scale * acceleration)
+        home_speed = round(_HOME_SPEED_DEG_S * scale * speed)
+        self._kept[0x0440] = struct.pack("<HHHii", 1, 2, 1, home_speed, 0)
         self._kept[0x0413] = struct.pack("<Hiii", 1, 0, ramp, round(self.model.speed_deg_s * scale * speed))
         self._enabled = True
         self._updates = False
@@ -137,10 +147,7 @@ class AptController(SingleController):
 
     def _command(self, number: int, first: int, second: int, content: bytes, now: float) -> None:
         if number == 0x0443 and first == 1:
-            self._switches, self._motion = 0, "home"
-            _, acceleration = self._ramp()
-            speed = _HOME_SPEED_DEG_S * self.model.mechanics.counts_per_deg
-            self.axis.home(now, speed, speed / 10.0, acceleration)
+            self._home(now)
         elif number == 0x0465 and first == 1:
             if self.axis.busy(now):
                 self._motion = "stop"
@@ -150,6 +157,18 @@ class AptController(SingleController):
             channel, value = struct.unpack("<Hi", kept)
             if channel == 1:
                 self._move(value + (self._position(now) if number == 0x0448 else 0), now)
+
+    def _home(self, now: float) -> None:
+        """Search the switch in the direction that is set; the counter becomes 0 at the offset from it."""
+        self._switches, self._motion = 0, "home"
+        _, direction, _, speed, offset = struct.unpack("<HHHii", self._kept[0x0440])
+        made = self.model.mechanics
+        edge_deg = _CAM_DEG if direction == _FORWARD else 0.0
+        zero_deg = made.home_deg + edge_deg + offset / made.counts_per_deg - _MAKERS_OFFSET_DEG
+        self.axis.mechanics = replace(made, home_deg=zero_deg)
+        counts_s = speed / self._speed_units()[0]
+        if counts_s > 0.0:
+            self.axis.home(now, counts_s, counts_s / 10.0, self._ramp()[1])
 
     def _move(self, target: int, now: float) -> None:
         self._switches, self._motion = 0, "move"

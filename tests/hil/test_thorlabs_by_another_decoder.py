@@ -151,6 +151,7 @@ def test_a_driver_sends_what_the_other_encoder_builds_and_nothing_else(family) -
     of_family = FAMILIES[{"thorlabs": "KDC101", "k10cr1": "K10CR1"}[family]]
     ramp = math.floor(100.0 * scale * of_family.acceleration_factor)
     speed = math.floor(20.0 * scale * of_family.speed_factor)
+    home_speed = math.floor(10.0 * scale * of_family.speed_factor)
     built = {
         apt.hw_req_info(UNIT, HOST),
         apt.hw_stop_updatemsgs(UNIT, HOST),
@@ -159,6 +160,9 @@ def test_a_driver_sends_what_the_other_encoder_builds_and_nothing_else(family) -
         apt.mot_req_poscounter(UNIT, HOST, 1),
         apt.mot_req_velparams(UNIT, HOST, 1),
         apt.mot_set_velparams(UNIT, HOST, 1, 0, ramp, speed),
+        apt.mot_req_homeparams(UNIT, HOST, 1),
+        apt.mot_set_homeparams(UNIT, HOST, 1, 2, 1, home_speed, round(4.0 * scale)),
+        apt.mot_req_genmoveparams(UNIT, HOST, 1),
         REQUEST_STATUS_BITS,
         apt.mot_move_home(UNIT, HOST, 1),
         apt.mot_move_stop(UNIT, HOST, 1, 2),
