@@ -16,7 +16,7 @@ SEED ?= 1
 # An editable install holds a copy of these files (docs/decisions/0025).
 FRONT_DOOR := $(wildcard bench/front_door/*.py)
 
-.PHONY: demo night test test-slow lint types format bench lock release clean help
+.PHONY: demo night test test-slow lint types format bench table1 coverage lock release clean help
 .DEFAULT_GOAL := help
 
 help: ## say what there is
@@ -72,7 +72,13 @@ format: $(VENV)/installed-dev ## put the code into its form
 	$(BIN)/ruff check --fix .
 
 bench: $(VENV)/installed-dev ## speeds, beside those of peers (never part of the tests)
-	for b in tests/benchmarks/bench_*.py; do $(BIN)/python $$b || exit 1; done
+	for b in $$(ls tests/benchmarks/bench_*.py | grep -v -e table1 -e coverage); do $(BIN)/python $$b || exit 1; done
+
+table1: $(VENV)/installed-dev ## methods compared where the truth is known: 76 minutes; Ctrl-C, and it continues
+	$(BIN)/python tests/benchmarks/bench_table1.py
+
+coverage: $(VENV)/installed-dev ## how often the stated uncertainty covers the truth; Ctrl-C, and it continues
+	$(BIN)/python tests/benchmarks/bench_coverage.py
 
 lock: $(VENV)/made ## write down the newest versions within the ranges of pyproject.toml, with their hashes
 	$(PIP) 'uv>=0.13'

@@ -26,7 +26,6 @@ from drivers.lateness import REMEDY as BUSY_REMEDY
 
 if TYPE_CHECKING:
     from simulators.rehearsed_world import RehearsedWorld as RehearsedWorld  # noqa: PLC0414 - exported, as a type
-    from simulators.virtual_capture import VirtualCamera
 
 _START_TIMEOUT_S = 120.0
 """The very first start compiles the pixel model; later starts take about a second."""
@@ -203,14 +202,3 @@ def make_rehearsed_world(config: Mapping[str, Any], seed: int) -> RehearsedWorld
         raise SimulationError(
             f"{error.what} {error.remedy}".strip(), where=f"simulation.{error.where}"
         ) from error
-
-
-def virtual_camera(section: Mapping[str, Any], seed: int) -> VirtualCamera:
-    """Make a simulated camera that records at once, in this process and without devices."""
-    from simulators.errors import ConfigError
-    from simulators.virtual_capture import VirtualCamera
-
-    try:
-        return VirtualCamera(section, seed)
-    except ConfigError as error:
-        raise SimulationError(str(error), remedy="Correct the specification.") from error

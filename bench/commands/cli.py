@@ -44,8 +44,6 @@ SECTIONS = {
         "check": "Check by new views whether a calibration is still right.",
         "undistort": "Write tables that take the distortion out of events and images.",
         "rig": "Calculate how two cameras of a rig stand to each other.",
-        "study": "Check by simulation whether the stated uncertainties are right.",
-        "compare": "Compare calibration methods where the truth is known.",
         "convert": "Convert event files to and from the formats of other programs.",
     },
     "The bench": {
@@ -61,7 +59,6 @@ SECTIONS = {
 _MODULES = {
     "resume": "run",
     "rehearse": "batch",
-    "compare": "study",
     "check": "calibrate",
     "undistort": "convert",
     **dict.fromkeys(("align", "panel"), "pages"),
@@ -71,7 +68,7 @@ _MODULES = {
 """Modules of the commands that share one; all others have the name of their command."""
 _CALCULATES = {
     **dict.fromkeys(("run", "resume", "batch"), ("stars", "simulator")),
-    **dict.fromkeys(("verify", "calibrate", "check", "passport", "rig", "compare"), ("stars",)),
+    **dict.fromkeys(("verify", "calibrate", "check", "passport", "rig"), ("stars",)),
 }
 """Parts with compiled loops that a command uses (`bench.base.home`)."""
 _RENAMED = {
@@ -95,6 +92,11 @@ _RENAMED = {
     "target show": "target -s STATION",
 }
 """Commands of earlier versions, and what does their work now."""
+_GONE = {
+    "compare": "The comparison of methods is a benchmark now: `make table1` in the source folder.",
+    "study": "The check of the stated uncertainties is a benchmark now: `make coverage` in the source folder.",
+}
+"""Commands of earlier versions that no command replaces, and where their work is done."""
 
 
 class LazyCommands(click.Group):
@@ -116,6 +118,8 @@ class LazyCommands(click.Group):
         for words in (" ".join(args[:2]), args[0]):
             if words in _RENAMED:
                 raise click.UsageError(f"`{words}` is now `starbench {_RENAMED[words]}`.", ctx)
+            if words in _GONE:
+                raise click.UsageError(_GONE[words], ctx)
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

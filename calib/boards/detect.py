@@ -2,12 +2,12 @@
 
 A corner of a checkerboard and a circle look the same after half a turn about their centre. So `calib.stars.centring`
 locates them, with the curvature of perspective and distortion: circles are then not biased by perspective (Heikkilä,
-2000). Corners as OpenCV locates them are for comparison.
+2000).
 """
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
 import cv2
 import numpy as np
@@ -228,35 +228,3 @@ def _touches_frame(points: Array, shape: tuple[int, ...], rows: int, columns: in
     square = float(max(spread) / max(rows, columns))
     low, high = points.min(axis=0) - 1.5 * square, points.max(axis=0) + 1.5 * square
     return bool((low < 0).any() or high[0] > shape[1] - 1 or high[1] > shape[0] - 1)
-
-
-# Corners of a checkerboard as OpenCV locates them, for comparison with `calib.boards.detect`.
-
-Finder = Literal["sectors", "subpixel"]
-
-_WINDOW_PX = 11
-_STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
-
-
-def opencv_corners(image: AnyArray, board: Board, *, finder: Finder = "subpixel", name: str = "view") -> View:
-    """Find the corners of a checkerboard by OpenCV alone.
-
-    ``sectors``: ``findChessboardCornersSB`` (Duda and Frese, 2018); else ``findChessboardCorners``, ``cornerSubPix``.
-    """
-    grey = to_uint8(np.nan_to_num(np.asarray(image, np.float32)))
-    with placed(f"view {name}"):
-        corners = find_board(grey, board) if finder == "sectors" else _by_subpixel(grey, board)
-    ids, size = np.arange(len(corners), dtype=np.int64), (grey.shape[1], grey.shape[0])
-    return View(name, size, ids, corners, board.points_mm, np.tile(np.eye(2), (len(ids), 1, 1)))
-
-
-def _by_subpixel(grey: Bytes, board: Board) -> Array:
-    """Return (N, 2) px corners by ``findChessboardCorners`` and ``cornerSubPix``, for either contrast."""
-    size, smooth = (board.columns, board.rows), cv2.medianBlur(grey, 3)
-    for shown in (smooth, np.asarray(255 - smooth, np.uint8)):
-        ok, corners = cv2.findChessboardCorners(shown, size, flags=cv2.CALIB_CB_ADAPTIVE_THRESH)
-        if ok:
-            window = (_WINDOW_PX, _WINDOW_PX)
-            found = cv2.cornerSubPix(cv2.GaussianBlur(shown, (0, 0), 2.0), corners, window, (-1, -1), _STOP)
-            return np.asarray(found, np.float64).reshape(-1, 2)
-    raise TargetNotFound(f"No {board.words} was found.", remedy="Show the whole board, in focus.")

@@ -1,4 +1,4 @@
-"""Reference methods on the same points: OpenCV, the published recipe of the paper, and angle invariance of one image.
+"""Reference methods on the same points: OpenCV, and the published recipe of the paper.
 
 Their uncertainties contain star noise only. Compare residuals of left-out views, not reprojection errors.
 """
@@ -18,12 +18,10 @@ from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.arrays import Array
 from calib.calibration import Calibration, CalibrationOptions, rms_and_mean
-from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotConverged, TooFewStars
+from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotConverged
 from calib.fit import fit_model
 from calib.model.camera import PINHOLE, SKEW, CameraModel
-from calib.model.collimator import CENTRE
 from calib.model.lens import BROWN, FISHEYE, is_fisheye
-from calib.model.passport import Passport
 from calib.uncertainty.covariance import covariance_at_optimum, leave_one_out
 from calib.view import View
 
@@ -181,42 +179,3 @@ def _brown_flags(names: Sequence[str]) -> int:
         flags |= cv2.CALIB_RATIONAL_MODEL
     held = [name for name in BROWN if name.startswith("k") and name not in names]
     return int(flags + sum(getattr(cv2, f"CALIB_FIX_{name.upper()}") for name in held))
-
-
-# Calibration from one collimator image by angle invariance.
-#
-# The angle between the rays of two stars does not depend on the pose of the camera (Liang et al., "Flexible camera
-# calibration using a collimator system", arXiv:2512.16113). Two stars at P_i and P_j on the reticle leave the
-# collimator as parallel beams along d = (P - C, r), with the foot C of its axis and its focal length r. The camera must
-# see them under the same angle: angle(ray(p_i), ray(p_j)) = angle(d_i, d_j). All angles are right if one rotation turns
-# all beams to the rays. So the method is the spherical model of one view whose r and C are known. One image cannot tell
-# them from the camera: a longer collimator and a longer camera give the same image. They are taken as exact, so the
-# stated uncertainties hold the noise of the stars only.
-
-_FEWEST_STARS = 20
-
-
-def calibrate_by_angles(
-    view: View, r_mm: float, centre_mm: tuple[float, float], distortion: str = "k1k2"
-) -> MethodResult:
-    """Calibrate a camera from one image, with 20 stars or more, of a collimator whose focal length and axis are known.
-
-    Constraint: arXiv:2512.16113.
-    """
-    where = f"view {view.name}"
-    if len(view) < _FEWEST_STARS:
-        raise TooFewStars(
-            f"The image shows {len(view)} stars; one image needs {_FEWEST_STARS}.",
-            where=where,
-            remedy="Use more images.",
-        )
-    known = Passport(CENTRE, np.array([*centre_mm, r_mm]), np.zeros((3, 3)))
-    try:
-        found = fit_model(
-            [view], CalibrationOptions("spherical", distortion, "l2", passport=known), "spherical"
-        )
-    except (DegenerateViews, NotConverged) as error:
-        raise NotConverged("The angles of one image did not determine the camera.", where=where) from error
-    camera, sigma = found.parameters.camera, found.uncertainty.sigma
-    lengths = _rms_and_mean(found.bundle, found.parameters)
-    return MethodResult("one image, angle invariance", camera, sigma, *lengths, None)

@@ -58,7 +58,6 @@ READERS = {
     "plan-sequence": (("plan", "{}", "--station", "simulated"), "bad.yaml"),
     "run-sequence": (("run", "{}", "--station", "simulated", "--output", "out"), "bad.yaml"),
     "plan-station": (("plan", "three_pose", "--station", "{}"), "bad.yaml"),
-    "study-station": (("study", "three_pose", "--station", "{}", "--runs", "2"), "bad.yaml"),
     "draw-station": (("target", "--station", "{}", "--output", "out.svg"), "bad.yaml"),
     "simulate-station": (("simulate", "--station", "{}"), "bad.yaml"),
     "align-station": (("align", "--station", "{}", "--no-browser"), "bad.yaml"),
@@ -348,7 +347,7 @@ def odd_folders(run: Path) -> Iterator[Case]:
             "-o",
             "a",
         ),
-        "underscore": ("study", "--noise-px", "1_0", "--runs", "2"),
+        "underscore": ("calibrate", "points.csv", "--guard-band", "1_0"),
         "image-size": ("calibrate", "points.csv", "--image-size", "99999999999x1"),
     }.items():
         yield Case(f"words:{name}", options(*words), named=False)

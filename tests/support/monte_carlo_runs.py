@@ -1,9 +1,9 @@
 """A whole Monte Carlo study in this process, and what only tests ask of one; and the jackknife as a second opinion."""
 
 import numpy as np
+from monte_carlo import calibrate_once, study_of
 
 from calib.adjustment.parameters import views_of_poses
-from calib.studies.monte_carlo import calibrate_once, study_of
 from calib.uncertainty.covariance import without_pose
 
 

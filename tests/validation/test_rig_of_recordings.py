@@ -5,12 +5,12 @@ import json
 import numpy as np
 import pytest
 from calling import out_of
+from virtual_camera import VirtualCamera
 
 from calib.model.rotation import log_map
 from simulators.config import bench_config
 from simulators.optics.picture import true_rotation
 from simulators.pixels.evt3_writer import Evt3Writer
-from simulators.virtual_capture import VirtualCamera
 
 CAMERA = {"width": 640, "height": 360, "fx": 1672, "fy": 1672, "cx": 320, "cy": 180}
 MOUNTS = {"left": {}, "right": {"turn_deg": [0.4, -0.6, 3.0]}}

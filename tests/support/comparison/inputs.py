@@ -108,7 +108,7 @@ SHORT_COMMANDS: dict[str, str] = {
     "queue-with-station": "plan queue.yaml -s simulated", "batch-without-folder": "batch queue.yaml",
     "batch-of-a-sequence": "batch three.yaml -o out", "convert-unknown": "convert three.yaml out.xyz",
     "certificate-of-nothing": "certificate issue nowhere -c lab.yaml -o out", "passport-of-text": "passport show three.yaml",
-    "compare-missing": "compare missing", "rig-of-nothing": "rig nowhere nothing", "schema-unknown": "schema run",
+    "rig-of-nothing": "rig nowhere nothing", "schema-unknown": "schema run",
     "recalibrate-nothing": "recalibrate nowhere -o out", "check-xml": "certificate check three.yaml",
     "version": "--version", "help": "--help", "help-run": "run --help", "help-calibrate": "calibrate --help",
     "help-align": "align --help", "help-batch": "batch --help", "help-certificate": "certificate --help",
@@ -128,5 +128,4 @@ SHORT_COMMANDS: dict[str, str] = {
     "target-show": "target show -s simulated --json",
     "target-draw": "target draw -s simulated -o target.svg",
     "certificate-new": "certificate new -o new_lab.yaml", "certificate-list": "certificate list --json",
-    "study": "study three_pose --runs 6 --workers 1 --json",
 }  # fmt: skip

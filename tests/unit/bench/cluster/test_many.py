@@ -1,4 +1,4 @@
-"""Studies, conversions and checks by workers: as without them, continued after an interruption, nothing overwritten."""
+"""Conversions and checks by workers: as without them, continued after an interruption, nothing overwritten."""
 
 import json
 import shutil
@@ -10,14 +10,12 @@ from click.testing import CliRunner
 
 from bench.base.errors import UsageError
 from bench.base.home import forms
-from bench.cluster import recalculation, verifications
-from bench.cluster.recalculation import STUDY, plan_study, run_blocks
+from bench.cluster import verifications
 from bench.cluster.verifications import Check, check_one, convert_many, plan_targets
 from bench.cluster.work import KeptRows, Serial
 from bench.commands.cli import cli
 from bench.evidence.findings import Findings
 from bench.evidence.key_trust import Trust
-from calib.studies.monte_carlo import study_of
 from drivers.camera import CameraIdentity
 from drivers.camera.event_arrays import Events, Triggers
 from drivers.camera.formats.event_conversion import Evt3Encoder
@@ -50,52 +48,6 @@ def test_rows_are_kept_and_half_a_line_is_not_one(tmp_path):
     (tmp_path / "else" / "thesis.txt").write_text("mine")
     with pytest.raises(UsageError, match="something else"):
         KeptRows(tmp_path / "else", "rows.jsonl")
-
-
-# ------------------------------------------------------------------ studies
-
-
-@pytest.fixture(scope="module")
-def planned():
-    how = {"noise_px": None, "drift_mm": 0.0, "outliers": 0.0, "model": "spherical", "loss": "l2"}
-    return plan_study("three_pose", "simulated_ideal", seed=3, **how)
-
-
-def same(first, second):
-    arrays = ("truth", "values", "sigmas", "factors")
-    assert first.names == second.names
-    assert first.failed == second.failed
-    assert all(np.array_equal(getattr(first, one), getattr(second, one)) for one in arrays)
-
-
-def test_an_interrupted_study_goes_on_and_ends_as_one_without_workers(planned, tmp_path, monkeypatch):
-    monkeypatch.setattr(recalculation, "BLOCK", 2)
-    alone = study_of(planned.bench, planned.calibrate(range(5)))
-
-    def interrupt(_more):
-        raise KeyboardInterrupt
-
-    with KeptRows(tmp_path / "out", STUDY) as kept, pytest.raises(KeyboardInterrupt):
-        run_blocks(planned, 5, Serial(), kept, interrupt)
-    made = []
-    block = recalculation.calibrate_block
-    monkeypatch.setattr(
-        recalculation, "calibrate_block", lambda *words: made.append(words[1]) or block(*words)
-    )
-    with KeptRows(tmp_path / "out", STUDY) as kept:
-        same(run_blocks(planned, 5, Serial(), kept), alone)
-    assert made == [range(2, 4), range(4, 5)]
-    with KeptRows(tmp_path / "out", STUDY) as kept:
-        same(run_blocks(planned, 5, Serial(), kept), alone)
-    assert len(made) == 2
-
-
-@pytest.mark.slow
-def test_the_command_of_a_study_gives_the_same_by_processes(planned):
-    words = ["study", "three_pose", "--model", "spherical", "--runs", 18, "--seed", 3, "--json"]
-    serial, by_two = run(*words, "--workers", 1), run(*words, "--workers", 2)
-    assert serial.stdout == by_two.stdout
-    assert '"runs": 18' in serial.stdout
 
 
 # ------------------------------------------------------------------ conversions

@@ -95,7 +95,7 @@ def test_help_of_a_command_has_a_purpose_an_example_and_its_statuses(say, words)
         assert not isinstance(option, click.Option) or option.hidden or option.help, option.name
 
 
-@pytest.mark.parametrize("words", [("compare",), ("certificate", "authorise"), ("devices",), ("run",)])
+@pytest.mark.parametrize("words", [("certificate", "authorise"), ("devices",), ("run",)])
 def test_a_command_that_can_be_stopped_or_refused_says_with_which_status(say, words):
     _, said, _ = say(*words, "--help")
     assert re.search(r"Exit status: 0 [^.]* 3 ", " ".join(said.split()))
@@ -198,7 +198,6 @@ def test_an_output_that_is_a_file_is_refused(say, tmp_path, words, output):
 @pytest.mark.parametrize(
     "words",
     [
-        ("study", "--runs", 2, "--plot"),
         ("passport", "certificate", "--radius", 255, "--sigma", 1, "--number", 1, "-o"),
         ("station", "new"),
         ("convert", "source"),
@@ -239,9 +238,6 @@ def test_a_missing_path_is_named_and_is_an_invalid_argument(say, words):
 @pytest.mark.parametrize(
     "words",
     [
-        ("study", "--noise-px"),
-        ("study", "--drift-mm"),
-        ("study", "--outliers"),
         ("calibrate", ".", "--guard-band"),
         ("passport", "certificate", "--sigma", "1", "--number", "1", "-o", "new.json", "--radius"),
         ("passport", "certificate", "--radius", "255", "--number", "1", "-o", "new.json", "--sigma"),
@@ -333,6 +329,16 @@ def test_a_command_of_an_earlier_version_is_refused_with_the_one_that_does_its_w
     status, out, err = say(*words)
     assert (status, out) == (2, "")
     assert f"is now `starbench {now}`." in err
+
+
+@pytest.mark.parametrize(
+    ("words", "where"),
+    [(("compare", "table1"), "`make table1`"), (("study", "--runs", "9"), "`make coverage`")],
+)
+def test_a_command_that_has_gone_is_refused_with_where_its_work_is_done(say, words, where):
+    status, out, err = say(*words)
+    assert (status, out) == (2, "")
+    assert where in err
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""The engine at the command line: comparison, passports, forecasts, studies, on views made here."""
+"""The engine at the command line: comparison, passports, forecasts, on views made here."""
 
 import json
 from datetime import UTC, datetime
@@ -12,7 +12,6 @@ from bench.plan.plan import load_documents, make_plan
 from bench.results.expectations import expected_uncertainty
 from bench.results.forecasts import expected_bench, suggest_poses
 from bench.stations.station import load_station
-from calib.studies.monte_carlo import Repetition, study_of
 
 POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2)]
 
@@ -179,46 +178,6 @@ def test_a_plan_shows_the_expected_uncertainty_and_suggests_poses(capsys):
     nine = expected_uncertainty(make_plan(*load_documents("nine_pose", "simulated")))
     assert nine is not None
     assert nine.forecast.projection_map.worst_px < told["expected"]["worst_px"]
-
-
-def test_a_study_names_the_model_that_it_judges(capsys):
-    spherical = out_of(capsys, "study", "--runs", 2, "--model", "spherical")
-    assert "model spherical, 0 failed" in spherical
-    joint = out_of(capsys, "study", "--runs", 2)
-    assert "model joint, 0 failed" in joint
-    assert "does not use" not in joint + spherical
-    assert "Note: The joint model does not use: the loss." in out_of(
-        capsys, "study", "--runs", 2, "--loss", "l2"
-    )
-    assert len({line.index("error") for line in joint.splitlines() if " rms, stated " in line}) == 1
-
-
-def test_a_study_finds_that_the_sigmas_hold_and_plots_them(capsys, tmp_path):
-    plot = tmp_path / "z.svg"
-    told = json.loads(out_of(capsys, "study", "--model", "spherical", "--runs", 20, "--plot", plot, "--json"))
-    assert told["held"]
-    assert told["failed"] == []
-    assert 0.7 < told["z_rms"]["fx"] < 1.4
-    assert plot.read_text().count("<svg") == 1
-
-
-@pytest.mark.parametrize(
-    ("fx_off", "factor", "says"),
-    [
-        (0.1, 2.0, "the stated uncertainties hold; some are larger than what was drawn explains"),
-        (3.0, 2.0, "THE STATED UNCERTAINTIES DO NOT HOLD"),
-        (3.0, 4.0, "the stated uncertainties hold"),
-    ],
-)
-def test_a_study_does_not_say_of_too_large_uncertainties_that_they_do_not_hold(
-    capsys, monkeypatch, fx_off, factor, says
-):
-    def done(planned, runs, *_):
-        of_each = Repetition(("fx", "r"), (planned.bench.camera.fx + fx_off, 255.0), (1, 1), (factor, 2.0))
-        return study_of(planned.bench, [of_each] * runs)
-
-    monkeypatch.setattr("bench.cluster.recalculation.run_blocks", done)
-    assert says in out_of(capsys, "study")
 
 
 @pytest.mark.parametrize("kind", ["metavision", "hdf5", "numpy"])

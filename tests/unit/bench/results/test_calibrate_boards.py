@@ -234,20 +234,20 @@ def test_a_board_that_moves_along_its_edges_or_too_little_is_named_with_what_to_
 
 @pytest.mark.slow
 def test_a_simulated_moving_board_is_reconstructed_where_it_stands_at_the_time_of_the_picture():
-    from bench.compare.scenes import record_moving
-    from bench.compare.spec import ComparisonConfig
-    from bench.simulated import virtual_camera
+    from virtual_camera import VirtualCamera
+
     from calib.boards.board import Board
     from calib.boards.detect import detect_board
+    from tests.benchmarks.compared.columns import Column, Screen
+    from tests.benchmarks.compared.scenes import record_moving
 
-    shown = {"name": "a", "method": "reconstruction", "images": 2, "board": {"focus": "sharp"}}
-    (column,) = ComparisonConfig(format="starbench/comparison/1", name="x", columns=[shown]).columns
+    column = Column(name="a", method="reconstruction", images=2, board=Screen(focus="sharp"))
     screen = {"columns": 11, "rows": 7, "square_mm": 12.0, "position_mm": [0.0, 0.0, 900.0]}
     optics = {"mounting_deg": [0.0, 0.0, 0.0]}
     section = {"noise": "typical", "screen": {**screen, "turn_deg": [20, -15, 12]}, "optics": optics}
     picture = record_moving(column, section, 3345.0, 3, 1)[True]
     view = detect_board(picture, Board("checkerboard", 11, 7, 12.0))
-    true = virtual_camera(section, 3).board_corners_px()[view.ids]
+    true = VirtualCamera(section, 3).board_corners_px()[view.ids]
     if np.linalg.norm(view.points_px[0] - true[0]) > 50:
         true = true[::-1]
     apart = view.points_px - true

@@ -1,5 +1,6 @@
 """Monte Carlo studies of the stated uncertainties."""
 
+import monte_carlo
 import numpy as np
 import pytest
 from monte_carlo_runs import run_monte_carlo, z_of_all
@@ -8,7 +9,6 @@ from paper_camera import NARROW, POSES
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import NotConverged
 from calib.model.passport import Passport
-from calib.studies import monte_carlo
 
 EXACT = Passport(("x", "y", "r"), NARROW.collimator.values, np.eye(3) * 1e-8)
 L2 = CalibrationOptions("spherical", loss="l2")

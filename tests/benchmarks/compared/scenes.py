@@ -12,11 +12,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from virtual_camera import VirtualCamera
 
-from bench.compare.spec import STAR_METHODS, ColumnConfig, MotionConfig
-from bench.simulated import virtual_camera
 from calib.boards.board import Board
-from calib.boards.detect import Finder, detect_board, opencv_corners
+from calib.boards.detect import detect_board
 from calib.errors import CalibrationError
 from calib.events.event_image import make_images
 from calib.events.flicker import Flicker
@@ -27,6 +26,9 @@ from calib.stars.detect import detect_view
 from calib.stars.rim import downweight_vignetted
 from calib.target import StarTarget
 from calib.view import View
+
+from .by_others import opencv_corners
+from .columns import STAR_METHODS, Column
 
 # Recordings of a board that moves before the simulated camera, under a steady light, and pictures made from
 # them.
@@ -39,24 +41,19 @@ _OBLIQUE_DEG = (20.0, 70.0)
 _TURN_DEG_S = 10.0
 
 
-def motion_of(column: ColumnConfig) -> MotionConfig:
-    """Return the motion of a column of the method ``reconstruction``, or the default."""
-    return column.motion or MotionConfig()
-
-
-def reach_px(column: ColumnConfig) -> float:
+def reach_px(column: Column) -> float:
     """Return how far the board moves in the picture to either side of its place: half the way, px."""
-    return motion_of(column).way_px / 2.0
+    return column.motion.way_px / 2.0
 
 
 def record_moving(
-    column: ColumnConfig, section: dict[str, Any], focal_px: float, seed: int, number: int
+    column: Column, section: dict[str, Any], focal_px: float, seed: int, number: int
 ) -> dict[bool, NDArray[np.float32]]:
     """Record a board that moves evenly through its placement, and reconstruct its picture there.
 
     Pictures are (H, W) float32: two-sided (True), and of the filter as published (False).
     """
-    motion = motion_of(column)
+    motion = column.motion
     rng = np.random.default_rng((seed, 31, number))
     position, turn = np.array(section["screen"]["position_mm"]), np.array(section["screen"]["turn_deg"])
     angle = motion.angle_deg if motion.angle_deg is not None else rng.uniform(*_OBLIQUE_DEG)
@@ -74,7 +71,7 @@ def record_moving(
         a, b, c = (turn + late_s * turning).tolist()
         return (x, y, z), (a, b, c)
 
-    camera = virtual_camera(section, seed)
+    camera = VirtualCamera(section, seed)
     seen = camera.capture_moving(
         board_at, duration_us, seed=1000 * seed + number, frame_us=1e6 * STEP_PX / motion.speed_px_s
     )
@@ -111,23 +108,21 @@ class Images:
     reference: Images | None = None
 
 
-def recordings_key(column: ColumnConfig) -> tuple[Any, ...]:
+def recordings_key(column: Column) -> tuple[Any, ...]:
     """Return what the recordings of a column depend on; columns with the same key share their recordings."""
-    if column.data is not None:
-        return ("data", column.data.path)
     if column.method in STAR_METHODS:
         key = ("stars", column.collimator, column.bow_um, column.noise, column.images)
         return (*key, "reference") if column.known_collimator else key
     board = ("board", column.noise, column.images, *column.board.model_dump().values())
     if column.method != "reconstruction":
         return board
-    motion = motion_of(column)
+    motion = column.motion
     return ("moving", *board, motion.speed_px_s, motion.way_px, motion.angle_deg, motion.cutoff_hz)
 
 
-def finding_key(column: ColumnConfig) -> tuple[Any, ...]:
+def finding_key(column: Column) -> tuple[Any, ...]:
     """Return what the search for the target depends on, besides the recordings."""
-    return column.detector, column.method == "reconstruction" and motion_of(column).two_sided
+    return column.detector, column.method == "reconstruction" and column.motion.two_sided
 
 
 @dataclass(frozen=True)
@@ -146,7 +141,7 @@ class Recordings:
     one_sided: Sequence[NDArray[np.float32]] = ()
 
 
-def record(column: ColumnConfig, seed: int) -> Recordings:
+def record(column: Column, seed: int) -> Recordings:
     """Record the images of one repetition, which all columns with the same `recordings_key` share."""
     if column.method not in STAR_METHODS:
         return _record_boards(column, seed)
@@ -157,12 +152,12 @@ def record(column: ColumnConfig, seed: int) -> Recordings:
     return replace(own, reference=_record_stars(other, seed, seed + _OTHER_CAMERA))
 
 
-def find_targets(column: ColumnConfig, recorded: Recordings) -> Images:
+def find_targets(column: Column, recorded: Recordings) -> Images:
     """Find the targets of recorded images, as a column asks."""
     chosen = column.board
     board = Board("checkerboard", chosen.columns, chosen.rows, chosen.square_mm)
     target, stars = StarTarget(), column.method in STAR_METHODS
-    published = column.method == "reconstruction" and not motion_of(column).two_sided
+    published = column.method == "reconstruction" and not column.motion.two_sided
     shown = recorded.one_sided if published else recorded.images
     views, kept, missed = [], [], []
     for number, (image, name) in enumerate(zip(shown, recorded.names, strict=True)):
@@ -193,7 +188,7 @@ def star_poses(count: int) -> list[tuple[float, float]]:
 
 
 def gimbal_section(seed: int) -> dict[str, Any]:
-    """Return section ``gimbal`` of a simulation: errors as the station states them in `bench.compare.methods`."""
+    """Return section ``gimbal`` of a simulation: errors as the station states them in `methods`."""
     rng = np.random.default_rng((seed, 11))
     return {
         "wobble_deg": 0.001,
@@ -205,14 +200,14 @@ def gimbal_section(seed: int) -> dict[str, Any]:
     }
 
 
-def _record_stars(column: ColumnConfig, seed: int, camera_seed: int) -> Recordings:
+def _record_stars(column: Column, seed: int, camera_seed: int) -> Recordings:
     section = {
         "collimator": {"profile": column.collimator, "glass_seed": 1000 + seed},
         "gimbal": gimbal_section(seed),
         "noise": column.noise,
         "reticle": {"bow_mm": 1e-3 * column.bow_um},
     }
-    camera = virtual_camera(section, camera_seed)
+    camera = VirtualCamera(section, camera_seed)
     poses = [{"pan": pan, "tilt": tilt} for pan, tilt in star_poses(column.images)]
     images = [_event_image(camera, pose, 1000 * camera_seed + number) for number, pose in enumerate(poses, 1)]
     names = [f"pose {number}" for number in range(1, len(poses) + 1)]
@@ -220,9 +215,9 @@ def _record_stars(column: ColumnConfig, seed: int, camera_seed: int) -> Recordin
     return Recordings(images, names, readings, camera.truth())
 
 
-def _record_boards(column: ColumnConfig, seed: int) -> Recordings:
+def _record_boards(column: Column, seed: int) -> Recordings:
     rng = np.random.default_rng((seed, 21))
-    truth = virtual_camera({}, seed).truth()
+    truth = VirtualCamera({}, seed).truth()
     camera = true_camera(truth["camera"])
     moving = column.method == "reconstruction"
     margin_px = _MARGIN_PX + (reach_px(column) if moving else 0.0)
@@ -236,12 +231,12 @@ def _record_boards(column: ColumnConfig, seed: int) -> Recordings:
             images.append(pictures[True])
             one_sided.append(pictures[False])
         else:
-            images.append(_event_image(virtual_camera(section, seed), {}, 1000 * seed + number))
+            images.append(_event_image(VirtualCamera(section, seed), {}, 1000 * seed + number))
         names.append(f"placement {number}")
     return Recordings(images, names, (), truth, one_sided=one_sided)
 
 
-def _lens_section(column: ColumnConfig) -> dict[str, Any]:
+def _lens_section(column: Column) -> dict[str, Any]:
     """Return the lens of a board: sharp everywhere, focused at infinity, or focused on the board."""
     board = column.board
     if board.focus == "sharp":
@@ -251,7 +246,7 @@ def _lens_section(column: ColumnConfig) -> dict[str, Any]:
 
 
 def _placement(
-    column: ColumnConfig, camera: CameraModel, rng: np.random.Generator, margin_px: float
+    column: Column, camera: CameraModel, rng: np.random.Generator, margin_px: float
 ) -> dict[str, Any]:
     """Draw where a person holds the screen: wholly in view, tilted, turned and off the middle."""
     board = column.board
@@ -285,8 +280,7 @@ def _found_board(image: NDArray[np.float32], board: Board, detector: str, name: 
     """Find the corners as the column asks."""
     if detector == "symmetry":
         return detect_board(image, board, name=name)
-    finder: Finder = "sectors" if detector == "sectors" else "subpixel"
-    return opencv_corners(image, board, finder=finder, name=name)
+    return opencv_corners(image, board, detector, name)
 
 
 def _event_image(camera: Any, angles_deg: Mapping[str, float], seed: int) -> NDArray[np.float32]:

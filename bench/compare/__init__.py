@@ -1,1 +1,0 @@
-"""Comparison of calibration methods on the simulated bench, where the truth is known."""

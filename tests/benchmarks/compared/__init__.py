@@ -1,0 +1,1 @@
+"""Calibration methods compared on the simulated bench, where the truth is known."""
