@@ -410,6 +410,13 @@ class StageProtocol(Described):
 
     format: Literal["starbench/stage-protocol/1"]
     stop: Command
+    modes: Annotated[
+        tuple[Command, ...],
+        Field(
+            max_length=20,
+            description="Commands that undo modes of another program; sent between stops, before settings.",
+        ),
+    ] = ()
     axis: AxisProtocol
 
     @property

@@ -253,7 +253,7 @@ class Switch:
 
 @dataclass(frozen=True, kw_only=True)
 class AxisSetting:
-    """A setting of an axis that is written at opening where it differs, and read back."""
+    """A setting of an axis that is written where it differs, and read back."""
 
     quantity: AxisQuantity
     # set, query: How to write it, and how to read it; both carry ``value``.
@@ -262,6 +262,11 @@ class AxisSetting:
     constant: float = 0.0  # Value of a setting that does not depend on the station file
     # Largest difference between the value that was written and the one that is read, in percent.
     tolerance_percent: float = 0.0
+
+    @property
+    def is_position(self) -> bool:
+        """Whether it is a position, which a device may know only after a search of its reference."""
+        return self.quantity in {"lowest", "highest"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -287,8 +292,11 @@ class StageDescription:
     # not tell.
     lowest: Exchange | None
     highest: Exchange | None
+    # Commands to the whole device that undo modes of another program. Each stands between two stops, before
+    # settings are written: in its mode, a setting could be a motion.
+    modes: tuple[Exchange, ...]
     settings: tuple[AxisSetting, ...]
-    setup: tuple[Exchange, ...]  # Commands to each axis at opening, after the settings; they move nothing
+    setup: tuple[Exchange, ...]  # Commands to each axis, after the settings; they move nothing
 
 
 @dataclass(frozen=True, kw_only=True)

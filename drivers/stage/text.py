@@ -2,8 +2,11 @@
 
 `drivers.described.description` says what such a protocol may be; the bench reads it from a file. A position is the
 controller's counts by the scale of the station file. All settings that were written are read again before and after
-each move: another value means that the controller has restarted, and the reference is lost. The module moves nothing
-but by ``home`` and ``move_to``; ``drivers.stage.watched`` watches the moves.
+each move: another value means that the controller has restarted, and the reference is lost.
+
+In a mode that another program has left, a setting can be a motion. So opening only asks, and ``home`` sets modes and
+settings; opening writes settings if the controller says that it has a reference, because it may then be moved at once.
+The module moves nothing but by ``home`` and ``move_to``; ``drivers.stage.watched`` watches the moves.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ from dataclasses import dataclass
 from drivers.clock import Clock
 from drivers.described.description import AxisSetting, Exchange, StageDescription, Value
 from drivers.described.line import DescribedLine
-from drivers.errors import OutsideLimits, ReplyError, ReplyTimeout
+from drivers.errors import DeviceRefused, OutsideLimits, ReplyError, ReplyTimeout
 from drivers.link import TRIES, read_until_agreed
 from drivers.serial_port import Port
 from drivers.stage import AxisIdentity, motion
@@ -77,8 +80,13 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
     def _set_up(self) -> None:
         self.identify()
         self._bring_to_rest()
+        reference = self._description.reference
         for axis in self._axes.values():
-            self._program(axis)
+            if reference is not None and self._line.switch(reference, self._of(axis))[0]:
+                self._prepare(axis)
+                self._finish_homing(axis)
+            else:
+                self._check_axis(axis, homed=False)
         self._line.take_notices()
 
     @classmethod
@@ -137,9 +145,28 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
         self._line.take_notices()
 
     def _clear_faults(self, axis: TextAxis) -> None:
-        """Write the settings again: a restart has undone them."""
+        """Undo the modes of other programs, and write the settings again: a restart has undone them."""
         self._line.take_notices()
-        self._program(axis)
+        self._prepare(axis)
+
+    def _prepare(self, axis: TextAxis) -> None:
+        """Set modes and settings that an axis can have before it has a reference. Each mode stands between stops."""
+        self._check_axis(axis, homed=False)
+        for mode in self._description.modes:
+            self._line.query(self._description.stop)
+            self._line.query(mode)
+            self._line.query(self._description.stop)
+        for setting in self._description.settings:
+            if not setting.is_position:
+                self._set(axis, setting)
+
+    def _finish_homing(self, axis: TextAxis) -> None:
+        """Compare what a homing may have changed, and write the other settings."""
+        self._check_axis(axis, homed=True)
+        for setting in self._description.settings:
+            self._set(axis, setting)
+        for command in self._description.setup:
+            self._line.query(command, self._of(axis))
 
     def _reachable_deg(self, axis: TextAxis, angle_deg: float) -> float:
         counts = axis.to_position(angle_deg)
@@ -189,7 +216,7 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
     def _read_final_state(self, axis: TextAxis, *, homing: bool) -> AxisState:
         """Read the settings and the faults too: a restart undoes the settings."""
         state = self._read_state(axis, homing=homing)
-        if self._changed_settings():
+        if self._changed_settings(with_positions=not homing):
             return state._replace(problem="the controller restarted during the move: its position is lost")
         if homing:
             self._line.take_notices()  # a search of the reference may touch the limit switches
@@ -227,26 +254,34 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
 
     # ------------------------------------------------------------ settings
 
-    def _program(self, axis: TextAxis) -> None:
-        """Check scale and travel; write the settings where they differ; read them back."""
-        self._check_scale(axis)
-        ends = sorted(map(axis.to_position, (axis.limits.lowest_deg, axis.limits.highest_deg)))
+    def _check_axis(self, axis: TextAxis, *, homed: bool) -> None:
+        """Compare scale and travel with the station's. Before a homing, a device need not know them."""
+        told = self._told(self._description.scale, axis, "scale", homed=homed)
+        if told is not None and (told > 0 or homed):
+            self._check_scale(axis, told)
         lowest, highest = (
-            None if query is None else self._number(query, axis, "counts")
+            self._told(query, axis, "counts", homed=homed)
             for query in (self._description.lowest, self._description.highest)
         )
+        if not homed and lowest is not None and highest is not None and lowest >= highest:
+            return
+        ends = sorted(map(axis.to_position, (axis.limits.lowest_deg, axis.limits.highest_deg)))
         motion.check_travel(
             axis.name, (ends[0], ends[1]), (lowest, highest), "counts", slack=1.0, to_deg=axis.to_angle_deg
         )
-        for setting in self._description.settings:
-            self._set(axis, setting)
-        for command in self._description.setup:
-            self._line.query(command, self._of(axis))
 
-    def _check_scale(self, axis: TextAxis) -> None:
-        if self._description.scale is None:
-            return
-        told = self._number(self._description.scale, axis, "scale")
+    def _told(self, query: Exchange | None, axis: TextAxis, name: str, *, homed: bool) -> float | None:
+        """Read a number; None if there is no such query, or the device refuses it before a homing."""
+        if query is None:
+            return None
+        try:
+            return self._number(query, axis, name)
+        except DeviceRefused:
+            if homed:
+                raise
+            return None
+
+    def _check_scale(self, axis: TextAxis, told: float) -> None:
         if told <= 0:
             raise self._line.garbled_reply(f"the controller reports a scale of {told:g}.")
         counts = {
@@ -259,7 +294,8 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
                 f"the station file gives {abs(axis.counts_per_deg):g} counts per degree, the controller"
                 f" {counts:.6g}. Nothing was set.",
                 where=axis.name,
-                remedy="Correct counts_per_deg in the station file; its sign is the direction.",
+                remedy="Correct counts_per_deg in the station file (its sign is the direction), or the step mode of"
+                " the controller.",
             )
 
     def _number(self, query: Exchange, axis: TextAxis, name: str) -> float:
@@ -297,10 +333,11 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
         if (got := self._differs(axis, setting)) is not None:
             raise reads_otherwise(axis, f"the {setting.quantity}", f"{wanted:g}", f"{got:g}")
 
-    def _changed_settings(self) -> bool:
+    def _changed_settings(self, *, with_positions: bool = True) -> bool:
         """Whether a setting that was written has another value now, as after a restart."""
         return any(
             self._differs(axis, setting) is not None
             for axis in self._axes.values()
             for setting in self._description.settings
+            if with_positions or not setting.is_position
         )

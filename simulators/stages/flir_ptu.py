@@ -8,6 +8,10 @@ There is no checksum and no message id. A limit switch prints ``!P`` or ``!T`` w
 ``RP``, ``RT``) is answered when it has ended; commands wait meanwhile, ``H`` does not. At power-up echo and verbose
 answers are on, and nothing is calibrated (as after ``RD``). The unit counts steps and has no encoder.
 
+Modes that survive a client: in pure velocity control (``CV``) a speed is a motion, to the end of the travel, and ``CI``
+ends it; in slaved mode (``S``) a move waits for ``A`` or for ``I``; a step mode (``WPQ``) is in force after the next
+reset. A unit with `before_reset` knows neither scale nor limits until its first reset, as a PTU-E46 does.
+
 Reference: FLIR, "E Series Pan-Tilt Command Reference Manual", and the D46 and D300 user's manuals, section 4. What
 ``H`` does in a reset, the banner, and the wording of rare answers were written without a unit at hand.
 """
@@ -31,6 +35,8 @@ _NAMES: Final = {"P": "Pan", "T": "Tilt"}
 _BASE_SPEED: Final = 57
 _MOST_SPEED_DEG_S: Final = 100.0
 _LARGEST: Final = 10**9
+_STEPS: Final = {"F": 0.5, "H": 1.0, "Q": 2.0, "E": 4.0, "A": 4.0}
+"""Positions in each step mode for one in half steps; automatic steps count as the finest."""
 
 
 _TOLD: Final = {
@@ -62,22 +68,29 @@ class PtuAxis(AxisOfController):
     letter: str
     model: AxisModel  # A count is a position of the unit; a reset finds the limits
     settings: dict[str, int] = field(default_factory=dict)  # Values by the letters after the axis's letter
+    factor: float = 1.0  # Positions for one count of the model
+    chosen: str = "H"  # Step mode that the next reset brings into force
+    waiting: int | None = None  # Target that waits in slaved mode
 
     def power_up(self) -> None:
         """Set the settings of a power-up."""
         scale = self.model.mechanics.counts_per_deg
-        end = round(self.model.limit_deg * scale)
         self.settings = {
             "S": round(self.model.speed_deg_s * scale),
             "A": round(self.model.acceleration_deg_s2 * scale),
             "B": _BASE_SPEED,
             "U": round(_MOST_SPEED_DEG_S * scale),
             "L": 0,
-            "N": -end,
-            "X": end,
-            "NU": -end,
-            "XU": end,
         }
+        self.waiting = None
+        self.count_in("H")
+
+    def count_in(self, mode: str) -> None:
+        """Bring a step mode into force, with the limits in its positions."""
+        self.factor = _STEPS[mode]
+        self.chosen = mode
+        end = round(self.model.limit_deg * self.model.mechanics.counts_per_deg * self.factor)
+        self.settings |= {"N": -end, "X": end, "NU": -end, "XU": end}
 
 
 class PtuController(Controller):
@@ -90,6 +103,8 @@ class PtuController(Controller):
         clock: Callable[[], float],
         publish: Callable[[str, LoadTrajectory], None] = lambda _letter, _pointing: None,
         baud: int = 9600,
+        *,
+        before_reset: bool = False,
     ) -> None:
         moved = {
             letter: Axis(one.mechanics, clock(), partial(publish, letter)) for letter, one in models.items()
@@ -97,6 +112,7 @@ class PtuController(Controller):
         super().__init__(moved.values(), clock, baud=baud, boot_s=_BOOT_S)
         self.serial = serial
         self.axes = {letter: PtuAxis(self, moved[letter], letter, model) for letter, model in models.items()}
+        self.before_reset = before_reset
         self._power_up()
         self._banner = b""
 
@@ -108,6 +124,7 @@ class PtuController(Controller):
         self._pending = b""
         self._echo = self._verbose = True
         self._limits = "factory"
+        self._by_speed = self._slaved = False
         for one in self.axes.values():
             one.power_up()
 
@@ -138,6 +155,10 @@ class PtuController(Controller):
                 _, axes = self._resetting
                 if any(one.axis.reports_busy(now) for one in axes):
                     break
+                self.before_reset = False
+                for one in axes:
+                    if _STEPS[one.chosen] != one.factor:
+                        one.count_in(one.chosen)
                 hits = "".join(f"!{one.letter}!{one.letter}" for one in reversed(axes))
                 said += f"{hits}*\r\n".encode("ascii", "replace")
                 self._resetting = None
@@ -157,8 +178,10 @@ class PtuController(Controller):
 
     # ------------------------------------------------------------------ commands
     def _said(self, command: str, now: float) -> str:
-        if command in {"EE", "ED", "FV", "FT", "LE", "LD", "LU", "CI", "I", "RD", "RE"}:
+        if command in {"EE", "ED", "FV", "FT", "LE", "LD", "LU", "RD", "RE"}:
             return self._set_mode(command)
+        if command in {"CI", "CV", "I", "S", "A"} or command in self._step_modes:
+            return self._set_control(command, now)
         if command in {"R", "RP", "RT"}:
             return self._reset(command, now)
         if command in {"H", "HP", "HT"}:
@@ -171,7 +194,7 @@ class PtuController(Controller):
             "E": "Echoing ON" if self._echo else "Echoing OFF",
             "F": "ASCII verbose mode" if self._verbose else "ASCII terse mode",
             "L": f"Limit bounds are {'DISABLED' if self._limits == 'off' else 'ENABLED'} ({self._limits} limits)",
-            "C": "PTU is in independent speed control mode",
+            "C": f"PTU is in {'pure velocity' if self._by_speed else 'independent'} speed control mode",
             "O": "Input 24 VDC @ 86 degF",
         }
         if command in told:
@@ -193,29 +216,61 @@ class PtuController(Controller):
             self._limits = {"E": "factory", "D": "off", "U": "user"}[command[1]]
         return "*"
 
+    @property
+    def _step_modes(self) -> set[str]:
+        return {f"W{letter}{mode}" for letter in self.axes for mode in _STEPS}
+
+    def _set_control(self, command: str, now: float) -> str:
+        if command[0] == "W":
+            self.axes[command[1]].chosen = command[2:]
+            return "*"
+        if command[0] == "C":
+            self._by_speed = command == "CV"
+            return "*"
+        self._slaved = command == "S" or (command == "A" and self._slaved)
+        for one in self.axes.values():
+            if command in {"I", "A"} and one.waiting is not None:
+                self._move_at_once(one, one.waiting, one.settings["S"], now)
+                one.waiting = None
+        return "*"
+
     def _axis_command(self, one: PtuAxis, name: str, value: int | None, now: float) -> str:
         axis_name = _NAMES[one.letter]
-        if name == "P" and value is not None:
-            return self._move(one, value, now)
-        if name == "O" and value is not None:
-            return self._move(one, value + round(one.axis.counter(now)), now)
+        if name in {"P", "O"} and value is not None:
+            return self._move(one, value + (self._position(one, now) if name == "O" else 0), now)
+        if name == "S" and value is not None and self._by_speed:
+            return self._run_at(one, value, now)
         if name in one.settings and value is not None:
             return self._set(one, name, value)
         if value is not None:
             raise _PtuError("Illegal command argument")
-        speed = one.axis.velocity(now)
+        speed = one.axis.velocity(now) * one.factor
         read: dict[str, Callable[[], int | str]] = {
-            "P": lambda: round(one.axis.counter(now)),
-            "O": lambda: round(one.axis.rest_counter(now)),
+            "P": lambda: self._position(one, now),
+            "O": lambda: round(one.axis.rest_counter(now) * one.factor),
             "D": lambda: self._speed(one, speed, now),
-            "R": lambda: f"{3600.0 / one.model.mechanics.counts_per_deg:.6f}",
+            "R": lambda: f"{3600.0 / one.model.mechanics.counts_per_deg / one.factor:.6f}",
         }
         if name not in _TOLD:
             raise _PtuError("Illegal command entered")
+        if self.before_reset and name in {"R", "N", "X", "NU", "XU"}:
+            return "* 0"
         value_now = read[name]() if name in read else one.settings[name]
         if not self._verbose:
             return f"* {value_now}"
         return f"* {_TOLD[name].format(axis_name, value_now)}"
+
+    def _position(self, one: PtuAxis, now: float) -> int:
+        return round(one.axis.counter(now) * one.factor)
+
+    def _run_at(self, one: PtuAxis, speed: int, now: float) -> str:
+        """Run to the end of the travel at a speed; at 0, stop."""
+        if speed:
+            end = self._range(one)[speed > 0]
+            self._move_at_once(one, end, abs(speed), now)
+        elif one.axis.busy(now):
+            one.axis.stop(now, one.settings["A"] / one.factor)
+        return "*"
 
     def _speed(self, one: PtuAxis, speed: float, now: float) -> int:
         """Return the present speed, which is 0 only at rest."""
@@ -230,6 +285,8 @@ class PtuController(Controller):
             raise _PtuError(f"{_NAMES[one.letter]} speed cannot exceed {one.settings['U']} pos/sec")
         if name in {"S", "A", "B", "U"} and value <= 0:
             raise _PtuError("Illegal command argument")
+        if self.before_reset and name in {"NU", "XU"}:
+            raise _PtuError("Axis is not calibrated")
         if (name == "NU" and not one.settings["N"] <= value <= 0) or (
             name == "XU" and not 0 <= value <= one.settings["X"]
         ):
@@ -237,32 +294,43 @@ class PtuController(Controller):
         one.settings[name] = value
         return "*"
 
-    def _move(self, one: PtuAxis, target: int, now: float) -> str:
-        name = _NAMES[one.letter]
-        lowest, highest = {
+    def _range(self, one: PtuAxis) -> tuple[int, int]:
+        """Return the positions between which the unit moves."""
+        return {
             "factory": (one.settings["N"], one.settings["X"]),
             "user": (one.settings["NU"], one.settings["XU"]),
             "off": (-_LARGEST, _LARGEST),
         }[self._limits]
+
+    def _move(self, one: PtuAxis, target: int, now: float) -> str:
+        name = _NAMES[one.letter]
+        lowest, highest = self._range(one)
         if target > highest:
             raise _PtuError(f"Maximum allowable {name} position is {highest}")
         if target < lowest:
             raise _PtuError(f"Minimum allowable {name} position is {lowest}")
-        one.axis.move_to(float(target), now, float(one.settings["S"]), float(one.settings["A"]))
+        if self._slaved:
+            one.waiting = target
+        elif not self._by_speed:
+            self._move_at_once(one, target, one.settings["S"], now)
         return "*"
+
+    def _move_at_once(self, one: PtuAxis, target: int, speed: int, now: float) -> None:
+        one.axis.move_to(target / one.factor, now, speed / one.factor, one.settings["A"] / one.factor)
 
     def _reset(self, command: str, now: float) -> str:
         axes = [one for letter, one in self.axes.items() if command in {"R", f"R{letter}"}]
         for one in axes:
             speed = 20.0 * one.model.mechanics.counts_per_deg
-            one.axis.home(now, speed, speed / 10.0, float(one.settings["A"]))
+            one.waiting = None
+            one.axis.home(now, speed, speed / 10.0, one.settings["A"] / one.factor)
         self._resetting = command, axes
         return ""
 
     def _halt(self, command: str, now: float) -> str:
         for letter, one in self.axes.items():
             if command in {"H", f"H{letter}"} and one.axis.busy(now):
-                one.axis.stop(now, float(one.settings["A"]))
+                one.axis.stop(now, one.settings["A"] / one.factor)
         return "*"
 
     # ------------------------------------------------------------------ events outside the protocol

@@ -45,13 +45,21 @@ def axis(**more) -> TextAxis:
     return TextAxis(**{"name": "pan", "address": "P", "counts_per_deg": 800.0, "limits": LIMITS, **more})
 
 
-def test_opening_asks_and_sets_and_sends_nothing_that_moves(rig) -> None:
-    sent = rig.line.sent
-    sent.clear()
-    again(rig, axis())
-    words = {data.decode().strip().rstrip("-0123456789") for data in sent}
-    assert words == {"?", "EE", "FT", "V", "VS", "PD", "PP", "PR", "PN", "PX", "PNU", "PXU", "PA", "PS", "LU"}
-    assert not any(data.startswith(b"PP") and data != b"PP " for data in sent)
+def words_of(rig: DirectStage) -> set[str]:
+    return {data.decode().strip().rstrip("-0123456789") for data in rig.line.sent}
+
+
+def test_opening_asks_and_a_homing_sets_and_only_a_homing_sends_what_moves(rig) -> None:
+    asked = {"?", "EE", "FT", "V", "VS", "PD", "PP", "PR", "PN", "PX"}
+    rig.line.sent.clear()
+    stage = again(rig, axis())
+    assert words_of(rig) == asked
+    rig.line.sent.clear()
+    stage.home()
+    assert words_of(rig) == asked - {"?", "EE", "FT", "V"} | {
+        *("H", "CI", "I", "RP", "PNU", "PXU", "PA", "PS", "LU"),
+    }
+    assert not any(data.startswith(b"PP") and data != b"PP " for data in rig.line.sent)
 
 
 def test_a_silent_stage_gets_the_stop_twice_and_is_told_within_three_seconds(rig, clock) -> None:
@@ -103,11 +111,13 @@ def test_a_reversed_axis_turns_the_other_way(rig) -> None:
 
 def test_a_refusal_says_what_the_device_said_and_an_unknown_setting_is_one(rig) -> None:
     fast = axis(limits=AxisLimits(-15.0, 15.0, 150.0, 100.0))
+    before_deg = rig.true_deg()
     with pytest.raises(DeviceRefused, match="Pan speed cannot exceed 80000 pos/sec"):
-        again(rig, fast)
+        again(rig, fast).home()
+    assert rig.true_deg() == before_deg
     wrong = parse_template("QQ", known=frozenset(), readable=None)
     with pytest.raises(DeviceRefused, match="refuses 'QQ': Illegal command entered"):
-        again(rig, axis(), replace(FLIR_PTU, setup=(Exchange(wrong, wrong),)))
+        again(rig, axis(), replace(FLIR_PTU, setup=(Exchange(wrong, wrong),))).home()
 
 
 def test_a_limit_switch_is_named(rig) -> None:

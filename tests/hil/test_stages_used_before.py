@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.errors import DeviceRefused, MoveFailed, MoveTimeout
+from drivers.errors import DeviceRefused, MoveFailed, MoveTimeout, NotHomed, OutsideLimits
 from drivers.stage import thorlabs_controller as apt
 from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
 from simulators.stages.axis_motion import AxisModel, Mechanics
@@ -205,3 +205,87 @@ def test_status_bits_of_healthy_controllers_are_no_faults(rig, bits) -> None:
     rig.stage.move_to({"pan": 5.0})
     assert rig.stage.faults() == []
     assert rig.true_deg() == pytest.approx(5.0, abs=0.002)
+
+
+# ---------------------------------------------------------------- FLIR
+
+
+@pytest.fixture
+def unit() -> DirectStage:
+    return rig_of("flir")
+
+
+def left_in(unit: DirectStage, commands: bytes, after_s: float = 0.0) -> float:
+    """Let another program send commands; return where the axis then stands, in degrees."""
+    unit.line.device.receive(commands)
+    unit.line.clock.sleep(after_s)
+    unit.line.device.unsolicited()
+    return unit.present_deg()
+
+
+FLIR_LEFT = {
+    "pure velocity": b"CV ",
+    "pure velocity, an axis stopped on its way": b"CV PS-800 PS0 ",
+    "slaved": b"S ",
+    "slaved, a move waits": b"S PP4000 ",
+    "pure velocity and slaved": b"S PP-4000 CV ",
+    "limits off": b"LD ",
+    "narrow limits": b"PNU-100 PXU100 LU ",
+    "silent and in sentences": b"ED FV ",
+    "slow": b"PS60 PA100 ",
+    "a step mode that was not reset": b"WPH ",
+}
+
+
+@pytest.mark.parametrize("left", FLIR_LEFT.values(), ids=FLIR_LEFT)
+@pytest.mark.parametrize("when", ["before opening", "before homing"])
+def test_a_unit_in_any_mode_stands_until_it_is_homed_and_then_points_right(unit, left, when) -> None:
+    """ROS flir_ptu sends CI first: in CV, opening drove both axes to their limits."""
+    stood_deg = left_in(unit, left, after_s=3.0)
+    stage = unit.reopen()
+    if when == "before homing":
+        stood_deg = left_in(unit, left, after_s=3.0)
+    unit.line.clock.sleep(5.0)
+    assert unit.present_deg() == pytest.approx(stood_deg, abs=1e-3)
+    stage.home()
+    for angle_deg in (5.0, -14.9, 0.0):
+        stage.move_to({"pan": angle_deg})
+        assert unit.true_deg() == pytest.approx(angle_deg, abs=0.002)
+    assert stage.faults() == []
+
+
+def test_a_unit_found_moving_in_velocity_control_is_stopped_and_stays(unit) -> None:
+    left_in(unit, b"CV PS400 ", after_s=2.0)
+    unit.reopen()
+    stood_deg = unit.true_deg()
+    assert 2.5 < stood_deg < 6.0
+    unit.line.clock.sleep(20.0)
+    assert unit.true_deg() == pytest.approx(stood_deg, abs=1e-3)
+
+
+@pytest.mark.parametrize("mode", [b"WPQ ", b"WPA ", b"WPF "])
+def test_a_step_mode_that_comes_into_force_by_the_homing_is_no_other_scale(unit, mode) -> None:
+    left_in(unit, mode)
+    stage = unit.reopen()
+    with pytest.raises(OutsideLimits, match=r"the station file gives 800 counts per degree, the controller"):
+        stage.home()
+    assert not stage.is_homed()
+    with pytest.raises(NotHomed):
+        stage.move_to({"pan": 5.0})
+
+
+def test_a_unit_that_knows_no_scale_before_its_first_reset_is_homed(unit) -> None:
+    unit.controller.controller.before_reset = True
+    stage = unit.reopen()
+    stage.home()
+    stage.move_to({"pan": 5.0})
+    assert unit.true_deg() == pytest.approx(5.0, abs=0.002)
+
+
+def test_a_unit_in_its_reset_of_power_up_is_waited_for(unit) -> None:
+    """It answers nothing for 20 s; ROS flir_ptu 13."""
+    clock, receive = unit.line.clock, unit.line.device.receive
+    awake_s = clock.now_s + 20.0
+    unit.line.device.receive = lambda data: receive(data) if clock.now_s >= awake_s else b""
+    unit.reopen()
+    assert clock.now_s >= awake_s
