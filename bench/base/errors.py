@@ -21,7 +21,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
 from calib.errors import CalibrationError
-from drivers.errors import DriverError
+from drivers.errors import DriverError, NotARecording, RecordingCorrupt
 from sequences.errors import SequencesError
 
 
@@ -101,6 +101,8 @@ class SimulationError(BenchError):
 
 FORESEEN = (BenchError, CalibrationError, DriverError, SequencesError)
 """Errors that state what is wrong and what to do; any other exception is a defect."""
+INVALID_FILES = (NotARecording, RecordingCorrupt)
+"""Those of a file that cannot be read for what it holds: exit status 2, as for invalid arguments."""
 
 
 @dataclass(frozen=True)

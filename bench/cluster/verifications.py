@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,7 @@ from bench.evidence.findings import Derivation, Findings, SealFault, Verificatio
 from bench.evidence.key_trust import Trust
 from bench.evidence.verify import verify_folder
 from bench.records.storage import sha256_of, storage_errors, sync_folder
+from drivers.camera.event_arrays import ReadingChoices
 
 # Many event files converted into one folder: one piece of work each; what is done is known by its content.
 #
@@ -37,7 +38,7 @@ class Converted:
     source: Path
     target: Path
     before: bool = False  # Whether an earlier command made it
-    # What was written: ``events triggers moved_events cut_off``; empty if it failed.
+    # What was written, as of ``ExportSummary``; None if it failed.
     summary: Mapping[str, Any] | None = None
     failure: Failure | None = None  # Why it failed; None if it did not
 
@@ -63,14 +64,15 @@ def convert_many(
     workers: Workers,
     kept: KeptRows,
     ended: Callable[[Converted], None],
+    choices: ReadingChoices | None = None,
 ) -> None:
-    """Convert files. One that fails stops no other."""
+    """Convert files. One that fails stops no other; ``choices`` say what the sources do not state themselves."""
     folder, program = kept.path.parent, forms()["program"]
     for part in folder.glob(f"{_PART}*"):
         part.unlink()
     rows = [kept.get(target.name) for _, target in pairs]
     work = (
-        (source.absolute(), target.absolute(), kind, row, program)
+        (source.absolute(), target.absolute(), kind, row, program, choices or ReadingChoices())
         for (source, target), row in zip(pairs, rows, strict=True)
     )
     for number, end in map_work(convert_one, work, workers):
@@ -91,7 +93,12 @@ def _taken(source: Path, target: Path, end: Finished, kept: KeptRows) -> Convert
 
 
 def convert_one(
-    source: Path, target: Path, kind: str, known: Mapping[str, Any] | None, program: str
+    source: Path,
+    target: Path,
+    kind: str,
+    known: Mapping[str, Any] | None,
+    program: str,
+    choices: ReadingChoices,
 ) -> tuple[dict[str, Any], bool]:
     """Convert one file, unless ``known`` is the row of an earlier conversion of it; also return whether it is."""
     # Loaded here, because it needs NumPy, HDF5 and numba, which a verification of seals does not.
@@ -99,7 +106,7 @@ def convert_one(
 
     require_program_of(program)
     with storage_errors(source):
-        decided_by = {"source_sha256": content_hash(source), "kind": kind}
+        decided_by = {"source_sha256": content_hash(source), "kind": kind, **choices.as_json()}
     if target.exists():
         ours = known is not None and {**known, **decided_by} == known and sha256_of(target) == known["sha256"]
         if not ours:
@@ -112,7 +119,7 @@ def convert_one(
             return dict(known), True
     part = _part_of(target)
     part.unlink(missing_ok=True)  # of a worker that died
-    written = convert(source, part, kind, utc_now=lambda: datetime.now(UTC))  # type: ignore[arg-type]
+    written = convert(source, part, kind, choices)  # type: ignore[arg-type]
     made = {"source": str(source), "sha256": sha256_of(part), "program": program, "summary": asdict(written)}
     return {**decided_by, **made}, False
 

@@ -188,7 +188,9 @@ _OPTIONS = {
         "witness: they are only compared with the result.  [default: as in the run]",
     ),
     "image-size": click.option(
-        "--image-size", metavar="WxH", help="Image size for point files, which do not state it."
+        "--image-size",
+        metavar="WxH",
+        help="Image size for point files, and for event files that do not state it.",
     ),
     "views": click.option("--views", metavar="1,5,9", help="Use only these views. The first one is 1."),
     "image": click.option(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +30,7 @@ from bench.terminal.encoding import printable
 if TYPE_CHECKING:
     from bench.results.exports import Straightness
     from calib.model.camera import Undistortion
+    from drivers.camera.event_arrays import ReadingChoices
 
 
 @command(
@@ -46,11 +46,22 @@ if TYPE_CHECKING:
     type=click.Choice(["raw", "metavision", "hdf5", "numpy"]),
     help="Format of OUTPUT.  [default: by its name: .raw, .hdf5 (Metavision, ECF), .h5 (plain HDF5) or .npz]",
 )
+@click.option(
+    "--sensor-size", metavar="WxH", help="Size of the sensor, px, for a SOURCE that does not state it."
+)
+@click.option(
+    "--stream",
+    "--topic",
+    metavar="NAME",
+    help="Which events of a SOURCE with several: topic of a bag, stream of AEDAT4, group of HDF5.",
+)
 @WORKERS
 def convert(
     sources: tuple[Path, ...],
     output: Path,
     kind: str | None,
+    sensor_size: str | None,
+    stream: str | None,
     workers: int | str | None,
 ) -> int:
     """Convert an event file SOURCE to a new file OUTPUT of another format. The format of SOURCE is detected.
@@ -58,12 +69,16 @@ def convert(
     Many SOURCEs are converted into the folder OUTPUT, by all processors of this computer or by the workers of a Dask
     scheduler; say the format with --as. After an interruption, the same command continues.
 
-    Formats: RAW (EVT3), Metavision's HDF5 (ECF), plain HDF5, NumPy's .npz. SOURCE may also be RAW with EVT2 words,
-    DAT, AEDAT4, or a bag of ROS 1 or ROS 2 (file or folder); AEDAT4 and bags need starbench[formats]. The header of
-    a converted RAW file states that it was converted, so it cannot be taken for a camera's original file.
+    Formats: RAW (EVT3), Metavision's HDF5 (ECF), plain HDF5, NumPy's .npz. SOURCE may also be RAW with EVT2 or EVT2.1
+    words, DAT, HDF5 of others (DSEC, e2calib, M3ED, v2e, MVSEC), AEDAT4, or a bag of ROS 1 or ROS 2 (file or folder);
+    AEDAT4, bags and some HDF5 need starbench[formats]. The header of a converted RAW file states that it was
+    converted, so it cannot be taken for a camera's original file.
     """
+    from bench.results.offline_options import parse_image_size
+    from drivers.camera.event_arrays import ReadingChoices
     from drivers.camera.formats import event_conversion
 
+    choices = ReadingChoices(parse_image_size(sensor_size, "--sensor-size"), stream)
     many = len(sources) > 1 or output.is_dir() or isinstance(workers, str)
     kind = kind or (None if many else event_conversion.kind_of_name(output))
     if kind is None:
@@ -79,21 +94,27 @@ def convert(
         )
     if many:
         OutputFolder().check(output)
-        return _convert_many(sources, output, kind, open_workers(workers, most=len(sources)))
+        return _convert_many(sources, output, kind, open_workers(workers, most=len(sources)), choices)
     NewFile().check(output)
-    return _convert_one(sources[0], output, kind)
+    return _convert_one(sources[0], output, kind, choices)
 
 
-def _convert_one(source: Path, output: Path, kind: str) -> int:
+def _convert_one(source: Path, output: Path, kind: str, choices: ReadingChoices) -> int:
     from drivers.camera.formats import event_conversion
 
+    files = source.rglob("*") if source.is_dir() else [source]
+    line = CountLine(sum(file.stat().st_size for file in files) // 1_000_000, "MB read")
     with reliable_interrupts():
-        written = event_conversion.convert(
-            source,
-            output,
-            kind,  # type: ignore[arg-type]
-            utc_now=lambda: datetime.now(UTC),
-        )
+        try:
+            written = event_conversion.convert(
+                source,
+                output,
+                kind,  # type: ignore[arg-type]
+                choices,
+                progress=line.show_share,
+            )
+        finally:
+            line.clear()
     _say(source, output, asdict(written))
     return 0
 
@@ -102,13 +123,18 @@ def _say(source: Path, output: Path, written: Mapping[str, Any]) -> None:
     moved = written["moved_events"]
     late = f", {moved} given the time of the event before" if moved else ""
     click.echo(f"{output}: {written['events']} events{late}, {written['triggers']} triggers")
+    if written.get("unknown_words"):
+        what = f"{written['unknown_words']} words of types that EVT3 does not define were left out."
+        click.echo(f"{source}: {what}", err=True)
     if written["cut_off"]:
         click.echo(
             f"{source}: the file ends in the middle of a word; everything before it was converted.", err=True
         )
 
 
-def _convert_many(sources: Sequence[Path], folder: Path, kind: str, workers: Workers) -> int:
+def _convert_many(
+    sources: Sequence[Path], folder: Path, kind: str, workers: Workers, choices: ReadingChoices
+) -> int:
     """Convert into a folder; return the exit status: 0 all done, 1 a file failed."""
     pairs = plan_targets(sources, folder, kind)
     line = CountLine(len(pairs), "files")
@@ -127,7 +153,7 @@ def _convert_many(sources: Sequence[Path], folder: Path, kind: str, workers: Wor
 
     with kept_work(workers, folder, CONVERTED, line, "converted") as kept:
         assert kept is not None
-        convert_many(pairs, kind, workers, kept, ended)
+        convert_many(pairs, kind, workers, kept, ended, choices)
     failed = sum(one.failure is not None for one in ends)
     before = sum(one.before for one in ends)
     parts = [f"{len(ends) - failed - before} of {len(pairs)} files converted"]

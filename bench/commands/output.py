@@ -13,7 +13,15 @@ from typing import Any
 
 import click
 
-from bench.base.errors import FORESEEN, EvidenceError, Failure, ScriptError, StorageError, UsageError
+from bench.base.errors import (
+    FORESEEN,
+    INVALID_FILES,
+    EvidenceError,
+    Failure,
+    ScriptError,
+    StorageError,
+    UsageError,
+)
 from bench.base.home import home_folder
 from bench.terminal.encoding import printable
 from sequences.errors import DocumentFaults
@@ -127,7 +135,7 @@ def print_error(error: Exception, arguments: Sequence[str]) -> int:
     click.echo(f"starbench: {printable(failure.message)}", err=True)
     if "--debug" in arguments or failure.kind == DEFECT:
         click.echo("".join(traceback.format_exception(error)), err=True)
-    return getattr(error, "exit_status", 1)
+    return 2 if isinstance(error, INVALID_FILES) else getattr(error, "exit_status", 1)
 
 
 def error_object(failure: Failure) -> dict[str, str]:

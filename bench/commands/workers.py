@@ -154,6 +154,10 @@ class CountLine(LiveLine):
             left = self._time.left_s(self.done, self._total)
             self.show(f"{self.text()}{'' if left is None else f', {clock_text(left)} left'}")
 
+    def show_share(self, share: float) -> None:
+        """Count up to a share of all, 0 to 1."""
+        self.count(int(share * self._total) - self.done)
+
     def text(self) -> str:
         """Return the count in words, as ``3 of 10 files``."""
         return f"{self.done} of {self._total} {self._things}"

@@ -228,7 +228,7 @@ class OfflineOptions:
             passport_of_file(Path(named)) if named else None,
             passport == NO_PASSPORT,
             cast("Readings | None", readings),
-            _parse_image_size(image_size),
+            parse_image_size(image_size),
             _parse_view_numbers(views),
             image,
             "centre" if origin == "centre" else "corner",
@@ -342,14 +342,15 @@ def _parse_picture_times(
     return times
 
 
-def _parse_image_size(text: str | None) -> tuple[int, int] | None:
+def parse_image_size(text: str | None, where: str = "--image-size") -> tuple[int, int] | None:
+    """Return width and height, px, of an option WIDTHxHEIGHT; None if it is not given."""
     if text is None:
         return None
     found = re.fullmatch(r"([1-9]\d{0,5})[xX]([1-9]\d{0,5})", text.strip())
     if found is None:
         raise UsageError(
             f"{text!r} is not an image size.",
-            where="--image-size",
+            where=where,
             remedy="Write it as WIDTHxHEIGHT: 1280x720.",
         )
     return int(found[1]), int(found[2])

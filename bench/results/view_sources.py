@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
-from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -86,7 +85,7 @@ def view_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
                 remedy="Leave out --reconstruct.",
             )
         yield from _run_sources(path, choices)
-    elif path.is_dir():
+    elif path.is_dir() and not is_bag_folder(path):
         files = sorted((p for p in path.iterdir() if p.suffix.lower() in _KNOWN), key=_natural_order)
         if not files:
             raise UsageError(
@@ -179,13 +178,12 @@ def _view_of_run(job: Job, path: Path, step: RecordStep, expected_grid: Expected
 def _file_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
     """List the views of a file: several pictures of a moving camera's recording, one view of any other file."""
     from bench.views.measure_board import MovingRecording
-    from drivers.camera.formats.prophesee_words import is_evt2_file
 
     ending = path.suffix.lower()
     if choices.reconstruct_hz is None or choices.board is None or ending not in RECORDINGS | OTHER_RECORDINGS:
         yield _file_source(path, choices)
         return
-    if ending in OTHER_RECORDINGS or is_evt2_file(path):
+    if not _is_recording(path):
         raise UsageError(
             "Pictures are reconstructed from RAW files with EVT3 words only.",
             where=str(path),
@@ -214,13 +212,11 @@ def _view_of_picture(moving: MovingRecording, number: int, name: str, board: Boa
 
 
 def _file_source(path: Path, choices: OfflineOptions) -> ViewSource:
-    from drivers.camera.formats.prophesee_words import is_evt2_file
-
     ending = path.suffix.lower()
     if ending in POINTS:
         read = partial(read_point_file, path, image_size=choices.image_size, origin=choices.origin)
         return ViewSource(path, read, sized=choices.image_size is not None)
-    if ending in OTHER_RECORDINGS or (ending in RECORDINGS and is_evt2_file(path)):
+    if ending in OTHER_RECORDINGS or path.is_dir() or (ending in RECORDINGS and not _is_recording(path)):
         kind, find = f"other {ending}", _view_of_other_recording
     elif ending in RECORDINGS:
         kind, find = "recording", _view_of_recording
@@ -232,17 +228,30 @@ def _file_source(path: Path, choices: OfflineOptions) -> ViewSource:
             where=str(path),
             remedy=f"Known file extensions are {', '.join(sorted(_KNOWN))}.",
         )
-    decided_by = None if ending in _READ_BY_OTHERS else _decided_by(kind, path, choices)
+    decided_by = None if ending in _READ_BY_OTHERS or path.is_dir() else _decided_by(kind, path, choices)
     return ViewSource(path, partial(find, path, choices), decided_by=decided_by)
+
+
+def is_bag_folder(path: Path) -> bool:
+    """Return whether a folder is a bag of ROS 2: one recording, not a folder of files."""
+    return (path / "metadata.yaml").is_file()
+
+
+def _is_recording(path: Path) -> bool:
+    """Return whether a file is RAW with EVT3 words that states the size of its sensor: it is read as it is."""
+    from drivers.camera.raw_file import is_recording
+
+    return is_recording(path)
 
 
 def _view_of_other_recording(path: Path, choices: OfflineOptions) -> View:
     """Read a recording of another program through a RAW file that exists only meanwhile."""
+    from drivers.camera.event_arrays import ReadingChoices
     from drivers.camera.formats.event_conversion import convert
 
     with TemporaryDirectory(prefix="starbench-") as folder:
         raw = Path(folder) / f"{path.stem}.raw"
-        convert(path, raw, "raw", utc_now=lambda: datetime.now(UTC))
+        convert(path, raw, "raw", ReadingChoices(choices.image_size))
         return _view_of_recording(raw, choices)
 
 

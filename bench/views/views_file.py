@@ -36,7 +36,7 @@ from calib.errors import InputMismatch
 from calib.view import RimPoints, View
 from drivers.camera.formats.hdf5_reading import dataset, member, whole
 from drivers.camera.raw_writer import require_regular, require_whole
-from drivers.errors import DriverError, NotARecording
+from drivers.errors import DriverError, RecordingFileError
 
 VIEWS = "views.h5"
 FORMAT = "starbench/views/1"
@@ -109,7 +109,7 @@ def _opened(path: Path) -> Iterator[h5py.File]:
                     f"The file does not have the format {FORMAT}.", where=str(path), remedy=_REMEDY
                 )
             yield file
-    except NotARecording as error:
+    except RecordingFileError as error:
         raise RunFolderError(error.what, where=str(path), remedy=_REMEDY) from error
     except (OSError, KeyError, ValueError, TypeError, RuntimeError, MemoryError, InputMismatch) as error:
         raise RunFolderError(f"The file cannot be read: {error}.", where=str(path), remedy=_REMEDY) from error

@@ -5,12 +5,15 @@ Every format is read to a source of such pieces; the times of some count from 19
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from drivers.errors import NotARecording
 
 
 class Events(NamedTuple):
@@ -69,9 +72,45 @@ SMALL_BYTES: Final = 1 << 24
 """Arrays of this size need no ratio."""
 MOST_TRIGGERS: Final = 5_000_000
 """Largest number of trigger edges: a day of 28 Hz, or six hours of 115 Hz."""
+MAX_TIME_US: Final = 86_400_000_000
+"""One day: the clock words of longer gaps would fill the disk (42 MB a day), and no recording lasts that long."""
 _SECOND_US: Final = 1_000_000
+_YEAR_2000_US: Final = 946_684_800_000_000
+_YEAR_2100_US: Final = 4_102_444_800_000_000
+_MOST_NAMED: Final = 8
 
 Piece = tuple[Events, Triggers]
+
+
+@dataclass(frozen=True)
+class ReadingChoices:
+    """What the user says of a file: what it does not state itself, and which of its streams is wanted."""
+
+    # Width and height, px
+    sensor_size: tuple[int, int] | None = None
+    # A topic of a bag, a stream of an AEDAT4 file, a group of an HDF5 file
+    stream: str | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what was said, as values that JSON can hold."""
+        size = {"sensor_size": list(self.sensor_size)} if self.sensor_size else {}
+        return {**size, **({"stream": self.stream} if self.stream is not None else {})}
+
+    def chosen(self, streams: Iterable[str]) -> str:
+        """Return the stream to read. Raises NotARecording if it is not there, or none of several is named."""
+        names = sorted(streams)
+        if self.stream in names:
+            return self.stream
+        if self.stream is None and len(names) == 1:
+            return names[0]
+        held = f"{len(names)} streams of events" if len(names) != 1 else "one stream of events"
+        held += f": {', '.join(names[:_MOST_NAMED])}{', ...' if len(names) > _MOST_NAMED else ''}"
+        raise NotARecording(
+            f"There is no stream {self.stream!r}; the file holds {held}."
+            if self.stream is not None
+            else f"The file holds {held}.",
+            remedy=f"Choose one: starbench convert --stream {names[0]}",
+        )
 
 
 @dataclass(frozen=True)
@@ -86,22 +125,27 @@ class EventSource:
     header: Mapping[str, str]
     # Reads the events in the order of the file. It raises as `open_events` does.
     pieces: Callable[[], Iterator[Events]]
+    truncated: bool = False  # Whether the file ends in the middle of an event
 
 
 def source_of_stream(
-    stream: Callable[[], Iterator[Piece]], size: tuple[int, int], header: Mapping[str, str]
+    stream: Callable[[], Iterator[Piece]],
+    size: tuple[int, int],
+    header: Mapping[str, str],
+    *,
+    truncated: bool = False,
 ) -> EventSource:
     """Read a stream once, to count the events and to collect the edges; it is read again for the events.
 
     ``stream`` begins to read the file anew, in the order of the file; ``size`` is width and height, px. Too many edges
-    raise `ValueError`.
+    raise `NotARecording`.
     """
     count, edges, found = 0, 0, []
     for events, triggers in stream():
         count += len(events.t)
         edges += len(triggers.t)
         if edges > MOST_TRIGGERS:
-            raise ValueError(f"it has more than {MOST_TRIGGERS} trigger edges")
+            raise too_many_edges()
         if len(triggers.t):
             found.append(triggers)
 
@@ -109,56 +153,134 @@ def source_of_stream(
         for events, _ in stream():
             yield events
 
-    return EventSource(count, join_triggers(found), *size, header, pieces)
+    return EventSource(count, join_triggers(found), *size, header, pieces, truncated)
 
 
-def origin_us(pieces: Iterator[Piece]) -> int:
-    """Return the beginning of the second before the first event or edge, us; 0 for a file without events.
+def from_zero(source: EventSource) -> EventSource:
+    """Return a source whose times begin near 0 if its own lie beyond a day, as those that count from 1970 do."""
+    edges = source.triggers
+    first = next((piece.part(0, 1) for piece in source.pieces() if len(piece.t)), None)
+    pieces = (one for one in ((first or empty_events(0), edges.part(0, 1)),))
+    origin = origin_of(pieces)
+    if origin.us < MAX_TIME_US:
+        return source
 
-    Only the first of the pieces, with the file's own times, are read.
+    def moved() -> Iterator[Events]:
+        for events in source.pieces():
+            yield events._replace(t=events.t - origin.us)
+
+    header = {**source.header, **origin.header}
+    return replace(source, triggers=edges._replace(t=edges.t - origin.us), header=header, pieces=moved)
+
+
+def too_many_edges() -> NotARecording:
+    """Build the error of a file with more edges than are read."""
+    return NotARecording(
+        f"The file has more than {MOST_TRIGGERS} trigger edges.", remedy="Cut it into shorter files."
+    )
+
+
+class Origin(NamedTuple):
+    """The time in a file's own clock that becomes 0, us, and what the header of its events says of it."""
+
+    us: int
+    header: Mapping[str, str]
+
+
+def origin_of(pieces: Iterator[Piece]) -> Origin:
+    """Return the beginning of the second before the first event or edge as origin; 0 for a file without events.
+
+    Times that count from 1970 date the file. Only the first of the pieces, with the file's own times, are read.
     """
     for events, triggers in pieces:
         times = [int(column.t.min()) for column in (events, triggers) if len(column.t)]
         if times:
-            return max(0, min(times) // _SECOND_US - 1) * _SECOND_US
-    return 0
+            us = max(0, min(times) // _SECOND_US - 1) * _SECOND_US
+            return Origin(us, {"time_origin_us": str(us), **date_of(min(times))})
+    return Origin(0, {})
+
+
+def date_of(us: int) -> dict[str, str]:
+    """Return ``date`` of a time since 1970; nothing of another clock's, which no camera has run for so long."""
+    if not _YEAR_2000_US <= us < _YEAR_2100_US:
+        return {}
+    return {"date": f"{datetime.fromtimestamp(us // _SECOND_US, UTC):%Y-%m-%d %H:%M:%S}"}
 
 
 def require_ratio(stated_bytes: int, file_bytes: int, what: str) -> None:
-    """Refuse arrays (`ValueError`) that are much larger than the file that holds them."""
+    """Refuse arrays (`NotARecording`) that are much larger than the file that holds them."""
     if stated_bytes > max(SMALL_BYTES, MOST_RATIO * file_bytes):
-        raise ValueError(
-            f"{what} states {stated_bytes} bytes in {file_bytes}; recorded data cannot be compressed so far"
+        raise NotARecording(
+            f"{what} states {stated_bytes} bytes in {file_bytes}; recorded data cannot be compressed so far."
         )
 
 
 def require_one_length(lengths: Mapping[str, int]) -> None:
-    """Raise ValueError unless all lengths are the same."""
+    """Raise NotARecording unless all lengths are the same."""
     if len(set(lengths.values())) != 1:
-        raise ValueError("the arrays have different lengths")
+        told = ", ".join(f"{name} {n}" for name, n in lengths.items())
+        raise NotARecording(f"its arrays have different lengths: {told}.")
 
 
 def as_triggers(columns: Mapping[str, NDArray[Any]]) -> Triggers:
-    """Return edges of ``t``, ``value`` and ``id``. Raises ValueError unless they are whole numbers that fit."""
+    """Return edges of ``t``, ``value`` and ``id``. Raises NotARecording unless they are whole numbers that fit."""
     require_one_length({name: len(values) for name, values in columns.items()})
+    t, value, edge_id = columns["t"], columns["value"], columns["id"]
     return Triggers(
-        _whole(columns["t"], np.int64), _whole(columns["value"], np.uint8), _whole(columns["id"], np.uint8)
+        _whole("t", t, np.int64), _whole("value", value, np.uint8), _whole("id", edge_id, np.uint8)
     )
 
 
 def as_events(t: Any, x: Any, y: Any, p: Any) -> Events:
-    """Return events. Raises ValueError unless they are whole numbers that fit."""
-    return Events(_whole(t, np.int64), _whole(x, np.uint16), _whole(y, np.uint16), _whole(p, np.uint8))
+    """Return events; OFF may be -1 or 0. Raises NotARecording unless all are whole numbers that fit."""
+    p = np.asarray(p)
+    if p.dtype.kind == "b":
+        p = p.view(np.uint8)
+    elif p.dtype.kind == "i" and len(p) and p.min() == -1:
+        p = np.maximum(p, 0)
+    return Events(
+        *(
+            _whole(name, values, dtype)
+            for name, values, dtype in zip("txyp", (t, x, y, p), _TYPES, strict=True)
+        )
+    )
 
 
-def _whole(values: Any, dtype: type[np.generic]) -> Any:
-    """Convert numbers to a type. Raises ValueError if they are not whole, or do not fit."""
+_TYPES: Final[tuple[type[np.generic], ...]] = (np.int64, np.uint16, np.uint16, np.uint8)
+
+
+def _whole(name: str, values: Any, dtype: type[np.generic]) -> Any:
+    """Convert numbers to a type. Raises NotARecording if they are not whole, or do not fit."""
     values = np.asarray(values)
     if values.ndim != 1 or values.dtype.kind not in "iu":
-        raise ValueError(
-            f"an array of {values.dtype} with {values.ndim} dimensions is not a list of whole numbers"
+        raise NotARecording(
+            f"{name} is an array of {values.dtype} with {values.ndim} dimensions, not a list of whole numbers."
         )
     cast = np.ascontiguousarray(values, dtype)  # no copy if none is needed: there may be millions
     if cast is not values and not np.array_equal(cast, values):
-        raise ValueError(f"some numbers do not fit into {np.dtype(dtype)}")
+        raise NotARecording(f"some numbers of {name} do not fit into {np.dtype(dtype)}.")
     return cast
+
+
+_Columns = tuple[NDArray[Any], ...]
+
+
+def even_pieces(pieces: Iterable[_Columns], size: int) -> Iterator[_Columns]:
+    """Put columns of any length into pieces of one length; the last may be shorter."""
+    kept: list[_Columns] = []
+    have = 0
+    for piece in pieces:
+        kept.append(piece)
+        have += len(piece[0])
+        if have >= size:
+            joined = _joined(kept)
+            for begin in range(0, have - size + 1, size):
+                yield tuple(column[begin : begin + size] for column in joined)
+            kept = [tuple(column[have - have % size :] for column in joined)]
+            have %= size
+    if have:
+        yield _joined(kept)
+
+
+def _joined(pieces: list[_Columns]) -> _Columns:
+    return tuple(np.concatenate(parts) for parts in zip(*pieces, strict=True))

@@ -56,6 +56,8 @@ class StreamStatistics:
     # first 64.
     gaps: tuple[tuple[int, int], ...]
     gap_count: int
+    # Number of words left out because EVT3 does not define their type; padding is not counted.
+    unknown_words: int
 
     @property
     def duration_s(self) -> float:
@@ -67,6 +69,10 @@ class StreamStatistics:
         messages = [f"Words are missing from {a} to {b} us of the sensor's clock." for a, b in self.gaps]
         if self.gap_count > len(self.gaps):
             messages.append(f"{self.gap_count - len(self.gaps)} more gaps follow.")
+        if self.unknown_words:
+            messages.append(
+                f"{self.unknown_words} words have a type that EVT3 does not define: they are left out."
+            )
         if self.missing_windows:
             messages.append(
                 f"{self.missing_windows} event count reports of the sensor are missing (it sends one every 200 us): "
@@ -180,7 +186,10 @@ class Evt3Decoder:
                 self._explain(reason, int(words[stop])),
                 offset=self._next_byte,
                 where=self._where,
-                remedy="Record it again. The part before that byte can be read.",
+                remedy="Copy the file again, or record it again; the part before that byte can be read."
+                if reason == StopReason.CLOCK
+                else "Check the size of the sensor that the file states; if it is right, copy the file again, or record"
+                " it again. The part before that byte can be read.",
             )
         return stop
 
@@ -194,12 +203,8 @@ class Evt3Decoder:
             return f"An event in column {word & 0x7FF} lies outside {sensor}."
         if reason == StopReason.VECTOR:
             return f"A vector that begins at column {state[S.BASE]} holds events beyond the last column of {sensor}."
-        if reason == StopReason.CLOCK:
-            part = "upper" if word >> 12 == 0x8 else "lower"
-            return (
-                f"The sensor's clock steps back from {state[S.T]} us: its {part} part reads {word & 0xFFF}."
-            )
-        return f"The type of word 0x{word:04X} does not exist in EVT3."
+        part = "upper" if word >> 12 == 0x8 else "lower"
+        return f"The sensor's clock steps back from {state[S.T]} us: its {part} part reads {word & 0xFFF}."
 
     @property
     def clock_us(self) -> int:
@@ -230,6 +235,7 @@ class Evt3Decoder:
             missing_windows=state[S.MISSING_WINDOWS],
             gaps=tuple((int(a), int(b)) for a, b in kept),
             gap_count=state[S.GAPS],
+            unknown_words=state[S.UNKNOWN],
         )
 
 

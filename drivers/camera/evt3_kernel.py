@@ -17,6 +17,7 @@ type name            payload
 0x6  TIME_LOW        lower 12 bits of the clock, us
 0x7  CONTINUED_4     last 4 bits of an OTHERS payload (some sensors leave it out)
 0x8  TIME_HIGH       upper 12 bits of the clock: it wraps every 2^24 us
+0x9  -               0x9999 is padding; others are counted and left out, as 0xB and 0xC are
 0xA  EXT_TRIGGER     [0] edge (1 = rising), [11:8] channel
 0xD  IMU             skipped
 0xE  OTHERS          subtype 0x014 / 0x016: events into / out of the rate controller
@@ -48,6 +49,8 @@ INNER: Final[dict[str, Any]] = {"no_cpython_wrapper": True, **_DECODER}
 
 MAX_BACK_STEP_US: Final = 64
 """TIME_LOW of a busy sensor steps back by some microseconds (11 were seen); a much larger step means missing words."""
+_PADDING: Final = 0x9999
+"""Word that some cameras (Lucid Triton2) send to fill their packets."""
 _RATE_IN: Final = 0x014
 _RATE_OUT: Final = 0x016
 _WINDOW_US: Final = 200
@@ -62,7 +65,6 @@ class StopReason(IntEnum):
 
     VECTOR: A vector holds an event beyond the last column.
     CLOCK: The sensor's clock steps back too far.
-    RESERVED: The type of the word does not exist.
     """
 
     NONE = 0
@@ -71,7 +73,6 @@ class StopReason(IntEnum):
     COLUMN = 3
     VECTOR = 4
     CLOCK = 5
-    RESERVED = 6
 
 
 class S(IntEnum):
@@ -123,10 +124,12 @@ class S(IntEnum):
     """Number of windows whose report has not arrived, computed from the time between two reports that have."""
     IDLE_US = 27
     """Time for which only TIME_HIGH words have come, us; -1 if it is not known."""
+    UNKNOWN = 28
+    """Number of words whose type does not exist, without padding."""
 
 
 def new_state(width: int, height: int) -> NDArray[np.int64]:
-    """Return the state before the first word of a stream: (28,) int64, indexed by ``S``."""
+    """Return the state before the first word of a stream: (29,) int64, indexed by ``S``."""
     state = np.zeros(len(S), np.int64)
     state[[S.HIGH, S.T, S.Y, S.BASE, S.FIRST_T, S.EVENTS_AT_REPORT, S.REPORT_T, S.IDLE_US]] = -1
     state[S.WIDTH], state[S.HEIGHT] = width, height
@@ -239,7 +242,7 @@ def _trigger(state: Any, payload: int, edges: Any) -> StopReason:
 def take_control_word(state: Any, kind: int, payload: int, gaps: Any, edges: Any) -> StopReason:
     """Take a word that holds no event, with every check; return NONE, or why it cannot be taken.
 
-    ``state`` is (28,) int64 as of ``new_state``; changed. ``kind`` and ``payload`` are the upper 4 and lower 12 bits.
+    ``state`` is (29,) int64 as of ``new_state``; changed. ``kind`` and ``payload`` are the upper 4 and lower 12 bits.
     To fill: ``gaps``, (G, 2) int64, us: clock before and after each of the first G gaps; ``edges``, (E, 3) int64: time
     (us), value and channel.
     """
@@ -256,8 +259,8 @@ def take_control_word(state: Any, kind: int, payload: int, gaps: Any, edges: Any
         return _trigger(state, payload, edges)
     elif kind in (0xE, 0xF, 0x7):
         _rate_controller(state, kind, payload)
-    elif kind != 0xD:
-        return StopReason.RESERVED
+    elif kind != 0xD and (kind << 12 | payload) != _PADDING:
+        state[S.UNKNOWN] += 1
     return StopReason.NONE
 
 

@@ -49,8 +49,8 @@ class RawFile:
     raw_header: RawHeader
 
     @classmethod
-    def open(cls, path: Path | str) -> RawFile:
-        """Read the header of a file. The file does not stay open.
+    def open(cls, path: Path | str, sensor_size: tuple[int, int] | None = None) -> RawFile:
+        """Read the header of a file; ``sensor_size``, px, is for one that does not state it. It does not stay open.
 
         Raises `NotARecording` if it is no RAW file of EVT3, `RecordingCorrupt` if parts of it were never written.
         """
@@ -63,8 +63,8 @@ class RawFile:
             start = read_start(path)
             require_whole(path)
         except OSError as error:
-            raise _unreadable(path, error) from error
-        return cls(path, parse_header(start, where=str(path)))
+            raise unreadable(path, error) from error
+        return cls(path, parse_header(start, where=str(path), sensor_size=sensor_size))
 
     @property
     def header(self) -> Mapping[str, str]:
@@ -80,6 +80,11 @@ class RawFile:
     def truncated(self) -> bool:
         """Whether the file ends in the middle of a word, as half of all files do that were cut off."""
         return (self._size() - self.raw_header.size_bytes) % 2 == 1
+
+    @property
+    def words_stored(self) -> int:
+        """Number of whole words."""
+        return (self._size() - self.raw_header.size_bytes) // 2
 
     @property
     def height(self) -> int:
@@ -102,14 +107,14 @@ class RawFile:
                 while block := file.read(2 * piece_words):
                     yield np.frombuffer(block, "<u2", count=len(block) // 2)
         except OSError as error:
-            raise _unreadable(self.path, error) from error
+            raise unreadable(self.path, error) from error
 
     def pieces(self, *, max_events: int = 1_000_000) -> Iterator[tuple[Events, Triggers]]:
         """Decode events and triggers in the order of the file, at most ``max_events`` events in a piece.
 
         At a malformed word, it first yields what came before, then raises `RecordingCorrupt`.
         """
-        decoder = self._decoder()
+        decoder = self.decoder()
         for words in self.words():
             yield from decoder.decode(words, max_events=max_events)
 
@@ -121,7 +126,7 @@ class RawFile:
 
     def read(self) -> tuple[Events, Triggers]:
         """Decode all events and triggers, which takes 13 bytes of memory an event; errors as ``pieces``."""
-        decoder, triggers, n = self._decoder(), [], 0
+        decoder, triggers, n = self.decoder(), [], 0
         events = empty_events(MARGIN + sum(max_event_count(words) for words in self.words()))
         for words in self.words():
             n, edges = decoder.decode_into(words, events, n)
@@ -130,7 +135,7 @@ class RawFile:
 
     def triggers(self) -> Triggers:
         """Decode all trigger edges, in the order of the file; errors as ``pieces``."""
-        decoder = self._decoder()
+        decoder = self.decoder()
         return join_triggers([decoder.tally(words) for words in self.words()])
 
     def counts(self) -> NDArray[np.uint16]:
@@ -139,7 +144,7 @@ class RawFile:
         The result is (2, height, width) uint16, OFF counts, then ON counts; counts wrap above 65535.
         """
         image = np.zeros((2, self.height, self.width), np.uint16)
-        decoder = self._decoder()
+        decoder = self.decoder()
         for words in self.words():
             decoder.count(words, image)
         return image
@@ -150,7 +155,7 @@ class RawFile:
         ``goes_on`` (`drivers.clock.Clock.monotonic`) is called after each piece, so that a supervisor sees a long scan
         go on.
         """
-        decoder = self._decoder()
+        decoder = self.decoder()
         for words in self.words():
             decoder.tally(words)
             goes_on()
@@ -160,14 +165,24 @@ class RawFile:
         try:
             return self.path.stat().st_size
         except OSError as error:
-            raise _unreadable(self.path, error) from error
+            raise unreadable(self.path, error) from error
 
-    def _decoder(self) -> Evt3Decoder:
+    def decoder(self) -> Evt3Decoder:
+        """Return a decoder of its words, which stands before the first."""
         first_byte = self.raw_header.size_bytes
         return Evt3Decoder(self.width, self.height, first_byte=first_byte, where=str(self.path))
 
 
-def _unreadable(path: Path, error: OSError) -> RecordingFileError:
+def is_recording(path: Path) -> bool:
+    """Return whether a file has the header of an EVT3 recording, with the sensor's size; False if it cannot be read."""
+    try:
+        RawFile.open(path)
+    except RecordingFileError:
+        return False
+    return True
+
+
+def unreadable(path: Path, error: OSError) -> RecordingFileError:
     """Build the error of a file that cannot be read."""
     if isinstance(error, FileNotFoundError):
         return RecordingFileError("There is no such file.", where=str(path), remedy="Check the path.")
@@ -178,7 +193,7 @@ def _unreadable(path: Path, error: OSError) -> RecordingFileError:
             remedy="Give yourself read permission on the file.",
         )
     return RecordingFileError(
-        f"The file cannot be read ({error.strerror or error}).",
+        f"The file cannot be read{f' ({error.strerror})' if error.strerror else ''}.",
         where=str(path),
         remedy="Check the disk, or copy the file again.",
     )

@@ -1,18 +1,19 @@
-"""Read and write the text header of a RAW file: lines of ``% key value``.
+"""Read and write the text header of Prophesee's files: lines of ``% key value``.
 
 Every maker's reader takes the sensor's size from ``format EVT3;height=720;width=1280``, else from
-``geometry 1280x720``, else from the sensor that ``system_ID`` stands for.
+``geometry 1280x720`` or ``Height`` and ``Width``, else from the sensor that ``system_ID`` stands for.
 
-Source: Prophesee, "RAW File Format", https://docs.prophesee.ai/stable/data/file_formats/raw.html.
+Sources: Prophesee, "RAW File Format", https://docs.prophesee.ai/stable/data/file_formats/raw.html. The sensors of
+``system_ID``: OpenEB (device_system_id.h, psee_raw_file_header.cpp).
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Final
+from typing import Final, NamedTuple
 
 from drivers.camera import CameraIdentity
 from drivers.errors import NotARecording
@@ -23,21 +24,64 @@ MAX_HEADER_BYTES: Final = 65536
 MAX_SIDE_PX: Final = 2048
 """Largest width and height of a sensor: EVT3 addresses have 11 bits."""
 
-_COPY_AGAIN: Final = "Copy the file again from the computer that recorded it, or record it again."
+_COPY_AGAIN: Final = "Copy the file again from the computer that recorded it."
+_GIVE_SIZE: Final = "Say the size: starbench convert --sensor-size WIDTHxHEIGHT, in px."
 
-_SIZE_OF_SYSTEM: Final = {"49": (1280, 720)}  # an IMX636 behind an EVK3 or EVK4
 
+class Sensor(NamedTuple):
+    """A sensor that ``system_ID`` stands for, and what it sends if the header does not say it."""
+
+    encoding: str
+    # width, height: px
+    width: int
+    height: int
+
+
+_VGA: Final = Sensor("EVT2", 640, 480)  # Gen3.0 and Gen3.1
+_HD_EVT2: Final = Sensor("EVT2", 1280, 720)  # Gen4.0 and Gen4.1 behind a CCAM3 or an EVK2
+_HD: Final = Sensor("EVT3", 1280, 720)  # Gen4.0, Gen4.1, IMX636, IMX646
+_STACKED_VGA: Final = Sensor("EVT3", 640, 512)  # IMX637, IMX647
+_GENX320: Final = Sensor("EVT21", 320, 320)
+SENSOR_OF_SYSTEM: Final[Mapping[str, Sensor]] = {
+    **dict.fromkeys(("21", "23", "25", "28", "29", "33", "34", "35", "41"), _VGA),
+    **dict.fromkeys(("151", "153", "161", "162"), _VGA),  # the same behind an EVK: 128 more
+    "40": Sensor("EVT3", 640, 480),
+    **dict.fromkeys(("26", "31", "39", "154"), _HD_EVT2),
+    **dict.fromkeys(("30", "32", "46", "48", "49", "50", "53", "58", "66"), _HD),
+    **dict.fromkeys(("52", "54"), _STACKED_VGA),
+    **dict.fromkeys(("55", "59", "64"), _GENX320),
+}
+_FIRST_LITTLE_ENDIAN: Final = 55
+"""Smallest ``system_ID`` whose EVT2.1 words are little-endian if the header does not say it."""
+_ENCODINGS: Final = {"2.0": "EVT2", "2.1": "EVT21", "3.0": "EVT3", "4.0": "EVT4"}
+"""Encodings by the older key ``evt``."""
+
+_JOIN: Final = "If it is a part of a recording that was split, join the parts in their order first."
+_AS_NPZ: Final = "Save its columns with NumPy: an .npz file of t (us), x, y and p."
+_OLD_AEDAT: Final = "Starbench reads AEDAT4; iniVation's program DV writes it from older files."
+_UNPACK: Final = "Unpack it first."
 _MAGIC: Final = (
-    (b"\x89HDF", "an HDF5 file"),
-    (b"\x89PNG", "a PNG image"),
-    (b"\xff\xd8\xff", "a JPEG image"),
-    (b"\x1f\x8b", "a gzip archive"),
-    (b"PK\x03\x04", "a zip archive"),
-    (b"#!AER-DAT", "an AEDAT file"),
-    (b"\x93NUMPY", "a NumPy array"),
-    (b"II*\x00", "a TIFF image"),
-    (b"MM\x00*", "a TIFF image"),
-    (b"%PDF", "a PDF document"),
+    (b"% Data file containing", "a DAT file", ""),
+    (b"\x89HDF", "an HDF5 file", ""),
+    (b"\x89PNG", "a PNG image", ""),
+    (b"\xff\xd8\xff", "a JPEG image", ""),
+    (b"\x1f\x8b", "a gzip archive", _UNPACK),
+    (b"BZh", "a bzip2 archive", _UNPACK),
+    (b"\xfd7zXZ\x00", "an xz archive", _UNPACK),
+    (b"\x28\xb5\x2f\xfd", "a Zstandard archive", _UNPACK),
+    (b"7z\xbc\xaf\x27\x1c", "a 7z archive", _UNPACK),
+    (b"PK\x03\x04", "a zip archive", ""),
+    (b"#!AER-DAT1.0", "an AEDAT 1.0 file", _OLD_AEDAT),
+    (b"#!AER-DAT2.0", "an AEDAT 2.0 file", _OLD_AEDAT),
+    (b"#!AER-DAT3.0", "an AEDAT 3.0 file", _OLD_AEDAT),
+    (b"#!AER-DAT3.1", "an AEDAT 3.1 file", _OLD_AEDAT),
+    (b"#!AER-DAT", "an AEDAT file", ""),
+    (b"Event Stream", "an Event Stream file (.es)", "Convert it with the program faery."),
+    (b"MATLAB 5.0 MAT-file", "a MATLAB file", _AS_NPZ),
+    (b"\x93NUMPY", "a NumPy array", _AS_NPZ),
+    (b"II*\x00", "a TIFF image", ""),
+    (b"MM\x00*", "a TIFF image", ""),
+    (b"%PDF", "a PDF document", ""),
 )
 
 
@@ -47,6 +91,8 @@ class RawHeader:
 
     # Every key and its text, white space as single blanks; of a repeated key the last text.
     fields: Mapping[str, str]
+    # "EVT2", "EVT21" (32-bit halves in the order low, high), "EVT21-legacy" (high, low) or "EVT3"
+    encoding: str
     # width, height: Size of the sensor, px.
     width: int
     height: int
@@ -58,25 +104,42 @@ class RawHeader:
         return len(self.text)
 
 
-def parse_header(start: bytes, *, where: str) -> RawHeader:
-    """Read the header in the first 65536 bytes of a file.
+def parse_header(
+    start: bytes, *, where: str, sensor_size: tuple[int, int] | None = None, evt3_only: bool = True
+) -> RawHeader:
+    """Read the header in the first 65536 bytes of a RAW file; ``sensor_size``, px, is for one that does not state it.
 
-    Raises `NotARecording` if this is no RAW header, it does not end, it names another encoding than EVT3, or it does
-    not state the size.
+    Raises `NotARecording` if this is no RAW header, it does not end, it names an encoding that is not read, or the size
+    is missing.
     """
     if not start.startswith(b"% ") or start.startswith(b"% Data file containing"):
+        what, remedy = looks_like(start)
         raise NotARecording(
-            f"This is not a RAW recording: it is {_looks_like(start)}.",
+            f"This is not a RAW recording: it is {what}.",
             where=where,
-            remedy='Give a file that an event camera recorded; it starts with "% ".',
+            remedy=remedy or 'Give a file that an event camera recorded; it starts with "% ".',
         )
     fields, size_bytes = header_fields(start)
     if size_bytes is None:
         raise NotARecording(
             f"The header does not end within {MAX_HEADER_BYTES} bytes.", where=where, remedy=_COPY_AGAIN
         )
-    width, height = _size(fields, where)
-    return RawHeader(fields, width, height, start[:size_bytes])
+    encoding = encoding_of(fields)
+    if encoding not in {"EVT2", "EVT21", "EVT21-legacy", "EVT3"}:
+        raise NotARecording(
+            f"The file holds {encoding or 'an encoding that its header does not name'}; Starbench reads EVT3, EVT2 and"
+            " EVT2.1.",
+            where=where,
+            remedy="Convert the file with the camera maker's tools, or record in the format EVT3.",
+        )
+    if evt3_only and encoding != "EVT3":
+        raise NotARecording(
+            f"The file holds {encoding.removesuffix('-legacy')}; only EVT3 is read here.",
+            where=where,
+            remedy="Convert it first: starbench convert FILE evt3.raw",
+        )
+    width, height = stated_size(fields, where, sensor_size)
+    return RawHeader(fields, encoding, width, height, start[:size_bytes])
 
 
 def header_fields(start: bytes) -> tuple[dict[str, str], int | None]:
@@ -100,58 +163,92 @@ def _printable(text: str) -> str:
     return "".join(letter if letter.isprintable() else "\ufffd" for letter in text)
 
 
-def _looks_like(start: bytes) -> str:
-    """Describe a file that is no RAW file."""
+def looks_like(start: bytes) -> tuple[str, str]:
+    """Describe a file that is no RAW file by its first bytes; also return what to do with it, or ""."""
     if not start:
-        return "empty"
-    if start.startswith(b"% Data file containing"):
-        return "a DAT file"
-    for magic, name in _MAGIC:
+        return "empty", ""
+    for magic, name, remedy in _MAGIC:
         if start.startswith(magic):
-            return name
+            return name, remedy
     if not start.strip(b"\0"):
-        return "nothing but zeros"
-    head = start[:512]
-    if all(byte in b"\t\r\n" or 32 <= byte < 127 for byte in head):
-        return "a text file"
-    return "binary data without a RAW header"
+        return "nothing but zeros", "Copy the file again: its contents are lost here."
+    if all(byte in b"\t\r\n" or 32 <= byte < 127 for byte in start[:512]):
+        return "a text file", _AS_NPZ
+    return "binary data without a RAW header", _JOIN
 
 
-def _size(fields: Mapping[str, str], where: str) -> tuple[int, int]:
-    """Return width and height; check that all fields agree and that the encoding is EVT3."""
-    encoding, *options = fields.get("format", "").split(";")
+def encoding_of(fields: Mapping[str, str]) -> str:
+    """Return which words a header announces, such as "EVT3", or "" if it does not tell."""
+    stated, *options = fields.get("format", "").split(";")
+    sensor = _sensor_of_system(fields)
     version = fields.get("evt", "")
-    if encoding not in ("", "EVT3") or version not in ("", "3.0") or not encoding + version:
-        held = encoding or (f"EVT {version}" if version else "an encoding that its header does not name")
-        raise NotARecording(
-            f"The file holds {held}; Starbench reads only EVT3.",
-            where=where,
-            remedy="Record in the format EVT3, or convert the file with the camera maker's tools.",
-        )
-    by_format = dict(option.partition("=")[::2] for option in options)
+    by_version = _ENCODINGS.get(version, f"EVT {version}" if version else "")
+    encoding = stated or by_version or (sensor.encoding if sensor else "")
+    if encoding != "EVT21":
+        return encoding
+    order = _options(options).get("endianness") or fields.get("endianness")
+    if order is None and _is_of_maker(fields) and fields.get("system_ID", "").isdecimal():
+        order = "legacy" if 0 < int(fields["system_ID"]) < _FIRST_LITTLE_ENDIAN else None
+    return "EVT21-legacy" if order == "legacy" else encoding
+
+
+def _options(parts: Sequence[str]) -> dict[str, str]:
+    """Return the options ``key=value`` of ``format``."""
+    return {key: value for key, _, value in (part.strip().partition("=") for part in parts)}
+
+
+def _is_of_maker(fields: Mapping[str, str]) -> bool:
+    """Return whether the maker of the sensors wrote the file: only then ``system_ID`` is one of its numbers."""
+    keys = ("integrator_name", "camera_integrator_name", "plugin_integrator_name")
+    return all(fields.get(key, "Prophesee") == "Prophesee" for key in keys)
+
+
+def _sensor_of_system(fields: Mapping[str, str]) -> Sensor | None:
+    return SENSOR_OF_SYSTEM.get(fields.get("system_ID", "")) if _is_of_maker(fields) else None
+
+
+def stated_size(
+    fields: Mapping[str, str],
+    where: str,
+    given: tuple[int, int] | None,
+    most_px: int = MAX_SIDE_PX,
+) -> tuple[int, int]:
+    """Return width and height, px, as the header states them, else as given; all of them must agree."""
+    by_format = _options(fields.get("format", "").split(";")[1:])
+    small = {key.lower(): value for key, value in fields.items()}
     sizes = {}
-    if "width" in by_format and "height" in by_format:
-        sizes["format"] = _pixels(by_format["width"], by_format["height"], where)
+    for key, sides in (("format", by_format), ("Width and Height", small)):
+        if "width" in sides and "height" in sides:
+            sizes[key] = _pixels(sides["width"], sides["height"], where, most_px)
     if "geometry" in fields:
-        sizes["geometry"] = _pixels(*fields["geometry"].partition("x")[::2], where)
-    if not sizes and fields.get("system_ID") in _SIZE_OF_SYSTEM:
-        sizes["system_ID"] = _SIZE_OF_SYSTEM[fields["system_ID"]]
-    if not sizes:
+        sizes["geometry"] = _pixels(*fields["geometry"].partition("x")[::2], where, most_px)
+    sensor = _sensor_of_system(fields)
+    if not sizes and sensor and not given:
+        return sensor.width, sensor.height
+    return agreed_size(sizes, given, where)
+
+
+def agreed_size(
+    sizes: Mapping[str, tuple[int, int]], given: tuple[int, int] | None, where: str
+) -> tuple[int, int]:
+    """Return the size of the sensor on which what a file states (by name) and what the user says agree."""
+    every = {**sizes, **({"--sensor-size": given} if given else {})}
+    if not every:
+        raise NotARecording("The file does not state the sensor's size.", where=where, remedy=_GIVE_SIZE)
+    if len(set(every.values())) > 1:
+        stated = ", ".join(f"{key} states {width} x {height}" for key, (width, height) in every.items())
         raise NotARecording(
-            "The header does not state the sensor's size.",
+            f"The sizes of the sensor contradict each other: {stated}.",
             where=where,
-            remedy='Add a line such as "% geometry 1280x720" to a copy of the file.',
+            remedy="Leave out --sensor-size." if len(set(sizes.values())) == 1 else _COPY_AGAIN,
         )
-    if len(set(sizes.values())) > 1:
-        stated = ", ".join(f"{key} states {width} x {height}" for key, (width, height) in sizes.items())
-        raise NotARecording(f"The header contradicts itself: {stated}.", where=where, remedy=_COPY_AGAIN)
-    return next(iter(sizes.values()))
+    return next(iter(every.values()))
 
 
-def _pixels(width: str, height: str, where: str) -> tuple[int, int]:
-    """Return both sides as numbers, within what EVT3 can address."""
-    sides = [int(side) if re.fullmatch(r"[0-9]{1,4}", side) else 0 for side in (width, height)]
-    if not all(0 < side <= MAX_SIDE_PX for side in sides):
+def _pixels(width: str, height: str, where: str, most_px: int) -> tuple[int, int]:
+    """Return both sides as numbers, within what the words can address."""
+    sides = [int(side) if re.fullmatch(r"[0-9]{1,5}", side) else 0 for side in (width, height)]
+    if not all(0 < side <= most_px for side in sides):
         raise NotARecording(
             f"The header states an invalid size of the sensor: {width!r} x {height!r}.",
             where=where,
@@ -176,5 +273,10 @@ def render_header(camera: CameraIdentity, recorded_at: datetime) -> bytes:
         "serial_number": camera.serial,
         "system_ID": "49",
     }
-    lines = [f"% {key} {' '.join(value.split())}\n" for key, value in fields.items()]
+    return render_fields(fields)
+
+
+def render_fields(fields: Mapping[str, str]) -> bytes:
+    """Write a header of keys and texts, up to ``% end``, on whose lines no text can write another line."""
+    lines = [f"% {'_'.join(key.split())} {' '.join(value.split())}\n" for key, value in fields.items()]
     return "".join([*lines, "% end\n"]).encode("ascii", "replace")

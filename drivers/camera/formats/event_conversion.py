@@ -1,9 +1,9 @@
 """Convert a file of events to another format: RAW, Metavision's HDF5, plain HDF5, NumPy; each to each.
 
-Files of other programs are read too: EVT2, DAT, AEDAT4, ROS bags.
-A RAW file made here does not hold a camera's own bytes, and its header says so. All files are read piece by piece; only
-for a new NumPy file all events are in memory. What the new format cannot represent is lost: the sensor's counters
-outside RAW, back-steps of its clock in Metavision's HDF5.
+Files of other programs are read too (`event_files`). A RAW file made here does not hold a camera's own bytes, and its
+header says so; else it states what the source states, and nothing more. All files are read piece by piece; only for a
+new NumPy file all events are in memory. What the new format cannot represent is lost: the sensor's counters outside
+RAW, back-steps of its clock in Metavision's HDF5.
 
 Every reader decodes the EVT3 words of a new RAW file alike: a TIME_HIGH is followed by a TIME_LOW before anything else,
 and steps by one through any gap, so that no turn of the 24-bit clock is lost. Times are absolute from the start of the
@@ -13,33 +13,37 @@ sensor's clock, as ``drivers.camera.evt3`` returns them. Each event is a word of
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
-from datetime import UTC, datetime
+from collections.abc import Mapping
 from enum import IntEnum
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from drivers.camera import CameraIdentity
-from drivers.camera.event_arrays import Events, EventSource, Triggers, empty_events
+from drivers.camera.event_arrays import (
+    MAX_TIME_US,
+    Events,
+    EventSource,
+    ReadingChoices,
+    Triggers,
+    empty_events,
+)
 from drivers.camera.evt3 import Words
 from drivers.camera.evt3_kernel import MAX_BACK_STEP_US
-from drivers.camera.formats.event_files import (
+from drivers.camera.formats.event_exports import (
     ExportSummary,
+    Progress,
     export_hdf5,
     export_metavision,
     export_numpy,
-    open_events,
 )
-from drivers.camera.formats.prophesee_words import header_fields, is_dat, is_evt2
-from drivers.camera.raw_file import RawFile
-from drivers.camera.raw_header import MAX_SIDE_PX, render_header
-from drivers.camera.raw_writer import new_file, read_start, write_error
+from drivers.camera.formats.event_files import open_events
+from drivers.camera.formats.prophesee_words import is_dat
+from drivers.camera.raw_file import RawFile, is_recording
+from drivers.camera.raw_header import MAX_SIDE_PX, encoding_of, header_fields, render_fields
+from drivers.camera.raw_writer import new_file, read_start
 from drivers.errors import NotARecording, RecordingFileError
 
 Kind = Literal["raw", "metavision", "hdf5", "numpy"]
@@ -62,50 +66,66 @@ def kind_of_name(path: Path) -> Kind | None:
     return _BY_ENDING.get(path.suffix.lower())
 
 
-def convert(source: Path, target: Path, kind: Kind, *, utc_now: Callable[[], datetime]) -> ExportSummary:
+def convert(
+    source: Path,
+    target: Path,
+    kind: Kind,
+    choices: ReadingChoices | None = None,
+    *,
+    progress: Progress = lambda _: None,
+) -> ExportSummary:
     """Write the events and triggers of a file as a new file of another kind; the source's contents decide its kind.
 
-    The target must not exist, and appears complete or not at all. ``utc_now`` is for the header of a new RAW file, if
-    the source states no time. Raises `NotARecording` if the source holds no events, or both files would be RAW,
-    `RecordingFileError` also if EVT3 cannot represent the contents.
+    The target must not exist, and appears complete or not at all. ``choices`` say what the source does not state
+    itself. Raises `NotARecording` if the source holds no events, or both files would be RAW, `RecordingFileError` also
+    if EVT3 cannot represent the contents.
     """
+    choices = choices or ReadingChoices()
     if is_evt3(source):
+        recording = RawFile.open(source, choices.sensor_size)
         if kind == "raw":
-            raise NotARecording(
-                "The file is a RAW recording already.",
-                where=str(source),
-                remedy="Choose another kind of file.",
-            )
-        return _EXPORTS[kind](RawFile.open(source), target)
-    if kind == "raw":
-        with open_events(source) as found:
-            return write_raw(found, target, source=source, utc_now=utc_now)
-    with _folder_beside(target) as folder:
-        between = Path(folder) / "between.raw"
-        with open_events(source) as found:
-            moved = write_raw(found, between, source=source, utc_now=utc_now).moved_events
-        written = _EXPORTS[kind](RawFile.open(between), target)
-        return replace(written, moved_events=written.moved_events + moved)
+            return _with_size(recording, target)
+        return _EXPORTS[kind](recording, target, progress)
+    with open_events(source, choices) as found:
+        if kind == "raw":
+            return write_raw(found, target, source=source, progress=progress)
+        return _EXPORTS[kind](found, target, progress)
+
+
+def _with_size(recording: RawFile, path: Path) -> ExportSummary:
+    """Copy a recording that does not state the size of its sensor, with a header that states it; else refuse."""
+    if is_recording(recording.path):
+        raise NotARecording(
+            "The file is a RAW recording already.",
+            where=str(recording.path),
+            remedy="Choose another kind of file.",
+        )
+    found = recording.scan()
+    size = {"geometry": f"{recording.width}x{recording.height}"}
+    with new_file(path) as part, part.open("xb") as file:
+        file.write(render_fields({**recording.header, **size}))
+        for words in recording.words():
+            file.write(words.tobytes())
+    return ExportSummary(found.events, found.triggers, 0, found.truncated, found.unknown_words)
 
 
 def write_raw(
-    found: EventSource, path: Path, *, source: Path, utc_now: Callable[[], datetime]
+    found: EventSource, path: Path, *, source: Path, progress: Progress = lambda _: None
 ) -> ExportSummary:
     """Write events as a new RAW file of EVT3, whose header names the source; the path must not exist.
 
-    ``utc_now`` is for the header, if the source states no time. Raises `RecordingFileError` also if EVT3 cannot
-    represent the sensor's size, times or triggers.
+    Raises `RecordingFileError` also if EVT3 cannot represent the sensor's size, times or triggers.
     """
     if not all(0 < side <= MAX_SIDE_PX for side in (found.width, found.height)):
         raise RecordingFileError(
             f"EVT3 cannot represent a sensor of {found.width} x {found.height} px.",
             where=str(source),
-            remedy=f"Convert files of sensors with sides of 1 to {MAX_SIDE_PX} px only.",
+            remedy="Convert it to HDF5 or .npz.",
         )
     encoder = Evt3Encoder()
     triggers, count = found.triggers, 0
     with new_file(path) as part, part.open("xb") as file:
-        file.write(_header(found, source, utc_now))
+        file.write(_header(found, source))
         done, latest = 0, -1
         try:
             for piece in found.pieces():
@@ -116,59 +136,47 @@ def write_raw(
                 until = int(np.searchsorted(triggers.t, latest, "right"))
                 file.write(encoder.words(piece, triggers.part(done, until)).tobytes())
                 done = max(done, until)
+                progress(count / max(1, found.count))
             file.write(encoder.words(empty_events(0), triggers.part(done, len(triggers.t))).tobytes())
         except ValueError as error:
             raise RecordingFileError(
                 f"EVT3 cannot represent the file: {error}.",
                 where=str(source),
-                remedy="Change its values: times from 0 to one day, trigger values 0 or 1, trigger ids 0 to 15.",
+                remedy="Convert it to HDF5 or .npz, or change its values: times from 0 to one day, trigger values 0 or"
+                " 1, trigger ids 0 to 15.",
             ) from error
-    return ExportSummary(count, len(triggers.t), encoder.moved_events)
+    return ExportSummary(count, len(triggers.t), encoder.moved_events, found.truncated)
 
 
 _EXPORTS: Final = {"metavision": export_metavision, "hdf5": export_hdf5, "numpy": export_numpy}
 
 
-def _folder_beside(target: Path) -> TemporaryDirectory[str]:
-    """Make a temporary folder on the target's own disk. Raises RecordingFileError."""
-    try:
-        return TemporaryDirectory(prefix=".starbench-", dir=target.parent)
-    except OSError as error:
-        raise write_error(target, error) from error
-
-
 def is_evt3(path: Path) -> bool:
-    """Return whether a file is a RAW recording with EVT3 words, or pretends to be one; False if it cannot be read."""
+    """Return whether a file is a RAW recording with EVT3 words; False if it cannot be read: what reads it says why."""
     try:
         start = read_start(path)
-        fields = header_fields(start)[0]
-    except (OSError, ValueError):
-        return False  # open_events reports the reason
-    return start.startswith(b"% ") and not is_dat(start) and not is_evt2(fields)
+        return (
+            start.startswith(b"% ") and not is_dat(start) and encoding_of(header_fields(start)[0]) == "EVT3"
+        )
+    except (OSError, RecordingFileError):
+        return False
 
 
-def _header(found: EventSource, source: Path, utc_now: Callable[[], datetime]) -> bytes:
-    header = found.header
-    camera = CameraIdentity(
-        maker=header.get("integrator_name", ""),
-        model="",
-        sensor=header.get("sensor_name", ""),
-        serial=header.get("serial_number", ""),
-        firmware="",
-        width=found.width,
-        height=found.height,
-    )
-    try:
-        recorded_at = datetime.strptime(header.get("date", ""), "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC)
-    except ValueError:
-        recorded_at = utc_now()
-    origin = f"% converted_from {' '.join(source.name.split())}; not the bytes of a camera\n% end\n"
-    # only at the end: a serial number may hold these characters too
-    return render_header(camera, recorded_at).removesuffix(b"% end\n") + origin.encode("ascii", "replace")
+_OF_LAYOUT: Final = frozenset(
+    {"evt", "format", "geometry", "endianness", "width", "height", "version", "converted_from", "end"}
+)
+"""Keys, in small letters, that describe how the source is laid out."""
 
 
-MAX_TIME_US: Final = 86_400_000_000
-"""One day: the clock words of longer gaps would fill the disk (42 MB a day), and no recording lasts that long."""
+def _header(found: EventSource, source: Path) -> bytes:
+    """Return the header of a new RAW file: the facts of its source, and its name."""
+    facts = {key: value for key, value in found.header.items() if key.lower() not in _OF_LAYOUT}
+    layout = {
+        "evt": "3.0",
+        "format": f"EVT3;height={found.height};width={found.width}",
+        "geometry": f"{found.width}x{found.height}",
+    }
+    return render_fields({**facts, **layout, "converted_from": f"{source.name}; not the bytes of a camera"})
 
 
 _MAX_ADDRESS: Final = 2047

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera.event_arrays import require_ratio
+from drivers.errors import NotARecording, RecordingCorrupt
 
 MOST_CHUNK_BYTES: Final = 1 << 24
 """Largest chunk, decompressed. Writers use chunks of at most some megabytes."""
@@ -37,15 +38,15 @@ def has_member(group: Any, name: str) -> bool:
 
 
 def member(group: Any, path: str) -> Any:
-    """Return the part of a file at a path with slashes; `ValueError` if it is missing or behind a link elsewhere."""
+    """Return the part of a file at a path with slashes; `NotARecording` if it is missing or behind a link elsewhere."""
     here = group
     for name in path.split("/"):
         link = here.get(name, getlink=True) if isinstance(here, h5py.Group) else None
         if link is None:
-            raise ValueError(f"{path} is missing")
+            raise NotARecording(f"{path} is missing.")
         if not isinstance(link, h5py.HardLink):
             what = "a link to another place; only data in the file itself are read"
-            raise ValueError(f"{path} is {what}")  # noqa: TRY004 - of the file, not of the caller
+            raise NotARecording(f"{path} is {what}.")
         here = here[name]
     return here
 
@@ -53,23 +54,23 @@ def member(group: Any, path: str) -> Any:
 def dataset(group: Any, path: str) -> Any:
     """Return an array of a file, after a check that the file itself holds it.
 
-    Raises `ValueError` if it is missing, no array, kept in another file, compressed by an unknown filter, or larger
+    Raises `NotARecording` if it is missing, no array, kept in another file, compressed by an unknown filter, or larger
     than the file can hold.
     """
     found = member(group, path)
     if not isinstance(found, h5py.Dataset):
-        raise ValueError(f"{path} is a group, not an array")  # noqa: TRY004 - of the file, not of the caller
+        raise NotARecording(f"{path} is a group, not an array.")
     if found.is_virtual or found.external is not None:
-        raise ValueError(f"{path} keeps its data in another file; only data in the file itself are read")
+        raise NotARecording(f"{path} keeps its data in another file; only data in the file itself are read.")
     if found.shape is None or found.dtype.kind not in "biufV" or found.dtype.itemsize > MOST_ROW_BYTES:
-        raise ValueError(f"{path} is an array of {found.dtype}, not of numbers")
+        raise NotARecording(f"{path} is an array of {found.dtype}, not of numbers.")
     require_ratio(found.nbytes, _file_bytes(found), path)
     if found.chunks is not None and _chunk_bytes(found) > MOST_CHUNK_BYTES:
-        raise ValueError(
-            f"{path} has chunks of {_chunk_bytes(found)} bytes; at most {MOST_CHUNK_BYTES} are read"
+        raise NotARecording(
+            f"{path} has chunks of {_chunk_bytes(found)} bytes; at most {MOST_CHUNK_BYTES} are read."
         )
     if found.chunks is None and found.nbytes and found.id.get_storage_size() < found.nbytes:
-        raise ValueError(f"{path} states {found.nbytes} bytes, but they are missing")
+        raise NotARecording(f"{path} states {found.nbytes} bytes, but they are missing.")
     return found
 
 
@@ -79,11 +80,42 @@ def filters(found: Any) -> list[int]:
     return [creation.get_filter(k)[0] for k in range(creation.get_nfilters())]
 
 
+def require_own_filters(found: Any) -> None:
+    """Refuse an array whose chunks are not decompressed here."""
+    if not set(filters(found)) <= {_GZIP, _SHUFFLE, _CHECK_SUM}:
+        raise NotARecording(f"{found.name} is compressed by filter {filters(found)}; gzip and none are read.")
+
+
+def needs_library(found: Any) -> bool:
+    """Return whether only HDF5 itself can read an array: by its filters, or by how it is cut into chunks."""
+    return found.chunks is not None and (
+        found.chunks[1:] != found.shape[1:] or not set(filters(found)) <= {_GZIP, _SHUFFLE, _CHECK_SUM}
+    )
+
+
+def rows_by_library(found: Any) -> Iterator[NDArray[Any]]:
+    """Read an array piece by piece as HDF5 does it: in a process with limits (`library_process`) only."""
+    total = found.shape[0] if found.shape else 0
+    if found.chunks is not None:
+        chunks = int(
+            np.prod([-(-side // step) for side, step in zip(found.shape, found.chunks, strict=True)])
+        )
+        if found.id.get_num_chunks() != chunks:
+            raise NotARecording(
+                f"{found.id.get_num_chunks()} of the {chunks} chunks of {found.name} are there."
+            )
+    step = (
+        found.chunks[0] if found.chunks is not None else max(1, _PIECE_BYTES // max(1, found.dtype.itemsize))
+    )
+    for begin in range(0, total, step):
+        yield found[begin : begin + step]
+
+
 def rows(found: Any, decode: Decoder | None = None) -> Iterator[NDArray[Any]]:
     """Read an array piece by piece: yield (n, ...) rows of its own type, in order, all of them the whole array.
 
     A chunked array must be chunked along its first dimension only. ``decode`` decompresses a chunk; None for gzip,
-    shuffle and check sums. Missing or damaged chunks raise `ValueError`; `ChunkDamaged` states the place.
+    shuffle and check sums. Missing or damaged chunks raise `NotARecording` or `RecordingCorrupt`.
     """
     total = found.shape[0] if found.shape else 0
     if found.chunks is None:
@@ -92,10 +124,10 @@ def rows(found: Any, decode: Decoder | None = None) -> Iterator[NDArray[Any]]:
             yield found[begin : begin + step]
         return
     if found.chunks[1:] != found.shape[1:]:
-        raise ValueError(f"{found.name} is cut into chunks along more than one dimension")
+        raise NotARecording(f"{found.name} is cut into chunks along more than one dimension.")
     pipeline = filters(found)
-    if decode is None and not set(pipeline) <= {_GZIP, _SHUFFLE, _CHECK_SUM}:
-        raise ValueError(f"{found.name} is compressed by filter {pipeline}; gzip and none are read")
+    if decode is None:
+        require_own_filters(found)
     done = 0
     for place in _places(found, total):
         begin = place.chunk_offset[0]
@@ -103,23 +135,22 @@ def rows(found: Any, decode: Decoder | None = None) -> Iterator[NDArray[Any]]:
         if n <= 0:
             continue  # left over from a longer array
         if begin != done:
-            raise ValueError(_missing(begin - done, total, found))
+            raise NotARecording(_missing(begin - done, total, found))
         yield _chunk(found, place, pipeline, decode)[:n]
         done += n
     if done != total:
-        raise ValueError(_missing(total - done, total, found))
+        raise NotARecording(_missing(total - done, total, found))
 
 
 def whole(found: Any, most_bytes: int) -> NDArray[Any]:
-    """Read an array, in its own shape and type; `ValueError` if it is larger than ``most_bytes`` or cannot be read."""
+    """Read an array, in its own shape and type; `NotARecording` if it has more than ``most_bytes`` or is unreadable."""
     if found.nbytes > most_bytes:
-        raise ValueError(f"{found.name} has {found.nbytes} bytes; at most {most_bytes} are read")
+        raise NotARecording(f"{found.name} has {found.nbytes} bytes; at most {most_bytes} are read.")
     if found.chunks is None or not found.shape:
         return np.asarray(found[()])
     out = np.zeros(found.shape, found.dtype)
     pipeline = filters(found)
-    if not set(pipeline) <= {_GZIP, _SHUFFLE, _CHECK_SUM}:
-        raise ValueError(f"{found.name} is compressed by filter {pipeline}; gzip and none are read")
+    require_own_filters(found)
     for place in _places(found, 0):
         at = tuple(
             slice(first, min(first + side, end))
@@ -133,35 +164,29 @@ def whole(found: Any, most_bytes: int) -> NDArray[Any]:
 
 
 def texts(group: Any) -> dict[str, str]:
-    """Return the attributes of a group, as text; `ValueError` if there are more or longer ones than a recording has."""
+    """Return the attributes of a group, as text; `NotARecording` if there are more or longer ones than usual."""
     names = list(group.attrs)
     if len(names) > _MOST_ATTRIBUTES:
-        raise ValueError(f"it has {len(names)} attributes; at most {_MOST_ATTRIBUTES} are read")
+        raise NotARecording(f"it has {len(names)} attributes; at most {_MOST_ATTRIBUTES} are read.")
     found = {}
     for name in names:
         if group.attrs.get_id(name).get_storage_size() > _MOST_TEXT:
-            raise ValueError(f"its attribute {name[:40]!r} is longer than {_MOST_TEXT} bytes")
+            raise NotARecording(f"its attribute {name[:40]!r} is longer than {_MOST_TEXT} bytes.")
         value = group.attrs[name]
         text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
         if len(text) > _MOST_TEXT:
-            raise ValueError(f"its attribute {name[:40]!r} is longer than {_MOST_TEXT} bytes")
+            raise NotARecording(f"its attribute {name[:40]!r} is longer than {_MOST_TEXT} bytes.")
         found[name] = text
     return found
-
-
-class ChunkDamaged(ValueError):
-    """A chunk, whose first byte stands at ``offset`` in the file, cannot be decompressed."""
-
-    def __init__(self, what: str, offset: int) -> None:
-        super().__init__(what)
-        self.offset = offset
 
 
 def _places(found: Any, rows_stated: int) -> list[Any]:
     """Return where the chunks lie, in their order."""
     most = max(4 * _file_bytes(found) // 512, 4096, 2 * rows_stated // max(1, found.chunks[0]))
     if found.id.get_num_chunks() > most:
-        raise ValueError(f"{found.name} has {found.id.get_num_chunks()} chunks, more than the file can hold")
+        raise NotARecording(
+            f"{found.name} has {found.id.get_num_chunks()} chunks, more than the file can hold."
+        )
     places: list[Any] = []
     found.id.chunk_iter(places.append)
     return sorted(places, key=lambda place: place.chunk_offset)
@@ -170,7 +195,7 @@ def _places(found: Any, rows_stated: int) -> list[Any]:
 def _chunk(found: Any, place: Any, pipeline: list[int], decode: Decoder | None) -> NDArray[Any]:
     """Read one chunk and decompress it, never to more than its size."""
     if place.size > 2 * MOST_CHUNK_BYTES or place.size > _file_bytes(found):
-        raise ChunkDamaged(f"a chunk states {place.size} bytes", place.byte_offset)
+        raise _damaged(f"a chunk states {place.size} bytes", place)
     skipped, data = found.id.read_direct_chunk(place.chunk_offset)
     size = _chunk_bytes(found)
     try:
@@ -182,9 +207,19 @@ def _chunk(found: Any, place: Any, pipeline: list[int], decode: Decoder | None) 
                     data = _undone(kind, data, size, found.dtype.itemsize)
         if len(data) < size:
             raise ValueError(f"a chunk of {size} bytes ends after {len(data)}")  # noqa: TRY301
-    except (ValueError, zlib.error) as error:
-        raise ChunkDamaged(str(error), place.byte_offset) from error
+    except zlib.error as error:
+        raise _damaged("the compressed bytes of a chunk are damaged", place) from error
+    except ValueError as error:  # of `_undone` or ``decode``
+        raise _damaged(str(error), place) from error
     return np.frombuffer(data[:size], found.dtype).reshape(found.chunks)
+
+
+def _damaged(what: str, place: Any) -> RecordingCorrupt:
+    return RecordingCorrupt(
+        f"The events cannot be decompressed: {what}.",
+        offset=place.byte_offset,
+        remedy="Copy the file again, or export it again from the original recording.",
+    )
 
 
 def _undone(kind: int, data: bytes, size: int, itemsize: int) -> bytes:
@@ -202,7 +237,7 @@ def _undone(kind: int, data: bytes, size: int, itemsize: int) -> bytes:
 
 
 def _missing(n: int, total: int, found: Any) -> str:
-    return f"{n} of the {total} rows of {found.name} are missing"
+    return f"{n} of the {total} rows of {found.name} are missing."
 
 
 def _chunk_bytes(found: Any) -> int:

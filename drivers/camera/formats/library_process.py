@@ -1,7 +1,7 @@
 """Read files of other programs through their libraries, in a process of its own with a limit of memory and of time.
 
 A packet of some kilobytes can unpack to gigabytes, and a damaged file can crash or hang a library. Here it ends the
-other process only, and the file is refused with one message. The libraries are ``aedat``, ``rosbags`` and NumPy.
+other process only, and the file is refused with one message. The libraries are ``aedat``, ``rosbags``, NumPy and HDF5.
 
 The process writes messages: the lengths of a text and of the arrays, the text (JSON), the arrays. Nothing of it is
 executed here.
@@ -26,10 +26,12 @@ from drivers.camera.event_arrays import (
     MOST_TRIGGERS,
     Events,
     EventSource,
+    ReadingChoices,
     Triggers,
     empty_events,
     empty_triggers,
     join_triggers,
+    too_many_edges,
 )
 from drivers.errors import CameraSoftwareMissing, NotARecording, RecordingCorrupt
 
@@ -39,19 +41,26 @@ PATIENCE_S: Final = 60.0
 """Longest time without a message, and a second more for each megabyte of the file."""
 MOST_EVENTS: Final = 1 << 20
 """Most events and edges of a message."""
+_PROGRAM: Final = "drivers.camera.formats.library_reader"
 HEAD: Final = struct.Struct("<III")
 _MOST_TEXT: Final = 1 << 20
-_OUT_OF_MEMORY: Final = f"reading it needs more than {MOST_BYTES >> 30} GiB of memory, or crashes its library"
+_NO_EVENTS: Final = "The file holds no readable events"
+_OUT_OF_MEMORY: Final = (
+    f"{_NO_EVENTS}: reading it needs more than {MOST_BYTES >> 30} GiB of memory, or crashes its library"
+)
+_DAMAGED: Final = (
+    "The file is probably damaged: copy it again from its origin, or export it again in smaller parts."
+)
 
 
 @contextmanager
-def source_of_library(path: Path, kind: str) -> Iterator[EventSource]:
-    """Open a file of kind "npz", "aedat4" or "bag" in a process of its own, until the end of the block.
+def source_of_library(path: Path, kind: str, choices: ReadingChoices) -> Iterator[EventSource]:
+    """Open a file of kind "npz", "hdf5", "aedat4" or "bag" in a process of its own, until the end of the block.
 
-    Its events can be read once. Raises `ValueError` if it cannot be read, or needs too much memory or time.
+    Its events can be read once. Raises `NotARecording` if it cannot be read, or needs too much memory or time.
     """
     process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "drivers.camera.formats.library_reader", kind, str(path)],
+        [sys.executable, "-P", "-m", _PROGRAM, kind, str(path), json.dumps(choices.as_json())],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
@@ -73,7 +82,7 @@ def _source(stream: IO[bytes], path: Path) -> EventSource:
         text, _, triggers = _message(stream, path)
         found.append(triggers)
         if sum(len(one.t) for one in found) > MOST_TRIGGERS:
-            raise ValueError(f"it has more than {MOST_TRIGGERS} trigger edges")
+            raise too_many_edges()
     header = {str(key): str(value) for key, value in text["header"].items()}
 
     def pieces() -> Iterator[Events]:
@@ -96,7 +105,7 @@ def _message(stream: IO[bytes], path: Path) -> tuple[Mapping[str, Any], Events, 
     allowed_s = PATIENCE_S + 1e-6 * bytes_of_file
     length, n, edges = HEAD.unpack(_exactly(stream, HEAD.size, allowed_s))
     if length > _MOST_TEXT or max(n, edges) > MOST_EVENTS:
-        raise ValueError(_OUT_OF_MEMORY)
+        raise NotARecording(_OUT_OF_MEMORY, remedy=_DAMAGED)
     text = json.loads(_exactly(stream, length, allowed_s))
     events, triggers = empty_events(n), empty_triggers(edges)
     for array in (*events, *triggers):
@@ -114,11 +123,11 @@ def _raise_told(text: Mapping[str, Any], path: Path) -> None:
         case "corrupt":
             raise RecordingCorrupt(what, offset=int(text["offset"]), where=str(path), remedy=remedy)
         case "other":
-            raise NotARecording(what, where=str(path), remedy=remedy)
+            raise NotARecording(what, remedy=remedy)
         case "memory":
-            raise ValueError(_OUT_OF_MEMORY)
+            raise NotARecording(_OUT_OF_MEMORY, remedy=_DAMAGED)
         case "unreadable":
-            raise ValueError(what)
+            raise NotARecording(f"{_NO_EVENTS}: its library cannot read it.", remedy=_DAMAGED)
 
 
 def _exactly(stream: IO[bytes], size: int, allowed_s: float) -> bytes:
@@ -126,9 +135,10 @@ def _exactly(stream: IO[bytes], size: int, allowed_s: float) -> bytes:
     data = bytearray()
     while len(data) < size:
         if not select.select([stream], [], [], allowed_s)[0]:
-            raise ValueError(f"reading it takes longer than {allowed_s:.0f} s")
+            what = f"{_NO_EVENTS}: reading it takes longer than {allowed_s:.0f} s."
+            raise NotARecording(what, remedy=_DAMAGED)
         part = stream.read(min(size - len(data), 1 << 20))
         if not part:
-            raise ValueError(_OUT_OF_MEMORY)
+            raise NotARecording(_OUT_OF_MEMORY, remedy=_DAMAGED)
         data += part
     return bytes(data)

@@ -1,29 +1,33 @@
 """Read files of other programs through their libraries: the program of the process that `library_process` starts.
 
-    python -m drivers.camera.formats.library_reader KIND PATH
+    python -m drivers.camera.formats.library_reader KIND PATH CHOICES
 
 It limits its own memory first. The file is read twice: once to count the events and to collect the edges; and its
 events are written as messages.
 
-- NumPy's ``.npz``, as `event_files` writes it.
+- NumPy's ``.npz``, as `event_exports` writes it; edges, size and header may be missing.
+- HDF5 that only its library can read, with the filters of the package ``hdf5plugin``.
 - iniVation's AEDAT4, through the package ``aedat``.
-- ROS bags, of ROS 1 and ROS 2, through the package ``rosbags``; no ROS is needed. Messages:
-  ``dvs_msgs/EventArray`` and ``prophesee_event_msgs/EventArray`` (one struct an event), and
-  ``event_camera_msgs/EventPacket`` with the encodings ``evt3`` (the camera's words, with its edges) and ``mono``.
+- ROS bags, of ROS 1 and ROS 2, through the package ``rosbags``; no ROS is needed. Messages: ``EventArray`` of
+  ``dvs_msgs``, ``prophesee_event_msgs`` and ``dv_ros_msgs`` (one struct an event), and
+  ``event_camera_msgs/EventPacket``, until 2023 ``event_array_msgs/EventArray``, with the encodings ``evt3`` and
+  ``evt21`` (the camera's words, with its edges), ``mono`` and ``libcaer``.
 
 The times of the last two count from 1970; a recording of Starbench begins at 0. The second before the first event
 becomes 0, and stands in the header as ``time_origin_us``.
 
-Source: event_camera_msgs, https://github.com/ros-event-camera/event_camera_msgs (encodings of EventPacket).
+Sources: event_camera_msgs, https://github.com/ros-event-camera/event_camera_msgs (EventPacket), and its decoders,
+https://github.com/ros-event-camera/event_camera_codecs.
 """
 
 from __future__ import annotations
 
 import json
+import re
 import sys
 import zipfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -33,29 +37,33 @@ from drivers.camera.event_arrays import (
     Events,
     EventSource,
     Piece,
+    ReadingChoices,
     Triggers,
     as_events,
     as_triggers,
+    date_of,
     empty_events,
     empty_triggers,
-    origin_us,
+    from_zero,
+    origin_of,
     require_one_length,
     require_ratio,
     source_of_stream,
 )
 from drivers.camera.formats import library_process
-from drivers.camera.raw_header import MAX_SIDE_PX
-from drivers.errors import CameraSoftwareMissing, DriverError, RecordingCorrupt
+from drivers.camera.raw_header import agreed_size
+from drivers.errors import CameraSoftwareMissing, DriverError, NotARecording, RecordingCorrupt
 
 _PIECE: Final = 500_000
-_NAMED: Final = {"npz": "NumPy file", "aedat4": "AEDAT4 file", "bag": "ROS bag"}
+_MOST_NAMED: Final = 8
 
 
-def main(kind: str, path: Path) -> None:
+def main(kind: str, path: Path, choices: ReadingChoices) -> None:
     """Read a file and write the messages; the last one says that it is the end, or what is wrong."""
     _limit_memory()
     try:
-        source = _open(kind, path)
+        open_file = {"npz": _from_npz, "hdf5": _from_hdf5, "aedat4": _from_aedat4, "bag": _from_bag}[kind]
+        source = open_file(path, choices)
         for begin in range(0, len(source.triggers.t), _PIECE):
             _write({}, triggers=source.triggers.part(begin, begin + _PIECE))
         size = {"count": source.count, "width": source.width, "height": source.height}
@@ -73,11 +81,8 @@ def main(kind: str, path: Path) -> None:
         _write({"kind": "other", "error": error.what, "remedy": error.remedy})
     except MemoryError:
         _write({"kind": "memory"})
-    except ValueError as error:
-        _write({"kind": "unreadable", "error": " ".join(str(error).split())[:300]})
-    except BaseException as error:  # a panic of compiled code is no Exception
-        why = " ".join(str(error).split())[:200]
-        _write({"kind": "unreadable", "error": f"it is no readable {_NAMED[kind]} ({why})"})
+    except BaseException:  # a panic of compiled code is no Exception
+        _write({"kind": "unreadable"})
         raise
 
 
@@ -96,10 +101,6 @@ def _limit_memory() -> None:
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
-def _open(kind: str, path: Path) -> EventSource:
-    return {"npz": _from_npz, "aedat4": _from_aedat4, "bag": _from_bag}[kind](path)
-
-
 def _write(text: Mapping[str, Any], events: Events | None = None, triggers: Triggers | None = None) -> None:
     events, triggers = events or empty_events(0), triggers or empty_triggers(0)
     told = json.dumps(text).encode()
@@ -110,27 +111,50 @@ def _write(text: Mapping[str, Any], events: Events | None = None, triggers: Trig
     out.flush()
 
 
-def _from_npz(path: Path) -> EventSource:
-    """Open NumPy's ``.npz``, as `event_files` writes it. Only plain numbers are read."""
+def _from_npz(path: Path, choices: ReadingChoices) -> EventSource:
+    """Open NumPy's ``.npz``. Only plain numbers, and the header's text, are read."""
     with zipfile.ZipFile(path) as archive:
         require_ratio(sum(one.file_size for one in archive.infolist()), path.stat().st_size, "it")
     with np.load(path, allow_pickle=False) as file:
-        width, height = (int(side) for side in _array(file, "size"))
         columns = {name: _array(file, name) for name in Events._fields}
         require_one_length({name: len(column) for name, column in columns.items()})
         events = as_events(**columns)
-        triggers = as_triggers({name: _array(file, f"trigger_{name}") for name in Triggers._fields})
+        edges = {name: f"trigger_{name}" for name in Triggers._fields}
+        has_edges = any(stored in file for stored in edges.values())
+        triggers = (
+            as_triggers({name: _array(file, stored) for name, stored in edges.items()})
+            if has_edges
+            else empty_triggers(0)
+        )
+        width, height = map(int, file["size"]) if "size" in file else (0, 0)
+        header = json.loads(str(file["header"])) if "header" in file else {}
+    size = agreed_size({"size": (width, height)} if width and height else {}, choices.sensor_size, "")
 
-    def stream() -> Iterator[Piece]:
-        yield events, triggers
+    def pieces() -> Iterator[Events]:
+        yield events
 
-    return source_of_stream(stream, (width, height), {})
+    return from_zero(EventSource(len(events.t), triggers, *size, header, pieces))
 
 
 def _array(file: Mapping[str, Any], name: str) -> Any:
     if name not in file:
-        raise ValueError(f"{name} is missing")
-    return file[name]
+        raise NotARecording(f"{name} is missing in this .npz file.")
+    try:
+        return file[name]
+    except ValueError as error:  # pickled, or cut off
+        raise NotARecording(f"{name} of this .npz file is no whole array of numbers.") from error
+
+
+def _from_hdf5(path: Path, choices: ReadingChoices) -> EventSource:
+    import h5py
+
+    from drivers.camera.formats.hdf5_events import opened_hdf5
+
+    with suppress(ImportError):
+        import hdf5plugin  # noqa: F401 - registers the filters
+    source = opened_hdf5(h5py.File(path, "r"), choices, by_library=True)
+    assert source is not None
+    return source
 
 
 AEDAT4_MAGIC: Final = b"#!AER-DAT4.0"
@@ -138,18 +162,31 @@ _RISING: Final = 1
 _FALLING: Final = 2
 
 
-def _from_aedat4(path: Path) -> EventSource:
-    """Open an AEDAT4 file with one stream of events, with the edges at the camera's signal input."""
-    streams = _decoder(path).id_to_stream()
-    of_events = {number: one for number, one in streams.items() if one.get("type") == "events"}
-    if len(of_events) != 1:
-        raise ValueError(f"this AEDAT4 file has {len(of_events)} streams of events; one is needed")
-    number, facts = next(iter(of_events.items()))
-    origin = origin_us(_aedat4_pieces(path, number, 0))
-    header = {"time_origin_us": str(origin)}
-    return source_of_stream(
-        lambda: _aedat4_pieces(path, number, origin), (int(facts["width"]), int(facts["height"])), header
+_HEAD_BYTES: Final = 1 << 16
+_STREAM: Final = re.compile(rb'<node name="([0-9]+)"')
+_SOURCE: Final = re.compile(rb'<attr key="source"[^>]*>([ -;=-~]{1,80})</attr>')
+
+
+def _from_aedat4(path: Path, choices: ReadingChoices) -> EventSource:
+    """Open a stream of events of an AEDAT4 file, named by its number, with the edges at the camera's signal input."""
+    streams = {str(number): one for number, one in _decoder(path).id_to_stream().items()}
+    name = choices.chosen(number for number, one in streams.items() if one.get("type") == "events")
+    width, height = (streams[name].get(side) for side in ("width", "height"))
+    size = agreed_size(
+        {"the stream": (int(width), int(height))} if width and height else {}, choices.sensor_size, ""
     )
+    origin = origin_of(_aedat4_pieces(path, int(name), 0))
+    header = {**origin.header, **_camera_of_stream(path, name)}
+    return source_of_stream(lambda: _aedat4_pieces(path, int(name), origin.us), size, header)
+
+
+def _camera_of_stream(path: Path, name: str) -> dict[str, str]:
+    """Return the camera that the file's description names for a stream: its model and serial number."""
+    with path.open("rb") as file:
+        _, *nodes = _STREAM.split(file.read(_HEAD_BYTES))
+    of_number = dict(zip(nodes[::2], nodes[1::2], strict=True))
+    found = _SOURCE.search(of_number.get(name.encode(), b""))
+    return {"camera": found[1].decode("ascii")} if found else {}
 
 
 def _decoder(path: Path) -> Any:
@@ -197,10 +234,13 @@ def _aedat4_edges(rows: Any, origin: int) -> Triggers:
 MAGIC_1: Final = b"#ROSBAG V2.0"
 MAGIC_MCAP: Final = b"\x89MCAP0\r\n"
 MAGIC_SQLITE: Final = b"SQLite format 3\x00"
-_ARRAY: Final = "EventArray"
-_PACKET: Final = "EventPacket"
+_OF_EVENTS: Final = ("EventArray", "EventPacket")
 
 _HEADER: Final = "std_msgs/Header header\n"
+_PACKET_TEXT: Final = (
+    f"{_HEADER}uint32 height\nuint32 width\nuint64 seq\nuint64 time_base\nstring encoding\n"
+    "bool is_bigendian\nuint8[] events\n"
+)
 _EVENT: Final = "uint16 x\nuint16 y\ntime ts\nbool polarity\n"
 DEFINITIONS: Final = {
     "dvs_msgs/msg/Event": _EVENT.replace("time ts", "builtin_interfaces/Time ts"),
@@ -209,10 +249,8 @@ DEFINITIONS: Final = {
     "prophesee_event_msgs/msg/EventArray": (
         f"{_HEADER}uint32 height\nuint32 width\nprophesee_event_msgs/Event[] events\n"
     ),
-    "event_camera_msgs/msg/EventPacket": (
-        f"{_HEADER}uint32 height\nuint32 width\nuint64 seq\nuint64 time_base\nstring encoding\n"
-        "bool is_bigendian\nuint8[] events\n"
-    ),
+    "event_camera_msgs/msg/EventPacket": _PACKET_TEXT,
+    "event_array_msgs/msg/EventArray": _PACKET_TEXT,
 }
 """Definitions for bags of ROS 2 that do not hold them."""
 
@@ -226,14 +264,23 @@ def is_bag(path: Path, start: bytes) -> bool:
     )
 
 
-def _from_bag(path: Path) -> EventSource:
-    """Open a bag with one topic of events: ``.bag`` of ROS 1; folder of ROS 2, or a file of such a folder."""
+def _from_bag(path: Path, choices: ReadingChoices) -> EventSource:
+    """Open a topic of events of a bag: ``.bag`` of ROS 1; folder of ROS 2, or a file of such a folder."""
     if path.suffix.lower() in {".db3", ".mcap"} and (path.parent / "metadata.yaml").is_file():
         path = path.parent
-    topic, size, serial_frame = _bag_facts(path)
-    origin = origin_us(_bag_pieces(path, topic, size, 0))
-    header = {"time_origin_us": str(origin), "ros_topic": topic, "ros_frame": serial_frame}
-    return source_of_stream(lambda: _bag_pieces(path, topic, size, origin), size, header)
+    topic, first = _first_message(path, choices)
+    stated = int(first.width), int(first.height)
+    size = agreed_size({"the topic": stated} if all(stated) else {}, choices.sensor_size, "")
+    origin = origin_of(_bag_pieces(path, topic, size, 0))
+    stamp = first.header.stamp
+    frame = "".join(letter if letter.isprintable() else "?" for letter in str(first.header.frame_id))
+    facts = {"ros_topic": topic, "ros_frame": frame[:80]}
+    header = {
+        **date_of(stamp.sec * 1_000_000),
+        **origin.header,
+        **{key: one for key, one in facts.items() if one},
+    }
+    return source_of_stream(lambda: _bag_pieces(path, topic, size, origin.us), size, header)
 
 
 @contextmanager
@@ -255,72 +302,99 @@ def _opened_bag(path: Path) -> Iterator[tuple[Any, Any]]:
         yield reader, reader.deserialize
 
 
-def _bag_facts(path: Path) -> tuple[str, tuple[int, int], str]:
-    """Return the topic of events, the sensor's size, and the frame of reference that the first message names."""
+def _first_message(path: Path, choices: ReadingChoices) -> tuple[str, Any]:
+    """Return the topic of events to read, and its first message."""
     with _opened_bag(path) as (reader, decode):
-        found = {one.topic for one in reader.connections if one.msgtype.endswith((_ARRAY, _PACKET))}
-        if len(found) != 1:
-            topics = ", ".join(sorted(one.topic for one in reader.connections)) or "none"
-            held = f"{len(found)} topics of events; one is needed" if found else "no topic of events"
-            raise ValueError(f"this bag has {held} (its topics: {topics})")
-        topic = found.pop()
-        used = [one for one in reader.connections if one.topic == topic]
-        for connection, _, raw in reader.messages(used):
-            message = decode(raw, connection.msgtype)
-            size = int(message.width), int(message.height)
-            if not all(0 < side <= MAX_SIDE_PX for side in size):
-                raise ValueError(f"it states a sensor of {size[0]} x {size[1]} px")
-            frame = "".join(
-                letter if letter.isprintable() else "?" for letter in str(message.header.frame_id)
+        of_events = {one.topic for one in reader.connections if one.msgtype.endswith(_OF_EVENTS)}
+        if not of_events:
+            topics = sorted(f"{one.topic} ({one.msgtype})" for one in reader.connections)
+            raise NotARecording(
+                f"This bag has no topic of events; its topics: {', '.join(topics[:_MOST_NAMED]) or 'none'}.",
+                remedy="Give a bag with messages EventArray or EventPacket.",
             )
-            return topic, size, frame[:80]
-    raise ValueError("this bag holds no message of events")
+        topic = choices.chosen(of_events)
+        for connection, _, raw in reader.messages([one for one in reader.connections if one.topic == topic]):
+            return topic, decode(raw, connection.msgtype)
+    raise NotARecording(f"This bag holds no message of {topic}.", remedy="Record it again.")
 
 
 def _bag_pieces(path: Path, topic: str, size: tuple[int, int], origin: int) -> Iterator[Piece]:
-    from drivers.camera.evt3 import Evt3Decoder  # its compiler takes a second, and memory
-
-    decoder = Evt3Decoder(*size, where=str(path))
+    decoders: dict[str, Any] = {}
     with _opened_bag(path) as (reader, decode):
         used = [one for one in reader.connections if one.topic == topic]
         for connection, _, raw in reader.messages(used):
             message = decode(raw, connection.msgtype)
-            if connection.msgtype.endswith(_ARRAY):
-                yield _of_structs(message, origin), empty_triggers(0)
-            elif message.encoding == "mono":
-                yield _of_mono(message, origin), empty_triggers(0)
-            elif message.encoding == "evt3":
-                words = np.frombuffer(np.ascontiguousarray(message.events, np.uint8).tobytes(), "<u2")
-                for events, edges in decoder.decode(words):
-                    yield _moved(events, origin), edges._replace(t=edges.t - origin)
-            else:
-                raise ValueError(f"its events are encoded as {message.encoding!r}; evt3 and mono can be read")
+            encoding = getattr(message, "encoding", "structs")
+            if encoding not in decoders:
+                decoders[encoding] = _decoder_of(encoding, size, str(path))
+            for events, edges in decoders[encoding](message):
+                yield events._replace(t=events.t - origin), edges._replace(t=edges.t - origin)
 
 
-def _moved(events: Events, origin: int) -> Events:
-    """Return a copy with the times since the origin; the decoder reuses its arrays."""
-    return Events(events.t - origin, events.x.copy(), events.y.copy(), events.p.copy())
+def _decoder_of(encoding: str, size: tuple[int, int], where: str) -> Callable[[Any], Iterable[Piece]]:
+    """Return what decodes the messages of one encoding, in their order."""
+    if encoding == "evt3":
+        from drivers.camera.evt3 import Evt3Decoder  # its compiler takes a second, and memory
+
+        of_words = Evt3Decoder(*size, where=where)
+        return lambda message: map(_copied, of_words.decode(np.frombuffer(_bytes(message), "<u2")))
+    if encoding == "evt21":
+        from drivers.camera.formats.prophesee_words import Evt2Decoder
+
+        of_vectors = Evt2Decoder("EVT21")
+        return lambda message: [of_vectors.decode(_bytes(message))]
+    plain = {"structs": _of_structs, "mono": _of_mono, "libcaer": _of_libcaer}
+    if encoding not in plain:
+        raise NotARecording(
+            f"Its events are encoded as {encoding[:40]!r}; evt3, evt21, mono and libcaer can be read.",
+            remedy="Record the topic in another encoding, or as dvs_msgs/EventArray.",
+        )
+    return lambda message: [(plain[encoding](message), empty_triggers(0))]
 
 
-def _of_structs(message: Any, origin: int) -> Events:
-    n = len(message.events)
-    events = empty_events(n)
+def _bytes(message: Any) -> bytes:
+    return np.ascontiguousarray(message.events, np.uint8).tobytes()
+
+
+def _copied(piece: Piece) -> Piece:
+    """Return a copy of a piece; the decoder reuses its arrays."""
+    events, edges = piece
+    return Events(events.t.copy(), events.x.copy(), events.y.copy(), events.p.copy()), edges
+
+
+def _of_structs(message: Any) -> Events:
+    events = empty_events(len(message.events))
     for k, one in enumerate(message.events):
-        events.t[k] = one.ts.sec * 1_000_000 + one.ts.nanosec // 1000 - origin
+        events.t[k] = one.ts.sec * 1_000_000 + one.ts.nanosec // 1000
         events.x[k], events.y[k], events.p[k] = one.x, one.y, one.polarity
     return events
 
 
-def _of_mono(message: Any, origin: int) -> Events:
+def _of_mono(message: Any) -> Events:
     """Read 8 bytes an event: time since ``time_base`` in ns [31:0], x [46:32], y [62:48], polarity [63]."""
-    data = np.ascontiguousarray(message.events, np.uint8).tobytes()
-    if len(data) % 8:
-        raise ValueError("a message of events ends in the middle of an event")
-    packed = np.frombuffer(data, ">u8" if message.is_bigendian else "<u8")
-    t = (np.int64(message.time_base) + (packed & 0xFFFFFFFF).astype(np.int64)) // 1000 - origin
+    packed = np.frombuffer(_whole_events(message), ">u8" if message.is_bigendian else "<u8")
+    t = (np.int64(message.time_base) + (packed & 0xFFFFFFFF).astype(np.int64)) // 1000
     x, y = ((packed >> 32) & 0x7FFF).astype(np.uint16), ((packed >> 48) & 0x7FFF).astype(np.uint16)
     return Events(t, x, y, (packed >> 63).astype(np.uint8))
 
 
+def _of_libcaer(message: Any) -> Events:
+    """Read 8 bytes an event: polarity [1], y [16:2], x [31:17], then time since ``time_base`` in us, 31 bits."""
+    rows = np.frombuffer(_whole_events(message), [("data", "<u4"), ("t", "<i4")])
+    turned = np.cumsum(np.diff(rows["t"], prepend=rows["t"][:1]) < 0)
+    t = np.int64(message.time_base) // 1000 + rows["t"] + (turned << 31)
+    data = rows["data"]
+    x, y = ((data >> 17) & 0x7FFF).astype(np.uint16), ((data >> 2) & 0x7FFF).astype(np.uint16)
+    return Events(t, x, y, (data >> 1 & 1).astype(np.uint8))
+
+
+def _whole_events(message: Any) -> bytes:
+    if len(message.events) % 8:
+        raise NotARecording("a message of events ends in the middle of an event.")
+    return _bytes(message)
+
+
 if __name__ == "__main__":
-    main(sys.argv[1], Path(sys.argv[2]))
+    stated = json.loads(sys.argv[3]) if len(sys.argv) > 3 else {}
+    size = stated.get("sensor_size")
+    main(sys.argv[1], Path(sys.argv[2]), ReadingChoices(tuple(size) if size else None, stated.get("stream")))

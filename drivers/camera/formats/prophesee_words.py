@@ -1,57 +1,45 @@
-"""Read Prophesee's older files: RAW with EVT2 words, and DAT with CD events. Piece by piece, with bounded memory.
+"""Decode Prophesee's older words: EVT2 and EVT2.1, and the CD events of DAT files.
 
 EVT2 has words of 32 bits: type [31:28]; for events (0 OFF, 1 ON) the low 6 bits of the time [27:22], x [21:11] and
 y [10:0]; 8 carries the time's bits 33 to 6; 10 is a trigger edge with time [27:22], channel [12:8] and level [0].
-DAT has 8 bytes an event: time in us as uint32, then x [13:0], y [27:14] and polarity [31:28].
+EVT2.1 has such a word and a second one: a bit for each of 32 columns from x on. DAT has 8 bytes an event: time in us as
+uint32, then in version 2 x [13:0], y [27:14] and polarity [31:28]; in version 1 x [8:0], y [16:9] and polarity [17].
 
-Sources: Prophesee, "EVT 2.0 Format", https://docs.prophesee.ai/stable/data/encoding_formats/evt2.html. Prophesee, "DAT
-File Format", https://docs.prophesee.ai/stable/data/file_formats/dat.html.
+Sources: Prophesee, "EVT 2.0 Format", https://docs.prophesee.ai/stable/data/encoding_formats/evt2.html; "EVT 2.1
+Format", .../evt21.html; "DAT File Format", https://docs.prophesee.ai/stable/data/file_formats/dat.html. Order of the
+halves of EVT2.1: OpenEB (evt21_event_types.h). Version 1 of DAT: expelliarmus, faery.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from enum import IntEnum
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numba import njit
 
-from drivers.camera import raw_header
-from drivers.camera.event_arrays import Events, EventSource, Piece, Triggers, empty_triggers, source_of_stream
-from drivers.camera.raw_header import MAX_HEADER_BYTES
-from drivers.camera.raw_writer import read_start
+from drivers.camera.event_arrays import (
+    Events,
+    EventSource,
+    Piece,
+    ReadingChoices,
+    empty_events,
+    empty_triggers,
+    source_of_stream,
+)
+from drivers.camera.raw_header import RawHeader, header_fields, stated_size
+from drivers.errors import NotARecording
 
-_PIECE_BYTES: Final = 1 << 21
+_PIECE_BYTES: Final = 1 << 19
+_TRIGGER_TYPES: Final = (0x0E,)
 _CD_TYPES: Final = (0x00, 0x0C)
 _DAT_EVENT_BYTES: Final = 8
 _HEAD_BYTES: Final = 4096
-_KEPT: Final = ("serial_number", "date", "integrator_name", "sensor_name")
-_SIZES: Final = {"49": (1280, 720), "48": (1280, 720), "42": (1280, 720), "21": (640, 480), "28": (640, 480)}
-"""Size of the sensor by ``system_ID``, px, for files that do not state it."""
-
-
-def header_fields(start: bytes) -> tuple[Mapping[str, str], int]:
-    """Read the header in a file's first 65536 bytes: keys in small letters, and its length, bytes, if it ends."""
-    fields, size_bytes = raw_header.header_fields(start)
-    if size_bytes is None:
-        raise ValueError(f"its header does not end within {MAX_HEADER_BYTES} bytes")
-    return {key.lower(): value for key, value in fields.items()}, size_bytes
-
-
-def is_evt2(fields: Mapping[str, str]) -> bool:
-    """Return whether a header announces EVT2: ``format EVT2`` or ``evt 2.0``."""
-    encoding = fields.get("format", "").partition(";")[0]
-    return encoding == "EVT2" or (not encoding and fields.get("evt") == "2.0")
-
-
-def is_evt2_file(path: Path) -> bool:
-    """Return whether a file is RAW with EVT2 words; False where it cannot be read: what reads it then says why."""
-    try:
-        return is_evt2(header_fields(read_start(path))[0])
-    except (OSError, ValueError):
-        return False
+_MOST_DAT_PX: Final = 1 << 14
+_DAT_LAYOUTS: Final = {"1": (9, 8, 1), "2": (14, 14, 4)}
+"""Number of bits of x, y and polarity, by the version of a DAT file."""
 
 
 def is_dat(start: bytes) -> bool:
@@ -67,99 +55,146 @@ def is_dat(start: bytes) -> bool:
     return {b"version", b"width", b"height"} <= keys and not keys & {b"evt", b"format"}
 
 
-def from_evt2(path: Path, fields: Mapping[str, str], begin: int) -> EventSource:
-    """Open a RAW file of EVT2 words, the first at byte ``begin``.
+class _S(IntEnum):
+    """Index in the state of a decoder of EVT2."""
 
-    Raises `ValueError` if its size is not stated or impossible, or it has an event before its first time.
+    HIGH = 0
+    """Last TIME_HIGH; -1 before the first."""
+    LOOPS = 1
+    """Number of times that TIME_HIGH has begun again at 0."""
+    EVENTS = 2
+    """Number of events written in this call."""
+    EDGES = 3
+
+
+class Evt2Decoder:
+    """Decoder of one stream of EVT2 or EVT2.1, which is given in pieces of whole words.
+
+    What stands before the first time is dropped: a stream may be joined in its middle. Words of other types hold no
+    events.
+
+    >>> [events, edges] = Evt2Decoder("EVT21").decode(np.array([0, 0x8000_0001, 0b101, 0x1000_1805], "<u4").tobytes())
+    >>> [field.tolist() for field in events]
+    [[64, 64], [3, 5], [5, 5], [1, 1]]
     """
-    return source_of_stream(lambda: _evt2_pieces(path, begin), _size(fields), _kept(fields))
+
+    def __init__(self, encoding: str) -> None:
+        self._state = np.array([-1, 0, 0, 0], np.int64)
+        # Place of the word with the type in a unit of one or two words, and most events of a unit.
+        self._place = {"EVT2": 0, "EVT21": 1, "EVT21-legacy": 0}[encoding]
+        self.word_bytes, self._most = (4, 1) if encoding == "EVT2" else (8, 32)
+
+    def decode(self, data: bytes) -> Piece:
+        """Decode words; an incomplete one at the end is left out."""
+        units = np.frombuffer(data, "<u4", count=len(data) // self.word_bytes * (self.word_bytes // 4))
+        units = units.reshape(-1, self.word_bytes // 4)
+        heads = np.ascontiguousarray(units[:, self._place])
+        columns = np.ascontiguousarray(units[:, 1 - self._place]) if self._most > 1 else np.ones_like(heads)
+        events, edges = empty_events(self._most * len(heads)), empty_triggers(len(heads))
+        _take(heads, columns, self._state, tuple(events), tuple(edges))
+        n, e = int(self._state[_S.EVENTS]), int(self._state[_S.EDGES])
+        return events.part(0, n), edges.part(0, e)
 
 
-def from_dat(path: Path, fields: Mapping[str, str], begin: int) -> EventSource:
-    """Open a DAT file of CD events, from byte ``begin``, without trigger edges: DAT files of events hold none.
+@njit(cache=True, nogil=True)
+def _take(heads: Any, columns: Any, state: Any, events: Any, edges: Any) -> None:
+    """Write the events and edges of (N,) uint32 words: their heads, and a bit for each column from theirs on."""
+    t_out, x_out, y_out, p_out = events
+    edge_t, value, channel = edges
+    n = e = 0
+    high, loops = state[_S.HIGH], state[_S.LOOPS]
+    for k in range(len(heads)):
+        head: Any = np.int64(heads[k])
+        kind = head >> 28
+        if kind == 8:
+            new = head & 0x0FFFFFFF
+            loops += high - new > 1 << 27
+            high = new
+        elif high < 0:
+            continue
+        t = (loops << 28 | high) << 6 | (head >> 22 & 0x3F)
+        if kind <= 1:
+            bits: Any = np.int64(columns[k])
+            x = head >> 11 & 0x7FF
+            while bits:
+                if bits & 1:
+                    t_out[n], x_out[n], y_out[n], p_out[n] = t, x, head & 0x7FF, kind
+                    n += 1
+                bits >>= 1
+                x += 1
+        elif kind == 10:
+            edge_t[e], value[e], channel[e] = t, head & 1, head >> 8 & 0x1F
+            e += 1
+    state[_S.HIGH], state[_S.LOOPS], state[_S.EVENTS], state[_S.EDGES] = high, loops, n, e
 
-    Raises `ValueError` if it holds other events, or its size is not stated or impossible.
+
+def from_evt2(path: Path, header: RawHeader) -> EventSource:
+    """Open a RAW file of EVT2 or EVT2.1 words."""
+
+    def pieces() -> Iterator[Piece]:
+        decoder = Evt2Decoder(header.encoding)
+        for data in _blocks(path, header.size_bytes):
+            yield decoder.decode(data)
+
+    unit = Evt2Decoder(header.encoding).word_bytes
+    truncated = (path.stat().st_size - header.size_bytes) % unit != 0
+    return source_of_stream(pieces, (header.width, header.height), header.fields, truncated=truncated)
+
+
+def from_dat(path: Path, start: bytes, choices: ReadingChoices) -> EventSource:
+    """Open a DAT file of CD events, without trigger edges: DAT files of events hold none.
+
+    Raises `NotARecording` if it holds other events, or its size is not stated or impossible.
     """
+    fields, begin = header_fields(start)
+    if begin is None:
+        raise NotARecording("The header does not end.", remedy="Copy the file again.")
     with path.open("rb") as file:
         file.seek(begin)
         kind = file.read(2)
+    if len(kind) == 2 and kind[0] in _TRIGGER_TYPES:
+        raise NotARecording(
+            "This DAT file holds trigger edges only, no events of pixels.",
+            remedy="Give the DAT file of the events, whose name usually ends in _td.dat or _cd.dat.",
+        )
     if len(kind) < 2 or kind[0] not in _CD_TYPES or kind[1] != _DAT_EVENT_BYTES:
         held = f"events of type {kind[0]} with {kind[1]} bytes" if len(kind) == 2 else "no events"
-        raise ValueError(f"this DAT file holds {held}; Starbench reads CD events with 8 bytes")
-    return source_of_stream(lambda: _dat_pieces(path, begin + 2), _size(fields), _kept(fields))
-
-
-def _size(fields: Mapping[str, str]) -> tuple[int, int]:
-    """Return width and height. Raises ValueError."""
-    options = dict(option.partition("=")[::2] for option in fields.get("format", "").split(";")[1:])
-    given = [(options.get("width", ""), options.get("height", ""))]
-    given.append(tuple(fields.get("geometry", "").partition("x")[::2]))  # type: ignore[arg-type]
-    given.append((fields.get("width", ""), fields.get("height", "")))
-    found = {pair for pair in given if pair[0] and pair[1]}
-    if not found and fields.get("system_id") in _SIZES:
-        return _SIZES[fields["system_id"]]
-    if len(found) != 1:
-        raise ValueError(
-            "its header states several sizes of the sensor" if found else "its sensor's size is missing"
+        raise NotARecording(
+            f"This DAT file holds {held}; Starbench reads CD events with 8 bytes.",
+            remedy="Give the DAT file of the events.",
         )
-    width, height = found.pop()
-    if not all(re.fullmatch(r"[1-9][0-9]{0,3}", side) for side in (width, height)):
-        raise ValueError(f"its header states an invalid size of the sensor: {width!r} x {height!r}")
-    return int(width), int(height)
+    version = next((value for key, value in fields.items() if key.lower() == "version"), "1")
+    if version not in _DAT_LAYOUTS:
+        raise NotARecording(
+            f"This DAT file has version {version}; Starbench reads {' and '.join(_DAT_LAYOUTS)}.",
+            remedy="Convert it with the program that wrote it.",
+        )
+    size = stated_size(fields, "", choices.sensor_size, _MOST_DAT_PX)
+    truncated = (path.stat().st_size - begin - 2) % _DAT_EVENT_BYTES != 0
+    return source_of_stream(
+        lambda: _dat_pieces(path, begin + 2, _DAT_LAYOUTS[version]), size, fields, truncated=truncated
+    )
 
 
-def _kept(fields: Mapping[str, str]) -> dict[str, str]:
-    return {key: fields[key] for key in _KEPT if key in fields}
-
-
-def _blocks(path: Path, begin: int, step: int) -> Iterator[NDArray[np.uint32]]:
-    """Read whole units of ``step`` bytes; a unit that is cut off at the end is left out."""
+def _blocks(path: Path, begin: int) -> Iterator[bytes]:
     with path.open("rb") as file:
         file.seek(begin)
         while data := file.read(_PIECE_BYTES):
-            whole = len(data) - len(data) % step
-            yield np.frombuffer(data[:whole], "<u4")
+            yield data
 
 
-def _evt2_pieces(path: Path, begin: int) -> Iterator[Piece]:
-    high, loops = -1, 0
-    for words in _blocks(path, begin, 4):
-        kind = words >> 28
-        is_high = kind == 8
-        highs = (words[is_high] & 0x0FFFFFFF).astype(np.int64)
-        before = np.concatenate([[max(high, 0)], highs])
-        turned = np.cumsum(np.diff(before) < -(1 << 27))
-        of_loops = np.concatenate([[loops], loops + turned])
-        place = np.cumsum(is_high)
-        timed = (kind <= 1) | (kind == 10)
-        if high < 0 and timed[: int(np.argmax(is_high)) if len(highs) else len(words)].any():
-            raise ValueError("an event stands before the first time")
-        base = (before[place] + (of_loops[place] << 28)) << 6
-        t = base + ((words >> 22) & 0x3F)
-        cd, edge = kind <= 1, kind == 10
-        events = Events(
-            t[cd],
-            ((words[cd] >> 11) & 0x7FF).astype(np.uint16),
-            (words[cd] & 0x7FF).astype(np.uint16),
-            kind[cd].astype(np.uint8),
-        )
-        yield (
-            events,
-            Triggers(
-                t[edge], (words[edge] & 1).astype(np.uint8), ((words[edge] >> 8) & 0x1F).astype(np.uint8)
-            ),
-        )
-        if len(highs):
-            high, loops = int(highs[-1]), int(of_loops[-1])
-
-
-def _dat_pieces(path: Path, begin: int) -> Iterator[Piece]:
+def _dat_pieces(path: Path, begin: int, layout: tuple[int, int, int]) -> Iterator[Piece]:
     last, loops = 0, 0
-    for numbers in _blocks(path, begin, _DAT_EVENT_BYTES):
+    x_bits, y_bits, p_bits = layout
+    for block in _blocks(path, begin):
+        numbers = np.frombuffer(block, "<u4", count=len(block) // _DAT_EVENT_BYTES * 2)
         low, data = numbers[0::2].astype(np.int64), numbers[1::2]
         turned = np.cumsum(np.diff(np.concatenate([[last], low])) < -(1 << 31))
         t = low + ((loops + turned) << 32)
         if len(low):
             last, loops = int(low[-1]), loops + int(turned[-1])
-        x, y = (data & 0x3FFF).astype(np.uint16), ((data >> 14) & 0x3FFF).astype(np.uint16)
-        yield Events(t, x, y, (data >> 28).astype(np.uint8)), empty_triggers(0)
+        x, y, p = (
+            (data >> shift & (1 << bits) - 1)
+            for shift, bits in ((0, x_bits), (x_bits, y_bits), (x_bits + y_bits, p_bits))
+        )
+        yield Events(t, x.astype(np.uint16), y.astype(np.uint16), p.astype(np.uint8)), empty_triggers(0)

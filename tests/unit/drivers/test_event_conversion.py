@@ -13,11 +13,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from imported import import_events
 
-from drivers.camera.event_arrays import Events, Triggers, empty_events, empty_triggers
+from drivers.camera.event_arrays import MAX_TIME_US, Events, Triggers, empty_events, empty_triggers
 from drivers.camera.evt3 import Evt3Decoder
-from drivers.camera.formats import event_conversion
-from drivers.camera.formats.event_conversion import KINDS, MAX_TIME_US, Evt3Encoder, convert
-from drivers.camera.formats.event_files import export_numpy
+from drivers.camera.formats.event_conversion import KINDS, Evt3Encoder, convert
+from drivers.camera.formats.event_exports import export_numpy
 from drivers.camera.raw_file import RawFile
 from drivers.camera.raw_writer import new_file
 from drivers.errors import NotARecording, RecordingFileError
@@ -63,8 +62,8 @@ ENDINGS = {"raw": ".raw", "metavision": ".hdf5", "hdf5": ".h5", "numpy": ".npz"}
 def test_every_way_between_kinds_keeps_every_event_and_edge(raw, tmp_path, first, second):
     events, triggers = stream()
     between, end = tmp_path / f"between{ENDINGS[first]}", tmp_path / f"end{ENDINGS[second]}"
-    convert(raw, between, first, utc_now=lambda: NOW)
-    summary = convert(between, end, second, utc_now=lambda: NOW)
+    convert(raw, between, first)
+    summary = convert(between, end, second)
     assert (summary.events, summary.triggers, summary.moved_events) == (5000, 40, 0)
     if second == "raw":
         found = RawFile.open(end).read()
@@ -76,8 +75,8 @@ def test_every_way_between_kinds_keeps_every_event_and_edge(raw, tmp_path, first
 
 
 def test_a_converted_raw_file_says_so_and_keeps_whose_it_was(raw, tmp_path):
-    convert(raw, tmp_path / "pose.hdf5", "metavision", utc_now=lambda: NOW)
-    convert(tmp_path / "pose.hdf5", tmp_path / "again.raw", "raw", utc_now=lambda: NOW)
+    convert(raw, tmp_path / "pose.hdf5", "metavision")
+    convert(tmp_path / "pose.hdf5", tmp_path / "again.raw", "raw")
     again = RawFile.open(tmp_path / "again.raw")
     assert again.header["converted_from"] == "pose.hdf5; not the bytes of a camera"
     assert (again.serial, again.width, again.height) == ("00051234", 1280, 720)
@@ -138,7 +137,7 @@ def test_times_that_would_fill_the_disk_with_clock_words_are_refused(tmp_path, t
         trigger_t=np.zeros(0, int), trigger_value=np.zeros(0, int), trigger_id=np.zeros(0, int),
     )  # fmt: skip
     with pytest.raises(RecordingFileError, match="do not lie within one day from 0 on"):
-        convert(tmp_path / "a.npz", tmp_path / "a.raw", "raw", utc_now=lambda: NOW)
+        convert(tmp_path / "a.npz", tmp_path / "a.raw", "raw")
     assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
 
 
@@ -149,7 +148,6 @@ def npz(path, size=(1280, 720), x=0, value=0, channel=0):
     return path
 
 
-@pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(
     ("holds", "words"),
     [
@@ -159,10 +157,14 @@ def npz(path, size=(1280, 720), x=0, value=0, channel=0):
         ({"channel": 16}, "a trigger's id of 16"),
     ],
 )
-def test_what_evt3_has_no_bits_for_is_refused_not_cut(tmp_path, kind, holds, words):
+def test_what_evt3_has_no_bits_for_is_refused_not_cut_and_kept_in_hdf5(tmp_path, holds, words):
     with pytest.raises(RecordingFileError, match=f"EVT3 cannot represent (the file: )?{words}"):
-        convert(npz(tmp_path / "a.npz", **holds), tmp_path / "out", kind, utc_now=lambda: NOW)
+        convert(npz(tmp_path / "a.npz", **holds), tmp_path / "out", "raw")
     assert [path.name for path in tmp_path.iterdir()] == ["a.npz"]
+    convert(tmp_path / "a.npz", tmp_path / "a.h5", "hdf5")
+    ours, theirs = import_events(tmp_path / "a.h5"), import_events(tmp_path / "a.npz")
+    assert same((*ours.events, *ours.triggers), (*theirs.events, *theirs.triggers))
+    assert (ours.width, ours.height) == (theirs.width, theirs.height)
 
 
 @pytest.mark.parametrize(
@@ -178,14 +180,14 @@ def test_the_encoder_takes_no_event_that_would_become_another(x, y, p, words):
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_folder_that_is_not_there_is_told(tmp_path, kind):
     with pytest.raises(RecordingFileError, match="cannot be written"):
-        convert(npz(tmp_path / "a.npz"), tmp_path / "none" / "out", kind, utc_now=lambda: NOW)
+        convert(npz(tmp_path / "a.npz"), tmp_path / "none" / "out", kind)
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "raw"])
 def test_a_recording_that_was_cut_off_is_converted_and_told(raw, tmp_path, kind):
-    assert not convert(raw, tmp_path / "whole", kind, utc_now=lambda: NOW).cut_off
+    assert not convert(raw, tmp_path / "whole", kind).cut_off
     raw.write_bytes(raw.read_bytes()[:-1])
-    assert convert(raw, tmp_path / "cut", kind, utc_now=lambda: NOW).cut_off
+    assert convert(raw, tmp_path / "cut", kind).cut_off
 
 
 def numbers_for_events(path):
@@ -203,7 +205,7 @@ def text_for_arrays(path):
 
 def endless_size(path):
     with path.open("xb") as file:
-        np.savez(file, size=np.array([np.inf, 720.0]))
+        np.savez(file, **dict.fromkeys("txyp", np.zeros(1, int)), size=np.array([np.inf, 720.0]))
 
 
 @pytest.mark.parametrize("write", [numbers_for_events, text_for_arrays, endless_size])
@@ -215,7 +217,7 @@ def test_a_file_laid_out_otherwise_is_told_of_in_words(tmp_path, write):
 
 def test_raw_to_raw_is_refused(raw, tmp_path):
     with pytest.raises(NotARecording, match="RAW recording already"):
-        convert(raw, tmp_path / "again.raw", "raw", utc_now=lambda: NOW)
+        convert(raw, tmp_path / "again.raw", "raw")
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -223,24 +225,19 @@ def test_a_file_that_is_there_is_never_written_over(raw, tmp_path, kind):
     export_numpy(RawFile.open(raw), tmp_path / "pose.npz")
     (tmp_path / "out").write_bytes(b"precious")
     with pytest.raises(RecordingFileError, match="file exists already"):
-        convert(tmp_path / "pose.npz", tmp_path / "out", kind, utc_now=lambda: NOW)
+        convert(tmp_path / "pose.npz", tmp_path / "out", kind)
     assert (tmp_path / "out").read_bytes() == b"precious"
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_an_interrupt_leaves_neither_a_file_nor_a_part_of_one(raw, tmp_path, kind, monkeypatch):
+def test_an_interrupt_leaves_neither_a_file_nor_a_part_of_one(raw, tmp_path, kind):
     export_numpy(RawFile.open(raw), tmp_path / "pose.npz")
 
-    class Interrupted(Evt3Encoder):
-        def words(self, *_):
-            raise KeyboardInterrupt
+    def interrupt(_share):
+        raise KeyboardInterrupt
 
-    if kind == "raw":
-        monkeypatch.setattr(event_conversion, "Evt3Encoder", Interrupted)
-    monkeypatch.setattr(RawFile, "pieces", lambda *_, **__: (_ for _ in ()).throw(KeyboardInterrupt))
-    monkeypatch.setattr(RawFile, "read", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
-        convert(tmp_path / "pose.npz", tmp_path / "out", kind, utc_now=lambda: NOW)
+        convert(tmp_path / "pose.npz", tmp_path / "out", kind, progress=interrupt)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["pose.npz", "pose.raw"]
 
 

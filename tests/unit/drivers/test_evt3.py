@@ -66,9 +66,6 @@ def test_events_in_rows_of_another_kind_are_skipped():
         ((row(0), base(WIDTH - 4), vector8(0b10000)), "vector that begins at column 1276 "),
         ((row(0), base(2047), vector12(1)), "vector that begins at column 2047 "),
         ((row(0), base(WIDTH - 20), vector12(1), vector12(1 << 8)), "vector that begins at column 1272 "),
-        ((0x9000,), "type of word 0x9000 does not exist in EVT3"),
-        ((0xB123,), "0xB123"),
-        ((0xCFFF,), "0xCFFF"),
     ],
 )
 def test_malformed_words_are_refused_at_their_byte(words, message):
@@ -81,7 +78,7 @@ def test_malformed_words_are_refused_at_their_byte(words, message):
 
 def test_events_before_a_malformed_word_are_handed_out():
     decoder = Evt3Decoder(WIDTH, HEIGHT)
-    pieces = decoder.decode(np.array([high(0), low(0), row(0), event(7), 0x9000], np.uint16))
+    pieces = decoder.decode(np.array([high(0), low(0), row(0), event(7), row(HEIGHT)], np.uint16))
     assert rows(next(pieces)[0]) == [(0, 7, 0, 0)]
     with pytest.raises(RecordingCorrupt):
         next(pieces)
@@ -120,7 +117,7 @@ def test_decoding_into_arrays_touches_nothing_beyond_the_room_it_asks_for():
 
 def test_decoding_into_arrays_refuses_a_malformed_first_word():
     with pytest.raises(RecordingCorrupt) as caught:
-        Evt3Decoder(WIDTH, HEIGHT).decode_into(np.array([0x9000], np.uint16), empty_events(50), 0)
+        Evt3Decoder(WIDTH, HEIGHT).decode_into(np.array([row(HEIGHT)], np.uint16), empty_events(50), 0)
     assert caught.value.offset == 0
 
 

@@ -77,10 +77,6 @@ def references(file):
     file.create_dataset("events/t", (N,), h5py.ref_dtype)
 
 
-def other_filter(file):
-    file.create_dataset("events/t", data=np.arange(N), compression="lzf")
-
-
 def missing_chunks(file):
     file.create_dataset("events/t", (N,), "i8", chunks=(100,))
 
@@ -109,14 +105,13 @@ def longer(file):
 
 HOSTILE = {
     external_link: "events/t is a link to another place",
-    external_group: "events/t is a link to another place",
+    external_group: "events is a link to another place",
     soft_link: "events/t is a link to another place",
     external_storage: "events/t keeps its data in another file",
     virtual: "events/t keeps its data in another file",
     text: "events/t is an array of",
     texts_of_any_length: "events/t is an array of object, not of numbers",
     references: "events/t is an array of object, not of numbers",
-    other_filter: r"compressed by filter \[32000\]; gzip and none are read",
     missing_chunks: "3000 of the 3000 rows of /events/t are missing",
     never_written: "events/t states 24000 bytes, but they are missing",
     two_dimensions: "events/t has 2 dimensions; a list is needed",
@@ -211,7 +206,7 @@ class Opens:
 
 def test_a_pickled_object_is_not_loaded(tmp_path):
     path = npz(tmp_path / "a.npz", t=np.array([Opens(tmp_path / "executed")] * N, object))
-    with pytest.raises(NotARecording, match="Object arrays cannot be loaded"):
+    with pytest.raises(NotARecording, match=r"t of this \.npz file is no whole array of numbers"):
         import_events(path)
     assert not (tmp_path / "executed").exists()
 
@@ -243,7 +238,7 @@ def test_an_archive_of_very_many_other_files_is_refused(tmp_path):
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as file:
         for number in range(15_000):
             file.writestr(f"{number:060d}.npy", b"")
-    with pytest.raises(NotARecording, match="size is missing"):
+    with pytest.raises(NotARecording, match="t is missing"):
         import_events(tmp_path / "a.npz")
 
 
@@ -269,19 +264,12 @@ def test_a_pipe_and_a_folder_are_no_files(tmp_path, make):
 
 
 def test_events_are_read_and_written_piece_by_piece(tmp_path, monkeypatch):
-    from datetime import UTC, datetime
+    from drivers.camera.formats import hdf5_events
 
-    from drivers.camera.formats import event_files
-
-    monkeypatch.setattr(event_files, "PIECE_EVENTS", 700)
+    monkeypatch.setattr(hdf5_events, "PIECE_EVENTS", 700)
     plain(tmp_path / "a.h5").close()
     with open_events(tmp_path / "a.h5") as source:
         assert [len(piece.t) for piece in source.pieces()] == [700, 700, 700, 700, 200]
         assert source.count == N
-        written = write_raw(
-            source,
-            tmp_path / "a.raw",
-            source=tmp_path / "a.h5",
-            utc_now=lambda: datetime(2026, 1, 1, tzinfo=UTC),
-        )
+        written = write_raw(source, tmp_path / "a.raw", source=tmp_path / "a.h5")
         assert (written.events, written.triggers) == (N, 1)

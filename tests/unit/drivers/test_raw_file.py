@@ -91,7 +91,7 @@ def test_a_file_cut_anywhere_is_readable_up_to_there(raw, kept):
 def test_an_offset_beyond_the_first_block_is_right(raw):
     words = np.full(600_000, 0x2007)
     words[:3] = 0x8001, 0x6002, 0x0005
-    words[555_555] = 0x9000
+    words[555_555] = 720
     with pytest.raises(RecordingCorrupt) as caught:
         RawFile.open(raw(words)).scan()
     assert caught.value.offset == len(HEADER) + 2 * 555_555
@@ -139,7 +139,7 @@ def test_words_that_look_like_a_header_line_are_words_after_its_end():
         (b"\0" * 100, "nothing but zeros"),
         (b"\x01\x80\x02\x60", "binary data without a RAW header"),
         (b"% format EVT21;height=720;width=1280\n% end\n", "The file holds EVT21"),
-        (b"% evt 2.0\n% geometry 640x480\n% end\n", "The file holds EVT 2.0"),
+        (b"% evt 2.0\n% geometry 640x480\n% end\n", "The file holds EVT2;"),
         (b"% evt 2.0\n% format EVT2;height=720;width=1280\n% end\n", "The file holds EVT2;"),
         (b"% geometry 640x480\n% end\n", "an encoding that its header does not name"),
         (b"% evt 3.0\n% end\n", "does not state the sensor's size"),

@@ -132,5 +132,5 @@ def test_a_file_that_is_not_hdf5_is_refused(tmp_path, content):
 
 
 def test_a_pose_that_the_file_does_not_have_is_refused(path):
-    with pytest.raises(RunFolderError, match="cannot be read"):
+    with pytest.raises(RunFolderError, match="pose-002 is missing"):
         read_picture(path, 2)

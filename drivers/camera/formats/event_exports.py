@@ -1,0 +1,265 @@
+"""Write events to new files for analysis: Metavision's HDF5, plain HDF5 and NumPy.
+
+The RAW file stays the evidence. All other files are computed from it and hold less: no counters of the sensor, and in
+Metavision's HDF5 no time may step back. They appear complete or not at all, and are never overwritten. Layouts:
+
+- Metavision: ``/CD/events`` (x, y, p, t; ECF-compressed chunks of 16384), ``/EXT_TRIGGER/events`` (p, t, id), each with
+  ``indexes`` (id, ts): entry k names the first event of the last 2 ms window before window k that has any event,
+  and its time since the first event; the header's keys as attributes.
+- plain HDF5: ``/events/t, x, y, p`` and ``/triggers/t, value, id``, gzip; ``width``, ``height`` as attributes of the
+  root, and the header's keys as attributes of ``/header``.
+- NumPy: an ``.npz`` of ``t, x, y, p, trigger_t, trigger_value, trigger_id, size`` (width, height) and the ``header`` as
+  JSON.
+
+Source: Prophesee, "HDF5 Event File Format", https://docs.prophesee.ai/stable/data/file_formats/hdf5.html.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.camera.event_arrays import (
+    Events,
+    EventSource,
+    Triggers,
+    empty_events,
+    even_pieces,
+    join_triggers,
+)
+from drivers.camera.formats import ecf
+from drivers.camera.formats.hdf5_events import CD_TYPE
+from drivers.camera.raw_file import RawFile
+from drivers.camera.raw_header import MAX_SIDE_PX
+from drivers.camera.raw_writer import new_file
+from drivers.errors import RecordingFileError
+
+CHUNK_EVENTS: Final = 16384
+"""Number of events in a chunk of Metavision's HDF5."""
+WINDOW_US: Final = 2000
+"""Length of a window of the table ``indexes``, us."""
+TRIGGER_TYPE: Final = np.dtype(
+    {"names": ["p", "t", "id"], "formats": ["<i2", "<i8", "<i2"], "offsets": [0, 8, 16], "itemsize": 24}
+)
+INDEX_TYPE: Final = np.dtype([("id", "<u8"), ("ts", "<i8")])
+
+_ASCII: Final = h5py.string_dtype("ascii")  # the only kind of attribute that Metavision reads
+_NOT_THERE: Final = ("evt", "plugin_name")  # keys without meaning outside RAW
+_PLAIN_COLUMNS: Final = (("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1"))
+_PLAIN_CHUNK: Final = 1 << 16
+
+Progress = Callable[[float], object]
+"""Is told which share of a source has been read, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class ExportSummary:
+    """What was written to a file."""
+
+    events: int
+    triggers: int
+    # Number of events that got their predecessor's time, because the format demands rising times.
+    moved_events: int = 0
+    # Whether the source ends in the middle of a word, as half of all recordings do that were cut off.
+    cut_off: bool = False
+    # Number of words left out because EVT3 does not define their type
+    unknown_words: int = 0
+
+
+class _Reading:
+    """One pass over a source: its events in the order of the file, and what is known at the end."""
+
+    def __init__(self, source: RawFile | EventSource, progress: Progress) -> None:
+        self._source, self._progress = source, progress
+        self._edges: list[Triggers] = []
+        self._unknown_words = 0
+
+    def chunks(self, size: int) -> Iterator[Events]:
+        """Yield events in pieces of ``size``; the last may be shorter."""
+        source = self._source
+        pieces = self._of_raw(source) if isinstance(source, RawFile) else self._of_source(source)
+        return (Events(*chunk) for chunk in even_pieces(pieces, size))
+
+    def _of_raw(self, recording: RawFile) -> Iterator[Events]:
+        decoder, done, total = recording.decoder(), 0, max(1, recording.words_stored)
+        for words in recording.words():
+            for events, edges in decoder.decode(words):
+                self._edges.append(edges)
+                yield events
+            done += len(words)
+            self._progress(done / total)
+        self._unknown_words = decoder.statistics().unknown_words
+
+    def _of_source(self, source: EventSource) -> Iterator[Events]:
+        self._edges.append(source.triggers)
+        done = 0
+        for events in source.pieces():
+            yield events
+            done += len(events.t)
+            self._progress(done / max(1, source.count))
+
+    @property
+    def edges(self) -> Triggers:
+        """All edges, once the events have been read."""
+        return join_triggers(self._edges)
+
+    def summary(self, events: int, moved: int = 0) -> ExportSummary:
+        """Sum up what was written, once the events have been read."""
+        return ExportSummary(events, len(self.edges.t), moved, self._source.truncated, self._unknown_words)
+
+
+def export_metavision(
+    source: RawFile | EventSource, path: Path, progress: Progress = lambda _: None
+) -> ExportSummary:
+    """Write a Metavision HDF5 file, with bounded memory; the path must not exist."""
+    if max(source.width, source.height) > MAX_SIDE_PX:
+        raise RecordingFileError(
+            f"Metavision's HDF5 cannot hold a sensor of {source.width} x {source.height} px.",
+            where=str(path),
+            remedy="Write plain HDF5 (.h5) or .npz.",
+        )
+    reading = _Reading(source, progress)
+    with _new_hdf5(path) as file:
+        for key, value in _attributes(source).items():
+            file.attrs.create(key, value, dtype=_ASCII)
+        events = _ecf_dataset(file.create_group("CD"))
+        index = _Index()
+        latest, moved = -(1 << 62), 0
+        for chunk in reading.chunks(CHUNK_EVENTS):
+            rising = np.maximum(np.maximum.accumulate(chunk.t), latest)
+            latest = int(rising[-1])
+            moved += int((rising != chunk.t).sum())
+            events.resize((index.events + len(chunk.t),))
+            events.id.write_direct_chunk((index.events,), ecf.encode(chunk._replace(t=rising)))
+            index.add(rising)
+        index.write(file["CD"])
+        _write_triggers(file.create_group("EXT_TRIGGER"), reading.edges)
+    return reading.summary(index.events, moved)
+
+
+def export_hdf5(
+    source: RawFile | EventSource, path: Path, progress: Progress = lambda _: None
+) -> ExportSummary:
+    """Write a plain HDF5 file, with bounded memory; the path must not exist."""
+    reading, n = _Reading(source, progress), 0
+    with _new_hdf5(path) as file:
+        file.attrs.update(width=source.width, height=source.height)
+        file.create_group("header").attrs.update(source.header)
+        stored = {
+            name: file.create_dataset(
+                f"events/{name}",
+                (0,),
+                dtype,
+                maxshape=(None,),
+                chunks=(_PLAIN_CHUNK,),
+                compression=1,
+                shuffle=True,
+            )
+            for name, dtype in _PLAIN_COLUMNS
+        }
+        for chunk in reading.chunks(1 << 20):
+            for name, values in chunk._asdict().items():
+                stored[name].resize((n + len(values),))
+                stored[name][n:] = values
+            n += len(chunk.t)
+        for name, values in reading.edges._asdict().items():
+            file.create_dataset(f"triggers/{name}", data=values)
+    return reading.summary(n)
+
+
+def export_numpy(
+    source: RawFile | EventSource, path: Path, progress: Progress = lambda _: None
+) -> ExportSummary:
+    """Write an ``.npz`` file; the path must not exist. All events are in memory meanwhile."""
+    reading = _Reading(source, progress)
+    pieces = [*reading.chunks(1 << 20), empty_events(0)]
+    events = [np.concatenate(column) for column in zip(*pieces, strict=True)]
+    del pieces
+    with new_file(path) as part, part.open("xb") as file:
+        np.savez_compressed(
+            file,
+            **Events(*events)._asdict(),
+            **{f"trigger_{name}": values for name, values in reading.edges._asdict().items()},
+            size=np.array([source.width, source.height]),
+            header=np.array(json.dumps(dict(source.header))),
+        )
+    return reading.summary(len(events[0]))
+
+
+def _attributes(source: RawFile | EventSource) -> Mapping[str, str]:
+    """Return the attributes of a Metavision file: the header's keys, in ASCII."""
+    kept = {key: value for key, value in source.header.items() if key not in _NOT_THERE}
+    given = {**kept, "version": "1.0", "geometry": f"{source.width}x{source.height}"}
+    return {key: value.encode("ascii", "replace").decode() for key, value in given.items()}
+
+
+def _ecf_dataset(group: Any) -> Any:
+    """Create a dataset whose chunks are written compressed, so that HDF5 itself needs no filter."""
+    creation = h5py.h5p.create(h5py.h5p.DATASET_CREATE)
+    creation.set_chunk((CHUNK_EVENTS,))
+    creation.set_filter(ecf.FILTER_ID, h5py.h5z.FLAG_OPTIONAL, ())
+    space = h5py.h5s.create_simple((0,), (h5py.h5s.UNLIMITED,))
+    h5py.h5d.create(group.id, b"events", h5py.h5t.py_create(CD_TYPE, logical=True), space, creation)
+    return group["events"]
+
+
+def _write_triggers(group: Any, edges: Triggers) -> None:
+    rows = np.zeros(len(edges.t), TRIGGER_TYPE)
+    rows["p"], rows["t"], rows["id"] = edges.value, edges.t, edges.id
+    group.create_dataset("events", data=rows, maxshape=(None,), chunks=(CHUNK_EVENTS,))
+    index = _Index()
+    index.add(edges.t)
+    index.write(group)
+
+
+class _Index:
+    """The table by which readers find a time: the first event of each 2 ms window."""
+
+    def __init__(self) -> None:
+        self.events = 0
+        self._origin_us = 0
+        self._windows: list[NDArray[np.int64]] = []
+        self._first: list[NDArray[np.int64]] = []
+        self._times: list[NDArray[np.int64]] = []
+
+    def add(self, t: NDArray[np.int64]) -> None:
+        """Add the next events' times, which rise."""
+        if not len(t):
+            return
+        if not self.events:
+            self._origin_us = int(t[0])
+        since = t - self._origin_us
+        windows, first = np.unique(since // WINDOW_US, return_index=True)
+        self._windows.append(windows)
+        self._first.append(first + self.events)
+        self._times.append(since[first])
+        self.events += len(t)
+
+    def write(self, group: Any) -> None:
+        """Write the table beside the events."""
+        rows = np.zeros(0, INDEX_TYPE)
+        if self.events:
+            windows, kept = np.unique(np.concatenate(self._windows), return_index=True)
+            last_before = np.searchsorted(windows, np.arange(windows[-1] + 2)) - 1
+            chosen = kept[np.maximum(last_before, 0)]
+            rows = np.zeros(len(last_before), INDEX_TYPE)
+            rows["id"] = np.concatenate(self._first)[chosen]
+            rows["ts"] = np.concatenate(self._times)[chosen]
+            rows[0] = (0, -1)
+        table = group.create_dataset("indexes", data=rows, maxshape=(None,), chunks=(CHUNK_EVENTS,))
+        if self.events:
+            table.attrs.create("offset", str(-self._origin_us), dtype=_ASCII)
+
+
+@contextmanager
+def _new_hdf5(path: Path) -> Iterator[Any]:
+    with new_file(path) as part, h5py.File(part, "x") as file:
+        yield file

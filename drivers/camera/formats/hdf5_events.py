@@ -1,0 +1,227 @@
+"""Find the events in an HDF5 file, whoever wrote it, and read them piece by piece.
+
+- Metavision: ``/CD/events`` (x, y, p, t), ``/EXT_TRIGGER/events`` (p, t, id), the header's keys as attributes.
+- Columns of one length in a group: ``t, x, y, p``, or ``ts, xs, ys, ps`` with times in s. Our own plain layout, DSEC,
+  e2calib and M3ED are such; ``triggers/t, value, id``, ``width`` and ``height`` (attributes), ``calib/resolution`` and
+  ``t_offset`` (us) beside them are read if they are there.
+- A table ``events`` of N x 4: of whole numbers t, x, y, p (v2e), of others x, y, t (s), p (MVSEC).
+
+Sources: Prophesee, "HDF5 Event File Format", https://docs.prophesee.ai/stable/data/file_formats/hdf5.html; DSEC,
+https://dsec.ifi.uzh.ch/data-format; M3ED, https://m3ed.io/data_overview; MVSEC, https://daniilidis-group.github.io/mvsec.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from itertools import islice
+from typing import Any, Final
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from drivers.camera.event_arrays import (
+    MOST_TRIGGERS,
+    Events,
+    EventSource,
+    ReadingChoices,
+    Triggers,
+    as_events,
+    as_triggers,
+    date_of,
+    empty_triggers,
+    even_pieces,
+    from_zero,
+    require_one_length,
+    require_ratio,
+)
+from drivers.camera.formats import ecf
+from drivers.camera.formats.hdf5_reading import (
+    dataset,
+    filters,
+    has_member,
+    member,
+    needs_library,
+    rows,
+    rows_by_library,
+    texts,
+    whole,
+)
+from drivers.camera.raw_header import agreed_size
+from drivers.errors import NotARecording
+
+CD_TYPE: Final = np.dtype(
+    {
+        "names": ["x", "y", "p", "t"],
+        "formats": ["<u2", "<u2", "<i2", "<i8"],
+        "offsets": [0, 2, 4, 8],
+        "itemsize": 16,
+    }
+)
+PIECE_EVENTS: Final = 500_000
+_CD: Final = "CD/events"
+_COLUMNS: Final = (("t", "x", "y", "p"), ("ts", "xs", "ys", "ps"))
+_MOST_GROUPS: Final = 1000
+_MOST_MEMBERS: Final = 10_000
+_ELSEWHERE: Final = "a link to another place; only data in the file itself are read"
+
+
+def opened_hdf5(file: Any, choices: ReadingChoices, *, by_library: bool = False) -> EventSource | None:
+    """Read the events of an open file; None if only HDF5 itself can read them, and ``by_library`` does not allow it.
+
+    Raises `NotARecording` if it holds no events, or lacks what they need; `RecordingCorrupt` if a chunk cannot be read.
+    """
+    name = _CD if has_member(file, "CD") else choices.chosen(_streams(file))
+    arrays = _arrays(file, name)
+    lengths = {path: _length(array, path) for path, array in arrays.items()}
+    require_one_length(lengths)
+    require_ratio(sum(array.nbytes for array in arrays.values()), int(file.id.get_filesize()), "it")
+    # Few installations of HDF5 have the filter ECF, so its chunks are decompressed here.
+    is_ecf = name == _CD and filters(arrays[_CD]) == [ecf.FILTER_ID]
+    if not is_ecf and not by_library and any(map(needs_library, arrays.values())):
+        return None
+
+    def read(array: Any) -> Iterator[tuple[NDArray[Any]]]:
+        parts = rows_by_library(array) if by_library else rows(array, _decoded_ecf if is_ecf else None)
+        return ((part,) for part in parts)
+
+    def pieces() -> Iterator[Events]:
+        even = [even_pieces(read(array), PIECE_EVENTS) for array in arrays.values()]
+        for one in zip(*even, strict=True):
+            yield _events([part for (part,) in one], in_seconds=next(iter(arrays)).endswith("ts"))
+
+    header = (
+        texts(file) if name == _CD else texts(member(file, "header")) if has_member(file, "header") else {}
+    )
+    offset = _number(member(file, "t_offset")[()]) if has_member(file, "t_offset") else None
+    if offset is not None:
+        header |= {"time_origin_us": str(offset), **date_of(offset)}
+    size = _size(file, name, header, choices)
+    return from_zero(EventSource(lengths.popitem()[1], _triggers(file), *size, header, pieces))
+
+
+def _streams(file: Any) -> list[str]:
+    """Find the events of a file: groups with the columns of events, and tables of that name."""
+    found: list[str] = []
+    incomplete: list[str] = []
+    links: list[str] = []
+    waiting = [("", file)]
+    for name, group in waiting:
+        members = {key: group.get(key, getlink=True) for key in islice(group, _MOST_MEMBERS)}
+        missing = min(len(set(columns) - members.keys()) for columns in _COLUMNS)
+        if missing <= 1:
+            (incomplete if missing else found).append(name)
+        for key, link in members.items():
+            path = f"{name}/{key}".lstrip("/")
+            if not isinstance(link, h5py.HardLink):
+                links.append(path)
+            elif isinstance(child := group[key], h5py.Group) and len(waiting) < _MOST_GROUPS:
+                waiting.append((path, child))
+            elif key == "events" and isinstance(child, h5py.Dataset):
+                found.append(path)
+    if not found and not incomplete:
+        held = (
+            f"{links[0]} is {_ELSEWHERE}" if links else "no group of this HDF5 file has columns t, x, y and p"
+        )
+        raise NotARecording(f"{held}.")
+    return found or incomplete
+
+
+def _arrays(file: Any, name: str) -> dict[str, Any]:
+    """Return the arrays of a stream: one table, or its columns t, x, y, p."""
+    found = member(file, name) if name else file
+    if name == _CD or isinstance(found, h5py.Dataset):
+        return {name: dataset(file, name)}
+    plain, in_seconds = _COLUMNS
+    paths = [f"{name}/{one}".lstrip("/") for one in (in_seconds if has_member(found, "ts") else plain)]
+    return {path: dataset(file, path) for path in paths}
+
+
+def _length(array: Any, path: str) -> int:
+    """Return the number of rows. Raises NotARecording if the array is no list, and no table of four columns."""
+    if len(array.shape) != 1 and not (path.endswith("events") and array.shape[1:] == (4,)):
+        raise NotARecording(f"{path} has {len(array.shape)} dimensions; a list is needed.")
+    return int(array.shape[0])
+
+
+def _events(parts: list[NDArray[Any]], *, in_seconds: bool) -> Events:
+    """Return the events of rows of a table, or of columns t, x, y, p."""
+    table = parts[0]
+    if len(parts) == 1 and table.ndim == 1:
+        return as_events(*(_column(table, name, "events") for name in Events._fields))
+    if table.ndim > 1:
+        in_seconds = table.dtype.kind == "f"
+        parts = [np.ascontiguousarray(table[:, k]) for k in ((2, 0, 1, 3) if in_seconds else (0, 1, 2, 3))]
+    t, *others = parts
+    if in_seconds and t.dtype.kind == "f":
+        t, others = np.rint(t * 1e6).astype(np.int64), [_whole_of(values) for values in others]
+    return as_events(t, *others)
+
+
+def _column(table: NDArray[Any], name: str, of: str) -> NDArray[Any]:
+    if name not in (table.dtype.names or ()):
+        raise NotARecording(f"the table of {of} has no column {name}.")
+    column: NDArray[Any] = table[name]
+    return column
+
+
+def _whole_of(values: NDArray[Any]) -> NDArray[Any]:
+    """Return floating-point numbers that are whole as such."""
+    cast = values.astype(np.int64)
+    if not np.array_equal(cast, values):
+        raise NotARecording(
+            "its columns and rows are no whole numbers; those of the sensor's pixels are needed."
+        )
+    return cast
+
+
+def _decoded_ecf(chunk: bytes) -> NDArray[Any]:
+    """Decompress a chunk to rows, as HDF5 would."""
+    found = ecf.decode(chunk)
+    table = np.empty(len(found.t), CD_TYPE)
+    for name, values in found._asdict().items():
+        table[name] = values
+    return table
+
+
+def _triggers(file: Any) -> Triggers:
+    """Return the edges beside the events; none if the file has none."""
+    if has_member(file, "EXT_TRIGGER"):
+        if not has_member(member(file, "EXT_TRIGGER"), "events"):
+            return empty_triggers(0)
+        table = _edges(file, "EXT_TRIGGER/events")
+        names = {"t": "t", "value": "p", "id": "id"}
+        return as_triggers({name: _column(table, own, "edges") for name, own in names.items()})
+    if has_member(file, "triggers") and set(Triggers._fields) <= set(member(file, "triggers")):
+        return as_triggers({name: _edges(file, f"triggers/{name}") for name in Triggers._fields})
+    return empty_triggers(0)
+
+
+def _edges(file: Any, path: str) -> NDArray[Any]:
+    """Read a list of edges at once."""
+    column = dataset(file, path)
+    if (n := _length(column, path)) > MOST_TRIGGERS:
+        raise NotARecording(f"{path} has {n} elements; at most {MOST_TRIGGERS} are read.")
+    return whole(column, MOST_TRIGGERS * column.dtype.itemsize)
+
+
+def _size(file: Any, name: str, header: Mapping[str, str], choices: ReadingChoices) -> tuple[int, int]:
+    """Return width and height, px, wherever the file states them, else as given."""
+    sizes = {}
+    if geometry := re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", header.get("geometry", "")):
+        sizes["geometry"] = (int(geometry[1]), int(geometry[2]))
+    if {"width", "height"} <= set(file.attrs):
+        sizes["the attributes"] = (_number(file.attrs["width"]), _number(file.attrs["height"]))
+    resolution = f"{name}/calib/resolution"
+    if name and name != _CD and resolution in file:
+        width, height = whole(dataset(file, resolution), 64)
+        sizes["calib/resolution"] = (_number(width), _number(height))
+    return agreed_size(sizes, choices.sensor_size, "")
+
+
+def _number(value: Any) -> int:
+    """Return a whole number of a file. Raises NotARecording if it is none."""
+    if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iu":
+        raise NotARecording(f"it states {str(value)[:40]!r} where a whole number is needed.")
+    return int(value)
