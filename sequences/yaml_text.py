@@ -28,11 +28,14 @@ class _Refused(Exception):
     """Reading must stop; the fault is already recorded."""
 
 
-def parse(data: bytes, file: str) -> Tree:
-    """Read a document's bytes, UTF-8. Never raises: the faults are in the returned tree."""
+def parse(data: bytes, file: str, *, allow_tags: bool = False) -> Tree:
+    """Read a document's bytes, UTF-8. Never raises: the faults are in the returned tree.
+
+    ``allow_tags`` reads the values of other programs' files as if they had no tags.
+    """
     tree = Tree(file)
     with contextlib.suppress(_Refused):
-        _Walk(_decoded(data, tree), tree).document()
+        _Walk(_decoded(data, tree), tree, allow_tags=allow_tags).document()
         tree.complete = True
     return tree
 
@@ -77,8 +80,9 @@ class _Open:
 class _Walk:
     """Takes the parser's events one by one, without recursion, and checks each bound before it needs memory."""
 
-    def __init__(self, text: str, tree: Tree) -> None:
+    def __init__(self, text: str, tree: Tree, *, allow_tags: bool) -> None:
         self.tree = tree
+        self.allow_tags = allow_tags
         self.loader: Any = yaml.SafeLoader(text)  # pure Python: libyaml crashes on deep nesting
         self.nodes = 0
         self.open: list[_Open] = []
@@ -135,7 +139,7 @@ class _Walk:
                 where,
                 f"an anchor (&{event.anchor}) is not allowed: write each value in full.",
             )
-        if getattr(event, "tag", None) is not None:
+        if getattr(event, "tag", None) is not None and not self.allow_tags:
             self._fault(event, where, f"a tag ({event.tag}) is not allowed: write the value without a tag.")
 
     def _key(self, event: Any, parent: _Open) -> None:

@@ -14,7 +14,16 @@ from bench.base.errors import UsageError
 from bench.base.home import forms, home_folder
 from bench.cluster.recalculation import TABLE, Counts, Recalculation, ResultsFolders
 from bench.cluster.tasks import DoneRow, RunRow, Task, find_places
-from bench.commands.calibrations import BOARD, collimator_options, engine_options, offline_dict, offline_lines
+from bench.commands.calibrations import (
+    BOARD,
+    CAMERA,
+    LENS,
+    collimator_options,
+    engine_options,
+    offline_dict,
+    offline_lines,
+    stated_camera,
+)
 from bench.commands.keys import key_or_draft
 from bench.commands.options import ExistingPath, OutputFolder, command, epilog
 from bench.commands.output import JSON, NOT_KEPT, show, wants_json
@@ -26,7 +35,7 @@ from bench.terminal.encoding import clock_text, printable
 from bench.views.views_file import FOLDER
 
 if TYPE_CHECKING:
-    from bench.plan.camera_files import CameraFile
+    from bench.plan.camera_files import CameraFile, LensFamily
     from bench.records.results import CheckData
     from calib.calibration import Calibration
     from calib.studies.camera_check import CameraCheck
@@ -297,26 +306,29 @@ def _calibrate_together(
     "file",
     required=True,
     type=ExistingPath(),
-    help="The calibration to check: a run folder or its results.json, OpenCV's YAML, ROS's camera_info, Kalibr's"
-    " camchain, Metavision's intrinsics.json or camera-geometry.json.",
+    help="The calibration to check: a run folder or its results.json, or a file of OpenCV, ROS, Kalibr, mrcal, COLMAP"
+    " or Metavision.",
 )
+@CAMERA
+@LENS
 @BOARD
 @collimator_options
 @JSON
-def check(paths: tuple[Path, ...], file: Path, **options: Any) -> int:
+def check(
+    paths: tuple[Path, ...], file: Path, camera: str | None, lens: LensFamily | None, **options: Any
+) -> int:
     """Check a calibration against new views of the camera in one or more PATHs.
 
     A PATH is a run folder, a RAW file, an image of the target, or a file of points, as in `calibrate`. The views are
     calibrated alone, and the two cameras are compared over the sensor. One view is enough if the collimator is known,
     by the run's station or by a passport. One view without it is judged as far as no other pose explains it.
     """
-    from bench.plan.camera_files import read_camera_file
     from bench.results.offline import calibrate_paths, only_view
     from bench.results.offline_options import OfflineOptions
     from bench.results.solution import compared_with
     from calib.errors import DegenerateViews
 
-    stated, choices = read_camera_file(file), OfflineOptions.from_command_line(**options)
+    stated, choices = stated_camera(file, camera, lens), OfflineOptions.from_command_line(**options)
     try:
         result = calibrate_paths(list(paths), choices)
     except DegenerateViews:

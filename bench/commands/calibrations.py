@@ -20,9 +20,32 @@ from bench.report.text import (
 )
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from bench.plan.camera_files import CameraFile, LensFamily
     from bench.records.results import CalibrationData
     from bench.results.offline import OfflineResult
     from calib.studies.reference_methods import MethodFailure, MethodResult
+
+
+LENS = click.option(
+    "--lens",
+    type=click.Choice(["brown", "fisheye"]),
+    help="What the coefficients of a file that names no lens model are: k1 k2 p1 p2 ..., or those of a fisheye.",
+)
+CAMERA = click.option(
+    "--camera", metavar="NAME", help="Camera of a calibration file that holds several, such as cam1."
+)
+
+
+def stated_camera(file: Path, name: str | None, lens: LensFamily | None) -> CameraFile:
+    """Read the camera of a calibration file, and print what is remarkable about it."""
+    from bench.plan.camera_files import read_camera_file
+
+    found = read_camera_file(file, name, lens)
+    for remark in found.remarks:
+        click.echo(f"{file}: {remark}", err=True)
+    return found
 
 
 def offline_dict(

@@ -13,6 +13,7 @@ from bench.base.clock import reliable_interrupts
 from bench.base.errors import UsageError
 from bench.cluster.verifications import CONVERTED, Converted, convert_many, plan_targets
 from bench.cluster.work import Workers
+from bench.commands.calibrations import CAMERA, LENS, stated_camera
 from bench.commands.options import (
     EventFile,
     ExistingFile,
@@ -28,6 +29,7 @@ from bench.records.storage import make_folder, write_atomic
 from bench.terminal.encoding import printable
 
 if TYPE_CHECKING:
+    from bench.plan.camera_files import LensFamily
     from bench.results.exports import Straightness
     from calib.model.camera import Undistortion
     from drivers.camera.event_arrays import ReadingChoices
@@ -185,15 +187,24 @@ def _convert_many(
     "--board",
     help="The preview shows this board (as in `calibrate --board`): say how straight its lines are before and after.",
 )
+@CAMERA
+@LENS
 @JSON
-def undistort(file: Path, output: Path, keep: float, preview: Path | None, board: str | None) -> int:
+def undistort(
+    file: Path,
+    output: Path,
+    keep: float,
+    preview: Path | None,
+    board: str | None,
+    camera: str | None,
+    lens: LensFamily | None,
+) -> int:
     """Write the tables that take the distortion of RUN's camera out of events and images.
 
-    RUN is a run folder, its results.json, or a calibration of OpenCV, ROS, Kalibr or Metavision. undistort.npz holds
-    for each pixel its ray and its place in the rectified image, the pair of maps for OpenCV's remap, and the new camera
-    matrix; camera_info.yaml is ROS's, with the new matrix as P.
+    RUN is a run folder, its results.json, or a calibration of OpenCV, ROS, Kalibr, mrcal, COLMAP or Metavision.
+    undistort.npz holds for each pixel its ray and its place in the rectified image, the pair of maps for OpenCV's
+    remap, and the new camera matrix; camera_info.yaml is ROS's, with the new matrix as P.
     """
-    from bench.plan.camera_files import read_camera_file
     from bench.results.exports import board_straightness, read_picture_for, undistorted_files
     from bench.results.offline_folder import require_new
     from bench.results.offline_options import parse_board
@@ -206,14 +217,14 @@ def undistort(file: Path, output: Path, keep: float, preview: Path | None, board
             remedy="Give a recording or a photograph of it with --preview.",
         )
     require_new(output)
-    stated = parse_board(board)
-    camera = read_camera_file(file).camera
-    picture = read_picture_for(preview, camera) if preview is not None else None
-    found = tables_of(camera, keep)
+    shown = parse_board(board)
+    stated = stated_camera(file, camera, lens).camera
+    picture = read_picture_for(preview, stated) if preview is not None else None
+    found = tables_of(stated, keep)
     straight = None
-    if picture is not None and stated is not None:
-        straight = board_straightness(picture, stated, found, camera, str(preview))
-    files = undistorted_files(camera, found, picture)
+    if picture is not None and shown is not None:
+        straight = board_straightness(picture, shown, found, stated, str(preview))
+    files = undistorted_files(stated, found, picture)
     make_folder(output)
     for name, data in files.items():
         write_atomic(output / name, data)

@@ -11,12 +11,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench.base.errors import UsageError
-from bench.commands.calibrations import BOARD, collimator_options
+from bench.commands.calibrations import BOARD, LENS, collimator_options, stated_camera
 from bench.commands.options import ExistingPath, OutputFolder, command
 from bench.commands.output import JSON, show
 from bench.report.text import with_uncertainty
 
 if TYPE_CHECKING:
+    from bench.plan.camera_files import LensFamily
     from bench.results.rig import RigFound
     from calib.studies.clock_offset import ClockOffset
     from calib.studies.rig import Rig, RigDifference
@@ -47,6 +48,13 @@ if TYPE_CHECKING:
     "[default: adjusted with the rig]",
 )
 @click.option(
+    "--camera",
+    nargs=2,
+    metavar="FIRST SECOND",
+    help="The cameras of calibration files that hold several, such as cam0 cam1.",
+)
+@LENS
+@click.option(
     "--stated",
     type=ExistingPath(),
     metavar="FILE",
@@ -68,6 +76,8 @@ def rig(
     second: Path,
     boards: tuple[Path, ...] | None,
     calibration: tuple[Path, ...] | None,
+    camera: tuple[str, ...] | None,
+    lens: LensFamily | None,
     stated: Path | None,
     sync: bool,
     output: Path | None,
@@ -88,7 +98,9 @@ def rig(
         raise UsageError("The folder is not empty.", where=str(output), remedy="Choose another --output.")
     pairs = [pair for pair in ((first, second), boards) if pair]
     clocks = find_clocks(pairs, choices) if sync else ()
-    found = replace(find_rig((first, second), boards or (), calibration or (), choices), clocks=clocks)
+    names = camera or (None, None)
+    cameras = [stated_camera(file, name, lens) for file, name in zip(calibration or (), names, strict=False)]
+    found = replace(find_rig((first, second), boards or (), cameras, choices), clocks=clocks)
     if output is not None and found.rig.translation_mm is None:
         raise UsageError(
             "These views give no translation, and the files hold one.",

@@ -45,7 +45,7 @@ from calib.boards.detect import detect_board
 from calib.calibration import Calibration
 from calib.events.grey_image import to_uint8
 from calib.model.camera import SKEW, CameraModel, Undistortion, nearest_lens, straightness_px
-from calib.model.lens import BROWN
+from calib.model.lens import BROWN, FISHEYE, PRISM
 from calib.model.result_parts import Boresight
 from calib.target import StarTarget
 from calib.view import View
@@ -87,11 +87,11 @@ def refuse_fisheye(camera: CameraModel, what: str) -> None:
 
 
 def opencv_coefficients(camera: CameraModel) -> np.ndarray:
-    """Return OpenCV's coefficients: (5,) k1 k2 p1 p2 k3, (8,) with k4 k5 k6, or (4,) of a fisheye lens."""
+    """Return OpenCV's coefficients: (4,) of a fisheye lens, (5,) k1 k2 p1 p2 k3, (8,), (12,) or (14,)."""
     if camera.is_fisheye:
         return camera.fisheye_coefficients
-    rational = set(camera.distortion) - set(PLUMB_BOB)
-    return camera.coefficients[: 8 if rational else 5]
+    further = set(camera.distortion) - {*PLUMB_BOB, SKEW}
+    return camera.coefficients if further else camera.coefficients[: len(PLUMB_BOB)]
 
 
 def target_poses(calibration: Calibration) -> tuple[np.ndarray, np.ndarray]:
@@ -209,7 +209,12 @@ def ros_camera_info(calibration: Calibration, camera_name: str) -> bytes:
 def camera_info(
     camera: CameraModel, camera_name: str, projection: np.ndarray, rectification: np.ndarray | None = None
 ) -> bytes:
-    """Write a ROS camera_info YAML; ``projection`` is (3, 3), of a pair (3, 4), ``rectification`` (3, 3) or None."""
+    """Write a ROS camera_info YAML; ``projection`` is (3, 3), of a pair (3, 4), ``rectification`` (3, 3) or None.
+
+    FormatCannotCarry: the camera has skew, a thin prism or a tilted sensor.
+    """
+    refuse_skew(camera, CAMERA_INFO)
+    refuse_beyond(FISHEYE if camera.is_fisheye else BROWN, camera, CAMERA_INFO)
     coefficients = opencv_coefficients(camera)
     whole = np.zeros((3, 4))
     whole[:, : projection.shape[1]] = projection
@@ -258,6 +263,7 @@ def mrcal_cameramodel(calibration: Calibration, camera_name: str) -> bytes:
     """Write a mrcal cameramodel: LENSMODEL_OPENCV5 or 8, not a fisheye lens, with the camera at the origin."""
     camera = calibration.camera
     refuse_fisheye(camera, "mrcal's cameramodel")
+    refuse_beyond((*BROWN, *PRISM), camera, "mrcal's cameramodel")
     coefficients = opencv_coefficients(camera)
     numbers = [camera.fx, camera.fy, camera.cx, camera.cy, *coefficients.tolist()]
     return (
@@ -275,6 +281,7 @@ def colmap_cameras(calibration: Calibration, camera_name: str) -> bytes:
     if camera.is_fisheye:
         model, coefficients = "OPENCV_FISHEYE", camera.fisheye_coefficients
     elif set(camera.distortion) - set(_RADTAN):
+        refuse_beyond(BROWN, camera, "COLMAP's FULL_OPENCV")
         model, coefficients = "FULL_OPENCV", camera.coefficients
     else:
         model, coefficients = "OPENCV", camera.coefficients[:4]
@@ -389,8 +396,7 @@ class Straightness:
 def undistorted_files(
     camera: CameraModel, found: Undistortion, preview: NDArray[Any] | None
 ) -> Mapping[str, bytes]:
-    """Return the files by name; the preview is an (H, W) picture of the camera. FormatCannotCarry: it has skew."""
-    refuse_skew(camera, CAMERA_INFO)
+    """Return the files by name; the preview is an (H, W) picture of the camera."""
     matrix = found.camera.matrix
     tables = BytesIO()
     np.savez_compressed(
@@ -402,7 +408,11 @@ def undistorted_files(
         camera_matrix=matrix,
         projection_matrix=np.column_stack([matrix, np.zeros(3)]),
     )
-    files = {TABLES: tables.getvalue(), CAMERA_INFO: camera_info(camera, "camera", matrix)}
+    files = {TABLES: tables.getvalue()}
+    try:
+        files[CAMERA_INFO] = camera_info(camera, "camera", matrix)
+    except FormatCannotCarry as refusal:
+        files[NOT_WRITTEN] = f"{CAMERA_INFO}: {refusal}\n".encode()
     if preview is not None:
         files[PREVIEW] = cv2.imencode(".png", _side_by_side(preview, found))[1].tobytes()
     return files

@@ -12,9 +12,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.base.bounded_json import parse_json
-from bench.base.errors import BenchError, UsageError
-from bench.plan.camera_files import OF_OTHER_FORM, CameraFile, form_text, read_camera_file
+from bench.base.errors import UsageError
+from bench.plan.camera_files import OF_OTHER_FORM, CameraFile, form_text
+from bench.plan.camera_text import OtherForm, values_of
 from bench.records.storage import read_bounded
 from bench.results.exports import (
     NOT_WRITTEN,
@@ -57,7 +57,7 @@ class RigFound:
         return {**told, "clocks": {"rate_ppm": rate, "sigma_rate_ppm": sigma, "recordings": every}}
 
 
-def find_rig(paths: Pair, boards: Pair, cameras: Pair, choices: OfflineOptions) -> RigFound:
+def find_rig(paths: Pair, boards: Pair, cameras: Sequence[CameraFile], choices: OfflineOptions) -> RigFound:
     """Return the rig of two cameras. Every argument has one entry for each camera, or none.
 
     ``paths`` are views behind a collimator, or of a board that `choices` names; ``boards`` views of that board beside
@@ -77,11 +77,10 @@ def find_rig(paths: Pair, boards: Pair, cameras: Pair, choices: OfflineOptions) 
     return RigFound(with_boards(start.rig, *seen), (*start.skipped, *skipped))
 
 
-def _by_views(paths: Pair, choices: OfflineOptions, cameras: Pair = ()) -> RigFound:
+def _by_views(paths: Pair, choices: OfflineOptions, cameras: Sequence[CameraFile] = ()) -> RigFound:
     """Return the rig by views that give the intrinsics too; `cameras` add what is known of them from other views."""
     require_common_views(paths[0], paths[1], choices)
-    stated = [read_camera_file(file) for file in cameras]
-    for path, own in zip(paths, stated, strict=bool(stated)):
+    for path, own in zip(paths, cameras, strict=bool(cameras)):
         if own.path.resolve().is_relative_to(path.resolve()):
             raise UsageError(
                 "This calibration was made from the same views. They would count twice.",
@@ -94,14 +93,13 @@ def _by_views(paths: Pair, choices: OfflineOptions, cameras: Pair = ()) -> RigFo
     if all(result.board for result in results):
         start = stated_cameras(first.camera, second.camera)
         return RigFound(with_boards(start, results[0].views, results[1].views, free=True), skipped)
-    known = [(one.camera, one.covariance) for one in stated] or (None, None)
+    known = [(one.camera, one.covariance) for one in cameras] or (None, None)
     return RigFound(through_collimator(first, second, known), skipped)
 
 
-def _by_cameras(paths: Pair, cameras: Pair, choices: OfflineOptions) -> RigFound:
+def _by_cameras(paths: Pair, stated: Sequence[CameraFile], choices: OfflineOptions) -> RigFound:
     """Return the rig by boards, with the intrinsics of files."""
     require_common_views(paths[0], paths[1], choices)
-    stated = [read_camera_file(file) for file in cameras]
     seen, skipped = _board_views(paths, [_sized(choices, one) for one in stated])
     start = stated_cameras(stated[0].camera, stated[1].camera, [one.covariance for one in stated])
     return RigFound(with_boards(start, *seen), tuple(skipped))
@@ -150,7 +148,7 @@ _FARTHEST_MM = 1e6
 _LARGEST_VARIANCE = 1e12
 
 
-class NotARig(BenchError):
+class NotARig(UsageError):
     """A file does not hold one rig of two cameras that can be read."""
 
 
@@ -167,7 +165,7 @@ class StatedRig:
 def read_rig_file(path: Path) -> StatedRig:
     """Read the rig of a file, which must hold exactly one."""
     try:
-        content = parse_json(read_bounded(path, _MOST_BYTES))
+        content = values_of(read_bounded(path, _MOST_BYTES))[1][0]
         stated = _of_sdk(content) if "T_slave_master" in content else _own(content)
         _require_possible(stated)
     except OF_OTHER_FORM as error:
@@ -182,7 +180,7 @@ def read_rig_file(path: Path) -> StatedRig:
 def _of_sdk(content: Any) -> StatedRig:
     entries = content["T_slave_master"]
     if len(entries) != 1:
-        raise ValueError(f"it states {len(entries)} cameras beside the master, not one")
+        raise OtherForm(f"it states {len(entries)} cameras beside the master, not one")
     turn = np.array(entries[0]["rvec"], np.float64).reshape(3)
     return StatedRig(
         exp_map(turn[None])[0], 1000.0 * np.array(entries[0]["tvec"], np.float64).reshape(3), None
@@ -202,15 +200,15 @@ def _own(content: Any) -> StatedRig:
 
 def _require_possible(stated: StatedRig) -> None:
     if not np.isfinite(stated.rotation).all():
-        raise ValueError("its rotation is not finite")
+        raise OtherForm("its rotation is not finite")
     moved = stated.translation_mm
     if moved is not None and not (np.abs(moved) <= _FARTHEST_MM).all():
-        raise ValueError("its translation is not a distance on a rig")
+        raise OtherForm("its translation is not a distance on a rig")
     known = stated.covariance
     if known is not None and not (
         (np.abs(known) <= _LARGEST_VARIANCE).all() and np.linalg.eigvalsh(known)[0] >= -1e-9 * np.trace(known)
     ):
-        raise ValueError("its covariance is impossible")
+        raise OtherForm("its covariance is impossible")
 
 
 _NAMES = ("cam0", "cam1")

@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.arrays import Array, Array32, Ints
 from calib.errors import InputMismatch
-from calib.model.lens import BROWN, FISHEYE, distort_with_jacobians, is_fisheye
+from calib.model.lens import BROWN, FISHEYE, OPENCV, OPENCV_LENGTHS, distort_with_jacobians, is_fisheye
 
 PINHOLE = ("fx", "fy", "cx", "cy")
 #: Name of the skew: the element K[0, 1] of the camera matrix, px. MATLAB can estimate it; OpenCV's model has none. It
@@ -143,6 +143,8 @@ class CameraModel:
     def coefficients(self) -> Array:
         """(8,) float64 coefficients of Brown's model in OpenCV's order k1 k2 p1 p2 k3 k4 k5 k6.
 
+        If the lens has them: (12,) with those of a thin prism s1 s2 s3 s4, (14,) with the sensor's tilt tauX tauY.
+
         Raises
         ------
         InputMismatch
@@ -150,7 +152,9 @@ class CameraModel:
         """
         if is_fisheye(self.distortion):
             raise InputMismatch("A fisheye lens has no coefficients k1 to k6, p1, p2.")
-        return np.array([self.distortion.get(name, 0.0) for name in BROWN])
+        last = max((OPENCV.index(name) for name in self.distortion if name in OPENCV), default=0)
+        length = next(length for length in OPENCV_LENGTHS if length > max(last, len(BROWN) - 1))
+        return np.array([self.distortion.get(name, 0.0) for name in OPENCV[:length]])
 
     @property
     def is_fisheye(self) -> bool:

@@ -187,7 +187,7 @@ def test_a_file_without_a_rig_is_refused(capsys, drawn, tmp_path, content, told)
     _, folder = drawn
     (tmp_path / "bad.json").write_text(content)
     stated = ("--stated", tmp_path / "bad.json")
-    message = refusal(capsys, "rig", folder / "left", folder / "right", *BOARD, *stated)
+    message = refusal(capsys, "rig", folder / "left", folder / "right", *BOARD, *stated, status=2)
     assert told in message
     assert "Known are rig.json" in message
 
@@ -223,8 +223,8 @@ def test_a_file_without_a_rig_is_refused(capsys, drawn, tmp_path, content, told)
         ),
         (
             ("{}/left", "{}/right", *BOARD, "--calibration", "{}/left.yaml", "{}/two.yaml"),
-            "The file holds 2 cameras",
-            1,
+            "The file holds 2 cameras: cam0, cam1. Name one with --camera",
+            2,
         ),
     ],
 )

@@ -31,6 +31,7 @@ def stated(run):
 
 EXPORTS = [
     "opencv.yaml", "ros_camera_info.yaml", "kalibr_camchain.yaml", "metavision.json", "camera-geometry.json",
+    "mrcal.cameramodel", "colmap_cameras.txt",
 ]  # fmt: skip
 
 
@@ -78,15 +79,15 @@ def test_an_equidistant_camera_of_kalibr_is_a_fisheye(tmp_path):
     [
         (yaml.safe_dump({"cam0": KALIBR}) + yaml.safe_dump({"cam1": KALIBR}), "holds 2 cameras: cam0, cam1"),
         (yaml.safe_dump({"cam0": {**KALIBR, "camera_model": "omni"}}), "'omni'"),
-        (json.dumps({**GEOMETRY, "type": "kannala"}), "Only `pinhole` is known"),
-        (json.dumps({**GEOMETRY, "K": [1, 2, 3]}), "K must have 9 numbers"),
+        (json.dumps({**GEOMETRY, "type": "kannala"}), "the lens model 'kannala' is not read"),
+        (json.dumps({**GEOMETRY, "K": [1, 2, 3]}), "the camera matrix has 3 numbers"),
         (json.dumps({**GEOMETRY, "width": 0}), "not possible"),
         ('{"type": "pinhole", "type": "pinhole"}', ""),
         ("{}", ""),
         ("a: [1, 2", ""),
         ("", ""),
-        ("%YAML:1.0\n---\nimage_width: 3\n", "camera_matrix"),
-        (yaml.safe_dump({"distortion_model": "magic"}), "'magic'"),
+        ("%YAML:1.0\n---\nimage_width: 3\n", "no camera matrix"),
+        (yaml.safe_dump({"K": [1, 1, 1, 1], "D": [], "distortion_model": "magic"}), "'magic'"),
     ],
 )
 def test_what_is_no_camera_is_refused_with_the_reason(tmp_path, text, why):

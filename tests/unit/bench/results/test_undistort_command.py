@@ -111,7 +111,7 @@ def test_a_fault_is_one_clear_error_and_nothing_is_written(capsys, tmp_path, cal
         (2, "There is no picture in this file", "info.yaml", "--preview", "events.csv"),
         (2, "There is no picture of the board", "info.yaml", "--board", BOARD),
         (2, "--board", "info.yaml", "--preview", "grey.png", "--board", "9x6"),
-        (1, "does not hold a calibrated camera", "no.yaml"),
+        (2, "does not hold a calibrated camera", "no.yaml"),
         (2, "2", "info.yaml", "--keep", "2"),
     ]
     for status, text, file, *words in faults:

@@ -1,0 +1,249 @@
+"""The text of a calibration file of any program as nested values: YAML, JSON, XML, mrcal, COLMAP, or ROS's INI.
+
+Files come from strangers: sizes and nesting are bounded, and no reader of another program runs on them.
+"""
+
+from __future__ import annotations
+
+import ast
+import codecs
+import json
+import re
+from collections.abc import Mapping
+from typing import Any, Literal
+from xml.parsers import expat
+
+from bench.base.bounded_json import parse_json
+from sequences.yaml_text import MOST_BYTES, parse
+
+_MOST_LEVELS = 40
+#: The longest text of Python that is read: mrcal adds its measurements to a camera, about 1 MB.
+_MOST_CHARACTERS = 5_000_000
+_MOST_ENTRIES = 100_000
+#: A longer list of numbers, in characters, is no part of a camera, but what it was calibrated from.
+_LONGEST_LIST = 100_000
+_MOST_DOCUMENTS = 100
+_MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
+#: Files that begin so are no text.
+_BINARY = {
+    b"MATLAB": "a file of MATLAB (.mat)",
+    b"\x93NUMPY": "an array of numpy (.npy)",
+    b"PK\x03\x04": "a ZIP archive, such as numpy's .npz",
+    b"\x80": "a Python pickle",
+    b"\x1f\x8b": "a compressed file (gzip)",
+    b"\x89HDF": "an HDF5 file",
+    b"#ROSBAG": "a ROS bag",
+    b"SQLite": "a ROS 2 bag (SQLite)",
+    b"\x89MCAP": "a ROS 2 bag (MCAP)",
+}
+Syntax = Literal["XML", "JSON", "Python", "COLMAP", "INI", "YAML"]
+_NUMBERS = re.compile(r"\[([-+.\deE,\s]*)\]")
+_SEPARATOR = re.compile(r"^(?:---|\.\.\.)(?:[ \t].*)?$", re.MULTILINE)
+#: Lines of a message of ROS that differ although the camera is the same.
+_TIMES = re.compile(r"^ *(?:seq|secs|nsecs|sec|nanosec): *\d+\s*$", re.MULTILINE)
+_COLMAP = re.compile(
+    r"^(\d+)[ \t]+([A-Z_]+)[ \t]+(\d+)[ \t]+(\d+)((?:[ \t]+[-+.\deE]+)+)[ \t]*$", re.MULTILINE
+)
+_INI_MATRIX = re.compile(r"^camera matrix\s*$", re.MULTILINE)
+WRITE_OPENCV = (
+    "Write the camera by cv2.FileStorage: camera_matrix, distortion_coefficients, image_width, image_height."
+)
+
+
+class OtherForm(ValueError):
+    """A file holds something else than what is wanted: why, as a part of a sentence or a whole one, and what to do."""
+
+    def __init__(self, why: str, remedy: str = "", *, what: str = "") -> None:
+        super().__init__(why)
+        self.remedy, self.what = remedy, what
+
+
+def values_of(data: bytes) -> tuple[Syntax, list[dict[str, Any]]]:
+    """Return the documents of a file, each once; their values are text, numbers, lists and mappings.
+
+    Raises OtherForm.
+    """
+    text = _text(data)
+    if not text:
+        raise OtherForm("it is empty")
+    if text.startswith("<"):
+        return "XML", [_xml(text)]
+    if text.startswith("{"):
+        return "JSON", [_json(text)]
+    if "'lensmodel'" in text:
+        return "Python", [_python(text)]
+    if _COLMAP.search(text):
+        return "COLMAP", [_colmap(text)]
+    if _INI_MATRIX.search(text):
+        return "INI", [_ini(text)]
+    return "YAML", _yaml(text)
+
+
+def _text(data: bytes) -> str:
+    for begin, what in _BINARY.items():
+        if data.startswith(begin):
+            raise OtherForm(f"it is {what}, which is not read as a camera", WRITE_OPENCV)
+    codec = next((codec for mark, codec in _MARKS.items() if data.startswith(mark)), "utf-8")
+    try:
+        text = data.decode(codec)
+    except UnicodeDecodeError:
+        raise OtherForm("it is no text in UTF-8") from None
+    if "\0" in text:
+        raise OtherForm("it is a binary file", WRITE_OPENCV)
+    return text.replace("\r\n", "\n").strip()
+
+
+def _json(text: str) -> dict[str, Any]:
+    try:
+        found = parse_json(text)
+    except json.JSONDecodeError as error:
+        if re.match(r"\{\s*'", text):
+            return _python(text)
+        raise OtherForm(f"it is no complete JSON: line {error.lineno}, column {error.colno}") from None
+    except ValueError as error:  # the sentences of `parse_json`
+        raise OtherForm(str(error)) from None
+    return _mapping(found)
+
+
+def _python(text: str) -> dict[str, Any]:
+    """Read a Python dictionary, which is how mrcal and many a script write a camera."""
+    if len(text) > _MOST_CHARACTERS or text.count(",") > _MOST_ENTRIES:
+        raise OtherForm("it is too large for a camera")
+    try:
+        return _mapping(ast.literal_eval(text.strip()))
+    except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError):
+        raise OtherForm("it is no complete dictionary of Python") from None
+
+
+def _mapping(found: Any) -> dict[str, Any]:
+    if not isinstance(found, dict):
+        raise OtherForm("it holds no names with values")
+    return {str(name): value for name, value in found.items()}
+
+
+def _yaml(text: str) -> list[dict[str, Any]]:
+    """Read YAML, and what OpenCV and ROS write beside it: tags, a first line that YAML has not, several documents."""
+    if "tag:yaml.org,2002:python/object" in text or "!!python/object" in text:
+        raise OtherForm("it is a dump of Python objects, such as numpy arrays", WRITE_OPENCV)
+    body = _TIMES.sub("", _NUMBERS.sub(_folded, re.sub(r"\A%YAML.*", "", text)))
+    documents = dict.fromkeys(_SEPARATOR.split(body))
+    if len(body) > MOST_BYTES or len(documents) > _MOST_DOCUMENTS:
+        raise OtherForm("it is too large for a camera")
+    found = [_document(one) for one in documents]
+    return [_mapping(one) for one in found if one is not None] or [_mapping(None)]
+
+
+def _folded(numbers: re.Match[str]) -> str:
+    """Return a list of numbers as one text, so that thousands of image points are read at once."""
+    words = " ".join(numbers[1].split())
+    return f'"{words}"' if len(words) < _LONGEST_LIST else '""'
+
+
+def _document(text: str) -> Any:
+    tree = parse(text.encode(), "", allow_tags=True)
+    if not tree.complete:
+        raise OtherForm(f"its line {tree.faults[0].line} is no YAML")
+    if tree.faults:
+        raise OtherForm(tree.faults[0].message.rstrip("."))
+    return tree.value
+
+
+def _xml(text: str) -> dict[str, Any]:
+    """Read OpenCV's XML: the names of elements are keys, and elements `_` are a list."""
+    stack: list[tuple[dict[str, Any], list[str]]] = [({}, [])]
+
+    def begin(_name: str, _attributes: Mapping[str, str]) -> None:
+        if len(stack) > _MOST_LEVELS:
+            raise OtherForm(f"it is nested deeper than {_MOST_LEVELS} levels")
+        stack.append(({}, []))
+
+    def end(name: str) -> None:
+        inner, words = stack.pop()
+        value = inner.pop("_", None) or inner or "".join(words).strip()
+        outer = stack[-1][0]
+        if name == "_":
+            outer.setdefault(name, []).append(value)
+        else:
+            outer[name] = value
+
+    def refuse(*_arguments: object) -> None:
+        raise OtherForm("it declares entities")
+
+    def add(words: str) -> None:
+        stack[-1][1].append(words)
+
+    reader = expat.ParserCreate()
+    reader.StartElementHandler, reader.EndElementHandler, reader.CharacterDataHandler = begin, end, add
+    reader.EntityDeclHandler = refuse
+    try:
+        reader.Parse(text, True)
+    except expat.ExpatError as error:
+        raise OtherForm(f"it is no complete XML: line {error.lineno}") from None
+    ((root, found),) = stack[0][0].items()
+    if root != "opencv_storage":
+        raise OtherForm(f"it is XML of another program ({root[:40]})", WRITE_OPENCV)
+    return _mapping(found)
+
+
+def _ini(text: str) -> dict[str, Any]:
+    """Read the INI of ROS's cameracalibrator (ost.txt): sections of names, each with lines of numbers below it."""
+    sections: dict[str, Any] = {}
+    rows: dict[str, str] = {}
+    name = ""
+    for line in map(str.strip, text.splitlines()):
+        if line.startswith("[") and line.endswith("]"):
+            rows = sections.setdefault(line[1:-1], {})
+        elif line and line[0] not in "#;":
+            if re.fullmatch(r"[-+.\deE\s]+", line):
+                rows[name] = f"{rows.get(name, '')} {line}"
+            else:
+                name = line
+    image = sections.pop("image", {})
+    return {camera: {**image, **rows} for camera, rows in sections.items()}
+
+
+def _colmap(text: str) -> dict[str, Any]:
+    """Read COLMAP's cameras.txt: the pixel centres lie at half integers there."""
+    cameras: dict[str, Any] = {}
+    for number, model, width, height, listed in _COLMAP.findall(text):
+        if model not in _COLMAP_MODELS:
+            raise OtherForm(f"COLMAP's model {model[:40]} is not read", WRITE_OPENCV)
+        focal, count = _COLMAP_MODELS[model]
+        values = [float(value) for value in listed.split()]
+        if len(values) != focal + 2 + count:
+            raise OtherForm(
+                f"COLMAP's model {model} has {focal + 2 + count} values; camera {number} has {len(values)}"
+            )
+        lengths, (cx, cy), lens = values[:focal], values[focal : focal + 2], values[focal + 2 :]
+        cameras[number] = {
+            "K": [lengths[0], lengths[-1], cx - 0.5, cy - 0.5],
+            "D": lens + [0.0] * (4 - count),
+            "distortion_model": "fisheye" if "FISHEYE" in model else "opencv",
+            "image_size": [width, height],
+        }
+    return cameras
+
+
+#: Numbers of focal lengths and of coefficients of COLMAP's models; the coefficients are in OpenCV's order.
+_COLMAP_MODELS = {
+    "SIMPLE_PINHOLE": (1, 0),
+    "PINHOLE": (2, 0),
+    "SIMPLE_RADIAL": (1, 1),
+    "RADIAL": (1, 2),
+    "OPENCV": (2, 4),
+    "FULL_OPENCV": (2, 8),
+    "SIMPLE_RADIAL_FISHEYE": (1, 1),
+    "RADIAL_FISHEYE": (1, 2),
+    "OPENCV_FISHEYE": (2, 4),
+}
+
+
+def numbers(value: Any) -> list[float]:
+    """Return the numbers of a matrix or a list in any form, row after row. Raises ValueError, TypeError, KeyError."""
+    if isinstance(value, Mapping):
+        return numbers(value["data"])
+    if isinstance(value, str):
+        return [float(word) for word in value.replace(",", " ").split()]
+    if isinstance(value, list | tuple):
+        return [number for one in value for number in numbers(one)]
+    return [float(value)]
