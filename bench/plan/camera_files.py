@@ -283,7 +283,7 @@ def _camera(values: _Values, family: LensFamily | None) -> CameraModel:
     lens = _first(values, _LENS)
     found = beside if lens is None else _numbers("the distortion", lens)
     model, names = _stated_lens(values)
-    if lens is None and model is None:
+    if lens is None and (model is None or not set(values).isdisjoint(_LENS)):
         raise OtherForm(
             "it states no distortion coefficients",
             "Add distortion_coefficients; zeros are without distortion.",
@@ -307,10 +307,16 @@ def _stated_lens(values: _Values) -> tuple[str | None, tuple[str, ...] | None]:
     model, names = None, None
     for key in _MODELS:
         value = values.get(key)
-        if value is None or isinstance(value, Mapping | list):
+        if value is None or isinstance(value, Mapping):
             continue
+        if key == "type" and value != "pinhole":
+            raise OtherForm(
+                f"the camera geometry has the type {str(value)[:_LONGEST_NAME]!r}; only `pinhole` is known: the maker"
+                " does not publish how a fisheye is written",
+                "Use another file of the same calibration, for example OpenCV's YAML.",
+            )
         word = re.sub(r"[^a-z0-9]", "", str(value).lower())
-        if word not in _LENSES:
+        if word not in _LENSES or isinstance(value, list):
             raise OtherForm(f"the lens model {str(value)[:_LONGEST_NAME]!r} is not read", WRITE_OPENCV)
         own = _LENSES[word]
         model = str(value) if model is None or own is not None else model
