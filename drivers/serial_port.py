@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar, ParamSpec, Protocol, Self, TypeVar
+from typing import Any, ClassVar, NamedTuple, ParamSpec, Protocol, Self, TypeVar
 
 import serial
 
@@ -101,11 +101,12 @@ class SerialPort:
     Opening sends nothing and leaves the modem lines as the system sets them. It uses 8 data bits and no parity. The
     address is a device file, preferably below ``/dev/serial/by-id/``, a port name of the system, ``socket://host:port``
     or ``rfc2217://host:port``; other URLs of pyserial are refused. ``rtscts``: the device uses the lines RTS and CTS to
-    hold the sender; only devices that need it have it.
+    hold the sender, which a pseudo-terminal and ``socket://`` do not have and ignore.
     """
 
     def __init__(self, address: str, *, baudrate: int, stopbits: int = 1, rtscts: bool = False) -> None:
         self._name = address
+        self._rtscts = rtscts
         self._serial = _open(address, baudrate, stopbits, rtscts)
         self._lost = False
 
@@ -123,8 +124,22 @@ class SerialPort:
                 return data
 
     def write(self, data: bytes) -> None:
-        """See `Port.write`. The bytes are handed to the system."""
-        self._try(self._serial.write, data)
+        """See `Port.write`. The bytes are handed to the system; those that the device does not take are not kept."""
+        try:
+            self._try(self._serial.write, data)
+        except PortLost as error:
+            if not isinstance(error.__cause__, serial.SerialTimeoutException):
+                raise
+            with contextlib.suppress(*_LOST):
+                self._serial.reset_output_buffer()  # a command that is sent late would be a motion
+            if not self._rtscts:
+                raise
+            raise PortLost(
+                f"the device takes no bytes: its line CTS was off for {_WRITE_S:g} s.",
+                where=self._name,
+                remedy="Check that it is switched on and that the cable has the lines RTS and CTS, or write"
+                " rtscts: false in the station file.",
+            ) from error
 
     def close(self) -> None:
         """See `Port.close`. This never raises: a port that is gone is closed already."""
@@ -253,10 +268,18 @@ def closed_on_error(*ports: Port) -> Iterator[None]:
         raise
 
 
+class LineSettings(NamedTuple):
+    """Settings of a serial line."""
+
+    baudrate: int  # Bits per second
+    rtscts: bool  # Whether the device uses the lines RTS and CTS
+
+
 class OnOnePort:
     """A device on one port. Open it with ``open``; its constructor takes a port that is open already."""
 
     BAUDRATE: ClassVar[int]
+    RTSCTS: ClassVar[bool] = False
 
     @classmethod
     def open(
@@ -264,19 +287,25 @@ class OnOnePort:
         port: str,
         *arguments: Any,
         baudrate: int | None = None,
+        rtscts: bool | None = None,
         clock: Clock,
         wire_log: WireLog | None = None,
         **more: Any,
     ) -> Self:
         """Open the port and the device on it. `SerialPort` raises the errors of opening.
 
-        ``baudrate`` None stands for the device's own; the other arguments are those of the constructor.
+        ``baudrate`` and ``rtscts`` None stand for the device's own; the other arguments are those of the constructor.
         """
         construct: Any = cls
-        opened = SerialPort(port, baudrate=baudrate or cls._baudrate(*arguments))
+        usual = cls._line_settings(*arguments)
+        opened = SerialPort(
+            port,
+            baudrate=usual.baudrate if baudrate is None else baudrate,
+            rtscts=usual.rtscts if rtscts is None else rtscts,
+        )
         device: Self = construct(opened, *arguments, clock=clock, wire_log=wire_log, **more)
         return device
 
     @classmethod
-    def _baudrate(cls, *_arguments: Any) -> int:
-        return cls.BAUDRATE
+    def _line_settings(cls, *_arguments: Any) -> LineSettings:
+        return LineSettings(cls.BAUDRATE, cls.RTSCTS)

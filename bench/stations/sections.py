@@ -89,6 +89,17 @@ class AxisConfig(StrictModel):
         return self.model_dump(exclude={"limits_deg", "speed_deg_s", "acceleration_deg_s2"})
 
 
+class SerialLine(StrictModel):
+    """Keys of a serial line that every driver with one port has; each driver has its own baud rate."""
+
+    rtscts: Annotated[
+        bool | None,
+        Field(
+            description="Whether the lines RTS and CTS hold the sender. Default: as the maker of the device says."
+        ),
+    ] = None
+
+
 Controllers = Sequence[tuple[str, str | None]]
 """Port and serial number of each controller of a section; None where the section states no number."""
 

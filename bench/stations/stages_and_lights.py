@@ -17,6 +17,7 @@ from bench.stations.sections import (
     AxisConfig,
     Hertz,
     PortName,
+    SerialLine,
     Speed,
     Tolerance,
     differing,
@@ -104,7 +105,7 @@ class DynamixelAxisConfig(AxisConfig):
     tolerance_deg: Tolerance = 0.3
 
 
-class DynamixelStageConfig(AnyStage):
+class DynamixelStageConfig(SerialLine, AnyStage):
     """One to three Dynamixel servos of the X series on one bus (Protocol 2.0)."""
 
     driver: Literal["dynamixel"]
@@ -118,7 +119,12 @@ class DynamixelStageConfig(AnyStage):
 
         axes = driver_axes(DynamixelAxis, self.axes, port)
         return DynamixelStage.open(
-            port(self.port), axes, baudrate=self.baudrate, clock=clock, wire_log=wire_log
+            port(self.port),
+            axes,
+            baudrate=self.baudrate,
+            rtscts=self.rtscts,
+            clock=clock,
+            wire_log=wire_log,
         )
 
 
@@ -135,7 +141,7 @@ class ZaberAxisConfig(AxisConfig):
     encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
 
 
-class ZaberStageConfig(AnyStage):
+class ZaberStageConfig(SerialLine, AnyStage):
     """One to three rotary axes with Zaber's ASCII protocol on one serial line."""
 
     maker: ClassVar[str] = "Zaber"
@@ -149,7 +155,14 @@ class ZaberStageConfig(AnyStage):
         from drivers.stage.zaber import ZaberAxis, ZaberStage
 
         axes = driver_axes(ZaberAxis, self.axes, port)
-        return ZaberStage.open(port(self.port), axes, baudrate=self.baudrate, clock=clock, wire_log=wire_log)
+        return ZaberStage.open(
+            port(self.port),
+            axes,
+            baudrate=self.baudrate,
+            rtscts=self.rtscts,
+            clock=clock,
+            wire_log=wire_log,
+        )
 
 
 class XimcAxisConfig(AxisConfig):
@@ -191,7 +204,7 @@ class GrblAxisConfig(AxisConfig):
     ]
 
 
-class GrblStageConfig(AnyStage):
+class GrblStageConfig(SerialLine, AnyStage):
     """One to three rotary axes on a board that runs GRBL 1.1."""
 
     maker: ClassVar[str] = "GRBL"
@@ -213,6 +226,7 @@ class GrblStageConfig(AnyStage):
             driver_axes(GrblAxis, self.axes, port),
             serial=self.serial or "",
             baudrate=self.baudrate,
+            rtscts=self.rtscts,
             clock=clock,
             wire_log=wire_log,
         )
@@ -237,7 +251,7 @@ class EspAxisConfig(AxisConfig):
         return int(value) if isinstance(value, str) and value in {"-1", "+1", *"123456"} else value
 
 
-class EspStageConfig(AnyStage):
+class EspStageConfig(SerialLine, AnyStage):
     """One to three rotary axes on a Newport ESP300, ESP301 or ESP302."""
 
     maker: ClassVar[str] = "Newport"
@@ -251,7 +265,14 @@ class EspStageConfig(AnyStage):
         from drivers.stage.esp import EspAxis, EspStage
 
         axes = driver_axes(EspAxis, self.axes, port)
-        return EspStage.open(port(self.port), axes, baudrate=self.baudrate, clock=clock, wire_log=wire_log)
+        return EspStage.open(
+            port(self.port),
+            axes,
+            baudrate=self.baudrate,
+            rtscts=self.rtscts,
+            clock=clock,
+            wire_log=wire_log,
+        )
 
 
 if TYPE_CHECKING:
@@ -274,7 +295,7 @@ Volts = Annotated[float, Field(ge=-20, le=20)]
 Percent = Annotated[float, Within(0.01, 1000, "%")]
 
 
-class ScpiLightConfig(AnyLight):
+class ScpiLightConfig(SerialLine, AnyLight):
     """A function generator that drives the lamp. Its sync output is connected to the camera's trigger input."""
 
     maker: ClassVar[str] = "generator"
@@ -312,6 +333,7 @@ class ScpiLightConfig(AnyLight):
             port(self.port),
             serial=self.serial,
             baudrate=self.baudrate,
+            rtscts=self.rtscts,
             load=self.load,
             dialect=self.dialect,
             clock=clock,
@@ -319,7 +341,7 @@ class ScpiLightConfig(AnyLight):
         )
 
 
-class GardasoftLightConfig(AnyLight):
+class GardasoftLightConfig(SerialLine, AnyLight):
     """A Gardasoft RT strobe controller. One channel drives the lamp, another one the camera's trigger input."""
 
     driver: Literal["gardasoft"]
@@ -352,6 +374,7 @@ class GardasoftLightConfig(AnyLight):
             full_percent=self.full_percent,
             sync_percent=self.sync_percent,
             baudrate=self.baudrate,
+            rtscts=self.rtscts,
             clock=clock,
             wire_log=wire_log,
         )

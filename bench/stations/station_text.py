@@ -16,6 +16,7 @@ from bench.stations.sections import (
     AxisConfig,
     Hertz,
     PortName,
+    SerialLine,
     differing,
     driver_axes,
 )
@@ -96,7 +97,7 @@ class TextAxisConfig(AxisConfig):
     encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
 
 
-class TextStageConfig(AnyStage):
+class TextStageConfig(SerialLine, AnyStage):
     """One to three rotary axes on a controller whose text protocol a file describes."""
 
     driver: Literal["text"]
@@ -129,12 +130,13 @@ class TextStageConfig(AnyStage):
             self.described.for_driver(),
             serial=self.serial or "",
             baudrate=self.baudrate,
+            rtscts=self.rtscts,
             clock=clock,
             wire_log=wire_log,
         )
 
 
-class TextLightConfig(AnyLight):
+class TextLightConfig(SerialLine, AnyLight):
     """A light whose text protocol a file describes."""
 
     driver: Literal["text"]
@@ -170,6 +172,7 @@ class TextLightConfig(AnyLight):
             serial=self.serial or "",
             full_percent=self.full_percent,
             baudrate=self.baudrate,
+            rtscts=self.rtscts,
             clock=clock,
             wire_log=wire_log,
         )

@@ -145,6 +145,9 @@ class LineConfig(StrictModel):
     """The line to the device."""
 
     baudrate: Annotated[int, Within(50, 20_000_000, "Bd")]
+    rtscts: Annotated[
+        bool, Field(description="Whether the device uses the lines RTS and CTS to hold the sender.")
+    ] = False
     request_end: Annotated[Literal["CR", "LF", "CRLF", "space"], Field(description="Ends each request.")] = (
         "LF"
     )

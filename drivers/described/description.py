@@ -221,6 +221,7 @@ class LineDescription:
     maker: str
     model: str
     baudrate: int  # Bits per second, where the station file gives none
+    rtscts: bool  # Whether the device uses the lines RTS and CTS, where the station file does not say
     request_end: bytes
     reply_end: bytes
     reply_s: float  # Longest wait for a reply, in seconds

@@ -15,7 +15,7 @@ from drivers.described.line import DescribedLine
 from drivers.errors import DeviceRefused, ReplyError, SettingRefused
 from drivers.light import LightIdentity, LightSettings
 from drivers.light.watched import FULL_SCALE_V, WatchedLight, percent_faults, steady_settings
-from drivers.serial_port import Port, closed_on_error
+from drivers.serial_port import LineSettings, Port, closed_on_error
 from drivers.wire_log import WireLog
 
 
@@ -50,8 +50,8 @@ class TextLight(WatchedLight):
             self.identify()
 
     @classmethod
-    def _baudrate(cls, description: LightDescription, *_arguments: Any) -> int:
-        return description.line.baudrate
+    def _line_settings(cls, description: LightDescription, *_arguments: Any) -> LineSettings:
+        return LineSettings(description.line.baudrate, description.line.rtscts)
 
     def identify(self) -> LightIdentity:
         """See `Light.identify`; the serial number is compared with the one in the station file."""

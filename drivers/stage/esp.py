@@ -113,6 +113,7 @@ class EspStage(OneLineStage[EspAxis, TextLine]):
     """
 
     BAUDRATE = 19200
+    RTSCTS = True  # the maker's controllers always use the two lines
 
     def _connected(self, port: Port, wire_log: WireLog | None) -> TextLine:
         return TextLine(

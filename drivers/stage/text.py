@@ -20,7 +20,7 @@ from drivers.described.description import AxisSetting, Exchange, StageDescriptio
 from drivers.described.line import DescribedLine
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyError, ReplyTimeout
 from drivers.link import TRIES, read_until_agreed
-from drivers.serial_port import Port
+from drivers.serial_port import LineSettings, Port
 from drivers.stage import AxisIdentity, motion
 from drivers.stage.motion import Axis
 from drivers.stage.watched import AxisState, OneLineStage, StopCheck, no_reference, reads_otherwise
@@ -90,8 +90,8 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
         self._line.take_notices()
 
     @classmethod
-    def _baudrate(cls, _axes: Sequence[TextAxis], description: StageDescription) -> int:
-        return description.line.baudrate
+    def _line_settings(cls, _axes: Sequence[TextAxis], description: StageDescription) -> LineSettings:
+        return LineSettings(description.line.baudrate, description.line.rtscts)
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`; the serial number is compared with the one in the station file."""

@@ -11,7 +11,10 @@ from pathlib import Path
 
 import pytest
 import serial
+import yaml
+from pydantic import TypeAdapter
 
+from bench.stations.stages_and_lights import StageConfig
 from drivers import file_lock, serial_port
 from drivers.camera import FoundCamera, discovery, metavision_discovery, neuromorphic_evk4
 from drivers.camera.discovery import find_cameras
@@ -23,7 +26,8 @@ from drivers.camera.usb_permission import (
     slow_cameras,
     unreadable_cameras,
 )
-from drivers.errors import CameraSoftwareMissing, PortDenied, PortError, PortNotFound
+from drivers.clock import SystemClock
+from drivers.errors import CameraSoftwareMissing, PortDenied, PortError, PortLost, PortNotFound
 from drivers.file_lock import DeviceHold
 from drivers.serial_port import SerialPort
 
@@ -66,6 +70,62 @@ def test_no_flow_control_is_on_whatever_the_system(monkeypatch, system, leaves_d
     assert bool(recorder.settings.get("dsrdtr")) == leaves_dtr_alone
     assert not recorder.settings.get("rtscts")
     assert not recorder.settings.get("xonxoff")
+
+
+SECTIONS = {
+    "esp": "{driver: esp30x, axes: {pan: {number: 1, serial: a, ",
+    "zaber": "{driver: zaber_ascii, axes: {pan: {device: 1, serial: a, microsteps_per_deg: 1, ",
+    "text": "{driver: text, protocol: flir_ptu, axes: {pan: {address: P, counts_per_deg: 1, ",
+}
+
+
+@pytest.mark.parametrize(
+    ("stage", "more", "baudrate", "rtscts"),
+    [
+        ("esp", "", 19_200, True),
+        ("esp", ", rtscts: false, baudrate: 921600", 921_600, False),
+        ("zaber", "", 115_200, False),
+        ("zaber", ", rtscts: true", 115_200, True),
+        ("text", "", 9600, False),
+        ("text", ", rtscts: true", 9600, True),
+    ],
+)
+def test_flow_control_is_the_maker_s_unless_the_station_says_otherwise(
+    monkeypatch, stage, more, baudrate, rtscts
+) -> None:
+    """A published ESP300 was silent without it."""
+    limits = "limits_deg: [-1, 1], speed_deg_s: 1, acceleration_deg_s2: 1}}"
+    keys = yaml.safe_load(f"{SECTIONS[stage]}{limits}, port: COM3{more}}}")
+    section = TypeAdapter(StageConfig).validate_python(keys)
+    opened = []
+
+    def record(_address: str, **settings: object) -> None:
+        opened.append(settings)
+        raise PortNotFound("enough.")
+
+    monkeypatch.setattr(serial_port, "SerialPort", record)
+    with pytest.raises(PortNotFound):
+        section.open_device(str, clock=SystemClock(), wire_log=None)
+    assert opened == [{"baudrate": baudrate, "rtscts": rtscts}]
+
+
+@pytest.mark.parametrize(("rtscts", "cause"), [(True, "line CTS was off"), (False, "Write timeout")])
+def test_a_device_that_holds_the_line_is_told_and_gets_nothing_later(
+    terminal, monkeypatch, rtscts, cause
+) -> None:
+    thrown = []
+
+    def hold(self: serial.Serial, data: bytes) -> int:
+        raise serial.SerialTimeoutException("Write timeout")
+
+    port = SerialPort(terminal, baudrate=19_200, rtscts=rtscts)
+    monkeypatch.setattr(serial.Serial, "write", hold)
+    monkeypatch.setattr(serial.Serial, "reset_output_buffer", lambda _self: thrown.append(True))
+    with pytest.raises(PortLost, match=cause) as caught:
+        port.write(b"1PA5\r")
+    assert thrown
+    assert ("rtscts: false" in caught.value.remedy) == rtscts
+    port.close()
 
 
 @pytest.mark.parametrize("error", [ValueError("Failed to set custom baud rate (7)"), NotImplementedError()])
