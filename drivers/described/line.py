@@ -13,12 +13,14 @@ from functools import reduce
 
 from drivers.clock import Clock
 from drivers.described.description import Exchange, LineDescription, Notice, Switch, Value
-from drivers.errors import DeviceRefused, ReplyError, WrongDevice
+from drivers.errors import DeviceRefused, ReplyError, ReplyTimeout, WrongDevice
 from drivers.link import TRIES, Link, ReplyReader, repeat
 from drivers.serial_port import Port
 from drivers.wire_log import WireLog
 
 _SHOWN = 80
+_MOST_OTHER_ANSWERS = 3
+"""A device that starts prints a text or two; one that answers otherwise after that is not the described one."""
 
 
 class DescribedLine(Link):
@@ -176,12 +178,14 @@ class DescribedLine(Link):
             self._take_from(self.drain())
 
     def _first_identity(self, clock: Clock) -> dict[str, Value]:
-        """Ask who the device is, for as long as it may take to start."""
+        """Ask who the device is, for as long as it may take to start, unless another device answers."""
         started_s = clock.monotonic() + self._description.start_s
-        while clock.monotonic() < started_s:
+        others = 0
+        while clock.monotonic() < started_s and others < _MOST_OTHER_ANSWERS:
             try:
                 return self._identify()
-            except ReplyError:
+            except ReplyError as error:
+                others += not isinstance(error, ReplyTimeout)
                 self._clear_device()
         return repeat(self._identify, before_next=self._clear_device)
 
