@@ -23,10 +23,10 @@ from contextlib import contextmanager
 from typing import ClassVar, Final, NamedTuple, TypeVar
 
 from drivers.clock import Clock
-from drivers.errors import ReplyError, ReplyGarbled, ReplyTimeout
+from drivers.errors import PortError, PortLost, ReplyError, ReplyGarbled, ReplyTimeout
 from drivers.lateness import REMEDY as BUSY_REMEDY
 from drivers.lateness import Deadline, busy_text
-from drivers.serial_port import Port
+from drivers.serial_port import Port, ReopeningPort
 from drivers.wire_log import Direction, WireLog
 
 TRIES: Final = 3
@@ -222,6 +222,8 @@ class Link(ABC):
         self._buffer = bytearray()
         self._in_step = True
         """Whether the next reply belongs to the next request, as far as is known."""
+        self.connections = 1
+        """How often the port was opened."""
         self._urgent = False
         self._urgent_reply_s: float | None = None
 
@@ -235,6 +237,10 @@ class Link(ABC):
     def take_unsolicited(self, line: bytes) -> bool:  # noqa: ARG002 - most protocols have no such messages
         """Take a line that answers no request; return whether it is one."""
         return False
+
+    def is_filler(self, data: bytes) -> bool:
+        """Whether bytes after a reply say nothing, such as a prompt."""
+        return not data
 
     @property
     def name(self) -> str:
@@ -256,8 +262,41 @@ class Link(ABC):
         """Send a request and return what ``read_reply`` makes of its reply, alone on the line.
 
         ``read_reply`` raises `ReplyGarbled` when the bytes are no reply to this request; ``deadline_s`` is for the
-        whole reply; None stands for ``reply_s``. After an error the line is resynchronised before the next request.
+        whole reply; None stands for ``reply_s``. After an error the line is resynchronised before the next request. On
+        a `ReopeningPort` that is gone, the request is sent once more after the port was opened again.
         """
+        with self.lock:
+            try:
+                return self._exchange_once(request, read_reply, deadline_s)
+            except PortLost as lost:
+                if not self.connect_again(lost):
+                    raise
+            return self._exchange_once(request, read_reply, deadline_s)
+
+    def connect_again(self, lost: PortLost | None = None) -> bool:
+        """Open a `ReopeningPort` again, and ask who is there before the next request; False for any other port.
+
+        Without ``lost`` only a connection on a network. A port that cannot be opened raises ``lost``, with the reason,
+        or the error of opening.
+        """
+        if not isinstance(self._port, ReopeningPort) or not (lost or self._port.is_network):
+            return False
+        with self.lock:
+            try:
+                self._port.reopen()
+            except PortError as error:
+                if lost is None:
+                    raise
+                what = f"{lost.what} It cannot be opened again: {error.what}"
+                raise PortLost(what, where=self.name, remedy=lost.remedy) from error
+            self._buffer.clear()
+            self._in_step = False
+            self.connections += 1
+        return True
+
+    def _exchange_once(
+        self, request: bytes, read_reply: Callable[[ReplyReader], T], deadline_s: float | None
+    ) -> T:
         with self.lock:
             self.bring_into_step()
             if deadline_s is None:
@@ -364,7 +403,7 @@ class Link(ABC):
                 if not tries_left or (silent and once_if_silent):
                     raise
                 continue
-            followed = silence_after and self.drain()
+            followed = silence_after and not self.is_filler(self.drain())
             if expected and not followed:
                 return
         raise ReplyGarbled(failed, where=self.name, remedy=remedy)
@@ -421,7 +460,7 @@ class Link(ABC):
     def _take_strays(self) -> None:
         """Take unsolicited lines that came since the last exchange; anything else is a late reply."""
         self.receive(0.0)
-        while self._buffer:
+        while not self.is_filler(self.unread):
             try:
                 line = self.take_line()
                 understood = line is not None and self.take_unsolicited(line)
@@ -430,6 +469,7 @@ class Link(ABC):
             if not understood:
                 self._in_step = False
                 return
+        self._buffer.clear()
 
     def _note(self, direction: Direction, data: bytes) -> None:
         if self._wire_log is not None:

@@ -107,7 +107,8 @@ class SerialPort:
     def __init__(self, address: str, *, baudrate: int, stopbits: int = 1, rtscts: bool = False) -> None:
         self._name = address
         self._rtscts = rtscts
-        self._serial = _open(address, baudrate, stopbits, rtscts)
+        self._open: Callable[[], Any] = lambda: _open(address, baudrate, stopbits, rtscts)
+        self._serial = self._open()
         self._lost = False
 
     @property
@@ -180,6 +181,24 @@ class SerialPort:
             where=self._name,
             remedy="Check that the device is powered and plugged in, then resume.",
         )
+
+
+class ReopeningPort(SerialPort):
+    """A port to a device whose requests may all be sent twice: it can be opened again when it is gone.
+
+    Devices on a network close a connection that was idle for some seconds.
+    """
+
+    @property
+    def is_network(self) -> bool:
+        """Whether it is a connection on a network."""
+        return "://" in self._name
+
+    def reopen(self) -> None:
+        """Close the port, and open it again, with the errors of opening."""
+        self.close()
+        self._serial = self._open()
+        self._lost = False
 
 
 def _open(address: str, baudrate: int, stopbits: int, rtscts: bool) -> Any:
@@ -280,6 +299,7 @@ class OnOnePort:
 
     BAUDRATE: ClassVar[int]
     RTSCTS: ClassVar[bool] = False
+    PORT: ClassVar[type[SerialPort]] = SerialPort
 
     @classmethod
     def open(
@@ -298,7 +318,7 @@ class OnOnePort:
         """
         construct: Any = cls
         usual = cls._line_settings(*arguments)
-        opened = SerialPort(
+        opened = cls.PORT(
             port,
             baudrate=usual.baudrate if baudrate is None else baudrate,
             rtscts=usual.rtscts if rtscts is None else rtscts,

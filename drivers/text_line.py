@@ -12,12 +12,14 @@ from __future__ import annotations
 
 import math
 import re
+from collections import deque
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, ReplyError, ReplyTimeout
 from drivers.link import TRIES, Link, ReplyReader, do_nothing, repeat
+from drivers.quantity import Quantity, read_quantity
 from drivers.serial_port import Port
 from drivers.wire_log import WireLog
 
@@ -25,6 +27,10 @@ REPLY_S: Final = 2.0
 """Longest wait for a reply, in seconds: some devices carry out a setting first, for a tenth of a second."""
 PROMPT_S: Final = 0.75
 """Longest wait for a reply that comes at once or never, in seconds."""
+READABLE_REMEDY: Final = (
+    "It answers, so the line works: check that the station file names the right port, driver and dialect."
+)
+"""What to do about an answer that can be read, but not understood."""
 _NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 
 
@@ -182,7 +188,7 @@ class TextLine(Link):
         """
         text = self.query(query).upper()
         if text not in {"1", "ON", "0", "OFF"}:
-            raise self.garbled_reply(f"{query} answered {text!r}, not on or off.")
+            raise self.garbled_reply(f"{query} answered {text!r}, not on or off.", READABLE_REMEDY)
         return text in {"1", "ON"}
 
     def send(self, command: str) -> None:
@@ -222,6 +228,9 @@ class TextLine(Link):
         """See `Link.take_unsolicited`."""
         return self._unsolicited is not None and self._unsolicited(line)
 
+    def inspect_old(self, old: bytes) -> None:
+        """Look at bytes that are thrown away, for messages that nobody asked for."""
+
     # ------------------------------------------------------------ inside
 
     def _encode(self, text: str) -> bytes:
@@ -245,7 +254,8 @@ class TextLine(Link):
             text = self._query_once(self._identity_query, PROMPT_S)
             if not self._is_identity(text):
                 raise self.garbled_reply(
-                    f"{self._identity_query} answered {text!r}; {self._identity_form} was expected."
+                    f"{self._identity_query} answered {text!r}; {self._identity_form} was expected.",
+                    READABLE_REMEDY,
                 )
             return text
 
@@ -263,6 +273,7 @@ class TextLine(Link):
             is_known,
             failed=f"no clear answer to {self._identity_query}, though the device answered it before.",
             remedy=self.GARBLED_REMEDY,
+            inspect_old=self.inspect_old,
         )
 
 
@@ -271,7 +282,10 @@ def _is_finite_number(text: str) -> bool:
 
 
 _LONGEST_QUEUE = 40
-_ERROR = re.compile(r'([+-]?\d+) ?, ?(?:"([^"]*)"|([^"]*))')
+_ERROR = re.compile(r'([+-]?\d+)(?: ?[, ] ?(?:"([^"]*)"|([^"]*)))?')
+_PROMPT = re.compile(rb"\s*(?:[\w .-]{0,20}>\s*)*")
+"""What an instrument with a prompt sends before or after its answers, as in ``33500B> ``."""
+_HARDWARE_MISSING = -241
 
 
 class InstrumentError(NamedTuple):
@@ -285,6 +299,11 @@ class InstrumentError(NamedTuple):
         """Whether the instrument did not understand the command; otherwise it could not carry it out."""
         return -200 < self.code <= -100
 
+    @property
+    def tells_of_a_lack(self) -> bool:
+        """Whether the instrument does not have what the command is about."""
+        return self.is_command_error or self.code == _HARDWARE_MISSING
+
     def __str__(self) -> str:
         return f'{self.code} "{self.text}"'
 
@@ -292,15 +311,16 @@ class InstrumentError(NamedTuple):
 class ScpiLine(TextLine):
     """A line to an SCPI instrument. Opening asks ``*IDN?`` and ``SYST:ERR?``; it sets nothing.
 
-    ``has_error_queue`` is False for one that does not answer ``SYST:ERR?``: a refused setting then shows only when it
-    is read back.
+    Prompts, empty lines and echoes are no answers. ``has_error_queue`` is False for an instrument that does not answer
+    ``SYST:ERR?``: a refused setting then shows only when it is read back.
     """
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
+        self._latest_sent: deque[bytes] = deque(maxlen=2)
         super().__init__(
             port,
             identity_query="*IDN?",
-            is_identity=_is_identity,
+            is_identity=lambda text: _identity(text) is not None,
             identity_form="'maker, model, serial number, firmware', the four fields of IEEE 488.2,",
             clock=clock,
             wire_log=wire_log,
@@ -310,9 +330,10 @@ class ScpiLine(TextLine):
 
     @property
     def identity(self) -> tuple[str, str, str, str]:
-        """The four fields of ``*IDN?``: maker, model, serial number, firmware."""
-        maker, model, serial, firmware = (field.strip() for field in self.identity_text.split(","))
-        return maker, model, serial, firmware
+        """The fields of ``*IDN?``: maker, model, serial number, and all that follows as the firmware."""
+        found = _identity(self.identity_text)
+        assert found is not None
+        return found
 
     def query(self, query: str, *, deadline_s: float | None = None, tries: int = TRIES) -> str:
         """See `TextLine.query`. After a silence, also ask the error queue whether the query was refused."""
@@ -324,6 +345,21 @@ class ScpiLine(TextLine):
             if tries == 1:
                 raise
         return super().query(query, deadline_s=deadline_s, tries=tries - 1)
+
+    def query_if_known(self, query: str) -> str | None:
+        """Send a query that the instrument may lack; None when it refuses it, or says nothing twice."""
+        try:
+            return self.query(query, deadline_s=PROMPT_S, tries=2)
+        except (DeviceRefused, ReplyTimeout):
+            return None
+
+    def query_quantity(self, query: str, unit: str) -> Quantity:
+        """Send a query whose answer is one number, with or without its unit."""
+        text = self.query(query)
+        quantity = read_quantity(text, unit)
+        if quantity is None:
+            raise self.garbled_reply(f"{query} answered {text!r}, not a number in {unit}.", READABLE_REMEDY)
+        return quantity
 
     def command(self, command: str) -> list[InstrumentError]:
         """Send a command without reply, once; return the errors in the queue after it, oldest first."""
@@ -342,13 +378,36 @@ class ScpiLine(TextLine):
                 raise self.garbled_reply("the error queue never ends.")
         return found
 
+    def write(self, data: bytes) -> None:
+        """See `Link.write`."""
+        self._latest_sent.append(data.strip())
+        super().write(data)
+
+    def take_line(self) -> bytes | None:
+        """See `Link.take_line`. Some instruments end their lines with CR alone."""
+        line = super().take_line()
+        return self.take(len(self.unread)) if line is None and self.unread.endswith(b"\r") else line
+
+    def take_unsolicited(self, line: bytes) -> bool:
+        """See `Link.take_unsolicited`: a prompt, an empty line, or the echo of what was sent."""
+        text = _without_prompt(line)
+        return not text or text in self._latest_sent
+
+    def is_filler(self, data: bytes) -> bool:
+        """See `Link.is_filler`."""
+        return all(self.take_unsolicited(line) for line in data.splitlines())
+
     # ------------------------------------------------------------ inside
+
+    def _parse_reply(self, line: bytes) -> str:
+        # A Rigol DG1022 puts the channel before some answers, as in CH1:SIN.
+        return super()._parse_reply(_without_prompt(line)).removeprefix("CH1:")
 
     def _next_error(self) -> InstrumentError:
         text = super().query("SYST:ERR?")
         match = _ERROR.fullmatch(text)
         if match is None:
-            raise self.garbled_reply(f"SYST:ERR? answered {text!r}.")
+            raise self.garbled_reply(f"SYST:ERR? answered {text!r}.", READABLE_REMEDY)
         return InstrumentError(int(match[1]), match[2] or match[3] or "")
 
     def _find_error_queue(self) -> bool:
@@ -371,6 +430,18 @@ class ScpiLine(TextLine):
             )
 
 
-def _is_identity(text: str) -> bool:
-    fields = [field.strip() for field in text.split(",")]
-    return len(fields) == 4 and all(fields[:2])
+def _without_prompt(line: bytes) -> bytes:
+    prompt = _PROMPT.match(line)
+    return line[prompt.end() if prompt else 0 :].strip()
+
+
+def _identity(text: str) -> tuple[str, str, str, str] | None:
+    """Return maker, model, serial number and all that follows; None if the text is no identity.
+
+    IEEE 488.2 has four fields. A Siglent SDG800 or SDG1000 and a Rigol DG1022 have five, and Siglent repeats the query.
+    """
+    fields = [field.strip() for field in text.removeprefix("*IDN ").split(",")]
+    if len(fields) < 4 or not all(re.search("[A-Za-z]", field) for field in fields[:2]):
+        return None
+    maker, model, serial, *more = fields
+    return maker, model, serial, ",".join(filter(None, more))

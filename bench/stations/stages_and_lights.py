@@ -28,7 +28,7 @@ from bench.stations.station_fields import Port, Serial, Text, ToFillIn, not_zero
 from bench.stations.station_text import TextLightConfig, TextStageConfig
 from drivers.clock import Clock
 from drivers.light import Light, LightSettings
-from drivers.light.scpi import DialectName, Load
+from drivers.light.scpi_dialects import DialectName, Load
 from drivers.stage import Stage
 from drivers.wire_log import WireLog
 from sequences.schema import Angle, Axis

@@ -10,25 +10,24 @@ Source: Gardasoft, "RTxxx LED lighting controllers: User Manual", section 12 (co
 from __future__ import annotations
 
 import re
-from typing import Final, NamedTuple
+from typing import Final
 
 from drivers.clock import Clock
 from drivers.errors import LightFault, ReplyError, SettingRefused, WrongDevice
 from drivers.light import LightIdentity, LightSettings
 from drivers.light.watched import FULL_SCALE_V, WatchedLight, percent_faults, steady_settings
+from drivers.quantity import Quantity, read_quantity
 from drivers.serial_port import Port, closed_on_error
-from drivers.text_line import PROMPT_S, TextLine
+from drivers.text_line import PROMPT_S, READABLE_REMEDY, TextLine
 from drivers.wire_log import WireLog
 
 CONTINUOUS: Final = "0"
 PULSED: Final = "2"
-"""Modes of a channel."""
-_MODES = {CONTINUOUS, "1", PULSED}
-IDENTITY: Final = re.compile(r"(RT\S+) (.*?) ?(V\d+)")
-REFUSED: Final = re.compile(r"Err ?(\d{1,3})")
-_QUANTITY = re.compile(r"(\d{1,9}(?:\.(\d{1,9}))?) ?(us|ms|s|%)?", re.IGNORECASE)
-_FACTORS = {"us": 1e-3, "ms": 1.0, "s": 1e3, "%": 1.0, "": 1.0}
-"""Factors that convert times to milliseconds; levels are percent already."""
+"""Modes of a channel. In any further one (switched, selected) an input switches the light."""
+IDENTITY: Final = re.compile(r"((?:RT|TR|VTR)\S*\d\S*) ?(.*?) ?(V\d\S*)")
+REFUSED: Final = re.compile(r"Err ?(\d{1,3})", re.IGNORECASE)
+_EVENT = re.compile(rb"\s*(Evt\d{1,3},\d{1,4};?)\s*")
+_FIELD = re.compile(r"([A-Z]{1,2})(?:[ =]+(.*)|([\d+-].*))?")
 
 REFUSALS = {
     1: "a value is invalid",
@@ -40,25 +39,20 @@ REFUSALS = {
 """Meanings of the error numbers."""
 
 
-class Quantity(NamedTuple):
-    """A number as the controller prints it."""
-
-    value: float  # The number, in milliseconds or percent
-    half_digit: float  # Half of its last digit, in the same unit
-
-    def agrees_with(self, wanted: float) -> bool:
-        """Return whether a wanted value prints like this; the controller may round by 1 part in 100,000 more."""
-        return abs(self.value - wanted) <= self.half_digit * 1.001 + 1e-5 * abs(wanted)
-
-
 class RtLine(TextLine):
-    """A line to an RT controller. Every command has a reply, which is at least the prompt ``>``."""
+    """A line to an RT controller. Every command has a reply, which is at least the prompt ``>``.
+
+    Some models echo the command before the reply. Events come unasked once a program has enabled them.
+    """
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
+        self._asked = ""
+        self._events: list[str] = []
         super().__init__(
             port,
             identity_query="VR",
             is_identity=lambda text: IDENTITY.fullmatch(text) is not None,
+            identity_form="a model such as 'RT420F-20 (HW02) V031'",
             clock=clock,
             request_end=b"\r",
             reply_end=b">",
@@ -74,32 +68,63 @@ class RtLine(TextLine):
     def query_fields(self, query: str) -> dict[str, str]:
         """Ask for settings."""
         text = self.query(query)
-        pairs = [part.split(" ", 1) for part in text.split(", ")]
-        if not all(len(pair) == 2 and re.fullmatch("[A-Z]{1,2}", pair[0]) for pair in pairs):
-            raise self.garbled_reply(f"{query} answered {text!r}.")
-        return dict(pairs)
+        fields = [_FIELD.fullmatch(part.strip()) for part in text.split(",")]
+        if not all(fields):
+            raise self.garbled_reply(f"{query} answered {text!r}.", READABLE_REMEDY)
+        return {field[1]: (field[2] or field[3] or "").strip() for field in fields if field}
 
-    def parse_quantity(self, fields: dict[str, str], name: str) -> Quantity:
-        """Parse a field as a time, ms, or a brightness, percent; else raise `ReplyGarbled`."""
-        match = _QUANTITY.fullmatch(fields.get(name, "").split(",")[0])
-        if match is None:
-            raise self.garbled_reply(f"no quantity {name} in {fields}.")
-        factor = _FACTORS[(match[3] or "").lower()]
-        return Quantity(float(match[1]) * factor, 0.5 * 10.0 ** -len(match[2] or "") * factor)
+    def parse_percent(self, fields: dict[str, str]) -> Quantity:
+        """Parse the brightness, percent; else raise `ReplyGarbled`."""
+        return self._parsed(read_quantity(fields.get("S", ""), "%"), "S", fields)
+
+    def parse_time(self, fields: dict[str, str], name: str) -> Quantity:
+        """Parse a field as a time, ms; else raise `ReplyGarbled`."""
+        got = self._parsed(read_quantity(fields.get(name, ""), "s", bare_factor=1e-3), name, fields)
+        return Quantity(got.value * 1e3, got.half_digit * 1e3)
 
     def parse_mode(self, fields: dict[str, str]) -> str:
-        """Parse the number of a channel's mode: continuous, switched or pulsed; else raise `ReplyGarbled`."""
+        """Parse the number of a channel's mode; else raise `ReplyGarbled`."""
         mode = fields.get("MD", "")
-        if mode not in _MODES:
-            raise self.garbled_reply(f"no mode of a channel in {fields}.")
+        if not re.fullmatch(r"\d", mode):
+            raise self.garbled_reply(f"no mode of a channel in {fields}.", READABLE_REMEDY)
         return mode
 
+    def take_events(self) -> list[str]:
+        """Return the events since the last call."""
+        events, self._events = self._events, []
+        return list(dict.fromkeys(events))
+
+    def inspect_old(self, old: bytes) -> None:
+        """See `TextLine.inspect_old`."""
+        self._keep_events(old)
+
+    def is_filler(self, data: bytes) -> bool:
+        """See `Link.is_filler`: events are kept."""
+        return not self._keep_events(data).strip()
+
+    # ------------------------------------------------------------ inside
+
+    def _query_once(self, query: str, deadline_s: float | None = None) -> str:
+        self._asked = query
+        return super()._query_once(query, deadline_s)
+
     def _parse_reply(self, line: bytes) -> str:
-        """Return the text before the prompt; the reply to most commands has none."""
-        body = line.removesuffix(b">").strip(b"\r\n")
+        """Return the text before the prompt, without echo and events; the reply to most commands has none."""
+        body = re.sub(rb"[\r\n]+", b" ", self._keep_events(line.removesuffix(b">")))
         if not re.fullmatch(rb"[ -~]*", body):
             raise self.garbled_reply(f"not a reply: {line[:80]!r}.")
-        return body.decode("ascii").strip()
+        echo = r"\s*".join(map(re.escape, self._asked))
+        return re.sub(rf"^\s*{echo}", "", body.decode("ascii"), flags=re.IGNORECASE).strip(" ;")
+
+    def _keep_events(self, data: bytes) -> bytes:
+        """Keep the events in some bytes, and return the rest."""
+        self._events += [event.decode("ascii") for event in _EVENT.findall(data)]
+        return _EVENT.sub(b"", data)
+
+    def _parsed(self, quantity: Quantity | None, name: str, fields: dict[str, str]) -> Quantity:
+        if quantity is None:
+            raise self.garbled_reply(f"no quantity {name} in {fields}.", READABLE_REMEDY)
+        return quantity
 
 
 _DELAY_MS = 0.01
@@ -137,6 +162,7 @@ class GardasoftLight(WatchedLight):
         self._sync_percent = sync_percent
         super().__init__()
         self._steady_percent: float | None = None
+        self._messages_ended = False
         with closed_on_error(port):
             self._line = RtLine(port, clock=clock, wire_log=wire_log)
             self.identify()
@@ -153,27 +179,31 @@ class GardasoftLight(WatchedLight):
             )
         return LightIdentity("Gardasoft", match[1], "", match[3])
 
-    def apply(self, settings: LightSettings) -> LightSettings:
+    def _apply(self, settings: LightSettings) -> LightSettings:
         """See `Light.apply`. A dark light stays dark.
 
         The level of a steady light can be read back only while it is lit. In the dark it is checked later, by ``on``.
         """
         percent = round(self._full_percent * settings.high_v / FULL_SCALE_V, 1)
         self._check_possible(settings, percent)
+        self._end_messages()
         if settings.waveform == "steady":
             return self._apply_steady(percent)
         self._steady_percent = None
         period_ms = round(1e3 / settings.frequency_hz, 4)  # to the digits that are sent
         width_ms = round(period_ms * settings.duty_percent / 100.0, 4)
-        if self.is_on():
+        if self._agreed(self._trigger_runs, "the trigger's state") or self._lit_mode() == CONTINUOUS:
             self._set("frequency", f"TT1,{period_ms:.4f}")
         else:  # the trigger must run to accept a period: keep the lamp dark meanwhile
             self._set("level", f"RS{self._channel},0")
             self._set("frequency", f"TT1,{period_ms:.4f}")
             self._set("frequency", "TT0")
-        self._set("pulse", f"RT{self._channel},{width_ms:.4f},{_DELAY_MS},{percent:.1f}")
-        self._set_sync(settings.sync_output, width_ms)
-        self._check_settings(period_ms, width_ms, percent)
+        self._set_pulse("pulse", self._channel, width_ms, percent)
+        if self._sync_channel is not None and settings.sync_output:
+            self._set_pulse("sync", self._sync_channel, width_ms, self._sync_percent)
+        elif self._sync_channel is not None:
+            self._set("sync", f"RS{self._sync_channel},0")
+        self._check_settings(period_ms, width_ms, percent, sync=settings.sync_output)
         return self.read()
 
     def _switch_on(self) -> None:
@@ -198,17 +228,18 @@ class GardasoftLight(WatchedLight):
             self._line.command_urgent("TT0")
         except ReplyError:
             self._line.query("TT0")
-        if self._is_lit_steadily():
+        if self._lit_mode():
             self._set("level", f"RS{self._channel},0")
 
     def is_on(self) -> bool:
-        """See `Light.is_on`. Asks whether the internal trigger runs or the channel is lit steadily."""
-        return self._agreed(self._trigger_runs, "the trigger's state") or self._is_lit_steadily()
+        """See `Light.is_on`. Asks whether the internal trigger runs or the channel may be lit without it."""
+        return self._agreed(self._trigger_runs, "the trigger's state") or bool(self._lit_mode())
 
     def _reported_faults(self) -> list[str]:
-        """Return the controller's latest event, which this clears."""
-        event = self._line.query("GR")
-        return [f"the controller reports event {event} (see section 13.5 of its manual)"] if event else []
+        """Return the events since the last call, and the controller's latest one, which this clears."""
+        refused = self._line.query("GR")
+        events = [*self._line.take_events(), *filter(None, [refused])]
+        return [f"the controller reports event {event} (see section 13.5 of its manual)" for event in events]
 
     # ------------------------------------------------------------ inside
 
@@ -224,11 +255,19 @@ class GardasoftLight(WatchedLight):
                 remedy="Ask for a value within the controller's range, and the lamp's rating.",
             )
 
-    def _set_sync(self, wanted: bool, width_ms: float) -> None:
-        if self._sync_channel is None:
-            return
-        pulse = f"RT{self._sync_channel},{width_ms:.4f},{_DELAY_MS},{self._sync_percent:.1f}"
-        self._set("sync", pulse if wanted else f"RS{self._sync_channel},0")
+    def _set_pulse(self, name: str, channel: int, width_ms: float, percent: float) -> None:
+        """Set a channel to pulses; end the time in which another program lets it ignore triggers."""
+        pulse = f"RT{channel},{width_ms:.4f},{_DELAY_MS},{percent:.1f}"
+        self._set(name, pulse)
+        fields = self._line.query_fields(f"ST{channel}")
+        if "RT" in fields and self._line.parse_time(fields, "RT").value > 0:
+            self._set(name, f"{pulse},0")
+
+    def _end_messages(self) -> None:
+        """Switch off, once, that events come unasked: ``GR`` has none of those. A model may lack the command."""
+        if not self._messages_ended:
+            self._line.query("GT0")
+            self._messages_ended = True
 
     def _check_possible(self, settings: LightSettings, percent: float) -> None:
         """Raise SettingRefused for settings that no RT controller can make, before anything is sent."""
@@ -264,31 +303,39 @@ class GardasoftLight(WatchedLight):
         return steady_settings(FULL_SCALE_V * percent / self._full_percent)
 
     def _level(self) -> Quantity:
-        return self._line.parse_quantity(self._line.query_fields(f"ST{self._channel}"), "S")
+        return self._line.parse_percent(self._line.query_fields(f"ST{self._channel}"))
 
-    def _is_lit_steadily(self) -> bool:
-        """Whether the channel is lit without any trigger; read until two readings agree."""
+    def _lit_mode(self) -> str:
+        """Return the mode of a channel that may be lit without pulses; empty if it is dark. Two readings agree."""
 
-        def read() -> bool:
+        def read() -> str:
             channel = self._line.query_fields(f"ST{self._channel}")
-            return (
-                self._line.parse_mode(channel) == CONTINUOUS
-                and self._line.parse_quantity(channel, "S").value > 0
-            )
+            mode = self._line.parse_mode(channel)
+            return mode if mode != PULSED and self._line.parse_percent(channel).value > 0 else ""
 
         return self._agreed(read, "the channel's mode")
 
-    def _check_settings(self, period_ms: float, width_ms: float, percent: float) -> None:
-        general, channel = self._line.query_fields("ST0"), self._line.query_fields(f"ST{self._channel}")
-        pairs = {
-            "period": (period_ms, self._line.parse_quantity(general, "TP"), "ms"),
-            "pulse width": (width_ms, self._line.parse_quantity(channel, "PU"), "ms"),
-            "brightness": (percent, self._line.parse_quantity(channel, "S"), "%"),
-        }
+    def _check_settings(self, period_ms: float, width_ms: float, percent: float, *, sync: bool) -> None:
+        line = self._line
+        general = line.query_fields("ST0")
+        pairs = [("period", "ms", period_ms, line.parse_time(general, "TP"), 0.0)]
+        channels = {"": (self._channel, percent)}
+        if sync and self._sync_channel is not None:
+            channels["sync "] = self._sync_channel, self._sync_percent
+        for name, (channel, level) in channels.items():
+            fields = line.query_fields(f"ST{channel}")
+            pairs.append((f"{name}pulse width", "ms", width_ms, line.parse_time(fields, "PU"), 0.0))
+            pairs.append((f"{name}brightness", "%", level, line.parse_percent(fields), 0.0))
+            if "DL" in fields:
+                pairs.append((f"{name}delay", "ms", _DELAY_MS, line.parse_time(fields, "DL"), _DELAY_MS))
+            if "RT" in fields:  # it matters once it is as long as a period
+                retrigger = line.parse_time(fields, "RT")
+                pairs.append((f"{name}retrigger delay", "ms", 0.0, retrigger, 0.9 * period_ms))
         wrong = [
             f"{name}: asked {wanted:.4f} {unit}, got {got.value:.4f} {unit}"
-            for name, (wanted, got, unit) in pairs.items()
-            if not got.agrees_with(wanted)
+            for name, unit, wanted, got, tolerance in pairs
+            # the controller may round by 1 part in 100,000 more than it prints
+            if abs(got.value - wanted) > max(tolerance, got.half_digit * 1.001 + 1e-5 * abs(wanted))
         ]
         self._refuse_otherwise(wrong, "Ask for values within the controller's range and resolution.")
 
@@ -299,21 +346,21 @@ class GardasoftLight(WatchedLight):
         self._line.query_fields("ST0")
         mode = self._line.parse_mode(channel)
         if mode == CONTINUOUS and self._steady_percent is not None:
-            return self._steady(self._line.parse_quantity(channel, "S").value)
+            return self._steady(self._line.parse_percent(channel).value)
         if mode != PULSED:
             raise LightFault(
                 f"channel {self._channel} is not in pulse mode.",
                 where=self._line.name,
                 remedy="Apply the light's settings first.",
             )
-        period_ms = self._line.parse_quantity(general, "TP").value
+        period_ms = self._line.parse_time(general, "TP").value
         if period_ms <= 0:
             raise self._line.garbled_reply(f"the controller reports a period of {period_ms} ms.")
-        percent = self._line.parse_quantity(channel, "S").value
+        percent = self._line.parse_percent(channel).value
         return LightSettings(
             waveform="square",
             frequency_hz=1e3 / period_ms,
-            duty_percent=100.0 * self._line.parse_quantity(channel, "PU").value / period_ms,
+            duty_percent=100.0 * self._line.parse_time(channel, "PU").value / period_ms,
             low_v=0.0,
             high_v=FULL_SCALE_V * percent / self._full_percent,
             sync_output=bool(sync) and self._line.parse_mode(sync) == PULSED,

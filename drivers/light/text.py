@@ -59,7 +59,7 @@ class TextLight(WatchedLight):
         serial = self._line.read_serial(self._serial)
         return LightIdentity(line.maker, line.model, serial, str(self._line.identity.get("firmware", "")))
 
-    def apply(self, settings: LightSettings) -> LightSettings:
+    def _apply(self, settings: LightSettings) -> LightSettings:
         """See `Light.apply`. A dark light stays dark."""
         wanted = self._wanted(settings)
         for setting in self._description.settings:

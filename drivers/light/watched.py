@@ -10,10 +10,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import ClassVar, Final, TypeVar
 
-from drivers.errors import LightFault, SettingRefused
+from drivers.errors import LightFault, ReplyTimeout, SettingRefused
 from drivers.light import LightIdentity, LightSettings
 from drivers.link import Link, read_until_agreed
-from drivers.serial_port import OnOnePort
+from drivers.serial_port import OnOnePort, ReopeningPort
 
 FULL_SCALE_V: Final = 5.0
 """Value of ``high_v`` that stands for the full level of a light whose levels are percent, in volts."""
@@ -24,9 +24,10 @@ T = TypeVar("T")
 class WatchedLight(OnOnePort, ABC):
     """A light behind a controller. Implements ``drivers.light.Light``.
 
-    Opening checks who answers. It sets and switches nothing.
+    Opening checks who answers. It sets and switches nothing. All its requests may be sent twice.
     """
 
+    PORT = ReopeningPort
     OUTPUT: ClassVar[str] = "light"
     """What is switched, in messages."""
     LAMP: ClassVar[str] = "light"
@@ -40,6 +41,8 @@ class WatchedLight(OnOnePort, ABC):
 
     def __init__(self) -> None:
         self._switched_on = False
+        self._applied: LightSettings | None = None
+        self._connections_checked = 0
 
     # ------------------------------------------------------------ what a family implements
 
@@ -48,8 +51,8 @@ class WatchedLight(OnOnePort, ABC):
         """See `Light.identify`."""
 
     @abstractmethod
-    def apply(self, settings: LightSettings) -> LightSettings:
-        """See `Light.apply`."""
+    def _apply(self, settings: LightSettings) -> LightSettings:
+        """Send all settings and read them back; see `Light.apply`."""
 
     @abstractmethod
     def _read_once(self) -> LightSettings:
@@ -81,17 +84,51 @@ class WatchedLight(OnOnePort, ABC):
         """See `Light.read`. Reads until two readings agree."""
         return self._agreed(self._read_once, "the settings")
 
+    def apply(self, settings: LightSettings) -> LightSettings:
+        """See `Light.apply`."""
+        self._applied = None
+        self._applied = self._apply(settings)
+        return self._applied
+
     def on(self) -> None:
-        """See `Light.on`."""
+        """See `Light.on`. Switches off again what does not have the settings that were applied."""
         self._switch_on()
         if not self.is_on():
             reads, remedy = self._stays_dark()
             raise LightFault(reads, where=self._line.name, remedy=remedy)
+        if others := self._other_settings():
+            self.off()
+            raise LightFault(
+                f"{others}. The {self.OUTPUT} was switched off again.",
+                where=self._line.name,
+                remedy="Check its supply, and that nobody operates it by hand; then begin again.",
+            )
         self._switched_on = True
 
     def off(self) -> None:
         """See `Light.off`. An error means that the state is unknown."""
         self._switched_on = False
+        try:
+            self._make_dark()
+        except ReplyTimeout:  # a network may forget a connection without closing it
+            if not self._line.connect_again():
+                raise
+            self._make_dark()
+
+    def faults(self) -> Sequence[str]:
+        """See `Light.faults`. Returns what the controller reports, and an unexpected darkness."""
+        found = self._reported_faults()
+        if self._switched_on and not self.is_on():
+            found.append(f"the {self.LAMP} was switched on, but is off")
+        elif self._switched_on and self._line.connections != self._connections_checked:
+            found += filter(None, [self._other_settings()])
+        return found
+
+    def close(self) -> None:
+        """See `Light.close`."""
+        self._line.close()
+
+    def _make_dark(self) -> None:
         self._switch_off()
         if self.is_on() and not (self._insist_off() and not self.is_on()):
             reads, remedy = self.STAYS_LIT
@@ -99,16 +136,18 @@ class WatchedLight(OnOnePort, ABC):
                 f"the {self.OUTPUT} was switched off, but {reads}.", where=self._line.name, remedy=remedy
             )
 
-    def faults(self) -> Sequence[str]:
-        """See `Light.faults`. Returns what the controller reports, and an unexpected darkness."""
-        found = self._reported_faults()
-        if self._switched_on and not self.is_on():
-            found.append(f"the {self.LAMP} was switched on, but is off")
-        return found
-
-    def close(self) -> None:
-        """See `Light.close`."""
-        self._line.close()
+    def _other_settings(self) -> str:
+        """Say that the light has other settings than those that were applied, as after a restart; empty if not."""
+        self._connections_checked = self._line.connections
+        if self._applied is None or self._applied.waveform == "steady":
+            return ""
+        got = self.read()
+        if got == self._applied:
+            return ""
+        return (
+            f"the {self.LAMP} no longer has the settings that were applied ({self._applied}, now {got}): it has"
+            " restarted, or somebody has changed them"
+        )
 
     def _stays_dark(self) -> tuple[str, str]:
         reads, remedy = self.STAYS_DARK

@@ -5,7 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from drivers.light.scpi import DIALECTS, DialectName, ScpiLight
+from drivers.light.scpi import ScpiLight
+from drivers.light.scpi_dialects import DIALECTS, DialectName
 from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.lights.siglent import SiglentGenerator
 from simulators.world.world import LightState
@@ -38,7 +39,8 @@ class Bench:
 
     def settings_sent(self) -> list[str]:
         """Commands that it was sent, those aside that end what somebody may have left on."""
-        ended = {command for _, command in DIALECTS[self.dialect].reset_modes()}
+        modes = DIALECTS[self.dialect].modes()
+        ended = {f"{mode.header} {word}" for mode in modes for word in mode.words}
         return [command for command in self.commands() if command not in ended]
 
     def lit(self) -> bool:
