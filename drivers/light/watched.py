@@ -86,12 +86,12 @@ class WatchedLight(OnOnePort, ABC):
 
     def apply(self, settings: LightSettings) -> LightSettings:
         """See `Light.apply`."""
-        self._applied = None
+        self._applied, self._connections_checked = None, self._line.connections
         self._applied = self._apply(settings)
         return self._applied
 
     def on(self) -> None:
-        """See `Light.on`. Switches off again what does not have the settings that were applied."""
+        """See `Light.on`. A light that restarted meanwhile is switched off again."""
         self._switch_on()
         if not self.is_on():
             reads, remedy = self._stays_dark()
@@ -120,7 +120,7 @@ class WatchedLight(OnOnePort, ABC):
         found = self._reported_faults()
         if self._switched_on and not self.is_on():
             found.append(f"the {self.LAMP} was switched on, but is off")
-        elif self._switched_on and self._line.connections != self._connections_checked:
+        elif self._switched_on:
             found += filter(None, [self._other_settings()])
         return found
 
@@ -137,7 +137,9 @@ class WatchedLight(OnOnePort, ABC):
             )
 
     def _other_settings(self) -> str:
-        """Say that the light has other settings than those that were applied, as after a restart; empty if not."""
+        """Say, after its line was opened again, that the light has other settings than were applied; empty if not."""
+        if self._line.connections == self._connections_checked:
+            return ""
         self._connections_checked = self._line.connections
         if self._applied is None or self._applied.waveform == "steady":
             return ""
