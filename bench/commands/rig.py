@@ -136,6 +136,11 @@ def _lines(found: RigFound) -> Iterator[str]:
         yield f"Left out: {reason}"
     seen = [(rig.views, "poses behind the collimator"), (rig.boards, "boards")]
     by = " and ".join(f"{len(names)} {what}" for names, what in seen if names)
+    if rig.half_turned:
+        yield (
+            f"The board looks the same after half a turn: the second camera had numbered {len(rig.half_turned)} of"
+            f" {len(rig.boards)} boards from the other end. They were numbered anew."
+        )
     yield f"Second camera <- first camera, by {by} that both cameras saw:"
     for axis, angle, sigma in zip("xyz", rig.vector_deg, rig.sigma_arcsec, strict=True):
         text, expanded = with_uncertainty(3600.0 * float(angle), 2.0 * float(sigma))

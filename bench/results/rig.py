@@ -74,7 +74,7 @@ def find_rig(paths: Pair, boards: Pair, cameras: Sequence[CameraFile], choices: 
     require_common_views(boards[0], boards[1], choices)
     start = _by_views(paths, replace(choices, board=None, model=None), cameras)
     seen, skipped = _board_views(boards, [choices, choices])
-    return RigFound(with_boards(start.rig, *seen), (*start.skipped, *skipped))
+    return RigFound(with_boards(start.rig, seen[0], seen[1], choices.board), (*start.skipped, *skipped))
 
 
 def _by_views(paths: Pair, choices: OfflineOptions, cameras: Sequence[CameraFile] = ()) -> RigFound:
@@ -92,7 +92,9 @@ def _by_views(paths: Pair, choices: OfflineOptions, cameras: Sequence[CameraFile
     first, second = (result.calibration for result in results)
     if all(result.board for result in results):
         start = stated_cameras(first.camera, second.camera)
-        return RigFound(with_boards(start, results[0].views, results[1].views, free=True), skipped)
+        return RigFound(
+            with_boards(start, results[0].views, results[1].views, results[0].board, free=True), skipped
+        )
     known = [(one.camera, one.covariance) for one in cameras] or (None, None)
     return RigFound(through_collimator(first, second, known), skipped)
 
@@ -102,7 +104,7 @@ def _by_cameras(paths: Pair, stated: Sequence[CameraFile], choices: OfflineOptio
     require_common_views(paths[0], paths[1], choices)
     seen, skipped = _board_views(paths, [_sized(choices, one) for one in stated])
     start = stated_cameras(stated[0].camera, stated[1].camera, [one.covariance for one in stated])
-    return RigFound(with_boards(start, *seen), tuple(skipped))
+    return RigFound(with_boards(start, seen[0], seen[1], choices.board), tuple(skipped))
 
 
 def _sized(choices: OfflineOptions, stated: CameraFile) -> OfflineOptions:

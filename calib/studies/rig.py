@@ -65,6 +65,7 @@ class Rig:
     residuals_arcsec: Array | None = None
     boards: tuple[str, ...] = ()
     boards_rms_px: Array | None = None  # (m, 2) of each board in the two images
+    half_turned: tuple[str, ...] = ()  # Symmetric boards that the second camera numbered from the other end
     chi_square: float = 0.0  # Large if the rig flexed, or the cameras did not record at the same time
     degrees_of_freedom: int = 0
 
@@ -128,6 +129,7 @@ class Rig:
             "disagreement_arcsec": [] if self.residuals_arcsec is None else self.residuals_arcsec.tolist(),
             "boards": list(self.boards),
             "boards_rms_px": [] if self.boards_rms_px is None else self.boards_rms_px.tolist(),
+            "half_turned": list(self.half_turned),
             "chi_square": self.chi_square,
             "degrees_of_freedom": self.degrees_of_freedom,
             "rigid": self.rigid,

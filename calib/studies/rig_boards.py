@@ -3,7 +3,8 @@
 Each camera has a bundle of the boards with free centres (`calib.adjustment.bundle`). The pose of a board before the
 second camera follows from that before the first one and from the rig, so the equations of the second bundle are mapped
 to these. The noise of the points is scaled by what each camera alone leaves, so that points without a stated
-uncertainty are weighed rightly.
+uncertainty are weighed rightly. A board that looks the same after half a turn is numbered from either end: the poses of
+all boards together tell which end of the second camera's boards is that of the first.
 """
 
 from __future__ import annotations
@@ -19,7 +20,8 @@ from calib.adjustment.initialization import pose_start
 from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
-from calib.arrays import Array, rms_length
+from calib.arrays import Array, Bools, rms_length
+from calib.boards.board import Board
 from calib.compiled import on_one_thread
 from calib.errors import DegenerateViews, InputMismatch, NotConverged
 from calib.model.camera import CameraModel, require_image_size
@@ -30,6 +32,8 @@ from calib.view import View
 
 _MIN_POINTS = 6
 _NOISE_ROUNDS = 3
+#: Another numbering of a board must agree with the other boards so many times better.
+_DECIDES = 3.0
 #: A pose contradicts the rig if both cameras together fit it so many times worse than each alone.
 _CONTRADICTS = 5.0
 
@@ -130,10 +134,18 @@ class _Boards:
 
 
 @on_one_thread
-def with_boards(start: Rig, first: Sequence[View], second: Sequence[View], *, free: bool = False) -> Rig:
+def with_boards(
+    start: Rig,
+    first: Sequence[View],
+    second: Sequence[View],
+    board: Board | None = None,
+    *,
+    free: bool = False,
+) -> Rig:
     """Adjust the rig to boards that both cameras saw at once; if ``free``, intrinsics are only a start.
 
-    ``start`` is what is known of the cameras, and of the rotation if it has poses behind a collimator.
+    ``start`` is what is known of the cameras, and of the rotation if it has poses behind a collimator. If ``board`` is
+    symmetric, the second camera may have numbered it from its other end.
     Raises DegenerateViews: If no board was seen by both, a view has too few points, or the boards do not determine the
       rig.
     Raises InputMismatch: If image sizes differ, or a board was not seen at the same time by both.
@@ -146,6 +158,12 @@ def with_boards(start: Rig, first: Sequence[View], second: Sequence[View], *, fr
     names = common_names(*(list(one) for one in by_name))
     seen = [[one[name] for name in names] for one in by_name]
     known = len(start.covariance) > sum(len(camera.values) for camera in cameras)
+    turned = np.zeros(len(names), bool)
+    if board is not None and board.symmetric:
+        turned = _numbered_from_the_other_end(cameras, seen, start.rotation if known else None)
+        seen[1] = [
+            _half_turned(view, board) if end else view for view, end in zip(seen[1], turned, strict=True)
+        ]
     information = linalg.block_diag(
         np.linalg.inv(start.covariance) if not free else np.zeros_like(start.covariance),
         np.zeros((3 if known else 6,) * 2),
@@ -177,7 +195,37 @@ def with_boards(start: Rig, first: Sequence[View], second: Sequence[View], *, fr
         covariance=covariance,
         boards=names,
         boards_rms_px=_rms_px(bundles, (state.first, state.second)),
+        half_turned=tuple(name for name, end in zip(names, turned, strict=True) if end),
     )
+
+
+def _numbered_from_the_other_end(
+    cameras: Sequence[CameraModel], seen: Sequence[Sequence[View]], rotation: Array | None
+) -> Bools:
+    """Tell for (m,) boards whether the second camera numbered them from the other end than the first.
+
+    On one rig all boards give one rotation between the cameras, which ``rotation`` is if it is known. The numbering as
+    it is stays unless another one is decidedly better: boards that are all parallel decide nothing.
+    """
+    first, second = (_alone(*pair)[1].rotations for pair in zip(cameras, seen, strict=True))
+    back = np.swapaxes(first, 1, 2)
+    pairs = np.array(
+        [second @ back, second @ np.diag([-1.0, -1.0, 1.0]) @ back]
+    )  # as numbered, and half turned
+    rigs = pairs if rotation is None else np.broadcast_to(rotation, (1, 1, 3, 3))
+    cosines = (np.einsum("rkab,eiab->rkei", rigs, pairs) - 1.0) / 2.0
+    angles = np.arccos(np.clip(cosines, -1.0, 1.0))  # (rig, its board, end, board)
+    spread = np.median(angles.min(axis=2), axis=2)
+    best = spread.argmin(axis=1)
+    end = 1 if len(rigs) > 1 and _DECIDES * spread[1, best[1]] < spread[0, best[0]] else 0
+    as_numbered, turned = angles[end, best[end]]
+    return np.asarray(_DECIDES * turned < as_numbered, bool)
+
+
+def _half_turned(view: View, board: Board) -> View:
+    """Return a view of a board that is numbered from the other end."""
+    last = board.points_mm[-1] + board.points_mm[0]
+    return replace(view, ids=len(board.nodes) - 1 - view.ids, target_mm=last - view.target_mm)
 
 
 def _require_one_time(names: Sequence[str], together: Array, apart: Array) -> None:

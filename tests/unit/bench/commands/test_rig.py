@@ -192,6 +192,39 @@ def test_a_file_without_a_rig_is_refused(capsys, drawn, tmp_path, content, told)
     assert "Known are rig.json" in message
 
 
+def test_boards_that_the_second_camera_saw_upside_down_are_numbered_anew_and_it_says_so(
+    capsys, drawn, tmp_path
+):
+    rig, folder = drawn
+    for file in sorted((folder / "right").iterdir()):
+        x, y, across, down, number = np.loadtxt(file, delimiter=",").T
+        rows = np.column_stack([1280 - x, 720 - y, 200.0 - across, 120.0 - down, 76 - number])
+        np.savetxt(tmp_path / file.name, rows, delimiter=",")
+    told = json.loads(out_of(capsys, "rig", folder / "left", tmp_path, *BOARD, "--json"))
+    assert len(told["half_turned"]) == 10
+    half = np.diag([-1.0, -1.0, 1.0])
+    off = 206265 * log_map(np.array(told["rotation"]) @ (half @ rig.rotation).T)
+    assert (np.abs(off) < 4.0 * np.array(told["sigma_arcsec"])).all()
+    assert (
+        np.abs(np.array(told["translation"]) - half @ rig.translation) < 4.0 * np.array(told["sigma_mm"])
+    ).all()
+    shown = out_of(capsys, "rig", folder / "left", tmp_path, *BOARD)
+    assert "10 of 10 boards from the other end" in shown
+
+
+def test_the_intrinsics_of_one_chain_are_named(capsys, drawn, tmp_path):
+    _, folder = drawn
+    words = ("rig", folder / "left", folder / "right", *BOARD)
+    out_of(capsys, *words, "-o", tmp_path / "rig")
+    chain = tmp_path / "rig" / "kalibr_camchain.yaml"
+    given = ("--calibration", chain, chain, "--camera", "cam0", "cam1", "--json")
+    told = json.loads(out_of(capsys, *words, *given))
+    stated = yaml.safe_load(chain.read_text())
+    assert [one["fx"] for one in told["cameras"]] == pytest.approx(
+        [stated[name]["intrinsics"][0] for name in ("cam0", "cam1")], abs=1e-3
+    )
+
+
 @pytest.mark.parametrize(
     ("words", "told", "status"),
     [

@@ -5,8 +5,10 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from drawn_rig import BOARD, SIGMA, SIZES, Drawn
+from drawn_rig import BOARD as CORNERS
+from drawn_rig import SIGMA, SIZES, Drawn
 
+from calib.boards.board import Board
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.rotation import exp_map, log_map
@@ -114,7 +116,7 @@ def test_intrinsics_may_be_adjusted_with_the_rig():
 def test_with_held_intrinsics_it_is_what_opencv_finds():
     drawn = Drawn(3)
     rig = with_boards(stated_cameras(*drawn.cameras), *drawn.views)
-    board = np.column_stack([BOARD, np.zeros(len(BOARD))]).astype(np.float32)
+    board = np.column_stack([CORNERS, np.zeros(len(CORNERS))]).astype(np.float32)
     matrices = [(c.matrix, np.array([*c.distortion.values(), 0, 0])) for c in drawn.cameras]
     images = [[view.points_px.astype(np.float32) for view in views] for views in drawn.views]
     found = cv2.stereoCalibrate(
@@ -164,3 +166,29 @@ def test_boards_that_only_one_camera_saw_are_refused():
     first, second = Drawn(1).views
     with pytest.raises(DegenerateViews, match="share no pose"):
         with_boards(stated_cameras(*Drawn(1).cameras), first[:4], second[4:])
+
+
+def from_the_other_end(view):
+    """Return a view of drawn boards, numbered from the other end."""
+    return replace(view, ids=len(CORNERS) - 1 - view.ids, target_mm=CORNERS[-1] - view.target_mm)
+
+
+@pytest.mark.parametrize("ends", [(1,) * 8, (0, 1, 1, 0, 0, 1, 0, 0), (1, 1, 0, 1, 1, 0, 1, 1)])
+def test_boards_that_one_camera_numbered_from_the_other_end_give_the_same_rig(ends):
+    drawn, board = Drawn(4), Board("checkerboard", 11, 7, 20.0)
+    first, second = drawn.views
+    turned = [from_the_other_end(view) if end else view for view, end in zip(second, ends, strict=True)]
+    right = with_boards(stated_cameras(*drawn.cameras), first, second)
+    found = with_boards(stated_cameras(*drawn.cameras), first, turned, board)
+    assert found.half_turned == tuple(view.name for view, end in zip(second, ends, strict=True) if end)
+    assert found.rotation == pytest.approx(right.rotation, abs=1e-9)
+    assert found.translation_mm == pytest.approx(right.translation_mm, abs=1e-6)
+    with pytest.raises(InputMismatch):
+        with_boards(stated_cameras(*drawn.cameras), first, turned, Board("checkerboard", 11, 8, 20.0))
+
+
+def test_boards_that_are_numbered_alike_stay_so():
+    drawn = Drawn(5)
+    rig = with_boards(stated_cameras(*drawn.cameras), *drawn.views, Board("checkerboard", 11, 7, 20.0))
+    assert rig.half_turned == ()
+    assert np.linalg.norm(drawn.off(rig)[3:]) < 0.5
