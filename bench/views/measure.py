@@ -31,15 +31,14 @@ from calib.events.event_image import (
     MOVING_PX,
     ChosenImage,
     EventImages,
-    SliceFacts,
     half_windows,
     make_images,
-    motion_between,
 )
 from calib.events.flicker import Flicker, flicker_from_events, flicker_from_triggers
 from calib.events.grey_image import to_uint8
 from calib.model.homography import fit_homography
-from calib.stars.detect import detect_stars, detect_view
+from calib.stars.detect import detect_stars
+from calib.stars.motion import shift_between_halves
 from calib.stars.rim import downweight_vignetted, find_rim
 from calib.target import StarTarget
 from calib.view import View
@@ -101,7 +100,7 @@ def whole_image(
     images = make_images(*events, size, flicker, window_us=span_us, periods=periods)
     chosen = _choose(images, image, one_phase=one_phase)
     facts.update(_image_facts(images, chosen, origin_us))
-    halves = partial(_half_images, events, size, flicker, images.facts, chosen.name)
+    halves = partial(_half_images, events, size, flicker, images, chosen.name)
     return WholeImage(chosen.image, halves)
 
 
@@ -133,11 +132,11 @@ def _band_hz(frequency_hz: float) -> tuple[float, float]:
 
 
 def _half_images(
-    events: Events, size: tuple[int, int], flicker: Flicker, whole: SliceFacts, kind: str
+    events: Events, size: tuple[int, int], flicker: Flicker, whole: EventImages, kind: str
 ) -> Iterator[NDArray[np.float32]]:
     """Yield images of the first and the second half. Raises TooFewEvents if there are too few."""
-    for half in half_windows(whole):
-        yield make_images(*events, size, flicker, window_us=half).named(kind)
+    for half in half_windows(whole.facts):
+        yield make_images(*events, size, flicker, window_us=half, hot=whole.hot).named(kind)
 
 
 def _flicker(
@@ -329,10 +328,9 @@ def measure(
             found = find_stars(whole.image, target, name, expected_grid, facts, edge_width=motion)
         except TargetNotFound as error:
             raise without_light(error, facts, whole.image.size) from error
-        view = downweight_vignetted(found, target)
         if motion:
-            facts["motion_px"] = motion_px(whole.halves(), target, facts)
-        return view
+            facts["motion_px"] = motion_px(whole.halves(), found, target)
+        return downweight_vignetted(found, target)
 
     return measurement_of(find)
 
@@ -398,13 +396,12 @@ def edge_angle_deg(grid: NDArray[np.float64]) -> float:
     return round(float(abs((direction + 22.5) % 45.0 - 22.5)), 6)
 
 
-def motion_px(halves: Iterable[NDArray[Any]], target: StarTarget, facts: MeasuredFacts) -> float | None:
-    """Return how far the stars moved between the halves of a recording, (H, W) each, px; None if not shown."""
-    grid = np.array(facts["grid"])
+def motion_px(halves: Iterable[NDArray[Any]], view: View, target: StarTarget) -> float | None:
+    """Return how far a view's stars moved between the halves of its recording, (H, W) each, px; None if not shown."""
     try:
-        first, second = (detect_view(half, target, name="half", expected=grid) for half in halves)
-        return float(np.hypot(*motion_between(first, second)))
-    except (TooFewEvents, TooFewStars, TargetNotFound):
+        first, second = halves
+        return float(np.hypot(*shift_between_halves(first, second, view, target)))
+    except (TooFewEvents, TooFewStars):
         return None
 
 
@@ -428,9 +425,9 @@ def measure_frames(
 
     def find(seen: Observed) -> View:
         mean, halves = mean_frames(path, seen)
-        view = downweight_vignetted(find_stars(mean, target, name, expected_grid, seen.facts), target)
-        seen.facts["motion_px"] = motion_px(halves, target, seen.facts) if halves else None
-        return view
+        view = find_stars(mean, target, name, expected_grid, seen.facts)
+        seen.facts["motion_px"] = motion_px(halves, view, target) if halves else None
+        return downweight_vignetted(view, target)
 
     return measurement_of(find)
 

@@ -93,12 +93,18 @@ class EventImages:
     # bool, pixels that fire far more often than their surroundings. `best` and most images of `named` replace
     # them by the median of their surroundings.
     hot: Bools
-    facts: SliceFacts
+    window: tuple[float, float, int]  # Start and end, us, and number of periods
+    on_window: BurstWindow
+
+    @cached_property
+    def facts(self) -> SliceFacts:
+        """Properties of the slice."""
+        return _facts(self.sums, self.hot, self.window, self.on_window)
 
     @cached_property
     def fired_per_edge(self) -> Array32:
         """(H, W) float32, 0 to 1, share of the edges on which the pixel fired; hot pixels are replaced."""
-        edges = 2.0 * self.facts.periods
+        edges = 2.0 * self.window[2]
         share = (self.sums.on_fired.astype(np.float32) + self.sums.off_fired) / np.float32(edges)
         return without_hot_pixels(share, self.hot)
 
@@ -140,7 +146,7 @@ class EventImages:
         return makers[name]()
 
     def _inverted_latency(self) -> Array32:
-        length, latency_us = np.float32(self.facts.on_window.length_us), self.sums.mean_latency_us()
+        length, latency_us = np.float32(self.on_window.length_us), self.sums.mean_latency_us()
         return np.where(np.isnan(latency_us), np.float32(0), 1.0 - latency_us / length)
 
 
@@ -154,6 +160,7 @@ def make_images(
     *,
     window_us: tuple[float, float] | None = None,
     periods: int | None = None,
+    hot: Bools | None = None,
 ) -> EventImages:
     """Make the images of the events of whole flicker periods.
 
@@ -177,6 +184,8 @@ def make_images(
         recording if few events come between the bursts.
     periods
         Number of periods to use; by default as many whole periods as the window holds.
+    hot
+        (H, W) bool, pixels known to be hot; by default those that these events show.
 
     Returns
     -------
@@ -207,13 +216,12 @@ def make_images(
     inside = slice(first, last)
     events = t[inside], x[inside], y[inside], p[inside]
     sums, on_window = accumulate(events, size, start, flicker.period_us)
-    hot = hot_pixels(sums.on_count, sums.off_count, 4 + 4 * whole)
-    facts = _facts(sums, hot, (start, end, whole), last - first, on_window)
-    return EventImages(sums, hot, facts)
+    hot = hot_pixels(sums.on_count, sums.off_count, 4 + 4 * whole) if hot is None else hot
+    return EventImages(sums, hot, (start, end, whole), on_window)
 
 
 def _facts(
-    sums: PixelSums, hot: Bools, window: tuple[float, float, int], events: int, on_window: BurstWindow
+    sums: PixelSums, hot: Bools, window: tuple[float, float, int], on_window: BurstWindow
 ) -> SliceFacts:
     """Collect the facts of the slice; ``window`` is its start and end, us, and number of periods."""
     start, end, periods = window
@@ -222,13 +230,14 @@ def _facts(
     latency_us, number = sums.mean_latency_us()[lit], int(np.count_nonzero(lit))
     counts = (int(count[lit].sum()) for count in (sums.on_count, sums.off_count))
     on, off = (float(count) / number / periods if number else 0.0 for count in counts)
+    on_events = int(sums.on_count.sum())
     rows = np.flatnonzero(lit.any(axis=1))
     silent = (sums.on_count == 0).all(axis=1) & (sums.off_count == 0).all(axis=1)
     return SliceFacts(
         start_us=start,
         end_us=end,
         periods=periods,
-        on_share=float(sums.on_count.sum()) / events,
+        on_share=on_events / (on_events + int(sums.off_count.sum())),
         lit_pixels=number,
         events_per_edge=(on + off) / 2.0,
         events_per_edge_on=on,
