@@ -99,8 +99,9 @@ class ReadingChoices:
     def chosen(self, streams: Iterable[str]) -> str:
         """Return the stream to read. Raises NotARecording if it is not there, or none of several is named."""
         names = sorted(streams)
-        if self.stream in names:
-            return self.stream
+        for name in names:
+            if self.stream is not None and self.stream.strip("/") == name.strip("/"):
+                return name
         if self.stream is None and len(names) == 1:
             return names[0]
         held = f"{len(names)} streams of events" if len(names) != 1 else "one stream of events"

@@ -16,12 +16,12 @@ from typing import Final
 
 import h5py
 
-from drivers.camera.event_arrays import Events, EventSource, ReadingChoices
+from drivers.camera.event_arrays import Events, EventSource, ReadingChoices, source_of_stream
 from drivers.camera.formats import prophesee_words
 from drivers.camera.formats.hdf5_events import opened_hdf5
 from drivers.camera.formats.library_process import source_of_library
 from drivers.camera.formats.library_reader import AEDAT4_MAGIC, is_bag
-from drivers.camera.raw_file import unreadable
+from drivers.camera.raw_file import RawFile, unreadable
 from drivers.camera.raw_header import parse_header
 from drivers.camera.raw_writer import read_start, require_whole
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
@@ -74,6 +74,10 @@ def _source(path: Path, choices: ReadingChoices, opened: ExitStack) -> EventSour
     if prophesee_words.is_dat(start):
         return prophesee_words.from_dat(path, start, choices)
     header = parse_header(start, where=str(path), sensor_size=choices.sensor_size, evt3_only=False)
+    if header.encoding == "EVT3":
+        recording = RawFile(path, header)
+        size = header.width, header.height
+        return source_of_stream(recording.pieces, size, header.fields, truncated=recording.truncated)
     return prophesee_words.from_evt2(path, header)
 
 

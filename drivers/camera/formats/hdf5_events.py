@@ -1,10 +1,12 @@
 """Find the events in an HDF5 file, whoever wrote it, and read them piece by piece.
 
 - Metavision: ``/CD/events`` (x, y, p, t), ``/EXT_TRIGGER/events`` (p, t, id), the header's keys as attributes.
-- Columns of one length in a group: ``t, x, y, p``, or ``ts, xs, ys, ps`` with times in s. Our own plain layout, DSEC,
-  e2calib and M3ED are such; ``triggers/t, value, id``, ``width`` and ``height`` (attributes), ``calib/resolution`` and
-  ``t_offset`` (us) beside them are read if they are there.
-- A table ``events`` of N x 4: of whole numbers t, x, y, p (v2e), of others x, y, t (s), p (MVSEC).
+- Columns of one length in a group: ``t, x, y, p``, or ``ts, xs, ys, ps``. Our own plain layout, DSEC, e2calib and M3ED
+  are such; ``triggers/t, value, id``, ``width`` and ``height`` (attributes), ``calib/resolution`` and ``t_offset`` (us)
+  beside them are read if they are there.
+- A table ``events`` of N x 4: of whole numbers t, x, y, p (v2e), of others x, y, t, p (MVSEC).
+
+Times with fractions are in s, all others in us.
 
 Sources: Prophesee, "HDF5 Event File Format", https://docs.prophesee.ai/stable/data/file_formats/hdf5.html; DSEC,
 https://dsec.ifi.uzh.ch/data-format; M3ED, https://m3ed.io/data_overview; MVSEC, https://daniilidis-group.github.io/mvsec.
@@ -61,7 +63,13 @@ CD_TYPE: Final = np.dtype(
 )
 PIECE_EVENTS: Final = 500_000
 _CD: Final = "CD/events"
-_COLUMNS: Final = (("t", "x", "y", "p"), ("ts", "xs", "ys", "ps"))
+_COLUMNS: Final = (
+    ("t", "ts", "timestamp", "timestamps"),
+    ("x", "xs"),
+    ("y", "ys"),
+    ("p", "ps", "polarity", "polarities"),
+)
+"""Names of the columns t, x, y and p."""
 _MOST_GROUPS: Final = 1000
 _MOST_MEMBERS: Final = 10_000
 _ELSEWHERE: Final = "a link to another place; only data in the file itself are read"
@@ -88,8 +96,13 @@ def opened_hdf5(file: Any, choices: ReadingChoices, *, by_library: bool = False)
 
     def pieces() -> Iterator[Events]:
         even = [even_pieces(read(array), PIECE_EVENTS) for array in arrays.values()]
+        unit_us = 0.0
         for one in zip(*even, strict=True):
-            yield _events([part for (part,) in one], in_seconds=next(iter(arrays)).endswith("ts"))
+            columns = _columns([part for (part,) in one])
+            unit_us = unit_us or _unit_us(columns[0])
+            yield as_events(
+                *(_whole_of(values, unit) for values, unit in zip(columns, (unit_us, 1, 1, 1), strict=True))
+            )
 
     header = (
         texts(file) if name == _CD else texts(member(file, "header")) if has_member(file, "header") else {}
@@ -109,7 +122,7 @@ def _streams(file: Any) -> list[str]:
     waiting = [("", file)]
     for name, group in waiting:
         members = {key: group.get(key, getlink=True) for key in islice(group, _MOST_MEMBERS)}
-        missing = min(len(set(columns) - members.keys()) for columns in _COLUMNS)
+        missing = sum(not any(name in members for name in names) for names in _COLUMNS)
         if missing <= 1:
             (incomplete if missing else found).append(name)
         for key, link in members.items():
@@ -133,8 +146,8 @@ def _arrays(file: Any, name: str) -> dict[str, Any]:
     found = member(file, name) if name else file
     if name == _CD or isinstance(found, h5py.Dataset):
         return {name: dataset(file, name)}
-    plain, in_seconds = _COLUMNS
-    paths = [f"{name}/{one}".lstrip("/") for one in (in_seconds if has_member(found, "ts") else plain)]
+    own = [next((one for one in names if has_member(found, one)), names[0]) for names in _COLUMNS]
+    paths = [f"{name}/{one}".lstrip("/") for one in own]
     return {path: dataset(file, path) for path in paths}
 
 
@@ -145,18 +158,15 @@ def _length(array: Any, path: str) -> int:
     return int(array.shape[0])
 
 
-def _events(parts: list[NDArray[Any]], *, in_seconds: bool) -> Events:
-    """Return the events of rows of a table, or of columns t, x, y, p."""
+def _columns(parts: list[NDArray[Any]]) -> list[NDArray[Any]]:
+    """Return t, x, y and p of rows of a table, or of columns."""
     table = parts[0]
     if len(parts) == 1 and table.ndim == 1:
-        return as_events(*(_column(table, name, "events") for name in Events._fields))
-    if table.ndim > 1:
-        in_seconds = table.dtype.kind == "f"
-        parts = [np.ascontiguousarray(table[:, k]) for k in ((2, 0, 1, 3) if in_seconds else (0, 1, 2, 3))]
-    t, *others = parts
-    if in_seconds and t.dtype.kind == "f":
-        t, others = np.rint(t * 1e6).astype(np.int64), [_whole_of(values) for values in others]
-    return as_events(t, *others)
+        return [_column(table, name, "events") for name in Events._fields]
+    if len(parts) == 1:
+        order = (0, 1, 2, 3) if table.dtype.kind in "iu" else (2, 0, 1, 3)
+        return [np.ascontiguousarray(table[:, k]) for k in order]
+    return parts
 
 
 def _column(table: NDArray[Any], name: str, of: str) -> NDArray[Any]:
@@ -166,13 +176,18 @@ def _column(table: NDArray[Any], name: str, of: str) -> NDArray[Any]:
     return column
 
 
-def _whole_of(values: NDArray[Any]) -> NDArray[Any]:
-    """Return floating-point numbers that are whole as such."""
-    cast = values.astype(np.int64)
-    if not np.array_equal(cast, values):
-        raise NotARecording(
-            "its columns and rows are no whole numbers; those of the sensor's pixels are needed."
-        )
+def _unit_us(t: NDArray[Any]) -> float:
+    """Return the unit of times: 1e6 us if they have fractions, for those of microseconds are whole."""
+    return 1e6 if t.dtype.kind == "f" and not np.array_equal(t, np.rint(t)) else 1.0
+
+
+def _whole_of(values: NDArray[Any], unit: float) -> NDArray[Any]:
+    """Return floating-point numbers of a unit as whole numbers; others as they are."""
+    if values.dtype.kind != "f":
+        return values
+    cast = np.rint(values * unit).astype(np.int64)
+    if unit == 1 and not np.array_equal(cast, values):
+        raise NotARecording("some of its columns, rows or polarities are no whole numbers.")
     return cast
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera.event_arrays import require_ratio
-from drivers.errors import NotARecording, RecordingCorrupt
+from drivers.errors import CameraSoftwareMissing, NotARecording, RecordingCorrupt
 
 MOST_CHUNK_BYTES: Final = 1 << 24
 """Largest chunk, decompressed. Writers use chunks of at most some megabytes."""
@@ -96,6 +96,12 @@ def needs_library(found: Any) -> bool:
 def rows_by_library(found: Any) -> Iterator[NDArray[Any]]:
     """Read an array piece by piece as HDF5 does it: in a process with limits (`library_process`) only."""
     total = found.shape[0] if found.shape else 0
+    for number in filters(found):
+        if not h5py.h5z.filter_avail(number):
+            raise CameraSoftwareMissing(
+                f"{found.name} is compressed by filter {number} of HDF5, which is not installed.",
+                remedy="Install it: pip install 'starbench[formats]'",
+            )
     if found.chunks is not None:
         chunks = int(
             np.prod([-(-side // step) for side, step in zip(found.shape, found.chunks, strict=True)])

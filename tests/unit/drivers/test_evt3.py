@@ -76,6 +76,31 @@ def test_malformed_words_are_refused_at_their_byte(words, message):
     assert str(caught.value).startswith("x.raw: ")
 
 
+def test_padding_is_skipped_and_words_of_other_types_are_counted():
+    """Some cameras fill their packets with 0x9999."""
+    decoder = Evt3Decoder(WIDTH, HEIGHT)
+    words = [
+        high(0),
+        0x9999,
+        low(5),
+        0x9999,
+        row(1),
+        0xB123,
+        event(7),
+        0x9999,
+        0x9999,
+        0xCFFF,
+        event(8),
+        0x9000,
+    ]
+    assert decode(*words, decoder=decoder)[0] == [(5, 7, 1, 0), (5, 8, 1, 0)]
+    statistics = decoder.statistics()
+    assert statistics.unknown_words == 3
+    assert statistics.loss_messages() == (
+        "3 words have a type that EVT3 does not define: they are left out.",
+    )
+
+
 def test_events_before_a_malformed_word_are_handed_out():
     decoder = Evt3Decoder(WIDTH, HEIGHT)
     pieces = decoder.decode(np.array([high(0), low(0), row(0), event(7), row(HEIGHT)], np.uint16))

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from imported import import_events
 
+from drivers.camera.event_arrays import ReadingChoices
 from drivers.camera.formats.event_conversion import convert
 from drivers.camera.formats.event_files import open_events
 from drivers.camera.raw_file import RawFile
-from drivers.errors import RecordingCorrupt, RecordingFileError
+from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
 
 ORIGIN_US = 1_700_000_000_000_000
 EVT2_HEAD = b"% evt 2.0\n% format EVT2;height=720;width=1280\n% end\n"
@@ -99,6 +100,104 @@ def test_another_reader_finds_the_same_events(tmp_path, kind):
         assert np.array_equal(theirs[name], getattr(found.events, name))
 
 
+def test_events_before_the_first_time_of_evt2_are_dropped(tmp_path):
+    """A stream may be joined in its middle."""
+    path = tmp_path / "a.raw"
+    path.write_bytes(evt2_words(0x1000_0000 | 9 << 11, 0xA000_0001, 0x8000_0002, 0x1000_0000 | 3 << 11 | 7))
+    found = import_events(path)
+    assert (found.events.t.tolist(), found.events.x.tolist(), len(found.triggers.t)) == ([128], [3], 0)
+
+
+def evt21_words(rows, *, legacy=False):
+    """Encode events as EVT2.1: a word for the events of one row, time and polarity within 32 columns."""
+    words, high = [], -1
+    for row in rows:
+        t, x, y, on = (int(row[name]) for name in ("t", "x", "y", "on"))
+        if t >> 6 != high:
+            high = t >> 6
+            words.append([0, 0x8000_0000 | high & 0x0FFF_FFFF])
+        head = on << 28 | (t & 63) << 22 | (x & ~31) << 11 | y
+        same = len(words) and words[-1][1] == head and words[-1][0] >> (x & 31) == 0
+        if same:
+            words[-1][0] |= 1 << (x & 31)
+        else:
+            words.append([1 << (x & 31), head])
+    halves = np.array(words, "<u4")
+    return (halves[:, ::-1] if legacy else halves).astype("<u4").tobytes()
+
+
+@pytest.mark.parametrize("order", ["little", "legacy"])
+def test_vectors_of_evt21_are_read_in_both_orders_of_their_halves(tmp_path, order):
+    rows = some_events(4000, step_us=2)
+    rows["t"][1::2] = rows["t"][::2]  # two events at a time, some of them in one vector
+    rows["y"][1::2], rows["on"][1::2] = rows["y"][::2], rows["on"][::2]
+    rows["x"][1::2] = np.minimum(rows["x"][::2] | 31, 639)
+    head = f"% evt 2.1\n% format EVT21;endianness={order};height=480;width=640\n% end\n".encode()
+    path = tmp_path / "a.raw"
+    path.write_bytes(head + evt21_words(rows, legacy=order == "legacy") + b"\0\0\0")
+    found = import_events(path)
+    assert (found.width, found.height) == (640, 480)
+    assert_same(found, rows)
+
+
+def test_evt21_by_hand(tmp_path):
+    path = tmp_path / "a.raw"
+    words = [0, 0x8FFF_FFFF, 1 << 31 | 1, 0x1000_0000 | 63 << 22 | 32 << 11 | 7, 0, 0x8000_0000]
+    words += [0, 0xA000_0000 | 6 << 22 | 1 << 8 | 1, 2, 0, 0xF000_1234, 0xE000_0014]
+    path.write_bytes(b"% format EVT21;height=320;width=320\n% end\n" + np.array(words, "<u4").tobytes())
+    found = import_events(path)
+    assert found.events.t.tolist() == [(1 << 34) - 1, (1 << 34) - 1, 1 << 34]
+    assert (found.events.x.tolist(), found.events.y.tolist()) == ([32, 63, 1], [7, 7, 0])
+    assert found.events.p.tolist() == [1, 1, 0]
+    assert (found.triggers.t.tolist(), found.triggers.id.tolist()) == ([(1 << 34) + 6], [1])
+
+
+def dat_head(version, kind=0x0C, size=True):
+    lines = "% Data file containing CD events.\n" + (f"% Version {version}\n" if version else "")
+    return (lines + ("% Height 240\n% Width 304\n" if size else "")).encode() + bytes([kind, 8])
+
+
+@pytest.mark.parametrize("version", ["1", ""])
+def test_version_1_of_dat_has_another_layout(tmp_path, version):
+    rows = some_events(600)
+    rows["x"], rows["y"] = rows["x"] % 304, rows["y"] % 240
+    table = np.zeros((len(rows), 2), "<u4")
+    table[:, 0] = rows["t"]
+    table[:, 1] = rows["x"] | rows["y"].astype("u4") << 9 | rows["on"].astype("u4") << 17
+    path = tmp_path / "a.dat"
+    path.write_bytes(dat_head(version) + table.tobytes())
+    assert_same(import_events(path), rows)
+
+
+def test_version_1_of_dat_written_by_faery(tmp_path):
+    faery = pytest.importorskip("faery")
+    rows = some_events(600)
+    rows["x"], rows["y"] = rows["x"] % 304, rows["y"] % 240
+    stream = faery.events_stream_from_array(rows.astype(faery.EVENTS_DTYPE), dimensions=(304, 240))
+    stream.to_file(tmp_path / "a.dat", version="dat1")
+    assert_same(import_events(tmp_path / "a.dat"), rows, origin_us=64)
+
+
+def test_a_dat_file_without_a_size_is_read_with_one_that_is_given(tmp_path):
+    rows, path = some_events(50), tmp_path / "a.dat"
+    path.write_bytes(dat_head(2, size=False) + dat_rows(rows)[len(DAT_HEAD) + 2 :])
+    with pytest.raises(NotARecording, match="--sensor-size"):
+        import_events(path)
+    assert_same(import_events(path, ReadingChoices((640, 480))), rows)
+    with pytest.raises(NotARecording, match="lies outside the sensor of 30 x 30 px"):
+        import_events(path, ReadingChoices((30, 30)))
+
+
+def test_a_dat_file_of_edges_and_one_of_an_unknown_version_are_named(tmp_path):
+    path = tmp_path / "a.dat"
+    path.write_bytes(dat_head(2, kind=0x0E) + bytes(16))
+    with pytest.raises(NotARecording, match="holds trigger edges only"):
+        import_events(path)
+    path.write_bytes(dat_head(7) + bytes(16))
+    with pytest.raises(NotARecording, match="has version 7"):
+        import_events(path)
+
+
 def test_dat_times_go_on_where_their_counter_turns_over(tmp_path):
     rows = some_events(4)
     rows["t"] = [0xFFFF_FFF0, 0xFFFF_FFFF, 0x1_0000_0001, 0x1_0000_0002]
@@ -163,7 +262,9 @@ def test_aedat4_written_by_dv_processing(tmp_path):
 # ------------------------------------------------------------ ROS
 
 
-def bag(path, version, rows, kind):
+def bag(
+    path, version, rows, kind, *, name="event_camera_msgs/msg/EventPacket", data=None, topics=("/events",)
+):
     """Write a bag with the package rosbags; return the path to read."""
     pytest.importorskip("rosbags")
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -194,7 +295,6 @@ def bag(path, version, rows, kind):
         ]
         message = types[name](header=header, height=480, width=640, events=whole)
     else:
-        name = "event_camera_msgs/msg/EventPacket"
         packed = rows["t"].astype(np.uint64) * 1000
         packed |= rows["x"].astype(np.uint64) << np.uint64(32)
         packed |= rows["y"].astype(np.uint64) << np.uint64(48)
@@ -207,20 +307,22 @@ def bag(path, version, rows, kind):
             time_base=ORIGIN_US * 1000,
             encoding=kind,
             is_bigendian=False,
-            events=np.frombuffer(packed.astype("<u8").tobytes(), np.uint8),
+            events=np.frombuffer(data or packed.astype("<u8").tobytes(), np.uint8),
         )
     if version == 1:
         from rosbags.rosbag1 import Writer
 
         with Writer(path) as writer:
-            connection = writer.add_connection("/events", name, typestore=store)
-            writer.write(connection, ORIGIN_US * 1000, store.serialize_ros1(message, name))
+            for topic in topics:
+                connection = writer.add_connection(topic, name, typestore=store)
+                writer.write(connection, ORIGIN_US * 1000, store.serialize_ros1(message, name))
         return path
     from rosbags.rosbag2 import Writer
 
     with Writer(path, version=9) as writer:
-        connection = writer.add_connection("/events", name, typestore=store)
-        writer.write(connection, ORIGIN_US * 1000, store.serialize_cdr(message, name))
+        for topic in topics:
+            connection = writer.add_connection(topic, name, typestore=store)
+            writer.write(connection, ORIGIN_US * 1000, store.serialize_cdr(message, name))
     return path
 
 
@@ -233,6 +335,87 @@ def test_bags_of_both_versions(tmp_path, version, kind):
     assert (found.width, found.height) == (640, 480)
     assert_same(found, rows, int(found.header["time_origin_us"]) - ORIGIN_US)
     assert found.header["ros_topic"] == "/events"
+
+
+def test_the_camera_and_the_date_of_aedat4_stand_in_a_converted_recording_and_nothing_else(tmp_path):
+    pytest.importorskip("aedat")
+    aedat4_file(tmp_path / "a.aedat4", some_events(200), [(100, 1)])
+    convert(tmp_path / "a.aedat4", tmp_path / "a.raw", "raw")
+    header = RawFile.open(tmp_path / "a.raw").header
+    assert header == {
+        "camera": "DVX_1",
+        "date": "2023-11-14 22:13:20",
+        "time_origin_us": str(ORIGIN_US - 1_000_000),
+        "evt": "3.0",
+        "format": "EVT3;height=480;width=640",
+        "geometry": "640x480",
+        "converted_from": "a.aedat4; not the bytes of a camera",
+    }
+
+
+def test_one_of_two_streams_of_aedat4_is_chosen(tmp_path):
+    dv = pytest.importorskip("dv_processing")
+    pytest.importorskip("aedat")
+    left = dv.io.MonoCameraWriter.EventOnlyConfig("LEFT_1", (640, 480))
+    right = dv.io.MonoCameraWriter.EventOnlyConfig("RIGHT_2", (346, 260))
+    writer = dv.io.StereoCameraWriter(str(tmp_path / "a.aedat4"), left, right)
+    for side, n in ((writer.left, 30), (writer.right, 20)):
+        store = dv.EventStore()
+        for k in range(n):
+            store.push_back(ORIGIN_US + k, k, k, True)
+        side.writeEvents(store)
+    del writer, side
+    with pytest.raises(NotARecording, match="2 streams of events"):
+        import_events(tmp_path / "a.aedat4")
+    found = [import_events(tmp_path / "a.aedat4", ReadingChoices(stream=name)) for name in ("0", "1")]
+    assert [(one.width, len(one.events.t), one.header["camera"]) for one in found] == [
+        (640, 30, "LEFT_1"),
+        (346, 20, "RIGHT_2"),
+    ]
+
+
+def test_the_older_name_of_event_packets_is_read(tmp_path):
+    rows = some_events(500)
+    path = bag(tmp_path / "a.bag", 1, rows, "mono", name="event_array_msgs/msg/EventArray")
+    assert_same(import_events(path), rows, int(import_events(path).header["time_origin_us"]) - ORIGIN_US)
+
+
+def test_packets_of_evt21_and_libcaer_are_read(tmp_path):
+    rows = some_events(500)
+    path = bag(tmp_path / "a.bag", 1, rows, "evt21", data=evt21_words(rows))
+    assert_same(import_events(path), rows)
+    packed = np.zeros((len(rows), 2), "<u4")
+    packed[:, 0] = (
+        rows["x"].astype("u4") << 17 | rows["y"].astype("u4") << 2 | rows["on"].astype("u4") << 1 | 1
+    )
+    packed[:, 1] = rows["t"] + (1 << 31) - 1000  # their counter turns over
+    packed[:, 1] &= 0x7FFF_FFFF
+    path = bag(tmp_path / "b.bag", 1, rows, "libcaer", data=packed.tobytes())
+    found = import_events(path)
+    assert_same(found, rows, int(found.header["time_origin_us"]) - ORIGIN_US - (1 << 31) + 1000)
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_one_of_two_topics_of_a_bag_is_chosen(tmp_path, version):
+    rows = some_events(60)
+    target = tmp_path / ("a.bag" if version == 1 else "a")
+    path = bag(target, version, rows, "struct", topics=("/left/events", "/right/events"))
+    with pytest.raises(NotARecording, match=r"/left/events, /right/events\. Choose one"):
+        import_events(path)
+    for name in ("/right/events", "left/events"):
+        found = import_events(path, ReadingChoices(stream=name))
+        assert_same(found, rows, int(found.header["time_origin_us"]) - ORIGIN_US)
+        assert found.header["ros_topic"].strip("/") == name.strip("/")
+
+
+def test_the_folder_of_a_ros_2_bag_is_converted(tmp_path):
+    rows = some_events(80)
+    folder = bag(tmp_path / "a", 2, rows, "mono")
+    assert convert(folder, tmp_path / "a.raw", "raw").events == 80
+    header = RawFile.open(tmp_path / "a.raw").header
+    assert (header["date"], header["ros_topic"]) == ("2023-11-14 22:13:20", "/events")
+    assert "system_ID" not in header
+    assert "sensor_generation" not in header
 
 
 def test_a_file_of_a_ros_2_bag_stands_for_its_folder(tmp_path):

@@ -107,6 +107,9 @@ def test_an_offset_beyond_the_first_block_is_right(raw):
         b"% format EVT3\n% geometry 1280x720\n",
         b"% evt 3.0\n% system_ID 49\n",
         b"% evt 3.0\n% geometry 1280x720\n",
+        b"% evt 3.0\n% Height 720\n% Width 1280\n",
+        b"% evt 3.0\n% height 720\n% width 1280\n% geometry 1280x720\n",
+        b"% evt 3.0\n% system_ID 48\n",
         b"% format EVT3;width=1280;height=720\r\n% end\r\n",
         b"%  format   EVT3;height=720;width=1280 \n% my_own key with  text\n% end\n",
     ],
@@ -115,6 +118,60 @@ def test_headers_of_all_makes_are_understood(raw, header):
     recording = RawFile.open(raw(header=header))
     assert (recording.width, recording.height) == (1280, 720)
     assert recording.scan().events == 2
+
+
+HD, VGA = (1280, 720), (640, 480)
+
+
+@pytest.mark.parametrize(
+    ("system", "encoding", "size"),
+    [
+        *((system, "EVT2", VGA) for system in (21, 23, 25, 28, 29, 33, 34, 35, 41, 151, 153, 161, 162)),
+        *((system, "EVT2", HD) for system in (26, 31, 39)),
+        *((system, "EVT3", HD) for system in (30, 46, 48, 49, 50, 53, 58, 66)),
+        *((system, "EVT3", (640, 512)) for system in (52, 54)),
+        *((system, "EVT21", (320, 320)) for system in (59, 64)),
+        (40, "EVT3", VGA),
+    ],
+)
+@pytest.mark.parametrize("evt", ["", "% evt 2.0\n", "% evt 3.0\n"])
+def test_the_number_of_the_system_tells_sensor_and_encoding_that_the_header_leaves_out(
+    system, encoding, size, evt
+):
+    start = f"% Date 2020-09-25 07:48:29\n{evt}% integrator_name Prophesee\n% system_ID {system}\n".encode()
+    header = parse_header(start, where="x", evt3_only=False)
+    stated = {"": encoding, "% evt 2.0\n": "EVT2", "% evt 3.0\n": "EVT3"}[evt]
+    assert (header.encoding, (header.width, header.height)) == (stated, size)
+
+
+def test_the_number_of_another_makers_system_tells_nothing():
+    start = b"% evt 3.0\n% integrator_name CenturyArks\n% system_ID 49\n"
+    with pytest.raises(NotARecording, match="does not state the sensor's size"):
+        parse_header(start, where="x")
+    header = parse_header(start, where="x", sensor_size=(640, 480))
+    assert (header.width, header.height) == (640, 480)
+
+
+def test_a_size_that_the_user_states_must_not_contradict_the_header():
+    start = b"% evt 3.0\n% geometry 1280x720\n"
+    assert parse_header(start, where="x", sensor_size=(1280, 720)).width == 1280
+    with pytest.raises(NotARecording, match="geometry states 1280 x 720, --sensor-size states 640 x 480"):
+        parse_header(start, where="x", sensor_size=(640, 480))
+
+
+@pytest.mark.parametrize(
+    ("lines", "encoding"),
+    [
+        (b"% format EVT21;endianness=legacy;height=720;width=1280\n", "EVT21-legacy"),
+        (b"% format EVT21;height=720;width=1280\n% endianness legacy\n", "EVT21-legacy"),
+        (b"% format EVT21;height=720;width=1280\n% system_ID 49\n", "EVT21-legacy"),
+        (b"% format EVT21;height=320;width=320\n% system_ID 64\n", "EVT21"),
+        (b"% format EVT21;endianness=little;height=720;width=1280\n% system_ID 49\n", "EVT21"),
+        (b"% evt 2.1\n% geometry 320x320\n% system_ID -1\n", "EVT21"),
+    ],
+)
+def test_the_order_of_the_halves_of_evt21_is_that_of_the_header_or_of_the_system(lines, encoding):
+    assert parse_header(lines, where="x", evt3_only=False).encoding == encoding
 
 
 def test_runs_of_white_space_count_as_one_and_unknown_keys_stay():
@@ -137,6 +194,12 @@ def test_words_that_look_like_a_header_line_are_words_after_its_end():
         (b"% Data file containing CD events.\n% Version 2\n", "a DAT file"),
         (b"name: three poses\nsteps: []\n", "a text file"),
         (b"\0" * 100, "nothing but zeros"),
+        (b"#!AER-DAT2.0\r\n# created by v2e\r\n\0\1", "an AEDAT 2.0 file.* Starbench reads AEDAT4"),
+        (b"#!AER-DAT3.1\r\n#Format: RAW\r\n", "an AEDAT 3.1 file.* Starbench reads AEDAT4"),
+        (b"Event Stream\2\0\0", "an Event Stream file"),
+        (b"MATLAB 5.0 MAT-file, Platform", "a MATLAB file"),
+        (b"% evt 4.0\n% format EVT4;height=720;width=1280\n", "The file holds EVT4"),
+        (b"% format HISTO3D;height=320;width=320\n% end\n", "The file holds HISTO3D"),
         (b"\x01\x80\x02\x60", "binary data without a RAW header"),
         (b"% format EVT21;height=720;width=1280\n% end\n", "The file holds EVT21"),
         (b"% evt 2.0\n% geometry 640x480\n% end\n", "The file holds EVT2;"),

@@ -1,0 +1,214 @@
+"""Events in HDF5 files of other programs: DSEC, e2calib, M3ED, v2e, MVSEC, and Metavision without its table of edges."""
+
+import h5py
+import numpy as np
+import pytest
+from imported import import_events
+
+from drivers.camera.event_arrays import ReadingChoices
+from drivers.camera.formats.event_conversion import convert
+from drivers.camera.raw_file import RawFile
+from drivers.errors import CameraSoftwareMissing, NotARecording
+
+N = 1200
+SIZE = (346, 260)
+SIZED = ReadingChoices(SIZE)
+YEAR_2020_US = 1_600_000_000_000_000
+
+
+def some_events():
+    chance = np.random.default_rng(5)
+    columns = {"x": chance.integers(0, SIZE[0], N), "y": chance.integers(0, SIZE[1], N)}
+    return {"t": 500 + np.arange(N) * 41, **columns, "p": chance.integers(0, 2, N)}
+
+
+ROWS = some_events()
+
+
+def columns(group, names="txyp", kinds=("u4", "u2", "u2", "u1"), **stored):
+    for name, own, kind in zip(names, "txyp", kinds, strict=True):
+        group.create_dataset(name, data=ROWS[own].astype(kind), **stored)
+
+
+def assert_same(found, origin_us=0):
+    assert np.array_equal(found.events.t + origin_us, ROWS["t"])
+    assert all(np.array_equal(getattr(found.events, name), ROWS[name]) for name in "xyp")
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Write a file and read it again."""
+
+    def write(fill, choices=SIZED):
+        with h5py.File(tmp_path / "events.h5", "w") as file:
+            fill(file)
+        return import_events(tmp_path / "events.h5", choices)
+
+    return write
+
+
+def dsec(file, **stored):
+    columns(file.create_group("events"), chunks=(100,), **stored)
+    file["ms_to_idx"], file["t_offset"] = np.arange(3), np.int64(YEAR_2020_US)
+
+
+def test_the_times_of_dsec_keep_their_origin(written):
+    found = written(dsec)
+    assert_same(found)
+    assert (found.width, found.height) == SIZE
+    assert found.header["time_origin_us"] == str(YEAR_2020_US)
+    assert found.header["date"] == "2020-09-13 12:26:40"
+
+
+@pytest.mark.parametrize("filter_of_plugin", ["Blosc", "Blosc2", "Zstd", "LZ4", "Bitshuffle"])
+def test_every_filter_of_the_plugin_is_read(written, filter_of_plugin):
+    plugin = pytest.importorskip("hdf5plugin")
+    assert_same(written(lambda file: dsec(file, **getattr(plugin, filter_of_plugin)())))
+
+
+def test_a_filter_of_hdf5_itself_is_read(written):
+    assert_same(written(lambda file: dsec(file, compression="lzf")))
+
+
+def test_a_filter_that_is_not_installed_is_named_with_the_package(tmp_path, monkeypatch):
+    plugin = pytest.importorskip("hdf5plugin")
+    with h5py.File(tmp_path / "events.h5", "w") as file:
+        dsec(file, **plugin.Blosc())
+    (tmp_path / "hdf5plugin.py").write_text("raise ImportError('no such package')")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(CameraSoftwareMissing, match=r"filter 32001 .*pip install 'starbench\[formats\]'"):
+        import_events(tmp_path / "events.h5", SIZED)
+
+
+def test_chunks_that_were_never_written_are_not_read_as_zeros(written):
+    def fill(file):
+        columns(file.create_group("events"))
+        del file["events/t"]
+        file.create_dataset("events/t", (N,), "i8", chunks=(100,), compression="lzf")
+        file["events/t"][:200] = ROWS["t"][:200]
+
+    with pytest.raises(NotARecording, match="2 of the 12 chunks of /events/t are there"):
+        written(fill)
+
+
+def test_columns_at_the_root_whose_times_count_from_1970_begin_near_0(written):
+    """e2calib writes them so."""
+
+    def fill(file):
+        columns(file, compression="gzip")
+        del file["t"]
+        file["t"] = ROWS["t"] + YEAR_2020_US
+
+    found = written(fill)
+    origin_us = int(found.header["time_origin_us"])
+    assert_same(found, origin_us - YEAR_2020_US)
+    assert found.events.t[0] < 2_000_000
+    assert found.header["date"] == "2020-09-13 12:26:40"
+
+
+def m3ed(file):
+    for side in ("left", "right"):
+        columns(file.create_group(f"prophesee/{side}"), kinds=("i8", "u2", "u2", "i1"))
+        file[f"prophesee/{side}/calib/resolution"] = np.array([1280, 720])
+    file["prophesee/right/x"][:] = 0
+    file["ovc/imu/t"] = file["ovc/imu/x"] = file["ovc/imu/y"] = np.zeros(3)
+
+
+@pytest.mark.parametrize("name", ["prophesee/left", "/prophesee/left/"])
+def test_one_camera_of_m3ed_is_chosen_and_states_its_size(written, name):
+    found = written(m3ed, ReadingChoices(stream=name))
+    assert_same(found)
+    assert (found.width, found.height) == (1280, 720)
+
+
+def test_several_cameras_are_listed_with_the_way_to_choose(written):
+    with pytest.raises(NotARecording, match=r"prophesee/left, prophesee/right\. Choose one: .*--stream"):
+        written(m3ed)
+    with pytest.raises(NotARecording, match="no stream 'middle'"):
+        written(m3ed, ReadingChoices(stream="middle"))
+
+
+def test_the_table_of_v2e_is_read(written):
+    table = np.stack([ROWS[name] for name in "txyp"], axis=1).astype("u4")
+    assert_same(written(lambda file: file.create_dataset("events", data=table, compression="gzip")))
+
+
+@pytest.mark.parametrize("chunks", [True, None, (100, 1)])
+def test_the_table_of_mvsec_has_its_columns_in_another_order_and_times_in_seconds(written, chunks):
+    values = [ROWS["x"], ROWS["y"], 1e-6 * ROWS["t"], np.where(ROWS["p"], 1, -1)]
+    table = np.stack(values, axis=1).astype("f8")
+    assert_same(written(lambda file: file.create_dataset("davis/left/events", data=table, chunks=chunks)))
+
+
+@pytest.mark.parametrize("names", [("ts", "xs", "ys", "ps"), ("timestamps", "x", "y", "polarities")])
+@pytest.mark.parametrize("unit", [1.0, 1e-6])
+def test_floating_times_are_in_seconds_if_they_have_fractions(written, names, unit):
+    def fill(file):
+        columns(file.create_group("events"), names, ("f8", "i2", "i2", "?"))
+        file[f"events/{names[0]}"][:] = unit * ROWS["t"]
+
+    assert_same(written(fill))
+
+
+def test_columns_of_undistorted_events_are_refused(written):
+    def fill(file):
+        columns(file.create_group("events"), kinds=("i8", "f4", "f4", "u1"))
+        file["events/x"][3] = 7.5
+
+    with pytest.raises(NotARecording, match="no whole numbers"):
+        written(fill)
+
+
+def metavision(file):
+    table = np.zeros(N, [("x", "u2"), ("y", "u2"), ("p", "i2"), ("t", "i8")])
+    for name in "xypt":
+        table[name] = ROWS[name]
+    file["CD/events"] = table
+
+
+@pytest.mark.parametrize("has_group", [True, False])
+def test_metavision_without_edges_and_without_a_size_is_read(written, has_group):
+    def fill(file):
+        metavision(file)
+        if has_group:
+            file["EXT_TRIGGER/indexes"] = np.zeros(2)
+
+    found = written(fill)
+    assert_same(found)
+    assert len(found.triggers.t) == 0
+
+
+def test_our_own_layout_without_edges_states_its_size(written):
+    def fill(file):
+        columns(file.create_group("events"))
+        file.attrs.update(width=SIZE[0], height=SIZE[1])
+
+    found = written(fill, ReadingChoices())
+    assert_same(found)
+    assert (found.width, found.height) == SIZE
+
+
+def test_a_missing_size_is_told_with_the_way_to_state_it(written):
+    with pytest.raises(NotARecording, match=r"does not state the sensor's size\. .*--sensor-size"):
+        written(dsec, ReadingChoices())
+
+
+def test_a_file_of_no_events_is_told(written):
+    with pytest.raises(NotARecording, match="no group of this HDF5 file has columns t, x, y and p"):
+        written(lambda file: file.create_dataset("images", data=np.zeros((2, 3))))
+
+
+def test_a_file_of_others_becomes_a_recording(written, tmp_path):
+    written(dsec)
+    convert(tmp_path / "events.h5", tmp_path / "a.raw", "raw", SIZED)
+    recording = RawFile.open(tmp_path / "a.raw")
+    assert recording.header["time_origin_us"] == str(YEAR_2020_US)
+    events, _ = recording.read()
+    assert np.array_equal(events.t, ROWS["t"])
+
+
+def test_an_npz_of_columns_alone_is_read(tmp_path):
+    np.savez(tmp_path / "a.npz", **ROWS)
+    assert_same(import_events(tmp_path / "a.npz", SIZED))
+    with pytest.raises(NotARecording, match="--sensor-size"):
+        import_events(tmp_path / "a.npz")
