@@ -126,8 +126,8 @@ def _say(source: Path, output: Path, written: Mapping[str, Any]) -> None:
     late = f", {moved} given the time of the event before" if moved else ""
     click.echo(f"{output}: {written['events']} events{late}, {written['triggers']} triggers")
     if written.get("unknown_words"):
-        what = f"{written['unknown_words']} words of types that EVT3 does not define were left out."
-        click.echo(f"{source}: {what}", err=True)
+        what = "words whose type EVT3 does not define were left out"
+        click.echo(f"{source}: {what}: {written['unknown_words']}.", err=True)
     if written["cut_off"]:
         click.echo(
             f"{source}: the file ends in the middle of a word; everything before it was converted.", err=True

@@ -70,9 +70,7 @@ class StreamStatistics:
         if self.gap_count > len(self.gaps):
             messages.append(f"{self.gap_count - len(self.gaps)} more gaps follow.")
         if self.unknown_words:
-            messages.append(
-                f"{self.unknown_words} words have a type that EVT3 does not define: they are left out."
-            )
+            messages.append(f"Words whose type EVT3 does not define were left out: {self.unknown_words}.")
         if self.missing_windows:
             messages.append(
                 f"{self.missing_windows} event count reports of the sensor are missing (it sends one every 200 us): "

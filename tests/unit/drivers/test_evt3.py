@@ -96,9 +96,7 @@ def test_padding_is_skipped_and_words_of_other_types_are_counted():
     assert decode(*words, decoder=decoder)[0] == [(5, 7, 1, 0), (5, 8, 1, 0)]
     statistics = decoder.statistics()
     assert statistics.unknown_words == 3
-    assert statistics.loss_messages() == (
-        "3 words have a type that EVT3 does not define: they are left out.",
-    )
+    assert statistics.loss_messages() == ("Words whose type EVT3 does not define were left out: 3.",)
 
 
 def test_events_before_a_malformed_word_are_handed_out():

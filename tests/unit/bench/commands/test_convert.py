@@ -1,0 +1,113 @@
+"""`convert` as a person calls it: what a file does not state is said by an option, and an invalid file ends with 2."""
+
+import h5py
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from running import called
+
+from bench.commands.convert import convert
+from bench.commands.workers import CountLine
+from bench.results.offline_options import OfflineOptions
+from bench.results.view_sources import view_sources
+from drivers.camera.raw_file import RawFile
+
+WORDS = np.array([0x8001, 0x6002, 0x0005, 0x2803, 0xB000, 0x9999, 0x2004], "<u2").tobytes()
+NO_SIZE = b"% evt 3.0\n% serial_number 7\n% end\n"
+
+
+@pytest.fixture
+def stereo(tmp_path):
+    with h5py.File(tmp_path / "stereo.h5", "w") as file:
+        for n, side in enumerate(("left", "right"), 3):
+            for name in "txyp":
+                file[f"{side}/{name}"] = np.zeros(n, "u1")
+    return tmp_path / "stereo.h5"
+
+
+def run(*words, home):
+    ran = called("convert", *words, home=home)
+    return ran.returncode, ran.stdout, ran.stderr
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"#!AER-DAT2.0\r\n", "AEDAT 2.0"),
+        (NO_SIZE + WORDS, "--sensor-size"),
+        (b"% format EVT4;height=720;width=1280\n% end\n", "EVT4"),
+        (b"% format EVT3;height=720;width=1280\n% end\n\x01\x80\x00\x60\xff\x07", "Row 2047"),
+        (b"0.1 3 4 1\n", "a text file"),
+        (b"\x89HDF\r\n\x1a\n", "damaged or incomplete"),
+    ],
+)
+def test_an_invalid_file_ends_with_2_and_one_message(tmp_path, content, words):
+    (tmp_path / "a.raw").write_bytes(content)
+    status, out, err = run(tmp_path / "a.raw", tmp_path / "b.npz", home=tmp_path)
+    assert (status, out) == (2, "")
+    assert words in err
+    assert "Traceback" not in err
+    assert [path.name for path in tmp_path.iterdir() if path.suffix in {".npz", ".part"}] == []
+
+
+def test_a_recording_without_a_size_is_copied_with_one_word_for_word(tmp_path):
+    (tmp_path / "a.raw").write_bytes(NO_SIZE + WORDS)
+    status, out, err = run(tmp_path / "a.raw", tmp_path / "b.raw", "--sensor-size", "1280x720", home=tmp_path)
+    assert (status, out) == (0, f"{tmp_path / 'b.raw'}: 2 events, 0 triggers\n")
+    assert "words whose type EVT3 does not define were left out: 1." in err
+    copy = RawFile.open(tmp_path / "b.raw")
+    assert (copy.width, copy.height, copy.serial) == (1280, 720, "7")
+    assert b"".join(words.tobytes() for words in copy.words()) == WORDS
+
+
+def test_a_wrong_size_is_refused_before_anything_is_read(tmp_path):
+    status, _, err = run("none.raw", tmp_path / "b.raw", "--sensor-size", "1280", home=tmp_path)
+    assert status == 2
+    (tmp_path / "a.raw").write_bytes(NO_SIZE)
+    status, _, err = run(tmp_path / "a.raw", tmp_path / "b.raw", "--sensor-size", "1280", home=tmp_path)
+    assert status == 2
+    assert "--sensor-size" in err
+
+
+@pytest.mark.parametrize("option", ["--stream", "--topic"])
+def test_one_of_several_streams_is_chosen(stereo, tmp_path, option):
+    size = ("--sensor-size", "8x8")
+    status, _, err = run(stereo, tmp_path / "a.npz", *size, home=tmp_path)
+    assert (status, "left, right" in err) == (2, True)
+    status, out, _ = run(stereo, tmp_path / "a.npz", *size, option, "right", home=tmp_path)
+    assert (status, out) == (0, f"{tmp_path / 'a.npz'}: 4 events, 0 triggers\n")
+
+
+def test_many_files_take_the_same_choices(stereo, tmp_path):
+    (tmp_path / "other.h5").write_bytes(stereo.read_bytes())
+    words = [
+        str(stereo),
+        str(tmp_path / "other.h5"),
+        str(tmp_path / "out"),
+        "--as",
+        "raw",
+        "--stream",
+        "left",
+    ]
+    ran = CliRunner().invoke(convert, [*words, "--sensor-size", "8x8"], standalone_mode=False)
+    assert ran.exception is None
+    assert "2 of 2 files converted" in ran.output
+    recording = RawFile.open(tmp_path / "out" / "other.raw")
+    assert (recording.width, len(recording.read()[0].t)) == (8, 3)
+
+
+def test_the_line_of_progress_counts_to_a_share(monkeypatch):
+    line, shown = CountLine(200, "MB read"), []
+    monkeypatch.setattr(line, "due", lambda: True)
+    monkeypatch.setattr(line, "show", shown.append)
+    for share in (0.1, 0.5, 1.0):
+        line.show_share(share)
+    assert [text.partition(",")[0] for text in shown] == ["20 of 200 MB read", "100 of 200 MB read"]
+
+
+def test_a_ros_2_bag_is_one_recording_not_a_folder_of_files(tmp_path):
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
+    (folder / "bag_0.db3").write_bytes(b"SQLite format 3\0")
+    assert [source.path for source in view_sources(folder, OfflineOptions())] == [folder]
