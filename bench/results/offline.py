@@ -17,7 +17,7 @@ from bench.report.text import words_for
 from bench.results.offline_options import OfflineOptions
 from bench.results.solution import calibrated
 from bench.results.solve_options import readings_result
-from bench.results.view_sources import ViewSource, jobs_of, view_sources
+from bench.results.view_sources import ViewSource, jobs_of, left_beside, view_sources
 from bench.stations.station_budget import CollimatorConfig
 from bench.views.views_file import KeptViews, StoredView
 from calib.boards.board import Board
@@ -116,7 +116,9 @@ def calibrate_paths(
     sources = [source for path in paths for source in view_sources(path, choices)]
     if kept is not None:
         sources = [with_kept_views(source, kept) for source in sources]
-    return replace(calibrate_sources(sources, choices), paths=tuple(paths))
+    found = calibrate_sources(sources, choices)
+    beside = [sentence for path in paths for sentence in left_beside(path)]
+    return replace(found, paths=tuple(paths), skipped=[*found.skipped, *beside])
 
 
 def only_view(paths: Sequence[Path], choices: OfflineOptions) -> View | None:

@@ -28,7 +28,7 @@ from bench.results.exports import (
 )
 from bench.results.offline import calibrate_paths, read_views, require_common_views
 from bench.results.offline_options import OfflineOptions
-from bench.results.view_sources import RECORDINGS, ViewSource, view_sources
+from bench.results.view_sources import RECORDINGS, ViewSource, left_beside, view_sources
 from calib.model.rotation import exp_map, log_map
 from calib.studies.clock_offset import ClockOffset, clock_offset, common_rate
 from calib.studies.rig import Rig, stated_cameras, through_collimator
@@ -113,7 +113,8 @@ def _sized(choices: OfflineOptions, stated: CameraFile) -> OfflineOptions:
 
 def _board_views(paths: Pair, choices: Sequence[OfflineOptions]) -> tuple[list[list[View]], list[str]]:
     found = [read_views(list(view_sources(path, own))) for path, own in zip(paths, choices, strict=True)]
-    return [views for views, *_ in found], [reason for *_, skipped in found for reason in skipped]
+    beside = [sentence for path in paths for sentence in left_beside(path)]
+    return [views for views, *_ in found], [reason for *_, skipped in found for reason in skipped] + beside
 
 
 def find_clocks(folders: Sequence[Pair], choices: OfflineOptions) -> tuple[ClockOffset, ...]:

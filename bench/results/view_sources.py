@@ -21,9 +21,9 @@ from bench.records.run_folder import JOURNAL
 from bench.results.offline_options import OfflineOptions, read_point_file
 from bench.views.expected_grid import grid_from_journal
 from calib.boards.board import Board
-from calib.errors import TargetNotFound, TooFewStars
+from calib.errors import InputMismatch, TargetNotFound, TooFewStars
 from calib.view import View
-from drivers.errors import RecordingCorrupt, RecordingFileError
+from drivers.errors import DriverError, RecordingCorrupt, RecordingFileError
 from sequences.schema import ImageKind
 from sequences.script import RecordStep
 
@@ -35,6 +35,7 @@ RECORDINGS = {".raw"}
 PHOTOGRAPHS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
 POINTS = {".txt", ".csv"}
 OTHER_RECORDINGS = {".dat", ".aedat4", ".bag", ".db3", ".mcap", ".hdf5", ".h5", ".npz"}
+_MOST_NAMED = 5
 _KNOWN = RECORDINGS | OTHER_RECORDINGS | PHOTOGRAPHS | POINTS
 _READ_BY_OTHERS = {".aedat4", ".bag", ".db3", ".mcap"}
 """Recordings that a package of others reads, whose version does not show in that of the detector."""
@@ -86,7 +87,7 @@ def view_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
             )
         yield from _run_sources(path, choices)
     elif path.is_dir() and not is_bag_folder(path):
-        files = sorted((p for p in path.iterdir() if p.suffix.lower() in _KNOWN), key=_natural_order)
+        files = sorted(filter(_may_be_a_view, path.iterdir()), key=_natural_order)
         if not files:
             raise UsageError(
                 "The folder contains no run, capture, image or point file.",
@@ -94,9 +95,33 @@ def view_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
                 remedy=f"Known file extensions are {', '.join(sorted(_KNOWN))}.",
             )
         for file in files:
-            yield from _file_sources(file, choices)
+            for source in _file_sources(file, choices):
+                yield replace(source, read=partial(_read_listed, source))
     else:
         yield from _file_sources(path, choices)
+
+
+def _may_be_a_view(path: Path) -> bool:
+    """Tell whether a file of a folder is tried: macOS keeps a second, hidden file beside each on a foreign disk."""
+    return path.suffix.lower() in _KNOWN and not path.name.startswith(".")
+
+
+def left_beside(path: Path) -> list[str]:
+    """Return a sentence on the files of a folder that are not tried; none of a run folder."""
+    if not path.is_dir() or (path / JOURNAL).is_file():
+        return []
+    names = sorted(one.name for one in path.iterdir() if one.is_file() and not _may_be_a_view(one))
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    told = f"{path}: {', '.join(names[:_MOST_NAMED])}{more}: neither recordings nor images nor point files."
+    return [told] if names else []
+
+
+def _read_listed(source: ViewSource) -> View:
+    """Read a file that only stands in the folder that was given: what it lacks as a view does not end the others."""
+    try:
+        return source.read()
+    except (BenchError, DriverError) as error:
+        raise InputMismatch(error.what, where=error.where or str(source.path), remedy=error.remedy) from error
 
 
 def _run_sources(folder: Path, choices: OfflineOptions) -> Iterator[ViewSource]:

@@ -168,13 +168,14 @@ def test_a_row_without_its_folder_counts_as_not_done(folders, tmp_path, monkeypa
 
 
 def test_a_run_that_fails_or_vanishes_stops_no_other(folders, tmp_path):
-    (folders[0] / "left.csv").write_text("no points\n")
+    for file in folders[0].glob("*.csv"):
+        file.write_text("no points\n")
     gone = find_places([str(folder) for folder in folders])
     shutil.rmtree(folders[1])
     with ResultsFolders(tmp_path / "out", None) as output:
         rows = Recalculation(gone, task(), Serial(), output).run()
     assert [row["state"] for row in rows] == ["failed", "failed", "done"]
-    assert str(folders[0]) in rows[0]["failure"]["where"]
+    assert str(folders[0]) in rows[0]["failure"]["remedy"]
     assert "no such file or folder" in rows[1]["failure"]["what"].lower()
     assert rows == table(tmp_path / "out")
 

@@ -69,6 +69,38 @@ def test_photographs_of_a_checkerboard_give_the_camera_within_its_uncertainty(fo
     assert (pattern["n_cols"], pattern["n_rows"]) == (7, 5)
 
 
+def test_files_of_others_in_a_folder_are_named_and_change_nothing(folder, tmp_path, capsys):
+    words = ("--board", "checkerboard:7x5:20mm", "--json")
+    alone = json.loads(call(capsys, "calibrate", folder, *words).out)
+    for file in folder.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    strangers = {
+        "README.txt": b"Pictures of the board, taken in the lab.\n",
+        "timestamps.txt": b"1403636579763555584\n1403636579813555456\n",
+        "data.csv": b"#timestamp [ns],filename\n1403636579763555584,placement0.png\n",
+        "damaged.png": b"\x89PNG\r\n\x1a\n",
+        "noise.raw": bytes(range(256)),
+        "._placement0.png": b"\x00\x05\x16\x07\x00\x02\x00\x00",
+        ".DS_Store": b"\x00\x00\x00\x01Bud1",
+        "Thumbs.db": b"\xd0\xcf\x11\xe0",
+    }
+    for name, content in strangers.items():
+        (tmp_path / name).write_bytes(content)
+    told = json.loads(call(capsys, "calibrate", tmp_path, *words).out)
+    assert told["camera"] == alone["camera"]
+    left_out = " ".join(told["skipped"])
+    assert all(name in left_out for name in strangers)
+
+
+def test_a_folder_fails_only_if_too_little_is_left(folder, tmp_path, capsys):
+    (tmp_path / "README.txt").write_text("Pictures of the board.\n")
+    said = call(capsys, "calibrate", tmp_path, "--board", "checkerboard:7x5:20mm", status=1)
+    assert "There is no usable view." in said.err
+    assert "README.txt" in said.err
+    said = call(capsys, "calibrate", tmp_path / "README.txt", "--board", "checkerboard:7x5:20mm", status=1)
+    assert "README.txt:1" in said.err
+
+
 def test_a_comparison_on_a_board_has_no_recipe_for_stars(folder, capsys):
     said = call(capsys, "calibrate", folder, "--board", "checkerboard:7x5:20mm", "--compare")
     assert "OpenCV, planar (Zhang)" in said.out
