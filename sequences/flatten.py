@@ -17,7 +17,6 @@ from sequences.schema import (
     Grid,
     LightConfig,
     MoveConfig,
-    PlaceConfig,
     PoseConfig,
     RecordConfig,
     RepeatConfig,
@@ -168,7 +167,6 @@ class _Unfolding:
         self._waveform: Waveform = "square"  # of the latest light step
         self._pose: Pose | None = None  # the current pose
         self._move_step: MoveStep | None = None  # the step that moved to the current pose
-        self._placements = 0
 
     def fault(self, path: DocumentPath, message: str) -> None:
         self.faults.append(self.document.fault(path, message))
@@ -188,8 +186,6 @@ class _Unfolding:
             self._move(given, spot, here)
         elif isinstance(given, UntilConfig):
             self._until(given, spot)
-        elif isinstance(given, PlaceConfig):
-            self._place(given, spot)
         elif step.word == "record":
             self._record(given, spot)
         else:
@@ -288,22 +284,9 @@ class _Unfolding:
         self._move_step = MoveStep(**self._number(path), pose=self._pose)
         self.steps.append(self._move_step)
 
-    def _place(self, given: PlaceConfig, path: DocumentPath) -> None:
-        """Ask for a placement; the stage stays where it is."""
-        self._placements += 1
-        name = given.name or f"placement {self._placements}"
-        angles = dict.fromkeys(self.axes, 0.0) if self._pose is None else self._pose.angles_deg
-        self._name, self._move_step = name, None
-        self._pose = Pose(0, self._unique(name), angles, placed=True)
-        text = f"{self._pose.name[:1].upper()}{self._pose.name[1:]}: {given.text}"
-        place, number = self._number(path), self._placements
-        self.steps.append(
-            PromptStep(**place, text=text, default=given.default, timeout_s=given.timeout_s, placement=number)
-        )
-
     def _record(self, given: StrictModel, path: DocumentPath) -> None:
         if self._pose is None:
-            self.fault(path, "a record before any move: add a move before it (before a board: place).")
+            self.fault(path, "a record before any move: add a move before it.")
             return
         self._recordings += 1
         if self._pose.index == 0:  # the first recording here gives the pose its number

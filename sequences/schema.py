@@ -7,7 +7,7 @@ module opens no file and no device. The fields of each model are explained in ``
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
@@ -273,18 +273,6 @@ class PromptConfig(StrictModel):
     timeout_s: Annotated[float, Field(gt=0, le=7 * 86_400)] = 600.0
 
 
-class PlaceConfig(StrictModel):
-    """Ask the operator to put the board somewhere else; the recordings that follow are of this placement.
-
-    The question also states what the last recording showed, and where the board is needed next.
-    """
-
-    text: Annotated[str, Field(min_length=1, max_length=500)] = "Place the board."
-    name: Annotated[Name | None, Field(description="Name of the placement; by default its number.")] = None
-    default: Answer = "abort"
-    timeout_s: Annotated[float, Field(gt=0, le=7 * 86_400)] = 600.0
-
-
 class ReportConfig(StrictModel):
     """Write the report and seal the run."""
 
@@ -334,12 +322,15 @@ class StepConfig(StrictModel):
     """One step: a mapping with the step's word as its only key, or the bare word to use the defaults."""
 
     model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
-    bare_words = ("light", "move", "settle", "place", "record", "solve", "report")
+    gone: ClassVar[Mapping[str, str]] = {
+        "place": "Boards have left the run: calibrate their recordings with `starbench calibrate FOLDER --board "
+        "checkerboard:11x7:20mm` (docs/boards.md)."
+    }
+    bare_words = ("light", "move", "settle", "record", "solve", "report")
 
     light: LightConfig | None = None
     move: MoveConfig | None = None
     settle: SettleConfig | None = None
-    place: PlaceConfig | None = None
     record: RecordConfig | None = None
     wait: WaitConfig | None = None
     prompt: PromptConfig | None = None

@@ -38,7 +38,6 @@ class Pose:
     # choose.
     angles_deg: Mapping[str, float]
     chosen_in_run: bool = False  # Whether the run chooses the angles while it measures (``until``)
-    placed: bool = False  # Whether a person places a board for it (``place``)
 
     @property
     def key(self) -> str:
@@ -143,15 +142,11 @@ class WaitStep(_NumberedStep):
 
 @dataclass(frozen=True)
 class PromptStep(_NumberedStep):
-    """Ask the operator; after ``timeout_s`` the default answer counts.
-
-    ``placement`` is the number of the placement of a board for which it asks, from 1; 0 for another question.
-    """
+    """Ask the operator; after ``timeout_s`` the default answer counts."""
 
     text: str
     default: Answer
     timeout_s: float
-    placement: int = 0
 
 
 @dataclass(frozen=True)

@@ -81,7 +81,7 @@ class SolveConfig(StrictModel):
 
     model: Annotated[
         CalibrationModel | None,
-        Field(description="Default: auto, the joint adjustment; with a board planar."),
+        Field(description="Default: auto, the joint adjustment."),
     ] = None
     distortion: Annotated[
         Annotated[DistortionSet, Tag("set")] | Annotated[tuple[DistortionTerm, ...], Tag("list")],

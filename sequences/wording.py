@@ -82,7 +82,7 @@ def _fault(issue: Any, tree: Tree, model: type[BaseModel]) -> Fault:
     got = _quoted(issue["input"])
     if kind == "extra_forbidden":
         spot = tree.keys.get(path, spot)
-        message = f"unknown key.{did_you_mean(str(path[-1]), _keys_known(model, issue['loc'][:-1]))}"
+        message = _about_unknown_key(str(path[-1]), _types_at(model, issue["loc"][:-1]))
     elif kind == "literal_error":
         message = f"must be {context['expected']}{got}.{_nearest(issue['input'], context['expected'])}"
     elif kind in {"union_tag_invalid", "union_tag_not_found"}:
@@ -129,10 +129,13 @@ def _nearest(value: Any, expected: str) -> str:
     return f" Did you mean {near[0]!r}?" if near else ""
 
 
-def _keys_known(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[str]:
-    """Return the keys that a mapping at a location of the model may have."""
-    found = _types_at(model, loc)
-    return [key for kind in found if _is_model(kind) for key in kind.model_fields]
+def _about_unknown_key(key: str, kinds: Iterable[Any]) -> str:
+    """Return the sentence about a key that a mapping, of one of these types, does not have."""
+    models = [kind for kind in kinds if _is_model(kind)]
+    for kind in models:
+        if key in getattr(kind, "gone", {}):
+            return f"unknown key. {kind.gone[key]}"
+    return f"unknown key.{did_you_mean(key, (name for kind in models for name in kind.model_fields))}"
 
 
 def _tags(model: type[BaseModel], loc: tuple[int | str, ...], discriminator: str) -> list[str]:

@@ -1,7 +1,7 @@
 """Configuration of the simulated bench: its devices, and the world they stand in.
 
 This module defines every key, its default and its range; an error is one sentence that names the key. `truth_config`
-reads the sections camera, collimator, target, reticle, optics, noise, thermal, mount, gimbal, screen and board.
+reads the sections camera, collimator, target, reticle, optics, noise, thermal, mount, gimbal and lens.
 """
 
 from __future__ import annotations
@@ -51,8 +51,8 @@ LIGHT_KINDS: Final = ("keysight", "rigol", "siglent", "gardasoft", "microcontrol
 _PORTS: Final = ("pty", "tcp")
 
 _TRUTH_SECTIONS: Final = (
-    *("camera", "collimator", "target", "reticle", "optics", "noise", "thermal", "mount", "gimbal", "screen"),
-    *("lens", "board"),
+    *("camera", "collimator", "target", "reticle", "optics", "noise", "thermal", "mount", "gimbal"),
+    "lens",
 )
 
 
@@ -136,8 +136,7 @@ class BenchConfig:
         gimbal, axes = self.truth.gimbal, self.axes
         pan, tilt, roll = (axes[name].backlash_deg if name in axes else 0.0 for name in AXES)
         gimbal = replace(gimbal, seed=gimbal.seed or seed, backlash_deg=(pan, tilt, roll))
-        board = replace(self.truth.board, seed=seed) if self.truth.board.present else self.truth.board
-        truth = replace(self.truth, gimbal=gimbal, board=board)
+        truth = replace(self.truth, gimbal=gimbal)
         if not self.mounting_from_seed:
             return truth
         drawn = np.random.default_rng((seed, _MOUNTING_STREAM)).normal(_MOUNTING_DEG, _MOUNTING_SPREAD_DEG)

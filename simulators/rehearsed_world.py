@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulators.config import BenchConfig, bench_config
-from simulators.errors import ConfigError
 from simulators.optics.lens_focus import truth_record
 from simulators.optics.picture import star_centres, true_rotation
 from simulators.world.gimbal import Gears
@@ -45,17 +44,11 @@ class RehearsedView:
 
 
 class RehearsedWorld:
-    """A simulated bench without its devices (only serial numbers are used), and without a board."""
+    """A simulated bench without its devices (only serial numbers are used)."""
 
     def __init__(self, config: Mapping[str, Any], seed: int) -> None:
         self.bench: BenchConfig = bench_config(config)
         self.night = self.bench.night
-        if self.bench.truth.board.present:
-            raise ConfigError(
-                "A rehearsal knows the star target behind the collimator only.",
-                where="board",
-                remedy="Run on the simulated bench itself.",
-            )
         self._truth = self.bench.truth_for(seed)
         self._seed = seed
         self._gears = Gears(self._truth.gimbal)

@@ -35,7 +35,7 @@ from sequences.reader import OptionSettings, find_document
 
 PAGE = Path(__file__).parent / "page"
 BEAT_S = 1.0
-_FREE = frozenset({"stop", "take", "beat", "leave", "propose", "check"})
+_FREE = frozenset({"stop", "take", "beat", "leave", "check"})
 """Requests that need no controls: they change nothing, or make the bench safer."""
 
 

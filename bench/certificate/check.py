@@ -149,8 +149,8 @@ def _compare_documents(
     signature = verify_signature(stored, DCC)
     if signature is not None:
         found.remarks.append(
-            f"{DCC} has a valid signature of {signature.signer}; whether you trust that certificate was not checked:"
-            " starbench certificate check --trusted"
+            f"{DCC} has a valid signature of {signature.signer}; whether you trust its certificate was not checked:"
+            f" xmlsec1 --verify --trusted-pem AUTHORITY.pem {DCC}"
         )
 
     def signed(dcc: bytes) -> bytes:

@@ -69,7 +69,7 @@ def _load_pem_key(secret: bytes, path: Path, ask_passphrase: Callable[[Path], by
 
 
 def load_certificates(path: Path) -> tuple[x509.Certificate, ...]:
-    """Load 1 to 10 certificates in PEM: the laboratory's chain, or certificates that a reader trusts."""
+    """Load 1 to 10 certificates in PEM: the laboratory's chain."""
     with storage_errors(path):
         data = path.read_bytes()
     try:
@@ -142,35 +142,6 @@ def refuse_unfit(certificate: x509.Certificate, when: datetime, where: str = "")
         )
 
 
-def leads_to(
-    certificates: Sequence[x509.Certificate], trusted: Sequence[x509.Certificate], when: datetime
-) -> bool:
-    """Return whether a chain, signer first, leads to a trusted certificate (RFC 5280, 6.1, no names or policies)."""
-    current, left = certificates[0], list(certificates[1:])
-    for _ in range(MOST_CERTIFICATES):
-        if current in trusted:
-            return True
-        anchor = next((one for one in trusted if _may_issue(one, when) and _issued(current, one)), None)
-        if anchor is not None:
-            return True
-        issuer = next((one for one in left if _may_issue(one, when) and _issued(current, one)), None)
-        if issuer is None:
-            return False
-        left.remove(issuer)
-        current = issuer
-    return False
-
-
-def _may_issue(certificate: x509.Certificate, when: datetime) -> bool:
-    """Return whether a certificate is one of an authority, and valid."""
-    if not certificate.not_valid_before_utc <= when <= certificate.not_valid_after_utc:
-        return False
-    try:
-        return certificate.extensions.get_extension_for_class(x509.BasicConstraints).value.ca
-    except x509.ExtensionNotFound:
-        return False
-
-
 def name_of(name: x509.Name) -> str:
     """Return the name of a certificate's owner or issuer for messages, RFC 4514, cut if it is long."""
     return short(name.rfc4514_string()) or "nobody"
@@ -191,7 +162,6 @@ class DccSignature:
     serial: int
     fingerprint: str  # SHA-256 of that certificate, hexadecimal
     stated_utc: datetime
-    trusted: bool  # Whether the certificate was traced to one that the reader trusts
 
 
 def signer_of_files(
@@ -289,13 +259,11 @@ def without_signature(data: bytes) -> bytes:
     return to_bytes(root)
 
 
-def verify_signature(
-    data: bytes, where: str, *, trusted: Sequence[x509.Certificate] = (), when: datetime | None = None
-) -> DccSignature | None:
+def verify_signature(data: bytes, where: str, *, when: datetime | None = None) -> DccSignature | None:
     """Verify the signature of a DCC; return who signed, or None without a signature; else raise `EvidenceError`.
 
-    ``trusted`` empty checks only that document and signature belong together; ``when`` None is the time the signer
-    states.
+    Document and signature belong together; whether the signer's certificate is trusted, others check. ``when`` None is
+    the time that the signer states.
     """
     root = read_dcc(data, where)
     signatures = list(root.iter(SIGNATURE))
@@ -318,13 +286,6 @@ def verify_signature(
     moment = when or stated
     refuse_unfit(certificates[0], moment, where)
     _check_xades(data, root, certificates[0], where, moment)
-    reached = leads_to(certificates, trusted, moment)
-    if trusted and not reached:
-        raise EvidenceError(
-            f"The signature is of {name_of(certificates[0].subject)}, which leads to no trusted certificate.",
-            where=where,
-            remedy="Get the laboratory's certificate from the laboratory itself and name that file.",
-        )
     leaf = certificates[0]
     return DccSignature(
         signer=name_of(leaf.subject),
@@ -332,7 +293,6 @@ def verify_signature(
         serial=leaf.serial_number,
         fingerprint=leaf.fingerprint(hashes.SHA256()).hex(),
         stated_utc=stated,
-        trusted=reached,
     )
 
 

@@ -1,21 +1,18 @@
-"""The XML of digital calibration certificates: versions, names, safe reading, elements, bytes and PTB's schemas.
+"""The XML of digital calibration certificates: versions, names, safe reading, elements and bytes.
 
 Reading loads no entity and nothing from other files or the network. lxml (extra ``certificate``) is imported late.
 """
 
 from __future__ import annotations
 
-import os
 import re
-from collections.abc import Mapping
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bench.base.errors import EvidenceError, UsageError
 
 if TYPE_CHECKING:
-    from lxml.etree import XMLSchema, _Element
+    from lxml.etree import _Element
 
 
 MOST_BYTES = 32 * 1024 * 1024
@@ -139,129 +136,6 @@ def _unreadable(what: str, where: str) -> EvidenceError:
         where=where,
         remedy="Name the XML file of a certificate. If it is one, get it from the laboratory again.",
     )
-
-
-SCHEMAS_VARIABLE = "STARBENCH_DCC_SCHEMAS"
-DCC_SCHEMA = "dcc.xsd"
-SI_SCHEMA = "SI_Format.xsd"
-SIGNATURE_SCHEMA = "xmldsig-core-schema.xsd"
-_FILES = {DCC: DCC_SCHEMA, SI: SI_SCHEMA, DS: SIGNATURE_SCHEMA}
-_XS = "{http://www.w3.org/2001/XMLSchema}"
-_MOST_SCHEMA_BYTES = 4 * 1024 * 1024
-_MOST_FAULTS = 50
-_REMEDY = (
-    "Get dcc.xsd and SI_Format.xsd of the certificate's version from PTB (https://ptb.de/dcc, https://ptb.de/si), put"
-    f" both into one folder, and name it with --schemas or in {SCHEMAS_VARIABLE}."
-)
-
-
-def schema_folder(given: Path | None, environ: Mapping[str, str] = os.environ) -> Path | None:
-    """Return the folder of the schemas that the user or else the environment names; None if none is named."""
-    if given is not None:
-        return given
-    named = environ.get(SCHEMAS_VARIABLE, "").strip()
-    return Path(named) if named else None
-
-
-def schema_faults(data: bytes, folder: Path, where: str) -> list[str]:
-    """Check a DCC against the schemas of its version: at most 50 lines ``line N: what``, none if it is valid."""
-    root = read_dcc(data, where)
-    schema = load_schema(folder)
-    if schema.validate(root):
-        return []
-    lines = [
-        f"line {entry.line}: {_plain(entry.message)}"
-        for entry in schema.error_log  # type: ignore[attr-defined]
-    ]
-    more = [f"and {len(lines) - _MOST_FAULTS} more"] if len(lines) > _MOST_FAULTS else []
-    return [*lines[:_MOST_FAULTS], *more]
-
-
-def _unusable(what: str, where: Path) -> UsageError:
-    return UsageError(what, where=str(where), remedy=_REMEDY)
-
-
-def load_schema(folder: Path) -> XMLSchema:
-    """Load the schemas of a folder, which must have these versions; `UsageError` if one is missing or no schema."""
-    etree = library("lxml.etree")
-    if not folder.is_dir():
-        raise _unusable("There is no such folder of schemas.", folder)
-    contents = {
-        DCC_SCHEMA: _schema_bytes(folder / DCC_SCHEMA, DCC, DCC_VERSION),
-        SI_SCHEMA: _schema_bytes(folder / SI_SCHEMA, SI, SI_VERSION),
-        SIGNATURE_SCHEMA: _signature_schema(folder),
-    }
-    parser = _schema_parser(etree)
-    parser.resolvers.add(_resolver(etree, contents))
-    try:
-        return etree.XMLSchema(etree.fromstring(contents[DCC_SCHEMA], parser))
-    except (etree.XMLSchemaParseError, etree.XMLSyntaxError) as error:
-        raise _unusable(f"The schemas cannot be used: {_plain(str(error))}.", folder) from error
-
-
-def _schema_parser(etree: Any) -> Any:
-    return etree.XMLParser(no_network=True, load_dtd=False, resolve_entities=False, huge_tree=False)
-
-
-def _resolver(etree: Any, contents: Mapping[str, bytes]) -> Any:
-    """Return a resolver that answers every address with a file of the folder, and refuses all others."""
-
-    class Resolver(etree.Resolver):  # type: ignore[misc]
-        def resolve(self, system_url: str, public_id: str, context: Any) -> Any:
-            del public_id
-            content = contents.get(system_url.rsplit("/", 1)[-1])
-            if content is None:
-                raise EvidenceError(
-                    f"The schema asks for {short(system_url)}, which is not one of its files."
-                )
-            return self.resolve_string(content, context, base_url=system_url)
-
-    return Resolver()
-
-
-def _schema_bytes(path: Path, namespace: str, version: str) -> bytes:
-    """Return the bytes of a schema after checking its namespace, its version and what it imports."""
-    etree = library("lxml.etree")
-    if not path.is_file():
-        raise _unusable(f"The folder has no {path.name}, which the check needs.", path.parent)
-    if path.stat().st_size > _MOST_SCHEMA_BYTES:
-        raise _unusable("The file is too large for a schema.", path)
-    content = path.read_bytes()
-    try:
-        root: _Element = etree.fromstring(content, _schema_parser(etree))
-    except (etree.XMLSyntaxError, ValueError) as error:
-        raise _unusable(f"The file is not an XML schema ({short(str(error))}).", path) from error
-    if root.tag != f"{_XS}schema" or root.get("targetNamespace") != namespace:
-        raise _unusable(f"The file is not the schema of {namespace}.", path)
-    if root.get("version") != version:
-        stated = short(root.get("version", "")) or "none"
-        raise _unusable(f"The schema has version {stated}; the certificate needs {version}.", path)
-    for imported in root.iter(f"{_XS}import", f"{_XS}include", f"{_XS}redefine"):
-        name = imported.get("schemaLocation", "").rsplit("/", 1)[-1]
-        if _FILES.get(imported.get("namespace", "")) != name:
-            raise _unusable(
-                f"The schema imports {short(imported.get('schemaLocation', ''))}, which is not known here.",
-                path,
-            )
-    return content
-
-
-def _signature_schema(folder: Path) -> bytes:
-    """Return the schema of XML signatures: that of the folder, else that of signxml."""
-    own = folder / SIGNATURE_SCHEMA
-    if own.is_file():
-        return own.read_bytes()
-    shipped = Path(str(library("signxml").__file__)).parent / "schemas" / SIGNATURE_SCHEMA
-    if shipped.is_file():
-        return shipped.read_bytes()
-    raise _unusable(f"The folder has no {SIGNATURE_SCHEMA}.", folder)
-
-
-def _plain(message: str) -> str:
-    """Return a message of libxml2 with prefixes for its namespaces."""
-    for prefix, namespace in NAMESPACES.items():
-        message = message.replace(f"{{{namespace}}}", f"{prefix}:")
-    return short(re.sub(r"\.$", "", message.strip()), 300)
 
 
 # Units of the Digital System of Units (D-SI), as its XML writes them: ``\milli\metre``, ``\metre\per\second``.
@@ -400,16 +274,3 @@ def is_unit(text: str) -> bool:
     [True, False, False, False]
     """
     return _UNIT.fullmatch(text) is not None
-
-
-def length_mm(value: float, unit: str) -> float | None:
-    r"""Return a length in millimetres, from D-SI's ``\metre`` with a prefix or without; None for other units.
-
-    >>> length_mm(0.255, r"\metre"), length_mm(255.0, r"\milli\metre"), length_mm(1.0, r"\second")
-    (255.0, 255.0, None)
-    """
-    found = re.fullmatch(r"(?:\\(\w+))?\\metre", unit)
-    if found is None or (found[1] and found[1] not in PREFIXES):
-        return None
-    power = (PREFIXES[found[1]] if found[1] else 0) + 3
-    return value * 10**power if power >= 0 else value / 10**-power

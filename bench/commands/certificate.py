@@ -1,4 +1,4 @@
-"""The group `certificate`: certificates are issued, amended, listed and shown; two modules hold its other commands."""
+"""The group `certificate`: issue, amend, list and show; `certificate_authorise` has the others."""
 
 from __future__ import annotations
 
@@ -18,7 +18,6 @@ from bench.certificate.certificate_data import CERTIFICATE, Certificate
 from bench.certificate.dcc_signature import signer_of_files
 from bench.certificate.series import Numbered, declare_void, numbers, one_at_a_time
 from bench.commands.certificate_authorise import authorise, timestamp
-from bench.commands.certificate_dcc import check, from_dcc
 from bench.commands.options import (
     OPERATOR,
     ExistingFile,
@@ -57,7 +56,7 @@ _NOT_FOUND = "NOT FOUND"
     ),
 )
 def certificate() -> None:
-    """Issue, amend, list, check, authorise and time-stamp calibration certificates."""
+    """Issue, amend, list, authorise and time-stamp calibration certificates."""
 
 
 @certificate.command("new", epilog=epilog("starbench certificate new -o lab.yaml"))
@@ -373,5 +372,5 @@ def _stated(reason: str) -> str:
     return reason.strip()
 
 
-for _command in (authorise, check, from_dcc, timestamp):
+for _command in (authorise, timestamp):
     certificate.add_command(_command)

@@ -34,7 +34,8 @@ SECTIONS = {
     "Many runs": {
         "batch": "Do all runs of a queue file; a second process supervises each run.",
         "rehearse": "Try a queue without devices: a night takes about a minute.",
-        "runs": "List, filter and compare runs; draw control charts.",
+        "runs": "List runs.",
+        "history": "Show control charts, agreement, gauge study and table of many runs.",
         "ledger": "Check the ledger of this bench; explain a break in it.",
         "messages": "List or send the messages of this bench.",
     },
@@ -88,12 +89,20 @@ _RENAMED = {
     "keys list": "keys show",
     "certificate list": "certificate show",
     "certificate amend": "certificate issue FOLDER --reason TEXT",
+    "runs --chart": "history charts",
+    "runs --compare": "history agreement",
+    "runs --capability": "history capability",
+    "runs --output": "history table -o FILE",
     "target draw": "target -s STATION -o FILE",
     "target show": "target -s STATION",
 }
 """Commands of earlier versions, and what does their work now."""
 _GONE = {
     "compare": "The comparison of methods is a benchmark now: `make table1` in the source folder.",
+    "certificate check": "`starbench verify` checks a certificate of Starbench; xmllint and xmlsec1 check any digital "
+    "certificate (docs/certificates.md).",
+    "certificate from-dcc": "Copy focal length, uncertainty and number of the certificate into the station file "
+    "(docs/stations.md#collimator).",
     "study": "The check of the stated uncertainties is a benchmark now: `make coverage` in the source folder.",
 }
 """Commands of earlier versions that no command replaces, and where their work is done."""

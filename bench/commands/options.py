@@ -9,6 +9,7 @@ import math
 import os
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from datetime import UTC
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -317,12 +318,6 @@ TSA_CERTIFICATES = click.option(
     type=ExistingFile(),
     help="Root certificates of trusted time stamping authorities, PEM.  [default: this bench's own]",
 )
-TRUSTED = click.option(
-    "--trusted",
-    type=ExistingFile(),
-    metavar="PEM",
-    help="Certificates that you trust; the signature must lead to one of them.",
-)
 STATION = click.option(
     "--station",
     "-s",
@@ -384,6 +379,35 @@ BEGIN = click.option(
     metavar="DATETHH:MM",
     help="Time at which the night begins, in the time zone of the queue.  [default: now]",
 )
+
+
+OF_CAMERA = click.option(
+    "--serial", metavar="NUMBER", help="Only runs of the camera with this serial number."
+)
+SINCE = click.option(
+    "--since", type=MOMENT, metavar=MOMENT_FORM, help="Only runs that began at or after this time (UTC)."
+)
+UNTIL = click.option(
+    "--until", type=MOMENT, metavar=MOMENT_FORM, help="Only runs that began before this time (UTC)."
+)
+OF_SEQUENCE = click.option("--sequence", help="Only runs whose sequence name contains this text.")
+LEDGERS = click.option(
+    "--ledger",
+    "ledgers",
+    multiple=True,
+    metavar="FOLDER",
+    type=ExistingFolder(),
+    help="Read the ledger in this folder, not that of this bench. The folder is the configuration folder of another"
+    " bench, or a copy of it. Give the option several times to merge several benches.",
+)
+
+
+def filters_of(given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return which runs the options name, as `bench.records.run_index.RunIndex.runs` takes it."""
+    moments = {
+        name: moment.replace(tzinfo=UTC) if (moment := given[name]) else None for name in ("since", "until")
+    }
+    return {"camera": given["serial"], **moments, "sequence": given["sequence"], "how": given.get("how")}
 
 
 @dataclass(frozen=True)

@@ -79,7 +79,7 @@ def run(
     """Run a SEQUENCE on a station and write a sealed report.
 
     SEQUENCE is a file, or the name of a sequence that is included (three_pose, nine_pose, turntable, until_good,
-    parallax_test, boards).
+    parallax_test).
 
     The first Ctrl-C stops the run safely: it stops the stage, switches the light off and closes the files. The third
     Ctrl-C ends the process at once.

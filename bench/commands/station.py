@@ -315,7 +315,7 @@ def _device_lines(found: Discovery, plugins: list[dict[str, str]]) -> Iterator[s
     for sentence in found.missing:
         yield f"missing      {sentence}"
     yield (
-        "simulated    -s simulated, simulated_board, simulated_frames, simulated_ideal, simulated_unaligned: "
+        "simulated    -s simulated, simulated_frames, simulated_ideal, simulated_unaligned: "
         "stations without devices"
     )
 

@@ -19,7 +19,6 @@ from bench.stations.station_text import description_documents
 from bench.views.camera_kinds import CameraKind, camera_kind
 from bench.views.expected_grid import grid_from_journal
 from bench.views.gates import at_most, failed_gate_texts
-from calib.boards.board import Board
 from calib.calibration import REFERENCE_MODELS, CalibrationOptions
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
@@ -126,12 +125,6 @@ class Job:
         return self.station.target.pattern()
 
     @property
-    def board(self) -> Board | None:
-        """The board at finite distance in place of the star target; None if there is none."""
-        config = self.station.board
-        return None if config is None else config.board()
-
-    @property
     def camera_kind(self) -> CameraKind:
         """What the run does with the station's kind of camera."""
         return camera_kind(self.station)
@@ -172,9 +165,6 @@ class Job:
 
     def frequency_hz(self, step: RecordStep) -> float:
         """Return the flicker frequency of a recording, Hz; a plan without faults always has one."""
-        board = self.station.board
-        if board is not None and board.own_hz is not None:
-            return board.own_hz
         light = self.light_before(step)
         assert light is not None
         assert light.flicker is not None

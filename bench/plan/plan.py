@@ -336,8 +336,6 @@ def make_plan(
     ``passport_copy`` is where the folder of a run that has begun keeps the passport; None for a new run.
     """
     script, faults = unfold(sequence)
-    if station.value.board is not None:
-        script = tuple(_planar(step) for step in script)
     today = today or datetime.now(UTC).date()
     solving = tuple(step.solve if isinstance(step, ChooseStep) else step for step in script)
     passport = choose_passport(sequence, station, solving, copy=passport_copy, today=today)
@@ -385,13 +383,6 @@ def _timed(script: tuple[Step, ...], estimate: Estimate) -> tuple[tuple[PlannedS
         if step is last:
             elapsed_s += estimate.parking_s()
     return tuple(steps), elapsed_s
-
-
-def _planar(step: Step) -> Step:
-    """Return a step of a run with a board: a solve step that names no model uses the planar one."""
-    if isinstance(step, SolveStep) and step.model is None:
-        return dataclasses.replace(step, model="planar")
-    return step
 
 
 def _fault_dict(fault: Fault) -> dict[str, Any]:

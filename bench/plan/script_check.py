@@ -24,7 +24,6 @@ from sequences.script import (
     Flicker,
     LightStep,
     MoveStep,
-    PromptStep,
     RecordStep,
     ReportStep,
     SettleStep,
@@ -127,7 +126,6 @@ def check_script(
         *(_order_faults(document, steps, station, with_passport) if whole else ()),
         *_solve_faults(document, steps),
         *_limit_faults(document, steps, station),
-        *_board_faults(document, steps, station),
     ]
     return Findings(
         tuple(sorted(set(faults))),
@@ -197,14 +195,13 @@ def _recording_faults(
             flicker = step.flicker
         if not isinstance(step, RecordStep):
             continue
-        own_light = station.board is not None and station.board.own_hz is not None
-        if flicker is None and not own_light:
+        if flicker is None:
             yield document.fault(
                 step.path, "this recording is in the dark: switch the light on first (light:)."
             )
             continue
-        if takes_pictures or flicker is None or own_light:
-            continue  # the light is steady, or the board's own: there are no periods and no triggers
+        if takes_pictures:
+            continue  # the light is steady: there are no periods and no triggers
         if flicker.waveform == "steady":
             yield document.fault(
                 step.path,
@@ -234,8 +231,7 @@ def _order_faults(
             yield document.fault(step.path, "no step may follow the report, which seals the run.")
         if isinstance(step, RecordStep):
             chosen = (("number", float(step.pose.index)),) if step.pose.chosen_in_run else ()
-            placed = (("placement", float(step.pose.index)),) if step.pose.placed else ()
-            directions.add((*step.pose.angles_deg.items(), *chosen, *placed))
+            directions.add((*step.pose.angles_deg.items(), *chosen))
         elif isinstance(step, ChooseStep):
             if len(directions) < FEWEST_POSES and station.expected is None:
                 yield document.fault(
@@ -259,30 +255,6 @@ def _order_faults(
                 yield document.fault(
                     step.path, "no solve precedes this report, so there is no result to report."
                 )
-
-
-def _board_faults(document: Located[Sequence], steps: tuple[Step, ...], station: Station) -> Iterator[Fault]:
-    """Yield what a run without a board, or with one, cannot do."""
-    for step in steps:
-        if station.board is None:
-            if isinstance(step, PromptStep) and step.placement:
-                yield document.fault(
-                    step.path, "the station has no board to place: give it a section board (docs/boards.md)."
-                )
-        elif isinstance(step, ChooseStep):
-            yield document.fault(
-                step.path, "an until chooses angles of the gimbal; a board is placed by hand: use place."
-            )
-        elif isinstance(step, SolveStep) and step.model != "planar":
-            yield document.fault(
-                setting_path(document, step.path, "model", "solve"),
-                "a board has no collimator before it: use model: planar.",
-            )
-        elif isinstance(step, RecordStep) and step.image != "auto" and station.board.kind == "blinking-dots":
-            yield document.fault(
-                setting_path(document, step.path, "image", "record"),
-                "blinking dots have an image of their own: use image: auto.",
-            )
 
 
 def _solve_faults(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[Fault]:

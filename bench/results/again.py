@@ -334,9 +334,7 @@ def _made_again(evidence: _Evidence, measured: dict[int, Measurement], found: Fi
         found.fault("results", RESULTS, f"the results have no calibration to compare ({error!r})")
         return None
     _check_solved(evidence, solution.calibration.sigma, main_numbers(solution.calibration), found)
-    return MadeAgain(
-        results, solution.views, job.camera_name, job.board or job.target, evidence.used, evidence.head
-    )
+    return MadeAgain(results, solution.views, job.camera_name, job.target, evidence.used, evidence.head)
 
 
 def _previous_again(stored: Mapping[str, Any], results: Mapping[str, Any]) -> dict[str, Any]:

@@ -92,7 +92,7 @@ class OfflineResult:
     @property
     def board(self) -> Board | None:
         """The board at finite distance that all views show; None if they show the star target, or not the same."""
-        return _common_board(self.sources, self.choices)
+        return self.choices.board
 
     def to_dict(self) -> dict[str, Any]:
         """Return the calibration's content, and ``planar passport gimbal_readings skipped``, for ``--json``."""
@@ -147,18 +147,13 @@ def calibrate_sources(sources: Sequence[ViewSource], choices: OfflineOptions) ->
     chosen = [sources[n - 1] for n in choices.view_numbers] if choices.view_numbers else sources
     views, used, skipped = read_views(chosen)
     options, passport, cautions = _engine_options(used, choices)
-    words = words_for(_common_board(used, choices))
+    words = words_for(choices.board)
     calibration, planar = calibrated(views, options, words, cautions)
     targets = [source.job.target if source.job else choices.target for source in used]
     target = targets[0] if all(one == targets[0] for one in targets) else None
     return OfflineResult(
         calibration, planar, skipped, views, options, used, passport, target, choices=choices
     )
-
-
-def _common_board(sources: Sequence[ViewSource], choices: OfflineOptions) -> Board | None:
-    boards = {source.job.board if source.job else choices.board for source in sources}
-    return next(iter(boards)) if len(boards) == 1 else None
 
 
 def require_common_views(first: Path, second: Path, choices: OfflineOptions) -> None:

@@ -42,8 +42,8 @@ from sequences.script import SolveStep
 
 
 def keep_views_of_run(job: Job, history: History, measured: Mapping[int, Measurement]) -> int:
-    """Keep the views of a run's accepted recordings, unless it is a rehearsal or shows a board."""
-    if type(job.camera_kind) not in {EventKind, FrameKind} or job.board is not None:
+    """Keep the views of a run's accepted recordings, unless it is a rehearsal."""
+    if type(job.camera_kind) not in {EventKind, FrameKind}:
         return 0
     kept, count = KeptViews.of_bench(), 0
     for index, attempt in history.accepted().items():
@@ -105,9 +105,8 @@ class ResultWriter:
             results["previous"] = previous
         self._folder.write_atomic(RESULTS, canonical_json(results))
         self._folder.write_atomic(VIEWS, views_file(solution.views))
-        target = self._job.board or self._job.target
         shown = shown_files(
-            results, solution.calibration, self._job.camera_name, target, solution.views, head
+            results, solution.calibration, self._job.camera_name, self._job.target, solution.views, head
         )
         for name, data in shown.items():
             self._folder.write_atomic(name, data)

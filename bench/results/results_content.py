@@ -126,7 +126,7 @@ def results_content(
         "gates": gates,
         **({"conformity": judged_limits} if judged_limits is not None else {}),
         **of_journal,
-        "truth": _lasting(truth) if truth is not None else None,
+        "truth": dict(truth) if truth is not None else None,
         "comparison": compare_with_truth(calibration, truth) if truth is not None else [],
     }
     return cast("Results", found)
@@ -164,7 +164,6 @@ def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) ->
             "laboratory": job.station.laboratory,
             "collimator": collimator_data(job),
             **({"target": stated} if (stated := target_data(job)) else {}),
-            **({"board": str(job.board)} if job.board is not None else {}),
             "simulated": job.simulated,
             "camera": kind.name,
             "resumed": history.resumed,
@@ -227,14 +226,6 @@ def other_engine(results: Results) -> str:
     return (
         f"made by another calibration engine ({told}; this version has {here}), so no number can be compared"
     )
-
-
-def _lasting(truth: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the truth without the place of a board at the end, which is that of the last placement only."""
-    board = truth.get("board")
-    if not isinstance(board, Mapping):
-        return dict(truth)
-    return {**truth, "board": {name: value for name, value in board.items() if name != "placed"}}
 
 
 def _conditions(history: History, kind: CameraKind) -> Conditions:

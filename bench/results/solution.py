@@ -22,7 +22,7 @@ from bench.plan.passports import PassportInUse
 from bench.records.events import Solved
 from bench.records.history import Attempt, History
 from bench.records.results import CheckData, ComparisonRow, GimbalReadingsData
-from bench.report.text import TargetWords, words_for
+from bench.report.text import STARS, TargetWords
 from bench.results.checks import gimbal_check, mount_faces, parallax_check, split_half_check
 from bench.results.solve_options import limited_numbers, readings_result, require_enough_views, solve_options
 from bench.views.gates import Gate, at_most, solution_gates
@@ -172,7 +172,7 @@ def solve_run(
     views = views_in(measurements)
     options = solve_options(job, step, readings)
     notes = _notes(job, step, history, measurements)
-    calibration, planar = calibrated(views, options, words_for(job.board), notes, check)
+    calibration, planar = calibrated(views, options, STARS, notes, check)
     checks: dict[str, Any] = {
         "halves": split_half_check(views, options),
         "gimbal": gimbal_check(calibration, readings, job.station.gimbal),

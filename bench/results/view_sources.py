@@ -29,7 +29,7 @@ from sequences.script import RecordStep
 
 if TYPE_CHECKING:  # what finds stars is loaded where stars are found: views may be kept from before
     from bench.views.measure import ExpectedGrid, Measurement
-    from bench.views.measure_board import MovingRecording
+    from bench.views.moving_recording import MovingRecording
 
 RECORDINGS = {".raw"}
 PHOTOGRAPHS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
@@ -202,7 +202,7 @@ def _view_of_run(job: Job, path: Path, step: RecordStep, expected_grid: Expected
 
 def _file_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
     """List the views of a file: several pictures of a moving camera's recording, one view of any other file."""
-    from bench.views.measure_board import MovingRecording
+    from bench.views.moving_recording import MovingRecording
 
     ending = path.suffix.lower()
     if choices.reconstruct_hz is None or choices.board is None or ending not in RECORDINGS | OTHER_RECORDINGS:
@@ -223,7 +223,7 @@ def _file_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
 
 def _view_of_picture(moving: MovingRecording, number: int, name: str, board: Board) -> View:
     """Reconstruct a picture and find the board in it."""
-    from bench.views.measure_board import MOVING_REMEDY
+    from bench.views.moving_recording import MOVING_REMEDY
     from calib.boards.detect import detect_board
 
     try:

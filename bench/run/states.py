@@ -22,7 +22,6 @@ from bench.stations.devices import Devices
 from bench.terminal.progress import Reply, ask
 from bench.views.expected_grid import grid_from_earlier_poses
 from bench.views.measure import Measurement
-from bench.views.measure_board import with_advice
 from drivers.camera import CameraIdentity
 from drivers.camera.usb_permission import LEAST_MBIT_S
 from drivers.light import Light, StatesSyncPolarity
@@ -209,8 +208,6 @@ class StateWork:
     def holding(self, step: ScriptStep | None, trip: Trip | None = None, *, by: str = "", **_: Any) -> None:
         """Hold for an operator, an interlock or an answer, before this step (None: before the first)."""
         question = step if isinstance(step, PromptStep) else None
-        if question is not None and self._run.job.board is not None:
-            question = with_advice(question, self._run.log.history, self._run.job.board)
         if by:
             self._until_released()
         elif trip is not None:
@@ -218,9 +215,6 @@ class StateWork:
         else:
             assert question is not None
             self._until_answered(question)
-        simulation = self._run.devices.opened.simulation if question and question.placement else None
-        if question and simulation:  # on a simulated bench nobody else can place the board
-            simulation.set_up("board", "place", number=question.placement)
 
     def parking(self, *_: Any, **__: Any) -> None:
         """Switch the light off and move the stage to zero, because no later step needs them."""

@@ -166,10 +166,10 @@ def _places_to_repeat(steps: Sequence[ScriptStep], first: int) -> list[int]:
 
 
 def _prepares(step: ScriptStep, *, solving: bool) -> bool:
-    """Return whether a report depends on a step, a solution; else whether recordings do: a move, a board placed."""
+    """Return whether a report depends on a step, a solution; else whether recordings do: a move."""
     if solving:
         return isinstance(step, SolveStep)
-    return isinstance(step, MoveStep) or (isinstance(step, PromptStep) and step.placement > 0)
+    return isinstance(step, MoveStep)
 
 
 _TRIGGERS: Mapping[type, str] = {

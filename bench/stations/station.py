@@ -9,10 +9,9 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -41,8 +40,6 @@ from bench.stations.station_fields import (
     VideoSource,
 )
 from bench.stations.station_text import use_descriptions
-from calib.boards.board import Board, Kind
-from calib.errors import InputMismatch
 from calib.studies.predicted_views import TYPICAL_DEFOCUS, TYPICAL_RMS_PX, CollimatorErrors
 from drivers.camera.frames import FrameSettings
 from drivers.port_address import SOURCE_REMEDY, refused_source
@@ -234,60 +231,6 @@ class ExpectedConfig(StrictModel):
         )
 
 
-_Points = Annotated[int, Within(3, 200)]
-_Frequency = Annotated[float, Within(1, 1000, "Hz")]
-
-
-@contextmanager
-def _no_board() -> Iterator[None]:
-    try:
-        yield
-    except InputMismatch as error:
-        said = {"what": error.what, "remedy": error.remedy}
-        raise PydanticCustomError("no_board", "{what} {remedy}", said) from None
-
-
-class BoardConfig(StrictModel):
-    """A board at finite distance, as a section or in one word: ``checkerboard:9x6:25mm``."""
-
-    kind: Kind
-    columns: Annotated[_Points, Field(description="Points along X; inner corners of a checkerboard.")]
-    rows: Annotated[_Points, Field(description="Points along Y; inner corners of a checkerboard.")]
-    pitch_mm: Annotated[float, Within(0.001, 10_000, "mm")]
-    frequencies_hz: Annotated[
-        tuple[_Frequency, ...] | None,
-        Field(description="Of blinking dots, row by row. Default: evenly spaced from 50 to 150 Hz."),
-    ] = None
-    flicker_hz: Annotated[
-        _Frequency | None,
-        Field(description="Frequency at which the board flickers by itself. Default: the light flickers."),
-    ] = None
-
-    @model_validator(mode="before")
-    @classmethod
-    def _from_text(cls, value: Any) -> Any:
-        if not isinstance(value, str):
-            return value
-        with _no_board():
-            return {name: part for name, part in vars(Board.parse(value)).items() if part}
-
-    @model_validator(mode="after")
-    def _exists(self) -> BoardConfig:
-        with _no_board():
-            self.board()
-        return self
-
-    def board(self) -> Board:
-        """Return the board for the calibration engine."""
-        return Board(self.kind, self.columns, self.rows, self.pitch_mm, self.frequencies_hz or ())
-
-    @property
-    def own_hz(self) -> float | None:
-        """Frequency of the board's own flicker, Hz; the lowest one of blinking dots; None if the light drives it."""
-        frequencies = self.board().frequencies_hz
-        return min(frequencies) if frequencies else self.flicker_hz
-
-
 SHIPPED_STATIONS = Path(__file__).parent
 
 
@@ -334,6 +277,11 @@ def _plain_values(section: Any) -> Any:
 class Station(StrictModel):
     """A station file."""
 
+    gone: ClassVar[Mapping[str, str]] = {
+        "board": "Boards have left the run: calibrate their recordings with `starbench calibrate FOLDER --board "
+        "checkerboard:11x7:20mm` (docs/boards.md)."
+    }
+
     format: Literal["starbench/station/1"]
     name: Name
     laboratory: Text | None = None
@@ -342,7 +290,6 @@ class Station(StrictModel):
     light: LightConfig
     camera: CameraConfig
     target: TargetConfig = TargetConfig()
-    board: BoardConfig | None = None
     collimator: CollimatorConfig = CollimatorConfig()
     gimbal: GimbalConfig | None = None
     budget: BudgetConfig = BudgetConfig()

@@ -12,8 +12,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from bench.stations.sections import FrameCameraConfig
 from bench.stations.station import Station
-from bench.views.gates import FILTERS_TO_DISABLE, Gate, at_least, recording_gates, rejection_reasons
-from calib.boards.board import Board
+from bench.views.gates import FILTERS_TO_DISABLE, Gate, recording_gates, rejection_reasons
 from calib.target import StarTarget
 from drivers.camera import CameraSettings, EventCamera, RecordingFacts
 from drivers.camera.frames import FrameCamera, FrameFacts, FrameSettings
@@ -50,10 +49,7 @@ def recording_duration_s(window_ms: float, frequency_hz: float) -> float:
 
 
 class EventKind:
-    """An event camera under a flickering light; without a region of interest, the whole sensor sends events.
-
-    ``board`` is at finite distance in place of the collimator.
-    """
+    """An event camera under a flickering light; without a region of interest, the whole sensor sends events."""
 
     name = "event"  # In results
     ending = ".raw"  # Of the file name of a recording
@@ -62,10 +58,8 @@ class EventKind:
         self,
         biases: Mapping[str, int],
         roi: tuple[int, int, int, int] | None = None,
-        board: Board | None = None,
     ) -> None:
         self._settings = CameraSettings(biases, trigger_in=True, roi=roi)
-        self._board = board
 
     def light_for(self, flicker: Flicker) -> Flicker:
         """Return what the light does if a sequence asks for a flicker: the flicker itself."""
@@ -105,17 +99,6 @@ class EventKind:
     ) -> Measurement:
         """Find the stars in the image of whole periods; ``expected_grid`` is for where the tag does not label them."""
         name, periods = step.pose.name, periods_in_window(step.window_ms, frequency_hz)
-        if self._board is not None:
-            from bench.views.measure_board import measure_board
-
-            return measure_board(
-                path,
-                name=name,
-                board=self._board,
-                image=step.image,
-                periods=periods,
-                expected_hz=frequency_hz,
-            )
         from bench.views.measure import measure
 
         return measure(
@@ -132,10 +115,10 @@ class EventKind:
     def judge(
         self, facts: RecordedData, step: RecordStep, frequency_hz: float, found: Measurement
     ) -> tuple[list[Gate], list[str]]:
-        """Judge a recording by its numbers: stars or points, event rate, triggers, flicker and motion."""
+        """Judge a recording by its numbers: stars, event rate, triggers, flicker and motion."""
         recorded = _of_events(facts)
         gates = recording_gates(recorded, step.gates, frequency_hz, found.facts, found.stars)
-        return _about_points(gates, self._board, step, found), rejection_reasons(recorded, step.gates, ())
+        return gates, rejection_reasons(recorded, step.gates, ())
 
     def counts(self, facts: RecordedData) -> RecordingCounts:
         """Return what results state about a recording: events, triggers, duration and event rate."""
@@ -167,15 +150,14 @@ def _of_events(facts: RecordedData) -> RecordingFacts:
 
 
 class FrameKind:
-    """A frame camera under a steady light; ``board`` is at finite distance in place of the collimator."""
+    """A frame camera under a steady light."""
 
     name = "frame"
     ending = ".tif"
 
-    def __init__(self, frames: int, settings: FrameSettings, board: Board | None = None) -> None:
+    def __init__(self, frames: int, settings: FrameSettings) -> None:
         self._frames = frames
         self._settings = settings
-        self._board = board
 
     def light_for(self, flicker: Flicker) -> Flicker:
         """See `EventKind.light_for`. Steady light at the flicker's high level."""
@@ -200,10 +182,6 @@ class FrameKind:
         motion: bool = True,  # noqa: ARG002
     ) -> Measurement:
         """See `EventKind.measure`. Uses the mean of the frames."""
-        if self._board is not None:
-            from bench.views.measure_board import measure_board_frames
-
-            return measure_board_frames(path, name=step.pose.name, board=self._board)
         from bench.views.measure import measure_frames
 
         return measure_frames(path, name=step.pose.name, target=target, expected_grid=expected_grid)
@@ -215,12 +193,12 @@ class FrameKind:
         frequency_hz: float,  # noqa: ARG002
         found: Measurement,
     ) -> tuple[list[Gate], list[str]]:
-        """See `EventKind.judge`. Judges stars or points, saturation and motion."""
+        """See `EventKind.judge`. Judges stars, saturation and motion."""
         from bench.views.measure import frame_gates, frame_rejection_reasons
 
         recorded = _of_frames(facts)
         gates = frame_gates(recorded, step.gates, found)
-        return _about_points(gates, self._board, step, found), frame_rejection_reasons(recorded)
+        return gates, frame_rejection_reasons(recorded)
 
     def counts(self, facts: RecordedData) -> RecordingCounts:
         """See `EventKind.counts`. Number of frames, and percentage of saturated pixels."""
@@ -248,26 +226,11 @@ def _of_frames(facts: RecordedData) -> FrameFacts:
 
 CameraKind = EventKind | FrameKind
 """What a run does with its camera."""
-_LEAST_SHARE = 0.5
-"""A recording needs this share of a board's points, at most; the detectors of printed boards need more."""
-
-
-def _about_points(gates: list[Gate], board: Board | None, step: RecordStep, found: Measurement) -> list[Gate]:
-    """Return the gates, with the points of a board, if there is one, for stars; a small board needs no 40 of them."""
-    if board is None:
-        return gates
-    least = min(step.gates.min_stars, _LEAST_SHARE * len(board.nodes))
-    judged = [] if found.view is None else [at_least("points", found.stars, least, "")]
-    others = (gate for gate in gates if gate.name != "stars")
-    return judged + [
-        replace(gate, name="board moved") if gate.name == "stars moved" else gate for gate in others
-    ]
 
 
 def camera_kind(station: Station) -> CameraKind:
-    """Return what a run does with a station's camera, by its kind, and by whether it looks at a board."""
+    """Return what a run does with a station's camera."""
     config = station.camera
-    board = None if station.board is None else station.board.board()
     if isinstance(config, FrameCameraConfig):
-        return FrameKind(config.pictures, config.settings(), board)
-    return EventKind(config.biases.named(), config.roi, board)
+        return FrameKind(config.pictures, config.settings())
+    return EventKind(config.biases.named(), config.roi)

@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.arrays import AnyArray, Array, Array32, Bytes, Ints
 from calib.boards.board import Board
-from calib.errors import InputMismatch, TargetNotFound, placed
+from calib.errors import TargetNotFound, placed
 from calib.events.grey_image import require_grey_plane, to_uint8
 from calib.stars.centring import SYMMETRY_REACH, refine_by_symmetry, smooth, symmetry_samples, variance_factor
 from calib.stars.grid_map import fit_grid_map, without_outliers
@@ -58,20 +58,11 @@ def detect_board(image: AnyArray, board: Board, *, name: str = "view") -> View:
     """
     with placed(f"view {name}"):
         require_grey_plane(image)
-        if board.kind == "blinking-dots":
-            raise InputMismatch("An image does not show frequencies.", remedy="Give a recording of events.")
         plain = np.nan_to_num(np.asarray(image, np.float32))
         grey = to_uint8(plain)
         coarse = find_board(grey, board)
         _refuse_second(grey, coarse, board)
         return located_view(plain, coarse, board, np.arange(len(coarse)), name, _UNCLEAR)
-
-
-def relocate_board(image: AnyArray, view: View, board: Board) -> View:
-    """Locate the points of a board again, where ``view`` found them, in another (H, W) image of the same placement."""
-    plain = np.nan_to_num(np.asarray(image, np.float32))
-    with placed(f"view {view.name}"):
-        return located_view(plain, view.points_px, board, view.ids, view.name, _UNCLEAR)
 
 
 def located_view(image: Array32, coarse: Array, board: Board, ids: Ints, name: str, remedy: str) -> View:

@@ -1,4 +1,4 @@
-"""Hands of a person: somebody turns the focus ring, closes the aperture, turns the camera, or puts up the board.
+"""Hands of a person: somebody turns the focus ring, closes the aperture, or turns the camera.
 
 The orders come on the same line as those for faults (`catalogue`). This module changes the world's `CameraSetup`; the
 camera sees the change at once, also in the middle of a recording.
@@ -7,7 +7,7 @@ camera sees the change at once, also in the middle of a recording.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Final
 
@@ -15,16 +15,15 @@ from simulators.errors import ConfigError
 from simulators.faults.catalogue import FaultOrder
 from simulators.optics.lens_focus import focus_of, ring_deg, with_ring_at
 from simulators.reading import Vector, read
-from simulators.world.board import BoardState
 from simulators.world.truth import FNumber, FocusDistance, Truth
 from simulators.world.world import CameraSetup, World, with_setup
 
-HAND_DEVICES: Final = ("mount", "lens", "board")
+HAND_DEVICES: Final = ("mount", "lens")
 """Devices of the orders that `CameraHands` carries out."""
 
 
 class CameraHands:
-    """Hands of a person at the camera and the board; ``changed`` is called after each change."""
+    """Hands of a person at the camera; ``changed`` is called after each change."""
 
     def __init__(self, world: World, changed: Callable[[], None]) -> None:
         self._world = world
@@ -33,7 +32,7 @@ class CameraHands:
     def action(self, order: FaultOrder) -> Callable[[], None]:
         """Return the call that carries out an order for one of `HAND_DEVICES`; it changes the setup at once."""
         start = self._world.truth
-        make = {"mount": _at_mount, "lens": _at_lens, "board": _at_board}[order.device]
+        make = {"mount": _at_mount, "lens": _at_lens}[order.device]
         change = make(order, start)
 
         def act() -> None:
@@ -43,18 +42,17 @@ class CameraHands:
         return act
 
     def seen(self) -> dict[str, Any]:
-        """Return what can be read from lens and mount now; with a board also its ``placement``."""
+        """Return what can be read from lens and mount now."""
         setup = self._world.camera_setup(self._world.now_s())
         truth = with_setup(self._world.truth, setup)
         distance_m = focus_of(truth).distance_m
-        seen = {
+        return {
             "focus_distance_m": distance_m if math.isfinite(distance_m) else "infinity",
             "ring_deg": ring_deg(truth),
             "f_number": setup.lens.f_number,
             "turn_deg": list(setup.turn_deg),
             "shift_mm": list(setup.shift_mm),
         }
-        return {**seen, "placement": setup.board.number} if truth.board.present else seen
 
 
 def _at_mount(order: FaultOrder, start: Truth) -> Callable[[CameraSetup], CameraSetup]:
@@ -67,39 +65,6 @@ def _at_mount(order: FaultOrder, start: Truth) -> Callable[[CameraSetup], Camera
         return lambda setup: replace(setup, shift_mm=(values["x_mm"], values["y_mm"]))
     by_deg = values["pan_deg"], values["tilt_deg"], values["roll_deg"]
     return lambda setup: replace(setup, turn_deg=_sum(setup.turn_deg, by_deg))
-
-
-def _at_board(order: FaultOrder, start: Truth) -> Callable[[CameraSetup], CameraSetup]:
-    """Return the change of an order for the board."""
-    if not start.board.present:
-        raise ConfigError(
-            "This bench has no board.", where="device", remedy="Give the section board in the simulation."
-        )
-    change = _of_board(order)
-    return lambda setup: replace(setup, board=change(setup.board))
-
-
-_BY_NAME: Final[Mapping[str, Callable[[BoardState], BoardState]]] = {
-    "next": lambda board: BoardState(board.number + 1),
-    "mend": lambda board: BoardState(board.number),
-    "steady": lambda board: replace(board, flicker=False),
-}
-
-
-def _of_board(order: FaultOrder) -> Callable[[BoardState], BoardState]:
-    if order.fault == "place":
-        number = int(order.parameters["number"])
-        if number < 1:
-            raise ConfigError(f"There is no placement {number}.", where="number", remedy="Count from 1.")
-        return lambda _board: BoardState(number)
-    if order.fault in _BY_NAME:
-        return _BY_NAME[order.fault]
-    x, y, z = (_finite(value, name) for name, value in order.parameters.items())
-    if order.fault == "second":
-        return lambda board: replace(board, second_mm=(x, y, z))
-    if order.fault == "move":
-        return lambda board: replace(board, move_mm=_sum(board.move_mm, (x, y, z)))
-    return lambda board: replace(board, turn_deg=_sum(board.turn_deg, (x, y, z)))
 
 
 def _sum(one: Vector, other: Vector) -> Vector:

@@ -124,25 +124,6 @@ LENS_FAULTS: Final[Mapping[str, Fault]] = {
 }
 
 
-BOARD_FAULTS: Final[Mapping[str, Fault]] = {
-    "place": Fault("somebody puts the board at a placement, counted from 1", {"number": 1}),
-    "next": Fault("somebody puts the board at the next placement", {}),
-    "move": Fault(
-        "somebody moves the board, right, down and away from the camera",
-        {"x_mm": 0.0, "y_mm": 0.0, "z_mm": 0.0},
-    ),
-    "turn": Fault(
-        "somebody turns the board about its middle, by a rotation vector along the camera's axes",
-        {"x_deg": 0.0, "y_deg": 0.0, "z_deg": 0.0},
-    ),
-    "steady": Fault("the light of the board no longer flickers", {}),
-    "second": Fault(
-        "somebody puts a second board beside the first one", {"x_mm": 0.0, "y_mm": 0.0, "z_mm": 0.0}
-    ),
-    "mend": Fault("the board is again as it was placed", {}),
-}
-
-
 @dataclass(frozen=True)
 class FaultOrder:
     """An order for one fault, checked against the catalogue."""
@@ -163,7 +144,6 @@ def faults_of(device: str) -> Mapping[str, Fault]:
         "frame-camera": _FRAME_CAMERA,
         "mount": MOUNT_FAULTS,
         "lens": LENS_FAULTS,
-        "board": BOARD_FAULTS,
     }
     if device not in by_device:
         raise ConfigError(

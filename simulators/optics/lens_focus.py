@@ -33,7 +33,6 @@ from scipy import fft
 from scipy.special import j1
 
 from simulators.errors import ConfigError
-from simulators.world.board import placement_record
 from simulators.world.truth import (
     BEYOND_M,
     CLOSEST_M,
@@ -172,11 +171,10 @@ def focus_of(truth: Truth) -> Focus:
     """Return lens and sensor as they stand.
 
     Source: Gaussian lens formula, Hecht, Optics, section 5.2. As delivered, the image distance is that of section
-    ``camera``, and the lens is focused on the pattern. A screen may stand at any distance, so the focal lengths are
-    those at infinity.
+    ``camera``, and the lens is focused on the pattern.
     """
     delivered_mm = truth.lens.pixel_um * 1e-3 * 0.5 * (truth.camera.fx + truth.camera.fy)
-    vergence = 0.0 if truth.at_finite_distance else pattern_vergence_per_m(truth)
+    vergence = pattern_vergence_per_m(truth)
     focal_mm = 1.0 / (1.0 / delivered_mm + vergence * 1e-3)
     distance_m = truth.lens.focus_distance_m
     if distance_m is None:
@@ -313,7 +311,7 @@ def truth_record(truth: Truth) -> dict[str, Any]:
     """Return all parameters as plain numbers, as ``Truth.to_dict``: the content of ``truth.json``.
 
     ``fx`` and ``fy`` of the camera are those of the present focus. Section ``lens`` holds focus, aperture, blur and the
-    law; ``placed`` of section ``board`` is where the board stands.
+    law.
     """
     record, focus = replace(truth, camera=camera_of(truth)).to_dict(), focus_of(truth)
     record["lens"] = {
@@ -325,12 +323,8 @@ def truth_record(truth: Truth) -> dict[str, Any]:
         "focal_mm": focus.focal_mm,
         "image_distance_mm": focus.image_mm,
         "breathing": focus.stretch,
-        "blur_px": None if truth.at_finite_distance else blur_px(truth),
+        "blur_px": blur_px(truth),
         "brightness": brightness(truth),
         "law": dict(LENS_LAW),
     }
-    if truth.board.present:
-        for name in ("field_tangents", "size_mm", "state", "shake"):
-            del record["board"][name]
-        record["board"]["placed"] = placement_record(truth.board)
     return record

@@ -20,146 +20,24 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulators.optics import board_scene, scene
-from simulators.optics.board_scene import ImageOfLight, has_many_lights, images_of_lights
+from simulators.optics import scene
 from simulators.pixels.biases import FACTORY, FILTERS, PixelSettings
 from simulators.pixels.evt3_writer import Evt3Writer, RateController
 from simulators.pixels.sensor import Events, Sensor
 from simulators.world import drift
-from simulators.world.board import HandShake
-from simulators.world.truth import NOISE_LEVELS, NoiseTruth, Truth
-from simulators.world.world import FULL_DRIVE_V, AxisName, LightState, World, setup_of, with_setup
-
-# A sensor in front of many lights: blinking dots with a frequency each, or a screen that is drawn line by line.
-
-_STEADY = LightState(output=True, low_v=FULL_DRIVE_V, high_v=FULL_DRIVE_V)
-_LONGEST_S = 100.0
-
-
-class ManyLightsSensor:
-    """A sensor in front of many lights, in place of `Sensor`; ``parts`` are those in view, from `begin` on."""
-
-    def __init__(
-        self,
-        truth: Truth,
-        angles_deg: Mapping[Any, float],
-        *,
-        settings: PixelSettings,
-        camera_seed: int,
-        seed: np.random.SeedSequence,
-    ) -> None:
-        self._noise = truth.noise
-        self._settings, self._camera_seed, self._seed = settings, camera_seed, seed
-        self.width, self.height = truth.camera.width, truth.camera.height
-        self._clock_s = float(np.random.default_rng(seed.spawn(1)[0]).uniform(0.0, _LONGEST_S))
-        self._now_us = 0.0
-        self._whole = self._sensor(self.width, self.height, truth.noise)
-        self.parts: list[tuple[ImageOfLight, Sensor]] = []
-        self._truth, self._angles = truth, dict(angles_deg)
-
-    def _sensor(self, width: int, height: int, noise: NoiseTruth) -> Sensor:
-        """Return a sensor with a seed of its own."""
-        seed = self._seed.spawn(1)[0]
-        return Sensor(
-            width, height, noise=noise, settings=self._settings, camera_seed=self._camera_seed, seed=seed
-        )
-
-    def begin(
-        self, picture: NDArray[np.float32], light: LightState, phase: float, *, at_us: float = 0.0
-    ) -> None:
-        """Start as `Sensor.begin`; the board's whole light drives a screen's lines, dots have their own."""
-        self._now_us = at_us
-        self._whole.begin(np.zeros_like(picture), _STEADY, 0.0, at_us=at_us)
-        self._find_lights()
-        self._for_each(picture, light, phase, lambda sensor, *seen: sensor.begin(*seen, at_us=at_us))
-
-    def change(
-        self, picture: NDArray[np.float32] | None, light: LightState, phase: float, step_us: float
-    ) -> None:
-        """Apply a new picture or light now; see `Sensor.change`."""
-        self._for_each(picture, light, phase, lambda sensor, *seen: sensor.change(*seen, step_us))
-
-    def look_again(self, truth: Truth, angles_deg: Mapping[Any, float]) -> None:
-        """Look for the lights at other places, before the next `begin`."""
-        self._truth, self._angles = truth, dict(angles_deg)
-
-    def run(self, until_us: float) -> Events:
-        """Return the events up to a time, in order; see `Sensor.run`."""
-        found = [self._whole.run(until_us)]
-        for light, sensor in self.parts:
-            events = sensor.run(until_us)
-            x, y = events.x + np.uint16(light.left), events.y + np.uint16(light.top)
-            found.append(Events(events.t, x, y, events.p))
-        self._now_us = until_us
-        t, x, y, p = (np.concatenate(column) for column in zip(*found, strict=True))
-        order = np.argsort(t, kind="stable")
-        return Events(t[order], x[order], y[order], p[order])
-
-    def _find_lights(self) -> None:
-        """Make a sensor for the window of each light, with the fixed pattern of its pixels."""
-        quiet = replace(NOISE_LEVELS["none"], reset_noise=self._noise.reset_noise)
-        gains = self._whole.gains
-        self.parts = []
-        for light in images_of_lights(self._truth, self._angles):
-            height, width = light.share.shape
-            sensor = self._sensor(width, height, quiet)
-            sensor.gains[:] = gains[light.top : light.top + height, light.left : light.left + width]
-            self.parts.append((light, sensor))
-
-    def _for_each(
-        self,
-        picture: NDArray[np.float32] | None,
-        light: LightState,
-        phase: float,
-        act: Callable[..., None],
-    ) -> None:
-        """Show each part its window of a picture, under its light and phase."""
-        for seen, sensor in self.parts:
-            part = None
-            if picture is not None:
-                rows = slice(seen.top, seen.top + sensor.height)
-                part = picture[rows, seen.left : seen.left + sensor.width] * seen.share
-            own, own_phase = self._light(seen, light, phase)
-            act(sensor, part, own, own_phase)
-
-    def _light(self, seen: ImageOfLight, light: LightState, phase: float) -> tuple[LightState, float]:
-        """Return the light that shines on a part of the image, and its present phase, 0 to 1."""
-        if seen.frequency_hz == 0.0:
-            return light, (phase - seen.phase) % 1.0
-        own = LightState(output=True, high_v=FULL_DRIVE_V, frequency_hz=seen.frequency_hz)
-        if not seen.flickers:
-            own = replace(own, low_v=own.high_v)
-        return own, (seen.frequency_hz * (self._clock_s + self._now_us * 1e-6) + seen.phase) % 1.0
-
-
-def make_sensor(
-    truth: Truth,
-    angles_deg: Mapping[Any, float],
-    *,
-    settings: PixelSettings,
-    camera_seed: int,
-    seed: np.random.SeedSequence,
-) -> Sensor | ManyLightsSensor:
-    """Return the sensor that a scene needs."""
-    if has_many_lights(truth):
-        return ManyLightsSensor(truth, angles_deg, settings=settings, camera_seed=camera_seed, seed=seed)
-    width, height = truth.camera.width, truth.camera.height
-    return Sensor(width, height, noise=truth.noise, settings=settings, camera_seed=camera_seed, seed=seed)
-
+from simulators.world.world import AxisName, LightState, World, setup_of, with_setup
 
 FRAME_US: Final = 2000
 """Sensor time of a frame, us."""
 START_US: Final = 102_400
 """A stream begins at a multiple of this, which is one of TIME_LOW's 4096 us and of the counters' 200 us."""
-STILL_PX: Final = 0.02
-"""Largest motion of a board in a shaking hand, px, for which its picture is not computed again."""
 MOVING_SUBSAMPLES: Final = 2
 """Cells per pixel side of a moving picture; its motion blurs it, so coarser cells suffice."""
 
@@ -216,19 +94,18 @@ class SensorStream:
         self._period_starts_us = -phase * self._light.period_us
         self._begins_us = -(-clock_us // START_US) * START_US
         self._now_us = 0  # since _begins_us
-        self._truth = truth = self._shown = world.truth_at(asked_s)
+        self._truth = truth = world.truth_at(asked_s)
         self._start_drift_arcsec = drift.drift_since_on_arcsec(truth.mount, world.on_s(asked_s))
         self._angles = self._angles_now()
         width, height = truth.camera.width, truth.camera.height
-        self._sensor = make_sensor(
-            truth,
-            self._angles,
+        self._sensor = Sensor(
+            width,
+            height,
+            noise=truth.noise,
             settings=PixelSettings.from_biases(camera.biases),
             camera_seed=world.camera_seed,
             seed=seeds.spawn(1)[0],
         )
-        hand = truth.board.hand
-        self._shake = HandShake(hand, np.random.default_rng(seeds.spawn(1)[0])) if hand.shakes else None
         self._controller = RateController() if camera.filters.get("erc", False) else None
         self._writer = Evt3Writer(self._begins_us, width=width, height=height)
         self._sensor.begin(self._picture(moving=False), self._light, phase)
@@ -256,7 +133,7 @@ class SensorStream:
             return
         self._angles, self._truth, self._moved = angles, truth, moving
         phase = (self._now_us - self._period_starts_us) / self._light.period_us % 1.0
-        self._show(self._picture(moving=moving), self._light, phase, anew=True)
+        self._sensor.change(self._picture(moving=moving), self._light, phase, FRAME_US)
         self._now_us += SILENT_FRAMES * FRAME_US
         self._sensor.run(self._now_us)
 
@@ -300,28 +177,17 @@ class SensorStream:
         light = self._world.light(now_s)
         truth = with_setup(self._truth, self._world.camera_setup(now_s))
         moved = angles != self._angles or truth is not self._truth
-        shaken = self._shake is not None and (moved or self._has_been_shaken(angles))
-        if not moved and not shaken and light == self._light:
+        if not moved and light == self._light:
             return
         picture = None
-        if moved or shaken:
+        if moved:
             self._angles, self._truth, self._moved = angles, truth, True
             picture = self._picture(moving=True)
         if light != self._light:
             self._light = light
             self._period_starts_us = self._now_us - light.phase_at(now_s) * light.period_us
         phase = (self._now_us - self._period_starts_us) / light.period_us % 1.0
-        self._show(picture, light, phase, anew=moved)
-
-    def _show(
-        self, picture: NDArray[np.float32] | None, light: LightState, phase: float, *, anew: bool
-    ) -> None:
-        """Show the sensor a change; if the view is another one, many lights are looked for anew, settled."""
-        if anew and picture is not None and isinstance(self._sensor, ManyLightsSensor):
-            self._sensor.look_again(self._truth, self._angles)
-            self._sensor.begin(picture, light, phase, at_us=self._now_us)
-        else:
-            self._sensor.change(picture, light, phase, FRAME_US)
+        self._sensor.change(picture, light, phase, FRAME_US)
 
     def _angles_now(self) -> Mapping[AxisName, float]:
         """Return the angles at which the camera points, with the mount's own motion."""
@@ -334,22 +200,10 @@ class SensorStream:
 
     def _picture(self, *, moving: bool) -> NDArray[np.float32]:
         """Return the picture in the present pose."""
-        if moving or self._shake is not None:
+        if moving:
             subsamples = PREVIEW_SUBSAMPLES if self._preview else MOVING_SUBSAMPLES
-            self._shown = self._shaken()
-            return scene.picture(self._shown, self._angles, subsamples=subsamples)
+            return scene.picture(self._truth, self._angles, subsamples=subsamples)
         return scene.still_picture(self._truth, self._angles)
-
-    def _shaken(self) -> Truth:
-        """Return the truth with the board where a shaking hand holds it now."""
-        if self._shake is None:
-            return self._truth
-        shake = self._shake.at(self._now_us * 1e-6)
-        return replace(self._truth, board=replace(self._truth.board, shake=shake))
-
-    def _has_been_shaken(self, angles: Mapping[AxisName, float]) -> bool:
-        """Return whether the hand has moved the board visibly since the last picture."""
-        return board_scene.moved_px(self._shown, self._shaken(), angles) > STILL_PX
 
     def _edges(self, first_us: int, end_us: int) -> tuple[NDArray[np.int64], NDArray[np.uint8]]:
         """Return times and values of the light's sync edges that reach the trigger input."""
@@ -392,6 +246,4 @@ def stream_key(world: World, camera: CameraState, at_s: float) -> str:
         key["turn_deg"] = setup.turn_deg
     if setup.lens != start.lens:
         key["lens"] = setup.lens.focus_distance_m, setup.lens.f_number
-    if setup.board != start.board:
-        key["board"] = repr(setup.board)
     return json.dumps(key, sort_keys=True)

@@ -28,7 +28,6 @@ from simulators.reading import (
     one_of,
     refused,
 )
-from simulators.world.board import BoardTruth
 from simulators.world.gimbal import GimbalTruth
 
 PITCH_MM: Final = 144.5 / 36.0
@@ -183,19 +182,6 @@ class ThermalTruth(Section):
 
 
 @dataclass(frozen=True)
-class ScreenTruth(Section):
-    """A flickering checkerboard on a screen, which may replace the collimator."""
-
-    # columns, rows, square_mm: Inner corners of the board, and the side of its squares; 0 columns: no board.
-    columns: Count = 0
-    rows: Count = 8
-    square_mm: Positive = 30.0
-    # Middle of the board, from the camera's centre, in the camera's axes at zero angles.
-    position_mm: Vector = (0.0, 0.0, 1500.0)
-    turn_deg: Vector = (0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True)
 class MountTruth(Section):
     """Place and motion of the camera's mount; see ``mount``."""
 
@@ -230,7 +216,7 @@ LARGEST_FOCAL_MM: Final = 100.0
 
 LENS_LAW: Final[Mapping[str, str]] = {
     "focal length": "1 / f = 1 / v0 + V, v0 = pixel_um (fx + fy) / 2 of section camera as configured",
-    "vergence of the pattern": "V = defocus / r of the collimator; of a screen: 1 / distance",
+    "vergence of the pattern": "V = defocus / r of the collimator",
     "image distance": "1 / v = 1 / f - 1 / focus_distance",
     "fx, fy": "times v / v0: a lens that is focused nearer sees a narrower angle (breathing)",
     "blur_px": "diameter of the disc of light of a point: f / f_number v |1 / focus_distance - V| / pixel_um",
@@ -363,25 +349,16 @@ class Truth:
     noise: NoiseTruth = field(default_factory=NoiseTruth)
     thermal: ThermalTruth = field(default_factory=ThermalTruth)
     mount: MountTruth = field(default_factory=MountTruth)
-    screen: ScreenTruth = field(default_factory=ScreenTruth)
     reticle: ReticleTruth = field(default_factory=ReticleTruth)
     gimbal: GimbalTruth = field(default_factory=GimbalTruth)  # Errors between readings and pointing
     target: StarTarget = field(default_factory=StarTarget)
     lens: LensTruth = field(default_factory=LensTruth)  # Focus and aperture of the camera's lens
-    board: BoardTruth = field(default_factory=BoardTruth)
-
-    @property
-    def at_finite_distance(self) -> bool:
-        """Whether the camera looks at a screen or a board, not at the collimator."""
-        return self.screen.columns > 0 or self.board.present
 
     def to_dict(self) -> dict[str, Any]:
         """Return ``truth.json``'s content, by section, a fisheye's coefficients as kb1 to kb4."""
         values = dataclasses.asdict(self)
         values["thermal"]["law"] = dict(LAW)
         values["gimbal"] = self.gimbal.to_dict()
-        if not self.board.present:
-            del values["board"]
         if self.camera.projection == "fisheye":
             renamed = {"k1": "kb1", "k2": "kb2", "k3": "kb3", "k4": "kb4"}
             values["camera"] = {

@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 
 from simulators.errors import SimulationMisuse
 from simulators.world import drift
-from simulators.world.board import BoardState, BoardTruth, is_flickering
 from simulators.world.truth import LensTruth, Truth
 
 AxisName = Literal["pan", "tilt", "roll"]
@@ -141,23 +140,6 @@ class LightState:
         )
 
 
-def light_of_board(state: LightState, board: BoardTruth, on_since_s: float) -> LightState:
-    """Return the light of a board as the camera sees it, by the state of the bench's light.
-
-    A screen with a refresh rate shines by itself, and no sync edges reach the camera. A print in steady light does not
-    flicker, though the sync edges of the bench's light go on.
-    """
-    if board.own_clock:
-        state = LightState(
-            frequency_hz=board.flicker_hz,
-            duty_percent=100.0 * board.frames_on / (board.frames_on + board.frames_off),
-            high_v=FULL_DRIVE_V,
-            output=True,
-            origin_s=on_since_s,
-        )
-    return state if is_flickering(board) else replace(state, low_v=state.high_v)
-
-
 @dataclass(frozen=True)
 class CameraSetup:
     """How the camera stands in its mount, and how its lens is set."""
@@ -166,12 +148,11 @@ class CameraSetup:
     shift_mm: tuple[float, float]
     turn_deg: tuple[float, float, float]
     lens: LensTruth
-    board: BoardState = field(default_factory=BoardState)
 
 
 def setup_of(truth: Truth) -> CameraSetup:
     """Return the camera's setup in a truth."""
-    return CameraSetup(truth.mount.shift_mm, truth.mount.turn_deg, truth.lens, truth.board.state)
+    return CameraSetup(truth.mount.shift_mm, truth.mount.turn_deg, truth.lens)
 
 
 def with_setup(truth: Truth, setup: CameraSetup) -> Truth:
@@ -179,7 +160,7 @@ def with_setup(truth: Truth, setup: CameraSetup) -> Truth:
     if setup == setup_of(truth):
         return truth
     mount = replace(truth.mount, shift_mm=setup.shift_mm, turn_deg=setup.turn_deg)
-    return replace(truth, mount=mount, lens=setup.lens, board=truth.board.in_state(setup.board))
+    return replace(truth, mount=mount, lens=setup.lens)
 
 
 @dataclass(frozen=True)
@@ -324,14 +305,11 @@ class World:
         }
 
     def light(self, t_s: float) -> LightState:
-        """Return the light at a time, a board's as seen, its voltages scaled to the lamp's light at its temperature."""
+        """Return the light at a time, its voltages scaled to the lamp's light at its temperature."""
         with self._lock:
-            state, setup = self._light.at(t_s), self._setup.at(t_s)
+            state = self._light.at(t_s)
         share = drift.lamp_brightness(self.truth.thermal, self.temperature_c(t_s))
-        state = replace(state, low_v=state.low_v * share, high_v=state.high_v * share)
-        if not self.truth.board.present or self.truth.board.blinks:
-            return state
-        return light_of_board(state, with_setup(self.truth, setup).board, self._on_since_s)
+        return replace(state, low_v=state.low_v * share, high_v=state.high_v * share)
 
     def on_s(self, t_s: float) -> float:
         """Return the time since the bench was switched on."""

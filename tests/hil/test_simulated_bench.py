@@ -123,7 +123,7 @@ def test_faults_are_ordered_while_it_runs_and_each_order_is_answered(tmp_path):
     assert say("roll stall") == {
         "ok": False,
         "error": "device: This bench has no device 'roll'. "
-        "Use one of: pan, tilt, gimbal, light, camera, frame-camera, mount, lens, board.",
+        "Use one of: pan, tilt, gimbal, light, camera, frame-camera, mount, lens.",
     }
     assert not say("{")["ok"]
     assert not say("gimbal replaced pattern=(")["ok"]

@@ -16,7 +16,6 @@ from hostile_files import (
     POINTS,
     RAW,
     WRONG,
-    XML,
     YAML,
 )
 from station_texts import PLAIN
@@ -72,8 +71,6 @@ READERS = {
     "convert-raw": (("convert", "{}", "out.hdf5"), "bad.raw"),
     "passport-show": (("passport", "show", "{}"), "bad.json"),
     "signers": (("verify", "RUN", "--allowed-signers", "{}"), "bad.signers"),
-    "certificate-check": (("certificate", "check", "{}"), "bad.xml"),
-    "certificate-from-dcc": (("certificate", "from-dcc", "{}"), "bad.xml"),
     "certificate-show": (("certificate", "show", "{}"), "bad"),
     "certificate-config": (("certificate", "issue", "RUN", "--config", "{}", "--output", "out"), "bad.yaml"),
     "check": (("check", "points.csv", "--calibration", "{}"), "bad.yaml"),
@@ -127,9 +124,6 @@ def spoilt_files() -> Iterator[Case]:
         yield Case(f"calibrate-raw:{name}", _file(*READERS["calibrate-raw"], text(content)))
         may_work = (0, 1, 2) if name in _CONVERTIBLE else (1, 2)
         yield Case(f"convert-raw:{name}", _file(*READERS["convert-raw"], text(content)), may_work)
-    for name, content in XML.items():
-        for reader in ("certificate-check", "certificate-from-dcc"):
-            yield Case(f"{reader}:{name}", _file(*READERS[reader], text(content)))
     for name, content in PICTURES.items():
         yield Case(f"picture:{name}", _file(("calibrate", "{}"), f"bad-{name}", text(content)))
     for name, content in POINTS.items():

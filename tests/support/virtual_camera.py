@@ -11,6 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from board_scene import ShownBoard, corners
+from board_scene import picture as board_picture
 from numpy.typing import NDArray
 
 from simulators.config import bench_config
@@ -37,10 +39,16 @@ class VirtualCapture:
 
 
 class VirtualCamera:
-    """A simulated camera in its scene, by a ``simulation`` section; the seed is for what that does not state."""
+    """A simulated camera in its scene, by a ``simulation`` section; the seed is for what that does not state.
+
+    Section ``screen``, the fields of `ShownBoard`, puts a flat board in place of the collimator.
+    """
 
     def __init__(self, section: Mapping[str, Any], seed: int) -> None:
-        self._truth: Truth = bench_config(section).truth_for(seed)
+        own = dict(section)
+        screen = own.pop("screen", None)
+        self._board = None if screen is None else ShownBoard(**screen)
+        self._truth: Truth = bench_config(own).truth_for(seed)
         self._seed = seed
         self._gears = Gears(self._truth.gimbal)
 
@@ -50,13 +58,20 @@ class VirtualCamera:
 
     def board_corners_px(self) -> NDArray[np.float64]:
         """Return the true image points of the inner corners of the board on the screen, at zero angles."""
-        return scene.corners(self._truth, {})
+        assert self._board is not None
+        return corners(self._truth, self._board, {})
+
+    def picture(self, angles_deg: Mapping[str, float]) -> NDArray[np.float32]:
+        """Return each pixel's share of the light."""
+        if self._board is not None:
+            return board_picture(self._truth, self._board, angles_deg)
+        return scene.picture(self._truth, angles_deg)
 
     def capture(
         self, angles_deg: Mapping[str, float], *, seed: int, light_hz: float = 60.0, periods: int = 2
     ) -> VirtualCapture:
         """Turn the camera and record whole periods; loads stand behind their play at readings ``angles_deg``."""
-        picture = scene.picture(self._truth, self._gears.load_angles_deg(angles_deg))
+        picture = self.picture(self._gears.load_angles_deg(angles_deg))
         light = LightState(output=True, sync=True, frequency_hz=light_hz)
         phase = float(np.random.default_rng((seed, 1)).random())
         duration_us = (periods + 0.05) * light.period_us
@@ -98,11 +113,9 @@ class VirtualCamera:
         events = Events(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
         return VirtualCapture(events, (camera.width, camera.height), 0.0, 0.0, duration_us)
 
-    def _moved(self, placed: tuple[tuple[float, float, float], tuple[float, float, float]]) -> Truth:
-        position, turn = placed
-        return replace(self._truth, screen=replace(self._truth.screen, position_mm=position, turn_deg=turn))
-
     def _moved_picture(
         self, placed: tuple[tuple[float, float, float], tuple[float, float, float]]
     ) -> NDArray[np.float32]:
-        return scene.picture(self._moved(placed), {}, subsamples=_MOVING_SUBSAMPLES)
+        assert self._board is not None
+        board = replace(self._board, position_mm=placed[0], turn_deg=placed[1])
+        return board_picture(self._truth, board, {}, subsamples=_MOVING_SUBSAMPLES)

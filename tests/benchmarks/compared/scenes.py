@@ -265,7 +265,7 @@ def _placement(
             return {
                 "columns": board.columns,
                 "rows": board.rows,
-                "square_mm": board.square_mm,
+                "pitch_mm": board.square_mm,
                 "position_mm": position.tolist(),
                 "turn_deg": np.degrees(log_map(rotation)).tolist(),
             }

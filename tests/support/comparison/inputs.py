@@ -30,11 +30,6 @@ def station(old: Path, name: str = "simulated", *changes: tuple[str, str]) -> st
     )
 
 
-def board_station(old: Path) -> str:
-    text = (old / "bench/stations/simulated_board.yaml").read_text(encoding="utf-8")
-    return replaced(text, ("simulation:\n", f"simulation:\n{_QUICK}"))
-
-
 def sequence(old: Path, name: str, *changes: tuple[str, str]) -> str:
     return replaced((old / f"sequences/{name}.yaml").read_text(encoding="utf-8"), *changes)
 
@@ -109,14 +104,14 @@ SHORT_COMMANDS: dict[str, str] = {
     "batch-of-a-sequence": "batch three.yaml -o out", "convert-unknown": "convert three.yaml out.xyz",
     "certificate-of-nothing": "certificate issue nowhere -c lab.yaml -o out", "passport-of-text": "passport show three.yaml",
     "rig-of-nothing": "rig nowhere nothing", "schema-unknown": "schema run",
-    "recalibrate-nothing": "recalibrate nowhere -o out", "check-xml": "certificate check three.yaml",
+    "recalibrate-nothing": "recalibrate nowhere -o out",
     "version": "--version", "help": "--help", "help-run": "run --help", "help-calibrate": "calibrate --help",
     "help-align": "align --help", "help-batch": "batch --help", "help-certificate": "certificate --help",
     "help-passport": "passport --help", "help-runs": "runs --help", "help-verify": "verify --help",
     "help-keys": "keys --help", "help-target": "target --help", "help-panel": "panel --help",
     "plan-three": "plan three_pose -s simulated", "plan-three-json": "plan three_pose -s simulated --json",
     "plan-nine-json": "plan nine_pose -s simulated --suggest 2 --json",
-    "plan-turntable-json": "plan turntable -s simulated --json", "plan-boards": "plan boards -s simulated_board --json",
+    "plan-turntable-json": "plan turntable -s simulated --json",
     "plan-parallax": "plan parallax_test -s simulated --json", "plan-frames": "plan three_pose -s simulated_frames --json",
     "plan-until": "plan until_good -s simulated --json", "plan-example": "plan turntable -s example_turntable",
     "plan-thorlabs": "plan three_pose -s example_thorlabs", "plan-network": "plan three_pose -s example_network",

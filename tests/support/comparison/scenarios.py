@@ -14,7 +14,6 @@ from comparison.inputs import (
     QUEUE,
     SHORT_COMMANDS,
     WARM,
-    board_station,
     replaced,
     sequence,
     station,
@@ -47,16 +46,8 @@ def _run(shipped: str, at: str = "simulated") -> Callable[[Side, Path], None]:
 def _shipped(side: Side, _old: Path) -> None:
     """The first command of the README, with the sensor in its full size and the files of the checkout itself."""
     side.say("run", "three_pose", "-s", "simulated", "--seed", SEED, "-o", "run")
-    for words in ("status run --json", "runs --json", "runs --compare", "ledger check --json", "verify run"):
+    for words in ("status run --json", "runs --json", "ledger check --json", "verify run"):
         side.say(*words.split())
-
-
-def _boards(side: Side, old: Path) -> None:
-    few = ("      times: 12\n", "      times: 4\n")
-    quick = ("steps: [place, record]", "steps: [{place: {default: continue, timeout_s: 1}}, record]")
-    side.write("sequence.yaml", sequence(old, "boards", few, quick))
-    side.write("station.yaml", board_station(old))
-    side.say("run", "sequence.yaml", "-s", "station.yaml", "--seed", SEED, "-o", "run", "--json")
 
 
 def _batch(side: Side, old: Path) -> None:
@@ -173,7 +164,6 @@ SCENARIOS = [
     Scenario("nine_pose", _run("nine_pose")),
     Scenario("turntable", _run("turntable")),
     Scenario("frames", _run("three_pose", "simulated_frames")),
-    Scenario("boards", _boards),
     Scenario("batch", _batch),
     Scenario("resumed", _resumed),
     Scenario("recalculated", _recalculated),

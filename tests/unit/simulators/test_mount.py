@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from simulators.optics.collimator_errors import disc_of
 from simulators.optics.picture import beam_of, project, projection_of, true_rotation
-from simulators.optics.scene import corners
 from simulators.pixels.biases import FACTORY
 from simulators.pixels.sensor_stream import CameraState, SensorStream
 from simulators.world.drift import STEP_ARCSEC, drift_since_on_arcsec, moved_angles_deg
@@ -20,7 +19,6 @@ from simulators.world.truth import (
     CollimatorTruth,
     MountTruth,
     OpticsTruth,
-    ScreenTruth,
     Truth,
 )
 from simulators.world.world import LightState, World
@@ -125,18 +123,6 @@ def test_with_defocus_a_walking_pupil_looks_like_a_scale_error_of_the_encoder(wa
     # a camera that had turned by the factor would look at this star
     star = np.array([[c.x + side * c.r * np.tan(np.radians(factor)), c.y]])
     assert project(star, rotation, truth)[0, 0] == pytest.approx(truth.camera.cx, abs=2e-3)
-
-
-def test_a_shifted_camera_sees_a_screen_from_another_place():
-    shift = MountTruth(shift_mm=(5.0, -3.0))
-    level = OpticsTruth(mounting_deg=(0.0, 0.0, 0.0))
-    truth = Truth(
-        CameraTruth(k1=0.0, k2=0.0),
-        optics=level,
-        screen=ScreenTruth(columns=4, rows=3, position_mm=(0, 0, 1000)),
-    )
-    moved = corners(replace(truth, mount=shift), {}) - corners(truth, {})
-    np.testing.assert_allclose(moved, [[-5e-3 * 3345.06, 3e-3 * 3345.27]] * 12, atol=1e-6)
 
 
 def test_the_world_remembers_where_the_camera_stood():

@@ -1,8 +1,7 @@
-"""The simulated reticle and printed target: irregular prints, screens."""
+"""The simulated reticle and printed target: irregular prints."""
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 from apparent import apparent_points
@@ -11,8 +10,6 @@ from hypothesis import strategies as st
 
 from calib.stars.detect import detect_stars
 from calib.target import StarTarget
-from simulators.errors import SimulationMisuse
-from simulators.optics import scene
 from simulators.optics.collimator_errors import (
     DEGREE,
     MONOMIALS,
@@ -31,7 +28,7 @@ from simulators.optics.picture import (
     star_centres,
     true_rotation,
 )
-from simulators.world.truth import CameraTruth, CollimatorTruth, OpticsTruth, ReticleTruth, ScreenTruth, Truth
+from simulators.world.truth import CameraTruth, CollimatorTruth, OpticsTruth, ReticleTruth, Truth
 from simulators.world.truth_config import truth_from_config
 
 TRUTH = Truth(camera=CameraTruth(k1=0.0, k2=0.0))
@@ -177,34 +174,3 @@ def test_the_axis_of_the_collimator_stays_near_the_tag_unless_its_place_is_given
     assert own.y - own_middle[1] == pytest.approx(standard.y - middle[1])
     assert truth_from_config({"target": SMALL, "collimator": {"x": 5.0}}).collimator.x == 5.0
     assert truth_from_config({"target": {"squares": [50, 72]}}).collimator == standard
-
-
-# ---------------------------------------------------------------- screens
-
-CAMERA = CameraTruth(fx=420.0, fy=421.0, cx=159.0, cy=91.0, k1=-0.1, k2=0.05, width=320, height=180)
-
-TURN_DEG = tuple(np.degrees([0.2, -0.3, 0.1]).tolist())
-
-MIDDLE = (5.0, -3.0, 300.0)
-
-
-def screen(middle_mm=MIDDLE):
-    return Truth(
-        camera=CAMERA,
-        screen=ScreenTruth(7, 4, 20.0, middle_mm, TURN_DEG),
-        optics=OpticsTruth(mounting_deg=(0.0, 0.0, 0.0)),
-    )
-
-
-def test_corners_lie_where_opencv_projects_them():
-    x, y = np.meshgrid(20.0 * np.arange(7) - 60.0, 20.0 * np.arange(4) - 30.0)
-    points = np.column_stack([x.ravel(), y.ravel(), np.zeros(28)])
-    matrix = np.array([[CAMERA.fx, 0, CAMERA.cx], [0, CAMERA.fy, CAMERA.cy], [0, 0, 1.0]])
-    distortion = np.array([CAMERA.k1, CAMERA.k2, 0.0, 0.0])
-    expected, _ = cv2.projectPoints(points, np.radians(TURN_DEG), np.array(MIDDLE), matrix, distortion)
-    np.testing.assert_allclose(scene.corners(screen(), {}), expected.reshape(-1, 2), atol=1e-9)
-
-
-def test_a_board_behind_the_camera_is_refused():
-    with pytest.raises(SimulationMisuse):
-        scene.picture(screen((5.0, -3.0, -300.0)), {})

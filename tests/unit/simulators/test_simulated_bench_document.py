@@ -11,7 +11,6 @@ import yaml
 
 from simulators.config import LIGHT_KINDS, STAGE_KINDS, bench_config
 from simulators.faults.catalogue import fault_order, fault_order_from_text, faults_of
-from simulators.world.board import Anywhere, BoardTruth, HandTruth, Placement
 from simulators.world.gimbal import GimbalTruth
 from simulators.world.truth import COLLIMATORS, CollimatorTruth, LensTruth, MountTruth, ReticleTruth
 
@@ -32,7 +31,6 @@ def names_in_first_column(title: str, name: str = r"`(\w+)`") -> set[str]:
         ("Of the camera", "camera"),
         ("Of the mount", "mount"),
         ("Of the lens", "lens"),
-        ("Of the board", "board"),
     ],
 )
 def test_every_fault_stands_in_its_table(title, device):
@@ -57,29 +55,6 @@ def test_every_collimator_stands_in_the_table_of_profiles():
 def test_every_key_of_collimator_reticle_mount_and_gimbal_is_documented(section):
     words = set(re.findall(r"\w+", TEXT))
     assert {one.name for one in fields(section)} <= words
-
-
-@pytest.mark.parametrize("section", [BoardTruth, Placement, Anywhere, HandTruth])
-def test_every_key_of_a_board_is_documented(section):
-    words = set(re.findall(r"\w+", TEXT.split("\n### Boards at finite distance", 1)[1].split("\n### ", 1)[0]))
-    computed = {"seed", "field_tangents", "size_mm", "state", "shake"}
-    assert {one.name for one in fields(section)} - computed <= words
-
-
-def test_the_example_of_a_board_is_a_valid_configuration():
-    example = re.search(
-        r"```yaml\n(.*?)```", TEXT.split("\n### Boards at finite distance", 1)[1], flags=re.DOTALL
-    )
-    assert example
-    board = bench_config(yaml.safe_load(example[1])["simulation"]).truth.board
-    assert len(board.placements) == 2
-    assert board.flicker_hz == 60.0
-
-
-def test_the_orders_of_a_board_are_valid():
-    table = TEXT.split("**What can go wrong with a board**", 1)[1].split("\n\nWhat is not", 1)[0]
-    orders = [fault_order_from_text(text) for text in re.findall(r"`((?:board|lens) [^`]*)`", table)]
-    assert {one.fault for one in orders} == {"move", "turn", "focus", "steady", "second"}
 
 
 def test_the_example_is_a_valid_configuration():

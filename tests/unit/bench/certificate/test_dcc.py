@@ -22,7 +22,6 @@ from bench.certificate.dcc_xml import (
     OUR_UNITS,
     d_si_unit,
     is_unit,
-    length_mm,
     product,
     read_dcc,
     read_xml,
@@ -238,14 +237,11 @@ def test_printed_units(printed, written):
     assert d_si_unit(printed) == written
 
 
-def test_products_have_the_powers_of_their_factors_and_lengths_are_in_millimetres():
+def test_products_have_the_powers_of__are_in_millimetres():
     assert powers(product(r"\milli\metre", r"\milli\metre")) == {"millimetre": 2}
     assert powers(product(r"\radian", r"\milli\metre")) == {"radian": 1, "millimetre": 1}
     assert powers(r"\metre\per\second\tothe{2}") == powers(r"\metre\second\tothe{-2}")
     assert powers(r"\metre\per\metre") == {}
-    assert length_mm(0.255, r"\metre") == pytest.approx(255.0)
-    assert (length_mm(255.0, r"\milli\metre"), length_mm(1.0, r"\kilo\metre")) == (255.0, 1e6)
-    assert length_mm(1.0, r"\second") is length_mm(1.0, r"\foo\metre") is None
 
 
 # ---------------------------------------------------------------- the XML

@@ -14,8 +14,8 @@ import pytest
 
 from bench.base.errors import StorageError
 from bench.commands.cli import cli, main
+from bench.commands.history import signed
 from bench.commands.output import print_error
-from bench.commands.runs import signed
 
 RUN_COMMANDS = [
     ("resume",),
@@ -323,6 +323,7 @@ def test_a_home_folder_that_cannot_be_written_gets_a_hint_to_choose_another(caps
         (("hold", "runs/cam7"), "tell RUN hold"),
         (("batch", "add", "runs/night", "job.yaml"), "tell FOLDER add JOB"),
         (("keys", "list"), "keys show"),
+        (("runs", "--chart", "fx"), "history charts"),
     ],
 )
 def test_a_command_of_an_earlier_version_is_refused_with_the_one_that_does_its_work(say, words, now):
@@ -333,7 +334,12 @@ def test_a_command_of_an_earlier_version_is_refused_with_the_one_that_does_its_w
 
 @pytest.mark.parametrize(
     ("words", "where"),
-    [(("compare", "table1"), "`make table1`"), (("study", "--runs", "9"), "`make coverage`")],
+    [
+        (("compare", "table1"), "`make table1`"),
+        (("study", "--runs", "9"), "`make coverage`"),
+        (("certificate", "check", "dcc.xml"), "xmllint"),
+        (("certificate", "from-dcc", "dcc.xml"), "station file"),
+    ],
 )
 def test_a_command_that_has_gone_is_refused_with_where_its_work_is_done(say, words, where):
     status, out, err = say(*words)

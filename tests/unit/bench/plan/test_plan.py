@@ -80,10 +80,6 @@ def test_every_shipped_sequence_runs_on_every_shipped_station(path, station, tmp
         assert all("is outside the limits of the station" in fault.message for fault in made.faults)
         assert len(made.faults) > 0
         return
-    if path.stem == "boards":  # it needs a station with a board
-        assert all("the station has no board to place" in fault.message for fault in made.faults)
-        assert len(made.faults) == 1
-        return
     assert (made.faults, made.remarks) == ((), ())
     counts = {"three_pose": 3, "nine_pose": 9, "turntable": 7, "until_good": 3, "parallax_test": 15}
     assert len(made.poses) == counts[path.stem]
@@ -197,7 +193,7 @@ def test_a_step_that_cannot_be_done_on_the_station_is_a_fault_at_its_place(befor
             "{repeat: {poses: these, steps: [move, settle, record]}}",
             "no set of poses has this name (got 'these').",
         ),
-        ("record", "a record before any move: add a move before it (before a board: place)."),
+        ("record", "a record before any move: add a move before it."),
     ],
 )
 def test_steps_left_out_because_of_a_fault_give_no_second_fault(recorded, fault):

@@ -12,7 +12,7 @@ from bench.commands.calibrate import run_text
 from bench.commands.cli import main
 from bench.report.text import BOARD, STARS
 from bench.results.solution import errors_in
-from bench.views.measure_board import MovingRecording
+from bench.views.moving_recording import MovingRecording
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.camera import CameraModel
 from calib.model.rotation import exp_map
@@ -274,7 +274,7 @@ def test_a_simulated_moving_board_is_reconstructed_where_it_stands_at_the_time_o
     from tests.benchmarks.compared.scenes import record_moving
 
     column = Column(name="a", method="reconstruction", images=2, board=Screen(focus="sharp"))
-    screen = {"columns": 11, "rows": 7, "square_mm": 12.0, "position_mm": [0.0, 0.0, 900.0]}
+    screen = {"columns": 11, "rows": 7, "pitch_mm": 12.0, "position_mm": [0.0, 0.0, 900.0]}
     optics = {"mounting_deg": [0.0, 0.0, 0.0]}
     section = {"noise": "typical", "screen": {**screen, "turn_deg": [20, -15, 12]}, "optics": optics}
     picture = record_moving(column, section, 3345.0, 3, 1)[True]

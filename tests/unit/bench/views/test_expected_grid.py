@@ -1,18 +1,15 @@
-"""Expected grid of a pose; placements of a board."""
+"""Expected grid of a pose."""
 
 import numpy as np
 import pytest
 
 from bench.records.history import Attempt, History
 from bench.views.expected_grid import best_angles_deg, grid_from_earlier_poses, grid_from_journal
-from bench.views.measure_board import with_advice
-from calib.boards.board import Board
 from calib.errors import DegenerateViews
 from calib.model.homography import apply_homography
 from calib.model.rotation import euler_zxy
 from calib.stars.pointing import grid_homography
 from calib.target import StarTarget
-from sequences.script import PromptStep
 
 TARGET, SIZE = StarTarget(), (1280, 720)
 
@@ -59,62 +56,3 @@ def test_a_journaled_expected_grid_is_used_again():
 
 def test_encoder_angles_replace_stated_positions():
     assert best_angles_deg({"pan": 1.0, "pan_encoder": 1.002, "tilt": 2.0}) == {"pan": 1.002, "tilt": 2.0}
-
-
-# ---------------------------------------------------------------- placements of a board
-
-BOARD = Board("checkerboard", 8, 5, 20.0)
-
-ASKED = "Place the board."
-
-#: From node to px: a board in the middle, 60 px a square.
-GRID = np.array([[60.0, 0.0, 430.0], [0.0, 60.0, 240.0], [0.0, 0.0, 1.0]])
-
-HALF_TURN = np.diag([-1.0, -1.0, 1.0])
-
-
-def placed(number, grid, *, accepted=True, reasons=()):
-    measured = {} if grid is None else {"grid": np.asarray(grid).tolist()}
-    return Attempt(
-        number, f"placement {number}", 1,
-        stored={"facts": {"width": 1280, "height": 720}},
-        checked={"accepted": accepted, "measured": measured, "reasons": list(reasons), "gates": [], "stars": 40},
-    )  # fmt: skip
-
-
-def told(*attempts):
-    history = History(attempts=list(attempts))
-    step = PromptStep(1, "line 1", ("steps", 0), ASKED, "continue", 1.0, placement=2)
-    return with_advice(step, history, BOARD).text
-
-
-def moved(x, y):
-    return np.array([[1.0, 0.0, x], [0.0, 1.0, y], [0.0, 0.0, 1.0]]) @ GRID
-
-
-TURNED = moved(850, 480) @ np.linalg.inv(GRID) @ HALF_TURN @ GRID
-
-
-@pytest.mark.parametrize(
-    ("places", "said", "unsaid"),
-    [
-        ([GRID], "It covers", ("upside down", "cuts")),
-        ([GRID, moved(-300, -150)], "Placement 2: board found, 40 of 40 points, moved 335 px. It covers", ()),
-        ([GRID, moved(-300, -150)], "upper left corner. Next: move the board to the upper right corner", ()),
-        ([GRID, moved(3, 0)], "NOT MOVED since placement 1 (3.0 px)", ()),
-        ([TURNED], "upside down", ()),
-        ([moved(600, 0)], "the frame cuts the board", ()),
-    ],
-)
-def test_a_placement_is_described_and_the_next_one_named(places, said, unsaid):
-    assert told() == ASKED
-    text = told(*(placed(number, grid) for number, grid in enumerate(places, 1)))
-    assert said in text
-    assert not any(words in text for words in unsaid)
-    assert text.endswith(ASKED)
-
-
-@pytest.mark.parametrize("reason", ["No board was found.", "No board was found"])
-def test_a_placement_that_was_not_accepted_gives_its_reason(reason):
-    text = told(placed(1, GRID), placed(2, None, accepted=False, reasons=[reason]))
-    assert text.startswith("Placement 2 was not accepted: No board was found. Next: ")

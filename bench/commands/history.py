@@ -1,0 +1,306 @@
+"""The command `history`: control charts, agreement, gauge study and table of many runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from bench.base.clock import BenchClock
+from bench.base.errors import UsageError
+from bench.base.home import home_folder
+from bench.commands.options import (
+    LEDGERS,
+    OF_CAMERA,
+    OF_SEQUENCE,
+    SINCE,
+    UNTIL,
+    ExistingFolder,
+    RunChoice,
+    command,
+    filters_of,
+    status_text,
+)
+from bench.commands.output import JSON, print_findings, show
+from bench.evidence.authorisation import known_authorisations
+from bench.evidence.states import home_trust, shown_state
+from bench.history.chart_findings import find_charts, needs_attention
+from bench.history.chart_groups import Grouped, Level, group_runs
+from bench.history.merged_runs import (
+    LedgerSource,
+    MergedRuns,
+    merge_ledgers,
+    merge_runs,
+    read_source,
+)
+from bench.history.table import SCHEMA, Row, require_writable_table, table_row, write_table
+from bench.records.ledger import Ledger
+from bench.records.run_facts import REPEATS_TEXT, IndexedRun
+from bench.records.run_index import RunIndex, run_folders
+from bench.records.storage import write_atomic
+from bench.records.summaries import ChartGroupData, drifts, has_limits
+from bench.report.control_chart import render_charts
+from bench.report.text import with_uncertainty
+from bench.results.trends import Agreement, compare_runs, repeats
+from bench.terminal.encoding import counted
+
+_MOST_GROUPS = 12
+"""Most groups of one kind that the terminal describes; it counts the others."""
+
+
+_CHARTS, _AGREEMENT, _CAPABILITY, _TABLE = "charts", "agreement", "capability", "table"
+_TAKES = {"parameter": _CHARTS, "by": _CHARTS, "baseline": _CHARTS, "factors": _CAPABILITY}
+"""What alone takes an option."""
+
+
+@command(
+    "starbench history charts --parameter fx -o fx.html",
+    "starbench history agreement --serial 00051234",
+    "starbench history capability runs/study --factors operator,day",
+    "starbench history table -o runs.parquet",
+    status=status_text(
+        "0 nothing is out of control and nothing drifts, 1 something is or does, a run is missing or was changed, or a "
+        "ledger is broken{invalid}{ctrl_c}"
+    ),
+)
+@click.argument("what", type=click.Choice([_CHARTS, _AGREEMENT, _CAPABILITY, _TABLE]))
+@click.argument("folder", required=False, type=ExistingFolder())
+@OF_CAMERA
+@SINCE
+@UNTIL
+@OF_SEQUENCE
+@LEDGERS
+@click.option(
+    "--parameter", metavar="NAME", help="charts: only this parameter, such as fx.  [default: all parameters]"
+)
+@click.option(
+    "--by",
+    type=click.Choice(["camera", "type"]),
+    help="charts: one for each camera, or one for each camera type.  [default: both]",
+)
+@click.option(
+    "--baseline",
+    type=click.IntRange(2),
+    metavar="N",
+    help="charts: calculate the limits from the first N runs.  [default: from all]",
+)
+@click.option(
+    "--factors",
+    metavar="FACTOR,...",
+    help="capability: reproducibility by operator, bench or day, several with commas.  [default: operator]",
+)
+@click.option(
+    "--output",
+    "-o",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="charts: file for the page [default: runs-charts.html]. table: a new .parquet or .csv file.",
+)
+@JSON
+def history(what: str, folder: Path | None, output: Path | None, **given: Any) -> int:
+    """Show what many runs tell together: those in FOLDER, or all runs in the ledger of this bench.
+
+    charts: an HTML page with control charts and drift tests. agreement: whether the results of one camera agree within
+    their uncertainties. capability: a gauge study of several cameras (%GRR, number of distinct categories, Cp, Cpk).
+    table: all runs as a table. Simulated and real runs, different targets and different models are never mixed.
+    """
+    for option, owner in _TAKES.items():
+        if given[option] is not None and what != owner:
+            raise UsageError(
+                f"`history {what}` has no --{option}.", remedy=f"Leave it out; `history {owner}` has it."
+            )
+    choice = RunChoice(folder, given["ledgers"], filters_of(given))
+    if output is not None and what in {_AGREEMENT, _CAPABILITY}:
+        raise UsageError(f"`history {what}` writes no file.", remedy="Leave out --output.")
+    if what == _CHARTS:
+        page = output or Path("runs-charts.html")
+        return _chart_runs(choice, given["parameter"], given["by"], given["baseline"], page)
+    if what == _TABLE:
+        if output is None:
+            raise UsageError("The file is missing.", remedy="Name it: --output runs.parquet, or .csv.")
+        return _export_runs(choice, output)
+    if what == _CAPABILITY:
+        from bench.commands.history_capability import show_capability
+
+        return show_capability(find_runs(choice), given["factors"] or "operator")
+    return _show_agreement(find_runs(choice))
+
+
+def _show_agreement(merged: MergedRuns) -> int:
+    """Print how the parameters of runs agree; return 1 if ledgers and folders do not agree."""
+    solved = [run for run in merged.runs if run.parameters]
+    compared = compare_runs(solved)
+    show(
+        lambda: {
+            "schema": "starbench/agreement/1",
+            "compared": [one.to_dict() for one in compared],
+            "of": [run.folder for run in solved],
+            "faults": merged.faults,
+            "notes": merged.notes,
+        },
+        _agreement_lines(solved, compared),
+    )
+    return print_findings(merged.faults, merged.notes)
+
+
+def find_runs(choice: RunChoice) -> MergedRuns:
+    """Find runs by ledgers and folders, and name what does not agree."""
+    home, clock = home_folder(), BenchClock()
+
+    def source(folder: Path, *, required: bool) -> LedgerSource:
+        ledger = Ledger(folder, utc_now=clock.utc_now, monotonic=clock.monotonic)
+        return read_source(ledger, required=required)
+
+    named = [source(folder, required=True) for folder in choice.ledgers]
+    ledgers = merge_ledgers(named or [source(home, required=False)])
+    folders = run_folders(choice.folder) if choice.folder else []
+    index = RunIndex(home)
+    merged = merge_runs(index, ledgers, folders, only_folders=bool(choice.folder and not choice.ledgers))
+    if any(value is not None for value in choice.filters.values()):
+        merged.runs, _ = index.runs([Path(run.folder) for run in merged.runs], **choice.filters)
+    return merged
+
+
+def _export_runs(choice: RunChoice, path: Path) -> int:
+    """Write the table of runs, and say so; return 1 if ledgers and folders do not agree, else 0."""
+    require_writable_table(path)
+    merged = find_runs(choice)
+    count = write_table(path, _rows(merged), merged.faults)
+    facts: dict[str, Any] = {"schema": "starbench/runs-export/1", "table": SCHEMA, "file": str(path)}
+    show(
+        {**facts, "rows": count, "faults": merged.faults, "notes": merged.notes},
+        f"{path}: {counted(count, 'run')}, schema {SCHEMA}.",
+    )
+    return print_findings(merged.faults, merged.notes)
+
+
+def _rows(merged: MergedRuns) -> Iterator[Row]:
+    trust, now = home_trust(home_folder()), datetime.now(UTC)
+    known = known_authorisations(home_folder())
+    for run, more in RunIndex(home_folder()).details(merged.runs):
+        state = shown_state(Path(run.folder), trust, now, known)
+        yield table_row(run, more, merged.places[run.folder], state)
+
+
+def _chart_runs(
+    choice: RunChoice, parameter: str | None, by: Level | None, baseline: int | None, page: Path
+) -> int:
+    """Write the page of control charts, and print the verdict; None stands for all parameters, or all runs.
+
+    Exit status: 1 out of control, a drift, or ledgers and folders that differ; else 0. ``baseline`` runs set the
+    limits.
+    """
+    _require_page(page)
+    merged = find_runs(choice)
+    facts = RunIndex(home_folder()).details(merged.runs)
+    grouped = group_runs(((run, more, merged.places[run.folder]) for run, more in facts), by)
+    _require_parameter(grouped, parameter)
+    if parameter is not None:
+        grouped.groups = [group for group in grouped.groups if parameter in group.key.parameters]
+    found = find_charts(grouped.groups, parameter=parameter, baseline=baseline)
+    notes = [*grouped.left_out, *merged.notes]
+    write_atomic(page, render_charts(found, notes, merged.faults).encode())
+    show(
+        lambda: {
+            "schema": found["schema"],
+            "page": str(page),
+            "groups": [_told(group) for group in found["groups"]],
+            "faults": merged.faults,
+            "notes": notes,
+        },
+        f"{_verdict_text(found['groups'])}\nCharts: {page}",
+    )
+    status = print_findings(merged.faults, notes)
+    return status or int(any(map(needs_attention, found["groups"])))
+
+
+def _require_page(page: Path) -> None:
+    if page.suffix.lower() not in {".html", ".htm"} or page.is_dir():
+        raise UsageError(
+            "The page is an HTML file.", where=str(page), remedy="Choose a name that ends in .html."
+        )
+    if not page.absolute().parent.is_dir():
+        raise UsageError(
+            "The folder of this file does not exist.", where=str(page), remedy="Choose another name."
+        )
+
+
+def _require_parameter(grouped: Grouped, parameter: str | None) -> None:
+    if not grouped.groups:
+        why = " ".join(grouped.left_out)
+        raise UsageError(
+            f"There is no run with a result. {why}".rstrip(),
+            remedy="Name a FOLDER with runs, or a ledger with --ledger.",
+        )
+    known = dict.fromkeys(name for group in grouped.groups for name in group.key.parameters)
+    if parameter is not None and parameter not in known:
+        raise UsageError(
+            f"No run has a parameter {parameter!r}.",
+            remedy=f"There are: {', '.join(known)}. For all of them, leave out --parameter.",
+        )
+
+
+def _verdict_text(groups: Sequence[ChartGroupData]) -> str:
+    """Return the verdict: the groups that need attention first; of very many others, only their number."""
+    wrong = [group for group in groups if needs_attention(group)]
+    rest = [group for group in groups if not needs_attention(group)]
+    lines = [line for group in wrong[:_MOST_GROUPS] for line in _verdict_lines(group)]
+    if len(wrong) > _MOST_GROUPS:
+        lines.append(
+            f"{len(wrong) - _MOST_GROUPS} further groups of runs need attention; the page shows each of them."
+        )
+    if len(rest) <= _MOST_GROUPS:
+        lines += [line for group in rest for line in _verdict_lines(group)]
+    else:
+        lines.append(f"{len(rest)} other groups of runs need no attention; the page shows each of them.")
+    if len(groups) > 1:
+        lines.append(f"{len(wrong)} of {len(groups)} groups of runs need attention.")
+    return "\n".join(lines)
+
+
+def _verdict_lines(group: ChartGroupData) -> list[str]:
+    """Return the verdict about a group, and a line for each parameter that needs attention."""
+    charts, alone = group["parameters"], len(group["parameters"]) == 1
+    shown = [c for c in charts if alone or c["state"] in {"out of control", "check"} or drifts(c)]
+    return [
+        f"{group['title']} ({group['place']})",
+        f"  {group['verdict']}",
+        *(f"  {chart['name']}: {chart['verdict']}" for chart in shown),
+    ]
+
+
+def _told(group: ChartGroupData) -> dict[str, Any]:
+    """Return a group as ``--json`` prints it: without the values of every run."""
+    long = {"values", "sigmas", "expanded", "ranges", "ewma"}
+    charts = [
+        {name: value for name, value in chart.items() if name not in long} for chart in group["parameters"]
+    ]
+    for told, chart in zip(charts, group["parameters"], strict=True):
+        told["ewma_beyond"] = chart["ewma"]["beyond"] if has_limits(chart) else []
+    return {**group, "parameters": charts, "runs": [run["run"] for run in group["runs"]]}
+
+
+def signed(number: float) -> str:
+    """Write a number with its sign and two decimals; zero has no sign."""
+    text = f"{number:+.2f}"
+    return "0.00" if float(text) == 0 else text
+
+
+def _agreement_lines(runs: Sequence[IndexedRun], compared: Sequence[Agreement]) -> Iterator[str]:
+    head = f"{len(runs)} runs of camera {runs[0].camera}, {runs[0].model} model."
+    yield f"{head} ± is the expanded uncertainty U (about 95 %), with the k of the report."
+    for parameter in compared:
+        mean, expanded = with_uncertainty(parameter.mean, parameter.expanded)
+        yield f"{parameter.name}: mean {mean} ± {expanded} (k = {parameter.k:.2f}), Birge ratio {parameter.birge:.2f}"
+        if repeats(parameter.birge, len(runs)):
+            yield f"  {REPEATS_TEXT}"
+        for run, deviation in zip(runs, parameter.deviations, strict=True):
+            found = run.parameters[parameter.name]
+            value, own = with_uncertainty(found.value, found.expanded)
+            begun = run.begun_utc[:16].replace("T", " ")
+            yield (
+                f"  {begun}  {value:>12} ± {own:<8} (k = {found.k:.2f})  {signed(deviation):>6} sigma  {run.id}"
+            )

@@ -1,0 +1,204 @@
+"""The gauge study of `history capability`: repeatability, reproducibility and, with limits, capability."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import fmean
+from typing import Any
+
+from bench.base.errors import UsageError
+from bench.base.home import home_folder
+from bench.commands.output import print_findings, show
+from bench.history.merged_runs import MergedRuns, RunPlace
+from bench.history.statistics import PART, REPEATABILITY, Capability, GaugeStudy, capability, plural, study
+from bench.records.run_facts import IndexedRun, RunDetails
+from bench.records.run_index import RunIndex
+from bench.report.text import number, unit_text
+from bench.terminal.encoding import counted
+from calib.model.camera import PINHOLE
+from calib.model.lens import BROWN, FISHEYE
+
+_OF_THE_CAMERA = {*PINHOLE, *BROWN, *FISHEYE}
+
+
+@dataclass(frozen=True)
+class _Run:
+    """A run with a result, and what it has in common with others."""
+
+    run: IndexedRun
+    details: RunDetails
+    place: RunPlace
+
+    @property
+    def kind(self) -> tuple[str, ...]:
+        """What all runs of a study share."""
+        names = sorted(name for name in self.run.parameters if name in _OF_THE_CAMERA)
+        camera = self.details["camera_type"] or "camera type not known"
+        return self.run.kind, camera, f"model {self.run.model}", ", ".join(names)
+
+
+_FACTORS: Mapping[str, Callable[[_Run], str]] = {
+    "operator": lambda one: one.run.operator or "",
+    "bench": lambda one: f"{one.place.bench} {one.run.station}".strip(),
+    "day": lambda one: one.run.begun_utc[:10],
+}
+
+
+@dataclass(frozen=True)
+class _Studied:
+    """A parameter with its study and, if its runs state limits, its capability."""
+
+    name: str
+    study: GaugeStudy
+    capability: Capability | None
+
+
+def show_capability(merged: MergedRuns, words: str) -> int:
+    """Print the gauge study; exit status 1 if ledgers and folders do not agree."""
+    factors = _factors(words)
+    chosen = [
+        _Run(run, more, merged.places[run.folder])
+        for run, more in RunIndex(home_folder()).details(merged.runs)
+        if run.how == "finished" and run.parameters
+    ]
+    _require_one_kind(chosen)
+    levels = {name: [_FACTORS[name](one) for one in chosen] for name in factors}
+    if "" in levels.get("operator", ()):
+        raise UsageError(
+            f"{levels['operator'].count('')} of {len(chosen)} runs name no operator.",
+            remedy="Leave them out with --since, or study another factor: --factors day.",
+        )
+    cameras = [one.run.camera for one in chosen]
+    found = [
+        _studied(name, chosen, cameras, levels) for name in chosen[0].run.parameters if name in _OF_THE_CAMERA
+    ]
+    show(
+        lambda: _as_json(chosen, cameras, levels, found),
+        _lines(chosen, cameras, levels, found),
+    )
+    return print_findings(merged.faults, merged.notes)
+
+
+def _factors(words: str) -> list[str]:
+    names = [word.strip() for word in words.split(",")]
+    if wrong := [name for name in names if name not in _FACTORS]:
+        raise UsageError(
+            f"There is no factor {wrong[0]!r}.",
+            where="--factors",
+            remedy=f"There are: {', '.join(_FACTORS)}; several with commas.",
+        )
+    return list(dict.fromkeys(names))
+
+
+def _require_one_kind(chosen: Sequence[_Run]) -> None:
+    kinds = sorted({one.kind for one in chosen})
+    if not kinds:
+        raise UsageError(
+            "There is no finished run with a result.",
+            remedy="Name a FOLDER with runs, or a ledger with --ledger.",
+        )
+    if len(kinds) > 1:
+        told = " and ".join(" / ".join(kind) for kind in kinds[:2])
+        raise UsageError(
+            f"The runs are of {len(kinds)} kinds, which a study never mixes: {told}.",
+            remedy="Choose runs of one kind with --since, --until, --sequence or a FOLDER.",
+        )
+
+
+def _studied(
+    name: str, chosen: Sequence[_Run], cameras: Sequence[str], levels: Mapping[str, Sequence[str]]
+) -> _Studied:
+    values = [one.run.parameters[name].value for one in chosen]
+    found = study(values, cameras, levels)
+    lower, upper = chosen[-1].details["limits"].get(name, (None, None))
+    return _Studied(name, found, capability(lower, upper, fmean(values), found.total, found.gauge))
+
+
+def _as_json(
+    chosen: Sequence[_Run],
+    cameras: Sequence[str],
+    levels: Mapping[str, Sequence[str]],
+    found: Sequence[_Studied],
+) -> dict[str, Any]:
+    return {
+        "schema": "starbench/capability/1",
+        "runs": [one.run.folder for one in chosen],
+        "cameras": sorted(set(cameras)),
+        "factors": {name: sorted(set(of_runs)) for name, of_runs in levels.items()},
+        "parameters": [_parameter_json(one) for one in found],
+    }
+
+
+def _parameter_json(one: _Studied) -> dict[str, Any]:
+    made = one.study
+    return {
+        "name": one.name,
+        "unit": unit_text(one.name),
+        "analysis": [{"term": term.name, **_parts(term, _OF_TERM)} for term in made.terms],
+        "pooled": list(made.pooled),
+        "components": dict(made.components),
+        **_parts(made, _OF_STUDY),
+        **_parts(one.capability, _OF_CAPABILITY),
+    }
+
+
+def _parts(of: object, names: Sequence[str]) -> dict[str, Any]:
+    """Return some attributes of an object by name; of None, None each."""
+    return {name: of and getattr(of, name) for name in names}
+
+
+_OF_TERM = ("sum_of_squares", "degrees_of_freedom", "mean_square", "f", "p")
+_OF_STUDY = ("repeatability", "reproducibility", "gauge", "total", "gauge_percent", "categories", "verdict")
+_OF_CAPABILITY = ("cp", "cpk", "tolerance_percent")
+_HEADS = ("", "unit", "EV", "AV", "GRR", "PV", "TV", "%GRR", "ndc", "%tol", "Cp", "Cpk")
+
+
+def _lines(
+    chosen: Sequence[_Run],
+    cameras: Sequence[str],
+    levels: Mapping[str, Sequence[str]],
+    found: Sequence[_Studied],
+) -> Iterator[str]:
+    counts = [f"{len(set(of_runs))} {plural(name)}" for name, of_runs in levels.items()]
+    head = ", ".join([counted(len(chosen), "run"), f"{len(set(cameras))} {plural(PART)}", *counts])
+    yield f"{head}; standard deviations:"
+    yield _row(_HEADS)
+    for one in found:
+        yield f"{_row(_cells(one))}  {one.study.verdict}"
+    yield "EV repeatability, AV reproducibility, GRR both, PV cameras, TV total; %GRR = GRR / TV; ndc categories."
+    yield "%GRR below 10 is good, to 30 conditional, above it not good; ndc should be 5 or more (AIAG MSA)."
+    if any(one.capability for one in found):
+        yield "%tol = 6 GRR over the tolerance; Cp and Cpk by TV and the limits of the newest run."
+    for one in found:
+        seen = [
+            f"{name} {number(value, 2)}"
+            for name, value in one.study.components.items()
+            if name not in (PART, REPEATABILITY) and value > 0
+        ]
+        if seen:
+            yield f"  {one.name}, parts of AV: {', '.join(seen)}"
+
+
+def _cells(one: _Studied) -> tuple[str, ...]:
+    made, fits = one.study, one.capability
+    sizes = (made.repeatability, made.reproducibility, made.gauge, made.components[PART], made.total)
+    share = f"{made.gauge_percent:.1f}"
+    judged = (fits.tolerance_percent, fits.cp, fits.cpk) if fits else (None, None, None)
+    categories = "-" if made.categories is None else str(made.categories)
+    ratios = (
+        "-" if value is None else f"{value:.{digits}f}"
+        for value, digits in zip(judged, (1, 2, 2), strict=True)
+    )
+    return (
+        one.name,
+        unit_text(one.name),
+        *(number(size, 2) for size in sizes),
+        share,
+        categories,
+        *ratios,
+    )
+
+
+def _row(cells: Sequence[str]) -> str:
+    return f"{cells[0]:<4}{cells[1]:<5}" + "".join(f"{cell:>9}" for cell in cells[2:])

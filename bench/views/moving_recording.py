@@ -1,0 +1,71 @@
+"""A recording of a moving camera before a still board: pictures at stated times, reconstructed from its RAW file.
+
+The file is read in pieces, so its length does not matter. This module finds no board.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from bench.base.errors import UsageError
+from calib.errors import TooFewEvents
+from calib.events.reconstruction import ReconstructedPicture, reconstruct
+from drivers.camera.raw_file import RawFile
+
+MOVING_REMEDY = (
+    "Move the camera obliquely to the edges of the board, by more than two squares around the time of the picture; "
+    "for slow motion give a lower frequency to --reconstruct."
+)
+_MOST_PICTURES = 40
+_LEAST_APART_S = 0.1
+
+
+class MovingRecording:
+    """Pictures of one recording, by a filter with a cutoff frequency, at times after its first event, s."""
+
+    def __init__(self, path: Path, cutoff_hz: float, at_s: Sequence[float] | None = None) -> None:
+        self._path, self._cutoff_hz = path, cutoff_hz
+        self._first_us, last_us = _span_us(path)
+        length_s = 1e-6 * (last_us - self._first_us)
+        if at_s is not None and at_s[-1] > length_s:
+            raise UsageError(
+                f"There is no picture at {at_s[-1]:g} s: the recording is {length_s:.3f} s long.",
+                where=str(path),
+                remedy="Give earlier times to --pictures-at.",
+            )
+        self.at_s = _spread(length_s) if at_s is None else tuple(at_s)
+        self._next = 0
+        self._stream = self._reconstructed()
+
+    def picture(self, number: int) -> ReconstructedPicture:
+        """Return a picture, numbered from 0; fastest in the order of their times."""
+        if number < self._next:
+            self._next, self._stream = 0, self._reconstructed()
+        while True:
+            found = next(self._stream)
+            self._next += 1
+            if self._next > number:
+                return found
+
+    def _reconstructed(self) -> Iterator[ReconstructedPicture]:
+        raw = RawFile.open(self._path)
+        times_us = [self._first_us + 1e6 * at_s for at_s in self.at_s]
+        return reconstruct(raw.chunks(), (raw.width, raw.height), times_us, cutoff_hz=self._cutoff_hz)
+
+
+def _span_us(path: Path) -> tuple[int, int]:
+    """Return the times of the first and the last event, us."""
+    first, last = None, 0
+    for events in RawFile.open(path).chunks():
+        first = int(events.t[0]) if first is None else first
+        last = int(events.t[-1])
+    if first is None:
+        raise TooFewEvents("The recording holds no event.", where=str(path))
+    return first, last
+
+
+def _spread(length_s: float) -> tuple[float, ...]:
+    """Return the middles of equal parts of a recording, at most 40 and at least 0.1 s apart."""
+    count = max(1, min(_MOST_PICTURES, int(length_s / _LEAST_APART_S)))
+    return tuple(length_s * (number + 0.5) / count for number in range(count))
