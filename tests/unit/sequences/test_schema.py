@@ -9,7 +9,10 @@ from flat import faults_of
     [
         ("steps: []", "s.yaml:3:8: steps: must have 1 or more entries."),
         ("steps: [lihgt]", "s.yaml:3:9: steps[0].lihgt: unknown key. Did you mean 'light'?"),
-        ("steps: [place]", "s.yaml:3:9: steps[0].place: unknown key. Boards have left the run: calibrate their recordings"),
+        (
+            "steps: [place]",
+            "s.yaml:3:9: steps[0].place: unknown key. Boards have left the run: calibrate their recordings",
+        ),
         ("steps: [wait]", "s.yaml:3:9: steps[0].wait.duration_s: this key is required, but it is missing."),
         (
             "steps: [{wait: }]",
