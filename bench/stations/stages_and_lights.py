@@ -173,6 +173,16 @@ class XimcAxisConfig(AxisConfig):
     steps_per_deg: Annotated[Scale, Field(description="Full steps; negative if the counter decreases.")]
     encoder_counts_per_deg: Scale | None = None
     encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
+    home_offset_deg: Annotated[
+        Angle | None,
+        Field(
+            description="From the sensor to the zero. Default: none; a controller that goes on is then refused."
+        ),
+    ] = None
+    reversed: Annotated[
+        bool | None,
+        Field(description="Whether the controller reverses the motor. Default: not compared."),
+    ] = None
 
 
 class XimcStageConfig(AnyStage):
@@ -244,6 +254,12 @@ class EspAxisConfig(AxisConfig):
         Field(description="Method of the reference search: the number of the command OR."),
     ] = 1
     direction: Literal[1, -1] = 1
+    resolution_deg: Annotated[
+        Annotated[float, Within(1e-9, 10, "deg")] | None,
+        Field(
+            description="Degrees of an encoder count, as the answer to 1SU? must be. Default: not compared."
+        ),
+    ] = None
 
     @field_validator("direction", "home_mode", mode="before")
     @classmethod

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from drivers.errors import DeviceRefused, OutsideLimits
+from drivers.errors import DeviceRefused, OutsideLimits, ReplyTimeout
 from drivers.link import read_until_agreed
 from drivers.serial_port import Port
 from drivers.stage import AxisIdentity, motion
@@ -78,10 +78,17 @@ def parse_error(text: str) -> EspError | None:
     return EspError(int(match[1]), int(match[2]), match[3]) if match else None
 
 
+_NO_SUCH_COMMAND = 6
+"""Number of the error of a command that this controller does not know."""
+_LEFT_BEHIND = {"TJ": 1.0, "SH": 0.0, "BA": 0.0, "CO": 0.0}
+"""What another program may have left otherwise: the profile of moves (1: a trapezoid; from 4 on, an axis follows
+another one), the position at the reference, the corrections of backlash and of the scale."""
 _DEGREES = 7
 """Value of ``SN`` for an axis that counts in degrees."""
 _RESOLUTION = 1e-4
 """Largest difference of two equal settings, in degrees: the controller prints no more digits."""
+_SAME_RESOLUTION = 1e-4
+"""Largest relative difference of two equal resolutions: the controller prints few digits."""
 _MOST_ERRORS = 20
 
 
@@ -95,6 +102,8 @@ class EspAxis(Axis):
     # move to 0.
     home_mode: Literal[1, 2, 3, 4, 5, 6] = 1
     direction: Literal[1, -1] = 1  # -1 when the controller's degrees fall as the angle grows, else 1
+    # Degrees of an encoder count, as the controller must report them; None if they are not compared.
+    resolution_deg: float | None = None
 
     @property
     def scale(self) -> float:
@@ -172,8 +181,9 @@ class EspStage(OneLineStage[EspAxis, TextLine]):
             raise no_reference(axis)
 
     def _clear_faults(self, axis: EspAxis) -> None:
-        """Empty the error buffer and switch the motor on, which moves nothing."""
+        """Empty the error buffer, set everything again, and switch the motor on, which moves nothing."""
         self._read_errors()
+        self._program(axis)
         if not self._motor_on(axis):
             self._command(axis, "MO")
         if not self._motor_on(axis):
@@ -189,6 +199,9 @@ class EspStage(OneLineStage[EspAxis, TextLine]):
 
     def _begin_homing(self, axis: EspAxis) -> None:
         self._command(axis, f"OR{axis.home_mode}")
+
+    def _homing_speed_deg_s(self, axis: EspAxis) -> float | None:
+        return self._read_known(axis, "OH")
 
     def _read_state(self, axis: EspAxis, *, homing: bool = False) -> AxisState:  # noqa: ARG002 - the same problems in both
         """Ask whether the axis moves, then where it is: the position of an idle axis is then one at rest."""
@@ -263,13 +276,14 @@ class EspStage(OneLineStage[EspAxis, TextLine]):
     # ------------------------------------------------------------ settings
 
     def _program(self, axis: EspAxis) -> None:
-        """Check unit and travel; set limits, speed and acceleration where they differ; read them back."""
+        """Check unit, scale and travel; set all that another program may have left otherwise; read it back."""
         if self._line.query_number(f"{axis.number}SN?") != _DEGREES:
             raise OutsideLimits(
                 "the axis does not count in degrees.",
                 where=axis.name,
                 remedy=f"Set its unit with {axis.number}SN{_DEGREES}, then its limits and speeds in degrees.",
             )
+        self._check_resolution(axis)
         limits = axis.limits
         ends = sorted(map(axis.to_controller_deg, (limits.lowest_deg, limits.highest_deg)))
         travel = self._line.query_number(f"{axis.number}SL?"), self._line.query_number(f"{axis.number}SR?")
@@ -281,8 +295,32 @@ class EspStage(OneLineStage[EspAxis, TextLine]):
             "AC": limits.acceleration_deg_s2,
             "AG": limits.acceleration_deg_s2,
         }
+        for name, value in _LEFT_BEHIND.items():
+            if self._read_known(axis, name) is not None:
+                self._set(axis, name, value)
         for name, value in wanted.items():
             self._set(axis, name, value)
+
+    def _check_resolution(self, axis: EspAxis) -> None:
+        """Compare the degrees of an encoder count with the station's, if that states them."""
+        if axis.resolution_deg is None:
+            return
+        told = self._line.query_number(f"{axis.number}SU?")
+        if abs(told - axis.resolution_deg) > _SAME_RESOLUTION * axis.resolution_deg:
+            raise OutsideLimits(
+                f"the station file has {axis.resolution_deg:g} deg a count, the controller {told:g}. Nothing was set.",
+                where=axis.name,
+                remedy=f"Set it with {axis.number}SU, or correct resolution_deg in the station file.",
+            )
+
+    def _read_known(self, axis: EspAxis, name: str) -> float | None:
+        """Read a setting; None if this controller has no such command, which it does not answer."""
+        try:
+            return self._line.query_number(f"{axis.number}{name}?")
+        except ReplyTimeout:
+            if any(error.code == _NO_SUCH_COMMAND for error in self._read_errors()):
+                return None
+            raise
 
     def _set(self, axis: EspAxis, name: str, value: float) -> None:
         """Set a setting where it differs, and read it back. Raises DeviceRefused."""

@@ -25,7 +25,16 @@ from drivers.stage.watched import (
     not_movable,
     read_back_otherwise,
 )
-from drivers.stage.ximc_protocol import EdgeSettings, MoveSettings, Settings, Status
+from drivers.stage.ximc_protocol import (
+    EdgeSettings,
+    EngineSettings,
+    HomeSettings,
+    MoveSettings,
+    PowerSettings,
+    Settings,
+    Status,
+    SyncInSettings,
+)
 from drivers.wire_log import WireLog
 
 _MARKER_S = 0.5
@@ -45,7 +54,7 @@ class XimcController(Link):
         self.mark_out_of_step()
         self.serial = self.read_serial()
         self._check_units()
-        self.division: int = self._query_division()
+        self.division: int = self._read_division()
 
     def read_serial(self) -> str:
         """Ask for the serial number."""
@@ -114,8 +123,8 @@ class XimcController(Link):
                 remedy="Set its feedback to 'None' with the maker's software; this driver can still read the encoder.",
             )
 
-    def _query_division(self) -> int:
-        mode: int = self._query("geng", ximc_protocol.ENGINE_LAYOUT)[ximc_protocol.MICROSTEP_MODE]
+    def _read_division(self) -> int:
+        mode = self.read_settings(EngineSettings).microstep_mode
         if not 1 <= mode <= 9:
             raise ReplyGarbled(
                 f"unknown step division mode {mode}.",
@@ -163,6 +172,9 @@ class XimcAxis(Axis):
     steps_per_deg: float  # Full steps per degree; negative when the counter falls as the angle grows
     # Encoder counts per degree, with sign; None without an encoder.
     encoder_counts_per_deg: float | None = None
+    # Way from the sensor to the zero, by the counter, in degrees; None if the controller adds none.
+    home_offset_deg: float | None = None
+    reversed: bool | None = None  # Whether the controller reverses the motor; None if that is not compared
     division: int = 1  # Microsteps per full step; the driver asks the controller
 
     @property
@@ -186,8 +198,7 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
         }
         self._bring_to_rest()
         for axis in self._axes.values():
-            self._program_speed(axis)
-            self._program_borders(axis)
+            self._program(axis)
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`; serial numbers are compared with those in the station file."""
@@ -221,6 +232,7 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
         if controller.read_status().faults:
             controller.command("stop")
         self._raise_faults(axis, controller.read_status())
+        self._program(axis)
 
     def _raise_faults(self, axis: XimcAxis, status: Status) -> None:
         if status.faults:
@@ -262,6 +274,78 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
         return AxisState(axis.zero_deg + status.encoder / axis.encoder_counts_per_deg, status.running)
 
     # ------------------------------------------------------------ settings
+
+    def _program(self, axis: XimcAxis) -> None:
+        """Set all that another program may have left otherwise, and read it back; refuse what cannot be known."""
+        controller = self._lines[axis.name]
+        self._check_division(axis)
+        sync = controller.read_settings(SyncInSettings)
+        self._set(axis, sync, replace(sync, flags=sync.flags & ~ximc_protocol.SYNC_IN_MOVES), "sync input")
+        power = controller.read_settings(PowerSettings)
+        self._set(axis, power, replace(power, flags=power.flags & ~ximc_protocol.POWER_OFF), "motor current")
+        self._program_engine(axis)
+        self._program_home(axis)
+        self._program_speed(axis)
+        self._program_borders(axis)
+
+    def _check_division(self, axis: XimcAxis) -> None:
+        """Refuse microsteps that have changed since the counter was read by them."""
+        mode = self._lines[axis.name].read_settings(EngineSettings).microstep_mode
+        if axis.division != 1 << (mode - 1):
+            raise not_movable(
+                axis,
+                f"the controller counts {1 << (mode - 1)} microsteps a step, and {axis.division} when it was opened",
+                "Open the stage again.",
+            )
+
+    def _program_engine(self, axis: XimcAxis) -> None:
+        """Switch off what overruns a target or leaves the ramps, and compare the direction of the motor."""
+        present = self._lines[axis.name].read_settings(EngineSettings)
+        is_reversed = bool(present.flags & ximc_protocol.ENGINE_REVERSED)
+        if axis.reversed is not None and axis.reversed != is_reversed:
+            raise OutsideLimits(
+                f"the station file has reversed: {str(axis.reversed).lower()}, but the controller"
+                f" {'reverses' if is_reversed else 'does not reverse'} the motor. Nothing was set.",
+                where=axis.name,
+                remedy="Set it with the maker's software, or correct reversed and the sign of steps_per_deg.",
+            )
+        unwanted = ximc_protocol.ENGINE_AT_FULL_SPEED | ximc_protocol.ENGINE_ANTIPLAY
+        flags = present.flags & ~unwanted | ximc_protocol.ENGINE_RAMPS
+        self._set(axis, present, replace(present, flags=flags), "engine")
+        highest = present.speed * axis.division + present.speed_microsteps
+        wanted = axis.limits.speed_deg_s * abs(axis.scale)
+        if flags & ximc_protocol.ENGINE_LIMITS_SPEED and wanted > highest:
+            raise OutsideLimits(
+                f"the controller limits the motor to {highest / abs(axis.scale):.6g} deg/s.",
+                where=axis.name,
+                remedy="Lower speed_deg_s in the station file, or raise the limit with the maker's software.",
+            )
+
+    def _program_home(self, axis: XimcAxis) -> None:
+        """Set the way from the sensor to the zero; the speeds and the sensor belong to the stage."""
+        controller = self._lines[axis.name]
+        present = controller.read_settings(HomeSettings)
+        if axis.home_offset_deg is None:
+            offset = controller.to_microsteps(present.offset, present.offset_microsteps)
+            if offset:
+                raise OutsideLimits(
+                    "the station file does not say where the zero is, and the controller goes"
+                    f" {offset / axis.scale:.6g} deg on from its sensor. Nothing was set.",
+                    where=axis.name,
+                    remedy=f"Write home_offset_deg: {offset / axis.scale:.6g} into the station file, or 0.",
+                )
+            return
+        steps, microsteps = controller.to_steps(round(axis.home_offset_deg * axis.scale))
+        wanted = replace(present, offset=steps, offset_microsteps=microsteps)
+        self._set(axis, present, wanted, "home settings")
+
+    def _homing_speed_deg_s(self, axis: XimcAxis) -> float | None:
+        """Ask for the speed of the search; its end is slow, so a tenth of its way is at the lower speed."""
+        controller = self._lines[axis.name]
+        home = controller.read_settings(HomeSettings)
+        fast = controller.to_microsteps(home.fast, home.fast_microsteps)
+        slow = controller.to_microsteps(home.slow, home.slow_microsteps)
+        return min(fast, 10 * slow) / abs(axis.scale)
 
     def _program_speed(self, axis: XimcAxis) -> None:
         """Set speed and acceleration where they differ, and read them back."""

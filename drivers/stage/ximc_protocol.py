@@ -201,9 +201,90 @@ class EdgeSettings(Settings):
     reserved: bytes
 
 
-ENGINE_LAYOUT = struct.Struct("<HHIBHhBH12x")
-MICROSTEP_MODE = 6
-"""Place of the step division mode in the data of ``geng``. Mode n means 2^(n-1) microsteps per full step."""
+@dataclass(frozen=True)
+class EngineSettings(Settings):
+    """The data of ``geng`` and ``seng``: the motor, and how it is driven."""
+
+    LAYOUT = struct.Struct("<HHIBHhBH12s")
+    READ, WRITE = "geng", "seng"
+
+    voltage: int
+    current: int
+    # speed, speed_microsteps: Highest speed, if a flag limits it.
+    speed: int
+    speed_microsteps: int
+    flags: int
+    antiplay: int  # Overrun of the compensation of backlash, in full steps
+    microstep_mode: int  # Mode n means 2^(n-1) microsteps per full step
+    steps_per_turn: int
+    reserved: bytes
+
+
+ENGINE_REVERSED = 0x01
+ENGINE_AT_FULL_SPEED = 0x04
+"""Flag of moves at the highest speed of the motor, whatever speed is set."""
+ENGINE_ANTIPLAY = 0x08
+"""Flag of the compensation of backlash, which overruns the target."""
+ENGINE_RAMPS = 0x10
+ENGINE_LIMITS_SPEED = 0x80
+
+
+@dataclass(frozen=True)
+class HomeSettings(Settings):
+    """The data of ``ghom`` and ``shom``: the search of the reference."""
+
+    LAYOUT = struct.Struct("<IBIBihH9s")
+    READ, WRITE = "ghom", "shom"
+
+    # fast, fast_microsteps, slow, slow_microsteps: Speeds, in full steps per second and microsteps beyond them.
+    fast: int
+    fast_microsteps: int
+    slow: int
+    slow_microsteps: int
+    # offset, offset_microsteps: Way from the sensor to the end of the search, in full steps and microsteps.
+    offset: int
+    offset_microsteps: int
+    flags: int
+    reserved: bytes
+
+
+@dataclass(frozen=True)
+class SyncInSettings(Settings):
+    """The data of ``gsni`` and ``ssni``: what a pulse at the synchronisation input moves."""
+
+    LAYOUT = struct.Struct("<BHihIB8s")
+    READ, WRITE = "gsni", "ssni"
+
+    flags: int
+    clutter_us: int
+    position: int
+    position_microsteps: int
+    speed: int
+    speed_microsteps: int
+    reserved: bytes
+
+
+SYNC_IN_MOVES = 0x01
+"""Flag of a synchronisation input that moves the axis."""
+
+
+@dataclass(frozen=True)
+class PowerSettings(Settings):
+    """The data of ``gpwr`` and ``spwr``: the current of the motor at rest."""
+
+    LAYOUT = struct.Struct("<BHHHB6s")
+    READ, WRITE = "gpwr", "spwr"
+
+    hold_percent: int
+    reduce_after_ms: int
+    off_after_s: int
+    ramp_ms: int
+    flags: int
+    reserved: bytes
+
+
+POWER_OFF = 0x02
+"""Flag of a motor that is switched off some time after a move."""
 ENGINE_TYPE_LAYOUT = struct.Struct("<BB6x")
 STEPPER = 3
 """Engine type of ``gent``. With other motors, positions are encoder counts and speeds revolutions per minute."""

@@ -5,7 +5,9 @@
 
 There is no checksum and no message id. A refused command gets no answer: its error (axis * 100 + number) waits in
 a queue for ``TE?`` or ``TB?``. Positions are in degrees, and those that are read come from the encoder. Motors are
-off at power-up and after each fault.
+off at power-up and after each fault. What another client has set survives: the position at the reference (``SH``), a
+correction of the scale in percent (``CO``), and the profile (``TJ``: from 4 on, the axis follows another one, and
+moves of its own do nothing).
 
 Reference: Newport ESP301 user's manual, command descriptions and appendix "Error messages". The time stamp in
 ``TB?`` was written from memory of the manual.
@@ -28,6 +30,8 @@ _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[Ee][+-]?\d)?")
 _QUEUE_LENGTH: Final = 10
 _MAX_LINE: Final = 256
 _BOOT_S: Final = 1.0
+_FOLLOWS_ANOTHER: Final = 4
+"""Profile from which on an axis follows another one."""
 _HOME_SPEED_DEG_S: Final = 20.0
 _MOST_SPEED_DEG_S, _MOST_ACCELERATION_DEG_S2 = 80.0, 320.0
 
@@ -85,8 +89,8 @@ class EspAxis(AxisOfController):
 
     @property
     def scale(self) -> float:
-        """Counts per degree."""
-        return self.model.mechanics.counts_per_deg
+        """Counts per degree that the controller counts."""
+        return self.model.mechanics.counts_per_deg * (1.0 + self.settings.get("CO", 0.0) / 100.0)
 
 
 class EspController(Controller):
@@ -128,6 +132,11 @@ class EspController(Controller):
                 "VU": _MOST_SPEED_DEG_S,
                 "AU": _MOST_ACCELERATION_DEG_S2,
                 "SN": 7.0,
+                "SU": 1.0 / one.model.mechanics.counts_per_deg,
+                "TJ": 1.0,
+                "SH": 0.0,
+                "BA": 0.0,
+                "CO": 0.0,
             }
 
     # ------------------------------------------------------------------ the line
@@ -274,6 +283,8 @@ class EspController(Controller):
             raise EspError(6)
         if target < one.settings["SL"]:
             raise EspError(7)
+        if one.settings["TJ"] >= _FOLLOWS_ANOTHER:
+            return None
         speed, acceleration = one.settings["VA"] * scale, one.settings["AC"] * scale
         one.axis.move_to(float(round(target * scale)), now, speed, acceleration)
         return None
@@ -314,9 +325,13 @@ class EspController(Controller):
 
     # ------------------------------------------------------------------ events outside the protocol
     def take_events(self, t_s: float) -> None:
-        """See `Unit.take_events`. A homing that has ended is no longer one."""
+        """See `Unit.take_events`. A homing that has ended is no longer one, and counts from ``SH``."""
         for one in self.axes.values():
-            one.homing = one.homing and one.axis.busy(t_s)
+            if one.homing and not one.axis.busy(t_s):
+                one.homing = False
+                if one.axis.referenced(t_s):
+                    for assign in (one.axis.set_counter, one.axis.set_encoder):
+                        assign(one.settings["SH"] * one.scale, t_s)
         super().take_events(t_s)
 
     def _notice(self, axis: Axis, event: MotionEvent, t_s: float) -> None:

@@ -49,6 +49,8 @@ _POWER_OK, _ENABLED = 0x1000_0000, 0x8000_0000
 class AptController(SingleController):
     """The controller; its model's name is "K10CR1", the usual one, or "KDC101"."""
 
+    inputs = 0
+    """Status bits of inputs, and those that no document explains."""
     BOOT_S = 1.0
     BYTE_TIMEOUT_S = 0.5
 
@@ -234,7 +236,7 @@ class AptController(SingleController):
 
     def _bits(self, now: float) -> int:
         busy = self.axis.reports_busy(now)
-        bits = _CONNECTED | _POWER_OK | (_ENABLED if self._enabled else 0)
+        bits = self.inputs | _CONNECTED | _POWER_OK | (_ENABLED if self._enabled else 0)
         bits |= _HOMED if self.axis.referenced(now) else 0
         if busy and self._motion == "home":
             bits |= _HOMING

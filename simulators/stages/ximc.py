@@ -6,7 +6,8 @@
 
 All numbers are little endian. A byte 0 in place of a command is answered by a byte 0; a host finds the
 beginning of commands with it. A command whose bytes stop coming is dropped after 0.4 s. Positions are steps and
-1/256 steps. Homing does not set the position: the host does.
+1/256 steps. Homing does not set the position: the host does. It goes on from the sensor by a way that is kept in the
+controller (``shom``).
 
 Source: Standa's published definition of the XIMC communication protocol.
 """
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 from simulators.stages.axis_motion import Axis, AxisModel, MotionEvent, SingleController
@@ -43,6 +45,8 @@ LAYOUTS: Final = {
     "eds": (struct.Struct("<BBihih6x"), 20),
     "hom": (struct.Struct("<IBIBihH9x"), 27),
     "fbs": (struct.Struct("<HBBI4x"), 12),
+    "sni": (struct.Struct("<BHihIB8x"), 22),
+    "pwr": (struct.Struct("<BHHHB6x"), 14),
 }
 
 _HOME_SPEED_DEG_S: Final = 20.0
@@ -123,7 +127,8 @@ class XimcController(SingleController):
     ) -> None:
         super().__init__(model, clock, publish)
         self._counts_per_step = _COUNTS_PER_STEP if model.encoder else 0
-        self._settings = self._factory_settings()
+        self.settings = self._factory_settings()
+        """By the letters of `LAYOUTS`; they survive a restart."""
         self._stop_pressed = False
         self._commands = self._known_commands()
 
@@ -166,7 +171,7 @@ class XimcController(SingleController):
             if crc != crc16(content):
                 raise ErrorReply(b"errd")
         if name[0] == "g" and name[1:] in LAYOUTS:
-            return LAYOUTS[name[1:]][0].pack(*self._settings[name[1:]])
+            return LAYOUTS[name[1:]][0].pack(*self.settings[name[1:]])
         if name[0] == "s" and name[1:] in LAYOUTS:
             return self._set(name[1:], content)
         if name not in self._commands:
@@ -202,20 +207,23 @@ class XimcController(SingleController):
         """Move to a position; if a border lies before it, stop there and report the command as failed."""
         if not self._accept_command(name):
             return b""
-        flags = self._settings["eds"][0]
+        flags = self.settings["eds"][0]
         lowest, highest = self._border(0), self._border(1)
         if target < lowest and flags & _STOP_LEFT:
             target, self._failed, self._edges = lowest, True, _LEFT_EDGE
         elif target > highest and flags & _STOP_RIGHT:
             target, self._failed, self._edges = highest, True, _RIGHT_EDGE
-        speed, fraction, acceleration, *_ = self._settings["mov"]
+        speed, fraction, acceleration, *_ = self.settings["mov"]
         self.axis.move_to(target, now, float(to_counts(speed, fraction)), float(acceleration * MICROSTEPS))
         return b""
 
     def _home(self, _data: bytes, now: float) -> bytes:
         if self._accept_command("home"):
-            fast, fraction, slow, slow_fraction, *_ = self._settings["hom"]
-            acceleration = float(self._settings["mov"][2] * MICROSTEPS)
+            fast, fraction, slow, slow_fraction, way, way_fraction, _ = self.settings["hom"]
+            made = self.model.mechanics
+            way_deg = to_counts(way, way_fraction) / made.counts_per_deg
+            self.axis.mechanics = replace(made, home_deg=made.home_deg + way_deg)
+            acceleration = float(self.settings["mov"][2] * MICROSTEPS)
             fast_speed, slow_speed = float(to_counts(fast, fraction)), float(to_counts(slow, slow_fraction))
             self.axis.home(now, fast_speed, slow_speed, acceleration, set_counter=False)
         return b""
@@ -241,7 +249,7 @@ class XimcController(SingleController):
 
     def _soft_stop(self, _data: bytes, now: float) -> bytes:
         if self.axis.busy(now):
-            self.axis.stop(now, float(self._settings["mov"][3] * MICROSTEPS))
+            self.axis.stop(now, float(self.settings["mov"][3] * MICROSTEPS))
         self._command = COMMAND_NUMBERS["sstp"]
         return b""
 
@@ -259,14 +267,14 @@ class XimcController(SingleController):
             raise ErrorReply(b"errv")
         if name == "hom" and (values[:2] == (0, 0) or values[2:4] == (0, 0)):
             raise ErrorReply(b"errv")
-        self._settings[name] = values
+        self.settings[name] = values
         return b""
 
     # ------------------------------------------------------------------ readings
     def _status(self, now: float) -> bytes:
         busy = self.axis.reports_busy(now)
         velocity = round(self.axis.velocity(now))
-        speed = to_counts(*self._settings["mov"][:2])
+        speed = to_counts(*self.settings["mov"][:2])
         moving = (_MOVING if busy else 0) | (_AT_SPEED if abs(velocity) >= speed else 0)
         command = self._command | (_RUNNING if busy else 0) | (_FAILED if self._failed and not busy else 0)
         flags = self._flags | (_IS_HOMED if self.axis.referenced(now) else 0)
@@ -290,7 +298,7 @@ class XimcController(SingleController):
         return round(self.axis.encoder(now) * self._counts_per_step / MICROSTEPS)
 
     def _border(self, side: int) -> int:
-        return to_counts(*self._settings["eds"][2 + 2 * side : 4 + 2 * side])
+        return to_counts(*self.settings["eds"][2 + 2 * side : 4 + 2 * side])
 
     # ------------------------------------------------------------------ events outside the protocol
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
@@ -304,7 +312,7 @@ class XimcController(SingleController):
     def exchange(self, serial: str, t_s: float) -> None:
         """See `SingleController.exchange`."""
         super().exchange(serial, t_s)
-        self._settings = self._factory_settings()
+        self.settings = self._factory_settings()
 
     def _notice(self, axis: Axis, event: MotionEvent, t_s: float) -> None:
         self._failed = True
@@ -327,4 +335,6 @@ class XimcController(SingleController):
             "eds": (_STOP_LEFT | _STOP_RIGHT, 0, *left, *right),
             "hom": (*fast, *slow, 0, 0, 0x0130),
             "fbs": (4000, 0x05, 0, 200 * self._counts_per_step),
+            "sni": (0, 4, 0, 0, 0, 0),
+            "pwr": (50, 1000, 60, 100, 0x05),
         }

@@ -88,6 +88,22 @@ def test_the_makers_library_identifies_homes_moves_stops_and_reads(tmp_path):
         axis.command_wait_for_stop(10)
         assert -1000 < axis.get_position().Position <= 300
         assert axis.get_edges_settings().RightBorder == 1500
+        left = axis.get_sync_in_settings()
+        left.SyncInFlags, left.Position = 5, -77
+        axis.set_sync_in_settings(left)
+        assert controller.settings["sni"] == (5, 4, -77, 0, 0, 0)
+        power = axis.get_power_settings()
+        power.PowerFlags, power.PowerOffDelay = 7, 61
+        axis.set_power_settings(power)
+        assert controller.settings["pwr"] == (50, 1000, 61, 100, 7)
+        home = axis.get_home_settings()
+        home.HomeDelta, home.uHomeDelta = -30, -5
+        axis.set_home_settings(home)
+        assert controller.settings["hom"][4:6] == (-30, -5)
+        engine = axis.get_engine_settings()
+        engine.EngineFlags = 0x09
+        axis.set_engine_settings(engine)
+        assert controller.settings["eng"][4] == 0x09
         axis.close_device()
 
 

@@ -14,14 +14,19 @@ import pytest
 
 from drivers.errors import DeviceRefused, MoveFailed, MoveTimeout, NotHomed, OutsideLimits
 from drivers.stage import thorlabs_controller as apt
+from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
+from drivers.stage.ximc import XimcStage
+from drivers.stage.ximc_protocol import request
 from simulators.stages.axis_motion import AxisModel, Mechanics
 from simulators.stages.thorlabs_apt import AptController
+from simulators.stages.ximc import LAYOUTS
 from tests.hil.direct_stages import (
     FAMILIES,
     K10CR1_COUNTS_PER_DEG,
     LIMITS,
     PRM1Z8_COUNTS_PER_DEG,
+    XIMC,
     DirectLine,
     DirectStage,
     VirtualClock,
@@ -199,8 +204,7 @@ def test_what_a_controller_says_against_a_move_is_the_cause_that_is_told(rig, an
 @pytest.mark.parametrize("bits", [0x1001_2000, 0x1011_2000, 0x1000, 0x2000_2000])
 def test_status_bits_of_healthy_controllers_are_no_faults(rig, bits) -> None:
     """As published: power, interlock and digital inputs, tracking, settled, and bits that nobody explains."""
-    present = rig.controller._bits
-    rig.controller._bits = lambda now: present(now) | bits
+    rig.controller.inputs = bits
     rig.stage.home()
     rig.stage.move_to({"pan": 5.0})
     assert rig.stage.faults() == []
@@ -289,3 +293,142 @@ def test_a_unit_in_its_reset_of_power_up_is_waited_for(unit) -> None:
     unit.line.device.receive = lambda data: receive(data) if clock.now_s >= awake_s else b""
     unit.reopen()
     assert clock.now_s >= awake_s
+
+
+# ---------------------------------------------------------------- Newport
+
+
+@pytest.fixture
+def esp() -> DirectStage:
+    return rig_of("esp")
+
+
+@pytest.mark.parametrize(
+    "left",
+    ["1SH5", "1SH-2.5", "1CO2.5", "1TJ2", "1TJ6", "1BA0.2", "1VA1;1AC1", "1SL0;1SR1", "1SH3;1CO-1;1TJ4"],
+)
+@pytest.mark.parametrize("when", ["before opening", "before homing"])
+def test_an_axis_points_right_whatever_another_client_has_set(esp, left, when) -> None:
+    if left == "1SL0;1SR1" and when == "before opening":
+        pytest.skip("limits within those of the station are refused: they may be those of the mechanics")
+    esp.line.device.receive(f"{left}\r".encode())
+    stage = esp.reopen() if when == "before opening" else esp.stage
+    if left == "1SL0;1SR1":
+        with pytest.raises(OutsideLimits, match="the controller allows only 0 to 1 deg"):
+            stage.home()
+        return
+    stage.home()
+    for angle_deg in (5.0, -14.9):
+        stage.move_to({"pan": angle_deg})
+        assert esp.true_deg() == pytest.approx(angle_deg, abs=0.002)
+        assert stage.position_deg()["pan"] == pytest.approx(angle_deg, abs=0.002)
+    assert stage.faults() == []
+
+
+def test_a_command_that_a_controller_does_not_know_is_no_fault(esp) -> None:
+    for name in ("TJ", "SH", "BA", "CO", "OH"):
+        del esp.controller.settings[name]
+    esp.controller.settings |= {"OH": 20.0}
+    stage = esp.reopen()
+    assert stage.faults() == ["pan: motor off"]
+
+
+def test_a_search_at_a_speed_of_0_is_named_and_not_begun(esp) -> None:
+    esp.controller.settings["OH"] = 0.0
+    with pytest.raises(MoveFailed, match="the controller's speed of the reference search is 0"):
+        esp.stage.home()
+    assert esp.present_deg() == pytest.approx(2.4, abs=1e-3)
+
+
+def test_another_resolution_is_refused_where_the_station_states_it(esp) -> None:
+    axis = EspAxis(name="pan", number=1, serial="1263", limits=LIMITS, resolution_deg=1e-4)
+    EspStage(esp.line, [axis], clock=esp.line.clock)
+    esp.line.device.receive(b"1SU0.0002\r")
+    with pytest.raises(
+        OutsideLimits, match=r"has 0.0001 deg a count, the controller 0.0002\. Nothing was set"
+    ):
+        EspStage(esp.line, [axis], clock=esp.line.clock)
+
+
+# ---------------------------------------------------------------- Standa
+
+
+@pytest.fixture
+def ximc() -> DirectStage:
+    return rig_of("ximc")
+
+
+def leave(rig: DirectStage, name: str, **places) -> None:
+    """Change settings as another program does; ``places`` are numbered p0, p1, ... in the order of their data."""
+    values = list(rig.controller.settings[name])
+    for place, value in places.items():
+        values[int(place[1:])] = value
+    data = LAYOUTS[name][0].pack(*values)
+    assert rig.line.device.receive(request(f"s{name}", data)) == f"s{name}".encode()
+
+
+def again(rig: DirectStage, **changes) -> XimcStage:
+    return XimcStage([rig.line], [replace(XIMC, **changes)], clock=rig.line.clock)
+
+
+@pytest.mark.parametrize("when", ["before opening", "before homing"])
+def test_what_moves_overruns_or_frees_an_axis_is_switched_off(ximc, when) -> None:
+    if when == "before homing":
+        stage = ximc.reopen()
+    leave(ximc, "sni", p0=0x05)  # a pulse goes to a position
+    leave(ximc, "pwr", p4=0x07)  # the motor is switched off at rest
+    leave(ximc, "eng", p4=0x0C)  # full speed, compensation of backlash, no ramps
+    if when == "before opening":
+        stage = ximc.reopen()
+    stage.home()
+    settings = ximc.controller.settings
+    assert (settings["sni"][0], settings["pwr"][4], settings["eng"][4]) == (0x04, 0x05, 0x10)
+    stage.move_to({"pan": 5.0})
+    assert ximc.true_deg() == pytest.approx(5.0, abs=0.002)
+
+
+@pytest.mark.parametrize("when", ["before opening", "before homing"])
+def test_a_way_from_the_sensor_that_the_station_does_not_state_is_refused(ximc, when) -> None:
+    """Homing goes on by it, and the driver counts from there: 3 degrees, without a word."""
+    leave(ximc, "hom", p4=300)
+    with pytest.raises(OutsideLimits, match=r"the controller goes 3 deg on from its sensor") as caught:
+        ximc.reopen() if when == "before opening" else ximc.stage.home()
+    assert "home_offset_deg: 3 " in caught.value.remedy
+
+
+@pytest.mark.parametrize("offset_deg", [0.0, -2.0, 1.5])
+def test_the_station_says_how_far_a_zero_is_from_the_sensor(ximc, offset_deg) -> None:
+    leave(ximc, "hom", p4=300)
+    stage = again(ximc, home_offset_deg=offset_deg)
+    stage.home()
+    stage.move_to({"pan": 5.0})
+    assert ximc.true_deg() == pytest.approx(5.0 + offset_deg, abs=0.002)
+
+
+def test_a_reversed_motor_is_refused_where_the_station_states_it(ximc) -> None:
+    again(ximc, reversed=False)
+    leave(ximc, "eng", p4=0x11)
+    with pytest.raises(OutsideLimits, match="reversed: false, but the controller reverses the motor"):
+        again(ximc, reversed=False)
+    again(ximc, reversed=True)
+
+
+def test_a_motor_whose_speed_is_limited_is_refused(ximc) -> None:
+    leave(ximc, "eng", p2=500, p3=0, p4=0x90)
+    with pytest.raises(OutsideLimits, match="limits the motor to 5 deg/s"):
+        ximc.reopen()
+
+
+def test_other_microsteps_than_at_opening_are_refused(ximc) -> None:
+    stage = ximc.reopen()
+    leave(ximc, "eng", p6=5)
+    with pytest.raises(MoveFailed, match="counts 16 microsteps a step, and 256 when it was opened"):
+        stage.home()
+
+
+@pytest.mark.parametrize("fast", [20, 400])
+def test_a_slow_search_of_a_standa_axis_is_no_blockage(ximc, fast) -> None:
+    leave(ximc, "hom", p0=fast, p2=2)
+    stage = ximc.reopen()
+    stage.home()
+    assert stage.is_homed()
