@@ -126,7 +126,8 @@ class EventSource:
     header: Mapping[str, str]
     # Reads the events in the order of the file. It raises as `open_events` does.
     pieces: Callable[[], Iterator[Events]]
-    truncated: bool = False  # Whether the file ends in the middle of an event
+    truncated: bool = False  # Whether the file ends in the middle of a word or an event
+    unknown_words: int = 0  # Number of words left out because EVT3 does not define their type
 
 
 def source_of_stream(

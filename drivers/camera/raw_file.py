@@ -82,11 +82,6 @@ class RawFile:
         return (self._size() - self.raw_header.size_bytes) % 2 == 1
 
     @property
-    def words_stored(self) -> int:
-        """Number of whole words."""
-        return (self._size() - self.raw_header.size_bytes) // 2
-
-    @property
     def height(self) -> int:
         """Rows of the sensor."""
         return self.raw_header.height

@@ -80,33 +80,29 @@ def convert(
     itself. Raises `NotARecording` if the source holds no events, or both files would be RAW, `RecordingFileError` also
     if EVT3 cannot represent the contents.
     """
-    choices = choices or ReadingChoices()
-    if is_evt3(source):
-        recording = RawFile.open(source, choices.sensor_size)
-        if kind == "raw":
-            return _with_size(recording, target)
-        return _EXPORTS[kind](recording, target, progress)
     with open_events(source, choices) as found:
-        if kind == "raw":
-            return write_raw(found, target, source=source, progress=progress)
-        return _EXPORTS[kind](found, target, progress)
+        if kind != "raw":
+            return _EXPORTS[kind](found, target, progress)
+        if is_evt3(source):
+            return _with_size(found, source, target)
+        return write_raw(found, target, source=source, progress=progress)
 
 
-def _with_size(recording: RawFile, path: Path) -> ExportSummary:
+def _with_size(found: EventSource, source: Path, path: Path) -> ExportSummary:
     """Copy a recording that does not state the size of its sensor, with a header that states it; else refuse."""
-    if is_recording(recording.path):
+    if is_recording(source):
         raise NotARecording(
             "The file is a RAW recording already.",
-            where=str(recording.path),
+            where=str(source),
             remedy="Choose another kind of file.",
         )
-    found = recording.scan()
-    size = {"geometry": f"{recording.width}x{recording.height}"}
+    size = found.width, found.height
+    recording = RawFile.open(source, size)
     with new_file(path) as part, part.open("xb") as file:
-        file.write(render_fields({**recording.header, **size}))
+        file.write(render_fields({**recording.header, "geometry": "{}x{}".format(*size)}))
         for words in recording.words():
             file.write(words.tobytes())
-    return ExportSummary(found.events, found.triggers, 0, found.truncated, found.unknown_words)
+    return ExportSummary(found.count, len(found.triggers.t), 0, found.truncated, found.unknown_words)
 
 
 def write_raw(

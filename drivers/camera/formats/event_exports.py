@@ -33,11 +33,9 @@ from drivers.camera.event_arrays import (
     Triggers,
     empty_events,
     even_pieces,
-    join_triggers,
 )
 from drivers.camera.formats import ecf
 from drivers.camera.formats.hdf5_events import CD_TYPE
-from drivers.camera.raw_file import RawFile
 from drivers.camera.raw_header import MAX_SIDE_PX
 from drivers.camera.raw_writer import new_file
 from drivers.errors import RecordingFileError
@@ -74,51 +72,20 @@ class ExportSummary:
     unknown_words: int = 0
 
 
-class _Reading:
-    """One pass over a source: its events in the order of the file, and what is known at the end."""
-
-    def __init__(self, source: RawFile | EventSource, progress: Progress) -> None:
-        self._source, self._progress = source, progress
-        self._edges: list[Triggers] = []
-        self._unknown_words = 0
-
-    def chunks(self, size: int) -> Iterator[Events]:
-        """Yield events in pieces of ``size``; the last may be shorter."""
-        source = self._source
-        pieces = self._of_raw(source) if isinstance(source, RawFile) else self._of_source(source)
-        return (Events(*chunk) for chunk in even_pieces(pieces, size))
-
-    def _of_raw(self, recording: RawFile) -> Iterator[Events]:
-        decoder, done, total = recording.decoder(), 0, max(1, recording.words_stored)
-        for words in recording.words():
-            for events, edges in decoder.decode(words):
-                self._edges.append(edges)
-                yield events
-            done += len(words)
-            self._progress(done / total)
-        self._unknown_words = decoder.statistics().unknown_words
-
-    def _of_source(self, source: EventSource) -> Iterator[Events]:
-        self._edges.append(source.triggers)
-        done = 0
-        for events in source.pieces():
-            yield events
-            done += len(events.t)
-            self._progress(done / max(1, source.count))
-
-    @property
-    def edges(self) -> Triggers:
-        """All edges, once the events have been read."""
-        return join_triggers(self._edges)
-
-    def summary(self, events: int, moved: int = 0) -> ExportSummary:
-        """Sum up what was written, once the events have been read."""
-        return ExportSummary(events, len(self.edges.t), moved, self._source.truncated, self._unknown_words)
+def _chunks(source: EventSource, size: int, progress: Progress) -> Iterator[Events]:
+    """Yield events in pieces of ``size``; the last may be shorter."""
+    done = 0
+    for chunk in even_pieces(source.pieces(), size):
+        yield Events(*chunk)
+        done += len(chunk[0])
+        progress(done / max(1, source.count))
 
 
-def export_metavision(
-    source: RawFile | EventSource, path: Path, progress: Progress = lambda _: None
-) -> ExportSummary:
+def _summary(source: EventSource, moved: int = 0) -> ExportSummary:
+    return ExportSummary(source.count, len(source.triggers.t), moved, source.truncated, source.unknown_words)
+
+
+def export_metavision(source: EventSource, path: Path, progress: Progress = lambda _: None) -> ExportSummary:
     """Write a Metavision HDF5 file, with bounded memory; the path must not exist."""
     if max(source.width, source.height) > MAX_SIDE_PX:
         raise RecordingFileError(
@@ -126,14 +93,13 @@ def export_metavision(
             where=str(path),
             remedy="Write plain HDF5 (.h5) or .npz.",
         )
-    reading = _Reading(source, progress)
     with _new_hdf5(path) as file:
         for key, value in _attributes(source).items():
             file.attrs.create(key, value, dtype=_ASCII)
         events = _ecf_dataset(file.create_group("CD"))
         index = _Index()
         latest, moved = -(1 << 62), 0
-        for chunk in reading.chunks(CHUNK_EVENTS):
+        for chunk in _chunks(source, CHUNK_EVENTS, progress):
             rising = np.maximum(np.maximum.accumulate(chunk.t), latest)
             latest = int(rising[-1])
             moved += int((rising != chunk.t).sum())
@@ -141,15 +107,13 @@ def export_metavision(
             events.id.write_direct_chunk((index.events,), ecf.encode(chunk._replace(t=rising)))
             index.add(rising)
         index.write(file["CD"])
-        _write_triggers(file.create_group("EXT_TRIGGER"), reading.edges)
-    return reading.summary(index.events, moved)
+        _write_triggers(file.create_group("EXT_TRIGGER"), source.triggers)
+    return _summary(source, moved)
 
 
-def export_hdf5(
-    source: RawFile | EventSource, path: Path, progress: Progress = lambda _: None
-) -> ExportSummary:
+def export_hdf5(source: EventSource, path: Path, progress: Progress = lambda _: None) -> ExportSummary:
     """Write a plain HDF5 file, with bounded memory; the path must not exist."""
-    reading, n = _Reading(source, progress), 0
+    n = 0
     with _new_hdf5(path) as file:
         file.attrs.update(width=source.width, height=source.height)
         file.create_group("header").attrs.update(source.header)
@@ -165,36 +129,33 @@ def export_hdf5(
             )
             for name, dtype in _PLAIN_COLUMNS
         }
-        for chunk in reading.chunks(1 << 20):
+        for chunk in _chunks(source, 1 << 20, progress):
             for name, values in chunk._asdict().items():
                 stored[name].resize((n + len(values),))
                 stored[name][n:] = values
             n += len(chunk.t)
-        for name, values in reading.edges._asdict().items():
+        for name, values in source.triggers._asdict().items():
             file.create_dataset(f"triggers/{name}", data=values)
-    return reading.summary(n)
+    return _summary(source)
 
 
-def export_numpy(
-    source: RawFile | EventSource, path: Path, progress: Progress = lambda _: None
-) -> ExportSummary:
+def export_numpy(source: EventSource, path: Path, progress: Progress = lambda _: None) -> ExportSummary:
     """Write an ``.npz`` file; the path must not exist. All events are in memory meanwhile."""
-    reading = _Reading(source, progress)
-    pieces = [*reading.chunks(1 << 20), empty_events(0)]
+    pieces = [*_chunks(source, 1 << 20, progress), empty_events(0)]
     events = [np.concatenate(column) for column in zip(*pieces, strict=True)]
     del pieces
     with new_file(path) as part, part.open("xb") as file:
         np.savez_compressed(
             file,
             **Events(*events)._asdict(),
-            **{f"trigger_{name}": values for name, values in reading.edges._asdict().items()},
+            **{f"trigger_{name}": values for name, values in source.triggers._asdict().items()},
             size=np.array([source.width, source.height]),
             header=np.array(json.dumps(dict(source.header))),
         )
-    return reading.summary(len(events[0]))
+    return _summary(source)
 
 
-def _attributes(source: RawFile | EventSource) -> Mapping[str, str]:
+def _attributes(source: EventSource) -> Mapping[str, str]:
     """Return the attributes of a Metavision file: the header's keys, in ASCII."""
     kept = {key: value for key, value in source.header.items() if key not in _NOT_THERE}
     given = {**kept, "version": "1.0", "geometry": f"{source.width}x{source.height}"}

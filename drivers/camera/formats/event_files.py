@@ -16,7 +16,7 @@ from typing import Final
 
 import h5py
 
-from drivers.camera.event_arrays import Events, EventSource, ReadingChoices, source_of_stream
+from drivers.camera.event_arrays import Events, EventSource, ReadingChoices, join_triggers
 from drivers.camera.formats import prophesee_words
 from drivers.camera.formats.hdf5_events import opened_hdf5
 from drivers.camera.formats.library_process import source_of_library
@@ -75,10 +75,17 @@ def _source(path: Path, choices: ReadingChoices, opened: ExitStack) -> EventSour
         return prophesee_words.from_dat(path, start, choices)
     header = parse_header(start, where=str(path), sensor_size=choices.sensor_size, evt3_only=False)
     if header.encoding == "EVT3":
-        recording = RawFile(path, header)
-        size = header.width, header.height
-        return source_of_stream(recording.pieces, size, header.fields, truncated=recording.truncated)
+        return _of_recording(RawFile(path, header))
     return prophesee_words.from_evt2(path, header)
+
+
+def _of_recording(recording: RawFile) -> EventSource:
+    decoder = recording.decoder()
+    edges = join_triggers([decoder.tally(words) for words in recording.words()])
+    found = decoder.statistics()
+    size = recording.width, recording.height
+    about_end = recording.truncated, found.unknown_words
+    return EventSource(found.events, edges, *size, recording.header, recording.chunks, *about_end)
 
 
 @contextmanager

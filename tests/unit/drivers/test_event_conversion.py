@@ -16,7 +16,6 @@ from imported import import_events
 from drivers.camera.event_arrays import MAX_TIME_US, Events, Triggers, empty_events, empty_triggers
 from drivers.camera.evt3 import Evt3Decoder
 from drivers.camera.formats.event_conversion import KINDS, Evt3Encoder, convert
-from drivers.camera.formats.event_exports import export_numpy
 from drivers.camera.raw_file import RawFile
 from drivers.camera.raw_writer import new_file
 from drivers.errors import NotARecording, RecordingFileError
@@ -222,7 +221,7 @@ def test_raw_to_raw_is_refused(raw, tmp_path):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_file_that_is_there_is_never_written_over(raw, tmp_path, kind):
-    export_numpy(RawFile.open(raw), tmp_path / "pose.npz")
+    convert(raw, tmp_path / "pose.npz", "numpy")
     (tmp_path / "out").write_bytes(b"precious")
     with pytest.raises(RecordingFileError, match="file exists already"):
         convert(tmp_path / "pose.npz", tmp_path / "out", kind)
@@ -231,7 +230,7 @@ def test_a_file_that_is_there_is_never_written_over(raw, tmp_path, kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_an_interrupt_leaves_neither_a_file_nor_a_part_of_one(raw, tmp_path, kind):
-    export_numpy(RawFile.open(raw), tmp_path / "pose.npz")
+    convert(raw, tmp_path / "pose.npz", "numpy")
 
     def interrupt(_share):
         raise KeyboardInterrupt
