@@ -25,6 +25,7 @@ MAX_SIDE_PX: Final = 2048
 """Largest width and height of a sensor: EVT3 addresses have 11 bits."""
 
 _COPY_AGAIN: Final = "Copy the file again from the computer that recorded it."
+_CORRECT: Final = "Correct its header in a copy of the file."
 _GIVE_SIZE: Final = "Say the size: starbench convert --sensor-size WIDTHxHEIGHT, in px."
 
 
@@ -79,6 +80,7 @@ _MAGIC: Final = (
     (b"Event Stream", "an Event Stream file (.es)", "Convert it with the program faery."),
     (b"MATLAB 5.0 MAT-file", "a MATLAB file", _AS_NPZ),
     (b"\x93NUMPY", "a NumPy array", _AS_NPZ),
+    (b"SQLite format 3\x00", "a SQLite database", "If it is of a ROS 2 bag, give the bag's folder."),
     (b"II*\x00", "a TIFF image", ""),
     (b"MM\x00*", "a TIFF image", ""),
     (b"%PDF", "a PDF document", ""),
@@ -183,7 +185,7 @@ def encoding_of(fields: Mapping[str, str]) -> str:
     sensor = _sensor_of_system(fields)
     version = fields.get("evt", "")
     by_version = _ENCODINGS.get(version, f"EVT {version}" if version else "")
-    encoding = stated or by_version or (sensor.encoding if sensor else "")
+    encoding = stated.replace("EVT2.1", "EVT21") or by_version or (sensor.encoding if sensor else "")
     if encoding != "EVT21":
         return encoding
     order = _options(options).get("endianness") or fields.get("endianness")
@@ -240,19 +242,19 @@ def agreed_size(
         raise NotARecording(
             f"The sizes of the sensor contradict each other: {stated}.",
             where=where,
-            remedy="Leave out --sensor-size." if len(set(sizes.values())) == 1 else _COPY_AGAIN,
+            remedy="Leave out --sensor-size." if len(set(sizes.values())) == 1 else _CORRECT,
         )
     return next(iter(every.values()))
 
 
 def _pixels(width: str, height: str, where: str, most_px: int) -> tuple[int, int]:
     """Return both sides as numbers, within what the words can address."""
-    sides = [int(side) if re.fullmatch(r"[0-9]{1,5}", side) else 0 for side in (width, height)]
+    sides = [int(side) if re.fullmatch(r" *[0-9]{1,5} *", side) else 0 for side in (width, height)]
     if not all(0 < side <= most_px for side in sides):
         raise NotARecording(
             f"The header states an invalid size of the sensor: {width!r} x {height!r}.",
             where=where,
-            remedy=_COPY_AGAIN,
+            remedy=_CORRECT,
         )
     return sides[0], sides[1]
 

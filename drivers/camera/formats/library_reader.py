@@ -27,7 +27,7 @@ import re
 import sys
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -287,7 +287,7 @@ def _from_bag(path: Path, choices: ReadingChoices) -> EventSource:
 def _opened_bag(path: Path) -> Iterator[tuple[Any, Any]]:
     """Open a bag; yield its reader and a function that decodes a message."""
     try:
-        from rosbags.highlevel import AnyReader
+        from rosbags.highlevel import AnyReader, AnyReaderError
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
     except ImportError as error:
         raise CameraSoftwareMissing(
@@ -298,7 +298,14 @@ def _opened_bag(path: Path) -> Iterator[tuple[Any, Any]]:
     store = get_typestore(Stores.ROS2_HUMBLE)
     for name, text in DEFINITIONS.items():
         store.register(get_types_from_msg(text, name))
-    with AnyReader([path], default_typestore=store) as reader:
+    with ExitStack() as opened:
+        try:
+            reader = opened.enter_context(AnyReader([path], default_typestore=store))
+        except AnyReaderError as error:
+            what = "The bag has no index, or lacks a file: its recording was interrupted, or it was copied in part."
+            program = "ros2 bag" if path.is_dir() else "rosbag"
+            remedy = f"Copy it again, or write its index anew: {program} reindex {path.name}"
+            raise NotARecording(what, remedy=remedy) from error
         yield reader, reader.deserialize
 
 

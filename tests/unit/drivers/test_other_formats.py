@@ -418,6 +418,17 @@ def test_the_folder_of_a_ros_2_bag_is_converted(tmp_path):
     assert "sensor_generation" not in header
 
 
+@pytest.mark.parametrize(("version", "program"), [(1, "rosbag"), (2, "ros2 bag")])
+def test_a_bag_that_was_not_closed_or_lacks_a_file_is_told_with_the_way_on(tmp_path, version, program):
+    path = bag(tmp_path / ("a.bag" if version == 1 else "a"), version, some_events(80), "mono")
+    if version == 1:
+        path.write_bytes(path.read_bytes()[:-500])
+    else:
+        next(path.glob("*.db3")).unlink()
+    with pytest.raises(NotARecording, match=f"has no index, or lacks a file.* {program} reindex {path.name}"):
+        import_events(path)
+
+
 def test_a_file_of_a_ros_2_bag_stands_for_its_folder(tmp_path):
     rows = some_events(50)
     folder = bag(tmp_path / "a", 2, rows, "mono")
