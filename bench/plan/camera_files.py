@@ -11,13 +11,14 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.errors import UsageError
-from bench.plan.camera_text import WRITE_OPENCV, OtherForm, Syntax, numbers, values_of
+from bench.plan.camera_text import WRITE_OPENCV, OtherForm, numbers, values_of
+from bench.records.results import CameraData
 from bench.records.storage import read_bounded
 from bench.report.pose_plot import camera_covariance, camera_of
 from calib.model.camera import PINHOLE, SKEW, CameraModel
@@ -25,7 +26,6 @@ from calib.model.lens import FISHEYE, OPENCV, OPENCV_LENGTHS
 
 Array = NDArray[np.float64]
 LensFamily = Literal["brown", "fisheye"]
-LENS_FAMILIES: tuple[LensFamily, ...] = get_args(LensFamily)
 
 _MOST_BYTES = 20_000_000
 _MOST_PX = 200_000_000
@@ -53,9 +53,7 @@ _KNOWN = (
 )
 
 #: Names without case and punctuation, as programs write them.
-_MATRIX = (
-    "cameramatrix", "k", "mtx", "cameramat", "intrinsicmatrix", "intrinsics", "intrinsic", "m",
-)  # fmt: skip
+_MATRIX = ("cameramatrix", "k", "mtx", "cameramat", "intrinsicmatrix", "intrinsics", "intrinsic", "m")
 _LENS = (
     "distortioncoefficients", "distortioncoeffs", "distortionvector", "distortionparams", "distortion", "distcoeffs",
     "distcoeff", "distcoefs", "dist", "d",
@@ -64,27 +62,19 @@ _SIZES = ("imagesize", "resolution", "imagersize", "imageresolution")
 _SIDES = (("imagewidth", "imageheight"), ("width", "height"), ("imgwidth", "imgheight"), ("w", "h"))
 _MODELS = (
     "distortionmodel", "distortiontype", "lensmodel", "modeltype", "cameratype", "cameramodel", "calibrationmodel",
-    "projectionmodel", "model", "type", "fisheyemodel", "fisheye", "isfisheye",
+    "projectionmodel", "model", "fisheyemodel", "usefisheyemodel", "fisheye", "isfisheye",
+)  # fmt: skip
+_EQUIDISTANT = (
+    "equidistant", "equi", "fisheye", "opencvfisheye", "kannalabrandt", "kannalabrandt4", "kannalabrandt8", "kb4",
 )  # fmt: skip
 #: Coefficients of each lens model, by its name in any program; None: the name says nothing of the distortion.
 _LENSES: Mapping[str, tuple[str, ...] | None] = {
-    **dict.fromkeys(("plumbbob", "lensmodelopencv5"), OPENCV[:5]),
-    **dict.fromkeys(("radtan", "radialtangential", "lensmodelopencv4"), OPENCV[:4]),
+    **dict.fromkeys(("plumbbob", "radialtangential", "lensmodelopencv5"), OPENCV[:5]),
+    **dict.fromkeys(("radtan", "lensmodelopencv4"), OPENCV[:4]),
     **dict.fromkeys(("lensmodelopencv8", "pinholeradtan8"), OPENCV[:8]),
     "lensmodelopencv12": OPENCV[:12],
     **dict.fromkeys(("rationalpolynomial", "opencv", "brown", "brownconrady"), OPENCV),
-    **dict.fromkeys(
-        (
-            "equidistant",
-            "fisheye",
-            "opencvfisheye",
-            "kannalabrandt",
-            "kannalabrandt4",
-            "kannalabrandt8",
-            "kb4",
-        ),
-        FISHEYE,
-    ),
+    **dict.fromkeys(_EQUIDISTANT, FISHEYE),
     **dict.fromkeys(("none", "lensmodelpinhole"), ()),
     **dict.fromkeys(("pinhole", "perspective"), None),
     **dict.fromkeys(("0", "false"), OPENCV),  # of a name that asks for a fisheye
@@ -99,12 +89,17 @@ _FOREIGN = {
     "camera1fx": "ORB-SLAM",
     "xi": "OpenCV's omnidirectional camera",
     "radialdistortion": "MATLAB",
+    "ppx": "RealSense",
+    "cameradata": "Luxonis",
+    "polymorphicname": "calib.io or openMVG",
+    "sfmdataversion": "openMVG",
 }
-#: What a file is, in words: by its syntax, or by a name that only one program has.
-_BY_SYNTAX: Mapping[Syntax, str] = {
-    "XML": "OpenCV's XML", "COLMAP": "COLMAP's cameras.txt", "INI": "ROS's ost.txt", "Python": "mrcal's cameramodel",
-}  # fmt: skip
-_BY_NAME = {
+#: What a file is, in words, by its syntax or by a name that only one program has.
+_KINDS = {
+    "XML": "OpenCV's XML",
+    "COLMAP": "COLMAP's cameras.txt",
+    "INI": "ROS's ost.txt",
+    "lensmodel": "mrcal's cameramodel",
     "sensortype": "EuRoC's sensor.yaml",
     "distortioncoeffs": "Kalibr's camchain",
     "distortionmodel": "ROS's camera_info",
@@ -137,6 +132,10 @@ def read_camera_file(path: Path, name: str | None = None, lens: LensFamily | Non
     ``name`` is that of the camera if the file holds several; ``lens`` the family of the coefficients if it states none.
     """
     file = path / _RESULTS if path.is_dir() else path
+    if file != path and not file.is_file():
+        raise NotACamera(
+            f"This folder holds no {_RESULTS}.", where=str(path), remedy="Name a run folder or a file in it."
+        )
     return parse_camera(read_bounded(file, _MOST_BYTES), file, name, lens)
 
 
@@ -203,9 +202,10 @@ _Values = Mapping[str, Any]
 
 def _recognised(data: bytes, name: str | None, lens: LensFamily | None) -> _Found:
     syntax, documents = values_of(data)
-    first = documents[0]
-    if isinstance(first.get("calibration"), dict) and "camera" in first["calibration"]:
-        return _results(first["calibration"])
+    ours = documents[0].get("calibration")
+    if isinstance(ours, dict) and "camera" in ours:
+        camera = camera_of(ours["camera"], ours["image_size"])
+        return "the result of a run", camera, camera_covariance(cast("CameraData", ours)), ()
     found = [_chosen(_cameras(one), name) for one in documents]
     cameras = [_camera(one, lens) for one in found]
     if any(one != cameras[0] for one in cameras):
@@ -213,14 +213,9 @@ def _recognised(data: bytes, name: str | None, lens: LensFamily | None) -> _Foun
             f"{len(cameras)} different cameras follow one another", "Copy one of them to a file of its own."
         )
     values = found[0]
-    by_name = next((words for key, words in _BY_NAME.items() if key in values), f"OpenCV's {syntax}")
+    kind = next((words for key, words in _KINDS.items() if key in (syntax, *values)), f"OpenCV's {syntax}")
     camera, covariance = _with_covariance(cameras[0], values)
-    return _BY_SYNTAX.get(syntax, by_name), camera, covariance, tuple(_remarks_on_region(values))
-
-
-def _results(calibration: Any) -> _Found:
-    camera = camera_of(calibration["camera"], calibration["image_size"])
-    return "the result of a run", camera, camera_covariance(calibration), ()
+    return kind, camera, covariance, tuple(_remarks_on_region(values))
 
 
 def _plain(content: _Values) -> dict[str, Any]:
@@ -234,32 +229,35 @@ def _cameras(content: _Values) -> dict[str, _Values]:
     for key, program in _FOREIGN.items():
         if key in values:
             raise OtherForm(f"it is a file of {program}, which is not read", WRITE_OPENCV)
+    if "focallength" in values and "principalpoint" in values:
+        values["cameramatrix"] = [values["focallength"], values["principalpoint"]]
     if _first(values, _MATRIX) is not None:
         return {"": values}
+    shared = {key: value for key, value in values.items() if not isinstance(value, Mapping | list)}
     found: dict[str, _Values] = {}
     for number in ("1", "2"):  # M1, D1, M2 and D2 of OpenCV's stereo calibration
         own = {key[:-1]: value for key, value in values.items() if key.endswith(number)}
         if _first(own, _MATRIX) is not None:
             found[number] = {**values, **own}
     for name, value in content.items():
-        if isinstance(value, Mapping):
-            alone = {"": _plain(value)} if re.fullmatch(r"cam\d+", name) else {}
-            for inner, camera in (_cameras(value) or alone).items():
-                found[f"{name}.{inner}" if inner in found else inner or name] = camera
+        parts = (
+            {f"{name}{at}": one for at, one in enumerate(value)} if isinstance(value, list) else {name: value}
+        )
+        for own_name, part in parts.items():
+            if isinstance(part, Mapping):
+                alone = {"": _plain(part)} if re.fullmatch(r"cam\d+", own_name) else {}
+                for inner, camera in (_cameras(part) or alone).items():
+                    known = f"{own_name}.{inner}" if inner in found else inner or own_name
+                    found[known] = {**shared, **camera}
     return found
 
 
 def _first(values: _Values, names: Sequence[str]) -> Any:
     """Return the first value of such a name that is a list or a matrix; None without one."""
-    listed = (values.get(name) for name in names)
-    return next(
-        (
-            one
-            for one in listed
-            if isinstance(one, str | list | tuple) or (isinstance(one, Mapping) and "data" in one)
-        ),
-        None,
-    )
+    for value in map(values.get, names):
+        if isinstance(value, str | list | tuple) or (isinstance(value, Mapping) and "data" in value):
+            return value
+    return None
 
 
 def _chosen(cameras: Mapping[str, _Values], name: str | None) -> _Values:
@@ -304,17 +302,17 @@ def _camera(values: _Values, family: LensFamily | None) -> CameraModel:
 
 def _stated_lens(values: _Values) -> tuple[str | None, tuple[str, ...] | None]:
     """Return the lens model as a file names it, and the names of its coefficients; None if it states none."""
+    if "k" in values and values.get("type", "pinhole") != "pinhole":
+        raise OtherForm(
+            f"the camera geometry has the type {str(values['type'])[:_LONGEST_NAME]!r}; only `pinhole` is known: the"
+            " maker does not publish how a fisheye is written",
+            "Use another file of the same calibration, for example OpenCV's YAML.",
+        )
     model, names = None, None
     for key in _MODELS:
         value = values.get(key)
         if value is None or isinstance(value, Mapping):
             continue
-        if key == "type" and value != "pinhole":
-            raise OtherForm(
-                f"the camera geometry has the type {str(value)[:_LONGEST_NAME]!r}; only `pinhole` is known: the maker"
-                " does not publish how a fisheye is written",
-                "Use another file of the same calibration, for example OpenCV's YAML.",
-            )
         word = re.sub(r"[^a-z0-9]", "", str(value).lower())
         if word not in _LENSES or isinstance(value, list):
             raise OtherForm(f"the lens model {str(value)[:_LONGEST_NAME]!r} is not read", WRITE_OPENCV)
@@ -398,8 +396,7 @@ def _matrix(values: _Values) -> tuple[Array, list[float]]:
 
 def _size(values: _Values) -> tuple[int, int]:
     pairs = [[values.get(name) for name in names] for names in _SIDES]
-    listed = _first(values, _SIZES)
-    found = next((pair for pair in pairs if None not in pair), None) if listed is None else listed
+    found = _first(values, _SIZES) or next((pair for pair in pairs if None not in pair), None)
     if found is None:
         raise OtherForm("it does not state the size of the image", "Add image_width and image_height, px.")
     sides = _numbers("the size of the image", found)
@@ -438,8 +435,7 @@ def _with_covariance(camera: CameraModel, values: _Values) -> tuple[CameraModel,
     found = _numbers("the covariance", stated)
     if len(found) != len(names) ** 2:
         raise OtherForm("the covariance has another size than its names")
-    lens = {name: value for name, value in camera.distortion.items() if name in names}
-    estimated = replace(camera, distortion=lens)
+    estimated = replace(camera, distortion={k: v for k, v in camera.distortion.items() if k in names})
     if not set(estimated.parameter_names) <= set(names):
         raise OtherForm("the covariance lacks a value of the camera")
     at = [names.index(name) for name in estimated.parameter_names]

@@ -10,7 +10,7 @@ import codecs
 import json
 import re
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any
 from xml.parsers import expat
 
 from bench.base.bounded_json import parse_json
@@ -36,11 +36,11 @@ _BINARY = {
     b"SQLite": "a ROS 2 bag (SQLite)",
     b"\x89MCAP": "a ROS 2 bag (MCAP)",
 }
-Syntax = Literal["XML", "JSON", "Python", "COLMAP", "INI", "YAML"]
 _NUMBERS = re.compile(r"\[([-+.\deE,\s]*)\]")
+_NOT_A_NUMBER = re.compile(r"\.(nan|inf)", re.IGNORECASE)  # as YAML writes it
 _SEPARATOR = re.compile(r"^(?:---|\.\.\.)(?:[ \t].*)?$", re.MULTILINE)
 #: Lines of a message of ROS that differ although the camera is the same.
-_TIMES = re.compile(r"^ *(?:seq|secs|nsecs|sec|nanosec): *\d+\s*$", re.MULTILINE)
+_TIMES = re.compile(r"^ *(?:seq|secs|nsecs|sec|nanosec): *\d+[ \t]*$", re.MULTILINE)
 _COLMAP = re.compile(
     r"^(\d+)[ \t]+([A-Z_]+)[ \t]+(\d+)[ \t]+(\d+)((?:[ \t]+[-+.\deE]+)+)[ \t]*$", re.MULTILINE
 )
@@ -58,11 +58,8 @@ class OtherForm(ValueError):
         self.remedy, self.what = remedy, what
 
 
-def values_of(data: bytes) -> tuple[Syntax, list[dict[str, Any]]]:
-    """Return the documents of a file, each once; their values are text, numbers, lists and mappings.
-
-    Raises OtherForm.
-    """
+def values_of(data: bytes) -> tuple[str, list[dict[str, Any]]]:
+    """Return the syntax of a file and its documents, each once, of text, numbers, lists and mappings; or OtherForm."""
     text = _text(data)
     if not text:
         raise OtherForm("it is empty")
@@ -125,26 +122,28 @@ def _yaml(text: str) -> list[dict[str, Any]]:
     """Read YAML, and what OpenCV and ROS write beside it: tags, a first line that YAML has not, several documents."""
     if "tag:yaml.org,2002:python/object" in text or "!!python/object" in text:
         raise OtherForm("it is a dump of Python objects, such as numpy arrays", WRITE_OPENCV)
-    body = _TIMES.sub("", _NUMBERS.sub(_folded, re.sub(r"\A%YAML.*", "", text)))
-    documents = dict.fromkeys(_SEPARATOR.split(body))
+    body = _TIMES.sub("", _NUMBERS.sub(_as_text, re.sub(r"\A%YAML.*", "", text)))
+    lines, documents = 1, dict[str, int]()
+    for document in _SEPARATOR.split(body):
+        documents.setdefault(document.strip(), lines + document.count("\n") - document.lstrip().count("\n"))
+        lines += document.count("\n")
     if len(body) > MOST_BYTES or len(documents) > _MOST_DOCUMENTS:
         raise OtherForm("it is too large for a camera")
-    found = [_document(one) for one in documents]
+    found = [_document(text, line) for text, line in documents.items()]
     return [_mapping(one) for one in found if one is not None] or [_mapping(None)]
 
 
-def _folded(numbers: re.Match[str]) -> str:
+def _as_text(listed: re.Match[str]) -> str:
     """Return a list of numbers as one text, so that thousands of image points are read at once."""
-    words = " ".join(numbers[1].split())
-    return f'"{words}"' if len(words) < _LONGEST_LIST else '""'
+    return f'"{listed[1]}"' if len(listed[1]) < _LONGEST_LIST else '""'
 
 
-def _document(text: str) -> Any:
+def _document(text: str, line: int) -> Any:
     tree = parse(text.encode(), "", allow_tags=True)
-    if not tree.complete:
-        raise OtherForm(f"its line {tree.faults[0].line} is no YAML")
     if tree.faults:
-        raise OtherForm(tree.faults[0].message.rstrip("."))
+        fault = tree.faults[0]
+        why = fault.message.rstrip(".") if tree.complete else "this is no YAML"
+        raise OtherForm(f"line {line + fault.line - 1}: {why}")
     return tree.value
 
 
@@ -243,7 +242,7 @@ def numbers(value: Any) -> list[float]:
     if isinstance(value, Mapping):
         return numbers(value["data"])
     if isinstance(value, str):
-        return [float(word) for word in value.replace(",", " ").split()]
+        return [float(word) for word in _NOT_A_NUMBER.sub(r"\1", value).replace(",", " ").split()]
     if isinstance(value, list | tuple):
         return [number for one in value for number in numbers(one)]
     return [float(value)]
