@@ -59,7 +59,11 @@ _LENS = (
     "distcoeff", "distcoefs", "dist", "d",
 )  # fmt: skip
 _SIZES = ("imagesize", "resolution", "imagersize", "imageresolution")
-_SIDES = (("imagewidth", "imageheight"), ("width", "height"), ("imgwidth", "imgheight"), ("w", "h"))
+_SIDES = [
+    (f"{of}{width}", f"{of}{height}")
+    for of in ("image", "", "img", "imagesize")
+    for width, height in (("width", "height"), ("w", "h"))
+]
 _MODELS = (
     "distortionmodel", "distortiontype", "lensmodel", "modeltype", "cameratype", "cameramodel", "calibrationmodel",
     "projectionmodel", "model", "fisheyemodel", "usefisheyemodel", "fisheye", "isfisheye",
