@@ -1,8 +1,8 @@
-"""Points of a board in an image: OpenCV finds the board, symmetry locates its points.
+"""Points of a board in an image: OpenCV finds the board; symmetry locates corners, the edge locates circles.
 
-A corner of a checkerboard and a circle look the same after half a turn about their centre. So `calib.stars.centring`
-locates them, with the curvature of perspective and distortion: circles are then not biased by perspective (Heikkilä,
-2000).
+A corner of a checkerboard looks the same after half a turn about its centre, so `calib.stars.centring` locates it; a
+circle is located by `calib.boards.discs`. Both follow the curvature of perspective and distortion: circles are then not
+biased by perspective (Heikkilä, 2000).
 """
 
 from __future__ import annotations
@@ -14,10 +14,19 @@ import numpy as np
 
 from calib.arrays import AnyArray, Array, Array32, Bytes, Ints
 from calib.boards.board import Board
+from calib.boards.discs import DiscFit, fit_discs
+from calib.boards.lens_map import fit_lens_map
 from calib.errors import TargetNotFound, placed
 from calib.events.grey_image import require_grey_plane, to_uint8
-from calib.stars.centring import SYMMETRY_REACH, refine_by_symmetry, smooth, symmetry_samples, variance_factor
-from calib.stars.grid_map import fit_grid_map, without_outliers
+from calib.stars.centring import (
+    SYMMETRY_REACH,
+    SymmetryFit,
+    refine_by_symmetry,
+    smooth,
+    symmetry_samples,
+    variance_factor,
+)
+from calib.stars.grid_map import LocalMap, without_outliers
 from calib.view import View
 
 #: Blur before the points are located, px: it lowers the noise of single pixels.
@@ -113,24 +122,19 @@ def _blobs(shape: tuple[int, ...]) -> Any:
 
 
 def locate_points(image: Array32, coarse: Array, board: Board, ids: Ints) -> tuple[Array, Array]:
-    """Locate points of a board by symmetry (Schöps et al., 2020), with the curvature of perspective.
+    """Locate points of a board: circles by their edges, others by symmetry (Schöps et al., 2020).
 
-    From ``coarse``, (N, 2) px, of ``ids``, to (N, 2) px, nan where it failed, and covariances, px^2.
+    From ``coarse``, (N, 2) px, of ``ids``, to (N, 2) px, nan where it failed, and covariances, px^2. Both follow the
+    curvature of perspective and distortion.
     """
     smoothed = smooth(image, _BLUR_PX)
     nodes = board.nodes[ids]
-    grid = nodes.astype(float)
-    # An asymmetric grid leaves every second place of its lattice free: the cell of a circle is turned by 45 degrees.
-    reach = SYMMETRY_REACH * (1.0 if board.kind != "asymmetric-circles" else 1.4)
+    grid, size = nodes.astype(float), (image.shape[1], image.shape[0])
     points, good = coarse, np.ones(len(coarse), np.bool_)
     covariances = np.full((len(points), 2, 2), np.nan)
     for step_px in _STEPS_PX:
-        grid_map, _ = fit_grid_map(grid[good], points[good])
-        local_map = grid_map.local_map(grid)
-        pitch = local_map.pitch_px
-        samples = symmetry_samples(pitch / step_px) * (reach / SYMMETRY_REACH)
-        used_to = np.full((len(points), 2), reach)
-        fit = refine_by_symmetry(smoothed, points, local_map, samples, used_to, _MOST_MOVE_PITCHES * pitch)
+        fitted = fit_lens_map(grid[good], points[good], size)
+        fit = _located(smoothed, points, board, fitted.local_map(grid), step_px)
         good = fit.converged
         if np.count_nonzero(good) < _LEAST_SHARE * len(good):
             return np.full_like(points, np.nan), covariances
@@ -140,6 +144,20 @@ def locate_points(image: Array32, coarse: Array, board: Board, ids: Ints) -> tup
         covariances = fit.mean_square[:, None, None] * np.linalg.inv(information)
     factor = variance_factor(nodes[good], points[good], covariances[good], typical=_TYPICAL_FACTOR)
     return np.where(good[:, None], points, np.nan), covariances * factor + _COMMON_PX**2 * np.eye(2)
+
+
+def _located(
+    smoothed: Array32, points: Array, board: Board, local_map: LocalMap, step_px: float
+) -> SymmetryFit | DiscFit:
+    """Locate points of a board once, from (N, 2) px on, with the map around each."""
+    pitch = local_map.pitch_px
+    if board.kind in ("circles", "asymmetric-circles"):
+        # Every second place of the lattice of an asymmetric grid is free: its circles are farther apart.
+        cell = SYMMETRY_REACH * (1.0 if board.kind == "circles" else np.sqrt(2.0))
+        return fit_discs(smoothed, points, local_map, cell, _MOST_MOVE_PITCHES * pitch)
+    samples = symmetry_samples(pitch / step_px)
+    used_to = np.full((len(points), 2), SYMMETRY_REACH)
+    return refine_by_symmetry(smoothed, points, local_map, samples, used_to, _MOST_MOVE_PITCHES * pitch)
 
 
 def _refuse_second(grey: Bytes, points: Array, board: Board) -> None:

@@ -6,6 +6,7 @@ are being predicted, and over the whole view when all are found. The module uses
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -84,13 +85,18 @@ class GridMap:
         return apply_homography(self.homography, grid) + bent
 
     def local_map(self, grid: Array) -> LocalMap:
-        """Expand to second order around (N, 2) pitches, by central differences (Abramowitz and Stegun, 1972, 25.3)."""
-        h = _STEP_PITCHES
-        steps = h * np.array([(i, j) for j in (-1, 0, 1) for i in (-1, 0, 1)])
-        nw, north, ne, west, here, east, sw, south, se = (self.apply(grid + step) for step in steps)
-        linear = np.stack([(east - west) / (2 * h), (south - north) / (2 * h)], axis=-1)
-        xx, yy = (east + west - 2 * here) / (2 * h * h), (south + north - 2 * here) / (2 * h * h)
-        return LocalMap(linear, np.stack([xx, (nw + se - ne - sw) / (4 * h * h), yy], axis=-1))
+        """Expand to second order around (N, 2) pitches."""
+        return expanded(self.apply, grid)
+
+
+def expanded(apply: Callable[[Array], Array], grid: Array) -> LocalMap:
+    """Expand a map to second order around (N, 2) pitches, by central differences (Abramowitz, Stegun, 1972, 25.3)."""
+    h = _STEP_PITCHES
+    steps = h * np.array([(i, j) for j in (-1, 0, 1) for i in (-1, 0, 1)])
+    nw, north, ne, west, here, east, sw, south, se = (apply(grid + step) for step in steps)
+    linear = np.stack([(east - west) / (2 * h), (south - north) / (2 * h)], axis=-1)
+    xx, yy = (east + west - 2 * here) / (2 * h * h), (south + north - 2 * here) / (2 * h * h)
+    return LocalMap(linear, np.stack([xx, (nw + se - ne - sw) / (4 * h * h), yy], axis=-1))
 
 
 def fit_grid_map(grid: Array, points: Array) -> tuple[GridMap, Array]:
