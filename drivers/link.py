@@ -26,7 +26,7 @@ from drivers.clock import Clock
 from drivers.errors import PortError, PortLost, ReplyError, ReplyGarbled, ReplyTimeout
 from drivers.lateness import REMEDY as BUSY_REMEDY
 from drivers.lateness import Deadline, busy_text
-from drivers.serial_port import Port, ReopeningPort
+from drivers.serial_port import Port, Reopening
 from drivers.wire_log import Direction, WireLog
 
 TRIES: Final = 3
@@ -263,7 +263,7 @@ class Link(ABC):
 
         ``read_reply`` raises `ReplyGarbled` when the bytes are no reply to this request; ``deadline_s`` is for the
         whole reply; None stands for ``reply_s``. After an error the line is resynchronised before the next request. On
-        a `ReopeningPort` that is gone, the request is sent once more after the port was opened again.
+        a `Reopening` port that is gone, the request is sent once more after the port was opened again.
         """
         with self.lock:
             try:
@@ -274,12 +274,12 @@ class Link(ABC):
             return self._exchange_once(request, read_reply, deadline_s)
 
     def connect_again(self, lost: PortLost | None = None) -> bool:
-        """Open a `ReopeningPort` again, and ask who is there before the next request; False for any other port.
+        """Open a `Reopening` port again, and ask who is there before the next request; False for any other port.
 
         Without ``lost`` only a connection on a network. A port that cannot be opened raises ``lost``, with the reason,
         or the error of opening.
         """
-        if not isinstance(self._port, ReopeningPort) or not (lost or self._port.is_network):
+        if not isinstance(self._port, Reopening) or not (lost or self._port.is_network):
             return False
         with self.lock:
             try:

@@ -17,7 +17,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, ClassVar, NamedTuple, ParamSpec, Protocol, Self, TypeVar
+from typing import Any, ClassVar, NamedTuple, ParamSpec, Protocol, Self, TypeVar, runtime_checkable
 
 import serial
 
@@ -183,6 +183,20 @@ class SerialPort:
         )
 
 
+@runtime_checkable
+class Reopening(Protocol):
+    """A port that can be opened again when it is gone."""
+
+    @property
+    def is_network(self) -> bool:
+        """Whether it is a connection on a network."""
+        ...
+
+    def reopen(self) -> None:
+        """Close the port, and open it again, with the errors of opening."""
+        ...
+
+
 class ReopeningPort(SerialPort):
     """A port to a device whose requests may all be sent twice: it can be opened again when it is gone.
 
@@ -191,11 +205,11 @@ class ReopeningPort(SerialPort):
 
     @property
     def is_network(self) -> bool:
-        """Whether it is a connection on a network."""
+        """See `Reopening.is_network`."""
         return "://" in self._name
 
     def reopen(self) -> None:
-        """Close the port, and open it again, with the errors of opening."""
+        """See `Reopening.reopen`."""
         self.close()
         self._serial = self._open()
         self._lost = False
@@ -299,7 +313,6 @@ class OnOnePort:
 
     BAUDRATE: ClassVar[int]
     RTSCTS: ClassVar[bool] = False
-    PORT: ClassVar[type[SerialPort]] = SerialPort
 
     @classmethod
     def open(
@@ -318,13 +331,17 @@ class OnOnePort:
         """
         construct: Any = cls
         usual = cls._line_settings(*arguments)
-        opened = cls.PORT(
+        opened = cls._opened(
             port,
             baudrate=usual.baudrate if baudrate is None else baudrate,
             rtscts=usual.rtscts if rtscts is None else rtscts,
         )
         device: Self = construct(opened, *arguments, clock=clock, wire_log=wire_log, **more)
         return device
+
+    @classmethod
+    def _opened(cls, address: str, *, baudrate: int, rtscts: bool) -> Port:
+        return SerialPort(address, baudrate=baudrate, rtscts=rtscts)
 
     @classmethod
     def _line_settings(cls, *_arguments: Any) -> LineSettings:

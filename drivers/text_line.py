@@ -317,6 +317,7 @@ class ScpiLine(TextLine):
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:
         self._latest_sent: deque[bytes] = deque(maxlen=2)
+        self._echoes = False
         super().__init__(
             port,
             identity_query="*IDN?",
@@ -389,9 +390,14 @@ class ScpiLine(TextLine):
         return self.take(len(self.unread)) if line is None and self.unread.endswith(b"\r") else line
 
     def take_unsolicited(self, line: bytes) -> bool:
-        """See `Link.take_unsolicited`: a prompt, an empty line, or the echo of what was sent."""
+        """See `Link.take_unsolicited`: a prompt, an empty line, or the echo of what was sent.
+
+        An instrument that does not echo a query has no echo: Siglent's answers have the form of commands.
+        """
         text = _without_prompt(line)
-        return not text or text in self._latest_sent
+        is_echo = text in self._latest_sent and (self._echoes or text.endswith(b"?"))
+        self._echoes = self._echoes or is_echo
+        return is_echo or not text
 
     def is_filler(self, data: bytes) -> bool:
         """See `Link.is_filler`."""

@@ -158,7 +158,16 @@ _MAKERS: Final[Mapping[str, Callable[[Axes, Clock, Publish], Stage]]] = {
 def make_light(
     config: LightConfig, clock: Callable[[], float], drive: Callable[[LightState], None]
 ) -> LightDriver:
-    """Build the driver of a light."""
+    """Build the driver of a light, as another program left it."""
+    light = _light_driver(config, clock, drive)
+    for what in config.left_behind.split():
+        light.leave(what)
+    return light
+
+
+def _light_driver(
+    config: LightConfig, clock: Callable[[], float], drive: Callable[[LightState], None]
+) -> LightDriver:
     if config.kind == "gardasoft":
         return GardasoftRt(clock, drive)
     if config.kind == "microcontroller":
@@ -173,6 +182,7 @@ def make_light(
             "00.01.12",
             config.error_queue,
             numbered_channels=True,
+            modulations=("MOD", "AM", "FM", "PM", "ASK", "FSKey", "PSK", "PWM", "SWEep", "BURSt"),
         )
     else:
         model = GeneratorModel(config.serial, error_queue=config.error_queue)

@@ -163,7 +163,8 @@ class Bench:
     def _serial(self, name: str, dialect: Dialect) -> SerialDevice:
         port: Port
         if self._config.ports == "tcp":
-            port = TcpPort(name)
+            idle_s = self._config.light.idle_s if name == "light" else 0.0
+            port = TcpPort(name, idle_s=idle_s, clock=self.world.now_s)
         else:
             from simulators.ports.pseudo_terminal import PseudoTerminal  # some platforms have none
 

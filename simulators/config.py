@@ -87,6 +87,9 @@ class LightConfig(Section):
     kind: Annotated[str, one_of(LIGHT_KINDS), BeforeValidator(text)] = "keysight"
     serial: Text = "SG0042"  # Its serial number, if it has one
     error_queue: Switch = True  # Whether it answers ``SYST:ERR?``, for instruments that may or may not
+    # What another program left behind, words of `simulators.lights.driver.LightDriver.LEFT` separated by blanks.
+    left_behind: Text = ""
+    idle_s: _NotNegative = 0.0  # Time after which a TCP line closes an idle connection, s; 0: never
 
 
 @dataclass(frozen=True)

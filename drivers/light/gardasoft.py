@@ -192,7 +192,7 @@ class GardasoftLight(WatchedLight):
         self._steady_percent = None
         period_ms = round(1e3 / settings.frequency_hz, 4)  # to the digits that are sent
         width_ms = round(period_ms * settings.duty_percent / 100.0, 4)
-        if self._agreed(self._trigger_runs, "the trigger's state") or self._lit_mode() == CONTINUOUS:
+        if self._is_surely_lit():
             self._set("frequency", f"TT1,{period_ms:.4f}")
         else:  # the trigger must run to accept a period: keep the lamp dark meanwhile
             self._set("level", f"RS{self._channel},0")
@@ -282,7 +282,7 @@ class GardasoftLight(WatchedLight):
 
     def _apply_steady(self, percent: float) -> LightSettings:
         """Keep a level for ``on``; set it at once when the light is lit already."""
-        lit = self.is_on()
+        lit = self._is_surely_lit()
         self._set("trigger", "TT0")
         self._steady_percent = percent
         self._set("level", f"RS{self._channel},{percent if lit else 0:.1f}")
@@ -314,6 +314,10 @@ class GardasoftLight(WatchedLight):
             return mode if mode != PULSED and self._line.parse_percent(channel).value > 0 else ""
 
         return self._agreed(read, "the channel's mode")
+
+    def _is_surely_lit(self) -> bool:
+        """Whether the trigger runs, or the channel is lit without any input."""
+        return self._agreed(self._trigger_runs, "the trigger's state") or self._lit_mode() == CONTINUOUS
 
     def _check_settings(self, period_ms: float, width_ms: float, percent: float, *, sync: bool) -> None:
         line = self._line

@@ -132,32 +132,39 @@ class ScpiLight(WatchedLight):
 
     def _end(self, mode: Mode) -> bool:
         """End a mode and read it back; return whether the generator confirms that it is ended."""
-        errors: list[InstrumentError] = []
-        for word in mode.words:
-            errors = self._line.command(f"{mode.header} {word}")
-            if not errors:
-                break
+        commands = [f"{mode.header} {word}" for word in mode.words]
+        errors = self._first_accepted(commands)
+        if errors and not all(error.tells_of_a_lack for error in errors):
+            errors = self._first_accepted(commands)  # an error may be older, and of something else
         if errors and all(error.tells_of_a_lack for error in errors):
             return False
         query = f"{mode.header}?"
         state = self._state(query)
         if state is not None and not self._dialect.is_set(mode, state):
             state = self._state(query)  # one reply may be spoilt
-        if state is not None and self._dialect.is_set(mode, state):
-            return True
-        command = f"{mode.header} {mode.words[0]}"
         what = ""
-        if state is not None:
-            what = f"{mode.name} stays as another program left it: '{command}', but '{query}' is answered by '{state}'."
-        elif errors:
-            what = f"{mode.name} is refused: '{command}' is answered by {'; '.join(map(str, errors))}."
+        if state is not None and not self._dialect.is_set(mode, state):
+            what = (
+                f"stays as another program left it: after '{commands[0]}', '{query}' is answered by '{state}'"
+            )
+        elif errors and (state is None or mode.is_switch):
+            what = f"is refused: '{commands[0]}' is answered by {'; '.join(map(str, errors))}"
         if what:
             raise SettingRefused(
-                what,
+                f"{mode.name} {what}.",
                 where=self._line.name,
                 remedy="End it at the generator's front panel, or switch the generator off and on.",
             )
-        return self._line.has_error_queue
+        return state is not None or self._line.has_error_queue
+
+    def _first_accepted(self, commands: Sequence[str]) -> list[InstrumentError]:
+        """Send commands until one is accepted; return the errors of the last one."""
+        errors: list[InstrumentError] = []
+        for command in commands:
+            errors = self._line.command(command)
+            if not errors:
+                break
+        return errors
 
     def _state(self, query: str) -> str | None:
         """Ask for a state; None if the generator does not say it. One that says no first state is asked no more."""

@@ -39,6 +39,11 @@ class Mode(NamedTuple):
     header: str  # Header of its command and, with a question mark, of its query
     words: tuple[str, ...] = ("OFF",)  # Spellings of the wanted state, to be sent until one is accepted
 
+    @property
+    def is_switch(self) -> bool:
+        """Whether it is on or off, so that a generator has no reason to refuse "off"."""
+        return self.words == ("OFF",)
+
 
 # Largest difference of two equal values: the finest resolution that generators have and print.
 _FREQUENCY_REL: Final = 1e-6

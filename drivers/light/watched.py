@@ -13,7 +13,8 @@ from typing import ClassVar, Final, TypeVar
 from drivers.errors import LightFault, ReplyTimeout, SettingRefused
 from drivers.light import LightIdentity, LightSettings
 from drivers.link import Link, read_until_agreed
-from drivers.serial_port import OnOnePort, ReopeningPort
+from drivers.serial_port import OnOnePort, Port, ReopeningPort
+from drivers.visa_port import VISA_PREFIX, VisaPort, socket_url
 
 FULL_SCALE_V: Final = 5.0
 """Value of ``high_v`` that stands for the full level of a light whose levels are percent, in volts."""
@@ -27,7 +28,6 @@ class WatchedLight(OnOnePort, ABC):
     Opening checks who answers. It sets and switches nothing. All its requests may be sent twice.
     """
 
-    PORT = ReopeningPort
     OUTPUT: ClassVar[str] = "light"
     """What is switched, in messages."""
     LAMP: ClassVar[str] = "light"
@@ -43,6 +43,13 @@ class WatchedLight(OnOnePort, ABC):
         self._switched_on = False
         self._applied: LightSettings | None = None
         self._connections_checked = 0
+
+    @classmethod
+    def _opened(cls, address: str, *, baudrate: int, rtscts: bool) -> Port:
+        url = socket_url(address) or address
+        if url.startswith(VISA_PREFIX):
+            return VisaPort(url)
+        return ReopeningPort(url, baudrate=baudrate, rtscts=rtscts)
 
     # ------------------------------------------------------------ what a family implements
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, Final
 
+from simulators.errors import ConfigError
 from simulators.world.world import LightState, SyncLine
 
 # The lamp between its driver and the bench, with faults that the driver does not notice.
@@ -106,6 +107,17 @@ class LightDriver(ABC):
     @abstractmethod
     def _answer(self, message: bytes) -> bytes:
         """Carry out a message, which comes without its end, and return all that answers it."""
+
+    #: What another program can leave behind, as `leave` takes it.
+    LEFT: tuple[str, ...] = ()
+
+    def leave(self, what: str) -> None:
+        """Set what another program left behind, one of `LEFT`."""
+        raise ConfigError(
+            f"{what!r} cannot be left behind in this light.",
+            where="light.left_behind",
+            remedy=f"Known are: {', '.join(self.LEFT) or 'none'}.",
+        )
 
     @abstractmethod
     def clip(self, most_v: float | None) -> None:

@@ -35,7 +35,7 @@ _PERIOD_MS: Final = (0.1, 10_000.0)
 #: Largest brightness of a pulse, percent of the lamp's rating.
 _MAX_PERCENT: Final = 999.0
 
-CONTINUOUS, SWITCHED, PULSE = 0, 1, 2
+CONTINUOUS, SWITCHED, PULSE, SELECTED = 0, 1, 2, 3
 
 #: Numbers of the events that a fault of the light causes.
 OVER_TEMPERATURE, OVER_CURRENT = 130, 131
@@ -58,10 +58,28 @@ class Output:
     # width_ms, delay_ms: Width of a pulse, and its delay after the trigger, ms.
     width_ms: float = 1.0
     delay_ms: float = 0.005
+    retrigger_ms: float = 0.0  # Time after a pulse in which triggers are ignored, ms
 
 
 class GardasoftRt(LightDriver):
     """The controller; output 1 drives the light, ``version`` is the answer to ``VR``."""
+
+    LEFT = ("echo", "events", "continuous", "switched", "selected", "retrigger")
+
+    def leave(self, what: str) -> None:
+        """See `LightDriver.leave`. Some models echo every command (``echo``)."""
+        modes = {"continuous": CONTINUOUS, "switched": SWITCHED, "selected": SELECTED}
+        if what == "echo":
+            self._echoes = True
+        elif what == "events":
+            self._events_enabled = True
+        elif what in modes:
+            self.outputs[1] = Output(modes[what], 30.0)
+        elif what == "retrigger":
+            self.outputs[1] = replace(self.outputs[1], retrigger_ms=500.0)
+        else:
+            super().leave(what)
+        self._publish()
 
     def __init__(
         self,
@@ -71,6 +89,7 @@ class GardasoftRt(LightDriver):
     ) -> None:
         super().__init__(clock, drive, ends=b"\r", ignored=b"\n", longest=_MAX_MESSAGE)
         self._version = version
+        self._echoes = False
         self._max_percent = _MAX_PERCENT
         self._commands: dict[str, Callable[[list[str]], str]] = {
             "VR": lambda _words: self._version,
@@ -94,8 +113,9 @@ class GardasoftRt(LightDriver):
         self._publish()
 
     def _answer(self, message: bytes) -> bytes:
-        commands = message.decode("ascii", "replace").replace(" ", "").split(";")
-        return f"{''.join(self._execute(command.upper()) for command in commands)}>".encode("ascii")
+        text = message.decode("ascii", "replace")
+        answers = "".join(self._execute(command.upper()) for command in text.replace(" ", "").split(";"))
+        return f"{text if self._echoes else ''}{answers}>".encode("ascii", "replace")
 
     def unsolicited(self) -> bytes:
         """See `Dialect.unsolicited`. These are events, if the host has enabled them."""
@@ -147,7 +167,8 @@ class GardasoftRt(LightDriver):
         width, too_wide = _clipped(_time_ms(words[1]), _WIDTH_MS)
         delay, too_late = _clipped(_time_ms(words[2]), _DELAY_MS)
         percent, too_bright = _clipped(_number(words[3]), (0.0, self._max_percent))
-        self.outputs[channel] = Output(PULSE, percent, width, delay)
+        retrigger = _time_ms(words[4]) if len(words) > 4 else self.outputs[channel].retrigger_ms
+        self.outputs[channel] = Output(PULSE, percent, width, delay, retrigger)
         return self._apply(warned=too_wide or too_late or too_bright)
 
     def _set_level(self, words: list[str], mode: int) -> str:
@@ -170,7 +191,7 @@ class GardasoftRt(LightDriver):
         one = self.outputs[channel]
         return (
             f"CH {channel}, MD {one.mode}, S {one.percent:.1f}%, DL {one.delay_ms:.3f}ms, PU {one.width_ms:.3f}ms, "
-            f"RT 0.000ms, IP {channel}, FL 0, CS 1.000A, RA 1.000A"
+            f"RT {one.retrigger_ms:.3f}ms, IP {channel}, FL 0, CS 1.000A, RA 1.000A"
         )
 
     def _set_events(self, words: list[str]) -> str:
@@ -197,7 +218,7 @@ class GardasoftRt(LightDriver):
         """Publish the state of the light; a period begins with the edge of the internal trigger."""
         one = self.outputs[1]
         level = one.percent / 100.0 * FULL_DRIVE_V
-        flickers = one.mode == PULSE and self._trigger
+        flickers = one.mode == PULSE and self._trigger and one.retrigger_ms < self._period_ms
         steady = one.mode == CONTINUOUS
         self._show(
             1000.0 / self._period_ms,

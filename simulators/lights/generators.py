@@ -71,6 +71,7 @@ class Settings:
     output: bool = False
     sync: bool = True
     sync_inverted: bool = False  # Whether the sync output falls where it otherwise rises
+    sync_channel: str = "CH1"  # Channel whose edges the sync output gives; only those of CH1 fit the light
 
     @property
     def amplitude_v(self) -> float:
@@ -90,6 +91,7 @@ class Generator(LightDriver):
         super().__init__(clock, drive, baud=baud, longest=_MAX_MESSAGE)
         self.most_v = _MAX_V
         self.settings = Settings()
+        self.modulations: set[str] = set()
         self._publish()
 
     @abstractmethod
@@ -104,7 +106,19 @@ class Generator(LightDriver):
     def reset(self) -> None:
         """Restore the settings of a reset."""
         self.settings = Settings()
+        self.modulations.clear()
         self._publish()
+
+    def modulate(self, name: str, *, on: bool) -> None:
+        """Switch a modulation, a sweep or a burst."""
+        (self.modulations.add if on else self.modulations.discard)(name)
+        self._publish()
+
+    def leave(self, what: str) -> None:
+        """See `LightDriver.leave`."""
+        if what not in self.LEFT:
+            super().leave(what)
+        self.modulate(what, on=True)
 
     def change(self, **settings: Any) -> None:
         """Change settings, which are in their range; the light follows."""
@@ -178,7 +192,9 @@ class Generator(LightDriver):
     def _publish(self) -> None:
         """Publish the state of the light."""
         settings = self.settings
-        levels = (settings.offset_v,) * 2 if settings.shape == "dc" else (settings.low_v, settings.high_v)
+        # Whatever modulates is shown as AM of 100 % depth, which halves the mean amplitude.
+        high_v = settings.offset_v if self.modulations else settings.high_v
+        levels = (settings.offset_v,) * 2 if settings.shape == "dc" else (settings.low_v, high_v)
         # The lamp's input is an open circuit: it gets the source voltage, whatever load is set.
         open_circuit = 1.0 / _voltage_share(settings.load_ohm)
         self._show(
@@ -188,7 +204,7 @@ class Generator(LightDriver):
             low_v=levels[0] * open_circuit,
             high_v=levels[1] * open_circuit,
             output=settings.output,
-            sync=settings.sync and settings.shape != "dc",
+            sync=settings.sync and settings.shape != "dc" and settings.sync_channel == "CH1",
             sync_line=SyncLine(inverted=settings.sync_inverted),
         )
 
@@ -236,6 +252,8 @@ class GeneratorModel:
     # Whether headers carry a channel number (``SOUR1:FREQ``, ``OUTP1``), and the state of the output is read
     # as ON or OFF instead of 1 or 0.
     numbered_channels: bool = False
+    # Headers of what modulates, without STATe.
+    modulations: tuple[str, ...] = ("AM", "FM", "FSKey", "SWEep", "BURSt")
     baud: int = 9600
 
 
@@ -250,8 +268,18 @@ class ScpiGenerator(Generator):
     ) -> None:
         super().__init__(clock, drive, model.baud)
         self.model = model
+        self.LEFT = (*model.modulations, *(["SYNC2"] if model.numbered_channels else []))
         self._tree = CommandTree(ErrorQueue())
         self._register_commands()
+        for name in model.modulations:
+            self._register_modulation(name)
+
+    def leave(self, what: str) -> None:
+        """See `LightDriver.leave`. ``SYNC2``: the sync output belongs to channel 2."""
+        if what == "SYNC2" in self.LEFT:
+            self.change(sync_channel="CH2")
+        else:
+            super().leave(what)
 
     def exchange(self, serial: str) -> None:
         """See `LightDriver.exchange`."""
@@ -298,10 +326,23 @@ class ScpiGenerator(Generator):
                 ),
                 lambda _: choice(self._sync_words()[self.settings.sync_inverted], self._sync_words()),
             )
+            tree.add(
+                "OUTPut:SYNC:SOURce",
+                lambda words: self.change(sync_channel=only_argument(words).upper()),
+                lambda _: self.settings.sync_channel,
+            )
         tree.add(
             f"{output}:LOAD",
             self._set_load,
             lambda _: _format_number(min(self.settings.load_ohm, 9.9e37)),
+        )
+
+    def _register_modulation(self, name: str) -> None:
+        source = "[:SOURce#]" if self.model.numbered_channels else "[:SOURce]"
+        self._tree.add(
+            f"{source}:{name}:STATe",
+            lambda words: self.modulate(name, on=boolean(only_argument(words))),
+            lambda _: self._format_switch(name in self.modulations),
         )
 
     def _register_value(self, header: str, name: Setting, units: dict[str, float], attribute: str) -> None:

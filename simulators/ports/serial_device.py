@@ -191,10 +191,11 @@ _CHUNK = 4096
 
 
 class TcpPort:
-    """The device's end of a line over TCP."""
+    """The device's end of a line over TCP; a connection that is idle for ``idle_s`` is closed (0: never)."""
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, *, idle_s: float = 0.0, clock: Callable[[], float] = lambda: 0.0) -> None:
         self.name = name
+        self._idle_s, self._clock, self._heard_s = idle_s, clock, 0.0
         self._listener: socket.socket | None = None
         self._client: socket.socket | None = None
         self._port = 0
@@ -231,9 +232,13 @@ class TcpPort:
                 if self._listener is not None:
                     self._client, _ = self._listener.accept()
                     self._client.setblocking(False)
+                    self._heard_s = self._clock()
                 return b""
             data = self._client.recv(_CHUNK)
+            self._heard_s = self._clock()
         except BlockingIOError:
+            if self._idle_s and self._client is not None and self._clock() - self._heard_s > self._idle_s:
+                self._hang_up()
             return b""
         except ConnectionError:
             data = b""

@@ -1,0 +1,281 @@
+"""Lights as other programs leave them: what was left on does not survive into a recording, and is read back."""
+
+from __future__ import annotations
+
+import pytest
+
+from drivers.errors import DriverError, LightFault, SettingRefused
+from drivers.light import LightSettings
+from drivers.light.gardasoft import GardasoftLight
+from drivers.light.scpi import ScpiLight
+from simulators.assembly import make_light
+from simulators.config import LightConfig
+from simulators.errors import ConfigError
+from simulators.lights.generators import GeneratorModel, ScpiGenerator
+from simulators.lights.siglent import SiglentGenerator
+from tests.hil.direct_lights import OPENED
+from tests.hil.direct_stages import VirtualClock, direct_line
+
+pytestmark = pytest.mark.usefixtures("never_late")
+
+FLICKER = LightSettings("square", 50.0, 40.0, 0.0, 3.0, sync_output=True)
+STEADY = LightSettings("steady", high_v=3.0)
+LEFT = [
+    ("keysight", "AM FM FSKey SWEep BURSt"),
+    ("rigol", "MOD AM FM PM ASK FSKey PSK PWM SWEep BURSt SYNC2"),
+    ("siglent", "MDWV SWWV BTWV CMBN PLRT"),
+    ("siglent", "CHDR-LONG MDWV PLRT"),
+    ("siglent", "CHDR-OFF BTWV CMBN"),
+    ("gardasoft", "echo events"),
+    ("gardasoft", "switched"),
+    ("gardasoft", "selected echo"),
+    ("gardasoft", "retrigger events"),
+]
+
+
+class Rig:
+    """A simulated light as another program left it, its line, and the driver for it."""
+
+    def __init__(self, kind: str, left: str) -> None:
+        self.clock, self.states = VirtualClock(), []
+        self.device = make_light(
+            LightConfig(kind, left_behind=left), self.clock.monotonic, self.states.append
+        )
+        self.line = direct_line(self.device, self.clock)
+        self.light = OPENED[kind](self.line, self.clock)
+
+
+@pytest.mark.parametrize(("kind", "left"), LEFT)
+def test_a_flicker_is_the_one_that_was_asked_for_whatever_was_left_behind(kind, left) -> None:
+    rig = Rig(kind, left)
+    before = len(rig.states)
+    rig.light.apply(FLICKER)
+    assert not any(state.output and state.high_v > 0 for state in rig.states[before:])
+    rig.light.on()
+    now = rig.states[-1]
+    assert (now.output, now.sync, now.low_v) == (True, True, 0.0)
+    assert (now.frequency_hz, now.high_v) == pytest.approx((50.0, 3.0))
+    assert rig.light.faults() == []
+    rig.light.off()
+    assert not rig.states[-1].output
+
+
+@pytest.mark.parametrize(("kind", "left"), LEFT)
+def test_a_steady_light_is_the_one_that_was_asked_for_whatever_was_left_behind(kind, left) -> None:
+    rig = Rig(kind, left)
+    before = len(rig.states)
+    rig.light.apply(STEADY)
+    assert not any(state.output and state.high_v > 0 for state in rig.states[before:])
+    rig.light.on()
+    assert (rig.states[-1].output, rig.states[-1].low_v) == (True, pytest.approx(3.0, abs=2e-3))
+    rig.light.off()
+    assert not rig.states[-1].output or rig.states[-1].high_v == 0.0
+
+
+@pytest.mark.parametrize(("kind", "left"), LEFT)
+def test_opening_a_light_that_was_left_somehow_changes_nothing(kind, left) -> None:
+    rig = Rig(kind, left)
+    states = len(rig.states)
+    rig.light.is_on()
+    assert len(rig.states) == states
+
+
+def test_what_a_light_cannot_have_left_behind_is_refused_with_what_it_can() -> None:
+    with pytest.raises(ConfigError, match=r"'AM' cannot be left behind.*CHDR-LONG"):
+        Rig("siglent", "AM")
+
+
+# ---------------------------------------------------------------- generators
+
+
+@pytest.mark.parametrize(
+    "modulations",
+    [
+        ("AM", "FM", "PM", "PWM", "FSKey", "BPSK", "SUM", "SWEep", "BURSt"),  # 33500B
+        ("AM", "FM", "PM", "ASK", "FSKey", "PSK", "PWM", "SWEep", "BURSt"),  # DG1000Z
+        ("MOD", "SWEep", "BURSt"),  # DG4000
+        ("QPSK", "OSK", "IQ", "HARM", "BURSt"),
+    ],
+)
+@pytest.mark.parametrize("numbered", [True, False])
+@pytest.mark.parametrize("error_queue", [True, False])
+def test_every_modulation_that_a_generator_has_is_ended_and_read_back(
+    modulations, numbered, error_queue
+) -> None:
+    clock = VirtualClock()
+    model = GeneratorModel(numbered_channels=numbered, modulations=modulations, error_queue=error_queue)
+    device = ScpiGenerator(model, clock.monotonic)
+    for name in modulations:
+        device.leave(name)
+    line = direct_line(device, clock)
+    light = ScpiLight(line, clock=clock, dialect="numbered" if numbered else "keysight")
+    light.apply(FLICKER)
+    assert device.modulations == set()
+    prefix = "SOUR1:" if numbered else ""
+    short = "".join(letter for letter in modulations[0] if letter.isupper())
+    assert f"{prefix}{short}:STAT?\n".encode() in line.sent
+
+
+def _stubborn(device: ScpiGenerator, ignored: bytes) -> None:
+    """Let a generator accept a command and ignore it."""
+    receive = device.receive
+    device.receive = lambda data: b"" if data.startswith(ignored) else receive(data)  # type: ignore[method-assign]
+
+
+@pytest.mark.parametrize(
+    ("left", "ignored", "said"),
+    [
+        ("PWM", b"SOUR1:PWM:STAT OFF", r"modulation PWM stays .* 'SOUR1:PWM:STAT\?' is answered by 'ON'"),
+        ("SYNC2", b"OUTP:SYNC:SOUR CH1", r"sync output's channel stays .* is answered by 'CH2'"),
+    ],
+)
+def test_what_stays_on_although_the_command_was_accepted_is_refused_by_its_name(left, ignored, said) -> None:
+    clock = VirtualClock()
+    device = ScpiGenerator(GeneratorModel(numbered_channels=True, modulations=("PWM",)), clock.monotonic)
+    device.leave(left)
+    _stubborn(device, ignored)
+    light = ScpiLight(direct_line(device, clock), clock=clock, dialect="numbered")
+    with pytest.raises(SettingRefused, match=said):
+        light.apply(FLICKER)
+
+
+def test_a_siglent_that_loses_the_command_after_that_of_the_waveform_is_set_all_the_same() -> None:
+    clock, states = VirtualClock(), []
+    device = SiglentGenerator("SG1", clock.monotonic, states.append, loses_next=True)
+    light = ScpiLight(direct_line(device, clock), clock=clock, dialect="siglent")
+    assert light.apply(FLICKER) == FLICKER
+    device.change(sync=False, shape="sine")
+    assert light.apply(FLICKER) == FLICKER
+
+
+@pytest.mark.parametrize(("low_v", "high_v"), [(6.0, 8.0), (-8.0, -6.0), (-5.0, 0.5)])
+def test_the_levels_of_a_siglent_never_cross_those_that_were_left(low_v, high_v) -> None:
+    clock = VirtualClock()
+    device = SiglentGenerator("SG1", clock.monotonic)
+    device.change(load_ohm=float("inf"), shape="square", low_v=low_v, high_v=high_v)
+    light = ScpiLight(direct_line(device, clock), clock=clock, dialect="siglent")
+    got = light.apply(FLICKER)
+    assert (got.low_v, got.high_v) == (0.0, 3.0)
+
+
+# ---------------------------------------------------------------- strobe controllers
+
+
+def test_events_that_come_unasked_are_faults_and_no_answers() -> None:
+    rig = Rig("gardasoft", "events")
+    rig.device.trip()
+    assert not rig.light.is_on()
+    assert rig.light.faults() == ["the controller reports event Evt1,130; (see section 13.5 of its manual)"]
+    assert rig.light.apply(FLICKER).frequency_hz == pytest.approx(50.0)
+
+
+@pytest.mark.parametrize("event", ["Evt1,5\r\n", "Evt0,12;", "\n\rEvt2,131;\n\r"])
+@pytest.mark.parametrize("where", ["before", "after"])
+def test_an_event_within_a_reply_is_kept_and_the_reply_is_read(event, where) -> None:
+    rig = Rig("gardasoft", "")
+    mixed = [1]
+
+    def spoil(reply: bytes) -> bytes:
+        if not mixed:
+            return reply
+        mixed.clear()
+        text = event.encode()
+        return text + reply if where == "before" else reply.replace(b">", text + b">")
+
+    rig.line.spoil = spoil
+    assert rig.light.apply(FLICKER).frequency_hz == pytest.approx(50.0)
+    assert [fault.partition(" event ")[2].partition(" (")[0] for fault in rig.light.faults()] == [
+        event.strip()
+    ]
+
+
+@pytest.mark.parametrize(
+    "echo",
+    [
+        lambda sent, reply: sent.strip() + reply,
+        lambda sent, reply: sent + reply,
+        lambda sent, reply: sent.strip() + b"\n\r" + reply,
+        lambda sent, reply: sent.strip().lower() + b" " + reply.replace(b"\r\n", b"\n\r"),
+    ],
+)
+def test_a_controller_that_echoes_is_served_whatever_the_form_of_its_echo(echo) -> None:
+    clock, states = VirtualClock(), []
+    device = make_light(LightConfig("gardasoft"), clock.monotonic, states.append)
+    line = direct_line(device, clock)
+    line.spoil = lambda reply: echo(line.sent[-1], reply)
+    light = GardasoftLight(line, clock=clock)
+    assert light.identify().model == "RT460-20"
+    light.apply(FLICKER)
+    light.on()
+    assert states[-1].output
+    assert light.faults() == []
+    light.off()
+    assert not states[-1].output
+
+
+def test_a_lamp_that_an_input_may_switch_on_is_not_said_to_be_off() -> None:
+    rig = Rig("gardasoft", "switched")
+    assert rig.light.is_on()
+    rig.light.off()
+    assert rig.device.outputs[1].percent == 0.0
+
+
+def test_a_controller_that_ignores_triggers_for_longer_than_a_period_is_refused() -> None:
+    rig = Rig("gardasoft", "retrigger")
+    receive = rig.line.device.receive
+    rig.line.device.receive = lambda data: receive(data.replace(b"60.0,0\r", b"60.0\r"))
+    with pytest.raises(SettingRefused, match=r"retrigger delay: asked 0\.0000 ms, got 500\.0000 ms"):
+        rig.light.apply(FLICKER)
+
+
+@pytest.mark.parametrize(
+    "version", ["RT420F-20 (HW02) V031", "TR-RC120 (HW01) V012", "VTR1 (HW001) V001", "RT860F-2 V1.20"]
+)
+def test_a_controller_of_the_family_is_known_by_its_model(version) -> None:
+    rig = Rig("gardasoft", "")
+    rig.line.spoil = lambda reply: reply.replace(b"RT460-20 (HW02) V031", version.encode())
+    light = GardasoftLight(rig.line, clock=rig.clock)
+    assert light.identify().model == version.split()[0]
+
+
+@pytest.mark.parametrize(
+    "form",
+    [
+        lambda reply: reply.replace(b", ", b","),
+        lambda reply: reply.replace(b", ", b",\r\n"),
+        lambda reply: reply.replace(b"MD ", b"MD=").replace(b"S ", b"S").replace(b"TM ", b"TM="),
+        lambda reply: reply.replace(b"TP 20.000ms", b"TP 20ms").replace(b"PU 8.000ms", b"PU 8000us"),
+        lambda reply: reply.replace(b"PU 8.000ms", b"PU 0.008s").replace(b"60.0%", b"60%"),
+    ],
+)
+def test_the_state_of_a_channel_is_read_in_another_layout(form) -> None:
+    rig = Rig("gardasoft", "")
+    rig.line.spoil = form
+    got = rig.light.apply(FLICKER)
+    assert (got.frequency_hz, got.duty_percent, got.high_v) == pytest.approx((50.0, 40.0, 3.0))
+
+
+# ---------------------------------------------------------------- restarts
+
+
+def test_a_light_that_restarted_while_its_line_was_gone_is_not_left_on_with_other_settings() -> None:
+    rig = Rig("keysight", "")
+    rig.light.apply(FLICKER)
+    rig.device.exchange("SG0042")
+    rig.light._line.connections += 1
+    with pytest.raises(LightFault, match=r"no longer has the settings.*restarted.*switched off again"):
+        rig.light.on()
+    assert not rig.states[-1].output
+
+
+@pytest.mark.parametrize("boot", ["SBLIGHT booting...\r\n", "Arduino ready\r\n"])
+def test_a_board_that_restarts_while_it_is_lit_is_told_as_off(boot) -> None:
+    rig = Rig("microcontroller", "")
+    rig.light.apply(FLICKER)
+    rig.light.on()
+    rig.device.exchange("SG0042")
+    rig.line.ready += boot.encode()
+    assert "the light was switched on, but is off" in rig.light.faults()
+    with pytest.raises(DriverError):
+        rig.light.apply(LightSettings("sine"))
+    assert rig.light.apply(FLICKER).frequency_hz == pytest.approx(50.0)
