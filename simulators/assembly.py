@@ -20,7 +20,6 @@ from simulators.lights.microcontroller import MicrocontrollerLight
 from simulators.lights.siglent import SiglentGenerator
 from simulators.ports.serial_device import Dialect
 from simulators.stages.axis_motion import AxisModel, AxisOfController, Mechanics, SingleController
-from simulators.stages.dynamixel import DynamixelBus
 from simulators.stages.esp301 import EspController
 from simulators.stages.flir_ptu import PtuController
 from simulators.stages.grbl import GrblController
@@ -36,8 +35,8 @@ _STOP_MARGIN_DEG: Final = 2.0
 #: A GRBL axis homes at its upper soft limit, this far below its switch, degrees.
 _PULL_OFF_DEG: Final = 1.0
 
-#: Scales that are no whole numbers, by the whole number that the configuration gives: a K10CR1, a servo without a gear.
-_EXACT_SCALES: Final = {136_533: 409_600 / 3, 11: 4096 / 360}
+#: Scales that are no whole numbers, by the whole number that the configuration gives: a K10CR1.
+_EXACT_SCALES: Final = {136_533: 409_600 / 3}
 
 Axes = Mapping[AxisName, AxisConfig]
 Clock = Callable[[], float]
@@ -136,14 +135,6 @@ def _flir_ptu(axes: Axes, clock: Clock, publish: Publish) -> Stage:
     return _on_one_port(unit, {name: unit.axes[letter] for letter, name in names.items()})
 
 
-def _dynamixel(axes: Axes, clock: Clock, publish: Publish) -> Stage:
-    """Build one XL430-W250 for each axis on one bus, with the ids 1, 2, 3 in their order."""
-    names = dict(enumerate(axes, start=1))
-    models = {number: _model(axes[name]) for number, name in names.items()}
-    bus = DynamixelBus(models, clock, lambda number, pointing: publish(names[number], pointing))
-    return _on_one_port(bus, {name: bus.servos[number] for number, name in names.items()})
-
-
 _MAKERS: Final[Mapping[str, Callable[[Axes, Clock, Publish], Stage]]] = {
     "zaber": _zaber,
     "ximc": partial(_on_own_ports, XimcController),
@@ -151,7 +142,6 @@ _MAKERS: Final[Mapping[str, Callable[[Axes, Clock, Publish], Stage]]] = {
     "esp301": _esp301,
     "flir_ptu": _flir_ptu,
     "thorlabs_apt": partial(_on_own_ports, AptController, notices_stalls=False),
-    "dynamixel": _dynamixel,
 }
 
 

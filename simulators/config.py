@@ -42,7 +42,6 @@ STAGE_KINDS: Final[Mapping[str, int]] = {
     "esp301": 10_000,
     "flir_ptu": 800,
     "thorlabs_apt": 136_533,
-    "dynamixel": 11,
 }
 
 #: Kinds of light drivers: makes of function generators, a strobe controller, and a microcontroller.

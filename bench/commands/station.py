@@ -208,7 +208,7 @@ def station() -> None:
 @click.option("--name", default="My bench", show_default=True, help="Name of the bench.")
 @click.option(
     "--stage",
-    type=click.Choice(["zaber_ascii", "ximc", "grbl", "esp30x", "thorlabs_apt", "dynamixel", "text"]),
+    type=click.Choice(["zaber_ascii", "ximc", "grbl", "esp30x", "thorlabs_apt", "text"]),
     default="zaber_ascii",
     show_default=True,
     help="Kind of stage.",

@@ -11,11 +11,13 @@ from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, TypeVar, Union
 
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     create_model,
@@ -437,12 +439,27 @@ def plugins(kind: Kind) -> tuple[Plugin, ...]:
     return tuple(found.values())
 
 
-def with_plugins(kind: Kind, built_in: Sequence[type[BaseModel]]) -> Any:
-    """Return the type of a section: any built-in driver or plug-in, told apart by ``driver``."""
+def with_plugins(
+    kind: Kind, built_in: Sequence[type[BaseModel]], taken_out: Mapping[str, str] = MappingProxyType({})
+) -> Any:
+    """Return the type of a section: any built-in driver or plug-in, told apart by ``driver``.
+
+    ``taken_out`` holds the names of former drivers, each with the reason why it was taken out.
+    """
     taken = {name for section in built_in for name in _driver_names(section)}
     brought = [plugin for plugin in plugins(kind) if plugin.name not in taken]
     models = [*built_in, *(_broken(one) if one.section is None else one.section for one in brought)]
-    return Annotated[Union[tuple(models)], Field(discriminator="driver")]  # noqa: UP007 - made at run time
+    former = {name: why for name, why in taken_out.items() if name not in {one.name for one in brought}}
+
+    def refuse_former(value: Any) -> Any:
+        name = value.get("driver") if isinstance(value, Mapping) else None
+        if isinstance(name, str) and name in former:
+            what = {"name": name, "why": former[name]}
+            raise PydanticCustomError("driver_taken_out", "the driver '{name}' was taken out, {why}", what)
+        return value
+
+    told_apart = Field(discriminator="driver")
+    return Annotated[Union[tuple(models)], told_apart, BeforeValidator(refuse_former)]  # noqa: UP007 - made at run time
 
 
 def _load(kind: Kind, entry: EntryPoint) -> Plugin:

@@ -84,50 +84,6 @@ class ThorlabsStageConfig(AnyStage):
         return ThorlabsStage.open(axes, clock=clock, wire_log=wire_log)
 
 
-class DynamixelAxisConfig(AxisConfig):
-    """One axis, turned by a Dynamixel servo of the X series."""
-
-    id: Annotated[int, Field(ge=0, le=252, description="Id of the servo on the bus.")]
-    model: Annotated[
-        Text,
-        Field(description="Model of the servo, such as XL430-W250; another one with this id is refused."),
-    ]
-    counts_per_deg: Annotated[
-        Scale,
-        Field(
-            description="11.377778 without a gear; times the ratio of a gear; negative if the counter decreases."
-        ),
-    ]
-    zero_count: Annotated[
-        int,
-        Field(ge=0, le=4095, description="Count of the servo, within its turn, at the angle zero_deg."),
-    ] = 2048
-    tolerance_deg: Tolerance = 0.3
-
-
-class DynamixelStageConfig(SerialLine, AnyStage):
-    """One to three Dynamixel servos of the X series on one bus (Protocol 2.0)."""
-
-    driver: Literal["dynamixel"]
-    axes: Annotated[dict[Axis, DynamixelAxisConfig], Field(min_length=1, max_length=3), differing("id")]
-    port: Port
-    baudrate: Annotated[int, _BAUD_RATES] = 57_600
-
-    def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
-        """See `AnyStage.open_device`."""
-        from drivers.stage.dynamixel import DynamixelAxis, DynamixelStage
-
-        axes = driver_axes(DynamixelAxis, self.axes, port)
-        return DynamixelStage.open(
-            port(self.port),
-            axes,
-            baudrate=self.baudrate,
-            rtscts=self.rtscts,
-            clock=clock,
-            wire_log=wire_log,
-        )
-
-
 class ZaberAxisConfig(AxisConfig):
     """One rotary axis of a Zaber chain."""
 
@@ -302,9 +258,12 @@ else:
             GrblStageConfig,
             EspStageConfig,
             ThorlabsStageConfig,
-            DynamixelStageConfig,
             TextStageConfig,
         ),
+        taken_out={
+            "dynamixel": "because a servo's step of 0.088 degrees is too coarse to calibrate a camera."
+            " Use another stage."
+        },
     )
 
 Volts = Annotated[float, Field(ge=-20, le=20)]

@@ -1,8 +1,8 @@
 """Faults of a serial line between any two ends: replies lost, late, truncated, garbled, doubled, and others.
 
 A message is what a device sends at once. A `FaultLine` stands in front of a simulated device, or, with a
-`SerialBridge`, in front of a real one. Checksums and message ids are spoilt in replies of the Zaber ASCII protocol, in
-answers of the XIMC protocol, and in status packets of Dynamixel servos; all other replies pass unchanged.
+`SerialBridge`, in front of a real one. Checksums and message ids are spoilt in replies of the Zaber ASCII protocol and
+in answers of the XIMC protocol; all other replies pass unchanged.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ import serial
 
 from simulators.errors import SimulatorError
 from simulators.ports.serial_device import Dialect
-from simulators.stages.dynamixel import crc_of
 from simulators.stages.ximc import crc16
 
 #: A reply line of the Zaber protocol: addresses, id, the rest, checksum.
@@ -54,14 +53,11 @@ def missing_checksum(reply: bytes) -> bytes:
 
 
 def wrong_id(reply: bytes) -> bytes:
-    r"""Replace the message id, or the id of the servo, by the next one, with a correct checksum; XIMC has no ids.
+    r"""Replace the message id by the next one, with a correct checksum; XIMC has no ids.
 
     >>> wrong_id(b"@01 0 00 OK IDLE WR 0:BE\r\n")
     b'@01 0 01 OK IDLE WR 0:BD\r\n'
     """
-    if _is_packet(reply):
-        changed = reply[:4] + bytes([(reply[4] + 1) % 253]) + reply[5:-2]
-        return changed + crc_of(changed).to_bytes(2, "little")
 
     def another(match: re.Match[bytes]) -> bytes:
         body = b"%s%02d%s" % (match[1], (int(match[2]) + 1) % 100, match[3])
@@ -71,17 +67,9 @@ def wrong_id(reply: bytes) -> bytes:
 
 
 def _has_valid_crc(reply: bytes) -> bool:
-    """Return whether the last two bytes of an answer are the CRC of its data, or of its packet."""
-    if _is_packet(reply):
-        return True
+    """Return whether the last two bytes of an answer are the CRC of its data."""
     match = _XIMC_ANSWER.fullmatch(reply)
     return match is not None and crc16(match[2]).to_bytes(2, "little") == reply[-2:]
-
-
-def _is_packet(reply: bytes) -> bool:
-    """Return whether a reply is one whole packet of a Dynamixel servo."""
-    begins = reply.startswith(b"\xff\xff\xfd\x00") and len(reply) >= 11
-    return begins and crc_of(reply[:-2]).to_bytes(2, "little") == reply[-2:]
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
     python tests/benchmarks/bench_fault_times.py [--devices KIND] FOLDER [FAULT ...]
 
-FOLDER is new. KIND is a kind of stage, ``flir_ptu``, ``thorlabs_apt`` or ``dynamixel``, with a microcontroller light;
+FOLDER is new. KIND is a kind of stage, ``flir_ptu`` or ``thorlabs_apt``, with a microcontroller light;
 without it, Zaber stages and a function generator. A real run in a process of its own uses a simulated bench in another process. The fault is ordered while
 pose 2 is at work; a web server in this process receives the messages. Prints a row for each fault: seconds after the
 order, and what was told. The load of the computer stands in the last line.
@@ -49,7 +49,6 @@ FAULTS = {
 }
 """The order, and the state of pose 2 in which it is given."""
 RAMP = "speed_deg_s: 90, acceleration_deg_s2: 2000"
-SERVO = "model: XL430-W250, counts_per_deg: 11.377778"
 STAGES = {
     "flir_ptu": f"""stage:
   driver: text
@@ -64,13 +63,6 @@ STAGES = {
   axes:
     pan: {{port: sim:gimbal-pan, serial: "100101", counts_per_deg: 136533.333, limits_deg: [-15, 15], {RAMP}}}
     tilt: {{port: sim:gimbal-tilt, serial: "100102", counts_per_deg: 136533.333, limits_deg: [-10, 10], {RAMP}}}
-""",
-    "dynamixel": f"""stage:
-  driver: dynamixel
-  port: sim:gimbal
-  axes:
-    pan: {{id: 1, {SERVO}, limits_deg: [-15, 15], {RAMP}}}
-    tilt: {{id: 2, {SERVO}, limits_deg: [-10, 10], {RAMP}}}
 """,
 }
 """Sections of a station file, by the kind of simulated stage."""

@@ -16,7 +16,6 @@ import pytest
 from bench.stations.station_text import find_description, read_stage_protocol
 from drivers.errors import DriverError, MoveFailed, PortLost, ReplyError
 from drivers.stage import AxisLimits, Stage
-from drivers.stage.dynamixel import DynamixelAxis, DynamixelStage
 from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.grbl import GrblAxis, GrblStage
 from drivers.stage.text import TextAxis, TextStage
@@ -205,8 +204,6 @@ def stop_in_mid_move(
 FLIR_PTU = read_stage_protocol(find_description("flir_ptu", None)).value.for_driver()
 K10CR1_COUNTS_PER_DEG = 409_600 / 3
 PRM1Z8_COUNTS_PER_DEG = 1919.6418578623391
-SERVO_COUNTS_PER_DEG = 100.0
-"""A servo with a gear of 8.8: the tests compare angles to some thousandths of a degree."""
 PAN = {"name": "pan", "limits": LIMITS}
 
 
@@ -261,9 +258,6 @@ def of_thorlabs(counts_per_deg: float) -> Callable[[DirectLine], Stage]:
 
 
 XIMC = XimcAxis(port="", serial="4242", steps_per_deg=100.0, encoder_counts_per_deg=2000.0, **PAN)
-SERVO = DynamixelAxis(
-    id=1, model="XL430-W250", counts_per_deg=SERVO_COUNTS_PER_DEG, tolerance_deg=0.02, **PAN
-)
 FAMILIES = {
     "zaber": Family(
         of_bench("zaber", 6400),
@@ -299,7 +293,4 @@ FAMILIES = {
     ),
     "thorlabs": Family(kdc101, of_thorlabs(PRM1Z8_COUNTS_PER_DEG)),
     "k10cr1": Family(of_bench("thorlabs_apt", 136_533, "27000123"), of_thorlabs(K10CR1_COUNTS_PER_DEG)),
-    "dynamixel": Family(
-        of_bench("dynamixel", 100), lambda line: DynamixelStage(line, [SERVO], clock=line.clock)
-    ),
 }

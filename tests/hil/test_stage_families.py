@@ -33,8 +33,7 @@ STOPS = {
     "thorlabs": short(STOP, 1, STOP_BY_RAMP),
     "k10cr1": short(STOP, 1, STOP_BY_RAMP),
 }
-"""What a request holds that stops an axis; a servo is told where to stand, and so is asked where it is first:
-test_motors_unkindly.py."""
+"""What a request holds that stops an axis."""
 
 
 IDENTITIES = {
@@ -44,7 +43,6 @@ IDENTITIES = {
     "grbl": ("GRBL", "GRBL 1.1", "GIMBAL", "1.1h.20190830"),
     "thorlabs": ("Thorlabs", "KDC101", "27000123", "2.0.3"),
     "k10cr1": ("Thorlabs", "K10CR1", "27000123", "2.0.3"),
-    "dynamixel": ("Robotis", "XL430-W250 (id 1)", "", "45"),
 }
 """Maker, model, serial number and firmware; a described stage tells what its description says."""
 

@@ -115,7 +115,7 @@ SHORT_COMMANDS: dict[str, str] = {
     "plan-parallax": "plan parallax_test -s simulated --json", "plan-frames": "plan three_pose -s simulated_frames --json",
     "plan-until": "plan until_good -s simulated --json", "plan-example": "plan turntable -s example_turntable",
     "plan-thorlabs": "plan three_pose -s example_thorlabs", "plan-network": "plan three_pose -s example_network",
-    "plan-dynamixel": "plan three_pose -s example_dynamixel", "plan-evk4": "plan three_pose -s example_evk4",
+    "plan-evk4": "plan three_pose -s example_evk4",
     "plan-night": "plan queue.yaml --begin 2026-03-01T21:00 --json", "runs-json": "runs --json", "runs": "runs",
     "devices-json": "devices --json", "ledger-json": "ledger check --json", "messages-json": "messages --json",
     "keys": "keys show", "schema-sequence": "schema sequence", "schema-station": "schema station",

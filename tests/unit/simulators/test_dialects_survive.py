@@ -12,17 +12,11 @@ from hypothesis import strategies as st
 from simulators.assembly import make_light, make_stage
 from simulators.config import LIGHT_KINDS, STAGE_KINDS, BenchConfig, LightConfig, bench_config
 from simulators.ports.serial_device import Dialect
-from simulators.stages.dynamixel import crc_of
 from simulators.stages.ximc import crc16
 
 
 def with_crc(letters: bytes, data: bytes) -> bytes:
     return letters + data + struct.pack("<H", crc16(data))
-
-
-def packet(servo: int, *content: int) -> bytes:
-    begins = b"\xff\xff\xfd\x00" + struct.pack("<BH", servo, len(content) + 2) + bytes(content)
-    return begins + crc_of(begins).to_bytes(2, "little")
 
 
 def words(text: str) -> list[bytes]:
@@ -70,24 +64,6 @@ WORDS: dict[str, list[bytes]] = {
             "13 04 0e 00 d0 01 01 00 00 00 00 00 00 00 00 00 ff ff ff ff",
             "13 04 ff ff d0 01",
         )
-    ],
-    "dynamixel": [
-        packet(1, 1),
-        packet(254, 1),
-        packet(1, 2, 0, 0, 147, 0),
-        packet(1, 2, 255, 255, 255, 255),
-        packet(1, 3, 11, 0, 4),
-        packet(1, 3, 64, 0, 1),
-        packet(1, 3, 108, 0, 255, 127, 0, 0),
-        packet(1, 3, 116, 0, 255, 255, 15, 0),
-        packet(1, 3, 116, 0, 1, 0),
-        packet(2, 4, 116, 0, 1, 0, 0, 0),
-        packet(254, 5),
-        packet(1, 8),
-        packet(254, 131, 116, 0, 4, 0, 1, 9),
-        packet(254, 130, 132, 0, 4, 0, 1, 2, 3),
-        packet(1, 16),
-        b"\xff\xff\xfd\x00\x01\xff\xff",
     ],
 }
 WORDS["rigol"] = [word.replace(b"FREQ", b":SOUR1:FREQ") for word in WORDS["keysight"]]

@@ -80,7 +80,6 @@ def test_commands_options_stations_and_sequences_are_proposed(shell):
     assert ("plain", "--station") in proposed(shell, "run", "--st")
     assert proposed(shell, "run", "thr") == [("plain", "three_pose")]
     assert [name for _, name in proposed(shell, "align", "--station", "example_")] == [
-        "example_dynamixel",
         "example_evk4",
         "example_network",
         "example_thorlabs",

@@ -55,7 +55,6 @@ def as_filled_in(station: str, folder: Path) -> str:
         ("example_network", 8),
         ("example_turntable", 6),
         ("example_thorlabs", 11),
-        ("example_dynamixel", 8),
     ],
 )
 def test_an_example_is_refused_until_it_is_filled_in_and_then_runs(station, missing, tmp_path):

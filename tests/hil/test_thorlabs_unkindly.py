@@ -1,0 +1,126 @@
+"""Thorlabs controllers as they are: silent commands, lost commands, updates, a channel switched off."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from drivers.errors import (
+    DeviceRefused,
+    MoveFailed,
+    OutsideLimits,
+    WrongDevice,
+)
+from drivers.stage import AxisLimits
+from drivers.stage import thorlabs_controller as apt
+from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
+from simulators.stages.axis_motion import AxisModel, Mechanics
+from simulators.stages.thorlabs_apt import AptController
+from tests.hil.direct_stages import (
+    FAMILIES,
+    K10CR1_COUNTS_PER_DEG,
+    LIMITS,
+    DirectStage,
+    VirtualClock,
+    direct_line,
+    stop_in_mid_move,
+)
+
+pytestmark = pytest.mark.usefixtures("never_late")
+
+
+@pytest.fixture(params=["thorlabs", "k10cr1"], ids=["KDC101", "K10CR1"])
+def rig(request) -> DirectStage:
+    return FAMILIES[request.param](VirtualClock(), np.random.default_rng(1))
+
+
+def test_opening_a_controller_sends_no_motion_and_switches_no_motor_on() -> None:
+    clock = VirtualClock()
+    model = AxisModel(
+        Mechanics(K10CR1_COUNTS_PER_DEG, -17.0, 17.0, start_deg=2.4),
+        "55000123",
+        speed_deg_s=10.0,
+        acceleration_deg_s2=5.0,
+    )
+    controller = AptController(model, clock.monotonic)
+    line = direct_line(controller, clock)
+    axis = ThorlabsAxis(
+        name="pan", port="", serial="55000123", counts_per_deg=K10CR1_COUNTS_PER_DEG, limits=LIMITS
+    )
+    stage = ThorlabsStage([line], [axis], clock=clock)
+    stage.close()
+    numbers = {int.from_bytes(sent[:2], "little") for sent in line.sent}
+    assert numbers.isdisjoint({apt.HOME, apt.MOVE_TO, apt.SET_ENABLED, 0x0448, 0x046A, 0x0457})
+    assert apt.SET_SPEED in numbers
+    for changes, error in (
+        ({"counts_per_deg": 1919.64}, OutsideLimits),
+        ({"serial": "55000124"}, WrongDevice),
+        ({"limits": AxisLimits(-15.0, 15.0, 1e9, 10.0)}, OutsideLimits),
+    ):
+        with pytest.raises(error):
+            ThorlabsStage([line], [ThorlabsAxis(**({**vars(axis), **changes}))], clock=clock)
+    controller.model = replace(model, name="PPC001")
+    with pytest.raises(DeviceRefused, match="PPC001"):
+        ThorlabsStage([line], [axis], clock=clock)
+
+
+def test_a_command_that_is_lost_is_no_homing_and_no_move(rig) -> None:
+    rig.stage.home()
+    rig.line.lose_next(apt.short(apt.HOME, 1))
+    with pytest.raises(MoveFailed, match="did not begin to home"):
+        rig.stage.home()
+    assert not rig.stage.is_homed()
+    rig.stage.home()
+    assert rig.stage.is_homed()
+    rig.line.lose_next(b"\x53\x04")
+    with pytest.raises(MoveFailed, match="stopped at"):
+        rig.stage.move_to({"pan": 5.0})
+    assert rig.true_deg() == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("lost", [0, 1])
+def test_a_stop_of_a_controller_is_confirmed_though_it_is_lost_once(rig, lost) -> None:
+    rig.stage.home()
+    rig.line.lose_next(apt.short(apt.STOP, 1, apt.STOP_BY_RAMP), lost)
+    error = stop_in_mid_move(rig.line.clock, rig.stage, {"pan": 14.0}, 0.1)
+    assert "stopped on request" in error.what
+    rest = rig.true_deg()
+    assert 0.05 < rest < 13.9
+    rig.line.clock.sleep(5.0)
+    assert rig.true_deg() == pytest.approx(rest, abs=1e-3)
+
+
+def test_updates_that_another_program_has_switched_on_are_no_trouble(rig) -> None:
+    rig.controller.receive(apt.short(0x0011))
+    rig.stage.home()
+    rig.controller.receive(apt.short(0x0011))
+    rig.stage.move_to({"pan": 3.0})
+    assert rig.stage.position_deg()["pan"] == pytest.approx(3.0, abs=1e-3)
+
+
+def test_a_channel_switched_off_at_the_panel_is_told_and_homing_switches_it_on(rig) -> None:
+    rig.stage.home()
+    rig.controller.switch_off_channel(rig.line.clock.now_s)
+    assert "pan: its channel is switched off" in rig.stage.faults()
+    with pytest.raises(MoveFailed, match="channel is switched off"):
+        rig.stage.move_to({"pan": 5.0})
+    rig.stage.home()
+    rig.stage.move_to({"pan": 5.0})
+    assert rig.true_deg() == pytest.approx(5.0, abs=1e-3)
+
+
+def test_a_limit_switch_is_named(rig) -> None:
+    rig.stage.home()
+    rig.order("pan limit")
+    with pytest.raises(MoveFailed, match="stopped at a limit: forward limit switch"):
+        rig.stage.move_to({"pan": 9.0})
+
+
+def test_each_request_to_a_servo_controller_carries_a_sign_of_life() -> None:
+    rig = FAMILIES["thorlabs"](VirtualClock(), np.random.default_rng(1))
+    rig.stage.home()
+    asked = [sent for sent in rig.line.sent if sent.endswith(apt.short(apt.REQUEST_STATUS, 1))]
+    assert len(asked) > 20
+    assert all(sent.startswith(apt.short(apt.STILL_THERE)) for sent in asked)
