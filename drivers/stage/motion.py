@@ -196,11 +196,7 @@ class MoveWatch(Generic[A]):
                 f"busy without progress for {self._patience_s:g} s, at {position_deg:.4f} deg{self._aim()}."
             )
         if now_s > self._end_s:
-            raise MoveTimeout(
-                f"still moving after {self._allowed_s:.1f} s, at {position_deg:.4f} deg{self._aim()}.",
-                where=self.axis.name,
-                remedy="Check that nothing blocks the axis, and that its speed is the one in the station file.",
-            )
+            raise self._late()
         return False
 
     def _ended(self) -> bool:
@@ -212,6 +208,21 @@ class MoveWatch(Generic[A]):
         raise self._failed(
             f"stopped at {self._last_deg:.4f} deg, {off_deg:+.4f} deg from its target"
             f" {self.target_deg:.4f} deg."
+        )
+
+    def _late(self) -> MoveTimeout:
+        where = self.axis.name
+        at = "" if math.isnan(self._last_deg) else f", at {self._last_deg:.4f} deg"
+        if self.target_deg is None:
+            return MoveTimeout(
+                f"the search of the reference has not ended after {self._allowed_s:.1f} s{at}.",
+                where=where,
+                remedy="Check the reference sensor and its cable, and that nothing blocks the axis.",
+            )
+        return MoveTimeout(
+            f"still moving after {self._allowed_s:.1f} s{at}{self._aim()}.",
+            where=where,
+            remedy="Check that nothing blocks the axis, and that its speed is the one in the station file.",
         )
 
     def _aim(self) -> str:

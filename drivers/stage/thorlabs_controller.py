@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Self, TypeVar
 
 from drivers.clock import Clock
@@ -122,8 +122,17 @@ FORWARD: Final = 1
 REVERSE: Final = 2
 SWITCHES: Final = {FORWARD: 4, REVERSE: 1}
 """Limit switch of a search of the reference, by its direction."""
-_SAME_SPEED: Final = 1e-3
-"""Largest relative difference of two equal speeds: a controller may round them to its own steps."""
+_SAME_SPEED: Final = 0.01
+"""Largest relative difference of two equal speeds or ramps: a controller may round them to its own steps."""
+
+
+def same_speed(wanted: int, found: int) -> bool:
+    """Whether a speed or a ramp was kept, but for the controller's rounding.
+
+    >>> same_speed(15_021, 15_000), same_speed(146, 145), same_speed(15_021, 0)
+    (True, True, False)
+    """
+    return abs(wanted - found) <= max(1.0, _SAME_SPEED * wanted)
 
 
 @dataclass(frozen=True)
@@ -135,15 +144,13 @@ class HomeParameters:
     speed: int  # In the controller's units
     offset: int  # From the switch to the zero, in counts
 
-    def __eq__(self, other: object) -> bool:
-        """Whether all is equal; the speed within the controller's rounding."""
+    def agrees(self, found: HomeParameters | None) -> bool:
+        """Whether a controller has kept them."""
         return (
-            isinstance(other, HomeParameters)
-            and (self.direction, self.switch, self.offset) == (other.direction, other.switch, other.offset)
-            and abs(self.speed - other.speed) <= max(1, _SAME_SPEED * abs(self.speed))
+            found is not None
+            and replace(self, speed=found.speed) == found
+            and same_speed(self.speed, found.speed)
         )
-
-    __hash__ = None  # type: ignore[assignment]
 
 
 @dataclass(frozen=True)
@@ -348,8 +355,9 @@ class ThorlabsController(Link):
         self._set_until_right(
             long(SET_SPEED, SPEED_LAYOUT.pack(CHANNEL, 0, acceleration, speed)),
             self.read_speed,
-            (acceleration, speed),
+            lambda found: same_speed(acceleration, found[0]) and same_speed(speed, found[1]),
             "acceleration and speed",
+            (acceleration, speed),
         )
 
     def read_home(self) -> HomeParameters | None:
@@ -367,7 +375,7 @@ class ThorlabsController(Link):
         if self.read_home() is None:
             self._command(request)
         else:
-            self._set_until_right(request, self.read_home, wanted, "the home parameters")
+            self._set_until_right(request, self.read_home, wanted.agrees, "the home parameters", wanted)
         return self.read_home()
 
     def clear_backlash(self) -> None:
@@ -375,9 +383,10 @@ class ThorlabsController(Link):
         try:
             self._set_until_right(
                 long(SET_BACKLASH, POSITION_LAYOUT.pack(CHANNEL, 0)),
-                lambda: self._query(REQUEST_BACKLASH, POSITION_LAYOUT),
-                POSITION_LAYOUT.pack(CHANNEL, 0),
+                lambda: POSITION_LAYOUT.unpack(self._query(REQUEST_BACKLASH, POSITION_LAYOUT))[1],
+                lambda counts: counts == 0,
                 "the backlash correction",
+                0,
             )
         except ReplyTimeout as error:
             self._require_alive(error)
@@ -392,7 +401,7 @@ class ThorlabsController(Link):
 
     def enable(self) -> None:
         """Switch the channel on: the motor holds its position."""
-        self._set_until_right(short(SET_ENABLED, CHANNEL, ON), self.is_enabled, True, "the channel")
+        self._set_until_right(short(SET_ENABLED, CHANNEL, ON), self.is_enabled, bool, "the channel", True)
 
     def move(self, count: int) -> None:
         """Start a move to a count. The command is sent once, and has no reply."""
@@ -428,13 +437,15 @@ class ThorlabsController(Link):
             remedy="Cut the stage's power.",
         )
 
-    def _set_until_right(self, request: bytes, read: Callable[[], T | None], wanted: T, what: str) -> None:
+    def _set_until_right(
+        self, request: bytes, read: Callable[[], T], is_right: Callable[[T], bool], what: str, wanted: object
+    ) -> None:
         """Send a setting that has no reply, and read it back; send it again if it got lost."""
         for _ in range(3):
-            if read() == wanted:
+            if is_right(read()):
                 return
             self._command(request)
-        if (got := read()) != wanted:
+        if not is_right(got := read()):
             raise read_back_otherwise(self.name, what, wanted, got)
 
     def _require_alive(self, error: ReplyTimeout) -> None:

@@ -51,6 +51,8 @@ class AptController(SingleController):
 
     inputs = 0
     """Status bits of inputs, and those that no document explains."""
+    speed_step = 1
+    """Step, in its units, to which it rounds speeds and ramps that are set down."""
     BOOT_S = 1.0
     BYTE_TIMEOUT_S = 0.5
 
@@ -135,7 +137,7 @@ class AptController(SingleController):
             return self._tell(number, now)
         if number in _KEPT:
             if len(content) == _KEPT[number] and content[:2] == b"\x01\x00":
-                self._kept[number] = content
+                self._kept[number] = self._rounded(number, content)
         elif number in {0x0011, 0x0012}:
             self._updates, self._updated_at_s = number == 0x0011, now
         elif number == 0x0210 and first == 1 and second in {1, 2}:
@@ -159,6 +161,15 @@ class AptController(SingleController):
             channel, value = struct.unpack("<Hi", kept)
             if channel == 1:
                 self._move(value + (self._position(now) if number == 0x0448 else 0), now)
+
+    def _rounded(self, number: int, content: bytes) -> bytes:
+        if number == 0x0413:
+            *head, ramp, speed = struct.unpack("<Hiii", content)
+            return struct.pack("<Hiii", *head, ramp - ramp % self.speed_step, speed - speed % self.speed_step)
+        if number == 0x0440:
+            *head, speed, offset = struct.unpack("<HHHii", content)
+            return struct.pack("<HHHii", *head, speed - speed % self.speed_step, offset)
+        return content
 
     def _home(self, now: float) -> None:
         """Search the switch in the direction that is set; the counter becomes 0 at the offset from it."""

@@ -11,8 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import event, given, settings
+from hypothesis import strategies as st
 
-from drivers.errors import DeviceRefused, MoveFailed, MoveTimeout, NotHomed, OutsideLimits
+from drivers.errors import DeviceRefused, DriverError, MoveFailed, MoveTimeout, NotHomed, OutsideLimits
 from drivers.stage import thorlabs_controller as apt
 from drivers.stage.esp import EspAxis, EspStage
 from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
@@ -147,7 +149,7 @@ def test_a_search_that_goes_on_and_on_ends_by_the_controller_s_own_speed() -> No
     controller.model = replace(
         controller.model, mechanics=replace(controller.model.mechanics, home_deg=-4000.0)
     )
-    with pytest.raises(MoveTimeout, match="still moving after 102"):
+    with pytest.raises(MoveTimeout, match="search of the reference has not ended after 102"):
         stage.home()
     assert line.clock.now_s - began_s < 110.0
 
@@ -163,6 +165,24 @@ def test_a_controller_that_does_not_tell_its_home_parameters_is_told(rig) -> Non
     rig.line.lose = lambda data: data.endswith(apt.short(apt.REQUEST_HOME, 1))
     stage = rig.reopen()
     assert "pan: the controller does not tell its home parameters, so its zero is not known" in stage.faults()
+
+
+def test_a_controller_that_rounds_speeds_and_ramps_to_its_own_steps_is_healthy(rig) -> None:
+    rig.controller.speed_step = 8
+    stage = rig.reopen()
+    stage.home()
+    stage.move_to({"pan": 5.0})
+    assert stage.faults() == []
+
+
+def test_a_speed_that_a_controller_does_not_keep_is_named(rig) -> None:
+    rig.controller.speed_step = 10**10
+    rig.controller.restart(rig.line.clock.now_s)
+    rig.line.clock.sleep(2.0)
+    with pytest.raises(
+        DeviceRefused, match=r"acceleration and speed read back differently.*\(0, 0\) instead of"
+    ):
+        rig.reopen()
 
 
 def answer_once(rig: DirectStage, request: bytes, answer: bytes) -> None:
@@ -305,24 +325,25 @@ def esp() -> DirectStage:
 
 @pytest.mark.parametrize(
     "left",
-    ["1SH5", "1SH-2.5", "1CO2.5", "1TJ2", "1TJ6", "1BA0.2", "1VA1;1AC1", "1SL0;1SR1", "1SH3;1CO-1;1TJ4"],
+    ["1SH5", "1SH-2.5", "1CO2.5", "1TJ2", "1TJ6", "1BA0.2", "1VA1;1AC1", "1SH3;1CO-1;1TJ4"],
 )
 @pytest.mark.parametrize("when", ["before opening", "before homing"])
 def test_an_axis_points_right_whatever_another_client_has_set(esp, left, when) -> None:
-    if left == "1SL0;1SR1" and when == "before opening":
-        pytest.skip("limits within those of the station are refused: they may be those of the mechanics")
     esp.line.device.receive(f"{left}\r".encode())
     stage = esp.reopen() if when == "before opening" else esp.stage
-    if left == "1SL0;1SR1":
-        with pytest.raises(OutsideLimits, match="the controller allows only 0 to 1 deg"):
-            stage.home()
-        return
     stage.home()
     for angle_deg in (5.0, -14.9):
         stage.move_to({"pan": angle_deg})
         assert esp.true_deg() == pytest.approx(angle_deg, abs=0.002)
         assert stage.position_deg()["pan"] == pytest.approx(angle_deg, abs=0.002)
     assert stage.faults() == []
+
+
+@pytest.mark.parametrize("when", ["before opening", "before homing"])
+def test_limits_within_those_of_the_station_may_be_those_of_the_mechanics(esp, when) -> None:
+    esp.line.device.receive(b"1SL0;1SR1\r")
+    with pytest.raises(OutsideLimits, match="the controller allows only 0 to 1 deg"):
+        esp.reopen() if when == "before opening" else esp.stage.home()
 
 
 def test_a_command_that_a_controller_does_not_know_is_no_fault(esp) -> None:
@@ -432,3 +453,73 @@ def test_a_slow_search_of_a_standa_axis_is_no_blockage(ximc, fast) -> None:
     stage = ximc.reopen()
     stage.home()
     assert stage.is_homed()
+
+
+# ---------------------------------------------------------------- all of them
+
+
+def numbered(*forms: str, largest: int) -> st.SearchStrategy[bytes]:
+    number = st.integers(-largest, largest)
+    return st.builds(lambda form, value: form.format(value).encode(), st.sampled_from(forms), number)
+
+
+def thorlabs_settings(counts: int) -> st.SearchStrategy[bytes]:
+    number = st.integers(-counts, counts)
+    home = st.builds(
+        lambda way, speed, offset: apt.long(
+            apt.SET_HOME, apt.HOME_LAYOUT.pack(1, way, apt.SWITCHES[way], abs(speed), offset)
+        ),
+        st.sampled_from([apt.FORWARD, apt.REVERSE]),
+        number,
+        number,
+    )
+    ramp = st.builds(
+        lambda ramp, speed: apt.long(apt.SET_SPEED, apt.SPEED_LAYOUT.pack(1, 0, abs(ramp), abs(speed))),
+        number,
+        number,
+    )
+    backlash = st.builds(lambda way: apt.long(apt.SET_BACKLASH, apt.POSITION_LAYOUT.pack(1, way)), number)
+    switched = st.sampled_from([apt.short(apt.SET_ENABLED, 1, 2), apt.short(0x0011), apt.short(0x0012)])
+    return st.one_of(home, ramp, backlash, switched)
+
+
+ANY_COMMAND = {
+    "flir": st.one_of(
+        st.sampled_from([*FLIR_LEFT.values(), b"CI ", b"I ", b"A ", b"LU ", b"LE ", b"WPQ ", b"WPA ", b"H "]),
+        numbered("PS{} ", "PP{} ", "PNU{} ", "PXU{} ", "PA{} ", largest=9000),
+    ),
+    "esp": numbered(
+        *("1SH{}\r", "1CO{}\r", "1TJ{}\r", "1BA{}\r", "1VA{}\r", "1AC{}\r", "1OH{}\r", "1PA{}\r", "1DH{}\r"),
+        *("1MO\r", "1MF\r"),
+        largest=12,
+    ),
+    "k10cr1": thorlabs_settings(500_000),
+    "thorlabs": thorlabs_settings(20_000),
+}
+
+
+@pytest.mark.parametrize("family", ANY_COMMAND)
+@settings(max_examples=40, deadline=None)
+@given(data=st.data())
+def test_whatever_other_programs_have_sent_opening_moves_nothing_and_an_angle_is_right_or_refused(
+    family, data
+) -> None:
+    rig = rig_of(family)
+    for command in data.draw(st.lists(ANY_COMMAND[family], max_size=8)):
+        rig.line.device.receive(command)
+        rig.line.clock.sleep(data.draw(st.sampled_from([0.0, 0.2, 200.0])))
+        rig.line.device.unsolicited()
+    rig.line.clock.sleep(200.0)
+    stood_deg = rig.true_deg()
+    try:
+        stage = rig.reopen()
+        rig.line.clock.sleep(5.0)
+        assert rig.true_deg() == pytest.approx(stood_deg, abs=1e-3)
+        stage.home()
+        stage.move_to({"pan": 5.0})
+    except DriverError:
+        event("refused")
+        return
+    event("right")
+    assert rig.true_deg() == pytest.approx(5.0, abs=0.005)
+    assert stage.faults() == []
