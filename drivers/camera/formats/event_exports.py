@@ -17,7 +17,11 @@ Source: Prophesee, "HDF5 Event File Format", https://docs.prophesee.ai/stable/da
 from __future__ import annotations
 
 import json
+import zipfile
+import zlib
+from collections import deque
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -53,6 +57,8 @@ _ASCII: Final = h5py.string_dtype("ascii")  # the only kind of attribute that Me
 _NOT_THERE: Final = ("evt", "plugin_name")  # keys without meaning outside RAW
 _PLAIN_COLUMNS: Final = (("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1"))
 _PLAIN_CHUNK: Final = 1 << 16
+_MOST_WAITING: Final = 16
+"""Most chunks that are packed and not yet written."""
 
 Progress = Callable[[float], object]
 """Is told which share of a source has been read, 0 to 1."""
@@ -79,6 +85,36 @@ def _chunks(source: EventSource, size: int, progress: Progress) -> Iterator[Even
         yield Events(*chunk)
         done += len(chunk[0])
         progress(done / max(1, source.count))
+
+
+def _packed(chunks: Iterator[Events]) -> Iterator[tuple[int, list[bytes]]]:
+    """Pack the columns of chunks on all processors, in their order; return also the number of events of each."""
+    with ThreadPoolExecutor() as pool:
+        waiting: deque[tuple[int, Future[list[bytes]]]] = deque()
+        for chunk in chunks:
+            waiting.append((len(chunk.t), pool.submit(_packed_columns, chunk)))
+            if len(waiting) > _MOST_WAITING:
+                n, packed = waiting.popleft()
+                yield n, packed.result()
+        for n, packed in waiting:
+            yield n, packed.result()
+
+
+def _packed_columns(chunk: Events) -> list[bytes]:
+    """Return a chunk of each column as HDF5's filters shuffle and gzip make it.
+
+    Runs of equal bytes are all that gzip looks for: recorded columns become smaller so than at its lowest level, in
+    three quarters of the time.
+    """
+    packed = []
+    for name, dtype in _PLAIN_COLUMNS:
+        values: NDArray[Any] = getattr(chunk, name)
+        whole: NDArray[Any] = np.zeros(_PLAIN_CHUNK, dtype)
+        whole[: len(values)] = values
+        deflate = zlib.compressobj(1, strategy=zlib.Z_RLE)
+        shuffled = whole.view(np.uint8).reshape(_PLAIN_CHUNK, -1).T.tobytes()
+        packed.append(deflate.compress(shuffled) + deflate.flush())
+    return packed
 
 
 def _summary(source: EventSource, moved: int = 0) -> ExportSummary:
@@ -129,11 +165,11 @@ def export_hdf5(source: EventSource, path: Path, progress: Progress = lambda _: 
             )
             for name, dtype in _PLAIN_COLUMNS
         }
-        for chunk in _chunks(source, 1 << 20, progress):
-            for name, values in chunk._asdict().items():
-                stored[name].resize((n + len(values),))
-                stored[name][n:] = values
-            n += len(chunk.t)
+        for more, packed in _packed(_chunks(source, _PLAIN_CHUNK, progress)):
+            for column, data in zip(stored.values(), packed, strict=True):
+                column.resize((n + more,))
+                column.id.write_direct_chunk((n,), data)
+            n += more
         for name, values in source.triggers._asdict().items():
             file.create_dataset(f"triggers/{name}", data=values)
     return _summary(source)
@@ -144,14 +180,16 @@ def export_numpy(source: EventSource, path: Path, progress: Progress = lambda _:
     pieces = [*_chunks(source, 1 << 20, progress), empty_events(0)]
     events = [np.concatenate(column) for column in zip(*pieces, strict=True)]
     del pieces
-    with new_file(path) as part, part.open("xb") as file:
-        np.savez_compressed(
-            file,
-            **Events(*events)._asdict(),
-            **{f"trigger_{name}": values for name, values in source.triggers._asdict().items()},
-            size=np.array([source.width, source.height]),
-            header=np.array(json.dumps(dict(source.header))),
-        )
+    arrays = {
+        **Events(*events)._asdict(),
+        **{f"trigger_{name}": values for name, values in source.triggers._asdict().items()},
+        "size": np.array([source.width, source.height]),
+        "header": np.array(json.dumps(dict(source.header))),
+    }
+    with new_file(path) as part, zipfile.ZipFile(part, "x", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        for name, values in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as file:
+                np.lib.format.write_array(file, values, allow_pickle=False)
     return _summary(source)
 
 
