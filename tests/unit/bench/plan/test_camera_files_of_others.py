@@ -1,13 +1,17 @@
 """Camera files as other programs write them: the rays are OpenCV's, or the real cause is named with the way on."""
 
+import contextlib
 import json
 import textwrap
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from bench.plan.camera_files import NotACamera, read_camera_file
+from bench.plan.camera_files import NotACamera, parse_camera, read_camera_file
 
 SIZE = (1280, 720)
 K = [[1050.3, 0.0, 644.2], [0.0, 1049.1, 357.9], [0.0, 0.0, 1.0]]
@@ -384,6 +388,20 @@ def test_a_camera_of_binned_or_cropped_images_is_that_of_the_whole_image_and_say
     found = read_camera_file(tmp_path / "ci.yaml")
     assert off_px(found.camera, D5) < 1e-6
     assert why in found.remarks[0]
+
+
+@given(st.binary(max_size=400))
+def test_any_bytes_are_a_camera_or_refused(data):
+    with contextlib.suppress(NotACamera):
+        parse_camera(data, Path("file"))
+
+
+@given(st.sampled_from([text for text, *_ in BROWN_FILES.values()]), st.data())
+def test_a_file_with_a_part_missing_is_a_camera_or_refused(text, drawn):
+    begin, end = sorted(drawn.draw(st.tuples(*[st.integers(0, len(text))] * 2)))
+    with contextlib.suppress(NotACamera):
+        found = parse_camera((text[:begin] + text[end:]).encode(), Path("file"))
+        assert np.isfinite(found.camera.values).all()
 
 
 def test_the_whole_image_as_region_of_interest_is_not_remarkable(tmp_path):

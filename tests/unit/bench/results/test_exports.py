@@ -3,6 +3,7 @@
 import ast
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -10,7 +11,8 @@ import pytest
 import yaml
 from exported_camera import FISHEYES, LENSES, calibration
 
-from bench.results.exports import FormatCannotCarry, exports, kalibr_camchain, opencv_yaml
+from bench.plan.camera_files import parse_camera
+from bench.results.exports import NOT_WRITTEN, FormatCannotCarry, exports, kalibr_camchain, opencv_yaml
 from calib.model.result_parts import Boresight
 from calib.target import StarTarget
 
@@ -250,3 +252,20 @@ def test_the_boresight_is_a_transform_as_ros_publishes_it():
         1 - 2 * (x * x + y * y),
     ]  # the camera's z in the flange
     np.testing.assert_allclose(ahead, turned.T @ [0, 0, 1], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("further", "written"),
+    [
+        ({"s1": 0.004, "s4": 0.002}, {"opencv.yaml": 12, "mrcal.cameramodel": 12, "metavision.json": 12}),
+        ({"s1": 0.004, "tauX": 0.02}, {"opencv.yaml": 14, "metavision.json": 14}),
+    ],
+)
+def test_a_thin_prism_and_a_tilted_sensor_are_written_whole_or_not_at_all(monkeypatch, further, written):
+    monkeypatch.setitem(LENSES, "prism", {**LENSES["k1k2p1p2"], **further})
+    known = calibration("prism")
+    files = exports(known, camera_name="cam")
+    assert set(files) == {*written, NOT_WRITTEN}
+    for name in written:
+        found = parse_camera(files[name], Path(name)).camera
+        assert found.project(RAYS) == pytest.approx(known.camera.project(RAYS), abs=1e-9)

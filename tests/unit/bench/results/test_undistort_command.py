@@ -99,6 +99,21 @@ def test_it_says_in_words_what_was_written(capsys, calibrated):
     assert "The folder is not empty" in say(capsys, *words, status=2)
 
 
+def test_the_tables_use_a_thin_prism_and_a_tilted_sensor_and_no_file_drops_them(capsys, tmp_path):
+    lens = [-0.25, 0.06, 1e-3, -1e-3, 0.0, 0.0, 0.0, 0.0, 0.004, -0.003, 0.006, 0.002, 0.02, -0.01]
+    camera = CAMERAS["brown"]
+    content = {"K": camera.matrix.tolist(), "D": lens, "image_size": SIZE}
+    (tmp_path / "cal.json").write_text(json.dumps(content))
+    shown = say(capsys, tmp_path / "cal.json", "-o", tmp_path / "new")
+    assert "undistort.npz, not-written.txt" in shown
+    assert "cannot represent s1, s2, s3, s4, tauX, tauY" in (tmp_path / "new" / "not-written.txt").read_text()
+    with np.load(tmp_path / "new" / "undistort.npz") as file:
+        rays = file["rays"][::20, ::20].reshape(-1, 3).astype(float)
+    pixels = np.stack(np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1])), axis=-1)[::20, ::20].reshape(-1, 2)
+    seen = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), camera.matrix, np.array(lens))[0].reshape(-1, 2)
+    assert np.abs(seen - pixels).max() < 1e-4  # the tables are float32
+
+
 def test_a_fault_is_one_clear_error_and_nothing_is_written(capsys, tmp_path, calibrated):
     _, folder = calibrated
     cv2.imwrite(str(folder / "small.png"), np.full((30, 40), 128, np.uint8))

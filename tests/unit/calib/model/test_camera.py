@@ -6,7 +6,7 @@ import pytest
 
 from calib.errors import InputMismatch
 from calib.model.camera import CameraModel, distortion_names, straightness_px, undistort
-from calib.model.lens import BROWN
+from calib.model.lens import BROWN, OPENCV
 
 RNG = np.random.default_rng(4)
 POINTS = np.column_stack([RNG.uniform(-0.4, 0.4, (60, 2)), np.ones(60)]) * RNG.uniform(0.5, 300, (60, 1))
@@ -17,9 +17,24 @@ def camera(**distortion):
     return CameraModel(810.0, 790.0, 641.0, 355.0, (1280, 720), distortion)
 
 
-@pytest.mark.parametrize("names", [(), ("k1", "k2"), ("k1", "k2", "p1", "p2", "k3"), BROWN])
+EVERY = {**COEFFICIENTS, **dict(zip(OPENCV[8:], [0.004, -0.003, 0.006, 0.002, 0.03, -0.05], strict=True))}
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        (),
+        ("k1", "k2"),
+        ("k1", "k2", "p1", "p2", "k3"),
+        BROWN,
+        ("k1", "s1", "s4"),
+        ("tauX",),
+        OPENCV[:12],
+        OPENCV,
+    ],
+)
 def test_projection_is_that_of_opencv(names):
-    model = camera(**{name: COEFFICIENTS[name] for name in names})
+    model = camera(**{name: EVERY[name] for name in names})
     expected = cv2.projectPoints(POINTS, np.zeros(3), np.zeros(3), model.matrix, model.coefficients)[0][:, 0]
     assert np.allclose(model.project(POINTS), expected, atol=1e-9)
     assert np.allclose(model.project_with_jacobians(POINTS)[0], expected, atol=1e-9)
@@ -31,8 +46,14 @@ FISHEYE = dict(zip(("kb1", "kb2", "kb3", "kb4"), [-0.02, 0.01, -0.004, 0.0007], 
 
 @pytest.mark.parametrize(
     ("lens", "points"),
-    [(COEFFICIENTS, POINTS), ({**COEFFICIENTS, "skew": 2.5}, POINTS), (FISHEYE, WIDE)],
-    ids=["Brown", "skewed", "fisheye"],
+    [
+        (COEFFICIENTS, POINTS),
+        ({**COEFFICIENTS, "skew": 2.5}, POINTS),
+        ({**EVERY, "skew": 2.5}, POINTS),
+        ({"tauY": 0.1, "k1": -0.1, "s3": 0.01}, POINTS),
+        (FISHEYE, WIDE),
+    ],
+    ids=["Brown", "skewed", "all of OpenCV", "tilted", "fisheye"],
 )
 def test_derivatives_agree_with_finite_differences(lens, points):
     model = camera(**lens)
@@ -49,7 +70,9 @@ def test_derivatives_agree_with_finite_differences(lens, points):
 
 
 def test_rays_invert_the_projection():
-    model = camera(k1=-0.2, k2=0.1, p1=1e-3, p2=-2e-3, k3=0.01, skew=3.0)
+    model = camera(
+        k1=-0.2, k2=0.1, p1=1e-3, p2=-2e-3, k3=0.01, skew=3.0, s1=0.004, s4=-0.002, tauX=0.03, tauY=-0.05
+    )
     unit = POINTS / np.linalg.norm(POINTS, axis=1, keepdims=True)
     assert np.allclose(model.rays(model.project(POINTS)), unit, atol=1e-12)
 
