@@ -11,7 +11,7 @@ import json
 import re
 from collections.abc import Mapping
 from typing import Any
-from xml.parsers import expat
+from xml.etree import ElementTree as ET
 
 from bench.base.bounded_json import parse_json
 from sequences.yaml_text import MOST_BYTES, parse
@@ -149,39 +149,24 @@ def _document(text: str, line: int) -> Any:
 
 def _xml(text: str) -> dict[str, Any]:
     """Read OpenCV's XML: the names of elements are keys, and elements `_` are a list."""
-    stack: list[tuple[dict[str, Any], list[str]]] = [({}, [])]
-
-    def begin(_name: str, _attributes: Mapping[str, str]) -> None:
-        if len(stack) > _MOST_LEVELS:
-            raise OtherForm(f"it is nested deeper than {_MOST_LEVELS} levels")
-        stack.append(({}, []))
-
-    def end(name: str) -> None:
-        inner, words = stack.pop()
-        value = inner.pop("_", None) or inner or "".join(words).strip()
-        outer = stack[-1][0]
-        if name == "_":
-            outer.setdefault(name, []).append(value)
-        else:
-            outer[name] = value
-
-    def refuse(*_arguments: object) -> None:
-        raise OtherForm("it declares entities")
-
-    def add(words: str) -> None:
-        stack[-1][1].append(words)
-
-    reader = expat.ParserCreate()
-    reader.StartElementHandler, reader.EndElementHandler, reader.CharacterDataHandler = begin, end, add
-    reader.EntityDeclHandler = refuse
+    if text.count("<") > _MOST_ENTRIES:
+        raise OtherForm("it is too large for a camera")
     try:
-        reader.Parse(text, True)
-    except expat.ExpatError as error:
-        raise OtherForm(f"it is no complete XML: line {error.lineno}") from None
-    ((root, found),) = stack[0][0].items()
-    if root != "opencv_storage":
-        raise OtherForm(f"it is XML of another program ({root[:40]})", WRITE_OPENCV)
-    return _mapping(found)
+        root = ET.fromstring(text)  # noqa: S314 - it fetches nothing, and expat bounds what entities grow to
+    except ET.ParseError as error:
+        raise OtherForm(f"it is no complete XML: line {error.position[0]}") from None
+    if root.tag != "opencv_storage":
+        raise OtherForm(f"it is XML of another program ({root.tag[:40]})", WRITE_OPENCV)
+    return _mapping(_element(root, _MOST_LEVELS))
+
+
+def _element(element: ET.Element, levels: int) -> Any:
+    if not levels:
+        raise OtherForm(f"it is nested deeper than {_MOST_LEVELS} levels")
+    found = [(one.tag, _element(one, levels - 1)) for one in element]
+    if element.find("_") is not None:
+        return [value for _, value in found]
+    return dict(found) if found else (element.text or "").strip()
 
 
 def _ini(text: str) -> dict[str, Any]:
@@ -225,16 +210,9 @@ def _colmap(text: str) -> dict[str, Any]:
 
 #: Numbers of focal lengths and of coefficients of COLMAP's models; the coefficients are in OpenCV's order.
 _COLMAP_MODELS = {
-    "SIMPLE_PINHOLE": (1, 0),
-    "PINHOLE": (2, 0),
-    "SIMPLE_RADIAL": (1, 1),
-    "RADIAL": (1, 2),
-    "OPENCV": (2, 4),
-    "FULL_OPENCV": (2, 8),
-    "SIMPLE_RADIAL_FISHEYE": (1, 1),
-    "RADIAL_FISHEYE": (1, 2),
-    "OPENCV_FISHEYE": (2, 4),
-}
+    "SIMPLE_PINHOLE": (1, 0), "PINHOLE": (2, 0), "SIMPLE_RADIAL": (1, 1), "RADIAL": (1, 2), "OPENCV": (2, 4),
+    "FULL_OPENCV": (2, 8), "SIMPLE_RADIAL_FISHEYE": (1, 1), "RADIAL_FISHEYE": (1, 2), "OPENCV_FISHEYE": (2, 4),
+}  # fmt: skip
 
 
 def numbers(value: Any) -> list[float]:

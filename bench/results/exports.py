@@ -45,7 +45,7 @@ from calib.boards.detect import detect_board
 from calib.calibration import Calibration
 from calib.events.grey_image import to_uint8
 from calib.model.camera import SKEW, CameraModel, Undistortion, nearest_lens, straightness_px
-from calib.model.lens import BROWN, FISHEYE, PRISM
+from calib.model.lens import BROWN, FISHEYE, OPENCV, PRISM
 from calib.model.result_parts import Boresight
 from calib.target import StarTarget
 from calib.view import View
@@ -59,30 +59,13 @@ class FormatCannotCarry(BenchError):
 
 
 def refuse_beyond(names: Sequence[str], camera: CameraModel, what: str) -> None:
-    """Refuse a lens with other coefficients than a format has."""
+    """Refuse a lens with other coefficients, or a skew, than a format has: programs ignore what they do not know."""
     further = [name for name in camera.distortion if name not in names]
     if further:
+        lens = "a fisheye lens" if camera.is_fisheye and FISHEYE[0] in further else ", ".join(further)
         raise FormatCannotCarry(
-            f"{what} cannot represent {', '.join(further)}.",
+            f"{what} cannot represent {lens}.",
             remedy=f"For this format, calibrate with no other coefficients than {' '.join(names)}.",
-        )
-
-
-def refuse_skew(camera: CameraModel, what: str) -> None:
-    """Refuse a camera with skew: the programs that read these formats ignore K[0, 1]."""
-    if SKEW in camera.distortion:
-        raise FormatCannotCarry(
-            f"{what} cannot represent the skew of the camera matrix.",
-            remedy="For this format, calibrate without skew. results.json has all values.",
-        )
-
-
-def refuse_fisheye(camera: CameraModel, what: str) -> None:
-    """Refuse a fisheye lens."""
-    if camera.is_fisheye:
-        raise FormatCannotCarry(
-            f"{what} cannot represent a fisheye lens (kb1 to kb4).",
-            remedy="For this format, calibrate with k1k2k3p1p2 or rational.",
         )
 
 
@@ -170,7 +153,6 @@ def exports(
     writers: dict[str, Writer] = {**WRITERS, "metavision.json": described}
     for name, write in writers.items():
         try:
-            refuse_skew(calibration.camera, name)
             files[name] = write(calibration, camera_name)
         except FormatCannotCarry as refusal:
             refused.append(f"{name}: {refusal}\n")
@@ -183,6 +165,7 @@ def exports(
 
 def opencv_yaml(calibration: Calibration, camera_name: str) -> bytes:
     """Write OpenCV's FileStorage YAML, as its calibration sample does, with covariance, poses (mm) and fisheye flag."""
+    refuse_beyond((*OPENCV, *FISHEYE), calibration.camera, "OpenCV's YAML")
     return file_storage_bytes(
         ".yml",
         {
@@ -211,9 +194,8 @@ def camera_info(
 ) -> bytes:
     """Write a ROS camera_info YAML; ``projection`` is (3, 3), of a pair (3, 4), ``rectification`` (3, 3) or None.
 
-    FormatCannotCarry: the camera has skew, a thin prism or a tilted sensor.
+    FormatCannotCarry: the camera has a skew, a thin prism or a tilted sensor.
     """
-    refuse_skew(camera, CAMERA_INFO)
     refuse_beyond(FISHEYE if camera.is_fisheye else BROWN, camera, CAMERA_INFO)
     coefficients = opencv_coefficients(camera)
     whole = np.zeros((3, 4))
@@ -239,6 +221,7 @@ def kalibr_camchain(calibration: Calibration, camera_name: str) -> bytes:
 
 def kalibr_camera(camera: CameraModel, camera_name: str) -> tuple[bytes, dict[str, Any]]:
     """Return a remark and the content of one camera of a camchain, as `kalibr_camchain` writes it."""
+    refuse_beyond((*OPENCV, *FISHEYE), camera, "Kalibr's camchain")
     whole, told = camera, b""
     if not camera.is_fisheye and set(camera.distortion) - set(_RADTAN):
         camera, change_px = nearest_lens(camera, _RADTAN)
@@ -262,7 +245,6 @@ def kalibr_camera(camera: CameraModel, camera_name: str) -> tuple[bytes, dict[st
 def mrcal_cameramodel(calibration: Calibration, camera_name: str) -> bytes:
     """Write a mrcal cameramodel: LENSMODEL_OPENCV5 or 8, not a fisheye lens, with the camera at the origin."""
     camera = calibration.camera
-    refuse_fisheye(camera, "mrcal's cameramodel")
     refuse_beyond((*BROWN, *PRISM), camera, "mrcal's cameramodel")
     coefficients = opencv_coefficients(camera)
     numbers = [camera.fx, camera.fy, camera.cx, camera.cy, *coefficients.tolist()]
@@ -278,10 +260,10 @@ def mrcal_cameramodel(calibration: Calibration, camera_name: str) -> bytes:
 def colmap_cameras(calibration: Calibration, camera_name: str) -> bytes:
     """Write COLMAP's cameras.txt: OPENCV, FULL_OPENCV or OPENCV_FISHEYE; the principal point is shifted by 0.5 px."""
     camera = calibration.camera
+    refuse_beyond((*BROWN, *FISHEYE), camera, "COLMAP's cameras.txt")
     if camera.is_fisheye:
         model, coefficients = "OPENCV_FISHEYE", camera.fisheye_coefficients
     elif set(camera.distortion) - set(_RADTAN):
-        refuse_beyond(BROWN, camera, "COLMAP's FULL_OPENCV")
         model, coefficients = "FULL_OPENCV", camera.coefficients
     else:
         model, coefficients = "OPENCV", camera.coefficients[:4]
@@ -300,7 +282,7 @@ def metavision_json(
 
     ``pattern`` describes the squares of the star target, because the format has no stars, or the points of a board.
     """
-    refuse_fisheye(calibration.camera, "Metavision's intrinsics.json")
+    refuse_beyond(OPENCV, calibration.camera, "Metavision's intrinsics.json")
     if target is None:
         raise FormatCannotCarry(
             "Metavision's intrinsics.json describes one target; the views show several.",
@@ -339,9 +321,8 @@ def metavision_json(
 def camera_geometry_json(calibration: Calibration, camera_name: str) -> bytes:
     """Write Metavision SDK 5's camera-geometry.json, K by rows, D k1 k2 p1 p2 k3; or raise `FormatCannotCarry`."""
     del camera_name
-    camera, what = calibration.camera, "Metavision's camera-geometry.json"
-    refuse_fisheye(camera, what)
-    refuse_beyond(BROWN[:5], camera, what)
+    camera = calibration.camera
+    refuse_beyond(PLUMB_BOB, camera, "Metavision's camera-geometry.json")
     width, height = camera.image_size
     content = {
         "type": "pinhole",

@@ -23,7 +23,6 @@ from bench.results.exports import (
     file_storage_bytes,
     kalibr_camera,
     opencv_coefficients,
-    refuse_skew,
     yaml_bytes,
 )
 from bench.results.offline import calibrate_paths, read_views, require_common_views
@@ -226,8 +225,6 @@ def rig_exports(rig: Rig, content: Mapping[str, Any]) -> dict[str, bytes]:
     refused = []
     for name, write in {"kalibr_camchain.yaml": _camchain, "stereo": _stereo}.items():
         try:
-            for camera in (rig.first, rig.second):
-                refuse_skew(camera, name)
             files |= write(rig)
         except FormatCannotCarry as refusal:
             refused.append(f"{name}: {refusal}\n")

@@ -336,8 +336,14 @@ REFUSED = {
     "models that contradict": (opencv_yaml(FISHEYE, more="fisheye_model: 0\ncamera_model: fisheye\n"), "contradict"),
     "COLMAP of another model": (colmap("THIN_PRISM_FISHEYE", ZEROS[:8]), "THIN_PRISM_FISHEYE"),
     "COLMAP with a value too few": (colmap("OPENCV", D5[:3]), "has 8 values; camera 1 has 7"),
-    "entities": ('<!DOCTYPE a [<!ENTITY b "c">]><opencv_storage>&b;</opencv_storage>', "entities"),
-    "nested XML": ("<opencv_storage>" + "<a>" * 100_000, "nested deeper"),
+    "entities that grow": (
+        '<!DOCTYPE a [<!ENTITY e0 "' + "K" * 1000 + '">'
+        + "".join(f'<!ENTITY e{at + 1} "{f"&e{at};" * 50}">' for at in range(6))
+        + "]><opencv_storage>&e6;</opencv_storage>",
+        "no complete XML",
+    ),
+    "nested XML": ("<opencv_storage>" + "<a>" * 40_000 + "</a>" * 40_000 + "</opencv_storage>", "nested deeper"),
+    "large XML": ("<opencv_storage>" + "<a>" * 200_000, "too large"),
     "nested YAML": ("%YAML:1.0\n---\na: " + "[" * 100_000, "no YAML"),
     "nested Python": ("# x\n{'lensmodel': " + "[" * 100_000, "no complete dictionary"),
     "a list": ("- 1\n- 2\n", "names with values"),
