@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from sequences.schema import Answer, GateConfig, ImageKind, OnFailure, Waveform
 from sequences.solve_schema import CalibrationModel, DistortionTerm, Loss, Readings
@@ -98,6 +98,8 @@ class _NumberedStep:
 class LightStep(_NumberedStep):
     """Switch the light to a flicker, or off (``flicker`` is None)."""
 
+    word: ClassVar[str] = "light"
+
     flicker: Flicker | None
 
 
@@ -105,12 +107,16 @@ class LightStep(_NumberedStep):
 class MoveStep(_NumberedStep):
     """Turn the camera to a pose."""
 
+    word: ClassVar[str] = "move"
+
     pose: Pose
 
 
 @dataclass(frozen=True)
 class SettleStep(_NumberedStep):
     """Keep the stage still for ``duration_s`` before a recording."""
+
+    word: ClassVar[str] = "settle"
 
     duration_s: float
 
@@ -122,6 +128,8 @@ class RecordStep(_NumberedStep):
     ``backoff_s`` is the pause before the second attempt; it doubles before each further attempt. ``hold_s`` limits how
     long ``on_failure: hold`` waits for an answer.
     """
+
+    word: ClassVar[str] = "record"
 
     pose: Pose
     window_ms: float
@@ -137,12 +145,16 @@ class RecordStep(_NumberedStep):
 class WaitStep(_NumberedStep):
     """Let time pass."""
 
+    word: ClassVar[str] = "wait"
+
     duration_s: float
 
 
 @dataclass(frozen=True)
 class PromptStep(_NumberedStep):
     """Ask the operator; after ``timeout_s`` the default answer counts."""
+
+    word: ClassVar[str] = "prompt"
 
     text: str
     default: Answer
@@ -158,6 +170,8 @@ class SolveStep(_NumberedStep):
     ``limits`` are the upper limits of the named results. ``checked`` is the calibration that a step
     ``check`` compares with the result.
     """
+
+    word: ClassVar[str] = "solve"
 
     model: CalibrationModel | None
     distortion: tuple[DistortionTerm, ...] | Literal["auto"]
@@ -179,6 +193,8 @@ class ChooseStep(_NumberedStep):
     step can only end the ``until``. ``solve`` holds the options of the calibration.
     """
 
+    word: ClassVar[str] = "choose"
+
     until: Until
     pose: Pose | None
     solve: SolveStep
@@ -187,6 +203,8 @@ class ChooseStep(_NumberedStep):
 @dataclass(frozen=True)
 class ReportStep(_NumberedStep):
     """Write the report and seal the run."""
+
+    word: ClassVar[str] = "report"
 
 
 Step = (

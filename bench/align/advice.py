@@ -74,7 +74,7 @@ def advice_for(seen: Seen, setting: LiveSetting) -> list[str]:
         return advice
     flat = _flat(seen, setting)
     if flat:
-        return [*advice, flat, *(one.removeprefix(f"{_square_text(seen)}. ") for one in _aim(seen, setting))]
+        return [*advice, flat, *_aim(seen, setting, square_told=True)]
     focus, aim = list(_focus(seen, setting)), list(_aim(seen, setting))
     # A picture far out of focus shows no tag, and a tag out of view shows no blur: what is seen decides what is first.
     aim_first = not seen.tag_seen and (bool(seen.count) or seen.beam.share < _LITTLE_LIGHT)
@@ -285,8 +285,8 @@ def _sharpness_text(seen: Seen) -> str:
     return f": the coarse detail, now {now:.3f}{better}, must grow"
 
 
-def _aim(seen: Seen, setting: LiveSetting) -> Iterator[str]:
-    """Yield where to turn."""
+def _aim(seen: Seen, setting: LiveSetting, *, square_told: bool = False) -> Iterator[str]:
+    """Yield where to turn; a square that was told before is not told again."""
     turn = seen.turn
     if not seen.tag_seen:
         if seen.count:
@@ -300,8 +300,9 @@ def _aim(seen: Seen, setting: LiveSetting) -> Iterator[str]:
                 )
             )
         elif turn.of and not turn.centred:
-            what = f"{_square_text(seen)}." if turn.of == "square" else "No whole tag was recognised."
-            yield f"{what} {_turn_text(turn, setting)} This brings the {turn.of} to the middle."
+            what = f"{_square_text(seen)}. " if turn.of == "square" else "No whole tag was recognised. "
+            what = "" if square_told and turn.of == "square" else what
+            yield f"{what}{_turn_text(turn, setting)} This brings the {turn.of} to the middle."
         elif not turn.of and (side := _lit_side(seen.beam)):
             yield (
                 f"No whole tag was recognised. The light is on the {side} of the picture: turn pan and tilt in steps "

@@ -194,6 +194,7 @@ class StageControl:
         self._closing = False
         self._silent: Failure | None = None
         """Why the stage does not answer; None while it does."""
+        self._still_opening = False
         self._thread = threading.Thread(target=self._work, name="align-stage", daemon=True)
         self._thread.start()
 
@@ -273,7 +274,7 @@ class StageControl:
     def home(self, by: str = "") -> None:
         """Search the references of all axes, also after the return; refused if the stage moves, or is not open."""
         with self._lock:
-            if self._silent is not None and self._silent.kind == StillOpening.__name__:
+            if self._still_opening:
                 raise ControlRefused(
                     "The stage is still being opened. Nothing was moved.",
                     where="stage",
@@ -337,10 +338,11 @@ class StageControl:
         except DriverError as error:
             with self._lock:
                 before, self._silent = self._silent, Failure.of(error)
+                self._still_opening = isinstance(error, StillOpening)
                 changed = before != self._silent
         else:
             changed = self._silent is not None
-            self._silent = None
+            self._silent, self._still_opening = None, False
         if changed:
             self._on_change()
 

@@ -9,7 +9,7 @@ from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, UsageError
 from bench.certificate.certificate_data import CERTIFICATE, Certificate, sha256
 from bench.certificate.clauses import faults_of_lab
-from bench.certificate.compose import Identity, compose
+from bench.certificate.compose import FURTHER, Identity, compose
 from bench.certificate.issue import (
     DCC,
     LAB,
@@ -17,7 +17,6 @@ from bench.certificate.issue import (
     certificate_files,
     changes_of,
     plots_in,
-    reason_of_further,
     require_libraries,
 )
 from bench.certificate.lab_config import LabConfig, lab_of
@@ -81,7 +80,11 @@ def _derive(folder: Path, certificate: Certificate, found: Findings) -> None:
         return
     written = certificate.run.software[len(content["run"]["software"]) :]
     run = replace(certificate.run, **stated_run(content, results, written))
-    also = reason_of_further(certificate)
+    also = certificate.statement("also")
+    if not other and also and not also.startswith(FURTHER):
+        found.fault(
+            _KIND, CERTIFICATE, "it does not state as issuing does why the run has a further certificate"
+        )
     identity = Identity(certificate.number, certificate.issued_utc, run, certificate.amends, also, stated)
     again = compose(content, lab.value, identity)
     if again.to_json() != (folder / CERTIFICATE).read_bytes():

@@ -90,8 +90,16 @@ _FISHEYE = (
 )
 
 
+FURTHER = "This is a further certificate of the same run. Reason: "
+
+
+def further_statement(reason: str) -> str:
+    """Return the statement of a further certificate of a run; empty for the first one, which has no reason."""
+    return f"{FURTHER}{reason}" if reason else ""
+
+
 def statements_of(found: Results, lab: LabConfig, *, also: str, verified: str) -> tuple[Statement, ...]:
-    """Return the fixed texts in printed order; ``also`` says why the run has a second certificate, or is empty."""
+    """Return the fixed texts in printed order; ``also`` is `further_statement`, or empty."""
     calibration = found["calibration"]
     notes = " ".join(str(note) for note in calibration["notes"])
     left_out = "; ".join(str(line) for line in calibration["not_included"])
@@ -111,7 +119,7 @@ def statements_of(found: Results, lab: LabConfig, *, also: str, verified: str) -
         ("adjustment", _ADJUSTMENT),
         ("customer_data", _CUSTOMER_DATA if lab.customer_supplied else ""),
         ("recalibration", f"Recalibration: {lab.recalibration}" if lab.recalibration else ""),
-        ("also", f"This is a further certificate of the same run. Reason: {also}" if also else ""),
+        ("also", also),
     ]
     return tuple(Statement(name, text) for name, text in pairs if text)
 
@@ -177,7 +185,7 @@ class Identity:
     issued_utc: str
     run: Run
     amends: Amends | None = None  # The certificate that this one replaces, if any
-    also: str = ""  # Why a second certificate is issued for the run; empty if it is the first one
+    also: str = ""  # `further_statement` of a second certificate of the run; empty if it is the first one
     verified: str = ""  # What was verified before the issue, in words
 
 

@@ -18,7 +18,7 @@ from bench.base.errors import EvidenceError, UsageError
 from bench.certificate import run_facts
 from bench.certificate.certificate_data import CERTIFICATE, Amends, Certificate, Change
 from bench.certificate.clauses import faults_of_lab
-from bench.certificate.compose import Identity, compose
+from bench.certificate.compose import Identity, compose, further_statement
 from bench.certificate.dcc import render_dcc
 from bench.certificate.dcc_xml import library
 from bench.certificate.lab_config import LabConfig, read_lab
@@ -176,7 +176,7 @@ def issue(
     lab = read_lab(lab_file)
     _refuse_second_early(run, laboratory.ledger, also)
     source = read_sealed_run(run, laboratory.verify, accept_not_compared=accept_not_compared)
-    return make_certificate(source, lab, folder, laboratory, also=also)
+    return make_certificate(source, lab, folder, laboratory, further=further_statement(also))
 
 
 def make_certificate(
@@ -185,20 +185,20 @@ def make_certificate(
     folder: Path,
     laboratory: Laboratory,
     *,
-    also: str = "",
+    further: str = "",
     amended: Callable[[Certificate], Amends] | None = None,
     amends: str = "",
 ) -> Issued:
     """Make, seal and enter the certificate of a verified run.
 
-    ``also`` is why there is a second one, ``amends`` the number that it replaces; both may be empty. ``amended``
+    ``further`` is the statement of a second one, ``amends`` the number that it replaces; both may be empty. ``amended``
     returns what it amends, given the certificate without that; None if it amends none.
     """
     folder = folder.absolute()
     try:
         if faults := faults_of_lab(lab, source.found):
             raise DocumentFaults(faults, lab.tree)
-        trial_identity = Identity("0", "1970-01-01T00:00:00Z", source.run, None, also, source.verified)
+        trial_identity = Identity("0", "1970-01-01T00:00:00Z", source.run, None, further, source.verified)
         trial = compose(source.found, lab.value, trial_identity)
     except (LookupError, TypeError, AttributeError, ArithmeticError) as error:
         raise EvidenceError(
@@ -213,7 +213,7 @@ def make_certificate(
         if laboratory.sign_dcc is not None:  # a key that cannot sign is refused before a number is taken
             laboratory.sign_dcc(render_dcc(trial), now)
         replaced = None if amended is None else amended(trial)
-        number = reserve(laboratory.ledger, _wanted(source, lab.value, folder, amends, also), now)
+        number = reserve(laboratory.ledger, _wanted(source, lab.value, folder, amends, further), now)
         identity = replace(
             trial_identity, number=number.number, issued_utc=number.issued_utc, amends=replaced
         )
@@ -269,7 +269,7 @@ def _signer(laboratory: Laboratory, utc: str) -> Callable[[bytes], bytes] | None
     return None if sign is None else lambda dcc: sign(dcc, datetime.fromisoformat(utc))
 
 
-def _wanted(source: Source, lab: LabConfig, folder: Path, amends: str, also: str) -> Wanted:
+def _wanted(source: Source, lab: LabConfig, folder: Path, amends: str, further: str) -> Wanted:
     return Wanted(
         number_format=lab.numbers.format,
         simulated=bool(source.found["run"]["simulated"]),
@@ -277,7 +277,7 @@ def _wanted(source: Source, lab: LabConfig, folder: Path, amends: str, also: str
         run_id=source.run.id,
         folder=str(folder),
         amends=amends,
-        also=also,
+        also=further,
         ended_utc=run_facts.utc_seconds(source.found["run"]["finished_utc"]),
     )
 
@@ -313,7 +313,7 @@ def amend(old: Path, lab_file: Path, folder: Path, laboratory: Laboratory, *, re
         lab,
         folder,
         laboratory,
-        also=reason_of_further(before),
+        further=before.statement("also"),
         amended=amended,
         amends=before.number,
     )
@@ -347,11 +347,6 @@ def _texts_by_path(certificate: Certificate) -> dict[str, str]:
         for path, text in texts.items()
         if not path.startswith(_PROGRAM)
     }
-
-
-def reason_of_further(certificate: Certificate) -> str:
-    """Return why a certificate is a further one of its run, as one that amends it is, too; empty for the first one."""
-    return certificate.statement("also").partition("Reason: ")[2]
 
 
 def plots_in(folder: Path) -> dict[str, str]:

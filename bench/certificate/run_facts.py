@@ -281,9 +281,10 @@ def deviations_of(found: Results) -> tuple[Deviation, ...]:
 
 
 def _gate_name(gate: GateData, found: Results) -> str:
-    """Return the name of a gate; of its parts, the pose may be named by a person."""
-    pose, colon, name = str(gate["name"]).rpartition(": ")
-    return f"{pose}{colon}{words_of(found).fitting(name)}"
+    """Return the name of a gate, with its pose."""
+    if "pose" not in gate:
+        return str(gate["name"])
+    return f"pose {gate['pose']}: {words_of(found).fitting(gate['gate'])}"
 
 
 def utc_seconds(moment: str) -> str:

@@ -7,10 +7,10 @@ bytes; a verifier that is another program cannot expect the same bytes.
 from __future__ import annotations
 
 import functools
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, EvidenceError
 from bench.base.home import differing_software, hash_of_files
 from bench.certificate.certificate_data import CERTIFICATE, Certificate, Run, Software, sha256
-from bench.evidence.findings import Findings, Verification
+from bench.evidence.findings import PARTS, Findings, Part, Verification
 from bench.records.events import Event
 from bench.records.journal import read_journal
 from bench.records.ledger import Ledger
@@ -76,16 +76,6 @@ _PARTLY = (
     " not compared, and protected by the seal alone: "
 )
 _NOT_MADE = " The results were not made again from the recordings."
-_PART = re.compile(r"(?:plan|results|exports|report|views|VERIFY|poses)")
-_PARTS = {
-    "plan": "plan",
-    "results": "results",
-    "exports": "exports",
-    "report": "report",
-    "views": "stars and images",
-    "VERIFY": "instructions",
-    "poses": "stars and images",
-}
 
 
 def statement_of(verification: Verification) -> str:
@@ -94,19 +84,17 @@ def statement_of(verification: Verification) -> str:
         return _SEAL + _NOT_MADE
     if verification.complete:
         return _SEAL + _SAME
-    said = " ".join(verification.not_compared)
-    parts = sorted({_PARTS[one] for one in _PART.findall(said)} or {"results"})
-    return f"{_SEAL}{_PARTLY}{', '.join(parts)}."
+    return _partly(verification.parts_not_compared or ["results"])
+
+
+def _partly(parts: Iterable[Part]) -> str:
+    return f"{_SEAL}{_PARTLY}{', '.join(sorted(parts))}."
 
 
 def is_statement(text: str) -> bool:
     """Return whether a sentence is one that `statement_of` makes."""
-    parts = text.removeprefix(_SEAL + _PARTLY).removesuffix(".").split(", ")
-    return text in (_SEAL + _SAME, _SEAL + _NOT_MADE) or (
-        text == f"{_SEAL}{_PARTLY}{', '.join(parts)}."
-        and parts == sorted(set(parts))
-        and set(parts) <= set(_PARTS.values())
-    )
+    sets = (chosen for count in range(1, len(PARTS) + 1) for chosen in combinations(PARTS, count))
+    return text in {_SEAL + _SAME, _SEAL + _NOT_MADE, *map(_partly, sets)}
 
 
 def check_run_of_certificate(

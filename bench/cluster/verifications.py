@@ -169,7 +169,9 @@ def check_one(folder: Path, check: Check, known: Mapping[str, Any] | None) -> Ch
         rows.append(_derived(folder, check, known))
         derived = rows[-1]["derived"]
         faults = [SealFault(**one) for one in derived["faults"]]
-        return Findings(faults, [*derived["not_compared"]], [*derived["remarks"]])
+        return Findings(
+            faults, [*derived["not_compared"]], [*derived["parts_not_compared"]], [*derived["remarks"]]
+        )
 
     found = verify_folder(
         folder,

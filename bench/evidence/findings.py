@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 
 @dataclass(frozen=True)
@@ -29,6 +29,11 @@ UNREADABLE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticErro
 """Exceptions raised by reading JSON that is not of the expected form."""
 
 
+Part = Literal["plan", "results", "exports", "report", "stars and images", "instructions"]
+"""A part of a sealed folder that is made again and compared, as a certificate names it."""
+PARTS: tuple[Part, ...] = ("plan", "results", "exports", "report", "stars and images", "instructions")
+
+
 @dataclass
 class Findings:
     """What one check found. A check that finds nothing returns an empty one."""
@@ -38,6 +43,7 @@ class Findings:
     # without a full stop. A folder with such a part is not reported as valid without reservation (exit status
     # 4).
     not_compared: list[str] = field(default_factory=list)
+    parts_not_compared: list[Part] = field(default_factory=list)  # The parts that these sentences are about
     # What a reader should know, and what is no lack of the check.
     remarks: list[str] = field(default_factory=list)
 
@@ -45,10 +51,18 @@ class Findings:
         """Add a fault."""
         self.faults.append(SealFault(kind, where, what))
 
+    def could_not_compare(self, what: str, *parts: Part) -> None:
+        """Add what could not be compared, a sentence without a full stop, and the parts that it is about."""
+        self.not_compared.append(what)
+        self.parts_not_compared += [part for part in parts if part not in self.parts_not_compared]
+
     def add(self, other: Findings) -> None:
         """Add everything that another check found."""
         self.faults += other.faults
         self.not_compared += other.not_compared
+        self.parts_not_compared += [
+            part for part in other.parts_not_compared if part not in self.parts_not_compared
+        ]
         self.remarks += other.remarks
 
     def derive(self, folder: Path, checks: Iterable[Derivation]) -> None:

@@ -129,8 +129,8 @@ def _needs_a_person(model: RunModel, process: ProcessState) -> LeaveData | None:
     if history.question:
         return _leave(False, "The run waits for an answer.")
     if history.interlock:
-        name, _, why = history.interlock.partition(":")
-        return _leave(False, f"The {interlock_text(name)} interlock holds the run:{why}.")
+        held = history.interlock
+        return _leave(False, f"The {interlock_text(held.rule)} interlock holds the run: {held.why}.")
     if history.holder:
         return _leave(False, _hold_text(model))
     if process.free_bytes is not None and _needed_bytes(model) > process.free_bytes:
@@ -252,7 +252,6 @@ def faults_of(model: RunModel, process: ProcessState) -> list[str]:
 def _state(model: RunModel, process: ProcessState) -> StateData:
     history = model.history
     last = history.states[-1] if history.states else None
-    interlock = history.interlock.partition(":")[0]
     row, asked = model.rows.get(history.at_pose or 0), model.asked
     return {
         "state": last["state"] if last else "idle",
@@ -260,7 +259,7 @@ def _state(model: RunModel, process: ProcessState) -> StateData:
         "pose": history.at_pose,
         "pose_name": row["name"] if row else "",
         "holder": history.holder if process.running else "",
-        "interlock": interlock_text(interlock) if process.running else "",
+        "interlock": interlock_text(history.interlock.rule) if process.running and history.interlock else "",
         "question": _question(model, asked) if process.running and history.question and asked else None,
     }
 

@@ -29,7 +29,7 @@ from bench.records.run_facts import coverage_factor
 from bench.records.run_folder import JOURNAL, RESULTS
 from bench.records.storage import read_json, storage_errors
 from bench.run.machine import TimeLeft
-from bench.run.status import RunPlan, line_text, read_plan
+from bench.run.status import RunPlan, event_text, read_plan
 
 # A complete line that is not valid ends the reading: what stands before it is kept. If a file becomes
 # shorter, or another file takes its name, it is read again from its beginning.
@@ -143,9 +143,6 @@ def read_final(folder: Path) -> Uncertainties:
         return {}
 
 
-_CLOCK_TEXT = len("12:34:56 UTC  ")
-
-
 class RunModel:
     """One run."""
 
@@ -239,7 +236,7 @@ class RunModel:
             apply_entry(self.history, entry)
             self.time_left.apply(entry, self.history)
             self._change_rows(entry)
-            text = line_text(entry)
+            text = event_text(entry)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             self.fault = (
                 f"Line {entry.seq + 1} of the journal ({entry.event}) cannot be understood: it lacks {error}."
@@ -247,7 +244,7 @@ class RunModel:
             )
             return
         if text:
-            line = LogLine(line=self.lines, utc=entry.utc, text=text[_CLOCK_TEXT:], tone=_tone(entry))
+            line = LogLine(line=self.lines, utc=entry.utc, text=text, tone=_tone(entry))
             self.log.append(line)
 
     def _read_plan(self) -> None:

@@ -275,7 +275,7 @@ class Plan:
         step = planned.step
         described: dict[str, Any] = {
             "number": step.number,
-            "what": type(step).__name__.removesuffix("Step").lower(),
+            "what": step.word,
             "line": self.sequence.position(step.path).line,
             "duration_s": round(planned.duration_s, 3),
             "done_after_s": round(planned.done_after_s, 3),

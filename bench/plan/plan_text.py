@@ -111,7 +111,7 @@ def _what(step: Step, plan: Plan) -> str:
             if plan.passport.in_use is not None and plan.passport_for(step) is not None:
                 what += f", passport {plan.passport.in_use.name}"
         case _:
-            what = type(step).__name__.removesuffix("Step").lower()
+            what = step.word
     return what
 
 

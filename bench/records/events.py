@@ -232,6 +232,9 @@ class GateData(TypedDict):
     unit: str
     limit: str
     verdict: str
+    # In results.json, for a gate of a recording: its name among the gates, and the pose. ``name`` names both.
+    gate: NotRequired[str]
+    pose: NotRequired[int]
 
 
 class ImageFacts(TypedDict, total=False):

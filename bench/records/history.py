@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Literal, ParamSpec, cast
+from typing import Any, Final, Literal, NamedTuple, ParamSpec, cast
 
 import calib.errors
 from bench.base.errors import JournalBroken
@@ -106,6 +106,13 @@ _POSE_STATES = frozenset({"slewing", "settling", "recording", "checking", "backi
 """States in which a pose is at work."""
 
 
+class InterlockHold(NamedTuple):
+    """An interlock that holds the run."""
+
+    rule: str  # Its name in the station file
+    why: str  # A sentence without a full stop
+
+
 @dataclass(frozen=True)
 class Attempt:
     """One recording at one pose, as journaled when it was stored."""
@@ -183,8 +190,8 @@ class History:
     Time after the last line of a process that was stopped is not known and does not count."""
     holder: str = ""
     """Operator who holds the run; empty while none does."""
-    interlock: str = ""
-    """The interlock that holds the run, and why, as text; empty while none does."""
+    interlock: InterlockHold | None = None
+    """The interlock that holds the run, and why; None while none does."""
     question: str = ""
     """The question to the operator; empty while there is none."""
     answer: tuple[str, str] | None = None
@@ -290,7 +297,7 @@ def apply_entry(history: History, entry: Entry) -> None:
         case Event.DEVICES | Event.DEVICES_LEFT:
             _apply_devices(history, entry)
         case Event.ENTERING:
-            history.interlock = f"{data['rule']}: {data['why']}" if "rule" in data else ""
+            history.interlock = InterlockHold(data["rule"], data["why"]) if "rule" in data else None
             history.states.append({"state": data["state"], "utc": entry.utc, "mono_s": entry.mono_s})
             history.at_pose = data.get("pose", history.at_pose) if data["state"] in _POSE_STATES else None
         case Event.STEP_DONE:
@@ -359,7 +366,8 @@ def count_crash(history: History, crash: object) -> None:
 
 def _clear_hold(history: History) -> None:
     """Clear hold and question, because a run that ends or is resumed has neither."""
-    history.holder = history.interlock = history.question = ""
+    history.holder = history.question = ""
+    history.interlock = None
     history.answer = None
 
 

@@ -5,7 +5,6 @@ Rows are empty for a missing part. The course is the expanded uncertainty after 
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -34,7 +33,6 @@ from bench.report.text import (
     value_text,
 )
 
-_POSE_PREFIX = re.compile(r"pose \d+: ")
 _VERDICTS = ("pass", "marginal", "fail")
 
 
@@ -67,7 +65,7 @@ def gates(found: Sequence[GateData], words: TargetWords = STARS) -> list[GateRow
     """List each gate once, with the range of the values it judged and its worst verdict."""
     kinds: dict[tuple[str, str, str], list[GateData]] = {}
     for gate in found:
-        name = _POSE_PREFIX.sub("", str(gate["name"]), count=1)
+        name = gate.get("gate", gate["name"])
         limit = str(gate["limit"]).replace(">=", "≥").replace("<=", "≤")
         kinds.setdefault((name, limit, str(gate["unit"])), []).append(gate)
     rows = []

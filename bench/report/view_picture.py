@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -23,7 +22,6 @@ MOST_PICTURES = 24
 """Largest number of poses shown as images."""
 _WORST = 3
 _NOT_PASSED = ("fail", "marginal")
-_POSE_OF_GATE = re.compile(r"pose (\d+): ")
 
 PLOTS = (
     "truth", "uncertainty", "direction", "halves", "distortion", "poses", "frames", "vectors", "cloud", "radial",
@@ -64,9 +62,8 @@ def _indices_by_verdict(gates: Sequence[GateData]) -> dict[str, set[int]]:
     """Return the indices of the poses that have a gate with this verdict; gates of the whole run belong to no pose."""
     found: dict[str, set[int]] = {verdict: set() for verdict in _NOT_PASSED}
     for gate in gates:
-        of_pose = _POSE_OF_GATE.match(str(gate["name"]))
-        if of_pose and gate["verdict"] in found:
-            found[gate["verdict"]].add(int(of_pose[1]))
+        if "pose" in gate and gate["verdict"] in found:
+            found[gate["verdict"]].add(gate["pose"])
     return found
 
 

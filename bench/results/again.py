@@ -198,7 +198,7 @@ def check_run_again(folder: Path) -> Findings:
     if other := other_software(evidence.used):
         found.remarks.append(f"the results were made with {other}")
     if why := other_engine(read_json(folder / RESULTS)):
-        found.not_compared.append(f"{RESULTS}, exports and {REPORT}: {why}")
+        found.could_not_compare(f"{RESULTS}, exports and {REPORT}: {why}", "results", "exports", "report")
     elif (made := _made_again(evidence, measured, found)) is not None:
         compare_trees(folder, made, found)
     return found
@@ -213,15 +213,21 @@ def _read(folder: Path, found: Findings) -> _Evidence | None:
     except (BenchError, DriverError, CalibrationError, *UNREADABLE) as error:
         used = whole.started.get("software", {})
         if missing := plugins_missing(whole.started):
-            found.not_compared.append(
+            found.could_not_compare(
                 f"{RESULTS}, exports and {REPORT}: the station needs {', '.join(missing)}, which this computer does"
-                " not have; install it and verify again"
+                " not have; install it and verify again",
+                "results",
+                "exports",
+                "report",
             )
         elif used.get("program") == software()["program"]:
             found.fault("plan", STATION_COPY, f"the run cannot be planned again from its documents: {error}")
         else:
-            found.not_compared.append(
-                f"{RESULTS}, exports and {REPORT}: this version cannot read the documents of the run ({error})"
+            found.could_not_compare(
+                f"{RESULTS}, exports and {REPORT}: this version cannot read the documents of the run ({error})",
+                "results",
+                "exports",
+                "report",
             )
         return None
     if not (folder / RESULTS).is_file():
@@ -373,14 +379,15 @@ def check_recalculated(folder: Path) -> Findings:
             found.fault("results", RESULTS, f"its sources are not those of {SOURCES}")
             return found
         if why := other_engine(stored) or _cannot(described):
-            found.not_compared.append(f"{RESULTS} with its sources: {why}")
+            found.could_not_compare(f"{RESULTS} with its sources: {why}", "results")
             return found
         again = _calibrated(folder, described)
         pairs = zip(again.sources, again.views, strict=True)
         sources = [source_data(source, view.name) for source, view in pairs]
         if sources != described["sources"]:
-            found.not_compared.append(
-                f"{RESULTS} with its sources: the paths hold other files now than those that were calculated from"
+            found.could_not_compare(
+                f"{RESULTS} with its sources: the paths hold other files now than those that were calculated from",
+                "results",
             )
             return found
         files = offline_files(again, str(stored["run"]["id"]), _sealer(folder, stored), sources=sources)

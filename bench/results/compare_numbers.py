@@ -162,8 +162,9 @@ def check_numbers(
     seen = [one for one in every if one not in excused]
     if excused:
         places = described(excused, sigma, MOST_SHOWN)
-        found.not_compared.append(
-            f"{RESULTS} with the {source}: another program calculated it, with differences in {places}"
+        found.could_not_compare(
+            f"{RESULTS} with the {source}: another program calculated it, with differences in {places}",
+            "results",
         )
     add_faults("results", RESULTS, f"the {source} do not give it: ", seen, found)
     if seen and other:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.errors import BenchError, EvidenceError, RunFolderError, StorageError
-from bench.evidence.findings import UNREADABLE, Findings
+from bench.evidence.findings import UNREADABLE, Findings, Part
 from bench.evidence.seal import INSTRUCTIONS, instructions, kind_of
 from bench.evidence.sshsig import fingerprint, read_signature
 from bench.records.run_folder import EXPORTS, PLAN, REPORT, RESULTS, SIGNATURE
@@ -65,12 +65,15 @@ def compare_views(
                 found.fault("views", VIEWS, f"the {source} of {name} give {what}")
     if excused:
         parts = ", ".join(dict.fromkeys(part for seen in excused.values() for part in seen))
-        found.not_compared.append(
-            f"{', '.join(excused)} of {VIEWS} with the {source}: another program found the stars, with {parts}"
+        found.could_not_compare(
+            f"{', '.join(excused)} of {VIEWS} with the {source}: another program found the stars, with {parts}",
+            "stars and images",
         )
     if path.read_bytes() != rewritten:  # a file with the same bytes holds nothing besides this content
         if by := other_software(used, _BYTES_BY):
-            found.not_compared.append(f"bytes of {VIEWS} with its content: it was made with {by}")
+            found.could_not_compare(
+                f"bytes of {VIEWS} with its content: it was made with {by}", "stars and images"
+            )
         else:
             what = "it holds more than stars, residuals and images, or was not written by this program"
             found.fault("views", VIEWS, what)
@@ -157,7 +160,9 @@ def compare_trees(folder: Path, made: MadeAgain, found: Findings) -> None:
         due = shown_files(stored, calibration, made.camera_name, made.target, held, made.head)
     except (BenchError, *UNREADABLE, jinja2.TemplateError) as error:
         if other := other_software(made.used):
-            found.not_compared.append(f"{EXPORTS} and {REPORT} with {RESULTS}: they were made with {other}")
+            found.could_not_compare(
+                f"{EXPORTS} and {REPORT} with {RESULTS}: they were made with {other}", "exports", "report"
+            )
         else:
             found.fault("results", RESULTS, f"no report can be made of these results ({error!r})")
         return
@@ -175,14 +180,14 @@ def compare_trees(folder: Path, made: MadeAgain, found: Findings) -> None:
 
 
 def compare_file(
-    path: Path, name: str, due: bytes | None, kind: str, other: str, found: Findings, of: str = RESULTS
+    path: Path, name: str, due: bytes | None, kind: Part, other: str, found: Findings, of: str = RESULTS
 ) -> None:
     """Compare one file by bytes with what is due, None for no file; ``other`` tells how the program differs."""
     had = path.read_bytes() if path.is_file() else None
     if had == due:
         return
     if other:
-        found.not_compared.append(f"{name} with {of}: it was made with {other}")
+        found.could_not_compare(f"{name} with {of}: it was made with {other}", kind)
     elif had is None:
         found.fault(kind, name, f"the file is missing; it follows from {of}")
     elif due is None:
@@ -209,7 +214,7 @@ def compare_plan(folder: Path, due: Mapping[str, Any], used: Mapping[str, Any], 
         found.fault("plan", PLAN, f"the file cannot be read ({error!r})")
         return
     if seen and (other := other_software(used)):
-        found.not_compared.append(f"{PLAN} with the documents of the run: it was made with {other}")
+        found.could_not_compare(f"{PLAN} with the documents of the run: it was made with {other}", "plan")
     else:
         add_faults("plan", PLAN, "", seen, found)
 
@@ -231,7 +236,7 @@ def compare_instructions(folder: Path, used: Mapping[str, Any], found: Findings)
     if had == due:
         return
     if other := other_software(used):
-        found.not_compared.append(f"{INSTRUCTIONS}: it was made with {other}")
+        found.could_not_compare(f"{INSTRUCTIONS}: it was made with {other}", "instructions")
     else:
         what = "these are not the instructions for the key that sealed this folder"
         found.fault("instructions", INSTRUCTIONS, what)

@@ -280,7 +280,7 @@ def _attempt(attempt: Attempt, kind: CameraKind) -> AttemptData:
 def _pose_gates(history: History) -> list[GateData]:
     """Return the gates of the accepted recordings, each named with its pose."""
     return [
-        {**gate, "name": f"pose {index}: {gate['name']}"}
+        {**gate, "name": f"pose {index}: {gate['name']}", "gate": gate["name"], "pose": index}
         for index, attempt in sorted(history.accepted().items())
         for gate in attempt.gates
     ]

@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Any, Protocol, Unpack, cast
 from bench.records.events import Circumstances, Entering, Event, LeftOff
 from bench.records.history import History
 from bench.records.journal import Entry
+from sequences.script import PromptStep, SettleStep, WaitStep
 
 if TYPE_CHECKING:
     from transitions import EventData
 
 _LEAST_STEPS = 3
 _SMALLEST, _LARGEST = 0.5, 50.0
-_FIXED = frozenset({"prompt", "wait", "settle"})
+_FIXED = frozenset(step.word for step in (PromptStep, WaitStep, SettleStep))
 """Steps that take the time that the sequence states, on any bench."""
 
 

@@ -36,10 +36,15 @@ from bench.terminal.encoding import clock_text, counted, times
 from drivers.lateness import LatenessData
 
 
+def event_text(entry: Entry) -> str:
+    """Return what a journal line says, as text; empty for lines that only programs need."""
+    make_text = _ENTRY_TEXTS.get(entry.event)
+    return make_text(entry.data) if make_text is not None else ""
+
+
 def line_text(entry: Entry) -> str:
     """Return a journal line as text with its time; empty for lines that only programs need."""
-    make_text = _ENTRY_TEXTS.get(entry.event)
-    text = make_text(entry.data) if make_text is not None else ""
+    text = event_text(entry)
     return f"{entry.utc[11:19]} UTC  {text}" if text else ""
 
 
@@ -361,8 +366,7 @@ def _left_s(history: History, plan: RunPlan, entries: Sequence[Entry], now: date
 
 def _held_by(history: History) -> str:
     if history.interlock:
-        name, _, why = history.interlock.partition(":")
-        return f"the {interlock_text(name)} interlock:{why}"
+        return f"the {interlock_text(history.interlock.rule)} interlock: {history.interlock.why}"
     return history.holder
 
 

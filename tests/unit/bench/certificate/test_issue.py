@@ -156,7 +156,8 @@ def test_a_run_that_does_not_verify_is_refused(lab, say, named):
 
 
 def test_a_run_that_could_not_be_compared_is_refused_unless_that_is_accepted_and_stated(lab):
-    lab.says = {"not_compared": ("report.html: it was made by another version",), "again": True}
+    what = ["report.html: it was made by another version"]
+    lab.says = {"not_compared": what, "parts_not_compared": ["report"], "again": True}
     with pytest.raises(EvidenceError, match=r"Not all results of this run could be compared: report\.html"):
         lab.issue()
     assert lab.numbers() == {}

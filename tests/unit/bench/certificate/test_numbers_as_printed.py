@@ -247,7 +247,17 @@ def of_board():
     calibration["budget_rows"] = [row for row in calibration["budget_rows"] if row["name"] == "stars"]
     calibration["notes"] = []
     found["passport"] = None
-    found["gates"] = [{"name": "pose 1: stars", "value": 7, "unit": "", "limit": ">= 39", "verdict": "fail"}]
+    found["gates"] = [
+        {
+            "name": "pose 1: stars",
+            "gate": "stars",
+            "pose": 1,
+            "value": 7,
+            "unit": "",
+            "limit": ">= 39",
+            "verdict": "fail",
+        }
+    ]
     return found
 
 

@@ -22,7 +22,7 @@ def results_of(rms_px, verdicts=None):
     """Results of poses with these residuals; verdicts by place."""
     poses = [{"index": i, "name": f"p{i - 1}", "rms_px": rms} for i, rms in enumerate(rms_px, 1)]
     gates = [
-        {"name": f"pose {place + 1}: stars", "verdict": verdict}
+        {"name": f"pose {place + 1}: stars", "gate": "stars", "pose": place + 1, "verdict": verdict}
         for place, verdict in (verdicts or {}).items()
     ]
     return {"poses": poses, "gates": [{"name": "rms", "verdict": "fail"}, *gates]}

@@ -20,7 +20,15 @@ def of_board(**run):
     results["run"].pop("target", None)
     budget = {"stars": next(iter(results["calibration"]["budget"].values()))}
     results["calibration"] |= {"model": "planar", "collimator": None, "budget": budget}
-    gate = {"name": "pose 1: stars", "value": 77.0, "unit": "", "limit": ">= 39", "verdict": "fail"}
+    gate = {
+        "name": "pose 1: stars",
+        "gate": "stars",
+        "pose": 1,
+        "value": 77.0,
+        "unit": "",
+        "limit": ">= 39",
+        "verdict": "fail",
+    }
     results |= {"gates": [gate], "planar": None, "passport": None, "deviations": []}
     return ReportData(results, data.views, data.journal_head)
 

@@ -119,7 +119,7 @@ def quality(roll_deg: float, kind: str) -> dict:
         ([quality(44, "fired-per-edge"), quality(10, "fired-per-edge")], 1),
         ([quality(0, "lock-in"), quality(0, "picture")], 0),  # levels of grey
         ([{"image": {"kind": "last-polarity"}}, {}], 0),  # no stars
-        ([{"grid": quality(0, "lock-in")["grid"]}], 0),  # blinking dots have no event image
+        ([{"grid": quality(0, "lock-in")["grid"]}], 0),
     ],
 )
 def test_recordings_with_edges_along_rows_or_diagonals_are_counted(seen, aligned):
