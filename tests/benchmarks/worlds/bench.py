@@ -56,6 +56,7 @@ class Camera:
     values: Mapping[str, float]  # fx, fy, cx, cy and the lens's coefficients, by the engine's names
     family: str  # k1k2, p1p2k3 or fisheye
     image_of: Callable[[Array], Array] | None = None  # own projection, if no such coefficients describe it
+    exact: bool = False  # whether own projection has the coefficients as they are, and others
 
     def project(self, rays: Array) -> Array:
         """Image points (N, 2) px of rays (N, 3)."""

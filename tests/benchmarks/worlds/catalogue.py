@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-from . import polynomial, product, ray_traced
+from . import polynomial, product, ray_traced, stranger
 from .bench import POSES, Bench
 from .judge import judged
 
@@ -30,6 +30,7 @@ WORLDS: Mapping[str, Draw] = {
     "polynomial": partial(_polynomial, "real"),
     "raytraced": partial(_ray_traced, "real"),
     "product": partial(_product, "like-bench"),
+    "stranger": stranger.draw,
     "ideal": partial(_polynomial, "ideal"),
     "polynomial-far": partial(_polynomial, "far"),
     "raytraced-far": partial(_ray_traced, "far"),
@@ -52,4 +53,7 @@ def result(world: str, poses: int, seed: int, known: str, lens: str = "shipped")
         before = draw(seed, 9, 1, 0), "cr"
         return {**line, **judged(draw(seed, poses, 1, 1), known, lens, before)}
     what, _, times = known.partition("x")
-    return {**line, **judged(draw(seed, poses, int(times or 1), 0), what, lens), "known": known}
+    bench = draw(seed, poses, int(times or 1), 0)
+    if "r" in what and bench.facts.get("by_hand"):
+        raise ArithmeticError("A hand moves this camera: there are no readings.")
+    return {**line, **judged(bench, what, lens), "known": known}

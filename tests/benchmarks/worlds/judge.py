@@ -71,7 +71,7 @@ def compared(answer: Answer, camera: Camera) -> dict[str, Any]:
     }
     off = {name: value - camera.values.get(name, 0.0) for name, value in answer.values.items()}
     error, u = {name: off[name] for name in CENTRE}, {name: expanded[name] for name in CENTRE}
-    has_lens = camera.image_of is None  # else no coefficients describe it
+    has_lens = camera.image_of is None or camera.exact  # else no coefficients describe it
     error["corner"], sigma = corner(answer, camera)
     u["corner"] = k * sigma
     return {
@@ -85,6 +85,7 @@ def compared(answer: Answer, camera: Camera) -> dict[str, Any]:
         "left_out_px": answer.left_out_rms_px and round(answer.left_out_rms_px, 4),
         "model": answer.model,
         "notes": list(answer.notes),
+        "accused": [w.name for w in getattr(answer.raw, "witnesses", ()) if w.fault_probability > 0.5],
     }
 
 

@@ -46,6 +46,8 @@ GROUPS: Mapping[str, Callable[[Line], Any]] = {
     "world": lambda line: line["world"],
     "poses": lambda line: line["poses_asked"],
     "known": lambda line: line["known"],
+    "collimator": lambda line: line.get("design", ""),
+    "poses as": lambda line: line.get("kind", ""),
     "lens": lambda line: line["lens"],
     "known, poses": lambda line: (line["known"], line["poses_asked"]),
     "known, lens": lambda line: (line["known"], line["lens"]),
@@ -56,8 +58,8 @@ GROUPS: Mapping[str, Callable[[Line], Any]] = {
 def page(lines: Sequence[Line]) -> str:
     """The scores by world and knowledge as a table of docs/measured."""
     text = [
-        "| world, stated | number | covered, %: fx fy cx cy corner | RMS of 2 error / U | largest error / U | fx: error, U | cx |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
+        "| world, stated | number | covered, %: fx fy cx cy corner | RMS of 2 error / U | largest error / U | named as wrong | fx: error, U | cx | CPU: median, 95 % |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for key in sorted({(line["world"], line["known"]) for line in lines}):
         solved = [line for line in lines if (line["world"], line["known"]) == key and "refused" not in line]
@@ -70,7 +72,9 @@ def page(lines: Sequence[Line]) -> str:
             f"{np.median([line['U'][what] for line in solved]):.2f} px"
             for what in ("fx", "cx")
         ]
-        cells = ["`{}`, `{}`".format(*key), len(solved), covered, rms, f"{largest:.1f}", *sizes]
+        named = sum(len(line.get("accused", ())) for line in solved)
+        cpu = "{:.1f}, {:.1f} s".format(*np.quantile([line["cpu_s"] for line in solved], [0.5, 0.95]))
+        cells = ["`{}`, `{}`".format(*key), len(solved), covered, rms, f"{largest:.1f}", named, *sizes, cpu]
         text.append("| " + " | ".join(map(str, cells)) + " |")
     return "\n".join(text)
 
