@@ -47,6 +47,11 @@ class Stated:
     print_bow_mm: float = 0.02  # half width at 40 mm, rectangular
     thermal: float = 9e-6  # standard uncertainty of the print's relative expansion
     effective_radius: float | None = None  # standard uncertainty; None if not stated
+    # What r_mm is: ``radius``, the length that the camera sees, d print / d tangent; or ``focal length`` (EFL) of the glass.
+    # radius = focal length + defocus * pupil_to_focus_mm.
+    certifies: str = "radius"
+    # Value and standard uncertainty, mm: from the camera's pupil to the collimator's front focal plane, towards the glass.
+    pupil_to_focus_mm: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)

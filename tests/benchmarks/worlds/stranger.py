@@ -156,6 +156,7 @@ def _world(seed: int, camera: int) -> World:
     certifies = str(rng.choice(["focal length"] * 3 + ["radius"] * 2))
     is_true = glass.efl_mm if certifies == "focal length" else r
     print_scale = 2e-5 * rng.uniform(-1, 1, 2) + 9e-6 * rng.normal()
+    to_focus = float(glass.pupil_to_focus_mm - pupil[2])
     stated = Stated(
         float(is_true + sigma * rng.normal()),
         sigma,
@@ -164,8 +165,9 @@ def _world(seed: int, camera: int) -> World:
         reading_sigma_deg=0.002,
         bounded=not hand,
         print_bow_mm=bow_mm / (efl / 250),
+        certifies=certifies,
+        pupil_to_focus_mm=(to_focus + 3.0 * float(rng.normal()), 3.0),
     )
-    to_focus = float(glass.pupil_to_focus_mm - pupil[2])
     facts = {
         "f": lens.values["fx"],
         "design": design,
@@ -177,9 +179,7 @@ def _world(seed: int, camera: int) -> World:
         "r": r,
         "efl": float(glass.efl_mm),
         "defocus": defocus,
-        # r = efl + defocus * pupil_to_focus_mm, positive if the front focal plane lies behind the pupil
         "pupil_to_focus_mm": to_focus,
-        "stated_pupil_to_focus_mm": [to_focus + 3.0 * float(rng.normal()), 3.0],
     }
     star = float(np.exp(own.uniform(np.log(0.008), np.log(0.03))))
     pitch = float(np.sqrt(area / own.choice(STARS)))
