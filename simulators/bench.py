@@ -109,6 +109,9 @@ class Bench:
         lamp = Lamp(self.world.set_light)
         light = make_light(self._config.light, clock, lamp.drive)
         stage = make_stage(self._config.stage_kind, self._config.axes, clock, self._publish_axis)
+        for message in self._config.stage_left_behind:
+            for dialect in stage.dialects.values():
+                dialect.receive(message)
         dialects: dict[str, Dialect] = {**stage.dialects, "light": light}
         chance = np.random.SeedSequence(self.world.seed).spawn(len(dialects))
         lines = {

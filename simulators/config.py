@@ -114,6 +114,7 @@ class BenchConfig:
     # Parameters of the world, before the mounting is drawn from the seed.
     truth: Truth = field(default_factory=Truth)
     stage_kind: str = "zaber"
+    stage_left_behind: tuple[bytes, ...] = ()  # Messages that another program has sent to the stage's ports
     axes: Mapping[AxisName, AxisConfig] = field(
         default_factory=lambda: {
             "pan": AxisConfig("100101", 15.0, start_deg=2.4),
@@ -155,9 +156,10 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
     """Read a configuration; `ConfigError` names a key that is unknown or whose value is not valid.
 
     All sections are optional: those of `truth`; ``stage``, a mapping of the axes pan, tilt and roll in the order of
-    their addresses (pan and tilt are always there), with an optional ``kind``; ``light``; ``rehearsal``; ``faults``, a
-    list of fault orders (see `faults`) that are carried out from the start; and the values ``camera_serial``,
-    ``camera_seed``, ``ports`` ("pty" or "tcp") and ``paced`` (whether bytes are delayed as by the line's baud rate).
+    their addresses (pan and tilt are always there), with optional ``kind`` and ``left_behind``; ``light``;
+    ``rehearsal``; ``faults``, a list of fault orders (see `faults`) that are carried out from the start; and the
+    values ``camera_serial``, ``camera_seed``, ``ports`` ("pty" or "tcp") and ``paced`` (whether bytes are delayed as by
+    the line's baud rate).
 
     >>> bench_config({"stage": {"pan": {"limit_deg": 170}}}).axes["pan"].limit_deg
     170.0
@@ -182,6 +184,7 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
     return BenchConfig(
         truth=truth,
         stage_kind=stage_kind,
+        stage_left_behind=_left_behind(stage_kind, given.get("stage", {}).get("left_behind", [])),
         axes=_with_backlash(given.get("stage", {}), axes, truth.gimbal),
         light=light,
         night=_night(given.get("rehearsal", {})),
@@ -209,6 +212,28 @@ def _with_backlash(
                 remedy="Remove this key, and give gimbal.backlash_deg by axis.",
             )
     return {name: replace(axis, backlash_deg=play[name]) for name, axis in axes.items()}
+
+
+_ENDS: Final = {"zaber": b"\n", "grbl": b"\n", "esp301": b"\r", "flir_ptu": b" "}
+"""Ends of messages, by kind of stage; the messages of other kinds are written in hexadecimal digits."""
+
+
+def _left_behind(kind: str, given: object) -> tuple[bytes, ...]:
+    """Read the messages that another program has sent to a stage before the bench was opened."""
+    if not isinstance(given, list) or not all(isinstance(one, str) for one in given):
+        raise ConfigError(
+            "A list of texts is expected.", where="stage.left_behind", remedy="Give one message each."
+        )
+    if kind in _ENDS:
+        return tuple(message.encode("ascii", "replace") + _ENDS[kind] for message in given)
+    try:
+        return tuple(map(bytes.fromhex, given))
+    except ValueError as error:
+        raise ConfigError(
+            "A message is not written in hexadecimal digits.",
+            where="stage.left_behind",
+            remedy="Write each byte as two digits, such as 10 02 01 02 50 01.",
+        ) from error
 
 
 def _night(given: object) -> Night:
@@ -239,7 +264,7 @@ def _stage(
     if not isinstance(given, Mapping):
         raise ConfigError(f"A mapping is expected, not {given!r}.", where="stage")
     kind = read(Annotated[str, one_of(STAGE_KINDS)], given.get("kind", "zaber"), "stage.kind")
-    named = {name: section for name, section in given.items() if name != "kind"}
+    named = {name: section for name, section in given.items() if name not in {"kind", "left_behind"}}
     if unknown := next((name for name in named if name not in AXES), None):
         raise ConfigError("Unknown axis.", where=f"stage.{unknown}", remedy=f"Known are: {', '.join(AXES)}.")
     steps = STAGE_KINDS[kind]

@@ -56,6 +56,23 @@ def test_one_line_gives_all_addresses_and_the_end_of_input_ends_the_bench(tmp_pa
     assert not os.path.lexists(said["endpoints"]["light"])
 
 
+@pytest.mark.parametrize(
+    ("kind", "left_behind", "asked", "said"),
+    [
+        ("flir_ptu", ["CV"], b"C ", b"C * PTU is in pure velocity speed control mode\r\n"),
+        ("thorlabs_apt", ["10 02 01 02 50 01"], bytes.fromhex("110201005001"), bytes.fromhex("120201020150")),
+    ],
+)
+def test_a_stage_is_found_as_another_program_has_left_it(tmp_path, kind, left_behind, asked, said) -> None:
+    config = bench_config({"stage": {"kind": kind, "left_behind": left_behind}})
+    with Bench(tmp_path, config) as bench:
+        (address, *_) = (bench.endpoints[name] for name in bench.endpoints if name.startswith("gimbal"))
+        baudrate = 9600 if kind == "flir_ptu" else 115_200
+        with serial.Serial(address, baudrate, timeout=5.0) as line:
+            line.write(asked)
+            assert line.read(len(said)) == said
+
+
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_the_bench_and_removes_its_ports(tmp_path, number):
     process = start(tmp_path, until_eof=False)

@@ -57,6 +57,8 @@ optics: {psf_px: -1} -> optics.psf_px
 paced: "yes" -> paced
 ports: usb -> ports
 reticle: {bow: 0.1} -> reticle.bow
+stage: {left_behind: CV} -> stage.left_behind -> list of texts
+stage: {kind: ximc, left_behind: [home]} -> stage.left_behind -> hexadecimal
 reticle: {bow_radius_mm: 0} -> reticle.bow_radius_mm
 reticle: {print_scale: large} -> reticle.print_scale
 reticle: null -> reticle
