@@ -92,7 +92,7 @@ class ReadingChoices:
     stream: str | None = None
 
     def as_json(self) -> dict[str, Any]:
-        """Return what was said, as values that JSON can hold."""
+        """Return the choices as values that JSON can hold."""
         size = {"sensor_size": list(self.sensor_size)} if self.sensor_size else {}
         return {**size, **({"stream": self.stream} if self.stream is not None else {})}
 
@@ -161,9 +161,8 @@ def source_of_stream(
 def from_zero(source: EventSource) -> EventSource:
     """Return a source whose times begin near 0 if its own lie beyond a day, as those that count from 1970 do."""
     edges = source.triggers
-    first = next((piece.part(0, 1) for piece in source.pieces() if len(piece.t)), None)
-    pieces = (one for one in ((first or empty_events(0), edges.part(0, 1)),))
-    origin = origin_of(pieces)
+    first = next((piece.part(0, 1) for piece in source.pieces() if len(piece.t)), empty_events(0))
+    origin = origin_of(iter([(first, edges.part(0, 1))]))
     if origin.us < MAX_TIME_US:
         return source
 
@@ -220,8 +219,8 @@ def require_ratio(stated_bytes: int, file_bytes: int, what: str) -> None:
 def require_one_length(lengths: Mapping[str, int]) -> None:
     """Raise NotARecording unless all lengths are the same."""
     if len(set(lengths.values())) != 1:
-        told = ", ".join(f"{name} {n}" for name, n in lengths.items())
-        raise NotARecording(f"its arrays have different lengths: {told}.")
+        each = ", ".join(f"{name} {n}" for name, n in lengths.items())
+        raise NotARecording(f"its arrays have different lengths: {each}.")
 
 
 def as_triggers(columns: Mapping[str, NDArray[Any]]) -> Triggers:

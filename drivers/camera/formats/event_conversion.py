@@ -80,15 +80,15 @@ def convert(
     itself. Raises `NotARecording` if the source holds no events, or both files would be RAW, `RecordingFileError` also
     if EVT3 cannot represent the contents.
     """
-    with open_events(source, choices) as found:
+    with open_events(source, choices) as opened:
         if kind != "raw":
-            return _EXPORTS[kind](found, target, progress)
+            return _EXPORTS[kind](opened, target, progress)
         if is_evt3(source):
-            return _with_size(found, source, target)
-        return write_raw(found, target, source=source, progress=progress)
+            return _with_size(opened, source, target)
+        return write_raw(opened, target, source=source, progress=progress)
 
 
-def _with_size(found: EventSource, source: Path, path: Path) -> ExportSummary:
+def _with_size(opened: EventSource, source: Path, path: Path) -> ExportSummary:
     """Copy a recording that does not state the size of its sensor, with a header that states it; else refuse."""
     if is_recording(source):
         raise NotARecording(
@@ -96,35 +96,35 @@ def _with_size(found: EventSource, source: Path, path: Path) -> ExportSummary:
             where=str(source),
             remedy="Choose another kind of file.",
         )
-    size = found.width, found.height
+    size = opened.width, opened.height
     recording = RawFile.open(source, size)
     with new_file(path) as part, part.open("xb") as file:
         file.write(render_fields({**recording.header, "geometry": "{}x{}".format(*size)}))
         for words in recording.words():
             file.write(words.tobytes())
-    return ExportSummary(found.count, len(found.triggers.t), 0, found.truncated, found.unknown_words)
+    return ExportSummary(opened.count, len(opened.triggers.t), 0, opened.truncated, opened.unknown_words)
 
 
 def write_raw(
-    found: EventSource, path: Path, *, source: Path, progress: Progress = lambda _: None
+    opened: EventSource, path: Path, *, source: Path, progress: Progress = lambda _: None
 ) -> ExportSummary:
     """Write events as a new RAW file of EVT3, whose header names the source; the path must not exist.
 
     Raises `RecordingFileError` also if EVT3 cannot represent the sensor's size, times or triggers.
     """
-    if not all(0 < side <= MAX_SIDE_PX for side in (found.width, found.height)):
+    if not all(0 < side <= MAX_SIDE_PX for side in (opened.width, opened.height)):
         raise RecordingFileError(
-            f"EVT3 cannot represent a sensor of {found.width} x {found.height} px.",
+            f"EVT3 cannot represent a sensor of {opened.width} x {opened.height} px.",
             where=str(source),
             remedy="Convert it to HDF5 or .npz.",
         )
     encoder = Evt3Encoder()
-    triggers, count = found.triggers, 0
+    triggers, count = opened.triggers, 0
     with new_file(path) as part, part.open("xb") as file:
-        file.write(_header(found, source))
+        file.write(_header(opened, source))
         done, latest = 0, -1
         try:
-            for piece in found.pieces():
+            for piece in opened.pieces():
                 if not len(piece.t):
                     continue
                 count += len(piece.t)
@@ -132,7 +132,7 @@ def write_raw(
                 until = int(np.searchsorted(triggers.t, latest, "right"))
                 file.write(encoder.words(piece, triggers.part(done, until)).tobytes())
                 done = max(done, until)
-                progress(count / max(1, found.count))
+                progress(count / max(1, opened.count))
             file.write(encoder.words(empty_events(0), triggers.part(done, len(triggers.t))).tobytes())
         except ValueError as error:
             raise RecordingFileError(
@@ -141,7 +141,7 @@ def write_raw(
                 remedy="Convert it to HDF5 or .npz, or change its values: times from 0 to one day, trigger values 0 or"
                 " 1, trigger ids 0 to 15.",
             ) from error
-    return ExportSummary(count, len(triggers.t), encoder.moved_events, found.truncated)
+    return ExportSummary(count, len(triggers.t), encoder.moved_events, opened.truncated)
 
 
 _EXPORTS: Final = {"metavision": export_metavision, "hdf5": export_hdf5, "numpy": export_numpy}
@@ -164,13 +164,13 @@ _OF_LAYOUT: Final = frozenset(
 """Keys, in small letters, that describe how the source is laid out."""
 
 
-def _header(found: EventSource, source: Path) -> bytes:
+def _header(opened: EventSource, source: Path) -> bytes:
     """Return the header of a new RAW file: the facts of its source, and its name."""
-    facts = {key: value for key, value in found.header.items() if key.lower() not in _OF_LAYOUT}
+    facts = {key: value for key, value in opened.header.items() if key.lower() not in _OF_LAYOUT}
     layout = {
         "evt": "3.0",
-        "format": f"EVT3;height={found.height};width={found.width}",
-        "geometry": f"{found.width}x{found.height}",
+        "format": f"EVT3;height={opened.height};width={opened.width}",
+        "geometry": f"{opened.width}x{opened.height}",
     }
     return render_fields({**facts, **layout, "converted_from": f"{source.name}; not the bytes of a camera"})
 

@@ -61,8 +61,8 @@ def _source(path: Path, choices: ReadingChoices, opened: ExitStack) -> EventSour
     if start:
         require_whole(path)
     if start.startswith(_HDF5):
-        found = opened_hdf5(opened.enter_context(h5py.File(path, "r")), choices)
-        return found or opened.enter_context(source_of_library(path, "hdf5", choices))
+        source = opened_hdf5(opened.enter_context(h5py.File(path, "r")), choices)
+        return source or opened.enter_context(source_of_library(path, "hdf5", choices))
     by_library = {
         "bag": is_bag(path, start),
         "npz": start[:4] == b"PK\x03\x04",
@@ -82,10 +82,10 @@ def _source(path: Path, choices: ReadingChoices, opened: ExitStack) -> EventSour
 def _of_recording(recording: RawFile) -> EventSource:
     decoder = recording.decoder()
     edges = join_triggers([decoder.tally(words) for words in recording.words()])
-    found = decoder.statistics()
+    total = decoder.statistics()
     size = recording.width, recording.height
-    about_end = recording.truncated, found.unknown_words
-    return EventSource(found.events, edges, *size, recording.header, recording.chunks, *about_end)
+    about_end = recording.truncated, total.unknown_words
+    return EventSource(total.events, edges, *size, recording.header, recording.chunks, *about_end)
 
 
 @contextmanager

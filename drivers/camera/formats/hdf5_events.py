@@ -97,8 +97,8 @@ def opened_hdf5(file: Any, choices: ReadingChoices, *, by_library: bool = False)
     def pieces() -> Iterator[Events]:
         even = [even_pieces(read(array), PIECE_EVENTS) for array in arrays.values()]
         unit_us = 0.0
-        for one in zip(*even, strict=True):
-            columns = _columns([part for (part,) in one])
+        for parts in zip(*even, strict=True):
+            columns = _columns([part for (part,) in parts])
             unit_us = unit_us or _unit_us(columns[0])
             yield as_events(
                 *(_whole_of(values, unit) for values, unit in zip(columns, (unit_us, 1, 1, 1), strict=True))
@@ -116,7 +116,7 @@ def opened_hdf5(file: Any, choices: ReadingChoices, *, by_library: bool = False)
 
 def _streams(file: Any) -> list[str]:
     """Find the events of a file: groups with the columns of events, and tables of that name."""
-    found: list[str] = []
+    complete: list[str] = []
     incomplete: list[str] = []
     links: list[str] = []
     waiting = [("", file)]
@@ -124,7 +124,7 @@ def _streams(file: Any) -> list[str]:
         members = {key: group.get(key, getlink=True) for key in islice(group, _MOST_MEMBERS)}
         missing = sum(not any(name in members for name in names) for names in _COLUMNS)
         if missing <= 1:
-            (incomplete if missing else found).append(name)
+            (incomplete if missing else complete).append(name)
         for key, link in members.items():
             path = f"{name}/{key}".lstrip("/")
             if not isinstance(link, h5py.HardLink):
@@ -132,22 +132,22 @@ def _streams(file: Any) -> list[str]:
             elif isinstance(child := group[key], h5py.Group) and len(waiting) < _MOST_GROUPS:
                 waiting.append((path, child))
             elif key == "events" and isinstance(child, h5py.Dataset):
-                found.append(path)
-    if not found and not incomplete:
+                complete.append(path)
+    if not complete and not incomplete:
         held = (
             f"{links[0]} is {_ELSEWHERE}" if links else "no group of this HDF5 file has columns t, x, y and p"
         )
         raise NotARecording(f"{held}.")
-    return found or incomplete
+    return complete or incomplete
 
 
 def _arrays(file: Any, name: str) -> dict[str, Any]:
     """Return the arrays of a stream: one table, or its columns t, x, y, p."""
-    found = member(file, name) if name else file
-    if name == _CD or isinstance(found, h5py.Dataset):
+    group = member(file, name) if name else file
+    if name == _CD or isinstance(group, h5py.Dataset):
         return {name: dataset(file, name)}
-    own = [next((one for one in names if has_member(found, one)), names[0]) for names in _COLUMNS]
-    paths = [f"{name}/{one}".lstrip("/") for one in own]
+    own = [next((column for column in names if has_member(group, column)), names[0]) for names in _COLUMNS]
+    paths = [f"{name}/{column}".lstrip("/") for column in own]
     return {path: dataset(file, path) for path in paths}
 
 
@@ -193,9 +193,9 @@ def _whole_of(values: NDArray[Any], unit: float) -> NDArray[Any]:
 
 def _decoded_ecf(chunk: bytes) -> NDArray[Any]:
     """Decompress a chunk to rows, as HDF5 would."""
-    found = ecf.decode(chunk)
-    table = np.empty(len(found.t), CD_TYPE)
-    for name, values in found._asdict().items():
+    events = ecf.decode(chunk)
+    table = np.empty(len(events.t), CD_TYPE)
+    for name, values in events._asdict().items():
         table[name] = values
     return table
 

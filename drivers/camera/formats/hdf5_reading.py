@@ -27,6 +27,7 @@ _MOST_ATTRIBUTES: Final = 200
 _MOST_TEXT: Final = 4096
 _PIECE_BYTES: Final = 1 << 22
 _GZIP, _SHUFFLE, _CHECK_SUM = h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32
+_OWN_FILTERS: Final = frozenset({_GZIP, _SHUFFLE, _CHECK_SUM})
 _CHECK_SUM_BYTES: Final = 4
 
 Decoder = Callable[[bytes], NDArray[Any]]
@@ -74,97 +75,88 @@ def dataset(group: Any, path: str) -> Any:
     return found
 
 
-def filters(found: Any) -> list[int]:
+def filters(array: Any) -> list[int]:
     """Return the numbers of an array's compression filters, in the order of writing."""
-    creation = found.id.get_create_plist()
+    creation = array.id.get_create_plist()
     return [creation.get_filter(k)[0] for k in range(creation.get_nfilters())]
 
 
-def require_own_filters(found: Any) -> None:
-    """Refuse an array whose chunks are not decompressed here."""
-    if not set(filters(found)) <= {_GZIP, _SHUFFLE, _CHECK_SUM}:
-        raise NotARecording(f"{found.name} is compressed by filter {filters(found)}; gzip and none are read.")
-
-
-def needs_library(found: Any) -> bool:
+def needs_library(array: Any) -> bool:
     """Return whether only HDF5 itself can read an array: by its filters, or by how it is cut into chunks."""
-    return found.chunks is not None and (
-        found.chunks[1:] != found.shape[1:] or not set(filters(found)) <= {_GZIP, _SHUFFLE, _CHECK_SUM}
+    return array.chunks is not None and (
+        array.chunks[1:] != array.shape[1:] or not set(filters(array)) <= _OWN_FILTERS
     )
 
 
-def rows_by_library(found: Any) -> Iterator[NDArray[Any]]:
+def rows_by_library(array: Any) -> Iterator[NDArray[Any]]:
     """Read an array piece by piece as HDF5 does it: in a process with limits (`library_process`) only."""
-    total = found.shape[0] if found.shape else 0
-    for number in filters(found):
+    total = array.shape[0] if array.shape else 0
+    for number in filters(array):
         if not h5py.h5z.filter_avail(number):
             raise CameraSoftwareMissing(
-                f"{found.name} is compressed by filter {number} of HDF5, which is not installed.",
+                f"{array.name} is compressed by filter {number} of HDF5, which is not installed.",
                 remedy="Install it: pip install 'starbench[formats]'",
             )
-    if found.chunks is not None:
+    if array.chunks is not None:
         chunks = int(
-            np.prod([-(-side // step) for side, step in zip(found.shape, found.chunks, strict=True)])
+            np.prod([-(-side // step) for side, step in zip(array.shape, array.chunks, strict=True)])
         )
-        if found.id.get_num_chunks() != chunks:
+        if array.id.get_num_chunks() != chunks:
             raise NotARecording(
-                f"{found.id.get_num_chunks()} of the {chunks} chunks of {found.name} are there."
+                f"{array.id.get_num_chunks()} of the {chunks} chunks of {array.name} are there."
             )
     step = (
-        found.chunks[0] if found.chunks is not None else max(1, _PIECE_BYTES // max(1, found.dtype.itemsize))
+        array.chunks[0] if array.chunks is not None else max(1, _PIECE_BYTES // max(1, array.dtype.itemsize))
     )
     for begin in range(0, total, step):
-        yield found[begin : begin + step]
+        yield array[begin : begin + step]
 
 
-def rows(found: Any, decode: Decoder | None = None) -> Iterator[NDArray[Any]]:
+def rows(array: Any, decode: Decoder | None = None) -> Iterator[NDArray[Any]]:
     """Read an array piece by piece: yield (n, ...) rows of its own type, in order, all of them the whole array.
 
-    A chunked array must be chunked along its first dimension only. ``decode`` decompresses a chunk; None for gzip,
-    shuffle and check sums. Missing or damaged chunks raise `NotARecording` or `RecordingCorrupt`.
+    It must not be one of `needs_library`, unless ``decode`` decompresses its chunks; None for gzip, shuffle and check
+    sums. Missing or damaged chunks raise `NotARecording` or `RecordingCorrupt`.
     """
-    total = found.shape[0] if found.shape else 0
-    if found.chunks is None:
-        step = max(1, _PIECE_BYTES // max(1, found.nbytes // max(total, 1)))
+    total = array.shape[0] if array.shape else 0
+    if array.chunks is None:
+        step = max(1, _PIECE_BYTES // max(1, array.nbytes // max(total, 1)))
         for begin in range(0, total, step):
-            yield found[begin : begin + step]
+            yield array[begin : begin + step]
         return
-    if found.chunks[1:] != found.shape[1:]:
-        raise NotARecording(f"{found.name} is cut into chunks along more than one dimension.")
-    pipeline = filters(found)
-    if decode is None:
-        require_own_filters(found)
+    pipeline = filters(array)
     done = 0
-    for place in _places(found, total):
+    for place in _places(array, total):
         begin = place.chunk_offset[0]
-        n = min(total - begin, found.chunks[0])
+        n = min(total - begin, array.chunks[0])
         if n <= 0:
             continue  # left over from a longer array
         if begin != done:
-            raise NotARecording(_missing(begin - done, total, found))
-        yield _chunk(found, place, pipeline, decode)[:n]
+            raise NotARecording(_missing(begin - done, total, array))
+        yield _chunk(array, place, pipeline, decode)[:n]
         done += n
     if done != total:
-        raise NotARecording(_missing(total - done, total, found))
+        raise NotARecording(_missing(total - done, total, array))
 
 
-def whole(found: Any, most_bytes: int) -> NDArray[Any]:
+def whole(array: Any, most_bytes: int) -> NDArray[Any]:
     """Read an array, in its own shape and type; `NotARecording` if it has more than ``most_bytes`` or is unreadable."""
-    if found.nbytes > most_bytes:
-        raise NotARecording(f"{found.name} has {found.nbytes} bytes; at most {most_bytes} are read.")
-    if found.chunks is None or not found.shape:
-        return np.asarray(found[()])
-    out = np.zeros(found.shape, found.dtype)
-    pipeline = filters(found)
-    require_own_filters(found)
-    for place in _places(found, 0):
+    if array.nbytes > most_bytes:
+        raise NotARecording(f"{array.name} has {array.nbytes} bytes; at most {most_bytes} are read.")
+    if array.chunks is None or not array.shape:
+        return np.asarray(array[()])
+    out = np.zeros(array.shape, array.dtype)
+    pipeline = filters(array)
+    if not set(pipeline) <= _OWN_FILTERS:
+        raise NotARecording(f"{array.name} is compressed by filter {pipeline}; gzip and none are read.")
+    for place in _places(array, 0):
         at = tuple(
             slice(first, min(first + side, end))
-            for first, side, end in zip(place.chunk_offset, found.chunks, found.shape, strict=True)
+            for first, side, end in zip(place.chunk_offset, array.chunks, array.shape, strict=True)
         )
         if any(part.start >= part.stop for part in at):
             continue
-        part = _chunk(found, place, pipeline, None)
+        part = _chunk(array, place, pipeline, None)
         out[at] = part[tuple(slice(0, one.stop - one.start) for one in at)]
     return out
 
@@ -186,38 +178,38 @@ def texts(group: Any) -> dict[str, str]:
     return found
 
 
-def _places(found: Any, rows_stated: int) -> list[Any]:
+def _places(array: Any, rows_stated: int) -> list[Any]:
     """Return where the chunks lie, in their order."""
-    most = max(4 * _file_bytes(found) // 512, 4096, 2 * rows_stated // max(1, found.chunks[0]))
-    if found.id.get_num_chunks() > most:
+    most = max(4 * _file_bytes(array) // 512, 4096, 2 * rows_stated // max(1, array.chunks[0]))
+    if array.id.get_num_chunks() > most:
         raise NotARecording(
-            f"{found.name} has {found.id.get_num_chunks()} chunks, more than the file can hold."
+            f"{array.name} has {array.id.get_num_chunks()} chunks, more than the file can hold."
         )
     places: list[Any] = []
-    found.id.chunk_iter(places.append)
+    array.id.chunk_iter(places.append)
     return sorted(places, key=lambda place: place.chunk_offset)
 
 
-def _chunk(found: Any, place: Any, pipeline: list[int], decode: Decoder | None) -> NDArray[Any]:
+def _chunk(array: Any, place: Any, pipeline: list[int], decode: Decoder | None) -> NDArray[Any]:
     """Read one chunk and decompress it, never to more than its size."""
-    if place.size > 2 * MOST_CHUNK_BYTES or place.size > _file_bytes(found):
+    if place.size > 2 * MOST_CHUNK_BYTES or place.size > _file_bytes(array):
         raise _damaged(f"a chunk states {place.size} bytes", place)
-    skipped, data = found.id.read_direct_chunk(place.chunk_offset)
-    size = _chunk_bytes(found)
+    skipped, data = array.id.read_direct_chunk(place.chunk_offset)
+    size = _chunk_bytes(array)
     try:
         if decode is not None and not skipped:
             return decode(data)
         if decode is None:
             for k, kind in reversed(list(enumerate(pipeline))):
                 if not skipped & 1 << k:
-                    data = _undone(kind, data, size, found.dtype.itemsize)
+                    data = _undone(kind, data, size, array.dtype.itemsize)
         if len(data) < size:
             raise ValueError(f"a chunk of {size} bytes ends after {len(data)}")  # noqa: TRY301
     except zlib.error as error:
         raise _damaged("the compressed bytes of a chunk are damaged", place) from error
     except ValueError as error:  # of `_undone` or ``decode``
         raise _damaged(str(error), place) from error
-    return np.frombuffer(data[:size], found.dtype).reshape(found.chunks)
+    return np.frombuffer(data[:size], array.dtype).reshape(array.chunks)
 
 
 def _damaged(what: str, place: Any) -> RecordingCorrupt:
@@ -242,13 +234,13 @@ def _undone(kind: int, data: bytes, size: int, itemsize: int) -> bytes:
     return unpacked
 
 
-def _missing(n: int, total: int, found: Any) -> str:
-    return f"{n} of the {total} rows of {found.name} are missing."
+def _missing(n: int, total: int, array: Any) -> str:
+    return f"{n} of the {total} rows of {array.name} are missing."
 
 
-def _chunk_bytes(found: Any) -> int:
-    return int(np.prod(found.chunks, dtype=object)) * int(found.dtype.itemsize)
+def _chunk_bytes(array: Any) -> int:
+    return int(np.prod(array.chunks, dtype=object)) * int(array.dtype.itemsize)
 
 
-def _file_bytes(found: Any) -> int:
-    return int(found.file.id.get_filesize())
+def _file_bytes(array: Any) -> int:
+    return int(array.file.id.get_filesize())

@@ -5,11 +5,14 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from imported import import_events
 
 from drivers.camera.event_arrays import ReadingChoices
 from drivers.camera.formats.event_conversion import convert
 from drivers.camera.formats.event_files import open_events
+from drivers.camera.formats.prophesee_words import Evt2Decoder
 from drivers.camera.raw_file import RawFile
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
 
@@ -138,6 +141,18 @@ def test_vectors_of_evt21_are_read_in_both_orders_of_their_halves(tmp_path, orde
     found = import_events(path)
     assert (found.width, found.height) == (640, 480)
     assert_same(found, rows)
+
+
+@given(st.binary(max_size=600), st.sampled_from(["EVT2", "EVT21", "EVT21-legacy"]), st.integers(0, 600))
+def test_any_words_are_decoded_the_same_in_pieces_of_any_length(data, encoding, cut):
+    whole, parts = Evt2Decoder(encoding), Evt2Decoder(encoding)
+    cut -= cut % whole.word_bytes
+    events, edges = whole.decode(data)
+    pieces = [parts.decode(data[:cut]), parts.decode(data[cut:])]
+    for own, columns in ((events, [piece[0] for piece in pieces]), (edges, [piece[1] for piece in pieces])):
+        for name in own._fields:
+            joined = np.concatenate([getattr(one, name) for one in columns])
+            assert np.array_equal(getattr(own, name), joined)
 
 
 def test_evt21_by_hand(tmp_path):
