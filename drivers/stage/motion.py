@@ -23,6 +23,8 @@ _HOMING_TRAVEL_DEG = 720.0
 """A rotary axis may turn once to its reference sensor, and once more back to its edge; in degrees."""
 _HOMING_MARGIN_S = 30.0
 """Added to that time, in seconds: for the slow approach of the edge, and for the ramps."""
+HOMED_BY_ANOTHER = "another program has homed the axis, so its zero is not known"
+"""Why an axis has no reference though its controller says so: that program may have had another zero, or moved it."""
 POLL_S = 0.02
 """Pause between two readings of a moving axis, in seconds."""
 

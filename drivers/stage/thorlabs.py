@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Final, Literal
 
 from drivers.errors import DeviceRefused, OutsideLimits
-from drivers.stage import AxisIdentity
+from drivers.stage import AxisIdentity, motion
 from drivers.stage.motion import Axis
 from drivers.stage.thorlabs_controller import (
     FORWARD,
@@ -99,7 +99,7 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
         return tuple(found)
 
     def _has_reference(self) -> bool:
-        return all(controller.read_status().homed for controller in self._lines.values())
+        return self._was_homed() and all(line.read_status().homed for line in self._lines.values())
 
     def _faults_of(self, axis: ThorlabsAxis) -> list[str]:
         controller = self._lines[axis.name]
@@ -119,6 +119,8 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
         status = controller.read_status()
         if not status.homed:
             raise no_reference(axis)
+        if not self._was_homed():
+            raise no_reference(axis, motion.HOMED_BY_ANOTHER)
         self._raise_faults(axis, status)
         if not controller.is_enabled():
             raise not_movable(

@@ -374,8 +374,8 @@ class ThorlabsController(Link):
         request = long(SET_HOME, HOME_LAYOUT.pack(CHANNEL, *vars(wanted).values()))
         if self.read_home() is None:
             self._command(request)
-        else:
-            self._set_until_right(request, self.read_home, wanted.agrees, "the home parameters", wanted)
+            return None
+        self._set_until_right(request, self.read_home, wanted.agrees, "the home parameters", wanted)
         return self.read_home()
 
     def clear_backlash(self) -> None:

@@ -212,7 +212,7 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
         return tuple(found)
 
     def _has_reference(self) -> bool:
-        return all(controller.read_status().homed for controller in self._lines.values())
+        return self._was_homed() and all(line.read_status().homed for line in self._lines.values())
 
     def _faults_of(self, axis: XimcAxis) -> list[str]:
         status = self._lines[axis.name].read_status()
@@ -224,6 +224,8 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
         status = self._lines[axis.name].read_status()
         if not status.homed:
             raise no_reference(axis)
+        if not self._was_homed():
+            raise no_reference(axis, motion.HOMED_BY_ANOTHER)
         self._raise_faults(axis, status)
 
     def _clear_faults(self, axis: XimcAxis) -> None:

@@ -458,6 +458,25 @@ def test_a_slow_search_of_a_standa_axis_is_no_blockage(ximc, fast) -> None:
 # ---------------------------------------------------------------- all of them
 
 
+@pytest.mark.parametrize("family", ["thorlabs", "k10cr1", "ximc", "esp", "flir", "grbl"])
+def test_an_axis_that_another_program_has_homed_has_no_zero_that_is_known(family) -> None:
+    """It may have homed to another zero, or set its counter to 0 anywhere."""
+    rig = rig_of(family)
+    rig.stage.home()
+    rig.stage.move_to({"pan": 3.0})
+    axis = rig.controller.axis
+    axis.set_counter(0.0, rig.line.clock.now_s)
+    axis.set_encoder(0.0, rig.line.clock.now_s)
+    stage = rig.reopen()
+    assert not stage.is_homed()
+    with pytest.raises(NotHomed):
+        stage.move_to({"pan": 5.0})
+    assert rig.true_deg() == pytest.approx(3.0, abs=0.002)
+    stage.home()
+    stage.move_to({"pan": 5.0})
+    assert rig.true_deg() == pytest.approx(5.0, abs=0.002)
+
+
 def numbered(*forms: str, largest: int) -> st.SearchStrategy[bytes]:
     number = st.integers(-largest, largest)
     return st.builds(lambda form, value: form.format(value).encode(), st.sampled_from(forms), number)
