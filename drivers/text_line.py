@@ -10,7 +10,6 @@ belong here.
 
 from __future__ import annotations
 
-import math
 import re
 from collections import deque
 from collections.abc import Callable
@@ -31,7 +30,6 @@ READABLE_REMEDY: Final = (
     "It answers, so the line works: check that the station file names the right port, driver and dialect."
 )
 """What to do about an answer that can be read, but not understood."""
-_NUMBER = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?", re.ASCII)
 
 
 class TextLine(Link):
@@ -141,9 +139,10 @@ class TextLine(Link):
             No valid reply came, or the answer is no number.
         """
         text = self.query(query)
-        if not _is_finite_number(text):
-            raise self.garbled_reply(f"{query} answered {text!r}, not a number.")
-        return float(text)
+        number = read_quantity(text)
+        if number is None:
+            raise self.garbled_reply(f"{query} answered {text!r}, not a number.", READABLE_REMEDY)
+        return number.value
 
     def query_decimal(self, query: str) -> float:
         """Send a query whose answer is a finite number with a decimal point, which no switch or count has.
@@ -164,9 +163,12 @@ class TextLine(Link):
             No valid reply came, or the answer is no such number.
         """
         text = self.query(query)
-        if "." not in text or not _is_finite_number(text):
-            raise self.garbled_reply(f"{query} answered {text!r}, not a number with decimals.")
-        return float(text)
+        number = read_quantity(text)
+        if "." not in text or number is None:
+            raise self.garbled_reply(
+                f"{query} answered {text!r}, not a number with decimals.", READABLE_REMEDY
+            )
+        return number.value
 
     def query_switch(self, query: str) -> bool:
         """Send a query whose answer is on or off.
@@ -277,10 +279,6 @@ class TextLine(Link):
         )
 
 
-def _is_finite_number(text: str) -> bool:
-    return _NUMBER.fullmatch(text) is not None and math.isfinite(float(text))
-
-
 _LONGEST_QUEUE = 40
 _ERROR = re.compile(r'([+-]?\d+)(?: ?[, ] ?(?:"([^"]*)"|([^"]*)))?')
 _PROMPT = re.compile(rb"\s*(?:[\w .-]{0,20}>\s*)*")
@@ -332,9 +330,9 @@ class ScpiLine(TextLine):
     @property
     def identity(self) -> tuple[str, str, str, str]:
         """The fields of ``*IDN?``: maker, model, serial number, and all that follows as the firmware."""
-        found = _identity(self.identity_text)
-        assert found is not None
-        return found
+        identity = _identity(self.identity_text)
+        assert identity is not None
+        return identity
 
     def query(self, query: str, *, deadline_s: float | None = None, tries: int = TRIES) -> str:
         """See `TextLine.query`. After a silence, also ask the error queue whether the query was refused."""

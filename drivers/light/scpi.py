@@ -49,8 +49,8 @@ class ScpiLight(WatchedLight):
         self._backwards = itertools.cycle((False, True))
         self._modes_ended = False
         self._sync_is_normal = False
-        self._tells_states, self._states_told = True, False
-        self._untold: set[str] = set()
+        self._tells_states: bool | None = None
+        self._silent_queries: set[str] = set()
         with closed_on_error(port):
             self._line = ScpiLine(port, clock=clock, wire_log=wire_log)
             self.identify()
@@ -167,15 +167,14 @@ class ScpiLight(WatchedLight):
         return errors
 
     def _state(self, query: str) -> str | None:
-        """Ask for a state; None if the generator does not say it. One that says no first state is asked no more."""
-        if not self._tells_states or query in self._untold:
+        """Ask for a state; None if the generator does not tell it. One that is silent at first is asked no more."""
+        if self._tells_states is False or query in self._silent_queries:
             return None
         state = self._line.query_if_known(query)
-        if state is not None:
-            self._states_told = True
-        else:
-            self._untold.add(query)
-            self._tells_states = self._states_told
+        if self._tells_states is None:
+            self._tells_states = state is not None
+        if state is None:
+            self._silent_queries.add(query)
         return state
 
     def _set(self, setting: Setting) -> None:
