@@ -140,6 +140,8 @@ def read_camera_file(path: Path, name: str | None = None, lens: LensFamily | Non
         raise NotACamera(
             f"This folder holds no {_RESULTS}.", where=str(path), remedy="Name a run folder or a file in it."
         )
+    if file.is_file() and file.stat().st_size > _MOST_BYTES:
+        raise NotACamera(f"A calibration has at most {_MOST_BYTES} bytes.", where=str(file), remedy=_KNOWN)
     return parse_camera(read_bounded(file, _MOST_BYTES), file, name, lens)
 
 

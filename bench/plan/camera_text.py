@@ -32,6 +32,9 @@ _BINARY = {
     b"\x80": "a Python pickle",
     b"\x1f\x8b": "a compressed file (gzip)",
     b"\x89HDF": "an HDF5 file",
+    b"% ": "a recording (RAW)",
+    b"\x89PNG": "a picture (PNG)",
+    b"\xff\xd8\xff": "a picture (JPEG)",
     b"#ROSBAG": "a ROS bag",
     b"SQLite": "a ROS 2 bag (SQLite)",
     b"\x89MCAP": "a ROS 2 bag (MCAP)",
@@ -79,7 +82,7 @@ def values_of(data: bytes) -> tuple[str, list[dict[str, Any]]]:
 def _text(data: bytes) -> str:
     for begin, what in _BINARY.items():
         if data.startswith(begin):
-            raise OtherForm(f"it is {what}, which is not read as a camera", WRITE_OPENCV)
+            raise OtherForm(f"it is {what}, which is not read as a camera")
     codec = next((codec for mark, codec in _MARKS.items() if data.startswith(mark)), "utf-8")
     try:
         text = data.decode(codec)

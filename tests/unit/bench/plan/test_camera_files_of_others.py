@@ -369,7 +369,10 @@ def test_what_is_not_read_is_refused_with_its_real_cause(tmp_path, text, why):
         (b"PK\x03\x04\x14\x00", "numpy's .npz"),
         (b"\x80\x04\x95\x00", "pickle"),
         (b"\x1f\x8b\x08\x00", "compressed"),
+        (b"% evt 3.0\n% end\n\x00\x80", "recording"),
+        (b"\x89PNG\r\n\x1a\n", "picture"),
         (b"\x00\x01\x02\x03", "binary"),
+        (b" " * 20_000_001, "at most 20000000 bytes"),
         ("Brennweite für 3".encode("latin-1"), "UTF-8"),
     ],
 )  # fmt: skip
