@@ -17,7 +17,7 @@ from drivers.camera.event_arrays import Events, Triggers, empty_events, join_tri
 from drivers.camera.evt3 import Evt3Decoder, StreamStatistics, Words
 from drivers.camera.evt3_kernel import MARGIN, max_event_count
 from drivers.camera.raw_header import RawHeader, parse_header
-from drivers.camera.raw_writer import read_start, require_whole
+from drivers.camera.raw_writer import read_start, reason, require_whole
 from drivers.errors import NotARecording, RecordingFileError
 
 
@@ -188,7 +188,7 @@ def unreadable(path: Path, error: OSError) -> RecordingFileError:
             remedy="Give yourself read permission on the file.",
         )
     return RecordingFileError(
-        f"The file cannot be read{f' ({error.strerror})' if error.strerror else ''}.",
+        f"The file cannot be read{reason(error)}.",
         where=str(path),
         remedy="Check the disk, or copy the file again.",
     )

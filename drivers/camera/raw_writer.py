@@ -113,10 +113,15 @@ def new_file(path: Path) -> Iterator[Path]:
         raise write_error(path, error) from error
 
 
+def reason(error: OSError) -> str:
+    """Return the system's reason in brackets, if there is one; libraries put long texts of their own into errors."""
+    return f" ({os.strerror(error.errno)})" if error.errno else ""
+
+
 def write_error(path: Path, error: OSError) -> RecordingFileError:
     """Build the error of a file that cannot be written, with the system's reason."""
     return RecordingFileError(
-        f"The file cannot be written ({error.strerror or error}).",
+        f"The file cannot be written{reason(error)}.",
         where=str(path),
         remedy="Check that its folder exists, that you may write to it, and that the disk has space.",
     )
@@ -264,7 +269,7 @@ def sync_folder(folder: Path) -> None:
 
 def recording_write_error(path: Path, error: OSError) -> RecordingFailed:
     """Build the error of a recording that cannot be written."""
-    otherwise = (f"The file cannot be written ({error.strerror or error})", "Check the disk.")
+    otherwise = (f"The file cannot be written{reason(error)}", "Check the disk.")
     what, remedy = _REMEDIES.get(error.errno or 0, otherwise)
     kept = (
         " What was recorded before is kept." if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EIO) else ""

@@ -114,7 +114,9 @@ def _write(text: Mapping[str, Any], events: Events | None = None, triggers: Trig
 def _from_npz(path: Path, choices: ReadingChoices) -> EventSource:
     """Open NumPy's ``.npz``. Only plain numbers, and the header's text, are read."""
     with zipfile.ZipFile(path) as archive:
-        require_ratio(sum(one.file_size for one in archive.infolist()), path.stat().st_size, "it")
+        if not any(name.endswith(".npy") for name in archive.namelist()):
+            raise NotARecording("This is a zip archive without NumPy's arrays.", remedy="Unpack it first.")
+        require_ratio(sum(member.file_size for member in archive.infolist()), path.stat().st_size, "it")
     with np.load(path, allow_pickle=False) as file:
         columns = {name: _array(file, name) for name in Events._fields}
         require_one_length({name: len(column) for name, column in columns.items()})

@@ -1,5 +1,7 @@
 """Events in HDF5 files of other programs: DSEC, e2calib, M3ED, v2e, MVSEC, and Metavision without its table of edges."""
 
+import zipfile
+
 import h5py
 import numpy as np
 import pytest
@@ -205,6 +207,13 @@ def test_a_file_of_others_becomes_a_recording(written, tmp_path):
     assert recording.header["time_origin_us"] == str(YEAR_2020_US)
     events, _ = recording.read()
     assert np.array_equal(events.t, ROWS["t"])
+
+
+def test_a_zip_archive_of_other_things_is_told_as_what_it_is(tmp_path):
+    with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
+        archive.writestr("events.raw", b"% evt 3.0")
+    with pytest.raises(NotARecording, match=r"zip archive without NumPy's arrays\. Unpack it first"):
+        import_events(tmp_path / "a.npz")
 
 
 def test_an_npz_of_columns_alone_is_read(tmp_path):
