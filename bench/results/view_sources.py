@@ -248,10 +248,16 @@ def _file_source(path: Path, choices: OfflineOptions) -> ViewSource:
     elif ending in PHOTOGRAPHS:
         kind, find = "photograph", _view_of_photograph
     else:
+        from drivers.camera.raw_header import looks_like
+        from drivers.camera.raw_writer import read_start
+
+        contents, remedy = looks_like(read_start(path))
         raise UsageError(
-            f"Unknown file extension {ending!r}." if ending else "The file has no extension.",
+            f"Unknown file extension {ending!r}: the file is {contents}."
+            if ending
+            else "The file has no extension.",
             where=str(path),
-            remedy=f"Known file extensions are {', '.join(sorted(_KNOWN))}.",
+            remedy=remedy or f"Known file extensions are {', '.join(sorted(_KNOWN))}.",
         )
     decided_by = None if ending in _READ_BY_OTHERS or path.is_dir() else _decided_by(kind, path, choices)
     return ViewSource(path, partial(find, path, choices), decided_by=decided_by)

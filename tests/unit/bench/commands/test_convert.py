@@ -6,6 +6,7 @@ import pytest
 from click.testing import CliRunner
 from running import called
 
+from bench.base.errors import UsageError
 from bench.commands.convert import convert
 from bench.commands.workers import CountLine
 from bench.results.offline_options import OfflineOptions
@@ -103,6 +104,12 @@ def test_the_line_of_progress_counts_to_a_share(monkeypatch):
     for share in (0.1, 0.5, 1.0):
         line.show_share(share)
     assert [text.partition(",")[0] for text in shown] == ["20 of 200 MB read", "100 of 200 MB read"]
+
+
+def test_a_file_with_an_unknown_extension_is_named_by_what_it_holds(tmp_path):
+    (tmp_path / "a.aedat").write_bytes(b"#!AER-DAT3.1\r\n")
+    with pytest.raises(UsageError, match=r"'\.aedat': the file is an AEDAT 3\.1 file.*reads AEDAT4"):
+        list(view_sources(tmp_path / "a.aedat", OfflineOptions()))
 
 
 def test_a_ros_2_bag_is_one_recording_not_a_folder_of_files(tmp_path):
