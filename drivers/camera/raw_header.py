@@ -181,6 +181,7 @@ def looks_like(start: bytes) -> tuple[str, str]:
 
 def encoding_of(fields: Mapping[str, str]) -> str:
     """Return which words a header announces, such as "EVT3", or "" if it does not tell."""
+    fields = _small(fields)
     stated, *options = fields.get("format", "").split(";")
     sensor = _sensor_of_system(fields)
     version = fields.get("evt", "")
@@ -189,9 +190,14 @@ def encoding_of(fields: Mapping[str, str]) -> str:
     if encoding != "EVT21":
         return encoding
     order = _options(options).get("endianness") or fields.get("endianness")
-    if order is None and _is_of_maker(fields) and fields.get("system_ID", "").isdecimal():
-        order = "legacy" if 0 < int(fields["system_ID"]) < _FIRST_LITTLE_ENDIAN else None
+    if order is None and _is_of_maker(fields) and fields.get("system_id", "").isdecimal():
+        order = "legacy" if 0 < int(fields["system_id"]) < _FIRST_LITTLE_ENDIAN else None
     return "EVT21-legacy" if order == "legacy" else encoding
+
+
+def _small(fields: Mapping[str, str]) -> dict[str, str]:
+    """Return fields with their keys in small letters: writers differ in ``Date``, ``Height`` and others."""
+    return {key.lower(): value for key, value in fields.items()}
 
 
 def _options(parts: Sequence[str]) -> dict[str, str]:
@@ -206,20 +212,27 @@ def _is_of_maker(fields: Mapping[str, str]) -> bool:
 
 
 def _sensor_of_system(fields: Mapping[str, str]) -> Sensor | None:
-    return SENSOR_OF_SYSTEM.get(fields.get("system_ID", "")) if _is_of_maker(fields) else None
+    return SENSOR_OF_SYSTEM.get(fields.get("system_id", "")) if _is_of_maker(fields) else None
 
 
 def stated_size(
     fields: Mapping[str, str],
     where: str,
     given: tuple[int, int] | None,
+    *,
+    others: Mapping[str, tuple[int, int]] | None = None,
     most_px: int = MAX_SIDE_PX,
 ) -> tuple[int, int]:
-    """Return width and height, px, as the header states them, else as given; all of them must agree."""
-    by_format = _options(fields.get("format", "").split(";")[1:])
-    small = {key.lower(): value for key, value in fields.items()}
-    sizes = {}
-    for key, sides in (("format", by_format), ("Width and Height", small)):
+    """Return width and height, px, as a header, the user and ``others``, by name, state them: all must agree.
+
+    The sensor that ``system_ID`` stands for is asked last.
+    """
+    fields = _small(fields)
+    sizes = dict(others or {})
+    for key, sides in (
+        ("format", _options(fields.get("format", "").split(";")[1:])),
+        ("Width and Height", fields),
+    ):
         if "width" in sides and "height" in sides:
             sizes[key] = _pixels(sides["width"], sides["height"], where, most_px)
     if "geometry" in fields:

@@ -14,7 +14,6 @@ https://dsec.ifi.uzh.ch/data-format; M3ED, https://m3ed.io/data_overview; MVSEC,
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from itertools import islice
 from typing import Any, Final
@@ -50,7 +49,7 @@ from drivers.camera.formats.hdf5_reading import (
     texts,
     whole,
 )
-from drivers.camera.raw_header import agreed_size
+from drivers.camera.raw_header import stated_size
 from drivers.errors import NotARecording
 
 CD_TYPE: Final = np.dtype(
@@ -71,6 +70,7 @@ _COLUMNS: Final = (
 )
 """Names of the columns t, x, y and p."""
 _MOST_GROUPS: Final = 1000
+_MOST_PX: Final = 1 << 16
 _MOST_MEMBERS: Final = 10_000
 _ELSEWHERE: Final = "a link to another place; only data in the file itself are read"
 
@@ -224,15 +224,13 @@ def _edges(file: Any, path: str) -> NDArray[Any]:
 def _size(file: Any, name: str, header: Mapping[str, str], choices: ReadingChoices) -> tuple[int, int]:
     """Return width and height, px, wherever the file states them, else as given."""
     sizes = {}
-    if geometry := re.fullmatch(r"([0-9]{1,5})x([0-9]{1,5})", header.get("geometry", "")):
-        sizes["geometry"] = (int(geometry[1]), int(geometry[2]))
     if {"width", "height"} <= set(file.attrs):
         sizes["the attributes"] = (_number(file.attrs["width"]), _number(file.attrs["height"]))
     resolution = f"{name}/calib/resolution"
     if name and name != _CD and resolution in file:
         width, height = whole(dataset(file, resolution), 64)
         sizes["calib/resolution"] = (_number(width), _number(height))
-    return agreed_size(sizes, choices.sensor_size, "")
+    return stated_size(header, "", choices.sensor_size, others=sizes, most_px=_MOST_PX)
 
 
 def _number(value: Any) -> int:

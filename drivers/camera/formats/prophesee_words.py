@@ -169,7 +169,7 @@ def from_dat(path: Path, start: bytes, choices: ReadingChoices) -> EventSource:
             f"This DAT file has version {version}; Starbench reads {' and '.join(_DAT_LAYOUTS)}.",
             remedy="Convert it with the program that wrote it.",
         )
-    size = stated_size(fields, "", choices.sensor_size, _MOST_DAT_PX)
+    size = stated_size(fields, "", choices.sensor_size, most_px=_MOST_DAT_PX)
     truncated = (path.stat().st_size - begin - 2) % _DAT_EVENT_BYTES != 0
     return source_of_stream(
         lambda: _dat_pieces(path, begin + 2, _DAT_LAYOUTS[version]), size, fields, truncated=truncated

@@ -180,6 +180,15 @@ def test_metavision_without_edges_and_without_a_size_is_read(written, has_group)
     assert len(found.triggers.t) == 0
 
 
+def test_a_size_of_metavision_is_found_where_a_header_states_it(written):
+    def fill(file):
+        metavision(file)
+        file.attrs["format"] = "EVT3;height=260;width=346"
+
+    found = written(fill, ReadingChoices())
+    assert (found.width, found.height) == SIZE
+
+
 def test_our_own_layout_without_edges_states_its_size(written):
     def fill(file):
         columns(file.create_group("events"))
