@@ -51,17 +51,18 @@ def move_time_s(limits: AxisLimits, from_deg: float, to_deg: float) -> float:
     return travel_time_s(to_deg - from_deg, limits.speed_deg_s, limits.acceleration_deg_s2)
 
 
-def longest_homing_s(axis: str, speed_deg_s: float | None) -> float:
-    """Return the longest time, s, of a search of the reference at the controller's own speed; None: it tells none.
+def longest_homing_s(axis: Axis, speed_deg_s: float | None) -> float:
+    """Return the longest time, s, of a search of the reference at the controller's own speed.
 
-    A speed of 0 raises `MoveFailed`.
+    None stands for a controller that does not tell it: the speed in the station file, and no less than
+    `LONGEST_HOMING_S`. A speed of 0 raises `MoveFailed`.
     """
     if speed_deg_s is None:
-        return LONGEST_HOMING_S
+        return max(LONGEST_HOMING_S, longest_homing_s(axis, axis.limits.speed_deg_s))
     if speed_deg_s <= 0:
         raise MoveFailed(
             "the controller's speed of the reference search is 0. Nothing was moved.",
-            where=axis,
+            where=axis.name,
             remedy="Set that speed with the maker's software, then home the stage.",
         )
     return _HOMING_MARGIN_S + _HOMING_TRAVEL_DEG / speed_deg_s

@@ -206,7 +206,7 @@ class WatchedStage(ABC, Generic[A]):
         allowed_s = {}
         for name, axis in self._axes.items():
             self._clear_faults(axis)
-            allowed_s[name] = motion.longest_homing_s(name, self._homing_speed_deg_s(axis))
+            allowed_s[name] = motion.longest_homing_s(axis, self._homing_speed_deg_s(axis))
         self._position_doubt = self._position_doubt or "homing did not end"
         try:
             self._homed_in = None

@@ -8,7 +8,14 @@ from drivers.errors import MoveFailed, MoveTimeout, OutsideLimits, ReplyGarbled
 from drivers.link import Reading, read_position_until_agreed, read_until_agreed
 from drivers.stage import AxisLimits
 from drivers.stage.esp import EspAxis
-from drivers.stage.motion import MoveWatch, check_targets, deadline_s, longest_move_s, travel_time_s
+from drivers.stage.motion import (
+    MoveWatch,
+    check_targets,
+    deadline_s,
+    longest_homing_s,
+    longest_move_s,
+    travel_time_s,
+)
 
 PAN = AxisLimits(-15.0, 15.0, speed_deg_s=10.0, acceleration_deg_s2=20.0)
 
@@ -97,6 +104,25 @@ def test_a_search_for_the_reference_ends_wherever_it_ends() -> None:
     search.update(0.1, -3.0, busy=True)
     search.update(0.2, 0.0, busy=False)
     assert search.update(0.3, 0.0, busy=False)
+
+
+def test_a_search_may_turn_twice_at_the_speed_of_the_controller_and_that_speed_is_not_the_station_s() -> None:
+    pan, tilt = (EspAxis(name=name, number=1, limits=limits) for name, limits in LIMITS.items())
+    assert longest_homing_s(pan, 2.0) == longest_homing_s(tilt, 2.0) == pytest.approx(30.0 + 360.0)
+    assert longest_homing_s(pan, None) == 180.0
+    assert longest_homing_s(tilt, None) == pytest.approx(30.0 + 720.0)
+    with pytest.raises(MoveFailed, match="speed of the reference search is 0"):
+        longest_homing_s(pan, 0.0)
+
+
+def test_a_search_that_does_not_end_names_the_sensor_and_not_the_station_s_speed() -> None:
+    search = watch(None)
+    search.update(3.9, float("nan"), busy=True)
+    with pytest.raises(
+        MoveTimeout, match=r"the search of the reference has not ended after 4\.0 s\. Check"
+    ) as caught:
+        search.update(4.1, float("nan"), busy=True)
+    assert "reference sensor" in caught.value.remedy
 
 
 # ---------------------------------------------------------------- readings
