@@ -139,6 +139,9 @@ LONGEST_LINE = 4096
 """Longest line, in bytes. A longer one comes from a device that sends without pause, or from another protocol."""
 
 RESYNCHRONISE_TRIES: Final = 2
+CONNECT_TRIES: Final = 3
+CONNECT_PAUSE_S: Final = 0.5
+"""A device that has closed a connection may need a moment before it accepts another one."""
 
 _LONGEST_WAIT_S = 0.25
 """Longest single wait after a deadline was stretched, in seconds. After each the link uses its clock, as a sign of
@@ -282,13 +285,18 @@ class Link(ABC):
         if not isinstance(self._port, Reopening) or not (lost or self._port.is_network):
             return False
         with self.lock:
-            try:
-                self._port.reopen()
-            except PortError as error:
-                if lost is None:
-                    raise
-                what = f"{lost.what} It cannot be opened again: {error.what}"
-                raise PortLost(what, where=self.name, remedy=lost.remedy) from error
+            for tries_left in reversed(range(CONNECT_TRIES if self._port.is_network else 1)):
+                try:
+                    self._port.reopen()
+                    break
+                except PortError as error:
+                    if tries_left:
+                        self._clock.sleep(CONNECT_PAUSE_S)
+                    elif lost is None:
+                        raise
+                    else:
+                        what = f"{lost.what} It cannot be opened again: {error.what}"
+                        raise PortLost(what, where=self.name, remedy=lost.remedy) from error
             self._buffer.clear()
             self._in_step = False
             self.connections += 1

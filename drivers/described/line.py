@@ -35,7 +35,7 @@ class DescribedLine(Link):
         self._description = description
         self.quiet_s, self.reply_s = description.quiet_s, description.reply_s
         self._notices: list[Notice] = []
-        self._known = ""
+        self._known = self._known_serial = ""
         self.terminator = description.reply_end
         super().__init__(port, clock=clock, wire_log=wire_log)
         self.identity: Mapping[str, Value] = {}
@@ -101,6 +101,7 @@ class DescribedLine(Link):
                 where=self.name,
                 remedy="Check the port and the serial in the station file.",
             )
+        self._known_serial = found
         return found
 
     # ------------------------------------------------------------ inside
@@ -201,7 +202,7 @@ class DescribedLine(Link):
 
         def is_known() -> bool:
             found = self._exchange(self._description.identity, {})
-            return repr(sorted(found.items())) == self._known
+            return repr(sorted(found.items())) == self._known and self._has_known_serial()
 
         self.prove_in_step(
             is_known,
@@ -212,6 +213,13 @@ class DescribedLine(Link):
             inspect_old=self._take_from,
             once_if_silent=True,
         )
+
+    def _has_known_serial(self) -> bool:
+        """Ask for the serial number on a line that was opened again: another device may be there."""
+        serial = self._description.serial
+        if self.connections == 1 or serial is None or not self._known_serial:
+            return True
+        return str(self._exchange(serial, {})["serial"]).strip() == self._known_serial
 
 
 def _xor(data: bytes) -> int:
