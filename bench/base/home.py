@@ -128,6 +128,7 @@ def _user_name() -> str:
 _PACKAGES = ("bench", "calib", "drivers", "sequences", "simulators")
 _REPORT = "bench/report"
 _DRAWN_WITH = (
+    "bench/records/stored_calibration.py",
     "calib/uncertainty/projection_uncertainty.py",
     "calib/model/camera.py",
     "calib/model/lens.py",

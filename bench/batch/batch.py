@@ -41,11 +41,12 @@ from bench.history.chart_findings import standard_problem
 from bench.messaging.messages import Courier, Outbox
 from bench.plan.plan import load_documents
 from bench.records.events import event_name
-from bench.records.history import History, replay
-from bench.records.journal import Journal, UnsyncedJournal, read_journal
+from bench.records.history import History
+from bench.records.journal import Journal, UnsyncedJournal
 from bench.records.run_folder import JOURNAL, is_sealed
 from bench.records.run_index import QUEUE_COPY
 from bench.records.storage import lock_folder, make_folder, storage_errors, sync_folder, write_atomic
+from bench.records.stored_run import StoredRun
 from bench.records.summaries import BatchSummary, newest_place
 from bench.run.status import read_status, status_text
 from bench.stations.station import load_station
@@ -135,10 +136,9 @@ def _status_of(run: Path, *, asked: bool) -> tuple[str, tuple[int, str] | None]:
 def _journal_head(run: Path) -> str:
     """Return the hash of the last line of a run's journal; empty if there is none."""
     try:
-        entries, _ = read_journal(run / JOURNAL)
+        return StoredRun(run).head
     except BenchError:
         return ""
-    return entries[-1].hash if entries else ""
 
 
 WAIT_POLL_S = 1.0
@@ -390,7 +390,7 @@ def worker_command(item: Item, run: Path) -> list[str]:
 
 
 def _history_of(run: Path) -> History:
-    return replay(read_journal(run / JOURNAL)[0] if (run / JOURNAL).is_file() else ())
+    return StoredRun(run).history if (run / JOURNAL).is_file() else History()
 
 
 def _has_ended(run: Path) -> bool:
@@ -409,7 +409,7 @@ def _poses_recorded(run: Path) -> int:
 
 def _set_aside_unbegun(run: Path) -> None:
     """Rename the folder of a run that was interrupted before its first line in the journal: it cannot be resumed."""
-    if not run.is_dir() or ((run / JOURNAL).exists() and read_journal(run / JOURNAL)[0]):
+    if not run.is_dir() or ((run / JOURNAL).exists() and StoredRun(run).entries):
         return
     number = 1
     while (aside := run.with_name(f"{run.name}.unbegun-{number}")).exists():

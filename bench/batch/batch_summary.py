@@ -31,12 +31,13 @@ from bench.history.chart_findings import find_charts
 from bench.history.chart_groups import group_runs
 from bench.history.merged_runs import RunPlace
 from bench.plan.plan_text import duration_text
-from bench.records.history import NO_END, replay
+from bench.records.history import NO_END
 from bench.records.journal import read_journal
 from bench.records.run_facts import REPEATS_TEXT, IndexedRun, RunDetails, factors_text, parameters_data
 from bench.records.run_folder import JOURNAL, REPORT
 from bench.records.run_index import QUEUE_COPY, is_batch, read_run_and_details
 from bench.records.storage import is_locked, storage_errors, write_atomic
+from bench.records.stored_run import StoredRun
 from bench.records.summaries import (
     BatchSummary,
     CameraData,
@@ -339,7 +340,7 @@ def _missed_goals(run: Path, _attempts: int) -> tuple[str, ...]:
 def missed_goals(run: Path) -> tuple[str, ...]:
     """Return the goals that a run missed, as sentences; none if its journal cannot be read."""
     try:
-        return tuple(goals_missed(replay(read_journal(run / JOURNAL)[0]).decisions))
+        return tuple(goals_missed(StoredRun(run).history.decisions))
     except BenchError:
         return ()
 

@@ -23,7 +23,7 @@ from bench.certificate.certificate_data import (
 from bench.certificate.lab_config import ItemConfig
 from bench.records.events import GateData, LightSettingsData
 from bench.records.results import BoresightData, CalibrationData, CameraConditions, KnownDirection, Results
-from bench.report.pose_plot import camera_covariance, camera_of
+from bench.records.stored_calibration import camera_covariance, camera_of
 from bench.report.text import unit_of, words_of
 from calib.uncertainty.projection_uncertainty import URAD_PER_ARCSEC, projection_uncertainty
 

@@ -14,23 +14,22 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, EvidenceError
 from bench.base.home import differing_software, hash_of_files
 from bench.certificate.certificate_data import CERTIFICATE, Certificate, Run, Software, sha256
 from bench.evidence.findings import PARTS, Findings, Part, Verification
-from bench.records.events import Event
-from bench.records.journal import read_journal
 from bench.records.ledger import Ledger
 from bench.records.results import Results
-from bench.records.run_folder import JOURNAL, MANIFEST, RESULTS, is_sealed
+from bench.records.run_folder import MANIFEST, RESULTS, is_sealed
 from bench.records.storage import read_bounded, sha256_of, storage_errors
+from bench.records.stored_run import StoredRun
 
 FORM = "certificate_form"
 _LIBRARIES = ("typst", "lxml")
 _FOLDER = "bench/certificate"
 _ENDINGS = frozenset({".py", ".typ", ".j2"})
 _ALSO = (
+    "bench/records/stored_calibration.py",
     "bench/report/calibration_tables.py",
     "bench/report/pose_plot.py",
     "bench/report/text.py",
@@ -161,13 +160,11 @@ def read_sealed_run(folder: Path, verify: Verify, *, accept_not_compared: bool =
             " --accept-not-compared: the certificate then states it.",
         )
     with storage_errors(folder):
-        entries, _ = read_journal(folder / JOURNAL)
-        _refuse_other_than_finished(folder, [(entry.event, entry.data) for entry in entries])
-        if not (folder / RESULTS).is_file():
+        stored = StoredRun(folder)
+        _refuse_other_than_finished(stored)
+        if not stored.has_results:
             raise EvidenceError("This run has no results.", where=str(folder), remedy="Add a solve step.")
-        results = read_bounded(folder / RESULTS)
-        seal = sha256_of(folder / MANIFEST)
-    found = parse_json(results)
+        found, results, seal = stored.results, stored.results_bytes, stored.seal
     if not found["calibration"]["converged"]:
         raise EvidenceError(
             "The calibration of this run did not converge.", where=str(folder), remedy="Run it again."
@@ -176,7 +173,7 @@ def read_sealed_run(folder: Path, verify: Verify, *, accept_not_compared: bool =
 
     run = Run(
         **stated_run(found, results, written_with()),
-        journal_head=entries[-1].hash,
+        journal_head=stored.head,
         seal_sha256=seal,
         signer=verification.signer or "",
         signer_fingerprint=verification.fingerprint or "",
@@ -218,16 +215,14 @@ def _refuse_unverified(folder: Path, verification: Verification) -> None:
         )
 
 
-def _refuse_other_than_finished(folder: Path, lines: list[tuple[str, Mapping[str, Any]]]) -> None:
-    started = lines[0][1] if lines else {}
-    if started.get("rehearsal"):
+def _refuse_other_than_finished(run: StoredRun) -> None:
+    if run.is_rehearsal:
         raise EvidenceError(
-            "This is a rehearsal: nothing was measured.", where=str(folder), remedy="Name a sealed run."
+            "This is a rehearsal: nothing was measured.", where=str(run.folder), remedy="Name a sealed run."
         )
-    ended: Mapping[str, Any] = next((data for event, data in reversed(lines) if event == Event.RUN_ENDED), {})
-    if ended.get("how") != "finished":
+    if run.history.ended != "finished":
         raise EvidenceError(
-            f"This run did not finish: it {ended.get('how') or 'has no end'}.",
-            where=str(folder),
+            f"This run did not finish: it {run.history.ended or 'has no end'}.",
+            where=str(run.folder),
             remedy="Continue it with `starbench resume`, or run it again.",
         )

@@ -21,7 +21,8 @@ from typing import Any, Literal, TypedDict
 from bench.base.errors import FORESEEN, BenchError, StorageError, UsageError
 from bench.cluster.work import require_program_of
 from bench.records.run_folder import JOURNAL, REPORT, RESULTS
-from bench.records.storage import read_json, sha256_of, storage_errors
+from bench.records.storage import sha256_of, storage_errors
+from bench.records.stored_run import StoredRun
 from bench.results.offline import OfflineResult, calibrate_sources, with_kept_views
 from bench.results.offline_folder import SealedBy, offline_files
 from bench.results.offline_options import OfflineOptions, options_data
@@ -457,9 +458,9 @@ def _row(place: Place, folder: Path, result: OfflineResult, files: Mapping[str, 
 def _before(folder: Path) -> BeforeData | None:
     """Return values and sigmas of the run's own results; None if there are none."""
     try:
-        stored = read_json(folder / RESULTS)["calibration"]
+        stored = StoredRun(folder).results_as_written["calibration"]
         values = {**stored["camera"], **(stored["collimator"] or {})}
         sigma = {name: float(one) for name, one in stored["sigma"].items()}
         return {"values": {name: float(values[name]) for name in sigma}, "sigma": sigma}
-    except (StorageError, ValueError, KeyError, TypeError):
+    except (BenchError, ValueError, KeyError, TypeError):
         return None

@@ -29,10 +29,9 @@ from bench.evidence.findings import Derivation, Findings, Verification
 from bench.evidence.key_trust import Trust, read_trust
 from bench.evidence.ledger_check import ledger_faults_of_run
 from bench.evidence.verify import verify_folder
-from bench.records.history import replay
-from bench.records.journal import read_journal
 from bench.records.ledger import bench_ledger
 from bench.records.run_folder import JOURNAL
+from bench.records.stored_run import StoredRun
 from bench.terminal.encoding import printable
 
 NOT_COMPARED = 4
@@ -262,7 +261,7 @@ def _check_ledger(folder: Path) -> Findings:
     found, ledger = Findings(), bench_ledger()
     for what in ledger_faults_of_run(folder, ledger):
         found.fault("ledger", JOURNAL, what.rstrip("."))
-    place = replay(read_journal(folder / JOURNAL)[0]).ledger
+    place = StoredRun(folder).history.ledger
     if not found.faults and not (place and ledger.contains(place)):
         found.remarks.append("this run is not in the ledger of this bench, so no ledger confirms its number")
     return found

@@ -16,12 +16,12 @@ from bench.evidence.keys import KEY_FILE, read_public
 from bench.evidence.signers import SIGNERS_FILE, read_signers
 from bench.evidence.sshsig import read_signature
 from bench.records.events import Event
-from bench.records.journal import read_journal
 from bench.records.ledger import Ledger
 from bench.records.ledger_marks import EXPLAIN, STILL_OPEN, KnownRun, LedgerRun, Strangers
-from bench.records.run_folder import JOURNAL, MANIFEST, SIGNATURE, is_sealed
+from bench.records.run_folder import MANIFEST, SIGNATURE, is_sealed
 from bench.records.run_index import RunIndex
 from bench.records.storage import sha256_of
+from bench.records.stored_run import StoredRun
 
 _LARGEST_SIGNATURE_BYTES = 64 * 1024
 _CLOCK_SLACK = timedelta(minutes=10)
@@ -146,7 +146,7 @@ def _dates(said: _Said, entered: LedgerRun) -> list[str]:
 def _said_by(folder: Path) -> _Said | None:
     """Return what the journal of a run says; None if it cannot be read, or the run was in no ledger."""
     try:
-        entries, _ = read_journal(folder / JOURNAL)
+        entries = StoredRun(folder).entries
     except (OSError, BenchError):
         return None
     started = [e.data for e in entries if e.event in {Event.RUN_STARTED, Event.RUN_RESUMED}]

@@ -20,9 +20,9 @@ from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAM
 from bench.evidence.signers import NAMESPACE
 from bench.evidence.sshsig import NotInstalled, fingerprint, is_valid, read_signature
 from bench.evidence.timestamp import Stamp, check_timestamps
-from bench.records.journal import read_journal
 from bench.records.run_folder import JOURNAL, MANIFEST, PAGE_SIGNATURE, REPORT, RESULTS, SIGNATURE, is_sealed
 from bench.records.storage import read_json, storage_errors
+from bench.records.stored_run import StoredRun
 
 _PLACES = (("certificate.json", ("issued_utc",)), (RESULTS, ("run", "calibrated_utc")))
 _LAST_BYTES = 1 << 20
@@ -239,7 +239,7 @@ def check_ended_page(
 def _of_another_journal(folder: Path, page: bytes) -> str:
     """Return why the page is not that of the folder's journal; empty if it names its last line."""
     try:
-        head = read_journal(folder / JOURNAL)[0][-1].hash
-    except (BenchError, IndexError) as error:
+        head = StoredRun(folder).head
+    except BenchError as error:
         return f"it cannot be compared with {REPORT}: {error}"
-    return "" if head.encode() in page else f"its last line is not the one that {REPORT} names"
+    return "" if head and head.encode() in page else f"its last line is not the one that {REPORT} names"

@@ -23,15 +23,13 @@ from bench.evidence.seal import KINDS, NOT_LISTED, kind_of, list_files, read_man
 from bench.evidence.signers import Signer
 from bench.evidence.states import LARGEST_SEAL_BYTES, standing_of
 from bench.records.events import Event
-from bench.records.history import History, replay
+from bench.records.history import History
 from bench.records.journal import (
     CAPTURES,
     CLOCK_JUMP_S,
     CLOCK_JUMPED,
     Capture,
     Entry,
-    read_journal,
-    stored_captures,
 )
 from bench.records.run_folder import (
     CHECKED_COPY,
@@ -46,6 +44,7 @@ from bench.records.run_folder import (
     STATION_COPY,
 )
 from bench.records.storage import read_bounded, read_json, sha256_of, storage_errors
+from bench.records.stored_run import StoredRun
 
 _RUN_FILES = frozenset({RESULTS, REPORT, PLAN, SEQUENCE_COPY, STATION_COPY})
 """Files of runs; a folder that has them and no file of a kind is a run, or results, whose main file was removed."""
@@ -243,9 +242,8 @@ def check_journal(folder: Path, manifest: Mapping[str, str], found: Findings) ->
         found.fault("journal", JOURNAL, "the file is missing")
         return {}
     try:
-        entries, torn = read_journal(path)
-        captures = stored_captures(entries)
-        history = replay(entries)
+        run = StoredRun(folder)
+        entries, torn, captures, history = run.entries, run.torn, run.captures, run.history
     except RunFolderError as error:
         found.fault("journal", error.where.removeprefix(f"{folder}/") or JOURNAL, error.what)
         return {}

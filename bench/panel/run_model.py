@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import cast
 
-from bench.base.errors import BenchError, StorageError
+from bench.base.errors import BenchError
 from bench.panel.shown_run import LogLine, PoseRow, PoseState, Uncertainties
 from bench.records.events import (
     Asked,
@@ -26,8 +26,9 @@ from bench.records.events import (
 from bench.records.history import History, apply_entry
 from bench.records.journal import FIRST_PREV, Entry, decode_line, read_journal
 from bench.records.run_facts import coverage_factor
-from bench.records.run_folder import JOURNAL, RESULTS
-from bench.records.storage import read_json, storage_errors
+from bench.records.run_folder import JOURNAL
+from bench.records.storage import storage_errors
+from bench.records.stored_run import StoredRun
 from bench.run.machine import TimeLeft
 from bench.run.status import RunPlan, event_text, read_plan
 
@@ -130,16 +131,17 @@ class JournalTail:
 def read_final(folder: Path) -> Uncertainties:
     """Read the final uncertainties, as stated; empty where the results cannot be read."""
     try:
-        results = read_json(folder / RESULTS)
+        results = StoredRun(folder).results_as_written
         calibration = results["calibration"]
         k = coverage_factor(calibration, "fx")
         found: Uncertainties = {
             "coverage_factor": k,
             "expanded_fx_px": k * float(calibration["sigma"]["fx"]),
         }
-        corner = results.get("projection", {}).get("worst_corner", {}).get("expanded_px")
+        projection = results.get("projection")
+        corner = projection["worst_corner"]["expanded_px"] if projection else None
         return found if corner is None else {**found, "worst_corner_px": float(corner)}
-    except (StorageError, ValueError, KeyError, TypeError, AttributeError):
+    except (BenchError, ValueError, KeyError, TypeError, AttributeError):
         return {}
 
 

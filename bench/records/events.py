@@ -8,7 +8,13 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
-from typing import Any, Literal, NotRequired, TypedDict
+from typing import (
+    Any,
+    Literal,
+    NotRequired,  # pydantic checks these types, on Python 3.11 too
+)
+
+from typing_extensions import TypedDict
 
 from bench.records.journal import CAPTURE_STORED
 from drivers.lateness import LatenessData

@@ -8,7 +8,13 @@ mm, images in px, readings in degrees, unless a name says otherwise.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NotRequired, TypedDict
+from typing import (
+    Any,
+    Literal,
+    NotRequired,  # pydantic checks these types, on Python 3.11 too
+)
+
+from typing_extensions import TypedDict
 
 from bench.records.events import (
     AttemptData,
@@ -215,7 +221,7 @@ class PassportData(TypedDict):
     values: Numbers
     sigma: Numbers
     sha256: str
-    sealed_by: str | None
+    sealed_by: NotRequired[str | None]
 
 
 class ReadingsStatement(TypedDict):

@@ -15,7 +15,6 @@ from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, TypeVar, cast
 
-from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError
 from bench.records.events import DeviceData, Event, LightSettingsData, Solved, UntilDecided, Written
 from bench.records.history import Attempt, History
@@ -23,6 +22,7 @@ from bench.records.journal import Entry
 from bench.records.results import CalibrationData, CameraData, ConformityData, Results, StatementData, Verdict
 from bench.records.run_folder import RESULTS
 from bench.records.storage import read_bounded
+from bench.records.stored_run import object_of
 
 if TYPE_CHECKING:
     from sequences.schema import ResultLimitConfig
@@ -350,12 +350,9 @@ def _results(entries: Sequence[Entry], folder: Path) -> tuple[Results, str | Non
     if hashlib.sha256(data).hexdigest() != named:
         return nothing, f"{RESULTS} was changed: its SHA-256 is not the one in the journal."
     try:
-        found = parse_json(data)
-    except ValueError:
-        found = None
-    if not isinstance(found, dict):
-        return nothing, f"{RESULTS} is not an object of JSON."
-    return cast("Results", found), None
+        return object_of(data, folder / RESULTS), None
+    except BenchError as error:
+        return nothing, f"{RESULTS} cannot be read: {error.what}"
 
 
 def _type_of(device: DeviceData) -> str:

@@ -15,12 +15,11 @@ from datetime import datetime
 from pathlib import Path
 
 from bench.base.errors import BenchError, JournalBroken, StorageError
-from bench.records.history import replay
-from bench.records.journal import read_journal
 from bench.records.ledger_marks import KnownRun
 from bench.records.run_facts import Estimate, IndexedRun, RunDetails, run_details, run_facts
 from bench.records.run_folder import JOURNAL, RESULTS, is_sealed
 from bench.records.storage import is_locked, make_folder, storage_errors
+from bench.records.stored_run import StoredRun
 
 INDEX = "runs.sqlite3"
 QUEUE_COPY = "queue.yaml"
@@ -44,8 +43,7 @@ def is_batch(folder: Path) -> bool:
 
 def is_rehearsal(folder: Path) -> bool:
     """Return whether a run or batch is a rehearsal; False also where the journal has no line yet."""
-    entries, _ = read_journal(folder / JOURNAL)
-    return bool(entries and entries[0].data.get("rehearsal", False))
+    return StoredRun(folder).is_rehearsal
 
 
 def run_folders(root: Path) -> list[Path]:
@@ -212,10 +210,9 @@ def read_run_and_details(folder: Path) -> tuple[IndexedRun, RunDetails]:
 
 def _read(folder: Path) -> tuple[IndexedRun, RunDetails]:
     """Return what the index keeps of a run: its `run_facts`, and its details."""
-    entries = read_journal(folder / JOURNAL)[0]
-    history = replay(entries)
+    run = StoredRun(folder)
     try:
-        return run_facts(history, folder), run_details(history, entries, folder)
+        return run_facts(run.history, folder), run_details(run.history, run.entries, folder)
     except (AttributeError, LookupError, TypeError, ValueError) as error:
         raise JournalBroken(
             f"A line of the journal has another form: {error}.",

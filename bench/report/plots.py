@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 
 from bench.records.results import Results
 from bench.records.run_facts import coverage_factor
+from bench.records.stored_calibration import camera_covariance, camera_of
 from bench.report.maps import GROUND, sensor_axes, sensor_map, shade_unsupported, supported_share
 from bench.report.pose_plot import (
-    camera_covariance,
-    camera_of,
     change_maps,
     distortion_curve,
     field_angles_deg,

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from bench.records.results import CalibrationData, CameraData, Results
 from bench.records.run_facts import coverage_factor
+from bench.records.stored_calibration import camera_covariance, camera_of
 from bench.report.svg_plot import INK, MUTED, PANEL, POSE_COLOURS, Axes, Key, Picture, Words, axes_in
 from bench.report.svg_scale import Scale, text_width
 from bench.report.text import STARS, TargetWords
-from calib.model.camera import PINHOLE, CameraModel
+from calib.model.camera import CameraModel
 from calib.model.lens import is_fisheye
 from calib.model.result_parts import WORST_CORNER
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
@@ -140,24 +141,6 @@ def outermost_deg(camera: CameraModel, points: Sequence[Array]) -> float | None:
     angles = [angles_of(camera, some) for some in points if len(some)]
     finite = [float(np.nanmax(some)) for some in angles if np.isfinite(some).any()]
     return max(finite, default=None)
-
-
-def camera_of(values: Mapping[str, float], image_size: Sequence[int]) -> CameraModel:
-    """Return the camera model for a camera of results.json: ``fx fy cx cy`` and coefficients of the lens."""
-    lens = {name: value for name, value in values.items() if name not in PINHOLE}
-    fx, fy, cx, cy = (values[name] for name in PINHOLE)
-    width, height = image_size
-    return CameraModel(fx, fy, cx, cy, (width, height), lens)
-
-
-def camera_covariance(calibration: CameraData) -> Array | None:
-    """Return the covariance, (K, K), of ``calibration.camera``; None if it is not stated for all values."""
-    covariance = calibration.get("covariance") or {"names": [], "matrix": []}
-    values = list(calibration["camera"])
-    if not set(values) <= set(covariance["names"]):
-        return None
-    at = [covariance["names"].index(name) for name in values]
-    return np.array(covariance["matrix"], dtype=np.float64)[np.ix_(at, at)]
 
 
 def change_maps(then: CameraData, now: CameraData) -> tuple[Array, Array, Array] | None:

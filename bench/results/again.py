@@ -22,7 +22,7 @@ from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.records.events import Event
 from bench.records.history import Attempt, History, replay
-from bench.records.journal import Entry, read_journal
+from bench.records.journal import Entry
 from bench.records.results import PreviousData
 from bench.records.run_folder import (
     JOURNAL,
@@ -35,6 +35,7 @@ from bench.records.run_folder import (
     WIRE_LOG,
 )
 from bench.records.storage import read_bounded, read_json, sha256_of
+from bench.records.stored_run import StoredRun
 from bench.results.compare_numbers import MOST_SHOWN, add_faults, differences, is_excused, tolerance
 from bench.results.compare_trees import (
     MadeAgain,
@@ -206,8 +207,8 @@ def check_run_again(folder: Path) -> Findings:
 
 def _read(folder: Path, found: Findings) -> _Evidence | None:
     """Read journal and documents of a run; None if a part cannot be read, which ``found`` then tells."""
-    entries, _ = read_journal(folder / JOURNAL)
-    whole = replay(entries)
+    run = StoredRun(folder)
+    entries, whole = run.entries, run.history
     try:
         job = _job(folder, whole)
     except (BenchError, DriverError, CalibrationError, *UNREADABLE) as error:

@@ -21,6 +21,7 @@ from bench.evidence.seal import INSTRUCTIONS, instructions, kind_of
 from bench.evidence.sshsig import fingerprint, read_signature
 from bench.records.run_folder import EXPORTS, PLAN, REPORT, RESULTS, SIGNATURE
 from bench.records.storage import read_json
+from bench.records.stored_calibration import stored_calibration
 from bench.results.compare_numbers import (
     TOLERANCE_SHARE,
     add_faults,
@@ -31,7 +32,6 @@ from bench.results.compare_numbers import (
 )
 from bench.results.result import shown_files
 from bench.results.results_content import other_software
-from bench.results.run_reader import stored_calibration
 from bench.views.views_file import VIEWS, StoredView, read_views, views_file
 from calib.boards.board import Board
 from calib.target import StarTarget

@@ -14,9 +14,9 @@ import numpy as np
 
 from bench.evidence.findings import Findings
 from bench.records.events import Event
-from bench.records.history import replay
-from bench.records.journal import Entry, read_journal
+from bench.records.journal import Entry
 from bench.records.run_folder import JOURNAL
+from bench.records.stored_run import StoredRun
 from drivers.camera.raw_header import MAX_HEADER_BYTES, RawHeader, parse_header
 from drivers.errors import DriverError
 
@@ -43,9 +43,9 @@ _BLOCK_WORDS: Final = 1 << 19
 def check_recorded_with(folder: Path) -> Findings:
     """Compare each recording with what the journal states of it."""
     found = Findings()
-    entries, _ = read_journal(folder / JOURNAL)
-    camera = replay(entries).devices.get("camera") or {}
-    for entry in entries:
+    run = StoredRun(folder)
+    camera = run.history.devices.get("camera") or {}
+    for entry in run.entries:
         if entry.event == Event.CAPTURE_STORED:
             _check_one(folder / str(entry.data["capture"]), entry, camera, found)
     return found

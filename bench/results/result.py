@@ -9,11 +9,11 @@ import hashlib
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
-from bench.base.bounded_json import canonical_json, parse_json
+from bench.base.bounded_json import canonical_json
 from bench.base.errors import BenchError
 from bench.evidence.seal import read_manifest
 from bench.plan.job import Job
@@ -24,8 +24,10 @@ from bench.records.ledger_marks import LedgerRun
 from bench.records.results import CameraData, ChangeData, PreviousData, Results
 from bench.records.run_facts import coverage_factor
 from bench.records.run_folder import EXPORTS, MANIFEST, REPORT, RESULTS, RunFolder
+from bench.records.stored_calibration import camera_covariance
+from bench.records.stored_run import object_of
 from bench.report.html import ReportData, render_report
-from bench.report.pose_plot import camera_covariance, change_maps
+from bench.report.pose_plot import change_maps
 from bench.report.view_picture import pictured_poses
 from bench.results.exports import exports
 from bench.results.results_content import results_content, run_software
@@ -181,14 +183,13 @@ def _read(folder: Path, seal: str) -> tuple[Results, str]:
         if listed is None:
             raise _NotComparableError("it has no result.")
         data = b"" if (folder / RESULTS).stat().st_size > _LARGEST_BYTES else (folder / RESULTS).read_bytes()
-        found = parse_json(data) if _sha256(data) == listed else None
+        if _sha256(data) != listed:
+            raise _NotComparableError("its results were changed after sealing.")
+        return object_of(data, folder / RESULTS), listed
     except OSError as error:
         raise _NotComparableError("its folder cannot be read.") from error
     except (BenchError, ValueError) as error:
         raise _NotComparableError("its results are not readable.") from error
-    if not isinstance(found, dict):
-        raise _NotComparableError("its results were changed after sealing.")
-    return cast("Results", found), listed
 
 
 def _sha256(data: bytes) -> str:

@@ -10,75 +10,24 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.base.errors import RunFolderError, StorageError
+from bench.base.errors import RunFolderError
 from bench.records.results import Results
-from bench.records.run_folder import JOURNAL, REPORT, RESULTS
-from bench.records.storage import read_json
-from bench.report.pose_plot import camera_of
-from calib.calibration import Calibration, ViewSummary
+from bench.records.run_folder import REPORT, RESULTS
+from bench.records.stored_calibration import stored_camera, stored_collimator
+from bench.records.stored_run import StoredRun
 from calib.model.camera import CameraModel
-from calib.model.collimator import CENTRE, Collimator
-from calib.model.result_parts import Boresight, BudgetRow, GimbalEstimate
+from calib.model.collimator import Collimator
 from calib.view import View
 
 if TYPE_CHECKING:
     from bench.plan.job import Job
     from bench.records.history import Attempt
     from bench.views.views_file import StoredView
-
-
-_SAME = (
-    *("model", "rms_px", "mean_px", "variance_factor", "degrees_of_freedom", "converged", "iterations"),
-    *("coverage_factor", "left_out_rms_px", "budget"),
-)
-"""What results.json states of a calibration as `Calibration` holds it."""
-
-
-def stored_calibration(stored: Mapping[str, Any]) -> Calibration:
-    """Return the calibration of results.json, without residuals, weights and candidates."""
-    names = tuple(stored["covariance"]["names"])
-    values = {**stored["camera"], **(stored["collimator"] or {})}
-    return Calibration(
-        **{name: stored[name] for name in _SAME},
-        camera=stored_camera(stored),
-        collimator=stored_collimator(stored["collimator"]),
-        rotations=np.array([view["rotation"] for view in stored["views"]], np.float64),
-        centres=np.array([view["centre_mm"] for view in stored["views"]], np.float64),
-        parameter_names=names,
-        values=np.array([values[name] for name in names], np.float64),
-        covariance=np.array(stored["covariance"]["matrix"], np.float64),
-        residuals_px=[],
-        weights=[],
-        views=tuple(
-            ViewSummary(view["name"], view["n"], view["rms_px"], view["mean_px"]) for view in stored["views"]
-        ),
-        birge_ratio=stored["disagreement"],
-        notes=tuple(stored["notes"]),
-        gimbal=GimbalEstimate(**stored["gimbal"]) if stored.get("gimbal") else None,
-        boresight=Boresight.from_dict(stored["boresight"]) if stored.get("boresight") else None,
-        budget_rows=tuple(BudgetRow(**row) for row in stored["budget_rows"]),
-        not_included=tuple(stored["not_included"]),
-        remarks=tuple(stored.get("remarks", ())),
-        coverage_factors=stored.get("coverage_factors", {}),
-    )
-
-
-def stored_camera(stored: Mapping[str, Any]) -> CameraModel:
-    """Return the camera that results.json states; errors as `stored_calibration`."""
-    return camera_of(stored["camera"], stored["image_size"])
-
-
-def stored_collimator(values: Mapping[str, float] | None) -> Collimator | None:
-    """Return the collimator of results.json, None if planar; ``reference`` is None, since it is not stored."""
-    if values is None:
-        return None
-    aberrations = {name: value for name, value in values.items() if name not in CENTRE}
-    return Collimator(values["x"], values["y"], values["r"], aberrations=aberrations)
 
 
 Array = NDArray[np.float64]
@@ -226,30 +175,11 @@ def load(run_folder: str | Path) -> Run:
     """
     from bench.views.views_file import VIEWS, read_views
 
-    folder = Path(run_folder)
-    if not (folder / JOURNAL).is_file():
-        raise RunFolderError(
-            "This is not a run folder: it has no journal.", where=str(folder), remedy="Check the path."
-        )
-    if (folder / RESULTS).is_file() and (folder / VIEWS).is_file():
-        return _run(folder, _read_results(folder), read_views(folder / VIEWS))
-    results, views = _solve_again(folder)
-    return _run(folder, _read_results(folder) if (folder / RESULTS).is_file() else results, views)
-
-
-def _read_results(folder: Path) -> Results:
-    """Return the content of `results.json`; raise RunFolderError if it cannot be read."""
-    try:
-        results = read_json(folder / RESULTS)
-    except (StorageError, ValueError) as error:
-        raise RunFolderError(
-            f"The results cannot be read: {error}.",
-            where=str(folder / RESULTS),
-            remedy="Restore the file from a copy.",
-        ) from error
-    if not isinstance(results, dict):
-        raise RunFolderError("The results are not a JSON object.", where=str(folder / RESULTS))
-    return cast("Results", results)
+    run = StoredRun.open(Path(run_folder))
+    if run.has_results and (run.folder / VIEWS).is_file():
+        return _run(run.folder, run.results, read_views(run.folder / VIEWS))
+    results, views = _solve_again(run)
+    return _run(run.folder, run.results if run.has_results else results, views)
 
 
 def _run(folder: Path, results: Results, views: Sequence[StoredView]) -> Run:
@@ -303,16 +233,14 @@ def _poses(folder: Path, results: Results, views: Sequence[StoredView]) -> list[
     ]
 
 
-def _solve_again(folder: Path) -> tuple[Results, list[StoredView]]:
+def _solve_again(run: StoredRun) -> tuple[Results, list[StoredView]]:
     """Find the stars in the accepted recordings again, and calibrate with the options of the run."""
     from bench.plan.job import Job
-    from bench.records.history import replay
-    from bench.records.journal import read_journal
     from bench.results.offline import calibrate_paths
     from bench.results.offline_options import OfflineOptions
 
-    history = replay(read_journal(folder / JOURNAL)[0])
-    if history.started.get("rehearsal"):
+    folder, history = run.folder, run.history
+    if run.is_rehearsal:
         raise RunFolderError(
             "This run was rehearsed: it has no recordings.", where=str(folder), remedy="Load a real run."
         )

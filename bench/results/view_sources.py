@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from bench.base.errors import BenchError, StorageError, UsageError
 from bench.plan.job import Job
 from bench.records.events import RunStarted
-from bench.records.history import Attempt, replay
-from bench.records.journal import read_journal, stored_captures
+from bench.records.history import Attempt
 from bench.records.run_folder import JOURNAL
+from bench.records.stored_run import StoredRun
 from bench.results.offline_options import OfflineOptions, read_point_file
 from bench.views.expected_grid import grid_from_journal
 from calib.boards.board import Board
@@ -126,8 +126,7 @@ def _read_listed(source: ViewSource) -> View:
 
 def _run_sources(folder: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
     """List the accepted recordings of a run, to be measured with the settings of its own sequence and station."""
-    entries, _ = read_journal(folder / JOURNAL)
-    history = replay(entries)
+    history = StoredRun(folder).history
     job = Job.from_run_folder(folder)
     accepted = history.accepted()
     if not accepted:
@@ -182,7 +181,7 @@ def refuse_truncated(path: Path) -> None:
     size = path.stat().st_size
     run = path.resolve().parent.parent
     name = path.resolve().relative_to(run).as_posix()
-    stored = stored_captures(read_journal(run / JOURNAL)[0]) if (run / JOURNAL).is_file() else {}
+    stored = StoredRun(run).captures if (run / JOURNAL).is_file() else {}
     half_a_word = path.suffix.lower() in RECORDINGS and RawFile.open(path).truncated
     if half_a_word or (name in stored and stored[name].size != size):
         whole = f": {stored[name].size} bytes were recorded" if name in stored else ": it ends within a word"

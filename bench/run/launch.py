@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, TextIO, cast
+from typing import Any, TextIO
 
 from bench.base.clock import BenchClock, stop_on_signals
 from bench.base.errors import BenchError, RunFolderError, UsageError
@@ -28,21 +28,19 @@ from bench.plan.job import Job, documents_of
 from bench.plan.plan import Plan
 from bench.records.events import Event, LedgerPlace
 from bench.records.history import History, replay, way_on
-from bench.records.journal import Entry, Journal, read_journal
+from bench.records.journal import Entry, Journal
 from bench.records.ledger import Ledger
 from bench.records.ledger_marks import EXPLAIN
-from bench.records.results import Results
 from bench.records.run_folder import (
-    JOURNAL,
     PAGE_SIGNATURE,
     PLAN,
     REPORT,
-    RESULTS,
     RunFolder,
     require_resumable,
 )
 from bench.records.run_index import RunIndex
-from bench.records.storage import read_json, storage_errors
+from bench.records.storage import storage_errors
+from bench.records.stored_run import StoredRun
 from bench.report.text import conformity_headline
 from bench.results.result import Outcome
 from bench.results.results_content import plugins_of_run, run_software
@@ -66,11 +64,11 @@ def write_ended_page(folder: RunFolder, key: Callable[[], BenchKey], say: Callab
     from bench.report.html import render_ended
 
     try:
-        entries = read_journal(folder.journal_path)[0]
-        history = replay(entries)
-        if not history.ended:
+        run = StoredRun(folder.path)
+        if not run.history.ended:
             return
-        page = render_ended(history, way_on(history, folder.path), entries[-1].hash, NAMESPACE).encode()
+        way = way_on(run.history, folder.path)
+        page = render_ended(run.history, way, run.head, NAMESPACE).encode()
         signature = key().sign(page, NAMESPACE)
         folder.write_atomic(REPORT, page)
         folder.write_atomic(PAGE_SIGNATURE, signature)
@@ -302,7 +300,7 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
 def read_intentions(folder_path: Path) -> list[str]:
     """Return what resuming a run would do. Nothing is changed."""
     require_resumable(folder_path)
-    job, history = job_of(folder_path, read_journal(folder_path / JOURNAL)[0])
+    job, history = job_of(folder_path, StoredRun(folder_path).entries)
     return intentions(job, history, read_crash(folder_path))
 
 
@@ -394,9 +392,9 @@ def seal_finished(folder: RunFolder, journal: Journal, key: BenchKey) -> RunEnd:
     journal.close()
     remove_inbox(folder.path)
     outcome = None
-    if (folder.path / RESULTS).is_file():  # a sequence may end without a report
-        results = cast("Results", read_json(folder.path / RESULTS))
-        outcome = Outcome(results, folder.path / REPORT)
+    run = StoredRun(folder.path)
+    if run.has_results:  # a sequence may end without a report
+        outcome = Outcome(run.results, folder.path / REPORT)
     seal(folder, key)
     return RunEnd("finished", "", folder.path, outcome)
 

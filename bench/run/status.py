@@ -24,11 +24,12 @@ from bench.records.events import (
     RunEnded,
     RunResumed,
 )
-from bench.records.history import NO_END, NOT_ASKED, DeviceEnd, History, all_ends, lost_ends, replay, way_on
-from bench.records.journal import Entry, read_journal
+from bench.records.history import NO_END, NOT_ASKED, DeviceEnd, History, all_ends, lost_ends, way_on
+from bench.records.journal import Entry
 from bench.records.run_facts import estimates, factors_text
-from bench.records.run_folder import JOURNAL, PLAN, is_sealed
+from bench.records.run_folder import PLAN
 from bench.records.storage import is_locked, read_json
+from bench.records.stored_run import StoredRun
 from bench.report.text import decision_text, goals_missed, reached_text, with_uncertainty
 from bench.run.interlocks import interlock_text
 from bench.run.machine import END_STATES, TimeLeft
@@ -267,19 +268,14 @@ def read_status(folder: Path, utc_now: Callable[[], datetime] = lambda: datetime
 
 def read_with_entries(folder: Path, now: datetime) -> tuple[Status, Sequence[Entry]]:
     """Read status, at a time in UTC, and journal; the lock first, lest a run that ends meanwhile appears killed."""
-    if not (folder / JOURNAL).is_file():
-        raise RunFolderError(
-            f"This is not a run folder: it has no {JOURNAL}.",
-            where=str(folder),
-            remedy="Name the folder of a run.",
-        )
-    running, sealed = is_locked(folder), is_sealed(folder)
-    entries, _ = read_journal(folder / JOURNAL)
-    return _status(folder, entries, now, running=running, sealed=sealed), entries
+    run = StoredRun.open(folder)
+    running, sealed = is_locked(folder), run.is_sealed
+    return _status(run, now, running=running, sealed=sealed), run.entries
 
 
-def _status(folder: Path, entries: Sequence[Entry], now: datetime, *, running: bool, sealed: bool) -> Status:
-    history, plan = replay(entries), _plan_of(folder)
+def _status(run: StoredRun, now: datetime, *, running: bool, sealed: bool) -> Status:
+    folder, entries, history = run.folder, run.entries, run.history
+    plan = _plan_of(folder)
     poses = plan.count_poses(history)
     going_on = running and not _is_over(history)
     return Status(

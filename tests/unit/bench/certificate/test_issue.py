@@ -10,7 +10,7 @@ import pytest
 from certificate_lab import FIRST, Lab, quick_files
 from certificate_sample import LAB, NOW, sample_results, write_sealed_run
 
-from bench.base.errors import EvidenceError, UsageError
+from bench.base.errors import EvidenceError, RunFolderError, UsageError
 from bench.certificate import issue as issue_module
 from bench.certificate import sealed_run
 from bench.certificate.certificate_data import Software
@@ -177,7 +177,15 @@ def test_a_certificate_states_whether_the_results_were_made_again(lab, again, sa
         ({"how": "failed"}, "did not finish: it failed"),
         ({"how": "aborted"}, "did not finish: it aborted"),
         ({"rehearsal": True}, "is a rehearsal: nothing was measured"),
-        ({"results": {"calibration": {"converged": False}}}, "did not converge"),
+        (
+            {
+                "results": {
+                    **sample_results(),
+                    "calibration": {**sample_results()["calibration"], "converged": False},
+                }
+            },
+            "did not converge",
+        ),
     ],
 )
 def test_a_run_without_a_result_is_refused(lab, facts, named):
@@ -209,7 +217,7 @@ ENDED_LATER = {**sample_results()["run"], "finished_utc": (NOW + timedelta(days=
     [
         (unsealed, EvidenceError, "is not sealed"),
         (lambda lab: (lab.path / "certificate").mkdir(), UsageError, "already exists"),
-        (of_results(poses=None), EvidenceError, "not of the form that this version reads"),
+        (of_results(poses=None), RunFolderError, "have another form: poses is of another type"),
         (of_results(run=ENDED_LATER), EvidenceError, "but the calibration ended on 2026-11-22"),
     ],
     ids=["not sealed", "folder exists", "another form", "ends after its issue"],

@@ -258,8 +258,8 @@ def forged_focal_length(f):
 
 def rederive(f, job):
     """Put right what follows from the calibration, as the program does."""
+    from bench.records.stored_calibration import stored_calibration
     from bench.results.results_content import projection
-    from bench.results.run_reader import stored_calibration
     from bench.results.solution import compare_with_truth
 
     results = f.results

@@ -10,10 +10,10 @@ from bench.evidence.seal import make_manifest
 from bench.evidence.signers import NAMESPACE
 from bench.records.journal import FIRST_PREV, encode_line, read_journal
 from bench.records.run_folder import written_files
+from bench.records.stored_calibration import stored_calibration
 from bench.report.html import ReportData, render_report
 from bench.report.view_picture import pictured_poses
 from bench.results.exports import exports
-from bench.results.run_reader import stored_calibration
 from bench.views.views_file import read_views, views_file
 
 

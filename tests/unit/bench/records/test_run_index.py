@@ -101,7 +101,7 @@ def test_a_journal_that_went_on_is_read_again(index, tmp_path):
 
 def test_an_unchanged_journal_is_not_read_again(index, three, monkeypatch):
     index.runs(three)
-    monkeypatch.setattr("bench.records.run_index.read_journal", lambda _: pytest.fail("it was read again"))
+    monkeypatch.setattr("bench.records.stored_run.read_journal", lambda _: pytest.fail("it was read again"))
     assert len(index.runs(three)[0]) == 3
 
 

@@ -8,10 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bench.records.stored_calibration import camera_covariance, camera_of
 from bench.report.maps import reach_px, round_levels, sensor_map, star_distance
 from bench.report.pose_plot import (
-    camera_covariance,
-    camera_of,
     displacement,
     distortion_curve,
     field_angles_deg,

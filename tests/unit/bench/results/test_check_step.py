@@ -10,10 +10,10 @@ from bench.base.errors import ScriptError
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.records.run_folder import CHECKED_COPY
+from bench.records.stored_calibration import stored_camera
 from bench.report.run_tables import check_rows
 from bench.report.text import conformity_headline, conformity_sentences
 from bench.results.exports import camera_info
-from bench.results.run_reader import stored_camera
 
 END = "  - check: {calibration: %s, model: spherical, distortion: [k1]}\n  - report\n"
 

@@ -10,11 +10,11 @@ from report_sample import sample
 
 from bench.base.bounded_json import canonical_json
 from bench.evidence.findings import Findings
+from bench.records.stored_calibration import stored_calibration
 from bench.report import plots
 from bench.results.compare_trees import MadeAgain, compare_trees
 from bench.results.result import shown_files
 from bench.results.results_content import software
-from bench.results.run_reader import stored_calibration
 from bench.views.views_file import StoredView, views_file
 from calib.target import StarTarget
 from calib.view import View

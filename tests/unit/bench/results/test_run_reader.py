@@ -116,12 +116,18 @@ def test_a_rehearsed_run_is_refused(tmp_path):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda results: results.pop("calibration"), "results are incomplete"),
+        (lambda results: results.pop("calibration"), "calibration is missing"),
         (lambda results: results.pop("poses"), "results are incomplete"),
         (lambda results: results["calibration"]["camera"].pop("fx"), "results are incomplete"),
-        (lambda results: results["calibration"]["covariance"].pop("matrix"), "results are incomplete"),
-        (lambda results: results["calibration"].update(image_size=None), "results are incomplete"),
-        (lambda results: results["poses"][1].pop("commanded_deg"), "results are incomplete"),
+        (
+            lambda results: results["calibration"]["covariance"].pop("matrix"),
+            "calibration.covariance.matrix is missing",
+        ),
+        (
+            lambda results: results["calibration"].update(image_size=None),
+            "calibration.image_size is of another type",
+        ),
+        (lambda results: results["poses"][1].pop("commanded_deg"), "poses.1.commanded_deg is missing"),
         ("{", "cannot be read"),
         ("[]", "not a JSON object"),
     ],
