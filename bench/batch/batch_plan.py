@@ -38,6 +38,7 @@ from bench.records.ledger_marks import LedgerRun
 from bench.records.run_folder import JOURNAL, PLAN
 from bench.records.run_index import QUEUE_COPY, is_rehearsal
 from bench.records.storage import is_locked, make_folder, read_json
+from bench.records.stored_run import StoredRun
 from sequences.errors import DocumentFaults
 from sequences.queue import JobConfig, JobFile, Key, Queue
 from sequences.reader import Located, read_document
@@ -88,7 +89,7 @@ def paces(runs: Sequence[LedgerRun]) -> dict[str, Pace]:
 def _ratio(folder: Path) -> tuple[str, float] | None:
     """Return the station of a run, and its duration over the planned one; None if it was stopped or cannot be read."""
     try:
-        entries = read_journal(folder / JOURNAL)[0]
+        entries = StoredRun(folder).entries
         planned_s = float(read_json(folder / PLAN)["duration_s"])
         begun, ended = (datetime.fromisoformat(entries[place].utc) for place in (0, -1))
         if planned_s <= 0.0 or {entry.event for entry in entries} & _NOT_THE_PACE:

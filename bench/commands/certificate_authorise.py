@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -49,8 +49,9 @@ from bench.evidence.timestamp import (
 )
 from bench.evidence.tsa_client import ask_authority, check_url, make_request
 from bench.records.ledger import bench_ledger
-from bench.records.run_folder import MANIFEST, RESULTS, SIGNATURE
+from bench.records.run_folder import MANIFEST, SIGNATURE
 from bench.records.storage import read_json, storage_errors, write_atomic
+from bench.records.stored_run import StoredRun
 
 _NAMES = {"seal": TIMESTAMP, "authorisation": AUTHORISATION_TIMESTAMP}
 
@@ -280,7 +281,7 @@ def facts_of(folder: Path) -> dict[str, str]:
     """Return what a person must see before signing, in order: kind, number, item, run, and the seal's hash."""
     kind = kind_of(folder)
     certificate = _read_json(folder / "certificate.json")
-    results = _read_json(folder / RESULTS)
+    results = _results(folder)
     run = _part(certificate, "run") or _part(results, "run")
     camera = _part(_part(certificate, "item"), "camera") or _part(_part(results, "devices"), "camera")
     lens = _part(_part(certificate, "item"), "lens")
@@ -349,11 +350,19 @@ def _read_json(path: Path) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _part(values: dict[str, Any], name: str) -> dict[str, Any]:
+def _results(folder: Path) -> Mapping[str, Any]:
+    """Return results.json; empty if there is none. The folder has been verified."""
+    try:
+        return StoredRun(folder).results_as_written
+    except BenchError:
+        return {}
+
+
+def _part(values: Mapping[str, Any], name: str) -> dict[str, Any]:
     found = values.get(name)
     return found if isinstance(found, dict) else {}
 
 
-def _words(values: dict[str, Any], names: Sequence[str]) -> str:
+def _words(values: Mapping[str, Any], names: Sequence[str]) -> str:
     words = " ".join(str(values[name]) for name in names if values.get(name))
     return "".join(c if c.isprintable() else "?" for c in words)

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from bench.base.bounded_json import parse_json
-from bench.base.errors import BenchError, StorageError
+from bench.base.errors import BenchError, RunFolderError, StorageError
 from bench.evidence.findings import UNREADABLE, Findings
 from bench.evidence.sshsig import fingerprint, read_signature
 from bench.plan.job import Job
@@ -198,7 +198,12 @@ def check_run_again(folder: Path) -> Findings:
         return found
     if other := other_software(evidence.used):
         found.remarks.append(f"the results were made with {other}")
-    if why := other_engine(read_json(folder / RESULTS)):
+    try:
+        why = other_engine(StoredRun(folder).results_as_written)
+    except RunFolderError as error:
+        found.fault("results", RESULTS, error.what.rstrip("."))
+        return found
+    if why:
         found.could_not_compare(f"{RESULTS}, exports and {REPORT}: {why}", "results", "exports", "report")
     elif (made := _made_again(evidence, measured, found)) is not None:
         compare_trees(folder, made, found)
@@ -331,7 +336,7 @@ def _made_again(evidence: _Evidence, measured: dict[int, Measurement], found: Fi
     try:
         solution = solve_run(job, evidence.folder, step, history, measured)
         results = results_content(job, history, solution, job.read_truth(), evidence.used)
-        stored = read_json(evidence.folder / RESULTS).get("previous")
+        stored = StoredRun(evidence.folder).results_as_written.get("previous")
         if stored is not None and evidence.history.ledger:
             results["previous"] = cast("PreviousData", _previous_again(stored, results))
     except (BenchError, CalibrationError, DriverError) as error:
@@ -372,7 +377,7 @@ def check_recalculated(folder: Path) -> Findings:
     """Calibrate the sources of recalculated results again, with the same options, and compare every file."""
     found = Findings()
     try:
-        described, stored = read_json(folder / SOURCES), read_json(folder / RESULTS)
+        described, stored = read_json(folder / SOURCES), StoredRun(folder).results_as_written
         used = stored["run"]["software"]
         compare_instructions(folder, used, found)
         _check_station(described, found)

@@ -22,6 +22,7 @@ from bench.evidence.sshsig import fingerprint, read_signature
 from bench.records.run_folder import EXPORTS, PLAN, REPORT, RESULTS, SIGNATURE
 from bench.records.storage import read_json
 from bench.records.stored_calibration import stored_calibration
+from bench.records.stored_run import StoredRun
 from bench.results.compare_numbers import (
     TOLERANCE_SHARE,
     add_faults,
@@ -147,9 +148,9 @@ def compare_trees(folder: Path, made: MadeAgain, found: Findings) -> None:
     """Compare results and views of a folder with those made again, then, if these agree, report and exports."""
     before = len(found.faults)
     try:
-        stored = read_json(folder / RESULTS)
+        stored = StoredRun(folder).results_as_written
         check_numbers(stored, made.results, found, other_software(made.used), made.source)
-    except (StorageError, *UNREADABLE) as error:
+    except (StorageError, RunFolderError, *UNREADABLE) as error:
         found.fault("results", RESULTS, f"the results are incomplete ({error!r})")
         return
     held = compare_views(folder / VIEWS, made.views, made.used, made.source, found)
