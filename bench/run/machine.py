@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
-from typing import TYPE_CHECKING, Any, Protocol, Unpack, cast
+from typing import TYPE_CHECKING, Any, Literal, Protocol, Unpack, cast, get_args
 
 from bench.records.events import Circumstances, Entering, Event, LeftOff
 from bench.records.history import History
@@ -94,7 +94,18 @@ class TimeLeft:
         return next((n for n in numbers if n not in done and self._after_s.get(n, 0.0) > self._begun_s), None)
 
 
-READY = (
+State = Literal[
+    "idle", "preflight", "homing", "lighting", "slewing", "settling", "recording", "checking", "choosing",
+    "backing_off", "waiting", "holding", "recovering", "parking", "solving", "reporting", "finished", "aborting",
+    "aborted", "failed",
+]  # fmt: skip
+STATES: tuple[State, ...] = get_args(State)
+Trigger = Literal[
+    "recover", "preflight", "home", "set_light", "slew", "settle", "record", "check", "back_off", "wait", "hold", "choose",
+    "park", "solve", "report", "finish", "abort", "abort_done", "fail",
+]  # fmt: skip
+
+READY: tuple[State, ...] = (
     "homing",
     "recovering",
     "lighting",
@@ -109,17 +120,11 @@ READY = (
 )
 """States whose work, once done, leaves the bench ready for the next step of the script."""
 
-STATES = (
-    "idle", "preflight", "homing", "lighting", "slewing", "settling", "recording", "checking", "choosing",
-    "backing_off", "waiting", "holding", "recovering", "parking", "solving", "reporting", "finished", "aborting",
-    "aborted", "failed",
-)  # fmt: skip
-
-END_STATES = ("finished", "aborted", "failed")
+END_STATES: tuple[State, ...] = ("finished", "aborted", "failed")
 
 _BUSY = tuple(s for s in STATES if s not in {*END_STATES, "aborting"})
 
-EDGES: tuple[tuple[str, tuple[str, ...], str], ...] = (
+EDGES: tuple[tuple[Trigger, tuple[State, ...], State], ...] = (
     ("recover", ("idle",), "recovering"),
     ("preflight", ("idle", "recovering", "checking", "holding"), "preflight"),
     ("home", ("preflight",), "homing"),
@@ -167,19 +172,22 @@ class Listener(Protocol):
 class RunMachine:
     """The state machine of one run; ``listener`` receives every change before it is made, and the end of its work.
 
-    The work of a state is the method of ``work`` that has its name, if there is one: called with the step, the causes,
-    and the circumstances by name.
+    ``on_enter`` is the work of each state that has any, called with the step, the causes, and the circumstances by name.
     """
 
-    def __init__(self, work: object, listener: Listener) -> None:
-        self.state = "idle"
+    def __init__(self, on_enter: Mapping[State, Callable[..., None]], listener: Listener) -> None:
+        self.state: State = "idle"
         self._listener = listener
-        self._work = work
-        from transitions import Machine  # here, because `status` needs the states alone
+        import transitions  # here, because `status` needs the states alone
 
-        self._machine = Machine(
+        def entered(work: Callable[..., None]) -> Callable[[EventData], None]:
+            return lambda event: work(*event.args, **event.kwargs)
+
+        works = {name: entered(work) for name, work in on_enter.items()}
+
+        self._machine = transitions.Machine(
             model=self,
-            states=list(STATES),
+            states=[transitions.State(name, on_enter=works.get(name)) for name in STATES],
             initial="idle",
             transitions=[
                 {"trigger": trigger, "source": list(sources), "dest": target}
@@ -188,12 +196,15 @@ class RunMachine:
             auto_transitions=False,
             send_event=True,
             before_state_change=self._intend,
-            after_state_change=self._run_work,
             finalize_event=self._conclude,
         )
 
     def fire(
-        self, trigger: str, step: Numbered | None = None, *causes: Any, **circumstances: Unpack[Circumstances]
+        self,
+        trigger: Trigger,
+        step: Numbered | None = None,
+        *causes: Any,
+        **circumstances: Unpack[Circumstances],
     ) -> None:
         """Take an edge, which must leave the present state, and do the work of the state that it enters."""
         self._unwritten: Exception | None = None
@@ -201,7 +212,7 @@ class RunMachine:
         if self._unwritten is not None:
             raise self._unwritten
 
-    def can(self, trigger: str) -> bool:
+    def can(self, trigger: Trigger) -> bool:
         """Return whether an edge leaves the present state."""
         return trigger in self._machine.get_triggers(self.state)
 
@@ -212,11 +223,6 @@ class RunMachine:
         self._listener.entering(
             cast("Entering", {"state": event.transition.dest, "from": self.state, **number, **event.kwargs})
         )
-
-    def _run_work(self, event: EventData) -> None:
-        work: Callable[..., None] | None = getattr(self._work, self.state, None)
-        if work is not None:
-            work(*event.args, **event.kwargs)
 
     def _conclude(self, event: EventData) -> None:
         if event.transition is None:  # there is no such edge; nothing was journaled

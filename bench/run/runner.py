@@ -161,7 +161,7 @@ class Runner:
             decide or partial(decide_until, job, folder.path),
             progress.say,
         )
-        self._machine = RunMachine(StateWork(self.context), self)
+        self._machine = RunMachine(StateWork(self.context).on_enter(), self)
         self._steps = Steps(self.context, self._machine)
         self._heartbeat = HeartbeatWriter(folder.path, clock)
         self._names = pose_names(job, log.history)

@@ -5,7 +5,7 @@ Devices are used through their protocols only. While a run is held, the light is
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from typing import Any, Final, cast
 
@@ -17,6 +17,7 @@ from bench.records.journal import capture_name
 from bench.records.run_folder import recover, written_files
 from bench.run.heartbeat import leave_view
 from bench.run.interlocks import Trip, interlock_text
+from bench.run.machine import State
 from bench.run.run_devices import RunContext
 from bench.stations.devices import Devices
 from bench.terminal.progress import Reply, ask
@@ -107,11 +108,32 @@ HOLD_POLL_S = 0.1
 
 
 class StateWork:
-    """The work of the states: of each that has any, the method of its name. It receives the step of its entry."""
+    """The work of the states, each a method that receives the step of its entry."""
 
     def __init__(self, run: RunContext) -> None:
         self._run = run
         self._measured: dict[int, Measurement] = {}
+
+    def on_enter(self) -> Mapping[State, Callable[..., None]]:
+        """Return what is done in each state; it is done when the state is entered."""
+        return {
+            "recovering": self.recovering,
+            "preflight": self.preflight,
+            "homing": self.homing,
+            "lighting": self.lighting,
+            "slewing": self.slewing,
+            "settling": self.waiting,
+            "recording": self.recording,
+            "checking": self.checking,
+            "choosing": self.choosing,
+            "backing_off": self.backing_off,
+            "waiting": self.waiting,
+            "holding": self.holding,
+            "parking": self.parking,
+            "solving": self.solving,
+            "reporting": self.reporting,
+            "aborting": self.aborting,
+        }
 
     def recovering(self, *_: Any, **__: Any) -> None:
         """Put the run folder in order after a process died while working on it."""
@@ -152,8 +174,6 @@ class StateWork:
     def waiting(self, step: SettleStep | WaitStep, **_: Any) -> None:
         """Wait for the duration of the step."""
         self._run.clock.sleep(step.duration_s)
-
-    settling = waiting
 
     def recording(self, step: RecordStep, *, attempt: int, **_: Any) -> None:
         """Record at the step's pose. On return, the recording is complete, in its place and journaled."""

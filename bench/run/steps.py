@@ -16,7 +16,7 @@ from bench.records.events import Circumstances
 from bench.records.history import NO_END, History, count_crash
 from bench.records.journal import capture_name
 from bench.report.text import goals_text
-from bench.run.machine import RunMachine
+from bench.run.machine import RunMachine, Trigger
 from bench.run.run_devices import RunContext
 from bench.run.status import RunPlan
 from bench.terminal.encoding import counted
@@ -172,7 +172,7 @@ def _prepares(step: ScriptStep, *, solving: bool) -> bool:
     return isinstance(step, MoveStep)
 
 
-_TRIGGERS: Mapping[type, str] = {
+_TRIGGERS: Mapping[type, Trigger] = {
     LightStep: "set_light",
     MoveStep: "slew",
     SettleStep: "settle",
@@ -203,7 +203,7 @@ class Steps:
             self._machine.fire(_TRIGGERS[type(step)], step)
 
     def fire_at(
-        self, trigger: str, step: MoveStep | RecordStep, **circumstances: Unpack[Circumstances]
+        self, trigger: Trigger, step: MoveStep | RecordStep, **circumstances: Unpack[Circumstances]
     ) -> None:
         """Take an edge for a step at its pose."""
         at_pose: Circumstances = {"pose": step.pose.index, "pose_name": step.pose.name, **circumstances}
