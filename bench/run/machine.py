@@ -101,8 +101,8 @@ State = Literal[
 ]  # fmt: skip
 STATES: tuple[State, ...] = get_args(State)
 Trigger = Literal[
-    "recover", "preflight", "home", "set_light", "slew", "settle", "record", "check", "back_off", "wait", "hold", "choose",
-    "park", "solve", "report", "finish", "abort", "abort_done", "fail",
+    "recover", "preflight", "home", "set_light", "slew", "settle", "record", "check", "back_off", "wait", "hold",
+    "choose", "park", "solve", "report", "finish", "abort", "abort_done", "fail",
 ]  # fmt: skip
 
 READY: tuple[State, ...] = (
@@ -172,7 +172,7 @@ class Listener(Protocol):
 class RunMachine:
     """The state machine of one run; ``listener`` receives every change before it is made, and the end of its work.
 
-    ``on_enter`` is the work of each state that has any, called with the step, the causes, and the circumstances by name.
+    ``on_enter`` is the work of each state that has any, called with the step, the causes, and, by name, circumstances.
     """
 
     def __init__(self, on_enter: Mapping[State, Callable[..., None]], listener: Listener) -> None:
