@@ -25,6 +25,7 @@ from bench.views.expected_grid import grid_from_earlier_poses
 from bench.views.measure import Measurement
 from drivers.camera import CameraIdentity
 from drivers.camera.usb_permission import LEAST_MBIT_S
+from drivers.errors import NotHomed
 from drivers.light import Light, StatesSyncPolarity
 from sequences.script import (
     ChooseStep,
@@ -178,12 +179,12 @@ class StateWork:
     def recording(self, step: RecordStep, *, attempt: int, **_: Any) -> None:
         """Record at the step's pose. On return, the recording is complete, in its place and journaled."""
         pose, kind, devices = step.pose, self._run.job.camera_kind, self._run.devices.opened
-        before = self._run.devices.position_deg()
+        before = self._position_as_commanded(pose.angles_deg)
         light = devices.light.read()
         name = capture_name(pose.index, attempt, kind.ending)
         part = self._run.folder.part_path(name)
         facts = kind.record(devices.camera, part, step, self._run.job.frequency_hz(step))
-        after = self._run.devices.position_deg()
+        after = self._position_as_commanded(pose.angles_deg)
         capture = self._run.folder.commit(name, self._run.clock.monotonic)
         self._run.log.write(
             events.CaptureStored,
@@ -259,6 +260,28 @@ class StateWork:
     def aborting(self, *_: Any, **__: Any) -> None:
         """Stop the stage, switch the light off, stop the camera. Never raises."""
         self._run.devices.make_safe()
+
+    # ------------------------------------------------------------------ recording
+
+    def _position_as_commanded(self, commanded_deg: Mapping[str, float]) -> dict[str, float]:
+        """Read all angles; raise `NotHomed` if an axis does not stand where it was sent: its reference is lost.
+
+        An axis stands on a whole step, which may be a step away from the commanded angle, besides its tolerance.
+        """
+        read_deg, axes = self._run.devices.position_deg(), self._run.job.station.axes
+        wrong = [
+            f"{name} reads {read_deg[name]:.4f} degrees, and {angle_deg:g} degrees were commanded"
+            for name, angle_deg in commanded_deg.items()
+            if abs(read_deg[name] - angle_deg) > axes[name].tolerance_deg + axes[name].step_deg
+        ]
+        if wrong:
+            raise NotHomed(
+                f"{'; '.join([*wrong, *stage_faults(self._run.devices.opened)])}."
+                " The stage has lost its reference, and this recording is not used.",
+                remedy="Find the cause (lost power, a restart, a person at the stage). Then continue with"
+                " `starbench resume`.",
+            )
+        return read_deg
 
     # ------------------------------------------------------------------ holding
 

@@ -76,6 +76,11 @@ class AxisConfig(StrictModel):
         return limits
 
     @property
+    def step_deg(self) -> float:
+        """Angle of one step of the controller, degrees; 0 where it counts in degrees."""
+        return 0.0
+
+    @property
     def limits(self) -> AxisLimits:
         """Limits, speed and acceleration for the driver."""
         return AxisLimits(*self.limits_deg, self.speed_deg_s, self.acceleration_deg_s2)

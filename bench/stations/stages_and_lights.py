@@ -68,6 +68,11 @@ class ThorlabsAxisConfig(AxisConfig):
     ] = None
     tolerance_deg: Tolerance = 0.005
 
+    @property
+    def step_deg(self) -> float:
+        """See `AxisConfig.step_deg`."""
+        return 1.0 / abs(self.counts_per_deg)
+
 
 class ThorlabsStageConfig(AnyStage):
     """One to three Thorlabs rotation stages (K10CR1, or on a KDC101 and the like), each on its own port."""
@@ -95,6 +100,11 @@ class ZaberAxisConfig(AxisConfig):
         Field(description="Negative if the counter decreases while the angle increases."),
     ]
     encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
+
+    @property
+    def step_deg(self) -> float:
+        """See `AxisConfig.step_deg`."""
+        return 1.0 / abs(self.microsteps_per_deg)
 
 
 class ZaberStageConfig(SerialLine, AnyStage):
@@ -140,6 +150,11 @@ class XimcAxisConfig(AxisConfig):
         Field(description="Whether the controller reverses the motor. Default: not compared."),
     ] = None
 
+    @property
+    def step_deg(self) -> float:
+        """See `AxisConfig.step_deg`."""
+        return 1.0 / abs(self.steps_per_deg)
+
 
 class XimcStageConfig(AnyStage):
     """One to three rotary axes on Standa controllers with the XIMC protocol, each on its own port."""
@@ -168,6 +183,11 @@ class GrblAxisConfig(AxisConfig):
         ToFillIn,
         Field(description="Must equal the setting of the board: $100 for X, $101 for Y, and so on."),
     ]
+
+    @property
+    def step_deg(self) -> float:
+        """See `AxisConfig.step_deg`."""
+        return 1.0 / abs(self.steps_per_deg)
 
 
 class GrblStageConfig(SerialLine, AnyStage):

@@ -96,6 +96,11 @@ class TextAxisConfig(AxisConfig):
     ]
     encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
 
+    @property
+    def step_deg(self) -> float:
+        """See `AxisConfig.step_deg`."""
+        return 1.0 / abs(self.counts_per_deg)
+
 
 class TextStageConfig(SerialLine, AnyStage):
     """One to three rotary axes on a controller whose text protocol a file describes."""

@@ -19,13 +19,8 @@ from drivers.link import read_until_agreed
 from drivers.serial_port import Port
 from drivers.stage import AxisIdentity, motion
 from drivers.stage.motion import Axis
-from drivers.stage.watched import (
-    AxisState,
-    OneLineStage,
-    no_reference,
-    not_movable,
-    reads_otherwise,
-)
+from drivers.stage.refusals import no_reference, not_movable, reads_otherwise
+from drivers.stage.watched import AxisState, OneLineStage
 from drivers.text_line import PROMPT_S, TextLine
 from drivers.wire_log import WireLog
 

@@ -1,7 +1,8 @@
 """A home-built gimbal on a GRBL 1.1 board: its axes X, Y, Z are rotary, and the board's "mm" are degrees.
 
-Moves are jogs, because a jog can be cancelled without losing the position. GRBL does not report whether it has a
-reference, so only a homing by this driver counts; a restart or an alarm undoes it.
+Boards with grblHAL and FluidNC are such boards, too. Moves are jogs, because a jog can be cancelled without losing the
+position. GRBL does not report whether it has a reference, so only a homing by this driver counts; a restart or an alarm
+undoes it.
 
 Source of the settings: "Grbl v1.1 Configuration", https://github.com/gnea/grbl/tree/master/doc/markdown.
 """
@@ -16,18 +17,24 @@ from drivers.clock import Clock
 from drivers.errors import DeviceRefused, MoveFailed, OutsideLimits, WrongDevice
 from drivers.serial_port import Port
 from drivers.stage import AxisIdentity, motion
-from drivers.stage.grbl_controller import ALARMS, BLOCKING_STATES, GrblController, StatusReport
+from drivers.stage.grbl_controller import GrblController, SettingReadOnly
+from drivers.stage.grbl_protocol import BLOCKING_STATES, GRBL, READY_STATES, UNKNOWN, StatusReport
 from drivers.stage.motion import Axis
-from drivers.stage.watched import AxisState, OneLineStage, StopCheck, no_reference, not_movable
+from drivers.stage.refusals import no_reference, not_movable
+from drivers.stage.watched import AxisState, OneLineStage, StopCheck
 from drivers.wire_log import WireLog
 
 _LETTERS = "XYZABC"
 _REPORT_MACHINE = 1
 _SOFT_LIMITS, _HOMING, _HOMES_DOWN, _REPORT_MASK, _INCHES = 20, 22, 23, 10, 13
+_HOMING_PASSES = range(44, 50)
+"""Settings of grblHAL, each with the axes that one pass of homing searches, as bits."""
 _STEPS, _RATE, _ACCELERATION, _TRAVEL = 100, 110, 120, 130
 """Numbers of settings; those of the last line belong to the first axis, and the other axes follow."""
 _PRINTED = 0.0011
 """GRBL prints its settings to three places."""
+_SAME_DEG = 1e-6
+"""Two angles that differ by less are one angle; in degrees."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,8 +82,25 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
 
     def _set_up(self) -> None:
         self._bring_to_rest()  # a moving board refuses $I
+        self._leave_modes()
         self.identify()
         self._program()
+
+    def _leave_modes(self) -> None:
+        """Reset a board that another program has left held, asleep or in check mode; refuse one that stays so.
+
+        This driver has no reference yet, so a reset loses nothing.
+        """
+        if self._line.query_status().state in {*READY_STATES, "Alarm"}:
+            return
+        self._line.wake()
+        report = self._line.query_status()
+        if report.state not in {*READY_STATES, "Alarm"}:
+            raise DeviceRefused(
+                f"the board is not ready: {self._describe(report)}. A reset did not change that.",
+                where=self._where,
+                remedy="Clear the cause at the board.",
+            )
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`. The board's name counts as its serial number, which the station file states."""
@@ -87,7 +111,8 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
                 where=self._where,
                 remedy=f"Check the port, or give this board its name with '$I={self._serial}'.",
             )
-        return tuple(AxisIdentity(axis, "GRBL", "GRBL 1.1", name, version) for axis in self._axes)
+        model = "GRBL 1.1" if self._line.firmware in (GRBL, UNKNOWN) else self._line.firmware.name
+        return tuple(AxisIdentity(axis, "GRBL", model, name, version) for axis in self._axes)
 
     def _has_reference(self) -> bool:
         """Whether this driver has homed the board, which has neither restarted nor raised an alarm since then."""
@@ -104,9 +129,15 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
             self._line.query_status()
         except MoveFailed as error:  # the board waits for a reset, which homing sends
             return [f"board: {error.what}", "board: no reference"]
-        state = self._line.query_status().state
-        found = [f"board: {self._describe(state)}"] if state in BLOCKING_STATES else []
-        return found if self._was_homed() else [*found, "board: no reference"]
+        report = self._line.query_status()
+        found = [] if report.state in READY_STATES else [f"board: {self._describe(report)}"]
+        return found if self._was_homed() else [*found, f"board: {self._lost()}"]
+
+    def _lost(self) -> str:
+        """Return why the board has no reference; call it only then."""
+        if self._homed_in is not None and self._homed_in[0] != self._line.restarts:
+            return "no reference, because it restarted after it was homed"
+        return "no reference"
 
     def home(self) -> None:
         """See `Stage.home`.
@@ -128,23 +159,30 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
     # ------------------------------------------------------------ on the wire
 
     def _check_ready(self, axis: GrblAxis) -> None:
-        state = self._line.query_status().state
+        report = self._line.query_status()
         if not self._was_homed():
-            raise no_reference(axis, "the board has no reference")
-        if state in BLOCKING_STATES:
-            raise not_movable(axis, self._describe(state))
+            raise no_reference(axis, f"the board has {self._lost()}")
+        if report.state not in READY_STATES:
+            raise not_movable(axis, self._describe(report))
 
     def _clear_faults(self, axis: GrblAxis) -> None:
         """Check that homing can begin: homing clears an alarm by itself, and no other blocking state."""
-        state = self._line.query_status().state
-        if state not in {"Idle", "Alarm"}:
-            raise not_movable(axis, self._describe(state))
+        report = self._line.query_status()
+        if report.state not in {"Idle", "Alarm"}:
+            raise not_movable(axis, self._describe(report))
 
     def _start(self, goals_deg: Mapping[str, float], check_not_stopped: StopCheck) -> None:
         jog = self._jog(goals_deg)
         with self._line.lock:
             check_not_stopped()
             self._line.command(jog)
+
+    def _reachable_deg(self, axis: GrblAxis, angle_deg: float) -> float:
+        """Return the angle of a whole step that is nearest, within the travel that the board prints."""
+        reachable_deg = super()._reachable_deg(axis, angle_deg)
+        if reachable_deg >= self._lowest_deg[axis.name] - _SAME_DEG:
+            return reachable_deg
+        return reachable_deg + 1.0 / axis.steps_per_deg
 
     def _begin_move(self, axis: GrblAxis, angle_deg: float) -> None:
         self._line.command(self._jog({axis.name: angle_deg}))
@@ -158,9 +196,9 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
             distance_deg = goal_deg - self._angle_deg(axis, report)
             distances_deg.append(distance_deg)
             times_s.append(abs(distance_deg) / axis.limits.speed_deg_s)
-            words.append(f"{axis.letter}{goal_deg - axis.zero_deg:.4f}")
+            words.append(f"{axis.letter}{_number(goal_deg - axis.zero_deg)}")
         feed_deg_min = 60.0 * math.hypot(*distances_deg) / max(times_s) if max(times_s) > 0 else 60.0
-        return f"$J=G21G53{''.join(words)}F{feed_deg_min:.1f}"
+        return f"$J=G90G21G53{''.join(words)}F{feed_deg_min:.1f}"
 
     def _start_homing(self, check_not_stopped: StopCheck) -> None:
         self._homing = False
@@ -176,7 +214,7 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
     def _read_state(self, axis: GrblAxis, *, homing: bool = False) -> AxisState:
         """Read state and position from one report."""
         report = self._line.query_status()
-        problem = self._problem(report.state, homing=homing)
+        problem = self._problem(report, homing=homing)
         position_kept = report.state in {"Hold", "Door", "Run"} and self._was_homed()
         return AxisState(self._angle_deg(axis, report), report.moving, problem, position_kept)
 
@@ -190,43 +228,56 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
     def _angle_deg(self, axis: GrblAxis, report: StatusReport) -> float:
         return axis.zero_deg + report.position(self._places[axis.name], self._where)
 
-    def _problem(self, state: str, *, homing: bool) -> str:
+    def _problem(self, report: StatusReport, *, homing: bool) -> str:
         """Return why a move in this state will not end at its target; empty when it may."""
         homed_in = None if homing else self._homed_in
         if homed_in is not None and homed_in[0] != self._line.restarts:
             return "the board restarted during the move: its position is lost"
-        if state in BLOCKING_STATES:
-            return self._describe(state)
+        if report.state not in READY_STATES:
+            return self._describe(report)
         if homed_in is not None and not self._was_homed():
-            return f"the board raised ALARM:{self._line.alarms[-1]} during the move: its position is lost"
+            alarm = self._line.firmware.alarm(self._line.alarms[-1])
+            return f"the board raised an alarm during the move, and its position is lost: {alarm}"
         return ""
 
-    def _describe(self, state: str) -> str:
-        words = f"{BLOCKING_STATES[state]} ({state})"
-        if state == "Alarm" and self._line.alarms:
-            code = self._line.alarms[-1]
-            words += f": {ALARMS.get(code, 'unknown alarm')} (ALARM:{code})"
+    def _describe(self, report: StatusReport) -> str:
+        """Return the meaning of a state that is not ready; an alarm with its number."""
+        words = f"{BLOCKING_STATES.get(report.state, 'in a state that is unknown here')} ({report.state})"
+        alarm = report.substate or (self._line.alarms[-1] if self._line.alarms else None)
+        if report.state == "Alarm" and alarm is not None:
+            words += f": {self._line.firmware.alarm(alarm)}"
         return words
 
     # ------------------------------------------------------------ settings
 
     def _program(self) -> None:
-        """Check the scale; set limits, speed and acceleration where they differ, and read them back."""
+        """Check scale and homing; set limits, speed and acceleration where they differ, and read them back."""
         present = self._line.query_settings()
         wanted = self._wanted_settings(present)
+        read_only = set()
         for number, value in sorted(wanted.items()):
-            if not _same(present.get(number), value):
+            if _same(present.get(number), value):
+                continue
+            try:
                 self._line.query(f"${number}={value:.3f}" if number >= _STEPS else f"${number}={value:.0f}")
+            except SettingReadOnly:
+                read_only.add(number)
         got = self._line.query_settings()
         wrong = [
-            f"${n}: asked {v:.3f}, got {got.get(n)}" for n, v in wanted.items() if not _same(got.get(n), v)
+            f"${number}: asked {value:.3f}, got {got.get(number)}"
+            for number, value in wanted.items()
+            if not _same(got.get(number), value)
+            and not (number in read_only and _is_wider(number, got.get(number, math.nan), value))
         ]
         if wrong:
             raise DeviceRefused(
                 f"settings read back differently from what was set ({'; '.join(wrong)}).",
                 where=self._where,
-                remedy="Change the station file to what the board supports.",
+                remedy="Change the station file to what the board supports, or the configuration file on the board.",
             )
+        self._lowest_deg = {
+            axis.name: axis.zero_deg - got[_TRAVEL + self._places[axis.name]] for axis in self._axes.values()
+        }
 
     def _wanted_settings(self, present: Mapping[int, float]) -> dict[int, float]:
         """Check the present settings against the station file; return those that the board must have, by number."""
@@ -234,11 +285,17 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
             _SOFT_LIMITS: 1,
             _REPORT_MASK: int(present.get(_REPORT_MASK, 0)) | _REPORT_MACHINE,
         }
-        if not present.get(_HOMING):
+        if not int(present.get(_HOMING, 0)) & 1:  # the other bits of grblHAL say how it homes
             raise DeviceRefused(
-                "homing is switched off ($22=0); without homing, no position is known.",
+                f"homing is switched off ($22={present.get(_HOMING, 0):g}); without homing, no position is known.",
                 where=self._where,
                 remedy="Fit limit switches and set $22=1.",
+            )
+        if moving := self._line.query_moving_start_up_line():
+            raise DeviceRefused(
+                f"the board stores the start-up line '{moving}', which moves axes whenever it was homed.",
+                where=self._where,
+                remedy="Delete the line with $N0= and $N1=.",
             )
         if present.get(_INCHES):
             wanted[_INCHES] = 0
@@ -270,8 +327,29 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
                 remedy=f"Set $23={homes_down & ~(1 << place)} and reverse the axis with $3, so that its switch"
                 " lies at the upper end of its travel; then correct zero_deg and the limits.",
             )
+        passes = [int(present[number]) for number in _HOMING_PASSES if number in present]
+        if passes and not any(searched >> place & 1 for searched in passes):
+            raise DeviceRefused(
+                "homing does not search the reference of the axis (its bit is missing in $44 to $49).",
+                where=axis.name,
+                remedy=f"Add the bit of {axis.letter}, {1 << place}, to one of these settings.",
+            )
         wanted = axis.limits.lowest_deg, axis.limits.highest_deg
         motion.check_travel(axis.name, wanted, (axis.zero_deg - travel, axis.zero_deg), "deg", slack=_PRINTED)
+
+
+def _number(value: float) -> str:
+    """Return a position with four decimals, or with three as the board prints its travel: both are then one number.
+
+    >>> _number(-27.0), _number(-26.9995)
+    ('-27.000', '-26.9995')
+    """
+    return f"{value:.4f}".removesuffix("0")
+
+
+def _is_wider(number: int, got: float, wanted: float) -> bool:
+    """Return whether a setting that cannot be written does no harm: this driver checks limits, and states each feed."""
+    return number == _SOFT_LIMITS or (number // 10 in {_RATE // 10, _TRAVEL // 10} and got >= wanted)
 
 
 def _same(got: float | None, wanted: float) -> bool:

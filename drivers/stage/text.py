@@ -23,7 +23,8 @@ from drivers.link import TRIES, read_until_agreed
 from drivers.serial_port import LineSettings, Port
 from drivers.stage import AxisIdentity, motion
 from drivers.stage.motion import Axis
-from drivers.stage.watched import AxisState, OneLineStage, StopCheck, no_reference, reads_otherwise
+from drivers.stage.refusals import no_reference, reads_otherwise
+from drivers.stage.watched import AxisState, OneLineStage, StopCheck
 from drivers.wire_log import WireLog
 
 _STOPS_IN_SILENCE = 2

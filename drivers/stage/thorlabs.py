@@ -13,6 +13,7 @@ from typing import ClassVar, Final, Literal
 from drivers.errors import DeviceRefused, OutsideLimits
 from drivers.stage import AxisIdentity, motion
 from drivers.stage.motion import Axis
+from drivers.stage.refusals import no_reference, not_movable
 from drivers.stage.thorlabs_controller import (
     FORWARD,
     REVERSE,
@@ -21,7 +22,7 @@ from drivers.stage.thorlabs_controller import (
     Status,
     ThorlabsController,
 )
-from drivers.stage.watched import CHECK_PORTS, AxisState, LinePerAxisStage, no_reference, not_movable
+from drivers.stage.watched import CHECK_PORTS, AxisState, LinePerAxisStage
 
 _ZERO_UNKNOWN: Final = "the controller does not tell its home parameters, so its zero is not known"
 _BEGIN_S: Final = 0.3

@@ -20,7 +20,7 @@ from drivers.clock import Clock
 from drivers.errors import DeviceRefused, ReplyGarbled, ReplyTimeout
 from drivers.link import TRIES, Link, read_until_agreed, repeat
 from drivers.serial_port import Port
-from drivers.stage.watched import read_back_otherwise
+from drivers.stage.refusals import read_back_otherwise
 from drivers.wire_log import WireLog
 
 HOST: Final = 0x01

@@ -15,7 +15,6 @@ from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import (
-    DeviceRefused,
     DriverError,
     MoveFailed,
     MoveTimeout,
@@ -26,14 +25,15 @@ from drivers.errors import (
 from drivers.link import Link, Reading, read_position_until_agreed
 from drivers.serial_port import OnOnePort, Port, SerialPort, closed_on_error
 from drivers.stage import AxisIdentity, AxisLimits, motion
-from drivers.stage.motion import A, Axis, MoveWatch
+from drivers.stage.motion import A, MoveWatch
+from drivers.stage.refusals import HOME_FIRST, no_reference
 from drivers.wire_log import WireLog
 
 _STOP_POLL_S = 0.02
+_SAME_DEG = 1e-9
+"""Angles that differ by less are one angle, in degrees: no controller counts so finely."""
 _CLEAR_AND_HOME = "Clear the cause, then home the stage and resume."
-HOME_FIRST = "Home the stage first."
 CHECK_PORTS = "Check the ports and serials in the station file."
-TO_WHAT_IT_SUPPORTS = "Change the station file to what the controller supports."
 
 StopCheck = Callable[[], None]
 """Raises MoveFailed when ``stop`` was called since the move began.
@@ -59,14 +59,8 @@ L = TypeVar("L", bound=Link)
 class WatchedStage(ABC, Generic[A]):
     """A stage whose every move is watched to its end. Implements ``drivers.stage.Stage``.
 
-    Parameters
-    ----------
-    axes
-        The axes, in the order of the station file.
-    clock
-        Every wait between two requests goes through it.
-    where
-        Name of the line, for messages.
+    ``axes`` are in the order of the station file; every wait between two requests goes through ``clock``; ``where`` is
+    the name of the line, for messages.
     """
 
     def __init__(self, axes: Sequence[A], *, clock: Clock, where: str) -> None:
@@ -79,6 +73,8 @@ class WatchedStage(ABC, Generic[A]):
         self._position_doubt = ""
         """Why the position is in doubt; empty while it is known."""
         self._homed_in: Any = None  # `_lifetime` of the controller at the last homing by this driver
+        self._rest_deg: dict[str, float] = {}
+        """Where this driver has left each axis, degrees; without axes that it has stopped."""
 
     # ------------------------------------------------------------ what a family implements
 
@@ -127,8 +123,13 @@ class WatchedStage(ABC, Generic[A]):
         return None
 
     def _reachable_deg(self, axis: A, angle_deg: float) -> float:
-        """Return the angle nearest to a target that the controller can count, in degrees."""
-        return axis.to_angle_deg(axis.to_counts(angle_deg))
+        """Return the angle nearest to a target that the controller can count, within the limits, in degrees."""
+        nearest_deg = axis.to_angle_deg(axis.to_counts(angle_deg))
+        if nearest_deg < axis.limits.lowest_deg - _SAME_DEG:
+            return nearest_deg + 1.0 / abs(axis.scale)
+        if nearest_deg > axis.limits.highest_deg + _SAME_DEG:
+            return nearest_deg - 1.0 / abs(axis.scale)
+        return nearest_deg
 
     def _start(self, goals_deg: Mapping[str, float], check_not_stopped: StopCheck) -> None:
         """Start moves; call ``check_not_stopped`` before each command, with the line's lock held."""
@@ -181,8 +182,10 @@ class WatchedStage(ABC, Generic[A]):
             line.close()
 
     def is_homed(self) -> bool:
-        """See `Stage.is_homed`."""
-        return not self._position_doubt and self._has_reference()
+        """See `Stage.is_homed`. An axis that stands elsewhere than this driver has left it has no reference."""
+        if self._position_doubt or not self._has_reference():
+            return False
+        return not any(map(self._displaced, self._axes.values()))
 
     def move_duration_s(self, from_deg: Mapping[str, float], to_deg: Mapping[str, float]) -> float:
         """See `Stage.move_duration_s`."""
@@ -215,6 +218,7 @@ class WatchedStage(ABC, Generic[A]):
             for axis in self._axes.values():
                 self._finish_homing(axis)
             self._position_doubt, self._homed_in = "", self._lifetime()
+            self._rest_deg = {name: self._read_state(axis).position_deg for name, axis in self._axes.items()}
         except DriverError as error:
             raise self._stopped_after(error) from error
 
@@ -227,18 +231,22 @@ class WatchedStage(ABC, Generic[A]):
         moving = [self._axes[name] for name in target_deg]
         start_deg = {axis.name: self._standing_deg(axis) for axis in moving}
         goal_deg = {axis.name: self._reachable_deg(axis, target_deg[axis.name]) for axis in moving}
+        for name in goal_deg:
+            self._rest_deg.pop(name, None)
         try:
             self._start(goal_deg, check_not_stopped)
             allowed_s = max(
                 motion.deadline_s(axis.limits, start_deg[axis.name], goal_deg[axis.name]) for axis in moving
             )
             self._watch(goal_deg, dict.fromkeys(goal_deg, allowed_s), check_not_stopped)
+            self._rest_deg |= goal_deg
         except DriverError as error:
             raise self._stopped_after(error) from error
 
     def stop(self) -> None:
         """See `Stage.stop`. Returns when all axes stand; no clock interrupts it."""
         self._stops += 1
+        self._rest_deg.clear()
         self._send_stop()
         ramp_s = max(limit.speed_deg_s / limit.acceleration_deg_s2 for limit in self.limits.values())
         for _ in range(math.ceil((2.0 * ramp_s + 1.0) / _STOP_POLL_S)):
@@ -295,7 +303,23 @@ class WatchedStage(ABC, Generic[A]):
                 where=axis.name,
                 remedy="Find what moves it (a knob, another program), then resume.",
             )
+        if displaced := self._displaced(axis):
+            self._position_doubt = displaced
+            raise no_reference(axis, displaced)
         return state.position_deg
+
+    def _displaced(self, axis: A) -> str:
+        """Return where an axis stands if not where this driver has left it, as after a restart; else empty."""
+        rest_deg = self._rest_deg.get(axis.name, math.nan)
+        position_deg = self._read_state(axis).position_deg
+        if abs(position_deg - rest_deg) > axis.tolerance_deg:  # not where it is not known
+            position_deg = self._agreed_position_deg(axis, self._read_state)
+        if not abs(position_deg - rest_deg) > axis.tolerance_deg:
+            return ""
+        return (
+            f"it was left at {rest_deg:.4f} deg and reads {position_deg:.4f} deg: the controller restarted, or"
+            " something else moved the axis"
+        )
 
     def _watch(
         self,
@@ -392,32 +416,6 @@ class WatchedStage(ABC, Generic[A]):
                 remedy=f"Cut the stage's power. {error.remedy}",
             )
         return error
-
-
-def no_reference(axis: Axis, what: str = "the axis has no reference", remedy: str = HOME_FIRST) -> NotHomed:
-    """Build the error of an axis without a reference."""
-    return NotHomed(f"{what}. Nothing was moved.", where=axis.name, remedy=remedy)
-
-
-def not_movable(axis: Axis, why: str, remedy: str = "Clear the cause, then home the stage.") -> MoveFailed:
-    """Build the error of an axis that may not be moved."""
-    return MoveFailed(f"{why}. Nothing was moved.", where=axis.name, remedy=remedy)
-
-
-def reads_otherwise(
-    axis: Axis, what: str, wanted: object, got: object, remedy: str = TO_WHAT_IT_SUPPORTS
-) -> DeviceRefused:
-    """Build the error of a setting that was written and reads otherwise."""
-    return DeviceRefused(f"{what} was set to {wanted}, but reads {got}.", where=axis.name, remedy=remedy)
-
-
-def read_back_otherwise(where: str, what: str, wanted: object, got: object) -> DeviceRefused:
-    """Build the error of a group of settings that was written and reads otherwise."""
-    return DeviceRefused(
-        f"{what} read back differently from what was set: {got} instead of {wanted}.",
-        where=where,
-        remedy=TO_WHAT_IT_SUPPORTS,
-    )
 
 
 class OneLineStage(OnOnePort, WatchedStage[A], Generic[A, L]):

@@ -20,7 +20,8 @@ from drivers.link import Link, ReplyReader, repeat
 from drivers.serial_port import Port
 from drivers.stage import AxisIdentity, motion, zaber_protocol
 from drivers.stage.motion import Axis
-from drivers.stage.watched import AxisState, OneLineStage, no_reference, not_movable, reads_otherwise
+from drivers.stage.refusals import no_reference, not_movable, reads_otherwise
+from drivers.stage.watched import AxisState, OneLineStage
 from drivers.stage.zaber_protocol import Reply
 from drivers.wire_log import WireLog
 

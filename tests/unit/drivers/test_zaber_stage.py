@@ -10,7 +10,7 @@ import threading
 
 import pytest
 
-from drivers.errors import DeviceRefused, MoveFailed, OutsideLimits, ReplyError, WrongDevice
+from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, ReplyError, WrongDevice
 from drivers.stage import AxisLimits
 from tests.hil.mutated import zaber_line
 from tests.unit.drivers.zaber_bench import SCALE, Bench
@@ -122,6 +122,10 @@ def test_an_axis_that_somebody_parked_or_moves_is_left_alone(bench) -> None:
         stage.move_to({"pan": 1.0})
     assert bench.motions() == []
     bench.clock.sleep(5.0)
+    with pytest.raises(NotHomed, match=r"left at 0\.0000 deg and reads 9\.0000 deg"):
+        stage.move_to({"pan": 1.0})
+    assert not stage.is_homed()
+    stage.home()
     bench.pan.execute(1, ["tools", "parking", "park"], bench.clock.now_s)
     with pytest.raises(DeviceRefused, match="the axis is parked"):
         stage.move_to({"pan": 1.0})
