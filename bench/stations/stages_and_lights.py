@@ -99,6 +99,9 @@ class ZaberAxisConfig(AxisConfig):
         Scale,
         Field(description="Negative if the counter decreases while the angle increases."),
     ]
+    resolution: Annotated[
+        int, Field(ge=1, le=256, description="Microsteps a step for which microsteps_per_deg holds.")
+    ] = 64
     encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
 
     @property

@@ -45,24 +45,27 @@ class ZaberChain(Link):
         """Take an alert or an information line."""
         return zaber_protocol.is_unsolicited(line, self.name)
 
-    def command(self, device: int, axis: int, words: str) -> Reply:
+    def command(self, device: int, axis: int, words: str, *, strict: bool = True) -> Reply:
         """Send a command, such as ``move abs 50000``, once; return the reply that accepts it.
 
         A command that moves something must never be sent twice. Device 0 stands for all, axis 0 for the device itself.
+        Without ``strict``, the reply may lack a checksum.
         """
-        reply = self._ask_once(device, axis, words)
+        reply = self._ask_once(device, axis, words, strict=strict)
         if not reply.accepted:
             reason = zaber_protocol.REFUSALS.get(reply.data, reply.data)
             raise DeviceRefused(
                 f"device {device} refuses '{words}': {reason} ({reply.data}).",
                 where=self.name,
-                remedy="Look this command up in the controller's manual.",
+                remedy=zaber_protocol.REMEDIES.get(
+                    reply.data, "Look this command up in the controller's manual."
+                ),
             )
         return reply
 
-    def query(self, device: int, axis: int, words: str) -> Reply:
+    def query(self, device: int, axis: int, words: str, *, strict: bool = True) -> Reply:
         """Send a command (see ``command``) that does no harm twice, until its reply is valid; return that reply."""
-        return repeat(lambda: self.command(device, axis, words))
+        return repeat(lambda: self.command(device, axis, words, strict=strict))
 
     def query_integer(self, device: int, axis: int, words: str) -> int:
         """Send a query (see ``command``) whose answer is one integer."""
@@ -91,6 +94,11 @@ class ZaberChain(Link):
         except DeviceRefused:
             return None
 
+    def switch_checksums_on(self, device: int) -> None:
+        """Let a device end its replies in a checksum, as no device from the factory does; it keeps this setting."""
+        if self.query(device, 0, "get comm.checksum", strict=False).data != "1":
+            self.query(device, 0, "set comm.checksum 1", strict=False)
+
     def stop_all(self) -> None:
         """Send one stop to every device on the line, at once, without resynchronising.
 
@@ -116,11 +124,12 @@ class ZaberChain(Link):
         with self.urgently():
             self.exchange(request, read_reply)
 
-    def _ask_once(self, device: int, axis: int, words: str) -> Reply:
+    def _ask_once(self, device: int, axis: int, words: str, *, strict: bool = True) -> Reply:
         message_id = next(self._ids)
 
         def read_reply(reader: ReplyReader) -> Reply:
-            reply = zaber_protocol.parse_reply(reader.read_line(), self.name)
+            line = reader.read_line()
+            reply = zaber_protocol.parse_reply(line, self.name, without_checksum=not strict)
             if (reply.device, reply.axis, reply.message_id) != (device, axis, message_id):
                 raise ReplyGarbled(
                     f"the answer to another request came: {reply}.",
@@ -135,7 +144,7 @@ class ZaberChain(Link):
     def _resynchronise(self) -> None:
         """Wait for silence; then the reply to a new message id proves that no older reply is unread."""
         self.prove_in_step(
-            lambda: self._ask_once(self._devices[0], 0, ""),
+            lambda: self._ask_once(self._devices[0], 0, "", strict=False),
             marker_s=_MARKER_S,
             silence_after=False,
         )
@@ -156,6 +165,8 @@ class ZaberAxis(Axis):
     # Microsteps per degree; negative when the counter falls as the angle grows. Never guessed from a model.
     microsteps_per_deg: float
     axis: int = 1
+    # Microsteps a step for which that scale holds: the controller's setting ``resolution``.
+    resolution: int = 64
 
     @property
     def scale(self) -> float:
@@ -187,16 +198,17 @@ class ZaberStage(OneLineStage[ZaberAxis, ZaberChain]):
         }
 
     def identify(self) -> Sequence[AxisIdentity]:
-        """See `Stage.identify`; serial numbers are compared with those in the station file."""
+        """See `Stage.identify`; serial numbers are compared with those in the station file, then checksums are on."""
         found = []
         for axis in self._axes.values():
-            serial = self._line.query(axis.device, 0, "get system.serial").data
+            serial = self._line.query(axis.device, 0, "get system.serial", strict=False).data
             self._require_serial(
                 axis,
                 serial,
                 f"device {axis.device} has {serial}",
                 remedy="Check the port, the order of the chain, and the serial in the station file.",
             )
+            self._line.switch_checksums_on(axis.device)
             model = self._line.query(axis.device, 0, "get deviceid").data
             firmware = self._line.query(axis.device, 0, "get version").data
             found.append(AxisIdentity(axis.name, "Zaber", f"device id {model}", serial, firmware))
@@ -274,14 +286,23 @@ class ZaberStage(OneLineStage[ZaberAxis, ZaberChain]):
     # ------------------------------------------------------------ settings
 
     def _check_scale(self, axis: ZaberAxis) -> None:
-        """Check that scale and limits agree with the controller's microsteps a turn and travel."""
+        """Check that scale and limits agree with the controller's microsteps a turn or a step, and its travel."""
         turn = self._setting(axis, "limit.cycle.dist")
+        resolution = self._setting(axis, "resolution")
         expected = abs(axis.microsteps_per_deg) * 360.0
         if turn and abs(turn - expected) > max(1.0, _SCALE_AGREES * expected):
             raise OutsideLimits(
                 f"the scale in the station file gives {expected:.0f} microsteps a turn, the controller has {turn}.",
                 where=axis.name,
                 remedy="Correct microsteps_per_deg in the station file.",
+            )
+        if not turn and resolution is not None and resolution != axis.resolution:
+            raise OutsideLimits(
+                f"the scale in the station file holds for {axis.resolution} microsteps a step, the controller makes"
+                f" {resolution} (its setting resolution).",
+                where=axis.name,
+                remedy=f"Send 'set resolution {axis.resolution}', or state resolution: {resolution} and the scale for"
+                " it in the station file.",
             )
         present = self._setting(axis, "limit.min"), self._setting(axis, "limit.max")
         motion.check_travel(axis.name, _travel(axis), present, "microsteps", to_deg=axis.to_angle_deg)
@@ -307,8 +328,10 @@ class ZaberStage(OneLineStage[ZaberAxis, ZaberChain]):
                 where=axis.name,
                 remedy="Raise speed_deg_s or acceleration_deg_s2 in the station file.",
             )
+        wanted |= {"motion.accelonly": wanted["accel"], "motion.decelonly": wanted["accel"]}
         for name, value in wanted.items():
-            if self._setting(axis, name) == value:
+            present = self._setting(axis, name)
+            if present == value or (present is None and name.startswith("motion.")):  # not in every firmware
                 continue
             self._line.query(axis.device, axis.axis, f"set {name} {value}")
             got = self._line.query_integer(axis.device, axis.axis, f"get {name}")

@@ -2,7 +2,8 @@
 
 A request is ``/device axis id words:LRC LF``, its reply ``@device axis id OK|RJ BUSY|IDLE flag data:LRC CR LF``.
 Alerts (``!``) and information lines (``#``) are unsolicited. This driver always sends a message id and a checksum, and
-takes no reply without them: without a checksum, a garbled position would go unnoticed.
+takes no reply without them: without a checksum, a garbled position would go unnoticed. Controllers come from the
+factory without checksums in their replies, so the driver switches these on.
 
 Source: "Zaber ASCII Protocol Manual", https://www.zaber.com/protocol-manual, sections on message formats, message
 checksums and warning flags.
@@ -78,11 +79,18 @@ REFUSALS = {
 }
 """Meanings of the reasons for which a command is rejected."""
 
+REMEDIES = {
+    "LOCKSTEP": "Dissolve the group with the maker's software ('lockstep 1 setup disable').",
+    "NOACCESS": "Raise the level with the maker's software ('set system.access 2').",
+    "PARKED": "Make sure that nobody has moved the axis, then unpark it ('tools parking unpark').",
+}
+"""What helps against some of these reasons."""
+
 _REPLY = re.compile(
     rb"@(?P<device>\d\d) (?P<axis>\d) (?P<id>\d\d) (?P<verdict>OK|RJ) (?P<state>BUSY|IDLE)"
-    rb" (?P<flag>[A-Z][A-Z]|--) (?P<data>[ -9;-~]+):(?P<lrc>[0-9A-F]{2})\r\n"
+    rb" (?P<flag>[A-Z][A-Z]|--) (?P<data>[ -9;-~]+)(?::(?P<lrc>[0-9A-F]{2}))?\r\n"
 )
-_UNSOLICITED = re.compile(rb"[!#]\d\d \d [ -9;-~]+:(?P<lrc>[0-9A-F]{2})\r\n")
+_UNSOLICITED = re.compile(rb"[!#]\d\d \d [ -9;-~]+(?::(?P<lrc>[0-9A-F]{2}))?\r\n")
 
 
 @dataclass(frozen=True)
@@ -121,8 +129,8 @@ def request(device: int, axis: int, message_id: int, words: str = "") -> bytes:
     return b"/" + body + f":{checksum(body):02X}\n".encode("ascii")
 
 
-def parse_reply(line: bytes, where: str = "") -> Reply:
-    r"""Parse a reply, which must have a correct checksum.
+def parse_reply(line: bytes, where: str = "", *, without_checksum: bool = False) -> Reply:
+    r"""Parse a reply, which must have a correct checksum, or ``without_checksum`` may have none.
 
     >>> parse_reply(b"@01 0 00 OK IDLE WR 0:BE\r\n").flag
     'WR'
@@ -132,9 +140,16 @@ def parse_reply(line: bytes, where: str = "") -> Reply:
         raise ReplyGarbled(
             f"not a reply of the protocol: {line[:80]!r}.",
             where=where,
-            remedy="If the checksum is missing, send 'set comm.checksum 1' to the controller once.",
+            remedy="Check the cable and the port.",
         )
-    _check_sum(line, match, where)
+    if match["lrc"] is not None:
+        _check_sum(line, match, where)
+    elif not without_checksum:
+        raise ReplyGarbled(
+            f"a reply without a checksum: {line[:80]!r}.",
+            where=where,
+            remedy="Another program has switched checksums off since the stage was opened. Close that program.",
+        )
     return Reply(
         device=int(match["device"]),
         axis=int(match["axis"]),
@@ -147,9 +162,9 @@ def parse_reply(line: bytes, where: str = "") -> Reply:
 
 
 def is_unsolicited(line: bytes, where: str = "") -> bool:
-    """Return whether a line is an alert or an information line: no answer to a request. Its checksum is checked."""
+    """Return whether a line is an alert or an information line: no answer to a request. A checksum is checked."""
     match = _UNSOLICITED.fullmatch(line)
-    if match is not None:
+    if match is not None and match["lrc"] is not None:
         _check_sum(line, match, where)
     return match is not None
 

@@ -40,6 +40,9 @@ _MAX_SPEED_SETTING = 16_777_216
 _MAX_ACCELERATION_SETTING = 32_767
 
 
+#: ``accel`` reads the one and writes both of the settings of acceleration and deceleration.
+_SAME_SETTING = {"accel": "motion.accelonly"}
+
 #: Speed towards the reference sensor, degrees/s; the last part is ten times slower.
 _HOME_SPEED_DEG_S = 20.0
 _BOOT_S = 0.5
@@ -49,12 +52,16 @@ def factory_settings(model: AxisModel) -> dict[str, int]:
     """Return the factory settings of a controller."""
     counts_per_deg = model.mechanics.counts_per_deg
     scale, limit = counts_per_deg * SPEED_UNIT, round(model.limit_deg * counts_per_deg)
+    acceleration = round(model.acceleration_deg_s2 * scale / 10_000.0)
     return {
         "comm.alert": 0,
         "comm.checksum": 0,
         "maxspeed": round(model.speed_deg_s * scale),
         "limit.approach.maxspeed": round(_HOME_SPEED_DEG_S * scale),
-        "accel": round(model.acceleration_deg_s2 * scale / 10_000.0),
+        "motion.accelonly": acceleration,
+        "motion.decelonly": acceleration,
+        "resolution": 64,
+        "limit.cycle.dist": 0,
         "limit.min": -limit,
         "limit.max": limit,
     }
@@ -67,7 +74,10 @@ def setting_range(name: str, settings: Mapping[str, int]) -> tuple[int, int]:
         "comm.checksum": (0, 1),
         "maxspeed": (1, _MAX_SPEED_SETTING),
         "limit.approach.maxspeed": (1, _MAX_SPEED_SETTING),
-        "accel": (1, _MAX_ACCELERATION_SETTING),
+        "motion.accelonly": (0, _MAX_ACCELERATION_SETTING),
+        "motion.decelonly": (0, _MAX_ACCELERATION_SETTING),
+        "resolution": (1, 256),
+        "limit.cycle.dist": (0, 1_000_000_000),
         "limit.min": (-1_000_000_000, settings["limit.max"]),
         "limit.max": (settings["limit.min"], 1_000_000_000),
     }
@@ -96,8 +106,7 @@ class ZaberController(Unit):
         self._deliver()
 
     def _deliver(self) -> None:
-        # On a bench, checksums are switched on; factory settings leave them off.
-        self._settings = factory_settings(self.model) | {"comm.checksum": 1}
+        self._settings = factory_settings(self.model)
         self._parked = False
         self._power_up()
 
@@ -172,7 +181,6 @@ class ZaberController(Unit):
             "comm.word.size.max": lambda: "50",
             "comm.command.packets.max": lambda: "1",
             "get.settings.max": lambda: "1",
-            "resolution": lambda: "64",
             "pos": lambda: str(round(self.axis.counter(t_s))),
             "vel": lambda: str(round(self.axis.velocity(t_s) * SPEED_UNIT)),
             "limit.home.triggered": lambda: str(int(self.axis.referenced(t_s))),
@@ -182,6 +190,7 @@ class ZaberController(Unit):
             readings["encoder.pos"] = lambda: str(round(self.axis.encoder(t_s)))
         if name in readings:
             return readings[name]()
+        name = _SAME_SETTING.get(name, name)
         if name in self._settings:
             return str(self._settings[name])
         raise CommandRejected("BADCOMMAND")
@@ -194,8 +203,16 @@ class ZaberController(Unit):
             self.axis.set_counter(value, t_s)
             self.axis.set_encoder(value, t_s)
             return "0"
+        if name == "accel":
+            self._set(["motion.decelonly", words[1]], t_s)
+        name = _SAME_SETTING.get(name, name)
         if name not in self._settings:
             raise CommandRejected("BADCOMMAND")
+        if name == "resolution":
+            self._settings |= {
+                limit: self._settings[limit] * value // self._settings["resolution"]
+                for limit in ("limit.min", "limit.max")
+            }
         lowest, highest = setting_range(name, self._settings)
         if not lowest <= value <= highest:
             raise CommandRejected("BADDATA")
@@ -320,7 +337,7 @@ class ZaberController(Unit):
         return self._settings[setting] / SPEED_UNIT
 
     def _acceleration(self) -> float:
-        return self._settings["accel"] * 10_000.0 / SPEED_UNIT
+        return self._settings["motion.accelonly"] * 10_000.0 / SPEED_UNIT
 
 
 def _integer(word: str) -> int:
