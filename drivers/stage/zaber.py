@@ -215,7 +215,9 @@ class ZaberStage(OneLineStage[ZaberAxis, ZaberChain]):
         return tuple(found)
 
     def _has_reference(self) -> bool:
-        return not any(zaber_protocol.UNREFERENCED & set(self._flags(axis)) for axis in self._axes.values())
+        return self._was_homed() and not any(
+            zaber_protocol.UNREFERENCED & set(self._flags(axis)) for axis in self._axes.values()
+        )
 
     def _faults_of(self, axis: ZaberAxis) -> list[str]:
         """Return the warning flags in words; those that report a past event are left out."""
@@ -232,6 +234,8 @@ class ZaberStage(OneLineStage[ZaberAxis, ZaberChain]):
         if unreferenced := sorted(zaber_protocol.UNREFERENCED & set(flags)):
             flags_in_words = ", ".join(map(zaber_protocol.describe_flag, unreferenced))
             raise no_reference(axis, f"the axis has no reference: {flags_in_words}")
+        if not self._was_homed():
+            raise no_reference(axis, motion.HOMED_BY_ANOTHER)
         self._refuse_faults(axis, flags)
         if flags:
             self._line.query(axis.device, axis.axis, "warnings clear")

@@ -42,7 +42,12 @@ class Gimbal:
 
 @pytest.fixture
 def gimbal() -> Gimbal:
-    return Gimbal()
+    gimbal = Gimbal()
+    assert gimbal.chain.receive(b"/0 0 00 get comm.checksum\n") == b"".join(
+        b"@%02d 0 00 OK IDLE WR 0\r\n" % device for device in (1, 2)
+    )
+    gimbal.ask("0 0 00 set comm.checksum 1")
+    return gimbal
 
 
 @pytest.fixture
