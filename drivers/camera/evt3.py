@@ -29,6 +29,14 @@ _COUNTED_AT_ONCE: Final = 1 << 14
 """Number of events that are decoded at once where they are only counted: these stay in the processor's caches."""
 
 
+_AGAIN: Final = "copy the file again, or record it again. The part before that byte can be read."
+_CHECK_SIZE: Final = f"Check the size of the sensor that the file states; if it is right, {_AGAIN}"
+_REMEDIES: Final = {
+    StopReason.CLOCK: f"C{_AGAIN[1:]}",
+    StopReason.RESERVED: f"C{_AGAIN[1:]} `starbench convert` leaves such words out.",
+}
+
+
 @dataclass(frozen=True)
 class StreamStatistics:
     """Counts, times and losses of a stream up to its last word."""
@@ -69,8 +77,6 @@ class StreamStatistics:
         messages = [f"Words are missing from {a} to {b} us of the sensor's clock." for a, b in self.gaps]
         if self.gap_count > len(self.gaps):
             messages.append(f"{self.gap_count - len(self.gaps)} more gaps follow.")
-        if self.unknown_words:
-            messages.append(f"Words whose type EVT3 does not define were left out: {self.unknown_words}.")
         if self.missing_windows:
             messages.append(
                 f"{self.missing_windows} event count reports of the sensor are missing (it sends one every 200 us): "
@@ -89,7 +95,8 @@ class Evt3Decoder:
     """Decoder of one stream, which is given in pieces of whole words.
 
     Events outside ``width`` and ``height``, px, raise `RecordingCorrupt`; ``first_byte`` is the offset of the first
-    word in the file, for messages.
+    word in the file, for messages. Words whose type EVT3 does not define raise too, or are counted and left out
+    (``skip_unknown``): in a new recording they are a fault of the transfer, in a file of others often a maker's own.
 
     >>> words = np.array([0x8001, 0x6002, 0x0005, 0x2803], np.uint16)
     >>> [(events, _)] = Evt3Decoder(1280, 720).decode(words)
@@ -97,8 +104,17 @@ class Evt3Decoder:
     [4098, 3, 5, 1]
     """
 
-    def __init__(self, width: int, height: int, *, first_byte: int = 0, where: str = "") -> None:
+    def __init__(
+        self,
+        width: int,
+        height: int,
+        *,
+        first_byte: int = 0,
+        where: str = "",
+        skip_unknown: bool = False,
+    ) -> None:
         self._state = new_state(width, height)
+        self._state[S.UNKNOWN] = 0 if skip_unknown else -1
         self._gaps = np.zeros((GAPS_KEPT, 2), np.int64)
         self._next_byte = first_byte
         self._where = where
@@ -184,10 +200,7 @@ class Evt3Decoder:
                 self._explain(reason, int(words[stop])),
                 offset=self._next_byte,
                 where=self._where,
-                remedy="Copy the file again, or record it again; the part before that byte can be read."
-                if reason == StopReason.CLOCK
-                else "Check the size of the sensor that the file states; if it is right, copy the file again, or record"
-                " it again. The part before that byte can be read.",
+                remedy=_REMEDIES.get(reason, _CHECK_SIZE),
             )
         return stop
 
@@ -201,6 +214,8 @@ class Evt3Decoder:
             return f"An event in column {word & 0x7FF} lies outside {sensor}."
         if reason == StopReason.VECTOR:
             return f"A vector that begins at column {state[S.BASE]} holds events beyond the last column of {sensor}."
+        if reason == StopReason.RESERVED:
+            return f"The type of word 0x{word:04X} does not exist in EVT3."
         part = "upper" if word >> 12 == 0x8 else "lower"
         return f"The sensor's clock steps back from {state[S.T]} us: its {part} part reads {word & 0xFFF}."
 
@@ -233,7 +248,7 @@ class Evt3Decoder:
             missing_windows=state[S.MISSING_WINDOWS],
             gaps=tuple((int(a), int(b)) for a, b in kept),
             gap_count=state[S.GAPS],
-            unknown_words=state[S.UNKNOWN],
+            unknown_words=max(state[S.UNKNOWN], 0),
         )
 
 

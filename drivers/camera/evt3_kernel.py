@@ -17,7 +17,7 @@ type name            payload
 0x6  TIME_LOW        lower 12 bits of the clock, us
 0x7  CONTINUED_4     last 4 bits of an OTHERS payload (some sensors leave it out)
 0x8  TIME_HIGH       upper 12 bits of the clock: it wraps every 2^24 us
-0x9  -               0x9999 is padding; others are counted and left out, as 0xB and 0xC are
+0x9  -               0x9999 is padding; no other word of this type exists, nor of 0xB and 0xC
 0xA  EXT_TRIGGER     [0] edge (1 = rising), [11:8] channel
 0xD  IMU             skipped
 0xE  OTHERS          subtype 0x014 / 0x016: events into / out of the rate controller
@@ -65,6 +65,7 @@ class StopReason(IntEnum):
 
     VECTOR: A vector holds an event beyond the last column.
     CLOCK: The sensor's clock steps back too far.
+    RESERVED: The type of the word does not exist.
     """
 
     NONE = 0
@@ -73,6 +74,7 @@ class StopReason(IntEnum):
     COLUMN = 3
     VECTOR = 4
     CLOCK = 5
+    RESERVED = 6
 
 
 class S(IntEnum):
@@ -125,13 +127,13 @@ class S(IntEnum):
     IDLE_US = 27
     """Time for which only TIME_HIGH words have come, us; -1 if it is not known."""
     UNKNOWN = 28
-    """Number of words whose type does not exist, without padding."""
+    """Number of words left out because their type does not exist; -1 if such a word stops the loop."""
 
 
 def new_state(width: int, height: int) -> NDArray[np.int64]:
     """Return the state before the first word of a stream: (29,) int64, indexed by ``S``."""
     state = np.zeros(len(S), np.int64)
-    state[[S.HIGH, S.T, S.Y, S.BASE, S.FIRST_T, S.EVENTS_AT_REPORT, S.REPORT_T, S.IDLE_US]] = -1
+    state[[S.HIGH, S.T, S.Y, S.BASE, S.FIRST_T, S.EVENTS_AT_REPORT, S.REPORT_T, S.IDLE_US, S.UNKNOWN]] = -1
     state[S.WIDTH], state[S.HEIGHT] = width, height
     return state
 
@@ -260,6 +262,8 @@ def take_control_word(state: Any, kind: int, payload: int, gaps: Any, edges: Any
     elif kind in (0xE, 0xF, 0x7):
         _rate_controller(state, kind, payload)
     elif kind != 0xD and (kind << 12 | payload) != _PADDING:
+        if state[S.UNKNOWN] < 0:
+            return StopReason.RESERVED
         state[S.UNKNOWN] += 1
     return StopReason.NONE
 

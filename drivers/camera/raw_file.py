@@ -162,10 +162,16 @@ class RawFile:
         except OSError as error:
             raise unreadable(self.path, error) from error
 
-    def decoder(self) -> Evt3Decoder:
+    def decoder(self, *, skip_unknown: bool = False) -> Evt3Decoder:
         """Return a decoder of its words, which stands before the first."""
         first_byte = self.raw_header.size_bytes
-        return Evt3Decoder(self.width, self.height, first_byte=first_byte, where=str(self.path))
+        return Evt3Decoder(
+            self.width,
+            self.height,
+            first_byte=first_byte,
+            where=str(self.path),
+            skip_unknown=skip_unknown,
+        )
 
 
 def is_recording(path: Path) -> bool:

@@ -80,12 +80,19 @@ def _source(path: Path, choices: ReadingChoices, opened: ExitStack) -> EventSour
 
 
 def _of_recording(recording: RawFile) -> EventSource:
-    decoder = recording.decoder()
+    decoder = recording.decoder(skip_unknown=True)
     edges = join_triggers([decoder.tally(words) for words in recording.words()])
     total = decoder.statistics()
+
+    def pieces() -> Iterator[Events]:
+        decoder = recording.decoder(skip_unknown=True)
+        for words in recording.words():
+            for events, _ in decoder.decode(words):
+                yield events
+
     size = recording.width, recording.height
     about_end = recording.truncated, total.unknown_words
-    return EventSource(total.events, edges, *size, recording.header, recording.chunks, *about_end)
+    return EventSource(total.events, edges, *size, recording.header, pieces, *about_end)
 
 
 @contextmanager

@@ -66,6 +66,9 @@ def test_events_in_rows_of_another_kind_are_skipped():
         ((row(0), base(WIDTH - 4), vector8(0b10000)), "vector that begins at column 1276 "),
         ((row(0), base(2047), vector12(1)), "vector that begins at column 2047 "),
         ((row(0), base(WIDTH - 20), vector12(1), vector12(1 << 8)), "vector that begins at column 1272 "),
+        ((0x9000,), "type of word 0x9000 does not exist in EVT3"),
+        ((0xB123,), "0xB123"),
+        ((0xCFFF,), "0xCFFF"),
     ],
 )
 def test_malformed_words_are_refused_at_their_byte(words, message):
@@ -76,32 +79,22 @@ def test_malformed_words_are_refused_at_their_byte(words, message):
     assert str(caught.value).startswith("x.raw: ")
 
 
-def test_padding_is_skipped_and_words_of_other_types_are_counted():
+def test_padding_is_skipped():
     """Some cameras fill their packets with 0x9999."""
-    decoder = Evt3Decoder(WIDTH, HEIGHT)
-    words = [
-        high(0),
-        0x9999,
-        low(5),
-        0x9999,
-        row(1),
-        0xB123,
-        event(7),
-        0x9999,
-        0x9999,
-        0xCFFF,
-        event(8),
-        0x9000,
-    ]
+    words = [high(0), 0x9999, low(5), 0x9999, row(1), event(7), 0x9999, 0x9999, event(8)]
+    assert decode(*words)[0] == [(5, 7, 1, 0), (5, 8, 1, 0)]
+
+
+def test_words_of_other_types_are_counted_and_left_out_where_that_is_asked_for():
+    decoder = Evt3Decoder(WIDTH, HEIGHT, skip_unknown=True)
+    words = [high(0), low(5), row(1), 0xB123, event(7), 0x9999, 0xCFFF, event(8), 0x9000]
     assert decode(*words, decoder=decoder)[0] == [(5, 7, 1, 0), (5, 8, 1, 0)]
-    statistics = decoder.statistics()
-    assert statistics.unknown_words == 3
-    assert statistics.loss_messages() == ("Words whose type EVT3 does not define were left out: 3.",)
+    assert decoder.statistics().unknown_words == 3
 
 
 def test_events_before_a_malformed_word_are_handed_out():
     decoder = Evt3Decoder(WIDTH, HEIGHT)
-    pieces = decoder.decode(np.array([high(0), low(0), row(0), event(7), row(HEIGHT)], np.uint16))
+    pieces = decoder.decode(np.array([high(0), low(0), row(0), event(7), 0x9000], np.uint16))
     assert rows(next(pieces)[0]) == [(0, 7, 0, 0)]
     with pytest.raises(RecordingCorrupt):
         next(pieces)
@@ -140,7 +133,7 @@ def test_decoding_into_arrays_touches_nothing_beyond_the_room_it_asks_for():
 
 def test_decoding_into_arrays_refuses_a_malformed_first_word():
     with pytest.raises(RecordingCorrupt) as caught:
-        Evt3Decoder(WIDTH, HEIGHT).decode_into(np.array([row(HEIGHT)], np.uint16), empty_events(50), 0)
+        Evt3Decoder(WIDTH, HEIGHT).decode_into(np.array([0x9000], np.uint16), empty_events(50), 0)
     assert caught.value.offset == 0
 
 

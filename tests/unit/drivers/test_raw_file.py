@@ -91,7 +91,7 @@ def test_a_file_cut_anywhere_is_readable_up_to_there(raw, kept):
 def test_an_offset_beyond_the_first_block_is_right(raw):
     words = np.full(600_000, 0x2007)
     words[:3] = 0x8001, 0x6002, 0x0005
-    words[555_555] = 720
+    words[555_555] = 0x9000
     with pytest.raises(RecordingCorrupt) as caught:
         RawFile.open(raw(words)).scan()
     assert caught.value.offset == len(HEADER) + 2 * 555_555
