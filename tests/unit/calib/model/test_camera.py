@@ -35,7 +35,9 @@ EVERY = {**COEFFICIENTS, **dict(zip(OPENCV[8:], [0.004, -0.003, 0.006, 0.002, 0.
 )
 def test_projection_is_that_of_opencv(names):
     model = camera(**{name: EVERY[name] for name in names})
-    expected = cv2.projectPoints(POINTS, np.zeros(3), np.zeros(3), model.matrix, model.coefficients)[0][:, 0]
+    lens = np.array([EVERY[name] if name in names else 0.0 for name in OPENCV])
+    expected = cv2.projectPoints(POINTS, np.zeros(3), np.zeros(3), model.matrix, lens)[0][:, 0]
+    assert np.array_equal(model.coefficients, lens[: len(model.coefficients)])
     assert np.allclose(model.project(POINTS), expected, atol=1e-9)
     assert np.allclose(model.project_with_jacobians(POINTS)[0], expected, atol=1e-9)
 
