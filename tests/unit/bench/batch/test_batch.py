@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -299,3 +300,24 @@ def test_summary_and_status_name_a_run_whose_goal_was_missed(tmp_path):
         "2 runs with a result, 0 without",
         f"  a-001: finished: {told}",
     ]
+
+
+def test_the_run_at_work_is_told_while_the_batch_runs_and_not_of_one_that_was_killed(tmp_path):
+    clock, seen = NightClock(), []
+    workers = Workers(clock)
+
+    def work(item, run, log):
+        seen.append(read_batch_status(tmp_path / "night"))
+        shutil.copytree(tmp_path / "night", tmp_path / f"killed-{run.name}")  # as a power cut leaves it
+        return workers(item, run, log)
+
+    Batch(tmp_path / "night", queue(("a", ""), ("b", "")), clock, lambda _: None, work).run()
+    assert [(status.running, status.current_run) for status in seen] == [
+        (True, "a-001: starting"),
+        (True, "b-001: starting"),
+    ]
+    killed = read_batch_status(tmp_path / "killed-b-001")
+    assert (killed.running, killed.current_run) == (False, "")
+    assert [run.item for run in killed.done] == ["a-001"]
+    ended = read_batch_status(tmp_path / "night")
+    assert (ended.running, ended.current_run, ended.ended) == (False, "", "finished")

@@ -107,6 +107,32 @@ def test_rows_name_their_certificates():
     }
 
 
+def test_of_a_coefficient_each_group_has_a_row_and_only_one_of_a_single_source_states_its_value():
+    """The engine splits the variance of k1 by groups alone; certificates belong to single sources."""
+    k1 = next(one for one in full_certificate().budgets if one.symbol == "k1")
+    rows = {row.name: row for row in k1.rows}
+    assert list(rows)[:3] == [
+        "stars, readings of the gimbal",
+        "known beforehand, parallax, scale and eccentricity of the gimbal, mounting and axes of the gimbal",
+        "disagreement of the views",
+    ]
+    assert {(row.value, row.number) for name, row in rows.items() if ", " in name} == {(None, "")}
+    assert (rows["passport of the collimator"].value, rows["passport of the collimator"].number) == (
+        0.1,
+        "SIM-2026-01",
+    )
+    assert rows["scale of the print"].value == 2e-5
+    assert (
+        rows["stars, readings of the gimbal"].source
+        == "residuals of the stars, with the gimbal's readings if there are any"
+    )
+    variances = sample_results()["calibration"]["budget"]
+    ratio = rows["scale of the print"].u / rows["passport of the collimator"].u
+    by_engine = variances["scale of the print"]["k1"] / variances["passport of the collimator"]["k1"]
+    assert ratio == pytest.approx(by_engine, rel=1e-6)
+    assert (rows["stars, readings of the gimbal"].type, rows["effective radius"].type) == ("A", "B")
+
+
 def changed(change):
     calibration = json.loads(json.dumps(sample_results()["calibration"]))
     change(calibration)
