@@ -82,18 +82,12 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
 
     def _set_up(self) -> None:
         self._bring_to_rest()  # a moving board refuses $I
-        self._leave_modes()
+        self._refuse_modes()
         self.identify()
         self._program()
 
-    def _leave_modes(self) -> None:
-        """Reset a board that another program has left held, asleep or in check mode; refuse one that stays so.
-
-        This driver has no reference yet, so a reset loses nothing.
-        """
-        if self._line.query_status().state in {*READY_STATES, "Alarm"}:
-            return
-        self._line.wake()
+    def _refuse_modes(self) -> None:
+        """Refuse a board that is held, asleep or in check mode though it was reset."""
         report = self._line.query_status()
         if report.state not in {*READY_STATES, "Alarm"}:
             raise DeviceRefused(

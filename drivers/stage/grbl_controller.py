@@ -261,7 +261,9 @@ class GrblController(Link):
 
     def _wait_for_boot(self) -> None:
         try:
-            repeat(self._query_status_once, tries=_BOOT_TRIES)
+            report = repeat(self._query_status_once, tries=_BOOT_TRIES)
+            if not report.moving and report.state not in {"Idle", "Alarm"}:
+                self.wake()  # held, asleep or in check mode by another program
         except (ReplyTimeout, MoveFailed):
             # A board that moves by jog or program answers ?. A mute one waits for a reset after a limit, or is homing
             # for a program that has ended. This driver has no reference yet, so a reset loses nothing.

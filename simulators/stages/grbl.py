@@ -44,8 +44,30 @@ class Answered(Exception):
     """The line has been answered already."""
 
 
+class Firmware(NamedTuple):
+    """What differs between the firmwares of the family."""
+
+    welcome: str
+    build: str  # Answer to ``$I``, with the name of the board
+    read_only: range = range(0)  # Settings that only a file on the board changes
+
+
+#: The firmwares by name; ``fork`` is one that nobody knows.
+FIRMWARES: Final[Mapping[str, Firmware]] = {
+    "grbl": Firmware("Grbl 1.1h ['$' for help]", "[VER:1.1h.20190830:{}]\r\n[OPT:V,15,128]\r\n"),
+    "grblhal": Firmware(
+        "GrblHAL 1.1f ['$' or '$HELP' for help]",
+        "[VER:1.1f.20230912:{}]\r\n[OPT:VNMHSL,35,1024,3,0]\r\n[FIRMWARE:grblHAL]\r\n",
+    ),
+    "fluidnc": Firmware(
+        "Grbl 3.7 [FluidNC v3.7.17 (wifi) '$' for help]",
+        "[VER:3.7 FluidNC v3.7.17 (esp32-wifi) :{}]\r\n[OPT:PHS]\r\n",
+        range(20, 133),
+    ),
+    "fork": Firmware("Machine 2 ['$' for help]", "[VER:2.0.1:{}]\r\n[OPT:V]\r\n"),
+}
+
 _RESET_BYTE: Final = 0x18
-_WELCOME: Final = "\r\nGrbl 1.1h ['$' for help]\r\n"
 _LOCKED: Final = "[MSG:'$H'|'$X' to unlock]\r\n"
 _MAX_LINE: Final = 79
 _PAUSE_S: Final = 0.5
@@ -77,6 +99,7 @@ class GrblController(Unit):
     ) -> None:
         self._clock = clock
         self.name = ""
+        self.firmware = FIRMWARES["grbl"]
         self._factory = factory_settings(models, pull_off_deg)
         self.settings = dict(self._factory)
         self._planner = Planner(models, self.settings, clock(), publish)
@@ -110,7 +133,7 @@ class GrblController(Unit):
         self._dwell_s: float | None = None
         self._dwell_until_s: float | None = None
         self._motion, self._distance, self._feed = "G0", "G90", 0.0
-        self._output += _WELCOME + (_LOCKED if state == "Alarm" else "")
+        self._output += f"\r\n{self.firmware.welcome}\r\n" + (_LOCKED if state == "Alarm" else "")
 
     # ------------------------------------------------------------------ the line
     def receive(self, data: bytes) -> bytes:
@@ -242,7 +265,7 @@ class GrblController(Unit):
             "#": lambda: self._say(f"{_OFFSETS}[TLO:0.000]\r\n[PRB:{_ZERO}:0]\r\n"),
             "H": self._home,
             "SLP": self._sleep,
-            "I": lambda: self._say(f"[VER:1.1h.20190830:{self.name}]\r\n[OPT:V,15,128]\r\n"),
+            "I": lambda: self._say(self.firmware.build.format(self.name)),
             "N": lambda: self._say("$N0=\r\n$N1=\r\n"),
         }
         if command in at_rest:
@@ -309,6 +332,8 @@ class GrblController(Unit):
             raise GcodeError(4)
         if number not in self.settings:
             raise GcodeError(3)
+        if number in self.firmware.read_only:
+            raise GcodeError(162)
         if number == SOFT_LIMITS and value and not self.settings[HOMING_ENABLED]:
             raise GcodeError(10)
         self.settings[number] = value

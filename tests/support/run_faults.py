@@ -163,7 +163,7 @@ FAULTS = (
     Fault("lamp open or too hot", ("light.on", "light.read"), raising(LightFault("lamp open")), FAILED),
     Fault("light: level or frequency clipped", ("light.apply",), raising(SettingRefused("clipped")), FAILED),
     Fault("light silently off", ("camera.record",), _light_off, ENDED),
-    Fault("stage creeps during a recording", ("camera.record",), _moved, ENDED),
+    Fault("stage creeps during a recording", ("camera.record",), _moved, FAILED),
     Fault("recording interrupted", ("camera.record",), raising(RecordingFailed("USB drop")), FINISHED),
     Fault("events or triggers lost", ("camera.record",), _facts(gaps=("12 ms are missing",)), FINISHED),
     Fault("recording cut short", ("camera.record",), _facts(complete=False), FINISHED),

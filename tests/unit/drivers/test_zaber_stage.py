@@ -109,6 +109,50 @@ def test_a_scale_that_is_not_the_controllers_is_refused(bench) -> None:
         bench.open()
 
 
+# ---------------------------------------------------------------- what another program has left
+def test_a_controller_from_the_factory_gets_its_checksums_and_keeps_them(bench) -> None:
+    assert bench.line.device.receive(b"/1 0 05 get comm.checksum\n") == b"@01 0 05 OK IDLE WR 0\r\n"
+    stage = bench.homed()
+    stage.move_to({"pan": 5.0})
+    assert bench.position("pan") == 5000
+    assert bench.line.device.receive(b"/1 0 05 get comm.checksum\n").startswith(b"@01 0 05 OK IDLE -- 1:")
+
+
+def test_checksums_that_another_program_switches_off_are_told(bench) -> None:
+    stage = bench.homed()
+    bench.line.device.receive(b"/0 0 set comm.checksum 0\n")
+    with pytest.raises(ReplyError, match="without a checksum.*Another program has switched checksums off"):
+        stage.move_to({"pan": 5.0})
+
+
+@pytest.mark.parametrize("resolution", [32, 128])
+def test_another_resolution_is_refused_unless_the_station_states_it(bench, resolution) -> None:
+    for controller in (bench.pan, bench.tilt):
+        controller.execute(1, ["set", "resolution", str(resolution)], bench.clock.now_s)
+    limits = AxisLimits(-5.0, 5.0, 10.0, 50.0)
+    with pytest.raises(
+        OutsideLimits, match=f"holds for 64 microsteps a step, the controller makes {resolution}"
+    ):
+        bench.open(limits=limits)
+    bench.open(limits=limits, resolution=resolution)
+
+
+def test_a_deceleration_of_its_own_is_set_to_the_acceleration(bench) -> None:
+    bench.pan.execute(1, ["set", "motion.decelonly", "0"], bench.clock.now_s)
+    bench.open()
+    assert bench.pan.execute(1, ["get", "motion.decelonly"], bench.clock.now_s) == "8"
+
+
+def test_a_position_that_another_program_has_set_is_no_reference(bench) -> None:
+    bench.homed().close()
+    bench.pan.execute(1, ["set", "pos", "5000"], bench.clock.now_s)
+    bench.line.closed = False
+    stage = bench.open()
+    assert not stage.is_homed()
+    with pytest.raises(NotHomed, match="another program has homed the axis"):
+        stage.move_to({"pan": 1.0})
+
+
 def test_an_acceleration_too_small_to_be_told_is_refused_not_made_infinite(bench) -> None:
     """``accel`` 0 would switch the ramp off."""
     with pytest.raises(OutsideLimits, match="6 deg/s"):
