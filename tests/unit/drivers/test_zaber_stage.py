@@ -121,7 +121,7 @@ def test_a_controller_from_the_factory_gets_its_checksums_and_keeps_them(bench) 
 def test_checksums_that_another_program_switches_off_are_told(bench) -> None:
     stage = bench.homed()
     bench.line.device.receive(b"/0 0 set comm.checksum 0\n")
-    with pytest.raises(ReplyError, match="without a checksum.*Another program has switched checksums off"):
+    with pytest.raises(ReplyError, match=r"without a checksum.*Another program has switched checksums off"):
         stage.move_to({"pan": 5.0})
 
 
