@@ -283,6 +283,12 @@ def _why_not_opened(address: str, error: BaseException) -> PortError:
             where=address,
             remedy="Check that the device is plugged in and that the station file names its port.",
         )
+    if getattr(error.__context__, "args", ())[:1] == (errno.ENOTTY,):  # pyserial's own error has no number
+        return PortNotFound(
+            "this file is no serial port.",
+            where=address,
+            remedy="Check that the station file names the device's port, such as /dev/serial/by-id/...",
+        )
     return PortNotFound(
         f"it cannot be opened as a serial port: {error}.",
         where=address,

@@ -150,6 +150,7 @@ _BUILD = re.compile(rb"\[VER:([^:\]]*):([^\]]*)\]\r*\n")
 _START_UP = re.compile(rb"\$N\d+=(.*?)\r*\n")
 _AXIS_WORD = re.compile(r"[ABCUVWXYZ][-+.\d#\[]", re.IGNORECASE)
 _GREETING = re.compile(rb"grbl|fluidnc|for help\]|rst:0x|brownout", re.IGNORECASE)
+_MESSAGE_AT_START = re.compile(rb"\[MSG:INFO: FluidNC v\d")
 _ALARM = re.compile(rb"ALARM:? *(\d{1,3})?")
 
 
@@ -225,8 +226,11 @@ def is_greeting(line: bytes) -> bool:
     >>> is_greeting(b"<Idle|MPos:0.0GrblHAL 1.1f ['$' or '$HELP' for help]\r\n"), is_greeting(b"[FIRMWARE:grblHAL]\r\n")
     (True, False)
     """
-    is_answer = line.startswith((b"$", b"[")) and not line.startswith(b"[MSG:")
-    return not is_answer and _GREETING.search(line) is not None
+    if line.startswith((b"$", b"[")) or _REPORT.fullmatch(
+        line
+    ):  # names of hosts and files may hold the same words
+        return _MESSAGE_AT_START.match(line) is not None
+    return _GREETING.search(line) is not None
 
 
 def is_message(line: bytes) -> bool:

@@ -82,7 +82,15 @@ def test_a_restart_between_two_moves_leaves_no_reference_whatever_the_board_says
 
 
 @pytest.mark.parametrize(
-    "line", [b"[FIRMWARE:grblHAL]\r\n", b"$300=grblHAL\r\n", b"[MSG:Caution: Unlocked]\r\n", b"\r\n"]
+    "line",
+    [
+        b"[FIRMWARE:grblHAL]\r\n",
+        b"$300=grblHAL\r\n",
+        b"[MSG:Caution: Unlocked]\r\n",
+        b"[MSG:INFO: Connecting to STA SSID:grbl]\r\n",
+        b"<Idle|MPos:-1.000|FS:0,0|SD:5.0,/grbl.nc>\r\n",
+        b"\r\n",
+    ],
 )
 def test_what_only_names_a_firmware_is_no_restart(line) -> None:
     rig = Rig()

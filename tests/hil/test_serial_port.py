@@ -118,7 +118,7 @@ def test_a_missing_port_is_named_with_its_remedy(tmp_path) -> None:
 
 def test_a_file_is_no_port(tmp_path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(PortNotFound, match="cannot be opened as a serial port"):
+    with pytest.raises(PortNotFound, match="this file is no serial port"):
         SerialPort(str(tmp_path / "file"), baudrate=9600)
 
 

@@ -347,3 +347,9 @@ def test_a_camera_that_gave_usb_no_serial_number_has_none(dev, system, tmp_path)
 
 def test_a_computer_without_video_devices_has_none(tmp_path):
     assert video_devices(tmp_path, tmp_path) == []
+
+
+def test_a_file_that_is_no_terminal_is_named_without_words_of_a_library():
+    with pytest.raises(PortNotFound, match=r"/dev/null: this file is no serial port\. Check") as caught:
+        SerialPort("/dev/null", baudrate=115_200)
+    assert "ioctl" not in str(caught.value)
