@@ -128,21 +128,6 @@ class SimulatedBench:
                 raise SimulationError("The simulated bench has ended by itself.") from error
             return stdout.readline().rstrip("\n")
 
-    def set_up(self, device: str, what: str, **numbers: float) -> dict[str, Any]:
-        """Do at once what a person's hands would do at the simulated camera, or refuse it.
-
-        ``lens turn deg``, ``mount shift x_mm y_mm``, ``board place number`` and the others of docs/simulated-bench.md.
-        """
-        text = self.order(json.dumps({"device": device, "fault": what, **numbers}))
-        try:
-            answer = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise SimulationError("The simulated bench has ended by itself.") from error
-        if not answer["ok"]:
-            raise SimulationError(str(answer["error"]))
-        now: dict[str, Any] = answer["now"]
-        return now
-
     def truth(self) -> dict[str, Any]:
         """Read the true parameters of the simulated bench, for the final comparison. No estimator may use them."""
         truth: dict[str, Any] = json.loads(self._truth_path.read_text(encoding="utf-8"))

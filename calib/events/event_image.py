@@ -35,8 +35,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.arrays import Array, Array32, Bools, Bytes, Ints
-from calib.errors import InputMismatch, TooFewEvents, TooFewStars, placed
+from calib.arrays import Array32, Bools, Bytes, Ints
+from calib.errors import InputMismatch, TooFewEvents, placed
 from calib.events.accumulation import (
     BurstWindow,
     PixelSums,
@@ -47,7 +47,6 @@ from calib.events.accumulation import (
     without_hot_pixels,
 )
 from calib.events.flicker import Flicker
-from calib.view import View
 
 #: Least number of events an edge for the lock-in image; below it, fired-per-edge is used.
 LOCK_IN_MIN_EVENTS = 1.9
@@ -285,8 +284,6 @@ def make_quick_image(counts: NDArray[np.uint16], periods: int) -> QuickImage:
 #: Shift between the halves from which a pose counts as moving, px. Repeated recordings of a pose at rest differ by
 #: 0.006 to 0.02 px a star, and far less in the mean.
 MOVING_PX = 0.05
-#: Least number of stars that both halves must show.
-MIN_COMMON = 8
 
 
 def half_windows(facts: SliceFacts) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -302,18 +299,3 @@ def half_windows(facts: SliceFacts) -> tuple[tuple[float, float], tuple[float, f
         )
     half = (facts.end_us - facts.start_us) / facts.periods * (facts.periods // 2)
     return (facts.start_us, facts.start_us + half), (facts.end_us - half, facts.end_us)
-
-
-def motion_between(first: View, second: View) -> Array:
-    """Return the median shift, (2,) px, of the stars between two views of one pose.
-
-    Along x and along y, so that single wrong stars do not matter; at least `MIN_COMMON` stars.
-    """
-    _, a, b = np.intersect1d(first.ids, second.ids, assume_unique=True, return_indices=True)
-    if a.size < MIN_COMMON:
-        raise TooFewStars(
-            f"The halves of the recording share {a.size} stars; {MIN_COMMON} are needed.",
-            where=f"view {first.name}",
-            remedy="Record for longer.",
-        )
-    return np.asarray(np.median(second.points_px[b] - first.points_px[a], axis=0))

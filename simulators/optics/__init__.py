@@ -1,4 +1,4 @@
-"""Image formation of the simulated bench: target, collimator, lens and screen.
+"""Image formation of the simulated bench: target, collimator and lens.
 
 References
 ----------

@@ -317,7 +317,3 @@ def reticle_point(x_mm: FloatArray, y_mm: FloatArray, e: Aberrations) -> tuple[F
         dx, dy = displacement(p_x, p_y, e)
         p_x, p_y = x_mm - dx, y_mm - dy
     return p_x, p_y
-
-
-NO_ABERRATIONS: Final = aberrations_of(CollimatorTruth(), np.eye(3))
-"""No collimator, or an ideal one: nothing is displaced."""

@@ -1,8 +1,7 @@
 """Drawing of a plane in the scene: where its points appear, and the exact area of each pixel that it covers.
 
 A point goes through the collimator, which may bend its light, and through the lens. This module uses neither the print
-nor its illumination. Frames: the plane is Z = 0, mm; X_cam = R (P - c), c the camera's centre in the plane's frame. A
-screen at finite distance has no collimator; its `Projection` holds ``NO_ABERRATIONS``.
+nor its illumination. Frames: the plane is Z = 0, mm; X_cam = R (P - c), c the camera's centre in the plane's frame.
 
 A polygon is a closed ring of edges. An edge adds, to every cell to its right, the signed height that it spans in that
 cell's row; the sum over a ring is the area inside. Only the differences between neighbouring cells of a row are

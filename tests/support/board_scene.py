@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulators.optics import picture as optics
-from simulators.optics.collimator_errors import NO_ABERRATIONS
+from simulators.optics.collimator_errors import aberrations_of
 from simulators.optics.drawing import (
     Cells,
     Projection,
@@ -39,10 +39,12 @@ from simulators.optics.lens_focus import (
     reach_px,
     signed_blur_px,
 )
-from simulators.world.truth import Truth
+from simulators.world.truth import CollimatorTruth, Truth
 
 FloatArray = NDArray[np.float64]
 
+NO_ABERRATIONS: Final = aberrations_of(CollimatorTruth(), np.eye(3))
+"""No collimator: nothing is displaced."""
 ROUND: Final = 64
 """Corners of a circle's ring."""
 _RING: Final = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])

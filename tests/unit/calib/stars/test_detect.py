@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calib.errors import InputMismatch, TargetNotFound, TooFewStars
-from calib.events.event_image import half_windows, motion_between
+from calib.events.event_image import half_windows
 from calib.events.grey_image import to_uint8
 from calib.model.homography import apply_homography
 from calib.stars import tag as tag_module
@@ -371,15 +371,6 @@ def test_the_tags_contrast_and_corners_are_told():
     seed = find_tag(to_uint8(1 - image), TARGET)
     assert seed.sign == -1
     assert np.abs(seed.corners_px - scene.project(TARGET.tag_corners_mm)).max() < 1.5
-
-
-def test_motion_between_the_halves_is_measured():
-    still, moved = Scene(roll=10), Scene(roll=10)
-    moved.matrix = moved.matrix + np.array([[0, 0, 0.21], [0, 0, -0.13], [0, 0, 0]])
-    rng = np.random.default_rng(2)
-    first, second = (detect_view(as_events_show_it(s.draw(), rng, stray=0), TARGET) for s in (still, moved))
-    assert motion_between(first, second) == pytest.approx([0.21, -0.13], abs=0.02)
-    assert not motion_between(first, first).any()
 
 
 def test_halves_are_whole_periods():
