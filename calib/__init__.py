@@ -37,7 +37,7 @@ A camera is calibrated from three predicted views with 0.02 px of noise on every
 >>> rng = np.random.default_rng(1)
 >>> views = [replace(view, points_px=view.points_px + rng.normal(0.0, 0.02, (len(view), 2))) for view in views]
 >>> result = calibrate(views)
->>> abs(result.camera.fx - camera.fx) < result.coverage_factor * result.sigma["fx"]
+>>> abs(result.values["fx"] - camera.fx) < result.U["fx"]
 True
 """
 

@@ -16,15 +16,16 @@ from calib.model.collimator import Collimator
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
 from calib.model.result_parts import Amplitude, Boresight, BudgetRow, GimbalEstimate, RotationErrors, Witness
+from calib.model.result_table import ParameterRow, as_frame, as_html, as_text
 from calib.model.type_b_terms import TypeBTerm
 
-ModelName = Literal[
-    "auto", "joint", "spherical", "planar", "radial", "pupil", "rim", "field", "coma", "drift"
-]
+ModelName = Literal["auto", "joint", "spherical", "planar"]
 #: Methods for comparison: the spherical model of arXiv:2512.16092, and Zhang's.
 REFERENCE_MODELS = ("spherical", "planar")
-#: Models of earlier versions: what they describe is part of the joint adjustment.
+#: Models of earlier versions, which are refused: what they describe is part of the joint adjustment.
 EARLIER_MODELS = ("radial", "pupil", "rim", "field", "coma", "drift")
+#: What is estimated if nothing is asked for; the joint adjustment takes it as the family of such lenses.
+DEFAULT_DISTORTION = ("k1", "k2")
 #: The version of each engine: results of another version are not compared with those of this one.
 ENGINES = {"joint": 20, "reference": 2}
 
@@ -47,10 +48,10 @@ class CalibrationOptions:
     model
         ``auto``, ``joint``: every effect is a parameter with a prior (`calib.joint`). For comparison: ``spherical``:
         all views share one centre. ``planar``: each view has its own centre (Zhang's model).
-        Names of earlier versions mean ``joint``.
     distortion
         Names of the coefficients to estimate, or the name of a set in `calib.model.camera.DISTORTION_SETS`. The joint
-        adjustment always estimates k1 to k3, p1 and p2, or all kb. ``auto``: it chooses between these two families.
+        adjustment estimates at least k1 to k3, p1 and p2, or all kb, and says so if fewer were asked for. ``auto``: it
+        chooses between these two families.
     loss
         ``l2``, ``huber`` or ``cauchy``; it acts on the length of each residual vector. None for ``huber``.
     huber_px
@@ -81,7 +82,7 @@ class CalibrationOptions:
     """
 
     model: ModelName = "auto"
-    distortion: str | Sequence[str] = ("k1", "k2")
+    distortion: str | Sequence[str] = DEFAULT_DISTORTION
     loss: LossName | None = None
     huber_px: float | None = None
     max_iterations: int = 100
@@ -97,6 +98,11 @@ class CalibrationOptions:
         if self.distortion in ("auto", ("auto",), ["auto"]):
             object.__setattr__(self, "distortion", "k1k2")
             object.__setattr__(self, "compares_lenses", True)
+        if self.model in EARLIER_MODELS:
+            raise InputMismatch(
+                f"The model {self.model} is one of an earlier version.",
+                remedy="Use the model joint: the effects of all earlier models are part of it.",
+            )
         for what, value, known in (
             ("model", self.model, get_args(ModelName)),
             ("loss", self.loss, (*get_args(LossName), None)),
@@ -143,7 +149,7 @@ class ViewSummary:
     mean_px: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Calibration:
     """A calibrated camera and everything that was estimated with it.
 
@@ -159,10 +165,10 @@ class Calibration:
         (n, 3, 3) float64 rotation of each view, camera <- target.
     centres
         (n, 3) float64 camera centre of each view in the target frame, mm.
-    parameter_names, values
-        Names and (G,) float64 values of the parameters that all views share.
+    parameter_names, estimates
+        Names and (G,) float64 values of the parameters that all views share; `values` has them by name.
     covariance
-        (G, G) float64 joint covariance of the values, in their order.
+        (G, G) float64 joint covariance of the estimates, in their order.
     residuals_px
         For each view (N, 2) float64: image point found minus image point predicted, px.
     weights
@@ -208,7 +214,7 @@ class Calibration:
         Those of the notes that explain a choice; every other note doubts the values.
     coverage_factors
         The k of each parameter by name, and that of the worst point of the sensor (``worst_corner``), if they differ;
-        `coverage_factor` is that of fx.
+        `coverage_factor` is that of fx. `k` has one for every parameter.
     glass
         What the joint adjustment found out about the collimator, for `passport`; None from another engine.
     boresight
@@ -223,7 +229,7 @@ class Calibration:
     rotations: Array
     centres: Array
     parameter_names: tuple[str, ...]
-    values: Array
+    estimates: Array
     covariance: Array
     residuals_px: list[Array]
     weights: list[Array]
@@ -259,10 +265,60 @@ class Calibration:
         return {"name": name, "version": ENGINES[name]}
 
     @property
+    def values(self) -> Mapping[str, float]:
+        """Value of each parameter, by name."""
+        return dict(zip(self.parameter_names, self.estimates.tolist(), strict=True))
+
+    @property
     def sigma(self) -> Mapping[str, float]:
         """Standard uncertainty (1 sigma) of each parameter, by name."""
         sigmas = np.sqrt(np.diag(self.covariance))
         return dict(zip(self.parameter_names, sigmas.tolist(), strict=True))
+
+    @property
+    def k(self) -> Mapping[str, float]:
+        """Coverage factor of each parameter, by name: value +- k sigma covers 95.45 %."""
+        return {n: self.coverage_factors.get(n, self.coverage_factor) for n in self.parameter_names}
+
+    @property
+    def U(self) -> Mapping[str, float]:  # noqa: N802 - the symbol of JCGM 100:2008, 6.2.1
+        """Expanded uncertainty of each parameter, by name: its own k times its sigma."""
+        k = self.k
+        return {name: k[name] * sigma for name, sigma in self.sigma.items()}
+
+    def _table(self) -> tuple[str, list[ParameterRow], tuple[str, ...]]:
+        """Return what a summary shows: a headline, the parameters, the camera's and the radius first, and the notes."""
+        values, sigma, k = self.values, self.sigma, self.k
+        first = [*self.camera.parameter_names, "r"]
+        names = sorted(self.parameter_names, key=lambda name: name not in first)
+        points, ended = (
+            sum(view.n for view in self.views),
+            "converged" if self.converged else "did not converge",
+        )
+        head = f"Calibration ({self.model}): {len(self.views)} views, {points} points, rms {self.rms_px:.4f} px, "
+        rows = [ParameterRow(name, values[name], sigma[name], k[name]) for name in names]
+        return f"{head}{ended} in {self.iterations} steps", rows, self.notes
+
+    def __repr__(self) -> str:
+        return as_text(*self._table())
+
+    def _repr_html_(self) -> str:
+        return as_html(*self._table())
+
+    def frame(self) -> Any:
+        """Return the parameters as a table of pandas.
+
+        Returns
+        -------
+        pandas.DataFrame
+            A row for each parameter, with ``value``, ``sigma``, ``k``, ``U`` and ``unit``.
+
+        Raises
+        ------
+        InputMismatch
+            If pandas is not installed.
+        """
+        return as_frame(self._table()[1])
 
     @property
     def camera_covariance(self) -> Array:
@@ -302,7 +358,7 @@ class Calibration:
             return replace(self.glass, conditions={**self.glass.conditions, **(conditions or {})})
         names, reference = self.collimator.parameter_names, self.collimator.reference
         at = [self.parameter_names.index(name) for name in names]
-        values, covariance = self.values[at], self.covariance[np.ix_(at, at)]
+        values, covariance = self.estimates[at], self.covariance[np.ix_(at, at)]
         views = tuple(view.name for view in self.views)
         return Passport(names, values, covariance, reference, self.birge_ratio, views, conditions or {})
 

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
-from calib.calibration import EARLIER_MODELS, REFERENCE_MODELS, Calibration, CalibrationOptions
+from calib.calibration import DEFAULT_DISTORTION, REFERENCE_MODELS, Calibration, CalibrationOptions
 from calib.compiled import on_one_thread
 from calib.diagnosis.checks import check_image_size, check_views
 from calib.diagnosis.gross_stars import find_gross_stars, without_gross_stars
@@ -84,13 +84,13 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
 def _remarks(options: CalibrationOptions, camera: CameraModel) -> list[str]:
     """Return sentences on the model that was asked for, the lens that was chosen, and options that took no part."""
     remarks = []
-    if options.model in EARLIER_MODELS:
-        remarks.append(
-            f"The model {options.model} of earlier versions is part of the joint adjustment, which made this result."
-        )
     if options.compares_lenses and options.model not in REFERENCE_MODELS:
         lens = "fisheye" if is_fisheye(camera.distortion) else "k1k2k3p1p2"
         remarks.append(f"The data chose the lens model {lens}.")
+    more = [name for name in camera.distortion if name not in options.distortion]
+    if more and options.model not in REFERENCE_MODELS and options.distortion != DEFAULT_DISTORTION:
+        asked = " ".join(options.distortion) or "no distortion"
+        remarks.append(f"{asked} was asked for; the joint adjustment also estimated {' '.join(more)}.")
     if options.unused:
         remarks.append(options.unused)
     return remarks

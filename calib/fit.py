@@ -155,7 +155,7 @@ def summarize(fitted: Fit) -> Calibration:
         rotations=parameters.rotations,
         centres=parameters.centres,
         parameter_names=uncertainty.names,
-        values=parameters.values(uncertainty.names),
+        estimates=parameters.values(uncertainty.names),
         covariance=uncertainty.covariance,
         residuals_px=[residuals[r] for r in rows],
         weights=[weights[r] for r in rows],

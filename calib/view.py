@@ -8,7 +8,7 @@ from typing import TypeVar, cast
 
 import numpy as np
 
-from calib.arrays import Array, Bools, Ints
+from calib.arrays import AnyArray, Array, Bools, Ints
 from calib.errors import InputMismatch
 
 T = TypeVar("T")
@@ -35,12 +35,14 @@ class RimPoints:
             raise InputMismatch("The rim holds numbers that are not finite.", where="rim points")
 
 
+#: Share of the variances by which the two halves of a covariance may differ, as rounding makes them.
+_ASYMMETRY = 1e-9
 _ARRAYS = {"ids": np.int64, **dict.fromkeys(("points_px", "target_mm", "covariances_px2"), np.float64)}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class View:
-    """Stars of one pose.
+    """Stars of one pose. Two views are equal only if they are the same object; the arrays are its own, and read-only.
 
     Attributes
     ----------
@@ -49,20 +51,21 @@ class View:
     image_size
         Width and height of the sensor, px.
     ids
-        (N,) int64, ids of the stars on the target. No id occurs twice.
+        (N,) int64, ids of the stars on the target. No id occurs twice. Whole numbers of any type are taken.
     points_px
         (N, 2) float64, px, image points u, v. Pixel centres are at integers, as in OpenCV.
     target_mm
         (N, 2) float64, mm, positions X, Y on the target plane (Z = 0).
     covariances_px2
-        (N, 2, 2) float64, px^2, covariance of each image point.
+        (N, 2, 2) float64, px^2, covariance of each image point: symmetric, with positive variances along every axis.
     rim
         The rim of the beam in the image; None if there is no image, as for a list of points.
 
     Raises
     ------
     InputMismatch
-        If shapes disagree, a number is not finite, or an id occurs twice.
+        If shapes disagree, a number is not finite, an id is not whole or occurs twice, or a covariance is not
+        symmetric with positive variances.
     """
 
     name: str
@@ -75,13 +78,14 @@ class View:
     _remembered: dict[str, object] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        # A file gives lists, and a frozen class takes what it is given.
         for name, kind in _ARRAYS.items():
-            object.__setattr__(self, name, np.asarray(getattr(self, name), kind))
+            own = self._numbers(name).astype(kind)  # a copy
+            own.setflags(write=False)
+            object.__setattr__(self, name, own)
         object.__setattr__(self, "image_size", tuple(self.image_size))
-        n = len(self.ids)
+        n = self.ids.size
         shapes = (self.points_px.shape, self.target_mm.shape, self.covariances_px2.shape)
-        if shapes != ((n, 2), (n, 2), (n, 2, 2)):
+        if (self.ids.shape, shapes) != ((n,), ((n, 2), (n, 2), (n, 2, 2))):
             raise InputMismatch(
                 f"The view has {n} ids, but its arrays have shapes {shapes}.", where=f"view {self.name}"
             )
@@ -89,6 +93,38 @@ class View:
             raise InputMismatch("The view holds a star twice.", where=f"view {self.name}")
         if not all(np.isfinite(a).all() for a in (self.points_px, self.target_mm, self.covariances_px2)):
             raise InputMismatch("The view holds numbers that are not finite.", where=f"view {self.name}")
+        self._require_covariances()
+
+    def _numbers(self, name: str) -> AnyArray:
+        """Return what was given as an array of numbers; ids are whole."""
+        given = np.asarray(getattr(self, name))
+        where = f"view {self.name}"
+        if given.dtype.kind not in "iuf" and given.size:
+            raise InputMismatch(f"Its {name} are not numbers.", where=where, remedy="Give numbers.")
+        if name == "ids" and given.dtype.kind == "f":
+            wrong = given[~(given == np.rint(given))]  # nan is not whole either
+            if wrong.size:
+                raise InputMismatch(
+                    f"The id {wrong.flat[0]:g} is not a whole number.",
+                    where=where,
+                    remedy="Give each star the whole number that names it on the target.",
+                )
+        return given
+
+    def _require_covariances(self) -> None:
+        """Refuse covariances that are not symmetric, or have no positive variance along some axis."""
+        (xx, xy), (yx, yy) = np.moveaxis(self.covariances_px2, 0, -1)
+        symmetric = np.abs(xy - yx) <= _ASYMMETRY * (np.abs(xx) + np.abs(yy))
+        wrong = np.flatnonzero(~(symmetric & (xx > 0) & (yy > 0) & (xx * yy > xy * yx)))
+        if wrong.size:
+            raise InputMismatch(
+                f"The covariance of star {self.ids[wrong[0]]} is not symmetric with positive variances.",
+                where=f"view {self.name}",
+                remedy="If you do not know it, give every star the same, such as 0.02^2 px^2 for x and for y.",
+            )
+
+    def __repr__(self) -> str:
+        return f"View({self.name!r}, {len(self)} stars, {self.image_size[0]} x {self.image_size[1]})"
 
     def __len__(self) -> int:
         """Number of stars."""

@@ -435,14 +435,13 @@ def _given(found: FoundView) -> View:
 def _row(place: Place, folder: Path, result: OfflineResult, files: Mapping[str, bytes]) -> CalibratedData:
     """Return what the table states about a calibration."""
     solved = result.calibration
-    values = dict(zip(solved.parameter_names, solved.values.tolist(), strict=True))
     before = _before(folder)
     return {
         "model": solved.model,
         "views": len(solved.views),
         "stars": sum(view.n for view in solved.views),
         "board": None if result.board is None else str(result.board),
-        "values": {name: values[name] for name in solved.sigma},
+        "values": dict(solved.values),
         "sigma": dict(solved.sigma),
         "coverage_factor": solved.coverage_factor,
         "coverage_factors": dict(solved.coverage_factors),

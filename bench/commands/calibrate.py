@@ -189,7 +189,7 @@ class _PathOrUrl(ExistingPath):
 
 
 @command(
-    "starbench calibrate runs/cam7 --model auto --compare",
+    "starbench calibrate runs/cam7 --model joint --compare",
     "starbench calibrate runs/cam8 --passport collimator.json --views 1",
     "starbench calibrate points/*.csv --image-size 1280x720 --distortion k1k2k3",
     "starbench calibrate runs/ --each --output recalculated --workers 4",
@@ -372,11 +372,10 @@ def _lines(checked: CameraCheck, stated: CameraFile, found: Calibration, skipped
     for start in range(0, len(checked.regions), 3):
         row = checked.regions[start : start + 3]
         yield "  " + "   ".join(f"{one.name:<13} {one.offset_px:6.2f} ± {one.expanded_px:.2f}" for one in row)
-    sigma = found.sigma
     for name in ("fx", "fy", "cx", "cy"):
-        k = found.coverage_factors.get(name, found.coverage_factor)
-        value, expanded = with_uncertainty(getattr(found.camera, name), k * sigma[name])
-        yield f"  {name} was {getattr(stated.camera, name):.2f}, is {value} ± {expanded} px (k = {k:.2f})"
+        value, expanded = with_uncertainty(found.values[name], found.U[name])
+        was, k = getattr(stated.camera, name), found.k[name]
+        yield f"  {name} was {was:.2f}, is {value} ± {expanded} px (k = {k:.2f})"
     if stated.covariance is None:
         yield f"U is that of the new views alone: {stated.kind} states no uncertainty."
     yield from (f"Note: {note}" for note in found.notes)

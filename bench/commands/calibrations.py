@@ -144,16 +144,30 @@ def comparison_text(baselines: list[MethodResult | MethodFailure]) -> str:
     return "\n".join(lines)
 
 
-MODELS = ["auto", "joint", "spherical", "planar", "radial", "pupil", "rim", "field", "coma", "drift"]
-MODEL_HELP = (
-    "auto: the joint adjustment. spherical, planar: for comparison. Others: names of earlier versions."
-)
+MODELS = ["joint", "spherical", "planar"]
+MODEL_HELP = "joint: the joint adjustment. spherical (of the paper), planar (Zhang's): for comparison."
 LOSSES = ["l2", "huber", "cauchy"]
 LOSS_HELP = (
     "Loss function of spherical and planar for outliers: l2 gives them full weight, huber less, cauchy least."
 )
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _CUTOFF_HZ = (0.01, 1000.0)
+
+
+class _Model(click.Choice[str]):
+    """The models of this version; ``auto`` is another word for joint, and a name of an earlier version says so."""
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """See `click.ParamType.convert`."""
+        from sequences.solve_schema import EARLIER_MODELS  # needed for this alone
+
+        if value in EARLIER_MODELS:
+            self.fail(
+                f"{value} is a model of an earlier version. Its effects are part of joint: --model joint.",
+                param,
+                ctx,
+            )
+        return str(super().convert("joint" if value == "auto" else value, param, ctx))
 
 
 class _CutoffFrequency(click.ParamType):
@@ -180,8 +194,8 @@ class _CutoffFrequency(click.ParamType):
 _OPTIONS = {
     "model": click.option(
         "--model",
-        type=click.Choice(MODELS),
-        help=f"{MODEL_HELP}  [default: as in the run; else auto]",
+        type=_Model(MODELS),
+        help=f"{MODEL_HELP}  [default: as in the run; else joint]",
     ),
     "distortion": click.option(
         "--distortion",

@@ -434,8 +434,8 @@ def way_on(history: History, folder: Path) -> tuple[str, str]:
     kind = history.failures[-1]["kind"] if history.ended == "failed" and history.failures else ""
     if kind and issubclass(getattr(calib.errors, kind, type(None)), calib.errors.CalibrationError):
         return (
-            "All recordings are kept. With the same model they are refused again. To let the data choose the model:",
-            f"starbench calibrate {folder} --model auto",
+            "All recordings are kept. With the same model they are refused again. With the joint adjustment:",
+            f"starbench calibrate {folder} --model joint",
         )
     if kind and not history.attempts:
         copies = f"a resumed run would use the copies of its files in {folder}"

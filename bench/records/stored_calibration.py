@@ -32,7 +32,7 @@ def stored_calibration(stored: Mapping[str, Any]) -> Calibration:
         rotations=np.array([view["rotation"] for view in stored["views"]], np.float64),
         centres=np.array([view["centre_mm"] for view in stored["views"]], np.float64),
         parameter_names=names,
-        values=np.array([values[name] for name in names], np.float64),
+        estimates=np.array([values[name] for name in names], np.float64),
         covariance=np.array(stored["covariance"]["matrix"], np.float64),
         residuals_px=[],
         weights=[],

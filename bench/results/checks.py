@@ -90,10 +90,8 @@ def gimbal_check(
 
 def _focal_uncertainty(calibration: Calibration) -> float | None:
     """Return the larger U of fx and fy, as a share of the value; None if neither was estimated."""
-    values = dict(zip(calibration.parameter_names, calibration.values.tolist(), strict=True))
-    sigmas = calibration.sigma
-    k, own = calibration.coverage_factor, calibration.coverage_factors
-    shares = [own.get(name, k) * sigmas[name] / values[name] for name in ("fx", "fy") if name in values]
+    values, expanded = calibration.values, calibration.U
+    shares = [expanded[name] / values[name] for name in ("fx", "fy") if name in values]
     return max(shares, default=None)
 
 
@@ -147,7 +145,7 @@ def parallax_check(
 ) -> dict[str, Any] | None:
     """Measure how far the entrance pupil is off the pivot, and its parallax (docs/results.md); or ``why_not``."""
     if calibration.collimator is None:
-        why_not = "The planar model has no collimator, so the motion of the beam's disc has no scale. Use model: auto."
+        why_not = "The planar model has no collimator, so the motion of the beam's disc has no scale. Use model: joint."
         return {"why_not": why_not} if sequence == PARALLAX_TEST else None
     try:
         walk = pupil_walk(views, calibration.rotations, calibration.collimator)

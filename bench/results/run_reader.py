@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from bench.base.errors import RunFolderError
 from bench.records.results import Results
 from bench.records.run_folder import REPORT, RESULTS
-from bench.records.stored_calibration import stored_camera, stored_collimator
+from bench.records.stored_calibration import stored_calibration
 from bench.records.stored_run import StoredRun
+from calib.calibration import Calibration
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
 from calib.view import View
@@ -88,26 +89,66 @@ class Run:
     results
         The content of `results.json` (docs/results.md). A run without this file has ``calibration`` and ``poses``
         only, calculated again from its captures.
-    camera
-        Intrinsics and distortion.
-    collimator
-        The shared centre and the aberrations; None for the planar model. Its ``reference`` is None, because
-        `results.json` does not contain it.
-    parameter_names
-        Names of the k parameters that all poses share, in the order of `covariance`.
-    covariance
-        (k, k) float64, joint covariance of these parameters, in their units (px, mm, 1).
+    calibration
+        The result, as `calib.calibrate` returns it, without residuals and weights; it prints a summary.
     poses
         The calibrated poses, in the order of the sequence.
     """
 
     folder: Path
     results: Results = field(repr=False)
-    camera: CameraModel
-    collimator: Collimator | None
-    parameter_names: tuple[str, ...] = field(repr=False)
-    covariance: Array = field(repr=False)
+    calibration: Calibration
     poses: tuple[Pose, ...] = field(repr=False)
+
+    @property
+    def camera(self) -> CameraModel:
+        """Intrinsics and distortion."""
+        return self.calibration.camera
+
+    @property
+    def collimator(self) -> Collimator | None:
+        """The shared centre and the aberrations; None for the planar model. Its ``reference`` is not stored: None."""
+        return self.calibration.collimator
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the k parameters that all poses share, in the order of `covariance`."""
+        return self.calibration.parameter_names
+
+    @property
+    def values(self) -> Mapping[str, float]:
+        """Value of each parameter, by name, in its unit (px, mm, 1)."""
+        return self.calibration.values
+
+    @property
+    def sigma(self) -> Mapping[str, float]:
+        """Standard uncertainty (1 sigma) of each parameter, by name."""
+        return self.calibration.sigma
+
+    @property
+    def k(self) -> Mapping[str, float]:
+        """Coverage factor of each parameter, by name."""
+        return self.calibration.k
+
+    @property
+    def U(self) -> Mapping[str, float]:  # noqa: N802 - the symbol of JCGM 100:2008, 6.2.1
+        """Expanded uncertainty of each parameter, by name: its own k times its sigma."""
+        return self.calibration.U
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the reader, in words."""
+        return self.calibration.notes
+
+    @property
+    def covariance(self) -> Array:
+        """(k, k) float64, joint covariance of the parameters, in their units."""
+        return self.calibration.covariance
+
+    @property
+    def camera_covariance(self) -> Array:
+        """(n, n) float64, covariance of the camera alone, in the order of `CameraModel.parameter_names`."""
+        return self.calibration.camera_covariance
 
     @property
     def views(self) -> list[View]:
@@ -118,17 +159,6 @@ class Run:
     def residuals_px(self) -> list[Array]:
         """For each pose (N, 2) float64, px, star found minus star projected."""
         return [pose.residuals_px for pose in self.poses]
-
-    @property
-    def sigma(self) -> dict[str, float]:
-        """Standard uncertainty (1 sigma) of each parameter, by name."""
-        return dict(zip(self.parameter_names, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
-
-    @property
-    def camera_covariance(self) -> Array:
-        """(n, n) float64, covariance of the camera alone, in the order of `CameraModel.parameter_names`."""
-        at = [self.parameter_names.index(name) for name in self.camera.parameter_names]
-        return self.covariance[np.ix_(at, at)]
 
     @property
     def report(self) -> Path | None:
@@ -185,17 +215,8 @@ def load(run_folder: str | Path) -> Run:
 def _run(folder: Path, results: Results, views: Sequence[StoredView]) -> Run:
     """Put a run together; raise RunFolderError if its results and views do not belong together."""
     try:
-        found = results["calibration"]
-        covariance = found["covariance"]
-        return Run(
-            folder,
-            results,
-            stored_camera(found),
-            stored_collimator(found["collimator"]),
-            tuple(covariance["names"]),
-            np.array(covariance["matrix"], np.float64),
-            tuple(_poses(folder, results, views)),
-        )
+        found = stored_calibration(results["calibration"])
+        return Run(folder, results, found, tuple(_poses(folder, results, views)))
     except (KeyError, TypeError, ValueError) as error:
         raise RunFolderError(
             f"The results are incomplete: {type(error).__name__}: {error}.",

@@ -90,8 +90,7 @@ def compare_with_truth(calibration: Calibration, truth: Mapping[str, Any]) -> li
     true = {**truth["camera"], **truth["collimator"]}
     if any(true.get(name) for name in _MOVE_THE_CENTRE):
         true = {name: value for name, value in true.items() if name not in ("x", "y")}
-    values = dict(zip(calibration.parameter_names, calibration.values.tolist(), strict=True))
-    sigmas = calibration.sigma
+    values, sigmas = calibration.values, calibration.sigma
     return [
         {
             "name": name,
@@ -227,7 +226,7 @@ def main_numbers(calibration: Calibration) -> Solved:
         "model": calibration.model,
         "converged": calibration.converged,
         "rms_px": calibration.rms_px,
-        "values": dict(zip(calibration.parameter_names, calibration.values.tolist(), strict=True)),
+        "values": dict(calibration.values),
         "sigma": dict(calibration.sigma),
         "coverage_factor": calibration.coverage_factor,
         "coverage_factors": dict(calibration.coverage_factors),

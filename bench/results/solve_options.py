@@ -94,12 +94,11 @@ def limited_numbers(calibration: Calibration) -> dict[str, float]:
 
     U = k u (JCGM 100:2008, 6.2.1); corners by the camera's covariance, along the worst direction.
     """
-    one, each, sigma = calibration.coverage_factor, calibration.coverage_factors, calibration.sigma
     found = {"rms": calibration.rms_px, "mean": calibration.mean_px}
-    found |= {f"sigma_{name}": value for name, value in sigma.items()}
-    found |= {f"expanded_{name}": each.get(name, one) * sigma[name] for name in ("fx", "fy")}
+    found |= {f"sigma_{name}": value for name, value in calibration.sigma.items()}
+    found |= {f"expanded_{name}": calibration.U[name] for name in ("fx", "fy")}
     corners = projection_uncertainty(calibration.camera, calibration.camera_covariance).sigma_px
-    k = each.get(WORST_CORNER, one)
+    k = calibration.coverage_factors.get(WORST_CORNER, calibration.coverage_factor)
     found[WORST_CORNER] = k * float(np.nanmax(corners[[0, 0, -1, -1], [0, -1, 0, -1]], initial=0.0))
     return found
 

@@ -117,7 +117,7 @@ def _calibration(
         rotations=parameters.rotations,
         centres=parameters.centres,
         parameter_names=names,
-        values=found.mean[at],
+        estimates=found.mean[at],
         covariance=covariance,
         residuals_px=residuals,
         weights=weights,

@@ -80,7 +80,7 @@ def stated(drawn: DrawnBench, profile: str, asked: str) -> tuple[float, float, f
     passport, readings = known(asked, profile)
     if readings is not None:
         readings = replace(readings, angles_deg=tuple(drawn.readings_deg))
-    result = calibrate(drawn.views, CalibrationOptions(model="radial", passport=passport, gimbal=readings))
+    result = calibrate(drawn.views, CalibrationOptions(passport=passport, gimbal=readings))
     numbers = limited_numbers(result)
     return numbers["expanded_fx"], numbers["worst_corner"], result.camera.fx - drawn.truth.camera.fx
 

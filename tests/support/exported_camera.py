@@ -37,7 +37,7 @@ def calibration(lens):
         rotations=rotations,
         centres=np.array([[96.0, 144.0, -255.0]] * 2),
         parameter_names=names,
-        values=np.array([*camera.values, *place]),
+        estimates=np.array([*camera.values, *place]),
         covariance=np.diag(np.arange(1.0, len(names) + 1)),
         residuals_px=[], weights=[], views=views, converged=True, iterations=5, **fit,
     )  # fmt: skip

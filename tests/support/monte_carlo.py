@@ -97,7 +97,7 @@ def calibrate_once(
         return Repetition(failed=str(error))
     names, sigmas = tuple(result.parameter_names), tuple(result.sigma.values())
     factors = tuple(result.coverage_factors.get(name, result.coverage_factor) for name in names)
-    return Repetition(names, tuple(result.values.tolist()), sigmas, factors)
+    return Repetition(names, tuple(result.estimates.tolist()), sigmas, factors)
 
 
 def study_of(bench: ExpectedBench, outcomes: Sequence[Repetition]) -> MonteCarloStudy:

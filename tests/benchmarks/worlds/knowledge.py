@@ -113,7 +113,7 @@ def solve(bench: Bench, options: calib.CalibrationOptions) -> Answer:
     found = calib.calibrate(views_of(bench), options)
     camera = found.camera
     names = camera.parameter_names
-    values = {name: float(found.values[found.parameter_names.index(name)]) for name in names}
+    values = dict(zip(names, camera.values.tolist(), strict=True))
     covariance = np.asarray(found.camera_covariance)
     largest = calib.projection_uncertainty(camera, covariance).worst_px
     return Answer(

@@ -19,7 +19,7 @@ TEXT = DOCUMENT.read_text(encoding="utf-8")
 def in_a_lab(tmp_path, monkeypatch):
     """A folder with a run at the place that the document names."""
     (tmp_path / "runs").mkdir()
-    write_solved_run(tmp_path, model="radial").rename(tmp_path / "runs" / "demo")
+    write_solved_run(tmp_path, model="joint").rename(tmp_path / "runs" / "demo")
     monkeypatch.chdir(tmp_path)
     mpl.use("agg")
     yield tmp_path

@@ -16,8 +16,8 @@ def ended(kind, *, how="failed", recorded=1):
 @pytest.mark.parametrize(
     ("history", "command"),
     [
-        (ended("DegenerateViews"), "starbench calibrate run --model auto"),
-        (ended("NotConverged"), "starbench calibrate run --model auto"),
+        (ended("DegenerateViews"), "starbench calibrate run --model joint"),
+        (ended("NotConverged"), "starbench calibrate run --model joint"),
         (ended("OutsideLimits", recorded=0), "starbench run SEQUENCE --station STATION"),
         (ended("PreflightFailed", recorded=0), "starbench run SEQUENCE --station STATION"),
         (ended("PreflightFailed"), "starbench resume run"),

@@ -112,7 +112,7 @@ def test_a_comparison_on_a_board_has_no_recipe_for_stars(folder, capsys):
 @pytest.mark.parametrize(
     ("more", "reason"),
     [
-        (["--model", "field"], "no collimator before it"),
+        (["--model", "joint"], "no collimator before it"),
         (["--passport", "some.json"], "no collimator before it"),
         (["--board", "chequers"], "does not describe a board"),
     ],

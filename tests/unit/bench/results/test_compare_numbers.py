@@ -147,7 +147,7 @@ def test_other_numbers_of_the_calibration_may_differ_by_a_millionth():
 NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "x", "y", "r")
 
 CALIBRATION = SimpleNamespace(
-    parameter_names=NAMES, values=np.arange(1.0, 10.0), sigma=dict.fromkeys(NAMES, 0.5)
+    parameter_names=NAMES, values=dict(zip(NAMES, range(1, 10), strict=True)), sigma=dict.fromkeys(NAMES, 0.5)
 )
 
 

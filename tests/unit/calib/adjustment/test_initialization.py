@@ -140,7 +140,7 @@ def test_a_calibration_ends_in_finite_numbers_or_a_named_reason(turns, noise, kn
         # Every such error says what is wrong; any other one fails here, and so does a refusal of good views.
         assert not np.array_equal(turns, WELL_SPREAD)
         return
-    numbers = np.concatenate([result.values, result.covariance.ravel(), result.rotations.ravel()])
+    numbers = np.concatenate([result.estimates, result.covariance.ravel(), result.rotations.ravel()])
     assert np.isrealobj(numbers)
     assert np.isfinite(numbers).all()
     assert min(result.camera.fx, result.camera.fy) > 0
@@ -216,4 +216,4 @@ def test_poses_that_the_search_parts_stay_as_they_were_found():
     with pytest.raises(CalibrationError, match="determine"):
         calibrate(views, CalibrationOptions(distortion="k1"))
     result = calibrate(views, CalibrationOptions(distortion="k1", passport=Passport.of_radius(255.0, 0.1)))
-    assert np.isfinite(result.values).all()
+    assert np.isfinite(result.estimates).all()

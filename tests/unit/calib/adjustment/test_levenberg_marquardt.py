@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_views import shifted
 
 from calib.adjustment.bundle import Bundle, Observations
 from calib.adjustment.levenberg_marquardt import refine
@@ -43,7 +44,7 @@ def test_the_optimum_does_not_depend_on_the_start(bench, loss):
 def test_at_the_optimum_no_direction_lowers_the_robust_cost(bench):
     rng = np.random.default_rng(9)
     views = bench.views(rng, 0.05)
-    views[0].points_px[:10] += 3.0
+    views[0] = shifted(views[0], slice(10), 3.0)
     bundle, loss = Bundle(Observations.from_views(views), NAMES), Loss("huber", 1.5)
     end = refine(bundle, start_of(bench, rng, 0.0), loss)
     for _ in range(40):
@@ -55,8 +56,8 @@ def test_at_the_optimum_no_direction_lowers_the_robust_cost(bench):
 def test_robust_losses_resist_wrong_stars_where_least_squares_does_not(bench):
     rng = np.random.default_rng(10)
     views = bench.views(rng, 0.05)
-    for view in views:
-        view.points_px[::25] += rng.uniform(-8, 8, (len(view.points_px[::25]), 2))
+    every = slice(None, None, 25)
+    views = [shifted(view, every, rng.uniform(-8, 8, view.points_px[every].shape)) for view in views]
     bundle = Bundle(Observations.from_views(views), NAMES)
     off = {}
     for loss in (Loss("l2"), Loss("huber", 2.0), Loss("cauchy", 3.0)):

@@ -29,7 +29,7 @@ class Drawn:
     def errors(self):
         """Errors of fx, fy, cx, cy."""
         true = self.truth.camera
-        return self.result.values[:4] - [true.fx, true.fy, true.cx, true.cy]
+        return self.result.estimates[:4] - [true.fx, true.fy, true.cx, true.cy]
 
     @property
     def expanded(self):

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_views import shifted
 
 from calib.engine import CalibrationOptions, calibrate
 from calib.model.beam import inside_guard_band, visible_discs
@@ -105,8 +106,9 @@ def test_stars_on_no_grid_show_no_rim(small_disc):
 def test_stars_of_the_guard_band_are_shown_but_not_used(defocused):
     _, views = defocused
     centre = visible_discs(views)[0].centre_mm
-    views[0].points_px[np.linalg.norm(views[0].target_mm - centre, axis=1) > 19] += 2
-    guarded = calibrate(views, CalibrationOptions(model="pupil", guard_band=0.8))
+    outer = np.linalg.norm(views[0].target_mm - centre, axis=1) > 19
+    views = [shifted(views[0], outer, 2), *views[1:]]
+    guarded = calibrate(views, CalibrationOptions(guard_band=0.8))
     assert [len(r) for r in guarded.residuals_px] == [len(view) for view in views]
     assert all(view.n < len(r) for view, r in zip(guarded.views, guarded.residuals_px, strict=True))
     assert guarded.rms_px < 0.05

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from made_views import shifted
 
 from calib.engine import CalibrationOptions
 from calib.errors import DegenerateViews, InputMismatch
@@ -157,8 +158,7 @@ def test_the_stated_uncertainty_counts_and_gross_errors_do_not():
     assert not check_one_view(TRUE, None, moved).right
     covariance = np.diag([1.0, 1.0, 1.0, 1.0, 0.02, 0.1]) ** 2
     assert check_one_view(TRUE, covariance, moved).right
-    points = view(TRUE, TILTED, 4)
-    points.points_px[7] += 9.0
+    points = shifted(view(TRUE, TILTED, 4), 7, 9.0)
     assert check_one_view(TRUE, None, points).right
     assert 70 <= check_one_view(TRUE, None, points).points <= 76
 

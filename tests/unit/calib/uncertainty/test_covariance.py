@@ -19,7 +19,7 @@ def z_scores(bench, options, runs, seed):
     for i in range(runs):
         result = calibrate(bench.views(np.random.default_rng([seed, i]), 0.05), options)
         truth = np.array([bench.truth[name] for name in result.parameter_names])
-        z.append((result.values - truth) / np.sqrt(np.diag(result.covariance)))
+        z.append((result.estimates - truth) / np.sqrt(np.diag(result.covariance)))
     return np.array(z)
 
 

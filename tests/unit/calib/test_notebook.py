@@ -1,0 +1,99 @@
+"""In a notebook, results and views show themselves briefly, hold numbers by name, and cannot be changed from outside."""
+
+import importlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib import CalibrationOptions, View
+from calib.errors import InputMismatch
+from tests.support.exported_camera import calibration
+
+N = 6
+
+
+def view(**changed):
+    given = {
+        "ids": np.arange(N),
+        "points_px": np.arange(2.0 * N).reshape(N, 2),
+        "target_mm": np.arange(2.0 * N).reshape(N, 2),
+        "covariances_px2": np.tile(0.04 * np.eye(2), (N, 1, 1)),
+    }
+    return View("left", (640, 480), **{**given, **changed})
+
+
+@pytest.fixture
+def result():
+    return replace(calibration("k1k2"), coverage_factors={"fx": 2.1, "k1": 2.6}, notes=("a < b " * 60,) * 9)
+
+
+def test_each_expanded_uncertainty_has_its_own_k(result):
+    assert result.U["k1"] == pytest.approx(2.6 * result.sigma["k1"])
+    assert result.U["cy"] == pytest.approx(result.coverage_factor * result.sigma["cy"])
+    assert result.values["fx"] == result.camera.fx
+    assert list(result.values) == list(result.U) == list(result.k) == list(result.parameter_names)
+
+
+def test_a_result_shows_itself_in_twenty_lines_and_escapes_html(result):
+    assert len(repr(result).splitlines()) <= 20
+    assert max(map(len, repr(result).splitlines())) < 130
+    assert "fx" in repr(result)
+    assert "6 more: result.notes" in repr(result)
+    assert "a &lt; b" in result._repr_html_()
+
+
+def test_a_result_is_a_table_of_pandas(result):
+    pytest.importorskip("pandas")
+    table = result.frame()
+    assert table.loc["k1", "U"] == pytest.approx(result.U["k1"])
+    assert table.loc["fx", "unit"] == "px"
+
+
+def test_without_pandas_the_error_says_what_to_do(result, monkeypatch):
+    def missing(name, *rest):
+        raise ImportError(name)
+
+    monkeypatch.setattr(importlib, "import_module", missing)
+    with pytest.raises(InputMismatch, match="pandas is not installed"):
+        result.frame()
+
+
+def test_views_are_compared_by_identity_and_own_their_arrays():
+    points = np.arange(2.0 * N).reshape(N, 2)
+    one = view(points_px=points)
+    points[0] = 99.0
+    assert one.points_px[0, 0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        one.points_px[0, 0] = 1.0
+    assert one == one
+    assert one != replace(one)
+    assert len(repr(one)) < 60
+
+
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"ids": np.arange(N) + 0.7}, "The id 0.7 is not a whole number"),
+        ({"ids": np.full(N, np.nan)}, "The id nan is not a whole number"),
+        ({"ids": [str(i) for i in range(N)]}, "ids are not numbers"),
+        ({"ids": np.arange(N).reshape(N, 1)}, "arrays have shapes"),
+        ({"covariances_px2": np.zeros((N, 2, 2))}, "covariance of star 0 is not symmetric with positive"),
+        ({"covariances_px2": np.tile([[1.0, 0.5], [0.0, 1.0]], (N, 1, 1))}, "not symmetric"),
+        ({"covariances_px2": np.tile([[1.0, 2.0], [2.0, 1.0]], (N, 1, 1))}, "positive variances"),
+        ({"points_px": np.full((N, 2), "a")}, "points_px are not numbers"),
+    ],
+)
+def test_a_view_that_is_none_is_refused_when_it_is_made(changed, says):
+    with pytest.raises(InputMismatch, match=says):
+        view(**changed)
+
+
+def test_whole_numbers_of_any_type_name_stars():
+    assert view(ids=np.arange(N).astype(float)).ids.tolist() == list(range(N))
+
+
+@pytest.mark.parametrize("model", ["radial", "pupil", "rim", "field", "coma", "drift"])
+def test_a_model_of_an_earlier_version_is_refused_with_the_one_of_today(model):
+    with pytest.raises(InputMismatch, match=rf"{model} is one of an earlier version. Use the model joint"):
+        CalibrationOptions(model=model)
