@@ -274,7 +274,10 @@ def _image(world: World, print_mm: Array, rotation: Array, pupil: Array) -> tupl
     glass, axis = world.glass, rotation[2]
     rough = np.column_stack([print_mm / glass.efl_mm, np.ones(len(print_mm))])
     field = rough @ rotation.T
-    lit = (np.hypot(*rough[:, :2].T) < world.widest) & (field[:, 2] > 0.5)
+    # Far outside of the image, the polynomials of a lens fold back into it.
+    corner = 0.5 * np.hypot(*SIZE) * PIXEL_MM / float(world.facts["focal_mm"])
+    seen = (field[:, 2] > 0.5) & (np.hypot(*field[:, :2].T) < 1.2 * corner * np.abs(field[:, 2]))
+    lit = seen & (np.hypot(*rough[:, :2].T) < world.widest)
     near = np.zeros(len(lit), np.bool_)
     near[lit] = _inside(world.lens.image_of(field[lit]), -60.0)
     square = (field[near, :2] ** 2).sum(axis=1) / field[near, 2] ** 2
