@@ -120,12 +120,9 @@ def draw(seed: int, poses: int = 0, times: int = 1, camera: int = 0) -> Bench:
         came = angles
     fewest = min(len(view.ids) for view in views)
     facts = {**world.facts, "fewest": fewest, "count": count}
-    camera_ = Camera(world.lens.values, _family(world.lens.values), world.lens.image_of, exact=True)
-    return Bench("stranger", views, readings, world.stated, camera_, facts)
-
-
-def _family(values: Mapping[str, float]) -> str:
-    return "fisheye" if "kb1" in values else "p1p2k3"
+    values = world.lens.values
+    true = Camera(values, "fisheye" if "kb1" in values else "p1p2k3", world.lens.image_of, exact=True)
+    return Bench("stranger", views, readings, world.stated, true, facts)
 
 
 def _world(seed: int, camera: int) -> World:

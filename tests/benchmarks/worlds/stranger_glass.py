@@ -62,16 +62,15 @@ def _optiland() -> Any:
     return optiland
 
 
-def _doublet() -> list[Face]:
-    glass = partial(_index, catalog="schott")
-    return [Face(62.8, 0.0, glass("N-BK7")), Face(-45.7, 4.0, glass("N-SF5")), Face(-128.2, 6.5, 1.0)]
-
-
-def _index(name: str, catalog: str) -> float:
+def _index(name: str) -> float:
     _optiland()
     from optiland.materials import Material
 
-    return float(np.ravel(Material(name, catalog).n(WAVE_UM))[0])
+    return float(np.ravel(Material(name, "schott").n(WAVE_UM))[0])
+
+
+def _doublet() -> list[Face]:
+    return [Face(62.8, 0.0, _index("N-BK7")), Face(-45.7, 4.0, _index("N-SF5")), Face(-128.2, 6.5, 1.0)]
 
 
 def _ploessl() -> list[Face]:
@@ -152,18 +151,15 @@ def _system(faces: Sequence[Face], loose: Tolerances, rng: np.random.Generator) 
         if face.index > 1:
             glass = IdealMaterial(n=face.index + loose.index * rng.normal())
         x, y = aside + (face.z - start) * tilt
-        lens.surfaces.add(
-            index=i + 1,
-            radius=face.radius,
-            conic=face.conic,
-            x=float(x),
-            y=float(y),
-            z=face.z + along,
-            rx=float(-tilt[1]),
-            ry=float(tilt[0]),
-            material=glass,
-            is_stop=i == 0,
-        )
+        form = {"radius": face.radius, "conic": face.conic, "material": glass, "is_stop": i == 0}
+        place = {
+            "x": float(x),
+            "y": float(y),
+            "z": face.z + along,
+            "rx": -float(tilt[1]),
+            "ry": float(tilt[0]),
+        }
+        lens.surfaces.add(index=i + 1, **form, **place)
     lens.surfaces.add(index=len(faces) + 1, z=focal_mm(faces)[1])
     return lens
 
