@@ -104,7 +104,7 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
         placed = problem.pupils is None or short_steps > 1
         if k > _FIRST_ROUNDS and placed and small(found, share):
             if k < _LATE and pace.size == 1.0:
-                found = better_amplitudes(found)
+                found = searched(found, _LONG, enough=FINE)
             if small(found, share):
                 return Optimum(found, k + 1, converged=True)
         state, lengths = shortened(found, pace.size)
@@ -196,9 +196,13 @@ def weighed_as(there: Optimum, than: Optimum) -> Marginal:
     return Marginal(problem, same, there.state)
 
 
-def value_as_weighed(there: Optimum, than: Optimum) -> float:
-    """Return -2 log of the likelihood of an optimum with the star weights of another, at the best amplitudes then."""
-    return best_amplitudes(weighed_as(there, than).solve(there.eta), _STEPS).value
+def value_as_weighed(there: Optimum, than: Optimum, mode: Solution | None = None) -> float:
+    """Return -2 log of the likelihood of an optimum with the star weights of another, at the best amplitudes then.
+
+    ``mode``: another mode about the optimum, with faults of its own.
+    """
+    begin = mode or there.solution
+    return best_amplitudes(weighed_as(there, than).solve(begin.eta, begin.faults), _STEPS).value
 
 
 def first_amplitudes(problem: Problem, state: State) -> Array:
@@ -268,12 +272,6 @@ def relative_step(marginal: Marginal, step: Array) -> float:
     layout, b = marginal.problem.bench.layout, marginal.state.shared
     focal, centre = (np.abs(step[layout.places(names)]).max() for names in (("fx", "fy"), ("x", "y", "r")))
     return float(max(focal / abs(b[0]), centre / abs(b[layout.index["r"]])))
-
-
-def better_amplitudes(found: Solution) -> Solution:
-    """Search the best amplitudes from a solution. Return theirs, or the first one where the equations do not hold."""
-    better = searched(found, _LONG, enough=FINE)
-    return better if relative_step(found.marginal, better.step) < _TRUSTED else found
 
 
 def shortened(found: Solution, most: float = 1.0) -> tuple[State, list[Array]]:

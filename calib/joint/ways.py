@@ -187,8 +187,9 @@ def _with_bound(held: Posterior, free: Posterior, log: float) -> Posterior:
 def _log_evidence(found: Posterior, than: Optimum) -> float:
     """Return the logarithm of the probability of the views, with the weights that the stars have at an optimum."""
     optimum, largest = found.optimum, found.largest
-    value = optimum.solution.value if optimum is than else value_as_weighed(optimum, than)
-    value += largest.solution.value - optimum.solution.value
+    value = largest.solution.value
+    if optimum is not than:
+        value = value_as_weighed(optimum, than, largest.solution)
     if optimum.marginal.problem.pupils is not None:
         value += narrowed(optimum.solution)
     return -0.5 * value + sum(math.log(FAULTS[fault]) for _, fault in largest.faults)

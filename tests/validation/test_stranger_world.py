@@ -1,0 +1,15 @@
+"""The engine in a world by a stranger's ray tracer (optiland, installed by hand): the true camera, and readings that enter."""
+
+import pytest
+
+from tests.benchmarks.worlds.catalogue import result as drawn_result
+
+pytest.importorskip("optiland", reason="the ray tracer optiland is installed by hand: pip install optiland")
+
+
+@pytest.mark.parametrize(("seed", "known"), [(9, "r"), (9, "0"), (32, "r")])
+def test_a_closed_form_at_another_camera_does_not_mislead_and_right_readings_enter(seed, known):
+    """Closed forms follow the errors of the collimator: fx was 1296 px wrong at U 204, and 8287 px at U 917."""
+    line = drawn_result("stranger", 0, seed, known)
+    assert abs(line["error"]["fx"]) < 1.3 * line["U"]["fx"] < 100.0
+    assert not [note for note in line["notes"] if "did not enter" in note]
