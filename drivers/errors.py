@@ -171,6 +171,14 @@ class NotARecording(RecordingFileError):
     """A file has no RAW header, or holds no EVT3 data."""
 
 
+class UnreadableEvents(NotARecording):
+    """What a file holds is no list of events, or not all of it is there."""
+
+    def __init__(self, what: str, *, where: str = "", remedy: str = "") -> None:
+        again = "Copy the file again. If that does not help, write it again with the program that made it."
+        super().__init__(what, where=where, remedy=remedy or again)
+
+
 class RecordingCorrupt(RecordingFileError):
     """Data are malformed; ``offset`` is the position of the first malformed word in the file, bytes."""
 

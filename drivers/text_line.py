@@ -231,7 +231,13 @@ class TextLine(Link):
         return self._unsolicited is not None and self._unsolicited(line)
 
     def inspect_old(self, old: bytes) -> None:
-        """Look at bytes that are thrown away, for messages that nobody asked for."""
+        """Look at bytes that are thrown away, for messages that nobody asked for.
+
+        Parameters
+        ----------
+        old
+            The bytes, as they came, in any number of lines.
+        """
 
     # ------------------------------------------------------------ inside
 

@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.errors import NotARecording
+from drivers.errors import NotARecording, UnreadableEvents
 
 
 class Events(NamedTuple):
@@ -211,7 +211,7 @@ def date_of(us: int) -> dict[str, str]:
 def require_ratio(stated_bytes: int, file_bytes: int, what: str) -> None:
     """Refuse arrays (`NotARecording`) that are much larger than the file that holds them."""
     if stated_bytes > max(SMALL_BYTES, MOST_RATIO * file_bytes):
-        raise NotARecording(
+        raise UnreadableEvents(
             f"{what} states {stated_bytes} bytes in {file_bytes}; recorded data cannot be compressed so far."
         )
 
@@ -220,7 +220,7 @@ def require_one_length(lengths: Mapping[str, int]) -> None:
     """Raise NotARecording unless all lengths are the same."""
     if len(set(lengths.values())) != 1:
         each = ", ".join(f"{name} {n}" for name, n in lengths.items())
-        raise NotARecording(f"its arrays have different lengths: {each}.")
+        raise UnreadableEvents(f"its arrays have different lengths: {each}.")
 
 
 def as_triggers(columns: Mapping[str, NDArray[Any]]) -> Triggers:
@@ -254,12 +254,12 @@ def _whole(name: str, values: Any, dtype: type[np.generic]) -> Any:
     """Convert numbers to a type. Raises NotARecording if they are not whole, or do not fit."""
     values = np.asarray(values)
     if values.ndim != 1 or values.dtype.kind not in "iu":
-        raise NotARecording(
+        raise UnreadableEvents(
             f"{name} is an array of {values.dtype} with {values.ndim} dimensions, not a list of whole numbers."
         )
     cast = np.ascontiguousarray(values, dtype)  # no copy if none is needed: there may be millions
     if cast is not values and not np.array_equal(cast, values):
-        raise NotARecording(f"some numbers of {name} do not fit into {np.dtype(dtype)}.")
+        raise UnreadableEvents(f"some numbers of {name} do not fit into {np.dtype(dtype)}.")
     return cast
 
 

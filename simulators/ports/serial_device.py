@@ -197,7 +197,7 @@ class TcpPort:
         self.name = name
         self._idle_s, self._clock, self._heard_s = idle_s, clock, 0.0
         self._listener: socket.socket | None = None
-        self._client: socket.socket | None = None
+        self.client: socket.socket | None = None
         self._port = 0
         self.plug()
 
@@ -208,8 +208,8 @@ class TcpPort:
 
     def fileno(self) -> int:
         """See `Port.fileno`. It is the client's descriptor, or the listener's while no client is connected."""
-        if self._client is not None:
-            return self._client.fileno()
+        if self.client is not None:
+            return self.client.fileno()
         return self._listener.fileno() if self._listener is not None else -1
 
     def plug(self) -> None:
@@ -220,24 +220,24 @@ class TcpPort:
 
     def unplug(self) -> None:
         """Close the connection and stop listening."""
-        for one in (self._client, self._listener):
+        for one in (self.client, self._listener):
             if one is not None:
                 one.close()
-        self._client = self._listener = None
+        self.client = self._listener = None
 
     def read(self) -> bytes:
         """See `Port.read`. It also accepts a waiting client."""
         try:
-            if self._client is None:
+            if self.client is None:
                 if self._listener is not None:
-                    self._client, _ = self._listener.accept()
-                    self._client.setblocking(False)
+                    self.client, _ = self._listener.accept()
+                    self.client.setblocking(False)
                     self._heard_s = self._clock()
                 return b""
-            data = self._client.recv(_CHUNK)
+            data = self.client.recv(_CHUNK)
             self._heard_s = self._clock()
         except BlockingIOError:
-            if self._idle_s and self._client is not None and self._clock() - self._heard_s > self._idle_s:
+            if self._idle_s and self.client is not None and self._clock() - self._heard_s > self._idle_s:
                 self._hang_up()
             return b""
         except ConnectionError:
@@ -248,10 +248,10 @@ class TcpPort:
 
     def write(self, data: bytes) -> None:
         """See `Port.write`. Without a client the bytes are lost, as on a real line."""
-        if self._client is None:
+        if self.client is None:
             return
         try:
-            self._client.send(data)
+            self.client.send(data)
         except BlockingIOError:
             return
         except ConnectionError:
@@ -266,6 +266,6 @@ class TcpPort:
         self.unplug()
 
     def _hang_up(self) -> None:
-        if self._client is not None:
-            self._client.close()
-        self._client = None
+        if self.client is not None:
+            self.client.close()
+        self.client = None

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
-from drivers.errors import DriverError, LightFault, SettingRefused
+from drivers.errors import DriverError, LightFault, PortLost, SettingRefused
 from drivers.light import LightSettings
 from drivers.light.gardasoft import GardasoftLight
 from drivers.light.scpi import ScpiLight
 from simulators.assembly import make_light
 from simulators.config import LightConfig
 from simulators.errors import ConfigError
+from simulators.faults.line_faults import FaultLine
 from simulators.lights.generators import GeneratorModel, ScpiGenerator
 from simulators.lights.siglent import SiglentGenerator
 from tests.hil.direct_lights import OPENED
-from tests.hil.direct_stages import VirtualClock, direct_line
+from tests.hil.direct_stages import DirectLine, VirtualClock, direct_line
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -33,6 +35,22 @@ LEFT = [
 ]
 
 
+class GoneLine(DirectLine):
+    """A line that is gone at one write, and can be opened again."""
+
+    is_network = False
+    gone = False
+
+    def write(self, data: bytes) -> None:
+        if self.gone:
+            self.gone = False
+            raise PortLost("The port is gone.", where="light", remedy="Plug it in.")
+        super().write(data)
+
+    def reopen(self) -> None:
+        pass
+
+
 class Rig:
     """A simulated light as another program left it, its line, and the driver for it."""
 
@@ -41,7 +59,9 @@ class Rig:
         self.device = make_light(
             LightConfig(kind, left_behind=left), self.clock.monotonic, self.states.append
         )
-        self.line = direct_line(self.device, self.clock)
+        self.line = GoneLine(
+            FaultLine(self.device, self.clock.monotonic, np.random.default_rng(1)), self.clock
+        )
         self.light = OPENED[kind](self.line, self.clock)
 
 
@@ -262,7 +282,7 @@ def test_a_light_that_restarted_while_its_line_was_gone_is_not_left_on_with_othe
     rig = Rig("keysight", "")
     rig.light.apply(FLICKER)
     rig.device.exchange("SG0042")
-    rig.light._line.connections += 1
+    rig.line.gone = True
     with pytest.raises(LightFault, match=r"no longer has the settings.*restarted.*switched off again"):
         rig.light.on()
     assert not rig.states[-1].output

@@ -41,9 +41,9 @@ class Network:
     def pass_time(self, seconds: float) -> None:
         self.ahead_s += seconds
         end = time.monotonic() + 5.0
-        while self.port._client is not None and time.monotonic() < end:
+        while self.port.client is not None and time.monotonic() < end:
             time.sleep(0.005)
-        assert self.port._client is None
+        assert self.port.client is None
 
     def close(self) -> None:
         self.light.close()
@@ -133,8 +133,8 @@ def test_a_line_that_a_network_has_forgotten_is_opened_again_to_switch_off() -> 
     try:
         network.light.apply(FLICKER)
         network.light.on()
-        forgotten, receive = network.port._client, network.driver.receive
-        network.driver.receive = lambda data: b"" if network.port._client is forgotten else receive(data)
+        forgotten, receive = network.port.client, network.driver.receive
+        network.driver.receive = lambda data: b"" if network.port.client is forgotten else receive(data)
         with pytest.raises(ReplyTimeout):
             network.light.read()
         network.light.off()

@@ -7,8 +7,8 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 OURS = ("bench", "calib", "drivers", "sequences", "simulators", "tests")
 PRIVATE = re.compile(r"_(?!_)\w+")
-PUBLIC = {"_replace", "_asdict", "_fields", "_make"}
-"""Methods of every named tuple."""
+PUBLIC = {"_replace", "_asdict", "_fields", "_make", "_repr_html_"}
+"""Methods of every named tuple, and what Jupyter calls."""
 
 
 def own_names(tree):

@@ -24,7 +24,7 @@ from drivers.camera.formats.library_reader import AEDAT4_MAGIC, is_bag
 from drivers.camera.raw_file import RawFile, unreadable
 from drivers.camera.raw_header import parse_header
 from drivers.camera.raw_writer import read_start, require_whole
-from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
+from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError, UnreadableEvents
 
 _EVENT_FILES: Final = "Give a file of events: RAW, HDF5, .npz, DAT, AEDAT4 or a ROS bag."
 _COPY_AGAIN: Final = "Copy it again from its origin, or export it again from the original recording."
@@ -135,8 +135,8 @@ def _checked(pieces: Iterator[Events], of: EventSource) -> Iterator[Events]:
                     remedy="Check the size of the sensor that the file, or --sensor-size, states.",
                 )
             if p > 1:
-                raise NotARecording(f"an event has the polarity {p}; 0 and 1 are possible.")
+                raise UnreadableEvents(f"an event has the polarity {p}; 0 and 1 are possible.")
         read += len(events.t)
         yield events
     if read != of.count:
-        raise NotARecording(f"{of.count - read} of its {of.count} events are missing.")
+        raise UnreadableEvents(f"{of.count - read} of its {of.count} events are missing.")

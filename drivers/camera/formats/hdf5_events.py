@@ -50,7 +50,7 @@ from drivers.camera.formats.hdf5_reading import (
     whole,
 )
 from drivers.camera.raw_header import stated_size
-from drivers.errors import NotARecording
+from drivers.errors import UnreadableEvents
 
 CD_TYPE: Final = np.dtype(
     {
@@ -137,7 +137,7 @@ def _streams(file: Any) -> list[str]:
         held = (
             f"{links[0]} is {_ELSEWHERE}" if links else "no group of this HDF5 file has columns t, x, y and p"
         )
-        raise NotARecording(f"{held}.")
+        raise UnreadableEvents(f"{held}.")
     return complete or incomplete
 
 
@@ -154,7 +154,7 @@ def _arrays(file: Any, name: str) -> dict[str, Any]:
 def _length(array: Any, path: str) -> int:
     """Return the number of rows. Raises NotARecording if the array is no list, and no table of four columns."""
     if len(array.shape) != 1 and not (path.endswith("events") and array.shape[1:] == (4,)):
-        raise NotARecording(f"{path} has {len(array.shape)} dimensions; a list is needed.")
+        raise UnreadableEvents(f"{path} has {len(array.shape)} dimensions; a list is needed.")
     return int(array.shape[0])
 
 
@@ -171,7 +171,7 @@ def _columns(parts: list[NDArray[Any]]) -> list[NDArray[Any]]:
 
 def _column(table: NDArray[Any], name: str, of: str) -> NDArray[Any]:
     if name not in (table.dtype.names or ()):
-        raise NotARecording(f"the table of {of} has no column {name}.")
+        raise UnreadableEvents(f"the table of {of} has no column {name}.")
     column: NDArray[Any] = table[name]
     return column
 
@@ -187,7 +187,7 @@ def _whole_of(values: NDArray[Any], unit: float) -> NDArray[Any]:
         return values
     cast = np.rint(values * unit).astype(np.int64)
     if unit == 1 and not np.array_equal(cast, values):
-        raise NotARecording("some of its columns, rows or polarities are no whole numbers.")
+        raise UnreadableEvents("some of its columns, rows or polarities are no whole numbers.")
     return cast
 
 
@@ -217,7 +217,7 @@ def _edges(file: Any, path: str) -> NDArray[Any]:
     """Read a list of edges at once."""
     column = dataset(file, path)
     if (n := _length(column, path)) > MOST_TRIGGERS:
-        raise NotARecording(f"{path} has {n} elements; at most {MOST_TRIGGERS} are read.")
+        raise UnreadableEvents(f"{path} has {n} elements; at most {MOST_TRIGGERS} are read.")
     return whole(column, MOST_TRIGGERS * column.dtype.itemsize)
 
 
@@ -236,5 +236,5 @@ def _size(file: Any, name: str, header: Mapping[str, str], choices: ReadingChoic
 def _number(value: Any) -> int:
     """Return a whole number of a file. Raises NotARecording if it is none."""
     if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iu":
-        raise NotARecording(f"it states {str(value)[:40]!r} where a whole number is needed.")
+        raise UnreadableEvents(f"it states {str(value)[:40]!r} where a whole number is needed.")
     return int(value)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera.event_arrays import require_ratio
-from drivers.errors import CameraSoftwareMissing, NotARecording, RecordingCorrupt
+from drivers.errors import CameraSoftwareMissing, RecordingCorrupt, UnreadableEvents
 
 MOST_CHUNK_BYTES: Final = 1 << 24
 """Largest chunk, decompressed. Writers use chunks of at most some megabytes."""
@@ -44,10 +44,10 @@ def member(group: Any, path: str) -> Any:
     for name in path.split("/"):
         link = here.get(name, getlink=True) if isinstance(here, h5py.Group) else None
         if link is None:
-            raise NotARecording(f"{path} is missing.")
+            raise UnreadableEvents(f"{path} is missing.")
         if not isinstance(link, h5py.HardLink):
             what = "a link to another place; only data in the file itself are read"
-            raise NotARecording(f"{path} is {what}.")
+            raise UnreadableEvents(f"{path} is {what}.")
         here = here[name]
     return here
 
@@ -60,18 +60,20 @@ def dataset(group: Any, path: str) -> Any:
     """
     found = member(group, path)
     if not isinstance(found, h5py.Dataset):
-        raise NotARecording(f"{path} is a group, not an array.")
+        raise UnreadableEvents(f"{path} is a group, not an array.")
     if found.is_virtual or found.external is not None:
-        raise NotARecording(f"{path} keeps its data in another file; only data in the file itself are read.")
+        raise UnreadableEvents(
+            f"{path} keeps its data in another file; only data in the file itself are read."
+        )
     if found.shape is None or found.dtype.kind not in "biufV" or found.dtype.itemsize > MOST_ROW_BYTES:
-        raise NotARecording(f"{path} is an array of {found.dtype}, not of numbers.")
+        raise UnreadableEvents(f"{path} is an array of {found.dtype}, not of numbers.")
     require_ratio(found.nbytes, _file_bytes(found), path)
     if found.chunks is not None and _chunk_bytes(found) > MOST_CHUNK_BYTES:
-        raise NotARecording(
+        raise UnreadableEvents(
             f"{path} has chunks of {_chunk_bytes(found)} bytes; at most {MOST_CHUNK_BYTES} are read."
         )
     if found.chunks is None and found.nbytes and found.id.get_storage_size() < found.nbytes:
-        raise NotARecording(f"{path} states {found.nbytes} bytes, but they are missing.")
+        raise UnreadableEvents(f"{path} states {found.nbytes} bytes, but they are missing.")
     return found
 
 
@@ -102,7 +104,7 @@ def rows_by_library(array: Any) -> Iterator[NDArray[Any]]:
             np.prod([-(-side // step) for side, step in zip(array.shape, array.chunks, strict=True)])
         )
         if array.id.get_num_chunks() != chunks:
-            raise NotARecording(
+            raise UnreadableEvents(
                 f"{array.id.get_num_chunks()} of the {chunks} chunks of {array.name} are there."
             )
     step = (
@@ -132,23 +134,23 @@ def rows(array: Any, decode: Decoder | None = None) -> Iterator[NDArray[Any]]:
         if n <= 0:
             continue  # left over from a longer array
         if begin != done:
-            raise NotARecording(_missing(begin - done, total, array))
+            raise UnreadableEvents(_missing(begin - done, total, array))
         yield _chunk(array, place, pipeline, decode)[:n]
         done += n
     if done != total:
-        raise NotARecording(_missing(total - done, total, array))
+        raise UnreadableEvents(_missing(total - done, total, array))
 
 
 def whole(array: Any, most_bytes: int) -> NDArray[Any]:
     """Read an array, in its own shape and type; `NotARecording` if it has more than ``most_bytes`` or is unreadable."""
     if array.nbytes > most_bytes:
-        raise NotARecording(f"{array.name} has {array.nbytes} bytes; at most {most_bytes} are read.")
+        raise UnreadableEvents(f"{array.name} has {array.nbytes} bytes; at most {most_bytes} are read.")
     if array.chunks is None or not array.shape:
         return np.asarray(array[()])
     out = np.zeros(array.shape, array.dtype)
     pipeline = filters(array)
     if not set(pipeline) <= _OWN_FILTERS:
-        raise NotARecording(f"{array.name} is compressed by filter {pipeline}; gzip and none are read.")
+        raise UnreadableEvents(f"{array.name} is compressed by filter {pipeline}; gzip and none are read.")
     for place in _places(array, 0):
         at = tuple(
             slice(first, min(first + side, end))
@@ -165,15 +167,15 @@ def texts(group: Any) -> dict[str, str]:
     """Return the attributes of a group, as text; `NotARecording` if there are more or longer ones than usual."""
     names = list(group.attrs)
     if len(names) > _MOST_ATTRIBUTES:
-        raise NotARecording(f"it has {len(names)} attributes; at most {_MOST_ATTRIBUTES} are read.")
+        raise UnreadableEvents(f"it has {len(names)} attributes; at most {_MOST_ATTRIBUTES} are read.")
     found = {}
     for name in names:
         if group.attrs.get_id(name).get_storage_size() > _MOST_TEXT:
-            raise NotARecording(f"its attribute {name[:40]!r} is longer than {_MOST_TEXT} bytes.")
+            raise UnreadableEvents(f"its attribute {name[:40]!r} is longer than {_MOST_TEXT} bytes.")
         value = group.attrs[name]
         text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
         if len(text) > _MOST_TEXT:
-            raise NotARecording(f"its attribute {name[:40]!r} is longer than {_MOST_TEXT} bytes.")
+            raise UnreadableEvents(f"its attribute {name[:40]!r} is longer than {_MOST_TEXT} bytes.")
         found[name] = text
     return found
 
@@ -182,7 +184,7 @@ def _places(array: Any, rows_stated: int) -> list[Any]:
     """Return where the chunks lie, in their order."""
     most = max(4 * _file_bytes(array) // 512, 4096, 2 * rows_stated // max(1, array.chunks[0]))
     if array.id.get_num_chunks() > most:
-        raise NotARecording(
+        raise UnreadableEvents(
             f"{array.name} has {array.id.get_num_chunks()} chunks, more than the file can hold."
         )
     places: list[Any] = []

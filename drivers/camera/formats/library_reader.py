@@ -52,7 +52,13 @@ from drivers.camera.event_arrays import (
 )
 from drivers.camera.formats import library_process
 from drivers.camera.raw_header import agreed_size
-from drivers.errors import CameraSoftwareMissing, DriverError, NotARecording, RecordingCorrupt
+from drivers.errors import (
+    CameraSoftwareMissing,
+    DriverError,
+    NotARecording,
+    RecordingCorrupt,
+    UnreadableEvents,
+)
 
 _PIECE: Final = 500_000
 _MOST_NAMED: Final = 8
@@ -140,11 +146,11 @@ def _from_npz(path: Path, choices: ReadingChoices) -> EventSource:
 
 def _array(file: Mapping[str, Any], name: str) -> Any:
     if name not in file:
-        raise NotARecording(f"{name} is missing in this .npz file.")
+        raise UnreadableEvents(f"{name} is missing in this .npz file.")
     try:
         return file[name]
     except ValueError as error:  # pickled, or cut off
-        raise NotARecording(f"{name} of this .npz file is no whole array of numbers.") from error
+        raise UnreadableEvents(f"{name} of this .npz file is no whole array of numbers.") from error
 
 
 def _from_hdf5(path: Path, choices: ReadingChoices) -> EventSource:
@@ -399,7 +405,7 @@ def _of_libcaer(message: Any) -> Events:
 
 def _whole_events(message: Any) -> bytes:
     if len(message.events) % 8:
-        raise NotARecording("a message of events ends in the middle of an event.")
+        raise UnreadableEvents("a message of events ends in the middle of an event.")
     return _bytes(message)
 
 

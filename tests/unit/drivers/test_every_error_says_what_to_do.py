@@ -10,10 +10,16 @@ import drivers
 from drivers import errors
 
 FILES = sorted(Path(drivers.__file__).parent.rglob("*.py"))
+
+
+def _has_remedy_of_its_own(kind: type[errors.DriverError]) -> bool:
+    return kind is errors.UnreadableEvents and bool(kind("gone").remedy)
+
+
 KINDS = {
     name
     for name, kind in vars(errors).items()
-    if isinstance(kind, type) and issubclass(kind, errors.DriverError)
+    if isinstance(kind, type) and issubclass(kind, errors.DriverError) and not _has_remedy_of_its_own(kind)
 }
 
 
