@@ -322,7 +322,7 @@ def _device_lines(found: Discovery, plugins: list[dict[str, str]]) -> Iterator[s
 
 def _plugins() -> list[dict[str, str]]:
     """Return the drivers that other packages bring, with the trouble of those that cannot be used."""
-    from bench.stations.sections import GROUPS, plugins
+    from bench.stations.plugin_sections import GROUPS, plugins
 
     return [
         {

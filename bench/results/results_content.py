@@ -30,7 +30,7 @@ from bench.records.results import (
 from bench.records.run_facts import conformity
 from bench.report.maps import reach_px, star_distance
 from bench.results.solution import Solution, compare_with_truth
-from bench.stations.sections import GROUPS, Plugin, plugins
+from bench.stations.plugin_sections import GROUPS, Plugin, plugins
 from bench.stations.station import Station
 from bench.views.camera_kinds import CameraKind
 from calib.calibration import ENGINES, Calibration, ViewSummary

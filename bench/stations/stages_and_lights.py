@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import AfterValidator, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
+from bench.stations.plugin_sections import with_plugins
 from bench.stations.sections import (
     AnyLight,
     AnyStage,
@@ -22,7 +23,6 @@ from bench.stations.sections import (
     Tolerance,
     differing,
     driver_axes,
-    with_plugins,
 )
 from bench.stations.station_fields import Port, Serial, Text, ToFillIn, not_zero
 from bench.stations.station_text import TextLightConfig, TextStageConfig

@@ -17,13 +17,13 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from bench.base.errors import UsageError
+from bench.stations.plugin_sections import with_plugins
 from bench.stations.sections import (
     AxisConfig,
     EventCameraConfig,
     EventCameraSection,
     FrameCameraConfig,
     FrameCameraSection,
-    with_plugins,
 )
 from bench.stations.stages_and_lights import LightConfig, StageConfig
 from bench.stations.station_budget import BudgetConfig, CollimatorConfig, GimbalConfig

@@ -30,7 +30,7 @@ camera: {driver: metavision, serial: 00051234}
 """
 SECTION = """\
 from typing import Literal
-from bench.stations.sections import StageSection
+from bench.stations.sections import (StageSection)
 class Section(StageSection):
     driver: Literal['NAME']
 """
@@ -152,7 +152,7 @@ def test_a_broken_plugin_is_named_and_breaks_nothing_else(tmp_path, code, reason
 LAB = """\
 from datetime import UTC, datetime
 from typing import Literal
-from bench.stations.sections import EventCameraSection, LightSection
+from bench.stations.sections import (EventCameraSection, LightSection)
 from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
 from drivers.light.scpi import ScpiLight
 class Camera(EventCameraSection):

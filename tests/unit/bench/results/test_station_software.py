@@ -12,7 +12,7 @@ from bench.results.results_content import (
     run_software,
     software,
 )
-from bench.stations.sections import Plugin
+from bench.stations.plugin_sections import Plugin
 from bench.stations.station import load_station
 
 STARTED = {
