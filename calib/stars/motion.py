@@ -1,4 +1,4 @@
-"""How far the stars moved during a recording: their centres by symmetry in the images of its two halves.
+"""How far the stars moved during a recording: their centres in the images of its two halves.
 
 A shift of whole images by Lucas and Kanade (1981) is a tenth too small here, also when it is iterated: a pixel of an
 event image has fired or not, so the edges of the stars are steps on the pixel grid, which no interpolation follows.
@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.arrays import AnyArray, Array, Bools
+from calib.arrays import AnyArray, Array, selected
 from calib.errors import TooFewStars
 from calib.stars.centring import SYMMETRY_REACH, refine_by_symmetry, smooth, symmetry_samples
-from calib.stars.detect import BLUR_PX, COARSE_STEP_PX, OPEN_STRIP_PX
+from calib.stars.detect import BLUR_PX, COARSE_STEP_PX, MIN_FOR_LIKELIHOOD, OPEN_STRIP_PX
+from calib.stars.edge_pixels import quantise
 from calib.stars.grid_map import fit_grid_map
+from calib.stars.likelihood import refine_by_likelihood
 from calib.stars.printed_star import cell_reach, open_sides
 from calib.target import StarTarget
 from calib.view import View
@@ -27,29 +29,34 @@ MAX_SHIFT_PITCHES = 0.25
 def shift_between_halves(first: AnyArray, second: AnyArray, view: View, target: StarTarget) -> Array:
     """Return the median shift, (2,) px, of the stars of a view between the images, (H, W), of its recording's halves.
 
-    It is right to .01 px for shifts up to 1 px (`tests/validation/test_star_motion.py`). Raises TooFewStars if fewer
-    than `MIN_COMMON` stars are found in both.
+    It is right to .01 px for shifts up to 1 px (`tests/validation/test_star_motion.py`). The stars are located by
+    symmetry, which bears a start that is off, and then by likelihood: in a half of one period, symmetry alone is a
+    fifth too short. Raises TooFewStars if fewer than `MIN_COMMON` stars are found in both.
     """
     nodes = target.node_of(view.ids)
     grid = nodes.astype(float)
     local_map = fit_grid_map(grid, view.points_px)[0].local_map(grid)
-    pitch = local_map.pitch_px
+    pitch, sides = local_map.pitch_px, open_sides(target, nodes)
     samples = symmetry_samples(pitch / COARSE_STEP_PX)
-    used_to = cell_reach(open_sides(target, nodes), SYMMETRY_REACH, OPEN_STRIP_PX / pitch)
-
-    def centres(half: AnyArray) -> tuple[Array, Bools]:
-        image = smooth(np.nan_to_num(np.asarray(half, np.float32)), BLUR_PX)
-        fit = refine_by_symmetry(
-            image, view.points_px, local_map, samples, used_to, MAX_SHIFT_PITCHES * pitch
-        )
-        return fit.centres, fit.converged
-
-    (before, seen_before), (after, seen_after) = centres(first), centres(second)
-    common = seen_before & seen_after
+    used_to = cell_reach(sides, SYMMETRY_REACH, OPEN_STRIP_PX / pitch)
+    images = [np.nan_to_num(np.asarray(half, np.float32)) for half in (first, second)]
+    reach_px = MAX_SHIFT_PITCHES * pitch
+    near = [
+        refine_by_symmetry(smooth(one, BLUR_PX), view.points_px, local_map, samples, used_to, reach_px)
+        for one in images
+    ]
+    common = near[0].converged & near[1].converged
     if np.count_nonzero(common) < MIN_COMMON:
         raise TooFewStars(
             f"The halves of the recording share {np.count_nonzero(common)} stars; {MIN_COMMON} are needed.",
             where=f"view {view.name}",
             remedy="Record for longer.",
         )
-    return np.asarray(np.median((after - before)[common], axis=0))
+    before, after = (fit.centres[common] for fit in near)
+    if np.count_nonzero(common) >= MIN_FOR_LIKELIHOOD:
+        maps = selected(local_map, common)
+        before, after = (
+            refine_by_likelihood(quantise(one), centres, maps, target, sides[common]).centres
+            for one, centres in zip(images, (before, after), strict=True)
+        )
+    return np.asarray(np.nanmedian(after - before, axis=0))

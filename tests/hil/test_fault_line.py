@@ -56,7 +56,7 @@ def test_it_passes_everything_on_and_spoils_what_it_is_told_to(device: SerialDev
             return line.read_until(b"\n")
 
         good = ask(b"/1 0 07 get system.serial\n")
-        assert good.startswith(b"@01 0 07 OK IDLE WR 100101:")
+        assert good.startswith(b"@01 0 07 OK IDLE WR 100101")
         assert say("replaced pattern=100101 replacement=999999")["ok"]
         assert ask(b"/1 0 07 get system.serial\n") == good.replace(b"100101", b"999999")
         assert ask(b"/1 0 07 get system.serial\n") == good
