@@ -1,0 +1,33 @@
+"""Events, and the bytes of older files of them, that a test makes itself."""
+
+import numpy as np
+
+EVT2_HEAD = b"% evt 2.0\n% format EVT2;height=720;width=1280\n% end\n"
+DAT_HEAD = b"% Data file containing CD events.\n% Version 2\n% Height 720\n% Width 1280\n"
+
+
+def some_events(n=5000, *, step_us=7):
+    chance = np.random.default_rng(3)
+    rows = np.zeros(n, [("t", "<u8"), ("x", "<u2"), ("y", "<u2"), (("p", "on"), "?")])
+    rows["t"] = 64 + np.arange(n) * step_us
+    rows["x"], rows["y"] = chance.integers(0, 640, n), chance.integers(0, 480, n)
+    rows["on"] = chance.integers(0, 2, n)
+    return rows
+
+
+def assert_same(found, rows, origin_us=0):
+    assert np.array_equal(found.events.t + origin_us, rows["t"].astype(np.int64))
+    assert np.array_equal(found.events.x, rows["x"])
+    assert np.array_equal(found.events.y, rows["y"])
+    assert np.array_equal(found.events.p, rows["on"])
+
+
+def evt2_words(*words):
+    return EVT2_HEAD + np.array(words, "<u4").tobytes()
+
+
+def dat_rows(rows):
+    table = np.zeros((len(rows), 2), "<u4")
+    table[:, 0] = rows["t"].astype(np.uint64) & 0xFFFFFFFF
+    table[:, 1] = rows["x"] | (rows["y"].astype(np.uint32) << 14) | (rows["on"].astype(np.uint32) << 28)
+    return DAT_HEAD + bytes([0x0C, 8]) + table.tobytes()
