@@ -108,7 +108,8 @@ def _errors_of(path: Path) -> Iterator[None]:
     except RecordingFileError as error:
         if error.where:
             raise
-        what = error.what if error.remedy else f"{_NO_EVENTS}: {error.what}"
+        named = error.remedy and not isinstance(error, UnreadableEvents)
+        what = error.what if named else f"{_NO_EVENTS}: {error.what}"
         raise NotARecording(what, where=str(path), remedy=error.remedy or _EVENT_FILES) from error
     except _UNREADABLE as error:
         what = f"{_NO_EVENTS}: it is damaged, or has another layout than its first bytes say."

@@ -84,7 +84,9 @@ def main(kind: str, path: Path, choices: ReadingChoices) -> None:
         what = error.what.removesuffix(f" (byte {error.offset}).")  # the reader of this names the place again
         _write({"kind": "corrupt", "error": what, "remedy": error.remedy, "offset": error.offset})
     except DriverError as error:
-        _write({"kind": "other", "error": error.what, "remedy": error.remedy})
+        # What to do about unreadable events is the same for every reader: the bench says it with the file's name.
+        remedy = "" if isinstance(error, UnreadableEvents) else error.remedy
+        _write({"kind": "other", "error": error.what, "remedy": remedy})
     except MemoryError:
         _write({"kind": "memory"})
     except BaseException:  # a panic of compiled code is no Exception
