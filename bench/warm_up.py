@@ -34,7 +34,7 @@ def compile_part(part: str) -> None:
 
 def _measure(folder: Path) -> None:
     """Draw a recording and measure it."""
-    from bench.views.measure import measure
+    from bench.measure.measure import measure
     from calib.target import StarTarget
 
     target = StarTarget()

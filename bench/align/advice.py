@@ -12,8 +12,8 @@ from typing import Final
 from bench.align.focus import FocusFigures
 from bench.align.live_image import LiveImage, LiveSetting, SignalFigures
 from bench.align.where_to_turn import TurnFigures
-from bench.views.gates import FILTERS_TO_DISABLE, FREQUENCY_TOLERANCE
-from bench.views.measure import MOST_SATURATED
+from bench.measure.gates import FILTERS_TO_DISABLE, FREQUENCY_TOLERANCE
+from bench.measure.measure import MOST_SATURATED
 from calib.stars.beam import Beam
 from calib.stars.quick import QuickStars
 from drivers.camera import RecordingFacts

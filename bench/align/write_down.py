@@ -25,7 +25,7 @@ from ruamel.yaml.tag import Tag
 
 from bench.base.errors import ControlRefused, ScriptError
 from bench.plan.plan import SHIPPED_SEQUENCES
-from bench.records.storage import write_atomic
+from bench.record.storage import write_atomic
 from bench.stations.stages_and_lights import GardasoftLightConfig, ScpiLightConfig
 from bench.stations.station import SHIPPED_STATIONS, Station
 from bench.stations.station_text import TextLightConfig

@@ -128,14 +128,14 @@ def _user_name() -> str:
 _PACKAGES = ("bench", "calib", "drivers", "sequences", "simulators")
 _REPORT = "bench/report"
 _DRAWN_WITH = (
-    "bench/records/stored_calibration.py",
+    "bench/record/stored_calibration.py",
     "calib/uncertainty/projection_uncertainty.py",
     "calib/model/camera.py",
     "calib/model/lens.py",
 )
 """Modules of the engine that the plots use."""
 _EXPORTED_WITH = (
-    "bench/results/exports.py",
+    "bench/solve/exports.py",
     "calib/model/camera.py",
     "calib/model/lens.py",
 )

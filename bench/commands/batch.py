@@ -18,7 +18,7 @@ from bench.commands.output import JSON, NOT_KEPT, STOPPED, show
 from bench.evidence.keys import usable_key
 
 if TYPE_CHECKING:
-    from bench.records.summaries import BatchSummary
+    from bench.record.summaries import BatchSummary
 
 _QUEUE = click.argument("queue", metavar="QUEUE", type=ExistingFile())
 
@@ -51,8 +51,8 @@ def batch(queue: Path, output: Path) -> int:
             where=str(queue),
             remedy="Do its runs one by one with `starbench run`. `plan` and `rehearse` accept the queue here too.",
         )
-    from bench.batch.batch import Batch
-    from bench.batch.batch_plan import read_queue
+    from bench.extras.batch.batch import Batch
+    from bench.extras.batch.batch_plan import read_queue
 
     clock = BenchClock()
     usable_key(home_folder(), clock.utc_now())  # one that processes without a terminal can use
@@ -83,10 +83,10 @@ def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int, quiet
 
     The journals and the summary have the same form as those of a real night.
     """
-    from bench.batch.batch import rehearse_batch
-    from bench.batch.batch_plan import read_queue
     from bench.commands.plan import begin_utc
-    from bench.plan.plan_text import duration_text
+    from bench.extras.batch.batch import rehearse_batch
+    from bench.extras.batch.batch_plan import read_queue
+    from bench.wording.plan_text import duration_text
 
     read, started_s = read_queue(queue), time.monotonic()
     summary = rehearse_batch(
@@ -105,7 +105,7 @@ def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int, quiet
 
 def show_summary(folder: Path, summary: BatchSummary) -> int:
     """Print a batch's end; exit status 0 every run has a result, 3 stopped, 4 a limit is not kept, else 1."""
-    from bench.batch.batch_summary import PAGE, summary_lines
+    from bench.extras.batch.batch_summary import PAGE, summary_lines
 
     show(summary, [*summary_lines(summary), f"Summary: {folder / PAGE}"])
     if summary["how"] == "finished" and any(item["conformity"] == "FAIL" for item in summary["items"]):

@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any, cast
 import click
 
 from bench.base.clock import reliable_interrupts
+from bench.base.encoding import clock_text, printable
 from bench.base.errors import UsageError
 from bench.base.home import forms, home_folder
-from bench.cluster.recalculation import TABLE, Counts, Recalculation, ResultsFolders
-from bench.cluster.tasks import DoneRow, RunRow, Task, find_places
 from bench.commands.calibrations import (
     BOARD,
     CAMERA,
@@ -28,15 +27,18 @@ from bench.commands.keys import key_or_draft
 from bench.commands.options import ExistingPath, OutputFolder, command, epilog
 from bench.commands.output import JSON, NOT_KEPT, show, wants_json
 from bench.commands.workers import WORKERS, LiveLine, open_workers
-from bench.records.run_facts import factors_text
-from bench.report.text import unit_text, with_uncertainty, words_for
-from bench.results.offline_options import OfflineOptions
-from bench.terminal.encoding import clock_text, printable
-from bench.views.views_file import FOLDER
+from bench.extras.many.recalculation import TABLE, Counts, Recalculation, ResultsFolders
+from bench.extras.many.tasks import DoneRow, RunRow, Task, find_places
+from bench.measure.views_file import FOLDER
+from bench.record.run_facts import factors_text
+from bench.solve.offline_options import OfflineOptions
+from bench.wording.numbers import with_uncertainty
+from bench.wording.parameters import unit_text
+from bench.wording.target_words import words_for
 
 if TYPE_CHECKING:
     from bench.plan.camera_files import CameraFile, LensFamily
-    from bench.records.results import CheckData
+    from bench.record.results import CheckData
     from calib.calibration import Calibration
     from calib.studies.camera_check import CameraCheck
     from calib.view import View
@@ -241,7 +243,7 @@ def calibrate(
     Dask scheduler. A PATH is then a run, a folder of runs, a folder of recordings, or a URL of runs, such as
     s3://bucket/runs.
     """
-    from bench.results.offline_options import OfflineOptions
+    from bench.solve.offline_options import OfflineOptions
 
     chosen = OfflineOptions.from_command_line(**options)
     if each and compare:
@@ -269,10 +271,10 @@ def _calibrate_together(
     find_again: bool,
 ) -> int:
     """Calibrate from all views, write and seal the results where an output folder is given, and print."""
-    from bench.records.run_folder import REPORT
-    from bench.results.offline import calibrate_paths, compare_methods
-    from bench.results.offline_folder import require_new, write_offline_results
-    from bench.views.views_file import KeptViews
+    from bench.measure.views_file import KeptViews
+    from bench.record.run_folder import REPORT
+    from bench.solve.offline import calibrate_paths, compare_methods
+    from bench.solve.offline_folder import require_new, write_offline_results
 
     if output is not None:
         require_new(output)
@@ -323,9 +325,9 @@ def check(
     calibrated alone, and the two cameras are compared over the sensor. One view is enough if the collimator is known,
     by the run's station or by a passport. One view without it is judged as far as no other pose explains it.
     """
-    from bench.results.offline import calibrate_paths, only_view
-    from bench.results.offline_options import OfflineOptions
-    from bench.results.solution import compared_with
+    from bench.solve.offline import calibrate_paths, only_view
+    from bench.solve.offline_options import OfflineOptions
+    from bench.solve.solution import compared_with
     from calib.errors import DegenerateViews
 
     stated, choices = stated_camera(file, camera, lens), OfflineOptions.from_command_line(**options)
@@ -353,7 +355,7 @@ def check(
 
 def _check_by_one(stated: CameraFile, view: View, *, board: bool) -> int:
     """Tell what one view can tell that does not determine the camera."""
-    from bench.report.text import one_view_sentences
+    from bench.wording.camera_check import one_view_sentences
     from calib.studies.camera_check import check_one_view
 
     checked = check_one_view(stated.camera, stated.covariance, view)
@@ -365,7 +367,7 @@ def _check_by_one(stated: CameraFile, view: View, *, board: bool) -> int:
 def _lines(checked: CameraCheck, stated: CameraFile, found: Calibration, skipped: list[str]) -> Iterator[str]:
     for reason in skipped:
         yield f"Left out: {reason}"
-    from bench.report.text import check_sentences
+    from bench.wording.camera_check import check_sentences
 
     yield from check_sentences(cast("CheckData", checked.to_dict()))
     yield f"Change of the image and its U, px (k = {checked.coverage_factor:.2f}, for all places at once):"

@@ -8,23 +8,18 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import click
 
 from bench.commands.options import CheckedStation, Number
-from bench.records.run_facts import coverage_factor
-from bench.report.text import (
-    TargetWords,
-    conformity_headline,
-    conformity_sentences,
-    exact,
-    unit_text,
-    with_uncertainty,
-    words_for,
-)
+from bench.record.run_facts import coverage_factor
+from bench.wording.conformity import conformity_headline, conformity_sentences
+from bench.wording.numbers import exact, with_uncertainty
+from bench.wording.parameters import unit_text
+from bench.wording.target_words import TargetWords, words_for
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from bench.plan.camera_files import CameraFile, LensFamily
-    from bench.records.results import CalibrationData
-    from bench.results.offline import OfflineResult
+    from bench.record.results import CalibrationData
+    from bench.solve.offline import OfflineResult
     from calib.studies.reference_methods import MethodFailure, MethodResult
 
 

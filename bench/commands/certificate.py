@@ -14,9 +14,6 @@ import click
 from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError, UsageError
 from bench.base.home import home_folder
-from bench.certificate.certificate_data import CERTIFICATE, Certificate
-from bench.certificate.dcc_signature import signer_of_files
-from bench.certificate.series import Numbered, declare_void, numbers, one_at_a_time
 from bench.commands.certificate_authorise import authorise, timestamp
 from bench.commands.options import (
     OPERATOR,
@@ -33,12 +30,15 @@ from bench.evidence.key_trust import Trust, read_trust
 from bench.evidence.keys import BenchKey, usable_key
 from bench.evidence.ledger_check import is_sealed_by, own_public_keys
 from bench.evidence.states import standing_of
-from bench.records.ledger import Ledger, bench_ledger
-from bench.records.run_folder import MANIFEST
-from bench.records.storage import read_bounded, sha256_of, storage_errors, write_atomic
+from bench.extras.certificate.certificate_data import CERTIFICATE, Certificate
+from bench.extras.certificate.dcc_signature import signer_of_files
+from bench.extras.certificate.series import Numbered, declare_void, numbers, one_at_a_time
+from bench.record.ledger import Ledger, bench_ledger
+from bench.record.run_folder import MANIFEST
+from bench.record.storage import read_bounded, sha256_of, storage_errors, write_atomic
 
 if TYPE_CHECKING:
-    from bench.certificate.issue import Issued, Laboratory
+    from bench.extras.certificate.issue import Issued, Laboratory
 
 
 _UNKNOWN = "UNKNOWN"
@@ -63,7 +63,7 @@ def certificate() -> None:
 @click.option("--output", "-o", required=True, type=NewFile(), help="New file, such as lab.yaml.")
 def new(output: Path) -> int:
     """Write an example of lab.yaml, with comments. Replace every REPLACE in it."""
-    from bench.certificate.lab_config import EXAMPLE
+    from bench.extras.certificate.lab_config import EXAMPLE
 
     with storage_errors(output):
         write_atomic(output, EXAMPLE.read_bytes())
@@ -139,8 +139,8 @@ def issue(
     An amended certificate has a new number. It names the old one by number and hash, and lists every field that
     changed. The old one stays as it is; `starbench verify` says that it is superseded.
     """
-    from bench.certificate.issue import amend
-    from bench.certificate.issue import issue as issue_first
+    from bench.extras.certificate.issue import amend
+    from bench.extras.certificate.issue import issue as issue_first
 
     is_amended = (folder / CERTIFICATE).is_file()
     dcc_key = _dcc_key(xades_key, xades_certificate)
@@ -205,7 +205,7 @@ def void(number: str, reason: str, by: str | None) -> int:
 
     The number was reserved by a command that was stopped or failed, so no certificate has it.
     """
-    from bench.certificate.issue import complete_open
+    from bench.extras.certificate.issue import complete_open
     from bench.run.control import operator_at_terminal
 
     text = _stated(reason)
@@ -345,7 +345,7 @@ def _listed_state(one: Numbered, trust: Trust, now: datetime, *, is_known: bool)
 
 
 def _laboratory(dcc_key: tuple[Path, Path] | None, *, again: bool) -> Laboratory:
-    from bench.certificate.issue import Laboratory
+    from bench.extras.certificate.issue import Laboratory
 
     def key() -> BenchKey:
         return usable_key(home_folder(), datetime.now(UTC), ask_passphrase=ask_passphrase)

@@ -48,10 +48,10 @@ from bench.evidence.timestamp import (
     read_authorities,
 )
 from bench.evidence.tsa_client import ask_authority, check_url, make_request
-from bench.records.ledger import bench_ledger
-from bench.records.run_folder import MANIFEST, SIGNATURE
-from bench.records.storage import read_json, storage_errors, write_atomic
-from bench.records.stored_run import StoredRun
+from bench.record.ledger import bench_ledger
+from bench.record.run_folder import MANIFEST, SIGNATURE
+from bench.record.storage import read_json, storage_errors, write_atomic
+from bench.record.stored_run import StoredRun
 
 _NAMES = {"seal": TIMESTAMP, "authorisation": AUTHORISATION_TIMESTAMP}
 

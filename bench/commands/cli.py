@@ -161,8 +161,8 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit. Every expected error is printed as one message, without a traceback."""
     # Our matrices are small: several threads take three times as long as one. Must be set before numpy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from bench.base.encoding import protect_output, replace_unencodable
     from bench.base.home import remove_stale_kernels, set_kernel_cache
-    from bench.terminal.encoding import protect_output, replace_unencodable
 
     protect_output()
     set_kernel_cache(os.environ)

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench.base.clock import reliable_interrupts
+from bench.base.encoding import printable
 from bench.base.errors import UsageError
-from bench.cluster.verifications import CONVERTED, Converted, convert_many, plan_targets
-from bench.cluster.work import Workers
 from bench.commands.calibrations import CAMERA, LENS, stated_camera
 from bench.commands.options import (
     EventFile,
@@ -25,12 +24,13 @@ from bench.commands.options import (
 )
 from bench.commands.output import JSON, show
 from bench.commands.workers import WORKERS, CountLine, kept_work, open_workers
-from bench.records.storage import make_folder, write_atomic
-from bench.terminal.encoding import printable
+from bench.extras.many.verifications import CONVERTED, Converted, convert_many, plan_targets
+from bench.extras.many.work import Workers
+from bench.record.storage import make_folder, write_atomic
 
 if TYPE_CHECKING:
     from bench.plan.camera_files import LensFamily
-    from bench.results.exports import Straightness
+    from bench.solve.exports import Straightness
     from calib.model.camera import Undistortion
     from drivers.camera.event_arrays import ReadingChoices
 
@@ -76,7 +76,7 @@ def convert(
     AEDAT4, bags and some HDF5 need starbench[formats]. The header of a converted RAW file states that it was
     converted, so it cannot be taken for a camera's original file.
     """
-    from bench.results.offline_options import parse_image_size
+    from bench.solve.offline_options import parse_image_size
     from drivers.camera.event_arrays import ReadingChoices
     from drivers.camera.formats import event_conversion
 
@@ -205,9 +205,9 @@ def undistort(
     undistort.npz holds for each pixel its ray and its place in the rectified image, the pair of maps for OpenCV's
     remap, and the new camera matrix; camera_info.yaml is ROS's, with the new matrix as P.
     """
-    from bench.results.exports import board_straightness, read_picture_for, undistorted_files
-    from bench.results.offline_folder import require_new
-    from bench.results.offline_options import parse_board
+    from bench.solve.exports import board_straightness, read_picture_for, undistorted_files
+    from bench.solve.offline_folder import require_new
+    from bench.solve.offline_options import parse_board
     from calib.model.camera import undistort as tables_of
 
     if board is not None and preview is None:

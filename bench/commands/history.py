@@ -10,6 +10,7 @@ from typing import Any
 import click
 
 from bench.base.clock import BenchClock
+from bench.base.encoding import counted
 from bench.base.errors import UsageError
 from bench.base.home import home_folder
 from bench.commands.options import (
@@ -27,25 +28,24 @@ from bench.commands.options import (
 from bench.commands.output import JSON, print_findings, show
 from bench.evidence.authorisation import known_authorisations
 from bench.evidence.states import home_trust, shown_state
-from bench.history.chart_findings import find_charts, needs_attention
-from bench.history.chart_groups import Grouped, Level, group_runs
-from bench.history.merged_runs import (
+from bench.extras.history.chart_findings import find_charts, needs_attention
+from bench.extras.history.chart_groups import Grouped, Level, group_runs
+from bench.extras.history.merged_runs import (
     LedgerSource,
     MergedRuns,
     merge_ledgers,
     merge_runs,
     read_source,
 )
-from bench.history.table import SCHEMA, Row, require_writable_table, table_row, write_table
-from bench.records.ledger import Ledger
-from bench.records.run_facts import REPEATS_TEXT, IndexedRun
-from bench.records.run_index import RunIndex, run_folders
-from bench.records.storage import write_atomic
-from bench.records.summaries import ChartGroupData, drifts, has_limits
+from bench.extras.history.table import SCHEMA, Row, require_writable_table, table_row, write_table
+from bench.record.ledger import Ledger
+from bench.record.run_facts import REPEATS_TEXT, IndexedRun
+from bench.record.run_index import RunIndex, run_folders
+from bench.record.storage import write_atomic
+from bench.record.summaries import ChartGroupData, drifts, has_limits
 from bench.report.control_chart import render_charts
-from bench.report.text import with_uncertainty
-from bench.results.trends import Agreement, compare_runs, repeats
-from bench.terminal.encoding import counted
+from bench.solve.trends import Agreement, compare_runs, repeats
+from bench.wording.numbers import with_uncertainty
 
 _MOST_GROUPS = 12
 """Most groups of one kind that the terminal describes; it counts the others."""

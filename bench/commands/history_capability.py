@@ -7,15 +7,24 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import Any
 
+from bench.base.encoding import counted
 from bench.base.errors import UsageError
 from bench.base.home import home_folder
 from bench.commands.output import print_findings, show
-from bench.history.merged_runs import MergedRuns, RunPlace
-from bench.history.statistics import PART, REPEATABILITY, Capability, GaugeStudy, capability, plural, study
-from bench.records.run_facts import IndexedRun, RunDetails
-from bench.records.run_index import RunIndex
-from bench.report.text import number, unit_text
-from bench.terminal.encoding import counted
+from bench.extras.history.merged_runs import MergedRuns, RunPlace
+from bench.extras.history.statistics import (
+    PART,
+    REPEATABILITY,
+    Capability,
+    GaugeStudy,
+    capability,
+    plural,
+    study,
+)
+from bench.record.run_facts import IndexedRun, RunDetails
+from bench.record.run_index import RunIndex
+from bench.wording.numbers import number
+from bench.wording.parameters import unit_text
 from calib.model.camera import PINHOLE
 from calib.model.lens import BROWN, FISHEYE
 

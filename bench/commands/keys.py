@@ -40,7 +40,7 @@ from bench.evidence.signers import (
     trust,
 )
 from bench.evidence.sshsig import fingerprint
-from bench.records.storage import storage_errors
+from bench.record.storage import storage_errors
 
 _PASSPHRASE = click.option(
     "--passphrase",

@@ -211,9 +211,9 @@ class RunFolder(_Path):
 
     def check(self, path: Path) -> None:
         """Check that the folder is a run, or a batch if that is accepted."""
-        from bench.records.run_folder import JOURNAL
-        from bench.records.run_index import is_batch
-        from bench.records.storage import is_locked
+        from bench.record.run_folder import JOURNAL
+        from bench.record.run_index import is_batch
+        from bench.record.storage import is_locked
 
         where = str(path)
         if not path.exists():
@@ -243,7 +243,7 @@ def _require_no_device(path: Path) -> None:
 
 def _batch_remedy(path: Path) -> str:
     """Return how to continue a batch if that is possible, and where its runs are."""
-    from bench.records.run_index import is_rehearsal
+    from bench.record.run_index import is_rehearsal
 
     shown = f"`starbench status {path}` shows its runs; name one of them: {path / 'runs'}/..."
     if is_rehearsal(path):
@@ -256,7 +256,7 @@ def _batch_remedy(path: Path) -> str:
 
 def _inside(path: Path) -> str:
     """Return which runs lie inside a folder that is not a run itself."""
-    from bench.records.run_index import run_folders
+    from bench.record.run_index import run_folders
 
     found = [str(folder) for folder in run_folders(path)]
     if not found:
@@ -403,7 +403,7 @@ LEDGERS = click.option(
 
 
 def filters_of(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return which runs the options name, as `bench.records.run_index.RunIndex.runs` takes it."""
+    """Return which runs the options name, as `bench.record.run_index.RunIndex.runs` takes it."""
     moments = {
         name: moment.replace(tzinfo=UTC) if (moment := given[name]) else None for name in ("since", "until")
     }
@@ -417,7 +417,7 @@ class RunChoice:
     folder: Path | None  # Folder whose runs to list; all runs of the ledger where None
     # Configuration folders of the benches whose ledgers to merge; this bench's own where empty.
     ledgers: Sequence[Path]
-    filters: Mapping[str, Any]  # As `bench.records.run_index.RunIndex.runs` takes them
+    filters: Mapping[str, Any]  # As `bench.record.run_index.RunIndex.runs` takes them
 
 
 def settings_of(texts: tuple[str, ...]) -> Mapping[str, str]:

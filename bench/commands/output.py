@@ -13,6 +13,7 @@ from typing import Any
 
 import click
 
+from bench.base.encoding import printable
 from bench.base.errors import (
     FORESEEN,
     INVALID_FILES,
@@ -23,7 +24,6 @@ from bench.base.errors import (
     UsageError,
 )
 from bench.base.home import home_folder
-from bench.terminal.encoding import printable
 from sequences.errors import DocumentFaults
 
 STOPPED = 3

@@ -65,8 +65,8 @@ def panel(
     begins runs, one camera after the other.
     """
     from bench.base.errors import UsageError
-    from bench.panel.line import Line
-    from bench.panel.panel_app import panel_app
+    from bench.extras.panel.line import Line
+    from bench.extras.panel.panel_app import panel_app
     from bench.run.control import operator_at_terminal
     from bench.web.server import serve_pages
 

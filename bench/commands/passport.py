@@ -16,7 +16,8 @@ from bench.commands.options import ExistingFile, ExistingPath, Family, NewFile, 
 from bench.commands.output import JSON, ask_passphrase, show
 from bench.evidence.keys import BenchKey, usable_key
 from bench.evidence.seal import read_passport_seal
-from bench.report.text import unit_text, with_uncertainty
+from bench.wording.numbers import with_uncertainty
+from bench.wording.parameters import unit_text
 
 if TYPE_CHECKING:
     from calib.model.passport import Passport
@@ -54,9 +55,9 @@ def passport_make(
     paths: tuple[Path, ...], output: Path, collimator: str | None, temperature_c: float | None, **options: Any
 ) -> int:
     """Make a collimator's passport from the views in one or more PATHs."""
-    from bench.results.offline import calibrate_paths
-    from bench.results.offline_options import OfflineOptions
-    from bench.results.passports import passport_from_calibration, seals_of, write_passport
+    from bench.solve.offline import calibrate_paths
+    from bench.solve.offline_options import OfflineOptions
+    from bench.solve.passports import passport_from_calibration, seals_of, write_passport
 
     key = _key()
     result = calibrate_paths(paths, OfflineOptions.from_command_line(**options))
@@ -119,7 +120,7 @@ def passport_certificate(
     r_mm: float, sigma_mm: float, output: Path, valid_until: datetime | None, **certificate: Any
 ) -> int:
     """Make a passport from a certificate that states only the collimator's focal length."""
-    from bench.results.passports import passport_from_certificate, write_passport
+    from bench.solve.passports import passport_from_certificate, write_passport
 
     until = valid_until.date().isoformat() if valid_until else None
     made = passport_from_certificate(r_mm, sigma_mm, valid_until=until, now=datetime.now(UTC), **certificate)
@@ -138,7 +139,7 @@ def _key() -> BenchKey:
 @click.option("--output", "-o", required=True, type=NewFile(), help="New, sealed passport file.")
 def passport_seal(path: Path, output: Path) -> int:
     """Seal a passport FILE that has no seal, after you have compared its values with their source."""
-    from bench.results.passports import seal_file
+    from bench.solve.passports import seal_file
 
     fingerprint = seal_file(path, output, _key())
     click.echo(f"Passport: {output}, sealed by {fingerprint}")

@@ -14,14 +14,14 @@ import click
 from bench.base.errors import BenchError, UsageError
 from bench.commands.options import BEGIN, SEQUENCE_NAME, SET, STATION_NAME, command, settings_of
 from bench.commands.output import JSON, show
-from bench.report.text import angle_text
+from bench.wording.numbers import angle_text
 from calib.model.result_parts import WORST_CORNER
 
 if TYPE_CHECKING:
-    from bench.batch.batch_plan import BatchPlan
+    from bench.extras.batch.batch_plan import BatchPlan
     from bench.plan.plan import Plan
-    from bench.records.ledger_marks import LedgerRun
-    from bench.results.expectations import PlanForecast
+    from bench.record.ledger_marks import LedgerRun
+    from bench.solve.expectations import PlanForecast
     from calib.model.result_parts import BudgetRow
     from calib.studies.planning import Forecast, WeighedPose
     from sequences.queue import Queue
@@ -95,8 +95,8 @@ def _show_plan(planned: Plan, suggest: int) -> int:
     if planned.faults:  # the engine is not needed, and it takes a second to load
         show(lambda: _plan_dict(planned, None, []), _plan_lines(planned, None, []))
         return 2
-    from bench.results.expectations import expected_uncertainty
-    from bench.results.forecasts import suggest_poses
+    from bench.solve.expectations import expected_uncertainty
+    from bench.solve.forecasts import suggest_poses
 
     found = expected_uncertainty(planned)
     suggested = suggest_poses(planned, suggest) if suggest else []
@@ -123,7 +123,7 @@ def _plan_dict(planned: Plan, found: PlanForecast | None, suggested: Sequence[We
 
 
 def _plan_lines(planned: Plan, found: PlanForecast | None, suggested: Sequence[WeighedPose]) -> Iterator[str]:
-    from bench.plan.plan_text import render_plan
+    from bench.wording.plan_text import render_plan
 
     yield render_plan(planned)
     if found is not None:
@@ -131,7 +131,7 @@ def _plan_lines(planned: Plan, found: PlanForecast | None, suggested: Sequence[W
         yield from (course.text for course in found.courses)
         yield from _forecast_lines(found)
     if suggested:
-        from bench.results.forecasts import forecasts_with
+        from bench.solve.forecasts import forecasts_with
 
         before = None if found is None or found.chosen else found.forecast
         for pose, forecast in zip(suggested, forecasts_with(planned, suggested), strict=True):
@@ -204,9 +204,9 @@ def _why(pose: WeighedPose) -> str:
 
 def _show_night(queue: Path, begin: datetime | None) -> int:
     """Print when each run of a queue begins and ends, for which there is no time, and what each job will reach."""
-    from bench.batch.batch_plan import paces, plan_batch, read_queue
-    from bench.records.ledger import bench_ledger
-    from bench.results.expectations import expected_uncertainty
+    from bench.extras.batch.batch_plan import paces, plan_batch, read_queue
+    from bench.record.ledger import bench_ledger
+    from bench.solve.expectations import expected_uncertainty
 
     read = read_queue(queue)
     known: list[LedgerRun] = []
@@ -236,7 +236,7 @@ def begin_utc(queue: Queue, begin: datetime | None) -> datetime:
 
 
 def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None]) -> Iterator[str]:
-    from bench.plan.plan_text import duration_text, size_text
+    from bench.wording.plan_text import duration_text, size_text
 
     zone = night.queue.tzinfo
 
@@ -271,7 +271,7 @@ def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None])
 
 def _job_lines(name: str, planned: Plan, found: PlanForecast | None) -> Iterator[str]:
     """Yield what a run of a job takes and reaches; with an ``until``, the most that it takes, and how it will end."""
-    from bench.plan.plan_text import duration_text, size_text
+    from bench.wording.plan_text import duration_text, size_text
 
     most = "at most " if planned.untils else ""
     takes, size = f"{most}{duration_text(planned.duration_s)}", f"{most}{size_text(planned.size_bytes)}"

@@ -14,11 +14,11 @@ from bench.base.errors import UsageError
 from bench.commands.calibrations import BOARD, LENS, collimator_options, stated_camera
 from bench.commands.options import ExistingPath, OutputFolder, command
 from bench.commands.output import JSON, show
-from bench.report.text import with_uncertainty
+from bench.wording.numbers import with_uncertainty
 
 if TYPE_CHECKING:
     from bench.plan.camera_files import LensFamily
-    from bench.results.rig import RigFound
+    from bench.solve.rig import RigFound
     from calib.studies.clock_offset import ClockOffset
     from calib.studies.rig import Rig, RigDifference
 
@@ -88,9 +88,9 @@ def rig(
     FIRST and SECOND are run folders or folders of files. Views of the same name must show the same pose of the rig.
     Behind a collimator they give the rotation, of a board the translation too.
     """
-    from bench.records.storage import make_folder, write_atomic
-    from bench.results.offline_options import OfflineOptions
-    from bench.results.rig import find_clocks, find_rig, read_rig_file, rig_exports
+    from bench.record.storage import make_folder, write_atomic
+    from bench.solve.offline_options import OfflineOptions
+    from bench.solve.rig import find_clocks, find_rig, read_rig_file, rig_exports
 
     earlier = read_rig_file(stated) if stated else None
     choices = OfflineOptions.from_command_line(**options)

@@ -22,18 +22,14 @@ from bench.commands.options import (
     settings_of,
 )
 from bench.commands.output import JSON, NOT_KEPT, STOPPED, ask_passphrase, error_object, show
-from bench.records.journal import CAPTURES
-from bench.records.run_folder import REPORT
-from bench.report.text import (
-    check_sentences,
-    conformity_headline,
-    conformity_sentences,
-    fixed,
-    goals_missed,
-    unit_text,
-    with_uncertainty,
-    words_of,
-)
+from bench.record.journal import CAPTURES
+from bench.record.run_folder import REPORT
+from bench.wording.camera_check import check_sentences
+from bench.wording.conformity import conformity_headline, conformity_sentences
+from bench.wording.goals import goals_missed
+from bench.wording.numbers import fixed, with_uncertainty
+from bench.wording.parameters import unit_text
+from bench.wording.target_words import words_of
 
 if TYPE_CHECKING:
     from bench.run.runner import RunEnd
@@ -85,6 +81,7 @@ def run(
     Ctrl-C ends the process at once.
     """
     from bench.base.clock import BenchClock
+    from bench.extras.batch.messages import bench_courier
     from bench.run.launch import Launch, start_run
 
     end = start_run(
@@ -93,7 +90,7 @@ def run(
         output=output,
         seed=seed,
         operator=operator,
-        launch=Launch(BenchClock(), ask_passphrase=ask_passphrase),
+        launch=Launch(BenchClock(), ask_passphrase=ask_passphrase, sender=bench_courier),
         settings=settings_of(settings),
         expect_serial=sys.stdin.readline() if expect_serial == "-" else expect_serial,
     )
@@ -107,13 +104,14 @@ def run(
 def resume(run_folder: Path, dry_run: bool) -> int:
     """Continue a RUN that was stopped, failed or was interrupted. It first prints what it will do."""
     from bench.base.clock import BenchClock
+    from bench.extras.batch.messages import bench_courier
     from bench.run.launch import Launch, read_intentions, resume_run
 
     if dry_run:
         lines = list(read_intentions(run_folder))
         show({"schema": "starbench/intentions/1", "intentions": lines}, "\n".join(lines))
         return 0
-    launch = Launch(BenchClock(), ask_passphrase=ask_passphrase)
+    launch = Launch(BenchClock(), ask_passphrase=ask_passphrase, sender=bench_courier)
     return show_run(resume_run(run_folder, launch))
 
 

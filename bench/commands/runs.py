@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from bench.base.encoding import counted
 from bench.base.errors import JournalBroken
 from bench.base.home import home_folder
 from bench.commands.ledger import ledger_findings
@@ -27,11 +28,10 @@ from bench.commands.options import (
 from bench.commands.output import JSON, print_findings, show
 from bench.evidence.authorisation import known_authorisations, lost_authorisations
 from bench.evidence.states import home_trust, shown_state
-from bench.records.ledger import Ledger, bench_ledger
-from bench.records.run_facts import IndexedRun
-from bench.records.run_folder import JOURNAL
-from bench.records.run_index import RunIndex, run_folders
-from bench.terminal.encoding import counted
+from bench.record.ledger import Ledger, bench_ledger
+from bench.record.run_facts import IndexedRun
+from bench.record.run_folder import JOURNAL
+from bench.record.run_index import RunIndex, run_folders
 
 
 @command(

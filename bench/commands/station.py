@@ -122,7 +122,7 @@ def _lines(target: TargetConfig, optics: Optics, found: TargetUse) -> Iterator[s
 
 def _draw(target: TargetConfig, path: Path) -> int:
     """Write the drawing of a target, never over an existing file."""
-    from bench.records.storage import write_atomic
+    from bench.record.storage import write_atomic
     from bench.stations.target_files import drawing_file
     from bench.stations.target_shapes import title_of
 
@@ -227,7 +227,7 @@ def station() -> None:
 )
 def station_new(path: Path, name: str, stage: str, light: str, camera: str | None) -> int:
     """Create a station file at PATH, filled in with the connected devices."""
-    from bench.records.storage import write_atomic
+    from bench.record.storage import write_atomic
     from bench.stations.station_draft import discover, draft_station
     from bench.stations.station_fields import UNKNOWN_SERIAL
 
@@ -246,7 +246,7 @@ def schema(document: str) -> int:
     """Print the JSON Schema of sequence, station, queue, job or lab files, for use by text editors."""
     from pydantic import BaseModel
 
-    from bench.certificate.lab_config import LabConfig
+    from bench.extras.certificate.lab_config import LabConfig
     from bench.stations.station import Station
     from sequences.queue import JobFile, Queue
     from sequences.schema import Sequence

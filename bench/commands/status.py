@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from bench.base.clock import BenchClock
+from bench.base.encoding import output_is_lost
 from bench.base.errors import UsageError
 from bench.base.home import home_folder
 from bench.commands.options import (
@@ -24,16 +25,15 @@ from bench.commands.options import (
     status_text,
 )
 from bench.commands.output import JSON, STOPPED, show, wants_json
-from bench.records.run_folder import JOURNAL
-from bench.records.storage import is_locked, storage_errors
+from bench.record.run_folder import JOURNAL
+from bench.record.storage import is_locked, storage_errors
 from bench.run.status import Status, line_text, read_with_entries
-from bench.terminal.encoding import output_is_lost
 
 if TYPE_CHECKING:
-    from bench.batch.batch_plan import Request
-    from bench.batch.batch_summary import BatchStatus
-    from bench.messaging.messages import Delivery
-    from bench.records.inbox import KnownBy
+    from bench.extras.batch.batch_plan import Request
+    from bench.extras.batch.batch_summary import BatchStatus
+    from bench.extras.batch.messages import Delivery
+    from bench.record.inbox import KnownBy
     from bench.run.control import Command
 
 _ANSWERS = {"yes": "continue", "no": "abort"}
@@ -118,7 +118,7 @@ def _tell_run(folder: Path, words: Mapping[str, Any], by: str | None) -> int:
 
 
 def _tell_batch(folder: Path, word: str, value: str, by: str | None) -> int:
-    from bench.batch.batch_plan import Request, answer_text, read_job, send_request
+    from bench.extras.batch.batch_plan import Request, answer_text, read_job, send_request
     from bench.run.control import operator_at_terminal
 
     who = by or operator_at_terminal()
@@ -149,7 +149,7 @@ def _show_answer(answer: Mapping[str, Any], text: str) -> int:
 @JSON
 def messages(send_now: bool) -> int:
     """List the messages of this bench: sent ones and waiting ones."""
-    from bench.messaging.messages import Outbox, send
+    from bench.extras.batch.messages import Outbox, send
 
     outbox = Outbox(home_folder())
     waiting = outbox.deliver(send, BenchClock().utc_now(), all_waiting=True) if send_now else 0
@@ -237,7 +237,7 @@ _ENDED = {"finished": 0, "aborted": STOPPED}
 @JSON
 def status(run_folder: Path, follow: bool, summary: bool) -> int:
     """Show the status of a RUN or a batch. Can be used at any time, also during the run, and changes nothing in it."""
-    from bench.records.run_index import is_batch
+    from bench.record.run_index import is_batch
 
     of_batch = is_batch(run_folder)
     if summary:
@@ -255,8 +255,8 @@ def status(run_folder: Path, follow: bool, summary: bool) -> int:
 
 def _summarise(folder: Path) -> int:
     """Write and print the current summary of a batch."""
-    from bench.batch.batch_summary import read_batch, write_summary
     from bench.commands.batch import show_summary
+    from bench.extras.batch.batch_summary import read_batch, write_summary
 
     return show_summary(folder, write_summary(folder, read_batch(folder)))
 
@@ -271,7 +271,7 @@ def _show_run(folder: Path) -> int:
 
 
 def _show_batch(folder: Path) -> int:
-    from bench.batch.batch_summary import batch_status_text, read_batch_status
+    from bench.extras.batch.batch_summary import batch_status_text, read_batch_status
 
     found = read_batch_status(folder)
     show(found.to_dict, batch_status_text(found))
@@ -288,7 +288,7 @@ class _Shown(NamedTuple):
 
 def _follow(folder: Path, *, of_batch: bool) -> str:
     """Follow a run or a batch; return how it ended, empty if it was interrupted."""
-    from bench.terminal.progress import Block
+    from bench.base.progress import Block
 
     block, as_json = Block(), wants_json()
     redraws = block.can_redraw and not as_json
@@ -322,7 +322,7 @@ def _run_shown(folder: Path, *, ticks: bool) -> Iterator[_Shown]:
 
 def _batch_shown(folder: Path, *, ticks: bool) -> Iterator[_Shown]:
     """Yield a batch's status."""
-    from bench.batch.batch_summary import batch_status_text, follow_batch
+    from bench.extras.batch.batch_summary import batch_status_text, follow_batch
 
     before: list[str] = []
     for now in follow_batch(folder, ticks=ticks):

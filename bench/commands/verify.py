@@ -10,9 +10,8 @@ from typing import Any
 
 import click
 
+from bench.base.encoding import printable
 from bench.base.home import forms, home_folder
-from bench.cluster.verifications import VERIFIED, Check, Checked, check_one, derivations_of
-from bench.cluster.work import Finished, KeptRows, Workers, map_work
 from bench.commands.options import (
     ALLOWED_SIGNERS,
     TSA_CERTIFICATES,
@@ -29,10 +28,11 @@ from bench.evidence.findings import Derivation, Findings, Verification
 from bench.evidence.key_trust import Trust, read_trust
 from bench.evidence.ledger_check import ledger_faults_of_run
 from bench.evidence.verify import verify_folder
-from bench.records.ledger import bench_ledger
-from bench.records.run_folder import JOURNAL
-from bench.records.stored_run import StoredRun
-from bench.terminal.encoding import printable
+from bench.extras.many.verifications import VERIFIED, Check, Checked, check_one, derivations_of
+from bench.extras.many.work import Finished, KeptRows, Workers, map_work
+from bench.record.ledger import bench_ledger
+from bench.record.run_folder import JOURNAL
+from bench.record.stored_run import StoredRun
 
 NOT_COMPARED = 4
 """Exit status of `verify`: no fault was found, but parts that were to be compared could not be."""
@@ -237,7 +237,7 @@ def _checks_of_certificate(trust: Trust, *, again: bool) -> list[Derivation]:
         return verify_one(run, trust, again=True)
 
     def of_run(folder: Path) -> Findings:
-        from bench.certificate.sealed_run import check_run_of_certificate
+        from bench.extras.certificate.sealed_run import check_run_of_certificate
 
         return check_run_of_certificate(folder, bench_ledger(), verify_run)
 
@@ -251,7 +251,7 @@ def check_authorisation(folder: Path) -> Findings:
 
 def _check_certificate(folder: Path) -> Findings:
     """Derive a certificate again, and compare it with the ledger of this bench."""
-    from bench.certificate.check import check_certificate
+    from bench.extras.certificate.check import check_certificate
 
     return check_certificate(folder, bench_ledger())
 

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench.base.clock import reliable_interrupts
-from bench.terminal.encoding import Steering, clock_text, printable
+from bench.base.encoding import Steering, clock_text, printable
 
 if TYPE_CHECKING:
-    from bench.cluster.work import KeptRows, Workers
+    from bench.extras.many.work import KeptRows, Workers
 
 CONTINUES = "What is done is kept; the same command continues."
 _MOST_PROCESSES = 1024
@@ -60,11 +60,11 @@ def open_workers(who: int | str | None, *, most: int | None = None) -> Workers:
     ``most`` is the number of pieces, if known; a single one is done here, unless processes are asked for.
     """
     if isinstance(who, str):
-        from bench.cluster.processes import DaskWorkers
+        from bench.extras.many.processes import DaskWorkers
 
         return DaskWorkers(who)
-    from bench.cluster.processes import Processes, processors
-    from bench.cluster.work import Serial
+    from bench.extras.many.processes import Processes, processors
+    from bench.extras.many.work import Serial
 
     count = min(who or processors(), max(1, most) if most is not None else _MOST_PROCESSES)
     if count == 1 and who is None:
@@ -85,7 +85,7 @@ def kept_work(
     workers: Workers, folder: Path | None, file: str, line: CountLine, done: str
 ) -> Iterator[KeptRows | None]:
     """Yield what keeps done pieces of work in a folder, None without one; an interruption is told with their number."""
-    from bench.cluster.work import KeptRows
+    from bench.extras.many.work import KeptRows
 
     with reliable_interrupts(), ExitStack() as stack:
         stack.callback(workers.close)
@@ -143,7 +143,7 @@ class CountLine(LiveLine):
     def __init__(self, total: int, things: str, *, quiet: bool = False) -> None:
         super().__init__(quiet=quiet)
         self.done, self._total, self._things = 0, total, things
-        from bench.cluster.work import TimeLeft
+        from bench.extras.many.work import TimeLeft
 
         self._time = TimeLeft()
 

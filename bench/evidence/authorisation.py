@@ -37,10 +37,10 @@ from bench.evidence.sshsig import (
     is_valid,
     read_signature,
 )
-from bench.records.journal import Entry, read_journal
-from bench.records.ledger import LEDGER, Ledger
-from bench.records.run_folder import MANIFEST, SIGNATURE
-from bench.records.storage import read_json, sha256_of, storage_errors
+from bench.record.journal import Entry, read_journal
+from bench.record.ledger import LEDGER, Ledger
+from bench.record.run_folder import MANIFEST, SIGNATURE
+from bench.record.storage import read_json, sha256_of, storage_errors
 
 # A person's own key: in a file, or in ssh-agent. It never belongs to a bench.
 

@@ -37,7 +37,7 @@ from bench.evidence.signers import (
     trust,
 )
 from bench.evidence.sshsig import KEY_TYPE, Ed25519Signer, fingerprint, key_text, key_type_of, strings
-from bench.records.storage import (
+from bench.record.storage import (
     locked_folder,
     make_folder,
     read_bounded,

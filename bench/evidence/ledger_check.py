@@ -15,13 +15,13 @@ from bench.base.errors import BenchError
 from bench.evidence.keys import KEY_FILE, read_public
 from bench.evidence.signers import SIGNERS_FILE, read_signers
 from bench.evidence.sshsig import read_signature
-from bench.records.events import Event
-from bench.records.ledger import Ledger
-from bench.records.ledger_marks import EXPLAIN, STILL_OPEN, KnownRun, LedgerRun, Strangers
-from bench.records.run_folder import MANIFEST, SIGNATURE, is_sealed
-from bench.records.run_index import RunIndex
-from bench.records.storage import sha256_of
-from bench.records.stored_run import StoredRun
+from bench.record.events import Event
+from bench.record.ledger import Ledger
+from bench.record.ledger_marks import EXPLAIN, STILL_OPEN, KnownRun, LedgerRun, Strangers
+from bench.record.run_folder import MANIFEST, SIGNATURE, is_sealed
+from bench.record.run_index import RunIndex
+from bench.record.storage import sha256_of
+from bench.record.stored_run import StoredRun
 
 _LARGEST_SIGNATURE_BYTES = 64 * 1024
 _CLOCK_SLACK = timedelta(minutes=10)

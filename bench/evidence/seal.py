@@ -24,9 +24,9 @@ from bench.base.errors import EvidenceError
 from bench.evidence.keys import BenchKey
 from bench.evidence.signers import NAMESPACE
 from bench.evidence.sshsig import fingerprint, is_valid, read_signature
-from bench.records.journal import CAPTURES
-from bench.records.run_folder import JOURNAL, MANIFEST, SIGNATURE, RunFolder, is_sealed
-from bench.records.storage import (
+from bench.record.journal import CAPTURES
+from bench.record.run_folder import JOURNAL, MANIFEST, SIGNATURE, RunFolder, is_sealed
+from bench.record.storage import (
     TEMPORARY,
     sha256_of,
     storage_errors,

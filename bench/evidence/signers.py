@@ -19,7 +19,7 @@ from typing import TypeVar
 
 from bench.base.errors import EvidenceError
 from bench.evidence.sshsig import KEY_TYPES, check_key, fingerprint, key_text, key_type_of
-from bench.records.storage import make_folder, storage_errors, write_atomic
+from bench.record.storage import make_folder, storage_errors, write_atomic
 
 # Refuse files on which the trust rests if other users can read or write them.
 #

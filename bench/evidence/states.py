@@ -20,9 +20,9 @@ from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAM
 from bench.evidence.signers import NAMESPACE
 from bench.evidence.sshsig import NotInstalled, fingerprint, is_valid, read_signature
 from bench.evidence.timestamp import Stamp, check_timestamps
-from bench.records.run_folder import JOURNAL, MANIFEST, PAGE_SIGNATURE, REPORT, RESULTS, SIGNATURE, is_sealed
-from bench.records.storage import read_json, storage_errors
-from bench.records.stored_run import StoredRun
+from bench.record.run_folder import JOURNAL, MANIFEST, PAGE_SIGNATURE, REPORT, RESULTS, SIGNATURE, is_sealed
+from bench.record.storage import read_json, storage_errors
+from bench.record.stored_run import StoredRun
 
 _PLACES = (("certificate.json", ("issued_utc",)), (RESULTS, ("run", "calibrated_utc")))
 _LAST_BYTES = 1 << 20

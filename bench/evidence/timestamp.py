@@ -19,8 +19,8 @@ from bench.base.errors import EvidenceError
 from bench.evidence.findings import Findings
 from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP, read_beside
 from bench.evidence.signers import refuse_writable_by_others
-from bench.records.run_folder import SIGNATURE
-from bench.records.storage import storage_errors
+from bench.record.run_folder import SIGNATURE
+from bench.record.storage import storage_errors
 
 if TYPE_CHECKING:
     from cryptography.x509 import Certificate

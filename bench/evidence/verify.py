@@ -22,16 +22,16 @@ from bench.evidence.key_trust import Trust
 from bench.evidence.seal import KINDS, NOT_LISTED, kind_of, list_files, read_manifest
 from bench.evidence.signers import Signer
 from bench.evidence.states import LARGEST_SEAL_BYTES, standing_of
-from bench.records.events import Event
-from bench.records.history import History
-from bench.records.journal import (
+from bench.record.events import Event
+from bench.record.history import History
+from bench.record.journal import (
     CAPTURES,
     CLOCK_JUMP_S,
     CLOCK_JUMPED,
     Capture,
     Entry,
 )
-from bench.records.run_folder import (
+from bench.record.run_folder import (
     CHECKED_COPY,
     EXPORTS,
     JOURNAL,
@@ -43,8 +43,8 @@ from bench.records.run_folder import (
     SEQUENCE_COPY,
     STATION_COPY,
 )
-from bench.records.storage import read_bounded, read_json, sha256_of, storage_errors
-from bench.records.stored_run import StoredRun
+from bench.record.storage import read_bounded, read_json, sha256_of, storage_errors
+from bench.record.stored_run import StoredRun
 
 _RUN_FILES = frozenset({RESULTS, REPORT, PLAN, SEQUENCE_COPY, STATION_COPY})
 """Files of runs; a folder that has them and no file of a kind is a run, or results, whose main file was removed."""
@@ -227,7 +227,7 @@ def _read_facts(results: Any, found: Verification) -> list[tuple[str, str]]:
 
 
 # An attacker who holds the bench's key can write the whole chain again. The checks here then still find
-# what he did not write consistently; `bench.results.again` compares the journal with what the
+# what he did not write consistently; `bench.solve.again` compares the journal with what the
 # recordings give.
 
 _WRITTEN = {RESULTS: "results", REPORT: "report", "views.h5": "views"}

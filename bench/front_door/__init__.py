@@ -23,14 +23,14 @@ from .own_packages import ForeignPackageError, require_own_packages
 
 if TYPE_CHECKING:
     from bench import __version__
-    from bench.results.run_reader import Pose, Run, load
+    from bench.solve.run_reader import Pose, Run, load
 
 __all__ = ["ForeignPackageError", "Pose", "Run", "__version__", "load"]
 
 _MODULES = {
-    "Pose": "bench.results.run_reader",
-    "Run": "bench.results.run_reader",
-    "load": "bench.results.run_reader",
+    "Pose": "bench.solve.run_reader",
+    "Run": "bench.solve.run_reader",
+    "load": "bench.solve.run_reader",
     "__version__": "bench",
 }
 _STOPPED_BY_CTRL_C = 128 + 2

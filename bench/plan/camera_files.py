@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from bench.base.errors import UsageError
 from bench.plan.camera_text import WRITE_OPENCV, OtherForm, numbers, values_of
-from bench.records.results import CameraData
-from bench.records.storage import read_bounded
-from bench.records.stored_calibration import camera_covariance, camera_of
+from bench.record.results import CameraData
+from bench.record.storage import read_bounded
+from bench.record.stored_calibration import camera_covariance, camera_of
 from calib.model.camera import PINHOLE, SKEW, CameraModel
 from calib.model.lens import FISHEYE, OPENCV, OPENCV_LENGTHS
 

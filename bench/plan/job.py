@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bench.base.errors import ScriptError
+from bench.measure.camera_kinds import CameraKind, camera_kind
+from bench.measure.expected_grid import grid_from_journal
+from bench.measure.gates import at_most, failed_gate_texts
 from bench.plan.plan import DEFAULT_MODEL, Plan, load_documents, make_plan
-from bench.records.events import AttemptChecked, CaptureStored
-from bench.records.history import Attempt
-from bench.records.run_folder import CHECKED_COPY, PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
+from bench.record.events import AttemptChecked, CaptureStored
+from bench.record.history import Attempt
+from bench.record.run_folder import CHECKED_COPY, PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
 from bench.simulated import SimulatedBench
 from bench.stations.station import Station
 from bench.stations.station_text import description_documents
-from bench.views.camera_kinds import CameraKind, camera_kind
-from bench.views.expected_grid import grid_from_journal
-from bench.views.gates import at_most, failed_gate_texts
 from calib.calibration import REFERENCE_MODELS, CalibrationOptions
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
@@ -29,7 +29,7 @@ from sequences.schema import ResultLimitConfig
 from sequences.script import ChooseStep, Flicker, LightStep, MoveStep, RecordStep, SettleStep, SolveStep, Step
 
 if TYPE_CHECKING:
-    from bench.views.measure import Measurement
+    from bench.measure.measure import Measurement
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ import numpy as np
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, EvidenceError, UsageError
 from bench.base.home import home_folder
-from bench.records.storage import storage_errors
+from bench.record.storage import storage_errors
 from bench.stations.station import Station
 from bench.stations.station_budget import CertificateConfig, CollimatorConfig
 from calib.calibration import REFERENCE_MODELS

@@ -14,13 +14,13 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import ScriptError
+from bench.measure.camera_kinds import recording_duration_s
 from bench.plan.passports import PassportChoice, choose_passport
 from bench.plan.script_check import angle_faults, check_script, find_simulation_faults, find_url_secrets
 from bench.plan.stated_camera import StatedCameraChoice, choose_stated_camera
 from bench.stations.sections import AxisConfig, FrameCameraConfig
 from bench.stations.station import Station, load_station
 from bench.stations.station_fields import find_placeholders
-from bench.views.camera_kinds import recording_duration_s
 from calib.model.passport import Passport
 from drivers.stage.motion import travel_time_s
 from sequences.errors import DocumentFaults
@@ -366,7 +366,7 @@ def _checked_beside(passport_copy: Path | None) -> Path | None:
     """Return where the folder of a run that has begun keeps the calibration to check; None for a new run."""
     if passport_copy is None:
         return None
-    from bench.records.run_folder import CHECKED_COPY  # a new plan needs no journal
+    from bench.record.run_folder import CHECKED_COPY  # a new plan needs no journal
 
     return passport_copy.with_name(CHECKED_COPY)
 

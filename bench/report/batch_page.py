@@ -12,8 +12,8 @@ from functools import partial
 from typing import Any
 from zoneinfo import ZoneInfo
 
-from bench.records.run_facts import REPEATS_TEXT, factors_text
-from bench.records.summaries import (
+from bench.record.run_facts import REPEATS_TEXT, factors_text
+from bench.record.summaries import (
     BatchSummary,
     CameraData,
     ItemData,
@@ -23,8 +23,8 @@ from bench.records.summaries import (
 )
 from bench.report.control_chart import chart_section, choose_drawn
 from bench.report.html import environment
-from bench.report.text import NOTHING, duration, fixed, number, with_uncertainty
 from bench.report.trend_plots import against_temperature, over_time, timeline
+from bench.wording.numbers import NOTHING, duration, fixed, number, with_uncertainty
 
 _K = 2.0
 """Of a slope."""

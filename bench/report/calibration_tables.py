@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from bench.records.results import (
+from bench.record.results import (
     AmplitudeData,
     BudgetRowData,
     CalibrationData,
@@ -16,17 +16,10 @@ from bench.records.results import (
     Results,
     WitnessData,
 )
-from bench.records.run_facts import coverage_factor
+from bench.record.run_facts import coverage_factor
 from bench.report.run_tables import parallax_rows
-from bench.report.text import (
-    NOTHING,
-    STARS,
-    TargetWords,
-    angle,
-    fixed,
-    number,
-    with_uncertainty,
-)
+from bench.wording.numbers import NOTHING, angle, fixed, number, with_uncertainty
+from bench.wording.target_words import STARS, TargetWords
 
 _SHOWN = ("fx", "worst_corner")
 _OF_STARS = "stars"

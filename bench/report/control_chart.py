@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.records.summaries import (
+from bench.record.summaries import (
     ChartData,
     ChartGroupData,
     ChartsData,
@@ -24,7 +24,7 @@ from bench.records.summaries import (
 from bench.report.html import environment
 from bench.report.svg_plot import FONT, INK, MUTED, POSE_COLOURS, Picture, Words, axes_in
 from bench.report.svg_scale import Array, Scale, tick_label, ticks
-from bench.report.text import with_uncertainty
+from bench.wording.numbers import with_uncertainty
 
 # A chart of many runs. What falls on the same place is drawn once, so the size of a picture is bounded, also with
 # thousands of runs.

@@ -10,26 +10,29 @@ from typing import Any
 
 import jinja2
 
-from bench.records.history import History
-from bench.records.results import Results
-from bench.records.run_facts import coverage_factor
-from bench.report import calibration_tables, pose_tables, run_tables, text
+from bench.measure.view_picture import ViewPicture
+from bench.record.history import History
+from bench.record.results import Results
+from bench.record.run_facts import coverage_factor
+from bench.report import calibration_tables, pose_tables, run_tables
 from bench.report.calibration_tables import amplitude_rows, witness_rows
+from bench.report.pictured_poses import PLOTS, pictured_poses, thinned
 from bench.report.pose_tables import courses, state_diagram
 from bench.report.run_tables import left
-from bench.report.text import NOTHING, TargetWords, moment, number, value_text, words_of
 from bench.report.verdict import change, verdict
-from bench.report.view_picture import PLOTS, ViewPicture, pictured_poses, thinned
+from bench.wording import numbers, parameters
+from bench.wording.numbers import NOTHING, moment, number, value_text
+from bench.wording.target_words import TargetWords, words_of
 
 _PRINTED: tuple[Callable[..., Any], ...] = (
     *(
-        text.number,
-        text.fixed,
-        text.duration,
-        text.with_uncertainty,
-        text.meaning_of,
-        text.unit_of,
-        text.unit_text,
+        numbers.number,
+        numbers.fixed,
+        numbers.duration,
+        numbers.with_uncertainty,
+        parameters.meaning_of,
+        parameters.unit_of,
+        parameters.unit_text,
     ),
     *(coverage_factor, pose_tables.status_of, pose_tables.angles, pose_tables.motion, pose_tables.image_text),
 )
@@ -72,7 +75,7 @@ def _result_parts(results: Results, words: TargetWords) -> dict[str, Any]:
     k = coverage_factor(calibration)
     return {
         "calibration": calibration,
-        "k": text.exact(round(k, 2)),
+        "k": numbers.exact(round(k, 2)),
         "passport": results.get("passport"),
         "inputs": run_tables.inputs(results),
         "change": change(results),
@@ -132,7 +135,7 @@ def _graphics(data: ReportData, words: TargetWords, *, draw: bool) -> dict[str, 
     return {
         "plots": plots,
         "stars": _star_counts(data.views),
-        "pictured": (text.number(pictured.shown), text.number(pictured.total)),
+        "pictured": (numbers.number(pictured.shown), numbers.number(pictured.total)),
         "pictures": pictures,
         "courses": courses(data.results.get("untils") or [], draw=draw),
     }
@@ -156,7 +159,7 @@ def environment() -> jinja2.Environment:
 def _star_counts(views: Sequence[ViewPicture]) -> tuple[str, str]:
     """Return the number of stars that the plots show, and the number of all stars."""
     drawn, every = (sum(len(view.ids) for view in some) for some in (thinned(views), views))
-    return text.number(drawn), text.number(every)
+    return numbers.number(drawn), numbers.number(every)
 
 
 def _css_text(value: object) -> str:

@@ -16,10 +16,12 @@ import numpy as np
 from markupsafe import Markup
 from numpy.typing import NDArray
 
-from bench.records.results import Results
-from bench.records.run_facts import coverage_factor
-from bench.records.stored_calibration import camera_covariance, camera_of
+from bench.measure.view_picture import ViewPicture
+from bench.record.results import Results
+from bench.record.run_facts import coverage_factor
+from bench.record.stored_calibration import camera_covariance, camera_of
 from bench.report.maps import GROUND, sensor_axes, sensor_map, shade_unsupported, supported_share
+from bench.report.pictured_poses import PLOTS, thinned
 from bench.report.pose_plot import (
     change_maps,
     distortion_curve,
@@ -43,8 +45,7 @@ from bench.report.svg_plot import (
     shade,
 )
 from bench.report.svg_scale import Scale
-from bench.report.text import STARS, TargetWords, words_of
-from bench.report.view_picture import PLOTS, ViewPicture, thinned
+from bench.wording.target_words import STARS, TargetWords, words_of
 from calib.model.result_parts import WORST_CORNER
 from calib.uncertainty.projection_uncertainty import (
     URAD_PER_ARCSEC,

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.records.results import CalibrationData, CameraData, Results
-from bench.records.run_facts import coverage_factor
-from bench.records.stored_calibration import camera_covariance, camera_of
+from bench.record.results import CalibrationData, CameraData, Results
+from bench.record.run_facts import coverage_factor
+from bench.record.stored_calibration import camera_covariance, camera_of
 from bench.report.svg_plot import INK, MUTED, PANEL, POSE_COLOURS, Axes, Key, Picture, Words, axes_in
 from bench.report.svg_scale import Scale, text_width
-from bench.report.text import STARS, TargetWords
+from bench.wording.target_words import STARS, TargetWords
 from calib.model.camera import CameraModel
 from calib.model.lens import is_fisheye
 from calib.model.result_parts import WORST_CORNER

@@ -15,23 +15,13 @@ from typing import Any
 
 from markupsafe import Markup
 
-from bench.records.events import GateData, ImageFacts, StateEntered, UntilDecided
-from bench.records.results import Numbers, PoseData
+from bench.record.events import GateData, ImageFacts, StateEntered, UntilDecided
+from bench.record.results import Numbers, PoseData
 from bench.report.svg_plot import INK, MUTED, WIDE, Axes, Picture, Words, axes_in
 from bench.report.svg_scale import Scale
-from bench.report.text import (
-    NOTHING,
-    STARS,
-    TargetWords,
-    beside_goal,
-    digits_beside,
-    duration,
-    fixed,
-    goals_text,
-    meaning_of_goal,
-    number,
-    value_text,
-)
+from bench.wording.goals import beside_goal, digits_beside, goals_text, meaning_of_goal
+from bench.wording.numbers import NOTHING, duration, fixed, number, value_text
+from bench.wording.target_words import STARS, TargetWords
 
 _VERDICTS = ("pass", "marginal", "fail")
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.records.events import FailureData, LedgerPlace
-from bench.records.history import DeviceEnd
-from bench.records.results import (
+from bench.record.events import FailureData, LedgerPlace
+from bench.record.history import DeviceEnd
+from bench.record.results import (
     CheckData,
     GimbalEstimateData,
     GimbalReadingsData,
@@ -18,17 +18,10 @@ from bench.records.results import (
     RunData,
 )
 from bench.report.pose_tables import gates
-from bench.report.text import (
-    NOTHING,
-    check_sentences,
-    exact,
-    goals_missed,
-    moment,
-    number,
-    value_text,
-    with_uncertainty,
-    words_of,
-)
+from bench.wording.camera_check import check_sentences
+from bench.wording.goals import goals_missed
+from bench.wording.numbers import NOTHING, exact, moment, number, value_text, with_uncertainty
+from bench.wording.target_words import words_of
 
 Rows = list[tuple[str, str]]
 

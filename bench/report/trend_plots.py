@@ -10,10 +10,10 @@ from textwrap import shorten
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.records.summaries import ItemData, PointData, TrendData
+from bench.record.summaries import ItemData, PointData, TrendData
 from bench.report.svg_plot import MUTED, POSE_COLOURS, Key, Picture, Place, Words, axes_in, write_legend
 from bench.report.svg_scale import Scale
-from bench.report.text import unit_of
+from bench.wording.parameters import unit_of
 
 Array = NDArray[np.float64]
 

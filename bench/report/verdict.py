@@ -7,21 +7,12 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from bench.records.results import CalibrationData, CameraData, ChangeData, Results
-from bench.records.run_facts import coverage_factor, factors_text
+from bench.record.results import CalibrationData, CameraData, ChangeData, Results
+from bench.record.run_facts import coverage_factor, factors_text
 from bench.report import calibration_tables, pose_tables, run_tables
-from bench.report.text import (
-    NOTHING,
-    angle_text,
-    conformity_headline,
-    conformity_sentences,
-    exact,
-    fixed,
-    moment,
-    number,
-    with_uncertainty,
-    words_of,
-)
+from bench.wording.conformity import conformity_headline, conformity_sentences
+from bench.wording.numbers import NOTHING, angle_text, exact, fixed, moment, number, with_uncertainty
+from bench.wording.target_words import words_of
 
 _DAY_S, _HOUR_S = 86400.0, 3600.0
 

@@ -19,13 +19,13 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from bench.base.clock import BenchClock
 from bench.base.errors import RunFolderError, StorageError
-from bench.records import events
-from bench.records.events import Commanded, Event
-from bench.records.history import History, RunLog
-from bench.records.inbox import Inbox, KnownBy, MessageId, Poller
-from bench.records.journal import lines_after
-from bench.records.run_folder import JOURNAL
-from bench.records.storage import is_locked, make_folder, storage_errors, sync_folder
+from bench.record import events
+from bench.record.events import Commanded, Event
+from bench.record.history import History, RunLog
+from bench.record.inbox import Inbox, KnownBy, MessageId, Poller
+from bench.record.journal import lines_after
+from bench.record.run_folder import JOURNAL
+from bench.record.storage import is_locked, make_folder, storage_errors, sync_folder
 from bench.run.heartbeat import CONTROL, HEARTBEAT, LAST_VIEW
 from sequences.schema import Answer
 

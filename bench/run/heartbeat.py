@@ -20,13 +20,13 @@ from typing import TYPE_CHECKING
 from bench.base.bounded_json import parse_json
 from bench.base.clock import BenchClock
 from bench.base.errors import StorageError
-from bench.records import events
-from bench.records.history import RunLog
-from bench.records.run_folder import RunFolder
-from bench.records.storage import TEMPORARY, read_bounded, storage_errors, write_atomic
+from bench.record import events
+from bench.record.history import RunLog
+from bench.record.run_folder import RunFolder
+from bench.record.storage import TEMPORARY, read_bounded, storage_errors, write_atomic
 
 if TYPE_CHECKING:
-    from bench.views.measure import Measurement
+    from bench.measure.measure import Measurement
     from calib.target import StarTarget
 
 # Processes as the Linux kernel reports them below ``/proc``: start time, waits for the disk, lack of

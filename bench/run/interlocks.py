@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 from bench.base.clock import BenchClock, Interrupted
 from bench.base.errors import InterlockHeld
-from bench.records.storage import storage_errors
-from bench.report.text import beside_goal
+from bench.record.storage import storage_errors
+from bench.wording.goals import beside_goal
 from drivers.errors import DriverError
 
 if TYPE_CHECKING:  # the model of the station file loads NumPy, which `status` does not need

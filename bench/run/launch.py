@@ -8,8 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import secrets
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
@@ -19,142 +18,41 @@ from typing import Any, TextIO
 from bench.base.clock import BenchClock, stop_on_signals
 from bench.base.errors import BenchError, RunFolderError, UsageError
 from bench.base.home import home_folder
+from bench.base.progress import Progress
 from bench.evidence.keys import BenchKey, key_to_seal, usable_key
-from bench.evidence.ledger_check import sealed_strangers
 from bench.evidence.seal import seal
-from bench.evidence.signers import NAMESPACE
-from bench.messaging.messages import Courier, Outbox
 from bench.plan.job import Job, documents_of
 from bench.plan.plan import Plan
-from bench.records.events import Event, LedgerPlace
-from bench.records.history import History, replay, way_on
-from bench.records.journal import Entry, Journal
-from bench.records.ledger import Ledger
-from bench.records.ledger_marks import EXPLAIN
-from bench.records.run_folder import (
-    PAGE_SIGNATURE,
+from bench.record.events import Event
+from bench.record.history import History, replay
+from bench.record.journal import Entry, Journal
+from bench.record.run_folder import (
     PLAN,
     REPORT,
     RunFolder,
     require_resumable,
 )
-from bench.records.run_index import RunIndex
-from bench.records.storage import storage_errors
-from bench.records.stored_run import StoredRun
-from bench.report.text import conformity_headline
-from bench.results.result import Outcome
-from bench.results.results_content import plugins_of_run, run_software
+from bench.record.stored_run import StoredRun
 from bench.run.control import remove_inbox
+from bench.run.ended_page import remove_ended_page, write_ended_page
 from bench.run.heartbeat import archive_crash, crash_log, read_crash
-from bench.run.runner import RunEnd, RunMessages, Runner
+from bench.run.ledger_entry import (
+    enter_in_ledger,
+    ledger_entry,
+    ledger_lines,
+    ledger_of,
+    refuse_broken_ledger,
+)
+from bench.run.run_messages import MakeSender, NoSender, RunMessages
+from bench.run.runner import RunEnd, Runner
 from bench.run.steps import intentions
+from bench.solve.result import Outcome
+from bench.solve.results_content import plugins_of_run, run_software
 from bench.stations.devices import Devices
 from bench.stations.station import PictureFolderConfig
-from bench.terminal.progress import Progress
+from bench.wording.conformity import conformity_headline
 from drivers.wire_log import WireLogFile
 from sequences.reader import OptionSettings
-
-# The page of a run that failed or was aborted, with the bench's signature of it.
-#
-# The folder is not sealed, so that the run can be continued. A resumed run removes page and signature.
-
-
-def write_ended_page(folder: RunFolder, key: Callable[[], BenchKey], say: Callable[[str], None]) -> None:
-    """Write and sign the page. A page that cannot be written is said; the run has ended in any case."""
-    from bench.report.html import render_ended
-
-    try:
-        run = StoredRun(folder.path)
-        if not run.history.ended:
-            return
-        way = way_on(run.history, folder.path)
-        page = render_ended(run.history, way, run.head, NAMESPACE).encode()
-        signature = key().sign(page, NAMESPACE)
-        folder.write_atomic(REPORT, page)
-        folder.write_atomic(PAGE_SIGNATURE, signature)
-    except BenchError as error:
-        say(f"The page of the run could not be written: {error}")
-
-
-def remove_ended_page(folder: RunFolder) -> None:
-    """Remove the page that an earlier end of the run has left."""
-    with storage_errors(folder.path):
-        if (folder.path / PAGE_SIGNATURE).exists():
-            (folder.path / REPORT).unlink(missing_ok=True)
-            (folder.path / PAGE_SIGNATURE).unlink()
-
-
-# The entry of a run in the bench's ledger: taken before the run does anything, completed however the run
-# ends.
-#
-# A break of the ledger is printed, journaled and reported. It stops a run only where the station says
-# ``ledger: strict``.
-
-
-def ledger_of(clock: BenchClock) -> Ledger:
-    """Return the ledger of this bench; its file may not exist."""
-    return Ledger(home_folder(), utc_now=clock.utc_now, monotonic=clock.monotonic)
-
-
-def refuse_broken_ledger(ledger: Ledger, job: Job) -> None:
-    """Refuse a run if its station is strict and the ledger has a break that nobody has explained."""
-    if job.station.ledger.strict:
-        ledger.refuse_break(job.station.ledger.anchor, sealed_strangers(ledger.home))
-
-
-def enter_in_ledger(ledger: Ledger, job: Job, folder: Path, known: LedgerPlace | None = None) -> LedgerPlace:
-    """Enter a run in the ledger if it is not there at ``known``, as where it began on another bench."""
-    station = job.station
-    anchor, strict = station.ledger.anchor, station.ledger.strict
-    strangers = sealed_strangers(ledger.home)
-    if known and ledger.contains(known):
-        refuse_broken_ledger(ledger, job)
-        faults, _ = ledger.breaks(anchor, strangers)
-        place: LedgerPlace = {
-            "number": known["number"],
-            "head": known["head"],
-            "of_camera": known["of_camera"],
-        }
-        if faults:
-            place["faults"] = [f"{fault} {EXPLAIN}" for fault in faults]
-    else:
-        place = ledger.begin(
-            run_id=folder.name,
-            folder=folder,
-            camera=station.camera.serial,
-            simulated=job.simulated,
-            anchor=anchor,
-            strict=strict,
-            strangers=strangers,
-        )
-    if ledger.warnings:
-        place["warnings"] = list(ledger.warnings)
-    return place
-
-
-def ledger_lines(place: LedgerPlace) -> list[str]:
-    """Return lines that the operator must know about the ledger before a run begins; usually none."""
-    faults = [f"FAULT OF THE LEDGER: {fault}" for fault in place.get("faults", ())]
-    return faults + [f"WARNING: {warning}" for warning in place.get("warnings", ())]
-
-
-@contextmanager
-def ledger_entry(ledger: Ledger, place: LedgerPlace, folder: Path) -> Iterator[Callable[[RunEnd], RunEnd]]:
-    """Write to the ledger how the run of the block ended; "failed" if the block raises."""
-    how = "failed"
-
-    def ending(end: RunEnd) -> RunEnd:
-        nonlocal how
-        how = end.how
-        return end
-
-    try:
-        yield ending
-    finally:
-        ledger.end(place["number"], how=how, folder=folder)
-        with suppress(BenchError):  # the index is made from journals: it can be made again
-            RunIndex(ledger.home).runs([folder])
-
 
 WIRE_LOG = "wire.jsonl"
 
@@ -168,6 +66,7 @@ class Launch:
     clock: BenchClock
     stream: TextIO | None = None  # Stream for progress; standard error by default
     ask_passphrase: AskPassphrase | None = None  # Asks for the passphrase of a protected signing key
+    sender: MakeSender = NoSender  # Sends the messages of the run; nothing is sent by default
 
 
 _SERIAL = "station.camera.serial"
@@ -345,8 +244,8 @@ def run_and_seal(
             progress.say(f"Created a signing key for this bench: {key.fingerprint}; see `starbench keys`.")
         for line in first_lines:
             progress.say(line)
-        courier = Courier(job.station.messages, Outbox(home_folder()), clock, progress.say)
-        messages = RunMessages(courier, folder.path, progress.say)
+        sender = launch.sender(job.station.messages, clock, progress.say)
+        messages = RunMessages(sender, folder.path, progress.say)
 
         try:
             with crash_log(folder.path):
@@ -364,7 +263,7 @@ def run_and_seal(
             messages.write("failure", f"failed: {type(error).__name__}: {error}", journal.head)
             raise
         finally:
-            courier.close()
+            sender.close()
     return end
 
 

@@ -11,9 +11,9 @@ from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, Literal, Protocol, Unpack, cast, get_args
 
-from bench.records.events import Circumstances, Entering, Event, LeftOff
-from bench.records.history import History
-from bench.records.journal import Entry
+from bench.record.events import Circumstances, Entering, Event, LeftOff
+from bench.record.history import History
+from bench.record.journal import Entry
 from sequences.script import PromptStep, SettleStep, WaitStep
 
 if TYPE_CHECKING:

@@ -9,12 +9,10 @@ from typing import Any, cast
 
 from bench.base.clock import BenchClock
 from bench.plan.job import Job
-from bench.records import events
-from bench.records.history import NOT_ASKED, DeviceEnd, RunLog, all_ends, lost_ends, unsafe_devices
-from bench.records.run_folder import RunFolder
-from bench.records.storage import storage_errors
-from bench.results.interim import Decide
-from bench.results.result import ResultWriter
+from bench.record import events
+from bench.record.history import NOT_ASKED, DeviceEnd, RunLog, all_ends, lost_ends, unsafe_devices
+from bench.record.run_folder import RunFolder
+from bench.record.storage import storage_errors
 from bench.run.interlocks import (
     CameraTemperature,
     DeviceLost,
@@ -25,6 +23,8 @@ from bench.run.interlocks import (
     Interlocks,
     loss_text,
 )
+from bench.solve.interim import Decide
+from bench.solve.result import ResultWriter
 from bench.stations.devices import Devices, left_devices
 from bench.stations.station_fields import InterlocksConfig
 from drivers.camera import EventCamera

@@ -12,88 +12,30 @@ from pathlib import Path
 from typing import Literal, NotRequired, TypedDict, cast
 
 from bench.base.clock import Aborted, BenchClock, Interrupted
-from bench.base.errors import FORESEEN, BenchError, Failure, StorageError
-from bench.messaging.messages import Courier
+from bench.base.errors import FORESEEN, Failure, StorageError
+from bench.base.progress import Progress
 from bench.plan.job import DEVICE_STEPS, Job, ScriptStep
-from bench.records import events
-from bench.records.events import Entering, FailureData, LeftOff
-from bench.records.history import DeviceEnd, RunLog, way_on
-from bench.records.journal import Journal
-from bench.records.run_folder import RunFolder
-from bench.report.text import decision_text
-from bench.results.interim import Decide, decide_until
-from bench.results.result import Outcome, ResultWriter
+from bench.record import events
+from bench.record.events import Entering, FailureData, LeftOff
+from bench.record.history import DeviceEnd, RunLog, way_on
+from bench.record.journal import Journal
+from bench.record.run_folder import RunFolder
 from bench.run.control import CommandInbox
 from bench.run.heartbeat import BusyWatch, HeartbeatWriter
-from bench.run.interlocks import Interlocks, Trip, interlock_text, loss_text
+from bench.run.interlocks import Interlocks, Trip, loss_text
 from bench.run.machine import RunMachine
 from bench.run.run_devices import RunContext, RunDevices, interlocks_of
+from bench.run.run_messages import HoldNotifier
 from bench.run.states import StateWork
-from bench.run.status import RunPlan, read_status, status_text
+from bench.run.status import RunPlan
 from bench.run.steps import Steps, pose_names, poses_crashed_too_often, steps_to_do
+from bench.solve.interim import Decide, decide_until
+from bench.solve.result import Outcome, ResultWriter
 from bench.stations.devices import Devices
-from bench.terminal.progress import Progress
+from bench.wording.goals import decision_text
 from drivers.errors import CameraLost, PortLost, ReplyTimeout
 from drivers.lateness import LatenessData
 from sequences.script import ChooseStep, RecordStep, WaitStep
-
-HOLD_NOTIFY_INTERVAL_S = 600.0
-"""Shortest time between two notifications about holds by the same interlock, s."""
-
-
-@dataclass(frozen=True)
-class RunMessages:
-    """Writes messages about one run; ``say`` prints why one could not be written, and the run continues."""
-
-    courier: Courier
-    folder: Path
-    say: Callable[[str], None]
-
-    def write(self, occasion: str, what: str, key: str) -> None:
-        """Write a message on ``failure``, ``hold`` or ``end``, if wanted; ``key`` is the line's hash."""
-        if not self.courier.is_wanted(occasion):
-            return
-        try:
-            status = read_status(self.folder)
-        except BenchError as error:
-            self.say(f"A message could not be written: {error}")
-            return
-        simulated = " (SIMULATED)" if status.simulated else ""
-        subject = f"Starbench: run {status.run_id}{simulated} {what}"
-        self.courier.write(
-            occasion,
-            subject,
-            status_text(status),
-            run=status.run_id,
-            folder=self.folder,
-            key=key,
-            place=status.place,
-        )
-
-
-class HoldNotifier:
-    """Notifies absent people that a run holds, about the same interlock not too often."""
-
-    def __init__(self, clock: BenchClock, notify: Callable[[str, str, str], None]) -> None:
-        self._clock = clock
-        self._notify = notify
-        self._notified_s: dict[str, float] = {}
-
-    def entering(self, facts: Entering, line: str) -> None:
-        """Notify that the run holds. A door that opens again and again does not cause a hundred messages."""
-        rule, now_s = str(facts.get("rule", "")), self._clock.monotonic()
-        if rule and now_s - self._notified_s.get(rule, -HOLD_NOTIFY_INTERVAL_S) < HOLD_NOTIFY_INTERVAL_S:
-            return
-        self._notified_s[rule] = now_s
-        self._notify("hold", _waits_for(facts), line)
-
-
-def _waits_for(facts: Entering) -> str:
-    """Return what a run that holds waits for."""
-    if "rule" in facts:
-        return f"is held by the {interlock_text(facts['rule'])} interlock: {facts['why']}"
-    return f"is held by {facts['by']}" if "by" in facts else "asks the operator a question"
-
 
 LOST_DEVICE_ERRORS = (PortLost, CameraLost, ReplyTimeout)
 """Errors of a device that was lost, or no longer answers."""
@@ -124,7 +66,7 @@ class RunEnd:
     failure: Failure | None = None
     opened: bool = False  # Whether the devices were open at some time
     devices: Sequence[DeviceEnd] = ()
-    way_on: tuple[str, str] = ("", "")  # What helps after a run that did not finish (`bench.records.history`)
+    way_on: tuple[str, str] = ("", "")  # What helps after a run that did not finish (`bench.record.history`)
 
 
 class Runner:

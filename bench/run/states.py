@@ -11,18 +11,18 @@ from typing import Any, Final, cast
 
 from bench.base.clock import Aborted
 from bench.base.errors import PreflightFailed
+from bench.base.progress import Reply, ask
+from bench.measure.expected_grid import grid_from_earlier_poses
+from bench.measure.measure import Measurement
 from bench.plan.job import Job, ScriptStep
-from bench.records import events
-from bench.records.journal import capture_name
-from bench.records.run_folder import recover, written_files
+from bench.record import events
+from bench.record.journal import capture_name
+from bench.record.run_folder import recover, written_files
 from bench.run.heartbeat import leave_view
 from bench.run.interlocks import Trip, interlock_text
 from bench.run.machine import State
 from bench.run.run_devices import RunContext
 from bench.stations.devices import Devices
-from bench.terminal.progress import Reply, ask
-from bench.views.expected_grid import grid_from_earlier_poses
-from bench.views.measure import Measurement
 from drivers.camera import CameraIdentity
 from drivers.camera.usb_permission import LEAST_MBIT_S
 from drivers.errors import NotHomed

@@ -9,11 +9,12 @@ from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from bench.base.encoding import clock_text, counted, times
 from bench.base.errors import RunFolderError, StorageError
 from bench.base.home import home_folder
 from bench.evidence.authorisation import known_authorisations
 from bench.evidence.states import home_trust, shown_state
-from bench.records.events import (
+from bench.record.events import (
     AttemptChecked,
     Commanded,
     ComputerBusy,
@@ -24,16 +25,16 @@ from bench.records.events import (
     RunEnded,
     RunResumed,
 )
-from bench.records.history import NO_END, NOT_ASKED, DeviceEnd, History, all_ends, lost_ends, way_on
-from bench.records.journal import Entry
-from bench.records.run_facts import estimates, factors_text
-from bench.records.run_folder import PLAN
-from bench.records.storage import is_locked, read_json
-from bench.records.stored_run import StoredRun
-from bench.report.text import decision_text, goals_missed, reached_text, with_uncertainty
+from bench.record.history import NO_END, NOT_ASKED, DeviceEnd, History, all_ends, lost_ends, way_on
+from bench.record.journal import Entry
+from bench.record.run_facts import estimates, factors_text
+from bench.record.run_folder import PLAN
+from bench.record.storage import is_locked, read_json
+from bench.record.stored_run import StoredRun
 from bench.run.interlocks import interlock_text
 from bench.run.machine import END_STATES, TimeLeft
-from bench.terminal.encoding import clock_text, counted, times
+from bench.wording.goals import decision_text, goals_missed, reached_text
+from bench.wording.numbers import with_uncertainty
 from drivers.lateness import LatenessData
 
 

@@ -9,17 +9,17 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Unpack
 
+from bench.base.encoding import counted
 from bench.base.errors import PoseFailed
 from bench.plan.job import Job, ParkStep, ScriptStep
-from bench.records import events
-from bench.records.events import Circumstances
-from bench.records.history import NO_END, History, count_crash
-from bench.records.journal import capture_name
-from bench.report.text import goals_text
+from bench.record import events
+from bench.record.events import Circumstances
+from bench.record.history import NO_END, History, count_crash
+from bench.record.journal import capture_name
 from bench.run.machine import RunMachine, Trigger
 from bench.run.run_devices import RunContext
 from bench.run.status import RunPlan
-from bench.terminal.encoding import counted
+from bench.wording.goals import goals_text
 from drivers.errors import RecordingFailed
 from sequences.script import (
     ChooseStep,

@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 
 from bench.base.clock import BenchClock
 from bench.base.errors import UsageError
+from bench.measure.camera_kinds import camera_kind
 from bench.stations.devices import Devices
 from bench.stations.station import Station
-from bench.views.camera_kinds import camera_kind
 from drivers.camera import EventCamera
 from drivers.camera.event_arrays import Events, Triggers
 from drivers.camera.raw_file import RawFile

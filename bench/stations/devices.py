@@ -13,7 +13,7 @@ from typing import Any, Final, Literal, cast
 
 from bench.base.clock import Aborted, BenchClock
 from bench.base.errors import SimulationError
-from bench.records.history import NOT_ASKED, DeviceEnd, DeviceName, lost_ends, unsafe_devices
+from bench.record.history import NOT_ASKED, DeviceEnd, DeviceName, lost_ends, unsafe_devices
 from bench.simulated import SimulatedBench
 from bench.stations import station as station_file
 from bench.stations.sections import EventCameraSection, FrameCameraSection, PortName

@@ -35,11 +35,11 @@ from quick_runs import THREE, write_sequence, write_station
 from varied_runs import make_runs
 
 from bench.base.home import forms
-from bench.cluster.processes import Processes
-from bench.cluster.recalculation import TABLE, Recalculation, ResultsFolders
-from bench.cluster.tasks import Place, Task, find_places, find_view
-from bench.cluster.work import Serial, Work
-from bench.results.offline_options import OfflineOptions
+from bench.extras.many.processes import Processes
+from bench.extras.many.recalculation import TABLE, Recalculation, ResultsFolders
+from bench.extras.many.tasks import Place, Task, find_places, find_view
+from bench.extras.many.work import Serial, Work
+from bench.solve.offline_options import OfflineOptions
 
 ROOT = Path(__file__).parents[2]
 

@@ -23,15 +23,15 @@ from typing import Any
 import measured
 
 from bench.base.home import forms
-from bench.cluster.recalculation import ResultsFolders
-from bench.cluster.tasks import Place, Task, list_recordings
 from bench.evidence.keys import create_key
-from bench.records.storage import sha256_of
-from bench.results.offline import OfflineResult, calibrate_sources
-from bench.results.offline_folder import offline_files
-from bench.results.offline_options import OfflineOptions
-from bench.results.view_sources import view_sources
-from bench.views.views_file import pack_view
+from bench.extras.many.recalculation import ResultsFolders
+from bench.extras.many.tasks import Place, Task, list_recordings
+from bench.measure.views_file import pack_view
+from bench.record.storage import sha256_of
+from bench.solve.offline import OfflineResult, calibrate_sources
+from bench.solve.offline_folder import offline_files
+from bench.solve.offline_options import OfflineOptions
+from bench.solve.view_sources import view_sources
 from drivers.camera.raw_file import RawFile
 
 POSES_OF_A_NIGHT, RUNS_OF_A_NIGHT = 540, 60

@@ -20,7 +20,7 @@ import monte_carlo
 
 from bench.base.home import forms
 from bench.plan.plan import load_documents, make_plan
-from bench.results.forecasts import expected_bench
+from bench.solve.forecasts import expected_bench
 from calib.calibration import CalibrationOptions
 
 

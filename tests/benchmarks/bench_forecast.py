@@ -21,7 +21,7 @@ from typing import Any
 import measured
 import numpy as np
 
-from bench.results.solve_options import limited_numbers
+from bench.solve.solve_options import limited_numbers
 from calib.calibration import CalibrationOptions
 from calib.engine import calibrate
 from calib.errors import CalibrationError

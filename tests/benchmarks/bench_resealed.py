@@ -19,7 +19,7 @@ from bench.evidence.keys import load_key
 from bench.evidence.ledger_check import ledger_faults_of_run
 from bench.evidence.signers import read_signers
 from bench.plan.job import Job
-from bench.records.ledger import Ledger
+from bench.record.ledger import Ledger
 from tests.unit.bench.evidence.attack_steps import checked
 from tests.unit.bench.evidence.attacked_run import kept_in_memory, make_run
 from tests.unit.bench.evidence.resealed import Forger, copied

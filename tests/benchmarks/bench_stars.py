@@ -101,7 +101,7 @@ def draw(path: Path, image: Any, view: View, errors: Any) -> None:
 
 def solve(recording: Path, found: Path) -> None:
     """Find the stars of a recording some times; write the CPU seconds and the view. Runs in a process of its own."""
-    from bench.views.measure import EventData, find_stars, read_events, whole_image
+    from bench.measure.measure import EventData, find_stars, read_events, whole_image
     from calib.stars.rim import downweight_vignetted
     from drivers.camera.event_arrays import Events, Triggers
 

@@ -19,8 +19,8 @@ from pathlib import Path
 import numpy as np
 
 from bench.base.clock import VirtualClock
-from bench.records.stored_calibration import camera_of
-from bench.rehearsal.rehearsal import rehearse_run
+from bench.extras.batch.rehearsal import rehearse_run
+from bench.record.stored_calibration import camera_of
 from calib.uncertainty.projection_uncertainty import camera_difference
 
 CASES = ("simulated", "simulated_ideal")

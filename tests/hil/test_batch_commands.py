@@ -8,10 +8,10 @@ import pytest
 from running import called
 
 from bench.base.clock import BenchClock
-from bench.batch.batch_record import BatchEvent
-from bench.records.journal import Journal
-from bench.records.run_folder import JOURNAL
-from bench.records.run_index import QUEUE_COPY
+from bench.extras.batch.batch_record import BatchEvent
+from bench.record.journal import Journal
+from bench.record.run_folder import JOURNAL
+from bench.record.run_index import QUEUE_COPY
 
 ROOT = Path(__file__).parents[2]
 QUEUE = """\

@@ -12,8 +12,8 @@ import pytest
 from quick_runs import write_sequence, write_station
 from running import PATIENCE_S, journal, numbers, starbench, start
 
-from bench.records.journal import read_journal
-from bench.records.storage import sha256_of
+from bench.record.journal import read_journal
+from bench.record.storage import sha256_of
 from bench.run.heartbeat import read_heartbeat
 
 KILLS = int(os.environ.get("STARBENCH_KILLS", "300"))

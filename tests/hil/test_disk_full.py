@@ -10,8 +10,8 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.base.errors import StorageError
-from bench.records.journal import CAPTURE_STORED, Journal, capture_name, read_journal, stored_captures
-from bench.records.run_folder import RunFolder
+from bench.record.journal import CAPTURE_STORED, Journal, capture_name, read_journal, stored_captures
+from bench.record.run_folder import RunFolder
 
 CLOCKS = {"utc_now": lambda: datetime.now(UTC), "monotonic": time.monotonic}
 

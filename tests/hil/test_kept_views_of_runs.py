@@ -5,9 +5,9 @@ from click.testing import CliRunner
 from quick_runs import THREE, write_sequence, write_station
 
 from bench.commands.cli import cli
-from bench.results.offline_options import OfflineOptions
-from bench.results.view_sources import view_sources
-from bench.views.views_file import FOLDER, KeptViews, pack_view, view_key
+from bench.measure.views_file import FOLDER, KeptViews, pack_view, view_key
+from bench.solve.offline_options import OfflineOptions
+from bench.solve.view_sources import view_sources
 
 pytestmark = pytest.mark.slow
 
@@ -18,7 +18,7 @@ def test_views_of_a_run_are_kept_and_equal_to_those_found_again(tmp_path, monkey
     words = ["run", files[0], "-s", files[1], "--seed", 1, "-o", tmp_path / "run"]
     assert not CliRunner().invoke(cli, [str(word) for word in words], standalone_mode=False).exception
     monkeypatch.setattr(
-        "bench.views.measure.motion_px", None
+        "bench.measure.measure.motion_px", None
     )  # gates of a run need it, a calibration does not
     kept = KeptViews(tmp_path / "home" / FOLDER)
     for source in view_sources(tmp_path / "run", OfflineOptions()):

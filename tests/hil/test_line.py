@@ -15,9 +15,9 @@ from quick_runs import THREE, TWELVE, write_sequence, write_station
 from running import called, journal
 
 from bench.base.errors import UsageError
-from bench.panel.line import Line
-from bench.panel.panel_app import panel_app
-from bench.records.events import Event
+from bench.extras.panel.line import Line
+from bench.extras.panel.panel_app import panel_app
+from bench.record.events import Event
 from bench.web.guard import PageToken
 
 PATIENCE_MS = 90_000

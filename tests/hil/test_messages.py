@@ -8,7 +8,7 @@ from quick_runs import THREE, write_sequence, write_station
 from running import called, results
 from servers import MailServer, WebServer, serving
 
-from bench.messaging.messages import DeliveryFailed, Message, channels_of, send
+from bench.extras.batch.messages import DeliveryFailed, Message, channels_of, send
 from bench.stations.station_fields import AppriseConfig, MailConfig, MessagesConfig, WebhookConfig
 
 MESSAGE = Message(

@@ -16,8 +16,8 @@ from pages import served
 from quick_runs import write_sequence, write_station
 from running import end_when, entering, journal, start
 
-from bench.panel.panel_app import panel_app
-from bench.records.journal import read_journal
+from bench.extras.panel.panel_app import panel_app
+from bench.record.journal import read_journal
 from bench.web.guard import PageToken
 
 PATIENCE_S = 60.0

@@ -12,8 +12,8 @@ from typing import Any, ClassVar
 
 import pytest
 
-from bench.plugin_tests import CameraContract, FrameCameraContract, LightContract, StageContract
-from bench.plugin_tests.stages import DeviceTime
+from bench.extras.plugin_tests import CameraContract, FrameCameraContract, LightContract, StageContract
+from bench.extras.plugin_tests.stages import DeviceTime
 from simulators.assembly import make_light, make_stage
 from simulators.cameras.evk4 import SimulatedEvk4
 from simulators.cameras.frame_camera import SimulatedFrameCamera

@@ -18,8 +18,8 @@ import pytest
 from own_disk import Disk
 
 from bench.base.errors import BenchError
-from bench.records.journal import Journal, read_journal, stored_captures
-from bench.records.run_folder import RunFolder, recover
+from bench.record.journal import Journal, read_journal, stored_captures
+from bench.record.run_folder import RunFolder, recover
 
 WRITER = """
 import hashlib, os, sys, time
@@ -27,10 +27,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 if sys.argv[2] == "careless":
     os.fsync = lambda descriptor: None
-from bench.records.journal import Journal
-from bench.records.journal import CAPTURE_STORED, capture_name
-from bench.records.run_folder import recover
-from bench.records.run_folder import RunFolder
+from bench.record.journal import Journal
+from bench.record.journal import CAPTURE_STORED, capture_name
+from bench.record.run_folder import recover
+from bench.record.run_folder import RunFolder
 clocks = {"utc_now": lambda: datetime.now(UTC), "monotonic": time.monotonic}
 path = Path(sys.argv[1])
 NOTES = 5

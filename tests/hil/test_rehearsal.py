@@ -8,12 +8,12 @@ from station_texts import PLAIN
 
 from bench.base.clock import BenchClock, VirtualClock
 from bench.base.errors import RunFolderError, ScriptError, UsageError
-from bench.batch.batch import Batch, rehearse_batch
-from bench.batch.batch_plan import plan_batch, read_queue
-from bench.batch.supervisor import WorkerEnd
-from bench.records.journal import read_journal
-from bench.records.run_index import read_run_and_details
-from bench.rehearsal.rehearsal import rehearse_run
+from bench.extras.batch.batch import Batch, rehearse_batch
+from bench.extras.batch.batch_plan import plan_batch, read_queue
+from bench.extras.batch.rehearsal import rehearse_run
+from bench.extras.batch.supervisor import WorkerEnd
+from bench.record.journal import read_journal
+from bench.record.run_index import read_run_and_details
 from bench.run.launch import Launch, read_intentions, resume_run
 from bench.stations.station import SHIPPED_STATIONS
 

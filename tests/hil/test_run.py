@@ -12,7 +12,7 @@ import pytest
 from quick_runs import THREE, THREE_NAMED, write_sequence, write_station
 from running import called, end_when, entering, journal, numbers, results, starbench, start
 
-from bench.results.run_reader import load
+from bench.solve.run_reader import load
 
 SEED = 7
 

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import numpy as np
 import pytest
 
-from bench.views.measure import measure
+from bench.measure.measure import measure
 from calib.target import StarTarget
 from drivers.camera import CameraSettings
 from drivers.camera.raw_file import RawFile

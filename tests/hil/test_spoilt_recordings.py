@@ -8,8 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bench.views.gates import recording_gates, rejection_reasons
-from bench.views.measure import measure
+from bench.measure.gates import recording_gates, rejection_reasons
+from bench.measure.measure import measure
 from drivers.camera import RecordingFacts
 from drivers.camera.raw_file import RawFile
 from sequences.schema import GateConfig

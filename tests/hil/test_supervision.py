@@ -15,7 +15,7 @@ from servers import WebServer, serving
 from station_texts import PLAIN
 
 from bench.base.clock import Aborted, BenchClock
-from bench.batch.supervisor import OUT_OF_MEMORY, POLL_S, SILENCE_S, adopt, supervise
+from bench.extras.batch.supervisor import OUT_OF_MEMORY, POLL_S, SILENCE_S, adopt, supervise
 from bench.run.heartbeat import out_of_memory_kills, read_crash
 from bench.simulated import SimulatedBench
 from bench.stations.devices import make_orphans_safe, open_light
@@ -125,10 +125,10 @@ from pathlib import Path
 from bench.base.clock import BenchClock
 from bench.run.control import CommandInbox
 from bench.run.heartbeat import HeartbeatWriter
-from bench.records.events import Event
-from bench.records.history import RunLog
-from bench.records.journal import Journal
-from bench.records.run_folder import RunFolder
+from bench.record.events import Event
+from bench.record.history import RunLog
+from bench.record.journal import Journal
+from bench.record.run_folder import RunFolder
 clock = BenchClock()
 with RunFolder.create(Path(sys.argv[1])) as folder:
     with Journal.create(folder.journal_path, utc_now=clock.utc_now, monotonic=clock.monotonic) as journal:
@@ -186,7 +186,7 @@ def test_a_stop_asked_of_the_next_supervisor_reaches_the_worker_it_found(tmp_pat
 
 def test_what_the_system_ended_for_want_of_memory_counts_as_a_crash(tmp_path, monkeypatch):
     kills = iter([3, 4])
-    monkeypatch.setattr("bench.batch.supervisor.out_of_memory_kills", lambda: next(kills))
+    monkeypatch.setattr("bench.extras.batch.supervisor.out_of_memory_kills", lambda: next(kills))
     folder = tmp_path / "run"
     folder.mkdir()
     command = [sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGKILL)"]

@@ -3,10 +3,10 @@
 import pytest
 from certificate_sample import LAB, NOW, verified, write_sealed_run
 
-from bench.certificate.issue import Laboratory, amend, issue
-from bench.certificate.series import numbers
 from bench.evidence.keys import ensure_key
-from bench.records.ledger import Ledger
+from bench.extras.certificate.issue import Laboratory, amend, issue
+from bench.extras.certificate.series import numbers
+from bench.record.ledger import Ledger
 from sequences.errors import DocumentFaults
 
 FIRST = "SIMULATED-SB-2026-00001"

@@ -6,7 +6,10 @@ import json
 from datetime import UTC, datetime
 from pathlib import Path
 
-from bench.certificate.certificate_data import (
+from bench.evidence.findings import Verification
+from bench.evidence.keys import ensure_key
+from bench.evidence.seal import seal_folder
+from bench.extras.certificate.certificate_data import (
     Amends,
     BeforeAdjustment,
     Certificate,
@@ -15,14 +18,11 @@ from bench.certificate.certificate_data import (
     Run,
     ValueBefore,
 )
-from bench.certificate.compose import Identity, compose
-from bench.certificate.dcc import render_dcc
-from bench.certificate.lab_config import lab_of
-from bench.certificate.sealed_run import stated_run
-from bench.evidence.findings import Verification
-from bench.evidence.keys import ensure_key
-from bench.evidence.seal import seal_folder
-from bench.records.journal import Journal
+from bench.extras.certificate.compose import Identity, compose
+from bench.extras.certificate.dcc import render_dcc
+from bench.extras.certificate.lab_config import lab_of
+from bench.extras.certificate.sealed_run import stated_run
+from bench.record.journal import Journal
 
 RESULTS = Path(__file__).with_name("certificate_results.json")
 """results.json of a sealed simulated run of three poses, without the truth."""

@@ -19,13 +19,13 @@ PACKAGES = ("bench", "calib", "drivers", "sequences", "simulators")
 PLUGIN_API = {
     "bench/front_door/__init__.py": "*",
     "bench/front_door/own_packages.py": "*",
-    "bench/results/run_reader.py": "Pose Run load",
+    "bench/solve/run_reader.py": "Pose Run load",
     "bench/stations/sections.py": "AxisConfig AnyStage StageSection AnyLight LightSection BiasesConfig EventCameraConfig"
     " EventCameraSection FrameCameraConfig FrameCameraSection",
-    "bench/plugin_tests/__init__.py": "*",
-    "bench/plugin_tests/cameras.py": "*",
-    "bench/plugin_tests/rig.py": "*",
-    "bench/plugin_tests/stages.py": "*",
+    "bench/extras/plugin_tests/__init__.py": "*",
+    "bench/extras/plugin_tests/cameras.py": "*",
+    "bench/extras/plugin_tests/rig.py": "*",
+    "bench/extras/plugin_tests/stages.py": "*",
     "drivers/stage/__init__.py": "*",
     "drivers/light/__init__.py": "*",
     "drivers/camera/__init__.py": "*",

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from bench.results.forecasts import expected_bench
+from bench.solve.forecasts import expected_bench
 from bench.stations.station import load_station
 from calib.studies.predicted_views import predicted_view
 

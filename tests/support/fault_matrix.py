@@ -18,13 +18,13 @@ import pytest
 from rehearsed import TWO, Journal, Scene, with_runner
 from run_faults import FAULTS, Died, Fault, command
 
-import bench.rehearsal.rehearsal
+import bench.extras.batch.rehearsal
 from bench.base.clock import VirtualClock
 from bench.base.errors import StorageError
-from bench.records.events import Event
-from bench.records.history import replay
-from bench.records.journal import read_journal, stored_captures
-from bench.records.storage import sha256_of
+from bench.record.events import Event
+from bench.record.history import replay
+from bench.record.journal import read_journal, stored_captures
+from bench.record.storage import sha256_of
 
 STATES = (
     "preflight",
@@ -199,14 +199,14 @@ _SOLVED: list[object] = []
 
 def _quick_solution(patch):
     """Solve once for all runs: what is computed is not the matter here."""
-    calibrate = bench.rehearsal.rehearsal.calibrate
+    calibrate = bench.extras.batch.rehearsal.calibrate
 
     def once(views, options):
         if not _SOLVED:
             _SOLVED.append(calibrate(views, options))
         return _SOLVED[0]
 
-    patch.setattr(bench.rehearsal.rehearsal, "calibrate", once)
+    patch.setattr(bench.extras.batch.rehearsal, "calibrate", once)
 
 
 @contextmanager

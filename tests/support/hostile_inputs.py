@@ -160,11 +160,6 @@ def main() -> None:
     watched = given.folder / "canary"
     watched.mkdir()
     (watched / "victim.txt").write_text("keep me\n")
-    import bench.commands.calibrate
-    import bench.commands.cli
-    import bench.results.offline
-    import bench.results.offline_folder
-    import bench.run.launch  # noqa: F401 - loaded once, before the forks
     from bench.base.home import set_kernel_cache
 
     set_kernel_cache(os.environ)

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.clock import BenchClock
-from bench.records.history import RunLog
-from bench.records.journal import FIRST_PREV, Journal, decode_line, encode_line
-from bench.records.storage import lock_folder
+from bench.record.history import RunLog
+from bench.record.journal import FIRST_PREV, Journal, decode_line, encode_line
+from bench.record.storage import lock_folder
 from bench.run.control import CommandInbox
 
 BEGIN = datetime(2026, 3, 1, 20, tzinfo=UTC)

@@ -2,11 +2,11 @@
 
 from datetime import UTC, datetime, timedelta
 
-from bench.batch.batch import Batch, worker_command
-from bench.batch.supervisor import WorkerEnd
-from bench.records.events import Event
-from bench.records.journal import Journal
-from bench.records.run_folder import RunFolder
+from bench.extras.batch.batch import Batch, worker_command
+from bench.extras.batch.supervisor import WorkerEnd
+from bench.record.events import Event
+from bench.record.journal import Journal
+from bench.record.run_folder import RunFolder
 from sequences.queue import JobConfig, Queue
 from sequences.reader import check_document
 

@@ -5,12 +5,12 @@ from importlib import resources
 
 import typst
 
-from bench.certificate.pdf import document
+from bench.extras.certificate.pdf import document
 
 
 def value_of(expression, data=None):
     """Return the value of an expression of `content.typ`, in which ``d`` is the document."""
-    folder = resources.files("bench.certificate")
+    folder = resources.files("bench.extras.certificate")
     main = (
         '#import "content.typ"\n#import "content_numbers.typ"\n#let d = json("document.json")\n'
         f"#metadata({expression}) <found>"

@@ -5,14 +5,14 @@ from functools import partial
 
 from quick_runs import write_sequence, write_station
 
-import bench.rehearsal.rehearsal
+import bench.extras.batch.rehearsal
 from bench.base.clock import VirtualClock
+from bench.extras.batch.rehearsal import RehearsedJob, rehearse_job
+from bench.extras.batch.virtual_devices import VirtualDevices
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
-from bench.records.events import Event
-from bench.records.journal import Journal, UnsyncedJournal, read_journal
-from bench.rehearsal.rehearsal import RehearsedJob, rehearse_job
-from bench.rehearsal.virtual_devices import VirtualDevices
+from bench.record.events import Event
+from bench.record.journal import Journal, UnsyncedJournal, read_journal
 from bench.run.runner import Runner
 
 BEGIN = datetime(2026, 3, 1, 20, tzinfo=UTC)
@@ -99,7 +99,7 @@ def with_runner(scene, monkeypatch):
             super().__init__(*words, **more)
             scene.runner = self
 
-    monkeypatch.setattr(bench.rehearsal.rehearsal, "Runner", Known)
+    monkeypatch.setattr(bench.extras.batch.rehearsal, "Runner", Known)
     return scene
 
 

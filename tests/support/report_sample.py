@@ -6,8 +6,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from bench.measure.view_picture import ViewPicture
 from bench.report.html import ReportData
-from bench.report.view_picture import ViewPicture
 from calib.model.camera import CameraModel
 from calib.target import StarTarget
 

@@ -6,9 +6,9 @@ import cv2
 import numpy as np
 from rehearsed import Scene
 
-from bench.rehearsal.rehearsal import RehearsedKind
-from bench.results.result import ResultWriter
-from bench.views.measure import Measurement, StoredImage
+from bench.extras.batch.rehearsal import RehearsedKind
+from bench.measure.measure import Measurement, StoredImage
+from bench.solve.result import ResultWriter
 
 POSES = (
     "[{name: left, pan_deg: -5}, {name: right, pan_deg: 5}, {name: above, tilt_deg: 2, pan_deg: 1},"
@@ -44,8 +44,8 @@ def write_solved_run(folder, *, model="spherical", poses=POSES, end=END):
         )
 
     with (
-        mock.patch("bench.rehearsal.rehearsal.RehearsedResults", ResultWriter),
-        mock.patch("bench.results.result.render_report", return_value="<!DOCTYPE html>"),  # it takes seconds
+        mock.patch("bench.extras.batch.rehearsal.RehearsedResults", ResultWriter),
+        mock.patch("bench.solve.result.render_report", return_value="<!DOCTYPE html>"),  # it takes seconds
         mock.patch.object(RehearsedKind, "measure", measured),
     ):
         ended = scene.run()

@@ -18,8 +18,8 @@ TAKES_APART = {
     "startswith", "removeprefix",
 }  # fmt: skip
 ALLOWED = {
-    "bench/certificate/check.py": "also.startswith",  # the form of a fixed text, not a fact in it
-    "bench/certificate/lab_config.py": "self.recalibration.startswith",  # what a person writes and the page prints
+    "bench/extras/certificate/check.py": "also.startswith",  # the form of a fixed text, not a fact in it
+    "bench/extras/certificate/lab_config.py": "self.recalibration.startswith",  # what a person writes and the page prints
     "bench/report/calibration_tables.py": "str(line).partition",  # the engine states sources and effects as lines
 }
 

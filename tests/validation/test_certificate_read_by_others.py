@@ -13,9 +13,9 @@ from xml.etree import ElementTree as ET
 import numpy as np
 import pytest
 
-from bench.certificate.certificate_data import Deviation
-from bench.certificate.pdf import draw_plots, render_pdf
-from bench.report.view_picture import ViewPicture
+from bench.extras.certificate.certificate_data import Deviation
+from bench.extras.certificate.pdf import draw_plots, render_pdf
+from bench.measure.view_picture import ViewPicture
 from tests.support.certificate_sample import RESULTS, full_certificate, sample_results, small_certificate
 from tests.support.printed_numbers import missing_numbers, missing_texts, squash
 

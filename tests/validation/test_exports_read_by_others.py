@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from exported_camera import calibration
 
-from bench.results.exports import exports
+from bench.solve.exports import exports
 
 RAYS = [[0.0, 0.0, 1.0], [0.15, -0.1, 1.0], [-0.2, 0.08, 1.1], [0.05, 0.11, 0.9], [0.19, 0.1, 1.0]]
 MRCAL = """

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bench.views.measure import measure
+from bench.measure.measure import measure
 from calib.errors import FlickerNotFound, TargetNotFound
 from calib.events.event_image import make_images
 from calib.events.flicker import Flicker, flicker_from_triggers

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.records.events import Event
+from bench.record.events import Event
 from bench.run.machine import STATES
 
 ROOT = Path(__file__).parents[3]

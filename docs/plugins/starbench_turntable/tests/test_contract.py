@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 from starbench_turntable.simulated import SimulatedTurntable
 
-from bench.plugin_tests import StageContract
+from bench.extras.plugin_tests import StageContract
 
 
 class TestTurntable(StageContract):

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 
+from bench.measure.camera_kinds import EventKind
+from bench.measure.measure import edge_angle_deg, measure
 from bench.stations.station import load_station
-from bench.views.camera_kinds import EventKind
-from bench.views.measure import edge_angle_deg, measure
 from drivers.camera import RecordingFacts
 from drivers.camera.raw_file import RawFile
 from sequences.schema import GateConfig

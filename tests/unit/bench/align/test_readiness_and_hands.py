@@ -9,8 +9,8 @@ from bench.align import readiness
 from bench.align.open_bench import SimulatedHands
 from bench.align.readiness import check_readiness
 from bench.base.errors import ControlRefused
-from bench.views.gates import Gate
-from bench.views.measure import Measurement
+from bench.measure.gates import Gate
+from bench.measure.measure import Measurement
 from drivers.errors import LightFault
 
 

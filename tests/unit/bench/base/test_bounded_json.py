@@ -10,20 +10,20 @@ import bench
 from bench.base import bounded_json
 from bench.base.bounded_json import MOST_LEVELS, parse_json
 from bench.base.errors import StorageError
-from bench.records.storage import MOST_BYTES, read_bounded, read_json
+from bench.record.storage import MOST_BYTES, read_bounded, read_json
 
 OWN_DATA = {
     "align/open_bench.py",  # answers of the simulated bench, a process of our own
     "base/bounded_json.py",
-    "certificate/issue.py",  # text that was written a line before
-    "certificate/pdf.py",
+    "extras/certificate/issue.py",  # text that was written a line before
+    "extras/certificate/pdf.py",
     "commands/certificate.py",
     "commands/status.py",  # channel of a message, from our own outbox
-    "messaging/messages.py",
-    "records/inbox.py",  # bounded size; pydantic bounds the depth
-    "records/run_index.py",  # text that the index wrote
-    "results/compare_numbers.py",
-    "results/exports.py",
+    "extras/batch/messages.py",
+    "record/inbox.py",  # bounded size; pydantic bounds the depth
+    "record/run_index.py",  # text that the index wrote
+    "solve/compare_numbers.py",
+    "solve/exports.py",
     "simulated.py",  # a process of our own
     "web/guard.py",  # bodies of at most 16 kB
     "web/pages.py",

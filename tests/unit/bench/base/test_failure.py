@@ -12,9 +12,9 @@ from rehearsed import Scene
 
 from bench.base.errors import FORESEEN, BenchError, Failure, JournalBroken, StorageError
 from bench.commands.run import show_run
-from bench.records.events import Event
-from bench.records.history import DeviceEnd, replay
-from bench.records.journal import read_journal
+from bench.record.events import Event
+from bench.record.history import DeviceEnd, replay
+from bench.record.journal import read_journal
 from bench.run.runner import RunEnd
 from bench.run.status import line_text, read_status
 from bench.run.steps import intentions
@@ -155,7 +155,7 @@ def test_a_run_that_fails_again_on_a_full_disk_and_needs_no_device_keeps_what_ea
     def full(*_):
         raise StorageError("The disk is full.", where="views.h5", remedy="Make room.")
 
-    monkeypatch.setattr("bench.rehearsal.rehearsal.RehearsedResults.write", full)
+    monkeypatch.setattr("bench.extras.batch.rehearsal.RehearsedResults.write", full)
     scene = Scene(tmp_path, poses=THREE, end=END)
     for opened, head in (
         (True, "The bench is safe; each device confirmed it:"),

@@ -265,7 +265,7 @@ def test_with_json_an_invalid_argument_is_an_object_too(say, words):
 
 
 def test_characters_that_a_stream_cannot_show_are_replaced():
-    program = "from bench.terminal.encoding import replace_unencodable as s; import sys; s(sys.stdout);"
+    program = "from bench.base.encoding import replace_unencodable as s; import sys; s(sys.stdout);"
     program += "print('3345.3 \u00b1 1.2, \u22120.9, \u674e')"
     said = subprocess.run(
         [sys.executable, "-c", program],

@@ -9,8 +9,8 @@ from running import called
 from bench.base.errors import UsageError
 from bench.commands.convert import convert
 from bench.commands.workers import CountLine
-from bench.results.offline_options import OfflineOptions
-from bench.results.view_sources import view_sources
+from bench.solve.offline_options import OfflineOptions
+from bench.solve.view_sources import view_sources
 from drivers.camera.raw_file import RawFile
 
 WORDS = np.array([0x8001, 0x6002, 0x0005, 0x2803, 0xB000, 0x9999, 0x2004], "<u2").tobytes()

@@ -9,8 +9,8 @@ from calling import out_of, refusal
 from expected_stars import expected_views, write_points
 
 from bench.plan.plan import load_documents, make_plan
-from bench.results.expectations import expected_uncertainty
-from bench.results.forecasts import expected_bench, suggest_poses
+from bench.solve.expectations import expected_uncertainty
+from bench.solve.forecasts import expected_bench, suggest_poses
 from bench.stations.station import load_station
 
 POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2)]
@@ -118,7 +118,7 @@ def test_one_view_without_a_known_collimator_says_what_it_can_see(capsys, points
 def test_a_rig_without_a_common_pose_is_refused_before_any_calibration(capsys, points, tmp_path, monkeypatch):
     for file in points[0].iterdir():
         (tmp_path / f"other-{file.name}").write_bytes(file.read_bytes())
-    monkeypatch.setattr("bench.results.solution.calibrate", lambda *_: pytest.fail("calibrated"))
+    monkeypatch.setattr("bench.solve.solution.calibrate", lambda *_: pytest.fail("calibrated"))
     said = refusal(capsys, "rig", points[0], tmp_path, "--image-size", "1280x720")
     assert "share no pose: view1, view2, view3, view4, view5 and other-view1," in said
 
@@ -193,8 +193,8 @@ def test_a_recording_is_converted_completely_and_never_overwrites_a_file(
 
 
 def test_a_capture_shorter_than_its_journal_states_is_refused(tmp_path):
-    from bench.records.journal import Journal
-    from bench.results.view_sources import refuse_truncated
+    from bench.record.journal import Journal
+    from bench.solve.view_sources import refuse_truncated
     from drivers.errors import RecordingCorrupt
 
     path = tmp_path / "captures" / "pose-001-attempt-1.raw"

@@ -16,8 +16,8 @@ from bench.evidence.keys import create_key, load_key
 from bench.evidence.seal import seal
 from bench.evidence.signers import RevokedKey, read_signers, revoke
 from bench.evidence.states import home_trust, shown_state
-from bench.records.ledger import Ledger
-from bench.records.run_folder import RunFolder
+from bench.record.ledger import Ledger
+from bench.record.run_folder import RunFolder
 
 pytestmark = needs_ssh_keygen
 

@@ -9,11 +9,11 @@ from certificate_sample import LAB, verified, write_sealed_run
 from click.testing import CliRunner
 
 from bench.base.errors import BenchError, UsageError
-from bench.certificate import issue as issue_module
-from bench.certificate.lab_config import LabConfig
 from bench.commands import certificate
 from bench.commands.cli import cli
-from bench.records.ledger import Ledger
+from bench.extras.certificate import issue as issue_module
+from bench.extras.certificate.lab_config import LabConfig
+from bench.record.ledger import Ledger
 from sequences.errors import DocumentFaults
 
 FIRST, SECOND = "SIMULATED-SB-2026-00001", "SIMULATED-SB-2026-00002"
@@ -45,8 +45,8 @@ def bench(tmp_path, monkeypatch):
         mock.patch.object(issue_module, "certificate_files", quick_files),
         mock.patch.object(certificate, "verify_sealed", verified),
         mock.patch.object(certificate, "datetime", LaterClock),
-        mock.patch("bench.records.ledger.bench_ledger", return_value=ledger),
-        mock.patch("bench.certificate.pdf.plots_of_run", return_value={}),
+        mock.patch("bench.record.ledger.bench_ledger", return_value=ledger),
+        mock.patch("bench.extras.certificate.pdf.plots_of_run", return_value={}),
     ):
         yield tmp_path
 

@@ -9,7 +9,7 @@ import pytest
 from click.shell_completion import get_completion_class
 
 from bench.commands.cli import cli
-from bench.records.events import Event
+from bench.record.events import Event
 from tests.unit.bench.run.test_status import Run
 
 PLOTS_AND_ENGINE = {"matplotlib", "cv2", "numba"}

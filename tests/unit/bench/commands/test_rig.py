@@ -12,7 +12,7 @@ from drawn_rig import BOARD as CORNERS_MM
 from drawn_rig import Drawn
 
 from bench.commands.cli import main
-from bench.results.exports import camera_info
+from bench.solve.exports import camera_info
 from calib.model.rotation import exp_map, log_map
 from calib.target import StarTarget
 

@@ -17,13 +17,13 @@ import pytest
 from terminal_screen import Screen
 
 from bench.base.clock import BenchClock
-from bench.batch.batch_summary import BatchStatus
+from bench.base.progress import Block
 from bench.commands.status import status
+from bench.extras.batch.batch_summary import BatchStatus
 from bench.plan.plan import load_documents, make_plan
-from bench.records.events import Event
-from bench.records.journal import Journal
-from bench.records.run_folder import RunFolder
-from bench.terminal.progress import Block
+from bench.record.events import Event
+from bench.record.journal import Journal
+from bench.record.run_folder import RunFolder
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals")
 FOLLOW = [sys.executable, "-m", "bench", "status", "--follow"]
@@ -207,7 +207,9 @@ def test_a_followed_batch_prints_what_has_changed_and_returns_its_end(tmp_path, 
         replace(first, current_run="a-001: recording"),
         replace(first, running=False, ended="aborted", why="by ada@lab", current_run=""),
     ]
-    monkeypatch.setattr("bench.batch.batch_summary.follow_batch", lambda _folder, *, ticks: iter(statuses))
+    monkeypatch.setattr(
+        "bench.extras.batch.batch_summary.follow_batch", lambda _folder, *, ticks: iter(statuses)
+    )
     assert status.callback(tmp_path, follow=True, summary=False) == 3
     lines = capsys.readouterr().out.splitlines()
     assert lines[:4] == [

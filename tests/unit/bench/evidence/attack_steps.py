@@ -9,10 +9,10 @@ import h5py
 import numpy as np
 
 from bench.evidence.verify import verify_folder
+from bench.measure.views_file import read_views
 from bench.plan.job import Job
-from bench.results.again import check_run_again
-from bench.results.recorded_with import check_recorded_with
-from bench.views.views_file import read_views
+from bench.solve.again import check_run_again
+from bench.solve.recorded_with import check_recorded_with
 
 CAPTURE = "captures/pose-00%d-attempt-1.raw"
 ADDR_X = 2
@@ -258,9 +258,9 @@ def forged_focal_length(f):
 
 def rederive(f, job):
     """Put right what follows from the calibration, as the program does."""
-    from bench.records.stored_calibration import stored_calibration
-    from bench.results.results_content import projection
-    from bench.results.solution import compare_with_truth
+    from bench.record.stored_calibration import stored_calibration
+    from bench.solve.results_content import projection
+    from bench.solve.solution import compare_with_truth
 
     results = f.results
     calibration = stored_calibration(results["calibration"])

@@ -11,11 +11,11 @@ from quick_runs import write_sequence, write_station
 
 from bench.base.clock import BenchClock
 from bench.base.home import HOME_VARIABLE
+from bench.measure.camera_kinds import EventKind
 from bench.plan.job import Job
 from bench.report import plots
-from bench.results.solution import solve_run
 from bench.run.launch import Launch, start_run
-from bench.views.camera_kinds import EventKind
+from bench.solve.solution import solve_run
 
 POSES = (
     "[{name: left, pan_deg: -6, tilt_deg: 2}, {name: right, pan_deg: 6, tilt_deg: 2},"
@@ -67,7 +67,7 @@ def kept_in_memory():
         mock.patch("bench.report.plots.report_plots", report_plots),
         mock.patch.object(Job, "read_truth", read_truth),
         mock.patch.object(EventKind, "measure", measure_one),
-        mock.patch("bench.results.again.solve_run", solve_one),
+        mock.patch("bench.solve.again.solve_run", solve_one),
     ):
         yield
 

@@ -8,13 +8,13 @@ from datetime import datetime
 from bench.base.bounded_json import canonical_json
 from bench.evidence.seal import make_manifest
 from bench.evidence.signers import NAMESPACE
-from bench.records.journal import FIRST_PREV, encode_line, read_journal
-from bench.records.run_folder import written_files
-from bench.records.stored_calibration import stored_calibration
+from bench.measure.views_file import read_views, views_file
+from bench.record.journal import FIRST_PREV, encode_line, read_journal
+from bench.record.run_folder import written_files
+from bench.record.stored_calibration import stored_calibration
 from bench.report.html import ReportData, render_report
-from bench.report.view_picture import pictured_poses
-from bench.results.exports import exports
-from bench.views.views_file import read_views, views_file
+from bench.report.pictured_poses import pictured_poses
+from bench.solve.exports import exports
 
 
 def kinds(verification):

@@ -10,11 +10,11 @@ import pytest
 from bench.evidence.keys import create_key, load_key
 from bench.evidence.ledger_check import ledger_faults_of_run, sealed_strangers
 from bench.evidence.seal import seal
-from bench.records.events import Event
-from bench.records.journal import Journal
-from bench.records.ledger import Ledger
-from bench.records.run_folder import RunFolder
-from bench.records.run_index import RunIndex
+from bench.record.events import Event
+from bench.record.journal import Journal
+from bench.record.ledger import Ledger
+from bench.record.run_folder import RunFolder
+from bench.record.run_index import RunIndex
 from tests.unit.bench.evidence.resealed import reseal, writable
 
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}

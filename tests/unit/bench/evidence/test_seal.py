@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from bench.base.errors import EvidenceError, RunFolderError, StorageError
 from bench.evidence.seal import list_files, make_manifest, read_manifest, seal
 from bench.evidence.sshsig import is_valid, read_signature, string, strings
-from bench.records.journal import Journal
-from bench.records.run_folder import RunFolder
+from bench.record.journal import Journal
+from bench.record.run_folder import RunFolder
 from bench.run.launch import seal_finished
 
 # ------------------------------------------------------------------ signatures

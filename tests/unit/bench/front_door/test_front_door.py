@@ -10,7 +10,7 @@ import pytest
 import bench.front_door
 from bench.front_door import ForeignPackageError
 from bench.front_door.own_packages import PACKAGES, require_own_packages
-from bench.results.run_reader import Pose, Run, load
+from bench.solve.run_reader import Pose, Run, load
 
 ROOT = Path(__file__).parents[4]
 DOORS = {"command": ["-c", "import starbench; starbench.main()"], "module": ["-m", "bench"]}

@@ -8,7 +8,7 @@ import yaml
 from solved_run import write_solved_run
 
 from bench.plan.camera_files import NotACamera, read_camera_file
-from bench.records.storage import read_json
+from bench.record.storage import read_json
 
 GEOMETRY = {
     "type": "pinhole",

@@ -17,9 +17,9 @@ from bench.evidence.seal import read_passport_seal, seal_passport
 from bench.plan.job import Job, calibration_options, documents_of
 from bench.plan.passports import parse_passport, passport_bytes, read_passport_file
 from bench.plan.plan import load_documents, make_plan
-from bench.plan.plan_text import render_plan
-from bench.records.run_folder import PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
-from bench.results.passports import seal_file, seals_of, write_passport
+from bench.record.run_folder import PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
+from bench.solve.passports import seal_file, seals_of, write_passport
+from bench.wording.plan_text import render_plan
 from calib.model.passport import Passport
 
 TODAY = date(2026, 6, 1)

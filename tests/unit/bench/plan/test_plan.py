@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from station_texts import PLAIN
 
 from bench.base.errors import ScriptError
+from bench.measure.camera_kinds import periods_in_window, recording_duration_s
 from bench.plan.plan import POSE_BYTES, REPORT_BYTES, load_documents, make_plan
-from bench.plan.plan_text import duration_text, render_plan
 from bench.stations.station import SHIPPED_STATIONS, Station
-from bench.views.camera_kinds import periods_in_window, recording_duration_s
+from bench.wording.plan_text import duration_text, render_plan
 from drivers.stage.motion import travel_time_s
 from sequences.errors import DocumentFaults
 from sequences.reader import check_document

@@ -8,11 +8,11 @@ from flat import flatten
 from station_texts import PLAIN
 
 from bench.base.errors import ScriptError, UsageError
-from bench.batch.batch_plan import read_job, read_queue
+from bench.extras.batch.batch_plan import read_job, read_queue
 from bench.plan.job import Job, ParkStep, calibration_options
 from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
-from bench.plan.plan_text import render_plan
 from bench.stations.station import OpenCvCameraConfig
+from bench.wording.plan_text import render_plan
 from calib.calibration import LossName, ModelName
 from calib.model.camera import DISTORTION_SETS, SKEW
 from calib.model.lens import BROWN, FISHEYE

@@ -5,9 +5,9 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
-from bench.records.run_facts import Estimate, IndexedRun, parameters_data
+from bench.record.run_facts import Estimate, IndexedRun, parameters_data
 from bench.report.batch_page import render_batch
-from bench.results.trends import by_camera, fit_slope, trends_of
+from bench.solve.trends import by_camera, fit_slope, trends_of
 from tests.unit.bench.report.structure import Structure
 
 EVENING = datetime(2026, 3, 1, 19, tzinfo=UTC)

@@ -10,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from report_sample import SMALL, of_many_poses
 
+from bench.measure.view_picture import ViewPicture
 from bench.report.html import ReportData, render_report
+from bench.report.pictured_poses import pictured_poses, thinned
 from bench.report.plots import residual_vectors
-from bench.report.view_picture import ViewPicture, pictured_poses, thinned
 from tests.support.printed_text import printed_text
 
 MOST = 24

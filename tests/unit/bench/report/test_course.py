@@ -8,7 +8,8 @@ from report_sample import SMALL, sample
 from bench.report.html import ReportData, render_report
 from bench.report.pose_tables import courses
 from bench.report.run_tables import alerts
-from bench.report.text import MINUS, NOTHING, decision_text, goals_text, missed_text, reached_text
+from bench.wording.goals import decision_text, goals_text, missed_text, reached_text
+from bench.wording.numbers import MINUS, NOTHING
 from tests.support.printed_text import printed_text
 
 WANTED = {"expanded_fx_px": 2.0, "worst_corner_px": 0.3}

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.records.stored_calibration import camera_covariance, camera_of
+from bench.record.stored_calibration import camera_covariance, camera_of
 from bench.report.maps import reach_px, round_levels, sensor_map, star_distance
 from bench.report.pose_plot import (
     displacement,

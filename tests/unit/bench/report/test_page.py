@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from report_sample import of_many_poses
 
+from bench.measure.view_picture import ViewPicture
 from bench.report.html import ReportData, render_report
-from bench.report.view_picture import ViewPicture
 from tests.unit.bench.report.structure import Structure
 
 

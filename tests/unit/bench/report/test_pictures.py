@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from report_sample import SMALL
 
+from bench.measure.view_picture import ViewPicture
 from bench.report.plots import residual_vectors
 from bench.report.pose_tables import state_diagram
-from bench.report.view_picture import ViewPicture
 from tests.unit.bench.report.structure import Structure
 
 

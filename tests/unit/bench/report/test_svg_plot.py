@@ -10,11 +10,11 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from bench.measure.view_picture import ViewPicture
 from bench.report.maps import outlines
 from bench.report.plots import deviations_from_truth, regions, residual_vectors
 from bench.report.svg_plot import Key, Picture, Words, axes_in
 from bench.report.svg_scale import Scale, log_ticks, text_width, tick_labels, ticks
-from bench.report.view_picture import ViewPicture
 from tests.unit.bench.report.structure import Structure
 
 # ---------------------------------------------------------------- the frame

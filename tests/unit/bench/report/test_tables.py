@@ -9,7 +9,7 @@ import pytest
 from certificate_sample import sample_results
 from report_sample import SMALL, sample
 
-from bench.certificate.run_facts import further_of, results_of
+from bench.extras.certificate.run_facts import further_of, results_of
 from bench.report.calibration_tables import (
     amplitude_rows,
     budget_rows,
@@ -21,7 +21,7 @@ from bench.report.calibration_tables import (
 )
 from bench.report.html import ReportData, render_report
 from bench.report.run_tables import boresight_rows, inputs, passport_rows, readings_rows
-from bench.report.text import NOTHING
+from bench.wording.numbers import NOTHING
 from calib.model.result_parts import COMMON_FIELD as COMMON_ERRORS
 from calib.model.result_parts import Boresight
 from calib.model.rotation import exp_map

@@ -7,7 +7,7 @@ import pytest
 from report_sample import SMALL, sample
 
 from bench.report.html import ReportData, render_report
-from bench.report.text import BOARD, STARS
+from bench.wording.target_words import BOARD, STARS
 from tests.support.printed_text import printed_text
 
 STAR = re.compile(r"(?<![\w-])[Ss]tars?\b")

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from report_sample import COLLIMATOR, SIGMA, SMALL, TRUE
 
-from bench.records.stored_calibration import camera_of
+from bench.record.stored_calibration import camera_of
 from bench.report.html import ReportData, render_report
-from bench.report.text import with_uncertainty
+from bench.wording.numbers import with_uncertainty
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
 from tests.support.printed_text import printed_text
 

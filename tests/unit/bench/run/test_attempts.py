@@ -3,11 +3,11 @@
 from quick_runs import END, THREE, write_sequence
 from rehearsed import TWO, Scene, with_runner
 
-from bench.records.events import Event
-from bench.records.history import replay
-from bench.records.journal import read_journal
-from bench.results.results_content import journal_content
+from bench.record.events import Event
+from bench.record.history import replay
+from bench.record.journal import read_journal
 from bench.run.control import Command
+from bench.solve.results_content import journal_content
 
 
 def doomed(folder, on_failure, attempts=2):

@@ -12,12 +12,12 @@ from pydantic import ValidationError
 
 from bench.base.clock import Aborted, BenchClock
 from bench.base.errors import RunFolderError, StorageError
-from bench.records import inbox as inbox_module
-from bench.records.events import Entering, Event
-from bench.records.history import Attempt, History, RunLog, replay
-from bench.records.journal import Journal, read_journal
-from bench.records.run_folder import RunFolder
-from bench.records.storage import is_locked
+from bench.record import inbox as inbox_module
+from bench.record.events import Entering, Event
+from bench.record.history import Attempt, History, RunLog, replay
+from bench.record.journal import Journal, read_journal
+from bench.record.run_folder import RunFolder
+from bench.record.storage import is_locked
 from bench.run.control import CONTROL, Command, CommandInbox, command_text, refusal, send
 
 POSES = {1: "left", 2: "right", 3: "below"}

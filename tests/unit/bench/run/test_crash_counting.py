@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import pytest
 
 from bench.base.clock import BenchClock
-from bench.records.events import Event
-from bench.records.history import replay
-from bench.records.journal import Journal, read_journal
-from bench.records.run_folder import RunFolder
+from bench.record.events import Event
+from bench.record.history import replay
+from bench.record.journal import Journal, read_journal
+from bench.record.run_folder import RunFolder
 from bench.run import launch
 from bench.run.heartbeat import CRASH_LOG, write_crash_log
 from bench.run.launch import Launch, resume_run

@@ -8,11 +8,11 @@ from bench.base.errors import EvidenceError
 from bench.evidence.keys import create_key
 from bench.evidence.signers import read_signers
 from bench.evidence.verify import verify_folder
-from bench.records.events import Event
-from bench.records.journal import Journal
-from bench.records.run_folder import JOURNAL, PAGE_SIGNATURE, REPORT, RunFolder
-from bench.report.text import NOTHING
-from bench.run.launch import remove_ended_page, write_ended_page
+from bench.record.events import Event
+from bench.record.journal import Journal
+from bench.record.run_folder import JOURNAL, PAGE_SIGNATURE, REPORT, RunFolder
+from bench.run.ended_page import remove_ended_page, write_ended_page
+from bench.wording.numbers import NOTHING
 from tests.unit.bench.report.structure import cells
 
 NOW = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)

@@ -10,8 +10,8 @@ from types import SimpleNamespace
 import pytest
 
 from bench.base.clock import BenchClock
-from bench.records.events import ComputerBusy, Event
-from bench.records.journal import Entry
+from bench.record.events import ComputerBusy, Event
+from bench.record.journal import Entry
 from bench.run import heartbeat
 from bench.run.heartbeat import (
     CONTROL,

@@ -4,9 +4,9 @@ import pytest
 from rehearsed import Scene, with_runner
 
 from bench.base.clock import VirtualClock
-from bench.records.events import Event
+from bench.record.events import Event
 from bench.run.interlocks import Interlocks
-from bench.run.runner import HoldNotifier
+from bench.run.run_messages import HoldNotifier
 from bench.run.status import read_status, status_text
 
 
@@ -161,7 +161,7 @@ def test_a_warm_camera_cools_down_and_the_run_continues(tmp_path):
         return 60.0 - 0.1 * max(0.0, now_s - 3.0) if now_s > 3.0 else 30.0
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bench.rehearsal.virtual_devices.VirtualCamera.temperature_c", celsius)
+        patch.setattr("bench.extras.batch.virtual_devices.VirtualCamera.temperature_c", celsius)
         end = scene.run()
     assert end.how == "finished", end.why
     (released,) = scene.told(Event.INTERLOCK_RELEASED)
@@ -172,7 +172,7 @@ def test_a_warm_camera_cools_down_and_the_run_continues(tmp_path):
 def test_stray_light_holds_the_run_until_it_is_dark_again(tmp_path, monkeypatch):
     words = "\ninterlocks: {event_rate: {max_mev_s: 50, release_mev_s: 5, max_hold_s: 900}}\n"
     scene = Scene(tmp_path, station=words)
-    from bench.rehearsal.virtual_devices import VirtualCamera
+    from bench.extras.batch.virtual_devices import VirtualCamera
 
     record = VirtualCamera.record
 

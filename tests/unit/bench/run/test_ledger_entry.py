@@ -6,14 +6,9 @@ from types import SimpleNamespace
 import pytest
 
 from bench.base.errors import EvidenceError
-from bench.records.ledger import Ledger
+from bench.record.ledger import Ledger
 from bench.report.run_tables import identification
-from bench.run.launch import (
-    enter_in_ledger,
-    ledger_entry,
-    ledger_lines,
-    refuse_broken_ledger,
-)
+from bench.run.ledger_entry import enter_in_ledger, ledger_entry, ledger_lines, refuse_broken_ledger
 from bench.run.runner import RunEnd
 from bench.stations.station import LedgerConfig
 

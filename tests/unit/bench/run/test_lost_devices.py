@@ -6,9 +6,9 @@ import pytest
 from rehearsed import TWO, Scene
 
 from bench.commands.run import show_run
-from bench.records.events import Event
-from bench.records.history import DEVICES, NOT_ASKED, replay
-from bench.records.journal import Journal, read_journal
+from bench.record.events import Event
+from bench.record.history import DEVICES, NOT_ASKED, replay
+from bench.record.journal import Journal, read_journal
 from bench.report import run_tables
 from bench.run.run_devices import NOT_REOPENED
 from bench.run.states import NOT_STATED, connections

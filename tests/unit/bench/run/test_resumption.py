@@ -5,9 +5,9 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.plan.job import Job
-from bench.records.events import Event
-from bench.records.history import History, replay
-from bench.records.journal import Journal
+from bench.record.events import Event
+from bench.record.history import History, replay
+from bench.record.journal import Journal
 from bench.run.steps import (
     intentions,
     poses_crashed_too_often,

@@ -20,10 +20,10 @@ from hypothesis.stateful import (
 from rehearsed import Scene, with_runner
 
 from bench.base.clock import VirtualClock
-from bench.records.events import Event
-from bench.records.history import replay
-from bench.records.journal import UnsyncedJournal, read_journal, stored_captures
-from bench.records.storage import sha256_of
+from bench.record.events import Event
+from bench.record.history import replay
+from bench.record.journal import UnsyncedJournal, read_journal, stored_captures
+from bench.record.storage import sha256_of
 from bench.run.control import Command
 from bench.run.machine import EDGES
 from drivers.errors import (

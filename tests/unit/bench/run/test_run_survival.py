@@ -7,8 +7,8 @@ import pytest
 from rehearsed import Scene
 
 from bench.base.clock import VirtualClock
-from bench.records.events import Event
-from bench.records.journal import CLOCK_JUMPED, read_journal
+from bench.record.events import Event
+from bench.record.journal import CLOCK_JUMPED, read_journal
 
 
 def accepted(scene):

@@ -9,16 +9,16 @@ import pytest
 from rehearsed import Scene, with_runner
 
 from bench.base.errors import RunFolderError
+from bench.base.progress import Reply
 from bench.commands.status import follow
+from bench.measure.measure import Measurement, StoredImage
 from bench.plan.plan import load_documents, make_plan
-from bench.records.events import Commanded, Event
-from bench.records.journal import Journal
-from bench.records.run_folder import RunFolder
+from bench.record.events import Commanded, Event
+from bench.record.journal import Journal
+from bench.record.run_folder import RunFolder
 from bench.run.control import inbox_of
 from bench.run.heartbeat import CONTROL, LAST_VIEW, leave_view, read_last_view
 from bench.run.status import read_status, status_text
-from bench.terminal.progress import Reply
-from bench.views.measure import Measurement, StoredImage
 from calib.target import StarTarget
 from calib.view import View
 

@@ -8,13 +8,13 @@ from quick_runs import THREE, write_until
 from rehearsed import Scene, with_runner
 
 from bench.commands.run import show_run
-from bench.records.events import Event
-from bench.records.history import replay
-from bench.records.journal import read_journal
-from bench.results import interim, next_pose
+from bench.record.events import Event
+from bench.record.history import replay
+from bench.record.journal import read_journal
 from bench.run.control import Command
 from bench.run.status import read_status, status_text
 from bench.run.steps import intentions
+from bench.solve import interim, next_pose
 from drivers.errors import RecordingFailed
 
 NEVER = f"{{expanded_fx_px: 0.001, at_most: 5, start: {THREE}}}"

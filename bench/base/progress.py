@@ -1,0 +1,291 @@
+"""The progress of a run for the operator: state, pose n of m, time left. Written to standard error."""
+
+from __future__ import annotations
+
+import queue
+import select
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Self, TextIO, cast
+
+from rich.cells import cell_len, set_cell_size
+from rich.console import Console
+from rich.control import Control
+from rich.live import Live
+from rich.segment import ControlType
+from rich.text import Text
+
+from bench.base.clock import BenchClock
+from bench.base.encoding import Steering, clock_text
+
+# A block of text on a terminal that is drawn again in its place.
+#
+# The cursor always stands below the block and is never hidden, so a process that is killed leaves a usable
+# terminal.
+
+_SMALLEST_WIDTH, _SMALLEST_HEIGHT = 20, 4
+
+
+class Block:
+    """Draws a block of text again and again in the same place of a terminal, by default standard output.
+
+    At another size the visible part is cleared first: terminals differ in how they wrap lines that are there.
+    """
+
+    def __init__(self, stream: TextIO | None = None) -> None:
+        self._console = Console(
+            file=cast("TextIO", Steering(stream or sys.stdout)), highlight=False, markup=False, emoji=False
+        )
+        self._rows = 0
+        self._size = self._console.size
+
+    @property
+    def can_redraw(self) -> bool:
+        """Whether the stream is a terminal that can overwrite lines."""
+        return self._console.is_terminal and not self._console.is_dumb_terminal
+
+    def draw(self, head: Sequence[str], log: Sequence[str], tail: Sequence[str]) -> None:
+        """Draw the block in place of the one before; the second line of the head is bold.
+
+        Head and tail are wrapped, lines of the log cut off; where the terminal is too low, the oldest of the log go
+        first.
+        """
+        size = self._console.size
+        changed, self._size = size != self._size, size
+        rows = self._fitted(head, log, tail)
+        with self._console:  # one write, so that no half-drawn block is seen
+            if changed and self._rows:
+                self._console.control(Control.clear(), Control.home())
+            elif self._rows:
+                self._console.control(_above(self._rows))
+            for row in rows:
+                self._console.print(row, no_wrap=True, crop=True, overflow="crop")
+        self._rows = len(rows)
+
+    def _fitted(self, head: Sequence[str], log: Sequence[str], tail: Sequence[str]) -> list[Text]:
+        """Return the rows of the block: at most the height of the terminal less the line of the cursor."""
+        width = max(_SMALLEST_WIDTH, self._size.width - 1)
+        height = max(_SMALLEST_HEIGHT, self._size.height - 1)
+        first = [row for line in head[:1] for row in self._wrapped(line, width)]
+        state = [row for line in head[1:2] for row in self._wrapped(line, width, "bold")]
+        upper = first + state + [row for line in head[2:] for row in self._wrapped(line, width)]
+        lower = [row for line in tail for row in self._wrapped(line, width)]
+        upper, lower = upper[: max(2, height - len(lower))], lower[: height - 2]
+        room = height - len(upper) - len(lower)
+        cut = [Text(self._cut(_printable(line), width)) for line in log[max(0, len(log) - room) :]]
+        return [*upper, *(cut if room > 0 else []), *lower]
+
+    def _wrapped(self, line: str, width: int, style: str = "") -> list[Text]:
+        return list(Text(_printable(line), style).wrap(self._console, width, overflow="fold"))
+
+    def _cut(self, line: str, width: int) -> str:
+        if cell_len(line) <= width:
+            return line
+        mark = "\N{HORIZONTAL ELLIPSIS}" if self._console.encoding.startswith("utf") else "..."
+        return set_cell_size(line, width - len(mark)) + mark
+
+
+def _above(rows: int) -> Control:
+    """Move the cursor up by a number of rows and erase them."""
+    codes: list[tuple[ControlType, int]] = [(ControlType.CURSOR_UP, 1), (ControlType.ERASE_IN_LINE, 2)]
+    return Control(ControlType.CARRIAGE_RETURN, *codes * rows)
+
+
+def _printable(line: str) -> str:
+    """Replace what would move the cursor: a name in a journal could hold anything."""
+    return "".join(c if c.isprintable() else " " for c in line)
+
+
+_BAR_WIDTH, _LEAST_BAR = 24, 8
+_ENDING_EARLY = frozenset({"aborting", "aborted", "failed"})
+"""States without a remaining time: the rest of the plan is not done."""
+
+
+class Progress:
+    """Shows a run's progress, ``total_s`` expected: a live line on a terminal; elsewhere a line for each state.
+
+    ``poses`` is how many poses the run has, as text; it may change.
+    """
+
+    def __init__(
+        self, monotonic: Callable[[], float], total_s: float, poses: str = "", stream: TextIO | None = None
+    ) -> None:
+        self._monotonic = monotonic
+        self._total_s = total_s
+        self.poses = poses
+        self._console = Console(
+            file=cast("TextIO", Steering(stream or sys.stderr)), stderr=stream is None, highlight=False
+        )
+        # A terminal that cannot overwrite a line gets one line for each change, as a file does.
+        self._can_overwrite = self._console.is_terminal and not self._console.is_dumb_terminal
+        self._state, self._detail, self._pose, self._done_s = "idle", "", 0, 0.0
+        self._counted_from_s = monotonic()
+        self._live = Live(
+            console=self._console, transient=True, get_renderable=self._line, refresh_per_second=8
+        )
+
+    def __enter__(self) -> Self:
+        if self._can_overwrite:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        with suppress(OSError):  # the terminal is closed
+            self._live.stop()
+
+    def done(self, seconds: float) -> None:
+        """Set how much of the expected duration has passed, s from the start of the run in the plan."""
+        self._done_s, self._counted_from_s = seconds, self._monotonic()
+
+    def show(self, state: str, *, pose: int | None = None, detail: str = "") -> None:
+        """Show the present state, pose (from 1; None: unchanged), and in brackets further words."""
+        self._state, self._detail = state, detail
+        self._pose = pose or self._pose
+        if not self._can_overwrite:
+            self._print(Text(self._plain()))
+
+    def say(self, message: str) -> None:
+        """Print a line that remains on the terminal."""
+        self._print(Text(message))
+
+    def _print(self, text: Text) -> None:
+        try:
+            self._console.print(text, soft_wrap=True)
+        except OSError:  # the terminal is closed; that does not affect the run
+            self._console = Console(quiet=True)
+
+    def left_s(self) -> float:
+        """Return the expected time to the end of the run, s: that of the plan, counted down during the step."""
+        return max(0.0, self._total_s - self._done_s - (self._monotonic() - self._counted_from_s))
+
+    def _where(self) -> str:
+        if not self._pose:
+            return ""
+        return f"pose {self._pose} of {self.poses}" + (f" ({self._detail})" if self._detail else "")
+
+    def _plain(self) -> str:
+        left = self._left()
+        return f"{self._state:<11}  {self._where():<28}  {left:>11}".rstrip()
+
+    def _left(self) -> str:
+        return "" if self._state in _ENDING_EARLY else f"{clock_text(self.left_s())} left"
+
+    def _line(self) -> Text:
+        """Return one line that fits the terminal. On a narrow one the bar is left out, then the end of the text."""
+        parts = "  ".join(filter(None, (self._left(), self._where())))
+        text = Text.assemble((f"{self._state:<11}", "bold"), f"  {parts}".rstrip())
+        width = min(_BAR_WIDTH, self._console.width - text.cell_len - 2)
+        if width < _LEAST_BAR:
+            text.truncate(self._console.width, overflow="ellipsis")
+            return text
+        share = 1.0 if self._total_s <= 0 else min(1.0, 1.0 - self.left_s() / self._total_s)
+        full = round(share * width)
+        # Two characters, so that the bar is readable without colour; plain ones without line-drawing characters.
+        done, rest = "━─" if self._console.encoding.startswith("utf") else "#-"
+        return Text.assemble(
+            (done * full, "bold green"), (rest * (width - full), "bright_black"), "  ", text, no_wrap=True
+        )
+
+
+_POLL_S = 0.2
+_YES = {"c", "continue", "y", "yes"}
+_NO = {"a", "abort", "n", "no"}
+
+
+@dataclass(frozen=True)
+class Reply:
+    """An answer."""
+
+    word: str  # ``continue`` or ``abort``
+    by: str  # Who gave it: ``operator`` at this terminal, a name, or ``time-out``
+
+
+def ask(
+    text: str,
+    *,
+    default: str,
+    timeout_s: float,
+    clock: BenchClock,
+    say: Callable[[str], None],
+    terminal: TextIO | None = None,
+    elsewhere: Callable[[], Reply | None] = lambda: None,
+) -> Reply:
+    """Ask the operator, and wait for an answer, or for the default, ``continue`` or ``abort``, at the deadline.
+
+    ``terminal`` None means standard input. If that is no terminal, only ``elsewhere`` answers (`starbench tell`).
+    """
+    source = sys.stdin if terminal is None else terminal
+    here = source is not None and source.isatty()  # None: the process has no standard input
+    typed = _typed(source) if here else None
+    how = "[c]ontinue / [a]bort" if here else "`starbench tell FOLDER yes` (or no)"
+    say(f"{text}  {how}, {default} after {timeout_s:g} s:")
+    deadline = clock.monotonic() + timeout_s
+    while clock.monotonic() < deadline:
+        if (reply := elsewhere()) is not None:
+            say(f"{reply.by}: {reply.word}")
+            return reply
+        line = typed() if typed is not None else None
+        if line == "":  # the end of the input, which is not an answer
+            say("This terminal is closed. Answer with `starbench tell FOLDER yes` (or no) from another one.")
+            typed = None
+        elif line is not None:
+            word = line.strip().lower()
+            if word in _YES | _NO | {""}:
+                return Reply(default if not word else "abort" if word in _NO else "continue", "operator")
+            say("Please answer c (continue) or a (abort).")
+        clock.sleep(_POLL_S)
+    return Reply(default, "time-out")
+
+
+def _typed(source: TextIO) -> Callable[[], str | None]:
+    """Return a function that returns the next line typed: None while there is none, ``""`` at the end of the input."""
+    try:
+        select.select([source], [], [], 0)
+    except (OSError, ValueError):  # on this system select accepts sockets only
+        return _lines_of(source)
+    _discard_typed(source)
+    return lambda: source.readline() if select.select([source], [], [], 0)[0] else None
+
+
+def _discard_typed(source: TextIO) -> None:
+    """Discard what was typed before the question: a key pressed an hour ago must not answer it."""
+    with suppress(ImportError, OSError, ValueError):  # it is not a terminal
+        import termios
+
+        with suppress(termios.error):
+            termios.tcflush(source.fileno(), termios.TCIFLUSH)
+
+
+_readers: dict[TextIO, queue.SimpleQueue[str]] = {}
+"""One reader for each terminal. A reader that waits for a line cannot be stopped, so the next question uses it."""
+
+
+def _lines_of(source: TextIO) -> Callable[[], str | None]:
+    """Read a terminal in a thread of its own. What was typed before the question is discarded."""
+    lines = _readers.get(source)
+    if lines is None:
+        lines = _readers[source] = queue.SimpleQueue()
+        threading.Thread(target=_read, args=(source, lines), daemon=True, name="terminal").start()
+    else:
+        while not lines.empty():
+            lines.get_nowait()
+
+    def typed() -> str | None:
+        return None if lines.empty() else lines.get_nowait()
+
+    return typed
+
+
+def _read(source: TextIO, lines: queue.SimpleQueue[str]) -> None:
+    """Put the lines of a terminal into a queue until the input ends."""
+    while True:
+        try:
+            line = source.readline()
+        except (OSError, ValueError):
+            line = ""
+        lines.put(line)
+        if not line:
+            return

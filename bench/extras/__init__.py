@@ -1,0 +1,1 @@
+"""What the core knows nothing of: each room here is opened by its commands only."""

@@ -1,0 +1,490 @@
+"""A batch: does the runs of a queue file one by one, each in its own process, and continues after any failure.
+
+From its journal an interrupted batch continues; an interrupted run is resumed, never started twice, never counted as
+done.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+import tempfile
+import threading
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any, ParamSpec
+
+from bench.base.clock import Aborted, BenchClock, VirtualClock
+from bench.base.errors import BenchError, RunFolderError, ScriptError, UsageError
+from bench.base.home import home_folder
+from bench.extras.batch.batch_plan import WORKER_S, Request, RequestInbox, planned_duration_s, refusal
+from bench.extras.batch.batch_record import (
+    NEVER_S,
+    BatchBegun,
+    BatchEnded,
+    BatchEvent,
+    BatchRecord,
+    Item,
+    ItemBegun,
+    ItemEnded,
+    Requested,
+    choose_next,
+    resume_text,
+)
+from bench.extras.batch.batch_summary import (
+    RUNS,
+    DoneRun,
+    missed_goals,
+    summarise,
+    summary_lines,
+    write_summary,
+)
+from bench.extras.batch.messages import Courier, bench_courier
+from bench.extras.batch.supervisor import WorkerEnd, adopt, make_safe_after, supervise
+from bench.extras.history.chart_findings import standard_problem
+from bench.plan.plan import load_documents
+from bench.record.events import event_name
+from bench.record.history import History
+from bench.record.journal import Journal, UnsyncedJournal
+from bench.record.run_folder import JOURNAL, is_sealed
+from bench.record.run_index import QUEUE_COPY
+from bench.record.storage import lock_folder, make_folder, storage_errors, sync_folder, write_atomic
+from bench.record.stored_run import StoredRun
+from bench.record.summaries import BatchSummary, newest_place
+from bench.run.status import read_status, status_text
+from bench.stations.station import load_station
+from sequences.errors import DocumentFaults
+from sequences.queue import Queue
+from sequences.reader import Located, check_document
+
+P = ParamSpec("P")
+
+# Messages of a batch that no run can send: a process died, hung or could not begin; the batch ended.
+#
+# The station file of each run names the recipients. If a run has sent a message about its failure itself,
+# the batch uses the same key, so that nobody receives the message twice.
+
+REPORTED_BY_BATCH = frozenset({"died", "hung", "failed"})
+
+
+class BatchMessages:
+    """Messages of one batch; ``say`` hears of those that could not be sent, which do not end the batch."""
+
+    def __init__(self, clock: BenchClock, say: Callable[[str], None]) -> None:
+        self._clock = clock
+        self._say = say
+        self._couriers: dict[str, Courier] = {}
+
+    def run_ended(self, key: str, station: str, run: Path, end: WorkerEnd, line: str) -> None:
+        """Send a message about a run that failed, died or hung, which the journal line with this hash records."""
+        courier = self._courier(station)
+        if courier is None or end.how not in REPORTED_BY_BATCH:
+            return
+        what = f"{end.how}{': ' if end.why else ''}{end.why}"
+        text, place = _status_of(run, asked=bool(end.devices))
+        if end.how != "failed":
+            answers = [one.text for one in end.devices] or ["No device was asked after that."]
+            text = "\n".join([f"Its process {what}", *answers, "", text])
+        subject = f"Starbench: run {key} {what}"
+        own_message = _journal_head(run) if end.how == "failed" else ""
+        courier.write("failure", subject, text, run=key, folder=run, key=own_message or line, place=place)
+
+    def batch_ended(self, summary: BatchSummary, folder: Path, line: str) -> None:
+        """Send what the terminal prints at the batch's end to all; ``line`` is the hash of its journal line."""
+        name, how, why = summary["queue"], summary["how"], summary["why"]
+        what = f"{how}{': ' if why else ''}{why}"
+        text = "\n".join(summary_lines(summary))
+        for courier in self._couriers.values():
+            courier.write(
+                "end" if how in {"finished", "aborted"} else "failure",
+                f"Starbench: batch {name} {what}",
+                text,
+                run=name,
+                folder=folder,
+                key=line,
+                place=newest_place(summary["items"]),
+            )
+
+    def add_recipients(self, stations: Iterable[str]) -> None:
+        """Add the recipients that these stations name."""
+        for station in stations:
+            self._courier(station)
+
+    def close(self) -> None:
+        """Try once more to send the messages that are waiting."""
+        for courier in self._couriers.values():
+            courier.close()
+
+    def _courier(self, station: str) -> Courier | None:
+        try:
+            messages = load_station(station).value.messages
+        except DocumentFaults as error:
+            self._say(f"{station} cannot be read any more, so no message can be sent: {error}")
+            return None
+        name = json.dumps(messages.model_dump(), sort_keys=True)
+        if name not in self._couriers:
+            self._couriers[name] = bench_courier(messages, self._clock, self._say)
+        return self._couriers[name]
+
+
+def _status_of(run: Path, *, asked: bool) -> tuple[str, tuple[int, str] | None]:
+    """Return the status of a run as text, without its devices if they were asked since, and its place in the ledger."""
+    try:
+        status = read_status(run)
+    except BenchError as error:
+        return str(error), None
+    return status_text(replace(status, devices=()) if asked else status), status.place
+
+
+def _journal_head(run: Path) -> str:
+    """Return the hash of the last line of a run's journal; empty if there is none."""
+    try:
+        return StoredRun(run).head
+    except BenchError:
+        return ""
+
+
+WAIT_POLL_S = 1.0
+"""Period at which a waiting batch checks whether a job was added, s."""
+
+RunWork = Callable[[Item, Path, Path], WorkerEnd]
+"""Does a run, in its run folder, to its end; the output goes to a log file."""
+
+
+class Batch:
+    """A batch in its folder, which this process locks: a new one, or an interrupted one of the same queue."""
+
+    def __init__(
+        self,
+        folder: Path,
+        queue: Located[Queue],
+        clock: BenchClock,
+        say: Callable[[str], None],
+        work: RunWork | None = None,
+        *,
+        rehearsal: bool = False,
+    ) -> None:
+        self.folder = folder.absolute()
+        self._queue, self._clock, self._say = queue, clock, say
+        self._work = work or self._run_in_process
+        self._rehearsal = rehearsal
+        self._look_s = NEVER_S if rehearsal else WAIT_POLL_S
+        self._record = BatchRecord(queue.value)
+        self._lock = threading.RLock()
+        self._messages = BatchMessages(clock, say)
+        self._told_of_standard = ""
+
+    def run(self) -> BatchSummary:
+        """Do every run that is not done yet, in a folder that belongs to nothing else."""
+        make_folder(self.folder / RUNS)
+        lock = lock_folder(self.folder)
+        try:
+            self._keep_queue()
+            path = self.folder / JOURNAL
+            clocks: dict[str, Any] = {"utc_now": self._clock.utc_now, "monotonic": self._clock.monotonic}
+            kind = UnsyncedJournal if self._rehearsal else Journal
+            opened = kind.open if path.exists() else kind.create
+            with opened(path, **clocks) as journal:
+                self._journal = journal
+                self._run_locked()
+            return write_summary(self.folder, self._record)
+        finally:
+            self._messages.close()
+            os.close(lock)
+
+    def _keep_queue(self) -> None:
+        copy = self.folder / QUEUE_COPY
+        if not copy.exists():
+            write_atomic(copy, self._queue.text)
+        elif copy.read_bytes() != self._queue.text:
+            raise RunFolderError(
+                "The folder belongs to another queue.",
+                where=str(self.folder),
+                remedy="Choose another --output.",
+            )
+
+    def _run_locked(self) -> None:
+        for entry in self._journal.entries:
+            self._record.apply(entry)
+        if self._record.begun is None:
+            begun: BatchBegun = {"queue": self._queue.value.name, "files": self._files()}
+            if self._rehearsal:
+                begun["rehearsal"] = True
+            self._journal_event(BatchBegun, **begun)
+        elif self._record.rehearsal != self._rehearsal:
+            raise RunFolderError(
+                "A rehearsed batch and a real one cannot continue in the same folder.",
+                where=str(self.folder),
+                remedy="Choose another --output.",
+            )
+        else:
+            self._say(resume_text(self._record))
+        self._begun_s = self._clock.monotonic() - max(0.0, self._record.seconds(self._clock.utc_now()))
+        if not self._rehearsal:
+            self._messages.add_recipients(job.station for job in self._queue.value.jobs)
+        requests = RequestInbox(self.folder, self._answer, self._clock)
+        requests.drain()
+        requests.watch()
+        try:
+            how, why = self._run_all()
+        finally:
+            requests.close()
+        self._journal_event(BatchEnded, how=how, why=why)
+        if not self._rehearsal:
+            summary = summarise(self.folder, self._record)
+            self._messages.batch_ended(summary, self.folder, self._journal.head)
+
+    def _files(self) -> dict[str, str]:
+        """Return the full path of each file that the queue names by a shorter name."""
+        written = check_document(self._queue.text, QUEUE_COPY, Queue).value
+        pairs = zip(written.jobs, self._queue.value.jobs, strict=True)
+        names = [(w, f) for a, b in pairs for w, f in ((a.sequence, b.sequence), (a.station, b.station))]
+        return {name: path for name, path in names if name != path}
+
+    def _journal_event(self, payload: Callable[P, object], *_: P.args, **data: P.kwargs) -> None:
+        with self._lock:
+            self._record.apply(self._journal.append(BatchEvent(event_name(payload)), **data))
+
+    def _answer(self, request: Request | None, name: str) -> None:
+        """Decide on a request once, and record the decision in the journal."""
+        with self._lock:
+            if request is None:
+                why = "the file is not a request"
+                self._journal_event(Requested, id=name, word="unknown", taken=False, why=why)
+            elif request.id not in self._record.answered:
+                try:
+                    why = refusal(request, self._record)
+                except Exception as error:  # noqa: BLE001 - an unexpected request must not end the batch
+                    why = f"the request cannot be processed: {type(error).__name__}: {error}"
+                content = request.model_dump(exclude={"format"}, exclude_none=True)
+                self._journal_event(Requested, **content, taken=not why, why=why)
+                what = request.name or (request.job.name if request.job else "")
+                self._say(
+                    f"{request.word} {what} by {request.by}: {f'refused, {why}' if why else 'accepted'}"
+                )
+
+    def _choose_next(self) -> Item | float | None:
+        with self._lock:
+            record = self._record
+            at_s = self._clock.monotonic() - self._begun_s
+            return choose_next(
+                record.pending(),
+                at_s,
+                record.bounds,
+                lambda item: record.expected_duration_s(item, planned_duration_s(item.job)),
+            )
+
+    def _run_all(self) -> tuple[str, str]:
+        """Do all runs; return how this ended, and why."""
+        wait_announced = False
+        try:
+            self._recover_last_run()
+            while (found := self._choose_next()) is not None:
+                if not isinstance(found, Item):
+                    if not wait_announced:
+                        self._say(f"waiting until {self._time_after(found)}")
+                    wait_announced = True
+                    self._clock.sleep(min(found + 0.01, self._look_s))
+                    continue
+                wait_announced = False
+                if why := self._stopped_by_standard(found):
+                    return "stopped", why
+                self._run_item(found)
+                run = self._record.runs[found.key]
+                if run.ended[-1].how != "finished" and run.is_done and found.job.on_failure == "stop":
+                    return "stopped", f"{found.key} failed, and its job has on_failure: stop"
+        except Aborted as stop:
+            return "aborted", stop.reason
+        if pending := self._record.pending():
+            left = ", ".join(item.key for item in pending[:5]) + (" ..." if len(pending) > 5 else "")
+            return "stopped", f"no time was left for {len(pending)} runs: {left}"
+        failed = [run.item.key for run in self._record.with_end if run.ended[-1].how != "finished"]
+        return ("finished", "") if not failed else ("failed", f"without a result: {', '.join(failed)}")
+
+    def _stopped_by_standard(self, item: Item) -> str:
+        """Return why a run must not begin, by the check standard of its station; the standard itself always may."""
+        if self._rehearsal:
+            return ""
+        try:
+            station = load_documents(item.job.sequence, item.job.station, item.job.settings)[1].value
+        except ScriptError:  # the run itself says what is wrong
+            return ""
+        standard = station.check_standard
+        if standard is None or standard.serial == station.camera.serial:
+            return ""
+        problem = standard_problem(station, home_folder(), self._clock.utc_now())
+        if problem and problem != self._told_of_standard:
+            self._told_of_standard = problem
+            self._say(f"CHECK THE BENCH: {problem}")
+        return f"{problem} Before {item.key}, measure it again." if problem and standard.stop_batch else ""
+
+    def _time_after(self, wait_s: float) -> str:
+        """Return the time of day at the end of a wait."""
+        moment = self._record.moment(self._clock.monotonic() - self._begun_s + wait_s)
+        return f"{moment.astimezone(self._queue.value.tzinfo):%a %H:%M %Z}"
+
+    def _run_item(self, item: Item) -> None:
+        """Begin or resume a run, and wait for its end."""
+        run, state, unreadable = self.folder / RUNS / item.key, self._record.runs[item.key], ""
+        self._wait_for_orphan(item, run)
+        if is_sealed(run):  # done, but interrupted before the end was recorded
+            self._end(item, WorkerEnd("finished", ""))
+            return
+        try:
+            _set_aside_unbegun(run)
+            recorded = _poses_recorded(run)
+        except BenchError as error:  # one folder that cannot be read must not end the batch
+            unreadable, recorded = str(error), state.recorded
+        again = (run / JOURNAL).exists()
+        attempt = len(state.begun) + 1
+        self._journal_event(ItemBegun, item=item.key, again=again, attempt=attempt, recorded=recorded)
+        if unreadable:
+            self._end(item, WorkerEnd("failed", unreadable))
+            return
+        self._say(f"{item.key}: {'resumed' if again else 'begun'}")
+        self._end(item, self._work(item, run, self.folder / RUNS / f"{item.key}.log"))
+
+    def _recover_last_run(self) -> None:
+        """Take care of the run that was in progress when the previous process died, before another run begins."""
+        if not self._record.current_run:
+            return
+        item = self._record.runs[self._record.current_run].item
+        run = self.folder / RUNS / item.key
+        hung = self._wait_for_orphan(item, run)
+        if is_sealed(run):
+            self._end(item, WorkerEnd("finished", ""))
+        elif not hung and not _has_ended(run):
+            end = WorkerEnd("died", "its supervisor died, too", 0.0, make_safe_after(run, self._clock))
+            for fault in end.unsafe:
+                self._say(f"CHECK THE BENCH: {fault}")
+            self._alarm(item, end)
+
+    def _wait_for_orphan(self, item: Item, run: Path) -> bool:
+        """Supervise a process that outlived its supervisor and still works on the run; return whether it hung."""
+        hung = adopt(run, self._clock, self._say) if run.is_dir() else None
+        if hung is not None:
+            self._alarm(item, hung)
+        return hung is not None
+
+    def _end(self, item: Item, end: WorkerEnd) -> None:
+        self._journal_event(ItemEnded, item=item.key, **end.to_dict())
+        self._alarm(item, end)
+
+    def _alarm(self, item: Item, end: WorkerEnd) -> None:
+        """Report how a run ended, and send messages if it should not have ended so."""
+        run = self.folder / RUNS / item.key
+        self._say(DoneRun(item.key, end.how, end.why, missed_goals(run)).text)
+        if not self._rehearsal:
+            self._messages.run_ended(item.key, item.job.station, run, end, self._journal.head)
+
+    def _run_in_process(self, item: Item, run: Path, log: Path) -> WorkerEnd:
+        command = [sys.executable, "-m", "bench", *worker_command(item, run)]
+        return supervise(command, run, log, self._clock, self._say)
+
+
+def worker_command(item: Item, run: Path) -> list[str]:
+    """Return the arguments of ``starbench`` that begin a run, or resume it if its folder has a journal."""
+    if (run / JOURNAL).exists():
+        return ["resume", str(run)]
+    words = ["run", item.job.sequence, "--station", item.job.station, "--output", str(run)]
+    words += [word for path, text in item.job.settings.items() for word in ("--set", f"{path}={text}")]
+    words += [] if item.job.seed is None else ["--seed", str(item.job.seed + item.number)]
+    return words + ([] if item.job.operator is None else ["--operator", item.job.operator])
+
+
+def _history_of(run: Path) -> History:
+    return StoredRun(run).history if (run / JOURNAL).is_file() else History()
+
+
+def _has_ended(run: Path) -> bool:
+    """Whether the journal of a run records an end, and therefore a safe bench; False if it cannot be read."""
+    try:
+        return bool(_history_of(run).ended)
+    except BenchError:
+        return False
+
+
+def _poses_recorded(run: Path) -> int:
+    """Return the number of poses of a run that are done: recorded and accepted, or skipped."""
+    history = _history_of(run)
+    return len(history.accepted().keys() | history.skipped.keys())
+
+
+def _set_aside_unbegun(run: Path) -> None:
+    """Rename the folder of a run that was interrupted before its first line in the journal: it cannot be resumed."""
+    if not run.is_dir() or ((run / JOURNAL).exists() and StoredRun(run).entries):
+        return
+    number = 1
+    while (aside := run.with_name(f"{run.name}.unbegun-{number}")).exists():
+        number += 1
+    with storage_errors(run):
+        run.rename(aside)
+        sync_folder(run.parent)
+
+
+# In a rehearsal all is as in a real batch but what `bench.extras.batch.rehearsal` lists. It is written in memory
+# if possible, then copied: no sync is needed.
+
+_IN_MEMORY = "/dev/shm"  # noqa: S108 - a folder in memory, not a predictable file name
+_ROOM_BYTES = 1_000_000_000
+
+
+def rehearse_batch(
+    queue: Located[Queue], folder: Path, *, begin: datetime, seed: int, say: Callable[[str], None]
+) -> BatchSummary:
+    """Rehearse a batch, which cannot be continued, from ``begin``, with its zone, to its end, in an empty folder.
+
+    The seed is for runs to which the queue gives none. The same seed and begin give the same journals, byte for byte.
+    """
+    make_folder(folder)
+    with storage_errors(folder):
+        if any(folder.iterdir()):
+            raise UsageError(
+                "The folder is not empty, and a rehearsal cannot be continued.",
+                where=str(folder),
+                remedy="Choose another --output.",
+            )
+    with tempfile.TemporaryDirectory(prefix="starbench-rehearsal-", dir=_memory()) as place:
+        summary = _rehearse(queue, Path(place), VirtualClock(begin), seed, say)
+        with storage_errors(folder):
+            shutil.copytree(place, folder, dirs_exist_ok=True)
+    return summary
+
+
+def _memory() -> str | None:
+    """Return a folder in memory that has enough space; None for the system's usual temporary folder."""
+    try:
+        roomy = shutil.disk_usage(_IN_MEMORY).free > _ROOM_BYTES
+    except OSError:
+        return None
+    return _IN_MEMORY if roomy else None
+
+
+def _rehearse(
+    queue: Located[Queue], folder: Path, clock: VirtualClock, seed: int, say: Callable[[str], None]
+) -> BatchSummary:
+    from bench.extras.batch.rehearsal import rehearse_run
+
+    def work(item: Item, run: Path, _log: Path) -> WorkerEnd:
+        clock.sleep(WORKER_S)
+        own_seed = (item.job.seed if item.job.seed is not None else seed) + item.number
+        job = item.job
+        try:
+            end = rehearse_run(
+                job.sequence,
+                job.station,
+                seed=own_seed,
+                operator=job.operator,
+                folder=run,
+                clock=clock,
+                settings=job.settings,
+            )
+        except BenchError as error:
+            return WorkerEnd("failed", str(error))
+        return WorkerEnd(end.how, end.why)
+
+    return Batch(folder, queue, clock, say, work, rehearsal=True).run()

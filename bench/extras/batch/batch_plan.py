@@ -1,0 +1,399 @@
+"""Plan of a batch: checks the queue with all its files, and predicts when each run begins and ends. Writes nothing."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import json
+import time
+import uuid
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+from statistics import median
+from typing import Any, Literal, TypeVar, cast
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from bench.base.clock import BenchClock
+from bench.base.errors import BenchError, RunFolderError, ScriptError
+from bench.extras.batch.batch_record import (
+    BatchEvent,
+    BatchRecord,
+    Bounds,
+    Item,
+    Requested,
+    Slot,
+    bounds_of,
+    items_of,
+    look_ahead,
+)
+from bench.plan.plan import Plan, load_documents, make_plan
+from bench.plan.script_check import find_url_secrets
+from bench.record.events import Event
+from bench.record.inbox import Inbox, KnownBy, MessageId, Poller
+from bench.record.journal import read_journal
+from bench.record.ledger_marks import LedgerRun
+from bench.record.run_folder import JOURNAL, PLAN
+from bench.record.run_index import QUEUE_COPY, is_rehearsal
+from bench.record.storage import is_locked, make_folder, read_json
+from bench.record.stored_run import StoredRun
+from sequences.errors import DocumentFaults
+from sequences.queue import JobConfig, JobFile, Key, Queue
+from sequences.reader import Located, read_document
+
+Document = TypeVar("Document", Queue, JobFile)
+_MOST_RUNS = 10
+_MOST_READ = 50
+TOLD_FROM = 2.0
+"""A forecast that is longer than the plan by this factor says why."""
+_NOT_THE_PACE = frozenset({Event.RUN_RESUMED, Event.DEVIATION, Event.ASKED})
+"""Events of a run whose duration says nothing about the computer."""
+
+
+@dataclass(frozen=True)
+class Pace:
+    """How many times as long as planned the last runs took, and how many runs these were."""
+
+    factor: float = 1.0
+    runs: int = 0
+    station: str = ""  # Empty for all stations together
+
+    def text(self) -> str:
+        """Return why a forecast is longer than the plan; empty below `TOLD_FROM`."""
+        if self.factor < TOLD_FROM:
+            return ""
+        place = f"On station {self.station}" if self.station else "On this computer"
+        runs = "the last run" if self.runs == 1 else f"the last {self.runs} runs"
+        return (
+            f"{place}, {runs} took {self.factor:.1f} times as long as planned "
+            "(median). The times below include this: the computer is slower than the plan assumes, or other programs "
+            "keep it busy."
+        )
+
+
+def paces(runs: Sequence[LedgerRun]) -> dict[str, Pace]:
+    """Return each station's pace, and under an empty name that of all, from the newest runs without a stop."""
+    found: dict[str, list[float]] = {}
+    for run in reversed(runs[-_MOST_READ:]):
+        if run.how == "finished" and (one := _ratio(Path(run.folder))) is not None:
+            for station in (one[0], ""):
+                found.setdefault(station, []).append(one[1])
+    return {
+        station: Pace(max(1.0, median(ratios[:_MOST_RUNS])), len(ratios[:_MOST_RUNS]), station)
+        for station, ratios in found.items()
+    }
+
+
+def _ratio(folder: Path) -> tuple[str, float] | None:
+    """Return the station of a run, and its duration over the planned one; None if it was stopped or cannot be read."""
+    try:
+        entries = StoredRun(folder).entries
+        planned_s = float(read_json(folder / PLAN)["duration_s"])
+        begun, ended = (datetime.fromisoformat(entries[place].utc) for place in (0, -1))
+        if planned_s <= 0.0 or {entry.event for entry in entries} & _NOT_THE_PACE:
+            return None
+        return str(entries[0].data["station"]), (ended - begun).total_seconds() / planned_s
+    except (BenchError, LookupError, TypeError, ValueError):
+        return None
+
+
+WORKER_S = 2.5
+"""Time to start a run's process and to seal its folder, s; measured on the simulated bench."""
+
+
+def read_queue(path: Path) -> Located[Queue]:
+    """Read and check a queue file and all files that it names; its jobs have full paths, except for shipped files."""
+    read = _document(path, Queue)
+    jobs = [_resolve_files(job, path.parent) for job in read.value.jobs]
+    queue = dataclasses.replace(read, value=read.value.model_copy(update={"jobs": jobs}))
+    pairs = {_key(job): job for job in queue.value.jobs}
+    faults = [fault for job in pairs.values() for fault in job_faults(job)]
+    if faults:
+        raise ScriptError(list(dict.fromkeys(faults)))
+    return queue
+
+
+def read_job(path: Path) -> JobConfig:
+    """Read and check a file with one job, and all files that it names; it has full paths, except for shipped files."""
+    job = _resolve_files(_document(path, JobFile).value.job(), path.parent)
+    if faults := job_faults(job):
+        raise ScriptError(faults)
+    return job
+
+
+def _document(path: Path, model: type[Document]) -> Located[Document]:
+    """Read a queue or a job, and refuse credentials in it: it is copied into the folder of the batch."""
+    try:
+        read = read_document(path, model)
+    except DocumentFaults as error:
+        raise ScriptError([str(fault) for fault in error.faults]) from error
+    if faults := find_url_secrets(read):
+        raise ScriptError([str(fault) for fault in faults])
+    return read
+
+
+def _resolve_files(job: JobConfig, base: Path) -> JobConfig:
+    """Replace file names of a job, also of passports in settings, by full paths: beside the queue, else in the cwd."""
+    names: dict[str, Any] = {}
+    for key in ("sequence", "station"):
+        if found := _beside(base, getattr(job, key)):
+            names[key] = found
+    passports = {path: text for path, text in job.settings.items() if path.endswith(".passport")}
+    found_passports = {
+        path: json.dumps(file) for path, text in passports.items() if (file := _beside(base, text))
+    }
+    return job.model_copy(update={**names, "settings": {**job.settings, **found_passports}})
+
+
+def _beside(base: Path, name: str) -> str | None:
+    """Return the full path of a file beside the queue file or in the current folder; None if there is none."""
+    found = next((path for path in (base / name, Path(name)) if path.is_file()), None)
+    return str(found.resolve()) if found is not None else None
+
+
+def job_faults(job: JobConfig) -> list[str]:
+    """Return every fault of the files that a job names."""
+    try:
+        return [
+            str(fault) for fault in make_plan(*load_documents(job.sequence, job.station, job.settings)).faults
+        ]
+    except ScriptError as error:
+        return error.faults
+
+
+def plan_of(job: JobConfig) -> Plan:
+    """Plan one run of a job; the result is cached."""
+    return _plan_of(*_key(job))
+
+
+def _key(job: JobConfig) -> tuple[str, str, tuple[tuple[str, str], ...]]:
+    """Return everything that the plan of a job depends on."""
+    return job.sequence, job.station, tuple(job.settings.items())
+
+
+@functools.lru_cache(maxsize=256)
+def _plan_of(sequence: str, station: str, settings: tuple[tuple[str, str], ...]) -> Plan:
+    return make_plan(*load_documents(sequence, station, dict(settings)))
+
+
+def planned_duration_s(job: JobConfig) -> float:
+    """Return the planned duration of one run with the start of its process, s; 0 if its files cannot be read."""
+    try:
+        return plan_of(job).duration_s + WORKER_S
+    except ScriptError:  # the run itself will report it
+        return 0.0
+
+
+@dataclass(frozen=True)
+class BatchPlan:
+    """A batch before it is run."""
+
+    queue: Queue
+    begun: datetime
+    bounds: Bounds  # Times between which it works
+    slots: tuple[Slot, ...]  # Expected times of each run; runs without time are last
+    plans: dict[str, Plan]
+    paces: Mapping[str, Pace]  # By the name of the station
+
+    @property
+    def slow(self) -> list[str]:
+        """Why the forecast is longer than the plans, for each station where it is."""
+        stations = {plan.station.value.name for plan in self.plans.values()}
+        texts = (_pace(self.paces, name).text() for name in sorted(stations))
+        return list(dict.fromkeys(filter(None, texts)))
+
+    @property
+    def end(self) -> datetime:
+        """Time at which the last run is expected to end."""
+        return self.moment(max((slot.end_s for slot in self.slots if slot.end_s is not None), default=0.0))
+
+    @property
+    def without_time(self) -> tuple[Item, ...]:
+        """Runs for which no time is left."""
+        return tuple(slot.item for slot in self.slots if slot.begin_s is None)
+
+    @property
+    def size_bytes(self) -> int:
+        """Expected disk space of all runs that have a time, bytes."""
+        return sum(self.plans[s.item.job.name].size_bytes for s in self.slots if s.begin_s is not None)
+
+    def moment(self, at_s: float) -> datetime:
+        """Convert seconds after the begin of the batch to a time, in the zone of `begun`."""
+        return self.begun + timedelta(seconds=at_s)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the plan as JSON of schema ``starbench/night/1`` holds it; times in UTC."""
+        without_time = {item.key for item in self.without_time}
+        return {
+            "schema": "starbench/night/1",
+            "queue": self.queue.name,
+            "begin_utc": self.begun.isoformat(),
+            "opens_utc": self.moment(self.bounds.opens_s).isoformat(),
+            "end_utc": self.end.isoformat(),
+            "runs": len(self.slots) - len(without_time),
+            "size_bytes": self.size_bytes,
+            "slow": self.slow,
+            "items": [slot.in_batch(self.begun).to_dict() for slot in self.slots],
+            "no_time_for": sorted(without_time),
+        }
+
+
+def _pace(paces: Mapping[str, Pace], station: str) -> Pace:
+    """Return the pace of a station; that of all stations together if it has none of its own."""
+    return paces.get(station) or paces.get("", Pace())
+
+
+def plan_batch(queue: Queue, begun: datetime, paces: Mapping[str, Pace] | None = None) -> BatchPlan:
+    """Predict when each run begins and ends; ``paces`` are what earlier runs took over their plans, by station."""
+    bounds = bounds_of(queue, begun)
+    items = items_of(queue.jobs, begun, bounds.opens_s, queue.zone)
+    plans = {job.name: plan_of(job) for job in queue.jobs}
+    known = paces or {}
+
+    def duration_s(item: Item) -> float:
+        return planned_duration_s(item.job) * _pace(known, plan_of(item.job).station.value.name).factor
+
+    slots = look_ahead(items, 0.0, bounds, duration_s)
+    return BatchPlan(queue, begun, bounds, tuple(slots), plans, known)
+
+
+# Requests to a batch from another terminal: add a job, withdraw a job.
+#
+# A request is one file, written atomically into ``requests/`` of the batch's folder. It stays there until
+# it is answered, even while no process works on the batch. The batch decides, records the decision in its
+# journal and then removes the file. The journal is therefore the answer, and no request is answered twice.
+
+REQUESTS = "requests"
+POLL_S = 0.2
+_PATIENCE_S = 15.0
+_MAX_BYTES = 16_384
+
+Word = Literal["add", "withdraw"]
+
+
+class Request(BaseModel):
+    """An operator's request to a batch."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    format: Literal["starbench/request/1"] = "starbench/request/1"
+    # Unique id; the answer in the journal has the same id.
+    id: MessageId = Field(default_factory=lambda: uuid.uuid4().hex)
+    word: Word
+    by: str = Field(min_length=1, max_length=200)
+    known_by: KnownBy = "typed"
+    job: JobConfig | None = None
+    name: Key | None = None
+
+    @model_validator(mode="after")
+    def _complete(self) -> Request:
+        if (self.job is None) is (self.word == "add") or (self.name is None) is (self.word == "withdraw"):
+            raise ValueError("add needs a job, withdraw needs a name")
+        return self
+
+
+def refusal(request: Request, record: BatchRecord) -> str:
+    """Return why a request is refused; empty if it is accepted."""
+    if request.word == "withdraw":
+        assert request.name is not None
+        if request.name not in record.jobs:
+            return f"there is no job {request.name}"
+        return (
+            ""
+            if record.withdrawable(request.name)
+            else f"all runs of {request.name} have begun or are withdrawn"
+        )
+    assert request.job is not None
+    if request.job.name.lower() in map(str.lower, record.jobs):
+        return f"the batch already has or had a job {request.job.name}"
+    return "; ".join(job_faults(request.job)[:3])
+
+
+class RequestInbox:
+    """Answers the requests to a batch in its folder, locked by this process.
+
+    ``answer`` journals a decision on a request (None: the file holds none) in a file; if it cannot, the clock is asked
+    to stop.
+    """
+
+    def __init__(
+        self, folder: Path, answer: Callable[[Request | None, str], None], clock: BenchClock
+    ) -> None:
+        self._inbox = _inbox_of(folder)
+        self._answer = answer
+        self._clock = clock
+        self._poller = Poller(self.drain, self._failed, name="requests", period_s=POLL_S)
+
+    def drain(self) -> None:
+        """Answer all requests in the folder, oldest first."""
+        self._inbox.drain(self._answer)
+
+    def watch(self) -> None:
+        """Answer requests in the background while the batch does its runs."""
+        self._poller.start()
+
+    def close(self) -> None:
+        """Stop answering; requests that remain wait for the next process."""
+        self._poller.close()
+
+    def _failed(self, error: Exception) -> None:
+        if not isinstance(error, BenchError):
+            raise error
+        self._clock.request_stop(f"requests cannot be answered any more: {error}")
+
+
+def _inbox_of(folder: Path) -> Inbox[Request]:
+    return Inbox(folder / REQUESTS, Request, _MAX_BYTES)
+
+
+def send_request(folder: Path, request: Request, *, patience_s: float = _PATIENCE_S) -> Requested | None:
+    """Send a request to a batch; return the journal's answer, ``word by taken why`` and ``job`` or ``name``.
+
+    None if no process works on the batch: the request then stays until it continues. A rehearsal that has ended takes
+    none.
+    """
+    if not (folder / JOURNAL).is_file() or not (folder / QUEUE_COPY).is_file():
+        raise RunFolderError(
+            "There is no batch in this folder.",
+            where=str(folder),
+            remedy="Give the --output folder of `starbench batch`.",
+        )
+    if not is_locked(folder) and is_rehearsal(folder):
+        raise RunFolderError(
+            "This batch is a rehearsal, which cannot be continued.",
+            where=str(folder),
+            remedy="Change the queue file, and rehearse it again.",
+        )
+    inbox = _inbox_of(folder)
+    make_folder(inbox.folder)
+    path = inbox.drop(request, request.id)
+    deadline = time.monotonic() + patience_s
+    while time.monotonic() < deadline and (path.exists() is False or is_locked(folder)):
+        if not path.exists():
+            return _answer_in(folder, request.id)
+        time.sleep(POLL_S / 2)
+    return None
+
+
+def _answer_in(folder: Path, request_id: str) -> Requested | None:
+    entries, _ = read_journal(folder / JOURNAL)
+    found = (e for e in reversed(entries) if e.event == BatchEvent.REQUESTED and e.data["id"] == request_id)
+    entry = next(found, None)
+    return cast("Requested", entry.data) if entry is not None else None
+
+
+def answer_text(answer: Requested | None) -> str:
+    """Describe the answer of `send_request`.
+
+    >>> answer_text({"word": "withdraw", "name": "cam7", "taken": True, "why": ""})
+    'Accepted: cam7 is withdrawn; a run in progress continues.'
+    """
+    if answer is None:
+        return "Stored: no process works on the batch. The batch answers the request when it continues."
+    if not answer["taken"]:
+        return f"Refused: {answer['why']}."
+    if answer["word"] == "add":
+        return f"Accepted: {answer['job']['name']} is in the batch."
+    return f"Accepted: {answer['name']} is withdrawn; a run in progress continues."

@@ -1,0 +1,474 @@
+"""Summary of a batch: every run, the reasons of failures, and the trend of each camera's parameters.
+
+Made from the batch's journal and those of its runs, as ``summary.json`` and ``summary.html``, again at any time.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime, tzinfo
+from functools import cache
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from bench.base.encoding import counted
+from bench.base.errors import BenchError, RunFolderError
+from bench.extras.batch.batch_plan import planned_duration_s
+from bench.extras.batch.batch_record import (
+    BatchRecord,
+    Item,
+    Requested,
+    RunState,
+    UpcomingRun,
+    by_priority,
+    look_ahead,
+    replay_batch,
+)
+from bench.extras.history.chart_findings import find_charts
+from bench.extras.history.chart_groups import group_runs
+from bench.extras.history.merged_runs import RunPlace
+from bench.record.history import NO_END
+from bench.record.journal import read_journal
+from bench.record.run_facts import REPEATS_TEXT, IndexedRun, RunDetails, factors_text, parameters_data
+from bench.record.run_folder import JOURNAL, REPORT
+from bench.record.run_index import QUEUE_COPY, is_batch, read_run_and_details
+from bench.record.storage import is_locked, storage_errors, write_atomic
+from bench.record.stored_run import StoredRun
+from bench.record.summaries import (
+    BatchSummary,
+    CameraData,
+    ItemData,
+    PointData,
+    RequestData,
+    TotalsData,
+)
+from bench.report.batch_page import render_batch
+from bench.run.status import read_plan, read_status
+from bench.solve.trends import by_camera, hours_after, trends_of
+from bench.wording.goals import goals_missed
+from bench.wording.numbers import with_uncertainty
+from bench.wording.parameters import unit_text
+from bench.wording.plan_text import duration_text
+from sequences.errors import DocumentFaults
+from sequences.queue import Queue
+from sequences.reader import read_document
+
+RUNS = "runs"
+SUMMARY, PAGE = "summary.json", "summary.html"
+SCHEMA = "starbench/batch/1"
+
+
+def read_batch(folder: Path) -> BatchRecord:
+    """Read the state of a batch from its folder; changes nothing and disturbs no process."""
+    if not is_batch(folder):
+        raise RunFolderError(
+            "There is no batch in this folder.",
+            where=str(folder),
+            remedy="Give the --output folder of `starbench batch`.",
+        )
+    try:
+        queue = read_document(folder / QUEUE_COPY, Queue).value
+    except DocumentFaults as error:
+        raise RunFolderError(
+            f"{QUEUE_COPY} cannot be read: {error}",
+            where=str(folder),
+            remedy="The file was changed after the batch began; restore it.",
+        ) from error
+    return replay_batch(queue, read_journal(folder / JOURNAL)[0])
+
+
+def write_summary(folder: Path, record: BatchRecord) -> BatchSummary:
+    """Write ``summary.json`` and ``summary.html``, and return the content of the first."""
+    summary = summarise(folder, record)
+    write_atomic(folder / SUMMARY, (json.dumps(summary, indent=1, allow_nan=False) + "\n").encode())
+    write_atomic(folder / PAGE, render_batch(summary).encode())
+    return summary
+
+
+def summarise(folder: Path, record: BatchRecord) -> BatchSummary:
+    """Return the content of ``summary.json`` of a batch, finished or not."""
+    runs: dict[str, IndexedRun] = {}
+    details: dict[str, RunDetails] = {}
+    unread: dict[str, str] = {}
+    for key, state in record.runs.items():
+        if state.begun and (folder / RUNS / key / JOURNAL).is_file():
+            try:
+                runs[key], details[key] = read_run_and_details(folder / RUNS / key)
+            except BenchError as error:
+                unread[key] = str(error)
+    finished = [run.item.key for run in record.with_end if run.ended[-1].how == "finished"]
+    ended = [key for key in finished if key in runs]
+    solved = [runs[key] for key in ended]
+    grouped = group_runs(((runs[key], details[key], RunPlace()) for key in ended), "camera")
+    items = [
+        _item(run, folder, runs.get(run.item.key), details.get(run.item.key), unread.get(run.item.key))
+        for run in _in_order_of_begin(record)
+    ]
+    return {
+        "schema": SCHEMA,
+        "queue": record.queue.name,
+        "zone": record.queue.zone,
+        "how": record.ended,
+        "why": record.why,
+        "begun_utc": _iso(record.begun),
+        "ended_utc": _iso(record.last_end),
+        "simulated": any(run.simulated for run in runs.values()),
+        "rehearsal": record.rehearsal,
+        "totals": _totals(items),
+        "items": items,
+        "cameras": [
+            {
+                "camera": camera,
+                "model": model,
+                "runs": [_point(run) for run in of_camera],
+                "parameters": [trend.to_dict() for trend in trends_of(of_camera)],
+            }
+            for (camera, model), of_camera in by_camera(solved).items()
+        ],
+        "charts": find_charts(grouped.groups),
+        "requests": [_request(data) for data in record.answered.values()],
+    }
+
+
+def _in_order_of_begin(record: BatchRecord) -> list[RunState]:
+    """Return the runs in the order in which they began; runs that did not begin are last, by priority."""
+    never = datetime.max.replace(tzinfo=record.begun.tzinfo if record.begun else None)
+    runs = [record.runs[item.key] for item in by_priority([run.item for run in record.runs.values()])]
+    return sorted(runs, key=lambda run: run.begun[0] if run.begun else never)
+
+
+def _item(
+    state: RunState, folder: Path, run: IndexedRun | None, details: RunDetails | None, unread: str | None
+) -> ItemData:
+    item, attempts = state.item, state.ended
+    path = f"{RUNS}/{item.key}"
+    stated = run or IndexedRun()
+    return {
+        "item": item.key,
+        "job": item.job.name,
+        "folder": path,
+        "how": _outcome(state),
+        "why": unread or (attempts[-1].why if attempts else ""),
+        "attempts": len(state.begun),
+        "begun_utc": _iso(state.begun[0]) if state.begun else None,
+        "ended_utc": _iso(attempts[-1].ended) if attempts else None,
+        "took_s": round(sum(one.duration_s for one in attempts), 1) if attempts else None,
+        "tries": [
+            {"begun_utc": one.begun.isoformat(), "ended_utc": one.ended.isoformat(), "how": one.how}
+            for one in attempts
+        ],
+        "report": f"{path}/{REPORT}" if (folder / path / REPORT).is_file() else None,
+        "camera": stated.camera,
+        "poses": _planned_poses(folder / path),
+        "accepted": stated.accepted,
+        "recordings": stated.recordings,
+        "deviations": stated.deviations,
+        "temperature_c": stated.temperature_c,
+        "model": stated.model,
+        "rms_px": stated.rms_px,
+        "sealed": stated.sealed,
+        "parameters": parameters_data(stated.parameters),
+        "ledger_number": stated.ledger_number,
+        "ledger_head": stated.ledger_head,
+        "conformity": details["conformity"] if details else None,
+        "goals_missed": goals_missed(details["untils"]) if details else [],
+    }
+
+
+def _outcome(run: RunState) -> str:
+    """Return how a run ended, or why it has no end."""
+    if run.withdrawn:
+        return "withdrawn"
+    if run.ended:
+        return run.ended[-1].how
+    return "cut off" if run.begun else "not begun"
+
+
+def _point(run: IndexedRun) -> PointData:
+    return {
+        "item": run.id,
+        "begun_utc": run.begun_utc,
+        "temperature_c": run.temperature_c,
+        "parameters": parameters_data(run.parameters),
+    }
+
+
+def _totals(items: Sequence[ItemData]) -> TotalsData:
+    begun = [item["begun_utc"] for item in items if item["begun_utc"]]
+    ended = [item["ended_utc"] for item in items if item["begun_utc"] and item["ended_utc"]]
+    return {
+        "runs": len(items),
+        "by_end": dict(sorted(Counter(item["how"] for item in items).items())),
+        "attempts": sum(item["attempts"] for item in items),
+        "poses": sum(item["accepted"] for item in items),
+        "recordings": sum(item["recordings"] for item in items),
+        "deviations": sum(item["deviations"] for item in items),
+        "hours": round(hours_after(max(ended), begun[0]), 3) if ended else 0.0,
+        "working_hours": round(sum(item["took_s"] or 0.0 for item in items) / 3600.0, 3),
+    }
+
+
+def _request(data: Requested) -> RequestData:
+    return {
+        "word": data["word"],
+        "by": data.get("by", ""),
+        "taken": data["taken"],
+        "why": data["why"],
+        "job": data.get("name") or data.get("job", {}).get("name", ""),
+    }
+
+
+def _planned_poses(run: Path) -> int | None:
+    """Return the number of poses in a run's plan; None if there is no plan, or if the run chooses their number."""
+    plan = read_plan(run)
+    return None if plan.fault or plan.untils else len(plan.poses)
+
+
+def _iso(moment: datetime | None) -> str | None:
+    return moment.isoformat() if moment else None
+
+
+FOLLOW_S = 1.0
+_TICK_WAITS = 2
+"""With ``ticks``, the status is read again after this many waits."""
+_MOST_UPCOMING = 12
+
+
+class DoneRun(NamedTuple):
+    """A run of a batch that needs no further attempt."""
+
+    item: str
+    how: str
+    why: str
+    goals_missed: tuple[str, ...] = ()  # Each ``until`` that ended without its goals, as sentences
+
+    @property
+    def text(self) -> str:
+        """The run's end as one line."""
+        return ": ".join(filter(None, (self.item, self.how, self.why, " ".join(self.goals_missed))))
+
+
+@dataclass(frozen=True)
+class BatchStatus:
+    """Status of a batch."""
+
+    # folder, queue, zone: Folder of the batch, name of its queue, and time zone of the printed times.
+    folder: str
+    queue: str
+    zone: tzinfo | None
+    # running, rehearsal, simulated: Whether a process works on it; whether it is a rehearsal; whether any
+    # device of a run is simulated.
+    running: bool
+    rehearsal: bool
+    simulated: bool
+    # ended, why: How it ended, and why; empty if it has not ended.
+    ended: str
+    why: str
+    done: tuple[DoneRun, ...]
+    current_run: str  # The run in progress, in words; empty between runs
+    # Runs in progress and to come, in their order; runs without time are last.
+    upcoming: tuple[UpcomingRun, ...]
+    withdrawn: tuple[str, ...]
+    last_end: datetime | None = None  # Of the runs so far
+
+    @property
+    def end(self) -> datetime | None:
+        """Time at which the last run is expected to end; None if no run is to come."""
+        return max((run.end for run in self.upcoming if run.end is not None), default=None)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the status as JSON of schema ``starbench/batch-status/1`` holds it; times in UTC."""
+        return {
+            "schema": "starbench/batch-status/1",
+            "folder": self.folder,
+            "queue": self.queue,
+            "running": self.running,
+            "rehearsal": self.rehearsal,
+            "simulated": self.simulated,
+            "ended": self.ended,
+            "why": self.why,
+            "done": [run._asdict() for run in self.done],
+            "at_work": self.current_run,
+            "coming": [run.to_dict() for run in self.upcoming],
+            "withdrawn": list(self.withdrawn),
+            "end_utc": _iso(self.end),
+        }
+
+
+def read_batch_status(
+    folder: Path, utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)
+) -> BatchStatus:
+    """Read the status of a batch; changes nothing and disturbs no process."""
+    running = is_locked(folder)  # before the journal: a batch that ends meanwhile does not appear as killed
+    record = read_batch(folder)
+    done = tuple(
+        DoneRun(
+            run.item.key,
+            run.ended[-1].how,
+            run.ended[-1].why,
+            _missed_goals(folder / RUNS / run.item.key, len(run.ended)),
+        )
+        for run in record.with_end
+        if run.is_done and run.item.key != record.current_run
+    )
+    return BatchStatus(
+        folder=str(folder),
+        queue=record.queue.name,
+        zone=record.queue.tzinfo,
+        running=running,
+        rehearsal=record.rehearsal,
+        simulated=any(
+            read_plan(folder / RUNS / key).simulated for key, run in record.runs.items() if run.begun
+        ),
+        ended="" if running else record.ended,
+        why="" if running else record.why,
+        done=done,
+        current_run=_current_run_text(folder, record) if running and record.current_run else "",
+        upcoming=_upcoming(record, utc_now(), under_way=running),
+        withdrawn=tuple(sorted(key for key, run in record.runs.items() if run.withdrawn)),
+        last_end=record.last_end,
+    )
+
+
+@cache  # a journal may be long, and a follower asks again and again
+def _missed_goals(run: Path, _attempts: int) -> tuple[str, ...]:
+    return missed_goals(run)
+
+
+def missed_goals(run: Path) -> tuple[str, ...]:
+    """Return the goals that a run missed, as sentences; none if its journal cannot be read."""
+    try:
+        return tuple(goals_missed(StoredRun(run).history.decisions))
+    except BenchError:
+        return ()
+
+
+def follow_batch(
+    folder: Path, sleep: Callable[[float], None] = time.sleep, *, ticks: bool = False
+) -> Iterator[BatchStatus]:
+    """Read the status at each begin and end, with ``ticks`` also in between, until no process works on the batch."""
+    seen, waits = -1, 0
+    while True:
+        with storage_errors(folder):
+            size = (folder / JOURNAL).stat().st_size
+        running = is_locked(folder)
+        waits += 1
+        if size != seen or not running or (ticks and waits >= _TICK_WAITS):
+            seen, waits = size, 0
+            yield read_batch_status(folder)
+        if not running:
+            return
+        sleep(FOLLOW_S)
+
+
+def _upcoming(record: BatchRecord, now: datetime, *, under_way: bool) -> tuple[UpcomingRun, ...]:
+    """Predict the times of the run in progress and of the runs to come."""
+    if record.begun is None or (record.ended and not under_way):
+        return ()
+
+    def duration_of(item: Item) -> float:
+        return record.expected_duration_s(item, planned_duration_s(item.job))
+
+    at_s, first = record.seconds(now), []
+    pending = record.pending()
+    if record.current_run and under_way:
+        run = record.runs[record.current_run]
+        item, since_s = run.item, record.seconds(run.begun[-1])
+        at_s = max(at_s, since_s + duration_of(item))
+        first = [UpcomingRun(item.key, record.moment(since_s), record.moment(at_s))]
+        pending = [other for other in pending if other.key != item.key]
+    slots = look_ahead(pending, at_s, record.bounds, duration_of)
+    return (*first, *(slot.in_batch(record.begun) for slot in slots))
+
+
+def _current_run_text(folder: Path, record: BatchRecord) -> str:
+    try:
+        status = read_status(folder / RUNS / record.current_run)
+    except BenchError:  # its journal has no line yet
+        return f"{record.current_run}: starting"
+    held = f", HELD by {status.held_by}" if status.held_by else ""
+    left = "" if status.left_s is None else f", {duration_text(status.left_s)} left"
+    poses = f"{status.accepted} of {status.poses_text} poses recorded"
+    return f"{record.current_run}: {status.state}, {poses}{held}{left}"
+
+
+def batch_status_text(status: BatchStatus) -> str:
+    """Describe the status of a batch for the operator."""
+    state = "running" if status.running else status.ended or f"interrupted ({NO_END})"
+    state += f": {status.why}" if status.why else ""
+    mark = "  REHEARSAL" if status.rehearsal else "  SIMULATED" if status.simulated else ""
+    lines = [f"Batch {status.queue}{mark}: {state}"]
+    finished = sum(run.how == "finished" for run in status.done)
+    lines.append(f"{counted(finished, 'run')} with a result, {len(status.done) - finished} without")
+    lines += [f"  {run.text}" for run in status.done if run.how != "finished" or run.goals_missed]
+    if status.withdrawn:
+        lines.append(f"Withdrawn: {', '.join(status.withdrawn)}")
+    if status.current_run:
+        lines.append(f"In progress: {status.current_run}")
+    lines += _upcoming_lines(status)
+    if status.end is not None and status.running:
+        lines.append(f"Expected end: {_clock(status.end, status.zone, day=True)}")
+    if not status.running and status.ended != "finished":
+        lines.append(f"No process works on it; continue with: starbench batch QUEUE --output {status.folder}")
+    return "\n".join(lines)
+
+
+def _upcoming_lines(status: BatchStatus) -> list[str]:
+    planned = [run for run in status.upcoming if run.begin is not None and run.end is not None]
+    lines = [
+        f"  {_clock(run.begin, status.zone)} to {_clock(run.end, status.zone)}  {run.item}"
+        for run in planned[:_MOST_UPCOMING]
+        if run.begin is not None and run.end is not None
+    ]
+    if len(planned) > _MOST_UPCOMING:
+        lines.append(f"  ... {len(planned) - _MOST_UPCOMING} more")
+    cut = [run.item for run in status.upcoming if run.begin is None]
+    return [*lines, *([f"No time for: {', '.join(cut)}"] if cut else [])]
+
+
+def _clock(moment: datetime, zone: tzinfo | None, *, day: bool = False) -> str:
+    return f"{moment.astimezone(zone):{'%a %H:%M %Z' if day else '%H:%M'}}"
+
+
+_K = 2.0  # of a change per hour
+
+
+def summary_lines(summary: BatchSummary) -> Iterator[str]:
+    """Return the end of a batch, its runs, and means with their U."""
+    how = summary["how"] or "not ended"
+    rehearsal = "REHEARSAL of batch" if summary["rehearsal"] else "Batch"
+    yield f"{rehearsal} {summary['queue']}: {how}{': ' if summary['why'] else ''}{summary['why']}"
+    for item in summary["items"]:
+        why = f": {item['why']}" if item["why"] else ""
+        verdict = f"  {item['conformity']}" if item["conformity"] else ""
+        attempts = f"{item['attempts']} attempt{'' if item['attempts'] == 1 else 's'}"
+        yield f"  {item['item']:<30} {item['how']:<10} {attempts}{verdict}{why}"
+        yield from (f"    {sentence}" for sentence in item["goals_missed"])
+    for camera in summary["cameras"]:
+        yield from _trend_lines(camera)
+
+
+def _trend_lines(camera: CameraData) -> list[str]:
+    """Return one line per parameter of a camera, if more than one of its runs has a result."""
+    lines = []
+    width = max((len(trend["name"]) for trend in camera["parameters"]), default=0)
+    for trend in camera["parameters"]:
+        mean, expanded = with_uncertainty(trend["mean"], trend["expanded"])
+        unit = unit_text(trend["name"])
+        line = f"  {trend['name']:<{width}} {mean:>12} ± {expanded:<9} {unit:<3} Birge {trend['birge']:.2f}"
+        line += "  REPEATS" if trend["repeats"] else ""
+        if trend["per_hour"] is not None:
+            slope, slope_u = with_uncertainty(trend["per_hour"]["value"], _K * trend["per_hour"]["sigma"])
+            line += f"  {slope:>10} ± {slope_u} per hour{'  CHANGES' if trend['per_hour']['seen'] else ''}"
+        lines.append(line)
+    if lines:
+        factors = factors_text(trend["coverage_factor"] for trend in camera["parameters"])
+        head = f"Camera {camera['camera']}, {camera['model']} model, {len(camera['runs'])} results; U with {factors}:"
+        lines.insert(0, head)
+    if any(trend["repeats"] for trend in camera["parameters"]):
+        lines.append(f"  REPEATS: {REPEATS_TEXT}")
+    return lines

@@ -1,0 +1,227 @@
+"""Rehearse runs: the same steps, states and journal as a run, on a virtual clock and with virtual devices.
+
+It leaves out what would be evidence: events, ledger, seal, messages, report; its results are the calibration alone.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Callable, Mapping, MutableMapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, cast
+
+from bench.base.clock import BenchClock
+from bench.base.errors import BenchError
+from bench.base.progress import Progress
+from bench.extras.batch.virtual_devices import VirtualDevices, read_view
+from bench.measure.camera_kinds import CameraKind, EventKind
+from bench.measure.measure import ExpectedGrid, Measurement
+from bench.plan.job import Job, documents_of
+from bench.plan.plan import CHECK_S, CHOOSE_S, PREFLIGHT_S, REPORT_S, SOLVE_S, Plan, load_documents, make_plan
+from bench.record.events import Event, MeasuredFacts, Solved, UntilDecided
+from bench.record.history import History, RunLog, replay
+from bench.record.journal import Journal, UnsyncedJournal
+from bench.record.results import Results
+from bench.record.run_folder import JOURNAL, PLAN, RESULTS, RunFolder
+from bench.run.runner import RunEnd, Runner
+from bench.solve.interim import decide_until
+from bench.solve.result import Outcome, ResultWriter
+from bench.solve.results_content import plugins_of_run, run_software
+from bench.solve.solution import accepted_measurements, compare_with_truth, main_numbers, views_in
+from bench.solve.solve_options import solve_options
+from bench.stations.devices import Devices
+from calib.engine import Calibration, calibrate
+from calib.errors import CalibrationError
+from calib.target import StarTarget
+from sequences.script import RecordStep, SolveStep
+
+SCHEMA = "starbench/rehearsal/1"
+
+OpenDevices = Callable[[], Devices]
+
+
+class RehearsedKind(EventKind):
+    """A camera whose recordings hold stars instead of events; it replaces event and frame cameras alike."""
+
+    def __init__(self, clock: BenchClock) -> None:
+        super().__init__({})
+        self._clock = clock
+
+    def measure(
+        self,
+        path: Path,
+        step: RecordStep,
+        frequency_hz: float,
+        target: StarTarget,
+        expected_grid: ExpectedGrid | None,  # noqa: ARG002 - the file states the stars' ids
+        *,
+        motion: bool = True,  # noqa: ARG002
+    ) -> Measurement:
+        """See `EventKind.measure`. Reads the stars of a rehearsed recording."""
+        self._clock.sleep(CHECK_S)
+        try:
+            view, edges = read_view(path, step.pose.name, target)
+        except (OSError, ValueError, KeyError, CalibrationError) as error:
+            return Measurement(None, None, {}, f"this is not a rehearsed recording: {error}")
+        facts: MeasuredFacts = {
+            "rehearsed": True,
+            "flicker_hz": frequency_hz,
+            "flicker_source": "triggers",
+            "triggers_found": edges,
+            "triggers_expected": edges,
+        }
+        return Measurement(view, None, facts)
+
+
+@dataclass(frozen=True)
+class RehearsedJob(Job):
+    """Task of a rehearsed run."""
+
+    clock: BenchClock
+
+    @property
+    def simulated(self) -> bool:
+        """True, because nothing is measured."""
+        return True
+
+    @property
+    def camera_kind(self) -> CameraKind:
+        """One kind for all cameras."""
+        return RehearsedKind(self.clock)
+
+
+class RehearsedResults(ResultWriter):
+    """Calculates the calibration of a rehearsed run and writes it; no comparison and no report."""
+
+    def __init__(self, job: RehearsedJob, folder: RunFolder) -> None:
+        super().__init__(job, folder)
+        self._clock = job.clock
+        self._calibration: Calibration | None = None
+
+    def solve(
+        self,
+        step: SolveStep,
+        history: History,
+        measured: MutableMapping[int, Measurement],
+        check: Callable[[], None],
+    ) -> Solved:
+        """See `ResultWriter.solve`. Without checks and planar comparison."""
+        check()
+        self._clock.sleep(SOLVE_S)
+        found, readings = accepted_measurements(self._job, self._folder.path, history, measured)
+        options = solve_options(self._job, step, readings)
+        self._calibration = calibrate(views_in(found), options)
+        return main_numbers(self._calibration)
+
+    def write(self, log: RunLog, truth: Mapping[str, Any] | None) -> None:
+        """Write results.json, which states that it is from a rehearsal."""
+        if self._calibration is None:
+            raise BenchError(
+                "There is nothing to report: no solve step came before the report step.",
+                remedy="Add a solve step to the sequence.",
+            )
+        self._clock.sleep(REPORT_S)
+        results = {
+            "schema": SCHEMA,
+            "rehearsal": True,
+            "run": {"id": log.history.started["id"], "started_utc": log.history.started_utc},
+            "calibration": self._calibration.to_dict(),
+            "comparison": compare_with_truth(self._calibration, truth) if truth is not None else [],
+            **({"untils": list(log.history.decisions)} if log.history.decisions else {}),
+            "deviations": list(log.history.deviations),
+        }
+        data = (json.dumps(results, indent=1, allow_nan=False) + "\n").encode()
+        self.outcome = Outcome(cast("Results", results), self._folder.write_atomic(RESULTS, data))
+
+
+def rehearse_run(
+    sequence: str,
+    station: str,
+    *,
+    seed: int,
+    operator: str | None,
+    folder: Path,
+    clock: BenchClock,
+    settings: Mapping[str, str] | None = None,
+) -> RunEnd:
+    """Rehearse a run in a new folder, or continue a rehearsed run that did not finish in its own."""
+    planned = _without_room_interlocks(make_plan(*load_documents(sequence, station, settings)))
+    task = Job.from_plan(planned, seed=seed, operator=operator)
+    job = RehearsedJob(task.plan, task.steps, task.seed, task.operator, clock)
+
+    def open_devices() -> Devices:
+        clock.sleep(PREFLIGHT_S)
+        return VirtualDevices(job.station, seed=seed, clock=clock)
+
+    return rehearse_job(job, folder, open_devices)
+
+
+def _without_room_interlocks(planned: Plan) -> Plan:
+    """Remove the interlocks that check the real room and this computer's disk."""
+    value = planned.station.value
+    interlocks = value.interlocks.model_copy(update={"door": None, "disk_space": None})
+    station = replace(planned.station, value=value.model_copy(update={"interlocks": interlocks}))
+    return replace(planned, station=station)
+
+
+def rehearse_job(
+    job: RehearsedJob,
+    folder: Path,
+    open_devices: OpenDevices,
+    journal_type: type[Journal] = UnsyncedJournal,
+) -> RunEnd:
+    """Rehearse a task on given devices as `rehearse_run`; the kind ``Journal`` stores it as durably as a real run."""
+    clock = job.clock
+    clocks: dict[str, Any] = {"utc_now": clock.utc_now, "monotonic": clock.monotonic}
+    begun = (folder / JOURNAL).exists()
+    with RunFolder.open(folder) if begun else RunFolder.create(folder) as held:
+        if not begun:
+            _write_documents(held, job.plan)
+        opened = journal_type.open if begun else journal_type.create
+        with opened(held.journal_path, **clocks) as journal:
+            if begun and replay(journal.entries).ended == "finished":
+                return RunEnd("finished", "", held.path, None)
+            _journal_begin(journal, job, held, again=begun)
+            progress = Progress(clock.monotonic, job.plan.duration_s, stream=io.StringIO())
+
+            def decide(*given: Any) -> UntilDecided:
+                clock.sleep(CHOOSE_S)
+                return decide_until(job, held.path, *given)
+
+            results = RehearsedResults(job, held)
+            runner = Runner(job, held, journal, open_devices, clock, progress, results=results, decide=decide)
+            return runner.run()
+
+
+def _write_documents(folder: RunFolder, plan: Plan) -> None:
+    for name, text in documents_of(plan).items():
+        folder.write_atomic(name, text)
+    folder.write_atomic(PLAN, (json.dumps(plan.to_dict(), indent=1) + "\n").encode())
+
+
+def _journal_begin(journal: Journal, job: RehearsedJob, folder: RunFolder, *, again: bool) -> None:
+    if again:
+        journal.append(
+            Event.RUN_RESUMED,
+            torn_bytes=len(journal.torn),
+            software=run_software(job.station),
+            rehearsal=True,
+        )
+        return
+    plan = job.plan
+    journal.append(
+        Event.RUN_STARTED,
+        id=folder.path.name,
+        rehearsal=True,
+        sequence=plan.sequence.value.name,
+        station=plan.station.value.name,
+        sha256={name: hashlib.sha256(text).hexdigest() for name, text in documents_of(plan).items()},
+        seed=job.seed,
+        operator=job.operator,
+        simulated=True,
+        software=run_software(job.station),
+        **plugins_of_run(job.station),
+    )

@@ -1,0 +1,259 @@
+"""Derive a certificate again from its own folder, and compare it with the laboratory's ledger. Nothing is written."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from bench.base.bounded_json import parse_json
+from bench.base.errors import BenchError, UsageError
+from bench.evidence.findings import UNREADABLE, Findings
+from bench.evidence.ledger_check import is_sealed_by, own_public_keys, sealed_strangers
+from bench.extras.certificate.certificate_data import CERTIFICATE, Certificate, sha256
+from bench.extras.certificate.clauses import faults_of_lab
+from bench.extras.certificate.compose import FURTHER, Identity, compose
+from bench.extras.certificate.issue import (
+    DCC,
+    LAB,
+    PDF,
+    certificate_files,
+    changes_of,
+    plots_in,
+    require_libraries,
+)
+from bench.extras.certificate.lab_config import LabConfig, lab_of
+from bench.extras.certificate.sealed_run import is_statement, other_writer, stated_run
+from bench.extras.certificate.series import SIMULATED, is_number_format, number_pattern, numbers
+from bench.record.ledger import LEDGER, Ledger
+from bench.record.run_folder import MANIFEST, RESULTS
+from bench.record.storage import read_bounded, sha256_of
+from sequences.errors import DocumentFaults
+from sequences.reader import Located
+
+_FILES = frozenset({CERTIFICATE, RESULTS, LAB, DCC, PDF, "VERIFY.txt"})
+_KIND = "certificate"
+
+
+def check_certificate(folder: Path, ledger: Ledger | None = None) -> Findings:
+    """Derive the files again and compare every byte; compare number and run with the ledger, if it has the number."""
+    found = Findings()
+    names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
+    for name in sorted(_FILES - names):
+        found.fault("missing", name, "a certificate has this file")
+    if found.faults:
+        return found
+    try:
+        certificate = Certificate.from_json(read_bounded(folder / CERTIFICATE))
+        _derive(folder, certificate, found)
+    except BenchError as error:
+        found.fault(_KIND, error.where or CERTIFICATE, error.what.rstrip("."))
+        return found
+    except UNREADABLE as error:
+        found.fault(_KIND, RESULTS, f"the certificate cannot be derived from it ({error!r})")
+        return found
+    if ledger is not None:
+        _compare_with_ledger(folder, certificate, ledger, found)
+    return found
+
+
+def _derive(folder: Path, certificate: Certificate, found: Findings) -> None:
+    """Compose the certificate again, and render PDF and DCC."""
+    results = read_bounded(folder / RESULTS)
+    if sha256(results) != certificate.run.results_sha256:
+        found.fault(_KIND, RESULTS, "these are not the results that the certificate names")
+    content = parse_json(results)
+    try:
+        lab = lab_of(read_bounded(folder / LAB), LAB)
+    except DocumentFaults as error:
+        found.fault(_KIND, LAB, "; ".join(str(fault) for fault in error.faults[:5]))
+        return
+    for fault in faults_of_lab(lab, content)[:5]:
+        found.fault(_KIND, LAB, str(fault))
+    _check_number(certificate, lab.value, found)
+    other = other_writer(certificate.run.software)
+    stated = certificate.statement("verification")
+    if not other and not is_statement(stated):
+        found.fault(
+            _KIND, CERTIFICATE, "it does not state what was verified before the issue as issuing does"
+        )
+    if found.faults:
+        return
+    written = certificate.run.software[len(content["run"]["software"]) :]
+    run = replace(certificate.run, **stated_run(content, results, written))
+    also = certificate.statement("also")
+    if not other and also and not also.startswith(FURTHER):
+        found.fault(
+            _KIND, CERTIFICATE, "it does not state as issuing does why the run has a further certificate"
+        )
+    identity = Identity(certificate.number, certificate.issued_utc, run, certificate.amends, also, stated)
+    again = compose(content, lab.value, identity)
+    if again.to_json() != (folder / CERTIFICATE).read_bytes():
+        where = _first_difference(certificate, again)
+        if other and _same_numbers(certificate, again):
+            found.not_compared.append(f"{CERTIFICATE}, {PDF} and {DCC}: they were written with {other}")
+        else:
+            found.fault(_KIND, CERTIFICATE, f"it does not follow from {RESULTS} and {LAB}: {where}")
+        return
+    _compare_documents(folder, again, lab, results, other, found)
+
+
+_IN_EVERY_VERSION = (
+    "simulated",
+    "series",
+    "laboratory",
+    "customer",
+    "item",
+    "received",
+    "begun_utc",
+    "ended_utc",
+    "method",
+    "traceability",
+    "covariance",
+    "customer_supplied",
+    "external",
+    "opinions",
+    "authorised_by",
+)
+"""Fields that come from the run and from lab.yaml without words or rounding of the program."""
+
+
+def _same_numbers(stated: Certificate, derived: Certificate) -> bool:
+    """Return whether two certificates state the same results of the same item: every version must agree on them."""
+    if any(getattr(stated, name) != getattr(derived, name) for name in _IN_EVERY_VERSION):
+        return False
+    numbers_of = [
+        [(one.symbol, one.unit, one.value, one.u, one.U, one.k) for one in each.results]
+        for each in (stated, derived)
+    ]
+    verdicts = [
+        [(one.symbol, one.lower, one.upper, one.guard_band, one.verdict) for one in each.conformity]
+        for each in (stated, derived)
+    ]
+    return numbers_of[0] == numbers_of[1] and verdicts[0] == verdicts[1]
+
+
+def _compare_documents(
+    folder: Path,
+    certificate: Certificate,
+    lab: Located[LabConfig],
+    results: bytes,
+    other: str,
+    found: Findings,
+) -> None:
+    """Render PDF and DCC again. Another program may give other bytes; it is then named."""
+    try:
+        require_libraries()
+    except UsageError as error:
+        found.not_compared.append(f"{PDF} and {DCC}: {error.what} {error.remedy}".rstrip("."))
+        return
+    from bench.extras.certificate.dcc_signature import verify_signature, without_signature
+
+    stored = (folder / DCC).read_bytes()
+    signature = verify_signature(stored, DCC)
+    if signature is not None:
+        found.remarks.append(
+            f"{DCC} has a valid signature of {signature.signer}; whether you trust its certificate was not checked:"
+            f" xmlsec1 --verify --trusted-pem AUTHORITY.pem {DCC}"
+        )
+
+    def signed(dcc: bytes) -> bytes:
+        return stored if without_signature(stored) == dcc else dcc
+
+    found_again = parse_json(results)
+    files = certificate_files(certificate, found_again, results, lab.text, plots_in(folder), sign=signed)
+    for name in (DCC, PDF):
+        if files[name] == (folder / name).read_bytes():
+            continue
+        if other:
+            found.not_compared.append(f"{name}: it was written with {other}")
+        else:
+            found.fault(_KIND, name, f"it is not what follows from {CERTIFICATE}")
+
+
+def _check_number(certificate: Certificate, lab: LabConfig, found: Findings) -> None:
+    wanted = (SIMULATED if certificate.simulated else "") + lab.numbers.format
+    if certificate.series != wanted or not is_number_format(wanted):
+        found.fault(_KIND, CERTIFICATE, f"its series is {certificate.series!r}, not that of {LAB}")
+    elif not number_pattern(wanted).fullmatch(certificate.number):
+        found.fault(_KIND, CERTIFICATE, f"{certificate.number} is not a number of its series {wanted}")
+
+
+def _first_difference(stated: Certificate, derived: Certificate) -> str:
+    """Name the first field that differs."""
+    try:
+        changes = changes_of(derived, stated)
+    except BenchError:
+        return "the same values are written in another form"
+    first = changes[0]
+    more = f" and {len(changes) - 1} more" if len(changes) > 1 else ""
+    return f"{first.field} is {first.after!r}, derived {first.before!r}{more}"
+
+
+def _compare_with_ledger(folder: Path, certificate: Certificate, ledger: Ledger, found: Findings) -> None:
+    try:
+        known = numbers(ledger.entries())
+        runs = ledger.runs()
+    except BenchError as error:
+        found.not_compared.append(f"the ledger of this bench cannot be read: {error.what.rstrip('.')}")
+        return
+    is_own = is_sealed_by(folder, own_public_keys(ledger.home))
+    if is_own:
+        _compare_with_breaks(ledger, found)
+    one = known.get(certificate.number)
+    if one is None and is_own:
+        what = f"this bench has sealed {certificate.number}, but its ledger does not contain it; lines were removed"
+        found.fault("ledger", LEDGER, f"{what}, so nothing tells whether it was replaced or declared void")
+    elif one is None:
+        found.remarks.append(
+            f"{certificate.number} is not in the ledger of this bench, so nothing here tells whether it was replaced"
+        )
+    elif one.how == "void":
+        found.fault(_KIND, CERTIFICATE, f"{one.number} was declared void: {one.reason}")
+    elif one.how == "issued" and one.seal != sha256_of(folder / MANIFEST):
+        found.fault(_KIND, MANIFEST, f"the ledger has another seal for {one.number}")
+    elif one.superseded_by:
+        found.remarks.append(f"SUPERSEDED: {one.superseded_by} replaces this certificate")
+    elif one.how != "issued":
+        found.remarks.append(f"{one.number} is {one.how} in the ledger of this bench, not issued")
+    old = known.get(certificate.amends.number) if certificate.amends else None
+    if old is not None and certificate.amends is not None:
+        says = (old.seal, old.superseded_by)
+        if says != (certificate.amends.sha256, certificate.number):
+            found.fault(
+                _KIND, CERTIFICATE, f"the ledger does not say that it replaces {old.number} with this seal"
+            )
+    for run in runs:
+        if run.seal == certificate.run.seal_sha256:
+            _compare_with_run(folder, Path(run.folder), certificate, found)
+
+
+def _compare_with_breaks(ledger: Ledger, found: Findings) -> None:
+    """Tell what is missing in the ledger: a lost line may have replaced the certificate, or declared it void."""
+    faults, explained = ledger.breaks(None, sealed_strangers(ledger.home))
+    for what in faults:
+        found.fault(
+            "ledger",
+            LEDGER,
+            f"{what.rstrip('.')}; a lost line may have replaced this certificate or made it void",
+        )
+    found.not_compared += [
+        f"whether it was replaced or declared void: {str(one).rstrip('.')} ({one.by}: {one.reason})"
+        for one in explained
+    ]
+
+
+def _compare_with_run(folder: Path, run: Path, certificate: Certificate, found: Findings) -> None:
+    """Compare with the sealed run, if it still lies where the ledger says."""
+    if not (run / MANIFEST).is_file() or sha256_of(run / MANIFEST) != certificate.run.seal_sha256:
+        found.remarks.append(f"the run {certificate.run.id} is not in {run}, so its plots were not compared")
+        return
+    results = read_bounded(folder / RESULTS)
+    if read_bounded(run / RESULTS) != results:
+        found.fault(_KIND, RESULTS, f"the results are not those of the run {run}")
+        return
+    from bench.extras.certificate.pdf import plots_of_run
+
+    if plots_of_run(run, parse_json(results)) != plots_in(folder):
+        found.not_compared.append(
+            "the plots are not drawn alike from the run here: another version of Starbench, or changed plots"
+        )

@@ -1,0 +1,397 @@
+"""From results.json and lab.yaml to a certificate. Same input, same certificate: no clock, no file, no key.
+
+The guard band is the expanded uncertainty, w = U (ILAC-G8:09/2019, 4.2.2 and 4.2.3); the decision uses the printed
+numbers, so that a reader can repeat it.
+"""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+from bench.base.errors import EvidenceError
+from bench.extras.certificate import run_facts
+from bench.extras.certificate.budget_rows import RowSource, budget_of
+from bench.extras.certificate.certificate_data import (
+    FORMAT,
+    Amends,
+    BeforeAdjustment,
+    Certificate,
+    Condition,
+    Conformity,
+    Deviation,
+    Item,
+    Laboratory,
+    Result,
+    Run,
+    Statement,
+    Traceability,
+    ValueBefore,
+)
+from bench.extras.certificate.lab_config import (
+    NONE,
+    Accreditation,
+    ConditionConfig,
+    LabConfig,
+    LabRuleConfig,
+    PreviousConfig,
+    SourceConfig,
+)
+from bench.extras.certificate.run_facts import is_unnamed
+from bench.extras.certificate.series import SIMULATED
+from bench.record.results import PassportData, Results
+from bench.record.run_facts import verdict_of
+from bench.wording.parameters import unit_of
+from bench.wording.target_words import words_of
+from calib.model.lens import is_fisheye
+from calib.model.result_parts import PASSPORT
+
+_SIMULATED = (
+    "SIMULATED: the devices of this calibration were simulated. This document shows the procedure; it is no calibration"
+    " of a real camera."
+)
+_ITEMS = "The results relate only to the item calibrated, in the condition and with the settings described."
+_READ_FROM_THE_ITEM = (
+    "The camera does not report maker, model and serial number; the laboratory read them from the item."
+)
+_REPRODUCTION = (
+    "This certificate shall not be reproduced except in full, unless the laboratory approves in writing."
+)
+_UNCERTAINTY = (
+    "The expanded uncertainty U is the standard uncertainty u multiplied by the coverage factor k that is stated with"
+    " each result: U = k u. By the distribution of the result, Student's t where the effective degrees of freedom are"
+    " few, it corresponds to a coverage probability of about 95 %. The standard uncertainties were determined by"
+    " JCGM 100 (GUM); the joint covariance is stated. For quantities that are calculated from several results, use"
+    " the largest k. U has two significant digits and is rounded up, unless rounding down changes it by 1 % or less."
+)
+_ADJUSTMENT = "The item was calibrated as received. Nothing was adjusted or repaired."
+_NOT_ACCREDITED = "This calibration is not covered by an accreditation."
+_CUSTOMER_DATA = (
+    "Data that the customer supplied are marked. They can affect the validity of results; the laboratory is not"
+    " responsible for them."
+)
+_AUTHORISATION = (
+    "This document is sealed by the calibration bench. It is authorised only with the signature of the person named,"
+    " which lies beside the seal: SHA256SUMS.authorised.sig. Without it this document is not a valid certificate."
+)
+_BROWN = (
+    "A point (X, Y, Z) in the frame of the camera has x = X / Z, y = Y / Z and r2 = x x + y y. With the radial factor"
+    " L = (1 + k1 r2 + k2 r2^2 + k3 r2^3) / (1 + k4 r2 + k5 r2^2 + k6 r2^3) its image point is"
+    " u = fx (L x + 2 p1 x y + p2 (r2 + 2 x x)) + cx and v = fy (L y + p1 (r2 + 2 y y) + 2 p2 x y) + cy, in pixels;"
+    " the centre of the first pixel is (0, 0). Coefficients that are not listed are zero (Brown's model as in OpenCV)."
+)
+_SKEW = " To u, the skew times the factor of fy in v is added: K[0, 1] of the camera matrix, in pixels."
+_FISHEYE = (
+    "A point (X, Y, Z) in the frame of the camera has x = X / Z, y = Y / Z, r = sqrt(x x + y y) and the angle"
+    " t = atan(r). With d = t (1 + kb1 t^2 + kb2 t^4 + kb3 t^6 + kb4 t^8) / r its image point is u = fx d x + cx and"
+    " v = fy d y + cy, in pixels; the centre of the first pixel is (0, 0). Coefficients that are not listed are zero"
+    " (model of Kannala and Brandt, OpenCV's fisheye model)."
+)
+
+
+FURTHER = "This is a further certificate of the same run. Reason: "
+
+
+def further_statement(reason: str) -> str:
+    """Return the statement of a further certificate of a run; empty for the first one, which has no reason."""
+    return f"{FURTHER}{reason}" if reason else ""
+
+
+def statements_of(found: Results, lab: LabConfig, *, also: str, verified: str) -> tuple[Statement, ...]:
+    """Return the fixed texts in printed order; ``also`` is `further_statement`, or empty."""
+    calibration = found["calibration"]
+    notes = " ".join(str(note) for note in calibration["notes"])
+    left_out = "; ".join(str(line) for line in calibration["not_included"])
+    pairs = [
+        ("simulated", _SIMULATED if found["run"]["simulated"] else ""),
+        ("authorisation", _AUTHORISATION),
+        ("accreditation", _NOT_ACCREDITED if lab.laboratory.accreditation == NONE else ""),
+        ("items", _ITEMS),
+        ("identity", _READ_FROM_THE_ITEM if is_unnamed(found) else ""),
+        ("reproduction", _REPRODUCTION),
+        ("model", _model_of(calibration["camera"])),
+        ("uncertainty", _UNCERTAINTY),
+        ("notes", notes),
+        ("not_included", f"Not known and not included in the uncertainty: {left_out}." if left_out else ""),
+        ("traceability", lab.traceability or ""),
+        ("verification", verified),
+        ("adjustment", _ADJUSTMENT),
+        ("customer_data", _CUSTOMER_DATA if lab.customer_supplied else ""),
+        ("recalibration", f"Recalibration: {lab.recalibration}" if lab.recalibration else ""),
+        ("also", also),
+    ]
+    return tuple(Statement(name, text) for name, text in pairs if text)
+
+
+def _model_of(camera: Mapping[str, Any]) -> str:
+    """Return the equations of a camera's model in words."""
+    if is_fisheye(camera):
+        return _FISHEYE
+    return _BROWN + _SKEW if "skew" in camera else _BROWN
+
+
+RULE = (
+    "Decision rule: guard band w = U, the expanded uncertainty; the printed numbers count. pass: the value lies inside"
+    " the limits by U or more. conditionalPass: inside the limits, but by less than U. conditionalFail: outside the"
+    " limits, by U or less. fail: outside the limits by more than U. (ILAC-G8, guarded acceptance and rejection.)"
+)
+
+
+def _rules_of(found: Results, lab: LabConfig) -> Sequence[LabRuleConfig]:
+    """Return the laboratory's limits for conformity, or else the run's, without those of the collimator."""
+    if lab.decision_rules:
+        return lab.decision_rules
+    judged = found.get("conformity")
+    rules = []
+    for one in judged["statements"] if judged else ():
+        if one["result"] in found["calibration"]["camera"]:
+            text = one["specification"] or f"limits of the run's {one['stated_by']}"
+            rules.append(
+                LabRuleConfig(
+                    result=one["result"], specification=text, lower=one["lower"], upper=one["upper"]
+                )
+            )
+        elif one["value"] is None:
+            raise EvidenceError(
+                f"The run has limits of {one['result']}, and no such result.",
+                remedy="State the limits of the certificate as decision_rules in lab.yaml.",
+            )
+    return rules
+
+
+def conformity_of(rule: LabRuleConfig, result: Result) -> Conformity:
+    """Return the statement of conformity of a result."""
+    return Conformity(
+        symbol=result.symbol,
+        specification=rule.specification,
+        lower=rule.lower,
+        upper=rule.upper,
+        unit=result.unit,
+        guard_band=result.U,
+        rule=RULE,
+        verdict=verdict_of(result.printed_value, result.printed_uncertainty, rule.lower, rule.upper),
+    )
+
+
+Part = TypeVar("Part")
+
+
+@dataclass(frozen=True)
+class Identity:
+    """What makes this certificate this one: everything that neither the run's results nor lab.yaml can give."""
+
+    number: str
+    issued_utc: str
+    run: Run
+    amends: Amends | None = None  # The certificate that this one replaces, if any
+    also: str = ""  # `further_statement` of a second certificate of the run; empty if it is the first one
+    verified: str = ""  # What was verified before the issue, in words
+
+
+def compose(found: Results, lab: LabConfig, identity: Identity) -> Certificate:
+    """Return a run's certificate, its clauses checked before; `EvidenceError` if the budget does not add up."""
+    simulated = bool(found["run"]["simulated"])
+    supplied = frozenset(symbol for one in lab.customer_supplied or () for symbol in one.results)
+    results = run_facts.results_of(found, supplied)
+    rows = row_sources(found, lab)
+    return Certificate(
+        format=FORMAT,
+        language="en",
+        title=f"SIMULATED {lab.title[0].lower()}{lab.title[1:]}" if simulated else lab.title,
+        number=identity.number,
+        series=(SIMULATED if simulated else "") + lab.numbers.format,
+        simulated=simulated,
+        laboratory=_laboratory(lab),
+        customer=lab.customer,
+        item=_item(found, lab),
+        received=_day(lab.item.received),
+        begun_utc=run_facts.utc_seconds(found["run"]["started_utc"]),
+        ended_utc=run_facts.utc_seconds(found["run"]["finished_utc"]),
+        issued_utc=identity.issued_utc,
+        method=_needed(lab.method),
+        deviations=(
+            *run_facts.deviations_of(found),
+            *(Deviation(text, "laboratory") for text in lab.deviations or ()),
+        ),
+        conditions=(*run_facts.conditions_of(found), *(_condition(one) for one in lab.conditions or ())),
+        traceability=_traceability(found, lab),
+        results=results,
+        covariance=run_facts.covariance_of(found),
+        further=run_facts.further_of(found),
+        budgets=tuple(
+            budget_of(found["calibration"], one.symbol, one.unit, rows, one.U, words_of(found))
+            for one in results
+        ),
+        before_adjustment=_before(found, lab),
+        conformity=tuple(conformity_of(rule, _named(results, rule.result)) for rule in _rules_of(found, lab)),
+        customer_supplied=tuple(one.text for one in lab.customer_supplied or ()),
+        external=lab.external or (),
+        opinions=lab.opinions,
+        authorised_by=_needed(lab.authorised_by),
+        run=identity.run,
+        amends=identity.amends,
+        statements=statements_of(found, lab, also=identity.also, verified=identity.verified),
+    )
+
+
+def row_sources(found: Results, lab: LabConfig) -> dict[str, RowSource]:
+    """Return the certificates behind the rows of the budget: what the run states, then what lab.yaml adds."""
+    sources = {}
+    if in_run := found.get("passport"):
+        value, divisor = _radius_uncertainty(found, in_run)
+        sources[PASSPORT] = RowSource(
+            in_run["number"] or "",
+            in_run["date"] or "",
+            in_run["sha256"],
+            value if set(in_run["values"]) == {"r"} else None,
+            divisor,
+            "mm",
+        )
+    for one in lab.sources:
+        if one.row is None:
+            continue
+        known = sources.get(one.row, RowSource())
+        sources[one.row] = replace(
+            known,
+            number=one.number or known.number,
+            date=_day(one.date) or known.date,
+            sha256=one.sha256 or known.sha256,
+        )
+    return sources
+
+
+def _laboratory(lab: LabConfig) -> Laboratory:
+    stated = lab.laboratory.accreditation
+    return Laboratory(
+        name=lab.laboratory.name,
+        address=_needed(lab.laboratory.address),
+        contact=_needed(lab.laboratory.contact),
+        accreditation=stated if isinstance(stated, Accreditation) else None,
+        place_kind=_needed(lab.place).kind,
+        place=_needed(lab.place).name,
+    )
+
+
+def _needed(part: Part | None) -> Part:
+    """Return a part of lab.yaml that a clause asks for, so that `clauses` has refused a file without it."""
+    assert part is not None
+    return part
+
+
+def _day(date: dt.date | None) -> str:
+    return date.isoformat() if date else ""
+
+
+def _item(found: Results, lab: LabConfig) -> Item:
+    lens = lab.item.lens
+    return Item(
+        camera=run_facts.camera_identity(found, lab.item),
+        lens=lens.model_copy(update={"serial": ""}) if lens.serial == NONE else lens,
+        customer_id=lab.item.customer_id,
+        condition=lab.item.condition,
+    )
+
+
+def _condition(one: ConditionConfig) -> Condition:
+    if one.value is None:
+        return Condition(one.name, None, "1", None, None, one.text, one.instrument or "laboratory")
+    certificate = f", certificate {one.certificate}" if one.certificate else ""
+    return Condition(
+        one.name,
+        one.value,
+        one.unit,
+        one.uncertainty,
+        one.k if one.uncertainty is not None else None,
+        "",
+        f"{one.instrument}{certificate}",
+    )
+
+
+def _traceability(found: Results, lab: LabConfig) -> tuple[Traceability, ...]:
+    """Return the collimator's certificate or passport, then the other references of lab.yaml."""
+    by_row = {one.row: one for one in lab.sources}
+    rows = []
+    if in_run := found.get("passport"):
+        rows.append(_collimator(found, in_run, by_row.get(PASSPORT)))
+    rows += [
+        _reference(one, one.what or one.row or "")
+        for one in lab.sources
+        if not (in_run and one.row == PASSPORT)
+    ]
+    return tuple(rows)
+
+
+def _reference(one: SourceConfig, what: str) -> Traceability:
+    """Return the certificate of a reference as lab.yaml states it, without a value."""
+    return Traceability(
+        what, None, None, None, "1", one.number, one.issuer, _day(one.date), one.sha256, one.statement
+    )
+
+
+def _collimator(found: Results, in_run: PassportData, stated: SourceConfig | None) -> Traceability:
+    """Return the certificate or passport of the collimator, of the run before that of lab.yaml."""
+    radius = in_run["values"].get("r")
+    expanded, k = _radius_uncertainty(found, in_run)
+    known = _reference(stated or SourceConfig(row=PASSPORT), "focal length of the collimator")
+    return replace(
+        known,
+        what=(stated and stated.what) or known.what,
+        value=None if radius is None else float(radius),
+        U=expanded,
+        k=k,
+        unit="mm",
+        number=in_run["number"] or known.number,
+        date=in_run["date"] or known.date,
+        sha256=known.sha256 or in_run["sha256"],
+    )
+
+
+def _radius_uncertainty(found: Results, in_run: PassportData) -> tuple[float | None, float | None]:
+    """Return the uncertainty of the collimator's focal length as it is stated, mm, and its coverage factor."""
+    certificate = (found["run"].get("collimator") or {}).get("certificate")
+    if isinstance(certificate, Mapping) and in_run["source"] == "station certificate":
+        return float(certificate["uncertainty_mm"]), float(certificate.get("k", 2.0))
+    sigma = in_run["sigma"].get("r")
+    return (None, None) if sigma is None else (float(sigma), 1.0)
+
+
+def _before(found: Results, lab: LabConfig) -> BeforeAdjustment | None:
+    """Return the calibration before this one: the certificate of lab.yaml, and the last run on this bench."""
+    earlier, stated = found.get("previous"), lab.previous_certificate
+    if earlier is None or not earlier["run"]:
+        earlier = None
+    if earlier is None and not isinstance(stated, PreviousConfig):
+        return None
+    texts: list[str] = []
+    values: tuple[ValueBefore, ...] = ()
+    change = earlier.get("change") if earlier else None
+    number = date = digest = ""
+    if isinstance(stated, PreviousConfig):
+        number, date, digest = stated.number, stated.date.isoformat(), stated.sha256
+        texts.append(f"Certificate {number} of {date}" + (f", {stated.issuer}" if stated.issuer else ""))
+    if earlier is not None:
+        texts.append(
+            f"Calibration of this camera on this bench in run {earlier['run']} (number {earlier.get('number')}), ended"
+            f" {earlier.get('finished_utc') or 'at an unknown time'}; seal SHA-256 {earlier.get('seal')}"
+        )
+        then = earlier["calibration"]
+        k = float(then["coverage_factor"])
+        values = tuple(
+            ValueBefore(name, float(value), float(f"{k * then['sigma'][name]:.9g}"), unit_of(name))
+            for name, value in then["camera"].items()
+        )
+    return BeforeAdjustment(
+        "; ".join(texts),
+        number,
+        date,
+        digest,
+        values,
+        change["rms_px"] if change else None,
+        change["largest_px"] if change else None,
+    )
+
+
+def _named(results: Sequence[Result], symbol: str) -> Result:
+    return next(one for one in results if one.symbol == symbol)

@@ -1,0 +1,297 @@
+"""What a certificate takes from results.json; nothing of this is typed by hand. No file, no clock.
+
+Calculated numbers have nine digits, so that they are the same on another computer.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from datetime import datetime
+from typing import Any
+
+from bench.extras.certificate.budget_rows import expanded, nine_digits, print_plain, print_result, with_unit
+from bench.extras.certificate.certificate_data import (
+    Camera,
+    Condition,
+    Covariance,
+    Deviation,
+    FurtherResult,
+    Result,
+    sha256,
+)
+from bench.extras.certificate.lab_config import ItemConfig
+from bench.record.events import GateData, LightSettingsData
+from bench.record.results import BoresightData, CalibrationData, CameraConditions, KnownDirection, Results
+from bench.record.stored_calibration import camera_covariance, camera_of
+from bench.wording.parameters import unit_of
+from bench.wording.target_words import words_of
+from calib.uncertainty.projection_uncertainty import URAD_PER_ARCSEC, projection_uncertainty
+
+PROBABILITY = 0.9545
+_NAMES = {
+    "fx": "focal length along x",
+    "fy": "focal length along y",
+    "cx": "principal point, x",
+    "cy": "principal point, y",
+    "p1": "decentring distortion, first",
+    "p2": "decentring distortion, second",
+}
+_DEGREE = "\N{DEGREE SIGN}C"
+
+
+def results_of(found: Results, customer_supplied: frozenset[str] = frozenset()) -> tuple[Result, ...]:
+    """Return the camera's values, each with its expanded uncertainty, in the order of results.json."""
+    calibration = found["calibration"]
+    return tuple(
+        _result(calibration, symbol, float(value), supplied=symbol in customer_supplied)
+        for symbol, value in calibration["camera"].items()
+    )
+
+
+def _result(calibration: CalibrationData, symbol: str, value: float, *, supplied: bool) -> Result:
+    own, unit = expanded(calibration, symbol), unit_of(symbol)
+    shown, uncertainty = print_result(value, own.U)
+    return Result(
+        symbol=symbol,
+        name=_NAMES.get(symbol, f"coefficient {symbol} of the distortion"),
+        value=value,
+        unit=unit,
+        u=nine_digits(own.u),
+        U=float(uncertainty),
+        k=nine_digits(own.k),
+        p=PROBABILITY,
+        nu_eff=None if own.nu_eff is None else nine_digits(own.nu_eff),
+        printed_value=shown,
+        printed_uncertainty=uncertainty,
+        text=f"{with_unit(shown, unit)} \N{PLUS-MINUS SIGN} {with_unit(uncertainty, unit)}",
+        customer_supplied=supplied,
+    )
+
+
+def covariance_of(found: Results) -> Covariance:
+    """Return the joint covariance of results.json, without its enlargement where there are few degrees of freedom."""
+    calibration = found["calibration"]
+    symbols = tuple(calibration["camera"])
+    names, matrix = calibration["covariance"]["names"], calibration["covariance"]["matrix"]
+    growth = {symbol: expanded(calibration, symbol).growth for symbol in symbols}
+    at = {symbol: names.index(symbol) for symbol in symbols}
+    return Covariance(
+        symbols,
+        tuple(unit_of(symbol) for symbol in symbols),
+        tuple(
+            tuple(nine_digits(float(matrix[at[i]][at[j]]) / (growth[i] * growth[j])) for j in symbols)
+            for i in symbols
+        ),
+    )
+
+
+def further_of(found: Results) -> tuple[FurtherResult, ...]:
+    """Return the numbers about the calibration: uncertainty of the projection, residuals, number of views."""
+    calibration = found["calibration"]
+    projection, rows = found.get("projection"), _at_centre(calibration)
+    if projection is not None:
+        worst, name = projection["worst_corner"], "expanded uncertainty of the projection"
+        rows += _projection("projection_median", f"{name}, median over the image", projection["median"])
+        in_corner = f"{name} in the worst corner ({worst['corner']})"
+        rows += _projection("projection_worst_corner", in_corner, worst)
+    rows += _boresight(calibration.get("boresight"))
+    rows.append(_further("rms", "RMS of the residuals (no accuracy)", float(calibration["rms_px"]), "px"))
+    rows.append(_further("mean", "mean of the residuals (no accuracy)", float(calibration["mean_px"]), "px"))
+    rows.append(
+        FurtherResult(
+            "views", "number of views", float(len(calibration["views"])), "1", str(len(calibration["views"]))
+        )
+    )
+    return tuple(rows)
+
+
+def _at_centre(calibration: CalibrationData) -> list[FurtherResult]:
+    """Return the expanded uncertainty of the projection in the centre of the image."""
+    covariance = camera_covariance(calibration)
+    if covariance is None:
+        return []
+    found = projection_uncertainty(camera_of(calibration["camera"], calibration["image_size"]), covariance)
+    row, column = (size // 2 for size in found.sigma_px.shape)
+    k = float(calibration["coverage_factor"])
+    centre: KnownDirection = {
+        "expanded_px": k * float(found.sigma_px[row, column]),
+        "expanded_urad": k * float(found.sigma_arcsec[row, column]) * URAD_PER_ARCSEC,
+    }
+    return _projection(
+        "projection_centre", "expanded uncertainty of the projection in the centre of the image", centre
+    )
+
+
+def _boresight(found: BoresightData | None) -> Iterator[FurtherResult]:
+    """Yield the rotation of the camera against the stage's flange, each angle followed by its U."""
+    if found is None:
+        return
+    turned = [(f"rotation vector from flange to camera, {axis}", axis) for axis in "xyz"]
+    looks = [(f"middle of the image, {where} of the flange's axis", where) for where in ("right", "down")]
+    angles = zip(
+        (*turned, *looks),
+        (*found["vector_deg"], *found["right_down_deg"]),
+        (*found["expanded_deg"], *found["sight_expanded_deg"]),
+        strict=True,
+    )
+    for (name, short), value, own_u in angles:
+        text, own = print_result(value, own_u)
+        yield FurtherResult(
+            f"boresight_{short}", f"boresight: {name}", nine_digits(value), "deg", with_unit(text, "deg")
+        )
+        yield FurtherResult(
+            f"boresight_{short}_expanded",
+            f"boresight: expanded uncertainty of that angle ({short})",
+            nine_digits(own_u),
+            "deg",
+            with_unit(own, "deg"),
+        )
+
+
+def _projection(id_: str, name: str, one: KnownDirection) -> list[FurtherResult]:
+    return [
+        _further(id_, name, float(one["expanded_px"]), "px"),
+        _further(id_, name, float(one["expanded_urad"]) / URAD_PER_ARCSEC, "arcsec"),
+    ]
+
+
+def _further(id_: str, name: str, value: float, unit: str) -> FurtherResult:
+    return FurtherResult(id_, name, nine_digits(value), unit, with_unit(print_plain(value), unit))
+
+
+def is_unnamed(found: Results) -> bool:
+    """Return whether the camera did not report a serial number. The laboratory then identifies it."""
+    return not found["devices"]["camera"].get("serial")
+
+
+def _light_and_camera(found: Results) -> tuple[LightSettingsData, CameraConditions]:
+    """Return the settings of light and camera as the run read them back; empty if it did not."""
+    conditions = found.get("conditions")
+    return (conditions["light"], conditions["camera"]) if conditions else ({}, {})
+
+
+def camera_identity(found: Results, item: ItemConfig) -> Camera:
+    """Return the camera as it identified itself in the run, or else as section ``item`` of lab.yaml does."""
+    camera = dict(found["devices"]["camera"])
+    if is_unnamed(found):
+        camera |= {"maker": item.maker, "model": item.model, "serial": item.serial or ""}
+    _, settings = _light_and_camera(found)
+    biases = settings.get("biases") or {}
+    stated = json.dumps(biases, sort_keys=True, separators=(",", ":")).encode()
+    return Camera(
+        **{name: str(camera.get(name) or "") for name in ("maker", "model", "sensor", "serial", "firmware")},
+        image_size=tuple(int(size) for size in found["calibration"]["image_size"]),
+        biases=tuple(f"{name} = {biases[name]}" for name in sorted(biases)),
+        biases_sha256=sha256(stated) if biases else "",
+    )
+
+
+def conditions_of(found: Results) -> tuple[Condition, ...]:
+    """Return the recorded conditions: temperatures, light, event rate, the board if one was seen, camera settings."""
+    light, camera = _light_and_camera(found)
+    attempts = [one for pose in found["poses"] for one in pose["attempts"] if one["accepted"]]
+    rows = [
+        _range("camera temperature", [one.get("temperature_c") for one in attempts], _DEGREE),
+        _value(
+            "collimator temperature (station)",
+            (found["run"].get("collimator") or {}).get("temperature_c"),
+            _DEGREE,
+        ),
+        _range("measured frequency of the light", [pose.get("flicker_hz") for pose in found["poses"]], "Hz"),
+        _text("light", [_setting(name, value) for name, value in sorted(light.items())]),
+        _range("event rate", [one.get("event_rate_mev_s") for one in attempts], "Mev/s"),
+        _value("illumination", camera.get("illumination_lux"), "lx"),
+        _text("board", [str(board)] if (board := found["run"].get("board")) else []),
+        _text(
+            "settings of the camera",
+            [
+                _setting(name, value)
+                for name, value in sorted(camera.items())
+                if name not in ("biases", "temperature_c", "illumination_lux")
+            ],
+        ),
+    ]
+    return tuple(row for row in rows if row is not None)
+
+
+_SUFFIXES = {
+    "_hz": "Hz",
+    "_percent": "%",
+    "_v": "V",
+    "_ms": "ms",
+    "_us": "\N{MICRO SIGN}s",
+    "_db": "dB",
+    "_deg": "\N{DEGREE SIGN}",
+    "_c": _DEGREE,
+}
+"""Units by the end of a setting's name."""
+
+
+def _setting(name: str, value: Any) -> str:
+    """Return a setting in words, such as ``frequency 60 Hz``."""
+    if isinstance(value, Mapping):
+        return (
+            f"{name.replace('_', ' ')}: {', '.join(_setting(inner, value[inner]) for inner in sorted(value))}"
+        )
+    suffix = next((one for one in _SUFFIXES if name.endswith(one)), "")
+    shown = name.removesuffix(suffix).replace("_", " ")
+    if isinstance(value, bool) or value is None:
+        return f"{shown} {'none' if value is None else 'on' if value else 'off'}"
+    text = f"{value:g}" if isinstance(value, float) else str(value)
+    return f"{shown} {text} {_SUFFIXES.get(suffix, '')}".rstrip()
+
+
+def _value(name: str, value: float | None, unit: str) -> Condition | None:
+    return None if value is None else Condition(name, nine_digits(float(value)), unit, None, None, "", "run")
+
+
+def _text(name: str, parts: list[str]) -> Condition | None:
+    return Condition(name, None, "1", None, None, "; ".join(parts), "run") if parts else None
+
+
+def _range(name: str, values: list[float | None], unit: str) -> Condition | None:
+    """Return one value if all are printed alike, else the range in words."""
+    known = sorted(float(one) for one in values if one is not None)
+    if not known:
+        return None
+    low, high = (f"{one:.6g}" for one in (known[0], known[-1]))
+    if low == high:
+        return Condition(name, float(low), unit, None, None, "", "run")
+    return Condition(name, None, unit, None, None, f"{low} to {high} {unit}", "run")
+
+
+def deviations_of(found: Results) -> tuple[Deviation, ...]:
+    """Return what in the run differed from its sequence: deviations, failures, poses without result, failed gates."""
+    texts = [str(one) for one in (*(found.get("deviations") or ()), *(found.get("holds") or ()))]
+    texts += [f"The run was interrupted: {one.get('what') or one}" for one in found.get("failures") or []]
+    if resumed := int(found["run"].get("resumed") or 0):
+        texts.append(f"The run was resumed {resumed} time{'s' if resumed > 1 else ''}.")
+    texts += [
+        f"Pose {pose['index']} ({pose['name']}) has no accepted recording and does not enter the result."
+        for pose in found["poses"]
+        if not any(one["accepted"] for one in pose["attempts"])
+    ]
+    texts += [
+        f"Limit not met: {_gate_name(gate, found)} is {gate['value']} {gate['unit']}".rstrip()
+        + f", limit {gate['limit']}."
+        for gate in found.get("gates") or []
+        if gate["verdict"] == "fail"
+    ]
+    return tuple(Deviation(text, "run") for text in dict.fromkeys(texts))
+
+
+def _gate_name(gate: GateData, found: Results) -> str:
+    """Return the name of a gate, with its pose."""
+    if "pose" not in gate:
+        return str(gate["name"])
+    return f"pose {gate['pose']}: {words_of(found).fitting(gate['gate'])}"
+
+
+def utc_seconds(moment: str) -> str:
+    """Return a time in ISO 8601, with its zone, in UTC to whole seconds.
+
+    >>> utc_seconds("2026-11-21T01:06:35.918509Z")
+    '2026-11-21T01:06:35Z'
+    """
+    return datetime.fromisoformat(moment).strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -1,0 +1,228 @@
+"""A sealed run as the source of a certificate: verified first, and refused if it is none. It reads the run's folder.
+
+The certificate's list of software ends with what wrote it: the program's files by hash, and the libraries that decide
+bytes; a verifier that is another program cannot expect the same bytes.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+from bench.base.errors import BenchError, EvidenceError
+from bench.base.home import differing_software, hash_of_files
+from bench.evidence.findings import PARTS, Findings, Part, Verification
+from bench.extras.certificate.certificate_data import CERTIFICATE, Certificate, Run, Software, sha256
+from bench.record.ledger import Ledger
+from bench.record.results import Results
+from bench.record.run_folder import MANIFEST, RESULTS, is_sealed
+from bench.record.storage import read_bounded, sha256_of, storage_errors
+from bench.record.stored_run import StoredRun
+
+FORM = "certificate_form"
+_LIBRARIES = ("typst", "lxml")
+_FOLDER = "bench/extras/certificate"
+_ENDINGS = frozenset({".py", ".typ", ".j2"})
+_ALSO = (
+    "bench/record/stored_calibration.py",
+    "bench/report/calibration_tables.py",
+    "bench/report/pose_plot.py",
+    "bench/wording/numbers.py",
+    "calib/model/camera.py",
+    "calib/model/lens.py",
+    "calib/uncertainty/covariance.py",
+    "calib/uncertainty/projection_uncertainty.py",
+)
+"""Other modules whose code decides a value or a word of a certificate."""
+
+
+@functools.cache
+def written_with() -> tuple[Software, ...]:
+    """Return what writes a certificate here: libraries, and ``certificate_form``, 16 digits of its files' SHA-256."""
+    import bench
+
+    root = Path(bench.__file__).parent.parent
+    files = [path for path in (root / _FOLDER).rglob("*") if path.suffix in _ENDINGS]
+    form = hash_of_files(root, [*files, *(root / name for name in _ALSO)])
+    return (Software(FORM, form), *_installed())
+
+
+def _installed() -> list[Software]:
+    found = []
+    for name in _LIBRARIES:
+        try:
+            found.append(Software(name, version(name)))
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def other_writer(software: tuple[Software, ...]) -> str:
+    """Return how the program that wrote a certificate differs, as ``typst 0.14 (here 0.15)``; empty if it does not."""
+    stated, here = ({one.name: one.version for one in every} for every in (software, written_with()))
+    return differing_software(stated, here)
+
+
+_SEAL = "Before the issue the sealed run was verified: its seal, every file, its journal and the ledger."
+_SAME = " The results were made again from the recordings, and are the same."
+_PARTLY = (
+    " The results were made again from the recordings by another version of the program than that of the run;"
+    " not compared, and protected by the seal alone: "
+)
+_NOT_MADE = " The results were not made again from the recordings."
+
+
+def statement_of(verification: Verification) -> str:
+    """Return the sentence that states what was verified."""
+    if not verification.again:
+        return _SEAL + _NOT_MADE
+    if verification.complete:
+        return _SEAL + _SAME
+    return _partly(verification.parts_not_compared or ["results"])
+
+
+def _partly(parts: Iterable[Part]) -> str:
+    return f"{_SEAL}{_PARTLY}{', '.join(sorted(parts))}."
+
+
+def is_statement(text: str) -> bool:
+    """Return whether a sentence is one that `statement_of` makes."""
+    sets = (chosen for count in range(1, len(PARTS) + 1) for chosen in combinations(PARTS, count))
+    return text in {_SEAL + _SAME, _SEAL + _NOT_MADE, *map(_partly, sets)}
+
+
+def check_run_of_certificate(
+    folder: Path, ledger: Ledger, verify_run: Callable[[Path], Verification]
+) -> Findings:
+    """Make the results of a certificate's run again from its recordings, if it lies where the ledger says."""
+    found = Findings()
+    certificate = Certificate.from_json(read_bounded(folder / CERTIFICATE))
+    seal = certificate.run.seal_sha256
+    try:
+        places = [Path(run.folder) for run in ledger.runs() if run.seal == seal]
+    except BenchError as error:
+        found.not_compared.append(f"the ledger of this bench cannot be read: {error.what.rstrip('.')}")
+        return found
+    here = [path for path in places if (path / MANIFEST).is_file() and sha256_of(path / MANIFEST) == seal]
+    if not here:
+        where = f"not in {places[0]} any more" if places else "not in the ledger of this bench"
+        found.not_compared.append(
+            f"{RESULTS} with the recordings: the run {certificate.run.id} is {where}, so they were not made again"
+        )
+        return found
+    run = verify_run(here[0])
+    for fault in run.faults:
+        found.fault(fault.kind, f"{here[0]}/{fault.where}", fault.what)
+    found.not_compared += run.not_compared
+    if run.ok:
+        found.remarks.append(f"the results of the run in {here[0]} were made again from its recordings")
+    return found
+
+
+Verify = Callable[[Path], Verification]
+_MOST_NAMED = 5
+
+
+@dataclass(frozen=True)
+class Source:
+    """What a certificate is made from."""
+
+    found: Results
+    results: bytes
+    run: Run
+    plots: Mapping[str, str]
+    verified: str
+
+
+def read_sealed_run(folder: Path, verify: Verify, *, accept_not_compared: bool = False) -> Source:
+    """Verify a finished run with ``verify``, and read what a certificate needs; `EvidenceError` where it may have none.
+
+    With ``accept_not_compared`` the run may have parts that could not be made again.
+    """
+    if not is_sealed(folder):
+        raise EvidenceError(
+            "This run is not sealed: a certificate is made from a sealed run only.",
+            where=str(folder),
+            remedy="Let the run end: `starbench resume`.",
+        )
+    verification = verify(folder)
+    _refuse_unverified(folder, verification)
+    if verification.not_compared and not accept_not_compared:
+        raise EvidenceError(
+            f"Not all results of this run could be compared: {'; '.join(verification.not_compared[:_MOST_NAMED])}.",
+            where=str(folder),
+            remedy="Issue the certificate with the version that made the run. If its seal is enough for you, use"
+            " --accept-not-compared: the certificate then states it.",
+        )
+    with storage_errors(folder):
+        stored = StoredRun(folder)
+        _refuse_other_than_finished(stored)
+        if not stored.has_results:
+            raise EvidenceError("This run has no results.", where=str(folder), remedy="Add a solve step.")
+        found, results, seal = stored.results, stored.results_bytes, stored.seal
+    if not found["calibration"]["converged"]:
+        raise EvidenceError(
+            "The calibration of this run did not converge.", where=str(folder), remedy="Run it again."
+        )
+    from bench.extras.certificate.pdf import plots_of_run
+
+    run = Run(
+        **stated_run(found, results, written_with()),
+        journal_head=stored.head,
+        seal_sha256=seal,
+        signer=verification.signer or "",
+        signer_fingerprint=verification.fingerprint or "",
+    )
+    return Source(found, results, run, plots_of_run(folder, found), statement_of(verification))
+
+
+def stated_run(found: Results, results: bytes, written: tuple[Software, ...]) -> dict[str, Any]:
+    """Return the fields of a `Run` that results.json states; only the sealed folder can give the others."""
+    run = found["run"]
+    place: Mapping[str, Any] = run.get("ledger") or {}
+    used = (Software(str(name), str(version)) for name, version in run["software"].items())
+    return {
+        "id": str(run["id"]),
+        "sequence": str(run["sequence"]),
+        "station": str(run["station"]),
+        "ledger_number": int(place["number"]) if "number" in place else None,
+        "ledger_head": str(place.get("head") or ""),
+        "results_sha256": sha256(results),
+        "software": (*used, *written),
+    }
+
+
+def _refuse_unverified(folder: Path, verification: Verification) -> None:
+    if verification.kind != "run":
+        raise EvidenceError(
+            f"This folder is a {verification.kind} folder, not a run.",
+            where=str(folder),
+            remedy="Name the folder of a sealed run; to amend a certificate: `starbench certificate issue` with its"
+            " folder.",
+        )
+    what = [str(fault) for fault in verification.faults]
+    if what:
+        more = f"; and {len(what) - _MOST_NAMED} more" if len(what) > _MOST_NAMED else ""
+        raise EvidenceError(
+            f"The run does not verify: {'; '.join(what[:_MOST_NAMED])}{more}.",
+            where=str(folder),
+            remedy="Check it with `starbench verify`.",
+        )
+
+
+def _refuse_other_than_finished(run: StoredRun) -> None:
+    if run.is_rehearsal:
+        raise EvidenceError(
+            "This is a rehearsal: nothing was measured.", where=str(run.folder), remedy="Name a sealed run."
+        )
+    if run.history.ended != "finished":
+        raise EvidenceError(
+            f"This run did not finish: it {run.history.ended or 'has no end'}.",
+            where=str(run.folder),
+            remedy="Continue it with `starbench resume`, or run it again.",
+        )

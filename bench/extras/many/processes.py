@@ -1,0 +1,302 @@
+"""Workers on this computer: a pool of one process for each, so that it is known with which work a process died."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+import signal
+import threading
+import time
+import warnings
+from collections import deque
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
+from typing import Any
+
+from bench.base.errors import Failure, UsageError
+from bench.extras.many.work import Finished, Work, Workers, WorkersLost, do
+
+_ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+_END_S = 2.0
+
+
+@dataclass(frozen=True)
+class _Worker:
+    """A pool of one process, and that process."""
+
+    pool: ProcessPoolExecutor
+    process: BaseProcess
+
+    def end(self) -> None:
+        """End the process at once."""
+        self.process.terminate()
+        self.process.join(_END_S)
+        if self.process.is_alive():
+            self.process.kill()
+        self.pool.shutdown(cancel_futures=True)
+
+
+def _started(memory_bytes: int | None) -> _Worker:
+    pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), _prepare, (memory_bytes,))
+    before = multiprocessing.active_children()
+    with _one_thread():
+        pool.submit(os.getpid)  # the first work starts the process
+    (process,) = (one for one in multiprocessing.active_children() if one not in before)
+    return _Worker(pool, process)
+
+
+class Processes(Workers):
+    """``count`` workers here (None: one a processor); ``memory_bytes`` limits each, on Linux only."""
+
+    size = 1
+
+    def __init__(self, count: int | None = None, memory_bytes: int | None = None) -> None:
+        super().__init__()
+        self._memory_bytes = memory_bytes
+        self._waiting: deque[Work] = deque()
+        self._idle: list[_Worker] = []
+        self._working: dict[Future[Finished], _Worker] = {}
+        self._exit_code: int | None = None
+        self.size = max(1, count or processors())
+        self.replaced = 0
+
+    @property
+    def pids(self) -> list[int]:
+        """Numbers of the processes."""
+        workers = (*self._idle, *self._working.values())
+        return [worker.process.pid for worker in workers if worker.process.pid]
+
+    def submit(self, work: Work) -> None:
+        """See `Workers.submit`. Work with which a worker died is done first."""
+        if work.key in self._deaths:
+            self._waiting.appendleft(work)
+        else:
+            self._waiting.append(work)
+        self._hand_out()
+
+    def finished(self, timeout_s: float) -> Sequence[Finished]:
+        """See `Workers.finished`."""
+        ended = super().finished(timeout_s)
+        self._hand_out()
+        return ended
+
+    def close(self) -> None:
+        """See `Workers.close`."""
+        self._waiting.clear()
+        for worker in (*self._idle, *self._working.values()):
+            worker.end()
+        self._idle.clear()
+        self._working.clear()
+
+    def _hand_out(self) -> None:
+        while self._waiting and (self._idle or len(self._working) < self.size):
+            worker = self._idle.pop() if self._idle else _started(self._memory_bytes)
+            try:
+                future = worker.pool.submit(do, self._waiting[0])
+            except BrokenProcessPool:  # it died while it had nothing to do
+                self._forget(worker)
+                continue
+            self._busy[future] = self._waiting.popleft()
+            self._working[future] = worker
+
+    def _end(self, work: Work, future: Future[Finished]) -> Finished | None:
+        worker = self._working.pop(future)
+        if isinstance(future.exception(), BrokenProcessPool):
+            self._forget(worker)
+        else:
+            self._idle.append(worker)
+        return super()._end(work, future)
+
+    def _forget(self, worker: _Worker) -> None:
+        worker.end()
+        self._exit_code = worker.process.exitcode
+        self.replaced += 1
+
+    def _why_it_died(self, error: BaseException) -> Failure | None:
+        if not isinstance(error, BrokenProcessPool):
+            return None
+        what = f"{self.most_deaths} workers died with this work, the last with exit code {self._exit_code}."
+        remedy = (
+            "Look for a lack of memory in the system's log, or give each more: use fewer, with --workers."
+        )
+        return Failure("WorkerDied", what, "", remedy)
+
+
+def _prepare(memory_bytes: int | None) -> None:
+    """Prepare a process for its work."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the command, which ends its workers
+    threading.Thread(target=_end_with_the_command, daemon=True).start()
+    limit_memory(memory_bytes)
+    _one_thread_of_opencv()
+
+
+def _end_with_the_command() -> None:
+    command = multiprocessing.parent_process()
+    assert command is not None
+    command.join()
+    os._exit(1)
+
+
+def limit_memory(memory_bytes: int | None) -> None:
+    """Limit the memory of this process; at the limit Python raises MemoryError. Only Linux has it."""
+    if memory_bytes is None:
+        return
+    try:
+        import resource
+    except ImportError:
+        return
+    _, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    least = memory_bytes if hard == resource.RLIM_INFINITY else min(memory_bytes, hard)
+    with suppress(OSError, ValueError):
+        resource.setrlimit(resource.RLIMIT_DATA, (least, hard))
+
+
+def _one_thread_of_opencv() -> None:
+    import cv2
+
+    cv2.setNumThreads(1)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let processes that start in the block use one thread each, as the command itself does."""
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(dict.fromkeys(_ONE_THREAD, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+def processors() -> int:
+    """Return how many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+_SILENCE_S = 60.0
+"""How long to wait while the scheduler has no worker."""
+_CONNECT_S = 10.0
+_SIZE_HOLDS_S = 5.0
+_LOGGERS = (
+    "distributed",
+    "distributed.client",
+    "distributed.utils",
+    "distributed.comm",
+    "tornado",
+    "asyncio",
+)
+_REMEDY = "Start it, check the address, then repeat the command: what was done is kept."
+
+
+class DaskWorkers(Workers):
+    """Workers of a Dask scheduler, ``tcp://host:8786`` or ``tls://...``; waits some time if it has no worker."""
+
+    most_deaths = 3  # how often Dask may give a piece of work up, each time after several deaths
+
+    def __init__(self, address: str, *, without_worker_s: float = _SILENCE_S) -> None:
+        super().__init__()
+        try:
+            import distributed
+        except ImportError as error:
+            raise UsageError(
+                "Dask is not installed.",
+                where="--workers",
+                remedy="Install it: pip install 'starbench[cluster]'",
+            ) from error
+        for name in _LOGGERS:  # a lost connection is told by WorkersLost, not by tracebacks of the libraries
+            logging.getLogger(name).setLevel(logging.CRITICAL)
+        self.address = address
+        self._client: Any = None
+        try:
+            connect: Any = distributed.Client
+            self._client = connect(address, timeout=_CONNECT_S, set_as_default=False)
+        except (OSError, TimeoutError, ValueError, TypeError, RuntimeError) as error:
+            what = f"No Dask scheduler can be used here: {str(error).strip().rstrip('.') or type(error).__name__}."
+            raise WorkersLost(what, where=address, remedy=_REMEDY) from error
+        self._executor = self._client.get_executor(pure=False)
+        self._left_s = self._without_worker_s = without_worker_s
+        self._size, self._size_until_s = 1, 0.0
+
+    @property
+    def size(self) -> int:
+        """Number of threads of all workers; at least 1. The scheduler is asked every few seconds."""
+        if time.monotonic() > self._size_until_s:
+            self._size = max(1, sum(self._threads().values()))
+            self._size_until_s = time.monotonic() + _SIZE_HOLDS_S
+        return self._size
+
+    def _threads(self) -> Mapping[str, int]:
+        """Ask the scheduler for the number of threads of each worker."""
+        try:
+            return self._client.nthreads()
+        except (OSError, TimeoutError, ValueError) as error:
+            raise self._lost() from error
+
+    def submit(self, work: Work) -> None:
+        """See `Workers.submit`."""
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter(
+                    "ignore", UserWarning
+                )  # about arguments of some megabytes: the stars of a run
+                self._busy[self._executor.submit(do, work)] = work
+        except (OSError, TimeoutError, ValueError, RuntimeError) as error:
+            raise self._lost() from error
+
+    def finished(self, timeout_s: float) -> Sequence[Finished]:
+        """See `Workers.finished`."""
+        waiting = len(self._busy)
+        ended = super().finished(timeout_s)
+        if len(self._busy) == waiting and not ended:
+            self._require_workers(timeout_s)
+        else:
+            self._left_s = self._without_worker_s
+        return ended
+
+    def close(self) -> None:
+        """See `Workers.close`. The scheduler and its workers stay."""
+        if self._client is None:
+            return
+        if self._busy and self._client.status == "running":
+            self._executor.shutdown(wait=False)
+        self._busy.clear()
+        self._client.close(timeout=_CONNECT_S)
+        self._client = None
+
+    def _end(self, work: Work, future: Future[Finished]) -> Finished | None:
+        if future.cancelled():
+            raise self._lost()
+        return super()._end(work, future)
+
+    def _why_it_died(self, error: BaseException) -> Failure | None:
+        if type(error).__name__ != "KilledWorker":
+            return None
+        what = "Several workers died with this work."
+        return Failure("WorkerDied", what, "", "Look for a lack of memory in the logs of the workers.")
+
+    def _require_workers(self, waited_s: float) -> None:
+        """Raise WorkersLost if the scheduler is gone, or has had no worker for long."""
+        if self._client.status != "running":
+            raise self._lost()
+        if self._threads():
+            self._left_s = self._without_worker_s
+            return
+        self._left_s -= waited_s
+        if self._left_s <= 0:
+            raise WorkersLost(
+                "The scheduler has no worker.",
+                where=self.address,
+                remedy="Start workers (`dask worker`), then repeat the command: what was done is kept.",
+            )
+
+    def _lost(self) -> WorkersLost:
+        return WorkersLost("The Dask scheduler does not answer any more.", where=self.address, remedy=_REMEDY)

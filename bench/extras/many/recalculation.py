@@ -1,0 +1,344 @@
+"""Many runs calibrated again by many workers: a piece of work is a recording or a run.
+
+Never more recordings are handed out than keep the workers busy. Each run ends with one row; one that fails stops no
+other.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from bench.base.errors import FORESEEN, EvidenceError, Failure, StorageError, UsageError
+from bench.evidence.keys import BenchKey
+from bench.evidence.seal import remove_unnamed, seal_folder
+from bench.extras.many.tasks import (
+    ROW_FORMAT,
+    CalibratedData,
+    DoneRow,
+    FailedRow,
+    FoundView,
+    Listed,
+    Place,
+    RunRow,
+    SkippedRow,
+    Task,
+    calibrate_found,
+    find_view,
+    list_recordings,
+)
+from bench.extras.many.work import (
+    Finished,
+    Table,
+    TimeLeft,
+    Work,
+    Workers,
+    line_of,
+    rounds,
+)
+from bench.record.run_folder import RESULTS
+from bench.record.storage import sha256_of, storage_errors, sync_folder, write_atomic
+from bench.solve.offline_folder import SealedBy, write_files
+
+# The folder of a recalculation of many runs: a folder of results for each, and one table of all, as lines
+# of JSON.
+#
+# A row is written before its folder gets its name; after a power cut the row without folder counts as not
+# done. Rows are added while the work goes on; at the end the table is written again, one row for each run,
+# in the order of the runs.
+
+TABLE = "recalculated.jsonl"
+_PART = ".part-"
+_KEY_SHOWN = 8
+
+
+class ResultsFolders(Table):
+    """The folder of a recalculation, used by one process at a time; what an interrupted one did is used again.
+
+    ``key`` is the bench's; None leaves the results drafts. ``table_only`` writes no folder for a run.
+    """
+
+    foreign = "The folder is not that of a recalculation"
+
+    def __init__(self, folder: Path, key: BenchKey | None, *, table_only: bool = False) -> None:
+        with storage_errors(folder):
+            is_file = folder.exists() and not folder.is_dir()
+        if is_file:
+            raise UsageError("This is a file, not a folder.", where=str(folder), remedy="Choose another -o.")
+        self.folder, self.key, self.table_only = folder, key, table_only
+        self._reserved: set[str] = set()
+        super().__init__(folder, TABLE)
+        try:
+            for part in folder.glob(f"{_PART}*"):  # of a process that was killed
+                remove_unnamed(part)
+        except BaseException:
+            self.__exit__()
+            raise
+
+    def done(self, place: str, key: str) -> DoneRow | None:
+        """Return the row of a calibration of this key; None if it is to be done, or its results have changed."""
+        row: RunRow | None = self._rows.get(place)
+        if row is None or row["state"] != "done" or row["key"] != key:
+            return None
+        if self.table_only:
+            return row
+        if row["results"] is None:
+            return None
+        results = self.folder / row["results"] / RESULTS
+        try:
+            whole = results.is_file() and sha256_of(results) == row["results_sha256"]
+        except OSError:
+            return None
+        return row if whole else None
+
+    def name_for(self, place_name: str, key: str) -> str:
+        """Return a free name: that of the calibrated folder, and first digits of the key. It is not given out again."""
+        name = f"{place_name}-{key[:_KEY_SHOWN]}"
+        number = 1
+        while name in self._reserved or (self.folder / name).exists():
+            number += 1
+            name = f"{place_name}-{key[:_KEY_SHOWN]}-{number}"
+        self._reserved.add(name)
+        return name
+
+    def write(self, name: str, files: Mapping[str, bytes], row: DoneRow) -> None:
+        """Write, seal and name a folder of results, and add its row."""
+        part = self.folder / f"{_PART}{name}"
+        try:
+            write_files(part, files)
+            if self.key is not None:
+                seal_folder(part, self.key)
+        except (StorageError, EvidenceError):
+            remove_unnamed(part)
+            raise
+        self.append(row)
+        with storage_errors(part):
+            part.rename(self.folder / name)
+            sync_folder(self.folder)
+
+    def finish(self, rows: Iterable[RunRow]) -> None:
+        """Write the table again, in the order given; rows of folders that were not given this time stay behind them."""
+        given = {row["folder"]: row for row in rows}
+        others = [row for place, row in self._rows.items() if place not in given]
+        write_atomic(self.path, b"".join(line_of(row) for row in (*given.values(), *others)))
+
+    def _known(self, row: Any) -> tuple[str, Any]:
+        if not {"state", "key", "results", "results_sha256"} <= row.keys():
+            raise KeyError(row)
+        return str(row["folder"]), row
+
+
+_AHEAD = 8
+"""Runs behind URLs that are listed at the same time: most of that time is spent waiting for answers."""
+_Next = tuple[int, Place, Callable[[], Listed]]
+
+
+@dataclass
+class _Run:
+    """A run in progress."""
+
+    number: int
+    place: Place
+    key: str
+    captures: Sequence[str]
+    name: str
+    found: dict[int, FoundView] = field(default_factory=dict)
+    share: float = 0.0
+
+
+@dataclass
+class Counts:
+    """How far a recalculation is."""
+
+    runs: int
+    # done, failed, skipped: Runs calibrated now, failed now, and done before.
+    done: int = 0
+    failed: int = 0
+    skipped: int = 0
+    recordings: int = 0
+    kept: int = 0
+
+    @property
+    def ended(self) -> int:
+        """Number of runs that have a row."""
+        return self.done + self.failed + self.skipped
+
+
+class Recalculation:
+    """Calibrates many runs again; ``ended`` gets each run's row, ``progress`` counts and seconds left, if known."""
+
+    def __init__(
+        self,
+        places: Sequence[Place],
+        task: Task,
+        workers: Workers,
+        output: ResultsFolders | None = None,
+        *,
+        ended: Callable[[RunRow], None] = lambda _row: None,
+        progress: Callable[[Counts, float | None], None] = lambda _counts, _left: None,
+        remark: Callable[[str], None] = lambda _text: None,
+    ) -> None:
+        self._places, self._task, self._workers, self._output = places, task, workers, output
+        self._folders = None if output is None or output.table_only else output
+        self._ended, self._progress, self._remark = ended, progress, remark
+        self.counts = Counts(len(places))
+        self._rows: dict[int, RunRow] = {}
+        self._runs: dict[int, _Run] = {}
+        self._waiting: deque[Work] = deque()
+        self._defects: set[str] = set()
+        self._time = TimeLeft()
+
+    def run(self) -> list[RunRow]:
+        """Calibrate all runs. A row for each, in their order."""
+        source = listed_ahead(self._places, self._task)
+        try:
+            for ended in rounds(lambda: self._next_work(source), self._workers):
+                for end in ended:
+                    self._take(end)
+                self._show()
+        finally:
+            source.close()
+            if self._output is not None:
+                self._output.finish([self._rows[number] for number in sorted(self._rows)])
+        return [self._rows[number] for number in sorted(self._rows)]
+
+    def _next_work(self, source: Iterator[_Next]) -> Work | None:
+        """Return what is to be done next; None if nothing is left, or only what follows from work in progress."""
+        while not self._waiting:
+            following = next(source, None)
+            if following is None:
+                return None
+            self._begin(*following)
+        return self._waiting.popleft()
+
+    def _begin(self, number: int, place: Place, listed_by: Callable[[], Listed]) -> None:
+        """List the recordings of a run; use its results if it was done before."""
+        try:
+            listed = listed_by()
+        except (*FORESEEN, OSError) as error:
+            self._fail(number, place, _failure(error), "")
+            return
+        row = self._output.done(place.name, listed.key) if self._output is not None else None
+        if row is not None:
+            self.counts.skipped += 1
+            self._rows[number] = row
+            told: SkippedRow = {**row, "skipped": True}
+            self._ended(told)
+            self._show()
+            return
+        name = self._folders.name_for(place.base_name, listed.key) if self._folders else place.base_name
+        self._runs[number] = _Run(number, place, listed.key, listed.captures, name)
+        for pose, capture in enumerate(listed.captures):
+            self._waiting.append(Work(f"{number} {pose}", find_view, (place, pose, capture, self._task)))
+
+    def _take(self, end: Finished) -> None:
+        number, _, pose = end.key.partition(" ")
+        run = self._runs.get(int(number))
+        if run is None:  # another recording of this run has failed before
+            return
+        if end.failure is not None:
+            self._drop(run, end)
+        elif pose == "fit":
+            self._write(run, end.value.files, end.value.row)
+        else:
+            self._take_view(run, int(pose), end.value)
+
+    def _take_view(self, run: _Run, pose: int, found: FoundView) -> None:
+        self.counts.recordings += 1
+        self.counts.kept += found.kept
+        for remark in found.remarks:
+            self._remark(remark)
+        run.found[pose] = found
+        run.share = len(run.found) / (len(run.captures) + 1)
+        if len(run.found) < len(run.captures):
+            return
+        views = [run.found[at] for at in range(len(run.captures))]
+        sealed_by = SealedBy.of(self._folders.key if self._folders is not None else None)
+        arguments = (run.place, views, run.name, sealed_by, self._task, self._folders is not None)
+        self._waiting.appendleft(Work(f"{run.number} fit", calibrate_found, arguments))
+        run.found = {}
+
+    def _write(self, run: _Run, files: Mapping[str, bytes], calibrated: CalibratedData) -> None:
+        name = run.name if self._folders is not None else None
+        row: DoneRow = {
+            "schema": ROW_FORMAT,
+            "folder": run.place.name,
+            "state": "done",
+            "key": run.key,
+            "results": name,
+            **calibrated,
+        }
+        if self._folders is not None:
+            self._folders.write(run.name, files, row)
+        elif self._output is not None:
+            self._output.append(row)
+        del self._runs[run.number]
+        self.counts.done += 1
+        self._end(run.number, row)
+
+    def _drop(self, run: _Run, end: Finished) -> None:
+        del self._runs[run.number]
+        self._waiting = deque(work for work in self._waiting if not work.key.startswith(f"{run.number} "))
+        assert end.failure is not None
+        if end.defect and end.failure.what not in self._defects:  # a thousand runs may show the same one
+            self._defects.add(end.failure.what)
+            self._remark(end.defect)
+        self._fail(run.number, run.place, end.failure, run.key)
+
+    def _fail(self, number: int, place: Place, failure: Failure, key: str) -> None:
+        row: FailedRow = {
+            "schema": ROW_FORMAT,
+            "folder": place.name,
+            "state": "failed",
+            "key": key,
+            "results": None,
+            "results_sha256": None,
+            "failure": failure.to_dict(),
+        }
+        if self._output is not None:
+            self._output.append(row)
+        self.counts.failed += 1
+        self._end(number, row)
+
+    def _end(self, number: int, row: RunRow) -> None:
+        self._rows[number] = row
+        self._ended(row)
+        self._show()
+
+    def _show(self) -> None:
+        counts = self.counts
+        begun = sum(run.share for run in self._runs.values())
+        left = self._time.left_s(counts.done + counts.failed + begun, counts.runs - counts.skipped)
+        self._progress(counts, left)
+
+
+def listed_ahead(places: Iterable[Place], task: Task) -> Generator[_Next, None, None]:
+    """List the recordings of the next runs ahead, in threads if they are behind URLs; yield the run and its list."""
+    pool = ThreadPoolExecutor(_AHEAD)
+    waiting: deque[_Next] = deque()
+    try:
+        for number, place in enumerate(places):
+            far = place.is_remote
+            listed_by = (
+                pool.submit(list_recordings, place, task).result
+                if far
+                else partial(list_recordings, place, task)
+            )
+            waiting.append((number, place, listed_by))
+            if len(waiting) > (_AHEAD if far else 0):
+                yield waiting.popleft()
+        yield from waiting
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def _failure(error: BaseException) -> Failure:
+    if isinstance(error, OSError):
+        what = f"{error.strerror or error}."
+        return Failure(type(error).__name__, what, str(error.filename or ""), "Check the path.")
+    return Failure.of(error)

@@ -1,0 +1,465 @@
+"""What workers do to calibrate a run again: find the stars of one recording, then calibrate from all of them.
+
+The result is that of `bench.solve.offline.calibrate_paths` in one process, to the last digit. Only views are written.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import posixpath
+import re
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Literal, TypedDict
+
+from bench.base.errors import FORESEEN, BenchError, StorageError, UsageError
+from bench.extras.many.work import require_program_of
+from bench.measure.views_file import VIEWS, KeptViews
+from bench.record.run_folder import JOURNAL, REPORT, RESULTS
+from bench.record.storage import sha256_of, storage_errors
+from bench.record.stored_run import StoredRun
+from bench.solve.offline import OfflineResult, calibrate_sources, with_kept_views
+from bench.solve.offline_folder import SealedBy, offline_files
+from bench.solve.offline_options import OfflineOptions, options_data
+from bench.solve.view_sources import ViewSource, view_sources
+from calib.errors import CalibrationError
+from calib.view import View
+from drivers.camera.raw_writer import require_regular, require_whole
+
+# Folders with recordings, on a disk or behind a URL that fsspec reads (extra `cluster`), such as
+# ``s3://bucket/runs``.
+#
+# What is behind a URL is copied to a folder for temporary files, for one piece of work at a time: small
+# files of the run, and one recording at most. Writes nothing else.
+
+_URL = re.compile(r"[a-z][a-z0-9+.-]+://")
+_NOT_COPIED = {REPORT, VIEWS}
+_MOST_SMALL_BYTES = 1 << 28
+"""Size of a file of a run that is copied; a journal of a thousand poses has some megabytes."""
+_SIDE_BY_SIDE = 8
+"""Requests at a time; the connections of S3's client are ten."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A folder with a run or with recordings."""
+
+    name: str
+
+    @property
+    def is_remote(self) -> bool:
+        """Whether it is a URL."""
+        return _URL.match(self.name) is not None
+
+    @property
+    def base_name(self) -> str:
+        """The last part of the name."""
+        return (
+            posixpath.basename(self.name.rstrip("/")) if self.is_remote else Path(self.name).absolute().name
+        )
+
+    @contextmanager
+    def folder(self, *captures: str, only: Collection[str] | None = None) -> Iterator[Path]:
+        """Give the folder as a path here; of a URL a copy that exists in the block, of ``only`` these small files."""
+        if not self.is_remote:
+            yield Path(self.name)
+            return
+        with TemporaryDirectory(prefix="starbench-") as made:
+            copy = Path(made) / self.base_name
+            copy.mkdir()
+            with _remote_errors(self.name):
+                _copy(self.name, copy, captures, only)
+            yield copy
+
+    def said(self, text: str, folder: Path) -> str:
+        """Return a text with the name of this place where it names the copy in ``folder``."""
+        return text.replace(str(folder), self.name) if self.is_remote else text
+
+
+def find_places(names: Sequence[str]) -> list[Place]:
+    """Return the folders that hold runs or recordings: each once, in order; the runs of one in natural order."""
+    found: dict[str, Place] = {}
+    for name in names:
+        place = Place(name)
+        inner = _remote_runs(name) if place.is_remote else _local_runs(Path(name))
+        for one in inner:
+            same = one.rstrip("/") if place.is_remote else str(Path(one).resolve())
+            found.setdefault(same, Place(one if place.is_remote else str(Path(one).absolute())))
+    return list(found.values())
+
+
+def _local_runs(path: Path) -> list[str]:
+    if not path.is_dir():
+        what = "This is a file, not a folder." if path.exists() else "There is no such folder."
+        raise UsageError(what, where=str(path), remedy="Give folders of runs or recordings.")
+    if (path / JOURNAL).is_file():
+        return [str(path)]
+    runs = [one.name for one in path.iterdir() if (one / JOURNAL).is_file() and not one.name.startswith(".")]
+    return [str(path / name) for name in sorted(runs, key=_natural)] or [str(path)]
+
+
+def _remote_runs(url: str) -> list[str]:
+    with _remote_errors(url):
+        system, root = file_system(url)
+        if system.exists(f"{root}/{JOURNAL}"):
+            return [url]
+        listed = system.ls(root, detail=True)
+        folders = [one["name"].rstrip("/") for one in listed if one["type"] == "directory"]
+        are_runs = _side_by_side(system, system.exists, [(f"{folder}/{JOURNAL}",) for folder in folders])
+        runs = [posixpath.basename(one) for one, is_run in zip(folders, are_runs, strict=True) if is_run]
+    if not runs:
+        raise UsageError(
+            "There is no run: behind a URL, only folders of runs are read.",
+            where=url,
+            remedy=f"Give the URL of a folder with {JOURNAL}, or of a folder of such folders; copy other files here.",
+        )
+    return [f"{url.rstrip('/')}/{name}" for name in sorted(runs, key=_natural)]
+
+
+def _copy(url: str, to: Path, captures: Iterable[str], only: Collection[str] | None) -> None:
+    system, root = file_system(url)
+    names = []
+    for one in system.ls(root, detail=True):
+        name = posixpath.basename(one["name"].rstrip("/"))
+        is_small = one["type"] == "file" and name and one["size"] <= _MOST_SMALL_BYTES
+        if is_small and (name not in _NOT_COPIED if only is None else name in only):
+            names.append(name)
+    for name in captures:
+        local = to / name
+        if to not in local.resolve().parents:
+            raise StorageError("A recording lies outside of its run.", where=f"{url}/{name}")
+        local.parent.mkdir(parents=True, exist_ok=True)
+        names.append(name)
+    _side_by_side(system, system.get_file, [(f"{root}/{name}", str(to / name)) for name in names])
+
+
+def _side_by_side(system: Any, request: Callable[..., Any], calls: Sequence[tuple[str, ...]]) -> list[Any]:
+    """Make several requests at a time, of a file system that may be used by several threads: those of its own loop."""
+    if not getattr(system, "async_impl", False):
+        return [request(*arguments) for arguments in calls]
+    with ThreadPoolExecutor(_SIDE_BY_SIDE) as pool:
+        return list(pool.map(lambda arguments: request(*arguments), calls))
+
+
+def file_system(url: str) -> tuple[Any, str]:
+    """Return the file system of a URL, and its path there. Listings are asked for anew each time."""
+    try:
+        from fsspec.core import url_to_fs
+    except ImportError as error:
+        raise _missing(url) from error
+    try:
+        system, root = url_to_fs(url, use_listings_cache=False)
+    except ImportError as error:
+        raise _missing(url) from error
+    except ValueError as error:
+        raise UsageError(
+            f"This URL cannot be read: {error}.", where=url, remedy="Known is, for example, s3://."
+        ) from error
+    system.invalidate_cache()
+    return system, root.rstrip("/")
+
+
+def _missing(url: str) -> UsageError:
+    what = "What reads this URL is not installed."
+    return UsageError(what, where=url, remedy="Install it: pip install 'starbench[cluster]'")
+
+
+@contextmanager
+def _remote_errors(url: str) -> Iterator[None]:
+    """Turn the errors of fsspec and of the libraries below it into ours."""
+    try:
+        yield
+    except BenchError:
+        raise
+    except FileNotFoundError as error:
+        raise UsageError(
+            "There is no such folder or file.",
+            where=str(error.args[0] if error.args else url),
+            remedy=f"Check {url}.",
+        ) from error
+    except PermissionError as error:
+        remedy = "Check the credentials of this computer and of the workers."
+        raise StorageError(f"No permission: {error}.", where=url, remedy=remedy) from error
+    except Exception as error:  # each file system raises its own errors
+        what = f"It cannot be read: {type(error).__name__}: {error}"
+        remedy = (
+            "Check the URL, the endpoint and the network, then repeat the command: what was done is kept."
+        )
+        raise StorageError(what, where=url, remedy=remedy) from error
+
+
+def _natural(name: str) -> list[tuple[int, int, str]]:
+    """Return a sort key that puts run10 after run9."""
+    words = re.split(r"(\d+)", name)
+    return [(0, int(word), "") if word.isdigit() else (1, 0, word) for word in words]
+
+
+ROW_FORMAT = "starbench/recalibration/1"
+_READ = (JOURNAL, "sequence.yaml", "station.yaml", "passport.json")
+"""Files of a run, besides its recordings, that decide its calibration. The journal states the recordings' hashes."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """What all pieces of work of one recalculation have in common."""
+
+    choices: OfflineOptions
+    program: str  # Hash of the program that hands out the work; a worker with another program refuses it
+    # Folder for kept views on the workers; None for that of the worker's user, empty for none.
+    kept: str | None = None
+
+    def views(self) -> KeptViews | None:
+        """Return the kept views of this worker; None if none are used."""
+        if self.kept is None:
+            return KeptViews.of_bench()
+        return KeptViews(Path(self.kept)) if self.kept else None
+
+
+@dataclass(frozen=True)
+class Listed:
+    """The recordings of a place."""
+
+    captures: Sequence[str]  # Their names within the folder, in the order of the views
+    key: str  # Hash of all that decides the calibration: the recordings, the program, the options
+
+
+@dataclass(frozen=True)
+class FoundView:
+    """What a recording showed."""
+
+    view: View | None  # The stars; None if it is left out
+    # size_bytes, sha256: Size and hash of the recording.
+    size_bytes: int
+    sha256: str
+    why: tuple[str, str, str] = ("", "", "")  # What is wrong, where, and the remedy, if it is left out
+    remarks: Sequence[str] = ()
+    kept: bool = False  # Whether the view was kept from an earlier calculation
+
+
+class BeforeData(TypedDict):
+    """What the run's own results state."""
+
+    values: Mapping[str, float]
+    sigma: Mapping[str, float]
+
+
+class CalibratedData(TypedDict):
+    """What the table states about a calibration; U of a value is its k times its ``sigma``."""
+
+    model: str
+    views: int
+    stars: int  # Or points of a board
+    board: str | None
+    values: Mapping[str, float]
+    sigma: Mapping[str, float]
+    coverage_factor: float
+    coverage_factors: Mapping[str, float]
+    rms_px: float
+    converged: bool
+    notes: Sequence[str]
+    left_out: Sequence[str]
+    before: BeforeData | None
+    results_sha256: str | None  # None if no folder is written
+
+
+class DoneRow(CalibratedData):
+    """Row of a run that was calibrated."""
+
+    schema: str
+    folder: str
+    state: Literal["done"]
+    key: str
+    results: str | None  # Name of the folder of its results; None if none is written
+
+
+class SkippedRow(DoneRow):
+    """Row of a run that was done before, as it is told; the table does not state it."""
+
+    skipped: Literal[True]
+
+
+class FailedRow(TypedDict):
+    """Row of a run that could not be calibrated."""
+
+    schema: str
+    folder: str
+    state: Literal["failed"]
+    key: str  # Empty if its recordings could not be listed
+    results: None
+    results_sha256: None
+    failure: Mapping[str, str]  # ``kind``, ``what``, ``where``, ``remedy``
+
+
+RunRow = DoneRow | FailedRow
+
+
+@dataclass(frozen=True)
+class Recalculated:
+    """A calibration as files, and its row in the table."""
+
+    files: Mapping[str, bytes]  # Contents by name within the folder; empty if no folder is written
+    row: CalibratedData
+
+
+def list_recordings(place: Place, task: Task) -> Listed:
+    """Return the recordings of a place that have a view each, and the key of its calibration."""
+    with place.folder(only=_READ) as folder:
+        sources = list(view_sources(folder, task.choices))
+        names = [source.path.relative_to(folder).as_posix() for source in sources]
+        if (folder / JOURNAL).is_file():
+            content = {name: sha256_of(folder / name) for name in _READ if (folder / name).is_file()}
+        else:
+            content = {name: _hash_of(folder / name) for name in names}
+    return Listed(names, calibration_key(content, task))
+
+
+def calibration_key(content: Mapping[str, str], task: Task) -> str:
+    """Return the hash of all that decides a calibration, among it the SHA-256 of its files by name."""
+    choices = task.choices
+    passport = None if choices.passport is None else hashlib.sha256(choices.passport.data).hexdigest()
+    options = {**options_data(choices), "target": asdict(choices.target), "passport_sha256": passport}
+    parts = {"format": ROW_FORMAT, "content": content, "options": options, "program": task.program}
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
+def find_view(place: Place, number: int, capture: str, task: Task) -> FoundView:
+    """Find the stars of one recording, whose view has this number from 0."""
+    require_program_of(task.program)
+    kept = task.views()
+    with place.folder(capture, only=_READ) as folder, _named(place, folder):
+        source = list(view_sources(folder, task.choices))[number]
+        size, digest = _require_recorded(source)
+        if kept is not None:
+            source = with_kept_views(source, kept)
+        try:
+            view = source.read()
+        except CalibrationError as error:
+            where = place.said(error.where or str(source.path), folder)
+            return FoundView(None, size, digest, (place.said(error.what, folder), where, error.remedy))
+    if kept is None:
+        return FoundView(view, size, digest)
+    return FoundView(view, size, digest, remarks=tuple(kept.remarks), kept=bool(kept.used))
+
+
+def calibrate_found(
+    place: Place,
+    found: Sequence[FoundView],
+    name: str,
+    sealed_by: SealedBy | None,
+    task: Task,
+    files: bool,
+) -> Recalculated:
+    """Calibrate from the views of a place; ``files``: the files of the results are made too, which takes longer."""
+    require_program_of(task.program)
+    with place.folder() as folder, _named(place, folder):
+        listed = list(view_sources(folder, task.choices))
+        sources = [
+            replace(source, read=partial(_given, one)) for source, one in zip(listed, found, strict=True)
+        ]
+        result = replace(calibrate_sources(sources, task.choices), paths=(folder,))
+        read = {id(source): one for source, one in zip(sources, found, strict=True)}
+        made = {}
+        if files:
+            of_views = [read[id(source)] for source in result.sources]
+            made = _files(place, folder, result, of_views, name, sealed_by)
+        return Recalculated(made, _row(place, folder, result, made))
+
+
+def _files(
+    place: Place,
+    folder: Path,
+    result: OfflineResult,
+    found: Sequence[FoundView],
+    name: str,
+    sealed_by: SealedBy | None,
+) -> dict[str, bytes]:
+    """Return the files of the results; sources behind a URL are named by it."""
+    sources = [
+        {
+            "view": view.name,
+            "path": str(source.path.absolute()),
+            "size_bytes": one.size_bytes,
+            "sha256": one.sha256,
+        }
+        for source, view, one in zip(result.sources, result.views, found, strict=True)
+    ]
+    copies = {str(folder.resolve()): place.name, str(folder): place.name} if place.is_remote else {}
+    return offline_files(result, name, sealed_by, sources=sources, read_from=copies)
+
+
+@contextmanager
+def _named(place: Place, folder: Path) -> Iterator[None]:
+    """Errors of the block name the place instead of its copy."""
+    try:
+        yield
+    except FORESEEN as error:
+        if not place.is_remote:
+            raise
+        said = partial(place.said, folder=folder)
+        raise BenchError(said(error.what), where=said(error.where), remedy=said(error.remedy)) from error
+
+
+def _hash_of(recording: Path) -> str:
+    """Return the hash of a recording; refuse a device, which never ends, and gigabytes that were never written."""
+    require_regular(recording)
+    require_whole(recording)
+    return sha256_of(recording)
+
+
+def _require_recorded(source: ViewSource) -> tuple[int, str]:
+    """Return size and hash of a recording; refuse one of a run that is not the one that its journal names."""
+    with storage_errors(source.path):
+        size, digest = source.path.stat().st_size, _hash_of(source.path)
+    if source.attempt is not None and digest != source.attempt.stored["sha256"]:
+        raise BenchError(
+            "The recording is not the one that the run made: its hash differs from that in the journal.",
+            where=str(source.path),
+            remedy="Copy it again from its origin.",
+        )
+    return size, digest
+
+
+def _given(found: FoundView) -> View:
+    if found.view is None:
+        what, where, remedy = found.why
+        raise CalibrationError(what, where=where, remedy=remedy)
+    return found.view
+
+
+def _row(place: Place, folder: Path, result: OfflineResult, files: Mapping[str, bytes]) -> CalibratedData:
+    """Return what the table states about a calibration."""
+    solved = result.calibration
+    before = _before(folder)
+    return {
+        "model": solved.model,
+        "views": len(solved.views),
+        "stars": sum(view.n for view in solved.views),
+        "board": None if result.board is None else str(result.board),
+        "values": dict(solved.values),
+        "sigma": dict(solved.sigma),
+        "coverage_factor": solved.coverage_factor,
+        "coverage_factors": dict(solved.coverage_factors),
+        "rms_px": solved.rms_px,
+        "converged": solved.converged,
+        "notes": list(solved.notes),
+        "left_out": [place.said(why, folder) for why in result.skipped],
+        "before": before,
+        "results_sha256": hashlib.sha256(files[RESULTS]).hexdigest() if files else None,
+    }
+
+
+def _before(folder: Path) -> BeforeData | None:
+    """Return values and sigmas of the run's own results; None if there are none."""
+    try:
+        stored = StoredRun(folder).results_as_written["calibration"]
+        values = {**stored["camera"], **(stored["collimator"] or {})}
+        sigma = {name: float(one) for name, one in stored["sigma"].items()}
+        return {"values": {name: float(values[name]) for name in sigma}, "sigma": sigma}
+    except (BenchError, ValueError, KeyError, TypeError):
+        return None

@@ -1,0 +1,232 @@
+"""The runs and batches of a folder as the first page lists them: those in progress, failures, and the others.
+
+A run that has ended is read once; of a run in progress only new lines are read. Nothing is written.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from bench.base.bounded_json import parse_json
+from bench.base.errors import Failure, RunFolderError, StorageError
+from bench.extras.panel.run_head import ProcessState, brief_of, faults_of, look_at_process
+from bench.extras.panel.run_model import RunModel
+from bench.extras.panel.shown_run import FolderContent, ListedBatch, ListedRun
+from bench.record.journal import MOST_LINE_BYTES
+from bench.record.run_folder import JOURNAL
+from bench.record.run_index import QUEUE_COPY
+from bench.record.storage import open_to_read, storage_errors
+
+Stamp = tuple[int, int]
+_BatchStamp = tuple[Stamp | None, bool, float]
+
+_BATCH_AGAIN_S = 10.0
+
+
+@dataclass
+class _Known:
+    """What is known of a run: its row, and its model while it may still change."""
+
+    stamp: Stamp
+    row: ListedRun
+    model: RunModel | None
+
+
+class FolderList:
+    """The runs and batches of a folder, which need not exist yet, of its subfolders and of theirs."""
+
+    def __init__(self, root: Path, utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
+        self.root = root
+        self._utc_now = utc_now
+        self._runs: dict[Path, _Known] = {}
+        self._batches: dict[Path, tuple[_BatchStamp, ListedBatch]] = {}
+        self._lock = threading.Lock()
+
+    def look(self) -> FolderContent:
+        """Look at the folder; what cannot be read is a fault."""
+        found: FolderContent = {
+            "root": str(self.root),
+            "exists": True,
+            "runs": [],
+            "batches": [],
+            "faults": [],
+        }
+        with self._lock:
+            try:
+                found["exists"] = self.root.is_dir()
+                folders = list(self._folders(found["faults"]))
+            except Exception as error:  # noqa: BLE001 - the pages must show it; the next look may succeed
+                found["faults"].append(Failure.of(error).message)
+                return found
+            for folder in folders:
+                self._look_at(folder, found)
+            for known in (self._runs, self._batches):
+                for gone in known.keys() - set(folders):
+                    known.pop(gone)
+        found["runs"].sort(key=_begin, reverse=True)
+        found["batches"].sort(key=_begin, reverse=True)
+        return found
+
+    def _look_at(self, folder: Path, found: FolderContent) -> None:
+        try:
+            self.inside(folder / JOURNAL)
+            if (folder / QUEUE_COPY).is_file():
+                found["batches"].append(self._batch(folder))
+            else:
+                found["runs"].append(self._run(folder))
+        except Exception as error:  # noqa: BLE001 - one folder must not hide the others
+            message = Failure.of(error).message
+            found["faults"].append(message if str(folder) in message else f"{folder}: {message}")
+
+    def folder_of(self, key: str) -> Path:
+        """Return the folder that a page names by its path relative to the root, with slashes; ``.`` for the root."""
+        parts = key.split("/")
+        if not key or "\0" in key or any(part in {"", ".."} or "\\" in part or ":" in part for part in parts):
+            raise _no_such_run(key, self.root)
+        folder = self.root.joinpath(*parts)
+        self.inside(folder / JOURNAL)
+        with storage_errors(folder):
+            found = _journal_stamp(folder)
+        if found is None:
+            raise _no_such_run(key, self.root)
+        return folder
+
+    def inside(self, path: Path) -> Path:
+        """Return a path below the root if no link leads out: pages could else read other files of this computer."""
+        with storage_errors(path):
+            if path.resolve().is_relative_to(self.root.resolve()):
+                return path
+        raise RunFolderError(
+            "A link leads out of the folder of the panel, and the panel does not follow it.",
+            where=str(path),
+            remedy="Start a panel in the folder to which it leads.",
+        )
+
+    def key_of(self, folder: Path) -> str:
+        """Return the name of a folder as `folder_of` takes it: its path relative to the root."""
+        return folder.relative_to(self.root).as_posix()
+
+    def _folders(self, faults: list[str]) -> Iterator[Path]:
+        """Yield every folder with a journal, two levels deep; the runs of a batch belong to its own page."""
+        if _is_folder_of_interest(self.root, faults):
+            yield self.root
+            return
+        for folder in _subfolders(self.root, faults):
+            if _is_folder_of_interest(folder, faults):
+                yield folder
+                continue
+            yield from (
+                inner for inner in _subfolders(folder, faults) if _is_folder_of_interest(inner, faults)
+            )
+
+    def _run(self, folder: Path) -> ListedRun:
+        known = self._runs.get(folder)
+        stamp = _journal_stamp(folder) or (-1, -1)
+        if known is None or known.stamp != stamp or known.model is not None:
+            model = (known.model if known is not None else None) or RunModel(folder)
+            while model.refresh():
+                pass
+            states = model.history.states
+            process = look_at_process(folder, states[-1]["state"] if states else "idle")
+            row = self._row(model, process)
+            # An interrupted run may be resumed at any time; its lock tells so before its journal does.
+            is_over = not process.running and bool(model.history.ended)
+            known = self._runs[folder] = _Known(stamp, row, None if is_over else model)
+        return known.row
+
+    def _row(self, model: RunModel, process: ProcessState) -> ListedRun:
+        return {
+            **brief_of(model, process, self._utc_now()),
+            "key": self.key_of(model.folder),
+            "camera": model.history.devices.get("camera", {}).get("serial", ""),
+            "fault": next(iter(faults_of(model, process)), ""),
+        }
+
+    def _batch(self, folder: Path) -> ListedBatch:
+        from bench.extras.batch.batch_summary import read_batch_status
+        from bench.record.storage import is_locked
+
+        now = self._utc_now()
+        running = is_locked(folder)
+        stamp = _journal_stamp(folder), running, now.timestamp() // _BATCH_AGAIN_S if running else 0
+        kept = self._batches.get(folder)
+        if kept is not None and kept[0] == stamp:
+            return kept[1]
+        status = read_batch_status(folder)
+        failed = [run.item for run in status.done if run.how != "finished"]
+        ended = status.ended or "interrupted"
+        bad = "bad" if failed or ended == "interrupted" else "good" if ended == "finished" else "warn"
+        row: ListedBatch = {
+            "key": self.key_of(folder),
+            "queue": status.queue,
+            "running": running,
+            "rehearsal": status.rehearsal,
+            "simulated": status.simulated,
+            "verdict": "running" if running else ended,
+            "tone": "busy" if running else bad,
+            "why": status.why,
+            "done": len(status.done),
+            "failed": failed,
+            "coming": len(status.upcoming),
+            "current_run": status.current_run,
+            "end_utc": status.end.isoformat() if status.end and running else "",
+            "ended_utc": status.last_end.isoformat() if status.last_end and status.ended else "",
+            "started_utc": _first_utc(folder),
+        }
+        self._batches[folder] = stamp, row
+        return row
+
+
+def _begin(row: ListedRun | ListedBatch) -> str:
+    return row["started_utc"]
+
+
+def _no_such_run(key: str, root: Path) -> RunFolderError:
+    return RunFolderError(
+        f"There is no run or batch {key!r} in this folder.",
+        where=str(root),
+        remedy="Go back to the list. The folder may have been moved or removed.",
+    )
+
+
+def _journal_stamp(folder: Path) -> Stamp | None:
+    """Return size and time of a folder's journal; None if it has none."""
+    try:
+        found = (folder / JOURNAL).stat()
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    return (found.st_size, found.st_mtime_ns) if stat.S_ISREG(found.st_mode) else None
+
+
+def _is_folder_of_interest(folder: Path, faults: list[str]) -> bool:
+    try:
+        with storage_errors(folder):
+            return _journal_stamp(folder) is not None
+    except StorageError as error:
+        faults.append(str(error))
+        return False
+
+
+def _subfolders(folder: Path, faults: list[str]) -> list[Path]:
+    try:
+        with storage_errors(folder), os.scandir(folder) as found:
+            return sorted(Path(one.path) for one in found if one.is_dir() and not one.name.startswith("."))
+    except StorageError as error:
+        if folder.exists():
+            faults.append(str(error))
+        return []
+
+
+def _first_utc(folder: Path) -> str:
+    """Return the time of the first line of a journal; empty if it cannot be read."""
+    try:
+        with open_to_read(folder / JOURNAL) as stream:
+            return str(parse_json(stream.readline(MOST_LINE_BYTES))["utc"])
+    except (StorageError, ValueError, KeyError, TypeError):
+        return ""

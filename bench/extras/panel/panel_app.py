@@ -1,0 +1,380 @@
+"""The panel's pages: each route reads a folder or fills an inbox; those of a line also begin a run as a process."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import threading
+import time
+from collections.abc import AsyncIterator, Callable, Sequence
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Any, Literal
+
+from pydantic import ValidationError
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
+from starlette.routing import Route
+
+from bench.base.errors import BenchError, RunFolderError, UsageError
+from bench.extras.batch.batch_summary import PAGE, RUNS, read_batch, read_batch_status, summarise
+from bench.extras.panel.folder_list import FolderList
+from bench.extras.panel.helper_process import PictureAnswer, PictureRequest, picture_of_view
+from bench.extras.panel.line import Line
+from bench.extras.panel.shown_run import LogLine
+from bench.extras.panel.watching import MOST_LOG_LINES, Extras, Helper, RunWatch, Watcher
+from bench.record.run_folder import JOURNAL, REPORT
+from bench.record.run_index import QUEUE_COPY
+from bench.record.storage import is_locked, storage_errors
+from bench.record.summaries import BatchSummary, ItemData
+from bench.run.control import Command, command_text, send
+from bench.web.guard import POLICY, known_by
+from bench.web.pages import EventStream, Message, last_id, page_app, read_object, whole_number
+
+# A batch as its page shows it: failures first, the queue, the time of each run, and the trend of each
+# parameter.
+#
+# The summary is read again only when the batch's journal has grown; what comes next is told every few
+# seconds.
+
+LOOK_S = 0.5
+AGAIN_S = 3.0
+_FAILURES = frozenset({"failed", "died", "hung", "cut off"})
+_NOT_BEGUN = frozenset({"not begun", "withdrawn"})
+
+
+class BatchView:
+    """One batch, for all its pages."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._lock = threading.Lock()
+        self._stamp: tuple[Any, ...] = ()
+        self._summary: BatchSummary | None = None
+        self._lines = 0
+        self._text = ""
+        self._made_at_s = float("-inf")
+
+    def text(self) -> tuple[str, int]:
+        """Return the batch as JSON. May read many files, so not for the server's own thread."""
+        with self._lock:
+            try:
+                self._look()
+            except BenchError as error:
+                self._text = json.dumps({"fault": str(error), "line": self._lines})
+            return self._text, self._lines
+
+    def _look(self) -> None:
+        running = is_locked(self.folder)
+        with storage_errors(self.folder):
+            found = (self.folder / JOURNAL).stat()
+        stamp = found.st_size, found.st_mtime_ns, running
+        now_s = time.monotonic()
+        is_new = stamp != self._stamp
+        if not is_new and (not running or now_s - self._made_at_s < AGAIN_S):
+            return
+        summary = self._summary
+        if is_new or summary is None:
+            record = read_batch(self.folder)
+            summary = self._summary = summarise(self.folder, record)
+            self._lines = _line_count(self.folder / JOURNAL)
+        status = read_batch_status(self.folder).to_dict()
+        shown = {name: value for name, value in summary.items() if name != "items"}
+        body = {
+            **shown,
+            "fault": "",
+            "line": self._lines,
+            "status": status,
+            "items": _failures_first(summary["items"]),
+            "runs_folder": RUNS,
+        }
+        self._text = json.dumps(body, separators=(",", ":"), allow_nan=False)
+        self._stamp, self._made_at_s = stamp, now_s
+
+
+async def _told(text: Callable[[], tuple[str, int]], every_s: float) -> AsyncIterator[Message]:
+    """Tell a text with the number of its lines, and again whenever it has changed."""
+    told = ""
+    while True:
+        found, lines = await asyncio.to_thread(text)
+        if found != told:
+            told = found
+            yield Message(found, "update", str(lines))
+        await asyncio.sleep(every_s)
+
+
+def _failures_first(items: Sequence[ItemData]) -> list[ItemData]:
+    """Return the runs of a batch: failures, then those with a result and others, then those that have not begun."""
+
+    def place(item: ItemData) -> int:
+        return 0 if item["how"] in _FAILURES else 2 if item["how"] in _NOT_BEGUN else 1
+
+    return sorted(items, key=place)
+
+
+def _line_count(path: Path) -> int:
+    with storage_errors(path), path.open("rb") as stream:
+        return sum(line.endswith(b"\n") for line in stream)
+
+
+ASSETS = Path(__file__).parent / "assets"
+LIST_S = 1.0
+"""Time between two looks at the folder while a page lists it, s."""
+
+
+class Panel:
+    """The panel of one folder."""
+
+    def __init__(self, root: Path, line: Line | None = None) -> None:
+        self._line = line
+        self._list = FolderList(root)
+        self._watcher = Watcher()
+        self._helper, self._background = Helper(), Helper()
+        self._extras: dict[RunWatch, asyncio.Task[None]] = {}
+        self._batches: dict[Path, BatchView] = {}
+        self._list_text, self._listed_at_s = "", float("-inf")
+        self._list_lock = threading.Lock()
+
+    def app(self) -> Starlette:
+        """Return the application."""
+        return page_app(
+            [
+                Route("/", self._first_page),
+                Route("/runs", _page("list.html")),
+                *(self._line_routes(self._line) if self._line is not None else ()),
+                Route("/run/{key:path}", _page("run.html")),
+                Route("/batch/{key:path}", _page("batch.html")),
+                Route("/report/{key:path}", self._report),
+                Route("/api/here", lambda _request: JSONResponse({})),
+                Route("/api/list", self._list_stream),
+                Route("/api/list/state", self._list_state),
+                Route("/api/run/{key:path}/events", self._run_stream),
+                Route("/api/run/{key:path}/state", self._run_state),
+                Route("/api/run/{key:path}/log", self._run_log),
+                Route("/api/run/{key:path}/picture/{pose}/{attempt}", self._picture),
+                Route("/api/run/{key:path}/command", self._command, methods=["POST"]),
+                Route("/api/batch/{key:path}/events", self._batch_stream),
+                Route("/api/batch/{key:path}/state", self._batch_state),
+            ],
+            assets=ASSETS,
+            lifespan=self._life,
+        )
+
+    @asynccontextmanager
+    async def _life(self, _app: Starlette) -> AsyncIterator[None]:
+        self._watcher.start()
+        try:
+            yield
+        finally:
+            tasks = list(self._extras.values())
+            for task in tasks:
+                task.cancel()
+            for helper in (self._helper, self._background):
+                await asyncio.to_thread(helper.close)
+            await asyncio.gather(*tasks, return_exceptions=True)
+            await asyncio.to_thread(self._watcher.close)
+
+    # ---------------------------------------------------------------- pages
+    def _line_routes(self, line: Line) -> list[Route]:
+        """Return the page of a line, and what it asks for."""
+
+        async def state(_request: Request) -> Response:
+            return JSONResponse(await run_in_threadpool(line.state))
+
+        async def begin(request: Request) -> Response:
+            given = await read_object(request)
+            await run_in_threadpool(line.begin, str(given.get("serial", "")))
+            return await state(request)
+
+        async def stop(request: Request) -> Response:
+            await run_in_threadpool(line.stop, known_by(request))
+            return await state(request)
+
+        return [
+            Route("/line", _page("line.html")),
+            Route("/api/line", state),
+            Route("/api/line/begin", begin, methods=["POST"]),
+            Route("/api/line/stop", stop, methods=["POST"]),
+        ]
+
+    async def _first_page(self, _request: Request) -> Response:
+        if self._line is not None:
+            return RedirectResponse("/line", status_code=303)
+        if (self._list.root / JOURNAL).is_file():  # the folder is a run or a batch itself
+            return RedirectResponse(f"/{_kind_of(self._list.root)}/.", status_code=303)
+        return FileResponse(ASSETS / "list.html")
+
+    async def _report(self, request: Request) -> Response:
+        """Answer with the report of a run, which may run no script here."""
+        folder = self._list.folder_of(request.path_params["key"])
+        path = self._list.inside(folder / (PAGE if _kind_of(folder) == "batch" else REPORT))
+        if not path.is_file():
+            raise RunFolderError("There is no report yet.", where=str(folder), remedy="Wait for its end.")
+        policy = POLICY.replace("script-src 'self'", "script-src 'none'").replace(
+            "img-src", "font-src data:; img-src"
+        )
+        return FileResponse(path, headers={"Content-Security-Policy": policy})
+
+    # ---------------------------------------------------------------- the list
+    async def _list_stream(self, _request: Request) -> EventStream:
+        return EventStream(_told(self._listed, LIST_S))
+
+    async def _list_state(self, _request: Request) -> Response:
+        found = await run_in_threadpool(self._list.look)
+        return JSONResponse(found)
+
+    def _listed(self) -> tuple[str, int]:
+        """Return the list as JSON; the folder is looked at once for all pages, so not for the server's own thread."""
+        with self._list_lock:
+            if time.monotonic() - self._listed_at_s >= 0.9 * LIST_S:
+                found = self._list.look()
+                self._list_text = json.dumps(found, separators=(",", ":"), allow_nan=False)
+                self._listed_at_s = time.monotonic()
+            return self._list_text, 0
+
+    # ---------------------------------------------------------------- a run
+    def _folder(self, request: Request, kind: Literal["run", "batch"]) -> Path:
+        folder = self._list.folder_of(request.path_params["key"])
+        found = _kind_of(folder)
+        if found != kind:
+            raise RunFolderError(
+                f"This is a {found}, not a {kind}.", where=str(folder), remedy="Open it from the list."
+            )
+        return folder
+
+    async def _run_stream(self, request: Request) -> EventStream:
+        folder = self._folder(request, "run")
+        after = last_id(request)
+        return EventStream(self._run_messages(folder, whole_number(after or "0")))
+
+    async def _run_messages(self, folder: Path, after: int) -> AsyncIterator[Message]:
+        watch = await run_in_threadpool(self._watcher.open, folder)
+        self._keep_extras(watch)
+        generation: int | None = None
+        try:
+            while True:
+                number = watch.changes.number
+                text, after, generation = watch.message(after, generation)
+                yield Message(text, "update", str(after))
+                await watch.changes.after(number)
+        finally:
+            self._watcher.leave(watch)
+            if watch.readers <= 0 and (task := self._extras.pop(watch, None)) is not None:
+                task.cancel()
+
+    def _keep_extras(self, watch: RunWatch) -> None:
+        if watch not in self._extras:
+            self._extras[watch] = asyncio.create_task(Extras(watch, self._background).keep_up())
+
+    async def _run_state(self, request: Request) -> Response:
+        """Answer with the whole state once, for a page that joins a stream that another page has opened."""
+        folder = self._folder(request, "run")
+
+        def whole() -> str:
+            with self._watcher.watched(folder) as watch:
+                return watch.message(0, None)[0]
+
+        return Response(await run_in_threadpool(whole), media_type="application/json")
+
+    async def _run_log(self, request: Request) -> Response:
+        """Answer with older lines of the log."""
+        before = whole_number(request.query_params.get("before", ""))
+        folder = self._folder(request, "run")
+
+        def older() -> list[LogLine]:
+            with self._watcher.watched(folder) as watch, watch.lock:
+                return watch.model.log_before(before, MOST_LOG_LINES)
+
+        return JSONResponse({"log": await run_in_threadpool(older)})
+
+    # ---------------------------------------------------------------- pictures
+    async def _picture(self, request: Request) -> Response:
+        """Answer with the stars of a recording, or with its image (``?png``)."""
+        folder = self._folder(request, "run")
+        place = whole_number(request.path_params["pose"]), whole_number(request.path_params["attempt"])
+        measure = "measure" in request.query_params
+        answer, png = await run_in_threadpool(self._picture_of, folder, place, measure)
+        if "png" not in request.query_params:
+            return JSONResponse(answer)
+        if not png:
+            raise RunFolderError(answer.get("fault") or "There is no picture.", where=str(folder))
+        return Response(png, media_type="image/png")
+
+    def _picture_of(self, folder: Path, place: tuple[int, int], measure: bool) -> tuple[PictureAnswer, bytes]:
+        with self._watcher.watched(folder) as watch, watch.lock:
+            model = watch.model
+            found = next((a for a in model.history.attempts_at(place[0]) if a.attempt == place[1]), None)
+            row = model.rows.get(place[0])
+            accepted = model.history.accepted().get(place[0])
+            solved = bool(model.history.solved)
+            left = watch.views.get(place)
+        if found is None or row is None:
+            return {"fault": "There is no such recording."}, b""
+        is_accepted = accepted is not None and accepted.attempt == place[1]
+        if left is not None and not (is_accepted and solved):
+            return picture_of_view(left), left.png
+        request = PictureRequest(
+            folder,
+            *place,
+            row["name"],
+            found.stored["capture"],
+            found.measured.get("expected_grid"),
+            accepted=is_accepted and solved,
+            measure=measure,
+        )
+        return self._helper.picture(request)
+
+    # ---------------------------------------------------------------- commands
+    async def _command(self, request: Request) -> Response:
+        """Put a command into the inbox of a run, and answer with what the run has decided."""
+        folder = self._folder(request, "run")
+        given = await read_object(request)
+        confirmed = given.pop("confirm", None)
+        if isinstance(given.get("by"), str):
+            given["by"] = given["by"].strip()
+        try:
+            command = Command(**given, known_by=known_by(request))
+        except (ValidationError, TypeError) as error:
+            raise UsageError(_command_fault(given), remedy="Correct it and send it again.") from error
+        if command.word == "abort" and confirmed != "abort":
+            raise UsageError(
+                "An abort must be confirmed.", where=str(folder), remedy="Confirm it in the second step."
+            )
+        answer = await run_in_threadpool(send, folder, command)
+        return JSONResponse({"taken": answer["taken"], "text": command_text(answer), "why": answer["why"]})
+
+    # ---------------------------------------------------------------- a batch
+    def _batch(self, request: Request) -> BatchView:
+        folder = self._folder(request, "batch")
+        return self._batches.setdefault(folder, BatchView(folder))
+
+    async def _batch_stream(self, request: Request) -> EventStream:
+        return EventStream(_told(self._batch(request).text, LOOK_S))
+
+    async def _batch_state(self, request: Request) -> Response:
+        text, _ = await run_in_threadpool(self._batch(request).text)
+        return Response(text, media_type="application/json")
+
+
+def _kind_of(folder: Path) -> Literal["run", "batch"]:
+    return "batch" if (folder / QUEUE_COPY).is_file() else "run"
+
+
+def _page(name: str) -> Callable[[Request], Response]:
+    """Return what answers with a page."""
+    return lambda _request: FileResponse(ASSETS / name)
+
+
+def _command_fault(given: dict[str, Any]) -> str:
+    """Return what is wrong with a command, in words."""
+    by = given.get("by")
+    if not isinstance(by, str) or not by.strip():
+        return "The command does not say who gives it: write your name."
+    return "This is not a command that a run understands."
+
+
+def panel_app(root: Path, line: Line | None = None) -> Starlette:
+    """Return the panel of a folder; the page of the line, if there is one, is the first."""
+    return Panel(root, line).app()

@@ -1,0 +1,378 @@
+"""The contract tests of an event camera: what every driver of an event camera must do, with any camera."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import AbstractContextManager, closing, suppress
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+import pytest
+
+from bench.extras.plugin_tests.rig import fails_in_time, station_of
+from bench.extras.plugin_tests.stages import ContractClock
+from bench.stations.devices import open_camera
+from drivers.camera import CameraSettings, EventCamera
+from drivers.camera.frames import FrameCamera, FrameSettings, read_frames
+from drivers.camera.raw_file import RawFile
+from drivers.errors import CameraLost, CameraSettingRefused, DriverError, RecordingFailed
+
+_LONG_S = 30.0
+"""Time of a recording that something is to end early, s."""
+_AT_WORK_S = 0.3
+"""After this time a recording is at work, s."""
+
+
+class SimulatedCamera(Protocol):
+    """A simulated camera that a driver can reach."""
+
+    @property
+    def address(self) -> str:
+        """What stands for ``PORT`` in the section; empty for a camera that has no port."""
+        ...
+
+    def unplug(self) -> None:
+        """Pull its cable; it stays unplugged."""
+        ...
+
+
+class Interrupted(Exception):
+    """What the clock of a run raises if the run is to end."""
+
+
+class InterruptingClock(ContractClock):
+    """A clock that interrupts every wait from some time on."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.interrupts_at_s = float("inf")
+
+    def sleep(self, seconds: float) -> None:
+        """See `Clock.sleep`."""
+        ends_s = self.monotonic() + seconds
+        while True:
+            if self.monotonic() > self.interrupts_at_s:
+                raise Interrupted
+            if self.monotonic() >= ends_s:
+                return
+            super().sleep(min(ends_s - self.monotonic(), 0.05))
+
+
+class AnyCameraContract:
+    """What the contracts of event cameras and of frame cameras share.
+
+    Attributes
+    ----------
+    section
+        The section of the station file; ``PORT`` stands in place of the address.
+    other_serial
+        A serial number that the simulated camera does not have.
+    """
+
+    section: ClassVar[Mapping[str, Any]]
+    other_serial: ClassVar[str]
+
+    def connected(self) -> AbstractContextManager[SimulatedCamera]:
+        """Connect a simulated camera, fresh from power-up.
+
+        Returns
+        -------
+        context manager
+            Gives the camera, and takes it away.
+
+        Raises
+        ------
+        NotImplementedError
+            If a subclass does not write it.
+        """
+        raise NotImplementedError
+
+    @pytest.fixture
+    def simulated(self) -> Iterator[SimulatedCamera]:
+        """The simulated camera."""
+        with self.connected() as camera:
+            yield camera
+
+    @pytest.fixture
+    def clock(self) -> InterruptingClock:
+        """A clock that can interrupt waits."""
+        return InterruptingClock()
+
+    @pytest.fixture
+    def camera(self, simulated: SimulatedCamera, clock: InterruptingClock) -> Iterator[Any]:
+        """The open camera."""
+        with closing(self._opened(simulated, clock)) as camera:
+            yield camera
+
+    def _opened(self, simulated: SimulatedCamera, clock: ContractClock, **changes: object) -> Any:
+        station = station_of("camera", self.section, simulated.address, changes)
+        any_clock: Any = clock
+        return open_camera(station, str, any_clock)
+
+    def test_it_says_who_it_is(self, camera: Any) -> None:
+        """It says who it is, each time alike."""
+        who = camera.identify()
+        assert who == camera.identify()
+        assert who.serial == str(self.section.get("serial", who.serial))
+        assert min(who.width, who.height) > 0
+
+    def test_another_serial_number_is_refused(self, simulated: SimulatedCamera, clock: ContractClock) -> None:
+        """Another serial number is refused."""
+        fails_in_time(lambda: self._opened(simulated, clock, serial=self.other_serial))
+
+
+class CameraContract(AnyCameraContract):
+    """Derive from this class, name it ``Test...``, and give ``section`` and ``connected``.
+
+    The trigger input of the simulated camera gets edges.
+
+    Attributes
+    ----------
+    biases
+        Offsets of biases that the camera can set.
+    impossible_biases
+        Offsets that it cannot set; empty if it takes all.
+    """
+
+    biases: ClassVar[Mapping[str, int]] = {}
+    impossible_biases: ClassVar[Mapping[str, int]] = {}
+
+    def test_settings_are_read_back_and_all_filters_are_off(self, camera: EventCamera) -> None:
+        """Settings are read back, and all filters are off."""
+        for biases in (self.biases, {}, self.biases):
+            got = camera.apply(CameraSettings(biases))
+            assert got.trigger_in
+            assert got.roi is None
+            assert {name: value for name, value in got.biases.items() if value} == dict(biases)
+            assert not any(camera.filters().values())
+
+    def test_an_impossible_bias_is_refused(self, camera: EventCamera) -> None:
+        """An impossible bias is refused, and the camera still works."""
+        if not self.impossible_biases:
+            pytest.skip("this camera takes all biases")
+        fails_in_time(lambda: camera.apply(CameraSettings(self.impossible_biases)), CameraSettingRefused)
+        camera.apply(CameraSettings())
+
+    def test_the_facts_of_a_recording_are_those_of_its_file(
+        self, camera: EventCamera, tmp_path: Path
+    ) -> None:
+        """The facts of a recording are those of its file, twice."""
+        camera.apply(CameraSettings(self.biases))
+        who = camera.identify()
+        for name in ("one.raw", "two.raw"):
+            facts = camera.record(tmp_path / name, 0.1)
+            file = RawFile.open(tmp_path / name)
+            found = file.scan()
+            assert facts.complete
+            assert (facts.serial, facts.width, facts.height) == (who.serial, who.width, who.height)
+            assert (facts.events, facts.triggers) == (found.events, found.triggers)
+            assert facts.bytes == (tmp_path / name).stat().st_size
+            assert found.triggers > 0, "the simulated camera needs edges at its trigger input"
+            assert 0.1 <= facts.duration_s < 1.0
+            assert facts.duration_s == pytest.approx(found.duration_s, abs=1e-3)
+            assert not any(facts.filters.values())
+            for bias, value in self.biases.items():
+                assert facts.biases.get(bias, value) == value
+
+    def test_no_file_is_ever_overwritten(self, camera: EventCamera, tmp_path: Path) -> None:
+        """No file is ever overwritten, and a missing folder is an error."""
+        camera.apply(CameraSettings())
+        (tmp_path / "one.raw").write_bytes(b"evidence")
+        fails_in_time(lambda: camera.record(tmp_path / "one.raw", 0.05), RecordingFailed)
+        assert (tmp_path / "one.raw").read_bytes() == b"evidence"
+        fails_in_time(lambda: camera.record(tmp_path / "none" / "one.raw", 0.05), RecordingFailed)
+        assert camera.record(tmp_path / "two.raw", 0.05).complete
+
+    @pytest.mark.parametrize("duration_s", [0.0, -1.0])
+    def test_no_time_at_all_is_refused(self, camera: EventCamera, tmp_path: Path, duration_s: float) -> None:
+        """No time at all is refused."""
+        camera.apply(CameraSettings())
+        with pytest.raises((DriverError, ValueError)):
+            camera.record(tmp_path / "one.raw", duration_s)
+
+    def test_a_stop_from_another_thread_ends_a_recording(self, camera: EventCamera, tmp_path: Path) -> None:
+        """A stop from another thread ends a recording, whose file can be read; the next one is complete."""
+        camera.apply(CameraSettings())
+        stopper = threading.Timer(_AT_WORK_S, camera.stop)
+        stopper.start()
+        began_s = time.monotonic()
+        with suppress(RecordingFailed):
+            assert not camera.record(tmp_path / "one.raw", _LONG_S).complete
+        assert time.monotonic() - began_s < _LONG_S / 2
+        stopper.join()
+        _readable(tmp_path)
+        assert camera.record(tmp_path / "two.raw", 0.05).complete
+
+    def test_an_interrupted_recording_leaves_a_file_that_can_be_read(
+        self, camera: EventCamera, clock: InterruptingClock, tmp_path: Path
+    ) -> None:
+        """An interrupted recording leaves a file that can be read, and the camera works."""
+        camera.apply(CameraSettings())
+        clock.interrupts_at_s = clock.monotonic() + _AT_WORK_S
+        with pytest.raises(Interrupted):
+            camera.record(tmp_path / "one.raw", _LONG_S)
+        clock.interrupts_at_s = float("inf")
+        _readable(tmp_path)
+        assert camera.record(tmp_path / "two.raw", 0.05).complete
+
+    def test_a_pulled_cable_is_a_lost_camera(
+        self, camera: EventCamera, simulated: SimulatedCamera, tmp_path: Path
+    ) -> None:
+        """A pulled cable is a lost camera in bounded time; what was recorded is kept, and a stop does no harm."""
+        camera.apply(CameraSettings())
+        puller = threading.Timer(_AT_WORK_S, simulated.unplug)
+        puller.start()
+        fails_in_time(lambda: camera.record(tmp_path / "one.raw", _LONG_S), CameraLost)
+        puller.join()
+        _readable(tmp_path)
+        camera.stop()
+        fails_in_time(camera.identify)
+        fails_in_time(lambda: camera.apply(CameraSettings()))
+
+    def test_a_closed_camera_is_an_error_and_is_opened_again(
+        self, simulated: SimulatedCamera, clock: ContractClock, tmp_path: Path
+    ) -> None:
+        """A closed camera is an error of the driver, and is opened again."""
+        for name in ("one.raw", "two.raw"):
+            camera = self._opened(simulated, clock)
+            camera.apply(CameraSettings())
+            assert camera.record(tmp_path / name, 0.05).complete
+            camera.close()
+            camera.close()
+            fails_in_time(camera.identify)
+
+
+def _readable(folder: Path) -> None:
+    """Check that what a recording left, under its own name or another, can be read to its end."""
+    (left,) = folder.iterdir()
+    assert RawFile.open(left).scan().events >= 0
+    left.rename(folder.parent / f"kept-{folder.name}")
+
+
+_MANY = 5000
+"""Number of frames of a capture that something is to end early."""
+_FRAMES_AT_WORK_S = 0.5
+"""After this time a capture is at work, s."""
+_LONGEST_END_S = 15.0
+"""Longest time until a stopped capture ends, s."""
+
+
+class FrameCameraContract(AnyCameraContract):
+    """Derive from this class, name it ``Test...``, and give ``section`` and ``connected``.
+
+    The frames of the simulated camera have the noise of a sensor.
+
+    Attributes
+    ----------
+    settings
+        Exposure and gain that the camera can set; empty if it can set none.
+    impossible_settings
+        Exposure and gain that it cannot set; empty if it takes all.
+    """
+
+    settings: ClassVar[Mapping[str, float]] = {}
+    impossible_settings: ClassVar[Mapping[str, float]] = {}
+
+    def test_settings_are_read_back(self, camera: FrameCamera) -> None:
+        """Settings are read back, also a second time."""
+        for _ in range(2):
+            wanted = FrameSettings(**self.settings)
+            got = camera.apply(wanted)
+            for name, value in self.settings.items():
+                assert getattr(got, name) == pytest.approx(value, rel=0.02)
+
+    def test_an_impossible_setting_is_refused(self, camera: FrameCamera, tmp_path: Path) -> None:
+        """An impossible setting is refused, and the camera still works."""
+        if not self.impossible_settings:
+            pytest.skip("this camera takes all settings")
+        wanted = FrameSettings(**self.impossible_settings)
+        fails_in_time(lambda: camera.apply(wanted), CameraSettingRefused)
+        assert camera.capture(tmp_path / "one.tif", 1).complete
+
+    def test_the_facts_of_a_capture_are_those_of_its_file(self, camera: FrameCamera, tmp_path: Path) -> None:
+        """The facts of a capture are those of its file, for one frame and for several."""
+        who = camera.identify()
+        for count in (1, 4):
+            path = tmp_path / f"{count}.tif"
+            facts = camera.capture(path, count)
+            frames = read_frames(path)
+            assert facts.complete
+            assert frames.shape == (count, facts.height, facts.width) == (count, who.height, who.width)
+            assert (facts.serial, facts.model, facts.frames) == (who.serial, who.model, count)
+            assert facts.bits == 8 * frames.dtype.itemsize
+            assert facts.bytes == path.stat().st_size
+            saturated = (frames == np.iinfo(frames.dtype).max).mean()
+            assert facts.saturated_share == pytest.approx(saturated, abs=1e-6)
+
+    def test_no_frame_comes_twice(self, camera: FrameCamera, tmp_path: Path) -> None:
+        """No frame of a capture stands in the next one, and all frames of a capture differ by their noise."""
+        for name in ("one.tif", "two.tif"):
+            camera.capture(tmp_path / name, 3)
+        frames = [*read_frames(tmp_path / "one.tif"), *read_frames(tmp_path / "two.tif")]
+        assert len({frame.tobytes() for frame in frames}) == len(frames)
+
+    def test_no_file_is_ever_overwritten(self, camera: FrameCamera, tmp_path: Path) -> None:
+        """No file is ever overwritten, and a missing folder is an error."""
+        (tmp_path / "one.tif").write_bytes(b"evidence")
+        fails_in_time(lambda: camera.capture(tmp_path / "one.tif", 1), RecordingFailed)
+        assert (tmp_path / "one.tif").read_bytes() == b"evidence"
+        fails_in_time(lambda: camera.capture(tmp_path / "none" / "one.tif", 1), RecordingFailed)
+        assert camera.capture(tmp_path / "two.tif", 1).complete
+
+    @pytest.mark.parametrize("frames", [0, -1])
+    def test_no_frame_at_all_is_refused(self, camera: FrameCamera, tmp_path: Path, frames: int) -> None:
+        """No frame at all is refused, and leaves no file."""
+        with pytest.raises((DriverError, ValueError)):
+            camera.capture(tmp_path / "one.tif", frames)
+        assert not list(tmp_path.iterdir())
+
+    def test_a_stop_from_another_thread_ends_a_capture(self, camera: FrameCamera, tmp_path: Path) -> None:
+        """A stop from another thread ends a capture, whose file can be read; the next one is complete."""
+        stopper = threading.Timer(_FRAMES_AT_WORK_S, camera.stop)
+        stopper.start()
+        began_s = time.monotonic()
+        with suppress(RecordingFailed):
+            facts = camera.capture(tmp_path / "one.tif", _MANY)
+            assert not facts.complete
+            assert len(read_frames(tmp_path / "one.tif")) == facts.frames
+        assert time.monotonic() - began_s < _LONGEST_END_S
+        stopper.join()
+        assert camera.capture(tmp_path / "two.tif", 1).complete
+
+    def test_an_interrupted_capture_leaves_no_file(
+        self, camera: FrameCamera, clock: InterruptingClock, tmp_path: Path
+    ) -> None:
+        """An interrupted capture leaves no file, because frames are quickly taken again; the camera works."""
+        clock.interrupts_at_s = clock.monotonic() + _FRAMES_AT_WORK_S
+        with pytest.raises(Interrupted):
+            camera.capture(tmp_path / "one.tif", _MANY)
+        clock.interrupts_at_s = float("inf")
+        assert not list(tmp_path.iterdir())
+        assert camera.capture(tmp_path / "one.tif", 1).complete
+
+    def test_a_pulled_cable_is_a_lost_camera(
+        self, camera: FrameCamera, simulated: SimulatedCamera, tmp_path: Path
+    ) -> None:
+        """A pulled cable is a lost camera in bounded time, also for the next capture; a stop does no harm."""
+        puller = threading.Timer(_FRAMES_AT_WORK_S, simulated.unplug)
+        puller.start()
+        fails_in_time(lambda: camera.capture(tmp_path / "one.tif", _MANY), CameraLost)
+        puller.join()
+        camera.stop()
+        fails_in_time(lambda: camera.capture(tmp_path / "two.tif", 1), CameraLost)
+        assert not list(tmp_path.iterdir())
+
+    def test_a_closed_camera_is_an_error_and_is_opened_again(
+        self, simulated: SimulatedCamera, clock: InterruptingClock, tmp_path: Path
+    ) -> None:
+        """A closed camera is an error of the driver, and is opened again."""
+        for name in ("one.tif", "two.tif"):
+            camera = self._opened(simulated, clock)
+            assert camera.capture(tmp_path / name, 1).complete
+            camera.close()
+            camera.close()
+            fails_in_time(camera.identify)
+            fails_in_time(lambda: camera.capture(tmp_path / "closed.tif", 1))  # noqa: B023 - called at once

@@ -1,0 +1,463 @@
+"""From one recording to one view: RAW file, whole flicker periods, event image, stars.
+
+Every number that a gate or the report shows is calculated here, from the file alone, so that it can be done again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.base.bounded_json import without_nan
+from bench.measure.gates import Gate, at_least, at_most
+from bench.record.events import MeasuredFacts
+from calib.errors import (
+    CalibrationError,
+    DegenerateViews,
+    FlickerNotFound,
+    StarsUnnamed,
+    TargetNotFound,
+    TooFewEvents,
+    TooFewStars,
+)
+from calib.events.event_image import (
+    MOVING_PX,
+    ChosenImage,
+    EventImages,
+    half_windows,
+    make_images,
+)
+from calib.events.flicker import Flicker, flicker_from_events, flicker_from_triggers
+from calib.events.grey_image import to_uint8
+from calib.model.homography import fit_homography
+from calib.stars.detect import detect_stars
+from calib.stars.motion import shift_between_halves
+from calib.stars.rim import downweight_vignetted, find_rim
+from calib.target import StarTarget
+from calib.view import View
+from drivers.camera.event_arrays import Events, Triggers
+from drivers.camera.frames import FrameFacts, read_frames
+from drivers.camera.raw_file import RawFile
+from drivers.errors import RecordingFileError
+from sequences.script import Gates
+
+
+class EventData(NamedTuple):
+    """Content of a recording."""
+
+    # events, triggers: Events and trigger edges, times from the first of them on.
+    events: Events
+    triggers: Triggers
+    size: tuple[int, int]  # Width and height of the sensor, px
+    origin_us: int  # Time of the first event or edge by the sensor's clock, us
+
+
+class WholeImage(NamedTuple):
+    """The event image of whole flicker periods."""
+
+    image: NDArray[np.float32]  # (H, W) float32
+    # Returns images of the same kind of the first and the second half of the periods; raises TooFewEvents if
+    # there are too few.
+    halves: Callable[[], Iterator[NDArray[np.float32]]]
+
+
+def read_events(path: Path) -> EventData:
+    """Read the events of a RAW file."""
+    raw = RawFile.open(path)
+    events, triggers = raw.read()
+    origin_us = _subtract_origin(events.t, triggers)
+    return EventData(events, triggers, (raw.width, raw.height), origin_us)
+
+
+def whole_image(
+    data: EventData,
+    image: str,
+    periods: int | None,
+    expected_hz: float | None,
+    facts: MeasuredFacts,
+    *,
+    one_phase: bool = True,
+    compare_flicker: bool = True,
+) -> WholeImage:
+    """Make the event image of whole flicker periods, of all that the recording holds where None; add to ``facts``.
+
+    ``expected_hz`` None if unknown. ``one_phase``: all pixels' light changes at once, as a lamp's. ``compare_flicker``
+    adds what events alone tell.
+    """
+    events, triggers, size, origin_us = data
+    flicker = _flicker(triggers, (events.t, events.p), expected_hz)
+    span_us = _span_us(events.t, triggers)
+    facts.update(_flicker_facts(flicker, triggers, span_us))
+    if compare_flicker:
+        facts.update(_compare_flicker(flicker, events))
+    images = make_images(*events, size, flicker, window_us=span_us, periods=periods)
+    chosen = _choose(images, image, one_phase=one_phase)
+    facts.update(_image_facts(images, chosen, origin_us))
+    halves = partial(_half_images, events, size, flicker, images, chosen.name)
+    return WholeImage(chosen.image, halves)
+
+
+def recorded_image(path: Path, image: str = "auto") -> NDArray[np.float32]:
+    """Return the image, of a kind or ``auto``, to search for a board: all whole flicker periods of a recording."""
+    data = read_events(path)
+    one_phase = len(data.triggers.t) > 0
+    return whole_image(data, image, None, None, {}, one_phase=one_phase, compare_flicker=False).image
+
+
+def _compare_flicker(flicker: Flicker, events: Events) -> MeasuredFacts:
+    """Compare the flicker from the triggers with the flicker from the events; empty if there is only one."""
+    if flicker.source != "triggers":
+        return {}
+    try:
+        by_events = flicker_from_events(events.t, events.p, band_hz=_band_hz(flicker.frequency_hz))
+    except (FlickerNotFound, TooFewEvents):
+        return {}
+    return {
+        "flicker_from_events_hz": by_events.frequency_hz,
+        "flicker_disagreement_percent": 100 * abs(by_events.frequency_hz / flicker.frequency_hz - 1.0),
+        "flicker_lag_periods": by_events.lag_us(flicker) / flicker.period_us,
+    }
+
+
+def _band_hz(frequency_hz: float) -> tuple[float, float]:
+    """Return the lowest and the highest frequency, Hz, at which the events are searched for a flicker of one."""
+    return min(15.0, 0.6 * frequency_hz), max(1000.0, 1.5 * frequency_hz)
+
+
+def _half_images(
+    events: Events, size: tuple[int, int], flicker: Flicker, whole: EventImages, kind: str
+) -> Iterator[NDArray[np.float32]]:
+    """Yield images of the first and the second half. Raises TooFewEvents if there are too few."""
+    for half in half_windows(whole.facts):
+        yield make_images(*events, size, flicker, window_us=half, hot=whole.hot).named(kind)
+
+
+def _flicker(
+    triggers: Triggers, events: tuple[NDArray[np.int64], NDArray[np.uint8]], expected_hz: float | None
+) -> Flicker:
+    """Return the flicker from the sync edges, or from the events if there are no edges."""
+    if not len(triggers.t):
+        return flicker_from_events(*events)
+    try:
+        return flicker_from_triggers(triggers.t, triggers.value, expected_hz=expected_hz)
+    except FlickerNotFound:
+        if len(triggers.t) > 2:  # edges that contradict each other are a fault; do not ignore them
+            raise
+        return flicker_from_events(*events)
+
+
+def _subtract_origin(t: NDArray[np.int64], triggers: Triggers) -> int:
+    """Subtract the first time from all times, in place: the sensor's clock continues from recording to recording."""
+    origin_us = int(_span_us(t, triggers)[0])
+    t -= origin_us
+    triggers.t[:] -= origin_us
+    return origin_us
+
+
+def _span_us(t: NDArray[np.int64], triggers: Triggers) -> tuple[float, float]:
+    """Return the first and the last time of events and triggers, us."""
+    times = [a for a in (t, triggers.t) if len(a)]
+    if not times:
+        return 0.0, 0.0
+    return float(min(a[0] for a in times)), float(max(a[-1] for a in times)) + 1.0
+
+
+def _flicker_facts(flicker: Flicker, triggers: Triggers, span_us: tuple[float, float]) -> MeasuredFacts:
+    facts: MeasuredFacts = {
+        "flicker_hz": flicker.frequency_hz,
+        "flicker_source": flicker.source,
+        "flicker_duty": flicker.duty,
+        "triggers_found": int((triggers.value == 1).sum()),
+    }
+    if flicker.source == "triggers":
+        facts["triggers_expected"] = len(flicker.rising_edges_us(*span_us))
+        facts["trigger_jitter_us"] = flicker.jitter_us
+    return facts
+
+
+def _choose(images: EventImages, kind: str, *, one_phase: bool = True) -> ChosenImage:
+    if kind == "auto":
+        return images.best(one_phase=one_phase)
+    name = kind.replace("_", "-")
+    return ChosenImage(name, images.named(name), "asked for by the sequence")
+
+
+def _image_facts(images: EventImages, chosen: ChosenImage, origin_us: int) -> MeasuredFacts:
+    facts = images.facts
+    return {
+        "image": {
+            "kind": chosen.name,
+            "reason": chosen.reason,
+            "window_us": [origin_us + facts.start_us, origin_us + facts.end_us],
+            "periods": facts.periods,
+            "events_per_edge": facts.events_per_edge,
+            "events_per_edge_on": facts.events_per_edge_on,
+            "events_per_edge_off": facts.events_per_edge_off,
+            "lit_pixels": facts.lit_pixels,
+            "on_share": facts.on_share,
+            "first_on_spread_us": facts.first_on_spread_us,
+            "hot_pixels": facts.hot_pixels,
+            "silent_rows": facts.silent_rows,
+        }
+    }
+
+
+# A dark lamp and a closed lens cap are no fault of the camera's direction. `bench.align.advice` tells the
+# same cases apart on the live picture.
+
+LEAST_LIT = 0.005
+"""Share of the sensor's pixels that follow the flicker as soon as the camera sees the lit target. Without light, hot
+pixels alone do."""
+
+
+def without_light(error: TargetNotFound, facts: MeasuredFacts, pixels: int) -> TargetNotFound:
+    """Return the error of a recording that shows no target; if it shows no light either, one that says so."""
+    image = facts.get("image")
+    if image is None or image["lit_pixels"] >= LEAST_LIT * pixels:
+        return error
+    source = "the sync signal comes" if facts.get("flicker_source") == "triggers" else "some events flicker"
+    return TargetNotFound(
+        f"The picture is dark: {source}, but only {100 * image['lit_pixels'] / pixels:.2g} % of the pixels follow the "
+        "light.",
+        where=error.where,
+        remedy="Check first that the lamp is lit. Then remove the lens cap, open the aperture, raise the light's "
+        "level, or turn the camera towards the collimator.",
+    )
+
+
+@dataclass(frozen=True)
+class StoredImage:
+    """An image for people, 8 bits per pixel, compressed without loss; a run keeps one for each of its poses."""
+
+    png: bytes
+
+    @classmethod
+    def from_image(cls, image: NDArray[Any]) -> StoredImage:
+        """Stretch grey values, (H, W) of any dtype, as `calib.events.grey_image.to_uint8`, and compress them."""
+        return cls(cv2.imencode(".png", to_uint8(image), (cv2.IMWRITE_PNG_COMPRESSION, 1))[1].tobytes())
+
+    def decoded(self) -> NDArray[np.uint8]:
+        """Return the image: (H, W) uint8, grey values."""
+        image = cv2.imdecode(np.frombuffer(self.png, np.uint8), cv2.IMREAD_GRAYSCALE)
+        assert image is not None
+        return np.asarray(image, np.uint8)
+
+
+ExpectedGrid = Callable[[tuple[int, int]], NDArray[np.float64]]
+"""Returns, for an image size (width, height) in px, the expected homography of the target's grid: (3, 3) float64, from
+[column row 1] to [u v 1] px. Raises DegenerateViews if no prediction is possible."""
+
+
+_ALIGNED_DEG = 3.0
+"""Largest angle to the pixel rows or diagonals at which the errors of star edges count as correlated, degrees. They are
+correlated at 0.5 degrees and not at 10 degrees (docs/stars.md)."""
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What a recording showed."""
+
+    view: View | None  # The stars; None if none were found, then ``fault`` states why
+    # Event image in which the stars were detected; None if it could not be made or was not asked for.
+    image: StoredImage | None
+    # Numbers for gates, journal and report: image kind and reason, window, periods, events per edge, ON
+    # share, hot pixels, flicker frequency and its source, triggers expected and found, motion, what labelled
+    # the stars and where their grid lies.
+    facts: MeasuredFacts = field(default_factory=MeasuredFacts)
+    fault: str = ""  # Why there is no view; empty if there is one
+
+    @property
+    def stars(self) -> int:
+        """Number of stars found."""
+        return 0 if self.view is None else len(self.view)
+
+
+@dataclass
+class Observed:
+    """What is known of a recording while its view is looked for: numbers, and the image."""
+
+    facts: MeasuredFacts = field(default_factory=MeasuredFacts)
+    image: StoredImage | None = None
+
+    def keep(self, image: NDArray[Any]) -> None:
+        """Keep an image, (H, W) of any dtype, for people."""
+        self.image = StoredImage.from_image(image)
+
+
+def measurement_of(find: Callable[[Observed], View]) -> Measurement:
+    """Return what ``find`` finds; a file that cannot be read, or in which it finds no view, gives its fault."""
+    seen = Observed()
+    try:
+        view, fault = find(seen), ""
+    except (CalibrationError, RecordingFileError) as error:
+        view, fault = None, str(error)
+    return Measurement(view, seen.image, without_nan(seen.facts), fault)
+
+
+def measure(
+    path: Path,
+    *,
+    name: str,
+    target: StarTarget,
+    image: str,
+    periods: int | None,
+    expected_hz: float | None,
+    expected_grid: ExpectedGrid | None = None,
+    motion: bool = True,
+) -> Measurement:
+    """Read a recording and find the stars in it; a file that cannot be read or shows no stars gives its fault.
+
+    ``periods`` None stands for all whole ones. ``expected_grid`` is for where the tag does not label the stars. Without
+    ``motion``, the shift between the halves, what else only gates and report need is left out, and half the time; the
+    view stays the same.
+    """
+
+    def find(seen: Observed) -> View:
+        facts = seen.facts
+        whole = whole_image(read_events(path), image, periods, expected_hz, facts, compare_flicker=motion)
+        if motion:
+            seen.keep(whole.image)
+        try:
+            found = find_stars(whole.image, target, name, expected_grid, facts, edge_width=motion)
+        except TargetNotFound as error:
+            raise without_light(error, facts, whole.image.size) from error
+        if motion:
+            facts["motion_px"] = motion_px(whole.halves(), found, target)
+        return downweight_vignetted(found, target)
+
+    return measurement_of(find)
+
+
+def find_stars(
+    image: NDArray[Any],
+    target: StarTarget,
+    name: str,
+    expected_grid: ExpectedGrid | None,
+    facts: MeasuredFacts,
+    *,
+    edge_width: bool = True,
+) -> View:
+    """Detect and label the stars of an image, (H, W) of any numeric type, and find the rim of the beam in it.
+
+    If neither tag nor expected grid labels the stars, `StarsUnnamed` is raised. ``facts`` gets ``named_by``, ``grid``,
+    (3, 3) from [column row 1] to [u v 1] px, ``expected_grid``, and, with ``edge_width``, ``edge_width_px``, the blur
+    of the stars' edges.
+    """
+    try:
+        detection = detect_stars(image, target, name=name)
+    except StarsUnnamed as unnamed:
+        if expected_grid is None:
+            raise
+        try:
+            expected = expected_grid((image.shape[1], image.shape[0]))
+        except DegenerateViews as unknown:
+            raise StarsUnnamed(unnamed.what, where=unnamed.where, remedy=str(unknown)) from unknown
+        detection = detect_stars(image, target, name=name, expected=expected)
+        facts["expected_grid"] = expected.tolist()
+    grid = fit_homography(target.node_of(detection.view.ids).astype(float), detection.view.points_px)
+    facts["named_by"] = "gimbal" if detection.named_by == "expected pose" else detection.named_by
+    facts["grid"] = grid.tolist()
+    if edge_width:
+        facts["edge_width_px"] = detection.edge_width_px
+    return replace(detection.view, rim=find_rim(image, detection.view, target))
+
+
+def aligned_poses(facts: Iterable[MeasuredFacts]) -> int:
+    """Count the recordings, by facts of `measure`, whose star edges run along pixels that are fired or silent.
+
+    Errors of neighbouring stars are then correlated, which no star's covariance can express (docs/stars.md).
+    """
+    return sum(
+        edge_angle_deg(np.array(one["grid"])) < _ALIGNED_DEG
+        for one in facts
+        if "grid" in one and "image" in one and one["image"]["kind"] in {"fired-per-edge", "last-polarity"}
+    )
+
+
+def edge_angle_deg(grid: NDArray[np.float64]) -> float:
+    """Return the angle between the star edges and the pixel rows or diagonals, whichever is smaller: 0 to 22.5.
+
+    ``grid`` is (3, 3), from [column row 1] to [u v 1] px.
+
+    >>> half = np.radians(50)
+    >>> edge_angle_deg(np.array([[np.cos(half), -np.sin(half), 0], [np.sin(half), np.cos(half), 0], [0, 0, 1]]))
+    5.0
+    """
+    # d(u, v)/d(column) at the grid's origin, times the square of grid[2, 2].
+    along = grid[:2, 0] * grid[2, 2] - grid[:2, 2] * grid[2, 0]
+    direction = np.degrees(np.arctan2(along[1], along[0]))
+    return round(float(abs((direction + 22.5) % 45.0 - 22.5)), 6)
+
+
+def motion_px(halves: Iterable[NDArray[Any]], view: View, target: StarTarget) -> float | None:
+    """Return how far a view's stars moved between the halves of its recording, (H, W) each, px; None if not shown."""
+    try:
+        first, second = halves
+        return float(np.hypot(*shift_between_halves(first, second, view, target)))
+    except (TooFewEvents, TooFewStars):
+        return None
+
+
+# From the frames of one pose to one view, and whether they are accepted: the recording of a frame camera.
+#
+# Stars are detected in the mean of all frames, and in the mean of each half to check that the camera stood
+# still. Every number is calculated from the file alone, so that it can be calculated again from the
+# evidence.
+
+MOST_SATURATED: Final = 0.001
+"""Largest share of pixels at the highest grey value. Some pixels are hot; but saturation displaces a star's edge."""
+
+
+def measure_frames(
+    path: Path, *, name: str, target: StarTarget, expected_grid: ExpectedGrid | None = None
+) -> Measurement:
+    """Read a pose's frames and find the stars; a fault instead if they are bad.
+
+    Facts are ``image`` (``kind``, ``reason``, ``pictures``), ``motion_px``, and those of `find_stars`.
+    """
+
+    def find(seen: Observed) -> View:
+        mean, halves = mean_frames(path, seen)
+        view = find_stars(mean, target, name, expected_grid, seen.facts)
+        seen.facts["motion_px"] = motion_px(halves, view, target) if halves else None
+        return downweight_vignetted(view, target)
+
+    return measurement_of(find)
+
+
+def mean_frames(path: Path, seen: Observed) -> tuple[NDArray[np.float32], list[NDArray[np.float32]]]:
+    """Return the mean of all frames, and the means of both halves unless there is one frame; keep and state it."""
+    frames = read_frames(path)
+    kind = f"mean of {len(frames)} pictures" if len(frames) > 1 else "picture"
+    seen.facts["image"] = {"kind": kind, "reason": "", "pictures": len(frames)}
+    half, mean = len(frames) // 2, _mean(frames)
+    seen.keep(mean)
+    return mean, [_mean(part) for part in (frames[:half], frames[-half:])] if half else []
+
+
+def frame_gates(facts: FrameFacts, gates: Gates, found: Measurement) -> list[Gate]:
+    """Judge the frames of a pose; of the sequence's gates, those about stars apply."""
+    judged = [
+        at_least("stars", found.stars, gates.min_stars, ""),
+        at_most("saturated pixels", 100 * facts.saturated_share, 100 * MOST_SATURATED, "%"),
+    ]
+    motion_px = found.facts.get("motion_px")
+    if motion_px is not None:
+        judged.append(at_most("stars moved", motion_px, gates.limits.get("max_motion_px", MOVING_PX), "px"))
+    return judged
+
+
+def frame_rejection_reasons(facts: FrameFacts) -> list[str]:
+    """Return why frames are rejected, whatever they show."""
+    return [] if facts.complete else ["fewer frames were recorded than asked for"]
+
+
+def _mean(frames: NDArray[Any]) -> NDArray[np.float32]:
+    return frames.mean(axis=0, dtype=np.float64).astype(np.float32)

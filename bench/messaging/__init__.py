@@ -1,1 +1,0 @@
-"""Messages about runs to people, and an outbox that keeps them while the network is down."""

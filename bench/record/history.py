@@ -1,0 +1,446 @@
+"""History of a run, replayed from its journal: the state of a run is its journal and nothing else."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, Final, Literal, NamedTuple, ParamSpec, cast
+
+import calib.errors
+from bench.base.errors import JournalBroken
+from bench.record.events import (
+    AttemptChecked,
+    CaptureStored,
+    Commanded,
+    Devices,
+    Event,
+    FailureData,
+    GateData,
+    LedgerPlace,
+    MeasuredFacts,
+    RunStarted,
+    Solved,
+    StateEntered,
+    UntilDecided,
+    event_name,
+)
+from bench.record.journal import CLOCK_JUMPED, Entry, Journal
+from drivers.lateness import LatenessData
+
+DeviceName = Literal["stage", "light", "camera"]
+EndState = Literal["confirmed safe", "not confirmed", "never opened"]
+
+DEVICES: Final[tuple[DeviceName, ...]] = ("stage", "light", "camera")
+NOT_ASKED: Final = "nothing states how it was left"
+"""What is known of a device if no line of the journal states more."""
+NO_END: Final = "killed, power lost or disk full"
+"""Why a journal has no line that ends the run, as far as can be known."""
+_MAY_BE: Final[Mapping[DeviceName, str]] = {
+    "stage": "The stage may be moving.",
+    "light": "The light may be on.",
+    "camera": "",
+}
+_UNTOUCHED: Final[Mapping[DeviceName, str]] = {
+    "stage": "This run did not move it.",
+    "light": "This run did not switch it. The light may be on.",
+    "camera": "",
+}
+
+
+@dataclass(frozen=True)
+class DeviceEnd:
+    """How one device was left."""
+
+    device: DeviceName
+    state: EndState
+    said: str = ""  # What it answered, or why it did not; empty if it was never opened
+
+    @property
+    def text(self) -> str:
+        """The state as a line for people; it says what may be the case where nothing was confirmed."""
+        said = f": {self.said}" if self.said else ""
+        stop = "" if said.endswith((".", "!")) else "."
+        return f"{self.device}: {self.state}{said}{stop}{f' {self.advice}' if self.advice else ''}"
+
+    @property
+    def advice(self) -> str:
+        """What may be the case where nothing was confirmed; empty if the device confirmed that it is safe."""
+        if self.state == "confirmed safe":
+            return ""
+        return (_MAY_BE if self.state == "not confirmed" else _UNTOUCHED)[self.device]
+
+    def to_dict(self) -> dict[str, str]:
+        """Return the state as the journal and JSON hold it: ``device``, ``state``, ``said``."""
+        return {"device": self.device, "state": self.state, "said": self.said}
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, str]) -> DeviceEnd:
+        """Read what `to_dict` wrote."""
+        return cls(cast("DeviceName", data["device"]), cast("EndState", data["state"]), data.get("said", ""))
+
+
+def all_ends(known: Sequence[DeviceEnd]) -> list[DeviceEnd]:
+    """Add the devices that were never opened: one each for stage, light and camera, in this order."""
+    by_name = {end.device: end for end in known}
+    return [by_name.get(name, DeviceEnd(name, "never opened")) for name in DEVICES]
+
+
+def lost_ends(why: str) -> list[DeviceEnd]:
+    """Return the states of devices that cannot be asked any more: none is confirmed."""
+    return [DeviceEnd(name, "not confirmed", why) for name in DEVICES]
+
+
+def unsafe_devices(ends: Iterable[DeviceEnd]) -> list[str]:
+    """Return a sentence each for stage and light if it did not confirm that it is safe; a camera needs none."""
+    unsure = [end.said for end in ends if end.state == "not confirmed" and end.device != "camera"]
+    return list(dict.fromkeys(unsure))
+
+
+P = ParamSpec("P")
+
+_POSE_STATES = frozenset({"slewing", "settling", "recording", "checking", "backing_off"})
+"""States in which a pose is at work."""
+
+
+class InterlockHold(NamedTuple):
+    """An interlock that holds the run."""
+
+    rule: str  # Its name in the station file
+    why: str  # A sentence without a full stop
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One recording at one pose, as journaled when it was stored."""
+
+    pose_index: int
+    pose_name: str
+    attempt: int  # Number of the attempt at this pose, from 1
+    stored: CaptureStored
+    checked: AttemptChecked | None = None  # Journal line about its measurement; None before it was measured
+
+    @property
+    def accepted(self) -> bool:
+        """Whether it passed its gates."""
+        return self.checked is not None and bool(self.checked["accepted"])
+
+    @property
+    def measured(self) -> MeasuredFacts:
+        """Numbers measured in it; empty before it was measured."""
+        return MeasuredFacts() if self.checked is None else self.checked["measured"]
+
+    @property
+    def reasons(self) -> Sequence[str]:
+        """Why it was rejected; empty if it was accepted or not measured yet."""
+        return () if self.checked is None else self.checked["reasons"]
+
+    @property
+    def gates(self) -> Sequence[GateData]:
+        """The gates that judged it."""
+        return () if self.checked is None else self.checked["gates"]
+
+
+@dataclass
+class History:
+    """A run so far. A payload whose line is not written yet is an empty mapping."""
+
+    started: RunStarted = field(default_factory=lambda: cast("RunStarted", {}))
+    started_utc: str = ""
+    devices: Devices = field(default_factory=lambda: cast("Devices", {}))
+    devices_left: Sequence[Mapping[str, str]] = ()
+    """How each device was left after the last step that needs devices; empty before, or if nothing states it."""
+    devices_at_end: Sequence[Mapping[str, str]] = ()
+    """How each device was left at the last end of the run; empty if nothing states it."""
+    done_steps: set[int] = field(default_factory=set)
+    attempts: list[Attempt] = field(default_factory=list)
+    lost: dict[int, int] = field(default_factory=dict)
+    """Number of recordings that the camera could not complete, by pose index."""
+    states: list[StateEntered] = field(default_factory=list)
+    deviations: list[str] = field(default_factory=list)
+    holds: list[str] = field(default_factory=list)  # Pauses that a person asked for and ended
+    failures: list[FailureData] = field(default_factory=list)
+    """The errors that ended the run before it was resumed, and the one that ended it last."""
+    resumed: int = 0
+    ended: str = ""
+    why: str = ""
+    at_pose: int | None = None
+    """The pose at work, if any; it is kept while the camera settles."""
+    crashes: dict[int, int] = field(default_factory=dict)
+    """How often the process crashed while a pose was at work, by pose index; not counting kills from outside."""
+    to_skip: dict[int, str] = field(default_factory=dict)
+    """Operator who asked to skip a pose, by pose index."""
+    skipped: dict[int, str] = field(default_factory=dict)
+    """Why a pose is skipped, by pose index."""
+    ledger: LedgerPlace = field(default_factory=lambda: cast("LedgerPlace", {}))
+    """Its place in the laboratory's ledger (`bench.record.ledger`)."""
+    lateness: LatenessData = field(default_factory=LatenessData)
+    """How late a busy computer woke the process, by its last line about it (`drivers.lateness`); empty before one."""
+    busy: str = ""
+    """How late the computer was when the journal last said that it is too busy, as text; empty if it never was."""
+    solved: Solved = field(default_factory=lambda: cast("Solved", {}))
+    """Main numbers of its calibration; empty while it has none."""
+    decisions: list[UntilDecided] = field(default_factory=list)
+    """What each ``until`` decided, in order."""
+    worked_s: dict[int, float] = field(default_factory=dict)
+    """Time worked, s, by number of the step: from entering a state for the step to the next state, without holds.
+    Time after the last line of a process that was stopped is not known and does not count."""
+    holder: str = ""
+    """Operator who holds the run; empty while none does."""
+    interlock: InterlockHold | None = None
+    """The interlock that holds the run, and why; None while none does."""
+    question: str = ""
+    """The question to the operator; empty while there is none."""
+    answer: tuple[str, str] | None = None
+    """The answer given from another terminal, and by whom."""
+
+    def __post_init__(self) -> None:
+        stored, self.attempts = self.attempts, []
+        # Places in the list of attempts, by pose index; needed at every step.
+        self._places_of_pose: dict[int, list[int]] = {}
+        self._accepted: dict[int, Attempt] = {}
+        self._at_step: int | None = None
+        self._last_mono_s = 0.0
+        for attempt in stored:
+            self.add(attempt)
+
+    @property
+    def chosen(self) -> Mapping[int, Mapping[str, float]]:
+        """Angles of the poses that were chosen in the run, degrees, by pose index."""
+        return {d["chosen"]["pose"]: d["chosen"]["angles_deg"] for d in self.decisions if "chosen" in d}
+
+    def is_left_out(self, step: int) -> bool:
+        """Return whether a step must not be done, because its ``until`` ended before it."""
+        return any("ended" in d and d["step"] < step <= d["until_last"] for d in self.decisions)
+
+    def count_time(self, entry: Entry) -> None:
+        """Count the time since the previous journal line for the step at work."""
+        if entry.event == Event.RUN_RESUMED:  # another process, whose clock begins anew
+            self._at_step = None
+        elif (
+            self._at_step is not None and entry.event != CLOCK_JUMPED
+        ):  # it may be the first line of that process
+            passed_s = entry.mono_s - self._last_mono_s
+            self.worked_s[self._at_step] = self.worked_s.get(self._at_step, 0.0) + passed_s
+        self._last_mono_s = entry.mono_s
+        if entry.event == Event.ENTERING:
+            held = entry.data["state"] == "holding"
+            self._at_step = None if held else entry.data.get("step")
+
+    def add(self, attempt: Attempt) -> None:
+        """Add a stored recording."""
+        self._places_of_pose.setdefault(attempt.pose_index, []).append(len(self.attempts))
+        self.attempts.append(attempt)
+        if attempt.accepted:
+            self._accepted[attempt.pose_index] = attempt
+
+    def check(self, pose_index: int, number: int, checked: AttemptChecked) -> None:
+        """Add the result of measuring a stored recording; ``pose_index`` and ``number`` count from 1."""
+        for place in self._places_of_pose.get(pose_index, ()):
+            if self.attempts[place].attempt == number:
+                attempt = self.attempts[place] = replace(self.attempts[place], checked=checked)
+                if attempt.accepted:
+                    self._accepted[pose_index] = attempt
+                return
+        raise ValueError(f"a stored recording for pose {pose_index}, attempt {number}")
+
+    def accepted(self) -> Mapping[int, Attempt]:
+        """Return the accepted recording of each pose that has one, in the order of their acceptance."""
+        return MappingProxyType(self._accepted)
+
+    def attempts_at(self, pose_index: int) -> Sequence[Attempt]:
+        """Return all recordings stored at a pose, numbered from 1, in order."""
+        return [self.attempts[place] for place in self._places_of_pose.get(pose_index, ())]
+
+    def next_attempt(self, pose_index: int) -> int:
+        """Return the number, from 1, of the next recording at a pose, after those stored and those lost."""
+        return len(self.attempts_at(pose_index)) + self.lost.get(pose_index, 0) + 1
+
+    def unchecked(self, pose_index: int) -> Attempt | None:
+        """Return the last recording of a pose, numbered from 1, if it was stored but not yet measured."""
+        attempts = self.attempts_at(pose_index)
+        return attempts[-1] if attempts and attempts[-1].checked is None else None
+
+
+def replay(entries: Iterable[Entry]) -> History:
+    """Replay a journal from its first line. Raises JournalBroken if another program or version wrote it."""
+    history = History()
+    for entry in entries:
+        try:
+            apply_entry(history, entry)
+        except (KeyError, TypeError, ValueError) as error:
+            raise JournalBroken(
+                f"Line {entry.seq + 1} ({entry.event}) lacks {error}.",
+                remedy="This journal was written by another program or version; it cannot be resumed by this one.",
+            ) from error
+    return history
+
+
+def apply_entry(history: History, entry: Entry) -> None:
+    """Apply one journal line to a history. Raises KeyError, TypeError or ValueError if it is incomplete."""
+    data = entry.data
+    history.count_time(entry)
+    _apply_lateness(history, entry)
+    match entry.event:
+        case Event.RUN_STARTED:
+            history.started, history.started_utc = cast("RunStarted", data), entry.utc
+            history.ledger = data.get("ledger", {})
+        case Event.RUN_RESUMED:
+            history.resumed += 1
+            history.ledger = data.get("ledger", history.ledger)
+            history.ended = history.why = ""
+            _clear_hold(history)
+            count_crash(history, data.get("crash"))
+        case Event.DEVICES | Event.DEVICES_LEFT:
+            _apply_devices(history, entry)
+        case Event.ENTERING:
+            history.interlock = InterlockHold(data["rule"], data["why"]) if "rule" in data else None
+            history.states.append({"state": data["state"], "utc": entry.utc, "mono_s": entry.mono_s})
+            history.at_pose = data.get("pose", history.at_pose) if data["state"] in _POSE_STATES else None
+        case Event.STEP_DONE:
+            history.done_steps.add(int(data["step"]))
+        case Event.DEVIATION:
+            (history.holds if data.get("hold") else history.deviations).append(str(data["what"]))
+        case Event.SOLVED:
+            history.solved = cast("Solved", data)
+        case Event.UNTIL_DECIDED:
+            history.decisions.append(cast("UntilDecided", data))
+        case Event.COMMANDED:
+            _apply_command(history, cast("Commanded", data))
+        case Event.RUN_ENDED:
+            history.ended, history.why = str(data["how"]), str(data["why"])
+            history.devices_at_end = tuple(data.get("devices", ()))
+            if "error" in data:
+                history.failures.append(cast("FailureData", data["error"]))
+            _clear_hold(history)
+            count_crash(history, data.get("crashed"))
+        case _:
+            _apply_pose_entry(history, entry)
+
+
+def _apply_devices(history: History, entry: Entry) -> None:
+    if entry.event == Event.DEVICES_LEFT:
+        history.devices_left = tuple(entry.data["devices"])
+        return
+    history.devices = cast("Devices", entry.data)
+    history.devices_left = history.devices_at_end = ()
+
+
+def _apply_lateness(history: History, entry: Entry) -> None:
+    """Keep how late the computer was; the end of a run states it too."""
+    data = entry.data
+    if "lateness" in data:
+        history.lateness = data["lateness"]
+    if entry.event == Event.COMPUTER_BUSY:
+        history.busy = f"{data['late_s']:.1f} s late in {data['window_s']:.0f} s"
+
+
+def _apply_pose_entry(history: History, entry: Entry) -> None:
+    data = entry.data
+    match entry.event:
+        case Event.ASKED:
+            history.question, history.answer = str(data["text"]), None
+        case Event.ANSWERED:
+            history.question, history.answer = "", None
+        case Event.POSE_SKIPPED:
+            history.skipped[int(data["pose"])] = str(data["what"])
+            history.deviations.append(str(data["what"]))
+        case Event.ATTEMPT_LOST:
+            history.lost[int(data["pose"])] = history.lost.get(int(data["pose"]), 0) + 1
+        case Event.ATTEMPT_CHECKED:
+            history.check(int(data["pose"]), int(data["attempt"]), cast("AttemptChecked", data))
+        case Event.CAPTURE_STORED:
+            stored = cast("CaptureStored", data)
+            history.add(Attempt(int(data["pose"]), str(data["pose_name"]), int(data["attempt"]), stored))
+
+
+def count_crash(history: History, crash: object) -> None:
+    """Count a crash, unless there was none, against the pose that was at work; none is at work afterwards."""
+    if crash and history.at_pose is not None:
+        history.crashes[history.at_pose] = history.crashes.get(history.at_pose, 0) + 1
+    history.at_pose = None
+
+
+def _clear_hold(history: History) -> None:
+    """Clear hold and question, because a run that ends or is resumed has neither."""
+    history.holder = history.question = ""
+    history.interlock = None
+    history.answer = None
+
+
+def _apply_command(history: History, data: Commanded) -> None:
+    if not data["taken"]:
+        return
+    match data["word"]:
+        case "hold":
+            history.holder = str(data["by"])
+        case "release":
+            history.holder = ""
+        case "answer":
+            history.answer = str(data["answer"]), str(data["by"])
+        case "skip":
+            history.to_skip[int(data["pose"])] = str(data["by"])
+
+
+_WITHOUT_HARDWARE = frozenset({"settling", "checking"})
+"""States in which nothing moves, is switched or is stored."""
+
+
+class RunLog:
+    """A run's journal and history; the history follows the journal line by line. Safe to use from several threads."""
+
+    def __init__(self, journal: Journal) -> None:
+        self.journal = journal
+        self.history = replay(journal.entries)
+        self._lock = threading.RLock()
+
+    @contextmanager
+    def held(self) -> Iterator[History]:
+        """Keep other threads from writing inside the block, to decide by the history and write the decision."""
+        with self._lock:
+            yield self.history
+
+    def write(self, payload: Callable[P, object], *_: P.args, **data: P.kwargs) -> None:
+        """Write one line and update the history; it survives a power cut unless a restart finds the same again.
+
+        ``payload`` is the type of what the line holds, which names its event (`bench.record.events.event_name`).
+        """
+        event = Event(event_name(payload))
+        write = self.journal.append_unsynced if _is_repeatable(event, data) else self.journal.append
+        with self._lock:
+            apply_entry(self.history, write(event, **data))
+
+
+def _is_repeatable(event: Event, data: Mapping[str, Any]) -> bool:
+    """Return whether a line may be lost with the power, because a restart does or finds the same again."""
+    match event:
+        case Event.LEFT_OFF:
+            return "error" not in data
+        case Event.ENTERING:
+            return data["state"] in _WITHOUT_HARDWARE
+        case Event.ATTEMPT_CHECKED | Event.STEP_DONE:
+            return True
+    return False
+
+
+def way_on(history: History, folder: Path) -> tuple[str, str]:
+    """Return what there is to know, as a sentence, and the command that can work.
+
+    A resumed run uses its own copies of the files, so it ends in the same way if one of them was wrong.
+    """
+    kind = history.failures[-1]["kind"] if history.ended == "failed" and history.failures else ""
+    if kind and issubclass(getattr(calib.errors, kind, type(None)), calib.errors.CalibrationError):
+        return (
+            "All recordings are kept. With the same model they are refused again. With the joint adjustment:",
+            f"starbench calibrate {folder} --model joint",
+        )
+    if kind and not history.attempts:
+        copies = f"a resumed run would use the copies of its files in {folder}"
+        return (
+            f"Nothing was recorded. Remove the cause; {copies}. To begin again, with corrected files:",
+            "starbench run SEQUENCE --station STATION",
+        )
+    return "All recordings are kept. To continue:", f"starbench resume {folder}"

@@ -1,0 +1,324 @@
+"""The laboratory's ledger: every run that was started on this bench, and how it ended. No run can be left out unseen.
+
+One file for all runs, ``ledger.jsonl`` beside the signing key, chained and synced like a journal. A run is entered
+before it does anything, and again whenever it ends. `bench.record.ledger_marks` keeps the newest head elsewhere, so
+that lines removed from the end are noticed. Certificates take their numbers from it, too.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from bench.base.errors import BenchError, EvidenceError, JournalBroken, UsageError
+from bench.base.home import home_folder
+from bench.record.events import LedgerPlace
+from bench.record.journal import Entry, Journal, read_journal
+from bench.record.ledger_marks import (
+    BREAK_EXPLAINED,
+    EXPLAIN,
+    LEDGER_BROKEN,
+    RUN_BEGUN,
+    RUN_ENDED,
+    Break,
+    LedgerMark,
+    LedgerRun,
+    OwnMark,
+    Strangers,
+    Witness,
+    append_to_anchor,
+    ask_anchor,
+    breaks_of,
+    find_breaks,
+    highest_counts,
+    highest_run,
+    no_strangers,
+    read_own_mark,
+    runs_of,
+    write_own_mark,
+)
+from bench.record.run_folder import MANIFEST, is_sealed
+from bench.record.storage import locked_folder, make_folder, sha256_of, storage_errors, sync_folder
+
+LEDGER = "ledger.jsonl"
+PLACE_FORGOTTEN = "place_forgotten"
+
+
+class Ledger:
+    """The ledger of a bench. Every method reads the file anew, because other processes write to it too.
+
+    ``warnings`` are second places that could not be read or written by the last call; nothing was stopped by them.
+    """
+
+    def __init__(
+        self, home: Path, *, utc_now: Callable[[], datetime], monotonic: Callable[[], float]
+    ) -> None:
+        self.home = home
+        self.path = home / LEDGER
+        self.warnings: list[str] = []
+        self._clocks: dict[str, Any] = {"utc_now": utc_now, "monotonic": monotonic}
+
+    def entries(self) -> list[Entry]:
+        """Read and verify every line, of any event, first to last; empty while there is no ledger."""
+        return read_journal(self.path)[0] if self.path.exists() else []
+
+    def append(self, event: str, **facts: Any) -> Entry:
+        """Enter one line of any event in the past tense; use ``locked`` where it depends on the lines before."""
+        with self.locked() as journal:
+            return journal.append(event, **facts)
+
+    @contextmanager
+    def locked(self) -> Iterator[Journal]:
+        """Lock the ledger against other processes, verify it, and open it for writing; a break raises `EvidenceError`.
+
+        A number that follows from the lines before is so given once. The lock waits: keep the block short. The new head
+        goes to the second places afterwards.
+        """
+        self.warnings = []
+        with self._held():
+            refuse(find_breaks(self.entries(), self._own_mark()).what, self.path)
+            with self._opened() as journal:
+                yield journal
+        self._write_anchors()
+
+    # ------------------------------------------------------------ lock and marks
+
+    @contextmanager
+    def _held(self) -> Iterator[None]:
+        """Lock the ledger against other processes."""
+        make_folder(self.home)
+        with locked_folder(self.home):
+            yield
+
+    @contextmanager
+    def _opened(self) -> Iterator[Journal]:
+        """Open the ledger for writing; the bench's own mark follows each new head."""
+        opener = Journal.open if self.path.exists() else Journal.create
+        with opener(self.path, **self._clocks) as journal:
+            before = journal.head
+            try:
+                yield journal
+            finally:
+                if journal.head != before:
+                    self._write_own_mark(journal.entries)
+
+    def _own_mark(self) -> OwnMark | str | None:
+        try:
+            return read_own_mark(self.home)
+        except BenchError as error:
+            return str(error)
+
+    def _write_own_mark(self, entries: Sequence[Entry]) -> None:
+        own = self._own_mark()
+        counts = dict(sorted(highest_counts(entries).items()))
+        mark = LedgerMark(len(entries), highest_run(entries), entries[-1].hash, entries[-1].utc, counts)
+        self._store(replace(own, mark=mark) if isinstance(own, OwnMark) else OwnMark(mark))
+
+    def _store(self, own: OwnMark) -> None:
+        """Write the bench's own mark; what fails becomes a warning."""
+        try:
+            write_own_mark(self.home, own)
+        except BenchError as error:
+            self.warnings.append(f"The bench's own mark of the ledger cannot be written: {error}")
+
+    def _places(self) -> tuple[str, ...]:
+        """Return the second places that were used before."""
+        own = self._own_mark()
+        return own.anchors if isinstance(own, OwnMark) else ()
+
+    def _ask_anchors(self, anchor: str | None) -> list[Witness]:
+        """Ask all second places: those that were used before, and the one that a station names."""
+        used = self._places()
+        places = dict.fromkeys([*used, *([anchor] if anchor else [])])
+        return [ask_anchor(Path(place), was_there=place in used) for place in places]
+
+    def _write_anchors(self, anchor: str | None = None) -> None:
+        """Write the newest head to all second places; what fails becomes a warning."""
+        own = self._own_mark()
+        if not isinstance(own, OwnMark):
+            return
+        for place in dict.fromkeys([*own.anchors, *([anchor] if anchor else [])]):
+            try:
+                append_to_anchor(Path(place), own.mark)
+            except BenchError as error:
+                self.warnings.append(f"The second place of the ledger cannot be written: {error}")
+        if anchor and anchor not in own.anchors:
+            self._change_anchors(lambda known: (*known, anchor))
+
+    def _change_anchors(self, change: Callable[[tuple[str, ...]], tuple[str, ...]]) -> None:
+        """Change the list of second places that the bench's own mark holds; what fails becomes a warning."""
+        with self._held():
+            own = self._own_mark()
+            if isinstance(own, OwnMark):
+                self._store(replace(own, anchors=tuple(dict.fromkeys(change(own.anchors)))))
+
+    # ------------------------------------------------------------ runs
+
+    def begin(
+        self,
+        *,
+        run_id: str,
+        folder: Path,
+        camera: str,
+        simulated: bool,
+        anchor: str | None = None,
+        strict: bool = False,
+        strangers: Strangers = no_strangers,
+    ) -> LedgerPlace:
+        """Enter a run before it does anything. A break of the ledger is recorded first; it does not stop the run.
+
+        With ``strict``, a break that nobody explained raises `EvidenceError`. ``strangers`` finds sealed runs of this
+        bench that are not in the ledger.
+        """
+        witnesses = self._ask_anchors(anchor)
+        with self._mended(witnesses, strangers, strict=strict) as journal:
+            entries = journal.entries
+            faults = [f"{one} {EXPLAIN}" for one in breaks_of(entries) if one.reason is None]
+            number = 1 + highest_run(entries)
+            facts = {"run": run_id, "folder": str(folder), "camera": camera, "simulated": simulated}
+            journal.append(RUN_BEGUN, number=number, **facts)
+            of_camera: dict[str, int] = {}
+            for run in runs_of(journal.entries):
+                if run.camera == camera and run.simulated == simulated:
+                    of_camera[run.how] = of_camera.get(run.how, 0) + 1
+            place: LedgerPlace = {"number": number, "head": journal.head, "of_camera": of_camera}
+            if faults:
+                place["faults"] = faults
+        self._write_anchors(anchor)
+        return place
+
+    def end(self, number: int, *, how: str, folder: Path) -> None:
+        """Enter how a run ended (again after a resume): ``finished``, ``aborted``, ``failed``; and its seal, if any."""
+        with storage_errors(folder):
+            seal = sha256_of(folder / MANIFEST) if is_sealed(folder) else None
+        with self._mended() as journal:
+            begun = any(e.event == RUN_BEGUN and e.data["number"] == number for e in journal.entries)
+            lost = {} if begun else {"lost": True, "folder": str(folder)}
+            journal.append(RUN_ENDED, number=number, how=how, seal=seal, **lost)
+        self._write_anchors()
+
+    def refuse_break(self, anchor: str | None, strangers: Strangers = no_strangers) -> None:
+        """Refuse a ledger with a break that nobody has explained. A run checks this before it makes its folder."""
+        faults, _ = self.breaks(anchor, strangers)
+        refuse(faults, self.path)
+
+    def contains(self, place: Mapping[str, Any]) -> bool:
+        """Return whether a run was entered in this ledger, by the hash of its line; False if it is damaged."""
+        with suppress(JournalBroken):
+            return any(e.event == RUN_BEGUN and e.hash == place.get("head") for e in self.entries())
+        return False
+
+    def runs(self) -> list[LedgerRun]:
+        """List all runs in the order of their numbers; empty while there is no ledger."""
+        return runs_of(self.entries())
+
+    def faults(self) -> list[str]:
+        """Check that the folder of every sealed run still exists and still has its seal."""
+        found = []
+        for run in self.runs():
+            manifest = Path(run.folder) / MANIFEST
+            if run.seal is None:
+                continue
+            with storage_errors(manifest):
+                if not manifest.is_file():
+                    found.append(f"run {run.number} ({run.run_id}): its folder {run.folder} is missing")
+                elif sha256_of(manifest) != run.seal:
+                    found.append(f"run {run.number} ({run.run_id}): {manifest} was changed after sealing")
+        return found
+
+    # ------------------------------------------------------------ breaks
+
+    def breaks(
+        self, anchor: str | None = None, strangers: Strangers = no_strangers
+    ) -> tuple[list[str], list[Break]]:
+        """Return a sentence for each break that nobody explained, by all places that know of the ledger."""
+        own, witnesses = self._own_mark(), self._ask_anchors(anchor)
+        entries, _, recorded, damage = self.read()
+        if damage:
+            return [f"The ledger is damaged: {damage}"], []
+        findings = find_breaks(entries, own, witnesses, strangers)
+        self.warnings = findings.warnings
+        unexplained = [str(one) for one in recorded if one.reason is None]
+        return [*unexplained, *findings.what], [one for one in recorded if one.reason is not None]
+
+    def read(self) -> tuple[list[Entry], list[LedgerRun], list[Break], str]:
+        """Return the lines, the runs and the recorded breaks; or nothing, and how the file is damaged."""
+        try:
+            entries = self.entries()
+            return entries, runs_of(entries), breaks_of(entries), ""
+        except (JournalBroken, LookupError, TypeError) as error:
+            return [], [], [], str(error) or type(error).__name__
+
+    def explain(
+        self, reason: str, by: str, *, anchor: str | None = None, strangers: Strangers = no_strangers
+    ) -> list[str]:
+        """Record every break that is not recorded yet, and state the reason of every one without a reason, if any."""
+        witnesses = self._ask_anchors(anchor)
+        with self._mended(witnesses, strangers) as journal:
+            open_breaks = [one for one in breaks_of(journal.entries) if one.reason is None]
+            for one in open_breaks:
+                journal.append(BREAK_EXPLAINED, line=one.line, reason=reason, by=by)
+        self._write_anchors(anchor)
+        if not open_breaks:
+            raise UsageError("The ledger has no break to explain.", where=str(self.path))
+        return [str(one) for one in open_breaks]
+
+    def forget_place(self, place: str, *, reason: str, by: str) -> None:
+        """Write to a second place no longer, and enter why."""
+        known = self._places()
+        if place not in known:
+            raise UsageError(
+                f"{place} is not a second place of this ledger.",
+                remedy=f"It has: {', '.join(known)}." if known else "It has none.",
+            )
+        self.append(PLACE_FORGOTTEN, place=place, reason=reason, by=by)
+        self._change_anchors(lambda places: tuple(one for one in places if one != place))
+
+    @contextmanager
+    def _mended(
+        self,
+        witnesses: Sequence[Witness] = (),
+        strangers: Strangers = no_strangers,
+        *,
+        strict: bool = False,
+    ) -> Iterator[Journal]:
+        """Lock and open the ledger, and record a break as its next line. A damaged file is kept under another name."""
+        with self._held():
+            entries, _, recorded, damage = self.read()
+            findings = find_breaks(entries, self._own_mark(), witnesses, strangers)
+            self.warnings = findings.warnings
+            what = [f"The ledger was damaged: {damage}"] if damage else findings.what
+            if strict:
+                refuse([*what, *(str(one) for one in recorded if one.reason is None)], self.path)
+            kept = self._set_aside() if damage else None
+            with self._opened() as journal:
+                if what:
+                    journal.append(
+                        LEDGER_BROKEN, what=what, known=findings.known, kept=kept, reason=None, by=None
+                    )
+                yield journal
+
+    def _set_aside(self) -> str:
+        """Rename a damaged ledger; return its new name and its hash."""
+        now: datetime = self._clocks["utc_now"]()
+        kept = self.path.with_name(f"ledger-broken-{now.astimezone(UTC):%Y%m%dT%H%M%S%f}Z.jsonl")
+        with storage_errors(self.path):
+            self.path.rename(kept)
+            sync_folder(self.home)
+            return f"{kept.name} sha256 {sha256_of(kept)}"
+
+
+def refuse(faults: Sequence[str], path: Path) -> None:
+    """Refuse a ledger with faults, which are sentences."""
+    if faults:
+        raise EvidenceError(f"The ledger is broken: {' '.join(faults)}", where=str(path), remedy=EXPLAIN)
+
+
+def bench_ledger() -> Ledger:
+    """Return the ledger of this bench, for reading; its file may not exist."""
+    return Ledger(home_folder(), utc_now=lambda: datetime.now(UTC), monotonic=time.monotonic)

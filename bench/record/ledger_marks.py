@@ -1,0 +1,419 @@
+"""What other places know of the ledger: the bench's own mark, and the second places that stations name.
+
+They show lines cut off the end, and a deleted file: such a chain is still valid. ``ledger_high`` lies beside the
+ledger; a second place (``ledger: {anchor: PATH}``) is a file on another disk or share. Neither is trusted.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from bench.base.bounded_json import parse_json
+from bench.base.errors import BenchError, JournalBroken, StorageError
+from bench.record.journal import Entry
+from bench.record.storage import O_BINARY, read_bounded, storage_errors, sync_folder, write_all, write_atomic
+
+MARK = "ledger_high"
+ANCHOR_PATIENCE_S = 10.0
+"""Longest wait for a second place, s; a share that does not answer must not stop a run."""
+_MOST_ANCHOR_BYTES = 64 << 20
+_MOST_MARK_BYTES = 1 << 20
+_MARK_FORM = "is not a mark of a ledger"
+
+Found = TypeVar("Found")
+
+
+@dataclass(frozen=True)
+class LedgerMark:
+    """The state of a ledger after one of its lines."""
+
+    lines: int
+    runs: int  # Highest number of a run
+    head: str  # Hash of the last line
+    utc: str  # Time of the last line, ISO 8601
+    counts: Mapping[str, int] = field(default_factory=dict, hash=False)  # The highest of each series
+
+    def to_line(self) -> bytes:
+        """Return the mark as one line of JSON."""
+        return (json.dumps(self.to_dict(), separators=(",", ":")) + "\n").encode()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the mark as JSON carries it: all attributes; ``counts`` is left out if it is empty."""
+        return {name: value for name, value in vars(self).items() if name != "counts" or value}
+
+    def disagreement(self, entries: Sequence[Entry]) -> str:
+        """Return how a ledger contradicts this mark: the end of a sentence that begins with "The ledger", or empty."""
+        if len(entries) < self.lines:
+            return (
+                f"has {len(entries)} of at least {self.lines} lines: {self.lines - len(entries)} are missing"
+            )
+        if entries[self.lines - 1].hash != self.head:
+            return f"has another line {self.lines} than it had on {self.utc[:16]}: lines were removed or replaced"
+        return ""
+
+
+def parse_mark(line: bytes) -> LedgerMark:
+    """Read one mark, a line of `LedgerMark.to_line`."""
+    found = parse_json(line)
+    if not isinstance(found, dict):
+        raise ValueError(_MARK_FORM)  # noqa: TRY004 - a fault of the file, not of an argument
+    lines, runs, head, utc = (found.get(name) for name in ("lines", "runs", "head", "utc"))
+    numbers = [n for n in (lines, runs) if isinstance(n, int) and not isinstance(n, bool) and n >= 0]
+    if len(numbers) != 2 or not lines or not (isinstance(head, str) and isinstance(utc, str)):
+        raise ValueError(_MARK_FORM)
+    counts = found.get("counts", {})
+    if not (isinstance(counts, dict) and all(isinstance(count, int) for count in counts.values())):
+        raise ValueError(_MARK_FORM)
+    return LedgerMark(numbers[0], numbers[1], head, utc, counts)
+
+
+@dataclass(frozen=True)
+class OwnMark:
+    """Content of ``ledger_high``."""
+
+    mark: LedgerMark
+    anchors: tuple[str, ...] = ()
+
+
+def read_own_mark(home: Path) -> OwnMark | None:
+    """Read ``ledger_high``; None if there is no such file."""
+    path = home / MARK
+    with storage_errors(path):
+        if not path.exists():
+            return None
+        data = read_bounded(path, _MOST_MARK_BYTES)
+    try:
+        mark, anchors = parse_mark(data), parse_json(data).get("anchors", ())
+    except ValueError as error:
+        raise StorageError(
+            "This file does not hold the state of the ledger.",
+            where=str(path),
+            remedy="Somebody changed it. State what happened: `starbench ledger --explain TEXT`.",
+        ) from error
+    named = anchors if isinstance(anchors, list) else ()
+    return OwnMark(mark, tuple(place for place in named if isinstance(place, str)))
+
+
+def write_own_mark(home: Path, own: OwnMark) -> None:
+    """Write ``ledger_high``."""
+    record = {**own.mark.to_dict(), "anchors": list(own.anchors)}
+    write_atomic(home / MARK, (json.dumps(record, separators=(",", ":")) + "\n").encode())
+
+
+def read_anchor(path: Path) -> list[LedgerMark]:
+    """Read the marks of a second place, first to last, without an incomplete last line."""
+
+    def read() -> bytes:
+        with storage_errors(path), path.open("rb") as stream:
+            return stream.read(_MOST_ANCHOR_BYTES)
+
+    marks = []
+    for number, line in enumerate(_in_time(read, path).split(b"\n")[:-1], start=1):
+        try:
+            marks.append(parse_mark(line))
+        except ValueError as error:
+            raise StorageError(
+                "This line is not a mark of a ledger.",
+                where=f"{path}:{number}",
+                remedy="Another program wrote it. Give each bench a file of its own: `ledger: {anchor: PATH}`.",
+            ) from error
+    return marks
+
+
+def append_to_anchor(path: Path, mark: LedgerMark) -> None:
+    """Add a mark to a second place and sync it. The file is made if it is missing; its folder is not."""
+
+    def append() -> None:
+        with storage_errors(path):
+            is_new = not path.exists()
+            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | O_BINARY, 0o644)
+            try:
+                drop_torn_line(descriptor)
+                write_all(descriptor, mark.to_line())
+                os.fsync(descriptor)
+            finally:
+                os.close(descriptor)
+            if is_new:
+                sync_folder(path.parent)
+
+    _in_time(append, path)
+
+
+def drop_torn_line(descriptor: int) -> None:
+    """Remove what a power cut has left of a line at the end of a second place."""
+    size = os.fstat(descriptor).st_size
+    back = min(size, 4096)
+    os.lseek(descriptor, size - back, os.SEEK_SET)
+    tail = os.read(descriptor, back)
+    if tail and not tail.endswith(b"\n"):
+        os.ftruncate(descriptor, size - back + tail.rfind(b"\n") + 1)
+
+
+def _in_time(work: Callable[[], Found], path: Path) -> Found:
+    """Do work on a second place in a thread; raise StorageError if it does not end in time."""
+    done: list[Found] = []
+    failed: list[BaseException] = []
+
+    def thread() -> None:
+        try:
+            done.append(work())
+        except BaseException as error:  # noqa: BLE001 - raised again below, in the caller's thread
+            failed.append(error)
+
+    worker = threading.Thread(target=thread, name="ledger anchor", daemon=True)
+    worker.start()
+    worker.join(ANCHOR_PATIENCE_S)
+    if failed:
+        raise failed[0]
+    if not done:
+        raise StorageError(
+            f"The second place of the ledger does not answer within {ANCHOR_PATIENCE_S:.0f} s.",
+            where=str(path),
+            remedy="Check the disk or share.",
+        )
+    return done[0]
+
+
+@dataclass(frozen=True)
+class Witness:
+    """What one place knows of the ledger, or why it cannot be asked."""
+
+    place: str
+    marks: Sequence[LedgerMark] = ()  # Its marks, first to last
+    trouble: str = ""  # Why it cannot be read; empty if it can
+    was_there: bool = True  # Whether this bench has written to it before
+
+    def objections(self, entries: Sequence[Entry], excused: Iterable[str]) -> list[LedgerMark]:
+        """Return the marks that a ledger contradicts, first to last, from the last one that a break names."""
+        known = set(excused)
+        begin = max((i + 1 for i, mark in enumerate(self.marks) if mark.head in known), default=0)
+        return [mark for mark in self.marks[begin:] if mark.disagreement(entries)]
+
+
+def ask_anchor(path: Path, *, was_there: bool) -> Witness:
+    """Read a second place; what goes wrong, as its loss if it ``was_there``, becomes its ``trouble``."""
+    if not was_there:
+        with suppress(OSError):
+            if path.parent.is_dir() and not path.exists():
+                return Witness(str(path), was_there=False)
+    try:
+        return Witness(str(path), read_anchor(path), was_there=was_there)
+    except BenchError as error:
+        return Witness(str(path), trouble=error.what, was_there=was_there)
+
+
+RUN_BEGUN = "run_begun"
+RUN_ENDED = "run_ended"
+STILL_OPEN = "open"
+"""State of a run without an end: it is running, was killed, or was cut off by a loss of power."""
+
+
+@dataclass(frozen=True)
+class LedgerRun:
+    """One run in the ledger."""
+
+    number: int  # Number of the run in the ledger, from 1
+    run_id: str
+    folder: str
+    camera: str
+    simulated: bool  # Whether any device was simulated
+    begun_utc: str  # Time of the start, ISO 8601
+    how: str = STILL_OPEN  # State of the run: ``finished``, ``aborted``, ``failed`` or ``open``
+    seal: str | None = None  # SHA-256 of its list of files; None when it was not sealed
+    head: str = ""  # Hash of the line that enters it
+    ended_utc: str = ""  # Time of the line with its end and its seal; empty without one
+
+
+def runs_of(entries: Iterable[Entry]) -> list[LedgerRun]:
+    """Return the runs of a ledger as they began; after a break of the ledger some numbers may be missing."""
+    runs: list[LedgerRun] = []
+    place_of: dict[int, int] = {}
+    for entry in entries:
+        data = entry.data
+        try:
+            if entry.event == RUN_BEGUN:
+                number = data["number"]
+                _require_rising(number, runs)
+                names = (data["run"], data["folder"], data["camera"], data["simulated"])
+                place_of[number] = len(runs)
+                runs.append(LedgerRun(number, *names, begun_utc=entry.utc, head=entry.hash))
+            elif entry.event == RUN_ENDED and not data.get("lost"):
+                at = place_of[data["number"]]
+                runs[at] = replace(runs[at], how=data["how"], seal=data["seal"], ended_utc=entry.utc)
+        except (LookupError, TypeError, ValueError) as error:
+            raise JournalBroken(
+                f"Line {entry.seq + 1} of the ledger is not a line about a run.",
+                remedy="Another program wrote it. State what happened: `starbench ledger --explain TEXT`.",
+            ) from error
+    return runs
+
+
+def _require_rising(number: object, runs: Sequence[LedgerRun]) -> None:
+    last = runs[-1].number if runs else 0
+    if isinstance(number, bool) or not isinstance(number, int) or number <= last:
+        raise ValueError(number)
+
+
+LEDGER_BROKEN = "ledger_broken"
+BREAK_EXPLAINED = "break_explained"
+EXPLAIN = "State what happened: `starbench ledger --explain TEXT`."
+_MOST_KNOWN = 100
+
+
+@dataclass(frozen=True)
+class KnownRun:
+    """A run that names its own line of the ledger."""
+
+    folder: str
+    run_id: str
+    # number, head: Its number, and the hash of its line, as its journal states them.
+    number: int
+    head: str
+
+
+Strangers = Callable[[Collection[str]], Sequence[KnownRun]]
+"""Given the hashes of all lines, returns the sealed runs of this bench whose line is not among them."""
+
+
+def no_strangers(_: Collection[str]) -> Sequence[KnownRun]:
+    """Ask no run folder."""
+    return ()
+
+
+@dataclass(frozen=True)
+class Break:
+    """A break that the ledger records."""
+
+    line: int  # Number of its line, from 1
+    utc: str  # When it was found, ISO 8601
+    what: tuple[str, ...]
+    heads: frozenset[str]  # Heads that other places knew and the ledger had not
+    # reason, by: What a person stated, and who; None while nobody has.
+    reason: str | None = None
+    by: str | None = None
+
+    def __str__(self) -> str:
+        return f"On {self.utc[:16].replace('T', ' ')} UTC the ledger was found broken: {' '.join(self.what)}"
+
+
+@dataclass
+class BreakFindings:
+    """What was found and is not recorded yet."""
+
+    what: list[str] = field(default_factory=list)  # The findings, as sentences; empty if there is no break
+    # What other places know, as a line ``ledger_broken`` holds it.
+    known: list[Mapping[str, Any]] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)  # One sentence for each place that could not be read
+
+    def knows(self, place: str, mark: LedgerMark) -> None:
+        """Add what a place knows."""
+        self.known.append({"place": place, **mark.to_dict()})
+
+
+def breaks_of(entries: Iterable[Entry]) -> list[Break]:
+    """Return the breaks that a ledger records, first to last, each with its explanation if there is one."""
+    found: dict[int, Break] = {}
+    for entry in entries:
+        data = entry.data
+        if entry.event == LEDGER_BROKEN:
+            heads = frozenset(str(known["head"]) for known in data["known"])
+            what = tuple(str(sentence) for sentence in data["what"])
+            found[entry.seq + 1] = Break(
+                entry.seq + 1, entry.utc, what, heads, data.get("reason"), data.get("by")
+            )
+        elif entry.event == BREAK_EXPLAINED:
+            line = int(data["line"])
+            found[line] = replace(found[line], reason=str(data["reason"]), by=str(data["by"]))
+    return list(found.values())
+
+
+def highest_run(entries: Iterable[Entry]) -> int:
+    """Return the highest number of a run that a ledger has given, or a break of it knows of; 0 if there is none."""
+    highest = 0
+    for entry in entries:
+        if entry.event == RUN_BEGUN:
+            highest = max(highest, entry.data["number"])
+        elif entry.event == LEDGER_BROKEN:
+            highest = max([highest, *(known["runs"] for known in entry.data["known"])])
+    return highest
+
+
+def highest_counts(entries: Iterable[Entry]) -> dict[str, int]:
+    """Return the highest count of each series: of lines with a ``series``, and of breaks that know of more."""
+    highest: dict[str, int] = {}
+    for entry in entries:
+        series, count = entry.data.get("series"), entry.data.get("count")
+        found = [(series, count)] if isinstance(series, str) and isinstance(count, int) else []
+        if entry.event == LEDGER_BROKEN:
+            found = [pair for known in entry.data["known"] for pair in known.get("counts", {}).items()]
+        for name, number in found:
+            highest[name] = max(number, highest.get(name, 0))
+    return highest
+
+
+def find_breaks(
+    entries: Sequence[Entry],
+    own: OwnMark | str | None,
+    anchors: Iterable[Witness] = (),
+    strangers: Strangers = no_strangers,
+) -> BreakFindings:
+    """Compare a ledger with all places that know of it; ``own`` is None without a mark, a text if it cannot be read."""
+    found = BreakFindings()
+    excused = {head for one in breaks_of(entries) for head in one.heads}
+    _ask_own_mark(found, entries, own, excused)
+    for witness in anchors:
+        _ask_anchor(found, entries, witness, excused)
+    lost = [run for run in strangers({entry.hash for entry in entries}) if run.head not in excused]
+    numbers = {e.data["number"]: e.data["run"] for e in entries if e.event == RUN_BEGUN}
+    for run in lost:
+        holder = (
+            f"; its number {run.number} is that of run {numbers[run.number]}" if run.number in numbers else ""
+        )
+        found.what.append(f"The sealed run {run.folder} is not in the ledger{holder}.")
+        mark = {"place": run.folder, "lines": 0, "runs": run.number, "head": run.head}
+        found.known.append(mark)
+    if len(found.what) > _MOST_KNOWN:
+        found.what[_MOST_KNOWN:] = [f"And {len(found.what) - _MOST_KNOWN} more."]
+    return found
+
+
+def _ask_own_mark(
+    found: BreakFindings, entries: Sequence[Entry], own: OwnMark | str | None, excused: Collection[str]
+) -> None:
+    if isinstance(own, str):
+        found.what.append(f"The bench's own mark of the ledger cannot be read: {own}")
+    elif own is None:
+        since = max((e.seq for e in entries if e.event == LEDGER_BROKEN), default=-1)
+        if len(entries[since + 1 :]) > 1:  # after the first line, the process may have been killed
+            found.what.append("The bench's own mark of the ledger (ledger_high) was deleted.")
+    elif own.mark.head not in excused and (what := own.mark.disagreement(entries)):
+        found.what.append(f"The ledger {what} (as ledger_high knows).")
+        found.knows("ledger_high", own.mark)
+
+
+def _ask_anchor(
+    found: BreakFindings, entries: Sequence[Entry], witness: Witness, excused: Collection[str]
+) -> None:
+    if witness.trouble:
+        found.warnings.append(
+            f"The second place of the ledger {witness.place} cannot be read: {witness.trouble}"
+        )
+    elif witness.was_there and not witness.marks:
+        found.warnings.append(f"The second place of the ledger {witness.place} is empty; it had marks.")
+    elif objecting := witness.objections(entries, excused):
+        last = max(objecting, key=lambda mark: mark.lines)
+        hint = (
+            ""
+            if witness.was_there
+            else " Or the file is another bench's: then give this bench a file of its own."
+        )
+        found.what.append(f"The ledger {last.disagreement(entries)} (as {witness.place} knows).{hint}")
+        for mark in dict.fromkeys([last, objecting[-1]]):
+            found.knows(witness.place, mark)

@@ -1,0 +1,498 @@
+"""What results.json holds: the types that its writer, the report, the certificate, the table and the panel share.
+
+docs/results.md explains the values. ``NotRequired`` parts are missing where they do not apply.
+U of a value is its ``coverage_factors``, or else ``coverage_factor``, times its ``sigma``. Print and collimator are in
+mm, images in px, readings in degrees, unless a name says otherwise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import (
+    Any,
+    Literal,
+    NotRequired,  # pydantic checks these types, on Python 3.11 too
+)
+
+from typing_extensions import TypedDict
+
+from bench.record.events import (
+    AttemptData,
+    FailureData,
+    GateData,
+    ImageFacts,
+    LedgerPlace,
+    LightSettingsData,
+    StateEntered,
+    UntilDecided,
+)
+
+Numbers = Mapping[str, float]
+"""A number by name: ``fx``, ``cx``, ``r`` ... or by axis: ``pan``, ``tilt``."""
+Verdict = Literal["pass", "conditionalPass", "conditionalFail", "fail"]
+"""Of a statement of conformity: kept by the guard band or more, by less; missed by the guard band at most, by more."""
+
+
+class CovarianceData(TypedDict):
+    """Covariance of parameters: their names in order, and the matrix by rows."""
+
+    names: Sequence[str]
+    matrix: Sequence[Sequence[float]]
+
+
+class ViewData(TypedDict):
+    """A view of a calibration: its stars, its residuals, its rotation and the centre of the field."""
+
+    name: str
+    n: int  # Number of stars
+    rms_px: float
+    mean_px: float
+    rotation: Sequence[Sequence[float]]  # (3, 3), from the collimator to the camera
+    centre_mm: Sequence[float]
+
+
+class BudgetRowData(TypedDict):
+    """A source of uncertainty: how it was evaluated (JCGM 100, 4.2 and 4.3), and what it contributes."""
+
+    name: str
+    type: Literal["A", "B"]
+    source: str
+    distribution: str
+    value: float | None  # Stated value; None for a source that the adjustment itself gives
+    unit: str
+    divisor: float | None
+    degrees_of_freedom: float | None  # None for infinite
+    sensitivity: Numbers  # Change of ``fx``, ``cx`` ... by one unit of the value
+    contribution: Numbers  # To the standard uncertainty of ``fx``, ``cx``, ``worst_corner`` ..., px
+    share: Numbers  # In the variance, 0 to 1
+
+
+class GimbalEstimateData(TypedDict):
+    """What the adjustment found about the gimbal from its readings."""
+
+    entered: bool
+    values: Numbers
+    sigma: Numbers
+    chi_square: float
+    degrees_of_freedom: int
+    rms_deg: float
+    reading_sigma_deg: float
+    scatter: float
+    source: str
+
+
+class BoresightData(TypedDict):
+    """The rotation from the stage's flange to the camera (`calib.model.result_parts.Boresight`)."""
+
+    camera_from_flange: Sequence[Sequence[float]]  # (3, 3)
+    vector_deg: Sequence[float]  # The same as a rotation vector
+    expanded_deg: Sequence[float]  # U about the camera's x, y and z
+    covariance_rad2: Sequence[Sequence[float]]  # (3, 3)
+    sight: Sequence[float]  # The ray through the middle of the image, a unit vector in the flange's frame
+    right_down_deg: Sequence[float]  # Its angles from the flange's z towards x and towards y
+    sight_expanded_deg: Sequence[float]  # U of the ray along the camera's x and y
+    sight_covariance_rad2: Sequence[Sequence[float]]  # (2, 2)
+
+
+class MountFaceData(TypedDict):
+    """How the camera looks against a face of its mount."""
+
+    name: str
+    normal_in_camera: Sequence[float]
+    angle_deg: float  # Between the normal and the ray through the middle of the image
+    expanded_deg: float
+
+
+class WitnessData(TypedDict):
+    """A statement against what the views and all other statements say (`calib.model.result_parts.Witness`)."""
+
+    name: str
+    source: str
+    unit: str
+    stated: float | None  # None for a joint statement of several values, as the other three
+    sigma: float | None
+    expected: float | None
+    expected_sigma: float | None
+    innovation: float  # Stated minus expected, over the standard uncertainty of that difference
+    fault_probability: float
+
+
+class AmplitudeData(TypedDict):
+    """The size of a family of errors, estimated from the views (`calib.model.result_parts.Amplitude`)."""
+
+    name: str
+    value: float
+    log_sigma: float  # 1-sigma of the natural logarithm
+    unit: str
+    expected: float
+
+
+class CameraData(TypedDict):
+    """A calibrated camera: what is needed to project, with its uncertainty."""
+
+    model: str
+    image_size: Sequence[int]
+    camera: Numbers
+    sigma: Numbers
+    covariance: NotRequired[CovarianceData]
+    coverage_factor: NotRequired[float]
+    coverage_factors: NotRequired[Numbers]  # The k of each value; empty or missing if all have the common one
+
+
+class EngineData(TypedDict):
+    """The engine that made a calibration."""
+
+    name: str
+    version: int
+
+
+class CalibrationData(CameraData):
+    """A calibration (`calib.calibration.Calibration.to_dict`)."""
+
+    engine: EngineData
+    converged: bool
+    iterations: int
+    collimator: Numbers | None  # None for a planar model
+    rms_px: float
+    mean_px: float
+    variance_factor: float
+    degrees_of_freedom: int
+    disagreement: float
+    left_out_rms_px: float | None
+    budget: Mapping[str, Numbers]  # Standard uncertainty of each parameter by source
+    views: Sequence[ViewData]
+    candidates: Sequence[Any]  # Empty: no models are compared
+    notes: Sequence[str]
+    remarks: Sequence[str]  # Those of the notes that do not doubt the values
+    gimbal: NotRequired[GimbalEstimateData]
+    boresight: NotRequired[BoresightData]
+    budget_rows: Sequence[BudgetRowData]
+    not_included: Sequence[str]
+    witnesses: Sequence[WitnessData]
+    amplitudes: Sequence[AmplitudeData]
+
+
+class Direction(TypedDict):
+    """Expanded uncertainty of a direction; None where nothing determines it."""
+
+    expanded_px: float | None
+    expanded_urad: float | None
+
+
+class KnownDirection(TypedDict):
+    """Expanded uncertainty of a direction."""
+
+    expanded_px: float
+    expanded_urad: float
+
+
+class CornerDirection(KnownDirection):
+    """The corner of the sensor with the largest uncertainty: ``top left`` ..."""
+
+    corner: str
+
+
+class SupportedPart(Direction):
+    """The part of the sensor with stars near: ``reach_px`` to the next star; its share, and the largest U there."""
+
+    reach_px: float
+    share: float
+
+
+class ProjectionData(TypedDict):
+    """Uncertainty of directions over the sensor."""
+
+    coverage_factor: float
+    worst_corner: CornerDirection
+    median: KnownDirection
+    supported: SupportedPart | None
+
+
+class PassportData(TypedDict):
+    """What was known of the collimator beforehand."""
+
+    source: str  # ``sequence``, ``station``, ``station certificate`` or ``command line``
+    name: str
+    collimator: str | None
+    number: str | None
+    date: str | None
+    valid_until: str | None
+    temperature_c: float | None
+    values: Numbers
+    sigma: Numbers
+    sha256: str
+    sealed_by: NotRequired[str | None]
+
+
+class ReadingsStatement(TypedDict):
+    """What the station states about the readings of its gimbal."""
+
+    source: str
+    reading_sigma_deg: float
+    scale_sigma: float
+    eccentricity_deg: float
+
+
+class ParallaxBound(TypedDict):
+    """The parallax that follows from the stated defocus and the stated place of the entrance pupil."""
+
+    defocus: float
+    defocus_sigma: float
+    pupil_off_pivot_mm: float
+    pupil_off_pivot_sigma_mm: float
+    pupil_beside_axes_mm: NotRequired[float]  # 1-sigma; earlier versions did not state it
+    parallax: NotRequired[float]  # Missing, as its sigma, without a collimator
+    parallax_sigma: NotRequired[float]
+
+
+class GimbalReadingsData(TypedDict):
+    """Whether the readings of the gimbal entered the calibration, with what statement, or why not."""
+
+    entered: bool
+    statement: ReadingsStatement | None
+    bound: ParallaxBound | None
+    why_not: str | None
+
+
+class GimbalPairs(TypedDict):
+    """Angle seen over angle read, over all pairs of poses."""
+
+    ratio: float
+    spread: float
+    count: int
+
+
+class GimbalFaultData(TypedDict):
+    """A fault of the gimbal that the readings may show; poses count from 0."""
+
+    kind: str
+    axis: str | None
+    pose: int | None
+    size_deg: float
+    sigma_deg: float
+    probability: float
+    claimed: bool
+
+
+class GimbalCheckData(TypedDict):
+    """The hand-eye check: the rotations against the readings of the gimbal."""
+
+    rms_arcsec: float
+    scale: Numbers
+    scale_sigma: Numbers
+    agrees: bool
+    excess_arcsec: float
+    verdict: str
+    says: Sequence[str]
+    pairs: GimbalPairs | None
+    slip: GimbalFaultData | None
+    faults: Sequence[GimbalFaultData]
+
+
+class HalvesData(TypedDict):
+    """Split half: every other pose against the rest, over the sensor."""
+
+    rms_px: float
+    worst_px: float
+    expected_px: float
+    ratio: NotRequired[float]
+    cameras: NotRequired[Sequence[Numbers]]  # Of both halves
+
+
+class PoseData(TypedDict):
+    """A pose: its angles, recordings and stars."""
+
+    index: int
+    name: str
+    commanded_deg: Numbers
+    measured_deg: Numbers
+    measured_after_deg: NotRequired[Numbers]
+    attempts: Sequence[AttemptData]
+    image: ImageFacts | None
+    flicker_hz: float | None
+    named_by: str | None  # ``tag`` or ``gimbal``
+    stars: int
+    rms_px: float | None  # None if the pose is not part of the calibration
+    mean_px: float | None
+
+
+class ComparisonRow(TypedDict):
+    """A value against the truth of the simulated world."""
+
+    name: str
+    value: float
+    sigma: float
+    truth: float
+    error: float
+    error_sigmas: float
+
+
+class RunData(TypedDict):
+    """Where, when and with what the results were made, by a run or, ``offline``, from files without devices."""
+
+    id: str
+    sequence: NotRequired[str]
+    station: NotRequired[str]
+    started_utc: NotRequired[str]
+    finished_utc: NotRequired[str]
+    offline: NotRequired[bool]
+    calibrated_utc: NotRequired[str]
+    of_run: NotRequired[str | None]
+    seed: NotRequired[int | None]
+    operator: NotRequired[str | None]
+    laboratory: NotRequired[str | None]
+    collimator: NotRequired[Mapping[str, Any] | None]  # Section ``collimator`` of the station file
+    target: NotRequired[Mapping[str, str]]
+    board: NotRequired[str]
+    simulated: NotRequired[bool]
+    camera: NotRequired[str]  # ``event`` or ``frame``
+    resumed: NotRequired[int]
+    plugins: NotRequired[Mapping[str, Sequence[str]]]
+    ledger: NotRequired[LedgerPlace]
+    software: NotRequired[Mapping[str, str]]
+
+
+class CameraConditions(TypedDict):
+    """Settings of the camera as read back, with its temperature: those of an event or of a frame camera."""
+
+    temperature_c: NotRequired[float | None]
+    biases: NotRequired[Mapping[str, int]]
+    filters: NotRequired[Mapping[str, bool]]
+    illumination_lux: NotRequired[float | None]
+    pictures: NotRequired[int]
+    bits: NotRequired[int]
+    exposure: NotRequired[float]
+    gain: NotRequired[float]
+
+
+class Conditions(TypedDict):
+    """Settings of light and camera at the last accepted recording."""
+
+    light: LightSettingsData
+    camera: CameraConditions
+
+
+class ChangeData(TypedDict):
+    """Change of the projection since an earlier calibration, px and in units of its U."""
+
+    rms_px: float
+    largest_px: float
+    largest_ratio: float
+    px_there: float
+    at_px: Sequence[float]
+
+
+class CheckRegion(TypedDict):
+    """The worst place of a part of the sensor, in a check of a calibration."""
+
+    name: str
+    at_px: Sequence[float]
+    offset_px: float
+    expanded_px: float
+    normalised: float  # The E_n number
+
+
+class CheckData(TypedDict):
+    """A stated calibration against that of new views (`calib.studies.camera_check.CameraCheck`)."""
+
+    right: bool
+    cause: str | None
+    rms_px: float
+    coverage_factor: float
+    shares: Numbers  # Of the squared change that each kind of change explains alone
+    regions: Sequence[CheckRegion]
+    stated: NotRequired[Mapping[str, Any]]  # ``name kind uncertainty sha256`` of the file
+
+
+class StatementData(TypedDict):
+    """A limit of the station or of the sequence, and whether the result keeps it."""
+
+    result: str
+    specification: str
+    stated_by: str  # ``station`` or ``sequence``
+    lower: float | None
+    upper: float | None
+    value: float | None  # None, as `expanded`, if the calibration did not estimate it
+    expanded: float | None
+    verdict: Verdict
+
+
+class ConformityData(TypedDict):
+    """PASS or FAIL of a run by the limits of its station and its sequence."""
+
+    passed: bool
+    rule: str
+    statements: Sequence[StatementData]
+    reasons: Sequence[str]  # Why the run fails whatever its limits say
+
+
+class PreviousData(TypedDict):
+    """The last calibration of the same camera on this bench, and the change since; or why there is none."""
+
+    run: str | None
+    why_not: NotRequired[str]
+    number: NotRequired[int]
+    finished_utc: NotRequired[str | None]
+    sequence: NotRequired[str | None]
+    temperature_c: NotRequired[float | None]
+    seal: NotRequired[str]
+    results_sha256: NotRequired[str]
+    calibration: NotRequired[CameraData]
+    change: NotRequired[ChangeData | None]
+
+
+class SourceData(TypedDict):
+    """An input file of a calibration without devices."""
+
+    view: str
+    path: str
+    size_bytes: int
+    sha256: str
+
+
+class Stated(TypedDict):
+    """A value with its standard uncertainty."""
+
+    value: float
+    sigma: float
+
+
+class ParallaxData(TypedDict, total=False):
+    """Where the entrance pupil is by the parallax test, or ``why_not``."""
+
+    why_not: str
+    says: Sequence[str]
+    pupil_off_pivot_mm: Stated
+    without_rim: Sequence[str]
+
+
+class Results(TypedDict):
+    """The content of results.json of a run, or of a calibration from files without devices."""
+
+    schema: str
+    run: RunData
+    devices: NotRequired[Mapping[str, Any]]  # Identities, as the journal's ``devices`` holds them
+    conditions: NotRequired[Conditions]
+    calibration: CalibrationData
+    projection: NotRequired[ProjectionData | None]
+    planar: NotRequired[CalibrationData | None]
+    passport: NotRequired[PassportData | None]
+    gimbal_readings: NotRequired[GimbalReadingsData]
+    halves: NotRequired[HalvesData]
+    gimbal: NotRequired[GimbalCheckData]
+    parallax: NotRequired[ParallaxData]
+    mount_faces: NotRequired[Sequence[MountFaceData]]
+    check: NotRequired[CheckData]
+    poses: NotRequired[Sequence[PoseData]]
+    gates: NotRequired[Sequence[GateData]]
+    untils: NotRequired[Sequence[UntilDecided]]
+    deviations: NotRequired[Sequence[str]]
+    holds: NotRequired[Sequence[str]]  # Pauses that a person asked for and ended
+    failures: NotRequired[Sequence[FailureData]]
+    devices_left: NotRequired[Sequence[Mapping[str, str]]]
+    states: NotRequired[Sequence[StateEntered]]
+    sources: NotRequired[Sequence[SourceData]]
+    truth: NotRequired[Mapping[str, Any] | None]
+    comparison: NotRequired[Sequence[ComparisonRow]]
+    previous: NotRequired[PreviousData]
+    conformity: NotRequired[ConformityData]  # Missing without limits

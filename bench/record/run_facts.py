@@ -1,0 +1,443 @@
+"""What the index keeps of a run: the facts of its row, its parameters, and details; and whether results keep limits.
+
+`results.json` is read only if its hash is the one in the journal. Nothing is written. A limit is kept only if the value
+is inside by U or more: w = U (ILAC-G8:09/2019, 4.2.2 and 4.2.3; ISO 14253-1), for PASS or FAIL of a run as for a
+certificate.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from decimal import Decimal
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, TypeVar, cast
+
+from bench.base.errors import BenchError
+from bench.record.events import DeviceData, Event, LightSettingsData, Solved, UntilDecided, Written
+from bench.record.history import Attempt, History
+from bench.record.journal import Entry
+from bench.record.results import CalibrationData, CameraData, ConformityData, Results, StatementData, Verdict
+from bench.record.run_folder import RESULTS
+from bench.record.storage import read_bounded
+from bench.record.stored_run import object_of
+
+if TYPE_CHECKING:
+    from sequences.schema import ResultLimitConfig
+
+
+USUAL_COVERAGE_FACTOR = 2.0
+"""The k of results of earlier versions, which do not state one."""
+_MOST_FACTORS = 3
+"""So many different k are listed; of more, the least and the most."""
+
+REPEATS_TEXT = (
+    "the runs differ much less than their uncertainties (Birge ratio far below 1). "
+    "What limits a run repeats in the next: the mean of many runs is not better than one run."
+)
+
+
+class Estimate(NamedTuple):
+    """A parameter of one run. ``sigma`` and ``shared`` are standard uncertainties."""
+
+    value: float
+    sigma: float
+    k: float = USUAL_COVERAGE_FACTOR
+    # The part of sigma that is the same in all runs on this bench: certificate, glass, print. Other runs do not lower
+    # it. 0 in journals of an earlier version.
+    shared: float = 0.0
+
+    @property
+    def expanded(self) -> float:
+        """Expanded uncertainty U = k u (JCGM 100, 6.2.1)."""
+        return self.k * self.sigma
+
+
+class EstimateData(TypedDict):
+    """A parameter of one run as JSON carries it."""
+
+    value: float
+    sigma: float
+    coverage_factor: float
+    expanded: float
+
+
+def coverage_factor(stated: CameraData | Solved, name: str = "") -> float:
+    """Return k (2 if none is stated): U = k u has a coverage probability of about 95 % (JCGM 100, 6.2, annex G).
+
+    ``name`` is a value that may have a k of its own, empty for the common one.
+    """
+    if own := (stated.get("coverage_factors") or {}).get(name):
+        return float(own)
+    return float(stated.get("coverage_factor") or USUAL_COVERAGE_FACTOR)
+
+
+def factors_text(factors: Iterable[float]) -> str:
+    """Return the coverage factors of several values as text.
+
+    >>> factors_text([2.2215, 2.2215]), factors_text([2.2215, 2.0]), factors_text([2.02, 2.0, 2.21, 2.05])
+    ('k = 2.22', 'k = 2.22, 2', 'k = 2 to 2.21')
+    """
+    found = list(dict.fromkeys(f"{k:.3g}" for k in factors))
+    if len(found) > _MOST_FACTORS:
+        found = [f"{min(found, key=float)} to {max(found, key=float)}"]
+    return "k = " + ", ".join(found)
+
+
+def estimates(solved: Solved) -> dict[str, Estimate]:
+    """Return each parameter of the journal's line ``solved`` by name; a number that it does not have is NaN."""
+    sigma, shared = solved.get("sigma", {}), solved.get("shared", {})
+    return {
+        name: Estimate(
+            _number(value), _number(sigma[name]), coverage_factor(solved, name), float(shared.get(name, 0.0))
+        )
+        for name, value in solved.get("values", {}).items()
+        if name in sigma
+    }
+
+
+def parameters_data(parameters: Mapping[str, Estimate]) -> dict[str, EstimateData]:
+    """Return parameters as JSON carries them, by name."""
+    return {
+        name: {"value": one.value, "sigma": one.sigma, "coverage_factor": one.k, "expanded": one.expanded}
+        for name, one in parameters.items()
+    }
+
+
+def _number(value: object) -> float:
+    return float(value) if isinstance(value, int | float) else math.nan
+
+
+_Part = TypeVar("_Part")
+
+
+@dataclass(frozen=True)
+class IndexedRun:
+    """A run as a list of runs states it; the defaults are those of a run without a journal."""
+
+    folder: str = ""
+    id: str = ""
+    # sequence, station, camera, operator, simulated, rehearsal: What was run; ``camera`` is the serial
+    # number, empty while no camera has answered.
+    sequence: str = ""
+    station: str = ""
+    camera: str = ""
+    operator: str | None = None
+    simulated: bool = False
+    rehearsal: bool = False
+    begun_utc: str = ""  # Time of the start, ISO 8601
+    how: str = ""  # ``finished``, ``aborted``, ``failed``, ``running``, or ``cut off``
+    sealed: bool = False  # Whether it is sealed
+    # accepted, recordings, deviations: Number of recorded poses, of recordings made for them (also lost
+    # ones), and of deviations from the sequence.
+    accepted: int = 0
+    recordings: int = 0
+    deviations: int = 0
+    # Temperature of the camera, mean of the accepted recordings, degrees Celsius; None if the camera does not
+    # report it.
+    temperature_c: float | None = None
+    # model, rms_px: Model and root mean square of the residuals of its calibration, px; None without a
+    # calibration.
+    model: str | None = None
+    rms_px: float | None = None
+    parameters: Mapping[str, Estimate] = field(default_factory=dict)  # By name
+    # The common k of its expanded uncertainties; None without a calibration, or if an earlier version made it.
+    coverage_factor: float | None = None
+    # ledger_number, ledger_head: Its number in the ledger of its bench, and the hash of its line there; None
+    # for a rehearsal.
+    ledger_number: int | None = None
+    ledger_head: str | None = None
+
+    @property
+    def kind(self) -> str:
+        """What it is: ``measured``, ``simulated`` or ``rehearsed``."""
+        return "rehearsed" if self.rehearsal else "simulated" if self.simulated else "measured"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the run as JSON carries it."""
+        return {**asdict(self), "parameters": parameters_data(self.parameters)}
+
+
+def run_facts(history: History, folder: Path) -> IndexedRun:
+    """Return the row of a run in a list of runs, by its journal. ``how`` is empty if the journal has no end."""
+    solved, started = history.solved, history.started
+    return IndexedRun(
+        folder=str(folder),
+        id=started.get("id", folder.name),
+        sequence=started.get("sequence", ""),
+        station=started.get("station", ""),
+        camera=history.devices.get("camera", {}).get("serial", ""),
+        operator=started.get("operator"),
+        simulated=bool(started.get("simulated", False)),
+        rehearsal=bool(started.get("rehearsal", False)),
+        begun_utc=history.started_utc,
+        how=history.ended,
+        accepted=len(history.accepted()),
+        recordings=len(history.attempts) + sum(history.lost.values()),
+        deviations=len(history.deviations),
+        temperature_c=_mean(_reported(history, "temperature_c")),
+        model=solved.get("model"),
+        rms_px=solved.get("rms_px"),
+        parameters=estimates(solved),
+        coverage_factor=solved.get("coverage_factor"),
+        ledger_number=history.ledger.get("number"),
+        ledger_head=history.ledger.get("head"),
+    )
+
+
+class RunConditions(TypedDict):
+    """Conditions of the accepted recordings of a run; None if not known."""
+
+    temperature_min_c: float | None
+    temperature_max_c: float | None
+    illumination_lux: float | None
+    light_frequency_hz: float | None
+    flicker_hz: float | None
+    events: int | None
+    recordings_bytes: int | None
+    stars: int
+
+
+class ResultFacts(TypedDict):
+    """What of a run only ``results.json`` states; None if not known."""
+
+    laboratory: str | None
+    collimator_serial: str | None
+    target_serial: str | None
+    passport_number: str | None
+    degrees_of_freedom: float | None
+    corner_expanded_px: float | None
+    conformity: Literal["PASS", "FAIL"] | None
+    limits: Mapping[str, tuple[float | None, float | None]]  # Lower and upper, by result
+
+
+class RunDetails(RunConditions, ResultFacts):
+    """What the table of runs has beyond the row of the index; None if not known."""
+
+    ended_utc: str | None
+    camera_type: str  # Maker and model, also of stages and light; may be empty
+    camera_sensor: str | None
+    camera_firmware: str | None
+    camera_lens: str | None
+    image_width_px: int | None
+    image_height_px: int | None
+    stage_types: Sequence[str]
+    stage_serials: Sequence[str]
+    light_type: str
+    light_serial: str | None
+    converged: bool | None
+    parameters: Sequence[str]
+    resumed: int
+    recordings_lost: int
+    poses_skipped: int
+    seed: int | None
+    software: Mapping[str, str]
+    sequence_sha256: str | None
+    station_sha256: str | None
+    passport_sha256: str | None
+    journal_head: str | None
+    deviations: Sequence[str]
+    untils: Sequence[UntilDecided]  # What each ``until`` decided, in order
+    results_sha256: str | None  # As the journal states it
+    results_fault: str | None
+    warnings: Sequence[str]
+
+
+def run_details(history: History, entries: Sequence[Entry], folder: Path) -> RunDetails:
+    """Return the details of a run by its journal and ``results.json``."""
+    results, fault = _results(entries, folder)
+    camera, light = history.devices.get("camera", {}), history.devices.get("light", {})
+    stages = [one for one in history.devices.get("stage", ()) if isinstance(one, Mapping)]
+    hashes = history.started.get("sha256", {})
+    return {
+        "ended_utc": entries[-1].utc if history.ended and entries else None,
+        "camera_type": _type_of(camera),
+        "camera_sensor": _text(camera.get("sensor")),
+        "camera_firmware": _text(camera.get("firmware")),
+        "camera_lens": _text(camera.get("lens")),
+        "image_width_px": camera.get("width"),
+        "image_height_px": camera.get("height"),
+        "stage_types": [_type_of(one) for one in stages],
+        "stage_serials": [_text(one.get("serial")) or "" for one in stages],
+        "light_type": _type_of(light),
+        "light_serial": _text(light.get("serial")),
+        "converged": history.solved.get("converged"),
+        "parameters": list(estimates(history.solved)),
+        "resumed": history.resumed,
+        "recordings_lost": sum(history.lost.values()),
+        "poses_skipped": len(history.skipped),
+        "seed": history.started.get("seed"),
+        "software": dict(history.started.get("software", {})),
+        "sequence_sha256": hashes.get("sequence.yaml"),
+        "station_sha256": hashes.get("station.yaml"),
+        "passport_sha256": hashes.get("passport.json"),
+        "journal_head": entries[-1].hash if entries else None,
+        "deviations": list(history.deviations),
+        "untils": list(history.decisions),
+        **_conditions(history),
+        **_from_results(results),
+        "results_sha256": _named_hash(entries),
+        "results_fault": fault,
+        "warnings": _warnings(history, results, fault),
+    }
+
+
+def _conditions(history: History) -> RunConditions:
+    warm, accepted = _reported(history, "temperature_c"), list(history.accepted().values())
+    first = accepted[0].stored.get("light", {}) if accepted else LightSettingsData()
+    checks = [one.checked for one in accepted if one.checked is not None]
+    flicker = [_part(check.get("measured")).get("flicker_hz") for check in checks]
+    return {
+        "temperature_min_c": min(warm, default=None),
+        "temperature_max_c": max(warm, default=None),
+        "illumination_lux": _mean(_reported(history, "illumination_lux")),
+        "light_frequency_hz": first.get("frequency_hz"),
+        "flicker_hz": _mean([float(hz) for hz in flicker if hz is not None]),
+        "events": _total(accepted, "events"),
+        "recordings_bytes": _total(accepted, "bytes"),
+        "stars": sum(int(check.get("stars", 0)) for check in checks),
+    }
+
+
+def _from_results(results: Results) -> ResultFacts:
+    run, calibration = _part(results.get("run")), _part(results.get("calibration"))
+    corner = _part(_part(results.get("projection")).get("worst_corner"))
+    conformity = _part(results.get("conformity"))
+    passed = conformity.get("passed")
+    statements = conformity.get("statements") or []
+    return {
+        "laboratory": _text(run.get("laboratory")),
+        "collimator_serial": _text(_part(run.get("collimator")).get("serial")),
+        "target_serial": _text(_part(run.get("target")).get("serial")),
+        "passport_number": _text(_part(results.get("passport")).get("number")),
+        "degrees_of_freedom": calibration.get("degrees_of_freedom"),
+        "corner_expanded_px": corner.get("expanded_px"),
+        "conformity": None if passed is None else "PASS" if passed else "FAIL",
+        "limits": {one["result"]: (one["lower"], one["upper"]) for one in statements},
+    }
+
+
+def _warnings(history: History, results: Results, fault: str | None) -> list[str]:
+    notes = _part(results.get("calibration")).get("notes", [])
+    found = [str(note) for note in notes] if isinstance(notes, list) else []
+    found += [f"The ledger had a break: {one}" for one in history.ledger.get("faults", ())]
+    found += [f"The computer was too busy: {history.busy}."] if history.busy else []
+    parameters = estimates(history.solved).items()
+    unusable = [name for name, one in parameters if not (math.isfinite(one.value) and one.sigma > 0)]
+    found += [f"{name} has no usable value or uncertainty." for name in unusable]
+    return [*found, *([fault] if fault else [])]
+
+
+def _named_hash(entries: Sequence[Entry]) -> str | None:
+    """Return the hash of results.json in the last line about written files."""
+    for entry in reversed(entries):
+        if entry.event == Event.WRITTEN:
+            return _text(_part(cast("Written", entry.data).get("files")).get(RESULTS))
+    return None
+
+
+def _results(entries: Sequence[Entry], folder: Path) -> tuple[Results, str | None]:
+    """Return results.json, empty where it cannot be used, and what is wrong with it as a sentence."""
+    named, nothing = _named_hash(entries), cast("Results", {})
+    if named is None:
+        return nothing, None
+    try:
+        data = read_bounded(folder / RESULTS)
+    except BenchError as error:
+        return nothing, f"{RESULTS} cannot be read: {error.what}"
+    if hashlib.sha256(data).hexdigest() != named:
+        return nothing, f"{RESULTS} was changed: its SHA-256 is not the one in the journal."
+    try:
+        return object_of(data, folder / RESULTS), None
+    except BenchError as error:
+        return nothing, f"{RESULTS} cannot be read: {error.what}"
+
+
+def _type_of(device: DeviceData) -> str:
+    """Return maker and model of a device."""
+    return " ".join(text for key in ("maker", "model") if (text := _text(device.get(key))))
+
+
+def _part(found: _Part | None) -> _Part:
+    """Return a part of what a file holds; an empty one where the file has none, or something else there."""
+    return found if isinstance(found, Mapping) else cast("_Part", {})
+
+
+def _text(value: object) -> str | None:
+    return None if value is None or value == "" else str(value)
+
+
+def _reported(history: History, name: Literal["temperature_c", "illumination_lux"]) -> list[float]:
+    """Return a number that the camera reported with each accepted recording, where it did."""
+    stored = [attempt.stored.get("facts", {}).get(name) for attempt in history.accepted().values()]
+    return [float(t) for t in stored if isinstance(t, int | float) and math.isfinite(t)]
+
+
+def _mean(known: Sequence[float]) -> float | None:
+    return sum(known) / len(known) if known else None
+
+
+def _total(accepted: Sequence[Attempt], name: Literal["events", "bytes"]) -> int | None:
+    known = [one.stored.get("facts", {}).get(name) for one in accepted]
+    return sum(int(n) for n in known if n is not None) if any(n is not None for n in known) else None
+
+
+RULE = "guard band w = U (ILAC-G8:09/2019, 4.2.2; ISO 14253-1)"
+NO_CONVERGENCE = "The optimisation did not converge."
+
+
+def verdict_of(value: str, expanded: str, lower: float | None, upper: float | None) -> Verdict:
+    """Return ``pass``, ``conditionalPass``, ``conditionalFail`` or ``fail`` for a value; None stands for no limit.
+
+    >>> [verdict_of(one, "2", 0.0, 10.0) for one in ("5", "8", "9", "10", "11", "12", "13")]
+    ['pass', 'pass', 'conditionalPass', 'conditionalPass', 'conditionalFail', 'conditionalFail', 'fail']
+    """
+    band = Decimal(expanded)
+    inside = min(
+        (Decimal(repr(upper)) - Decimal(value)) if upper is not None else Decimal("Infinity"),
+        (Decimal(value) - Decimal(repr(lower))) if lower is not None else Decimal("Infinity"),
+    )
+    if inside >= band:
+        return "pass"
+    if inside >= 0:
+        return "conditionalPass"
+    return "conditionalFail" if inside >= -band else "fail"
+
+
+def conformity(
+    calibration: CalibrationData,
+    limits: Mapping[str, Sequence[ResultLimitConfig]],
+    failed_gates: Sequence[str],
+    *,
+    checks: bool = False,
+) -> ConformityData | None:
+    """Return PASS or FAIL of a run with limits, or one that ``checks`` a calibration; ``failed_gates`` count."""
+    statements = [_statement(calibration, by, rule) for by, rules in limits.items() for rule in rules]
+    if not statements and not checks:
+        return None
+    reasons = [*([] if calibration["converged"] else [NO_CONVERGENCE])]
+    reasons += [f"The gate {name} failed." for name in failed_gates]
+    kept = all(one["verdict"] == "pass" for one in statements)
+    return {"passed": kept and not reasons, "rule": RULE, "statements": statements, "reasons": reasons}
+
+
+def _statement(calibration: CalibrationData, stated_by: str, rule: ResultLimitConfig) -> StatementData:
+    name, sigma = rule.result, calibration["sigma"]
+    values = {**calibration["camera"], **(calibration["collimator"] or {})}
+    value = expanded = None
+    verdict: Verdict = "fail"
+    if name in values and sigma.get(name, 0.0) > 0:
+        value, expanded = values[name], coverage_factor(calibration, name) * sigma[name]
+        verdict = verdict_of(repr(value), repr(expanded), rule.lower, rule.upper)
+    return {
+        "result": name,
+        "specification": rule.specification,
+        "stated_by": stated_by,
+        "lower": rule.lower,
+        "upper": rule.upper,
+        "value": value,
+        "expanded": expanded,
+        "verdict": verdict,
+    }

@@ -1,0 +1,306 @@
+"""The folder of one run: its lock, and how its files get their names.
+
+A file gets its name when it is complete and synced; the journal names it after that. One process at a time works in the
+folder; a sealed one is never opened for writing again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import shutil
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path, PurePosixPath
+from typing import TYPE_CHECKING, Self, TypedDict, cast
+
+from bench.base.errors import RunFolderError, StorageError, UsageError
+from bench.record.journal import CAPTURES, Capture, Journal, stored_captures
+from bench.record.storage import (
+    is_temporary,
+    lock_folder,
+    make_folder,
+    move_into_place,
+    sha256_of,
+    storage_errors,
+    sync_folder,
+    write_atomic,
+)
+
+if TYPE_CHECKING:
+    from bench.record.events import Recovered, WireLogState
+
+JOURNAL = "journal.jsonl"
+SEQUENCE_COPY = "sequence.yaml"
+STATION_COPY = "station.yaml"
+"""Byte-exact copies of the files that the run was started with."""
+PASSPORT_COPY = "passport.json"
+"""Byte-exact copy of the passport of the collimator that the run uses; runs without a passport have none."""
+CHECKED_COPY = "checked-calibration"
+"""Byte-exact copy of the calibration that a step ``check`` of the run checks; other runs have none."""
+PLAN = "plan.json"
+RESULTS = "results.json"
+REPORT = "report.html"
+PAGE_SIGNATURE = f"{REPORT}.sig"
+"""Signature of the page of a run that failed or was aborted."""
+QUARANTINE = "quarantine"
+MANIFEST = "SHA256SUMS"
+SIGNATURE = "SHA256SUMS.sig"
+_RESERVE = ".reserve"
+RESERVE_BYTES = 256 * 1024
+PART = ".part"
+"""Ending of a file that is not complete yet."""
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+_DEVICE_NAMES = {"con", "prn", "aux", "nul"} | {f"{d}{n}" for d in ("com", "lpt") for n in range(1, 10)}
+
+
+def is_sealed(path: Path) -> bool:
+    """Return whether a run folder has a signature, which is not verified."""
+    return (path / SIGNATURE).exists()
+
+
+class RunFolder:
+    """A run folder that this process has locked, from ``create`` or ``open`` until ``close``."""
+
+    def __init__(self, path: Path, lock: int) -> None:
+        self.path = path
+        self._lock = lock
+
+    @classmethod
+    def create(cls, path: Path, *, bytes_needed: int = 0, bytes_kept_free: int = 0) -> Self:
+        """Make a new or empty run folder, with its parents, and lock it; there must be room for both numbers of bytes.
+
+        ``bytes_kept_free`` is what the station wants to stay free after the run.
+        """
+        path = path.absolute()
+        make_folder(path)
+        lock = lock_folder(path)
+        try:
+            _refuse_occupied(path)
+            _refuse_full(path, bytes_needed + RESERVE_BYTES, bytes_kept_free)
+            make_folder(path / CAPTURES)
+            _keep_reserve(path)
+        except BaseException:
+            os.close(lock)
+            raise
+        return cls(path, lock)
+
+    @classmethod
+    def open(cls, path: Path) -> Self:
+        """Lock an existing run folder, not sealed and not locked by another process, to continue its run."""
+        path = path.absolute()
+        require_resumable(path)
+        lock = lock_folder(path)
+        try:
+            if not (path / _RESERVE).exists():  # it was released when the disk was full
+                _keep_reserve(path)
+        except BaseException:
+            os.close(lock)
+            raise
+        return cls(path, lock)
+
+    @property
+    def journal_path(self) -> Path:
+        """Path of the journal."""
+        return self.path / JOURNAL
+
+    def write_atomic(self, name: str, data: bytes) -> Path:
+        """Write and sync a file whole, or leave its old contents; ``name`` is a path within the folder, with ``/``."""
+        path = self._place(name)
+        make_folder(path.parent)
+        write_atomic(path, data)
+        return path
+
+    def part_path(self, name: str) -> Path:
+        """Return where other code writes a file, to which ``commit`` then gives its name; one left there is removed."""
+        part = self._place(name).with_name(PurePosixPath(name).name + PART)
+        make_folder(part.parent)
+        with storage_errors(part), suppress(FileNotFoundError):
+            part.unlink()
+        return part
+
+    def commit(self, name: str, goes_on: Callable[[], object] = lambda: None) -> Capture:
+        """Sync the file at ``part_path(name)`` and give it its name; after that the journal may name it.
+
+        ``goes_on`` is as for `sha256_of`.
+        """
+        path = self._place(name)
+        part = path.with_name(path.name + PART)
+        if path.exists():
+            raise RunFolderError(
+                "This file exists already; a recording is never overwritten.",
+                where=str(path),
+                remedy="Record the pose again as a further attempt.",
+            )
+        with storage_errors(part):
+            capture = Capture(name, part.stat().st_size, sha256_of(part, goes_on))
+        move_into_place(part, path)
+        return capture
+
+    def quarantine_part(self, name: str) -> str | None:
+        """Move an incomplete recording to ``quarantine/``: its new path in the run folder; None if there was none."""
+        path = self._place(name)
+        part = path.with_name(path.name + PART)
+        if not part.exists():
+            return None
+        with storage_errors(part):
+            return str(self.quarantine(part).relative_to(self.path))
+
+    def release_reserve(self) -> None:
+        """Release the reserved disk space, so that the journal can still state that the disk is full."""
+        with storage_errors(self.path), suppress(FileNotFoundError):
+            (self.path / _RESERVE).unlink()
+            sync_folder(self.path)
+
+    def close(self) -> None:
+        """Release the lock."""
+        if self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _place(self, name: str) -> Path:
+        parts = name.split("/")
+        for part in parts:
+            if not _NAME.fullmatch(part) or ".." in part or part.split(".")[0].lower() in _DEVICE_NAMES:
+                raise RunFolderError(
+                    f"{name!r} is not a valid name of a file in a run folder.",
+                    where=str(self.path),
+                    remedy="Use letters, digits, dots, dashes and underscores.",
+                )
+        return self.path.joinpath(*parts)
+
+    def quarantine(self, path: Path) -> Path:
+        """Move a file that the journal does not confirm to ``quarantine/``. Nothing there is overwritten."""
+        aside = self.path / QUARANTINE
+        make_folder(aside)
+        number = 1
+        while (target := aside / f"{path.name}.{number}").exists():
+            number += 1
+        path.rename(target)
+        sync_folder(aside)
+        sync_folder(path.parent)
+        return target
+
+
+def require_resumable(path: Path) -> None:
+    """Refuse a folder that is missing, is no run folder, or is sealed: its run cannot be continued."""
+    if not path.is_dir():
+        raise RunFolderError("There is no such run folder.", where=str(path), remedy="Check the path.")
+    if not (path / JOURNAL).is_file():
+        raise RunFolderError(
+            f"This is not a run folder: it has no {JOURNAL}.",
+            where=str(path),
+            remedy="Name the folder that a run was written to.",
+        )
+    if is_sealed(path):
+        raise RunFolderError(
+            "This run is finished and sealed.",
+            where=str(path),
+            remedy="A sealed run is never changed. Start a new run, or check this one with `starbench verify`.",
+        )
+
+
+def _refuse_occupied(path: Path) -> None:
+    """Refuse a folder with a file in it, unless an interrupted ``create`` of this folder left that file."""
+    files = (p for p in path.rglob("*") if not p.is_dir() and p.name != _RESERVE and not is_temporary(p))
+    found = next(files, None)
+    if found is not None:
+        begun = (path / JOURNAL).exists()
+        raise UsageError(
+            f"The folder is not empty: it contains {found.relative_to(path)}.",
+            where=str(path),
+            remedy="Choose another --output"
+            + (", or continue its run with `starbench resume`." if begun else "."),
+        )
+
+
+def _refuse_full(path: Path, bytes_needed: int, bytes_kept_free: int) -> None:
+    with storage_errors(path):
+        free = shutil.disk_usage(path).free
+    if free < bytes_needed + bytes_kept_free:
+        needs = f"{bytes_needed / 1e6:.0f} MB"
+        if bytes_kept_free:
+            needs += f" and {bytes_kept_free / 1e6:.0f} MB must stay free (disk: min_free_gb of the station)"
+        raise StorageError(
+            f"The run needs {needs}, but the disk has only {free / 1e6:.0f} MB left.",
+            where=str(path),
+            remedy="Make room, or choose --output on another disk.",
+        )
+
+
+def _keep_reserve(path: Path) -> None:
+    # Random bytes: a file system that compresses, or stores holes, would not reserve space for zeros.
+    write_atomic(path / _RESERVE, os.urandom(RESERVE_BYTES))
+
+
+# Recovery of a run folder after a crash: what is complete and named in the journal stays, the rest is set
+# aside.
+
+
+def recover(folder: RunFolder, journal: Journal) -> Recovered:
+    """Put a run folder, locked by this process, in order after a crash.
+
+    Recordings that are incomplete, changed or not in the journal go to ``quarantine/``; temporary files are deleted.
+    """
+    stored = stored_captures(journal.entries)
+    found: dict[str, list[str]] = {
+        state: [] for state in ("intact", "missing", "changed", "interrupted", "unnamed")
+    }
+    make_folder(folder.path / CAPTURES)
+    with storage_errors(folder.path):
+        for path in [p for p in folder.path.rglob("*") if is_temporary(p)]:
+            path.unlink()
+        for path in sorted((folder.path / CAPTURES).iterdir()):
+            name = f"{CAPTURES}/{path.name}"
+            state = _state_of(path, stored.get(name))
+            found[state].append(name)
+            if state != "intact":
+                folder.quarantine(path)
+    found["missing"] = sorted(set(stored) - set(found["intact"]) - set(found["changed"]))
+    return cast("Recovered", found)
+
+
+def _state_of(path: Path, capture: Capture | None) -> str:
+    """Return the state of a recording after a crash: a key of `Recovered`."""
+    if path.name.endswith(PART):
+        return "interrupted"
+    if capture is None:
+        return "unnamed"
+    whole = path.is_file() and not path.is_symlink() and path.stat().st_size == capture.size
+    return "intact" if whole and sha256_of(path) == capture.sha256 else "changed"
+
+
+EXPORTS = "exports"
+VIEWS = "views.h5"
+WIRE_LOG = "wire.jsonl"
+
+
+class WrittenFiles(TypedDict):
+    """Files and wire logs, as `bench.record.events.Written` holds them."""
+
+    files: dict[str, str]
+    wire: dict[str, WireLogState]
+
+
+def written_files(folder: Path) -> WrittenFiles:
+    """Return ``files``: SHA-256 by name of a run's results, and ``wire``: size and SHA-256 of its wire logs so far."""
+    with storage_errors(folder):
+        exported = sorted(path.name for path in (folder / EXPORTS).glob("*"))
+        names = [RESULTS, VIEWS, REPORT, *(f"{EXPORTS}/{name}" for name in exported)]
+        logs = sorted(path.name for path in folder.glob(f"{WIRE_LOG}*"))
+        return {
+            "files": {name: sha256_of(folder / name) for name in names if (folder / name).is_file()},
+            "wire": {name: _wire_state(folder / name) for name in logs},
+        }
+
+
+def _wire_state(path: Path) -> WireLogState:
+    data = path.read_bytes()  # at most 8 MB: full logs are rotated
+    return {"size": len(data), "sha256": hashlib.sha256(data).hexdigest()}

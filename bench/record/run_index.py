@@ -1,0 +1,221 @@
+"""An index of the runs of a bench, made from their journals, to list, filter and compare them.
+
+One SQLite file beside the signing key, made anew when its schema (``user_version``) has changed or it is damaged; a row
+when journal or results.json have changed.
+"""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import asdict, replace
+from datetime import datetime
+from pathlib import Path
+
+from bench.base.errors import BenchError, JournalBroken, StorageError
+from bench.record.ledger_marks import KnownRun
+from bench.record.run_facts import Estimate, IndexedRun, RunDetails, run_details, run_facts
+from bench.record.run_folder import JOURNAL, RESULTS, is_sealed
+from bench.record.storage import is_locked, make_folder, storage_errors
+from bench.record.stored_run import StoredRun
+
+INDEX = "runs.sqlite3"
+QUEUE_COPY = "queue.yaml"
+"""A file that the folder of a batch has and a run folder has not."""
+VERSION = 11
+_COMMIT_EVERY = 100
+"""Rows between two commits, so that another process that starts a run does not wait for a long list."""
+_SCHEMA = f"""
+CREATE TABLE runs (folder TEXT PRIMARY KEY, stamp TEXT, id TEXT, ledger_number INTEGER, ledger_head TEXT, found TEXT)
+    WITHOUT ROWID;
+CREATE TABLE details (folder TEXT PRIMARY KEY, found TEXT) WITHOUT ROWID;
+PRAGMA user_version = {VERSION};
+"""
+"""``found`` holds `run_facts` and `run_details` as JSON; ``stamp`` tells which files they were read from."""
+
+
+def is_batch(folder: Path) -> bool:
+    """Return whether a folder is a batch's: it holds a queue and a journal."""
+    return (folder / QUEUE_COPY).is_file() and (folder / JOURNAL).is_file()
+
+
+def is_rehearsal(folder: Path) -> bool:
+    """Return whether a run or batch is a rehearsal; False also where the journal has no line yet."""
+    return StoredRun(folder).is_rehearsal
+
+
+def run_folders(root: Path) -> list[Path]:
+    """Find the run folders in a folder, sorted: itself, its subfolders, and theirs; a batch's is not one."""
+    if not root.is_dir():
+        raise StorageError(
+            "There is no such folder.", where=str(root), remedy="Name a folder that contains runs."
+        )
+    with storage_errors(root):
+        found = [path for pattern in ("", "*/", "*/*/") for path in root.glob(pattern + JOURNAL)]
+    return sorted(path.parent for path in found if not (path.parent / QUEUE_COPY).exists())
+
+
+class RunIndex:
+    """The index. Every method opens the file anew, because other processes use it too."""
+
+    def __init__(self, home: Path) -> None:
+        self.path = home / INDEX
+
+    def runs(
+        self,
+        folders: Iterable[Path],
+        *,
+        camera: str | None = None,
+        since: datetime | None = None,
+        until: datetime | None = None,
+        sequence: str | None = None,
+        how: str | None = None,
+    ) -> tuple[list[IndexedRun], list[str]]:
+        """List runs, oldest first, and a sentence for each folder that cannot be read; None stands for any.
+
+        A run began at or after ``since`` and before ``until``; ``sequence`` is a part of the name.
+        """
+        found, faults = [], []
+        with self._open() as index:
+            for place, folder in enumerate(dict.fromkeys(path.resolve() for path in folders)):
+                try:
+                    found.append(_run(index, folder))
+                except BenchError as error:
+                    faults.append(str(error))
+                if place % _COMMIT_EVERY == 0:
+                    index.commit()
+        chosen = [
+            run
+            for run in found
+            if camera in {None, run.camera}
+            and _is_between(run.begun_utc, since, until)
+            and (sequence is None or sequence.casefold() in run.sequence.casefold())
+            and how in {None, run.how}
+        ]
+        return sorted(chosen, key=lambda run: (run.begun_utc, run.folder)), faults
+
+    def details(self, runs: Iterable[IndexedRun]) -> Iterator[tuple[IndexedRun, RunDetails]]:
+        """Yield runs that ``runs`` has listed, in the same order, with their `run_details`."""
+        with self._open() as index:
+            for run in runs:
+                row = index.execute("SELECT found FROM details WHERE folder = ?", (run.folder,)).fetchone()
+                # Without a row, the index was deleted since.
+                yield run, json.loads(row[0]) if row else _read(Path(run.folder))[1]
+
+    def entered(self) -> list[KnownRun]:
+        """List the runs of the index that name their line in a ledger. No run folder is read."""
+        if not self.path.exists():
+            return []
+        with self._open() as index:
+            rows = index.execute(
+                "SELECT folder, id, ledger_number, ledger_head FROM runs"
+                " WHERE ledger_number IS NOT NULL AND ledger_head IS NOT NULL ORDER BY folder"
+            )
+            return [KnownRun(*row) for row in rows]
+
+    @contextmanager
+    def _open(self) -> Iterator[sqlite3.Connection]:
+        make_folder(self.path.parent)
+        try:
+            with closing(self._connected()) as index, index:
+                yield index
+        except sqlite3.Error as error:
+            remedy = "Change mode or owner of its folder, so that it can be made."
+            if self.path.exists():
+                remedy = "Delete it. Starbench makes it again from the journals."
+            raise StorageError(
+                f"The index of runs cannot be used: {error}.",
+                where=str(self.path),
+                remedy=remedy,
+            ) from error
+
+    def _connected(self) -> sqlite3.Connection:
+        try:
+            return _connect(self.path)
+        except sqlite3.OperationalError:  # locked, or the disk is full: the file may be valid
+            raise
+        except sqlite3.DatabaseError:  # the file is damaged: the index is made anew
+            for name in (INDEX, f"{INDEX}-wal", f"{INDEX}-shm"):
+                with storage_errors(self.path):
+                    (self.path.parent / name).unlink(missing_ok=True)
+            return _connect(self.path)
+
+
+def _is_between(begun_utc: str, since: datetime | None, until: datetime | None) -> bool:
+    if not begun_utc:  # the run was cut off before its first line
+        return since is None and until is None
+    begun = datetime.fromisoformat(begun_utc)
+    return (since is None or begun >= since) and (until is None or begun < until)
+
+
+def _connect(path: Path) -> sqlite3.Connection:
+    index = sqlite3.connect(path, timeout=10.0)
+    try:
+        index.execute("PRAGMA journal_mode = WAL")
+        index.execute("PRAGMA synchronous = FULL")
+        if index.execute("PRAGMA user_version").fetchone()[0] != VERSION:
+            index.executescript(
+                f"BEGIN IMMEDIATE; DROP TABLE IF EXISTS runs; DROP TABLE IF EXISTS parameters;"
+                f" DROP TABLE IF EXISTS details; {_SCHEMA} COMMIT;"
+            )
+    except sqlite3.Error:
+        index.close()
+        raise
+    return index
+
+
+def _run(index: sqlite3.Connection, folder: Path) -> IndexedRun:
+    """Return the row of a run; it is made anew if the journal has changed."""
+    with storage_errors(folder):
+        found = (folder / JOURNAL).stat()
+    stamp = f"{found.st_size} {found.st_mtime_ns} {_results_mtime_ns(folder)}"
+    kept = index.execute("SELECT stamp, found FROM runs WHERE folder = ?", (str(folder),)).fetchone()
+    if kept is not None and kept[0] == stamp:
+        facts = json.loads(kept[1])
+        parameters = {name: Estimate(*numbers) for name, numbers in facts["parameters"].items()}
+        return _as_it_is_now(IndexedRun(**{**facts, "parameters": parameters}))
+    run, details = _read(folder)
+    row = (str(folder), stamp, run.id, run.ledger_number, run.ledger_head, _packed(asdict(run)))
+    index.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?, ?)", row)
+    index.execute("INSERT OR REPLACE INTO details VALUES (?, ?)", (str(folder), _packed(details)))
+    return _as_it_is_now(run)
+
+
+def _packed(found: Mapping[str, object]) -> str:
+    return json.dumps(found, separators=(",", ":"))
+
+
+def _as_it_is_now(run: IndexedRun) -> IndexedRun:
+    """Return a run with what its folder, not its journal, states."""
+    folder = Path(run.folder)
+    how = run.how or ("running" if is_locked(folder) else "cut off")
+    return replace(run, how=how, sealed=is_sealed(folder))
+
+
+def _results_mtime_ns(folder: Path) -> int:
+    """Return when results.json was changed, ns; 0 without it."""
+    try:
+        return (folder / RESULTS).stat().st_mtime_ns
+    except OSError:
+        return 0
+
+
+def read_run_and_details(folder: Path) -> tuple[IndexedRun, RunDetails]:
+    """Read one run and its details (`bench.record.run_facts.run_details`) from its folder, without an index."""
+    run, details = _read(folder)
+    return _as_it_is_now(run), details
+
+
+def _read(folder: Path) -> tuple[IndexedRun, RunDetails]:
+    """Return what the index keeps of a run: its `run_facts`, and its details."""
+    run = StoredRun(folder)
+    try:
+        return run_facts(run.history, folder), run_details(run.history, run.entries, folder)
+    except (AttributeError, LookupError, TypeError, ValueError) as error:
+        raise JournalBroken(
+            f"A line of the journal has another form: {error}.",
+            where=str(folder / JOURNAL),
+            remedy="Another program or version wrote it; this version cannot list the run.",
+        ) from error

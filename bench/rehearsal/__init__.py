@@ -1,1 +1,0 @@
-"""Rehearsals: a run on a virtual clock with virtual devices, in seconds instead of hours."""

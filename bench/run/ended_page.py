@@ -1,0 +1,45 @@
+"""The page of a run that failed or was aborted, with the bench's signature of it.
+
+The folder is not sealed, so that the run can be continued. A resumed run removes page and signature.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from bench.base.errors import BenchError
+from bench.evidence.keys import BenchKey
+from bench.evidence.signers import NAMESPACE
+from bench.record.history import way_on
+from bench.record.run_folder import (
+    PAGE_SIGNATURE,
+    REPORT,
+    RunFolder,
+)
+from bench.record.storage import storage_errors
+from bench.record.stored_run import StoredRun
+
+
+def write_ended_page(folder: RunFolder, key: Callable[[], BenchKey], say: Callable[[str], None]) -> None:
+    """Write and sign the page. A page that cannot be written is said; the run has ended in any case."""
+    from bench.report.html import render_ended
+
+    try:
+        run = StoredRun(folder.path)
+        if not run.history.ended:
+            return
+        way = way_on(run.history, folder.path)
+        page = render_ended(run.history, way, run.head, NAMESPACE).encode()
+        signature = key().sign(page, NAMESPACE)
+        folder.write_atomic(REPORT, page)
+        folder.write_atomic(PAGE_SIGNATURE, signature)
+    except BenchError as error:
+        say(f"The page of the run could not be written: {error}")
+
+
+def remove_ended_page(folder: RunFolder) -> None:
+    """Remove the page that an earlier end of the run has left."""
+    with storage_errors(folder.path):
+        if (folder.path / PAGE_SIGNATURE).exists():
+            (folder.path / REPORT).unlink(missing_ok=True)
+            (folder.path / PAGE_SIGNATURE).unlink()

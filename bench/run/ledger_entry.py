@@ -1,0 +1,87 @@
+"""The entry of a run in the bench's ledger: made before the run does anything, completed however it ends.
+
+A break of the ledger is printed, journaled and reported. It stops a run only where the station says
+``ledger: strict``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from bench.base.clock import BenchClock
+from bench.base.errors import BenchError
+from bench.base.home import home_folder
+from bench.evidence.ledger_check import sealed_strangers
+from bench.plan.job import Job
+from bench.record.events import LedgerPlace
+from bench.record.ledger import Ledger
+from bench.record.ledger_marks import EXPLAIN
+from bench.record.run_index import RunIndex
+from bench.run.runner import RunEnd
+
+
+def ledger_of(clock: BenchClock) -> Ledger:
+    """Return the ledger of this bench; its file may not exist."""
+    return Ledger(home_folder(), utc_now=clock.utc_now, monotonic=clock.monotonic)
+
+
+def refuse_broken_ledger(ledger: Ledger, job: Job) -> None:
+    """Refuse a run if its station is strict and the ledger has a break that nobody has explained."""
+    if job.station.ledger.strict:
+        ledger.refuse_break(job.station.ledger.anchor, sealed_strangers(ledger.home))
+
+
+def enter_in_ledger(ledger: Ledger, job: Job, folder: Path, known: LedgerPlace | None = None) -> LedgerPlace:
+    """Enter a run in the ledger if it is not there at ``known``, as where it began on another bench."""
+    station = job.station
+    anchor, strict = station.ledger.anchor, station.ledger.strict
+    strangers = sealed_strangers(ledger.home)
+    if known and ledger.contains(known):
+        refuse_broken_ledger(ledger, job)
+        faults, _ = ledger.breaks(anchor, strangers)
+        place: LedgerPlace = {
+            "number": known["number"],
+            "head": known["head"],
+            "of_camera": known["of_camera"],
+        }
+        if faults:
+            place["faults"] = [f"{fault} {EXPLAIN}" for fault in faults]
+    else:
+        place = ledger.begin(
+            run_id=folder.name,
+            folder=folder,
+            camera=station.camera.serial,
+            simulated=job.simulated,
+            anchor=anchor,
+            strict=strict,
+            strangers=strangers,
+        )
+    if ledger.warnings:
+        place["warnings"] = list(ledger.warnings)
+    return place
+
+
+def ledger_lines(place: LedgerPlace) -> list[str]:
+    """Return lines that the operator must know about the ledger before a run begins; usually none."""
+    faults = [f"FAULT OF THE LEDGER: {fault}" for fault in place.get("faults", ())]
+    return faults + [f"WARNING: {warning}" for warning in place.get("warnings", ())]
+
+
+@contextmanager
+def ledger_entry(ledger: Ledger, place: LedgerPlace, folder: Path) -> Iterator[Callable[[RunEnd], RunEnd]]:
+    """Write to the ledger how the run of the block ended; "failed" if the block raises."""
+    how = "failed"
+
+    def ending(end: RunEnd) -> RunEnd:
+        nonlocal how
+        how = end.how
+        return end
+
+    try:
+        yield ending
+    finally:
+        ledger.end(place["number"], how=how, folder=folder)
+        with suppress(BenchError):  # the index is made from journals: it can be made again
+            RunIndex(ledger.home).runs([folder])

@@ -1,0 +1,233 @@
+"""Checks that do not influence a result: split half, hand-eye against the gimbal's readings, faces, entrance pupil.
+
+Each check returns plain data for results.json, or None if there are too few poses for it. Pure: it reads no file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from bench.measure.expected_grid import engine_angles_deg
+from bench.record.results import GimbalCheckData, GimbalFaultData, GimbalPairs, HalvesData, MountFaceData
+from bench.stations.station import Station
+from bench.stations.station_budget import GimbalConfig
+from calib.engine import Calibration, CalibrationOptions
+from calib.errors import CalibrationError
+from calib.model.gimbal_readings import AXES
+from calib.studies.camera_check import split_half
+from calib.studies.gimbal_faults import GimbalFault
+from calib.studies.gimbal_model import PairRatios
+from calib.studies.hand_eye import check_hand_eye
+from calib.studies.parallax import Parallax, PupilWalk, pupil_walk
+from calib.view import View
+
+_NOT_INDEPENDENT = (
+    "The readings also entered the calibration, so this comparison is not independent of them.",
+)
+
+
+def split_half_check(views: Sequence[View], options: CalibrationOptions) -> HalvesData | None:
+    """Calibrate every other pose and the rest separately; compare the projections of both cameras at infinity.
+
+    ``rms_px worst_px expected_px ratio cameras``; None with fewer than four views, or if a half determines no camera.
+    """
+    try:
+        split = split_half(views, options)
+    except CalibrationError:  # too few poses, or a half that constrains nothing: there is no such check then
+        return None
+    return {
+        "rms_px": split.difference.rms_px,
+        "worst_px": split.difference.worst_px,
+        "expected_px": split.expected_px,
+        "ratio": split.ratio,
+        "cameras": [half.camera.to_dict() for half in split.halves],
+    }
+
+
+def gimbal_check(
+    calibration: Calibration, readings_deg: Sequence[Mapping[str, float]], stated: GimbalConfig | None = None
+) -> GimbalCheckData | None:
+    """Compare the estimated rotations with the gimbal's readings; ``pan_encoder`` replaces ``pan`` (docs/results.md).
+
+    Within what the station states of the gimbal, nothing is a fault; over few degrees, an eccentricity is a scale.
+    None with too few poses, or if an axis did not move.
+    """
+    try:
+        check = check_hand_eye(
+            calibration.rotations,
+            calibration.rotation_covariance,
+            [engine_angles_deg(pose) for pose in readings_deg],
+            reading_sigma_deg=stated.reading_sigma_deg if stated else 0.0,
+            scale_sigma=math.hypot(stated.scale_sigma, math.radians(stated.eccentricity_deg))
+            if stated
+            else 0.0,
+            focal_uncertainty=_focal_uncertainty(calibration),
+            birge_ratio=calibration.birge_ratio,
+            names=[view.name for view in calibration.views],
+        )
+    except CalibrationError:  # too few poses, or axes that did not move
+        return None
+    entered = calibration.gimbal is not None and calibration.gimbal.entered
+    faults = [_fault(one) for one in check.faults]
+    slips = [fault for fault in faults if fault["kind"] == "slip"]
+    return {
+        "rms_arcsec": check.rms_arcsec,
+        "scale": dict(check.scale),
+        "scale_sigma": dict(check.scale_sigma),
+        "agrees": check.verdict.kind == "agrees",
+        "excess_arcsec": check.excess_arcsec,
+        "verdict": check.verdict.kind,
+        "says": [*check.verdict.says, *(_NOT_INDEPENDENT if entered else ())],
+        "pairs": _pairs(check.pairs) if check.pairs is not None else None,
+        "slip": slips[0] if slips else None,
+        "faults": faults,
+    }
+
+
+def _focal_uncertainty(calibration: Calibration) -> float | None:
+    """Return the larger U of fx and fy, as a share of the value; None if neither was estimated."""
+    values, expanded = calibration.values, calibration.U
+    shares = [expanded[name] / values[name] for name in ("fx", "fy") if name in values]
+    return max(shares, default=None)
+
+
+def _pairs(pairs: PairRatios) -> GimbalPairs:
+    """Return the ratios of the pairs of poses, for results.json."""
+    return {"ratio": pairs.ratio, "spread": pairs.spread, "count": pairs.count}
+
+
+def _fault(fault: GimbalFault) -> GimbalFaultData:
+    """Return a fault, for results.json; poses count from 0."""
+    return {
+        "kind": fault.kind,
+        "axis": AXES[fault.axis] if fault.kind == "slip" else None,
+        "pose": None if fault.kind == "squareness" else fault.pose,
+        "size_deg": fault.size_deg,
+        "sigma_deg": fault.sigma_deg,
+        "probability": fault.probability,
+        "claimed": True,  # Readers of earlier results expect it: those listed others, too
+    }
+
+
+def mount_faces(calibration: Calibration, station: Station) -> list[MountFaceData] | None:
+    """Return ``mount_faces`` of docs/results.md; None without stated faces or without a boresight."""
+    found = calibration.boresight
+    if found is None or station.gimbal is None or not station.gimbal.faces:
+        return None
+    answer: list[MountFaceData] = []
+    for name, face in station.gimbal.faces.items():
+        angle, expanded = found.angle_to(np.array(face.normal), math.radians(face.sigma_deg))
+        normal = found.rotation @ np.array(face.normal) / np.linalg.norm(face.normal)
+        answer.append(
+            {
+                "name": name,
+                "normal_in_camera": normal.tolist(),
+                "angle_deg": angle,
+                "expanded_deg": expanded,
+            }
+        )
+    return answer
+
+
+PARALLAX_TEST = "Parallax test"
+"""Name of the shipped sequence that must have a result here, or say why there is none."""
+
+#: The station's place of the pupil is contradicted from this many standard uncertainties on.
+_CONTRADICTED = 2.5
+
+
+def parallax_check(
+    calibration: Calibration, views: Sequence[View], station: Station, sequence: str
+) -> dict[str, Any] | None:
+    """Measure how far the entrance pupil is off the pivot, and its parallax (docs/results.md); or ``why_not``."""
+    if calibration.collimator is None:
+        why_not = "The planar model has no collimator, so the motion of the beam's disc has no scale. Use model: joint."
+        return {"why_not": why_not} if sequence == PARALLAX_TEST else None
+    try:
+        walk = pupil_walk(views, calibration.rotations, calibration.collimator)
+    except CalibrationError as error:
+        return {"why_not": str(error)} if sequence == PARALLAX_TEST else None
+    parallax = _parallax(walk, calibration, station)
+    return {
+        "walk_mm": walk.walk_mm.tolist(),
+        "walk_covariance_mm2": walk.covariance_mm2.tolist(),
+        "pupil_off_pivot_mm": {"value": walk.pupil_off_pivot_mm, "sigma": walk.sigma_mm},
+        "axes_differ": walk.axes_differ,
+        "difference_in_sigmas": walk.difference_in_sigmas,
+        "without_rim": list(walk.without_rim),
+        "station_entry": walk.station_entry,
+        "stated_mm": _stated(station),
+        "defocus": None
+        if parallax is None
+        else {
+            "value": parallax.bound.defocus,
+            "sigma": parallax.bound.defocus_sigma,
+            "source": "station",
+        },
+        "parallax": None if parallax is None else {"value": parallax.share, "sigma": parallax.share_sigma},
+        "fx_px": None if parallax is None else {"value": parallax.fx_px, "sigma": parallax.fx_sigma_px},
+        "says": [*walk.says(), *_for_station(walk, station), *_effect(parallax)],
+    }
+
+
+def _parallax(walk: PupilWalk, calibration: Calibration, station: Station) -> Parallax | None:
+    """Return the parallax by the station's defocus; None if it states none."""
+    stated = station.collimator.defocus
+    if stated is None:
+        return None
+    assert calibration.collimator is not None
+    return walk.parallax(
+        stated.value, stated.sigma, r_mm=calibration.collimator.r, fx_px=calibration.camera.fx
+    )
+
+
+def _stated(station: Station) -> dict[str, float] | None:
+    """Return the place of the pupil that the station states, mm."""
+    off = station.gimbal.pupil_off_pivot_mm if station.gimbal is not None else None
+    return None if off is None else {"value": off.value, "sigma": off.sigma}
+
+
+def _for_station(walk: PupilWalk, station: Station) -> list[str]:
+    """Return how the place of the pupil agrees with the station file, and what to write into it."""
+    stated = _stated(station)
+    if stated is None:
+        return [walk.advice]
+    sigmas = _difference_in_sigmas(walk, stated["value"], stated["sigma"])
+    agrees = sigmas <= _CONTRADICTED
+    compared = (
+        f"This {'agrees with' if agrees else 'contradicts'} the station file, which states {stated['value']:g} mm, "
+        f"standard uncertainty {stated['sigma']:g} mm (largest difference: {sigmas:.1f} standard uncertainties)."
+    )
+    if agrees and stated["sigma"] <= walk.sigma_mm:
+        return [f"{compared} The value of the station file is the more accurate one: keep it."]
+    return [compared, walk.advice]
+
+
+def _difference_in_sigmas(walk: PupilWalk, value: float, sigma: float) -> float:
+    """Return the largest difference from a stated place of the pupil: along x, along y, and of both together."""
+    off = np.array([*-walk.walk_mm, walk.pupil_off_pivot_mm])
+    sigmas = np.array([*walk.walk_sigma_mm, walk.sigma_mm])
+    return float((np.abs(off - value) / np.hypot(sigmas, sigma)).max())
+
+
+def _effect(parallax: Parallax | None) -> list[str]:
+    """Return what the parallax does to fx, or what is missing to calculate it."""
+    if parallax is None:
+        return [
+            (
+                "The parallax also needs the defocus of the collimator, which the station file does not state "
+                "(collimator: {defocus: {value: ..., sigma: ...}})."
+            )
+        ]
+    bound = parallax.bound
+    says = (
+        f"With a defocus of {bound.defocus:.2g}, standard uncertainty {bound.defocus_sigma:.2g} (by the station file), "
+        f"the parallax is {100 * parallax.share:.2g} % of the turn, standard uncertainty "
+        f"{100 * parallax.share_sigma:.2g} %. Without a correction for it, readings of the gimbal change fx by "
+        f"{parallax.fx_px:.2g} px, standard uncertainty {parallax.fx_sigma_px:.2g} px."
+    )
+    return [says]

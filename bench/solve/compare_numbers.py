@@ -1,0 +1,290 @@
+"""Compares the numbers of results that were made again with the stored ones: rounding, another program, or a fault.
+
+Numbers count as equal within a small tolerance, because another computer may round otherwise. A later program finds
+stars a little differently: what differs within the limits below is told as not compared, by more as a fault.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from bench.evidence.findings import Findings
+from bench.record.run_folder import RESULTS
+from calib.view import View
+
+Number = int | float
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One difference."""
+
+    where: str  # Place of the value: ``poses[0].attempts[1].sha256``
+    # ``value``: both have it, and it differs. ``missing``: only the derived content has it. ``added``: only
+    # the stored content has it.
+    kind: Literal["value", "missing", "added"]
+    # stored, derived: Both values; None where there is none.
+    stored: Any
+    derived: Any
+
+    def __str__(self) -> str:
+        if self.kind == "added":
+            return f"{self.where} is {_shown(self.stored)}, which follows from nothing"
+        if self.kind == "missing":
+            return f"{self.where} is missing; it must be {_shown(self.derived)}"
+        return f"{self.where} is {_shown(self.stored)}; it must be {_shown(self.derived)}"
+
+
+Tolerance = Callable[[str, Number, Number, float], bool]
+"""Whether two numbers count as equal: place, both numbers, and the largest number of their list."""
+
+
+def exactly(_where: str, stored: Number, derived: Number, _scale: float) -> bool:
+    """Return whether two numbers are equal to the last bit."""
+    return stored == derived
+
+
+def differences(
+    stored: Any, derived: Any, equal: Tolerance = exactly, where: str = ""
+) -> Iterator[Difference]:
+    """Compare two contents, and yield each difference in the order of the derived one."""
+    yield from _differences(stored, json.loads(json.dumps(derived)), equal, where, 0.0)
+
+
+def _differences(
+    stored: Any, derived: Any, equal: Tolerance, where: str, scale: float
+) -> Iterator[Difference]:
+    if isinstance(derived, dict) and isinstance(stored, Mapping):
+        for name, value in derived.items():
+            place = f"{where}.{name}" if where else str(name)
+            if name not in stored:
+                yield Difference(place, "missing", None, value)
+            else:
+                yield from _differences(stored[name], value, equal, place, 0.0)
+        for name in stored:
+            if name not in derived:
+                yield Difference(f"{where}.{name}" if where else str(name), "added", stored[name], None)
+    elif isinstance(derived, list) and isinstance(stored, Sequence) and not isinstance(stored, str):
+        if len(derived) != len(stored):
+            kind: Literal["missing", "added"] = "missing" if len(stored) < len(derived) else "added"
+            last = min(len(stored), len(derived))
+            one = (None, derived[last]) if kind == "missing" else (stored[last], None)
+            yield Difference(f"{where}[{last}]", kind, *one)
+        scale = max(scale, _largest([*derived, *stored]))
+        for number, (had, due) in enumerate(zip(stored, derived, strict=False)):
+            yield from _differences(had, due, equal, f"{where}[{number}]", scale)
+    elif not _same(stored, derived, equal, where, scale):
+        yield Difference(where, "value", stored, derived)
+
+
+def _same(stored: Any, derived: Any, equal: Tolerance, where: str, scale: float) -> bool:
+    if _is_finite(stored) and _is_finite(derived):
+        return equal(where, stored, derived, max(scale, abs(derived)))
+    return type(stored) is type(derived) and bool(stored == derived)
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _largest(values: Sequence[Any]) -> float:
+    return max((abs(float(value)) for value in values if _is_finite(value)), default=0.0)
+
+
+def _shown(value: Any) -> str:
+    text = json.dumps(value, ensure_ascii=False) if not isinstance(value, float) else f"{value:.12g}"
+    return text if len(text) <= 70 else f"{text[:67]}..."
+
+
+TOLERANCE_SIGMAS = 1e-3
+"""Values that differ by less than this fraction of their standard uncertainty count as equal."""
+TOLERANCE_SHARE = 1e-6
+"""Other numbers that differ by less than this fraction of themselves count as equal."""
+TOLERANCE_PLANAR = 1e-2
+"""The same for all numbers of the planar model, which is there for comparison. Three views hardly determine it: points
+that are moved by 1e-11 px change its standard uncertainties by up to 0.6 %."""
+_COUNTED = ("iterations",)
+"""Numbers of work, not of results: rounding may change them by a few."""
+MOST_SHOWN = 12
+"""Differences of one file that are shown one by one."""
+MOST_SIGMAS = 0.25
+"""A value of the calibration may differ by this share of its standard uncertainty."""
+MOST_SIGMA_RATIO = 4.0
+"""A standard uncertainty may differ by this factor: a later program may know another source of error."""
+MOST_SHARE = 0.25
+"""A number measured on a pose may differ by this share of itself, or of the largest number in its list."""
+MOST_PX = 0.02
+"""A star may lie this far away, per axis."""
+_MOST_STARS = 0.02
+"""Share of the stars of a view that only one of both programs may have."""
+_VALUES = ("calibration.camera.", "calibration.collimator.")
+_SIGMA = "calibration.sigma."
+_FOLLOWS = (
+    "calibration.",
+    "planar.",
+    "projection.",
+    "halves.",
+    "comparison[",
+    "gimbal.",
+    "mount_faces[",
+    "check.",
+)
+"""Numbers that follow from stars and model; values and standard uncertainties among them have limits of their own."""
+_TABLES = ("calibration.budget_rows[", "calibration.not_included[")
+"""Tables whose rows another program may order and name otherwise."""
+_WORDS = (".notes[", ".says[")
+"""Sentences that another program may write otherwise."""
+_TABLES_OF_PLANAR = tuple(name.replace("calibration.", "planar.") for name in _TABLES)
+_MEASURED = ("poses[", "pose ", "gates[")
+_NUMBER = re.compile(r"\d+(\.\d+)?")
+_SMALL_PX = 0.01
+"""A measured number in px may differ by this much, whatever its size."""
+
+
+def check_numbers(
+    stored: Mapping[str, Any], again: Mapping[str, Any], found: Findings, other: str, source: str
+) -> None:
+    """Compare results.json with what follows from ``source``; ``other`` tells how the program differs, or is empty."""
+    rounded = list(differences(stored, again))
+    if not rounded:
+        found.remarks.append(f"calculated again from the {source}: every number is equal to the last bit")
+        return
+    sigma, planar = again["calibration"]["sigma"], again.get("planar") or {"sigma": {}}
+    every = list(differences(stored, again, tolerance(sigma, planar["sigma"])))
+    excused = [one for one in every if other and is_excused(one, sigma)]
+    seen = [one for one in every if one not in excused]
+    if excused:
+        places = described(excused, sigma, MOST_SHOWN)
+        found.could_not_compare(
+            f"{RESULTS} with the {source}: another program calculated it, with differences in {places}",
+            "results",
+        )
+    add_faults("results", RESULTS, f"the {source} do not give it: ", seen, found)
+    if seen and other:
+        found.remarks.append(
+            f"the results were made with {other}, but the differences are too large to come from that alone"
+        )
+    rounded = [one for one in rounded if one.kind == "value" and not isinstance(one.stored, str)]
+    if not seen and not excused and rounded:
+        found.remarks.append(
+            f"calculated again from the {source}: {len(rounded)} numbers differ, by rounding only: {rounded[0]}"
+        )
+
+
+def add_faults(kind: str, name: str, what: str, seen: Sequence[Difference], found: Findings) -> None:
+    """Add the differences of one file to the faults; of many the first ones, and the number of the others."""
+    for one in seen[:MOST_SHOWN]:
+        found.fault(kind, name, f"{what}{one}")
+    if len(seen) > MOST_SHOWN:
+        found.fault(kind, name, f"{len(seen) - MOST_SHOWN} further values differ")
+
+
+def tolerance(sigma: Mapping[str, float], planar_sigma: Mapping[str, float]) -> Tolerance:
+    """Return the tolerance for numbers of results.json, with the standard uncertainties of both calibrations."""
+    parameters = {
+        f"{which}.{part}.{name}": share * value
+        for which, share, stated in (
+            ("calibration", TOLERANCE_SIGMAS, sigma),
+            ("planar", TOLERANCE_PLANAR, planar_sigma),
+        )
+        for name, value in stated.items()
+        for part in ("camera", "collimator", "sigma")
+    }
+
+    def equal(where: str, stored: Number, derived: Number, scale: float) -> bool:
+        if where.rpartition(".")[2] in _COUNTED:
+            return abs(stored - derived) <= max(2.0, 0.1 * abs(derived))
+        if where in parameters:
+            return abs(stored - derived) <= parameters[where]
+        share = TOLERANCE_PLANAR if where.startswith("planar.") else TOLERANCE_SHARE
+        return abs(stored - derived) <= share * scale
+
+    return equal
+
+
+def is_excused(one: Difference, sigma: Mapping[str, float]) -> bool:
+    """Return whether a difference beyond rounding may come from another program: it is within these limits."""
+    words = any(part in one.where for part in _WORDS)
+    if one.kind != "value" or words or one.where.startswith((*_TABLES, *_TABLES_OF_PLANAR)):
+        return True
+    if isinstance(one.stored, str) and isinstance(one.derived, str):
+        return _same_words(one.stored, one.derived)
+    return _is_number(one.stored) and _is_number(one.derived) and _is_near(one, sigma)
+
+
+def _is_near(one: Difference, sigma: Mapping[str, float]) -> bool:
+    """Return whether two numbers are within the limits."""
+    name = one.where.rpartition(".")[2]
+    apart = abs(one.stored - one.derived)
+    if one.where.startswith(_VALUES) and name in sigma:
+        return bool(apart <= MOST_SIGMAS * sigma[name])
+    if one.where.startswith(_SIGMA):
+        low, high = sorted((abs(one.stored), abs(one.derived)))
+        return bool(low > 0 and high <= MOST_SIGMA_RATIO * low)
+    if one.where.startswith(_FOLLOWS):
+        return True
+    least = _SMALL_PX if name.endswith("_px") or name == "value" else 0.0
+    return one.where.startswith(_MEASURED) and apart <= max(
+        least, MOST_SHARE * max(abs(one.stored), abs(one.derived))
+    )
+
+
+def described(excused: Sequence[Difference], sigma: Mapping[str, float], most: int) -> str:
+    """Return excused differences as text, such as ``calibration.notes[0], 433 numbers (...)``."""
+    numbers = [
+        one for one in excused if one.kind == "value" and _is_number(one.stored) and _is_number(one.derived)
+    ]
+    places = list(dict.fromkeys(_place(one.where) for one in excused if one not in numbers))
+    texts = places[:most]
+    if len(places) > most:
+        texts.append(f"{len(places) - most} more places")
+    if numbers:
+        texts.append(f"{len(numbers)} number{'s' if len(numbers) != 1 else ''}{_sizes(numbers, sigma)}")
+    return ", ".join(texts)
+
+
+def _place(where: str) -> str:
+    """Return the place of a value; of one in a table the table."""
+    return where.partition("[")[0] if where.startswith((*_TABLES, *_TABLES_OF_PLANAR)) else where
+
+
+def _sizes(numbers: Sequence[Difference], sigma: Mapping[str, float]) -> str:
+    """Return how far values and standard uncertainties differ at most, in parentheses; empty if none does."""
+    names = {one.where: one.where.rpartition(".")[2] for one in numbers}
+    values = [one for one in numbers if one.where.startswith(_VALUES) and names[one.where] in sigma]
+    sigmas = [one for one in numbers if one.where.startswith(_SIGMA)]
+    texts = []
+    if values:
+        far = max(values, key=lambda one: abs(one.stored - one.derived) / sigma[names[one.where]])
+        share = abs(far.stored - far.derived) / sigma[names[far.where]]
+        texts.append(f"{names[far.where]} differs most, by {share:.2g} of its standard uncertainty")
+    if sigmas:
+        far = max(sigmas, key=lambda one: abs(np.log(one.stored / one.derived)))
+        texts.append(
+            f"the standard uncertainty of {names[far.where]} is {far.stored:.3g}, here {far.derived:.3g}"
+        )
+    return f" ({'; '.join(texts)})" if texts else ""
+
+
+def same_stars(stored: View, again: View) -> bool:
+    """Return whether two programs found nearly all stars the same, within `MOST_PX`, and none elsewhere."""
+    both, at, there = np.intersect1d(stored.ids, again.ids, return_indices=True)
+    if len(both) < (1.0 - _MOST_STARS) * max(len(stored), len(again)):
+        return False
+    return bool((np.abs(stored.points_px[at] - again.points_px[there]) <= MOST_PX).all())
+
+
+def _same_words(stored: str, derived: str) -> bool:
+    """Return whether two sentences have the same words; numbers in them may differ."""
+    return " " in stored and _NUMBER.sub("#", stored) == _NUMBER.sub("#", derived)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)

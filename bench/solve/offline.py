@@ -1,0 +1,260 @@
+"""Calibration without devices: from run folders, RAW captures, photographs and point files. Writes no files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
+
+from bench.base.errors import BenchError, UsageError
+from bench.measure.views_file import KeptViews, StoredView
+from bench.plan.job import Job
+from bench.plan.passports import PassportInUse
+from bench.record.results import CalibrationData, ConformityData, GimbalReadingsData
+from bench.record.run_facts import conformity
+from bench.solve.offline_options import OfflineOptions
+from bench.solve.solution import calibrated
+from bench.solve.solve_options import readings_result
+from bench.solve.view_sources import ViewSource, jobs_of, left_beside, view_sources
+from bench.stations.station_budget import CollimatorConfig
+from bench.wording.target_words import words_for
+from calib.boards.board import Board
+from calib.calibration import CalibrationOptions
+from calib.engine import Calibration
+from calib.errors import CalibrationError, DegenerateViews
+from calib.studies.reference_methods import MethodFailure, MethodResult, reference_results, starbench_result
+from calib.target import StarTarget
+from calib.view import View
+from sequences.script import SolveStep
+
+_MOST_NAMES = 5
+"""Views of a folder that a message names."""
+
+
+@dataclass(frozen=True)
+class OfflineResult:
+    """Result of an offline calibration."""
+
+    calibration: Calibration
+    planar: Calibration | None  # The planar calibration of the same points; None if there is none
+    skipped: Sequence[str]  # For each file that was left out, a sentence with the reason
+    views: Sequence[View]
+    options: CalibrationOptions = field(default_factory=CalibrationOptions)
+    sources: Sequence[ViewSource] = ()  # The files of the views, in their order
+    passport: PassportInUse | None = None  # The collimator's passport that was used, if any
+    # The printed target that all views show: that of the run's station, or of the options; None if they
+    # differ.
+    target: StarTarget | None = field(default_factory=StarTarget)
+    paths: Sequence[Path] = ()
+    choices: OfflineOptions = field(default_factory=OfflineOptions)
+
+    @property
+    def stored_views(self) -> list[StoredView]:
+        """The views with their residuals, without images."""
+        return [
+            StoredView(view, px) for view, px in zip(self.views, self.calibration.residuals_px, strict=True)
+        ]
+
+    @property
+    def job(self) -> Job | None:
+        """The run of which all views are; None if they are not of one run."""
+        jobs = jobs_of(self.sources)
+        return jobs[0] if len(jobs) == 1 else None
+
+    @property
+    def conformity(self) -> ConformityData | None:
+        """PASS or FAIL by the limits of the run's station and sequence; None if there are none."""
+        if self.job is None:
+            return None
+        return conformity(cast("CalibrationData", self.calibration.to_dict()), self.job.limits, [])
+
+    @property
+    def readings(self) -> GimbalReadingsData | None:
+        """Whether the gimbal's readings entered, as results.json states it; None if the views are not of one run."""
+        job = self.job
+        if job is None:
+            return None
+        stated = job.station.gimbal is not None
+        witness = stated and self.options.gimbal is None
+        return readings_result(self.calibration, self.options, witness=witness, stated=stated)
+
+    @property
+    def collimator(self) -> CollimatorConfig:
+        """What the station states about the collimator, if all views are of runs on one station; else nothing."""
+        stated = [
+            source.job.station.collimator if source.job else CollimatorConfig() for source in self.sources
+        ]
+        alike = bool(stated) and all(one == stated[0] for one in stated)
+        return stated[0] if alike else CollimatorConfig()
+
+    @property
+    def board(self) -> Board | None:
+        """The board at finite distance that all views show; None if they show the star target, or not the same."""
+        return self.choices.board
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the calibration's content, and ``planar passport gimbal_readings skipped``, for ``--json``."""
+        return {
+            **self.calibration.to_dict(),
+            "planar": self.planar.to_dict() if self.planar else None,
+            "passport": self.passport.to_dict() if self.passport else None,
+            "gimbal_readings": self.readings,
+            "skipped": list(self.skipped),
+            **({"conformity": told} if (told := self.conformity) else {}),
+        }
+
+
+def calibrate_paths(
+    paths: Sequence[Path], choices: OfflineOptions, kept: KeptViews | None = None
+) -> OfflineResult:
+    """Make views from files and folders, and calibrate; a file without the target is left out, with the reason.
+
+    ``kept`` are views of earlier calculations, never used to check evidence; None finds the stars in every recording.
+    """
+    sources = [source for path in paths for source in view_sources(path, choices)]
+    if kept is not None:
+        sources = [with_kept_views(source, kept) for source in sources]
+    found = calibrate_sources(sources, choices)
+    beside = [sentence for path in paths for sentence in left_beside(path)]
+    return replace(found, paths=tuple(paths), skipped=[*found.skipped, *beside])
+
+
+def only_view(paths: Sequence[Path], choices: OfflineOptions) -> View | None:
+    """Return the view of the paths, if they hold one alone."""
+    sources = [source for path in paths for source in view_sources(path, choices)]
+    if choices.view_numbers:
+        sources = [sources[number - 1] for number in choices.view_numbers]
+    return sources[0].read() if len(sources) == 1 else None
+
+
+def with_kept_views(source: ViewSource, kept: KeptViews) -> ViewSource:
+    """Let a source take its view, the same to the last bit, from an earlier calculation if there is one."""
+    if source.decided_by is None:
+        return source
+    return replace(source, read=partial(kept.view, source.path, source.decided_by, source.read))
+
+
+def calibrate_sources(sources: Sequence[ViewSource], choices: OfflineOptions) -> OfflineResult:
+    """Calibrate from the files of views, without the paths that were given."""
+    missing = [number for number in choices.view_numbers or () if number > len(sources)]
+    if missing:
+        raise UsageError(
+            f"There is no view {missing[0]}; the number of views is {len(sources)}.",
+            remedy="The first view has the number 1.",
+        )
+    chosen = [sources[n - 1] for n in choices.view_numbers] if choices.view_numbers else sources
+    views, used, skipped = read_views(chosen)
+    options, passport, cautions = _engine_options(used, choices)
+    words = words_for(choices.board)
+    calibration, planar = calibrated(views, options, words, cautions)
+    targets = [source.job.target if source.job else choices.target for source in used]
+    target = targets[0] if all(one == targets[0] for one in targets) else None
+    return OfflineResult(
+        calibration, planar, skipped, views, options, used, passport, target, choices=choices
+    )
+
+
+def require_common_views(first: Path, second: Path, choices: OfflineOptions) -> None:
+    """Refuse one path for both cameras of a rig, or two that share no pose, before any star is looked for."""
+    if first.resolve() == second.resolve():
+        raise UsageError(
+            "Both cameras have the same views.",
+            where=str(first),
+            remedy="Give the views of the second camera as the second path.",
+        )
+    names = [{source.name for source in view_sources(path, choices)} for path in (first, second)]
+    if not names[0] & names[1]:
+        shown = [", ".join(sorted(some)[:_MOST_NAMES]) for some in names]
+        raise DegenerateViews(
+            f"The two cameras share no pose: {shown[0]} and {shown[1]}.",
+            remedy="Give the two views of one pose the same name.",
+        )
+
+
+def _engine_options(
+    sources: Sequence[ViewSource], choices: OfflineOptions
+) -> tuple[CalibrationOptions, PassportInUse | None, list[str]]:
+    """Return the engine's options, the passport in use, and what a reader must know about the passport.
+
+    One run is calibrated as it was; several share a passport at most, since the camera may have been mounted anew.
+    """
+    jobs = jobs_of(sources)
+    job = jobs[0] if len(jobs) == 1 else None
+    steps = [step for step in job.steps if isinstance(step, SolveStep)] if job is not None else []
+    found = [None if one is None else one.plan.passport.in_use for one in jobs]
+    passports = {one.data: one for one in found if one is not None}
+    cautions: list[str] = []
+    if job is not None and steps:
+        angles = [source.attempt.stored["measured_deg"] for source in sources if source.attempt]
+        options = choices.of_run(job, steps[-1], angles)
+    else:
+        common = next(iter(passports.values())) if len(passports) == 1 and None not in found else None
+        options = choices.without_run(common)
+        if passports and not (common or choices.passport or choices.without_passport):
+            cautions.append(
+                "The views do not have one passport of a collimator in common, so none was used. Name one (--passport)."
+            )
+    passport = None
+    if options.passport is not None:
+        passport = choices.passport or next(iter(passports.values()))
+    return options, passport, cautions
+
+
+def compare_methods(result: OfflineResult) -> list[MethodResult | MethodFailure]:
+    """Compare with the published recipe, if at infinity, and OpenCV's planar method, on the same points."""
+    lens = tuple(result.calibration.camera.distortion)
+    options = replace(result.options, distortion=lens, gimbal=None)
+    return [
+        starbench_result(result.calibration),
+        *reference_results(result.views, options, at_infinity=result.board is None),
+    ]
+
+
+def read_views(sources: Sequence[ViewSource]) -> tuple[list[View], list[ViewSource], list[str]]:
+    """Read the views, with one image size and unique names; return also their sources, and why views were left out."""
+    views: list[View] = []
+    used: list[ViewSource] = []
+    skipped: list[str] = []
+    for source in sources:
+        try:
+            views.append(source.read())
+            used.append(source)
+        except CalibrationError as error:
+            skipped.append(str(error) if str(source.path) in str(error) else f"{source.path}: {error}")
+    if not views:
+        raise BenchError(
+            "There is no usable view.",
+            remedy=_first(skipped) or "Give run folders, captures, images or point files.",
+        )
+    return _distinct(views_of_one_size(views, [source.sized for source in used])), used, skipped
+
+
+def _first(skipped: Sequence[str]) -> str:
+    """Return the first reasons why files were left out, and the number of the others."""
+    more = len(skipped) - _MOST_NAMES
+    return " ".join(skipped[:_MOST_NAMES]) + (f" And {more} more files." if more > 0 else "")
+
+
+def views_of_one_size(views: Sequence[View], sized: Sequence[bool]) -> list[View]:
+    """Give all views one image size, or the largest of the point files; sizes that differ are refused."""
+    known = {view.image_size: view.name for view, is_sized in zip(views, sized, strict=True) if is_sized}
+    width, height = (max(sides) for sides in zip(*(view.image_size for view in views), strict=True))
+    if len(known) > 1 or (known and (width, height) not in known):
+        sizes = {view.image_size: view.name for view in views}
+        listed = ", ".join(f"{w} x {h} px ({name})" for (w, h), name in sorted(sizes.items()))
+        raise BenchError(
+            f"The views have different image sizes: {listed}.",
+            remedy="Calibrate each camera separately, with original images: not rotated, not cropped.",
+        )
+    return [replace(view, image_size=(width, height)) for view in views]
+
+
+def _distinct(views: Sequence[View]) -> list[View]:
+    """Add its number to the name of each view whose name is not unique."""
+    names = [view.name for view in views]
+    return [
+        replace(view, name=f"{view.name} ({number})") if names.count(view.name) > 1 else view
+        for number, view in enumerate(views, 1)
+    ]

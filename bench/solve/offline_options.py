@@ -1,0 +1,404 @@
+"""Options of an offline calibration, parsed from the command line."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Literal, Self, cast, get_args
+
+import numpy as np
+
+from bench.base.errors import BenchError, StorageError, UsageError
+from bench.evidence.seal import read_passport_seal
+from bench.plan.job import Job, calibration_options
+from bench.plan.passports import NO_PASSPORT, PassportInUse, read_passport_file
+from bench.plan.plan import DEFAULT_MODEL
+from bench.solve.solve_options import solve_options
+from bench.stations.station import load_station
+from calib.adjustment.loss import LossName
+from calib.boards.board import Board
+from calib.calibration import REFERENCE_MODELS, ModelName
+from calib.engine import CalibrationOptions
+from calib.errors import CalibrationError, InputMismatch
+from calib.target import StarTarget
+from calib.view import View
+from drivers.camera.raw_writer import require_regular
+from sequences.schema import ImageKind
+from sequences.script import SolveStep
+from sequences.solve_schema import Readings
+
+# Point files: stars detected by another program, as text, one file for each view.
+#
+# Each line is a star: image x, y (px), target X, Y (mm), star id, separated by blanks or commas. The origin
+# of the image coordinates is the corner of the first pixel, as the published star detectors write them,
+# unless `Origin` says centre.
+
+Origin = Literal["corner", "centre"]
+_COLUMNS = 5
+_MOST_STARS = 100_000
+_MOST_BYTES = 20_000_000
+_MOST_ID = 2**53
+_CORNER_PX = 0.5
+_MOST_PX = 100_000.0
+_MOST_MM = 1e6
+_LONGEST_QUOTE = 100
+_SLACK_PX = 1.0  # points with the other origin are shifted by half a pixel: no reason to refuse them
+_SPLIT = re.compile(r"[,;\s]+")
+
+
+def read_point_file(path: Path, *, image_size: tuple[int, int] | None, origin: Origin = "corner") -> View:
+    """Read one view, in OpenCV's pixel convention and with unit covariances, from a point file of five numbers a line.
+
+    ``image_size`` None is the smallest that holds the points; ``origin`` is the corner or centre of the first pixel.
+    """
+    rows = _rows(path)
+    _refuse_outside(rows[:, :2], image_size, path)
+    points = rows[:, :2] - (_CORNER_PX if origin == "corner" else 0.0)
+    width, height = image_size or (int(np.ceil(a)) + 1 for a in points.max(axis=0))
+    try:
+        return View(
+            name=path.stem,
+            image_size=(width, height),
+            ids=rows[:, 4].astype(np.int64),
+            points_px=points,
+            target_mm=rows[:, 2:4].copy(),
+            covariances_px2=np.tile(np.eye(2), (len(rows), 1, 1)),
+        )
+    except InputMismatch as error:
+        raise BenchError(error.what, where=str(path), remedy="Each star may occur once in a view.") from error
+
+
+def _refuse_outside(points: np.ndarray, image_size: tuple[int, int] | None, path: Path) -> None:
+    """Refuse points outside the image: they are from another camera, or width and height are interchanged."""
+    most = np.array(image_size or (_MOST_PX, _MOST_PX))
+    outside = ((points < -_SLACK_PX) | (points > most + _SLACK_PX)).any(axis=1)
+    if not outside.any():
+        return
+    x, y = points[outside][0]
+    image = (
+        f"an image of {image_size[0]} x {image_size[1]} px"
+        if image_size
+        else f"any image: x or y is negative, or above {_MOST_PX:g}"
+    )
+    raise BenchError(
+        f"{int(outside.sum())} of {len(points)} points are outside {image}; one is at ({x:g}, {y:g}).",
+        where=str(path),
+        remedy="Give --image-size as width x height, and points in px.",
+    )
+
+
+def _rows(path: Path) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    try:
+        require_regular(path)
+        with path.open("rb") as file:
+            data = file.read(_MOST_BYTES + 1)
+        if len(data) > _MOST_BYTES:
+            raise BenchError(
+                f"The file has more than {_MOST_BYTES} bytes.",
+                where=str(path),
+                remedy="Point files have lines x y X Y id, one for each star of one view.",
+            )
+        lines = data.decode("utf-8-sig").splitlines()
+    except OSError as error:
+        raise StorageError(f"The file cannot be read: {error.strerror}.", where=str(path)) from error
+    except UnicodeDecodeError as error:
+        raise BenchError(
+            "The file is not UTF-8 text.", where=str(path), remedy="Point files have lines x y X Y id."
+        ) from error
+    rows = [_row(line, f"{path}:{number}") for number, line in enumerate(lines, 1) if _is_data(line)]
+    if not rows:
+        raise BenchError(
+            "The file has no points.", where=str(path), remedy="Point files have lines x y X Y id."
+        )
+    if len(rows) > _MOST_STARS:
+        raise BenchError(
+            f"The file has {len(rows)} points; at most {_MOST_STARS} are allowed.",
+            where=str(path),
+            remedy="Give one file for each view.",
+        )
+    return np.array(rows, np.float64)
+
+
+def _is_data(line: str) -> bool:
+    return bool(line.strip()) and not line.lstrip().startswith("#")
+
+
+def _row(line: str, where: str) -> list[float]:
+    remedy = "Point files have lines x y X Y id: px, px, mm, mm, an integer."
+    fields = _SPLIT.split(line.strip())
+    if len(fields) != _COLUMNS:
+        raise BenchError(
+            f"The line has {len(fields)} columns instead of {_COLUMNS}.", where=where, remedy=remedy
+        )
+    try:
+        numbers = [float(text) for text in fields]
+    except ValueError as error:
+        raise BenchError(
+            f"Not a number: {str(error)[:_LONGEST_QUOTE]}.", where=where, remedy=remedy
+        ) from error
+    if "_" in line:  # Python reads 6_0 as 60
+        raise BenchError("A number has an underscore.", where=where, remedy=remedy)
+    if max(map(abs, numbers[2:4])) > _MOST_MM:
+        raise BenchError(f"A target coordinate is above {_MOST_MM:g} mm.", where=where, remedy=remedy)
+    if not np.isfinite(numbers).all() or numbers[4] != int(numbers[4]) or abs(numbers[4]) > _MOST_ID:
+        raise BenchError("A number is not finite, or the id is not an integer.", where=where, remedy=remedy)
+    return numbers
+
+
+@dataclass(frozen=True)
+class StationFile:
+    """The station file that the command line gave for the target."""
+
+    name: str  # As it was given: a path, or the name of a station that is included
+    path: str
+    sha256: str  # Hash of its bytes
+
+
+@dataclass(frozen=True)
+class OfflineOptions:
+    """Options of an offline calibration. An option that is None is that of the run's last solve step, or a default."""
+
+    # model, distortion, loss, guard_band: Options of the engine, see `CalibrationOptions`; ``distortion`` is
+    # the name of a set.
+    model: ModelName | None = None
+    distortion: str | None = None
+    loss: LossName | None = None
+    guard_band: float | None = None
+    passport: PassportInUse | None = None
+    without_passport: bool = False  # Whether to use no passport, not even that of the run
+    # ``witness``: the readings of the run's gimbal do not enter the adjustment.
+    readings: Readings | None = None
+    image_size: tuple[int, int] | None = None  # Width and height for point files, px
+    view_numbers: tuple[int, ...] | None = None  # Numbers of the views to use, from 1; None for all
+    image: str = "auto"  # Kind of event image for RAW captures
+    origin: Origin = "corner"  # Pixel origin of point files
+    target: StarTarget = field(default_factory=StarTarget)
+    # The board at finite distance that the views show in place of the star target; None for the star target.
+    board: Board | None = None
+    # Cutoff frequency at which pictures of a moving camera are reconstructed from RAW files, Hz; None for
+    # recordings of a camera that stands still before a flickering target.
+    reconstruct_hz: float | None = None
+    # Times of these pictures after the first event, s; None for times spread over the recording.
+    pictures_at_s: tuple[float, ...] | None = None
+    # The station file whose target is ``target``; None for the standard target.
+    station: StationFile | None = None
+
+    @classmethod
+    def from_command_line(
+        cls,
+        *,
+        model: str | None = None,
+        distortion: str | None = None,
+        image_size: str | None = None,
+        views: str | None = None,
+        origin: str = "corner",
+        station: str | None = None,
+        loss: str | None = None,
+        image: str = "auto",
+        passport: str | None = None,
+        guard_band: float | None = None,
+        readings: str | None = None,
+        board: str | None = None,
+        reconstruct_hz: float | None = None,
+        pictures_at: str | None = None,
+    ) -> Self:
+        """Parse the options as the command line writes them; None stands for those of the run, or the defaults.
+
+        ``image_size`` as ``1280x720``, ``views`` as ``1,5,9``, ``origin`` ``corner`` or ``centre``, ``passport`` a file
+        or ``none``, ``readings`` ``auto`` or ``witness``, ``board`` as `calib.boards.board.Board.parse` reads it,
+        ``reconstruct_hz`` in Hz, ``pictures_at`` in s as ``0.5,1,1.5``, ``guard_band`` as in `CalibrationOptions`.
+        """
+        if image not in get_args(ImageKind):
+            raise UsageError(
+                f"Unknown event image {image!r}.", remedy=f"Known are {', '.join(get_args(ImageKind))}."
+            )
+        shown = parse_board(board, model, passport)
+        model = "planar" if shown else model
+        named = passport if passport != NO_PASSPORT else None
+        target, station_file = _target_of_station(station)
+        made = cls(
+            cast("ModelName | None", model),
+            distortion,
+            cast("LossName | None", loss),
+            guard_band,
+            passport_of_file(Path(named)) if named else None,
+            passport == NO_PASSPORT,
+            cast("Readings | None", readings),
+            parse_image_size(image_size),
+            _parse_view_numbers(views),
+            image,
+            "centre" if origin == "centre" else "corner",
+            target,
+            shown,
+            reconstruct_hz,
+            _parse_picture_times(pictures_at, reconstruct_hz, shown),
+            station_file,
+        )
+        try:
+            made.without_run()
+        except CalibrationError as error:
+            raise UsageError(error.what, remedy=error.remedy) from error
+        return made
+
+    def without_run(self, passport: PassportInUse | None = None) -> CalibrationOptions:
+        """Return the engine's options for views that are not from one run; without a model, ``auto``."""
+        none = self.without_passport or self.model in REFERENCE_MODELS
+        used = self.passport or (None if none else passport)
+        return CalibrationOptions(
+            self.model or DEFAULT_MODEL,
+            self.distortion or ("k1", "k2"),
+            self.loss,
+            passport=used.passport if used else None,
+            guard_band=self.guard_band or 1.0,
+        )
+
+    def of_run(
+        self, job: Job, step: SolveStep, measured_deg: Sequence[Mapping[str, float]]
+    ) -> CalibrationOptions:
+        """Return the engine's options for views of one run, with the stage's angles as the journal holds them."""
+        changed = self.step_of_run(step)
+        options = solve_options(job, changed, measured_deg)
+        if self.without_passport or self.passport is not None:
+            passport = self.passport.passport if self.passport else None
+            options = calibration_options(changed, passport, options.gimbal, options.budget)
+        return options if self.distortion is None else replace(options, distortion=self.distortion)
+
+    def step_of_run(self, step: SolveStep) -> SolveStep:
+        """Return the last solve step of a run with the options of the command line."""
+        return replace(
+            step,
+            model=self.model or step.model,
+            loss=self.loss or step.loss,
+            guard_band=self.guard_band or step.guard_band,
+            readings=self.readings or step.readings,
+        )
+
+
+def _target_of_station(name: str | None) -> tuple[StarTarget, StationFile | None]:
+    """Return the target of the station that the command line names, and its file."""
+    if not name:
+        return StarTarget(), None
+    read = load_station(name)
+    path = (read.folder or Path()) / Path(read.file).name
+    station_file = StationFile(name, str(path.absolute()), hashlib.sha256(read.text).hexdigest())
+    return read.value.target.pattern(), station_file
+
+
+def passport_of_file(path: Path, name: str = "") -> PassportInUse:
+    """Read the passport that the command line names, or a copy of it; raise UsageError or StorageError."""
+    passport, data = read_passport_file(path)
+    seal = read_passport_seal(data)
+    return PassportInUse(passport, data, "command line", name or path.name, seal=seal)
+
+
+def parse_board(text: str | None, model: str | None = None, passport: str | None = None) -> Board | None:
+    """Read a board, which needs the planar model and takes no passport."""
+    if text is None:
+        return None
+    if model not in (None, "planar") or passport not in (None, NO_PASSPORT):
+        raise UsageError(
+            "A board at finite distance has no collimator before it.",
+            where="--board",
+            remedy="Leave out --passport and --model; the planar model is used.",
+        )
+    try:
+        return Board.parse(text)
+    except CalibrationError as error:
+        raise UsageError(error.what, where="--board", remedy=error.remedy) from error
+
+
+def _parse_picture_times(
+    text: str | None, reconstruct_hz: float | None, board: Board | None
+) -> tuple[float, ...] | None:
+    """Read the times of reconstructed pictures, and check that the options belong together."""
+    if reconstruct_hz is not None and board is None:
+        raise UsageError(
+            "Pictures of a moving camera are reconstructed for boards only.",
+            where="--reconstruct",
+            remedy="Describe the board: --board checkerboard:11x7:20mm.",
+        )
+    if text is None:
+        return None
+    if reconstruct_hz is None:
+        raise UsageError(
+            "Only pictures that are reconstructed have times.",
+            where="--pictures-at",
+            remedy="Add --reconstruct.",
+        )
+    words = [word.strip() for word in text.split(",")]
+    if not all(re.fullmatch(r"\d{1,6}(\.\d{1,6})?", word) for word in words):
+        raise UsageError(
+            f"{text!r} is not a list of times.", where="--pictures-at", remedy="Write seconds: 0.5,1,1.5."
+        )
+    times = tuple(float(word) for word in words)
+    if any(later <= earlier for earlier, later in pairwise(times)):
+        raise UsageError(
+            "The times do not ascend.", where="--pictures-at", remedy="Write each time once, in order."
+        )
+    return times
+
+
+def parse_image_size(text: str | None, where: str = "--image-size") -> tuple[int, int] | None:
+    """Return width and height, px, of an option WIDTHxHEIGHT; None if it is not given."""
+    if text is None:
+        return None
+    found = re.fullmatch(r"([1-9]\d{0,5})[xX]([1-9]\d{0,5})", text.strip())
+    if found is None:
+        raise UsageError(
+            f"{text!r} is not an image size.",
+            where=where,
+            remedy="Write it as WIDTHxHEIGHT: 1280x720.",
+        )
+    return int(found[1]), int(found[2])
+
+
+def _parse_view_numbers(text: str | None) -> tuple[int, ...] | None:
+    if text is None:
+        return None
+    words = [word.strip() for word in text.split(",")]
+    if not all(re.fullmatch(r"[1-9]\d{0,5}", word) for word in words) or len(set(words)) != len(words):
+        raise UsageError(
+            f"{text!r} is not a list of view numbers.",
+            where="--views",
+            remedy="Write different numbers from 1, for example 1,5,9.",
+        )
+    return tuple(int(word) for word in words)
+
+
+# Options of an offline calibration as sources.json holds them, so that the calibration can be made again.
+#
+# Passport, target and station file are not among them: the folder of the results holds a copy of the
+# passport, and sources.json describes the target and the station file. Reads and writes no files.
+
+_ELSEWHERE = ("passport", "target", "station")
+_BOARD = "board"
+
+
+def options_data(options: OfflineOptions) -> dict[str, Any]:
+    """Return options as JSON holds them; ``passport`` is the name of the file, or None."""
+    plain = {one.name: getattr(options, one.name) for one in fields(options) if one.name not in _ELSEWHERE}
+    return {
+        **plain,
+        _BOARD: None if options.board is None else str(options.board),
+        "passport": None if options.passport is None else options.passport.name,
+    }
+
+
+def options_of_data(
+    data: Mapping[str, Any], passport: PassportInUse | None, target: StarTarget | None
+) -> OfflineOptions:
+    """Return the options that `options_data` wrote; `ValueError` if one is unknown here: a later version wrote it."""
+    known = {one.name for one in fields(OfflineOptions)}
+    if unknown := sorted(set(data) - known):
+        raise ValueError(f"unknown options: {', '.join(unknown)}")
+    given: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value
+        for name, value in data.items()
+        if name not in (*_ELSEWHERE, _BOARD)
+    }
+    board = None if data[_BOARD] is None else Board.parse(data[_BOARD])
+    return OfflineOptions(**given, board=board, passport=passport, target=target or StarTarget())

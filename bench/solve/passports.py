@@ -1,0 +1,104 @@
+"""Passport files: what is known of a collimator from one calibration or certificate, for use in later calibrations.
+
+A passport is one JSON object, `calib.model.passport` with its conditions, and never overwrites a file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from bench.base.errors import UsageError
+from bench.evidence.keys import BenchKey
+from bench.evidence.seal import read_passport_seal, seal_passport
+from bench.plan.passports import passport_bytes, read_passport_file
+from bench.record.run_folder import MANIFEST, is_sealed
+from bench.record.storage import sha256_of, storage_errors, write_atomic
+from calib.engine import Calibration
+from calib.model.passport import Passport
+
+
+def write_passport(path: Path, passport: Passport, key: BenchKey | None = None) -> None:
+    """Write a passport to a new file, sealed if there is a key."""
+    if path.exists():
+        raise UsageError(
+            "A file with this name already exists.", where=str(path), remedy="Choose another name."
+        )
+    data = passport_bytes(passport)
+    write_atomic(path, seal_passport(data, key) if key is not None else data)
+
+
+def seal_file(path: Path, output: Path, key: BenchKey) -> str:
+    """Write a sealed copy of a passport that has no seal, to a new file."""
+    passport, data = read_passport_file(path)
+    if (seal := read_passport_seal(data)) is not None:
+        raise UsageError(f"This passport is sealed already, by {seal.fingerprint}.", where=str(path))
+    write_passport(output, passport, key)
+    return key.fingerprint
+
+
+def seals_of(paths: Sequence[Path]) -> dict[str, str]:
+    """Return the SHA-256 of ``SHA256SUMS`` of the sealed runs among a passport's sources: it is bound to them."""
+    found = {}
+    for path in paths:
+        with storage_errors(path):
+            if path.is_dir() and is_sealed(path):
+                found[path.resolve().name] = sha256_of(path / MANIFEST)
+    return found
+
+
+def passport_from_calibration(
+    calibration: Calibration,
+    *,
+    collimator: str | None,
+    temperature_c: float | None,
+    now: datetime,
+    sources: list[str],
+    seals: Mapping[str, str] | None = None,
+) -> Passport:
+    """Make a passport from a calibration and its conditions; ``seals`` are hashes of sealed sources, by name."""
+    conditions = {
+        "collimator": collimator,
+        "temperature_c": temperature_c,
+        "made_utc": now.isoformat(timespec="seconds"),
+        "sources": sources,
+        "seals": dict(seals) if seals else None,
+        "model": calibration.model,
+    }
+    return calibration.passport(_without_none(conditions))
+
+
+def passport_from_certificate(
+    r_mm: float,
+    sigma_mm: float,
+    *,
+    number: str,
+    issued: str | None,
+    valid_until: str | None = None,
+    collimator: str | None,
+    temperature_c: float | None,
+    now: datetime,
+) -> Passport:
+    """Make a passport from a collimator's certificate; ``sigma_mm`` is the expanded uncertainty over its k.
+
+    ``valid_until`` is the last day of its validity, year-month-day, if known.
+    """
+    if not (0 < r_mm < float("inf") and 0 < sigma_mm < float("inf")):
+        raise UsageError(
+            "The focal length and its uncertainty must be positive and finite.", where="--radius, --sigma"
+        )
+    conditions = {
+        "certificate": number,
+        "issued": issued,
+        "valid_until": valid_until,
+        "collimator": collimator,
+        "temperature_c": temperature_c,
+        "made_utc": now.isoformat(timespec="seconds"),
+    }
+    return Passport.of_radius(r_mm, sigma_mm, _without_none(conditions))
+
+
+def _without_none(conditions: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in conditions.items() if value is not None}

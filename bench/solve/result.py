@@ -1,0 +1,262 @@
+"""From accepted recordings to results.json, images, exports and report: from the run folder alone, without a device.
+
+The truth of a simulated world is used only at the end, for a comparison, after all estimates are made.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from bench.base.bounded_json import canonical_json
+from bench.base.errors import BenchError
+from bench.evidence.seal import read_manifest
+from bench.measure.camera_kinds import EventKind, FrameKind
+from bench.measure.measure import Measurement
+from bench.measure.views_file import VIEWS, KeptViews, StoredView, view_key, views_file
+from bench.plan.job import Job
+from bench.record.events import Solved
+from bench.record.history import History, RunLog
+from bench.record.ledger import Ledger, bench_ledger
+from bench.record.ledger_marks import LedgerRun
+from bench.record.results import CameraData, ChangeData, PreviousData, Results
+from bench.record.run_facts import coverage_factor
+from bench.record.run_folder import EXPORTS, MANIFEST, REPORT, RESULTS, RunFolder
+from bench.record.stored_calibration import camera_covariance
+from bench.record.stored_run import object_of
+from bench.report.html import ReportData, render_report
+from bench.report.pictured_poses import pictured_poses
+from bench.report.pose_plot import change_maps
+from bench.solve.exports import exports
+from bench.solve.results_content import results_content, run_software
+from bench.solve.solution import Solution, main_numbers, solve_run
+from bench.solve.view_sources import decided_by_run
+from calib.boards.board import Board
+from calib.calibration import Calibration
+from calib.model.lens import is_fisheye
+from calib.target import StarTarget
+from sequences.script import SolveStep
+
+
+def keep_views_of_run(job: Job, history: History, measured: Mapping[int, Measurement]) -> int:
+    """Keep the views of a run's accepted recordings, unless it is a rehearsal."""
+    if type(job.camera_kind) not in {EventKind, FrameKind}:
+        return 0
+    kept, count = KeptViews.of_bench(), 0
+    for index, attempt in history.accepted().items():
+        found = measured.get(index)
+        if found is None or found.view is None:
+            continue
+        options = decided_by_run(job, job.record_step(index), attempt)
+        kept.write(view_key(str(attempt.stored["sha256"]), options), found.view)
+        count += 1
+    return count if not kept.remarks else 0
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """Result of a run."""
+
+    results: Results
+    report: Path
+    # Hash of the journal's last line when the results were made; the report prints it.
+    journal_head: str = ""
+
+
+class ResultWriter:
+    """Calculates and writes the results of one run."""
+
+    def __init__(self, job: Job, folder: RunFolder) -> None:
+        self.outcome: Outcome | None = None
+        self._job = job
+        self._folder = folder
+        self._solution: Solution | None = None
+
+    def solve(
+        self,
+        step: SolveStep,
+        history: History,
+        measured: MutableMapping[int, Measurement],
+        check: Callable[[], None],
+    ) -> Solved:
+        """Calibrate from the accepted recordings; ``check`` is called between pieces of work, and raises to stop."""
+        keep_views_of_run(self._job, history, measured)
+        self._solution = solve_run(self._job, self._folder.path, step, history, measured, check)
+        return main_numbers(self._solution.calibration)
+
+    def write(self, log: RunLog, truth: Mapping[str, Any] | None) -> None:
+        """Write results.json, views.h5, exports and the report; a real bench has no ``truth``."""
+        if self._solution is None:
+            raise BenchError(
+                "There is nothing to report: no solve step came before the report step.",
+                remedy="Add a solve step to the sequence.",
+            )
+        solution = self._solution
+        with log.held() as history:
+            head, results = (
+                log.journal.head,
+                results_content(self._job, history, solution, truth, run_software(self._job.station)),
+            )
+            ledger = history.ledger
+        if previous := previous_calibration(bench_ledger(), ledger, results):
+            results["previous"] = previous
+        self._folder.write_atomic(RESULTS, canonical_json(results))
+        self._folder.write_atomic(VIEWS, views_file(solution.views))
+        shown = shown_files(
+            results, solution.calibration, self._job.camera_name, self._job.target, solution.views, head
+        )
+        for name, data in shown.items():
+            self._folder.write_atomic(name, data)
+        self.outcome = Outcome(results, self._folder.path / REPORT, head)
+
+
+def shown_files(
+    results: Results,
+    calibration: Calibration,
+    camera_name: str,
+    target: StarTarget | Board | None,
+    views: Sequence[StoredView],
+    head: str = "",
+) -> dict[str, bytes]:
+    """Return the exports and, last, the report by name; ``head``, empty without a journal, is printed in it.
+
+    Only the images that the report shows are decoded.
+    """
+    written = exports(calibration, camera_name=camera_name, target=target)
+    files = {f"{EXPORTS}/{name}": data for name, data in written.items()}
+    pictured = pictured_poses(results).names
+    pictures = [one.shown(pictured=one.view.name in pictured) for one in views]
+    return {**files, REPORT: render_report(ReportData(results, pictures, head)).encode()}
+
+
+class _NotComparableError(Exception):
+    """Why an earlier calibration cannot be compared, as the end of a sentence."""
+
+
+_MOST_READ = 20
+"""Runs whose results are read before the search is given up."""
+_LARGEST_BYTES = 100_000_000
+FIRST = "This is the first calibration of this camera on this bench."
+
+
+def previous_calibration(
+    ledger: Ledger, place: Mapping[str, object], results: Results
+) -> PreviousData | None:
+    """Return the camera's last calibration before this run in the ledger, and the change since, for ``previous``."""
+    if not place:
+        return None
+    try:
+        runs = ledger.runs()
+    except BenchError as error:
+        return {"run": None, "why_not": f"The ledger of this bench cannot be read: {error.what}"}
+    own = next((run for run in runs if run.number == place.get("number")), None)
+    if own is None:
+        return None
+    earlier = [
+        run
+        for run in runs[: own.number - 1]
+        if (run.camera, run.simulated) == (own.camera, own.simulated) and run.how == "finished" and run.seal
+    ]
+    if not earlier:
+        return {"run": None, "why_not": FIRST}
+    why = ""
+    for run in list(reversed(earlier))[:_MOST_READ]:
+        try:
+            return _compared(run, *_read(Path(run.folder), run.seal or ""), results)
+        except _NotComparableError as error:
+            why = why or f"The last calibration of this camera, {run.run_id}, cannot be compared: {error}"
+    return {"run": None, "why_not": why}
+
+
+def _read(folder: Path, seal: str) -> tuple[Results, str]:
+    """Read sealed results, with the hash of their file; ledger, seal and file must agree."""
+    try:
+        manifest = (folder / MANIFEST).read_bytes()
+        if _sha256(manifest) != seal:
+            raise _NotComparableError("its folder has another seal than the ledger.")
+        listed = read_manifest(manifest).get(RESULTS)
+        if listed is None:
+            raise _NotComparableError("it has no result.")
+        data = b"" if (folder / RESULTS).stat().st_size > _LARGEST_BYTES else (folder / RESULTS).read_bytes()
+        if _sha256(data) != listed:
+            raise _NotComparableError("its results were changed after sealing.")
+        return object_of(data, folder / RESULTS), listed
+    except OSError as error:
+        raise _NotComparableError("its folder cannot be read.") from error
+    except (BenchError, ValueError) as error:
+        raise _NotComparableError("its results are not readable.") from error
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def _refuse_other_camera(found: Results, results: Results) -> None:
+    """Refuse a result whose images, lens or lens model are others."""
+    then, now = found["calibration"], results["calibration"]
+    if not then["converged"]:
+        raise _NotComparableError("it did not converge.")
+    if list(then["image_size"]) != list(now["image_size"]):
+        raise _NotComparableError("its images had another size.")
+    if is_fisheye(then["camera"]) != is_fisheye(now["camera"]):
+        raise _NotComparableError("it used another kind of lens model.")
+    lens, own = ((one.get("devices") or {}).get("camera", {}).get("lens") for one in (found, results))
+    if lens != own:
+        raise _NotComparableError(f"the camera had another lens: {lens or 'not stated'}.")
+
+
+def _compared(run: LedgerRun, found: Results, sha256: str, results: Results) -> PreviousData:
+    """Return the earlier calibration with the change of the projection, in px and in units of its uncertainty."""
+    try:
+        _refuse_other_camera(found, results)
+        covariance = camera_covariance(found["calibration"])
+    except (KeyError, TypeError, AttributeError) as error:
+        raise _NotComparableError("its results are not readable.") from error
+    if covariance is None:
+        raise _NotComparableError("its uncertainties are not complete.")
+    then, run_of, conditions = found["calibration"], found["run"], found.get("conditions")
+    earlier: CameraData = {
+        "image_size": list(then["image_size"]),
+        "model": then["model"],
+        "camera": dict(then["camera"]),
+        "sigma": {name: then["sigma"][name] for name in then["camera"]},
+        "covariance": {"names": list(then["camera"]), "matrix": covariance.tolist()},
+        "coverage_factor": coverage_factor(then),
+        "coverage_factors": then.get("coverage_factors", {}),
+    }
+    return {
+        "run": run.run_id,
+        "number": run.number,
+        "finished_utc": run_of.get("finished_utc"),
+        "sequence": run_of.get("sequence"),
+        "temperature_c": conditions["camera"].get("temperature_c") if conditions else None,
+        "seal": run.seal or "",
+        "results_sha256": sha256,
+        "calibration": earlier,
+        "change": change_since(earlier, results["calibration"]),
+    }
+
+
+def change_since(then: CameraData, now: CameraData) -> ChangeData | None:
+    """Return ``change`` of results.json, the projection's over the sensor; None without a covariance."""
+    maps = change_maps(then, now)
+    if maps is None:
+        return None
+    offset, expanded = (values.ravel() for values in maps[1:])
+    seen = np.isfinite(offset) & np.isfinite(expanded) & (expanded > 0)
+    if not seen.any():
+        return None
+    ratio = offset[seen] / expanded[seen]
+    worst = int(np.argmax(ratio))
+    return {
+        "rms_px": float(np.sqrt(np.mean(offset[seen] ** 2))),
+        "largest_px": float(offset[seen].max()),
+        "largest_ratio": float(ratio[worst]),
+        "px_there": float(offset[seen][worst]),
+        "at_px": maps[0].reshape(-1, 2)[seen][worst].tolist(),
+    }

@@ -1,0 +1,358 @@
+"""The content of results.json of a run: what its journal and its documents state, and what was calculated.
+
+`journal_content` holds everything that follows from journal, sequence and station alone, without a calculation.
+"""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, Final, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench import __version__
+from bench.base.home import differing_software, forms
+from bench.measure.camera_kinds import CameraKind
+from bench.plan.job import Job
+from bench.plan.passports import PassportInUse
+from bench.record.events import AttemptData, GateData, RunStarted
+from bench.record.history import Attempt, History
+from bench.record.results import (
+    Conditions,
+    GimbalReadingsData,
+    PoseData,
+    ProjectionData,
+    Results,
+    SupportedPart,
+)
+from bench.record.run_facts import conformity
+from bench.report.maps import reach_px, star_distance
+from bench.solve.solution import Solution, compare_with_truth
+from bench.stations.plugin_sections import GROUPS, Plugin, plugins
+from bench.stations.station import Station
+from calib.calibration import ENGINES, Calibration, ViewSummary
+from calib.model.camera import CameraModel
+from calib.model.result_parts import WORST_CORNER
+from calib.uncertainty.projection_uncertainty import URAD_PER_ARCSEC, ProjectionMap, projection_uncertainty
+from calib.view import View
+
+Array = NDArray[np.float64]
+
+_CORNERS = {
+    "top left": (0, 0),
+    "top right": (0, -1),
+    "bottom left": (-1, 0),
+    "bottom right": (-1, -1),
+}
+
+
+def projection_facts(
+    camera: CameraModel, covariance: Array, k: float, points: Sequence[Array]
+) -> ProjectionData | None:
+    """Return ``projection`` of results.json: the expanded uncertainty of a direction, and the part stars support.
+
+    By the camera's covariance, (K, K), along the worse direction; U = k u (JCGM 100:2008, 6.2.1); ``points`` (N, 2) px
+    a view. None if no corner has an uncertainty.
+    """
+    found, size = projection_uncertainty(camera, covariance), camera.image_size
+    corners = {name: float(found.sigma_px[at]) for name, at in _CORNERS.items()}
+    known = {name: sigma for name, sigma in corners.items() if np.isfinite(sigma)}
+    if not known:
+        return None
+    worst = max(known, key=lambda name: known[name])
+    middle_px, middle_arcsec = np.nanmedian(found.sigma_px), np.nanmedian(found.sigma_arcsec)
+    return {
+        "coverage_factor": k,
+        "worst_corner": {
+            "corner": worst,
+            "expanded_px": k * known[worst],
+            "expanded_urad": k * URAD_PER_ARCSEC * float(found.sigma_arcsec[_CORNERS[worst]]),
+        },
+        "median": {
+            "expanded_px": k * float(middle_px),
+            "expanded_urad": k * URAD_PER_ARCSEC * float(middle_arcsec),
+        },
+        "supported": _supported(found, np.concatenate(points), size, k) if points else None,
+    }
+
+
+def _supported(found: ProjectionMap, points: Array, size: tuple[int, int], k: float) -> SupportedPart:
+    """Return how much of the sensor the stars support, and the largest uncertainty there."""
+    distance, reach = star_distance(points, size), reach_px(size)
+    grid = np.rint(found.grid_px).astype(int)
+    near = (distance[grid[..., 1], grid[..., 0]] <= reach) & np.isfinite(found.sigma_px)
+    inside = [
+        float(np.max(values[near])) if near.any() else None for values in (found.sigma_px, found.sigma_arcsec)
+    ]
+    return {
+        "reach_px": reach,
+        "share": float(np.mean(distance <= reach)),
+        "expanded_px": None if inside[0] is None else k * inside[0],
+        "expanded_urad": None if inside[1] is None else k * URAD_PER_ARCSEC * inside[1],
+    }
+
+
+SCHEMA = "starbench/results/1"
+
+
+def results_content(
+    job: Job,
+    history: History,
+    solution: Solution,
+    truth: Mapping[str, Any] | None,
+    software_used: Mapping[str, str],
+) -> Results:
+    """Return the content of results.json of a run, without the comparison with an earlier run."""
+    calibration = solution.calibration
+    of_journal = journal_content(job, history, calibration.views)
+    views = [one.view for one in solution.views]
+    numbers = calculated(calibration, solution.planar, solution.passport, solution.readings, views)
+    judged = [gate.as_data() for gate in solution.judged]
+    gates = [*judged, *of_journal.pop("gates")]
+    failed = [gate["name"] for gate in gates if gate["verdict"] == "fail"]
+    # PASS or FAIL by the limits of the station and the sequence, and by a check, as far as there are any.
+    judged_limits = conformity(numbers["calibration"], job.limits, failed, checks="check" in solution.checks)
+    found = {
+        "schema": SCHEMA,
+        "run": {**of_journal.pop("run"), "software": dict(software_used)},
+        "devices": of_journal.pop("devices"),
+        "conditions": of_journal.pop("conditions"),
+        **numbers,
+        **solution.checks,
+        "poses": of_journal.pop("poses"),
+        "gates": gates,
+        **({"conformity": judged_limits} if judged_limits is not None else {}),
+        **of_journal,
+        "truth": dict(truth) if truth is not None else None,
+        "comparison": compare_with_truth(calibration, truth) if truth is not None else [],
+    }
+    return cast("Results", found)
+
+
+def calculated(
+    calibration: Calibration,
+    planar: Calibration | None,
+    passport: PassportInUse | None,
+    readings: GimbalReadingsData | None,
+    views: Sequence[View],
+) -> dict[str, Any]:
+    """Return the part of results.json that was calculated, of a run or from files."""
+    return {
+        "calibration": calibration.to_dict(),
+        "projection": projection(calibration, views),
+        "planar": planar.to_dict() if planar else None,
+        "passport": passport.to_dict() if passport else None,
+        "gimbal_readings": readings,
+    }
+
+
+def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) -> dict[str, Any]:
+    """Return the part of results.json that follows from journal, sequence and station alone."""
+    started, kind = history.started, job.camera_kind
+    return {
+        "run": {
+            "id": started["id"],
+            "sequence": started["sequence"],
+            "station": started["station"],
+            "started_utc": history.started_utc,
+            "finished_utc": history.states[-1]["utc"],
+            "seed": started["seed"],
+            "operator": started["operator"],
+            "laboratory": job.station.laboratory,
+            "collimator": collimator_data(job),
+            **({"target": stated} if (stated := target_data(job)) else {}),
+            "simulated": job.simulated,
+            "camera": kind.name,
+            "resumed": history.resumed,
+            **({"plugins": dict(started["plugins"])} if started.get("plugins") else {}),
+            **({"ledger": dict(history.ledger)} if history.ledger else {}),
+        },
+        "devices": dict(history.devices),
+        "conditions": _conditions(history, kind),
+        "poses": _poses(history, views, kind),
+        "gates": _pose_gates(history),
+        **({"untils": list(history.decisions)} if history.decisions else {}),
+        "deviations": list(history.deviations),
+        "holds": list(history.holds),
+        **({"failures": list(history.failures)} if history.failures else {}),
+        **({"devices_left": [dict(end) for end in history.devices_left]} if history.devices_left else {}),
+        "states": list(history.states),
+    }
+
+
+def projection(calibration: Calibration, views: Sequence[View]) -> ProjectionData | None:
+    """Return ``projection`` of results.json; None if no corner of the sensor has an uncertainty."""
+    camera = calibration.camera
+    k = calibration.coverage_factors.get(WORST_CORNER, calibration.coverage_factor)
+    return projection_facts(camera, calibration.camera_covariance, k, [view.points_px for view in views])
+
+
+def collimator_data(job: Job) -> dict[str, Any] | None:
+    """Return what the station of a run states about its collimator, as results.json holds it."""
+    return job.station.collimator.model_dump(mode="json", exclude_none=True) or None
+
+
+def target_data(job: Job) -> dict[str, str]:
+    """Return ``serial`` and ``description`` of the target as far as the station states them."""
+    target = job.station.target
+    stated = {"serial": target.serial, "description": target.description}
+    return {name: text for name, text in stated.items() if text}
+
+
+def software() -> dict[str, str]:
+    """Return versions by name of the software that makes a result and its report, and `bench.base.home`."""
+    parts = {"starbench": __version__, "python": platform.python_version()}
+    for name in ("numpy", "scipy", "opencv-python-headless", "numba", "h5py"):
+        parts[name] = version(name)
+    return parts | forms()
+
+
+def other_software(used: Mapping[str, str], names: Sequence[str] | None = None) -> str:
+    """Return which software, by results.json or the journal, differs here: ``numpy 2.1 (here 2.2)``, with commas."""
+    here = software()
+    return differing_software(used, {name: here[name] for name in names or here})
+
+
+def other_engine(results: Results) -> str:
+    """Return that results were made by another engine than those of this version; empty if they were not."""
+    made = results["calibration"].get("engine", {"name": "an earlier one", "version": 0})
+    if ENGINES.get(made["name"]) == made["version"]:
+        return ""
+    here = " and ".join(f"{name} {number}" for name, number in ENGINES.items())
+    told = f"{made['name']} {made['version']}" if made["version"] else made["name"]
+    return (
+        f"made by another calibration engine ({told}; this version has {here}), so no number can be compared"
+    )
+
+
+def _conditions(history: History, kind: CameraKind) -> Conditions:
+    """Return the settings of light and camera, as read back at the last accepted recording."""
+    stored = [a.stored for _, a in sorted(history.accepted().items())]
+    light = stored[-1]["light"]
+    if light.get("waveform") == "steady":  # the settings of a flicker do not apply
+        light = {"waveform": light["waveform"], "high_v": light["high_v"]}
+    return {"light": light, "camera": kind.conditions([s["facts"] for s in stored])}
+
+
+def _poses(history: History, views: Sequence[ViewSummary], kind: CameraKind) -> list[PoseData]:
+    summaries = {view.name: view for view in views}
+    poses: list[PoseData] = []
+    for index in sorted({a.pose_index for a in history.attempts}):
+        attempts = history.attempts_at(index)
+        best = history.accepted().get(index)
+        shown = best or attempts[-1]
+        measured = shown.measured
+        summary = summaries.get(shown.pose_name) if best else None
+        poses.append(
+            {
+                "index": index,
+                "name": shown.pose_name,
+                "commanded_deg": shown.stored["commanded_deg"],
+                "measured_deg": shown.stored["measured_deg"],
+                "measured_after_deg": shown.stored["measured_after_deg"],
+                "attempts": [_attempt(a, kind) for a in attempts],
+                "image": measured.get("image"),
+                "flicker_hz": measured.get("flicker_hz"),
+                "named_by": measured.get("named_by"),
+                "stars": summary.n if summary else 0,
+                "rms_px": summary.rms_px if summary else None,
+                "mean_px": summary.mean_px if summary else None,
+            }
+        )
+    return poses
+
+
+def _attempt(attempt: Attempt, kind: CameraKind) -> AttemptData:
+    stored = attempt.stored
+    return {
+        "attempt": attempt.attempt,
+        "capture": stored["capture"],
+        "sha256": stored["sha256"],
+        "accepted": attempt.accepted,
+        "reasons": list(attempt.reasons),
+        **kind.counts(stored["facts"]),
+    }
+
+
+def _pose_gates(history: History) -> list[GateData]:
+    """Return the gates of the accepted recordings, each named with its pose."""
+    return [
+        {**gate, "name": f"pose {index}: {gate['name']}", "gate": gate["name"], "pose": index}
+        for index, attempt in sorted(history.accepted().items())
+        for gate in attempt.gates
+    ]
+
+
+# A verification may run on a computer without plug-ins and the libraries of drivers. So `other_software` does
+# not compare them, and a run that cannot be read without a plug-in is told as not compared.
+
+_LIBRARIES: Final = {"neuromorphic_evk4": "neuromorphic-drivers"}
+"""Package that a built-in driver needs, by the name of the driver."""
+_READERS: Final = {
+    ".aedat4": "aedat",
+    ".bag": "rosbags",
+    ".db3": "rosbags",
+    ".mcap": "rosbags",
+}
+"""Package that reads recordings of others, by the ending of the file."""
+_NOT_STATED: Final = "not stated"
+
+
+def run_software(station: Station) -> dict[str, str]:
+    """Return `software`, and versions of plug-ins and optional libraries that the station uses."""
+    brought = {plugin.distribution: plugin.version for plugin in used_plugins(station)}
+    library = _LIBRARIES.get(getattr(station.camera, "driver", ""))
+    own = software()  # whose entries no package replaces
+    return own | brought | _versions([library] if library is not None else []) | own
+
+
+def files_software(endings: Iterable[str]) -> dict[str, str]:
+    """Return `software`, and the version of each optional library that reads files with such endings."""
+    readers = {_READERS[ending.lower()] for ending in endings if ending.lower() in _READERS}
+    return software() | _versions(readers)
+
+
+def plugins_of_run(station: Station) -> dict[str, dict[str, list[str]]]:
+    """Return ``plugins`` of a station as ``run_started`` states them, ``["stage turntable"]`` a package; or nothing."""
+    found: dict[str, list[str]] = {}
+    for plugin in used_plugins(station):
+        found.setdefault(plugin.distribution, []).append(f"{plugin.kind} {plugin.name}")
+    return {"plugins": found} if found else {}
+
+
+def plugins_stated(started: RunStarted) -> dict[str, str]:
+    """Return the plug-ins that a run used, by its journal: ``{"starbench-turntable 1.0": "stage turntable"}``."""
+    versions = started.get("software") or {}
+    return {
+        f"{name} {versions.get(name, _NOT_STATED)}": ", ".join(drivers)
+        for name, drivers in (started.get("plugins") or {}).items()
+    }
+
+
+def plugins_missing(started: RunStarted) -> list[str]:
+    """Return the plug-ins of a run that this computer does not have, or not in the version of the run."""
+    here = {plugin.package for kind in GROUPS for plugin in plugins(kind) if not plugin.trouble}
+    return [package for package in plugins_stated(started) if package not in here]
+
+
+def used_plugins(station: Station) -> Iterator[Plugin]:
+    """List the plug-ins that the sections of a station name."""
+    for kind in GROUPS:
+        section = type(getattr(station, kind))
+        for plugin in plugins(kind):
+            if plugin.section is section and plugin.distribution:
+                yield plugin
+
+
+def _versions(packages: Iterable[str]) -> dict[str, str]:
+    """Return the versions of packages; one that is missing has taken no part."""
+    found = {}
+    for name in sorted(packages):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found

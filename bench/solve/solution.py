@@ -1,0 +1,265 @@
+"""The solution of a run: the calibration from its accepted recordings, how it was judged, and the checks of it.
+
+It follows from the run folder alone; a run, and a verification that calculates it again, use the same function.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from datetime import datetime
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from bench.base.errors import BenchError
+from bench.measure.gates import Gate, at_most, solution_gates
+from bench.measure.measure import Measurement, aligned_poses
+from bench.measure.views_file import StoredView
+from bench.plan.camera_files import CameraFile
+from bench.plan.job import Job
+from bench.plan.passports import PassportInUse
+from bench.record.events import Solved
+from bench.record.history import Attempt, History
+from bench.record.results import CheckData, ComparisonRow, GimbalReadingsData
+from bench.solve.checks import gimbal_check, mount_faces, parallax_check, split_half_check
+from bench.solve.solve_options import limited_numbers, readings_result, require_enough_views, solve_options
+from bench.wording.target_words import STARS, TargetWords
+from calib.engine import Calibration, CalibrationOptions, calibrate
+from calib.errors import CalibrationError
+from calib.studies.camera_check import CameraCheck, check_camera
+from calib.view import View
+from sequences.script import SolveStep
+
+
+@contextmanager
+def errors_in(words: TargetWords) -> Iterator[None]:
+    """Raise the engine's errors in the words of the target, of the same class and with the same place."""
+    try:
+        yield
+    except CalibrationError as error:
+        if not words.is_board:
+            raise
+        said = type(error)(words.fitting(error.what), where=error.where, remedy=words.fitting(error.remedy))
+        raise said from error
+
+
+CHECK_SEED = 20_260_101
+"""Of the drawn changes of a check: the same files give the same numbers."""
+_COMPARED = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "x", "y", "r")
+_MOVE_THE_CENTRE = ("defocus", "coma", "astigmatism", "field_curvature")
+"""Errors of a collimator that displace the apparent centre across the beam, as its place depends on the pupil's."""
+
+
+def calibrated(
+    views: Sequence[View],
+    options: CalibrationOptions,
+    words: TargetWords,
+    notes: Sequence[str],
+    check: Callable[[], None] = lambda: None,
+) -> tuple[Calibration, Calibration | None]:
+    """Calibrate, with further notes and in the words of the target; then, if that is another model, as planar."""
+    require_enough_views(views, options, board=words.is_board)
+    with errors_in(words):
+        found = calibrate(views, options)
+    check()
+    fitting = tuple(map(words.fitting, (*found.notes, *notes)))
+    found = replace(found, notes=fitting, remarks=tuple(map(words.fitting, found.remarks)))
+    return found, planar_calibration(views, options) if found.model != "planar" else None
+
+
+def planar_calibration(views: Sequence[View], options: CalibrationOptions) -> Calibration | None:
+    """Calibrate with the planar model of Zhang (2000) on the same points; None if they do not determine it."""
+    try:
+        return calibrate(
+            views, CalibrationOptions("planar", options.distortion, options.loss, options.huber_px)
+        )
+    except CalibrationError:
+        return None
+
+
+def compare_with_truth(calibration: Calibration, truth: Mapping[str, Any]) -> list[ComparisonRow]:
+    """Compare each value with the simulated truth: ``name value sigma truth error error_sigmas``, in its own unit.
+
+    A collimator with errors displaces the apparent centre: then x and y, which the truth holds of the ideal one, are
+    left out.
+    """
+    true = {**truth["camera"], **truth["collimator"]}
+    if any(true.get(name) for name in _MOVE_THE_CENTRE):
+        true = {name: value for name, value in true.items() if name not in ("x", "y")}
+    values, sigmas = calibration.values, calibration.sigma
+    return [
+        {
+            "name": name,
+            "value": values[name],
+            "sigma": sigmas[name],
+            "truth": true[name],
+            "error": values[name] - true[name],
+            "error_sigmas": (values[name] - true[name]) / sigmas[name],
+        }
+        for name in _COMPARED
+        if name in values and name in true
+    ]
+
+
+def measure_again(job: Job, folder: Path, attempt: Attempt) -> Measurement:
+    """Find the stars of an accepted recording again, with the grid that was expected when it was recorded."""
+    found = job.measure_again(folder, attempt)
+    if found.view is None:
+        raise BenchError(
+            f"{attempt.stored['capture']} was accepted, but now no stars are found in it: {found.fault}",
+            where=str(folder),
+            remedy="Another version of the program recorded it. Use that version, or `starbench calibrate`.",
+        )
+    return found
+
+
+def accepted_measurements(
+    job: Job,
+    folder: Path,
+    history: History,
+    measured: MutableMapping[int, Measurement],
+    check: Callable[[], None] = lambda: None,
+) -> tuple[list[Measurement], list[Mapping[str, float]]]:
+    """Return the measurements of the accepted recordings by pose, and the readings of the stage there.
+
+    A recording that ``measured`` lacks is measured again; ``check``, called between them, raises to stop.
+    """
+    accepted = sorted(history.accepted().items())
+    for index, attempt in accepted:
+        check()
+        if index not in measured:
+            measured[index] = measure_again(job, folder, attempt)
+    readings = [attempt.stored["measured_deg"] for _, attempt in accepted]
+    return [measured[index] for index, _ in accepted], readings
+
+
+def views_in(measurements: Iterable[Measurement]) -> list[View]:
+    """Return the views of measurements."""
+    return [one.view for one in measurements if one.view is not None]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """A calibration, the data that it was made of, and how it was judged."""
+
+    calibration: Calibration
+    # Calibration by the planar model on the same points; None if that is the calibration's own model.
+    planar: Calibration | None
+    views: Sequence[StoredView]
+    judged: Sequence[Gate]
+    # `halves`, `gimbal`, `parallax` and `mount_faces` of the results, as far as they can be calculated.
+    checks: Mapping[str, Any]
+    # Whether the readings of the gimbal entered, with what statement, or why not.
+    readings: GimbalReadingsData
+    passport: PassportInUse | None = None  # The collimator's passport that the calibration used, if any
+
+
+def solve_run(
+    job: Job,
+    folder: Path,
+    step: SolveStep,
+    history: History,
+    measured: MutableMapping[int, Measurement],
+    check: Callable[[], None] = lambda: None,
+) -> Solution:
+    """Calibrate from a run's accepted recordings; ``check``, called between pieces of work, raises to stop."""
+    measurements, readings = accepted_measurements(job, folder, history, measured, check)
+    views = views_in(measurements)
+    options = solve_options(job, step, readings)
+    notes = _notes(job, step, history, measurements)
+    calibration, planar = calibrated(views, options, STARS, notes, check)
+    checks: dict[str, Any] = {
+        "halves": split_half_check(views, options),
+        "gimbal": gimbal_check(calibration, readings, job.station.gimbal),
+        "parallax": parallax_check(calibration, views, job.station, str(history.started["sequence"])),
+        "mount_faces": mount_faces(calibration, job.station),
+    }
+    compared = stated_camera_check(job, step, calibration)
+    checks["check"] = compared
+    check()
+    return Solution(
+        calibration,
+        planar,
+        _stored_views(measurements, calibration),
+        [*solution_gates(step.limits, limited_numbers(calibration)), *check_gates(compared)],
+        {name: found for name, found in checks.items() if found is not None},
+        readings_result(
+            calibration,
+            options,
+            witness=step.readings == "witness",
+            stated=job.station.gimbal is not None,
+        ),
+        job.plan.passport.in_use if options.passport is not None else None,
+    )
+
+
+def stated_camera_check(job: Job, step: SolveStep, calibration: Calibration) -> CheckData | None:
+    """Compare the calibration with the stated one of a step ``check``: ``check`` of results.json."""
+    stated = job.plan.checked.in_use
+    if stated is None or step.checked is None:
+        return None
+    found = compared_with(stated.file, calibration)
+    return cast("CheckData", {**found.to_dict(), "stated": stated.to_dict()})
+
+
+def compared_with(stated: CameraFile, found: Calibration) -> CameraCheck:
+    """Compare a calibration with the camera that a file states."""
+    rng = np.random.default_rng(CHECK_SEED)
+    return check_camera(stated.camera, stated.covariance, found.camera, found.camera_covariance, rng)
+
+
+def check_gates(check: CheckData | None) -> list[Gate]:
+    """Return the gate of a check: its largest E_n is at most 1."""
+    if check is None:
+        return []
+    largest = max(one["normalised"] for one in check["regions"])
+    return [at_most("largest E_n of the check", largest, 1.0, "")]
+
+
+def main_numbers(calibration: Calibration) -> Solved:
+    """Return the numbers of a calibration that the journal holds."""
+    return {
+        "model": calibration.model,
+        "converged": calibration.converged,
+        "rms_px": calibration.rms_px,
+        "values": dict(calibration.values),
+        "sigma": dict(calibration.sigma),
+        "coverage_factor": calibration.coverage_factor,
+        "coverage_factors": dict(calibration.coverage_factors),
+        "shared": shared_parts(calibration),
+    }
+
+
+def shared_parts(calibration: Calibration) -> dict[str, float]:
+    """Return each parameter's standard uncertainty that all runs on this bench share: all but type A of these views."""
+    own = {row.name for row in calibration.budget_rows if row.type == "A"}
+    parts = [part for source, part in calibration.budget.items() if source not in own]
+    return {name: math.hypot(*(part.get(name, 0.0) for part in parts)) for name in calibration.sigma}
+
+
+def _notes(job: Job, step: SolveStep, history: History, measurements: Sequence[Measurement]) -> list[str]:
+    """Return what a reader must know besides the engine's notes: about the recordings and about the passport."""
+    notes = []
+    if aligned := aligned_poses(m.facts for m in measurements):
+        notes.append(
+            f"In {aligned} of {len(measurements)} recordings the stars' edges run along the pixels' rows or diagonals, "
+            "and neighbouring stars err alike: the uncertainties may be up to 1.6 times too small. Roll the camera by "
+            "about 10 degrees against the target."
+        )
+    in_use = job.plan.passport.in_use
+    if in_use is not None and job.plan.passport_for(step) is not None:
+        day = datetime.fromisoformat(history.started_utc).date()
+        notes += in_use.cautions(job.station.collimator, day)
+    return notes
+
+
+def _stored_views(measurements: Sequence[Measurement], calibration: Calibration) -> list[StoredView]:
+    return [
+        StoredView(m.view, residuals, m.image.decoded if m.image is not None else None)
+        for m, residuals in zip(measurements, calibration.residuals_px, strict=True)
+        if m.view is not None
+    ]

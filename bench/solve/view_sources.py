@@ -1,0 +1,381 @@
+"""Sources of views, known by content or extension: run folders, RAW, photographs, point files. Writes none."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, cast
+
+from numpy.typing import NDArray
+
+from bench.base.errors import BenchError, StorageError, UsageError
+from bench.measure.expected_grid import grid_from_journal
+from bench.plan.job import Job
+from bench.record.events import RunStarted
+from bench.record.history import Attempt
+from bench.record.run_folder import JOURNAL
+from bench.record.stored_run import StoredRun
+from bench.solve.offline_options import OfflineOptions, read_point_file
+from calib.boards.board import Board
+from calib.errors import InputMismatch, TargetNotFound, TooFewStars
+from calib.view import View
+from drivers.errors import DriverError, RecordingCorrupt, RecordingFileError
+from sequences.schema import ImageKind
+from sequences.script import RecordStep
+
+if TYPE_CHECKING:  # what finds stars is loaded where stars are found: views may be kept from before
+    from bench.measure.measure import ExpectedGrid, Measurement
+    from bench.measure.moving_recording import MovingRecording
+
+RECORDINGS = {".raw"}
+PHOTOGRAPHS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
+POINTS = {".txt", ".csv"}
+OTHER_RECORDINGS = {".dat", ".aedat4", ".bag", ".db3", ".mcap", ".hdf5", ".h5", ".npz"}
+_MOST_NAMED = 5
+_KNOWN = RECORDINGS | OTHER_RECORDINGS | PHOTOGRAPHS | POINTS
+_READ_BY_OTHERS = {".aedat4", ".bag", ".db3", ".mcap"}
+"""Recordings that a package of others reads, whose version does not show in that of the detector."""
+_NOT_FOR_STARS = {"number", "where", "path", "pose", "attempts", "backoff_s", "on_failure", "hold_s", "gates"}
+"""Fields of a step that do not decide which stars are found."""
+_JPEG = {".jpg", ".jpeg"}
+_LARGEST_JPEG_BYTES = 100_000_000
+_JPEG_BEGINS, _JPEG_SCAN, _JPEG_ENDS = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
+
+
+@dataclass(frozen=True)
+class ViewSource:
+    """A file from which a view can be made."""
+
+    path: Path
+    read: Callable[[], View]
+    sized: bool = True  # Whether the size of its image is known
+    # job, started, attempt: Task of the run, first line of its journal, and lines about the recording, if the
+    # file is a recording of a run.
+    job: Job | None = None
+    started: RunStarted | None = None
+    attempt: Attempt | None = None
+    # What decides the view besides the bytes of the file, as values that JSON can hold; None for a file whose
+    # views are not kept (`bench.measure.views_file`).
+    decided_by: Mapping[str, Any] | None = None
+    view_name: str = ""  # Name of its view, if the file gives several; else empty
+
+    @property
+    def name(self) -> str:
+        """Name of its view: that of the pose, or of the file without its ending."""
+        return self.view_name or (self.attempt.pose_name if self.attempt else self.path.stem)
+
+
+def jobs_of(sources: Iterable[ViewSource]) -> list[Job | None]:
+    """Return the tasks of the runs that views are from, each once; None stands for files that are of no run."""
+    return list({id(source.job): source.job for source in sources}.values())
+
+
+def view_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
+    """List a path's files for views: a run's accepted recordings by pose, another folder's known files by name."""
+    if not path.exists():
+        raise UsageError("There is no such file or folder.", where=str(path), remedy="Check the path.")
+    if path.is_dir() and (path / JOURNAL).is_file():
+        if choices.reconstruct_hz is not None:
+            raise UsageError(
+                "In the recordings of a run the camera stands still, so no picture can be reconstructed.",
+                where=str(path),
+                remedy="Leave out --reconstruct.",
+            )
+        yield from _run_sources(path, choices)
+    elif path.is_dir() and not is_bag_folder(path):
+        files = sorted(filter(_may_be_a_view, path.iterdir()), key=_natural_order)
+        if not files:
+            raise UsageError(
+                "The folder contains no run, capture, image or point file.",
+                where=str(path),
+                remedy=f"Known file extensions are {', '.join(sorted(_KNOWN))}.",
+            )
+        for file in files:
+            for source in _file_sources(file, choices):
+                yield replace(source, read=partial(_read_listed, source))
+    else:
+        yield from _file_sources(path, choices)
+
+
+def _may_be_a_view(path: Path) -> bool:
+    """Tell whether a file of a folder is tried: macOS keeps a second, hidden file beside each on a foreign disk."""
+    return path.suffix.lower() in _KNOWN and not path.name.startswith(".")
+
+
+def left_beside(path: Path) -> list[str]:
+    """Return a sentence on the files of a folder that are not tried; none of a run folder."""
+    if not path.is_dir() or (path / JOURNAL).is_file():
+        return []
+    names = sorted(one.name for one in path.iterdir() if one.is_file() and not _may_be_a_view(one))
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    told = f"{path}: {', '.join(names[:_MOST_NAMED])}{more}: neither recordings nor images nor point files."
+    return [told] if names else []
+
+
+def _read_listed(source: ViewSource) -> View:
+    """Read a file that only stands in the folder that was given: what it lacks as a view does not end the others."""
+    try:
+        return source.read()
+    except (BenchError, DriverError) as error:
+        raise InputMismatch(error.what, where=error.where or str(source.path), remedy=error.remedy) from error
+
+
+def _run_sources(folder: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
+    """List the accepted recordings of a run, to be measured with the settings of its own sequence and station."""
+    history = StoredRun(folder).history
+    job = Job.from_run_folder(folder)
+    accepted = history.accepted()
+    if not accepted:
+        raise BenchError(
+            "No recording of this run was accepted.",
+            where=str(folder),
+            remedy="Give the files of its captures instead.",
+        )
+    for index, attempt in sorted(accepted.items()):
+        path = folder / str(attempt.stored["capture"])
+        if choices.board is not None:
+            read = partial(_view_of_recording, path, choices)
+            yield ViewSource(path, read, decided_by=_decided_by("recording", path, choices))
+            continue
+        step = job.record_step(index)
+        step = step if choices.image == "auto" else replace(step, image=cast("ImageKind", choices.image))
+        read = partial(_view_of_run, job, path, step, grid_from_journal(attempt))
+        decided_by = decided_by_run(job, step, attempt)
+        yield ViewSource(path, read, job=job, started=history.started, attempt=attempt, decided_by=decided_by)
+
+
+def decided_by_run(job: Job, step: RecordStep, attempt: Attempt) -> dict[str, Any]:
+    """Return what decides the view of a recording of a run."""
+    return {
+        "kind": f"run, {job.camera_kind.name} camera",
+        "name": step.pose.name,
+        "recorded": str(attempt.stored["sha256"]),
+        "step": {
+            one.name: repr(getattr(step, one.name)) for one in fields(step) if one.name not in _NOT_FOR_STARS
+        },
+        "frequency_hz": job.frequency_hz(step),
+        "target": repr(job.target),
+        "grid": attempt.measured.get("expected_grid"),
+    }
+
+
+def _decided_by(kind: str, path: Path, choices: OfflineOptions) -> dict[str, Any]:
+    """Return what decides the view of a file that is not of a run."""
+    return {
+        "kind": kind,
+        "name": path.stem,
+        "image": choices.image,
+        "target": repr(choices.target),
+        "board": repr(choices.board),
+    }
+
+
+def refuse_truncated(path: Path) -> None:
+    """Refuse an incomplete recording: its last word is cut, or its size differs from that in the run's journal."""
+    from drivers.camera.raw_file import RawFile
+
+    size = path.stat().st_size
+    run = path.resolve().parent.parent
+    name = path.resolve().relative_to(run).as_posix()
+    stored = StoredRun(run).captures if (run / JOURNAL).is_file() else {}
+    half_a_word = path.suffix.lower() in RECORDINGS and RawFile.open(path).truncated
+    if half_a_word or (name in stored and stored[name].size != size):
+        whole = f": {stored[name].size} bytes were recorded" if name in stored else ": it ends within a word"
+        raise RecordingCorrupt(
+            f"The recording is incomplete{whole}.",
+            offset=size,
+            where=str(path),
+            remedy="Copy it again from its origin, or leave it out.",
+        )
+
+
+def _view_of_run(job: Job, path: Path, step: RecordStep, expected_grid: ExpectedGrid | None) -> View:
+    refuse_truncated(path)
+    kind, frequency_hz = job.camera_kind, job.frequency_hz(step)
+    return _view(kind.measure(path, step, frequency_hz, job.target, expected_grid, motion=False), path)
+
+
+def _file_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
+    """List the views of a file: several pictures of a moving camera's recording, one view of any other file."""
+    from bench.measure.moving_recording import MovingRecording
+
+    ending = path.suffix.lower()
+    if choices.reconstruct_hz is None or choices.board is None or ending not in RECORDINGS | OTHER_RECORDINGS:
+        yield _file_source(path, choices)
+        return
+    if not _is_recording(path):
+        raise UsageError(
+            "Pictures are reconstructed from RAW files with EVT3 words only.",
+            where=str(path),
+            remedy=f"Convert it first: starbench convert {path.name} {path.stem}-evt3.raw",
+        )
+    refuse_truncated(path)
+    moving = MovingRecording(path, choices.reconstruct_hz, choices.pictures_at_s)
+    for number, at_s in enumerate(moving.at_s):
+        name = f"{path.stem}-at-{at_s:.3f}s"
+        yield ViewSource(path, partial(_view_of_picture, moving, number, name, choices.board), view_name=name)
+
+
+def _view_of_picture(moving: MovingRecording, number: int, name: str, board: Board) -> View:
+    """Reconstruct a picture and find the board in it."""
+    from bench.measure.moving_recording import MOVING_REMEDY
+    from calib.boards.detect import detect_board
+
+    try:
+        picture = moving.picture(number)
+        picture.require_motion()
+        return detect_board(picture.image, board, name=name)
+    except TargetNotFound as error:
+        raise TargetNotFound(
+            error.what, where=error.where, remedy=f"{error.remedy} {MOVING_REMEDY}"
+        ) from error
+
+
+def _file_source(path: Path, choices: OfflineOptions) -> ViewSource:
+    ending = path.suffix.lower()
+    if ending in POINTS:
+        read = partial(read_point_file, path, image_size=choices.image_size, origin=choices.origin)
+        return ViewSource(path, read, sized=choices.image_size is not None)
+    if ending in OTHER_RECORDINGS or path.is_dir() or (ending in RECORDINGS and not _is_recording(path)):
+        kind, find = f"other {ending}", _view_of_other_recording
+    elif ending in RECORDINGS:
+        kind, find = "recording", _view_of_recording
+    elif ending in PHOTOGRAPHS:
+        kind, find = "photograph", _view_of_photograph
+    else:
+        from drivers.camera.raw_header import looks_like
+        from drivers.camera.raw_writer import read_start
+
+        contents, remedy = looks_like(read_start(path))
+        raise UsageError(
+            f"Unknown file extension {ending!r}: the file is {contents}."
+            if ending
+            else "The file has no extension.",
+            where=str(path),
+            remedy=remedy or f"Known file extensions are {', '.join(sorted(_KNOWN))}.",
+        )
+    decided_by = None if ending in _READ_BY_OTHERS or path.is_dir() else _decided_by(kind, path, choices)
+    return ViewSource(path, partial(find, path, choices), decided_by=decided_by)
+
+
+def is_bag_folder(path: Path) -> bool:
+    """Return whether a folder is a bag of ROS 2: one recording, not a folder of files."""
+    return (path / "metadata.yaml").is_file()
+
+
+def _is_recording(path: Path) -> bool:
+    """Return whether a file is RAW with EVT3 words that states the size of its sensor: it is read as it is."""
+    from drivers.camera.raw_file import is_recording
+
+    return is_recording(path)
+
+
+def _view_of_other_recording(path: Path, choices: OfflineOptions) -> View:
+    """Read a recording of another program through a RAW file that exists only meanwhile."""
+    from drivers.camera.event_arrays import ReadingChoices
+    from drivers.camera.formats.event_conversion import convert
+
+    with TemporaryDirectory(prefix="starbench-") as folder:
+        raw = Path(folder) / f"{path.stem}.raw"
+        convert(path, raw, "raw", ReadingChoices(choices.image_size))
+        return _view_of_recording(raw, choices)
+
+
+def _view_of_recording(path: Path, choices: OfflineOptions) -> View:
+    from bench.measure.measure import measure, recorded_image
+
+    refuse_truncated(path)
+    if choices.board is not None:
+        image = recorded_image(path, choices.image)
+        return _detected_board(image, choices.board, path)
+    found = measure(
+        path,
+        name=path.stem,
+        target=choices.target,
+        image=choices.image,
+        periods=None,
+        expected_hz=None,
+        motion=False,
+    )
+    return _view(found, path)
+
+
+def picture_of(path: Path) -> NDArray[Any]:
+    """Return the (H, W) picture of a RAW file or a photograph in which a target would be searched."""
+    from bench.measure.measure import recorded_image
+
+    ending = path.suffix.lower()
+    if ending in PHOTOGRAPHS:
+        return _photograph(path)
+    if ending not in RECORDINGS:
+        raise UsageError(
+            "There is no picture in this file: it is neither a RAW recording nor a photograph.",
+            where=str(path),
+            remedy=f"Known file extensions are {', '.join(sorted(RECORDINGS | PHOTOGRAPHS))}; `starbench convert`"
+            " writes RAW files from event files of others.",
+        )
+    refuse_truncated(path)
+    return recorded_image(path)
+
+
+def _view(found: Measurement, path: Path) -> View:
+    if found.view is None:
+        raise TooFewStars(found.fault, where=str(path))
+    return found.view
+
+
+def _photograph(path: Path) -> NDArray[Any]:
+    """Read a photograph, in grey."""
+    from drivers.camera.frames import mean_frame, require_bounded_images
+
+    try:
+        require_bounded_images(path)
+        refuse_truncated_jpeg(path)
+        return mean_frame(path)
+    except RecordingFileError as error:
+        raise BenchError(error.what, where=str(path), remedy="Give PNG, TIFF, JPEG or BMP.") from error
+
+
+def _view_of_photograph(path: Path, choices: OfflineOptions) -> View:
+    from calib.stars.detect import detect_view
+    from calib.stars.rim import downweight_vignetted
+
+    picture = _photograph(path)
+    if choices.board is not None:
+        return _detected_board(picture, choices.board, path)
+    return downweight_vignetted(detect_view(picture, choices.target, name=path.stem), choices.target)
+
+
+def _detected_board(image: NDArray[Any], board: Board, path: Path) -> View:
+    """Find a board in an image."""
+    from calib.boards.detect import detect_board
+
+    return detect_board(image, board, name=path.stem)
+
+
+def refuse_truncated_jpeg(path: Path) -> None:
+    """Refuse a JPEG without its end marker, because OpenCV fills the missing part with grey."""
+    if path.suffix.lower() not in _JPEG:
+        return
+    try:
+        data = path.read_bytes() if path.stat().st_size <= _LARGEST_JPEG_BYTES else b""
+    except OSError as error:
+        raise StorageError(f"The file cannot be read: {error.strerror}.", where=str(path)) from error
+    # Neither marker can occur within coded data; those of a preview come before those of the picture.
+    if data.startswith(_JPEG_BEGINS) and data.rfind(_JPEG_ENDS) < data.rfind(_JPEG_SCAN):
+        raise RecordingCorrupt(
+            "The picture is incomplete.",
+            offset=len(data),
+            where=str(path),
+            remedy="Copy it again, or leave it out.",
+        )
+
+
+def _natural_order(path: Path) -> list[tuple[int, int, str]]:
+    """Return a sort key that puts image10 after image9."""
+    words = re.split(r"(\d+)", path.name)
+    return [(0, int(word), "") if word.isdigit() else (1, 0, word) for word in words]

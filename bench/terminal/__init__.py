@@ -1,1 +1,0 @@
-"""The terminal: progress, questions to the operator, signals, text encodings. Imports `bench.base` only."""

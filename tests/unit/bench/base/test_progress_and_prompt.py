@@ -1,0 +1,229 @@
+"""What the operator sees and is asked."""
+
+import io
+import os
+import re
+import time
+from datetime import UTC, datetime
+
+import pytest
+
+from bench.base.clock import Aborted, BenchClock, VirtualClock
+from bench.base.encoding import clock_text
+from bench.base.progress import Progress, Reply, ask
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+class Typed(Terminal):
+    """A terminal that no select takes, whose lines come as they are typed."""
+
+    def __init__(self, lines):
+        super().__init__()
+        self.lines, self.read = lines, 0
+
+    def readline(self):
+        line = self.lines.readline()
+        self.read += 1
+        return line
+
+
+def wait_until(done):
+    deadline = time.monotonic() + 30
+    while not done():
+        assert time.monotonic() < deadline
+        time.sleep(0.01)
+
+
+def test_without_a_terminal_each_change_is_a_line_with_state_pose_and_time_left():
+    now = [100.0]
+    stream = io.StringIO()
+    with Progress(lambda: now[0], total_s=90.0, poses=3, stream=stream) as progress:
+        progress.show("slewing", pose=2, detail="upper left")
+        now[0] = 110.0
+        progress.done(60.0)
+        now[0] = 115.0
+        progress.show("recording", pose=2)
+    lines = stream.getvalue().splitlines()
+    assert "slewing" in lines[0]
+    assert "pose 2 of 3" in lines[0]
+    assert "1:30 left" in lines[0]
+    assert "upper left" in lines[0]
+    assert "0:25 left" in lines[1]
+
+
+@pytest.mark.parametrize("columns", [20, 40, 60, 80, 200])
+def test_on_a_terminal_of_any_width_it_is_one_line_that_names_the_state(monkeypatch, columns):
+    monkeypatch.setenv("COLUMNS", str(columns))
+    monkeypatch.setenv("NO_COLOR", "1")
+    monkeypatch.setenv("TERM", "xterm")
+    terminal = Terminal()
+    with Progress(lambda: 0.0, total_s=90.0, poses=12, stream=terminal) as progress:
+        progress.show("recording", pose=11, detail="upper left")
+    plain = re.sub(r"\x1b\[[0-9;]*m", "", terminal.getvalue())
+    shown = re.sub(r"\x1b\[[0-9;?]*[a-zA-Z]", "\n", plain)
+    lines = [line for line in re.split(r"[\r\n]+", shown) if line]
+    assert any("recording    1:30" in line for line in lines)
+    assert max(map(len, lines)) <= columns
+    assert any("pose 11 of 12 (upper left)" in line for line in lines) is (columns >= 60)
+    assert any("─" in line for line in lines) is (columns >= 60)
+
+
+def test_a_terminal_that_cannot_go_back_over_a_line_gets_a_line_a_change(monkeypatch):
+    monkeypatch.setenv("TERM", "dumb")
+    terminal = Terminal()
+    with Progress(lambda: 0.0, total_s=90.0, poses=3, stream=terminal) as progress:
+        progress.show("slewing", pose=2)
+        progress.show("recording", pose=2)
+    assert [line.split()[0] for line in terminal.getvalue().splitlines()] == ["slewing", "recording"]
+
+
+def test_time_left_never_falls_below_zero():
+    now = [0.0]
+    progress = Progress(lambda: now[0], total_s=5.0, poses=1, stream=io.StringIO())
+    now[0] = 60.0
+    assert progress.left_s() == 0.0
+    assert clock_text(progress.left_s()) == "0:00"
+
+
+class Night(VirtualClock):
+    """A clock on which nothing takes time."""
+
+    def __init__(self):
+        super().__init__(datetime(2026, 3, 1, 20, tzinfo=UTC))
+
+
+def test_a_shielded_clock_is_not_interrupted():
+    clock = BenchClock()
+    clock.request_stop("first reason")
+    clock.request_stop("second reason")
+    with clock.shielded():
+        clock.sleep(0.0)
+        clock.check()
+    with pytest.raises(Aborted, match="first reason"):
+        clock.check()
+
+
+def asked(terminal, *, default="abort", timeout_s=60.0, clock=None, say=lambda _: None, **more):
+    """Ask at a terminal; return the word of the reply, and who gave it."""
+    clock = clock or BenchClock()
+    reply = ask("Go?", default=default, timeout_s=timeout_s, clock=clock, say=say, terminal=terminal, **more)
+    return reply.word, reply.by
+
+
+@pytest.fixture
+def selected(monkeypatch):
+    """What `select` says is ready to be read."""
+    ready = []
+    monkeypatch.setattr("bench.base.progress.select.select", lambda *_: (ready, [], []))
+    return ready
+
+
+def test_where_nobody_is_there_the_default_counts_after_the_time_out():
+    said, clock = [], Night()
+    assert asked(io.StringIO(), timeout_s=600, clock=clock, say=said.append) == ("abort", "time-out")
+    assert "Go?" in said[0]
+    assert 600 <= clock.monotonic() < 601
+
+
+def test_an_answer_from_another_terminal_counts_at_once():
+    said, clock = [], Night()
+
+    def elsewhere():
+        return Reply("continue", "ada") if clock.monotonic() > 30 else None
+
+    found = asked(io.StringIO(), timeout_s=600, clock=clock, say=said.append, elsewhere=elsewhere)
+    assert found == ("continue", "ada")
+    assert clock.monotonic() < 31
+    assert said[1:] == ["ada: continue"]
+
+
+@pytest.mark.usefixtures("selected")
+def test_the_default_counts_after_the_time_out_of_a_terminal_without_an_answer():
+    assert asked(Terminal(), default="continue", timeout_s=0.05) == ("continue", "time-out")
+
+
+ANSWERS = [("a\n", "abort"), ("continue\n", "continue"), ("what\nn\n", "abort"), ("what\nyes\n", "continue")]
+
+
+@pytest.mark.parametrize("default", ["abort", "continue"])
+@pytest.mark.parametrize(("typed", "word"), [*ANSWERS, ("\n", None)])
+def test_the_operators_word_counts_and_an_empty_line_is_the_default(selected, typed, word, default):
+    selected.append(Terminal(typed))
+    assert asked(selected[0], default=default) == (word or default, "operator")
+
+
+@pytest.mark.parametrize(("typed", "word"), ANSWERS)
+def test_where_select_takes_no_terminals_a_thread_reads(typed, word):
+    # A StringIO is no file: select refuses it, as Windows' refuses the console.
+    assert asked(Terminal(typed), default="continue") == (word, "operator")
+
+
+@pytest.mark.parametrize("waits_for_terminals", [True, False])
+def test_a_terminal_that_was_closed_answers_nothing(request, waits_for_terminals):
+    terminal, said = Terminal(""), []
+    if waits_for_terminals:
+        request.getfixturevalue("selected").append(terminal)
+    assert asked(terminal, timeout_s=1, say=said.append) == ("abort", "time-out")
+    assert "starbench tell" in said[-1]
+
+
+def test_what_a_thread_read_before_the_question_does_not_count():
+    reading, writing = os.pipe()
+    with os.fdopen(reading) as lines, os.fdopen(writing, "w", buffering=1) as keyboard:
+        terminal = Typed(lines)
+        keyboard.write("y\n")
+        assert asked(terminal) == ("continue", "operator")
+        keyboard.write("y\n")
+        wait_until(lambda: terminal.read == 2)
+        assert asked(terminal, timeout_s=0.5) == ("abort", "time-out")
+
+
+def test_what_was_typed_before_the_question_does_not_count():
+    keyboard, screen = os.openpty()
+    with os.fdopen(screen) as terminal:
+        os.write(keyboard, b"y\n")
+        assert asked(terminal, timeout_s=1) == ("abort", "time-out")
+    os.close(keyboard)
+
+
+def test_without_standard_input_the_default_counts(monkeypatch):
+    monkeypatch.setattr("sys.stdin", None)
+    assert asked(None, timeout_s=1, clock=Night()) == ("abort", "time-out")
+
+
+@pytest.mark.usefixtures("selected")
+def test_a_stop_ends_the_question():
+    clock = BenchClock()
+    clock.request_stop("SIGTERM received")
+    with pytest.raises(Aborted, match="SIGTERM"):
+        asked(Terminal(), clock=clock)
+
+
+class Unplugged(io.StringIO):
+    def write(self, text):
+        raise OSError(5, "Input/output error")
+
+
+def test_a_terminal_that_has_gone_does_not_end_the_run():
+    with Progress(lambda: 0.0, total_s=5.0, poses=1, stream=Unplugged()) as progress:
+        progress.show("recording", pose=1)
+        progress.say("still here")
+        progress.done(2.0)
+    assert progress.left_s() == 3.0
+
+
+@pytest.mark.parametrize("stream", [io.StringIO, Terminal])
+@pytest.mark.parametrize("state", ["aborting", "aborted", "failed"])
+def test_a_run_that_ends_early_has_no_remaining_time(monkeypatch, state, stream):
+    monkeypatch.setenv("TERM", "xterm")
+    shown = stream()
+    with Progress(lambda: 0.0, total_s=90.0, poses=3, stream=shown) as progress:
+        progress.show(state, pose=2, detail="upper left")
+    assert state in shown.getvalue()
+    assert "pose 2 of 3 (upper left)" in shown.getvalue()
+    assert "left  " not in shown.getvalue().replace("upper left", "")
+    assert "1:30" not in shown.getvalue()

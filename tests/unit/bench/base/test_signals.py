@@ -1,0 +1,199 @@
+"""Signals and interrupts at any moment, and output whose reader has gone."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import weakref
+from pathlib import Path
+
+import pytest
+
+from bench.base.clock import Aborted, BenchClock, Interrupted, reliable_interrupts, stop_on_signals
+
+MANY_SIGNALS = """
+import os
+import signal
+from bench.base.clock import Aborted, BenchClock, Interrupted
+stopped = 0
+for number in range(400):
+    clock = BenchClock()
+    signal.signal(signal.SIGALRM, lambda *_: clock.request_stop("stop"))
+    signal.setitimer(signal.ITIMER_REAL, 0.0002 + number % 40 * 1e-5)
+    try:
+        while True:
+            clock.interrupt("door")
+            try:
+                clock.sleep(0.0)
+            except Interrupted:
+                clock.clear_interruption()
+            clock.sleep(1e-6)
+    except Aborted:
+        stopped += 1
+print(stopped)
+"""
+
+
+def test_a_signal_at_any_moment_of_a_wait_stops_it():
+    said = subprocess.run(
+        [sys.executable, "-c", MANY_SIGNALS], capture_output=True, text=True, timeout=120, check=False
+    )
+    assert said.stdout == "400\n", said.stderr
+
+
+def test_the_first_signal_ends_a_long_wait():
+    clock = BenchClock()
+    timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM))
+    with stop_on_signals(clock.request_stop):
+        timer.start()
+        with pytest.raises(Aborted, match="SIGTERM received"):
+            clock.sleep(60)
+        timer.join()
+
+
+def test_the_third_ctrl_c_ends_the_process_at_once():
+    reasons = []
+    with stop_on_signals(reasons.append):
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGTERM)
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert reasons == ["stopped by Ctrl-C", "SIGTERM received"]
+
+
+def test_all_who_wait_are_woken_and_what_was_taken_back_wakes_nobody():
+    clock = BenchClock()
+    clock.interrupt("door")
+    clock.clear_interruption()
+    clock.sleep(0.01)
+    clock.interrupt("door")
+    with pytest.raises(Interrupted):
+        clock.sleep(60)
+    clock.clear_interruption()
+    ended = []
+
+    def wait():
+        try:
+            clock.sleep(60)
+        except Aborted:
+            ended.append(1)
+
+    waiting = [threading.Thread(target=wait) for _ in range(3)]
+    for thread in waiting:
+        thread.start()
+    clock.request_stop("all of you")
+    for thread in waiting:
+        thread.join(10)
+    assert len(ended) == 3
+
+
+# ---------------------------------------------------------------- work without devices
+
+
+class _Cleared:
+    """Something that Python clears away."""
+
+
+def _cleared_up_with(error):
+    """Delete an object whose finaliser raises an error, and go on working."""
+
+    def fail(_gone):
+        raise error
+
+    gone = _Cleared()
+    kept = weakref.ref(gone, fail)
+    del gone
+    return kept
+
+
+@pytest.mark.parametrize("handler", [signal.default_int_handler, signal.SIG_IGN])
+def test_an_interrupt_that_falls_into_clearing_up_is_raised_again_in_a_background_job_too(handler):
+    """Shells start background jobs with SIGINT ignored."""
+
+    def work():
+        kept = _cleared_up_with(KeyboardInterrupt)
+        threading.Event().wait(60)
+        return kept
+
+    before, hook = signal.signal(signal.SIGINT, handler), sys.unraisablehook
+    try:
+        with pytest.raises(KeyboardInterrupt), reliable_interrupts():
+            work()
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert sys.unraisablehook is hook
+
+
+def test_being_ended_breaks_off_as_an_interrupt_does():
+    def work():
+        os.kill(os.getpid(), signal.SIGTERM)
+        threading.Event().wait(60)
+
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt), reliable_interrupts():
+        work()
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_other_errors_in_clearing_up_go_where_they_went(monkeypatch):
+    told = []
+    monkeypatch.setattr(sys, "unraisablehook", told.append)
+    with reliable_interrupts():
+        _cleared_up_with(ValueError)
+    assert [one.exc_type for one in told] == [ValueError]
+
+
+# ---------------------------------------------------------------- output whose reader has gone
+
+PROGRAM = """
+import sys
+from bench.base.encoding import protect_output, output_is_lost
+protect_output()
+print(sys.stdin.readline(), flush=True)
+for number in range(3):
+    print("line", number, flush=True)
+    print("error", number, file=sys.stderr, flush=True)
+import subprocess
+subprocess.run(["echo", "a program that this one starts"], check=True)
+sys.exit(7 if output_is_lost() else 8)
+"""
+
+
+def started(stdout: int, stderr: int = subprocess.PIPE) -> "subprocess.Popen[bytes]":
+    return subprocess.Popen(
+        [sys.executable, "-c", PROGRAM], stdin=subprocess.PIPE, stdout=stdout, stderr=stderr
+    )
+
+
+@pytest.mark.parametrize("both", [False, True])
+def test_the_work_goes_on_after_the_readers_of_its_output_have_gone(both):
+    read, write = os.pipe()
+    process = started(write, write if both else subprocess.PIPE)
+    os.close(write)
+    os.close(read)
+    _, said = process.communicate(b"begin\n")
+    assert process.returncode == 7
+    assert said == (None if both else b"error 0\nerror 1\nerror 2\n")
+
+
+def test_a_reader_that_stays_gets_all():
+    said, errors = (process := started(subprocess.PIPE)).communicate(b"begin\n")
+    assert process.returncode == 8
+    assert said.splitlines()[-1] == b"a program that this one starts"
+    assert errors.count(b"error") == 3
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no /dev/full")
+def test_a_full_disk_behind_the_output_is_one_message():
+    with Path("/dev/full").open("wb") as full:
+        ended = subprocess.run(
+            [sys.executable, "-m", "bench", "schema", "queue"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            check=False,
+        )
+    assert ended.returncode == 1
+    said = ended.stderr.decode()
+    assert said.startswith("starbench: standard output: No space left on device. Make room on the disk.")
+    assert said.count("\n") == 1

@@ -1,0 +1,323 @@
+"""A batch: order, repetition, what follows a failure, and that nothing is done twice or taken for done."""
+
+import json
+import re
+import shutil
+from datetime import UTC, datetime
+from pathlib import Path
+
+import pytest
+from nights import JOB, NightClock, Workers, begun, hows, night, queue
+
+from bench.base.clock import Aborted
+from bench.base.errors import RunFolderError, ScriptError
+from bench.extras.batch.batch import Batch, worker_command
+from bench.extras.batch.batch_plan import plan_of, read_queue
+from bench.extras.batch.batch_record import by_priority, items_of
+from bench.extras.batch.batch_summary import (
+    batch_status_text,
+    read_batch,
+    read_batch_status,
+    summary_lines,
+    write_summary,
+)
+from bench.extras.batch.supervisor import WorkerEnd
+from bench.record.events import Event
+from bench.record.journal import Journal, read_journal
+from sequences.errors import DocumentFaults
+from sequences.queue import JobConfig, Queue
+from sequences.reader import check_document
+
+KILLED = WorkerEnd("died", "by SIGKILL", outside=True)
+WITHOUT_A = "without a result: a-001"
+
+
+@pytest.mark.parametrize(
+    ("jobs", "ends", "runs", "how", "why"),
+    [
+        ("a, times: 2; b, priority: 1", [], "run b-001, run a-001, run a-002", "finished", ""),
+        ("a; b", ["failed"] * 2, "run a-001, resume a-001, run b-001", "failed", WITHOUT_A),
+        ("a; b", ["died"] * 2, "run a-001, resume a-001, run b-001", "failed", WITHOUT_A),
+        ("a; b", ["hung"] * 2, "run a-001, resume a-001, run b-001", "failed", WITHOUT_A),
+        ("a, attempts: 1, on_failure: stop; b", ["failed"], "run a-001", "stopped", None),
+        ("a, attempts: 5", ["aborted"], "run a-001", "failed", WITHOUT_A),
+        ("a; b", [Aborted("SIGTERM received")], "run a-001", "aborted", "SIGTERM received"),
+        (
+            "a, attempts: 2",
+            [KILLED, "failed", KILLED, KILLED],
+            "run a-001" + ", resume a-001" * 4,
+            "finished",
+            "",
+        ),
+        (
+            "a, attempts: 2; b",
+            [KILLED] * 50,
+            "run a-001" + ", resume a-001" * 9 + ", run b-001" + ", resume b-001" * 9,
+            "failed",
+            "without a result: a-001, b-001",
+        ),
+    ],
+)
+def test_what_is_begun_follows_priorities_and_how_earlier_tries_ended(tmp_path, jobs, ends, runs, how, why):
+    pairs = [re.fullmatch("(\\w+)(.*)", job).groups() for job in jobs.split("; ")]
+    batch, workers = night(tmp_path, queue(*pairs), *ends)
+    summary = batch.run()
+    assert ", ".join(begun(workers)) == runs
+    assert summary["how"] == how
+    assert why is None or summary["why"] == why
+    assert json.loads((tmp_path / "summary.json").read_text()) == summary
+
+
+def cut_off(folder, jobs, *ends):
+    """A batch that is killed after some of its runs have ended."""
+    with pytest.raises(KeyboardInterrupt):
+        night(folder, jobs, *ends, KeyboardInterrupt())[0].run()
+
+
+def test_repetitions_wait_for_their_time_and_others_fill_it(tmp_path):
+    batch, workers = night(tmp_path, queue(("a", ", times: 3, every_min: 60"), ("b", "")))
+    batch.run()
+    assert begun(workers) == ["run a-001", "run b-001", "run a-002", "run a-003"]
+    assert [round(at_s) for _, _, at_s in workers.begun] == [0, 600, 3600, 7200]
+
+
+def test_seeds_of_repetitions_differ(tmp_path):
+    items = items_of(queue(("a", ", times: 2, seed: 7, operator: Ada")).value.jobs, NightClock().utc_now())
+    words = [worker_command(item, tmp_path / item.key) for item in items]
+    assert [w[w.index("--seed") + 1] for w in words] == ["7", "8"]
+    assert words[0][-2:] == ["--operator", "Ada"]
+
+
+def test_settings_of_a_job_are_given_to_its_runs_and_checked_beforehand(tmp_path):
+    jobs = queue(("a", ", settings: {station.camera.biases.bias_diff_on: 20, sequence.name: 'x, y'}"))
+    (item,) = items_of(jobs.value.jobs, NightClock().utc_now())
+    words = worker_command(item, tmp_path / "a")
+    assert words[-4:] == ["--set", "station.camera.biases.bias_diff_on=20", "--set", "sequence.name=x, y"]
+    path = tmp_path / "queue.yaml"
+    path.write_bytes(jobs.text)
+    assert plan_of(read_queue(path).value.jobs[0]).station.value.camera.biases.bias_diff_on == 20
+    path.write_bytes(jobs.text.replace(b"bias_diff_on", b"bias_dif"))
+    with pytest.raises(ScriptError, match=r"\(with settings\):\d+:\d+: camera.biases.bias_dif: unknown key"):
+        read_queue(path)
+    path.write_bytes(jobs.text.replace(b"station.camera", b"camera"))
+    with pytest.raises(ScriptError, match="settings"):
+        read_queue(path)
+
+
+def test_a_batch_that_was_cut_off_goes_on_and_does_nothing_twice(tmp_path):
+    jobs = queue(("a", ""), ("b", ""), ("c", ""))
+    cut_off(tmp_path, jobs, "finished")
+    batch, workers = night(tmp_path, jobs)
+    summary = batch.run()
+    assert begun(workers) == ["resume b-001", "run c-001"]
+    assert summary["how"] == "finished"
+    assert [item["attempts"] for item in summary["items"]] == [1, 2, 1]
+    ended = [e.data["item"] for e in read_journal(tmp_path / "journal.jsonl")[0] if e.event == "item_ended"]
+    assert ended == ["a-001", "b-001", "c-001"]
+
+
+def test_a_batch_says_what_it_will_do_before_it_goes_on(tmp_path):
+    jobs = queue(("a", ""), ("b", ""), ("c", ", times: 10"))
+    cut_off(tmp_path, jobs, "finished")
+    said = []
+    batch, workers = night(tmp_path, jobs, say=lambda line: said.append((line, len(workers.begun))))
+    batch.run()
+    fresh = ", ".join(f"c-00{n}" for n in range(1, 9))
+    will_do = f"1 of 12 runs are done; to resume: b-001; to begin: {fresh} and 2 more."
+    assert said[0][1] == 0
+    assert said[0][0].endswith(f" continues: {will_do}")
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "runs", "first"),
+    [
+        ("SHA256SUMS.sig", b"", ["run b-001"], "finished"),  # it was sealed as the batch was cut off
+        ("journal.jsonl", b"rotten\n", ["run b-001"], "failed"),
+        ("notes", b"", ["resume a-001", "run b-001"], "finished"),
+    ],
+)
+def test_a_run_that_was_cut_off_is_done_if_sealed_and_failed_if_unreadable(tmp_path, file, text, runs, first):
+    jobs = queue(("a", ""), ("b", ""))
+    cut_off(tmp_path, jobs)
+    (tmp_path / "runs" / "a-001" / file).write_bytes(text)
+    batch, workers = night(tmp_path, jobs)
+    summary = batch.run()
+    assert hows(summary) == {"a-001": first, "b-001": "finished"}
+    assert begun(workers) == runs
+    assert (first == "failed") == ("journal" in summary["items"][0]["why"])
+
+
+def test_no_run_is_begun_after_the_time_is_over(tmp_path):
+    batch, workers = night(tmp_path, queue(("a", ", times: 100"), top="stop_after_h: 1\n"))
+    assert batch.run()["how"] == "stopped"
+    assert len(workers.begun) == 7
+
+
+def test_what_was_cut_off_before_it_began_is_kept_aside_and_begun_anew(tmp_path):
+    (tmp_path / "runs" / "a-001").mkdir(parents=True)
+    (tmp_path / "runs" / "a-001" / "sequence.yaml").write_text("x")
+    batch, workers = night(tmp_path, queue(("a", "")))
+    assert batch.run()["how"] == "finished"
+    assert begun(workers) == ["run a-001"]
+    assert (tmp_path / "runs" / "a-001.unbegun-1" / "sequence.yaml").exists()
+
+
+def test_another_queue_is_refused_in_a_folder_that_has_one(tmp_path):
+    night(tmp_path, queue(("a", "")))[0].run()
+    with pytest.raises(RunFolderError, match="another queue"):
+        night(tmp_path, queue(("b", "")))[0].run()
+
+
+def test_the_queue_in_the_documents_is_one_and_names_every_key():
+    document = (Path(__file__).parents[5] / "docs" / "batches.md").read_text(encoding="utf-8")
+    example, *_ = re.findall(r"```yaml\n(.*?)```", document, re.DOTALL)
+    shown = check_document(example.encode(), "example", Queue).value
+    items = by_priority(items_of(shown.jobs, datetime(2026, 3, 1, tzinfo=UTC)))
+    assert [item.key for item in items][:2] == ["first-001", "cam7-001"]
+    keys = {*Queue.model_fields, *JobConfig.model_fields}
+    assert sorted(key for key in keys if key not in document) == []
+
+
+def test_a_queue_is_checked_with_all_it_names_before_anything_runs(tmp_path):
+    path = tmp_path / "queue.yaml"
+    text = "format: starbench/queue/1\nname: Night\njobs:\n" + JOB.format("a", "") + JOB.format("a", "")
+    path.write_text(text)
+    with pytest.raises(ScriptError, match="same name: a"):
+        read_queue(path)
+    path.write_text(text.replace("name: a, sequence: three_pose", "name: b, sequence: four_pose", 1))
+    with pytest.raises(ScriptError, match="four_pose"):
+        read_queue(path)
+
+
+# ---------------------------------------------------------------- what counts as an attempt
+
+
+class Recording(Workers):
+    """A run that dies again and again, each time after one more pose."""
+
+    def __call__(self, item, run, log):
+        end = super().__call__(item, run, log)
+        clocks = {"utc_now": self.clock.utc_now, "monotonic": self.clock.monotonic}
+        with Journal.open(run / "journal.jsonl", **clocks) as journal:
+            pose = len(self.begun)
+            if pose in self.gaining:
+                journal.append(Event.CAPTURE_STORED, pose=pose, pose_name="p", attempt=1)
+                journal.append(Event.ATTEMPT_CHECKED, pose=pose, attempt=1, accepted=True)
+        return end
+
+
+@pytest.mark.parametrize(
+    ("gaining", "begun_times", "how"),
+    [({1, 2, 3}, 5, "died"), ({1, 2, 3, 4}, 6, "finished"), ({3}, 2, "died"), (set(), 2, "died")],
+)
+def test_attempts_are_those_in_a_row_that_brought_nothing(tmp_path, gaining, begun_times, how):
+    clock = NightClock()
+    workers = Recording(clock, *["died"] * 5)
+    workers.gaining = gaining
+    summary = Batch(tmp_path, queue(("a", ", attempts: 2")), clock, lambda _: None, workers).run()
+    assert len(workers.begun) == begun_times
+    assert hows(summary) == {"a-001": how}
+
+
+def test_power_cuts_use_up_no_attempt(tmp_path, monkeypatch):
+    """Two cuts before the first pose and one failure were three attempts once, and the run was given up."""
+    monkeypatch.setattr("bench.extras.batch.batch.make_safe_after", lambda *_: [])
+    jobs = queue(("a", ", attempts: 3"))
+    for _ in range(2):
+        cut_off(tmp_path, jobs)
+    batch, workers = night(tmp_path, jobs, "failed", "hung")
+    assert hows(batch.run()) == {"a-001": "finished"}
+    assert len(workers.begun) == 3
+
+
+# ---------------------------------------------------------------- what a batch finds that was cut off
+
+
+def test_the_run_that_was_at_work_is_seen_to_before_another_is_begun(tmp_path, monkeypatch):
+    jobs = queue(("a", ""), ("late", ', priority: 9, start_at: "20:05"'))
+    top = check_document(jobs.text.replace(b"jobs:", b"zone: UTC\njobs:", 1), "queue.yaml", Queue)
+    cut_off(tmp_path, top)
+    clock, seen = NightClock(), []
+    clock.now_s = 900.0  # 20:15: the other one is due, and comes first
+    monkeypatch.setattr("bench.extras.batch.batch.adopt", lambda run, *_: seen.append(f"wait for {run.name}"))
+    monkeypatch.setattr(
+        "bench.extras.batch.batch.make_safe_after", lambda run, *_: seen.append(f"make safe {run.name}") or []
+    )
+    workers = Workers(clock)
+    batch = Batch(
+        tmp_path, top, clock, lambda _: None, lambda *words: seen.append(words[0].key) or workers(*words)
+    )
+    assert batch.run()["how"] == "finished"
+    assert seen[:2] == ["wait for a-001", "make safe a-001"]
+    assert [word for word in seen if word in {"a-001", "late-001"}] == ["late-001", "a-001"]
+
+
+def test_names_that_differ_in_capitals_alone_are_the_same(tmp_path):
+    with pytest.raises(DocumentFaults, match="same name: Cam7, cam7"):
+        queue(("cam7", ""), ("Cam7", ""))
+
+
+def miss_a_goal(run):
+    decided = {
+        "until": 2,
+        "until_last": 9,
+        "step": 5,
+        "ended": "at_most",
+        "why": "U(fx) is 3 px; the goal is 2 px.",
+    }
+    clock = NightClock()
+    with Journal.open(run / "journal.jsonl", utc_now=clock.utc_now, monotonic=clock.monotonic) as journal:
+        journal.append(Event.UNTIL_DECIDED, **decided)
+
+
+def test_the_line_at_the_end_of_a_run_names_the_goal_that_it_missed(tmp_path):
+    clock, said = NightClock(), []
+    workers = Workers(clock)
+
+    def work(item, run, log):
+        end = workers(item, run, log)
+        miss_a_goal(run)
+        return end
+
+    Batch(tmp_path, queue(("a", "")), clock, said.append, work).run()
+    told = "The goal of a step was not met. U(fx) is 3 px; the goal is 2 px."
+    assert said == ["a-001: begun", f"a-001: finished: {told}"]
+
+
+def test_summary_and_status_name_a_run_whose_goal_was_missed(tmp_path):
+    batch, _ = night(tmp_path, queue(("a", ""), ("b", "")))
+    batch.run()
+    miss_a_goal(tmp_path / "runs" / "a-001")
+    summary = write_summary(tmp_path, read_batch(tmp_path))
+    told = "The goal of a step was not met. U(fx) is 3 px; the goal is 2 px."
+    assert [item["goals_missed"] for item in summary["items"]] == [[told], []]
+    _, first, below, second = list(summary_lines(summary))[:4]
+    assert ("a-001" in first, below.strip(), "b-001" in second) == (True, told, True)
+    assert f"<b>a-001:</b> {told}" in (tmp_path / "summary.html").read_text()
+    status = read_batch_status(tmp_path)
+    assert [run["goals_missed"] for run in status.to_dict()["done"]] == [(told,), ()]
+    assert batch_status_text(status).splitlines()[1:] == [
+        "2 runs with a result, 0 without",
+        f"  a-001: finished: {told}",
+    ]
+
+
+def test_the_run_at_work_is_told_while_the_batch_runs_and_not_of_one_that_was_killed(tmp_path):
+    clock, seen = NightClock(), []
+    workers = Workers(clock)
+
+    def work(item, run, log):
+        seen.append(read_batch_status(tmp_path / "night"))
+        shutil.copytree(tmp_path / "night", tmp_path / f"killed-{run.name}")  # as a power cut leaves it
+        return workers(item, run, log)
+
+    Batch(tmp_path / "night", queue(("a", ""), ("b", "")), clock, lambda _: None, work).run()
+    assert [(status.running, status.current_run) for status in seen] == [
+        (True, "a-001: starting"),
+        (True, "b-001: starting"),
+    ]
+    killed = read_batch_status(tmp_path / "killed-b-001")
+    assert (killed.running, killed.current_run) == (False, "")
+    assert [run.item for run in killed.done] == ["a-001"]
+    ended = read_batch_status(tmp_path / "night")
+    assert (ended.running, ended.current_run, ended.ended) == (False, "", "finished")

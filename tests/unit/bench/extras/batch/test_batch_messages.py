@@ -1,0 +1,159 @@
+"""What a batch tells: of workers that cannot tell themselves, of its own end; nothing twice."""
+
+import re
+from datetime import UTC, datetime
+
+import pytest
+from station_texts import PLAIN
+
+from bench.base.clock import VirtualClock
+from bench.commands.batch import show_summary
+from bench.extras.batch.batch import BatchMessages
+from bench.extras.batch.messages import Message, Outbox, channels_of
+from bench.extras.batch.supervisor import WorkerEnd
+from bench.record.history import DeviceEnd
+from bench.record.journal import Journal
+from bench.record.run_facts import Estimate
+from bench.record.summaries import newest_place
+from bench.solve.trends import Trend, agreement
+from bench.stations.station import load_station
+
+NOW = datetime(2026, 3, 1, 20, tzinfo=UTC)
+HOOK = "\nmessages: {webhooks: [{url: 'http://127.0.0.1:1/'}]%s}\n"
+
+
+@pytest.fixture
+def outbox(tmp_path, monkeypatch):
+    monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "home"))
+    return Outbox(tmp_path / "home")
+
+
+@pytest.fixture
+def messages():
+    messages = BatchMessages(VirtualClock(NOW), lambda _line: None)
+    yield messages
+    messages.close()
+
+
+def station(folder, more=""):
+    path = folder / "station.yaml"
+    path.write_text(PLAIN + HOOK % more)
+    return str(path)
+
+
+def told(outbox):
+    return [(d.message.occasion, d.message.subject) for d in outbox.deliveries()]
+
+
+@pytest.mark.parametrize(
+    ("how", "count"), [("died", 1), ("hung", 1), ("failed", 1), ("aborted", 0), ("finished", 0)]
+)
+def test_what_a_worker_cannot_tell_itself_is_told_once(tmp_path, outbox, messages, how, count):
+    for _ in range(2):
+        messages.run_ended("cam-001", station(tmp_path), tmp_path / "run", WorkerEnd(how, "so"), "a" * 64)
+    assert told(outbox) == [("failure", f"Starbench: run cam-001 {how}: so")] * count
+
+
+def test_what_a_failed_run_told_itself_is_not_told_again(tmp_path, outbox, messages):
+    (tmp_path / "run").mkdir()
+    clocks = {"utc_now": lambda: NOW, "monotonic": lambda: 0.0}
+    with Journal.create(tmp_path / "run" / "journal.jsonl", **clocks) as journal:
+        key = journal.append("run_ended", how="failed", why="so").hash
+    words = station(tmp_path)
+    messages.add_recipients([words])
+    outbox.put(
+        Message(key, "failure", "by itself", "", "run", "", NOW.isoformat()),
+        channels_of(load_station(words).value.messages),
+    )
+    messages.run_ended("cam-001", words, tmp_path / "run", WorkerEnd("failed", "so"), "a" * 64)
+    assert told(outbox) == [("failure", "by itself")]
+
+
+def test_what_could_not_be_made_safe_is_in_the_message(tmp_path, outbox, messages):
+    fault = "the light of a dead process could not be made safe: gone"
+    ends = [DeviceEnd("stage", "confirmed safe", "it stands"), DeviceEnd("light", "not confirmed", fault)]
+    end = WorkerEnd("died", "by SIGKILL", 0.0, ends)
+    messages.run_ended("cam-001", station(tmp_path), tmp_path / "run", end, "a" * 64)
+    (delivery,) = outbox.deliveries()
+    assert f"light: not confirmed: {fault}. The light may be on." in delivery.message.text
+    assert "stage: confirmed safe: it stands." in delivery.message.text
+
+
+def test_nothing_is_claimed_of_devices_that_nobody_asked(tmp_path, outbox, messages):
+    """Once every such message said: its stage is stopped, its light is off."""
+    messages.run_ended("cam-001", station(tmp_path), tmp_path / "run", WorkerEnd("died", "so"), "a" * 64)
+    (delivery,) = outbox.deliveries()
+    assert "No device was asked after that." in delivery.message.text
+    assert "safe" not in delivery.message.text
+
+
+def item(key, number=None, head=None):
+    return {
+        "item": key,
+        "how": "finished",
+        "why": "",
+        "attempts": 1,
+        "ledger_number": number,
+        "ledger_head": head,
+        "conformity": None,
+        "goals_missed": [],
+    }
+
+
+def summary(how, items, cameras=()):
+    return {"queue": "Night", "how": how, "why": "", "rehearsal": False, "items": items, "cameras": cameras}
+
+
+def test_the_mail_of_a_batch_has_the_means_that_the_terminal_prints(tmp_path, outbox, messages, capsys):
+    runs = [Estimate(3346.0 + n, 1.2, 2.2, 1.0) for n in range(3)]
+    trend = Trend("fx", agreement("fx", runs), repeats=False, per_hour=None, per_c=None)
+    parameters = [{**trend.to_dict(), "name": name} for name in ("fx", "radial_4")]
+    camera = {"camera": "00050423", "model": "radial", "runs": runs, "parameters": parameters}
+    ended = summary("finished", [item("cam-001")], [camera])
+    messages.add_recipients([station(tmp_path)])
+    messages.batch_ended(ended, tmp_path, "b" * 64)
+    show_summary(tmp_path, ended)
+    (delivery,) = outbox.deliveries()
+    mean, other = (line for line in capsys.readouterr().out.splitlines() if "Birge" in line)
+    assert mean.index("±") == other.index("±")
+    assert f"± {trend.agreed.expanded:.1f}" in mean
+    assert mean in delivery.message.text
+    assert "U with k = 2.2:" in delivery.message.text
+
+
+@pytest.mark.parametrize(
+    ("how", "occasion"),
+    [("finished", "end"), ("aborted", "end"), ("failed", "failure"), ("stopped", "failure")],
+)
+def test_everybody_hears_how_the_batch_ended(tmp_path, outbox, messages, how, occasion):
+    messages.add_recipients([station(tmp_path)])
+    messages.batch_ended(summary(how, [item("cam-001")]), tmp_path, "b" * 64)
+    (delivery,) = outbox.deliveries()
+    assert (delivery.message.occasion, delivery.message.subject) == (
+        occasion,
+        f"Starbench: batch Night {how}",
+    )
+    assert re.search("cam-001 +finished +1 attempt", delivery.message.text)
+
+
+def test_a_message_holds_the_place_of_the_newest_run_in_the_ledger(tmp_path, outbox, messages):
+    items = [item("c", 10, "b" * 64), item("b", 9, "a" * 64), item("a")]
+    assert newest_place(items[2:]) is None
+    messages.add_recipients([station(tmp_path)])
+    messages.batch_ended(summary("finished", items), tmp_path, "c" * 64)
+    (delivery,) = outbox.deliveries()
+    assert (delivery.message.ledger_number, delivery.message.ledger_head) == (10, "b" * 64)
+    assert f"Ledger: run 10 of this bench, line {'b' * 64}" in delivery.message.text
+
+
+def test_who_does_not_want_to_hear_of_failures_does_not(tmp_path, outbox, messages):
+    words = station(tmp_path, ", occasions: [end]")
+    messages.run_ended("cam-001", words, tmp_path / "run", WorkerEnd("died", "so"), "a" * 64)
+    assert told(outbox) == []
+
+
+def test_a_station_file_that_is_gone_does_not_end_the_batch(tmp_path, outbox):
+    said = []
+    messages = BatchMessages(VirtualClock(NOW), said.append)
+    messages.run_ended("cam-001", str(tmp_path / "gone.yaml"), tmp_path, WorkerEnd("died", "so"), "a" * 64)
+    assert "no message can be sent" in said[0]

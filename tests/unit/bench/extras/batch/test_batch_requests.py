@@ -1,0 +1,209 @@
+"""Jobs added to a batch and withdrawn from it: taken once, answered, kept over a restart, refused with a reason."""
+
+import json
+import threading
+import time
+from datetime import UTC, datetime
+
+import pytest
+from nights import NightClock, Workers, begun, hows, job_words, queue
+
+from bench.base.errors import RunFolderError, ScriptError
+from bench.commands.status import tell
+from bench.extras.batch.batch import Batch
+from bench.extras.batch.batch_plan import REQUESTS, Request, answer_text, send_request
+from bench.extras.batch.batch_summary import batch_status_text, read_batch_status
+from bench.record.journal import read_journal
+
+
+def leave(folder, request, number=0):
+    """Put a request where a batch finds it, as ``send_request`` does."""
+    (folder / REQUESTS).mkdir(parents=True, exist_ok=True)
+    (folder / REQUESTS / f"{number:04d}-{request.id}.json").write_text(request.model_dump_json())
+
+
+def add(name, **words):
+    return Request(word="add", by="ada@lab", job=job_words(name, **words))
+
+
+def withdraw(name):
+    return Request(word="withdraw", by="ada@lab", name=name)
+
+
+class Asked(Workers):
+    """Leaves requests while a run is under way."""
+
+    def __init__(self, clock, folder, requests):
+        super().__init__(clock)
+        self.folder, self.requests = folder, list(requests)
+
+    def __call__(self, item, run, log):
+        while self.requests:
+            leave(self.folder, self.requests.pop(0), number=len(self.requests))
+        deadline = time.monotonic() + 20
+        while any((self.folder / REQUESTS).glob("*.json")) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        return super().__call__(item, run, log)
+
+
+def one_run(folder, workers=None, say=lambda _: None, **more):
+    """A batch of one job."""
+    workers = workers or Workers(NightClock())
+    return Batch(folder, queue(("a", "")), workers.clock, say, workers, **more)
+
+
+def asked(folder):
+    return [e.data for e in read_journal(folder / "journal.jsonl")[0] if e.event == "requested"]
+
+
+def test_a_job_added_while_a_run_is_under_way_is_done_and_one_withdrawn_is_not(tmp_path):
+    clock = NightClock()
+    requests = [withdraw("b"), add("urgent", priority=9, times=2)]
+    workers = Asked(clock, tmp_path, requests)
+    summary = Batch(tmp_path, queue(("a", ", times: 2"), ("b", "")), clock, lambda _: None, workers).run()
+    assert begun(workers) == ["run a-001", "run urgent-001", "run urgent-002", "run a-002"]
+    assert hows(summary)["b-001"] == "withdrawn"
+    assert summary["how"] == "finished"
+    assert [(r["word"], r["job"], r["taken"]) for r in summary["requests"]] == [
+        ("add", "urgent", True),
+        ("withdraw", "b", True),
+    ]
+
+
+@pytest.mark.parametrize(
+    ("request_", "why"),
+    [
+        (add("a"), "has or had a job a"),
+        (add("A"), "the batch already has or had a job A"),
+        (withdraw("c"), "no job c"),
+        (withdraw("a"), "all runs of a have begun"),
+        (add("x", sequence="no_such"), "no_such"),
+    ],
+    ids=["doubled", "doubled in capitals", "unknown", "nothing left", "no such sequence"],
+)
+def test_a_request_that_makes_no_sense_is_refused_with_its_reason(tmp_path, request_, why):
+    summary = one_run(tmp_path, Asked(NightClock(), tmp_path, [request_])).run()
+    (answer,) = asked(tmp_path)
+    assert not answer["taken"]
+    assert why in answer["why"]
+    assert list(hows(summary)) == ["a-001"]
+
+
+def test_requests_left_while_no_process_works_are_taken_when_the_batch_goes_on(tmp_path):
+    one_run(tmp_path).run()
+    request = add("late", times=2)
+    assert send_request(tmp_path, request, patience_s=0.5) is None
+    assert "when it continues" in answer_text(None)
+    workers = Workers(NightClock())
+    summary = one_run(tmp_path, workers).run()
+    assert begun(workers) == ["run late-001", "run late-002"]
+    assert not any((tmp_path / REQUESTS).iterdir())
+    leave(tmp_path, request)  # the process died between its answer and the removal of the file
+    assert one_run(tmp_path).run()["items"] == summary["items"]
+    assert len(asked(tmp_path)) == 1
+
+
+def test_what_is_no_request_is_answered_and_removed(tmp_path):
+    (tmp_path / REQUESTS / "stray" / "deep").mkdir(parents=True)
+    (tmp_path / REQUESTS / "0-x.json").write_bytes(b"{")
+    (tmp_path / REQUESTS / "1-big.json").write_bytes(b" " * 100_000)
+    one_run(tmp_path).run()
+    assert [(a["word"], a["taken"]) for a in asked(tmp_path)] == [("unknown", False)] * 3
+    assert not any((tmp_path / REQUESTS).iterdir())
+
+
+def test_a_job_added_at_midnight_counts_its_repetitions_from_then(tmp_path):
+    class At(Asked):
+        def __call__(self, item, run, log):
+            self.clock.now_s = max(self.clock.now_s, 4 * 3600.0)
+            return super().__call__(item, run, log)
+
+    workers = At(NightClock(), tmp_path, [add("late", times=2, every_min=60)])
+    one_run(tmp_path, workers).run()
+    times_h = [at_s / 3600 for _, _, at_s in workers.begun]
+    assert times_h == pytest.approx([4, 4 + 600 / 3600, 5], abs=2e-3)
+
+
+def test_the_answer_is_waited_for_where_a_process_works_on_the_batch(tmp_path):
+    """The sender's side, with the batch in a thread."""
+    gate, answers = threading.Event(), []
+
+    class Held(Workers):
+        def __call__(self, item, run, log):
+            assert gate.wait(30)
+            return super().__call__(item, run, log)
+
+    thread = threading.Thread(target=one_run(tmp_path, Held(NightClock())).run)
+    thread.start()
+    try:
+        deadline = time.monotonic() + 20
+        while not (tmp_path / "journal.jsonl").exists() and time.monotonic() < deadline:
+            time.sleep(0.01)
+        answers.append(send_request(tmp_path, add("b")))
+    finally:
+        gate.set()
+        thread.join()
+    assert answers[0]["taken"]
+    assert answer_text(answers[0]) == "Accepted: b is in the batch."
+
+
+def test_a_faulty_job_file_is_refused_before_anything_is_asked(tmp_path):
+    path = tmp_path / "job.yaml"
+    path.write_text("format: starbench/job/1\nname: a\nsequence: no_such\nstation: simulated\n")
+    with pytest.raises(ScriptError, match="no_such"):
+        tell.callback(tmp_path, "add", str(path), "ada", take_over=False)
+
+
+@pytest.mark.parametrize("words", [{"word": "add"}, {"word": "withdraw"}, {"word": "add", "name": "a"}])
+def test_a_request_carries_what_its_word_needs(words):
+    with pytest.raises(ValueError, match="add needs a job"):
+        Request(by="ada", **words)
+
+
+# ---------------------------------------------------------------- how a batch stands
+
+
+def test_the_status_tells_what_is_done_and_when_the_rest_comes(tmp_path):
+    clock, looks = NightClock(), []
+
+    class Looked(Workers):
+        def __call__(self, item, run, log):
+            looks.append(read_batch_status(tmp_path, clock.utc_now))
+            return super().__call__(item, run, log)
+
+    jobs = queue(("a", ", times: 3, every_min: 30"), top="zone: UTC\nstop_by: '20:50'\n")
+    Batch(tmp_path, jobs, clock, lambda _: None, Looked(clock)).run()
+    first, second = looks
+    assert first.running
+    assert [run.item for run in first.upcoming] == ["a-001", "a-002", "a-003"]
+    assert first.upcoming[2].begin is None
+    assert [run.how for run in second.done] == ["finished"]
+    assert second.upcoming[0].begin == datetime(2026, 3, 1, 20, 30, tzinfo=UTC)
+    took = second.upcoming[0].end - second.upcoming[0].begin
+    assert took.total_seconds() == pytest.approx(600, abs=0.1)  # as the first took, not as planned
+    text = batch_status_text(second)
+    assert "No time for: a-003" in text
+    assert "Expected end: Sun 20:40 UTC" in text
+    ended = read_batch_status(tmp_path, clock.utc_now)
+    assert (ended.running, ended.ended) == (False, "stopped")
+    assert json.loads(json.dumps(ended.to_dict()))["coming"] == []
+
+
+def test_a_request_that_cannot_be_judged_is_refused_and_ends_no_night(tmp_path, monkeypatch):
+    def broken(_job):
+        raise ZeroDivisionError("nobody foresaw this")
+
+    monkeypatch.setattr("bench.extras.batch.batch_plan.job_faults", broken)
+    leave(tmp_path, add("b"))
+    assert one_run(tmp_path).run()["how"] == "finished"
+    assert [data["why"] for data in asked(tmp_path)] == [
+        "the request cannot be processed: ZeroDivisionError: nobody foresaw this"
+    ]
+
+
+def test_a_rehearsal_does_not_say_that_it_continues_before_it_is_refused(tmp_path):
+    one_run(tmp_path, rehearsal=True).run()
+    said = []
+    with pytest.raises(RunFolderError, match="cannot continue in the same folder"):
+        one_run(tmp_path, say=said.append).run()
+    assert said == []

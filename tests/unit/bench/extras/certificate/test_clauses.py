@@ -1,0 +1,138 @@
+"""The clauses of ISO/IEC 17025: each is answered or named; the table of the documentation has them all."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+import yaml
+from certificate_sample import LAB, identity, sample_lab, sample_results
+
+from bench.extras.certificate.certificate_data import Certificate
+from bench.extras.certificate.clauses import CLAUSES, faults_of_lab, unanswered
+from bench.extras.certificate.compose import compose
+from bench.extras.certificate.lab_config import EXAMPLE, LabConfig, read_lab
+from sequences.errors import DocumentFaults
+
+PAGE = Path(__file__).parents[5] / "docs" / "certificates.md"
+NOTHING = "format: starbench/lab/1\n"
+
+
+def test_the_sample_answers_every_clause():
+    assert faults_of_lab(sample_lab(), sample_results()) == []
+
+
+def test_every_key_of_a_clause_can_be_missing_and_is_then_named():
+    named = {clause.number for clause, _ in unanswered(sample_lab(NOTHING).value, sample_results())}
+    assert {"7.8.2.1 b", "7.8.2.1 c", "7.8.2.1 e", "7.8.2.1 f", "7.8.2.1 g", "7.8.2.1 h", "7.8.2.1 n"} < named
+    assert {"7.8.2.1 o", "7.8.2.1 p", "7.8.2.2", "7.8.4.1 b", "7.8.4.1 c", "7.8.4.1 d"} < named
+
+
+def test_the_table_of_the_documentation_has_the_clauses_and_fields_of_a_certificate():
+    rows = [
+        line.split(" | ") for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| 7.")
+    ]
+    assert {(one.number, one.item) for one in CLAUSES} < {(row[0].removeprefix("| "), row[1]) for row in rows}
+    known = set(Certificate.__dataclass_fields__)
+    for row in rows:
+        for field in row[2].split(", "):
+            name = field.split(":")[0].split(".")[0].split(";")[0].strip()
+            assert name in known or " " in name or name in {"k", "p", "nu_eff", "reproduction"}, row
+
+
+def test_a_reference_without_number_date_or_issuer_is_named():
+    without = {**sample_results(), "passport": {**sample_results()["passport"], "number": None, "date": None}}
+    keys = [key for _, key in unanswered(sample_lab().value, without)]
+    assert keys == ["sources.number", "sources.date"]
+    none = {**sample_results(), "passport": None}
+    assert [key for _, key in unanswered(sample_lab().value, none)] == []
+    bare = sample_lab(LAB.replace("number: R-17, ", "")).value
+    assert [key for _, key in unanswered(bare, none)] == ["sources"]
+
+
+def test_the_documentation_names_every_key_of_lab_yaml():
+    text = PAGE.read_text(encoding="utf-8")
+    assert [name for name in LabConfig.model_fields if f"`{name}`" not in text] == []
+
+
+def test_the_example_has_every_section_and_names_every_placeholder():
+    with pytest.raises(DocumentFaults) as found:
+        read_lab(EXAMPLE)
+    lines = [str(fault) for fault in found.value.faults]
+    assert len(lines) == EXAMPLE.read_text(encoding="utf-8").split("laboratory:", 1)[1].count("REPLACE")
+    assert all("REPLACE" in line or "replace this placeholder" in line for line in lines)
+
+
+def test_the_schema_of_lab_yaml_takes_what_the_reader_takes():
+    """An editor reads numbers, dates and booleans; Starbench reads text."""
+    jsonschema = pytest.importorskip("jsonschema")
+    schema = LabConfig.model_json_schema()
+    jsonschema.Draft202012Validator.check_schema(schema)
+    check = jsonschema.Draft202012Validator(schema)
+    nothing = re.sub(r"(deviations|external): \[.*\]", r"\1: none", LAB).replace(
+        "accreditation: {body: DAkkS, number: D-K-00000-01-00, scope: Geometric calibration of cameras}",
+        "accreditation: none",
+    )
+    for text in (LAB, nothing):
+        document = json.loads(json.dumps(yaml.safe_load(text), default=str))
+        assert [error.message for error in check.iter_errors(document)] == []
+        assert sample_lab(text).value.format == "starbench/lab/1"
+    assert not check.is_valid({"format": "starbench/lab/1", "customer": {"nam": "x"}})
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "named"),
+    [
+        ("country: GB", "country: England", r"customer.address.country: must be of the form"),
+        ("email: ada@customer.example", "name: x", "customer.contact"),
+        ("value: 20.3", "value: 2_0", "conditions[0].value"),
+        ("value: 20.3", "value: .nan", "conditions[0].value"),
+        ("uncertainty: 0.4", "uncertainty: -1", "conditions[0].uncertainty: must be 0 or more"),
+        (
+            "accreditation: {body",
+            "accreditation: {bodi",
+            "laboratory.accreditation.bodi: unknown key. Did you mean 'body'?",
+        ),
+        (
+            "accreditation: {body: DAkkS, number: D-K-00000-01-00, scope: Geometric calibration of cameras}",
+            "accreditation: DAkkS",
+            "laboratory.accreditation: must be 'none' or a mapping (key: value) (got 'DAkkS').",
+        ),
+        ("lower: 3340, upper: 3350", "lower: 3350, upper: 3340", "lower must be less than upper"),
+        ("lower: 3340, upper: 3350", "", "needs lower, upper or both"),
+        ("received: 2026-11-18", "received: 18.11.2026", "must be a date, year-month-day"),
+        ("name: Customer & Sons <GmbH>", 'name: "a\\u0007b"', "a control character is not allowed"),
+        ('key: "SHA256:AAA', 'key: "SHA1:AAA', "authorised_by.key: must be of the form"),
+        ("format: starbench/lab/1", "format: starbench/station/1", "wrong kind of document"),
+        ("name: Ada Byron", "name: \u200b", "must contain no control characters"),
+        ("place: {kind", "numbers: {format: SB-2026}\nplace: {kind", "format must contain {number:05d} once"),
+        ("place: {kind", "numbers: {format: '{number.__class__}'}\nplace: {kind", "format must contain"),
+        (
+            "previous_certificate: {number: SB-2025-00104, ",
+            "previous_certificate: {",
+            "previous_certificate.number: ",
+        ),
+        ("external: [", "external: REPLACE # [", "external"),
+    ],
+)
+def test_a_fault_of_lab_yaml_is_named_with_its_place(old, new, named):
+    assert old in LAB
+    with pytest.raises(DocumentFaults) as found:
+        sample_lab(LAB.replace(old, new))
+    lines = [str(fault) for fault in found.value.faults]
+    assert any(named in line and line.startswith("lab.yaml:") for line in lines), lines
+
+
+def test_a_camera_without_a_number_is_identified_by_the_laboratory():
+    devices = sample_results()["devices"]
+    camera = {**devices["camera"], "serial": "", "maker": "OpenCV", "model": "/dev/video0"}
+    unnamed = {**sample_results(), "devices": {**devices, "camera": camera}}
+    assert [fault.path for fault in faults_of_lab(sample_lab(), unnamed)] == ["item.maker", "item.model"]
+    own = "  serial: 00050423\n  maker: Basler\n  model: ace 2"
+    named = sample_lab(LAB.replace("  serial: 00050423", own))
+    assert faults_of_lab(named, unnamed) == []
+    certificate = compose(unnamed, named.value, identity())
+    assert certificate.item.camera.maker == "Basler"
+    assert "laboratory read them from the item" in certificate.statement("identity")
+    maker, _ = [str(fault) for fault in faults_of_lab(named, sample_results())]
+    assert "item.maker: the camera 00050423 identified itself in the run; leave it out." in maker

@@ -1,0 +1,333 @@
+""""""
+
+import dataclasses
+import json
+import re
+import time
+import tracemalloc
+
+import certificate_sample
+import pytest
+from dcc_checks import check_dcc, powers
+from lxml import etree
+
+from bench.base.bounded_json import leaves
+from bench.base.errors import EvidenceError, UsageError
+from bench.extras.certificate import dcc_xml
+from bench.extras.certificate.certificate_data import Software
+from bench.extras.certificate.dcc import ellipsoid_factor, number_text, plain_number, render_dcc
+from bench.extras.certificate.dcc_signature import verify_signature, without_signature
+from bench.extras.certificate.dcc_xml import (
+    NAMESPACES,
+    OUR_UNITS,
+    d_si_unit,
+    is_unit,
+    product,
+    read_dcc,
+    read_xml,
+    short,
+)
+from bench.extras.certificate.issue import require_libraries
+
+
+def dcc_of(certificate):
+    return etree.fromstring(render_dcc(certificate))
+
+
+def texts(root, path):
+    return [one.text for one in root.xpath(path, namespaces=NAMESPACES)]
+
+
+@pytest.mark.parametrize("dcc", [certificate_sample.full_dcc, certificate_sample.small_dcc])
+def test_a_certificate_does_not_contradict_itself(dcc):
+    assert check_dcc(dcc()) == []
+
+
+def test_results_are_stated_as_printed_with_k_p_and_degrees_of_freedom():
+    root = dcc_of(certificate_sample.full_certificate())
+    fx = "//dcc:quantity[@id='result-fx']"
+    assert texts(root, f"{fx}/si:real/*[not(*)]") == ["fx", "3346.4", r"\one"]
+    assert texts(root, f"{fx}/si:real/si:expandedUnc/*") == [
+        "2.4",
+        "2.2215",
+        "0.9545",
+        "Student's t with the effective degrees of freedom",
+    ]
+    assert texts(root, f"{fx}//dcc:metaData//si:value") == ["12.48"]
+    assert texts(root, "//dcc:nonSIUnit") == ["pixel"]
+
+
+@pytest.mark.parametrize(("k", "distribution"), [(2.0, "normal"), (2.24, "posterior of the adjustment")])
+def test_without_degrees_of_freedom_only_the_k_of_a_normal_distribution_is_called_normal(k, distribution):
+    full = certificate_sample.full_certificate()
+    first = dataclasses.replace(full.results[0], nu_eff=None, k=k)
+    root = dcc_of(dataclasses.replace(full, results=(first, *full.results[1:])))
+    assert texts(root, "//dcc:quantity[@id='result-fx']//si:expandedUnc/si:distribution") == [distribution]
+
+
+def test_every_number_of_the_certificate_is_in_the_dcc():
+    certificate = certificate_sample.full_certificate()
+    data = render_dcc(certificate).decode()
+    for result in certificate.results:
+        assert f">{result.printed_value}<" in data
+        assert f">{result.printed_uncertainty}<" in data
+    for further in certificate.further:
+        assert f">{number_text(further.value)}<" in data
+    for budget in certificate.budgets:
+        for row in budget.rows:
+            assert f">{number_text(row.u)}<" in data
+            assert row.sha256 in data
+    for reference in certificate.traceability:
+        assert reference.sha256 in data
+        assert reference.number in data
+
+
+def test_every_text_of_the_certificate_is_in_the_dcc():
+    certificate = certificate_sample.full_certificate()
+    said = " ".join(" ".join(etree.fromstring(render_dcc(certificate)).itertext()).split())
+    not_said = {certificate.format, certificate.series}
+    not_said |= {one.id for one in certificate.further} | {one.id for one in certificate.statements}
+    not_said |= {one.text for one in certificate.further}  # the numbers behind them are stated
+    not_said |= {certificate.run.sequence, certificate.run.station}
+    units = {"px", "mm", "1", "%", "°C", "Hz", "arcsec", "lx", "Mev/s", "px/mm", "1/mm", "", "starbench"}
+    for _, text in leaves(json.loads(certificate.to_json())):
+        if not isinstance(text, str) or text in not_said or text in units or "/ (" in text:
+            continue
+        dated = re.fullmatch(r"\d{4}-\d\d-\d\dT.*Z", text)
+        assert " ".join(text.split()) in said or (dated and text[:10] in said), text
+
+
+def test_text_of_a_customer_stays_text():
+    full = certificate_sample.full_certificate()
+    evil = "</dcc:content><dcc:x/>]]>&amp; \x00\x1b[31m \ud800 <!-- x -->"
+    root = dcc_of(dataclasses.replace(full, customer=full.customer.model_copy(update={"name": evil})))
+    (name,) = texts(root, "//dcc:customer/dcc:name/dcc:content")
+    assert name == evil.replace("\x00", "\ufffd").replace("\x1b", "\ufffd").replace("\ud800", "\ufffd")
+    assert not root.xpath("//dcc:x", namespaces=NAMESPACES)
+
+
+def test_a_certificate_with_hardly_anything_is_still_whole():
+    small = certificate_sample.small_certificate()
+    camera = dataclasses.replace(small.item.camera, model="EVK4", firmware="", sensor="", biases=())
+    lens = small.item.lens.model_copy(update=dict.fromkeys(("maker", "model", "serial"), ""))
+    item = dataclasses.replace(small.item, camera=camera, lens=lens)
+    nothing = dict.fromkeys(("traceability", "conditions", "further", "budgets"), ())
+    assert check_dcc(render_dcc(dataclasses.replace(small, item=item, received="", **nothing))) == []
+
+
+def test_units_that_d_si_lacks_are_stated_in_words():
+    full = certificate_sample.full_certificate()
+    odd = dataclasses.replace(full.conditions[0], value=3.5, unit="furlong", U=0.5, k=2.0)
+    data = render_dcc(dataclasses.replace(full, conditions=(odd,)))
+    assert b"3.5 furlong, U = 0.5" in data
+    assert check_dcc(data) == []
+
+
+@pytest.mark.parametrize(("k", "distribution"), [(2.0, "normal"), (2.4, "posterior of the adjustment")])
+def test_the_ellipsoid_of_a_posterior_is_as_much_wider_than_a_normal_one_as_its_widest_result(
+    k, distribution
+):
+    full = certificate_sample.full_certificate()
+    first, *others = (dataclasses.replace(one, nu_eff=None, k=2.0) for one in full.results)
+    root = dcc_of(dataclasses.replace(full, results=(dataclasses.replace(first, k=k), *others)))
+    region = "//si:ellipsoidalRegionXMLList/si:"
+    assert texts(root, f"{region}distribution") == [distribution]
+    normal = ellipsoid_factor(len(full.covariance.names), first.p, None)
+    assert float(texts(root, f"{region}coverageFactor")[0]) == pytest.approx(normal * k / 2, rel=1e-4)
+
+
+def test_results_of_hundreds_of_pixels_are_compared_with_the_covariance():
+    full, scale = certificate_sample.full_certificate(), 50.0
+    fx = dataclasses.replace(full.results[0], printed_value="3350", printed_uncertainty="130", U=130.0)
+    matrix = [list(row) for row in full.covariance.matrix]
+    for at in range(6):
+        matrix[0][at] *= scale
+        matrix[at][0] *= scale
+    covariance = dataclasses.replace(full.covariance, matrix=tuple(map(tuple, matrix)))
+    parts = {"results": (fx, *full.results[1:]), "covariance": covariance, "conformity": (), "budgets": ()}
+    assert check_dcc(render_dcc(dataclasses.replace(full, **parts))) == []
+
+
+@pytest.mark.parametrize(
+    ("n", "nu", "expected"), [(1, None, 2.0), (6, None, 3.585), (1, 12.48, 2.2214), (6, 12.48, 4.276)]
+)
+def test_ellipsoid_factor(n, nu, expected):
+    """Those of six dimensions: 2 million draws gave 3.587 and 4.276. Those of one are the factors of results."""
+    assert ellipsoid_factor(n, 0.9545, nu) == pytest.approx(expected, rel=2e-3)
+
+
+def test_numbers_are_finite_and_coverage_factors_have_no_exponent():
+    for value in (float("nan"), float("inf"), -float("inf")):
+        with pytest.raises(ValueError, match="is not a number"):
+            number_text(value)
+    assert [plain_number(one, 4) for one in (2, 2.22151, 100.0, 0.00012)] == ["2", "2.2215", "100", "0.0001"]
+
+
+def test_the_run_is_named_for_programs():
+    run = certificate_sample.full_certificate().run
+    told = dcc_of(certificate_sample.full_certificate()).find("dcc:comment/starbench:run", NAMESPACES)
+    said = {one.tag.rpartition("}")[2]: one.text for one in told}
+    wanted = {"sealSHA256": run.seal_sha256, "resultsSHA256": run.results_sha256, "ledgerNumber": "1"}
+    assert {name: said[name] for name in wanted} == wanted
+
+
+def test_what_wrote_the_certificate_is_told_apart_from_what_measured():
+    full = certificate_sample.full_certificate()
+    programs = (Software("starbench", "0.1.0rc2"), Software("numpy", "2.4.6"))
+    writers = (Software("certificate_form", "1fe3aa0011223344"), Software("lxml", "6.1.3"))
+    run = dataclasses.replace(full.run, software=(*programs, *writers))
+    data = render_dcc(dataclasses.replace(full, run=run))
+    for place, names, releases in (
+        ("usedSoftware", ["starbench", "numpy"], ["v0.1", "v2.4.6"]),
+        ("dccSoftware", ["starbench", "certificate_form", "lxml"], ["v0.1", "v0", "v6.1.3"]),
+    ):
+        root = etree.fromstring(data)
+        assert texts(root, f"//dcc:{place}//dcc:name/dcc:content") == names
+        assert texts(root, f"//dcc:{place}//dcc:release") == releases
+    assert b"Full version: 0.1.0rc2" in data
+    assert b"Full version: 1fe3aa0011223344" in data
+    assert check_dcc(data) == []
+
+
+def test_a_range_is_stated_with_both_ends():
+    full = certificate_sample.full_certificate()
+    text = "71.3566 to 86.9117 Mev/s"
+    rate = dataclasses.replace(
+        full.conditions[0], name="event rate", value=None, unit="Mev/s", U=None, text=text
+    )
+    odd = dataclasses.replace(rate, text="71 to 86 furlong", unit="furlong")
+    root = dcc_of(dataclasses.replace(full, conditions=(rate, odd)))
+    first, second = root.xpath("//dcc:influenceCondition", namespaces=NAMESPACES)
+    assert texts(first, ".//si:value") == ["71.3566", "86.9117"]
+    assert set(texts(first, ".//si:unit")) == {r"\micro\second\tothe{-1}"}
+    assert texts(second, "dcc:data/dcc:text/dcc:content") == ["71 to 86 furlong"]
+
+
+# ---------------------------------------------------------------- units
+
+
+UNITS = [
+    *sorted(set(OUR_UNITS.values())),
+    r"\metre\per\second\tothe{2}", r"\metre\tothe{-1}", r"\metre\tothe{0.5}", r"\micro\arcsecond", r"\kibi\byte",
+    r"\milli\bar", r"\ppm\per\kelvin", r"\kilogram\metre\second\tothe{-2}", r"\deci\bel",
+]  # fmt: skip
+NO_UNITS = [
+    "", "foo", "metre", r"\pixel", r"\px", r"\foo", r"\milli", r"\milli\milli\metre", r"\metre\per", r"\per\second",
+    r"\metre\per\second\per\second", r"\metre\tothe2", r"\metre\tothe{x}", r"\tothe{2}", r"\metre\tothe{2}\tothe{2}",
+    r"\one\tothe{2}", r"\milli\one", r"\kilo\gram", r"\kilo\kilogram", r"\kibi\metre", r"\milli\tothe{2}",
+    r"\metre \second", "\\metre\n", r"\\metre", r"|pixel", "\\", r"\metre\\second", "mm", "\\µ\\metre",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("unit", [*UNITS, *NO_UNITS])
+def test_units_are_those_of_d_si(unit):
+    assert is_unit(unit) is (unit in UNITS)
+
+
+@pytest.mark.parametrize(
+    ("printed", "written"),
+    [
+        ("px", r"\one"), ("mm", r"\milli\metre"), ("arcsec", r"\arcsecond"), ("°C", r"\degreecelsius"),
+        ("px / (mm)", r"\milli\metre\tothe{-1}"), ("px / (mm/K)", r"\milli\metre\tothe{-1}\kelvin"),
+        ("1 / (1)", r"\one"), ("events/s", r"\second\tothe{-1}"), (r"\milli\metre", r"\milli\metre"),
+        ("mm at 40 mm", None), ("px / (%)", None), ("px/", None), ("furlong", None), ("mm//s", None), ("", r"\one"),
+    ],
+)  # fmt: skip
+def test_printed_units(printed, written):
+    assert d_si_unit(printed) == written
+
+
+def test_products_have_the_powers_of__are_in_millimetres():
+    assert powers(product(r"\milli\metre", r"\milli\metre")) == {"millimetre": 2}
+    assert powers(product(r"\radian", r"\milli\metre")) == {"radian": 1, "millimetre": 1}
+    assert powers(r"\metre\per\second\tothe{2}") == powers(r"\metre\second\tothe{-2}")
+    assert powers(r"\metre\per\metre") == {}
+
+
+# ---------------------------------------------------------------- the XML
+
+ROOT = '<dcc:digitalCalibrationCertificate xmlns:dcc="https://ptb.de/dcc" schemaVersion="3.2.1">'
+
+END = "</dcc:digitalCalibrationCertificate>"
+
+
+def laughs():
+    entities = ['<!ENTITY a0 "ha">'] + [f'<!ENTITY a{n} "{f"&a{n - 1};" * 10}">' for n in range(1, 12)]
+    return f"<!DOCTYPE r [{''.join(entities)}]>{ROOT}&a11;{END}"
+
+
+HOSTILE = {
+    "billion laughs": laughs(),
+    "quadratic blowup": f'<!DOCTYPE r [<!ENTITY a "{"x" * 50_000}">]>{ROOT}{"&a;" * 50_000}{END}',
+    "file as entity": f'<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]>{ROOT}&a;{END}',
+    "address as entity": f'<!DOCTYPE r [<!ENTITY a SYSTEM "http://127.0.0.1:9/x">]>{ROOT}&a;{END}',
+    "external document type": f'<!DOCTYPE r SYSTEM "http://127.0.0.1:9/x.dtd">{ROOT}{END}',
+    "parameter entity": f'<!DOCTYPE r [<!ENTITY % a SYSTEM "file:///etc/passwd"> %a;]>{ROOT}{END}',
+    "default attribute": f'<!DOCTYPE r [<!ATTLIST r schemaVersion CDATA "3.2.1">]>{ROOT}{END}',
+    "entity that is not declared": f"{ROOT}&nbsp;{END}",
+    "document type in UTF-16": laughs().encode("utf-16"),
+    "document type in UTF-7": b'<?xml version="1.0" encoding="UTF-7"?>' + laughs().encode("utf-7"),
+    "document type in EBCDIC": '<?xml version="1.0" encoding="cp037"?>'.encode("cp037")
+    + laughs().encode("cp037"),
+    "Latin-1": f'<?xml version="1.0" encoding="ISO-8859-1"?>{ROOT}\xe4{END}'.encode("latin-1"),
+    "wrong UTF-8": ROOT.encode() + b"\xff\xfe" + END.encode(),
+    "nested": ROOT + "<a>" * 5_000 + "</a>" * 5_000 + END,
+    "a text of 12 MB": ROOT + "x" * 12_000_000 + END,
+    "millions of elements": ROOT + "<a/>" * 2_000_000 + END,
+    "millions of attributes": ROOT + "<a " + " ".join(f"b{n}=''" for n in range(500_000)) + "/>" + END,
+    "an attribute twice": f'{ROOT}<a b="1" b="2"/>{END}',
+    "prefix without namespace": f"{ROOT}<si:real/>{END}",
+    "not closed": ROOT,
+    "two roots": f"{ROOT}{END}{ROOT}{END}",
+    "no XML": "%PDF-1.7",
+    "empty": "",
+    "NUL": f"{ROOT}\x00{END}",
+    "another document": "<html/>",
+    "no namespace": "<digitalCalibrationCertificate schemaVersion='3.2.1'/>",
+    "another version": '<dcc:digitalCalibrationCertificate xmlns:dcc="https://ptb.de/dcc" schemaVersion="9.9.9"/>',
+    "a huge version": f'<dcc:digitalCalibrationCertificate xmlns:dcc="https://ptb.de/dcc" schemaVersion="{"9" * 9999}"/>',
+}
+
+
+@pytest.mark.parametrize(
+    "read", [lambda data: read_dcc(data, "x"), lambda data: verify_signature(data, "x"), without_signature]
+)
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_xml_is_refused_with_one_message(name, read):
+    data = HOSTILE[name]
+    data = data if isinstance(data, bytes) else data.encode()
+    begun = time.monotonic()
+    with pytest.raises(EvidenceError) as caught:
+        read(data)
+    assert time.monotonic() - begun < 5.0
+    assert len(str(caught.value)) < 600
+    assert caught.value.remedy
+    assert "root:" not in str(caught.value)
+
+
+def test_memory_stays_small(monkeypatch):
+    tracemalloc.start()
+    try:
+        with pytest.raises(EvidenceError):
+            read_xml(HOSTILE["billion laughs"].encode(), "x")
+        assert tracemalloc.get_traced_memory()[1] < 10_000_000
+    finally:
+        tracemalloc.stop()
+    monkeypatch.setattr(dcc_xml, "MOST_BYTES", 100)
+    with pytest.raises(EvidenceError, match="at most 100"):
+        read_dcc(certificate_sample.small_dcc(), "x")
+
+
+def test_messages_show_text_of_others_on_one_line():
+    assert short("a\nb\x1b[31m" + "c" * 200) == "a b?[31m" + "c" * 71 + "…"
+
+
+def test_a_missing_library_is_named(monkeypatch):
+    def refuse(name):
+        raise ModuleNotFoundError(name)
+
+    monkeypatch.setattr(dcc_xml, "import_module", refuse)
+    with pytest.raises(UsageError, match=r"lxml is not installed.*starbench\[certificate\]"):
+        read_dcc(b"<a/>", "x")
+    with pytest.raises(UsageError, match=r"lxml is not installed.*starbench\[certificate\]"):
+        require_libraries()

@@ -1,0 +1,321 @@
+"""A certificate's numbers and words: what a reader can calculate again, its JSON, and planar calibrations."""
+
+import copy
+import dataclasses
+import json
+import math
+import re
+from decimal import Decimal
+
+import pytest
+from certificate_sample import LAB, full_certificate, identity, sample_lab, sample_results, small_certificate
+from hypothesis import example, given
+from hypothesis import strategies as st
+from scipy import stats
+
+from bench.base.errors import EvidenceError
+from bench.extras.certificate.budget_rows import budget_of, expanded, print_result
+from bench.extras.certificate.certificate_data import Certificate
+from bench.extras.certificate.compose import compose
+from bench.extras.certificate.dcc import render_dcc
+from bench.extras.certificate.pdf import draw_plots, pictures
+from bench.record.run_facts import conformity, verdict_of
+from bench.wording.numbers import round_expanded, with_uncertainty
+from bench.wording.target_words import BOARD, STARS
+from sequences.schema import ResultLimitConfig
+
+EXPANDED = st.floats(min_value=1e-9, max_value=1e9)
+
+
+@given(EXPANDED)
+@example(9.99)
+@example(0.0995)
+@example(2.4106)
+def test_an_uncertainty_has_two_digits_and_is_not_made_smaller_by_more_than_one_percent(expanded_value):
+    rounded = round_expanded(expanded_value)
+    assert len(rounded.as_tuple().digits) == 2
+    assert 0.99 <= float(rounded) / expanded_value <= 1.1
+
+
+@given(st.floats(min_value=-1e9, max_value=1e9), EXPANDED)
+def test_a_value_ends_at_the_digit_of_its_uncertainty(value, expanded_value):
+    shown, uncertainty = print_result(value, expanded_value)
+    assert "e" not in (shown + uncertainty).lower()
+    assert len(shown.partition(".")[2]) == len(uncertainty.partition(".")[2])
+    step = Decimal(1).scaleb(int(round_expanded(expanded_value).as_tuple().exponent))
+    assert abs(Decimal(shown) - Decimal(repr(value))) <= step / 2
+
+
+@given(st.floats(min_value=-1e9, max_value=1e9), EXPANDED)
+@example(640.02, 2.24)
+def test_report_and_certificate_print_the_same_numbers(value, expanded_value):
+    texts = tuple(text.replace("\N{MINUS SIGN}", "-") for text in with_uncertainty(value, expanded_value))
+    assert texts == print_result(value, expanded_value)
+
+
+@pytest.mark.parametrize("bad", [0.0, -1.0, math.nan, math.inf])
+def test_what_is_no_uncertainty_is_refused(bad):
+    with pytest.raises(ValueError, match=str(bad)):
+        round_expanded(bad)
+
+
+@given(
+    st.decimals(-100, 100, places=2), st.decimals("0.01", 20, places=2), st.floats(-50, 0), st.floats(0.1, 50)
+)
+def test_verdicts_follow_the_guard_band(value, band, lower, upper):
+    verdict = verdict_of(str(value), str(band), lower, upper)
+    inside = min(Decimal(repr(upper)) - value, value - Decimal(repr(lower)))
+    assert (verdict in ("pass", "conditionalPass")) == (inside >= 0)
+    assert (verdict in ("pass", "fail")) == (inside >= band or inside < -band)
+
+
+def test_one_limit_alone_is_enough():
+    assert verdict_of("5", "1", None, 6.0) == "pass"
+    assert verdict_of("5", "1", 5.5, None) == "conditionalFail"
+
+
+def quantile(nu):
+    return stats.norm.ppf(0.97725) if nu is None else stats.t.ppf(0.97725, nu)
+
+
+@pytest.mark.parametrize("symbol", ["fx", "fy", "cx", "cy", "k1", "k2"])
+def test_a_reader_can_calculate_every_uncertainty_from_the_rows(symbol):
+    """By the formulas of the GUM: u from the rows, nu_eff by Welch and Satterthwaite, k from the t-distribution."""
+    certificate = full_certificate()
+    result = next(one for one in certificate.results if one.symbol == symbol)
+    budget = next(one for one in certificate.budgets if one.symbol == symbol)
+    u = math.sqrt(sum(row.u**2 for row in budget.rows))
+    together = {}
+    for row in budget.rows:
+        if row.nu is not None:
+            together[row.nu] = together.get(row.nu, 0.0) + row.u**2
+    nu_eff = u**4 / sum(variance**2 / nu for nu, variance in together.items())
+    assert u == pytest.approx(result.u, rel=1e-6)
+    assert nu_eff == pytest.approx(result.nu_eff, rel=0.02)  # fy shares the smaller one of fx
+    assert quantile(result.nu_eff) == pytest.approx(result.k, rel=1e-4)
+    assert float(round_expanded(result.k * result.u)) == result.U
+    assert sum(row.share for row in budget.rows) == pytest.approx(1.0)
+    stated = sample_results()["calibration"]
+    assert result.k * result.u == pytest.approx(stated["coverage_factor"] * stated["sigma"][symbol], rel=1e-8)
+
+
+def test_rows_name_their_certificates():
+    fx = full_certificate().budgets[0]
+    known = {row.name: (row.number, row.date) for row in fx.rows if row.number}
+    assert known == {
+        "passport of the collimator": ("SIM-2026-01", "2026-01-12"),
+        "scale of the print": ("R-17", "2026-01-08"),
+    }
+
+
+def test_of_a_coefficient_each_group_has_a_row_and_only_one_of_a_single_source_states_its_value():
+    """The engine splits the variance of k1 by groups alone; certificates belong to single sources."""
+    k1 = next(one for one in full_certificate().budgets if one.symbol == "k1")
+    rows = {row.name: row for row in k1.rows}
+    assert list(rows)[:3] == [
+        "stars, readings of the gimbal",
+        "known beforehand, parallax, scale and eccentricity of the gimbal, mounting and axes of the gimbal",
+        "disagreement of the views",
+    ]
+    assert {(row.value, row.number) for name, row in rows.items() if ", " in name} == {(None, "")}
+    assert (rows["passport of the collimator"].value, rows["passport of the collimator"].number) == (
+        0.1,
+        "SIM-2026-01",
+    )
+    assert rows["scale of the print"].value == 2e-5
+    assert (
+        rows["stars, readings of the gimbal"].source
+        == "residuals of the stars, with the gimbal's readings if there are any"
+    )
+    variances = sample_results()["calibration"]["budget"]
+    ratio = rows["scale of the print"].u / rows["passport of the collimator"].u
+    by_engine = variances["scale of the print"]["k1"] / variances["passport of the collimator"]["k1"]
+    assert ratio == pytest.approx(by_engine, rel=1e-6)
+    assert (rows["stars, readings of the gimbal"].type, rows["effective radius"].type) == ("A", "B")
+
+
+def changed(change):
+    calibration = json.loads(json.dumps(sample_results()["calibration"]))
+    change(calibration)
+    return calibration
+
+
+def changed_data(change):
+    found = json.loads(full_certificate().to_json())
+    change(found)
+    return json.dumps(found).encode()
+
+
+def test_rows_that_do_not_add_up_and_results_without_a_budget_are_refused():
+    wrong = changed(lambda c: c["budget"]["stars"].update(fx=0.1))
+    with pytest.raises(EvidenceError, match=r"uncertainty budget of fx give u = 0\.9\d+ px, but 1\.085 is"):
+        budget_of(wrong, "fx", "px", {}, 2.4)
+    with pytest.raises(EvidenceError, match="have no uncertainty budget"):
+        expanded(changed(lambda c: c.update(budget={})), "fx")
+
+
+def test_with_many_degrees_of_freedom_k_is_two_everywhere():
+    def plenty(calibration):
+        calibration["coverage_factor"] = 2.0000024
+        for row in calibration["budget_rows"]:
+            row["degrees_of_freedom"] = None
+
+    calibration = changed(plenty)
+    for symbol in calibration["camera"]:
+        found = expanded(calibration, symbol)
+        assert (found.nu_eff, found.growth) == (None, 1.0)
+        assert found.u == calibration["sigma"][symbol]
+
+
+def test_data_of_the_customer_mark_the_results_that_depend_on_them():
+    text = LAB.replace('data sheet of the camera."}', 'data sheet of the camera.", results: [k1]}')
+    certificate = compose(sample_results(), sample_lab(text).value, identity())
+    assert [one.symbol for one in certificate.results if one.customer_supplied] == ["k1"]
+    assert "customer" in certificate.statement("customer_data")
+    assert dataclasses.replace(certificate) == certificate
+
+
+def run_with_limits(*limits):
+    """The results of the sample, whose run states these limits, and a laboratory that states none."""
+    results = json.loads(json.dumps(sample_results()))
+    rules = [ResultLimitConfig(**one) for one in limits]
+    results["conformity"] = conformity(results["calibration"], {"sequence": rules}, [])
+    head, _, rest = LAB.partition("decision_rules:\n")
+    return results, sample_lab(
+        f"{head}decision_rules: none\n{rest[rest.index('previous_certificate') :]}"
+    ).value
+
+
+def test_the_limits_of_the_run_are_stated_where_the_laboratory_states_no_others():
+    results, lab = run_with_limits(
+        {"result": "fx", "upper": 3350.0}, {"result": "r", "lower": 9999.0}, {"result": "cx", "lower": 9999.0}
+    )
+    certificate = compose(results, lab, identity())
+    stated = {one["result"]: one["verdict"] for one in results["conformity"]["statements"]}
+    assert [(one.symbol, one.verdict) for one in certificate.conformity] == [
+        ("fx", stated["fx"]), ("cx", "fail"),
+    ]  # fmt: skip
+    assert certificate.conformity[0].specification == "limits of the run's sequence"
+    assert [one.specification for one in compose(sample_results(), sample_lab().value, identity()).conformity] == [
+        "Customer drawing 4711, focal length", "Customer drawing 4711",
+    ]  # fmt: skip
+
+
+def test_limits_of_a_value_that_the_run_did_not_determine_are_not_left_out_in_silence():
+    results, lab = run_with_limits({"result": "kb1", "upper": 1.0})
+    with pytest.raises(EvidenceError, match=r"The run has limits of kb1, and no such result. State"):
+        compose(results, lab, identity())
+
+
+# ---------------------------------------------------------------- JSON
+
+
+@pytest.mark.parametrize("make", [full_certificate, small_certificate])
+def test_comes_back_the_same(make):
+    certificate = make()
+    data = certificate.to_json()
+    assert Certificate.from_json(data) == certificate
+    assert Certificate.from_json(data).to_json() == data
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (lambda c: c.pop("number"), "number is missing"),
+        (lambda c: c.update(numbr="x"), "numbr is unknown"),
+        (lambda c: c["customer"]["address"].pop("street"), r"customer\.address\.street is missing"),
+        (lambda c: c["item"]["lens"].update(colour="x"), r"item\.lens\.colour is unknown"),
+        (
+            lambda c: c["laboratory"]["address"].update(country="Germany"),
+            r"laboratory\.address\.country must be of the form",
+        ),
+        (lambda c: c["results"][2].update(U="2.9"), r"results\[2\].U must be a finite number"),
+        (lambda c: c["results"][0].update(value=True), r"results\[0\].value must be a finite number"),
+        (lambda c: c["conformity"][0].update(verdict="passed"), "one of pass, conditionalPass"),
+        (lambda c: c.update(simulated=1), "simulated must be true or false"),
+        (lambda c: c.update(results={}), "results must be a list"),
+        (lambda c: c.update(laboratory=None), "laboratory must be a mapping"),
+        (lambda c: c.update(format="starbench/certificate/2"), "format must be one of"),
+        (lambda c: c["covariance"].update(matrix=[[None]]), r"covariance.matrix\[0\]\[0\]"),
+    ],
+)
+def test_refuses_what_is_not_of_this_form_and_names_it(change, named):
+    with pytest.raises(EvidenceError, match=named):
+        Certificate.from_json(changed_data(change))
+
+
+@pytest.mark.parametrize("text", [b"", b"[]", b"{", b'{"a":1,"a":2}', b"\xff", b"[" * 100_000, b"null"])
+def test_refuses_what_is_no_json_mapping(text):
+    with pytest.raises(EvidenceError):
+        Certificate.from_json(text)
+
+
+def test_refuses_numbers_that_are_not_finite():
+    with pytest.raises(EvidenceError, match="NaN"):
+        Certificate.from_json(changed_data(lambda c: c["results"][0].update(value=float("nan"))))
+    one = full_certificate()
+    broken = dataclasses.replace(one, results=(dataclasses.replace(one.results[0], value=float("inf")),))
+    with pytest.raises(ValueError, match="Out of range"):
+        broken.to_json()
+
+
+# ---------------------------------------------------------------- a planar calibration speaks of points
+
+STAR = re.compile(r"(?<![\w-])[Ss]tars?\b")
+
+WRITTEN_BY_THE_LABORATORY = ("Camera before a collimator with a star target", "coordinates of the stars")
+
+
+def of_board():
+    found = copy.deepcopy(sample_results())
+    found["run"] |= {"board": "checkerboard:11x7:20mm"}
+    calibration = found["calibration"]
+    calibration["budget"] = {"stars": calibration["sigma"]}  # a planar calibration knows no other source
+    calibration["budget_rows"] = [row for row in calibration["budget_rows"] if row["name"] == "stars"]
+    calibration["notes"] = []
+    found["passport"] = None
+    found["gates"] = [
+        {
+            "name": "pose 1: stars",
+            "gate": "stars",
+            "pose": 1,
+            "value": 7,
+            "unit": "",
+            "limit": ">= 39",
+            "verdict": "fail",
+        }
+    ]
+    return found
+
+
+def with_stars(found):
+    said = compose(found, sample_lab().value, identity()).to_json().decode()
+    by_others = "|".join(WRITTEN_BY_THE_LABORATORY)
+    return [line for line in said.splitlines() if STAR.search(re.sub(by_others, "", line))]
+
+
+def test_a_certificate_of_a_board_says_points_and_names_the_board():
+    assert with_stars(sample_results())  # else the pattern is of no use
+    assert with_stars(of_board()) == []
+    made = compose(of_board(), sample_lab().value, identity())
+    assert {row.name for budget in made.budgets for row in budget.rows} >= {"points"}
+    assert "Limit not met: pose 1: points is 7, limit >= 39." in [one.text for one in made.deviations]
+    assert ("board", "checkerboard:11x7:20mm") in [(one.name, one.text) for one in made.conditions]
+
+
+def test_the_digital_certificate_says_the_same():
+    dcc = render_dcc(compose(of_board(), sample_lab().value, identity())).decode()
+    for text in WRITTEN_BY_THE_LABORATORY:
+        dcc = dcc.replace(text, "")
+    assert not [line for line in dcc.splitlines() if STAR.search(line)]
+    assert "checkerboard:11x7:20mm" in dcc
+
+
+def test_captions_of_the_plots_fit_the_target():
+    made = compose(of_board(), sample_lab().value, identity())
+    plots = dict.fromkeys(("coverage", "vectors", "regions"), "<svg/>")
+    assert [one["name"] for one in pictures(made, plots, STARS) if STAR.search(one["caption"])] == list(plots)
+    assert [
+        one["name"] for one in pictures(made, plots, BOARD) if STAR.search(one["caption"] + one["alt"])
+    ] == []
+    assert set(draw_plots(of_board())) == set(draw_plots(sample_results()))

@@ -1,0 +1,191 @@
+"""The table of runs: its document, its files as strangers read them, and rows of unusual runs."""
+
+import json
+import math
+import re
+import sys
+from datetime import timedelta
+from pathlib import Path
+
+import pytest
+from many_runs import BEGIN, SIGMAS, VALUES, write_run
+
+from bench.base.errors import UsageError
+from bench.evidence.states import ShownState
+from bench.extras.history.merged_runs import RunPlace
+from bench.extras.history.table import (
+    COLUMNS,
+    ROWS_AT_ONCE,
+    SCHEMA,
+    parameter_columns,
+    table_row,
+    write_table,
+)
+from bench.record.run_index import RunIndex
+
+DOCUMENT = Path(__file__).parents[5] / "docs" / "runs-table.md"
+KINDS = {
+    "text": "text", "list of texts": "texts", "integer": "integer", "number": "number", "true or false": "truth",
+    "time, UTC": "moment",
+}  # fmt: skip
+
+
+def rows_of(home, folders):
+    index = RunIndex(home)
+    runs, faults = index.runs(folders)
+    assert faults == []
+    return [
+        table_row(run, details, RunPlace("a", "b", "entered"), ShownState())
+        for run, details in index.details(runs)
+    ]
+
+
+@pytest.fixture(scope="module")
+def rows(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("runs")
+    runs = [
+        write_run(folder / f"run-{n}", begun=BEGIN + timedelta(hours=n), values={**VALUES, "fx": 3345.0 + n})
+        for n in range(4)
+    ]
+    runs.append(write_run(folder / "none", begun=BEGIN + timedelta(hours=9), values=None, ended="failed"))
+    return rows_of(folder / "home", runs)
+
+
+@pytest.fixture(scope="module", params=[".parquet", ".csv"])
+def table(request, tmp_path_factory, rows):
+    if request.param == ".parquet":
+        pytest.importorskip("pyarrow")
+    path = tmp_path_factory.mktemp("table") / f"runs{request.param}"
+    assert write_table(path, rows, ["a fault"]) == 5
+    return path
+
+
+def test_the_document_shows_the_schema():
+    text = DOCUMENT.read_text()
+    of_a_run, of_a_parameter = text.partition("### Parameters")[::2]
+    parameters, of_the_record = of_a_parameter.partition("### Record")[::2]
+    column = re.compile(r"^\* `(\w+)`(?: \(([\w ,]+)\))?: (.*)$", re.MULTILINE)
+    stated = [(n, KINDS[k or "text"], m) for n, k, m in column.findall(of_a_run)]
+    for name, unit, meaning in column.findall(parameters):
+        end = f"_{unit}" if unit else ""
+        expanded = f"expanded uncertainty of {name}, its own k times the standard uncertainty"
+        stated += [
+            (f"{name}{end}", "number", meaning),
+            (f"{name}_sigma{end}", "number", f"standard uncertainty of {name}"),
+            (f"{name}_expanded{end}", "number", expanded),
+        ]
+    stated += [(n, KINDS[k or "text"], m) for n, k, m in column.findall(of_the_record)]
+    assert stated == [(one.name, one.kind, one.meaning) for one in COLUMNS]
+    assert f"`{SCHEMA}`" in text
+
+
+def test_no_two_columns_differ_in_capitals_only_and_numbers_carry_their_unit():
+    names = [column.name for column in COLUMNS]
+    assert len({name.casefold() for name in names}) == len(names)
+    suffix = {"px": "_px", "mm": "_mm", "°C": "_c", "Hz": "_hz", "lx": "_lux", "byte": "_bytes"}
+    assert all(column.name.endswith(suffix[column.unit]) for column in COLUMNS if column.unit)
+
+
+def test_a_row_has_parameters_uncertainties_conditions_and_devices(rows):
+    row = rows[1]
+    assert (row["fx_px"], row["fx_sigma_px"], row["coverage_factor"]) == (3346.0, 1.0, 2.2)
+    assert row["fx_expanded_px"] == pytest.approx(2.2)
+    assert (row["camera_type"], row["camera_serial"], row["stage_serials"]) == (
+        "Prophesee EVK4",
+        "00050001",
+        ["1", "2"],
+    )
+    assert (row["temperature_c"], row["flicker_hz"], row["stars"]) == (41.5, 60.0006, 600)
+    assert (row["target_serial"], row["collimator_serial"], row["kind"]) == ("T-1", "C-1", "measured")
+    assert row["warnings"] == ["Views differ more than star noise explains."]
+    assert rows[4]["fx_px"] is None
+    assert rows[4]["outcome"] == "failed"
+
+
+def test_pandas_reads_it(table, rows):
+    pandas = pytest.importorskip("pandas")
+    if table.suffix == ".csv":
+        found = pandas.read_csv(table, dtype={"camera_serial": str}, parse_dates=["begun_utc"])
+    else:
+        found = pandas.read_parquet(table)
+        assert found["warnings"].tolist()[0].tolist() == rows[0]["warnings"]
+    assert list(found.columns) == [column.name for column in COLUMNS]
+    assert found["fx_px"].tolist()[:4] == [3345.0, 3346.0, 3347.0, 3348.0]
+    assert math.isnan(found["fx_px"].tolist()[4])
+    assert found["simulated"].tolist() == [False] * 5
+    assert found["camera_serial"][0] == "00050001"
+    assert found["begun_utc"][0].to_pydatetime() == rows[0]["begun_utc"]
+
+
+def test_duckdb_reads_it(table):
+    duckdb = pytest.importorskip("duckdb")
+    sql = f"SELECT count(*), avg(fx_px), min(temperature_c), count(DISTINCT camera_type) FROM '{table}'"
+    assert duckdb.execute(sql).fetchall() == [(5, 3346.5, 41.5, 1)]
+
+
+def test_the_metadata_of_the_file_has_the_version_the_faults_and_the_units(tmp_path, rows):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    path = tmp_path / "runs.parquet"
+    write_table(path, rows, ["a fault"])
+    schema = parquet.read_schema(path)
+    assert schema.metadata[b"starbench_schema"].decode() == SCHEMA
+    assert json.loads(schema.metadata[b"starbench_faults"]) == ["a fault"]
+    assert schema.field("fx_px").metadata[b"unit"] == b"px"
+
+
+def test_rows_are_written_in_blocks_and_a_failure_leaves_the_old_file(tmp_path, rows):
+    pytest.importorskip("pyarrow")
+    path = tmp_path / "runs.parquet"
+    assert write_table(path, rows[:1] * (2 * ROWS_AT_ONCE + 3)) == 2 * ROWS_AT_ONCE + 3
+    before = path.read_bytes()
+
+    def failing():
+        yield rows[0]
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(Exception, match="full"):
+        write_table(path, failing())
+    assert path.read_bytes() == before
+    assert [one.name for one in tmp_path.iterdir()] == ["runs.parquet"]
+
+
+def test_what_is_no_number_is_empty_and_named(tmp_path):
+    values = {**VALUES, "fx": None, "own": 1.5}
+    folder = write_run(tmp_path / "run", values=values, sigmas={**SIGMAS, "own": 0.5}, temperature_c=None)
+    (row,) = rows_of(tmp_path / "home", [folder])
+    assert row["fx_px"] is None
+    assert row["temperature_c"] is None
+    assert row["warnings"][-1] == "fx has no usable value or uncertainty."
+    assert json.loads(row["other_parameters"]) == {"own": {"value": 1.5, "sigma": 0.5}}
+
+
+def test_results_that_were_changed_give_nothing_but_a_warning(tmp_path):
+    folder, home = write_run(tmp_path / "run"), tmp_path / "home"
+    assert rows_of(home, [folder])[0]["target_serial"] == "T-1"
+    results = json.loads((folder / "results.json").read_text())
+    results["run"]["target"]["serial"] = "T-2"
+    (folder / "results.json").write_text(json.dumps(results))
+    (row,) = rows_of(home, [folder])
+    assert row["target_serial"] is None
+    assert row["warnings"] == ["results.json was changed: its SHA-256 is not the one in the journal."]
+    assert row["fx_px"] == 3345.0  # the journal has it
+
+
+def test_a_file_that_cannot_be_written_is_refused_with_what_to_do(tmp_path, monkeypatch):
+    for name, what in (
+        ("runs.xlsx", "not as .xlsx"),
+        ("none/runs.csv", "does not exist"),
+        ("runs", "without an ending"),
+    ):
+        with pytest.raises(UsageError, match=what):
+            write_table(tmp_path / name, [])
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(UsageError, match=r"pip install 'starbench\[table\]'"):
+        write_table(tmp_path / "runs.parquet", [])
+    assert write_table(tmp_path / "runs.csv", []) == 0
+
+
+def test_a_fisheye_and_a_skew_have_columns():
+    assert parameter_columns("skew") == ("skew_px", "skew_sigma_px", "skew_expanded_px")
+    names = {column.name for column in COLUMNS}
+    assert {"kb1", "kb4_sigma", "skew_px", "radial_4_expanded"} <= names

@@ -1,0 +1,130 @@
+"""Workers: every piece of work ends once, whatever happens to the worker that does it."""
+
+import os
+import signal
+import time
+
+import cluster_work
+import pytest
+
+from bench.extras.many.processes import DaskWorkers, Processes
+from bench.extras.many.work import Serial, TimeLeft, Work, map_work
+
+
+def ends(workers, *works):
+    """Do the work, and return its ends by key."""
+    for work in works:
+        workers.submit(work)
+    found = {}
+    until = time.monotonic() + 90
+    while len(found) < len(works):
+        assert time.monotonic() < until, found
+        for end in workers.finished(0.5):
+            assert end.key not in found
+            found[end.key] = end
+    return found
+
+
+def test_errors_become_part_of_the_result():
+    found = ends(Serial(), Work("a", cluster_work.refuse, ()))["a"]
+    assert found.failure.message == "here: No such thing. Do nothing."
+    assert not found.defect
+    found = ends(Serial(), Work("b", cluster_work.defect, ()))["b"]
+    assert "KeyError" in found.defect
+
+
+def test_a_map_reads_no_more_items_than_it_hands_out():
+    read = []
+
+    def items():
+        for number in range(10):
+            read.append(number)
+            yield (number,)
+
+    mapped = map_work(cluster_work.double, items(), Serial())
+    next(mapped)
+    assert len(read) <= 2
+
+
+DASK = [
+    pytest.mark.slow,
+    # distributed leaves sockets and threads to the garbage collector when a worker is killed
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning"),
+    pytest.mark.filterwarnings("ignore::DeprecationWarning"),
+]
+
+
+@pytest.fixture(params=["processes", pytest.param("dask", marks=DASK)])
+def workers(request):
+    """Two workers: processes of this computer, or those of a Dask scheduler."""
+    if request.param == "processes":
+        with Processes(2) as made:
+            yield made
+    else:
+        with DaskWorkers(request.getfixturevalue("cluster").scheduler_address) as made:
+            yield made
+
+
+def test_workers_that_die_are_replaced_and_their_work_is_done(workers, tmp_path):
+    assert workers.size == 2
+    works = [Work(f"double {n}", cluster_work.double, (n,)) for n in range(5)]
+    works.append(Work("dies once", cluster_work.die_once, (str(tmp_path / "marker"), 7)))
+    works.append(Work("refused", cluster_work.refuse, ()))
+    found = ends(workers, *works)
+    assert [found[f"double {n}"].value for n in range(5)] == [0, 2, 4, 6, 8]
+    assert found["dies once"].value == 7
+    assert found["refused"].failure.where == "here"
+    pid = ends(workers, Work("pid", cluster_work.rest, (0.01,)))["pid"].value
+    os.kill(pid, signal.SIGKILL)
+    assert ends(workers, Work("after", cluster_work.double, (21,)))["after"].value == 42
+
+
+def test_work_with_which_every_worker_dies_fails(workers):
+    assert ends(workers, Work("dies", cluster_work.die, ()))["dies"].failure.kind == "WorkerDied"
+
+
+def test_processes_end_with_their_workers_and_count_those_that_died():
+    with Processes(2) as workers:
+        found = ends(workers, Work("dies", cluster_work.die, ()))
+        assert "10 workers died" in found["dies"].failure.what
+        assert workers.replaced == 10
+        assert ends(workers, Work("again", cluster_work.double, (5,)))["again"].value == 10
+        pids = workers.pids
+    assert pids
+    for pid in pids:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
+
+
+def test_work_that_needs_too_much_memory_fails_and_says_so():
+    with Processes(1, memory_bytes=1 << 30) as workers:
+        found = ends(
+            workers,
+            Work("much", cluster_work.take_memory, (3 << 30,)),
+            Work("few", cluster_work.double, (1,)),
+        )
+        assert found["much"].failure.kind == "MemoryError"
+        assert "--workers" in found["much"].failure.remedy
+        assert found["few"].value == 2
+        assert workers.replaced == 0
+
+
+def test_closing_ends_work_in_progress():
+    workers = Processes(1)
+    workers.submit(Work("long", cluster_work.rest, (60,)))
+    (pid,) = workers.pids
+    begun = time.monotonic()
+    workers.close()
+    assert time.monotonic() - begun < 10
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+def test_the_time_left_follows_from_the_time_so_far():
+    now = [100.0]
+    left = TimeLeft(lambda: now[0])
+    assert left.left_s(0, 10) is None
+    now[0] = 120.0
+    assert left.left_s(4, 10) == 30.0

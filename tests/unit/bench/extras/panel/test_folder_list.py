@@ -1,0 +1,149 @@
+"""The list of runs and batches in a folder, also one with folders that cannot be read."""
+
+from __future__ import annotations
+
+import json
+import os
+
+import pytest
+from journals import MadeRun, made_batch
+
+from bench.base.errors import RunFolderError
+from bench.extras.batch.batch_summary import batch_status_text, read_batch_status
+from bench.extras.panel.folder_list import FolderList
+from bench.record.storage import lock_folder
+
+
+def _look(root):
+    found = FolderList(root).look()
+    json.dumps(found, allow_nan=False)
+    return found
+
+
+def test_runs_of_all_kinds_newest_first(tmp_path):
+    MadeRun(tmp_path / "a").begin().record_all().end()
+    MadeRun(tmp_path / "b").begin().end("failed", "the lamp is broken")
+    MadeRun(tmp_path / "deeper" / "c").begin()
+    (tmp_path / "notes.txt").write_text("nothing")
+    (tmp_path / "empty").mkdir()
+    found = _look(tmp_path)
+    rows = {row["key"]: row for row in found["runs"]}
+    assert {key: row["verdict"] for key, row in rows.items()} == {
+        "a": "not sealed",
+        "b": "failed",
+        "deeper/c": "interrupted",
+    }
+    assert rows["b"]["why"] == "the lamp is broken"
+    assert rows["a"]["accepted"] == 3
+    assert rows["a"]["camera"] == "42"
+    assert found["faults"] == []
+
+
+def test_a_run_in_progress_is_read_on_and_an_ended_one_only_once(tmp_path, monkeypatch):
+    run = MadeRun(tmp_path / "a").begin()
+    MadeRun(tmp_path / "old").begin().end()
+    lock = lock_folder(run.folder)
+    try:
+        listed = FolderList(tmp_path)
+        assert [row["verdict"] for row in listed.look()["runs"] if row["key"] == "a"] == ["running"]
+        opened = []
+        real = type(run.path).open
+        monkeypatch.setattr(
+            type(run.path), "open", lambda self, *a, **k: opened.append(self) or real(self, *a, **k)
+        )
+        run.record(1)
+        opened.clear()
+        row = next(row for row in listed.look()["runs"] if row["key"] == "a")
+        assert row["accepted"] == 1
+        assert set(opened) == {run.path}
+    finally:
+        os.close(lock)
+
+
+def test_a_missing_folder_is_empty_until_it_is_there(tmp_path):
+    root = tmp_path / "runs"
+    listed = FolderList(root)
+    assert listed.look() == {"root": str(root), "exists": False, "runs": [], "batches": [], "faults": []}
+    MadeRun(root / "a").begin()
+    assert [row["key"] for row in listed.look()["runs"]] == ["a"]
+
+
+def test_a_damaged_run_is_listed_with_its_fault(tmp_path):
+    run = MadeRun(tmp_path / "a").begin()
+    run.path.write_bytes(run.path.read_bytes().replace(b'"homing"', b'"x"').replace(b'"EVK4"', b'"EVK5"'))
+    row = _look(tmp_path)["runs"][0]
+    assert "does not match its hash" in row["fault"]
+    assert row["verdict"] == "not readable"
+
+
+def test_a_batch_is_one_entry_and_its_runs_belong_to_its_page(tmp_path):
+    batch = made_batch(tmp_path / "night")
+    MadeRun(batch.folder / "runs" / "cam-001").begin()
+    found = _look(tmp_path)
+    assert found["runs"] == []
+    assert [(row["key"], row["queue"], row["coming"]) for row in found["batches"]] == [("night", "Night", 1)]
+    assert found["batches"][0]["ended_utc"] == ""
+
+
+@pytest.fixture
+def begun(tmp_path):
+    """A batch whose only run has begun, and the name of the run."""
+    batch = made_batch(tmp_path / "night")
+    (name,) = (run.item for run in read_batch_status(batch.folder).upcoming)
+    batch.write("item_begun", item=name, again=False, attempt=1, recorded=0)
+    return batch, name
+
+
+def test_a_batch_that_has_ended_says_when_its_last_run_did(tmp_path, begun):
+    batch, name = begun
+    batch.write("item_ended", item=name, how="finished", why="", noticed_s=0.0, unsafe=[])
+    assert _look(tmp_path)["batches"][0]["ended_utc"] == ""
+    last = read_batch_status(batch.folder).last_end
+    batch.write("batch_ended", how="finished", why="")
+    assert _look(tmp_path)["batches"][0]["ended_utc"] == last.isoformat()
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_a_batch_with_a_simulated_run_is_marked(tmp_path, begun, simulated):
+    batch, name = begun
+    plan = MadeRun(batch.folder / "runs" / name).folder / "plan.json"
+    plan.write_text(json.dumps({**json.loads(plan.read_text()), "simulated": simulated}))
+    assert _look(tmp_path)["batches"][0]["simulated"] is simulated
+    assert ("SIMULATED" in batch_status_text(read_batch_status(batch.folder))) is simulated
+
+
+def test_a_damaged_batch_does_not_hide_the_runs(tmp_path):
+    MadeRun(tmp_path / "a").begin()
+    broken = MadeRun(tmp_path / "night")
+    (broken.folder / "queue.yaml").write_text("nonsense: [")
+    found = _look(tmp_path)
+    assert [row["key"] for row in found["runs"]] == ["a"]
+    assert "queue.yaml cannot be read" in found["faults"][0]
+
+
+def test_a_folder_that_refuses_is_named(tmp_path, monkeypatch):
+    (tmp_path / "secret").mkdir()
+    MadeRun(tmp_path / "a").begin()
+    real = os.scandir
+
+    def scandir(path):
+        if str(path).endswith("secret"):
+            raise PermissionError(13, "Permission denied", str(path))
+        return real(path)
+
+    monkeypatch.setattr(os, "scandir", scandir)
+    found = _look(tmp_path)
+    assert "No permission" in found["faults"][0]
+    assert "secret" in found["faults"][0]
+    assert len(found["runs"]) == 1
+
+
+@pytest.mark.parametrize(
+    "key", ["", "..", "../a", "a/../..", "/etc", "a//b", "nowhere", "a\0b", "C:x", "a\\b"]
+)
+def test_no_key_leads_out_of_the_folder(tmp_path, key):
+    root = tmp_path / "runs"
+    MadeRun(root / "a").begin()
+    MadeRun(tmp_path / "outside").begin()
+    with pytest.raises(RunFolderError, match="There is no run or batch"):
+        FolderList(root).folder_of(key)

@@ -1,0 +1,136 @@
+"""`views.h5`: what is written is read again, and a damaged file is refused in one message."""
+
+import re
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from made_views import made_rim, made_view
+
+from bench.base.errors import RunFolderError
+from bench.measure.views_file import StoredView, read_picture, read_views, views_file
+
+DOCUMENT = Path(__file__).parents[4] / "docs" / "run-folder.md"
+RNG, SIZE = np.random.default_rng(5), (64, 48)
+
+
+def stored_of(view):
+    width, height = view.image_size
+    picture = RNG.integers(0, 256, (height, width), np.uint8)
+    return StoredView(view, RNG.normal(size=(len(view), 2)), lambda: picture)
+
+
+@given(st.lists(st.integers(4, 20), max_size=12), st.text(min_size=1).filter(lambda text: "\0" not in text))
+def test_views_residuals_and_images_are_read_back_bit_for_bit(tmp_path_factory, stars, name):
+    name = name.encode("utf-8", "replace").decode()
+    views = [
+        made_view(f"{name} {number}", count, size=SIZE, seed=number) for number, count in enumerate(stars)
+    ]
+    written = [stored_of(view) for view in views]
+    path = tmp_path_factory.mktemp("views") / "views.h5"
+    path.write_bytes(views_file(written))
+
+    stored = read_views(path)
+    assert [s.view.name for s in stored] == [v.name for v in views]
+    for number, (found, view, had) in enumerate(zip(stored, views, written, strict=True), 1):
+        assert found.view.image_size == view.image_size
+        for field in ("ids", "points_px", "target_mm", "covariances_px2"):
+            assert np.array_equal(getattr(found.view, field), getattr(view, field))
+            assert getattr(found.view, field).dtype == getattr(view, field).dtype
+        assert np.array_equal(found.residuals_px, had.residuals_px)
+        assert np.array_equal(read_picture(path, number), had.picture())
+        assert np.array_equal(found.picture(), had.picture())
+
+
+def test_a_thousand_poses_keep_their_order(tmp_path):
+    views = [made_view(str(number), 4, size=(2, 2)) for number in range(1, 1002)]
+    path = tmp_path / "views.h5"
+    path.write_bytes(views_file([stored_of(view) for view in views]))
+    assert [stored.view.name for stored in read_views(path)] == [view.name for view in views]
+
+
+@pytest.mark.parametrize(("points", "lit"), [(3, 2), (0, 2), (0, 0)])
+def test_a_rim_is_read_back_and_a_view_without_one_has_none(tmp_path, points, lit):
+    rim = made_rim(points, lit)
+    views = [made_view("one", 5, size=SIZE, rim=rim), made_view("two", 5, size=SIZE)]
+    path = tmp_path / "views.h5"
+    path.write_bytes(views_file([stored_of(view) for view in views]))
+    found, none = (stored.view.rim for stored in read_views(path))
+    assert none is None
+    assert found.level_sigma_mm == rim.level_sigma_mm
+    for field in ("points_mm", "sigmas_mm", "lit_mm"):
+        assert np.array_equal(getattr(found, field), getattr(rim, field))
+        assert getattr(found, field).shape == getattr(rim, field).shape
+
+
+@pytest.fixture
+def path(tmp_path):
+    view = made_view("one", 5, size=SIZE, rim=made_rim(3, 2))
+    path = tmp_path / "views.h5"
+    path.write_bytes(views_file([stored_of(view)]))
+    return path
+
+
+def documented_layout():
+    """Shapes and types by name, as the table of docs/run-folder.md has them."""
+    section = DOCUMENT.read_text(encoding="utf-8").partition("## views.h5")[2].partition("\n## ")[0]
+    assert "`starbench/views/1`" in section
+    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \| \(([^)]*)\) (\w+) \|", section, re.MULTILINE)
+    sizes = {"N": 5, "H": 48, "W": 64, "K": 3, "L": 2}
+    return {
+        name: (tuple(sizes.get(n) or int(n) for n in re.findall(r"\w+", shape)), dtype)
+        for name, kind, shape, dtype in rows
+        if kind.startswith("dataset")
+    }
+
+
+def test_the_file_has_the_documented_layout(path):
+    with h5py.File(path) as file:
+        assert dict(file.attrs) == {"format": "starbench/views/1"}
+        (group,) = file.values()
+        assert group.name == "/pose-001"
+        assert set(group.attrs) == {"name", "image_size", "rim_level_sigma_mm"}
+        assert group.attrs["image_size"].dtype == np.int64
+        assert {name: (data.shape, str(data.dtype)) for name, data in group.items()} == documented_layout()
+
+
+def with_fewer_residuals(file):
+    del file["pose-001/residuals_px"]
+    file["pose-001/residuals_px"] = np.zeros((4, 2))
+
+
+DAMAGES = {
+    "another format": lambda file: file.attrs.update(format="starbench/views/2"),
+    "no points": lambda file: file.pop("pose-001/points_px"),
+    "fewer residuals": with_fewer_residuals,
+    "no size": lambda file: file["pose-001"].attrs.pop("image_size"),
+    "a star twice": lambda file: file["pose-001/ids"].write_direct(np.zeros(5, np.int64)),
+    "another number": lambda file: file.move("pose-001", "pose-007"),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_changed_file_is_refused_with_its_path_and_a_remedy(path, damage):
+    with h5py.File(path, "r+") as file:
+        DAMAGES[damage](file)
+    with pytest.raises(RunFolderError) as refused:
+        read_views(path)
+    assert refused.value.where == str(path)
+    assert refused.value.remedy
+
+
+@pytest.mark.parametrize("content", [b"", b"no HDF5", None])
+def test_a_file_that_is_not_hdf5_is_refused(tmp_path, content):
+    path = tmp_path / "views.h5"
+    if content is not None:
+        path.write_bytes(content)
+    with pytest.raises(RunFolderError, match="cannot be read"):
+        read_views(path)
+
+
+def test_a_pose_that_the_file_does_not_have_is_refused(path):
+    with pytest.raises(RunFolderError, match="pose-002 is missing"):
+        read_picture(path, 2)

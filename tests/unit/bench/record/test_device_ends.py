@@ -1,0 +1,76 @@
+"""How a run left each device: only what a device answered is called safe."""
+
+import pytest
+
+from bench.base.clock import BenchClock
+from bench.record.history import DeviceEnd, all_ends
+from bench.stations import devices
+from bench.stations.station import load_station
+from drivers.errors import PortNotFound, ReplyTimeout
+
+
+@pytest.mark.parametrize(
+    ("device", "state", "said", "text"),
+    [
+        ("light", "confirmed safe", "it was read back as off", "it was read back as off."),
+        ("light", "not confirmed", "no reply.", "no reply. The light may be on."),
+        ("light", "never opened", "", "This run did not switch it. The light may be on."),
+        ("stage", "not confirmed", "no reply", "no reply. The stage may be moving."),
+        ("stage", "never opened", "", "This run did not move it."),
+        ("camera", "never opened", "", ""),
+    ],
+)
+def test_the_text_says_what_may_be_the_case(device, state, said, text):
+    end = DeviceEnd(device, state, said)
+    assert end.text == f"{device}: {state}{':' if said else '.'} {text}".rstrip()
+    assert DeviceEnd.from_dict(end.to_dict()) == end
+
+
+def test_a_device_that_nobody_mentions_was_never_opened():
+    light = DeviceEnd("light", "confirmed safe", "off")
+    assert [one.state for one in all_ends([light])] == ["never opened", "confirmed safe", "never opened"]
+
+
+class Stage:
+    """A stage that answers."""
+
+    stopped = closed = 0
+
+    def stop(self):
+        self.stopped += 1
+
+    def close(self):
+        self.closed += 1
+
+    def position_deg(self):
+        return {"pan": 1.25}
+
+
+class MuteStage(Stage):
+    def stop(self):
+        raise ReplyTimeout("no complete reply within 2 s.")
+
+
+@pytest.mark.parametrize(
+    ("stage", "state", "said"),
+    [
+        (Stage(), "confirmed safe", "it confirmed the stop and reads pan 1.250 deg"),
+        (MuteStage(), "not confirmed", "the stage did not confirm its stop: no complete reply within 2 s."),
+    ],
+)
+def test_a_light_that_cannot_be_opened_leaves_a_stopped_stage_and_says_so(monkeypatch, stage, state, said):
+    """The run said "nothing was moved or switched", whatever had been opened before."""
+    station = load_station("example_evk4").value
+    monkeypatch.setattr(devices, "open_stage", lambda *_: stage)
+    monkeypatch.setattr(devices, "hold_devices", lambda _devices: devices.ExitStack())
+
+    def missing(*_):
+        raise PortNotFound("there is no such port.", where="/dev/lamp")
+
+    monkeypatch.setattr(devices, "open_light", missing)
+    with pytest.raises(PortNotFound) as caught:
+        devices.Devices(station, seed=1, clock=BenchClock(), wire_log=None)
+    (left,) = devices.left_devices(caught.value)
+    assert (left.device, left.state, left.said) == ("stage", state, said)
+    assert stage.closed == 1
+    assert devices.left_devices(ValueError()) == []

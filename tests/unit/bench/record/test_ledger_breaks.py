@@ -1,0 +1,350 @@
+"""Breaks of the ledger: whatever is taken out of it is noticed by the next run, by a check, and by a certificate."""
+
+import json
+import tempfile
+import time
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from unittest import mock
+
+import pytest
+from hypothesis import HealthCheck, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule
+
+from bench.base.errors import EvidenceError, StorageError, UsageError
+from bench.record.journal import Journal
+from bench.record.ledger import Ledger
+from bench.record.ledger_marks import MARK, highest_counts
+
+CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
+
+
+@pytest.fixture
+def ledger(tmp_path):
+    return Ledger(tmp_path / "home", **CLOCKS)
+
+
+@pytest.fixture
+def anchor(tmp_path):
+    (tmp_path / "share").mkdir()
+    return tmp_path / "share" / "bench2.heads"
+
+
+def begin(ledger, run="run", **more):
+    return ledger.begin(run_id=run, folder=Path("/runs") / run, camera="1", simulated=False, **more)
+
+
+def runs(ledger, count, **more):
+    for number in range(count):
+        place = begin(ledger, f"run{number}", **more)
+        ledger.end(place["number"], how="finished", folder=Path("/runs/none"))
+
+
+def cut(ledger, lines):
+    ledger.path.write_bytes(b"".join(ledger.path.read_bytes().splitlines(keepends=True)[:lines]))
+
+
+def faults(ledger, *words):
+    return ledger.breaks(*words)[0]
+
+
+def test_a_rollback_to_two_lines_is_noticed_by_a_check_a_certificate_and_the_next_run(ledger):
+    runs(ledger, 3)
+    cut(ledger, 2)
+    (fault,) = faults(ledger)
+    assert "has 2 of at least 6 lines: 4 are missing" in fault
+    with pytest.raises(EvidenceError, match="4 are missing"):
+        ledger.append("certificate_issued", number=1)
+    place = begin(ledger, "next")
+    assert place["number"] == 4  # the numbers of the lost runs are not given again
+    assert "4 are missing" in place["faults"][0]
+    assert "starbench ledger --explain" in place["faults"][0]
+
+
+def test_a_rollback_that_has_grown_again_to_its_old_length_is_noticed(ledger):
+    runs(ledger, 3)
+    copy = ledger.path.read_bytes()
+    cut(ledger, 2)
+    mark = (ledger.home / MARK).read_bytes()
+    (ledger.home / MARK).unlink()
+    with mock.patch("bench.record.ledger.find_breaks") as found:
+        found.return_value = mock.Mock(what=(), known=(), warnings=())
+        runs(ledger, 2)
+    (ledger.home / MARK).write_bytes(mark)
+    assert len(ledger.path.read_bytes().splitlines()) == len(copy.splitlines())
+    assert "has another line 6" in faults(ledger)[0]
+
+
+def test_an_end_is_entered_though_the_ledger_was_deleted_and_no_number_is_given_twice(ledger):
+    runs(ledger, 1)
+    place = begin(ledger)
+    ledger.path.unlink()
+    assert "has 0 of at least 3 lines" in faults(ledger)[0]
+    ledger.end(place["number"], how="finished", folder=Path("/runs/none"))
+    assert [e.event for e in ledger.entries()] == ["ledger_broken", "run_ended"]
+    assert [known["runs"] for known in ledger.entries()[0].data["known"]] == [2]
+    assert ledger.runs() == []
+    assert begin(ledger)["number"] == 3
+
+
+def test_a_damaged_ledger_is_kept_and_does_not_stop_a_run(ledger):
+    runs(ledger, 2)
+    lines = ledger.path.read_bytes().splitlines(keepends=True)
+    ledger.path.write_bytes(lines[0] + lines[2])
+    assert "damaged" in faults(ledger)[0]
+    place = begin(ledger)
+    assert place["number"] == 3
+    assert "The ledger was damaged" in place["faults"][0]
+    kept = next(ledger.home.glob("ledger-broken-*.jsonl"))
+    assert kept.read_bytes() == lines[0] + lines[2]
+    assert ledger.entries()[0].data["kept"].startswith(kept.name)
+
+
+def test_the_own_mark_deleted_is_noticed_though_the_ledger_is_whole(ledger):
+    runs(ledger, 2)
+    (ledger.home / MARK).unlink()
+    assert faults(ledger) == ["The bench's own mark of the ledger (ledger_high) was deleted."]
+    assert "ledger_high" in begin(ledger)["faults"][0]
+    assert len(faults(ledger)) == 1  # recorded once
+
+
+@pytest.mark.parametrize(
+    "content", [b"", b"{}", b"[1]", b'{"lines":0}', b"\xff", b"[" * 100_000, b'{"lines":true}']
+)
+def test_an_own_mark_of_another_program_is_noticed(ledger, content):
+    runs(ledger, 1)
+    (ledger.home / MARK).write_bytes(content)
+    assert "cannot be read" in faults(ledger)[0]
+    assert "faults" in begin(ledger)
+
+
+def test_a_process_killed_after_the_first_line_of_a_ledger_leaves_no_break(ledger):
+    ledger.home.mkdir()
+    with Journal.create(ledger.path, **CLOCKS) as journal:
+        journal.append("run_begun", number=1, run="r", folder="/r", camera="1", simulated=False)
+    assert ledger.breaks() == ([], [])
+    assert begin(ledger)["number"] == 2
+
+
+def test_a_ledger_set_back_to_its_first_run_with_its_mark_deleted_is_noticed(ledger):
+    runs(ledger, 2)
+    cut(ledger, 2)
+    (ledger.home / MARK).unlink()
+    assert faults(ledger) == ["The bench's own mark of the ledger (ledger_high) was deleted."]
+
+
+def test_an_explained_break_stands_in_the_ledger_and_is_no_fault_any_more(ledger):
+    runs(ledger, 2)
+    cut(ledger, 2)
+    with pytest.raises(EvidenceError, match="starbench ledger --explain"):
+        begin(ledger, strict=True)
+    with pytest.raises(EvidenceError):
+        ledger.refuse_break(None)
+    assert len(ledger.entries()) == 2
+    begin(ledger)
+    with pytest.raises(EvidenceError, match="starbench ledger --explain"):  # recorded, but not explained
+        begin(ledger, strict=True)
+    assert "2 are missing" in ledger.explain("The disk was restored from a copy of Monday.", "Ada")[0]
+    found, explained = ledger.breaks()
+    assert found == []
+    assert [(one.reason, one.by) for one in explained] == [
+        ("The disk was restored from a copy of Monday.", "Ada")
+    ]
+    assert begin(ledger, strict=True)["number"] == 4
+    with pytest.raises(UsageError, match="no break"):
+        ledger.explain("again", "Ada")
+
+
+@pytest.mark.parametrize("restored", [True, False], ids=["restored from a copy", "deleted"])
+def test_a_second_place_shows_that_the_whole_folder_was_replaced(ledger, anchor, restored):
+    runs(ledger, 1, anchor=str(anchor))
+    home = {path: path.read_bytes() for path in ledger.home.iterdir()}
+    runs(ledger, 2)
+    for path, data in home.items():
+        path.write_bytes(data) if restored else path.unlink()
+    assert [f"as {anchor} knows" in fault for fault in faults(ledger)] == [
+        True
+    ] * restored  # else nothing here knows
+    place = begin(ledger, anchor=str(anchor))
+    assert place["number"] == 4
+    assert f"has {2 * restored} of at least 6 lines" in place["faults"][0]
+    assert len(faults(ledger)) == 1
+    ledger.explain("restored", "Ada")
+    assert ledger.breaks()[0] == []
+
+
+@pytest.mark.parametrize(
+    ("harm", "lines"),
+    [(lambda data: data[: data.index(b"\n") + 1], 1), (lambda data: data + b'{"lines":3,"ru', 2)],
+)
+def test_a_second_place_that_is_behind_or_cut_off_is_no_break_and_catches_up(ledger, anchor, harm, lines):
+    runs(ledger, 1, anchor=str(anchor))
+    anchor.write_bytes(harm(anchor.read_bytes()))
+    assert ledger.breaks() == ([], [])
+    begin(ledger)
+    marks = [json.loads(line) for line in anchor.read_bytes().splitlines()]
+    assert [mark["lines"] for mark in marks] == [*range(1, lines + 1), 3]
+    assert marks[-1]["head"] == ledger.entries()[-1].hash
+
+
+SPOIL = {
+    "folder gone": lambda anchor: anchor.parent.rename(anchor.parents[1] / "unmounted"),
+    "file gone": Path.unlink,
+    "empty": lambda anchor: anchor.write_bytes(b""),
+    "read-only": lambda _: None,
+    "another program": lambda anchor: anchor.write_bytes(b"hello\n"),
+    "a folder": lambda anchor: [anchor.unlink(), anchor.mkdir()],
+}
+
+
+@pytest.mark.parametrize("spoil", SPOIL)
+def test_a_second_place_that_cannot_be_used_is_a_warning_and_stops_nothing(ledger, anchor, spoil):
+    runs(ledger, 1, anchor=str(anchor))
+    SPOIL[spoil](anchor)
+    denied = PermissionError(13, "denied", str(anchor)) if spoil == "read-only" else None
+    with mock.patch("bench.record.ledger_marks.drop_torn_line", side_effect=denied):
+        place = begin(ledger, strict=True)
+    assert place["number"] == 2
+    assert str(anchor) in " ".join(ledger.warnings)
+
+
+def test_a_second_place_that_never_answers_is_a_warning(ledger, anchor):
+    runs(ledger, 1, anchor=str(anchor))
+    with (
+        mock.patch("bench.record.ledger_marks.ANCHOR_PATIENCE_S", 0.05),
+        mock.patch("bench.record.ledger_marks.drop_torn_line", side_effect=lambda _: time.sleep(0.3)),
+    ):
+        begin(ledger)
+    assert "does not answer" in " ".join(ledger.warnings)
+
+
+def test_a_second_place_of_another_bench_is_told_from_a_rollback_by_a_hint(ledger, anchor, tmp_path):
+    runs(Ledger(tmp_path / "other", **CLOCKS), 3, anchor=str(anchor))
+    runs(ledger, 1)
+    assert "the file is another bench's" in faults(ledger, str(anchor))[0]
+
+
+def test_a_second_place_that_is_no_longer_used_is_forgotten_with_a_reason(ledger, anchor):
+    runs(ledger, 1, anchor=str(anchor))
+    ledger.forget_place(str(anchor), reason="a new server", by="Ada")
+    before = anchor.read_bytes()
+    runs(ledger, 1)
+    assert anchor.read_bytes() == before
+    assert ledger.entries()[2].data == {"place": str(anchor), "reason": "a new server", "by": "Ada"}
+    with pytest.raises(UsageError, match="It has none"):
+        ledger.forget_place(str(anchor), reason="again", by="Ada")
+
+
+def test_a_home_that_cannot_be_written_after_the_begin_stops_no_run(ledger, anchor):
+    failed = StorageError("The disk is full.", where="ledger_high")
+    with mock.patch("bench.record.ledger.write_own_mark", side_effect=failed):
+        assert begin(ledger, anchor=str(anchor))["number"] == 1
+    assert "disk is full" in ledger.warnings[0]
+
+
+def test_the_second_place_knows_the_highest_number_of_each_series(ledger, anchor):
+    runs(ledger, 1, anchor=str(anchor))
+    for count in (1, 2):
+        ledger.append("certificate_reserved", number=f"2026-{count:04}", series="2026", count=count)
+    for path in ledger.home.iterdir():
+        path.unlink()
+    begin(ledger, anchor=str(anchor))
+    assert highest_counts(ledger.entries()) == {"2026": 2}
+    ledger.append("certificate_reserved", number="2026-0003", series="2026", count=3)
+    assert highest_counts(ledger.entries()) == {"2026": 3}
+    assert json.loads(anchor.read_bytes().splitlines()[-1])["counts"] == {"2026": 3}
+
+
+class LedgerStory(RuleBasedStateMachine):
+    """Runs, certificates and attacks in any order: what was taken out is noticed; nothing else is."""
+
+    @initialize(with_anchor=st.booleans())
+    def start(self, with_anchor):
+        self.folder = tempfile.TemporaryDirectory()
+        root = Path(self.folder.name)
+        self.now = datetime(2026, 3, 1, tzinfo=UTC)
+        self.ledger = Ledger(root / "home", utc_now=self.tick, monotonic=self.seconds)
+        self.anchor = str(root / "anchor") if with_anchor else None
+        self.broken, self.numbers, self.open = False, [], []
+
+    def seconds(self):
+        return self.now.timestamp()
+
+    def lines(self):
+        return self.ledger.path.read_bytes().count(b"\n") if self.ledger.path.exists() else 0
+
+    def tick(self):
+        self.now += timedelta(seconds=1)
+        return self.now
+
+    def teardown(self):
+        self.folder.cleanup()
+
+    @rule()
+    def begin(self):
+        place = begin(self.ledger, anchor=self.anchor)
+        assert ("faults" in place) == self.broken
+        self.numbers.append(place["number"])
+        self.open.append(place["number"])
+
+    @precondition(lambda self: self.open)
+    @rule()
+    def end(self):
+        self.ledger.end(self.open.pop(), how="failed", folder=Path("/runs/none"))
+
+    @precondition(lambda self: not self.broken)
+    @rule()
+    def certificate(self):
+        self.ledger.append("certificate_issued")
+
+    @precondition(lambda self: self.broken)
+    @rule()
+    def explain(self):
+        self.ledger.explain("tried", "Ada", anchor=self.anchor)
+        self.broken = False
+
+    @precondition(lambda self: self.lines())
+    @rule(data=st.data())
+    def truncate(self, data):
+        cut(self.ledger, data.draw(st.integers(0, self.lines() - 1)))
+        self.broken = True
+
+    @precondition(lambda self: self.lines())
+    @rule()
+    def delete(self):
+        self.ledger.path.unlink()
+        self.broken = True
+
+    @precondition(lambda self: self.lines() and not self.broken)  # a second change may restore the byte
+    @rule()
+    def change_a_byte(self):
+        data = bytearray(self.ledger.path.read_bytes())
+        data[len(data) // 2] ^= 1
+        self.ledger.path.write_bytes(data)
+        self.broken = True
+
+    @precondition(lambda self: self.anchor and (self.ledger.home / MARK).exists() and self.lines())
+    @rule()
+    def delete_with_the_own_mark(self):
+        """The second place alone knows of it then: the next begin compares with it."""
+        if not Path(self.anchor).exists():
+            return
+        self.ledger.path.unlink()
+        (self.ledger.home / MARK).unlink()
+        self.broken = True
+
+    @invariant()
+    def a_break_is_seen(self):
+        if hasattr(self, "ledger"):
+            assert bool(self.ledger.breaks(self.anchor)[0]) == self.broken
+
+    @invariant()
+    def no_number_is_given_twice(self):
+        assert len(set(getattr(self, "numbers", []))) == len(getattr(self, "numbers", []))
+
+
+TestLedgerStory = LedgerStory.TestCase
+TestLedgerStory.settings = settings(
+    max_examples=30, stateful_step_count=12, deadline=None, suppress_health_check=list(HealthCheck)
+)

@@ -1,0 +1,28 @@
+"""Only `StoredRun` reads the journal of a run, replays it, and reads results.json."""
+
+import re
+from pathlib import Path
+
+BENCH = Path(__file__).parents[4] / "bench"
+READS = re.compile(
+    r"read_journal\(|read_json\([^)]*\bRESULTS\)|\breplay\(read|read_bounded\([^)]*\bRESULTS\)"
+)
+OTHER_JOURNALS = {
+    "record/stored_run.py", "record/journal.py",
+    "record/ledger.py", "evidence/authorisation.py",  # the ledger, and signatures: chains of lines of their own
+    "extras/batch/batch_summary.py", "extras/batch/batch_plan.py",  # the journal of a batch
+    "extras/panel/run_model.py",  # follows a journal that grows, line by line
+    "record/run_facts.py",  # results.json is read only if its bytes are those that the journal names
+    "extras/certificate/check.py", "extras/certificate/issue.py",  # the copy of results.json in the folder of a certificate
+}  # fmt: skip
+
+
+def test_a_run_folder_is_read_in_one_place():
+    found = [
+        f"{path.relative_to(BENCH)}: {line.strip()}"
+        for path in sorted(BENCH.rglob("*.py"))
+        if path.relative_to(BENCH).as_posix() not in OTHER_JOURNALS
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if READS.search(line) and "def " not in line
+    ]
+    assert found == []

@@ -1,0 +1,207 @@
+"""The index of runs: nothing but what the journals say, however old or broken the index itself is."""
+
+import sqlite3
+from contextlib import closing
+from datetime import UTC, datetime
+
+import pytest
+from many_runs import write_run
+
+from bench.base.errors import StorageError, UsageError
+from bench.record.events import Event
+from bench.record.journal import Journal
+from bench.record.run_facts import Estimate
+from bench.record.run_folder import RunFolder
+from bench.record.run_index import INDEX, RunIndex, read_run_and_details, run_folders
+from bench.solve.trends import agreement, compare_runs
+
+DAYS = [datetime(2026, 3, day, 20, 0, tzinfo=UTC) for day in (1, 2, 3)]
+
+
+def make(path, begun=DAYS[0], *, fx=3345.0, **facts):
+    told = {"serial": "00050423", "simulated": True, "poses": 2, "deviations": ["so"], **facts}
+    solved = {"coverage_factors": {"r": 2.4}, "shared": {"fx": 0.3}}
+    values = {"fx": fx, "r": 255.0} if fx else None
+    return write_run(path, begun=begun, values=values, sigmas={"fx": 0.5, "r": 0.1}, solved=solved, **told)
+
+
+@pytest.fixture
+def index(tmp_path):
+    return RunIndex(tmp_path / "home")
+
+
+@pytest.fixture
+def three(tmp_path):
+    return [
+        make(tmp_path / "runs" / "c", DAYS[2], serial="00050999"),
+        make(tmp_path / "runs" / "a", DAYS[0]),
+        make(tmp_path / "runs" / "night" / "b", DAYS[1], ended="failed", fx=None),
+    ]
+
+
+def test_a_row_is_what_the_journal_says(index, three):
+    (run,), faults = index.runs(three[1:2])
+    assert faults == []
+    assert (run.id, run.sequence, run.station, run.camera) == ("a", "Three poses", "Bench 1", "00050423")
+    assert (run.how, run.sealed, run.accepted, run.deviations, run.simulated) == (
+        "finished",
+        False,
+        2,
+        1,
+        True,
+    )
+    assert (run.temperature_c, run.model, run.rms_px) == (41.5, "radial", 0.081)
+    assert run.parameters == {"fx": (3345.0, 0.5, 2.2, 0.3), "r": (255.0, 0.1, 2.4, 0.0)}
+    assert run.to_dict()["parameters"]["fx"] == {
+        "value": 3345.0,
+        "sigma": 0.5,
+        "coverage_factor": 2.2,
+        "expanded": 1.1,
+    }
+
+
+def test_runs_come_oldest_first_and_as_chosen(index, three):
+    def ids(**words):
+        return [run.id for run in index.runs(three, **words)[0]]
+
+    assert ids() == ["a", "b", "c"]
+    assert ids(camera="00050999") == ["c"]
+    assert ids(since=DAYS[1]) == ["b", "c"]
+    assert ids(since=DAYS[1], until=DAYS[2]) == ["b"]
+    assert ids(sequence="hre") == ["a", "b", "c"]
+    assert ids(sequence="four") == []
+    assert ids(how="failed") == ["b"]
+    assert ids(how="failed", camera="00050999") == []
+
+
+@pytest.mark.parametrize("name", ["a", "b", "c"])
+def test_the_journal_alone_says_the_same_as_the_index(index, three, name):
+    folder = next(path for path in three if path.name == name)
+    assert read_run_and_details(folder)[0] == index.runs([folder])[0][0]
+
+
+def test_the_folders_of_runs_are_found_two_deep(tmp_path, three):
+    (tmp_path / "runs" / "journal.jsonl").write_text("")  # a batch's
+    (tmp_path / "runs" / "queue.yaml").write_text("")
+    assert run_folders(tmp_path / "runs") == sorted(three)
+    assert run_folders(three[0]) == [three[0]]
+    with pytest.raises(StorageError, match="no such folder"):
+        run_folders(tmp_path / "none")
+
+
+def test_a_journal_that_went_on_is_read_again(index, tmp_path):
+    path = make(tmp_path / "run", ended=None)
+    assert index.runs([path])[0][0].how == "cut off"
+    with RunFolder.open(path):
+        assert index.runs([path])[0][0].how == "running"
+    with Journal.open(path / "journal.jsonl", utc_now=lambda: DAYS[1], monotonic=lambda: 0.0) as journal:
+        journal.append(Event.RUN_ENDED, how="aborted", why="")
+    assert index.runs([path])[0][0].how == "aborted"
+
+
+def test_an_unchanged_journal_is_not_read_again(index, three, monkeypatch):
+    index.runs(three)
+    monkeypatch.setattr("bench.record.stored_run.read_journal", lambda _: pytest.fail("it was read again"))
+    assert len(index.runs(three)[0]) == 3
+
+
+@pytest.mark.parametrize("harm", ["garbage", "older", "deleted"])
+def test_an_index_that_does_not_hold_is_made_anew(index, three, harm):
+    before = index.runs(three)
+    if harm == "older":
+        with closing(sqlite3.connect(index.path)) as database, database:
+            database.execute("ALTER TABLE runs DROP COLUMN found")
+            database.execute("PRAGMA user_version = 0")
+    else:
+        for path in index.path.parent.iterdir():
+            path.unlink()
+        if harm == "garbage":
+            index.path.write_bytes(b"this is no database" * 100)
+    assert index.runs(three) == before
+
+
+def test_details_are_those_of_the_journal_also_where_the_index_was_deleted_since(index, three):
+    runs, _ = index.runs(three)
+    kept = list(index.details(runs))
+    index.path.unlink()
+    assert list(index.details(runs)) == kept
+    assert [details["deviations"] for _, details in kept] == [["so"]] * 3
+
+
+def test_a_broken_journal_is_named_and_the_others_are_listed(index, three):
+    journal = three[0] / "journal.jsonl"
+    journal.write_bytes(journal.read_bytes().replace(b"Three", b"Seven"))
+    runs, faults = index.runs(three)
+    assert [run.id for run in runs] == ["a", "b"]
+    assert len(faults) == 1
+    assert str(journal) in faults[0]
+
+
+def test_an_index_that_cannot_be_written_says_so(index, tmp_path, three, monkeypatch):
+    def refused(*_, **__):
+        raise sqlite3.OperationalError("database or disk is full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sqlite3, "connect", refused)
+        with pytest.raises(StorageError, match="disk is full"):
+            index.runs(three)
+    (tmp_path / "other" / INDEX).mkdir(parents=True)
+    with pytest.raises(StorageError):
+        RunIndex(tmp_path / "other").runs(three)
+
+
+def test_an_index_that_cannot_be_made_is_not_to_be_deleted(index):
+    index.path.parent.mkdir(exist_ok=True)
+    index.path.symlink_to(index.path.parent / "nowhere" / "index")
+    with pytest.raises(StorageError, match=r"cannot be used.*Change mode or owner of its folder"):
+        index.runs([])
+
+
+# ---------------------------------------------------------------- comparing
+
+
+def test_the_better_known_value_weighs_more_and_runs_that_scatter_as_they_say_have_a_birge_ratio_near_one():
+    found = agreement("fx", [Estimate(100.0 + d, 1.0) for d in (-1.0, 1.0, -1.0, 1.0)])
+    assert (found.mean, found.sigma) == (100.0, 0.5)
+    assert found.birge == pytest.approx((4 / 3) ** 0.5)
+    assert found.deviations[0] == pytest.approx(-1 / 0.75**0.5)
+    found = agreement("r", [Estimate(255.0, 0.1), Estimate(256.0, 1.0)])
+    assert found.mean == pytest.approx(255.0 + 1 / 101)
+    assert found.deviations == pytest.approx([-1 / 1.01**0.5, 1 / 1.01**0.5])
+
+
+def test_only_runs_of_one_camera_and_one_model_are_compared(index, tmp_path, three):
+    others = {
+        "d": {"fx": 3346.0},
+        "e": {"model": "planar"},
+        "f": {"simulated": False},
+        "g": {"rehearsal": True},
+    }
+    folders = [make(tmp_path / "runs" / name, DAYS[2], **facts) for name, facts in others.items()]
+    runs = {run.id: run for run in index.runs([*three, *folders])[0]}
+    assert [a.name for a in compare_runs([runs["a"], runs["d"]])] == ["fx", "r"]
+    for other, why in (
+        ("c", "different cameras: 00050423, 00050999"),
+        ("e", "different models: planar, radial"),
+        ("f", "different kinds: measured, simulated"),
+        ("g", "different kinds: rehearsed, simulated"),
+    ):
+        with pytest.raises(UsageError, match=why):
+            compare_runs([runs["a"], runs[other]])
+    with pytest.raises(UsageError, match="at least two"):
+        compare_runs([runs["a"]])
+
+
+def test_an_index_that_another_process_has_locked_is_left_alone(index, three, monkeypatch):
+    index.runs(three)
+    with closing(sqlite3.connect(index.path)) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        connect = sqlite3.connect
+        monkeypatch.setattr(sqlite3, "connect", lambda path, **_: connect(path, timeout=0.0))
+        monkeypatch.setattr("bench.record.run_index.VERSION", 99)  # it wants to write at once
+        with pytest.raises(StorageError, match="locked"):
+            index.runs(three)
+        other.rollback()
+        monkeypatch.undo()
+        assert other.execute("SELECT count(*) FROM runs").fetchone() == (3,)
+    assert len(index.runs(three)[0]) == 3

@@ -1,0 +1,161 @@
+"""Recalculated results in a sealed folder: each file follows from the others, and changes are found."""
+
+import json
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from unittest import mock
+
+import pytest
+
+from bench.base.bounded_json import canonical_json
+from bench.evidence.verify import verify_folder
+from bench.solve.again import check_recalculated
+from bench.solve.offline import calibrate_paths
+from bench.solve.offline_folder import write_offline_results
+from bench.solve.offline_options import OfflineOptions, options_data, options_of_data
+from calib.boards.board import Board
+from calib.engine import calibrate
+from tests.unit.bench.evidence.resealed import Forger, copied, kinds
+
+CALIBRATED = {}
+
+
+@pytest.fixture(scope="module")
+def results_once(points, tmp_path_factory, key):
+    folder = tmp_path_factory.mktemp("recalculated") / "out"
+    result = calibrate_paths([points], OfflineOptions(image_size=(1280, 720)))
+    write_offline_results(result, folder, key)
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def _calibrated_once(monkeypatch):
+    """The same views with the same options are calibrated once, of a recalculation once a test."""
+
+    def once(views, options):
+        stars = b"".join(view.points_px.tobytes() + view.ids.tobytes() for view in views)
+        key = stars, repr([view.name for view in views]), repr(options)
+        if key not in CALIBRATED:
+            CALIBRATED[key] = calibrate(views, options)
+        return CALIBRATED[key]
+
+    monkeypatch.setattr("bench.solve.solution.calibrate", once)
+
+
+@pytest.fixture
+def forger(results_once, tmp_path, key):
+    return Forger(copied(results_once, tmp_path / "out"), key)
+
+
+def checked(folder, signers, *, again=True):
+    checks = [check_recalculated] if again else []
+    return verify_folder(folder, signers, derivations={"results": checks}, again=again)
+
+
+def test_the_numbers_of_untouched_results_are_calculated_again_from_their_sources(results_once, signers):
+    found = checked(results_once, signers)
+    assert (found.faults, found.not_compared) == ([], [])
+    assert found.kind == "results"
+    assert any("every number is equal to the last bit" in remark for remark in found.remarks)
+
+
+def test_a_recalculation_that_does_not_follow_from_its_sources_is_found_only_by_calculating_again(
+    points, signers, key, tmp_path
+):
+    """Every file of the folder follows from the others: the whole was written anew from a changed calibration."""
+
+    def better(views, options):
+        found = calibrate(views, options)
+        return replace(found, covariance=found.covariance / 100)
+
+    with mock.patch("bench.solve.solution.calibrate", better):
+        result = calibrate_paths([points], OfflineOptions(image_size=(1280, 720)))
+    write_offline_results(result, tmp_path / "forged", key)
+    assert checked(tmp_path / "forged", signers, again=False).ok
+    found = checked(tmp_path / "forged", signers)
+    assert "the sources do not give it" in " ".join(str(fault) for fault in found.faults)
+
+
+HARM = {
+    "left.csv is not there": Path.unlink,
+    "is another file now": lambda left: left.write_text(left.read_text() + "\n"),
+    "other files now": lambda left: shutil.copy(left, left.with_name("again.csv")),
+}
+
+
+@pytest.mark.parametrize("told", HARM)
+def test_where_the_sources_are_not_what_they_were_the_numbers_are_not_compared(
+    points, tmp_path, signers, key, told
+):
+    copy = Path(shutil.copytree(points, tmp_path / "points"))
+    result = calibrate_paths([copy], OfflineOptions(image_size=(1280, 720)))
+    write_offline_results(result, tmp_path / "out", key)
+    HARM[told](copy / "left.csv")
+    found = checked(tmp_path / "out", signers)
+    assert (found.ok, found.complete) == (True, False)
+    assert told in " ".join(found.not_compared)
+
+
+@pytest.mark.parametrize("made", [None, {"name": "joint", "version": 99}])
+def test_results_of_another_engine_are_not_compared(forger, signers, key, made):
+    """Results of earlier versions name no engine."""
+
+    def change(content):
+        content["calibration"].pop("engine")
+        content["calibration"] |= {} if made is None else {"engine": made}
+
+    in_json("results.json", change)(forger)
+    forger.seal()
+    found = checked(forger.folder, signers)
+    assert any("made by another calibration engine" in one for one in found.not_compared)
+    assert not found.complete
+
+
+def test_options_of_a_later_version_are_refused_by_name():
+    data = options_data(OfflineOptions(board=Board.parse("circles:9x6:25mm"), view_numbers=(1, 3)))
+    assert options_of_data(json.loads(json.dumps(data)), None, None).view_numbers == (1, 3)
+    with pytest.raises(ValueError, match="phase_of_moon"):
+        options_of_data({**data, "phase_of_moon": 1}, None, None)
+
+
+def in_json(name, change):
+    def attack(f):
+        content = json.loads((f / name).read_bytes())
+        change(content)
+        (f / name).write_bytes(canonical_json(content))
+
+    return attack
+
+
+def edit(name, old, new):
+    return lambda f: f.replace(name, old, new)
+
+
+ATTACKS = {
+    "number": (in_json("results.json", lambda r: r["calibration"]["camera"].update(fx=1.0)), "results.json"),
+    "rms of a view": (in_json("results.json", lambda r: r["calibration"]["views"][0].update(rms_px=0.1)), "results.json"),
+    "no recalculation": (in_json("results.json", lambda r: r["run"].update(offline=False)), "results.json"),
+    "no statement": (in_json("results.json", lambda r: r["run"].update(statement="")), "results.json"),
+    "other key named": (
+        in_json("results.json", lambda r: r["run"]["sealed_by"].update(fingerprint="SHA256:x")),
+        "results.json",
+    ),
+    "other source": (in_json("results.json", lambda r: r["sources"][0].update(sha256="0" * 64)), "results.json"),
+    "source left out": (in_json("sources.json", lambda s: s["sources"].pop()), "results.json"),
+    "other camera": (in_json("sources.json", lambda s: s.update(camera_name="other")), "exports/opencv.yaml"),
+    "export": (edit("exports/opencv.yaml", "avg_reprojection_error", "best_reprojection_error"), "exports/opencv.yaml"),
+    "stars": (lambda f: (f / "views.h5").write_bytes(b"x"), "views.h5"),
+    "passport added": (lambda f: (f / "passport.json").write_bytes(b"{}"), "passport.json"),
+    "instructions": (edit("VERIFY.txt", "status 0", "status 1"), "VERIFY.txt"),
+    "no results": (lambda f: (f / "results.json").write_bytes(b"{}"), "results.json"),
+    "sources of nothing": (lambda f: (f / "sources.json").write_bytes(b"[]"), "sources.json"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ATTACKS)
+def test_a_resealed_change_is_found(forger, signers, name):
+    attack, where = ATTACKS[name]
+    attack(forger)
+    forger.seal()
+    assert where in {place for _, place in kinds(checked(forger.folder, signers))}

@@ -1,0 +1,287 @@
+"""`calibrate --board` and `--reconstruct`: boards become a planar calibration with a report."""
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from board_photographs import photograph
+from calling import call
+
+from bench.commands.calibrate import run_text
+from bench.commands.cli import main
+from bench.measure.moving_recording import MovingRecording
+from bench.solve.solution import errors_in
+from bench.wording.target_words import BOARD, STARS
+from calib.errors import DegenerateViews, InputMismatch
+from calib.model.camera import CameraModel
+from calib.model.rotation import exp_map
+
+# ---------------------------------------------------------------- photographs of a checkerboard
+
+SIZE = (400, 300)
+
+TRUE = {"fx": 560.0, "fy": 561.5, "cx": 198.0, "cy": 152.0, "k1": -0.1}
+
+CAMERA = CameraModel(560.0, 561.5, 198.0, 152.0, SIZE, {"k1": -0.1, "k2": 0.05})
+
+PLACES = [
+    ((0, 0, 5), 0.0),
+    ((30, 5, 0), 10.0),
+    ((-28, 10, 20), -10.0),
+    ((5, 32, 50), 5.0),
+    ((8, -30, 80), 0.0),
+]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("boards")
+    for number, (turn, shift) in enumerate(PLACES):
+        seen = photograph(CAMERA, (7, 5), turn, (shift, -shift / 2, 300.0), dark=20.0, bright=200.0)
+        noisy = seen + np.random.default_rng(number).normal(0, 2, seen.shape)
+        cv2.imwrite(str(folder / f"placement{number}.png"), np.uint8(np.clip(noisy, 0, 255)))
+    cv2.imwrite(str(folder / "nothing.png"), np.full(SIZE[::-1], 90, np.uint8))
+    return folder
+
+
+def test_photographs_of_a_checkerboard_give_the_camera_within_its_uncertainty(folder, tmp_path, capsys):
+    out = tmp_path / "out"
+    said = call(
+        capsys, "calibrate", folder, "--board", "checkerboard:7x5:20mm", "-o", out, "--no-seal", "--json"
+    )
+    told = json.loads(said.out)
+    assert told["model"] == "planar"
+    k = told["coverage_factor"]
+    for name, true in TRUE.items():
+        assert abs(told["camera"][name] - true) <= k * told["sigma"][name]
+    assert told["sigma"]["fx"] < 0.5
+    (left_out,) = told["skipped"]
+    assert "nothing" in left_out
+    assert "No checkerboard of 7 x 5 inner corners was found" in left_out
+    report = (out / "report.html").read_text()
+    assert "calibrated with a flat target at finite distance" in report
+    assert "wavefront" not in report
+    results = json.loads((out / "results.json").read_text())
+    assert results["run"]["board"] == "checkerboard:7x5:20mm"
+    assert "points are near" in report.lower()
+    pattern = json.loads((out / "exports" / "metavision.json").read_text())["pattern"]
+    assert (pattern["n_cols"], pattern["n_rows"]) == (7, 5)
+
+
+def test_files_of_others_in_a_folder_are_named_and_change_nothing(folder, tmp_path, capsys):
+    words = ("--board", "checkerboard:7x5:20mm", "--json")
+    alone = json.loads(call(capsys, "calibrate", folder, *words).out)
+    for file in folder.iterdir():
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    strangers = {
+        "README.txt": b"Pictures of the board, taken in the lab.\n",
+        "timestamps.txt": b"1403636579763555584\n1403636579813555456\n",
+        "data.csv": b"#timestamp [ns],filename\n1403636579763555584,placement0.png\n",
+        "damaged.png": b"\x89PNG\r\n\x1a\n",
+        "noise.raw": bytes(range(256)),
+        "._placement0.png": b"\x00\x05\x16\x07\x00\x02\x00\x00",
+        ".DS_Store": b"\x00\x00\x00\x01Bud1",
+        "Thumbs.db": b"\xd0\xcf\x11\xe0",
+    }
+    for name, content in strangers.items():
+        (tmp_path / name).write_bytes(content)
+    told = json.loads(call(capsys, "calibrate", tmp_path, *words).out)
+    assert told["camera"] == alone["camera"]
+    left_out = " ".join(told["skipped"])
+    assert all(name in left_out for name in strangers)
+
+
+def test_a_folder_fails_only_if_too_little_is_left(folder, tmp_path, capsys):
+    (tmp_path / "README.txt").write_text("Pictures of the board.\n")
+    said = call(capsys, "calibrate", tmp_path, "--board", "checkerboard:7x5:20mm", status=1)
+    assert "There is no usable view." in said.err
+    assert "README.txt" in said.err
+    said = call(capsys, "calibrate", tmp_path / "README.txt", "--board", "checkerboard:7x5:20mm", status=1)
+    assert "README.txt:1" in said.err
+
+
+def test_a_comparison_on_a_board_has_no_recipe_for_stars(folder, capsys):
+    said = call(capsys, "calibrate", folder, "--board", "checkerboard:7x5:20mm", "--compare")
+    assert "OpenCV, planar (Zhang)" in said.out
+    assert "no result" not in said.out
+    assert "The published recipe is left out: it needs a target at infinity, not a board." in said.out
+    assert "points; U with" in said.out
+
+
+@pytest.mark.parametrize(
+    ("more", "reason"),
+    [
+        (["--model", "joint"], "no collimator before it"),
+        (["--passport", "some.json"], "no collimator before it"),
+        (["--board", "chequers"], "does not describe a board"),
+    ],
+)
+def test_options_that_contradict_a_board_are_refused(folder, capsys, more, reason):
+    said = call(capsys, "calibrate", folder, "--board", "checkerboard:7x5:20mm", *more, status=2)
+    assert reason in said.err
+
+
+# ---------------------------------------------------------------- errors speak of points
+
+ROW = {
+    "folder": "runs/cam7", "state": "done", "values": {"fx": 3345.0}, "sigma": {"fx": 1.0}, "coverage_factor": 2.0,
+    "coverage_factors": {},
+    "views": 12, "stars": 924, "left_out": [], "converged": True, "before": None,
+}  # fmt: skip
+
+
+def test_an_error_keeps_its_class_and_its_place():
+    with pytest.raises(DegenerateViews) as caught, errors_in(BOARD):
+        raise DegenerateViews("Two stars.", where="star 3.raw", remedy="Turn it, with the stars elsewhere.")
+    assert (caught.value.what, caught.value.where) == ("Two points.", "star 3.raw")
+    assert str(caught.value) == "star 3.raw: Two points. Turn it, with the points elsewhere."
+
+
+def test_an_error_about_stars_stays_the_same_object():
+    error = InputMismatch("Two stars.")
+    with pytest.raises(InputMismatch) as caught, errors_in(STARS):
+        raise error
+    assert caught.value is error
+
+
+@pytest.mark.parametrize(("board", "words"), [("checkerboard:11x7:20mm", "924 points"), (None, "924 stars")])
+def test_a_recalibrated_run_counts_what_its_target_has(board, words):
+    assert words in run_text({**ROW, "board": board})
+
+
+# ---------------------------------------------------------------- a recording of a moving camera
+
+PATTERN = "checkerboard:5x4:10mm"
+
+SQUARE_PX, PITCH_MM, FOCAL_PX = 24.0, 10.0, 300.0
+
+WAY_PX, SPEED_PX_S = 60.0, 1000.0
+
+SENSOR = (240, 200)
+
+
+def picture_at(shift_px, roll_deg):
+    """Log brightness of a tilted board of 5 x 4 inner corners, shifted along the diagonal."""
+    v, u = np.mgrid[: SENSOR[1], : SENSOR[0]]
+    rays = np.stack(
+        [(u - SENSOR[0] / 2) / FOCAL_PX, (v - SENSOR[1] / 2) / FOCAL_PX, np.ones(u.shape)], axis=-1
+    )
+    around = np.radians(5.0 * roll_deg)
+    tilt = exp_map(0.6 * np.array([np.cos(around), np.sin(around), 0.0]))
+    rotation = tilt @ exp_map(np.array([0.0, 0.0, np.radians(roll_deg)]))
+    place = np.array([0.8 * shift_px, 0.6 * shift_px, FOCAL_PX]) * PITCH_MM / SQUARE_PX
+    normal = rotation[:, 2]
+    points = rays * ((normal @ place) / (rays @ normal))[..., None] - place
+    a, b = (points @ rotation[:, axis] / PITCH_MM for axis in (0, 1))
+    soft = np.tanh(6 * np.sin(np.pi * a)) * np.tanh(6 * np.sin(np.pi * (b + 0.5)))
+    inside = (np.abs(a) < 3) & (np.abs(b) < 2.5)
+    return np.where(inside, soft, -1.0)
+
+
+def events(turns_deg):
+    """Events of an ideal pixel with a threshold of 0.3, for boards that pass one after the other."""
+    found, level = [], picture_at(-WAY_PX / 2, turns_deg[0])
+    steps = int(WAY_PX)
+    for number, turn in enumerate(turns_deg):
+        for step in range(steps):
+            now = picture_at(step - WAY_PX / 2, turn)
+            crossed = np.trunc((now - level) / 0.3).astype(int)
+            rows, columns = np.nonzero(crossed)
+            count = np.abs(crossed[rows, columns])
+            level[rows, columns] += 0.3 * crossed[rows, columns]
+            t_us = int(1e6 * (number * steps + step) / SPEED_PX_S)
+            where = np.repeat(np.arange(len(rows)), count)
+            times = np.sort(t_us + (np.arange(len(where)) * 997) % 900)
+            found.append((times, columns[where], rows[where], crossed[rows, columns][where] > 0))
+    return [np.concatenate(each) for each in zip(*found, strict=True)]
+
+
+@pytest.fixture(scope="module")
+def moving_folder(tmp_path_factory):
+    moving_folder = tmp_path_factory.mktemp("moving")
+    t, x, y, p = events([10, 35, -20, 60])
+    pixels = {
+        "x": x.astype(np.uint16),
+        "y": y.astype(np.uint16),
+        "p": p.astype(np.uint8),
+        "size": np.array(SENSOR),
+    }
+    triggers = {"trigger_t": np.zeros(0, np.int64)} | {
+        f"trigger_{name}": np.zeros(0, np.uint8) for name in ("value", "id")
+    }
+    np.savez(moving_folder / "events.npz", t=t, **pixels, **triggers)
+    with pytest.raises(SystemExit) as end:
+        main(["convert", str(moving_folder / "events.npz"), str(moving_folder / "moving.raw")])
+    assert end.value.code == 0
+    return moving_folder
+
+
+def test_pictures_at_stated_times_become_views(moving_folder, capsys):
+    words = ("--board", PATTERN, "--json", "--pictures-at", "0.03,0.09,0.15,0.21", "--reconstruct")
+    said = call(capsys, "calibrate", moving_folder / "moving.raw", *words)
+    found = json.loads(said.out)
+    names = [view["name"] for view in found["views"]]
+    assert set(names) <= {f"moving-at-0.{ms}s" for ms in ("030", "090", "150", "210")}
+    assert len(names) >= 3
+    assert abs(found["camera"]["fx"] - FOCAL_PX) < 2.0 * found["sigma"]["fx"] + 3.0
+
+
+def test_pictures_do_not_depend_on_the_order_in_which_they_are_asked_for(moving_folder):
+    moving = MovingRecording(moving_folder / "moving.raw", 10.0, (0.03, 0.09))
+    later, earlier = moving.picture(1), moving.picture(0)
+    np.testing.assert_array_equal(moving.picture(1).image, later.image)
+    assert earlier.at_us < later.at_us
+    assert len(MovingRecording(moving_folder / "moving.raw", 10.0).at_s) == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--reconstruct"], "for boards only"),
+        (["--board", PATTERN, "--pictures-at", "0.1"], "Add --reconstruct"),
+        (["--board", PATTERN, "--reconstruct", "--pictures-at", "0.2,0.1"], "do not ascend"),
+        (["--board", PATTERN, "--reconstruct", "--pictures-at", "soon"], "not a list of times"),
+        (["--board", PATTERN, "--reconstruct", "--pictures-at", "9"], "s long"),
+        (["--board", PATTERN, "--reconstruct", "moving.raw"], "after the paths"),
+        (["--board", PATTERN, "--reconstruct", "nan"], "not a frequency"),
+    ],
+)
+def test_what_does_not_fit_is_refused(moving_folder, capsys, words, said):
+    assert said in call(capsys, "calibrate", moving_folder / "moving.raw", *words, status=2).err
+
+
+def test_the_events_of_another_program_are_converted_first(moving_folder, capsys):
+    said = call(
+        capsys, "calibrate", moving_folder / "events.npz", "--board", PATTERN, "--reconstruct", status=2
+    )
+    assert "starbench convert events.npz" in said.err
+
+
+def test_a_board_that_moves_along_its_edges_or_too_little_is_named_with_what_to_do(moving_folder, capsys):
+    words = ("--board", "checkerboard:9x6:10mm", "--reconstruct")
+    said = call(capsys, "calibrate", moving_folder / "moving.raw", *words, status=1)
+    assert "Move the camera obliquely" in said.err
+
+
+@pytest.mark.slow
+def test_a_simulated_moving_board_is_reconstructed_where_it_stands_at_the_time_of_the_picture():
+    from virtual_camera import VirtualCamera
+
+    from calib.boards.board import Board
+    from calib.boards.detect import detect_board
+    from tests.benchmarks.compared.columns import Column, Screen
+    from tests.benchmarks.compared.scenes import record_moving
+
+    column = Column(name="a", method="reconstruction", images=2, board=Screen(focus="sharp"))
+    screen = {"columns": 11, "rows": 7, "pitch_mm": 12.0, "position_mm": [0.0, 0.0, 900.0]}
+    optics = {"mounting_deg": [0.0, 0.0, 0.0]}
+    section = {"noise": "typical", "screen": {**screen, "turn_deg": [20, -15, 12]}, "optics": optics}
+    picture = record_moving(column, section, 3345.0, 3, 1)[True]
+    view = detect_board(picture, Board("checkerboard", 11, 7, 12.0))
+    true = VirtualCamera(section, 3).board_corners_px()[view.ids]
+    if np.linalg.norm(view.points_px[0] - true[0]) > 50:
+        true = true[::-1]
+    apart = view.points_px - true
+    assert np.linalg.norm(apart.mean(axis=0)) < 0.3  # the latency of the pixels moves all points alike
+    assert np.sqrt(np.mean((apart - apart.mean(axis=0)) ** 2)) < 0.05

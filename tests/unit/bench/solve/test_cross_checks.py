@@ -1,0 +1,92 @@
+"""Beside a result: halves of the poses, the gimbal's readings, the worst corner, and where stars support it."""
+
+import json
+
+import numpy as np
+import pytest
+from expected_stars import expected_views
+
+from bench.solve.checks import gimbal_check, split_half_check
+from bench.solve.results_content import projection_facts
+from calib.engine import CalibrationOptions, calibrate
+from calib.model.camera import CameraModel
+
+POSES = [(-6, 2), (6, 2), (0, -3), (3, 3), (-4, -2), (5, -2), (-3, 0), (2, 1)]
+
+
+@pytest.fixture(scope="module")
+def views():
+    return expected_views([(f"{pan} {tilt}", pan, tilt) for pan, tilt in POSES], sigma_px=0.02, seed=3)
+
+
+def test_halves_differ_by_no_more_than_their_uncertainties_say(views):
+    """By less, where what is not known is the same in both: the glass, here of two views each."""
+    told = split_half_check(views, CalibrationOptions())
+    assert 0.0 < told["ratio"] < 2.5
+    assert told["worst_px"] >= told["rms_px"] > 0
+    first, second = told["cameras"]
+    assert first != second
+    assert first["fx"] == pytest.approx(second["fx"], rel=0.01)
+    assert split_half_check(views[:3], CalibrationOptions()) is None
+
+
+def test_the_gimbal_is_held_against_the_rotations_by_its_encoders(views):
+    calibration = calibrate(views, CalibrationOptions())
+    readings = [
+        {"pan": pan + 1.0, "tilt": tilt, "pan_encoder": pan / 0.998, "tilt_encoder": tilt}
+        for pan, tilt in POSES
+    ]
+    told = gimbal_check(calibration, readings)
+    for axis, scale in (("pan_deg", 0.998), ("tilt_deg", 1.0)):
+        assert told["scale"][axis] == pytest.approx(scale, abs=4 * told["scale_sigma"][axis])
+    assert (told["verdict"], told["agrees"]) == ("scale_or_parallax", False)
+    assert (told["slip"], told["faults"]) == (None, [])
+    assert told["pairs"]["count"] == 28
+    assert json.loads(json.dumps(told, allow_nan=False)) == told
+    assert gimbal_check(calibration, [{"pan": 0.0}] * len(POSES)) is None
+
+
+def test_a_slip_is_stated_with_axis_pose_and_size(views):
+    readings = [
+        {"pan": pan, "tilt": tilt + (0.2 if index >= 5 else 0.0)} for index, (pan, tilt) in enumerate(POSES)
+    ]
+    told = gimbal_check(calibrate(views, CalibrationOptions()), readings)
+    slip = told["slip"]
+    assert (told["verdict"], told["agrees"], told["faults"]) == ("slip", False, [slip])
+    assert (slip["axis"], slip["pose"], slip["claimed"]) == ("tilt_deg", 5, True)
+    assert slip["size_deg"] == pytest.approx(-0.2, abs=5 * slip["sigma_deg"])
+    what = "The tilt axis slipped between pose 5 (-4 -2) and pose 6 (5 -2)"
+    assert any(what in said for said in told["says"])
+    assert json.loads(json.dumps(told, allow_nan=False)) == told
+
+
+# ---------------------------------------------------------------- corners
+
+CAMERA = CameraModel(3345.0, 3345.0, 639.5, 359.5, (1280, 720), {"k1": 0.0})
+
+COVARIANCE = np.diag([1.0, 1.0, 1e-6, 1e-6, 1e-8])
+
+
+def test_the_worst_corner_has_px_and_microradians_with_the_factor():
+    stars = np.stack(np.meshgrid(np.arange(300, 990, 40.0), np.arange(100, 620, 40.0)), axis=-1).reshape(
+        -1, 2
+    )
+    found = projection_facts(CAMERA, COVARIANCE, 2.0, [stars])
+    worst = found["worst_corner"]
+    assert worst["corner"] in {"top left", "top right", "bottom left", "bottom right"}
+    # at the corner, a px is 1/f of the tangent, less the cosine squared of 12.4 degrees
+    assert worst["expanded_urad"] == pytest.approx(1e6 * worst["expanded_px"] / 3345.0, rel=0.06)
+    assert worst["expanded_px"] > found["median"]["expanded_px"]
+    once = projection_facts(CAMERA, COVARIANCE, 1.0, [stars])
+    assert worst["expanded_px"] == pytest.approx(2 * once["worst_corner"]["expanded_px"])
+    supported = found["supported"]
+    assert 0.4 < supported["share"] < 0.75
+    assert supported["expanded_px"] < worst["expanded_px"]
+
+
+def test_stars_at_one_place_support_little_and_no_stars_nothing():
+    found = projection_facts(CAMERA, COVARIANCE, 2.0, [np.array([[640.0, 360.0]])])
+    assert found["supported"]["share"] == pytest.approx(
+        np.pi * found["supported"]["reach_px"] ** 2 / (1280 * 720), rel=0.01
+    )
+    assert projection_facts(CAMERA, COVARIANCE, 2.0, [])["supported"] is None

@@ -1,0 +1,196 @@
+"""Forecasts of plans and of `until`: limits that cannot be met, suggested poses, and how they are printed."""
+
+import json
+import re
+
+import pytest
+from calling import out_of
+
+from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
+from bench.solve import next_pose
+from bench.solve.expectations import expected_uncertainty
+from bench.solve.forecasts import forecast_bench, suggest_poses
+from bench.stations.station import ExpectedConfig
+from calib.model.camera import distortion_names
+from calib.studies.expected_posterior import distance_deg
+from calib.studies.predicted_views import TYPICAL_DEFOCUS, TYPICAL_RMS_PX
+
+NINE = (SHIPPED_SEQUENCES / "nine_pose.yaml").read_text()
+
+
+def plan(sequence, station="simulated"):
+    return make_plan(*load_documents(sequence, station))
+
+
+@pytest.fixture
+def solved(tmp_path):
+    """The plan of nine poses with another solve step."""
+
+    def write(step):
+        (tmp_path / "nine.yaml").write_text(re.sub("- solve: .*", f"- solve: {step}", NINE))
+        return plan(str(tmp_path / "nine.yaml"))
+
+    return write
+
+
+@pytest.fixture
+def coarse(monkeypatch):
+    monkeypatch.setattr(next_pose, "GRID", {"pan_deg": 5, "tilt_deg": 5, "roll_deg": 3})
+    monkeypatch.setattr(next_pose, "REFINEMENTS", ())
+
+
+def test_what_a_station_does_not_state_is_typical():
+    planned = plan("nine_pose")
+    station = planned.station.value
+    expected = ExpectedConfig(focal_px=3300, r_mm=255, half_angle_deg=12)
+    typical = expected.errors(station.collimator.model_copy(update={"defocus": None}))
+    assert (typical.rms_px, typical.defocus) == (TYPICAL_RMS_PX, TYPICAL_DEFOCUS)
+
+
+def test_a_plan_is_forecast_as_its_last_solve_step_calibrates(solved):
+    bench = forecast_bench(solved("{distortion: [k1, k2, p1, p2]}"))
+    assert tuple(bench.camera.distortion) == distortion_names("k1k2p1p2")
+    assert bench.passport.is_certificate
+    assert bench.readings.parallax is not None
+    assert {term.kind for term in bench.terms} >= {"print_scale", "print_bow", "effective_radius"}
+    witness = forecast_bench(solved("{readings: witness}"))
+    assert witness.readings is None
+    alone = forecast_bench(solved("{passport: none}"))
+    assert alone.passport is None
+
+
+def test_a_limit_that_cannot_be_met_is_named_with_its_term(solved):
+    solve = "{passport: none, readings: witness, limits: {expanded_fx_px: 1, sigma_k2: 1e-9, rms_px: 9}}"
+    found = expected_uncertainty(solved(solve))
+    k2, fx, alone = found.remarks
+    assert fx.startswith("U(fx) of at most 1 px will not be met")
+    assert "Its largest part is: " in fx
+    expected = float(re.search(r": (\S+) expected", fx).group(1))
+    assert (
+        expected / 2 < float(re.search(r"twice as many poses would leave (\S+) px", fx).group(1)) < expected
+    )
+    assert k2.startswith("sigma_k2 of at most 1e-09 will not be met")
+    assert "Nothing but the stars" in alone
+
+
+def test_a_limit_that_more_poses_can_meet_says_so(solved):
+    (fx, *_) = expected_uncertainty(solved("{limits: {expanded_fx_px: 1.5}}")).remarks
+    assert fx.startswith("U(fx) of at most 1.5 px will not be met: 1.9")
+    assert re.search(r"twice as many poses would leave 1\.[4-7] px\.$", fx)
+
+
+@pytest.mark.usefixtures("coarse")
+def test_poses_that_a_run_chooses_are_forecast_and_a_term_that_no_pose_lowers_is_named(tmp_path):
+    text = (SHIPPED_SEQUENCES / "until_good.yaml").read_text().replace("2.5, ", "0.5, ")
+    (tmp_path / "until.yaml").write_text(
+        text.replace("  - report", "  - solve: {limits: {expanded_fx_px: 1}}\n  - report")
+    )
+    found = expected_uncertainty(plan(str(tmp_path / "until.yaml")))
+    assert found.chosen == found.poses - 3 > 0
+    assert re.search(
+        "not be met: 1.[5-9] expected. Its largest part is: (parallax|scale and|readings)", found.remarks[0]
+    )
+
+
+def test_suggested_poses_stay_within_limits_and_never_repeat(solved):
+    planned = solved("{}")
+    taken = [{f"{axis}_deg": angle for axis, angle in pose.angles_deg.items()} for pose in planned.poses]
+    for pose in suggest_poses(planned, 3):
+        assert min(distance_deg(pose.angles_deg, other) for other in taken) >= 0.2
+        assert all(abs(angle) <= 15 for angle in pose.angles_deg.values())
+        taken.append(pose.angles_deg)
+
+
+def test_the_plan_prints_the_expected_uncertainty_with_its_largest_terms(capsys):
+    printed = out_of(capsys, "plan", "nine_pose", "-s", "simulated", "--suggest", "1")
+    assert "Expected with 9 poses, joint model; U with k = 2" in printed
+    assert "U(fx)" in printed
+    assert "\n  scale and eccentricity of the gimbal  " in printed
+    (suggested,) = re.findall(r"\nSuggested: \{pan_deg: .*", printed)
+    assert re.search(r"U\(fx\) [\d.]+ px instead of [\d.]+ px, .* \(k = 2[.\d]*\)$", suggested)
+    assert "1 sigma" not in printed
+    assert "\N{MICRO SIGN}rad" in printed
+    found = json.loads(out_of(capsys, "plan", "nine_pose", "-s", "simulated", "--suggest", "1", "--json"))
+    expected = found["expected"]
+    assert expected["poses"] == 9
+    assert 1 < expected["expanded_fx_px"] < 2.5
+    assert {row["name"] for row in expected["budget_rows"]} >= {"stars", "parallax"}
+    assert found["suggested"][0].keys() == {"pan_deg", "tilt_deg", "worst_px", "rim_share", "why"}
+
+
+# ---------------------------------------------------------------- poses that an until is expected to need
+
+GOAL = "sequence.steps.1.until."
+
+
+def expected(sequence="until_good", station="simulated", **settings):
+    paths = {GOAL + name: str(value) for name, value in settings.items()}
+    return expected_uncertainty(make_plan(*load_documents(sequence, station, paths)))
+
+
+def test_on_an_ideal_bench_the_first_poses_suffice():
+    found = expected(station="simulated_ideal")
+    (course,) = found.courses
+    assert course.poses == found.poses == 3
+    assert course.reached["expanded_fx_px"] < 2.5
+    assert course.text == (
+        "Expected: about 3 poses until U(fx) is at most 2.5 px and U at the corners at most 1.5 px."
+    )
+
+
+@pytest.mark.usefixtures("coarse")
+def test_a_smaller_goal_takes_more_poses_and_one_that_cannot_be_reached_is_said():
+    found = expected(expanded_fx_px=1.8)
+    (course,) = found.courses
+    assert 4 <= course.poses <= 15
+    assert course.to_dict()["poses"] == course.poses
+    (below,) = expected(expanded_fx_px=0.5).courses
+    assert (
+        "U(fx) cannot reach the goal of 0.5 px. With all 25 poses, U(fx) would still be about 1" in below.text
+    )
+    assert re.search("Its largest part is: (parallax|scale and eccentricity|readings)", below.text)
+    (beyond,) = expected(station="simulated_ideal", expanded_fx_px=0.001, at_most=5).courses
+    assert (below.poses, beyond.poses) == (None, None)
+    assert beyond.text.startswith("Expected: 5 poses do not suffice until U(fx) is at most 0.001 px")
+    assert "The step ends after about 5 poses; U(fx) is then about " in beyond.text
+    assert expected("three_pose").courses == ()
+
+
+@pytest.mark.usefixtures("coarse")
+def test_one_forecast_is_behind_all_that_a_plan_says_of_an_until():
+    for goal in (1.8, 0.5):
+        found = expected(expanded_fx_px=goal)
+        (course,) = found.courses
+        assert course.reached["expanded_fx_px"] == found.forecast.limited["expanded_fx"]
+        assert found.chosen == found.poses - 3 > 0
+        assert f"about {found.poses} poses" in course.text
+
+
+@pytest.mark.usefixtures("coarse")
+def test_a_second_until_goes_on_from_the_poses_of_the_first(tmp_path):
+    text = (SHIPPED_SEQUENCES / "until_good.yaml").read_text()
+    second = "  - until: {expanded_fx_px: 1.8, at_most: 10}\n  - light: off\n"
+    (tmp_path / "two.yaml").write_text(text.replace("2.5", "1.9").replace("  - light: off\n", second))
+    first, then = expected_uncertainty(plan(str(tmp_path / "two.yaml"))).courses
+    (alone,) = expected(expanded_fx_px=1.8).courses
+    assert first.poses + then.poses == alone.poses
+
+
+@pytest.mark.usefixtures("coarse")
+def test_the_plan_of_a_night_says_when_an_until_ends_and_that_its_time_is_the_most(tmp_path, capsys):
+    (tmp_path / "until.yaml").write_text(
+        (SHIPPED_SEQUENCES / "until_good.yaml").read_text().replace("2.5, ", "1.8, ")
+    )
+    jobs = [
+        "{name: a, sequence: until.yaml, station: simulated}",
+        "{name: b, sequence: nine_pose, station: simulated}",
+    ]
+    (tmp_path / "night.yaml").write_text(f"format: starbench/queue/1\nname: N\njobs: [{', '.join(jobs)}]\n")
+    said = out_of(capsys, "plan", str(tmp_path / "night.yaml")).splitlines()
+    place = next(place for place, line in enumerate(said) if line.startswith("a  "))
+    job, until, nine = said[place : place + 3]
+    assert re.search(r"^a +at most .* at most .* \(k = 2[.\d]*\), with about \d+ poses$", job)
+    assert until.strip().startswith("Expected: about ")
+    assert "at most" not in nine
+    assert "at the latest, at most about" in said[-1]
+    assert any(line.split() == ["begin", "end", "takes", "at", "most", "run"] for line in said)

@@ -1,0 +1,276 @@
+"""Calibrating from files alone: point files, what is refused, and the folder that it makes."""
+
+import hashlib
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from station_texts import PLAIN
+
+from bench.base.errors import BenchError, StorageError, UsageError
+from bench.commands.cli import cli
+from bench.commands.keys import key_or_draft
+from bench.evidence.keys import create_key
+from bench.evidence.verify import verify_folder
+from bench.solve.again import check_recalculated
+from bench.solve.offline import calibrate_paths, views_of_one_size
+from bench.solve.offline_folder import require_new, write_offline_results
+from bench.solve.offline_options import OfflineOptions, read_point_file
+from bench.solve.passports import passport_from_certificate, write_passport
+from bench.solve.solve_options import ONE_VIEW
+from bench.solve.view_sources import refuse_truncated_jpeg
+from calib.errors import DegenerateViews, InputMismatch
+from calib.view import View
+from drivers.errors import RecordingCorrupt
+from tests.support.printed_text import printed_text
+
+
+def view(name, size):
+    flat = np.zeros((1, 2))
+    return View(name, size, np.zeros(1, np.int64), flat, flat, np.eye(2)[None])
+
+
+@pytest.mark.parametrize(
+    ("names", "pictures"), [(("lying", "on end"), [True, True]), (("lying", "points"), [True, False])]
+)
+def test_views_of_different_image_sizes_are_refused_with_their_names(names, pictures):
+    views = [view(name, size) for name, size in zip(names, [(1280, 720), (720, 1280)], strict=True)]
+    with pytest.raises(BenchError, match="different image sizes") as refused:
+        views_of_one_size(views, pictures)
+    assert f"720 x 1280 px ({names[1]}), 1280 x 720 px (lying)" in str(refused.value) or not all(pictures)
+
+
+def test_point_files_take_the_size_of_the_pictures_beside_them_and_else_the_largest():
+    views = [view("picture", (1280, 720)), view("points", (900, 600))]
+    assert [one.image_size for one in views_of_one_size(views, [True, False])] == [(1280, 720)] * 2
+    views = [view("a", (1200, 600)), view("b", (900, 700))]
+    assert [one.image_size for one in views_of_one_size(views, [False, False])] == [(1200, 700)] * 2
+
+
+@pytest.mark.parametrize("word", ["0x0", "0x720", "1280x0", "1280", "-1280x720"])
+def test_an_image_without_pixels_is_no_size(word):
+    with pytest.raises(UsageError, match="not an image size"):
+        OfflineOptions.from_command_line(image_size=word)
+    assert OfflineOptions.from_command_line(image_size="1280x720").image_size == (1280, 720)
+    assert OfflineOptions().image_size is None
+
+
+@pytest.mark.parametrize("share", [0.5, 0.9, 0.999])
+def test_a_jpeg_that_is_cut_off_is_no_picture(tmp_path, share):
+    noise = np.random.default_rng(1).integers(0, 256, (120, 160), np.uint8)
+    whole = cv2.imencode(".jpg", noise)[1].tobytes()
+    (tmp_path / "a.jpg").write_bytes(whole)
+    refuse_truncated_jpeg(tmp_path / "a.jpg")
+    (tmp_path / "a.jpg").write_bytes(whole + b"what cameras put behind it")
+    refuse_truncated_jpeg(tmp_path / "a.jpg")
+    (tmp_path / "a.jpg").write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(RecordingCorrupt, match="incomplete"):
+        refuse_truncated_jpeg(tmp_path / "a.jpg")
+
+
+# ---------------------------------------------------------------- point files of other programs
+
+GOOD = "10.5 20.5 4.0 8.0 7\n# a remark\n\n30.5, 40.5, 12.0, 16.0, 9\n"
+
+
+def write(tmp_path, text):
+    path = tmp_path / "image1.txt"
+    path.write_text(text)
+    return path
+
+
+@pytest.mark.parametrize("begin", ["", "\ufeff"], ids=["plain", "byte order mark"])
+def test_corner_coordinates_become_opencv_ones(tmp_path, begin):
+    path = write(tmp_path, begin + GOOD)
+    view = read_point_file(path, image_size=(64, 48))
+    np.testing.assert_array_equal(view.points_px, [[10.0, 20.0], [30.0, 40.0]])
+    np.testing.assert_array_equal(view.target_mm, [[4.0, 8.0], [12.0, 16.0]])
+    assert view.ids.tolist() == [7, 9]
+    assert (view.name, view.image_size) == ("image1", (64, 48))
+    centred = read_point_file(path, image_size=None, origin="centre")
+    assert centred.points_px[0].tolist() == [10.5, 20.5]
+    assert centred.image_size == (32, 42)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("1 2 3 4 5\n1 2 3\n", r"image1\.txt:2: The line has 3 columns instead of 5"),
+        ("1 2 x 4 5\n", r"image1\.txt:1: Not a number"),
+        ("1 2 nan 4 5\n", r"image1\.txt:1: A number is not finite"),
+        ("1 2 3 4 5.5\n", r"image1\.txt:1: .*integer"),
+        ("1 2 3 4 5\n6 7 8 9 5\n", "a star twice"),
+        ("\n# nothing\n", "has no points"),
+        ("1 2 3 4 1e300\n", r"image1\.txt:1: .*integer"),
+        ("5 5 3 4 1\n-1.5 2 3 4 5\n", r"1 of 2 points are outside .* at \(-1\.5, 2\)"),
+    ],
+)
+def test_bad_lines_are_refused_with_their_place(tmp_path, text, words):
+    with pytest.raises(BenchError, match=words):
+        read_point_file(write(tmp_path, text), image_size=None)
+
+
+def test_points_beside_the_image_are_refused_as_of_sides_told_in_the_other_order(tmp_path):
+    path = write(tmp_path, GOOD)
+    with pytest.raises(BenchError, match=r"1 of 2 points are outside an image of 48 x 32 px; .*30\.5, 40\.5"):
+        read_point_file(path, image_size=(48, 32))
+    assert len(read_point_file(path, image_size=(30, 40))) == 2
+
+
+def test_a_file_that_is_not_text_or_not_there_is_refused(tmp_path):
+    (tmp_path / "b.txt").write_bytes(b"\xff\xfe\x00\x01")
+    with pytest.raises(BenchError, match="not UTF-8 text"):
+        read_point_file(tmp_path / "b.txt", image_size=None)
+    with pytest.raises(StorageError, match="cannot be read"):
+        read_point_file(tmp_path / "none.txt", image_size=None)
+
+
+# ---------------------------------------------------------------- the folder
+
+
+@pytest.fixture(scope="module")
+def passport(tmp_path_factory):
+    """A passport file of a certificate."""
+    path = tmp_path_factory.mktemp("passport") / "p.json"
+    made = passport_from_certificate(
+        255, 0.05, number="T-1", issued=None, collimator=None, temperature_c=None, now=datetime.now(UTC)
+    )
+    write_passport(path, made)
+    return str(path)
+
+
+def options(**given):
+    return OfflineOptions.from_command_line(image_size="1280x720", **given)
+
+
+def test_the_folder_holds_results_report_exports_and_the_hashes_of_the_inputs(points, passport, tmp_path):
+    out = tmp_path / "out"
+    result = calibrate_paths([points], options(passport=passport))
+    write_offline_results(result, out)
+    found = json.loads((out / "results.json").read_text())
+    assert found["schema"] == "starbench/results/1"
+    assert (found["run"]["offline"], found["run"]["simulated"]) == (True, False)
+    assert found["calibration"]["camera"] == result.calibration.to_dict()["camera"]
+    sources = json.loads((out / "sources.json").read_text())["sources"]
+    assert sources == found["sources"]
+    for source in sources:
+        data = (points / f"{source['view']}.csv").read_bytes()
+        assert (source["size_bytes"], source["sha256"]) == (len(data), hashlib.sha256(data).hexdigest())
+    assert (out / "passport.json").read_bytes() == Path(passport).read_bytes()
+    assert found["passport"]["source"] == "command line"
+    assert len(list((out / "exports").iterdir())) >= 5
+    text = " ".join(printed_text((out / "report.html").read_text()))
+    for said in (
+        "OFFLINE: calibrated from existing files, without devices.",
+        sources[0]["sha256"],
+        "DRAFT: Starbench made this report from existing files, and no seal protects it",
+        "number T-1",
+    ):
+        assert said in text
+    assert not (out / "SHA256SUMS").exists()
+
+
+def test_the_folder_is_sealed_and_says_that_it_is_a_recalculation(points, tmp_path, key, signers):
+    out = tmp_path / "out"
+    write_offline_results(calibrate_paths([points], options()), out, key)
+    run = json.loads((out / "results.json").read_text())["run"]
+    assert run["sealed_by"] == {"principal": key.principal, "fingerprint": key.fingerprint}
+    assert "a recalculation" in run["statement"]
+    assert run["of_runs"] == []
+    text = " ".join(printed_text((out / "report.html").read_text()))
+    assert "This is a recalculation, not the record of a run." in text
+    assert f"{key.principal} sealed it" in text
+    assert "DRAFT" not in text
+    assert "a recalculation" in (out / "VERIFY.txt").read_text()
+    assert verify_folder(out, signers).state == "SEALED"
+    assert all(path.is_dir() or not path.stat().st_mode & 0o222 for path in out.rglob("*"))
+
+
+@pytest.mark.parametrize("trouble", [None, "no key", "readable"])
+def test_without_a_usable_key_the_folder_stays_a_draft(tmp_path, monkeypatch, capsys, trouble):
+    home = tmp_path / "home"
+    monkeypatch.setenv("STARBENCH_HOME", str(home))
+    if trouble != "no key":
+        create_key(home)
+    if trouble == "readable":
+        (home / "bench_key").chmod(0o644)
+    key = key_or_draft()
+    assert (key is None) is (trouble is not None)
+    assert ("DRAFT: the results will not be sealed." in capsys.readouterr().err) is (trouble is not None)
+    assert (home / "bench_key").exists() is (trouble != "no key")
+
+
+OWN_TARGET = PLAIN + "target: {squares: [60, 80], pitch_mm: 4.0, tag_square: [20, 30]}\n"
+
+
+def test_metavision_s_json_describes_the_target_of_the_station(points, tmp_path):
+    station = tmp_path / "station.yaml"
+    station.write_text(OWN_TARGET)
+    write_offline_results(calibrate_paths([points], options(station=str(station))), tmp_path / "out")
+    pattern = json.loads((tmp_path / "out" / "exports" / "metavision.json").read_text())["pattern"]
+    assert (pattern["n_cols"], pattern["n_rows"], pattern["square_width"]) == (60, 80, 0.004)
+
+
+def test_the_station_file_of_the_target_is_stated_with_its_hash(points, tmp_path, key):
+    station, sources = tmp_path / "station.yaml", tmp_path / "out" / "sources.json"
+    station.write_text(PLAIN)
+    result = calibrate_paths([points], options(station=str(station)))
+    write_offline_results(result, tmp_path / "out", key)
+    described = json.loads(sources.read_text())
+    hashed = hashlib.sha256(PLAIN.encode()).hexdigest()
+    assert described["station"] == {"name": str(station), "path": str(station), "sha256": hashed}
+
+    def found():
+        checked = check_recalculated(tmp_path / "out")
+        remarks = [remark for remark in checked.remarks if "station file" in remark]
+        return " ".join(remarks), " ".join(map(str, checked.faults))
+
+    assert found() == ("", "")
+    described["option_target"]["pitch_mm"] += 1
+    sources.chmod(0o644)
+    sources.write_text(json.dumps(described))
+    assert f"by the station file {station}" in found()[1]
+    station.write_text(OWN_TARGET)
+    assert "another station file lies there now" in found()[0]
+    station.unlink()
+    assert "is not there any more" in found()[0]
+
+
+def test_an_included_station_is_stated_and_none_is_none():
+    read = options(station="simulated").station
+    assert read.name == "simulated"
+    assert hashlib.sha256(Path(read.path).read_bytes()).hexdigest() == read.sha256
+    assert options().station is None
+
+
+def test_a_folder_with_anything_in_it_is_refused_before_anything_is_calibrated(points, tmp_path):
+    require_new(tmp_path / "none")
+    require_new(tmp_path)
+    (tmp_path / "note.txt").touch()
+    found = CliRunner().invoke(cli, ["calibrate", str(points), "-o", str(tmp_path)])
+    assert found.exit_code != 0
+    assert "note.txt" in f"{found.output} {found.exception}"
+    assert not (tmp_path / "results.json").exists()
+
+
+def test_a_passport_is_used_and_none_switches_it_off(points, passport):
+    assert calibrate_paths([points], options(passport=passport)).calibration.model == "joint"
+    assert calibrate_paths([points], options(passport="none")).passport is None
+    for model in ("spherical", "planar"):
+        with pytest.raises(InputMismatch, match="method of reference: it uses no passport"):
+            calibrate_paths([points], options(passport=passport, model=model))
+
+
+def test_one_view_without_a_passport_of_the_centre_says_what_one_would_give(points, passport, tmp_path):
+    for given in (None, passport):
+        with pytest.raises(DegenerateViews) as caught:
+            calibrate_paths([points / "left.csv"], options(passport=given))
+        assert ONE_VIEW in str(caught.value)
+    whole = calibrate_paths([points], options()).calibration.passport()
+    write_passport(tmp_path / "whole.json", whole)
+    one = calibrate_paths([points / "left.csv"], options(passport=str(tmp_path / "whole.json")))
+    assert one.calibration.sigma["fx"] < 0.02 * one.calibration.camera.fx

@@ -1,0 +1,149 @@
+"""A solved run is read as it was written, and a notebook can calibrate again from it."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from rehearsed import Scene
+from solved_run import image_of, write_solved_run
+
+from bench.base.errors import RunFolderError
+from bench.solve.run_reader import load
+from calib import CalibrationOptions, calibrate
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return write_solved_run(tmp_path_factory.mktemp("solved"))
+
+
+@pytest.fixture
+def copied(folder, tmp_path):
+    """The run, for a test to damage."""
+    return shutil.copytree(folder, tmp_path / "copy")
+
+
+def edit(folder, change):
+    path = folder / "results.json"
+    results = json.loads(path.read_bytes())
+    change(results)
+    path.write_text(json.dumps(results))
+
+
+def test_camera_collimator_and_covariance_are_those_of_the_results(folder):
+    run, stored = load(folder), json.loads((folder / "results.json").read_bytes())["calibration"]
+    assert run.camera.to_dict() == stored["camera"]
+    assert run.camera.image_size == tuple(stored["image_size"]) == (640, 360)
+    assert run.collimator.to_dict() == stored["collimator"]
+    assert run.parameter_names == tuple(stored["covariance"]["names"])
+    assert run.covariance.tolist() == stored["covariance"]["matrix"]
+    assert run.sigma == pytest.approx(stored["sigma"], rel=1e-14)
+    assert run.camera_covariance.tolist() == [row[:5] for row in stored["covariance"]["matrix"][:5]]
+    assert run.results["calibration"] == stored
+    assert run.report == folder / "report.html"
+
+
+def test_calibrating_again_with_the_same_options_gives_the_same_bits(folder):
+    run = load(str(folder))
+    again = calibrate(run.views, CalibrationOptions("spherical", distortion="k1"))
+    assert again.to_dict() == {**run.results["calibration"], "notes": list(again.notes)}
+    for residuals, pose, rotation, centre in zip(
+        again.residuals_px, run.poses, again.rotations, again.centres, strict=True
+    ):
+        assert np.array_equal(residuals, pose.residuals_px)
+        assert np.array_equal(rotation, pose.rotation)
+        assert np.array_equal(centre, pose.centre_mm)
+        target = np.column_stack([pose.view.target_mm, np.zeros(len(pose.view))])
+        projected = run.camera.project((target - centre) @ rotation.T)
+        assert residuals == pytest.approx(pose.view.points_px - projected, abs=1e-9)
+
+
+def test_poses_have_names_angles_and_pictures(folder):
+    run = load(folder)
+    assert [(pose.index, pose.name) for pose in run.poses] == [
+        (1, "left"),
+        (2, "right"),
+        (3, "above"),
+        (4, "below"),
+    ]
+    assert [view.name for view in run.views] == [pose.name for pose in run.poses]
+    assert run.poses[0].commanded_deg == {"pan": -5, "tilt": 0}
+    assert run.poses[0].measured_deg["pan"] == pytest.approx(-5, abs=0.01)
+    for pose, residuals in zip(run.poses, run.residuals_px, strict=True):
+        assert pose.rotation @ pose.rotation.T == pytest.approx(np.eye(3), abs=1e-12)
+        assert residuals is pose.residuals_px
+        u, v = np.rint(pose.view.points_px[0]).astype(int)
+        assert pose.picture.shape == image_of(pose.view).shape
+        assert pose.picture[v, u] == pose.picture.max() > np.median(pose.picture)
+
+
+def test_nothing_is_written_and_a_run_is_shown_without_its_arrays(folder):
+    before = {path: path.stat().st_mtime_ns for path in [folder, *folder.rglob("*")]}
+    run = load(folder)
+    _ = run.poses[0].picture
+    assert {path: path.stat().st_mtime_ns for path in [folder, *folder.rglob("*")]} == before
+    assert "array" not in repr(run) + repr(run.poses[0])
+
+
+def test_a_planar_run_has_no_collimator(tmp_path):
+    run = load(write_solved_run(tmp_path, model="planar"))
+    assert run.collimator is None
+    assert run.parameter_names == run.camera.parameter_names
+
+
+def test_a_collimator_keeps_its_aberrations(copied):
+    edit(copied, lambda results: results["calibration"]["collimator"].update(defocus=0.01))
+    run = load(copied)
+    assert run.collimator.aberrations == {"defocus": 0.01}
+    assert run.collimator.to_dict() == run.results["calibration"]["collimator"]
+
+
+def test_a_folder_that_is_no_run_is_refused(tmp_path):
+    with pytest.raises(RunFolderError, match="has no journal"):
+        load(tmp_path)
+    with pytest.raises(RunFolderError, match="has no journal"):
+        load(tmp_path / "none")
+
+
+def test_a_rehearsed_run_is_refused(tmp_path):
+    scene = Scene(tmp_path, end="  - solve: {model: spherical, distortion: [k1]}\n  - report\n")
+    assert scene.run().how == "finished"
+    with pytest.raises(RunFolderError, match="was rehearsed"):
+        load(scene.folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda results: results.pop("calibration"), "calibration is missing"),
+        (lambda results: results.pop("poses"), "results are incomplete"),
+        (lambda results: results["calibration"]["camera"].pop("fx"), "results are incomplete"),
+        (
+            lambda results: results["calibration"]["covariance"].pop("matrix"),
+            "calibration.covariance.matrix is missing",
+        ),
+        (
+            lambda results: results["calibration"].update(image_size=None),
+            "calibration.image_size is of another type",
+        ),
+        (lambda results: results["poses"][1].pop("commanded_deg"), "poses.1.commanded_deg is missing"),
+        ("{", "cannot be read"),
+        ("[]", "not a JSON object"),
+    ],
+)
+def test_incomplete_results_are_refused(copied, change, says):
+    if isinstance(change, str):
+        (copied / "results.json").write_text(change)
+    else:
+        edit(copied, change)
+    with pytest.raises(RunFolderError, match=says) as refused:
+        load(copied)
+    assert str(copied / "results.json") in str(refused.value)
+
+
+def test_views_of_another_run_are_refused(copied, tmp_path):
+    other = write_solved_run(tmp_path, poses="[{name: a, pan_deg: -5}, {name: b, pan_deg: 5}]")
+    shutil.copy(other / "views.h5", copied / "views.h5")
+    with pytest.raises(RunFolderError, match="different poses"):
+        load(copied)

@@ -1,0 +1,125 @@
+"""How a solve step of a run is calibrated: readings of the gimbal, and why they enter or not."""
+
+from dataclasses import replace
+
+import pytest
+from expected_stars import expected_views
+
+from bench.measure.gates import solution_gates
+from bench.plan.job import Job
+from bench.report.run_tables import readings_rows
+from bench.solve.forecasts import forecast_bench
+from bench.solve.solve_options import (
+    NO_SECTION,
+    gimbal_readings,
+    limited_numbers,
+    readings_result,
+    solve_options,
+)
+from calib.engine import calibrate
+from sequences.script import SolveStep
+
+GIMBAL = "{reading_sigma_deg: 0.002, scale_sigma: 1e-4, source: G-3%s}"
+OFF_PIVOT = ", pupil_off_pivot_mm: {value: 2, sigma: 0.5}"
+DEFOCUS = "{value: 0.06, sigma: 0.01}"
+POSES = [(pan, tilt) for tilt in (-2.5, 0, 2.5) for pan in (-6, 0, 6)]
+
+
+def job(gimbal: str | None, defocus: str | None = DEFOCUS) -> Job:
+    settings = {
+        "station.gimbal": gimbal or "",
+        "station.collimator.defocus": defocus or "",
+        "station.collimator.certificate": "",
+    }
+    return Job.from_files("nine_pose", "simulated_ideal", seed=1, operator=None, settings=settings)
+
+
+def solved(task: Job, measured_deg=None, **settings):
+    """Calibrate nine predicted poses as the task's solve step does, with other settings of the step."""
+    poses = [(f"{pan} {tilt}", pan, tilt) for pan, tilt in POSES]
+    views = expected_views(poses, sigma_px=0.02, seed=3, station=task.plan.station)
+    (step,) = (step for step in task.steps if isinstance(step, SolveStep))
+    step = replace(step, **{"model": "auto", **settings})
+    read = measured_deg or [{"pan": float(pan), "tilt": float(tilt)} for pan, tilt in POSES]
+    options = solve_options(task, step, read)
+    calibration = calibrate(views, options)
+    stated, witness = task.station.gimbal is not None, step.readings == "witness"
+    return calibration, options, readings_result(calibration, options, witness=witness, stated=stated)
+
+
+def test_encoders_replace_the_readings_of_their_axes():
+    task = job(GIMBAL % OFF_PIVOT)
+    found = gimbal_readings(task.station, [{"pan": 1.0, "pan_encoder": 1.1, "tilt": 2.0}])
+    assert found.angles_deg == ({"pan_deg": 1.1, "tilt_deg": 2.0},)
+    assert (found.reading_sigma_deg, found.scale_sigma, found.source) == (0.002, 1e-4, "G-3")
+    assert (found.parallax.defocus, found.parallax.pupil_off_pivot_sigma_mm) == (0.06, 0.5)
+
+
+@pytest.mark.parametrize(
+    ("task", "settings", "why"),
+    [
+        (job(None), {}, NO_SECTION),
+        (job(GIMBAL % OFF_PIVOT), {"model": "spherical"}, "The spherical model is a method of reference"),
+        (job(GIMBAL % OFF_PIVOT), {"readings": "witness"}, "The sequence keeps them out"),
+        (job(GIMBAL % OFF_PIVOT), {"model": "planar"}, "The planar model frees the centre"),
+    ],
+    ids=["no section", "spherical", "witness", "planar"],
+)
+def test_readings_that_do_not_enter_say_why_not(task, settings, why):
+    _, _, found = solved(task, **settings)
+    assert found["entered"] is False
+    assert found["why_not"].startswith(why)
+    (first, *_) = readings_rows(found, None)
+    assert first[0] == "Gimbal readings"
+    assert why in first[1]
+
+
+def test_readings_with_a_bound_enter_and_the_report_says_how_they_agree():
+    calibration, options, found = solved(job(GIMBAL % OFF_PIVOT))
+    assert found["entered"] is True
+    assert found["statement"]["source"] == "G-3"
+    assert found["bound"]["parallax"] == pytest.approx(-0.06 * 2 / calibration.collimator.r)
+    rows = dict(readings_rows(found, calibration.to_dict()["gimbal"]))
+    assert "chi-square" in rows["Gimbal readings"]
+    assert "\N{MINUS SIGN}0.047 % of the focal length" in rows["Uncertainty of the readings"]
+    assert options.gimbal is not None
+
+
+def test_readings_with_a_wrong_scale_are_named():
+    scaled = [{"pan": 1.05 * pan, "tilt": float(tilt)} for pan, tilt in POSES]
+    _, _, found = solved(job(GIMBAL % OFF_PIVOT), scaled)
+    assert found["entered"] is False
+    assert "They contradict the stars" in found["why_not"]
+
+
+def test_limits_judge_expanded_uncertainties_and_the_worst_corner():
+    calibration, _, _ = solved(job(None))
+    numbers = limited_numbers(calibration)
+    k = calibration.coverage_factor
+    assert numbers["expanded_fx"] == pytest.approx(k * calibration.sigma["fx"])
+    assert numbers["worst_corner"] > 0
+    gates = solution_gates({"expanded_fx_px": 1e-6, "worst_corner_px": 100, "sigma_k1": 1}, numbers)
+    assert [(gate.name, gate.verdict) for gate in gates] == [
+        ("expanded fx", "fail"),
+        ("worst corner", "pass"),
+        ("sigma k1", "pass"),
+    ]
+
+
+def test_a_stated_bow_and_distortion_bound_the_radial_term():
+    settings = {
+        "station.budget": "{print_bow: {value_mm: 0.001, radius_mm: 40, distribution: rectangular, source: maker}, "
+        "collimator_distortion: {relative: 1e-5, at_deg: 10, distribution: rectangular, source: maker}}",
+        "station.collimator.certificate": "",
+        "station.gimbal": "",
+    }
+    flat, unknown = (
+        Job.from_files("nine_pose", "simulated_ideal", seed=1, operator=None, settings=chosen)
+        for chosen in (settings, {**settings, "station.budget": "{}"})
+    )
+    bounded, options, _ = solved(flat, model="auto")
+    free, _, _ = solved(unknown, model="auto")
+    assert options.radial_sigma == pytest.approx(2.1e-4, rel=0.02)
+    # What the rim of the beam does to the stars is not bounded by it.
+    assert bounded.sigma["fx"] < 0.95 * free.sigma["fx"]
+    assert forecast_bench(flat.plan).radial_sigma == options.radial_sigma
