@@ -6,9 +6,13 @@ Times are ISO 8601 with the offset from UTC. `bench.wording.parameters.unit_of` 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Literal, TypedDict, TypeGuard
+from typing import Final, Literal, TypedDict, TypeGuard
 
 from bench.record.run_facts import EstimateData
+
+IN_PROGRESS: Final = "in progress"
+WITHOUT_END: Final = frozenset({IN_PROGRESS, "not begun", "withdrawn"})
+"""What `ItemData.how` states of a run that has not ended."""
 
 
 class TryData(TypedDict):
@@ -25,7 +29,7 @@ class ItemData(TypedDict):
     item: str
     job: str
     folder: str  # Below the folder of the batch
-    how: str  # As it ended, or else ``cut off``, ``not begun``, ``withdrawn``
+    how: str  # As it ended, or else ``in progress``, ``cut off``, ``not begun``, ``withdrawn``
     why: str
     attempts: int
     begun_utc: str | None

@@ -14,6 +14,7 @@ from zoneinfo import ZoneInfo
 
 from bench.record.run_facts import REPEATS_TEXT, factors_text
 from bench.record.summaries import (
+    WITHOUT_END,
     BatchSummary,
     CameraData,
     ItemData,
@@ -39,9 +40,7 @@ _CONTROL_PICTURES = 3
 def render_batch(summary: BatchSummary) -> str:
     """Render a complete HTML document that loads nothing and depends on ``summary`` (summary.json) alone."""
     zone = _zone(summary)
-    failures = [
-        item for item in summary["items"] if item["how"] not in {"finished", "not begun", "withdrawn"}
-    ]
+    failures = [item for item in summary["items"] if item["how"] not in {"finished", *WITHOUT_END}]
     return (
         environment()
         .get_template("batch.html.j2")
@@ -97,7 +96,7 @@ def _key_figures(summary: BatchSummary) -> list[tuple[str, str]]:
     """Return the large numbers at the top of the page, each with its meaning."""
     totals = summary["totals"]
     by_end = totals["by_end"]
-    without = sum(n for how, n in by_end.items() if how not in {"finished", "not begun", "withdrawn"})
+    without = sum(n for how, n in by_end.items() if how not in {"finished", *WITHOUT_END})
     return [
         (f"{by_end.get('finished', 0)} of {totals['runs']}", "runs with a result"),
         (str(without), "runs without a result"),

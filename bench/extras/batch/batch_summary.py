@@ -39,6 +39,7 @@ from bench.record.run_index import QUEUE_COPY, is_batch, read_run_and_details
 from bench.record.storage import is_locked, storage_errors, write_atomic
 from bench.record.stored_run import StoredRun
 from bench.record.summaries import (
+    IN_PROGRESS,
     BatchSummary,
     CameraData,
     ItemData,
@@ -103,9 +104,17 @@ def summarise(folder: Path, record: BatchRecord) -> BatchSummary:
     finished = [run.item.key for run in record.with_end if run.ended[-1].how == "finished"]
     ended = [key for key in finished if key in runs]
     solved = [runs[key] for key in ended]
+    working = _run_in_progress(folder, record)
     grouped = group_runs(((runs[key], details[key], RunPlace()) for key in ended), "camera")
     items = [
-        _item(run, folder, runs.get(run.item.key), details.get(run.item.key), unread.get(run.item.key))
+        _item(
+            run,
+            folder,
+            runs.get(run.item.key),
+            details.get(run.item.key),
+            unread.get(run.item.key),
+            _outcome(run, working),
+        )
         for run in _in_order_of_begin(record)
     ]
     return {
@@ -134,6 +143,14 @@ def summarise(folder: Path, record: BatchRecord) -> BatchSummary:
     }
 
 
+def _run_in_progress(folder: Path, record: BatchRecord) -> str:
+    """Return the name of the run that a process works on: the batch's own, or one that outlived it; else empty."""
+    if not record.current_run:
+        return ""
+    run = folder / RUNS / record.current_run
+    return record.current_run if is_locked(folder) or (run.is_dir() and is_locked(run)) else ""
+
+
 def _in_order_of_begin(record: BatchRecord) -> list[RunState]:
     """Return the runs in the order in which they began; runs that did not begin are last, by priority."""
     never = datetime.max.replace(tzinfo=record.begun.tzinfo if record.begun else None)
@@ -142,7 +159,12 @@ def _in_order_of_begin(record: BatchRecord) -> list[RunState]:
 
 
 def _item(
-    state: RunState, folder: Path, run: IndexedRun | None, details: RunDetails | None, unread: str | None
+    state: RunState,
+    folder: Path,
+    run: IndexedRun | None,
+    details: RunDetails | None,
+    unread: str | None,
+    how: str,
 ) -> ItemData:
     item, attempts = state.item, state.ended
     path = f"{RUNS}/{item.key}"
@@ -151,8 +173,8 @@ def _item(
         "item": item.key,
         "job": item.job.name,
         "folder": path,
-        "how": _outcome(state),
-        "why": unread or (attempts[-1].why if attempts else ""),
+        "how": how,
+        "why": unread or (attempts[-1].why if attempts and how != IN_PROGRESS else ""),
         "attempts": len(state.begun),
         "begun_utc": _iso(state.begun[0]) if state.begun else None,
         "ended_utc": _iso(attempts[-1].ended) if attempts else None,
@@ -179,8 +201,10 @@ def _item(
     }
 
 
-def _outcome(run: RunState) -> str:
-    """Return how a run ended, or why it has no end."""
+def _outcome(run: RunState, working: str) -> str:
+    """Return how a run ended, or why it has no end; ``working`` is the name of the run in progress."""
+    if run.item.key == working:
+        return IN_PROGRESS
     if run.withdrawn:
         return "withdrawn"
     if run.ended:

@@ -5,8 +5,8 @@ import { follow, legend, number, plot, plural, ticks, verdictPill, withUncertain
 const at = (id) => document.getElementById(id);
 const key = location.pathname.replace(/^\/batch\//, ""), api = `/api/batch/${key}`;
 const ENDS = { finished: "var(--plot-1)", failed: "var(--plot-2)", died: "var(--plot-2)", hung: "var(--plot-2)", aborted: "var(--plot-5)", "cut off": "var(--plot-5)", "in progress": "var(--plot-6)", planned: "var(--line)" };
-const TONES = { finished: "good", failed: "bad", died: "bad", hung: "bad", aborted: "warn", "cut off": "bad" };
-const FAILURES = new Set(["failed", "died", "hung", "cut off"]), MOST_DONE = 200, MOST_COMING = 60;
+const TONES = { finished: "good", "in progress": "busy", failed: "bad", died: "bad", hung: "bad", aborted: "warn", "cut off": "bad" };
+const FAILURES = new Set(["failed", "died", "hung", "cut off"]), NOT_ENDED = new Set(["in progress", "not begun"]), MOST_DONE = 200, MOST_COMING = 60;
 
 const link = (item) => `/run/${key === "." ? "" : `${key}/`}runs/${encodeURIComponent(item)}`;
 const name = (item, begun) => (begun ? el("a", { href: link(item) }, item) : item);
@@ -18,25 +18,25 @@ function take(batch) {
   setText(at("name"), batch.queue);
   at("simulated").hidden = !batch.simulated;
   at("rehearsal").hidden = !batch.rehearsal;
-  const ended = status.ended || "interrupted", failed = items.filter((item) => FAILURES.has(item.how) && !(running && status.at_work.startsWith(`${item.item}:`)));
+  const ended = status.ended || "interrupted", failed = items.filter((item) => FAILURES.has(item.how)), working = items.find((item) => item.how === "in progress");
   fill(at("verdict"), verdictPill(running ? "running" : ended, running ? "busy" : failed.length || ended === "interrupted" ? "bad" : "good"));
   setText(at("lead"), [`Batch, begun ${clockText(batch.begun_utc)}`, running && status.end_utc ? `expected to end about ${clockText(status.end_utc)}` : batch.ended_utc && !running ? `last run ended ${clockText(batch.ended_utc)}` : "", !running && status.why].filter(Boolean).join(" · "));
   document.title = `${failed.length ? `${failed.length} failed – ` : ""}${batch.queue} – Starbench`;
+  const coming = status.coming.filter((run) => !working || run.item !== working.item);
   const ends = totals.by_end, done = items.filter((item) => item.how === "finished");
-  fill(at("figures"), figure(String(ends.finished || 0), "runs with a result", `of ${totals.runs}`), figure(String(failed.length), "runs without a result"), figure(String(status.coming.length), "in progress or to come"),
+  fill(at("figures"), figure(String(ends.finished || 0), "runs with a result", `of ${totals.runs}`), figure(String(failed.length), "runs without a result"), figure(String(coming.length + (working ? 1 : 0)), "in progress or to come"),
     figure(String(totals.poses), `poses, in ${plural(totals.recordings, "recording")}`), figure(String(totals.deviations), "deviations"), figure(durationText(3600 * totals.hours), `so far, ${durationText(3600 * totals.working_hours)} in runs`));
-  at("now-card").hidden = !status.at_work;
-  if (status.at_work) { const item = status.at_work.split(":")[0]; fill(at("now"), el("a", { href: link(item) }, item), status.at_work.slice(item.length)); }
-  drawTimeline(items, status);
+  at("now-card").hidden = !working;
+  if (working) fill(at("now"), el("a", { href: link(working.item) }, status.at_work || working.item));
+  drawTimeline(items, status, working);
   at("failed-card").hidden = !failed.length;
   fill(at("failed"), failed.map((item) => el("tr", {}, el("td", { class: "name" }, name(item.item, item.begun_utc)), el("td", { "data-label": "End" }, el("span", { class: `pill ${TONES[item.how] || "bad"}` }, item.how)), el("td", { "data-label": "Began", class: "nowrap" }, clockText(item.begun_utc)),
     el("td", { class: "n", "data-label": "Poses" }, poses(item)), el("td", { class: "why" }, remarks(item) || "no reason is known"))));
-  const coming = status.coming.filter((run) => !status.at_work.startsWith(`${run.item}:`));
   at("queue-card").hidden = !coming.length && !status.withdrawn.length;
   fill(at("queue"), coming.slice(0, MOST_COMING).map((run) => el("tr", {}, el("td", { class: "name" }, run.item), el("td", { "data-label": "Begins" }, run.begin_utc ? clockText(run.begin_utc) : el("span", { class: "bad" }, "no time left for it")), el("td", { "data-label": "Ends" }, run.end_utc ? clockText(run.end_utc) : ""))));
   setText(at("queue-note"), [coming.length > MOST_COMING ? `the first ${MOST_COMING} of ${coming.length}` : "", status.withdrawn.length ? `withdrawn: ${status.withdrawn.join(", ")}` : ""].filter(Boolean).join("; "));
   drawCameras(batch.cameras);
-  const others = items.filter((item) => item.begun_utc && !failed.includes(item) && item.how !== "not begun").reverse();
+  const others = items.filter((item) => item.begun_utc && !failed.includes(item) && !NOT_ENDED.has(item.how)).reverse();
   fill(at("done"), others.slice(0, MOST_DONE).map(doneRow));
   setText(at("done-note"), others.length > MOST_DONE ? `The newest ${MOST_DONE} of ${others.length}.` : done.length ? "The newest first. ± U, k = 2." : "No run has ended yet.");
 }
@@ -53,11 +53,11 @@ function doneRow(item) {
     el("td", { class: "n", "data-label": "RMS, px" }, item.rms_px === null ? "" : number(item.rms_px)), el("td", { class: "n", "data-label": "fx, px" }, fx ? withUncertainty(fx.value, fx.sigma, fx.coverage_factor) : ""), el("td", { class: "why" }, remarks(item)));
 }
 
-function drawTimeline(items, status) {
+function drawTimeline(items, status, working) {
   const bars = items.flatMap((item) => item.tries.map((one) => ({ job: item.job, item: item.item, begun: Date.parse(one.begun_utc), ended: Date.parse(one.ended_utc), how: one.how })));
   for (const run of status.coming) {
     if (!run.begin_utc) continue;
-    const item = items.find((one) => one.item === run.item), now = status.at_work.startsWith(`${run.item}:`);
+    const item = items.find((one) => one.item === run.item), now = working && run.item === working.item;
     bars.push({ job: item ? item.job : run.item, item: run.item, begun: Date.parse(run.begin_utc), ended: Date.parse(run.end_utc), how: now ? "in progress" : "planned" });
   }
   if (!bars.length) { fill(at("timeline"), el("p", { class: "note" }, "No run has begun yet.")); return; }

@@ -18,12 +18,14 @@ from bench.extras.batch.batch_summary import (
     batch_status_text,
     read_batch,
     read_batch_status,
+    summarise,
     summary_lines,
     write_summary,
 )
 from bench.extras.batch.supervisor import WorkerEnd
 from bench.record.events import Event
 from bench.record.journal import Journal, read_journal
+from bench.report.batch_page import render_batch
 from sequences.errors import DocumentFaults
 from sequences.queue import JobConfig, Queue
 from sequences.reader import check_document
@@ -303,11 +305,12 @@ def test_summary_and_status_name_a_run_whose_goal_was_missed(tmp_path):
 
 
 def test_the_run_at_work_is_told_while_the_batch_runs_and_not_of_one_that_was_killed(tmp_path):
-    clock, seen = NightClock(), []
+    clock, seen, summaries = NightClock(), [], []
     workers = Workers(clock)
 
     def work(item, run, log):
         seen.append(read_batch_status(tmp_path / "night"))
+        summaries.append(summarise(tmp_path / "night", read_batch(tmp_path / "night")))
         shutil.copytree(tmp_path / "night", tmp_path / f"killed-{run.name}")  # as a power cut leaves it
         return workers(item, run, log)
 
@@ -317,7 +320,23 @@ def test_the_run_at_work_is_told_while_the_batch_runs_and_not_of_one_that_was_ki
         (True, "b-001: starting"),
     ]
     killed = read_batch_status(tmp_path / "killed-b-001")
+    assert [item["how"] for item in summaries[1]["items"]] == ["finished", "in progress"]
+    assert "Runs without a result" not in render_batch(summaries[1])
+    killed_items = summarise(tmp_path / "killed-b-001", read_batch(tmp_path / "killed-b-001"))["items"]
+    assert [item["how"] for item in killed_items] == ["finished", "cut off"]
     assert (killed.running, killed.current_run) == (False, "")
     assert [run.item for run in killed.done] == ["a-001"]
     ended = read_batch_status(tmp_path / "night")
     assert (ended.running, ended.current_run, ended.ended) == (False, "", "finished")
+
+
+def test_a_run_that_is_tried_again_is_in_progress_and_not_failed(tmp_path):
+    clock, seen = NightClock(), []
+    workers = Workers(clock, "failed")
+
+    def work(item, run, log):
+        seen.append(summarise(tmp_path, read_batch(tmp_path))["items"][0])
+        return workers(item, run, log)
+
+    Batch(tmp_path, queue(("a", ", attempts: 2")), clock, lambda _: None, work).run()
+    assert [(item["how"], item["why"]) for item in seen] == [("in progress", ""), ("in progress", "")]
