@@ -17,6 +17,7 @@ from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
 from calib.model.result_parts import Amplitude, Boresight, BudgetRow, GimbalEstimate, RotationErrors, Witness
 from calib.model.result_table import ParameterRow, as_frame, as_html, as_text
+from calib.model.target_focus import TargetFocus
 from calib.model.type_b_terms import TypeBTerm
 
 ModelName = Literal["auto", "joint", "spherical", "planar"]
@@ -34,6 +35,7 @@ _ONLY_JOINT = {
     "gimbal": "the readings of the gimbal",
     "budget": "the uncertainties of the budget",
     "radial_sigma": "the prior of the radial term",
+    "focus": "the focus of the target",
 }
 _ONLY_REFERENCE = {"loss": "the loss", "huber_px": "the limit of the loss"}
 """Options that only one kind of model uses, in words. A method of reference refuses a passport."""
@@ -72,6 +74,9 @@ class CalibrationOptions:
         Type B terms of the uncertainty budget.
     passport_source
         Where the passport comes from, for its row of the budget.
+    focus
+        The target's focus and the place of the pupil: how a certified focal length and what the camera sees differ. The
+        defocus of a bound of the parallax counts as this one. None: what is typical of benches.
     compares_lenses
         Whether the data choose the family of the lens; so they do if `distortion` is ``auto``.
 
@@ -92,6 +97,7 @@ class CalibrationOptions:
     radial_sigma: float | None = None
     budget: tuple[TypeBTerm, ...] = ()
     passport_source: str = ""
+    focus: TargetFocus | None = None
     compares_lenses: bool = False
 
     def __post_init__(self) -> None:

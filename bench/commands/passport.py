@@ -99,6 +99,12 @@ def passport_make(
     required=True,
     help="Standard uncertainty of the focal length (k = 1), mm.",
 )
+@click.option(
+    "--length",
+    type=click.Choice(["focal_length", "seen"]),
+    help="Which length it is: the focal length, as makers state it, or what a camera on this bench saw. Without it, "
+    "both are weighed.",
+)
 @click.option("--number", required=True, help="Number of the certificate.")
 @click.option("--date", "issued", help="Date of issue, as written on the certificate.")
 @click.option(

@@ -123,7 +123,18 @@ def refuse_indefinite(passport: Passport) -> None:
 
 _LARGEST_BYTES = 1_000_000
 _KEYS = frozenset(
-    {"schema", "names", "values", "covariance", "reference", "disagreement", "views", "conditions", "seal"}
+    {
+        "schema",
+        "names",
+        "values",
+        "covariance",
+        "reference",
+        "disagreement",
+        "views",
+        "conditions",
+        "length",
+        "seal",
+    }
 )
 
 
@@ -339,7 +350,7 @@ def certificate_passport(collimator: CollimatorConfig, certificate: CertificateC
         "temperature_c": certificate.temperature_c,
     }
     known = {key: value for key, value in stated.items() if value is not None}
-    return Passport.of_radius(certificate.r_mm, certificate.sigma_mm, known)
+    return Passport.of_radius(certificate.r_mm, certificate.sigma_mm, known, certificate.length or "")
 
 
 def choose_passport(

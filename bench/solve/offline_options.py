@@ -14,7 +14,7 @@ import numpy as np
 
 from bench.base.errors import BenchError, StorageError, UsageError
 from bench.evidence.seal import read_passport_seal
-from bench.plan.job import Job, calibration_options
+from bench.plan.job import Job
 from bench.plan.passports import NO_PASSPORT, PassportInUse, read_passport_file
 from bench.plan.plan import DEFAULT_MODEL
 from bench.solve.solve_options import solve_options
@@ -264,7 +264,7 @@ class OfflineOptions:
         options = solve_options(job, changed, measured_deg)
         if self.without_passport or self.passport is not None:
             passport = self.passport.passport if self.passport else None
-            options = calibration_options(changed, passport, options.gimbal, options.budget)
+            options = replace(options, passport=None if changed.model in REFERENCE_MODELS else passport)
         return options if self.distortion is None else replace(options, distortion=self.distortion)
 
     def step_of_run(self, step: SolveStep) -> SolveStep:

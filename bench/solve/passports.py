@@ -80,10 +80,11 @@ def passport_from_certificate(
     collimator: str | None,
     temperature_c: float | None,
     now: datetime,
+    length: str | None = None,
 ) -> Passport:
     """Make a passport from a collimator's certificate; ``sigma_mm`` is the expanded uncertainty over its k.
 
-    ``valid_until`` is the last day of its validity, year-month-day, if known.
+    ``valid_until`` is the last day of its validity, year-month-day, if known. ``length``: which one it states.
     """
     if not (0 < r_mm < float("inf") and 0 < sigma_mm < float("inf")):
         raise UsageError(
@@ -97,7 +98,7 @@ def passport_from_certificate(
         "temperature_c": temperature_c,
         "made_utc": now.isoformat(timespec="seconds"),
     }
-    return Passport.of_radius(r_mm, sigma_mm, _without_none(conditions))
+    return Passport.of_radius(r_mm, sigma_mm, _without_none(conditions), length or "")
 
 
 def _without_none(conditions: Mapping[str, Any]) -> dict[str, Any]:

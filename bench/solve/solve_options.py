@@ -15,6 +15,7 @@ from calib.calibration import Calibration, CalibrationOptions
 from calib.errors import DegenerateViews
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.result_parts import WORST_CORNER
+from calib.model.target_focus import TargetFocus
 from calib.uncertainty.projection_uncertainty import projection_uncertainty
 from calib.view import View
 from sequences.script import SolveStep
@@ -43,7 +44,15 @@ def solve_options(
     readings = None if step.readings == "witness" else gimbal_readings(station, measured_deg)
     budget = station.budget.terms(station.collimator)
     options = calibration_options(step, job.plan.passport_for(step), readings, budget)
-    return replace(options, radial_sigma=stated_radial_sigma(station))
+    return replace(options, radial_sigma=stated_radial_sigma(station), focus=stated_focus(station))
+
+
+def stated_focus(station: Station) -> TargetFocus | None:
+    """Return what the station states of the target's focus and of the pupil's place; None if nothing."""
+    defocus, pupil = station.collimator.defocus, station.collimator.pupil_to_focus_mm
+    if defocus is None and pupil is None:
+        return None
+    return TargetFocus(*((one.value, one.sigma) if one else None for one in (defocus, pupil)))
 
 
 def stated_radial_sigma(station: Station) -> float | None:

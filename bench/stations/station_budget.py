@@ -70,6 +70,13 @@ class CertificateConfig(StrictModel):
         Field(description="Expanded uncertainty, as the certificate states it."),
     ]
     k: Annotated[float, Field(ge=1, le=10, description="Coverage factor of the uncertainty.")] = 2.0
+    length: Annotated[
+        Literal["focal_length", "seen"] | None,
+        Field(
+            description="Which length it is: the focal length, as makers state it, or the distance from centre to "
+            "target as a camera on this bench saw it. Both are weighed if it is not said."
+        ),
+    ] = None
     number: Text
     date: Date | None = None
     valid_until: Date | None = None
@@ -122,6 +129,13 @@ class CollimatorConfig(StrictModel):
     defocus: Annotated[
         StatedValue | None,
         Field(description="Shift of the pattern on the target over the shift of the camera across the beam."),
+    ] = None
+    pupil_to_focus_mm: Annotated[
+        StatedValue | None,
+        Field(
+            description="Distance from the camera's entrance pupil to the front focal plane; negative if the pupil is "
+            "between that plane and the glass."
+        ),
     ] = None
 
     @field_validator("certificate")

@@ -18,7 +18,7 @@ from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotCo
 from calib.joint import amplitudes as amp
 from calib.joint.equations import Bench, State, ViewStars, sines_of, turns_of
 from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
-from calib.joint.knowledge import CERTIFICATE, WRONG, gather, stated_names, term_shapes, wavefront
+from calib.joint.knowledge import CERTIFICATE, FOCAL, WRONG, gather, stated_names, term_shapes, wavefront
 from calib.joint.layout import ASIDE, Layout
 from calib.joint.marginal import Marginal, Problem
 from calib.joint.poses import Poses, seen_poses
@@ -399,7 +399,8 @@ def _without_wrong_certificate(found: Optimum, near: State, options: Calibration
     )
     if stated is None or abs(stated - seen) <= _OTHER_STATE * seen:
         return found
-    faults = ((CERTIFICATE, WRONG),)
+    certificate = found.marginal.problem.knowledge.witnesses[CERTIFICATE]
+    faults = ((CERTIFICATE, WRONG if certificate.focal is None else FOCAL),)
     try:
         there = beside(found, faults, options.max_iterations, near)
         return there if odds_of(there, faults, found) > 1.0 else found

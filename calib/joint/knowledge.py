@@ -8,7 +8,7 @@ its weight, and a note can name it.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import NamedTuple
 
@@ -33,6 +33,7 @@ from calib.model import result_parts as rows
 from calib.model.gimbal import MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
+from calib.model.target_focus import CertifiedLength, TargetFocus
 from calib.model.type_b_terms import RADII, TypeBTerm
 from calib.model.type_b_terms import SCALES as SCALE_TERMS
 
@@ -45,6 +46,11 @@ FAULTS = {MISJUDGED: 0.05, WRONG: 0.02}
 #: it, its fault decides how large U is, since U covers 95.45 %. An honest one is named at 2.3 sigma, in 1 of 50
 #: results.
 DOUBTED = 0.1
+#: No fault: a certificate that does not say which length it states may state the focal length, and not what the camera
+#: sees. Makers state the one, benches measure the other: equally probable.
+FOCAL = "focal length"
+#: Odds beforehand of each fault, and of the other meaning, against a statement that holds.
+ODDS = FAULTS | {FOCAL: 1.0}
 #: Names of witnesses.
 CERTIFICATE = "certificate of the collimator"
 CHANGED_AXIS, CHANGED_RADIUS = (
@@ -95,6 +101,8 @@ class Statement:
     free: Array | None = None
     # (k, k) covariance if the stated one is misjudged; None: `MISJUDGED_TIMES` squared times the stated one.
     misjudged: Array | None = None
+    # (k, k) covariance if it states a focal length; None if that is none of its meanings.
+    focal: Array | None = None
     unit: str = ""
     term: TypeBTerm | None = None  # The type B term of the budget that it is
 
@@ -105,11 +113,19 @@ class Statement:
         if self.free is not None:
             wider = MISJUDGED_TIMES**2 * self.covariance if self.misjudged is None else self.misjudged
             covariances |= {MISJUDGED: wider, WRONG: self.free}
+        if self.focal is not None:
+            covariances[FOCAL] = self.focal
         return {fault: np.asarray(np.linalg.inv(one)) for fault, one in covariances.items()}
 
     def information(self, fault: str = "") -> Array:
-        """Return the (k, k) inverse covariance; ``fault`` is `MISJUDGED`, `WRONG`, or empty if the statement holds."""
+        """Return the (k, k) inverse covariance; ``fault`` is one of `ODDS`, or empty if the statement holds."""
         return self._informations[fault]
+
+    def as_meant(self, fault: str) -> Statement:
+        """Return the statement as ``fault`` says it is meant: that of a focal length, or as it stands."""
+        if fault != FOCAL or self.focal is None:
+            return self
+        return replace(self, covariance=self.focal, focal=None)
 
 
 @dataclass(frozen=True)
@@ -149,7 +165,7 @@ class _Source(NamedTuple):
         row[0, self.layout.places(tuple(terms))] = list(terms.values())
         wide = None if free is None else np.array([[max(free, stated[1]) ** 2]])
         values, covariance = np.array([stated[0]]), np.array([[stated[1] ** 2]])
-        return Statement(what, self.group, self.name, row, values, covariance, wide, None, unit, term)
+        return Statement(what, self.group, self.name, row, values, covariance, wide, unit=unit, term=term)
 
 
 def gather(
@@ -215,12 +231,29 @@ def _limits(layout: Layout, image_size: tuple[int, int], start: Mapping[str, flo
 
 
 def _certificate(layout: Layout, options: CalibrationOptions, passport: Passport) -> Statement:
-    """Return a certificate's radius on the axis; type B terms of the radius change it."""
+    """Return a certificate's length on the axis; type B terms of the radius change it."""
     r_mm = float(passport.values_by_name["r"])
     terms = {term.name: r_mm for term in options.budget if term.kind in RADII and term.name in layout.terms}
     sigma = max(float(np.sqrt(passport.covariance[0, 0])), _EXACT * r_mm)
     source = _Source(layout, rows.PASSPORT, options.passport_source or "certificate of the collimator")
-    return source.says(CERTIFICATE, {"r": 1.0, **terms}, (r_mm, sigma), _FREE_RADIUS * r_mm, "mm")
+    focus = _focus(options)
+    more_mm, more_sigma = focus.seen_less_focal_mm(r_mm)
+    focal = r_mm + more_mm, float(np.hypot(sigma, more_sigma))
+    # Who states where the pupil is before the focal plane means the focal length.
+    is_focal = passport.length == CertifiedLength.FOCAL or bool(focus.pupil_to_focus_mm)
+    stated = focal if is_focal and passport.length != CertifiedLength.SEEN else (r_mm, sigma)
+    found = source.says(CERTIFICATE, {"r": 1.0, **terms}, stated, _FREE_RADIUS * r_mm, "mm")
+    unsaid = passport.length == CertifiedLength.UNSAID and not is_focal
+    return replace(found, focal=np.array([[focal[1] ** 2]])) if unsaid else found
+
+
+def _focus(options: CalibrationOptions) -> TargetFocus:
+    """Return what is known of the target's focus and the pupil's place; a bound of the parallax has a defocus."""
+    focus = options.focus or TargetFocus()
+    bound = options.gimbal.parallax if options.gimbal else None
+    if focus.defocus is not None or bound is None:
+        return focus
+    return replace(focus, defocus=(bound.defocus, bound.defocus_sigma))
 
 
 def stated_names(passport: Passport, layout: Layout) -> tuple[str, ...]:
@@ -272,7 +305,7 @@ def _passport(layout: Layout, options: CalibrationOptions, passport: Passport) -
                 stated,
                 stated + wide,
                 stated + (MISJUDGED_TIMES**2 - 1.0) * own,
-                "mm" if witness != CHANGED_RADIAL else "",
+                unit="mm" if witness != CHANGED_RADIAL else "",
             )
         )
     return found

@@ -21,7 +21,7 @@ from calib.arrays import Array
 from calib.errors import NotConverged
 from calib.joint import amplitudes as amp
 from calib.joint.curvature import ROUGH, best_amplitudes, expected_curvature
-from calib.joint.knowledge import FAULTS, WRONG, Statement
+from calib.joint.knowledge import FAULTS, FOCAL, ODDS, WRONG, Statement
 from calib.joint.marginal import Solution
 from calib.joint.places import spread_by_fields, spread_of_places
 from calib.joint.prior import Faults, block_diagonal
@@ -36,6 +36,8 @@ _PAIRS, _FAULT_PAIRS = 12, 4
 _SMALL_SHARE = 0.01
 #: A fault is followed if its evidence may reach that of no fault within this logarithm.
 _FOLLOWED = 2.0
+#: The other meaning of a certificate is followed down to odds of 1 to 400.
+_FOLLOWED_MEANING = 6.0
 _FAULT_STEPS = 20
 #: No evidence is larger than this logarithm, so that the odds of several faults stay numbers.
 _LARGEST_LOG = 100.0
@@ -161,6 +163,13 @@ class Posterior:
             low, high = (low, half) if float(self.weights @ inside) > COVERAGE else (half, high)
         return 0.5 * (low + high)
 
+    def share_of(self, fault: tuple[str, str]) -> float:
+        """Return the probability of a fault of a statement, or of its other meaning."""
+        own = sum(node.weight for node in self.nodes if fault in node.faults)
+        if self.other is None:
+            return own
+        return (1.0 - self.other.share) * own + self.other.share * self.other.posterior.share_of(fault)
+
     def innovations(self) -> list[Innovation]:
         """Return the innovation of every statement that could be wrong, at the largest mode."""
         found = _innovations(self.largest.solution)
@@ -177,12 +186,14 @@ def _innovations(base: Solution) -> list[Innovation]:
     marginal, at_fault = base.marginal, dict(base.faults)
     witnesses = marginal.problem.knowledge.witnesses
     found = marginal.solve(base.eta, tuple((name, WRONG) for name in witnesses))
-    statements = list(witnesses.values())
+    statements = [one.as_meant(at_fault.get(name, "")) for name, one in witnesses.items()]
     rows = np.concatenate([one.rows for one in statements])
     values = np.concatenate([one.values for one in statements])
     root = found.root @ rows.T
     covariance, away = root.T @ root, values - rows @ (marginal.state.shared + found.step)
-    more = [one.information(at_fault.get(one.name, "")) - one.information(WRONG) for one in statements]
+    more = [
+        one.information(at_fault.get(one.name, "")) - one.information(WRONG) for one in witnesses.values()
+    ]
     answer, end = [], 0
     for k, one in enumerate(statements):
         own = slice(end, end := end + len(one.values))
@@ -251,7 +262,7 @@ def odds_of(there: Optimum, faults: Faults, than: Optimum) -> float:
     assert there.fault_eta is not None
     found = best_amplitudes(weighed_as(there, than).solve(there.fault_eta, faults), _FAULT_STEPS)
     log = 0.5 * (than.solution.value - found.value) * _share_of_stars(found)
-    return math.exp(min(log, _LARGEST_LOG)) * math.prod(FAULTS[fault] for _, fault in faults)
+    return math.exp(min(log, _LARGEST_LOG)) * math.prod(ODDS[fault] for _, fault in faults)
 
 
 def _holds(optimum: Optimum, mode: Node) -> bool:
@@ -281,7 +292,7 @@ def _mixture(optimum: Optimum, curvature: Array, modes: Sequence[Node]) -> Poste
             nodes.append(replace(mode, weight=share))
         else:
             nodes += nodes_about(mode, lower, _FAULT_PAIRS if mode.faults else _PAIRS, share)
-        for name, _ in mode.faults:
+        for name in (name for name, fault in mode.faults if fault != FOCAL):
             probabilities[name] = probabilities.get(name, 0.0) + share
     spread = np.sqrt(np.diag(np.linalg.inv(curvature)))
     return Posterior(optimum, tuple(nodes), spread, probabilities, max(modes, key=_by_weight))
@@ -340,23 +351,22 @@ def _faults(optimum: Optimum, curvature: Array, base: Node) -> list[Node]:
         at_optimum = base.eta is optimum.eta
         behind = best_amplitudes(behind, _FAULT_STEPS, curvature=known if at_optimum else None)
     none = max(0.0, log_odds(behind, base.solution))
-    for names, usual in possible:
-        for fault, probability in FAULTS.items():
-            faults: Faults = (*base.faults, *((name, fault) for name in names))
-            start = min((marginal.solve(one.eta, faults) for one in starts), key=lambda one: one.value)
-            gain = 0.25 * float(start.gradient @ np.linalg.solve(curvature, start.gradient))
-            if 0.5 * (start.value - base.solution.value) + none - gain > _FOLLOWED:
-                continue
-            at_optimum = start.eta is optimum.eta
-            ended = best_amplitudes(
-                start, _FAULT_STEPS, enough=ROUGH, curvature=known if at_optimum else None
-            )
-            log = 0.5 * (base.solution.value - ended.value) - none
-            log *= _share_of_stars(ended)
-            log += math.log(trusted(ended, base.solution))
-            if log > 0.0:
-                odds = base.weight * usual * probability * math.expm1(min(log, _LARGEST_LOG))
-                found.append(Node(ended, odds))
+    for more, probability in possible:
+        faults: Faults = (*base.faults, *more)
+        is_meaning = more[0][1] == FOCAL
+        start = min((marginal.solve(one.eta, faults) for one in starts), key=lambda one: one.value)
+        gain = 0.25 * float(start.gradient @ np.linalg.solve(curvature, start.gradient))
+        loss = 0.5 * (start.value - base.solution.value) + none - gain
+        if loss > (_FOLLOWED_MEANING if is_meaning else _FOLLOWED):
+            continue
+        at_optimum = start.eta is optimum.eta
+        ended = best_amplitudes(start, _FAULT_STEPS, enough=ROUGH, curvature=known if at_optimum else None)
+        log = 0.5 * (base.solution.value - ended.value) - none
+        log *= _share_of_stars(ended)
+        log += math.log(trusted(ended, base.solution))
+        raised = math.exp(min(log, _LARGEST_LOG)) - (not is_meaning)
+        if raised > 0.0:
+            found.append(Node(ended, base.weight * probability * raised))
     likeliest = max(found, key=_by_weight, default=base)
     beside = _faults(optimum, curvature, likeliest) if likeliest.weight > base.weight else []
     return [*found, *beside]
@@ -398,10 +408,10 @@ def _usual(optimum: Optimum) -> Array:
     return eta
 
 
-def _possible(starts: Sequence[Solution]) -> list[tuple[tuple[str, ...], float]]:
-    """Return the statements that contradict all others, at one of the given solutions at least.
+def _possible(starts: Sequence[Solution]) -> list[tuple[Faults, float]]:
+    """Return the faults of statements that contradict all others, at one of the given solutions at least.
 
-    Each has a factor. A fault's probability beforehand is this factor times that of `FAULTS`.
+    Each has its probability beforehand. What a certificate means is always open.
     One source states the scales of all axes, so they can be wrong together. So can all that a passport says of a glass:
     if it is another one, its radius is as unknown as what shows this. A reticle moves more often.
     """
@@ -412,4 +422,12 @@ def _possible(starts: Sequence[Solution]) -> list[tuple[tuple[str, ...], float]]
     doubted = [one.name for one in undoubted if one.name in away]
     sources = {group: tuple(one.name for one in undoubted if one.group == group) for group in _TOGETHER}
     together = [(names, _TOGETHER[group]) for group, names in sources.items() if len(names) > 1 and doubted]
-    return [*(((name,), 1.0) for name in doubted), *together]
+    meant = [one.name for one in undoubted if one.focal is not None]
+    return [
+        *((((name, FOCAL),), ODDS[FOCAL]) for name in meant),
+        *(
+            (tuple((name, fault) for name in names), usual * probability)
+            for names, usual in [*(((name,), 1.0) for name in doubted), *together]
+            for fault, probability in FAULTS.items()
+        ),
+    ]

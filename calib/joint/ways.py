@@ -23,7 +23,7 @@ from calib.errors import CalibrationError
 from calib.joint.adjust import adjust, adjust_again
 from calib.joint.amplitudes import ASIDE as ASIDE_AMPLITUDE
 from calib.joint.amplitudes import Pupil
-from calib.joint.knowledge import DOUBTED, FAULTS, PARALLAX, WRONG, Statement
+from calib.joint.knowledge import DOUBTED, FAULTS, ODDS, PARALLAX, WRONG, Statement
 from calib.joint.layout import ASIDE, CENTRE, RADIAL, Places
 from calib.joint.places import narrowed
 from calib.joint.posterior import Innovation, OtherWay, Posterior, posterior
@@ -192,7 +192,7 @@ def _log_evidence(found: Posterior, than: Optimum) -> float:
         value = value_as_weighed(optimum, than, largest.solution)
     if optimum.marginal.problem.pupils is not None:
         value += narrowed(optimum.solution)
-    return -0.5 * value + sum(math.log(FAULTS[fault]) for _, fault in largest.faults)
+    return -0.5 * value + sum(math.log(ODDS[fault]) for _, fault in largest.faults)
 
 
 def _bound(held: Posterior) -> Statement:

@@ -14,7 +14,7 @@ from calib.adjustment.parameters import (
 )
 from calib.calibration import Calibration, CalibrationOptions
 from calib.errors import DegenerateViews, NotConverged
-from calib.joint.knowledge import DOUBTED, READINGS
+from calib.joint.knowledge import CERTIFICATE, DOUBTED, FOCAL, READINGS
 from calib.joint.posterior import Posterior
 from calib.model import result_parts as rows
 from calib.model.gimbal import MOUNTING
@@ -25,6 +25,8 @@ from calib.view import View
 #: Readings that scatter this many times more than stated are named.
 _SCATTER = 2.0
 _WEAK_FOCAL_SIGMA = 0.01
+#: Which length a certificate states is open if the less probable one has this share: U covers 95.45 %.
+_OPEN = 0.05
 #: If these have this share of the variance of fx, it rests on how large errors are expected. With a certificate it is
 #: below 0.22 in 41 of 42 drawn benches.
 _EXPECTED = rows.UNBOUNDED_PARALLAX, rows.TURN_FIELDS, rows.LENS, rows.AMPLITUDES
@@ -98,7 +100,13 @@ def notes(result: Calibration, found: Posterior) -> tuple[str, ...]:
     named.sort(key=lambda one: (-one.fault_probability, -abs(one.innovation)))
     together = "" if len(named) < 2 else _TOGETHER
     sentences = [_lens(found) or _weakness(result, found), *map(_doubt, named), together]
-    sentences += [_denied(found), _readings(result), _expected(result, found), _contradiction(result)]
+    sentences += [
+        _length(found),
+        _denied(found),
+        _readings(result),
+        _expected(result, found),
+        _contradiction(result),
+    ]
     return tuple(filter(None, sentences))
 
 
@@ -123,6 +131,18 @@ def _doubt(one: Witness) -> str:
     return (
         f"{what} says {one.stated:.6g} +- {one.sigma:.2g}{unit}; all others say {one.expected:.6g} +- "
         f"{one.expected_sigma:.2g}{unit}, {abs(one.innovation):.1f} sigma away; {probability}."
+    )
+
+
+def _length(found: Posterior) -> str:
+    """Return a note if the views do not show which length a certificate states."""
+    share = found.share_of((CERTIFICATE, FOCAL))
+    if not _OPEN < share < 1.0 - _OPEN:
+        return ""
+    return (
+        "The certificate of the collimator does not say which length it states. By what the views show, it is the "
+        f"focal length with a probability of {share:.0%}, and else the length that this camera sees. The uncertainties "
+        "cover both. State which one it is (length: focal_length or seen)."
     )
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.errors import InputMismatch
 from calib.model.collimator import CENTRE, Collimator
+from calib.model.target_focus import CertifiedLength
 
 SCHEMA = "starbench/collimator-passport/1"
 
@@ -40,6 +41,8 @@ class Passport:
         Names of those views.
     conditions
         Further facts: serial number, temperature, date, certificate.
+    length
+        Which length r is, if a certificate states it. That of a passport from views is what the camera saw.
 
     Raises
     ------
@@ -55,6 +58,7 @@ class Passport:
     birge_ratio: float = 1.0
     views: tuple[str, ...] = ()
     conditions: Mapping[str, Any] = field(default_factory=dict)
+    length: CertifiedLength = CertifiedLength.UNSAID
 
     def __post_init__(self) -> None:
         fault = self._fault()
@@ -78,17 +82,26 @@ class Passport:
         return "Its aberrations have no reference." if self.terms and self.reference is None else ""
 
     @classmethod
-    def of_radius(cls, r_mm: float, sigma_mm: float, conditions: Mapping[str, Any] | None = None) -> Passport:
-        """Return the passport of a collimator of which only the radius is certified.
+    def of_radius(
+        cls,
+        r_mm: float,
+        sigma_mm: float,
+        conditions: Mapping[str, Any] | None = None,
+        length: str = CertifiedLength.UNSAID,
+    ) -> Passport:
+        """Return the passport of a collimator of which only one length is certified.
 
         Parameters
         ----------
         r_mm
-            Radius (focal length) of the collimator, mm.
+            The certified length, mm.
         sigma_mm
-            Standard uncertainty of the radius, mm.
+            Standard uncertainty of the length, mm.
         conditions
             Further facts, for example the number of the certificate.
+        length
+            Which length it is (`CertifiedLength`): ``focal_length``, as makers state it, or ``seen`` by a camera on
+            this bench. They differ if the target is out of focus. Empty: both are weighed by what the views show.
 
         Returns
         -------
@@ -98,11 +111,19 @@ class Passport:
         Raises
         ------
         InputMismatch
-            If the radius is not positive, or its uncertainty negative.
+            If the length is not positive, its uncertainty negative, or its kind unknown.
         """
         if not sigma_mm >= 0:
             raise InputMismatch(f"Its sigma is {sigma_mm} mm; it must not be negative.", where="passport")
-        return cls(("r",), np.array([r_mm]), np.array([[sigma_mm**2]]), conditions=conditions or {})
+        if length not in list(CertifiedLength):
+            raise InputMismatch(
+                f"Unknown length {length!r}.",
+                where="passport",
+                remedy=f"Known: {', '.join(filter(None, CertifiedLength))}; empty if nothing says which.",
+            )
+        variance = np.array([[sigma_mm**2]])
+        kind = CertifiedLength(length)
+        return cls(("r",), np.array([r_mm]), variance, conditions=conditions or {}, length=kind)
 
     @property
     def is_certificate(self) -> bool:
@@ -174,9 +195,11 @@ class Passport:
         Returns
         -------
         dict of str to Any
-            Keys: schema, names, values, covariance, reference, disagreement (the Birge ratio), views, conditions.
+            Keys: schema, names, values, covariance, reference, disagreement (the Birge ratio), views, conditions;
+            length if it is known which a certificate states.
         """
-        return {
+        said = {"length": str(self.length)} if self.length else {}
+        return said | {
             "schema": SCHEMA,
             "names": list(self.names),
             "values": self.values.tolist(),
@@ -223,6 +246,7 @@ class Passport:
                 float(document["disagreement"]),
                 tuple(str(name) for name in document["views"]),
                 dict(document["conditions"]),
+                CertifiedLength(document.get("length", "")),
             )
         except (KeyError, TypeError, ValueError) as error:
             raise InputMismatch(f"Not a passport: {error}.", where="passport") from error

@@ -50,6 +50,7 @@ class Stated:
     # What r_mm is: ``radius``, the length that the camera sees, d print / d tangent; or ``focal length`` (EFL) of the glass.
     # radius = focal length + defocus * pupil_to_focus_mm.
     certifies: str = "radius"
+    says_length: bool = True  # whether the certificate says which of the two it states
     # Value and standard uncertainty, mm: from the camera's pupil to the collimator's front focal plane, towards the glass.
     pupil_to_focus_mm: tuple[float, float] | None = None
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 import calib
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
+from calib.model.target_focus import TargetFocus
 from calib.model.type_b_terms import TypeBTerm
 
 from .bench import Bench, Stated
@@ -23,6 +24,7 @@ Array = NDArray[np.float64]
 #: cr: certificate and bounded readings; c: certificate; r: bounded readings; 0: nothing.
 KNOWN = ("cr", "c", "r", "0")
 SOURCE = "drawn"
+_LENGTHS = {"radius": "seen", "focal length": "focal_length"}
 #: The engine that is judged: ``auto`` or ``joint``.
 MODEL: Any = os.environ.get("STARBENCH_JUDGED_MODEL", "auto")
 
@@ -69,7 +71,8 @@ def options_for(
     """
     stated = bench.stated
     if passport is None and "c" in known:
-        passport = calib.Passport.of_radius(stated.r_mm, stated.r_sigma_mm)
+        length = _LENGTHS[stated.certifies] if stated.says_length else ""
+        passport = calib.Passport.of_radius(stated.r_mm, stated.r_sigma_mm, length=length)
     return calib.CalibrationOptions(
         model=MODEL,
         distortion=_distortion(bench.camera.family, lens),
@@ -77,6 +80,7 @@ def options_for(
         passport_source="certificate" if known in ("cr", "c") else "passport" if passport else "",
         gimbal=_readings(bench) if "r" in known else None,
         budget=_budget(stated) if known != "0" else (),
+        focus=_focus(stated) if "c" in known else None,
     )
 
 
@@ -84,6 +88,13 @@ def _distortion(family: str, lens: str) -> str:
     if family == "fisheye":
         return "fisheye"
     return "k1k2k3p1p2" if lens == "right" and family != "k1k2" else "k1k2"
+
+
+def _focus(stated: Stated) -> TargetFocus | None:
+    """Where the pupil is before the focal plane: stated by who knows that the certificate means the focal length."""
+    if not stated.says_length or stated.pupil_to_focus_mm is None or stated.certifies == "radius":
+        return None
+    return TargetFocus(pupil_to_focus_mm=stated.pupil_to_focus_mm)
 
 
 def _readings(bench: Bench) -> GimbalReadings:

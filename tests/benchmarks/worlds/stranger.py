@@ -2,7 +2,7 @@
 
 A seed decides everything: the glass and its tolerances, the lens, how many poses and which, how many stars, the noise, and
 whether a hand moves the camera. What the station states is drawn from the truth with the stated uncertainty; a certificate
-states the focal length, as makers do (three of five), or the length that the camera sees.
+states the focal length, as makers do (three of five), or the length that the camera sees. Half of them say which.
 """
 
 from __future__ import annotations
@@ -163,6 +163,7 @@ def _world(seed: int, camera: int) -> World:
         bounded=not hand,
         print_bow_mm=bow_mm / (efl / 250),
         certifies=certifies,
+        says_length=bool(np.random.default_rng((seed, 44)).random() < 0.5),
         pupil_to_focus_mm=(to_focus + 3.0 * float(rng.normal()), 3.0),
     )
     facts = {
