@@ -6,52 +6,22 @@ Nothing is said that the figures do not show; the limits are those by which a ru
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
-from bench.align.focus import FocusFigures
-from bench.align.live_image import LiveImage, LiveSetting, SignalFigures
+from bench.align.focus_advice import RingTurn, flat_advice, focus_advice
+from bench.align.live_image import LiveSetting, SignalFigures
+from bench.align.seen import SHARP_PX, Seen
 from bench.align.where_to_turn import TurnFigures
 from bench.measure.gates import FILTERS_TO_DISABLE, FREQUENCY_TOLERANCE
 from bench.measure.measure import MOST_SATURATED
 from calib.stars.beam import Beam
-from calib.stars.quick import QuickStars
 from drivers.camera import RecordingFacts
 from drivers.camera.frames import FrameFacts
 
-
-@dataclass(frozen=True)
-class Seen:
-    """Everything that the advice is made from."""
-
-    image: LiveImage
-    facts: RecordingFacts | FrameFacts | None  # What the driver states about it; None if unknown
-    beam: Beam  # The beam's disc
-    stars: QuickStars | None  # Tag and stars; None if they were not searched
-    other_tag: str  # What is wrong with the tags seen; empty if nothing is
-    focus: FocusFigures  # With those of the course
-    contrast: float | None  # Contrast inside the beam; None without light
-    turn: TurnFigures  # Where to turn
-
-    @property
-    def count(self) -> int:
-        """Number of stars."""
-        return 0 if self.stars is None else len(self.stars.points_px)
-
-    @property
-    def tag_seen(self) -> bool:
-        """Whether the tag, or enough of it to identify the stars, is in view."""
-        return self.stars is not None and (self.stars.tag is not None or bool(self.stars.named_by))
-
-
-SHARP_PX: Final = 1.0
-"""Edge width below which the lens counts as focused; up to 1.3 px every star is found."""
-BRIGHT_PERCENT: Final = 50.0
-"""Level of the light from which the coarse detail has a slope while the lens is far out of focus."""
-_FAR_PX: Final = 3.5
-"""Edge width from which it is only a rough one, and the coarse detail shows the way, px."""
-_WORSE: Final = 1.2
-_FLAT_CONTRAST, _FLAT_DETAIL = 0.3, 0.22
+HOME: Final = (
+    "Press Home: the stage is not homed, so its angles are not known. Each axis then turns a long way."
+)
+"""The first advice on a bench that is not homed."""
 _LOADED_LINK: Final = 0.9
 _ON_SHARES: Final = (0.25, 0.75)
 _MANY_HOT: Final = 2000
@@ -61,25 +31,39 @@ _FREQUENCY_SLACK: Final = 0.03
 _ASIDE: Final = 0.04
 
 
-def advice_for(seen: Seen, setting: LiveSetting) -> list[str]:
-    """Return what to do next: sentences, the most important first; empty if nothing is to be improved."""
-    advice = [*_camera(seen.facts)]
+class Advice(NamedTuple):
+    """What the operator should do next."""
+
+    sentences: tuple[str, ...] = ()  # The most important first; empty if nothing is to be improved
+    ring: RingTurn | None = None  # The turn of the focus ring among them; None if there is none
+
+
+def advice_for(seen: Seen, setting: LiveSetting) -> Advice:
+    """Return what to do next, on a bench whose stage stands."""
+    advice = [*first_advice(setting), *_camera(seen.facts)]
     dark = list(_light(seen, setting))
     if dark:
-        return advice + dark
+        return Advice((*advice, *dark))
     advice += _signal(seen, setting)
     if seen.other_tag:
-        return [*advice, seen.other_tag]
+        return Advice((*advice, seen.other_tag))
     if seen.image.signal is None and (seen.image.saturation or 0.0) > _BLINDED:
-        return advice
-    flat = _flat(seen, setting)
-    if flat:
-        return [*advice, flat, *_aim(seen, setting, square_told=True)]
-    focus, aim = list(_focus(seen, setting)), list(_aim(seen, setting))
+        return Advice(tuple(advice))
+    focus = flat_advice(seen, setting)
+    is_flat = focus is not None
+    focus = focus or focus_advice(seen, setting)
+    sharpen = [focus.text] if focus else []
+    aim = [] if setting.homed is False else list(_aim(seen, setting, square_told=is_flat))
     # A picture far out of focus shows no tag, and a tag out of view shows no blur: what is seen decides what is first.
-    aim_first = not seen.tag_seen and (bool(seen.count) or seen.beam.share < _LITTLE_LIGHT)
-    advice += aim + focus if aim_first else focus + aim
-    return [*advice, *_pattern(seen, setting)]
+    aim_first = not is_flat and not seen.tag_seen and (bool(seen.count) or seen.beam.share < _LITTLE_LIGHT)
+    advice += aim + sharpen if aim_first else sharpen + aim
+    rest = [] if is_flat else _pattern(seen, setting)
+    return Advice((*advice, *rest), focus.ring if focus else None)
+
+
+def first_advice(setting: LiveSetting) -> list[str]:
+    """Return what comes before anything that a picture shows."""
+    return [HOME] if setting.homed is False else []
 
 
 def dropped_share(facts: RecordingFacts | FrameFacts | None) -> float | None:
@@ -203,88 +187,6 @@ def _sync(signal: SignalFigures, setting: LiveSetting) -> Iterator[str]:
         )
 
 
-def _flat(seen: Seen, setting: LiveSetting) -> str:
-    """Return what to do if bright light hides the pattern of a lens far out of focus; else an empty text."""
-    if seen.count or seen.tag_seen or seen.contrast is None:
-        return ""
-    if seen.contrast > _FLAT_CONTRAST or (seen.focus.sharpness or 0.0) > _FLAT_DETAIL:
-        return ""
-    what = (
-        f"{_square_text(seen)}, but no stars were found: the lens is probably out of focus."
-        if seen.turn.square_borders is not None
-        else "No stars were found, and almost no details. Either the lens is far out of focus, or the camera looks "
-        "beside the target."
-    )
-    return f"{what} {_turn_on(seen, setting)}"
-
-
-def _turn_on(seen: Seen, setting: LiveSetting) -> str:
-    """Return what to do with lens and light far out of focus, a sentence."""
-    if _is_dim(seen, setting):
-        return (
-            "Set the light's level to 100 %: far out of focus, a bright light shows best which way to turn the focus "
-            "ring."
-        )
-    return f"Turn the focus ring{_sharpness_text(seen)}.{_way(seen)}"
-
-
-def _way(seen: Seen) -> str:
-    """Return whether the last turn of the ring went the right way, and how far to turn next; empty before the first."""
-    if not seen.focus.trend or seen.focus.turn_on is None:
-        return ""
-    by = f"by about {abs(seen.focus.turn_on):.1f} times the last turn"
-    if seen.focus.turn_on > 0.0:
-        return f" This is the right way: turn on {by}."
-    if seen.focus.trend == "better" or seen.focus.turn_on > -1.0:
-        return f" You have passed the best place: turn back {by}."
-    return f" This is the wrong way: turn back {by}."
-
-
-def _is_dim(seen: Seen, setting: LiveSetting) -> bool:
-    """Return whether more light would show the way out of focus; the exposure of a frame camera is its own matter."""
-    level = setting.level_percent
-    return seen.image.signal is not None and level is not None and level < BRIGHT_PERCENT
-
-
-def _square_text(seen: Seen) -> str:
-    """Return where a dark square is seen, without a full stop."""
-    borders = seen.turn.square_borders
-    where = f" at the {' and '.join(borders)} border" if borders else ""
-    return f"A dark square that looks like the tag is in view{where}"
-
-
-def _focus(seen: Seen, setting: LiveSetting) -> Iterator[str]:
-    """Yield what to do with the focus ring."""
-    width, best = seen.focus.edge_width_px, seen.focus.best_edge_width_px
-    if width is None:
-        if not seen.count:
-            yield f"No stars can be recognised. {_turn_on(seen, setting)}"
-        return
-    if width > _FAR_PX and _is_dim(seen, setting):
-        yield f"Edges are about {width:.0f} px wide. {_turn_on(seen, setting)}"
-        return
-    limit = min(setting.gates.limits.get("max_edge_width_px", SHARP_PX), SHARP_PX)
-    if width <= limit:
-        if seen.focus.better_before_px is not None and (seen.focus.turn_on or 0.0) < 0.0:
-            yield (
-                f"Turn the focus ring back to the best: edges are {width:.2f} px wide, and they were "
-                f"{seen.focus.better_before_px:.2f} px wide before. A run accepts {limit:g} px.{_way(seen)}"
-            )
-        return
-    known = f", the best seen is {best:.1f} px" if best is not None and width > _WORSE * best else ""
-    goal = "" if known and best is not None and best <= limit else f"; {limit:g} px or less is needed"
-    yield f"Turn the focus ring: edges are {width:.1f} px wide{known}{goal}.{_way(seen)}"
-
-
-def _sharpness_text(seen: Seen) -> str:
-    """Return which figure must grow while nothing can be recognised: the coarse detail has a slope farthest out."""
-    now, best = seen.focus.coarse_detail, seen.focus.best_coarse_detail
-    if now is None:
-        return ""
-    better = f" (the best seen is {best:.3f})" if best is not None and best > 1.05 * now else ""
-    return f": the coarse detail, now {now:.3f}{better}, must grow"
-
-
 def _aim(seen: Seen, setting: LiveSetting, *, square_told: bool = False) -> Iterator[str]:
     """Yield where to turn; a square that was told before is not told again."""
     turn = seen.turn
@@ -300,7 +202,7 @@ def _aim(seen: Seen, setting: LiveSetting, *, square_told: bool = False) -> Iter
                 )
             )
         elif turn.of and not turn.centred:
-            what = f"{_square_text(seen)}. " if turn.of == "square" else "No whole tag was recognised. "
+            what = f"{seen.square_text}. " if turn.of == "square" else "No whole tag was recognised. "
             what = "" if square_told and turn.of == "square" else what
             yield f"{what}{_turn_text(turn, setting)} This brings the {turn.of} to the middle."
         elif not turn.of and (side := _lit_side(seen.beam)):

@@ -217,6 +217,18 @@ class StageControl:
         """Return the present angles, degrees by axis; empty while the stage is not homed."""
         return self._state.position_deg if self._state.homed else {}
 
+    def position_to_write_deg(self) -> Mapping[str, float]:
+        """Return the present angles, degrees by axis; `ControlRefused` if the stage is not homed, or moves."""
+        if not self.moving:
+            self.look()
+        state = self._state
+        _check_homed(state, "Nothing was written.")
+        if self.moving:
+            raise ControlRefused(
+                "The stage moves. Nothing was written.", where="stage", remedy="Wait until it stands."
+            )
+        return state.position_deg
+
     def as_data(self) -> dict[str, Any]:
         """Return the state as the page shows it: plain values; an entry an axis in ``axes``."""
         state, limits = self._state, self._stage.limits
@@ -254,12 +266,7 @@ class StageControl:
             state = self._state
             if self._closing:
                 raise ControlRefused("The stage is being closed.", remedy="Start align again.")
-            if state.homed is False:
-                raise ControlRefused(
-                    "The stage is not homed, so its angles are not known. Nothing was moved.",
-                    where="stage",
-                    remedy="Press Home first. Homing turns the axes over a large part of their range.",
-                )
+            _check_homed(state, "Nothing was moved.")
             if state.work == "home":
                 raise ControlRefused(
                     "The stage is homing. Nothing was added.", where="stage", remedy="Wait, or press STOP."
@@ -438,3 +445,13 @@ class StageControl:
             self._say(f"The motion failed: {Failure.of(error).message}")
             return Failure.of(error)
         return None
+
+
+def _check_homed(state: StageState, consequence: str) -> None:
+    """Raise ControlRefused, with its consequence in a sentence, if the stage has no reference."""
+    if state.homed is False:
+        raise ControlRefused(
+            f"The stage is not homed, so its angles are not known. {consequence}",
+            where="stage",
+            remedy="Press Home first. Homing turns the axes over a large part of their range.",
+        )

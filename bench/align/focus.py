@@ -1,16 +1,15 @@
-"""The course of the focus while a person turns the focus ring: the best seen, the right way, and how far to turn.
+"""The focus figures of a live picture.
 
-A turn shows as a change of the figures, whenever it comes. How far the person has turned is not known: turns are
-counted in units of the first one, and each is taken to be as long as was asked for.
+The edge width is one number from far out of focus to sharp. Near focus, it is the width of the stars' edges. Farther
+out, it follows from the blur circle that the print around the tag shows. If neither stars nor a tag are found, only the
+sharpness is measured. The module computes with arrays.
 """
 
 from __future__ import annotations
 
-import math
-from collections import deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Final, Literal
+from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,12 +19,6 @@ from calib.stars.beam import Beam
 from calib.stars.focus import blur_circle, coarse_detail, edge_widths_px, sharpness
 from calib.stars.quick import QuickStars
 from calib.target import StarTarget
-
-# The focus figures of a live picture.
-#
-# The edge width is one number from far out of focus to sharp. Near focus, it is the width of the stars'
-# edges. Farther out, it follows from the blur circle that the print around the tag shows. If neither stars
-# nor a tag are found, only the sharpness is measured. The module computes with arrays.
 
 REGIONS: Final[Mapping[str, tuple[float, float]]] = {
     "centre": (0.5, 0.5),
@@ -70,6 +63,9 @@ class FocusFigures:
     # next, in units of the last turn, below 0 to turn back.
     trend: str = ""
     turn_on: float | None = None
+    turning: bool = False  # Whether the figures change from picture to picture
+    at_stop: bool = False  # Whether a person has said that the ring is at the end of its travel
+    unchanged_s: float | None = None  # Time since the last change that a turn has made, s; None if unknown
 
 
 def measure_focus(
@@ -163,208 +159,3 @@ def _circle(image: NDArray[np.float32], stars: QuickStars, target: StarTarget) -
     else:
         return None
     return found.diameter_px if found is not None else None
-
-
-_LEAST_BETTER: Final = 0.05
-"""Smallest relative change by which a width is worse than the best."""
-_A_TURN: Final = 0.1
-"""Smallest relative change that a turn of the ring makes; less is noise, in dim light above all."""
-_RECENT: Final = 3
-_CLEARLY, _LEAST_NOISE, _NOISE_OVER = 3.0, 0.01, 12
-"""Number of standard deviations by which a value is clearly another one, their least value, and over how many."""
-_LEARNT: Final = 0.3
-"""Weight of the newest figures in those of a place where the ring stands."""
-_SHARPEST_PX: Final = 0.6
-"""Edge width of a sharp picture, if none sharper was seen, px."""
-_LARGEST_TURN, _LEAST_TURN = 3.0, 0.1
-"""Most and least that is asked for, in units of the last turn."""
-_BACK: Final = -2.0
-"""What is asked for after a turn that made the coarse detail worse: back, and as far again."""
-
-
-@dataclass
-class _Rest:
-    """A place of the ring."""
-
-    kind: Literal["width", "detail"]
-    value: float  # Edge width, px, or coarse detail
-    place: float  # In units of the first turn
-    settled: bool  # Whether the figure has stopped to change
-
-    def worse_than(self, other: _Rest) -> float:
-        """Return by how much the figure is worse than at another place, as a share; it is at least 0 by its kind."""
-        if self.kind != other.kind:
-            return 1.0 if self.kind == "detail" else -1.0  # edges that can be measured are sharper
-        change = (self.value - other.value) / max(other.value, 1e-9)
-        return change if self.kind == "width" else -change
-
-
-class FocusCourse:
-    """The focus figures over the last ``kept_s`` of the caller's clock, with the best seen, kept until `forget`."""
-
-    def __init__(self, *, kept_s: float = 600.0) -> None:
-        self._kept_s = kept_s
-        self._course: deque[tuple[float, float | None, float | None, float | None]] = deque(maxlen=6000)
-        self._rests: list[_Rest] = []
-        self._best_here_px: float | None = None
-        self.best_edge_width_px: float | None = None
-        """Smallest edge width seen, px: the median of `_RECENT` neighbouring values."""
-        self.best_sharpness: float | None = None
-        """Largest sharpness seen, likewise."""
-        self.best_coarse_detail: float | None = None
-        """Most coarse detail seen, likewise."""
-
-    def add(self, time_s: float, figures: FocusFigures) -> None:
-        """Add the figures of a picture; its time, s, does not decrease."""
-        self._course.append((time_s, figures.edge_width_px, figures.sharpness, figures.coarse_detail))
-        while self._course[0][0] < time_s - self._kept_s:
-            self._course.popleft()
-        width, detail = self._recent(1), self._recent(3)
-        if width is not None:
-            self.best_edge_width_px = min(width, self.best_edge_width_px or width)
-            self._best_here_px = min(width, self._best_here_px or width)
-        self.best_sharpness = _larger(self._recent(2), self.best_sharpness)
-        self.best_coarse_detail = _larger(detail, self.best_coarse_detail)
-        if figures.edge_width_px is not None:
-            self._follow("width", 1)
-        elif figures.coarse_detail is not None:
-            self._follow("detail", 3)
-
-    def judged(self, figures: FocusFigures) -> FocusFigures:
-        """Return the figures of a picture with those of the course."""
-        return replace(
-            figures,
-            best_edge_width_px=self.best_edge_width_px,
-            best_sharpness=self.best_sharpness,
-            best_coarse_detail=self.best_coarse_detail,
-            better_before_px=self.better_before_px(),
-            trend=self.trend(),
-            turn_on=self.turn_on(),
-        )
-
-    def turned(self) -> None:
-        """Note that camera or light have changed: edges elsewhere in the field have another width."""
-        self._best_here_px = None
-        self._rests.clear()
-
-    def better_before_px(self) -> float | None:
-        """Return the best edge width since the camera was last turned, px, if the present one is clearly worse.
-
-        Own rule: the median of the last values is worse by both limits; the deviation is that of neighbours (von
-        Neumann, 1941).
-        """
-        best, now = self._best_here_px, self._recent(1)
-        if best is None or now is None:
-            return None
-        return best if now > best + max(_CLEARLY * self._noise(1), _LEAST_BETTER * best) else None
-
-    def forget(self) -> None:
-        """Forget course and best values."""
-        self._course.clear()
-        self._rests.clear()
-        self._best_here_px = self.best_edge_width_px = None
-        self.best_sharpness = self.best_coarse_detail = None
-
-    def trend(self) -> str:
-        """Return what the last turn did to the edge width: ``better``, ``worse``, or empty before the first turn."""
-        if len(self._rests) < 2:
-            return ""
-        return "worse" if self._rests[-1].worse_than(self._rests[-2]) > 0.0 else "better"
-
-    def turn_on(self) -> float | None:
-        """Return how far to turn next, in units of the last turn: below 0 to turn back; None before the first turn.
-
-        The square of the edge width is a parabola over the ring (thin lens, Hecht, Optics, section 5.2). Three places
-        give it; two if the last turn has not passed the best one.
-        """
-        if len(self._rests) < 2:
-            return None
-        before, here = self._rests[-2:]
-        last = here.place - before.place
-        if here.kind == "detail" or before.kind == "detail":
-            return 1.0 if self.trend() == "better" else _BACK
-        best = self._vertex()
-        if best is None:
-            best = here.place + last * self._line(before.value, here.value)
-        ratio = (best - here.place) / last
-        if ratio > 0.0 and self.trend() == "worse":  # turns of another length than was asked for
-            ratio = self._line(before.value, here.value)
-        return math.copysign(min(max(abs(ratio), _LEAST_TURN), _LARGEST_TURN), ratio)
-
-    def _vertex(self) -> float | None:
-        """Return the best place by the last three ones; None if they do not enclose a minimum."""
-        rests = self._rests[-3:]
-        if len(rests) < 3 or any(one.kind == "detail" for one in rests):
-            return None
-        places = [one.place for one in rests]
-        if (
-            min(
-                abs(a - b)
-                for a, b in ((places[0], places[1]), (places[1], places[2]), (places[0], places[2]))
-            )
-            < 1e-3
-        ):
-            return None
-        bend, slope, _ = np.polyfit(places, [one.value**2 for one in rests], 2)
-        return float(-slope / (2.0 * bend)) if bend > 0.0 else None
-
-    def _line(self, before_px: float, here_px: float) -> float:
-        """Return how far to turn on in units of the last turn, if the blur has one sign at both places."""
-        sharp_px = min(_SHARPEST_PX, self.best_edge_width_px or _SHARPEST_PX)
-        before, here = (math.sqrt(max(width**2 - sharp_px**2, 1e-6)) for width in (before_px, here_px))
-        return here / (before - here) if before != here else _LARGEST_TURN
-
-    def _follow(self, kind: Literal["width", "detail"], column: int) -> None:
-        """Tell whether the ring stands, turns or has been turned; two figures that differ tell nothing."""
-        pair = self._values(column, 2)
-        value, noise = sum(pair) / 2.0, self._noise(column)
-        if len(pair) < 2 or abs(pair[1] - pair[0]) > max(_CLEARLY * noise, _A_TURN * value):
-            return
-        now = _Rest(kind, value, 0.0, settled=False)
-        if not self._rests:
-            self._rests.append(now)
-            return
-        here = self._rests[-1]
-        changed = now.kind != here.kind or abs(value - here.value) > max(
-            _CLEARLY * noise, _A_TURN * here.value
-        )
-        if not changed:
-            here.settled = True
-            here.value += _LEARNT * (value - here.value)
-        elif here.settled:
-            now.place = self._expected_place()
-            self._rests.append(now)
-        elif len(self._rests) > 1 and (now.worse_than(here) > 0.0) != (self.trend() == "worse"):
-            # Turned through the best place, or back, without a rest: how far is not known.
-            here.settled, here.place, now.place = True, 0.0, 1.0
-            self._rests[:] = [here, now]
-        else:
-            here.kind, here.value = kind, value
-        del self._rests[:-3]
-
-    def _expected_place(self) -> float:
-        """Return where the ring stands after a turn that was as long as was asked for."""
-        ratio = self.turn_on()
-        if ratio is None:
-            return 1.0
-        return self._rests[-1].place + ratio * (self._rests[-1].place - self._rests[-2].place)
-
-    def _values(self, column: int, count: int) -> list[float]:
-        return [float(v) for one in list(self._course)[-count:] if (v := one[column]) is not None]
-
-    def _recent(self, column: int) -> float | None:
-        """Return the median of the newest values of a column; None if there are fewer than `_RECENT`."""
-        values = self._values(column, _RECENT)
-        return float(np.median(values)) if len(values) == _RECENT else None
-
-    def _noise(self, column: int) -> float:
-        """Return the standard deviation of neighbouring values from each other."""
-        steps = np.abs(np.diff(self._values(column, _NOISE_OVER)))
-        least = _LEAST_NOISE if column == 1 else 0.0
-        return max(1.05 * float(np.median(steps)), least) if len(steps) else least
-
-
-def _larger(one: float | None, other: float | None) -> float | None:
-    """Return the larger of two numbers that may be unknown."""
-    known = [value for value in (one, other) if value is not None]
-    return max(known, default=None)

@@ -15,9 +15,12 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.align.advice import Seen, advice_for, dropped_share
-from bench.align.focus import REGIONS, FocusCourse, FocusFigures, measure_focus
+from bench.align.advice import Advice, advice_for, dropped_share, first_advice
+from bench.align.focus import REGIONS, FocusFigures, measure_focus
+from bench.align.focus_advice import RingTurn
+from bench.align.focus_course import FocusCourse
 from bench.align.live_image import LiveImage, LiveSetting, LiveSlice, SignalFigures, read_image, show
+from bench.align.seen import Seen
 from bench.align.where_to_turn import SeenMotion, TurnFigures, where_to_turn
 from bench.base.bounded_json import mapped
 from calib.errors import CalibrationError, TargetNotFound
@@ -236,6 +239,9 @@ class LiveFigures:
     saturation: float | None = None
     turn: TurnFigures = field(default_factory=TurnFigures)  # Where to turn
     advice: Sequence[str] = ()  # What to do, plain sentences, the most important first
+    ring: RingTurn | None = (
+        None  # The turn of the focus ring that the advice asks for; None if it asks for none
+    )
     # Duration of each stage of the measurement, ms.
     took_ms: Mapping[str, float] = field(default_factory=dict)
 
@@ -244,6 +250,7 @@ class LiveFigures:
         plain = asdict(self) | {
             "stars": [(number, round(x, 2), round(y, 2)) for number, x, y in self.stars],
             "square": self.square and self.square._asdict(),
+            "ring": self.ring and self.ring._asdict(),
         }
         return cast("dict[str, Any]", mapped(plain, _plain))
 
@@ -278,7 +285,10 @@ class LiveMeter:
                 width_px=self._size[0],
                 height_px=self._size[1],
                 temperature_c=_temperature_c(part),
-                advice=(f"The slice cannot be read: {error.what} {error.remedy}".strip(),),
+                advice=(
+                    *first_advice(setting),
+                    f"The slice cannot be read: {error.what} {error.remedy}".strip(),
+                ),
                 took_ms=watch.lap("image"),
             )
             return _jpeg(np.zeros(self._size[::-1], np.uint8)), figures
@@ -306,10 +316,12 @@ class LiveMeter:
             turn=self._turn(part, setting, beam, found),
         )
         figures = _figures(part, setting, seen, found)
+        advice = Advice((TURNING,)) if part.moving else advice_for(seen, setting)
         return shown, replace(
             figures,
             signal=replace(figures.signal, event_hz=event_hz),
-            advice=(TURNING,) if part.moving else tuple(advice_for(seen, setting)),
+            advice=advice.sentences,
+            ring=advice.ring,
             took_ms=watch.lap("advice"),
         )
 
@@ -322,6 +334,10 @@ class LiveMeter:
         self._motion.forget()
         self._stars.forget()
         self._event_hz = None
+
+    def at_stop(self) -> None:
+        """Note that the focus ring is at the end of its travel."""
+        self._course.at_stop()
 
     def _turn(self, part: LiveSlice, setting: LiveSetting, beam: Beam, found: Found) -> TurnFigures:
         """Find out where to turn, and learn how the tag has moved since the last search for it."""

@@ -203,6 +203,7 @@ class LiveSetting:
     # only.
     light_on: bool | None = None
     level_percent: float | None = None  # Level of the light as asked for, percent; None if unknown
+    homed: bool | None = None  # Whether every axis of the stage has a reference; None if unknown
     # Lowest and highest angle of each axis of the stage, degrees.
     limits_deg: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     focal_px: float | None = None  # Approximate focal length, px; None if the station does not state it
@@ -237,6 +238,7 @@ class LiveSetting:
         light_on: bool | None = None,
         level_percent: float | None = None,
         waveform: Waveform = "square",
+        homed: bool | None = None,
     ) -> LiveSetting:
         """Take what the figures need from a station, with a sequence's default gates; ``frequency_hz`` is as set."""
         expected, collimator = station.expected, station.collimator
@@ -249,6 +251,7 @@ class LiveSetting:
             frequency_hz=frequency_hz,
             light_on=light_on,
             level_percent=level_percent,
+            homed=homed,
             limits_deg={name: axis.limits_deg for name, axis in station.axes.items()},
             focal_px=expected.focal_px if expected else None,
             half_angle_deg=expected.half_angle_deg if expected else None,

@@ -182,7 +182,7 @@ class LiveLoop:
         self._began_s: float | None = None
         self._record_s, self._measure_s = 0.0, 0.0
         self._closing = False
-        self._forget_asked = False
+        self._forget_asked = self._stop_noted = False
         self._signal_s = -math.inf
         self._signal = LiveFigures()
         self._light: tuple[bool | None, float | None] = (None, None)
@@ -219,6 +219,10 @@ class LiveLoop:
         """Forget the course of the focus, before the next slice is measured."""
         self._forget_asked = True
         self._course.clear()
+
+    def at_stop(self) -> None:
+        """Note that the focus ring is at the end of its travel, before the next slice is measured."""
+        self._stop_noted = True
 
     def course(self) -> list[tuple[float, float]]:
         """Return the course of the focus: time of each slice in which it was measured, s, and edge width, px."""
@@ -363,6 +367,9 @@ class LiveLoop:
         if self._forget_asked:
             self._forget_asked = False
             self._meter.forget()
+        if self._stop_noted:
+            self._stop_noted = False
+            self._meter.at_stop()
         jpeg, figures = self._meter.measure(recorded.part, recorded.setting)
         if recorded.shows_signal:
             self._signal = figures

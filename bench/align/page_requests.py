@@ -83,7 +83,7 @@ class PageRequests:
     def actions(self) -> Mapping[str, Action]:
         """Return what the page can ask for, by the names that it uses."""
         named = ("jog", "home", "light", "bias", "frame", "hands", "check", "propose", "write")
-        more = ("stop", "leave", "take", "beat", "forget")
+        more = ("stop", "leave", "take", "beat", "forget", "at_stop")
         return {"open": self.reopen} | {name: getattr(self, name) for name in (*named, *more)}
 
     # ------------------------------------------------------------ what turns or opens something
@@ -206,6 +206,11 @@ class PageRequests:
         self._session.bench.loop.forget()
         self._told(page, "began the course of the focus anew")
 
+    def at_stop(self, page: str, _body: Mapping[str, Any]) -> None:
+        """Note that the focus ring is at the end of its travel."""
+        self._session.bench.loop.at_stop()
+        self._told(page, "reported that the focus ring is at its stop")
+
     # ------------------------------------------------------------ inside
 
     def _told(self, page: str, what: str, topic: str = "") -> None:
@@ -226,7 +231,7 @@ class PageRequests:
             source = self._files.sequence(str(body.get("sequence") or ""))
             return propose_pose(
                 source,
-                {axis: round(angle, 4) for axis, angle in bench.stage.state.position_deg.items()},
+                {axis: round(angle, 4) for axis, angle in bench.stage.position_to_write_deg().items()},
                 poses=str(body["poses"]) if body.get("poses") else None,
                 name=str(body["name"]) if body.get("name") else None,
                 light=self._light_values() if body.get("light") is True else None,
@@ -241,7 +246,7 @@ class PageRequests:
             )
         values, notes = station_values(
             self._session.station.value,
-            position_deg=bench.stage.state.position_deg if "zero" in wanted else None,
+            position_deg=bench.stage.position_to_write_deg() if "zero" in wanted else None,
             biases=bench.camera.biases if "biases" in wanted and bench.camera.is_event else None,
             frame=bench.camera.frame_settings if "biases" in wanted else None,
             level_percent=bench.light.reading.flicker.level_percent if "light" in wanted else None,

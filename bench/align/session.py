@@ -263,6 +263,7 @@ class Session:
             light_on=reading.on if reading is not None else None,
             level_percent=reading.flicker.level_percent if reading is not None else None,
             waveform=found.waveform if found is not None else "square",
+            homed=bench.stage.state.homed if bench is not None else None,
         )
 
     def _watch(self) -> None:

@@ -3,8 +3,8 @@
     python tests/benchmarks/bench_blind_follower.py [--starts N] [--seed S] [--write]
 
 A start is a distance of focus between 0.5 m and 3 m beyond infinity, pan and tilt within 6 and 4 degrees, any roll
-within 20 degrees, a level of 20 to 100 %, and the light off. The first turn of the ring goes either way. An action is
-one thing that was advised and done: the light, its level, a turn of the ring, a turn of the stage by at most 5 degrees, a
+within 20 degrees, a level of 20 to 100 %, and the light off; the stage is homed. The first turn of the ring goes either
+way, the ring has two stops, and the person looks up 2, 5 or 10 s after each action. An action is one thing that was advised and done: the light, its level, a turn of the ring, a turn of the stage by at most 5 degrees, a
 roll. Each picture is rendered, recorded as events and measured as on the page.
 """
 
@@ -26,14 +26,14 @@ from tests.support.blind_follower import BlindFollower
 def main() -> None:
     """Print a line a start, then the counts."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--starts", type=int, default=20)
+    parser.add_argument("--starts", type=int, default=40)
     parser.add_argument("--seed", type=int, default=27)
     given = parser.parse_args()
     rng = np.random.default_rng(given.seed)
     station = load_station("simulated").value
     counts, bad = [], 0
     print(
-        "start  focus 1/m    pan   tilt   roll  level  first turn | actions  ring  stage  blur px  edge px  what stays"
+        "start  looks s  focus 1/m    pan   tilt   roll  level  first turn | actions  ring  stage  blur px  edge px  what stays"
     )
     for number in range(given.starts):
         person = BlindFollower(
@@ -42,9 +42,10 @@ def main() -> None:
             float(rng.uniform(-20.0, 20.0)),
             float(rng.uniform(20.0, 100.0)),
             turn=float(rng.choice([-0.25, 0.25])),
+            looks_s=(2.0, 5.0, 10.0)[number % 3],
         )
         start = (
-            f"{number:5d} {person.ring:10.2f} {person.angles['pan']:6.1f} {person.angles['tilt']:6.1f}"
+            f"{number:5d} {person.looks_s:8.0f} {person.ring:10.2f} {person.angles['pan']:6.1f} {person.angles['tilt']:6.1f}"
             f" {person.roll_deg:6.1f} {person.level:6.0f} {person.turn:11.2f}"
         )
         with tempfile.TemporaryDirectory() as folder:
@@ -57,7 +58,7 @@ def main() -> None:
         stages = sum(one.startswith(("Turn pan", "Turn tilt")) for one in person.said)
         print(
             f"{start} | {len(person.said):7d} {rings:5d} {stages:6d} {signed_blur_px(person.truth()):8.2f}"
-            f" {figures.focus.get('edge_width_px') or float('nan'):8.2f}  {left[:90] or 'nothing'}",
+            f" {figures.focus.edge_width_px or float('nan'):8.2f}  {left[:90] or 'nothing'}",
             flush=True,
         )
         counts.append(len(person.said))

@@ -1,5 +1,6 @@
 """The align page in a real browser: what a person sees, jogs, stops and writes down. Skipped where no Chromium is."""
 
+import re
 import shutil
 import time
 
@@ -90,6 +91,57 @@ def test_a_person_looks_jogs_stops_and_writes_down(chromium, bench, tmp_path):
     one.close()  # in motion
     wait_until(lambda: devices.stage.stops > stops, 1.0)
     assert one.hosts == {server.url.split("/")[2]}
+
+
+@pytest.mark.parametrize(("width", "height"), [(1366, 768), (1920, 1080)])
+def test_advice_and_picture_are_whole_and_together_wherever_the_page_is_scrolled(
+    chromium, bench, width, height
+):
+    server, session, _ = bench
+    session.light(on=True)
+    one = Tab(chromium, server.url)
+    one.tab.set_viewport_size({"width": width, "height": height})
+    one.wait("alignStats.images > 0")
+    box = "(id => (r => [r.top, r.bottom, r.width])(document.getElementById(id).getBoundingClientRect()))"
+    for name in ("home", "check", "write-card"):
+        one.tab.evaluate(f"document.getElementById('{name}').scrollIntoView({{block: 'end'}})")
+        header = one.tab.evaluate(f"{box}('stop')")[1]
+        wait_until(lambda edge=header: one.tab.evaluate(f"{box}('advice')")[0] >= edge)
+        advice, picture = (one.tab.evaluate(f"{box}('{part}')") for part in ("advice", "picture"))
+        assert header <= advice[0] < advice[1] <= picture[0] < picture[1] <= height, name
+        assert picture[2] > 0.4 * width
+    one.tab.focus("#check")
+    on_top = "(r => document.elementFromPoint(r.left + r.width / 2, r.top + r.height / 2).id)"
+    assert one.tab.evaluate(f"{on_top}(document.getElementById('check').getBoundingClientRect())") == "check"
+    one.close()
+
+
+def test_before_home_the_page_turns_to_no_angle_and_writes_none(chromium, bench):
+    server, session, devices = bench
+    devices.stage.homed = False
+    one = Tab(chromium, server.url)
+    one.wait_text("#stage-state", "not homed")
+    one.wait_text("#advice", "Press Home")
+    one.wait_text("#turn-note", "Press Home first")
+    assert one.tab.is_disabled("#turn-there")
+    assert one.tab.is_disabled("[name=what][value=zero]")
+    assert one.tab.is_disabled("#propose-pose")
+    assert not one.tab.is_disabled("#propose")  # biases and level need no angle
+    one.tab.click("#home")
+    one.tab.click("#home-now")
+    one.wait("!document.querySelector('[name=what][value=zero]').disabled")
+    assert session.bench.stage.state.homed
+    one.close()
+
+
+def test_stop_is_red_in_the_dark_too(chromium, bench):
+    one = Tab(chromium, bench[0].url)
+    one.tab.emulate_media(color_scheme="dark")
+    colour = one.tab.evaluate("getComputedStyle(document.getElementById('stop')).backgroundColor")
+    red, green, blue = (int(part) for part in re.findall(r"\d+", colour)[:3])
+    assert red > 180
+    assert max(green, blue) < 60
+    one.close()
 
 
 @pytest.mark.parametrize(("width", "height"), [(1400, 1000), (390, 844)], ids=["desk", "phone"])

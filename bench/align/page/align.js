@@ -2,6 +2,7 @@
 // Nothing is sent to the devices when the page opens, reloads or reconnects.
 import { el, fill, get, listen, post, setText, showLink } from "/assets/bench.js";
 import { draw } from "/assets/own/overlay.js";
+import { showRing } from "/assets/own/ring.js";
 import { beginCourse, forgetCourse, showFigures } from "/assets/own/figures.js";
 
 const at = (id) => document.getElementById(id);
@@ -70,8 +71,8 @@ function showState(next) {
     input.dataset.barred = state.devices.state === "open" && holds() ? "" : "1";
     input.disabled = input.dataset.barred === "1" || input.dataset.off === "1";
   }
-  if (state.devices.state !== "open") showAdvice(waitingText());
-  else if (state.camera.failure) showAdvice(["No new pictures come. See above."]);
+  if (state.devices.state !== "open") showAdvice(waitingText(), null);
+  else if (state.camera.failure) showAdvice(["No new pictures come. See above."], null);
 }
 
 function waitingText() {
@@ -127,6 +128,11 @@ function showStage() {
   });
   setText(at("stage-fault"), stage.faults.join("; "));
   at("home").dataset.off = moving || opening ? "1" : "";
+  // What is written down or turned by angles needs a reference.
+  const unguarded = stage.homed === false, zero = document.querySelector("[name=what][value=zero]");
+  for (const input of [zero, at("propose-pose")]) { input.dataset.off = unguarded ? "1" : ""; input.title = unguarded ? "Press Home first" : ""; }
+  if (unguarded) zero.checked = false;
+  at("home").classList.toggle("main", unguarded);
 }
 
 function axisRow(axis) {
@@ -228,12 +234,14 @@ function showLog() {
     el("time", {}, `${new Date(m.time_s * 1000).toISOString().slice(11, 19)} UTC`), m.text)));
 }
 
-function showAdvice(lines) {
-  const key = JSON.stringify(lines), box = at("advice");
+function showAdvice(lines, ring) {
+  const key = JSON.stringify([lines, ring]), box = at("advice");
   if (box.dataset.key === key) return;
   box.dataset.key = key;
   box.classList.toggle("single", lines.length === 1);
   fill(at("advice-list"), ...lines.map((line) => el("li", {}, line)));
+  at("ring").hidden = !ring;
+  if (ring) showRing(at("ring-arrow"), ring);
 }
 
 // ---------------------------------------------------------------- showing pictures
@@ -247,7 +255,7 @@ function showPicture(next) {
   const f = next.figures;
   if (f.stars_time_s !== window.alignStats.starsTimeS) { window.alignStats.searches += 1; window.alignStats.starsTimeS = f.stars_time_s; }
   if (state && state.devices.state === "open") {
-    showAdvice(f.advice.length ? f.advice : ["This picture needs no improvement. Check below whether the bench is ready for a run."]);
+    showAdvice(f.advice.length ? f.advice : ["This picture needs no improvement. Check with \"Ready for a run?\" whether the bench is ready."], f.ring);
   }
   setText(at("rates"), `Picture ${next.number}${f.image_kind === "none" ? "" : ` (${f.image_kind})`}: ${next.images_per_s.toFixed(1)} pictures/s, stars ${next.stars_per_s.toFixed(1)} times/s; recorded in ${Math.round(next.record_ms)} ms, measured in ${Math.round(next.measure_ms)} ms`);
   showFigures(f);
@@ -269,7 +277,7 @@ async function fetchImage() {
       if (old) URL.revokeObjectURL(old);
       shownNumber = wanted.number;
       if (state) showOldPicture();
-      at("picture").style.aspectRatio = `${wanted.figures.width_px || 16} / ${wanted.figures.height_px || 9}`;
+      document.documentElement.style.setProperty("--aspect", (wanted.figures.width_px || 16) / (wanted.figures.height_px || 9));
       window.alignStats.images += 1;
       window.alignStats.firstImageMs ??= performance.now();
       redraw(wanted.figures);
@@ -293,11 +301,11 @@ function showTurn(f) {
   }
   const large = Object.values(wanted).some((step) => Math.abs(step) > 5);
   for (const name of Object.keys(wanted)) wanted[name] = Math.max(-5, Math.min(5, wanted[name]));
-  const button = at("turn-there");
+  const button = at("turn-there"), homed = !(state && state.stage && state.stage.homed === false);
   button.dataset.steps = JSON.stringify(wanted);
-  button.dataset.off = Object.keys(wanted).length ? "" : "1";
+  button.dataset.off = homed && Object.keys(wanted).length ? "" : "1";
   button.disabled = button.dataset.barred !== "" || button.dataset.off === "1";
-  setText(at("turn-note"), Object.keys(wanted).length
+  setText(at("turn-note"), !homed ? "Press Home first: the angles of the stage are not known." : Object.keys(wanted).length
     ? `Turns ${Object.entries(wanted).map(([n, s]) => `${n} by ${s > 0 ? "+" : ""}${s.toFixed(turn.of === "beam" ? 0 : 1)}°`).join(", ")}${large ? "; at most 5° at a time" : ""}` : "");
 }
 
@@ -376,6 +384,7 @@ at("turn-there").addEventListener("click", () => ask("jog", { steps_deg: JSON.pa
 at("light-on").addEventListener("click", () => sendLight({ on: true }));
 at("light-off").addEventListener("click", () => ask("light", { on: false }));
 at("light-form").addEventListener("submit", (event) => { event.preventDefault(); sendLight({}); });
+at("at-stop").addEventListener("click", () => ask("at_stop"));
 at("forget").addEventListener("click", () => { forgetCourse(); ask("forget"); });
 at("check").addEventListener("click", check);
 at("propose").addEventListener("click", () => propose({
@@ -420,8 +429,9 @@ for (const f of [1.4, 2, 2.8, 4, 5.6, 8]) {
 
 addEventListener("pagehide", () => navigator.sendBeacon("/do/leave", JSON.stringify({ page })));
 addEventListener("visibilitychange", fetchImage);
-new ResizeObserver(([header]) => document.documentElement.style.setProperty("--top", `${header.target.offsetHeight}px`))
-  .observe(document.querySelector(".top"));
+for (const [name, selector] of [["--top", ".top"], ["--advice", "#advice"], ["--view", ".view"]]) {
+  new ResizeObserver(([part]) => document.documentElement.style.setProperty(name, `${part.target.offsetHeight}px`)).observe(document.querySelector(selector));
+}
 addEventListener("resize", () => redraw(picture && picture.figures));
 
 // The stop button must work whatever else the page waits for; so nothing above awaits before the stream is open.

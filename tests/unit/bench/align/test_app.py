@@ -9,6 +9,7 @@ import pytest
 from align_fakes import fake_session, wait_until
 from pages import served
 
+from bench.align.live_figures import LiveMeter
 from bench.align.page_requests import PageFiles
 from bench.align.serve import align_app
 from bench.stations.station import SHIPPED_STATIONS
@@ -207,6 +208,30 @@ def test_the_present_pose_goes_into_a_copy_of_a_shipped_sequence(bench, page, tm
     assert page.do("write", **body, mark=shown["mark"]).status_code == 200
     assert "centre" in (tmp_path / "mine.yaml").read_text()
     assert "mine.yaml" in httpx.get(bench[0] + "files").json()["sequences"]
+
+
+@pytest.mark.parametrize(
+    "body",
+    [{"kind": "station", "what": ["zero"]}, {"kind": "pose", "sequence": "three_pose", "copy": "mine"}],
+)
+def test_no_angle_is_written_before_the_stage_is_homed(bench, page, tmp_path, body):
+    _, session, devices = bench
+    devices.stage.homed = False  # since the page has looked last
+    refused = page.refused("propose", **body)
+    assert refused == "The stage is not homed, so its angles are not known. Nothing was written."
+    devices.stage.step_deg = 0.005
+    devices.stage.homed = True
+    session.bench.stage.look()
+    assert page.do("jog", steps_deg={"pan": 1.0}).status_code == 200
+    assert "The stage moves." in page.refused("propose", **body)
+
+
+def test_the_stop_of_the_ring_reaches_the_measurement(bench, page, monkeypatch):
+    noted = []
+    monkeypatch.setattr(LiveMeter, "at_stop", lambda meter: noted.append(meter))
+    assert page.do("at_stop").status_code == 200
+    wait_until(lambda: len(noted) == 1)
+    assert "reported that the focus ring is at its stop" in bench[1].state()["messages"][-1]["text"]
 
 
 def test_the_checks_say_what_is_not_checked_yet(bench, page):

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from bench.align.focus import FocusCourse, FocusFigures, measure_focus, tilt_of
+from bench.align.focus import FocusFigures, measure_focus, tilt_of
+from bench.align.focus_course import FocusCourse
 from calib.stars.beam import find_beam
 from calib.stars.quick import find_stars_quickly
 from simulators.optics.picture import TARGET
@@ -123,6 +124,62 @@ def test_turning_by_what_is_said_ends_at_the_best_place_within_some_turns(seed):
     assert turns <= 7
 
 
+def rested(course, *figures, start_s=0.0):
+    """The course after the ring has stood at each place for five pictures, one each second."""
+    for place, (width, detail) in enumerate(figures):
+        for number in range(5):
+            now = FocusFigures(edge_width_px=width, coarse_detail=detail)
+            course.add(start_s + 5 * place + number, now)
+    return course
+
+
+@pytest.mark.parametrize(
+    ("places", "least", "most"),
+    [
+        ([(None, 0.05), (1.1, None), (1.4, None)], -0.75, -0.35),  # better, then worse: the best is between
+        ([(3.0, None), (1.1, None), (1.4, None)], -0.85, -0.35),
+        ([(1.1, None), (1.4, None)], -3.0, -2.0),  # only worse: the best may be far behind
+        ([(3.0, None), (2.0, None)], 1.3, 2.6),
+        ([(None, 0.03), (None, 0.05)], 1.5, 1.5),
+        ([(None, 0.05), (None, 0.03)], -2.0, -2.0),
+        ([(2.0, None), (None, 0.03)], -3.0, -1.0),  # the stars are lost
+    ],
+)
+def test_how_far_to_turn_weighs_both_sides_of_each_place(places, least, most):
+    assert least <= rested(FocusCourse(), *places).turn_on() <= most
+
+
+@pytest.mark.parametrize("places", [[(None, 0.03), (None, 0.05)], [(3.0, None), (2.0, None)]])
+def test_at_the_stop_of_the_ring_the_way_is_back(places):
+    course = rested(FocusCourse(), *places)
+    assert course.turn_on() > 0.0
+    course.at_stop()
+    assert course.turn_on() < 0.0
+    assert course.judged(FocusFigures()).at_stop
+    rested(course, *places[:1], start_s=20.0)  # turned away from the stop
+    assert not course.judged(FocusFigures()).at_stop
+
+
+def test_a_stop_before_any_turn_was_seen_is_known():
+    course = rested(FocusCourse(), (None, 0.03))
+    course.at_stop()
+    assert (course.judged(FocusFigures()).at_stop, course.turn_on()) == (True, None)
+
+
+def test_the_time_without_a_seen_turn_and_the_turning_itself_are_told():
+    course = FocusCourse()
+    for number in range(10):
+        course.add(float(number), FocusFigures(edge_width_px=2.0))
+    assert course.judged(FocusFigures()).unchanged_s == pytest.approx(8.0)
+    course.add(10.0, FocusFigures(edge_width_px=1.6))
+    assert course.judged(FocusFigures()).turning
+    for number in range(3):
+        course.add(11.0 + number, FocusFigures(edge_width_px=1.2))
+    shown = course.judged(FocusFigures())
+    assert (shown.turning, shown.trend) == (False, "better")
+    assert shown.unchanged_s < 2.0
+
+
 def test_a_turn_of_the_camera_or_a_change_of_the_light_begins_anew():
     course = course_of([4.0] * 5 + [3.0] * 5)
     assert (course.trend(), course.turn_on()) == ("better", pytest.approx(2.9, abs=0.3))
@@ -132,9 +189,10 @@ def test_a_turn_of_the_camera_or_a_change_of_the_light_begins_anew():
 
 def test_the_trend_by_coarse_detail_alone():
     course = FocusCourse()
-    for number in range(12):
-        course.add(0.4 * number, FocusFigures(coarse_detail=0.1 + 0.02 * max(0, number - 4)))
+    for number in range(16):
+        course.add(0.4 * number, FocusFigures(coarse_detail=0.1 + 0.02 * min(max(0, number - 4), 8)))
     assert course.trend() == "better"
+    assert course.turn_on() == 1.5  # the best place is far: farther each time
     assert FocusCourse().trend() == ""
 
 

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import re
+import types
 from pathlib import Path
 
 import cv2
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from bench.align.focus import FocusFigures
+from bench.align.focus_advice import focus_advice
 from bench.align.live_figures import LiveMeter, LiveSetting, LiveSlice
 from bench.align.live_image import SignalFigures
 from bench.stations.station import load_station
@@ -203,6 +205,65 @@ def test_far_out_of_focus(tmp_path):
     known = dataclasses.replace(SETTING, level_percent=10.0)
     _, figures = figures_of(dim, known, reading_deg={"pan": 4.0})
     assert figures.advice[0].startswith("Edges are about 5 px wide. Set the light's level to 100 %")
+
+
+def test_home_is_the_first_advice_and_nothing_is_turned_before(tmp_path):
+    path = write_slice(tmp_path / "aside.raw", seen(bench(circle_px=12.0), pan=4.0))
+    known = dataclasses.replace(SETTING, homed=False)
+    _, figures = figures_of(path, known)
+    assert figures.advice[0].startswith("Press Home: the stage is not homed")
+    assert not [text for text in figures.advice if text.startswith("Turn pan")]
+    _, homed = figures_of(path, dataclasses.replace(known, homed=True), reading_deg={"pan": 4.0})
+    assert [text for text in homed.advice if text.startswith("Turn pan")]
+
+
+@pytest.mark.parametrize(
+    ("focus", "ring", "text"),
+    [
+        ({}, ("either", None), "Turn the focus ring: edges are 2.0 px wide; 1 px or less is needed."),
+        ({"unchanged_s": 1.0}, ("either", None), "1 px or less is needed."),
+        ({"unchanged_s": 5.0}, ("either", None), "too small to be seen: turn on, twice as far. At the stop"),
+        ({"turning": True}, ("wait", None), "The focus changes. Advice comes when the ring rests."),
+        (
+            {"trend": "better", "turn_on": 1.5},
+            ("on", 1.5),
+            "the right way: turn on by about 1.5 times the last turn.",
+        ),
+        (
+            {"trend": "worse", "turn_on": -0.5},
+            ("back", 0.5),
+            "You have passed the best place: turn back by about 0.5",
+        ),
+        (
+            {"trend": "worse", "turn_on": -2.0},
+            ("back", 2.0),
+            "This is the wrong way: turn back by about 2.0 times",
+        ),
+        ({"at_stop": True}, ("other", None), "The ring is at its stop: turn it the other way."),
+        (
+            {"at_stop": True, "trend": "better", "turn_on": -0.4, "unchanged_s": 9.0},
+            ("other", 0.4),
+            "The ring is at its stop: turn back by about 0.4 times the last turn.",
+        ),
+        ({"edge_width_px": 1.04}, ("either", None), "edges are 1.04 px wide; 1 px or less is needed."),
+    ],
+)
+def test_the_turn_of_the_ring_is_told_as_data_and_as_a_sentence(focus, ring, text):
+    seen_now = types.SimpleNamespace(
+        focus=FocusFigures(**{"edge_width_px": 2.0, **focus}), count=200, is_dim=lambda _: False
+    )
+    told = focus_advice(seen_now, SETTING)
+    assert told.ring == ring
+    assert told.text.endswith(text) or text in told.text
+
+
+def test_a_picture_that_needs_a_turn_of_the_ring_holds_it(tmp_path):
+    meter = LiveMeter(stars_every_s=0.0)
+    blurred = write_slice(tmp_path / "blurred.raw", seen(bench(circle_px=12.0)))
+    figures = meter.measure(LiveSlice(blurred, 0.0), SETTING)[1]
+    assert figures.to_json()["ring"] == {"way": "either", "times": None}
+    meter.at_stop()
+    assert meter.measure(LiveSlice(blurred, 60.0), SETTING)[1].ring.way == "other"
 
 
 def test_stars_without_a_tag_and_a_part_of_the_beam(tmp_path):
