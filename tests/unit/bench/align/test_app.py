@@ -228,7 +228,11 @@ def test_no_angle_is_written_before_the_stage_is_homed(bench, page, tmp_path, bo
 
 def test_the_stop_of_the_ring_reaches_the_measurement(bench, page, monkeypatch):
     noted = []
-    monkeypatch.setattr(LiveMeter, "at_stop", lambda meter: noted.append(meter))
+
+    def note(meter):
+        noted.append(meter)
+
+    monkeypatch.setattr(LiveMeter, "at_stop", note)
     assert page.do("at_stop").status_code == 200
     wait_until(lambda: len(noted) == 1)
     assert "reported that the focus ring is at its stop" in bench[1].state()["messages"][-1]["text"]
