@@ -16,10 +16,13 @@ from calib.calibration import CalibrationOptions
 from calib.diagnosis.gross_stars import noise_px
 from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotConverged
 from calib.joint import amplitudes as amp
+from calib.joint.effects import rim
+from calib.joint.effects.by_turn import Aside, Parallax
+from calib.joint.effects.effect import Circumstances, PoseBasis
 from calib.joint.equations import Bench, State, ViewStars, sines_of, turns_of
 from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
 from calib.joint.knowledge import CERTIFICATE, FOCAL, WRONG, gather, stated_names, term_shapes, wavefront
-from calib.joint.layout import ASIDE, Layout
+from calib.joint.layout import Layout
 from calib.joint.marginal import Marginal, Problem
 from calib.joint.poses import Poses, seen_poses
 from calib.joint.posterior import odds_of
@@ -38,6 +41,7 @@ from calib.joint.solve import (
 from calib.joint.wrong_views import find_shifted_ids
 from calib.model.camera import DISTORTION_SETS, PINHOLE, SKEW
 from calib.model.collimator import Collimator
+from calib.model.gimbal import SCALES
 from calib.model.lens import BROWN, FISHEYE, is_fisheye
 from calib.model.passport import Passport
 from calib.view import View
@@ -101,41 +105,33 @@ def posed(
     basis = FieldBasis(reference, float(radius)) if radius else basis_of(views, reference)
     poses, discs, pupil = seen
     readings = Readings.of(options.gimbal) if options.gimbal else None
+    bound = options.gimbal.parallax if options.gimbal else None
     names = (*PINHOLE, *lens)
     turns, axes = turns_of(start.rotations, poses)
     pupils = pupils_of(discs, centre.r) if discs and pupil is amp.Pupil.BY_HAND else None
-    layout = Layout(
-        names,
-        basis,
-        term_shapes(options.budget, basis),
-        readings.names if readings else (),
-        wavefront(options.budget),
+    moving = discs if pupil is amp.Pupil.WALKS else None
+    lever = LEVER_BY_HAND if pupils else lever_of(moving, turns, centre.r, bound)
+    circumstances = Circumstances(
         pupil,
-        int(poses.max()) + 1,
+        amp.times_as_far(lever, pupil),
+        corner=0.5 * float(np.hypot(*views[0].image_size)) / start.camera.fx,
+        reach=float(np.hypot(*(turns - turns.mean(axis=0)).T).max()),
+        n_poses=int(poses.max()) + 1,
+        parallax_known=bound is not None,
+        terms=term_shapes(options.budget, basis),
+        wavefront=wavefront(options.budget),
+        gimbal=readings.names if readings else (),
+        reading_rad=readings.sigma_rad if readings else 0.0,
     )
+    layout = Layout(PoseBasis(names, basis, 0 if pupil is amp.Pupil.HELD else rim.NUMBER), circumstances)
     if passport is not None:
-        layout = replace(layout, passport=stated_names(passport, layout))
+        layout = layout.with_passport(stated_names(passport))
     values = {name: start.camera.to_dict().get(name, 0.0) for name in names}
     values |= {"x": centre.x, "y": centre.y, "r": centre.r}
     shared = np.zeros(len(layout.names))
-    for name, value in values.items():
-        shared[layout.index[name]] = value
-    for name in layout.gimbal:
-        shared[layout.index[name]] = float(name.startswith("scale_"))
-    knowledge = gather(options, layout, views[0].image_size, values)
-    corner = 0.5 * float(np.hypot(*views[0].image_size)) / start.camera.fx
-    moving = discs if pupil is amp.Pupil.WALKS else None
-    bound = options.gimbal.parallax if options.gimbal else None
-    lever = LEVER_BY_HAND if pupils else lever_of(moving, turns, centre.r, bound)
-    hyper = amp.hyperprior(lever, pupil, passport=bool(layout.passport))
-    reach = float(np.hypot(*(turns - turns.mean(axis=0)).T).max())
-    blocks = layout.random_blocks(
-        hyper,
-        corner,
-        reach,
-        readings.sigma_rad if readings else 0.0,
-        parallax_known=knowledge.parallax_known,
-    )
+    shared[layout.places(tuple(values))] = list(values.values())
+    shared[layout.places([name for name in circumstances.gimbal if name in SCALES])] = 1.0
+    hyper = amp.hyperprior(lever, pupil, passport=bool(layout.bench.passport))
     rims = [discs.of_views[pose] for pose in poses] if discs else []
     bench = Bench(
         layout,
@@ -149,9 +145,10 @@ def posed(
         tuple(rims),
     )
     gimbal = readings.start(start.rotations) if readings else None
-    state = State(shared, np.zeros((bench.n_poses, len(layout.pose_places))), start.rotations, gimbal)
+    state = State(shared, np.zeros((bench.n_poses, len(layout.own.places))), start.rotations, gimbal)
     wander = discs.wander if discs and pupil is not amp.Pupil.HELD else -np.inf
-    return Problem(bench, knowledge, blocks, hyper, pupils, wander), state
+    knowledge = gather(options, layout, views[0].image_size, values)
+    return Problem(bench, knowledge, hyper, pupils, wander), state
 
 
 def adjust(views: Sequence[View], options: CalibrationOptions, pupil: amp.Pupil | None = None) -> Optimum:
@@ -178,7 +175,7 @@ def adjust_again(
     found: Optimum, views: Sequence[View], options: CalibrationOptions, pupil: amp.Pupil
 ) -> Optimum:
     """Return the optimum with the same lens if the pupil is moved in another way."""
-    return _adjusted(views, options, found.marginal.problem.bench.layout.camera[len(PINHOLE) :], pupil)
+    return _adjusted(views, options, found.marginal.problem.bench.layout.pose.camera[len(PINHOLE) :], pupil)
 
 
 def _is_wide(found: Optimum) -> bool:
@@ -261,7 +258,7 @@ def _approached(problem: Problem, start: State, views: Sequence[View], options: 
             near = alone.state
             if _is_far(free, near, stated):
                 again = partial(
-                    adjust, options=replace(options, passport=None), pupil=problem.bench.layout.pupil
+                    adjust, options=replace(options, passport=None), pupil=problem.bench.layout.bench.pupil
                 )
                 shifted = find_shifted_ids(alone, views, options.max_iterations, again).words
                 seen = f"{near.shared[free.bench.layout.index['r']]:.3g} mm"
@@ -380,10 +377,10 @@ def _posed_at(
     named = dict(zip(before.names, near.shared.tolist(), strict=True))
     camera, centre = problem.bench.camera(near.shared), Collimator(named["x"], named["y"], named["r"])
     there = AdjustmentParameters(camera, centre, near.rotations, start.offsets)
-    lens = before.camera[len(PINHOLE) :]
+    lens = before.pose.camera[len(PINHOLE) :]
     problem, state = posed(views, options, there, lens, seen)
     layout = problem.bench.layout
-    shifts = [*layout.places(ASIDE), *layout.parallax]
+    shifts = layout.places((*layout.names_of(Aside), *layout.names_of(Parallax)))
     state.shared[shifts] = before.basis.reference[2] / layout.basis.reference[2] * near.shared[shifts]
     return problem, state
 

@@ -134,6 +134,11 @@ class Lever(NamedTuple):
     spread: float  # 1-sigma of its logarithm
 
 
+def times_as_far(lever: Lever, pupil: Pupil) -> float:
+    """Return how many times `LEVER` the pupil of a gimbal moves, at least 1."""
+    return 1.0 if pupil is Pupil.BY_HAND else max(lever.middle / LEVER, 1.0)
+
+
 @dataclass(frozen=True)
 class Hyperprior:
     """Gaussian of the logarithms of the amplitudes."""
@@ -142,7 +147,6 @@ class Hyperprior:
     mean: Array  # (A,)
     covariance: Array  # (A, A)
     lever: Lever
-    far: float  # How many times `LEVER` the pupil of a gimbal moves, at least 1
 
     @cached_property
     def stiff(self) -> Array:
@@ -205,6 +209,5 @@ def hyperprior(lever: Lever, pupil: Pupil, *, passport: bool = False) -> Hyperpr
     parallax = names.index(PARALLAX)
     mean[parallax] += np.log(lever.middle)
     covariance[parallax, parallax] += lever.spread**2
-    far = 1.0 if pupil is Pupil.BY_HAND else max(lever.middle / LEVER, 1.0)
-    mean += np.log(far) * np.array([_BY_PUPIL.get(name, 0.0) for name in names])
-    return Hyperprior(names, mean, covariance, lever, far)
+    mean += np.log(times_as_far(lever, pupil)) * np.array([_BY_PUPIL.get(name, 0.0) for name in names])
+    return Hyperprior(names, mean, covariance, lever)

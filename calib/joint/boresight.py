@@ -33,7 +33,7 @@ def boresight(found: Posterior, camera: CameraModel, gimbal: Gimbal | None) -> B
     if np.linalg.eigvalsh(covariance)[-1] > _UNDETERMINED**2 or rotation[2, 2] < 0.0:
         return None
     unit = np.eye(len(layout.names))
-    ray, moved = _moved_sight(camera, unit[layout.places(layout.camera)], unit[at])
+    ray, moved = _moved_sight(camera, unit[layout.places(layout.pose.camera)], unit[at])
     across = np.cross([0.0, 1.0, 0.0], ray)
     across /= np.linalg.norm(across)
     rows = np.stack([across, np.cross(ray, across)]) @ moved

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.arrays import Array
-from calib.joint import amplitudes as amp
+from calib.joint.effects.effect import Row
 from calib.joint.knowledge import Statement
 from calib.joint.marginal import Solution
 from calib.joint.posterior import Posterior
@@ -21,20 +21,15 @@ from calib.model import result_parts as names
 from calib.model.result_parts import ROW_QUANTITIES, WORST_CORNER, BudgetRow
 from calib.uncertainty.projection_uncertainty import worst_point
 
-#: Type and source of the rows that are not statements.
-_SOURCES = {
-    names.STARS: ("A", "residuals of the stars"),
-    names.READINGS: ("B", "station: reading_sigma_deg"),
-    names.POSE_FIELDS: ("A", "residuals that differ from pose to pose"),
-    names.COMMON_FIELD: ("A", "residuals that all poses share"),
-    names.TURN_FIELDS: ("A", "residuals that follow the turn"),
-    names.PUPILS: ("A", "visible discs"),
-    names.AMPLITUDES: ("A", "the sizes of these errors are known only so well"),
-    names.LENS: ("B", "expected sizes of lens coefficients"),
-    names.UNBOUNDED_PARALLAX: ("B", "not stated; its size follows from the collimator's errors"),
-    names.PRIORS: ("B", "square pixels, and limits of the unknowns"),
-    names.GIMBAL_AXES: ("B", "expected sizes"),
-}
+#: The rows that are neither effects nor statements, and those about which an effect says the same.
+_ROWS = (
+    Row(names.STARS, "A", "residuals of the stars"),
+    Row(names.READINGS, "B", "station: reading_sigma_deg"),
+    Row(names.PUPILS, "A", "visible discs"),
+    Row(names.AMPLITUDES, "A", "the sizes of these errors are known only so well"),
+    Row(names.PRIORS, "B", "square pixels, and limits of the unknowns"),
+    Row(names.GIMBAL_AXES, "B", "expected sizes"),
+)
 
 
 def variances(posterior: Posterior, gradients: Array) -> dict[str, Array]:
@@ -76,7 +71,7 @@ def _in_layout(posterior: Posterior, other: Posterior, gradients: Array) -> Arra
 
 def _at_node(found: Solution, gradients: Array) -> dict[str, Array]:
     """Return the variances by group for given amplitudes."""
-    marginal, squares, hyper = found.marginal, found.squares, found.marginal.problem.hyper
+    marginal, squares = found.marginal, found.squares
     x = found.covariance @ gradients.T
     fields = -np.swapaxes(found.own_root, 1, 2) @ (found.between @ x)
     stars = (x * (marginal.shared @ x)).sum(axis=0)
@@ -84,11 +79,7 @@ def _at_node(found: Solution, gradients: Array) -> dict[str, Array]:
     stars = stars + (fields * (marginal.own @ fields)).sum(axis=(0, 1))
     parts = {names.STARS: stars / found.star_variance}
     own = marginal.problem.own_information(squares)
-    rows = [
-        names.PUPILS if hyper.names[at] == amp.DISCS else names.POSE_FIELDS
-        for at in marginal.problem.pose_amplitudes
-    ]
-    _add(parts, rows, own[:, None] * (fields**2).sum(axis=0))
+    _add(parts, marginal.problem.bench.layout.own.rows, own[:, None] * (fields**2).sum(axis=0))
     if marginal.uses_readings:
         pulled = marginal.rows @ x + marginal.own_rows @ fields[marginal.problem.bench.poses]
         pulled = marginal.reading_weights(squares)[:, :, None] * pulled
@@ -117,7 +108,7 @@ def row_gradients(posterior: Posterior, camera_covariance: Array) -> Array:
     The worst corner is the point of the sensor, and the direction, with the largest projection uncertainty.
     """
     bench = posterior.optimum.marginal.problem.bench
-    size = len(bench.layout.camera)
+    size = len(bench.layout.pose.camera)
     camera = bench.camera(posterior.mean)
     gradients = np.zeros((len(ROW_QUANTITIES), len(bench.layout.names)))
     gradients[range(4), range(4)] = 1.0
@@ -133,13 +124,21 @@ def budget_rows(posterior: Posterior, gradients: Array, parts: Mapping[str, Arra
     for one in statements:
         stated.setdefault(one.group, []).append(one)
     slopes = posterior.optimum.solution.covariance @ gradients.T
-    rows = []
+    known, rows = _rows_of(posterior), []
     for group, part in parts.items():
-        kind, source = _SOURCES.get(group, ("B", stated[group][0].source if group in stated else "station"))
-        row = BudgetRow.of(group, "A" if kind == "A" else "B", source, part, whole)
+        _, kind, source = known.get(group, Row(group, "B"))
+        stated_by = stated[group][0].source if group in stated else "station"
+        row = BudgetRow.of(group, kind, source or stated_by, part, whole)
         witness = [one for one in stated.get(group, ()) if one.unit and len(one.values) == 1]
         rows.append(_with_value(row, witness[0], slopes) if len(witness) == 1 else row)
     return tuple(rows)
+
+
+def _rows_of(posterior: Posterior) -> dict[str, Row]:
+    """Return the rows that are not statements, by name."""
+    ways = [posterior] if posterior.other is None else [posterior, posterior.other.posterior]
+    effects = [row for way in ways for row in way.optimum.marginal.problem.bench.layout.rows.values()]
+    return {row.name: row for row in (*effects, *_ROWS)}
 
 
 def _with_value(row: BudgetRow, one: Statement, slopes: Array) -> BudgetRow:

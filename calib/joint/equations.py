@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 
 from calib.adjustment.bundle import mapped
 from calib.arrays import Array
-from calib.joint.fields import COEFFICIENTS
-from calib.joint.layout import RIM_POWERS, Layout
+from calib.joint.effects.effect import Turned
+from calib.joint.effects.gimbal import GimbalErrors
+from calib.joint.effects.rim import BEYOND, Rim, about_disc, by_middle
+from calib.joint.layout import Layout
 from calib.joint.readings import Readings
 from calib.model.camera import CameraModel
 from calib.model.gimbal import GIMBAL, Gimbal
@@ -26,8 +28,6 @@ from calib.model.rim_fit import Disc
 from calib.model.rotation import exp_map
 from calib.view import View
 
-#: Stars outside of the visible disc are displaced as those at so many of its radii; the change is so wide.
-_BEYOND, _BEND = 1.05, 0.02
 #: Near the rim the noise of the stars is sqrt(1 + (c rho^12)^2) times larger, rho in radii of the disc. In the
 #: published recordings it is 1.1 times larger at 0.8, 3 times at 0.92, 14 times at 1.05. These c are tried.
 _RIM_NOISE_POWER = 12
@@ -91,32 +91,9 @@ class ViewStars:
         at_rim = np.zeros(len(view))
         if disc is not None:
             rho = np.hypot(*(view.target_mm - disc.centre_mm).T) / disc.radius_mm
-            at_rim = np.minimum(rho, _BEYOND) ** _RIM_NOISE_POWER
+            at_rim = np.minimum(rho, BEYOND) ** _RIM_NOISE_POWER
         polynomials = layout.basis.polynomials(view.target_mm)
         return cls(view.target_mm, view.points_px, whitening, polynomials, disc, sigma_px, at_rim)
-
-    def about_disc(self, middle: Array) -> Array:
-        """Return (N, 2, R) displacements about the disc, mm; middle: (2,) from where it was found, in sigmas."""
-        away, rho, beyond = self._from_middle(middle)
-        return np.asarray(away[:, :, None] * ((rho - _BEND * beyond) ** RIM_POWERS)[:, None])
-
-    def by_middle(self, middle: Array) -> Array:
-        """Return (N, 2, R, 2) derivatives of `about_disc` by the middle of the disc."""
-        assert self.disc is not None
-        away, rho, beyond = self._from_middle(middle)
-        inside, along = rho - _BEND * beyond, away / (rho * self.disc.radius_mm)
-        steep = RIM_POWERS * inside ** (RIM_POWERS - 1) * np.exp(-beyond)
-        slopes = np.einsum("na,nb,nr->narb", along, along, rho * steep)
-        slopes += np.eye(2)[:, None] * (inside**RIM_POWERS)[:, None, :, None]
-        return np.asarray(-slopes @ np.linalg.cholesky(self.disc.covariance_mm2))
-
-    def _from_middle(self, middle: Array) -> tuple[Array, Array, Array]:
-        """Return (N, 2) stars from the disc's middle, mm; (N, 1) how far, in its radii; (N, 1) how far beyond it."""
-        assert self.disc is not None
-        root = np.linalg.cholesky(self.disc.covariance_mm2)
-        away = self.target_mm - self.disc.centre_mm - root @ middle
-        rho = np.maximum(np.hypot(*away.T), _NOTHING)[:, None] / self.disc.radius_mm
-        return away, rho, np.logaddexp(0.0, (rho - _BEYOND) / _BEND)
 
     def precision(self, rim: RimNoise) -> Array:
         """Return (N,) how precise stars are, 1 in the disc's middle."""
@@ -178,17 +155,22 @@ class Bench:
     @cached_property
     def maps(self) -> Array:
         """(n, B, S) what the shared unknowns do to the bases of the poses."""
-        return self.layout.maps(self.turns, self.axes, self.pupils)
+        return self.layout.maps(Turned(self.turns, self.axes, self.pupils))
 
     @cached_property
     def n_poses(self) -> int:
         """Number of poses."""
         return int(self.poses.max()) + 1
 
+    @property
+    def gimbal(self) -> tuple[str, ...]:
+        """Names of the gimbal's unknowns."""
+        return self.layout.names_of(GimbalErrors)
+
     @cached_property
     def gimbal_places(self) -> NDArray[np.int64]:
         """Places of the gimbal's unknowns."""
-        return self.layout.places(self.layout.gimbal)
+        return self.layout.places(self.gimbal)
 
     @cached_property
     def _rows(self) -> list[slice]:
@@ -212,21 +194,21 @@ class Bench:
 
     def camera(self, shared: Array) -> CameraModel:
         """Return the camera of given shared unknowns."""
-        names = self.layout.camera
+        names = self.layout.pose.camera
         lens = dict(zip(names[4:], shared[4 : len(names)].tolist(), strict=True))
         fx, fy, cx, cy = shared[:4].tolist()
         return CameraModel(fx, fy, cx, cy, self.image_size, lens)
 
     def named_gimbal(self, shared: Array) -> dict[str, float]:
         """Return the gimbal's unknowns by name."""
-        return dict(zip(self.layout.gimbal, shared[self.gimbal_places].tolist(), strict=True))
+        return dict(zip(self.gimbal, shared[self.gimbal_places].tolist(), strict=True))
 
     def fields(self, state: State) -> Array:
         """Return (n, 2, K) the coefficients of each pose's field; the shift by the centre is in it."""
-        whole = self.maps[:, self.layout.field :] @ state.shared
-        places = self.layout.pose_places - self.layout.field
-        whole[:, places[places >= 0]] += state.fields[:, places >= 0]
-        return np.asarray(whole[:, :COEFFICIENTS].reshape(self.n_poses, 2, -1))
+        field = self.layout.pose.field
+        whole, own = self.maps[:, field] @ state.shared, self.layout.own_of(field)
+        whole[:, self.layout.own.places[own] - field.start] += state.fields[:, own]
+        return np.asarray(whole.reshape(self.n_poses, 2, -1))
 
     def points(self, state: State) -> list[Array]:
         """Return for each view (N, 3) its displaced stars, from the centre, in the target's axes, mm."""
@@ -236,15 +218,20 @@ class Bench:
     def _points(self, v: int, state: State, fields: Array) -> Array:
         """Return (N, 3) the displaced stars of a view, as `points`."""
         one = self.stars[v]
-        depth = self.maps[self.poses[v], len(self.layout.camera)] @ state.shared
+        depth = self.maps[self.poses[v], self.layout.pose.radius] @ state.shared
         moved = self.layout.basis.reference[2] * one.polynomials @ fields[self.poses[v]].T
-        if self.layout.rim:
-            moved += one.about_disc(state.fields[self.poses[v], -2:]) @ self._rims(v, state)
+        if self.layout.pose.about_disc and one.disc is not None:
+            moved += about_disc(one.disc, one.target_mm, self._middle(v, state)) @ self._rims(v, state)
         return np.column_stack([one.target_mm + moved, np.full(len(moved), depth)])
 
     def _rims(self, v: int, state: State) -> Array:
         """Return (R,) the sizes of the displacements about the middle of a view's disc."""
-        return state.shared[self.layout.places(self.layout.rim)] + state.fields[self.poses[v], -4:-2]
+        own = state.fields[self.poses[v], self.layout.own_of(self.layout.pose.rim)]
+        return np.asarray(state.shared[self.layout.places(self.layout.names_of(Rim))] + own)
+
+    def _middle(self, v: int, state: State) -> Array:
+        """Return (2,) the middle of a view's disc from where it was found, in sigmas."""
+        return np.asarray(state.fields[self.poses[v], self.layout.own_of(self.layout.pose.middle)])
 
     def view_residuals(self, state: State, v: int) -> Array:
         """Return (N, 2) the residuals of one view, as `residuals`."""
@@ -386,21 +373,22 @@ class Bench:
 
         residuals: (2, N), whitened. slopes: (P + 3, 2, N) their changes by the camera and by the points in its axes.
         """
-        one, layout, rotation = self.stars[v], self.layout, state.rotations[v]
-        size, k = layout.size, len(slopes) - 3
+        one, pose, rotation = self.stars[v], self.layout.pose, state.rotations[v]
+        size, k = pose.size, len(slopes) - 3
         root = np.sqrt(weights)
         by_point = root * slopes[k:]
         by_star = np.tensordot(rotation, by_point, (0, 0))
         columns = np.empty((size + 4, 2, len(weights)))
         np.multiply(root, slopes[:k], out=columns[:k])
         columns[k] = by_star[2]
-        if layout.rim:
-            middle = state.fields[self.poses[v], -2:]
-            columns[k + 1 : layout.field] = np.einsum("acn,nar->rcn", by_star[:2], one.about_disc(middle))
-            along = one.by_middle(middle).transpose(0, 1, 3, 2) @ self._rims(v, state)
-            columns[layout.middle : size] = np.einsum("acn,nad->dcn", by_star[:2], along)
-        fields = columns[layout.field : layout.middle].reshape(2, -1, 2, len(weights))
-        across_mm = layout.basis.reference[2] * by_star[:2]
+        if pose.about_disc and one.disc is not None:
+            middle = self._middle(v, state)
+            moved = about_disc(one.disc, one.target_mm, middle)
+            columns[pose.rim] = np.einsum("acn,nar->rcn", by_star[:2], moved)
+            along = by_middle(one.disc, one.target_mm, middle).transpose(0, 1, 3, 2) @ self._rims(v, state)
+            columns[pose.middle] = np.einsum("acn,nad->dcn", by_star[:2], along)
+        fields = columns[pose.field].reshape(2, -1, 2, len(weights))
+        across_mm = pose.fields.reference[2] * by_star[:2]
         np.multiply(across_mm[:, None], one.polynomials.T[:, None], out=fields)
         np.multiply(root, residuals, out=columns[size])
         columns[size + 1 :] = _by_turn(in_camera, by_point)
@@ -427,11 +415,11 @@ class Bench:
         values = state.shared + shared
         gimbal = state.gimbal
         if gimbal is not None:
-            steps = dict(zip(self.layout.gimbal, shared[self.gimbal_places].tolist(), strict=True))
+            steps = dict(zip(self.gimbal, shared[self.gimbal_places].tolist(), strict=True))
             gimbal = gimbal.after_step({name: steps[name] for name in GIMBAL if name in steps})
             turned = [
                 k
-                for k, name in zip(self.gimbal_places, self.layout.gimbal, strict=True)
+                for k, name in zip(self.gimbal_places, self.gimbal, strict=True)
                 if name.startswith(("mounting", "standing"))
             ]
             values[turned] = 0.0

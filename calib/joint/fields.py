@@ -80,12 +80,15 @@ class FieldBasis:
             [self.shape(lambda h: _square(h) * h), self.shape(lambda h: _square(h) ** 2 * h)]
         )
 
-    def shifted(self, direction: Sequence[float], sizes: Sequence[float]) -> Array:
-        """Return (2 K, n) what radial terms become about an axis that is shifted along a direction e, times n sizes.
+    def about_shifted_axis(self, sizes: Sequence[float]) -> Array:
+        """Return (2 K, 2 n) what radial terms, times n sizes, become about an axis shifted along X, then along Y.
 
         In this order: |h|^2 e and (h e) h, of third order; |h|^4 e and |h|^2 (h e) h, of fifth.
         """
-        e = np.asarray(direction, float)
+        return np.column_stack([self._shifted(e, sizes) for e in np.eye(2)])
+
+    def _shifted(self, e: Array, sizes: Sequence[float]) -> Array:
+        """Return (2 K, n) the same for one direction e."""
         along = [
             lambda h: _square(h) * e,
             lambda h: (h @ e)[:, None] * h,
@@ -110,3 +113,9 @@ def both(per_axis: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Return the places of coefficients of X and of Y whose polynomials are wanted."""
     wanted = np.flatnonzero(per_axis)
     return np.concatenate([wanted, wanted + len(DEGREES)])
+
+
+def of_degree(degrees: NDArray[np.int64], degree: int) -> Array:
+    """Return the unit vectors of the coefficients of one degree, scaled so that the field's mean square is 1."""
+    own = np.flatnonzero(degrees == degree)
+    return np.eye(len(degrees))[:, own] / np.sqrt(degree + 1.0)

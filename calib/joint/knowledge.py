@@ -17,18 +17,20 @@ import numpy as np
 from calib.arrays import Array
 from calib.calibration import CalibrationOptions
 from calib.errors import InputMismatch
-from calib.joint.fields import FieldBasis
-from calib.joint.layout import (
-    ASIDE,
+from calib.joint.effects.by_turn import ASIDE, ByTurn
+from calib.joint.effects.camera import DRIFT
+from calib.joint.effects.collimator import (
     CENTRE,
     CHANGE,
-    DRIFT,
+    COMMON_PLACES,
     FIELD,
     RADIAL,
     RADIAL_RATIO,
     SHIFTED_SIZES,
-    Layout,
 )
+from calib.joint.effects.gimbal import GimbalErrors
+from calib.joint.fields import FieldBasis
+from calib.joint.layout import Layout
 from calib.model import result_parts as rows
 from calib.model.gimbal import MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
@@ -130,10 +132,9 @@ class Statement:
 
 @dataclass(frozen=True)
 class Knowledge:
-    """All statements, and what bounds or states amplitudes."""
+    """All statements."""
 
     statements: tuple[Statement, ...]
-    parallax_known: bool
 
     @property
     def witnesses(self) -> dict[str, Statement]:
@@ -174,7 +175,7 @@ def gather(
     """Return all that is known beside the stars; ``start``, near the solution, scales the weak limits."""
     statements = [*_camera(layout, image_size, start), *_limits(layout, image_size, start)]
     passport = options.passport
-    statements += [_of_term(layout, term) for term in options.budget if term.name in layout.terms]
+    statements += [_of_term(layout, term) for term in options.budget if term.name in layout.bench.terms]
     if passport is not None and passport.is_certificate:
         statements.append(_certificate(layout, options, passport))
     elif passport is not None:
@@ -182,16 +183,16 @@ def gather(
     bound = options.gimbal.parallax if options.gimbal else None
     if bound is not None:
         statements += _parallax(layout, bound, start["r"])
-    if layout.gimbal and options.gimbal:
+    if layout.names_of(GimbalErrors) and options.gimbal:
         statements += _gimbal(layout, options.gimbal)
-    if options.radial_sigma is not None and not set(layout.passport) & set(RADIAL):
+    if options.radial_sigma is not None and not set(layout.bench.passport) & set(RADIAL):
         station = _Source(layout, rows.PRIORS, "station: bow and distortion")
         sigmas = zip(RADIAL, (options.radial_sigma, options.radial_sigma * RADIAL_RATIO), strict=True)
         statements += [
             station.says("distortion of the target's map", {name: 1.0}, (0.0, sigma))
             for name, sigma in sigmas
         ]
-    return Knowledge(tuple(statements), bound is not None)
+    return Knowledge(tuple(statements))
 
 
 def _of_term(layout: Layout, term: TypeBTerm) -> Statement:
@@ -214,7 +215,9 @@ def _camera(layout: Layout, image_size: tuple[int, int], start: Mapping[str, flo
     sigmas = {name: one * corner ** (-2.0 * (int(name[1]) - 3)) for name, one in _DENOMINATOR.items()}
     sigmas["skew"] = _SKEW_PX
     found += [
-        lens.says(rows.LENS, {name: 1.0}, (0.0, sigmas[name])) for name in layout.camera[4:] if name in sigmas
+        lens.says(rows.LENS, {name: 1.0}, (0.0, sigmas[name]))
+        for name in layout.pose.camera[4:]
+        if name in sigmas
     ]
     return found
 
@@ -233,7 +236,9 @@ def _limits(layout: Layout, image_size: tuple[int, int], start: Mapping[str, flo
 def _certificate(layout: Layout, options: CalibrationOptions, passport: Passport) -> Statement:
     """Return a certificate's length on the axis; type B terms of the radius change it."""
     r_mm = float(passport.values_by_name["r"])
-    terms = {term.name: r_mm for term in options.budget if term.kind in RADII and term.name in layout.terms}
+    terms = {
+        term.name: r_mm for term in options.budget if term.kind in RADII and term.name in layout.bench.terms
+    }
     sigma = max(float(np.sqrt(passport.covariance[0, 0])), _EXACT * r_mm)
     source = _Source(layout, rows.PASSPORT, options.passport_source or "certificate of the collimator")
     focus = _focus(options)
@@ -256,19 +261,19 @@ def _focus(options: CalibrationOptions) -> TargetFocus:
     return replace(focus, defocus=(bound.defocus, bound.defocus_sigma))
 
 
-def stated_names(passport: Passport, layout: Layout) -> tuple[str, ...]:
+def stated_names(passport: Passport) -> tuple[str, ...]:
     """Return the names that a passport states; aberrations that this adjustment does not have are summed out.
 
     Its common field must have as many coefficients as here: otherwise the same names mean others.
     """
     field = [name for name in passport.names if name.startswith(FIELD)]
-    if field and len(field) != len(layout.common):
+    if field and len(field) != len(COMMON_PLACES):
         raise InputMismatch(
-            f"Its common field has {len(field)} coefficients; the adjustment has {len(layout.common)}.",
+            f"Its common field has {len(field)} coefficients; the adjustment has {len(COMMON_PLACES)}.",
             where="passport",
             remedy="Make the passport again from its run, with this version of Starbench.",
         )
-    return () if passport.is_certificate else tuple(name for name in passport.names if name in layout.index)
+    return () if passport.is_certificate else passport.names
 
 
 def _passport(layout: Layout, options: CalibrationOptions, passport: Passport) -> list[Statement]:
@@ -276,7 +281,7 @@ def _passport(layout: Layout, options: CalibrationOptions, passport: Passport) -
 
     The amplitude of the changes of the common field is estimated (`calib.joint.layout`).
     """
-    known = passport.subset(layout.passport)
+    known = passport.subset(layout.bench.passport)
     source = options.passport_source or "passport of the collimator"
     then = np.zeros((len(known.names), len(layout.names)))
     for row, name in zip(then, known.names, strict=True):
@@ -316,7 +321,7 @@ def _elsewhere(layout: Layout, passport: Passport) -> Array:
 
     The errors of the glass are then those about a shifted axis, in proportion to its radial terms.
     """
-    shifted = np.column_stack([layout.basis.shifted(e, SHIFTED_SIZES) for e in ((1.0, 0.0), (0.0, 1.0))])
+    shifted = layout.basis.about_shifted_axis(SHIFTED_SIZES)
     shapes = np.zeros((len(passport.names), shifted.shape[1]))
     for k, name in enumerate(passport.names):
         if name.startswith(FIELD):
@@ -333,12 +338,9 @@ def _parallax(layout: Layout, bound: ParallaxBound, r_mm: float) -> list[Stateme
     station = _Source(layout, rows.PARALLAX, "station: pupil_off_pivot_mm and defocus")
     free = max(_FREE_PARALLAX, 5.0 * sigma)
     other = 0.2 * sigma + 2e-5
-    x, y = layout.on_axis("turn_x", 0, 0.5), layout.on_axis("turn_y", 1, 0.5)
-    alike = (
-        x | layout.on_axis("turn_y", 1, -0.5),
-        layout.on_axis("turn_x", 1),
-        layout.on_axis("turn_y", 0),
-    )
+    on_axis = ByTurn(layout.pose, layout.bench).on_axis
+    x, y = on_axis("turn_x", 0, 0.5), on_axis("turn_y", 1, 0.5)
+    alike = (x | on_axis("turn_y", 1, -0.5), on_axis("turn_x", 1), on_axis("turn_y", 0))
     return [
         station.says(PARALLAX, x | y, (value, sigma), free, "1"),
         *(station.says(PARALLAX, terms, (0.0, other)) for terms in alike),
@@ -356,7 +358,7 @@ def _gimbal(layout: Layout, readings: GimbalReadings) -> list[Statement]:
     eccentric = max(float(np.radians(readings.eccentricity_deg)), 1e-9)
     found = [expected.says(rows.GIMBAL_AXES, {name: 1.0}, (0.0, 1.0)) for name in (*MOUNTING, *STANDING)]
     found.append(expected.says(ORTHOGONAL, {NON_ORTHOGONALITY: 1.0}, (0.0, square), 0.1))
-    for name in layout.gimbal:
+    for name in layout.names_of(GimbalErrors):
         if name in SCALES:
             what = SCALE_OF.format(name.removeprefix("scale_"))
             found.append(station.says(what, {name: 1.0}, scale, FREE_SCALE, "1"))

@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.joint import amplitudes as amp
+from calib.joint.effects.by_turn import Along
 from calib.joint.equations import Bench, Equations, State
 from calib.joint.marginal import Problem, Solution
 from calib.joint.posterior import Posterior
@@ -52,12 +53,12 @@ def _predicted(optimum: Optimum, pose: int, step: Array) -> tuple[Bench, State]:
     problem, equations, state = optimum.marginal.problem, optimum.marginal.equations, optimum.state
     layout, there = problem.bench.layout, _as_shown(problem, pose)
     away = there.maps[pose] @ (state.shared + step) - equations.maps[pose] @ state.shared
-    away[layout.pose_places] -= state.fields[pose]
+    away[layout.own.places] -= state.fields[pose]
     fields = state.fields.copy()
     fields[pose] = 0.0
-    if layout.along:
-        at, squares = len(layout.camera), equations.squares[pose]
-        column = layout.index[layout.along[pose]]
+    if along_of := layout.names_of(Along):
+        at, squares = layout.pose.radius, equations.squares[pose]
+        column = layout.index[along_of[pose]]
         along = (equations.right[pose, at] - squares[at] @ away) / squares[at, at]
         away[at] += along
         step = step.copy()
@@ -83,7 +84,7 @@ def normal_of_poses(problem: Problem, equations: Equations, state: State, square
     It is the information, and the right-hand side in the last column.
     """
     bench, star = problem.bench, squares[problem.hyper.at(amp.STAR)]
-    size, gimbal = bench.layout.size, len(bench.layout.gimbal)
+    size, gimbal = bench.layout.pose.size, len(bench.gimbal_places)
     whole = np.zeros((bench.n_poses, size + gimbal, size + gimbal + 1))
     whole[:, :size, :size], whole[:, :size, -1] = equations.squares / star, equations.right / star
     if len(equations.off) and bench.readings is not None:
@@ -92,8 +93,8 @@ def normal_of_poses(problem: Problem, equations: Equations, state: State, square
         weights = np.linalg.inv(star * np.linalg.inv(equations.turns) + noise * repeats * np.eye(3))
         rows = np.concatenate([equations.coupling, equations.gimbal, equations.off[:, :, None]], axis=2)
         whole += bench.by_pose(np.swapaxes(rows[:, :, :-1], 1, 2) @ weights @ rows)
-    expected, between = problem.own_information(squares), whole[:, bench.layout.pose_places]
-    own = between[:, :, bench.layout.pose_places] + np.diag(expected)
+    expected, between = problem.own_information(squares), whole[:, bench.layout.own.places]
+    own = between[:, :, bench.layout.own.places] + np.diag(expected)
     between[:, :, -1] -= expected * state.fields
     return np.asarray(whole - np.swapaxes(between[:, :, :-1], 1, 2) @ np.linalg.solve(own, between))
 
@@ -122,7 +123,7 @@ def _follow(solution: Solution) -> tuple[Array, Array]:
     bench, equations = marginal.problem.bench, marginal.equations
     back = np.swapaxes(marginal.axes, 1, 2)
     loose = solution.star_variance * (back * marginal.loose[:, None]) @ marginal.axes
-    places = bench.layout.pose_places
+    places = bench.layout.own.places
     by_shared = -equations.coupling @ equations.maps[bench.poses]
     by_field = -equations.coupling[:, :, places]
     if marginal.uses_readings:

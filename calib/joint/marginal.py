@@ -6,7 +6,6 @@ each pose are eliminated; S shared unknowns are left. The equations stand in doc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -16,13 +15,9 @@ from numpy.typing import NDArray
 from calib.arrays import Array
 from calib.joint import amplitudes as amp
 from calib.joint.equations import Bench, Equations, State
-from calib.joint.fields import DEGREES
 from calib.joint.knowledge import Knowledge
-from calib.joint.layout import POSE_DEGREES, POSE_PLACES, RIM_OWN, RandomBlock
 from calib.joint.prior import NO_FAULT, Faults, RandomPrior, Stated, inverse_root
 from calib.joint.pupils import Pupils
-
-_POSE_DEGREE = np.tile(DEGREES, 2)[POSE_PLACES]
 
 
 @dataclass(frozen=True)
@@ -31,7 +26,6 @@ class Problem:
 
     bench: Bench
     knowledge: Knowledge
-    blocks: Sequence[RandomBlock]
     hyper: amp.Hyperprior
     pupils: Pupils | None = None  # What the visible discs show, if the camera is moved by hand
     # 2 log of the odds that a hand moves the pupil, and not a gimbal, by the discs; -inf if none shows it
@@ -41,7 +35,7 @@ class Problem:
     @cached_property
     def random(self) -> RandomPrior:
         """The prior of all shared unknowns that have amplitudes."""
-        return RandomPrior.of(self.blocks)
+        return RandomPrior.of(self.bench.layout, self.hyper)
 
     @cached_property
     def _stated(self) -> dict[Faults, Stated]:
@@ -57,9 +51,7 @@ class Problem:
     @cached_property
     def pose_amplitudes(self) -> NDArray[np.int64]:
         """(F,) place of the amplitude of each coefficient of an own field."""
-        fields = self.hyper.places(amp.POSE)[_POSE_DEGREE - POSE_DEGREES[0]]
-        rim = (amp.RIM, amp.RIM, amp.DISCS, amp.DISCS) if self.bench.layout.rim else ()
-        return np.concatenate([fields, self.hyper.places(rim)])
+        return self.hyper.places(self.bench.layout.own.amplitudes)
 
     @cached_property
     def places_cost(self) -> float:
@@ -69,17 +61,9 @@ class Problem:
         away = (self.bench.pupils - self.pupils.shown).reshape(-1)
         return float(away @ self.pupils.information @ away)
 
-    @property
-    def _own(self) -> int:
-        return len(self.bench.layout.pose_places)
-
     def own_information(self, squares: Array) -> Array:
         """Return (F,) prior information of the coefficients of an own field."""
-        sizes = np.ones(self._own)
-        sizes[: len(_POSE_DEGREE)] += _POSE_DEGREE
-        if self.bench.layout.rim:
-            sizes[-4:-2] = RIM_OWN**-2
-        return np.asarray(sizes / squares[self.pose_amplitudes])
+        return np.asarray(self.bench.layout.own.information / squares[self.pose_amplitudes])
 
 
 @dataclass(frozen=True)
@@ -211,7 +195,7 @@ class Marginal:
 
     def __init__(self, problem: Problem, equations: Equations, state: State) -> None:
         self.problem, self.equations, self.state = problem, equations, state
-        bench, places = problem.bench, problem.bench.layout.pose_places
+        bench, places = problem.bench, problem.bench.layout.own.places
         self._poses, maps = bench.poses, equations.maps
         size = maps.shape[2]
         self.own = equations.squares[:, places[:, None], places]
@@ -258,7 +242,7 @@ class Marginal:
     @cached_property
     def between(self) -> Array:
         """(n, F, S) star information between the own fields and the shared unknowns."""
-        return self._mapped[:, self.problem.bench.layout.pose_places]
+        return self._mapped[:, self.problem.bench.layout.own.places]
 
     # -- priors
     @cached_property
@@ -387,7 +371,7 @@ class Marginal:
     def rotation_steps(self, squares: Array, step: Array, fields: Array) -> Array:
         """Return (m, 3) the rotation vectors of the views, rad, that belong to (S,) and (n, F) steps of all else."""
         basis = self.equations.maps @ step
-        basis[:, self.problem.bench.layout.pose_places] += fields
+        basis[:, self.problem.bench.layout.own.places] += fields
         by_stars = self.equations.turned - (self.equations.coupling @ basis[self._poses][:, :, None])[:, :, 0]
         if not self.uses_readings:
             return np.asarray(by_stars)

@@ -96,7 +96,7 @@ def _moved(found: Solution) -> Array:
     bench = found.marginal.problem.bench
     by_turn = bench.layout.by_turn
     slopes = by_turn.slopes(bench.pupils) * _fields(found)
-    return np.asarray((slopes @ np.eye(bench.layout.size)[by_turn.rows]).swapaxes(1, 2))
+    return np.asarray((slopes @ np.eye(bench.layout.pose.size)[by_turn.rows]).swapaxes(1, 2))
 
 
 def _information(seen: _Seen, moved: Array, found: Solution) -> Array:
@@ -108,7 +108,7 @@ def _information(seen: _Seen, moved: Array, found: Solution) -> Array:
 
 def _seen(found: Solution) -> _Seen:
     marginal, bench, equations = found.marginal, found.marginal.problem.bench, found.marginal.equations
-    own = bench.layout.pose_places
+    own = bench.layout.own.places
     information, right = equations.squares / found.star_variance, equations.right / found.star_variance
     shared = equations.maps.swapaxes(1, 2) @ information
     if marginal.uses_readings:  # in the axes of each view's rotation
@@ -135,7 +135,7 @@ def _of_determinant(found: Solution) -> tuple[Array, Array]:
         found.marginal.problem.bench.layout,
     )
     stars = marginal.equations.squares / found.star_variance
-    by_turn, own = layout.by_turn, layout.pose_places
+    by_turn, own = layout.by_turn, layout.own.places
     slopes = by_turn.slopes(bench.pupils)
     left = stars - stars[:, :, own] @ found.own @ stars[:, own]
     maps = marginal.equations.maps

@@ -323,7 +323,7 @@ def _starts_of_others(optimum: Optimum) -> list[Array]:
     follows = _usual(optimum)
     follows[own] = hyper.mean[own] - _LOWER
     follows[hyper.at(amp.CURVATURE_TURN)] += _HIGHER
-    if problem.knowledge.parallax_known:
+    if problem.bench.layout.bench.parallax_known:
         return [follows]
     parallax = optimum.eta.copy()
     parallax[hyper.at(amp.CURVATURE_TURN)] -= _LOWER

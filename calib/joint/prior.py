@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.arrays import Array
+from calib.joint.amplitudes import Hyperprior
+from calib.joint.effects.effect import Places
 from calib.joint.knowledge import Statement
-from calib.joint.layout import RandomBlock
-
-Places = NDArray[np.int64]
+from calib.joint.layout import Layout
 
 #: Names of statements with their faults (`calib.joint.knowledge.FAULTS`).
 Faults = tuple[tuple[str, str], ...]
@@ -63,11 +63,12 @@ class RandomPrior:
     blocks: tuple[tuple[slice, slice], ...]  # Rows and columns of unknowns that are independent of all others
 
     @classmethod
-    def of(cls, blocks: Sequence[RandomBlock]) -> RandomPrior:
-        """Return the blocks as one."""
-        places = np.concatenate([block.places for block in blocks])
+    def of(cls, layout: Layout, hyper: Hyperprior) -> RandomPrior:
+        """Return what all effects expect as one."""
+        blocks = layout.priors
+        places = np.concatenate([layout.places(block.names) for block in blocks])
         parts = [part for block in blocks for part in block.parts]
-        amplitudes = np.repeat([at for at, _ in parts], [shape.shape[1] for _, shape in parts])
+        amplitudes = np.repeat([hyper.at(name) for name, _ in parts], [shape.shape[1] for _, shape in parts])
         shapes, stated = np.zeros((len(places), len(amplitudes))), np.zeros(len(places))
         own, row, column = [], 0, 0
         for block in blocks:
@@ -76,7 +77,7 @@ class RandomPrior:
             shapes[rows, columns], stated[rows] = shape, block.stated
             own.append((rows, columns))
             row, column = rows.stop, columns.stop
-        groups = tuple(block.group for block in blocks for _ in block.places)
+        groups = tuple(block.row.name for block in blocks for _ in block.names)
         return cls(places, shapes, amplitudes, stated, groups, tuple(own))
 
     @cached_property

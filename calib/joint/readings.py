@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.arrays import Array
-from calib.joint.layout import ECCENTRICITY, ENCODER
+from calib.joint.effects.gimbal import ECCENTRICITY, ENCODER
 from calib.model.gimbal import GIMBAL, MOUNTING, NON_ORTHOGONALITY, STANDING, Gimbal, aligned_gimbal
 from calib.model.gimbal_readings import AXES, ONE_ANGLE_DEG, GimbalReadings
 from calib.model.rotation import log_map

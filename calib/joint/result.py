@@ -15,10 +15,11 @@ from calib.diagnosis.gross_stars import GrossStars, used_stars
 from calib.joint import amplitudes as amp
 from calib.joint.boresight import boresight
 from calib.joint.budget import budget_rows, row_gradients, variances
+from calib.joint.effects.collimator import CENTRE, COMMON_PLACES, FIELD, RADIAL
+from calib.joint.effects.gimbal import ENCODER
 from calib.joint.equations import State, ViewStars, robust_weights
 from calib.joint.fields import FIELD_RADIUS
 from calib.joint.knowledge import CHANGED_FIELD, FREE_SCALE, READINGS
-from calib.joint.layout import CENTRE, RADIAL
 from calib.joint.left_out import left_out_rms, rotation_errors
 from calib.joint.posterior import Posterior
 from calib.joint.solve import Optimum
@@ -93,7 +94,7 @@ def _calibration(
     gimbal: GimbalEstimate | None,
 ) -> Calibration:
     bench = found.optimum.marginal.problem.bench
-    names = (*bench.layout.camera, *CENTRE, *RADIAL)
+    names = (*bench.layout.pose.camera, *CENTRE, *RADIAL)
     at = bench.layout.places(names)
     unit = np.eye(len(bench.layout.names))[at]
     covariance = found.covariance[np.ix_(at, at)]
@@ -103,7 +104,7 @@ def _calibration(
     residuals, weights = _residuals(found, views, used, star)
     lengths = [np.linalg.norm(e[own], axis=1) for e, own in zip(residuals, used, strict=True)]
     rms_px, mean_px = rms_and_mean(np.concatenate(lengths))
-    size = len(bench.layout.camera)
+    size = len(bench.layout.pose.camera)
     gradients = row_gradients(found, found.covariance[:size, :size])
     parts = variances(found, np.concatenate([unit, gradients]))
     corner = float(np.sqrt(gradients[-1] @ found.covariance @ gradients[-1]))
@@ -205,7 +206,7 @@ def _amplitudes(found: Posterior) -> tuple[Amplitude, ...]:
     for name, eta, spread, middle in zip(
         hyper.names, found.optimum.eta, found.spread, hyper.mean, strict=True
     ):
-        if name == amp.RIM and not layout.rim:
+        if name == amp.RIM and not layout.pose.about_disc:
             continue
         unit, times = ("urad", 1e6) if name in _DIRECTIONS else ("1", 1.0)
         answer.append(
@@ -217,7 +218,7 @@ def _amplitudes(found: Posterior) -> tuple[Amplitude, ...]:
 def _glass(found: Posterior, views: Sequence[View]) -> Passport:
     """Return what was found out about the collimator: centre, radial terms, common field, jointly."""
     layout = found.optimum.marginal.problem.bench.layout
-    names = (*CENTRE, *RADIAL, *(f"common_{k}" for k in layout.common))
+    names = (*CENTRE, *RADIAL, *(f"{FIELD}{k}" for k in COMMON_PLACES))
     at = layout.places(names)
     return Passport(
         names,
@@ -238,7 +239,7 @@ def _gimbal(
     bench = marginal.problem.bench
     if bench.readings is None or parameters.gimbal is None or options.gimbal is None:
         return None
-    names, at = bench.layout.gimbal, bench.gimbal_places
+    names, at = bench.gimbal, bench.gimbal_places
     plain = [name in SCALES for name in names]
     unit = np.where(plain, 1.0, np.rad2deg(1.0))
     turns = parameters.gimbal.to_dict()
@@ -254,8 +255,9 @@ def _gimbal(
     off = bench.readings.off(parameters.gimbal, values, parameters.rotations)
     if not entered:  # the mean may hold other scales instead
         times, off = float(np.exp(found.optimum.eta[reading])), bench.readings_off(found.optimum.state)
-    errors = bench.layout.encoders
-    stated = [(name, u) for name, u in zip(names, unit, strict=True) if entered and name not in errors]
+    stated = [
+        (name, u) for name, u in zip(names, unit, strict=True) if entered and not name.startswith(ENCODER)
+    ]
     return GimbalEstimate(
         entered=entered,
         values={name: float(u * values[name]) for name, u in stated},

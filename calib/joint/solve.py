@@ -240,7 +240,7 @@ def solved(marginal: Marginal, eta: Array, damped: float = 0.0) -> Solution:
 def small(found: Solution, share: float = _SMALL_SHARE) -> bool:
     """Tell whether a step no longer matters: of camera and centre, in px or in shares of their sigmas."""
     layout = found.marginal.problem.bench.layout
-    at = layout.places((*layout.camera, "x", "y", "r"))
+    at = layout.places((*layout.pose.camera, "x", "y", "r"))
     steps, sigmas = np.abs(found.step[at]), np.sqrt(np.diag(found.covariance)[at])
     return bool((steps < share * sigmas).all() or (steps[:4] < _SMALL_PX).all())
 

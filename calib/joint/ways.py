@@ -23,8 +23,11 @@ from calib.errors import CalibrationError
 from calib.joint.adjust import adjust, adjust_again
 from calib.joint.amplitudes import ASIDE as ASIDE_AMPLITUDE
 from calib.joint.amplitudes import Pupil
+from calib.joint.effects.by_turn import ASIDE
+from calib.joint.effects.collimator import CENTRE, RADIAL
+from calib.joint.effects.effect import Places
+from calib.joint.effects.gimbal import GimbalErrors
 from calib.joint.knowledge import DOUBTED, FAULTS, ODDS, PARALLAX, WRONG, Statement
-from calib.joint.layout import ASIDE, CENTRE, RADIAL, Places
 from calib.joint.places import narrowed
 from calib.joint.posterior import Innovation, OtherWay, Posterior, posterior
 from calib.joint.prior import block_diagonal
@@ -85,7 +88,7 @@ def _mixed(found: Posterior, other: Posterior, share: float) -> Posterior:
     Unknowns that are not results are those of the first way, and follow the results as in it.
     """
     layout, there = (one.optimum.marginal.problem.bench.layout for one in (found, other))
-    names = (*layout.camera, *CENTRE, *RADIAL, *layout.gimbal)
+    names = (*layout.pose.camera, *CENTRE, *RADIAL, *layout.names_of(GimbalErrors))
     at, other_at = layout.places(names), there.places(names)
     solution = found.largest.solution
     follow = _follow(solution.covariance, at)
@@ -131,7 +134,7 @@ def with_doubted_bound(
 
 def shifted_ids(optimum: Optimum, views: Sequence[View], options: CalibrationOptions) -> ShiftedIds:
     """Return the views whose ids are shifted, if the pupil is moved as in an optimum."""
-    pupil = optimum.marginal.problem.bench.layout.pupil
+    pupil = optimum.marginal.problem.bench.layout.bench.pupil
     same = options if pupil is Pupil.HELD else _unbounded(options)
     return find_shifted_ids(
         optimum, views, options.max_iterations, partial(adjust, options=same, pupil=pupil)

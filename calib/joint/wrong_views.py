@@ -18,8 +18,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.errors import CalibrationError, NotConverged
 from calib.joint.curvature import best_amplitudes
-from calib.joint.fields import COEFFICIENTS
-from calib.joint.layout import Places
+from calib.joint.effects.effect import Places
 from calib.joint.marginal import Marginal
 from calib.joint.solve import Optimum, search, value_as_weighed
 from calib.model.likelihood_ratio import DECISIVE, needed
@@ -68,7 +67,7 @@ class ViewShifts:
         """
         marginal, found = optimum.marginal, optimum.solution
         equations, bench = marginal.equations, marginal.problem.bench
-        own, poses, weight = bench.layout.pose_places, bench.poses, 1.0 / found.star_variance
+        own, poses, weight = bench.layout.own.places, bench.poses, 1.0 / found.star_variance
         rows = weight * equations.of_views[:, places]
         basis = equations.maps @ found.step
         basis[:, own] += found.fields
@@ -209,7 +208,7 @@ def _shifted(first: Optimum, best: _Moved, pitch: float, rounds: int) -> list[_M
         tried[v, :, v] = _SHIFTS
     open_views = [v for v in range(count) if best.shifts[v].any() or not full]
     hypotheses = tried[open_views].reshape(-1, count, 2)
-    places = np.array([layout.field, layout.field + COEFFICIENTS // 2])
+    places = layout.pose.shifts
     steps = (hypotheses - best.shifts) * pitch / layout.basis.reference[2]
     gains = ViewShifts.of(best.optimum, places).gains(steps)
     gains[~steps.any(axis=(1, 2))] = -np.inf

@@ -23,8 +23,9 @@ from calib.errors import DegenerateViews
 from calib.joint import amplitudes as amp
 from calib.joint.adjust import lens_names, posed
 from calib.joint.curvature import expected_curvature
+from calib.joint.effects.camera import DRIFT
+from calib.joint.effects.collimator import POSE_PLACES
 from calib.joint.equations import State, sines_of, turns_of
-from calib.joint.layout import DRIFT, POSE_PLACES
 from calib.joint.left_out import maps_with_gimbal, normal_of_poses
 from calib.joint.marginal import Marginal, Problem, Solution
 from calib.joint.poses import Poses
@@ -164,7 +165,7 @@ class PoseGains:
         maps[:, :, own.layout.index[DRIFT]] = 0.0  # it is not known when a candidate will be recorded
         self._maps = maps_with_gimbal(own, maps)
         self._prior = _prior(problem, squares)
-        self._camera = len(own.layout.camera)
+        self._camera = len(own.layout.pose.camera)
         self._by_camera = projection_derivatives(own.camera(state.shared), _GRID_POINTS)[0]
 
     def information(self, weights: Array) -> Array:

@@ -19,7 +19,7 @@ from calib.calibration import CalibrationOptions
 from calib.compiled import on_one_thread
 from calib.errors import DegenerateViews, TooFewStars
 from calib.joint.budget import budget_rows, row_gradients, variances
-from calib.joint.layout import CENTRE, RADIAL
+from calib.joint.effects.collimator import CENTRE, RADIAL
 from calib.joint.words import require_determined
 from calib.model.gimbal import Gimbal, aligned_gimbal
 from calib.model.gimbal_readings import angles_of
@@ -103,7 +103,7 @@ def forecast(bench: ExpectedBench, poses_deg: Sequence[Angles]) -> Forecast:
     kept, turned = [views[i][0] for i in firsts], rotations[firsts]
     found = expected_posterior(bench, kept, turned, [poses_deg[i] for i in firsts])
     layout = found.optimum.marginal.problem.bench.layout
-    names, size = (*layout.camera, *CENTRE, *RADIAL), len(layout.camera)
+    names, size = (*layout.pose.camera, *CENTRE, *RADIAL), len(layout.pose.camera)
     at = layout.places(names)
     covariance = found.covariance[np.ix_(at, at)]
     centred = AdjustmentParameters(bench.camera, bench.collimator, turned, np.zeros((len(kept), 3)))

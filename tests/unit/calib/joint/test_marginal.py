@@ -13,8 +13,9 @@ from calib.joint.adjust import adjust
 from calib.joint.amplitudes import UNIT_TURN
 from calib.joint.budget import variances
 from calib.joint.curvature import best_amplitudes, expected_curvature
+from calib.joint.effects.by_turn import ByTurn, Parallax
+from calib.joint.effects.effect import Turned
 from calib.joint.equations import sines_of, turns_of
-from calib.joint.fields import COEFFICIENTS
 from calib.joint.knowledge import CERTIFICATE, FAULTS, PARALLAX, WRONG
 from calib.joint.posterior import posterior
 from calib.joint.samples import log_odds
@@ -217,7 +218,7 @@ def test_a_stated_defocus_is_that_of_the_axis(bench):
     """Field curvature shifts the stars elsewhere: over the field its mean is not zero."""
     optimum = adjust(bench.views(poses=POSES[:3]), CalibrationOptions("joint"))
     basis, layout = optimum.marginal.problem.bench.layout.basis, optimum.marginal.problem.bench.layout
-    along = layout.on_axis("turn_x", 0)
+    along = ByTurn(layout.pose, layout.bench).on_axis("turn_x", 0)
 
     def shift(field):
         return sum(size * field[int(name.removeprefix("turn_x_"))] for name, size in along.items())
@@ -238,13 +239,12 @@ def test_a_pupil_before_the_pivot_moves_across_the_beam_as_the_camera_turns(benc
     layout = optimum.marginal.problem.bench.layout
     turned = np.array([bench.turn(*pose) for pose in poses])
     turns, axes = turns_of(turned, np.arange(3))
-    maps = layout.maps(turns, axes, sines_of(turns))
+    maps = layout.maps(Turned(turns, axes, sines_of(turns)))
     share = np.zeros(len(layout.names))  # of r, for a full sine: minus defocus times 10 mm
     r_mm = layout.basis.reference[2]
-    share[layout.parallax[[0, 3]]] = -0.1 * 10.0 / r_mm * UNIT_TURN
+    share[layout.places(layout.names_of(Parallax))[[0, 3]]] = -0.1 * 10.0 / r_mm * UNIT_TURN
     found = maps @ share
-    half = COEFFICIENTS // 2
-    shift = r_mm * found[:, [layout.field, layout.field + half]]
+    shift = r_mm * found[:, layout.pose.shifts]
     assert shift == pytest.approx(-0.1 * 10.0 * turned[:, 2, :2], abs=1e-9)
 
 

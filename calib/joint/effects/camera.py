@@ -1,0 +1,93 @@
+"""Errors that turn with the camera: its lens, and what a decentred one leaves; a focal length that changes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.joint import amplitudes as amp
+from calib.joint.effects.effect import Effect, RandomBlock, Row, Turned
+from calib.model import result_parts as rows
+
+#: Errors |x|^2 e of the image that turn with the camera: thin prism distortion of the lens (Weng et al., 1992), or what
+#: misaligned collimators do to a pupil that turns. Without them p1 and p2 would take these, and move cx and cy.
+PRISM = ("prism_x", "prism_y")
+#: Errors (x e) x of the image: with the prism terms the decentring of a lens whose family has no p1 and p2, a fisheye.
+DECENTRING = ("decentring_x", "decentring_y")
+#: Change of the focal length, or of the radius, from the first pose to the last, as a share.
+DRIFT = "drift"
+#: Radial terms of a lens: how far each moves a point at the corner of the sensor, as a share of what the first does.
+_LENS_RATIOS = {"k1": 1.0, "k2": 0.4, "k3": 0.15, "kb1": 1.0, "kb2": 0.4, "kb3": 0.15, "kb4": 0.05}
+_ROW = Row(rows.LENS, "B", "expected sizes of lens coefficients")
+
+
+class Lens(Effect):
+    """The camera itself: focal lengths, principal point, distortion."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.pose.camera
+
+    def fill(self, columns: Array, poses: Turned) -> None:
+        columns[:, range(len(self.names)), range(len(self.names))] = 1.0
+
+    def priors(self) -> Sequence[RandomBlock]:
+        decentred = tuple(name for name in self.names if name in ("p1", "p2"))
+        blocks = [_alike(decentred, amp.TANGENTIAL)] if decentred else []
+        return [*blocks, self._distortion()]
+
+    def _distortion(self) -> RandomBlock:
+        """Return the radial terms: powers of the tangent, or of the angle for a fisheye lens."""
+        names = tuple(name for name in self.names if name in _LENS_RATIOS)
+        corner = self.bench.corner if "k1" in names else float(np.arctan(self.bench.corner))
+        sizes = [_LENS_RATIOS[name] * corner ** (-2.0 * int(name[-1])) for name in names]
+        return RandomBlock(_ROW, names, ((amp.DISTORTION, np.diag(sizes)),))
+
+
+class TurningErrors(Effect):
+    """Errors of the image beyond the family of the lens that turn with the camera."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return PRISM if "p1" in self.pose.camera else (*PRISM, *DECENTRING)
+
+    def fill(self, columns: Array, poses: Turned) -> None:
+        for pose, (turn, axes) in enumerate(zip(poses.turns, poses.axes, strict=True)):
+            for k, name in enumerate(self.names):
+                shape = _prism if name in PRISM else _decentring
+                columns[pose, self.pose.field, k] = self.pose.fields.shape(partial(shape, turn, axes[k % 2]))
+
+    def priors(self) -> Sequence[RandomBlock]:
+        decentred = self.names[len(PRISM) :]
+        blocks = [_alike(decentred, amp.TANGENTIAL)] if decentred else []
+        return [*blocks, _alike(PRISM, amp.PRISM)]
+
+
+class Drift(Effect):
+    """A focal length, or a radius, that changes while the poses are recorded."""
+
+    names = (DRIFT,)
+
+    def fill(self, columns: Array, poses: Turned) -> None:
+        for pose, (time, turn) in enumerate(zip(poses.times, poses.turns, strict=True)):
+            columns[pose, self.pose.field, 0] = time * self.pose.fields.shape(partial(np.add, -turn))
+
+
+def _alike(names: tuple[str, ...], amplitude: str) -> RandomBlock:
+    """Return lens coefficients of one amplitude."""
+    return RandomBlock(_ROW, names, ((amplitude, np.eye(len(names))),))
+
+
+def _prism(turn: Array, axis: Array, h: Array) -> Array:
+    """Return the field |x|^2 e of an image that is turned, on the target. h: (N, 2)."""
+    away = h - turn
+    return np.asarray((away * away).sum(axis=1, keepdims=True) * axis)
+
+
+def _decentring(turn: Array, axis: Array, h: Array) -> Array:
+    """Return the field 2 (x e) x of an image that is turned, on the target. h: (N, 2)."""
+    away = h - turn
+    return np.asarray(2.0 * (away @ axis)[:, None] * away)
