@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, cast
 import click
 
 from bench.base.clock import BenchClock
-from bench.base.home import PARTS, compile_missing, remove_stale_kernels, set_kernel_cache
+from bench.base.compile_missing import compile_missing
+from bench.base.kernel_cache import PARTS, remove_stale_kernels, set_kernel_cache
 from drivers.errors import RecordingFailed
 
 if TYPE_CHECKING:

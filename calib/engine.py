@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from calib.calibration import DEFAULT_DISTORTION, REFERENCE_MODELS, Calibration, CalibrationOptions
-from calib.compiled import on_one_thread
 from calib.diagnosis.checks import check_image_size, check_views
 from calib.diagnosis.gross_stars import find_gross_stars, without_gross_stars
 from calib.errors import DegenerateViews, InputMismatch
@@ -16,6 +15,7 @@ from calib.joint.result import calibrate_jointly
 from calib.model.camera import CameraModel
 from calib.model.lens import is_fisheye
 from calib.model.type_b_terms import corrected_passport, corrected_views
+from calib.one_thread import on_one_thread
 from calib.view import View
 
 __all__ = ["Calibration", "CalibrationOptions", "calibrate"]

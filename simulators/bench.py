@@ -49,7 +49,7 @@ from simulators.faults.catalogue import (
 )
 from simulators.faults.fault_injection import BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
-from simulators.lights.driver import Lamp
+from simulators.lights.lamp import Lamp
 from simulators.optics.lens_focus import truth_record
 from simulators.pixels.sensor_stream import CameraState, SensorStream
 from simulators.ports.serial_device import Dialect, Port, SerialDevice, TcpPort

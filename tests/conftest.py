@@ -11,7 +11,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import pytest
 from hypothesis import settings
 
-from bench.base.home import remove_stale_kernels
+from bench.base.kernel_cache import remove_stale_kernels
 from drivers.lateness import Lateness
 
 # A shell starts background jobs (`make test &`) with SIGINT ignored, and so would every process that a test starts.

@@ -11,7 +11,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from bench.base.errors import ControlRefused, Failure
+from bench.base.errors import ControlRefused
+from bench.base.failure import Failure
 from drivers.errors import DriverError, ReplyError, StillOpening
 from drivers.stage import Stage
 

@@ -23,7 +23,7 @@ from typing import Any, TypeVar, cast
 from bench.align.live_figures import TURNING, LiveFigures, LiveSetting, LiveSlice
 from bench.align.meter import Meter
 from bench.base.clock import Aborted
-from bench.base.errors import Failure
+from bench.base.failure import Failure
 from bench.stations.devices import Camera
 from drivers.camera import EventCamera, PreviewCamera, RecordingFacts
 from drivers.camera.frames import FrameCamera, FrameFacts

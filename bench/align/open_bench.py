@@ -19,10 +19,12 @@ from bench.align.live_figures import LiveSetting
 from bench.align.live_loop import LiveLoop
 from bench.align.meter import Meter
 from bench.base.clock import BenchClock
-from bench.base.errors import FORESEEN, ControlRefused, Failure
+from bench.base.errors import ControlRefused
+from bench.base.failure import FORESEEN, Failure
 from bench.measure.camera_kinds import camera_kind
 from bench.simulated import SimulatedBench
-from bench.stations.devices import Camera, Devices, SeparateDevices
+from bench.stations.devices import Camera, Devices
+from bench.stations.orphans import SeparateDevices
 from bench.stations.sections import EventCameraConfig, FrameCameraConfig
 from bench.stations.stages_and_lights import LightConfig
 from bench.stations.station import OpenCvCameraConfig, Station

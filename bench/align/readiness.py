@@ -14,12 +14,12 @@ from typing import Any, Literal, cast
 
 from bench.align.open_bench import ANSWER_S, Bench
 from bench.align.session import Session
-from bench.base.errors import FORESEEN, Failure
+from bench.base.failure import FORESEEN, Failure
 from bench.measure.camera_kinds import camera_kind
 from bench.measure.gates import ADVICE, Gate
 from bench.plan.plan import Plan, load_documents, make_plan
 from bench.record.events import RecordedData
-from bench.stations.station_fields import find_placeholders
+from bench.stations.placeholders import find_placeholders
 from drivers.light import LightSettings
 from sequences.schema import RecordConfig
 from sequences.script import Flicker, Gates, LightStep, Pose, RecordStep

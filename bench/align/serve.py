@@ -22,11 +22,11 @@ from bench.align.page_requests import PageFiles, PageRequests, read_page
 from bench.align.session import Session
 from bench.base.clock import stop_on_signals
 from bench.base.errors import ScriptError, UsageError
+from bench.stations.placeholders import find_placeholders
 from bench.stations.station import SHIPPED_STATIONS, load_station
-from bench.stations.station_fields import find_placeholders
-from bench.web.guard import PageToken
 from bench.web.pages import EventStream, Message, page_app, read_object
 from bench.web.server import PageServer, print_line
+from bench.web.token import PageToken
 from drivers.errors import DriverError
 from sequences.reader import OptionSettings, find_document
 

@@ -27,7 +27,8 @@ from bench.align.open_bench import (
     open_devices,
     try_again,
 )
-from bench.base.errors import FORESEEN, ControlRefused, Failure
+from bench.base.errors import ControlRefused
+from bench.base.failure import FORESEEN, Failure
 from bench.stations.station import Station
 from bench.web.pages import Changes
 from drivers.errors import DriverError

@@ -84,8 +84,8 @@ def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int, quiet
     The journals and the summary have the same form as those of a real night.
     """
     from bench.commands.plan import begin_utc
-    from bench.extras.batch.batch import rehearse_batch
     from bench.extras.batch.batch_plan import read_queue
+    from bench.extras.batch.batch_rehearsal import rehearse_batch
     from bench.wording.plan_text import duration_text
 
     read, started_s = read_queue(queue), time.monotonic()

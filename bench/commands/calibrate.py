@@ -12,7 +12,8 @@ import click
 from bench.base.clock import reliable_interrupts
 from bench.base.encoding import clock_text, printable
 from bench.base.errors import UsageError
-from bench.base.home import forms, home_folder
+from bench.base.home import home_folder
+from bench.base.program import forms
 from bench.commands.calibrations import (
     BOARD,
     CAMERA,
@@ -27,9 +28,11 @@ from bench.commands.keys import key_or_draft
 from bench.commands.options import ExistingPath, OutputFolder, command, epilog
 from bench.commands.output import JSON, NOT_KEPT, show, wants_json
 from bench.commands.workers import WORKERS, LiveLine, open_workers
-from bench.extras.many.recalculation import TABLE, Counts, Recalculation, ResultsFolders
-from bench.extras.many.tasks import DoneRow, RunRow, Task, find_places
-from bench.measure.views_file import FOLDER
+from bench.extras.many.places import find_places
+from bench.extras.many.recalculation import Counts, Recalculation
+from bench.extras.many.results_folders import TABLE, ResultsFolders
+from bench.extras.many.tasks import DoneRow, RunRow, Task
+from bench.measure.kept_views import FOLDER
 from bench.record.run_facts import factors_text
 from bench.solve.offline_options import OfflineOptions
 from bench.wording.numbers import with_uncertainty
@@ -271,7 +274,7 @@ def _calibrate_together(
     find_again: bool,
 ) -> int:
     """Calibrate from all views, write and seal the results where an output folder is given, and print."""
-    from bench.measure.views_file import KeptViews
+    from bench.measure.kept_views import KeptViews
     from bench.record.run_folder import REPORT
     from bench.solve.offline import calibrate_paths, compare_methods
     from bench.solve.offline_folder import require_new, write_offline_results

@@ -25,16 +25,14 @@ from bench.commands.options import (
 )
 from bench.commands.output import JSON, STOPPED, ask_passphrase, confirm, show, wants_json
 from bench.evidence.authorisation import authorise as sign
-from bench.evidence.authorisation import (
-    enter_authorisation,
-    find_key,
-    named_person,
-    require_authorisable,
-    require_unauthorised,
-)
+from bench.evidence.authorisation import named_person, require_authorisable, require_unauthorised
+from bench.evidence.authorisations import enter_authorisation
+from bench.evidence.beside_seal import add_beside
 from bench.evidence.key_trust import Trust, read_trust
-from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP, add_beside, kind_of
-from bench.evidence.sshsig import agent_socket, fingerprint, is_valid, read_signature
+from bench.evidence.personal_key import find_key
+from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP, kind_of
+from bench.evidence.ssh_keys import fingerprint
+from bench.evidence.sshsig import agent_socket, is_valid, read_signature
 from bench.evidence.timestamp import (
     LABORATORY_TSA_FILE,
     STAMPED,

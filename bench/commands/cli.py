@@ -161,8 +161,9 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit. Every expected error is printed as one message, without a traceback."""
     # Our matrices are small: several threads take three times as long as one. Must be set before numpy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from bench.base.encoding import protect_output, replace_unencodable
-    from bench.base.home import remove_stale_kernels, set_kernel_cache
+    from bench.base.encoding import replace_unencodable
+    from bench.base.kernel_cache import remove_stale_kernels, set_kernel_cache
+    from bench.base.lost_output import protect_output
 
     protect_output()
     set_kernel_cache(os.environ)
@@ -179,10 +180,10 @@ def _compile_missing(args: list[str]) -> None:
     if args[:1] == ["verify"] and "--again" not in args:
         parts = ()
     if parts and not {"-h", "--help"} & set(args):
-        from bench.base.home import missing_parts
+        from bench.base.kernel_cache import missing_parts
 
         if missing_parts(parts, os.environ):
-            from bench.base.home import compile_missing
+            from bench.base.compile_missing import compile_missing
 
             compile_missing(parts, lambda text: click.echo(text, err=True))
 

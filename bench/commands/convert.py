@@ -24,8 +24,8 @@ from bench.commands.options import (
 )
 from bench.commands.output import JSON, show
 from bench.commands.workers import WORKERS, CountLine, kept_work, open_workers
-from bench.extras.many.verifications import CONVERTED, Converted, convert_many, plan_targets
-from bench.extras.many.work import Workers
+from bench.extras.many.conversions import CONVERTED, Converted, convert_many, plan_targets
+from bench.extras.many.workers import Workers
 from bench.record.storage import make_folder, write_atomic
 
 if TYPE_CHECKING:

@@ -26,10 +26,11 @@ from bench.commands.options import (
     status_text,
 )
 from bench.commands.output import JSON, print_findings, show
-from bench.evidence.authorisation import known_authorisations
+from bench.evidence.authorisations import known_authorisations
 from bench.evidence.states import home_trust, shown_state
 from bench.extras.history.chart_findings import find_charts, needs_attention
 from bench.extras.history.chart_groups import Grouped, Level, group_runs
+from bench.extras.history.columns import SCHEMA, Row, table_row
 from bench.extras.history.merged_runs import (
     LedgerSource,
     MergedRuns,
@@ -37,14 +38,14 @@ from bench.extras.history.merged_runs import (
     merge_runs,
     read_source,
 )
-from bench.extras.history.table import SCHEMA, Row, require_writable_table, table_row, write_table
+from bench.extras.history.table import require_writable_table, write_table
 from bench.record.ledger import Ledger
 from bench.record.run_facts import REPEATS_TEXT, IndexedRun
 from bench.record.run_index import RunIndex, run_folders
 from bench.record.storage import write_atomic
 from bench.record.summaries import ChartGroupData, drifts, has_limits
 from bench.report.control_chart import render_charts
-from bench.solve.trends import Agreement, compare_runs, repeats
+from bench.solve.agreement import Agreement, compare_runs, repeats
 from bench.wording.numbers import with_uncertainty
 
 _MOST_GROUPS = 12

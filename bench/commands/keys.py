@@ -14,32 +14,23 @@ from bench.base.errors import BenchError, EvidenceError, UsageError
 from bench.base.home import home_folder
 from bench.commands.options import MOMENT, MOMENT_FORM, Family, epilog
 from bench.commands.output import JSON, ask_passphrase, show
-from bench.evidence.keys import (
-    KEY_FILE,
-    BenchKey,
-    create_key,
-    load_key,
-    load_public_key,
-    require_usable,
-    rotate,
-)
+from bench.evidence.key_rotation import rotate
+from bench.evidence.keys import BenchKey, create_key, load_key, require_usable
+from bench.evidence.public_half import KEY_FILE, load_public_key
+from bench.evidence.revoked_keys import REVOKED_FILE, RevokedKey, read_revoked, revoke
 from bench.evidence.signers import (
     AUTHORISATION_NAMESPACE,
     NAMESPACE,
     PRINCIPAL,
-    REVOKED_FILE,
     SIGNERS_FILE,
-    RevokedKey,
     Signer,
     make_private_folder,
     read_public_key,
-    read_revoked,
     read_signer,
-    revoke,
     signers_of,
     trust,
 )
-from bench.evidence.sshsig import fingerprint
+from bench.evidence.ssh_keys import fingerprint
 from bench.record.storage import storage_errors
 
 _PASSPHRASE = click.option(

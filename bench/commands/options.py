@@ -211,9 +211,9 @@ class RunFolder(_Path):
 
     def check(self, path: Path) -> None:
         """Check that the folder is a run, or a batch if that is accepted."""
+        from bench.record.folder_lock import is_locked
         from bench.record.run_folder import JOURNAL
         from bench.record.run_index import is_batch
-        from bench.record.storage import is_locked
 
         where = str(path)
         if not path.exists():

@@ -14,15 +14,8 @@ from typing import Any
 import click
 
 from bench.base.encoding import printable
-from bench.base.errors import (
-    FORESEEN,
-    INVALID_FILES,
-    EvidenceError,
-    Failure,
-    ScriptError,
-    StorageError,
-    UsageError,
-)
+from bench.base.errors import EvidenceError, ScriptError, StorageError, UsageError
+from bench.base.failure import FORESEEN, INVALID_FILES, Failure
 from bench.base.home import home_folder
 from sequences.errors import DocumentFaults
 

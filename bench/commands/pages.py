@@ -83,7 +83,7 @@ def _served(
     *, port: int, host: str, token_file: Path | None, no_token: bool, no_browser: bool
 ) -> dict[str, Any]:
     """Return how a page is served, by the options of `page_options`."""
-    from bench.web.guard import page_token
+    from bench.web.token import page_token
 
     token = page_token(token_file, none=no_token)
     return {"host": host, "port": port, "token": token, "open_browser": not no_browser}

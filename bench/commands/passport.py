@@ -15,7 +15,7 @@ from bench.commands.calibrations import collimator_options, offline_lines
 from bench.commands.options import ExistingFile, ExistingPath, Family, NewFile, Number, epilog
 from bench.commands.output import JSON, ask_passphrase, show
 from bench.evidence.keys import BenchKey, usable_key
-from bench.evidence.seal import read_passport_seal
+from bench.evidence.passport_seal import read_passport_seal
 from bench.wording.numbers import with_uncertainty
 from bench.wording.parameters import unit_text
 

@@ -26,7 +26,7 @@ from bench.commands.options import (
     status_text,
 )
 from bench.commands.output import JSON, print_findings, show
-from bench.evidence.authorisation import known_authorisations, lost_authorisations
+from bench.evidence.authorisations import known_authorisations, lost_authorisations
 from bench.evidence.states import home_trust, shown_state
 from bench.record.ledger import Ledger, bench_ledger
 from bench.record.run_facts import IndexedRun

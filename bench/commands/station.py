@@ -29,7 +29,7 @@ from bench.commands.output import JSON, STOPPED, print_json, show
 
 if TYPE_CHECKING:
     from bench.run.wiring import WiringReport
-    from bench.stations.station_draft import Discovery
+    from bench.stations.discovery import Discovery
     from bench.stations.station_fields import TargetConfig
     from bench.stations.target_files import Optics, TargetUse
 
@@ -123,7 +123,7 @@ def _lines(target: TargetConfig, optics: Optics, found: TargetUse) -> Iterator[s
 def _draw(target: TargetConfig, path: Path) -> int:
     """Write the drawing of a target, never over an existing file."""
     from bench.record.storage import write_atomic
-    from bench.stations.target_files import drawing_file
+    from bench.stations.reticle_files import drawing_file
     from bench.stations.target_shapes import title_of
 
     write_atomic(path, drawing_file(target, path))
@@ -228,8 +228,9 @@ def station() -> None:
 def station_new(path: Path, name: str, stage: str, light: str, camera: str | None) -> int:
     """Create a station file at PATH, filled in with the connected devices."""
     from bench.record.storage import write_atomic
-    from bench.stations.station_draft import discover, draft_station
-    from bench.stations.station_fields import UNKNOWN_SERIAL
+    from bench.stations.discovery import discover
+    from bench.stations.placeholders import UNKNOWN_SERIAL
+    from bench.stations.station_draft import draft_station
 
     draft = draft_station(name, discover(), stage=stage, light=light, camera=camera)
     write_atomic(path, draft.encode())
@@ -288,7 +289,7 @@ def devices(wiring: bool, station: str | None, yes: bool, seed: int) -> int:
         if station is None:
             raise click.UsageError("Missing option '--station' / '-s', which --wiring needs.")
         return _show_wiring(station, seed, yes=yes)
-    from bench.stations.station_draft import discover
+    from bench.stations.discovery import discover
 
     return show_devices(discover())
 
@@ -322,7 +323,7 @@ def _device_lines(found: Discovery, plugins: list[dict[str, str]]) -> Iterator[s
 
 def _plugins() -> list[dict[str, str]]:
     """Return the drivers that other packages bring, with the trouble of those that cannot be used."""
-    from bench.stations.plugin_sections import GROUPS, plugins
+    from bench.stations.plugins import GROUPS, plugins
 
     return [
         {

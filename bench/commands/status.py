@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from bench.base.clock import BenchClock
-from bench.base.encoding import output_is_lost
 from bench.base.errors import UsageError
 from bench.base.home import home_folder
+from bench.base.lost_output import output_is_lost
 from bench.commands.options import (
     OPERATOR,
     ExistingFile,
@@ -25,12 +25,13 @@ from bench.commands.options import (
     status_text,
 )
 from bench.commands.output import JSON, STOPPED, show, wants_json
+from bench.record.folder_lock import is_locked
 from bench.record.run_folder import JOURNAL
-from bench.record.storage import is_locked, storage_errors
+from bench.record.storage import storage_errors
 from bench.run.status import Status, line_text, read_with_entries
 
 if TYPE_CHECKING:
-    from bench.extras.batch.batch_plan import Request
+    from bench.extras.batch.batch_requests import Request
     from bench.extras.batch.batch_summary import BatchStatus
     from bench.extras.batch.messages import Delivery
     from bench.record.inbox import KnownBy
@@ -118,7 +119,8 @@ def _tell_run(folder: Path, words: Mapping[str, Any], by: str | None) -> int:
 
 
 def _tell_batch(folder: Path, word: str, value: str, by: str | None) -> int:
-    from bench.extras.batch.batch_plan import Request, answer_text, read_job, send_request
+    from bench.extras.batch.batch_plan import read_job
+    from bench.extras.batch.batch_requests import Request, answer_text, send_request
     from bench.run.control import operator_at_terminal
 
     who = by or operator_at_terminal()
@@ -288,7 +290,7 @@ class _Shown(NamedTuple):
 
 def _follow(folder: Path, *, of_batch: bool) -> str:
     """Follow a run or a batch; return how it ended, empty if it was interrupted."""
-    from bench.base.progress import Block
+    from bench.base.text_block import Block
 
     block, as_json = Block(), wants_json()
     redraws = block.can_redraw and not as_json

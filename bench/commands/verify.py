@@ -11,7 +11,8 @@ from typing import Any
 import click
 
 from bench.base.encoding import printable
-from bench.base.home import forms, home_folder
+from bench.base.home import home_folder
+from bench.base.program import forms
 from bench.commands.options import (
     ALLOWED_SIGNERS,
     TSA_CERTIFICATES,
@@ -23,13 +24,14 @@ from bench.commands.options import (
 )
 from bench.commands.output import JSON, show, wants_json
 from bench.commands.workers import WORKERS, CountLine, kept_work, open_workers
-from bench.evidence.authorisation import compare_authorisation, known_authorisations
+from bench.evidence.authorisations import compare_authorisation, known_authorisations
 from bench.evidence.findings import Derivation, Findings, Verification
 from bench.evidence.key_trust import Trust, read_trust
 from bench.evidence.ledger_check import ledger_faults_of_run
 from bench.evidence.verify import verify_folder
 from bench.extras.many.verifications import VERIFIED, Check, Checked, check_one, derivations_of
-from bench.extras.many.work import Finished, KeptRows, Workers, map_work
+from bench.extras.many.work import KeptRows
+from bench.extras.many.workers import Finished, Workers, map_work
 from bench.record.ledger import bench_ledger
 from bench.record.run_folder import JOURNAL
 from bench.record.stored_run import StoredRun

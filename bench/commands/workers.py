@@ -13,10 +13,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench.base.clock import reliable_interrupts
-from bench.base.encoding import Steering, clock_text, printable
+from bench.base.encoding import clock_text, printable
+from bench.base.lost_output import Steering
 
 if TYPE_CHECKING:
-    from bench.extras.many.work import KeptRows, Workers
+    from bench.extras.many.work import KeptRows
+    from bench.extras.many.workers import Workers
 
 CONTINUES = "What is done is kept; the same command continues."
 _MOST_PROCESSES = 1024
@@ -64,7 +66,7 @@ def open_workers(who: int | str | None, *, most: int | None = None) -> Workers:
 
         return DaskWorkers(who)
     from bench.extras.many.processes import Processes, processors
-    from bench.extras.many.work import Serial
+    from bench.extras.many.workers import Serial
 
     count = min(who or processors(), max(1, most) if most is not None else _MOST_PROCESSES)
     if count == 1 and who is None:
@@ -143,7 +145,7 @@ class CountLine(LiveLine):
     def __init__(self, total: int, things: str, *, quiet: bool = False) -> None:
         super().__init__(quiet=quiet)
         self.done, self._total, self._things = 0, total, things
-        from bench.extras.many.work import TimeLeft
+        from bench.extras.many.workers import TimeLeft
 
         self._time = TimeLeft()
 

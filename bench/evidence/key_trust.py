@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
-from bench.evidence.signers import REVOKED_FILE, SIGNERS_FILE, RevokedKey, Signer, read_revoked, read_signers
-from bench.evidence.sshsig import fingerprint
+from bench.evidence.revoked_keys import REVOKED_FILE, RevokedKey, read_revoked
+from bench.evidence.signers import SIGNERS_FILE, Signer, read_signers
+from bench.evidence.ssh_keys import fingerprint
 from bench.evidence.timestamp import Stamp, TrustedAuthorities, read_authorities
 
 

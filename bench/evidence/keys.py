@@ -6,116 +6,25 @@ never copied into a run or a log. Beside it lies ``allowed_signers``, which thos
 
 from __future__ import annotations
 
-import base64
-import binascii
-import os
 import re
 import socket
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from datetime import datetime, timedelta
+from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from bench.base.errors import EvidenceError
-from bench.evidence.signers import (
-    NAMESPACE,
-    PRINCIPAL,
-    REVOKED_FILE,
-    SIGNERS_FILE,
-    Signer,
-    read_public_key,
-    read_revoked,
-    read_signer,
-    refuse_readable_by_others,
-    refuse_writable_by_others,
-    replace_lines,
-    signers_of,
-    trust,
-)
-from bench.evidence.sshsig import KEY_TYPE, Ed25519Signer, fingerprint, key_text, key_type_of, strings
-from bench.record.storage import (
-    locked_folder,
-    make_folder,
-    read_bounded,
-    storage_errors,
-    sync_folder,
-    write_atomic,
-)
-
-# The public half of the bench's key. OpenSSH's private key format states it in the clear, so no passphrase
-# is needed.
-#
-# The file ``bench_key.pub`` says the same, but nothing binds it to the private key: only the signer's name
-# is from there.
-
-KEY_FILE = "bench_key"
-_BEGIN, _END = b"-----BEGIN OPENSSH PRIVATE KEY-----", b"-----END OPENSSH PRIVATE KEY-----"
-_MAGIC = b"openssh-key-v1\0"
-_MOST_KEY_BYTES = 64 * 1024
-
-
-def load_public_key(folder: Path) -> Signer:
-    """Load the public half of the bench's key, as those who verify trust it: for reports only."""
-    path = folder / KEY_FILE
-    try:
-        public_key = public_of_private(read_key_file(path))
-    except ValueError as error:
-        raise EvidenceError(
-            f"The key cannot be read: {error}.",
-            where=str(path),
-            remedy="Restore the file from a copy, or make a new key with `starbench keys rotate`.",
-        ) from error
-    return Signer(principal_of(path.with_suffix(".pub")), public_key, (NAMESPACE,))
-
-
-def public_of_private(text: bytes) -> bytes:
-    """Return the public key of an OpenSSH Ed25519 key file (PROTOCOL.key of OpenSSH, 1); else raise `ValueError`."""
-    body, begins, _ = text.strip().removeprefix(_BEGIN).partition(_END)
-    if not (text.strip().startswith(_BEGIN) and begins):
-        raise ValueError("it is not in OpenSSH's format")
-    try:
-        blob = base64.b64decode(b"".join(body.split()), validate=True)
-    except binascii.Error as error:
-        raise ValueError("it is not base64") from error
-    if not blob.startswith(_MAGIC):
-        raise ValueError("it is not in OpenSSH's format")
-    _, rest = strings(blob.removeprefix(_MAGIC), 3)  # cipher and derivation of the passphrase's key
-    if rest[:4] != b"\0\0\0\1":
-        raise ValueError("it does not hold one key")
-    (public_key,), _ = strings(rest[4:], 1)
-    if key_type_of(public_key) != KEY_TYPE.decode():
-        raise ValueError("it is not an Ed25519 key")
-    return public_key
-
-
-def read_key_file(path: Path) -> bytes:
-    """Read the file of a private key, if nobody else can read or change it."""
-    if not path.exists():
-        raise EvidenceError(
-            "There is no key.", where=str(path), remedy="Make one with `starbench keys create`."
-        )
-    with storage_errors(path):
-        refuse_readable_by_others(path)
-        refuse_writable_by_others(path, "the bench's key")
-    return read_bounded(path, _MOST_KEY_BYTES)
-
-
-def principal_of(public_path: Path) -> str:
-    """Return the name of the signer that the file of a public key states, as ``name@place``."""
-    fields = read_bounded(public_path, _MOST_KEY_BYTES).decode("utf-8", "replace").split()
-    principal = fields[2] if len(fields) > 2 else ""
-    if not PRINCIPAL.fullmatch(principal):
-        raise EvidenceError(
-            "The public key does not name its signer.",
-            where=str(public_path),
-            remedy="Write name@place at the end of its line.",
-        )
-    return principal
-
+from bench.evidence.public_half import KEY_FILE, principal_of, read_key_file
+from bench.evidence.revoked_keys import REVOKED_FILE, read_revoked
+from bench.evidence.signers import NAMESPACE, PRINCIPAL, SIGNERS_FILE, read_public_key, signers_of, trust
+from bench.evidence.ssh_keys import fingerprint, key_text
+from bench.evidence.sshsig import Ed25519Signer
+from bench.record.folder_lock import locked_folder
+from bench.record.storage import make_folder, storage_errors, sync_folder, write_atomic
 
 NEW_KEY = f"{KEY_FILE}.new"
 """A key that replaces the bench's key, complete beside it, until it is put in its place."""
@@ -295,87 +204,3 @@ def _load_private_key(secret: bytes, path: Path, ask_passphrase: Callable[[Path]
             where=str(path),
             remedy="Try again, or restore the file from a copy.",
         ) from error
-
-
-# Replace the bench's key. Reports sealed with the old key stay valid for their time.
-
-
-ARCHIVE = "old_keys"
-"""Folder of private keys that are no longer used."""
-
-
-@dataclass(frozen=True)
-class Rotation:
-    """A replacement of the bench's key."""
-
-    old: str
-    new: str
-    line: str  # Line of ``allowed_signers`` that trusts the new key
-    archived: Path | None  # Where the old private key is kept; None if it was deleted
-
-
-def rotate(folder: Path, now: datetime, *, passphrase: bytes | None, keep_old: bool) -> Rotation:
-    """Replace the key, with the same principal; ``keep_old`` keeps it in ``old_keys``; no passphrase: not encrypted."""
-    if not (folder / KEY_FILE).exists():
-        raise EvidenceError(
-            "There is no key to replace.", where=str(folder), remedy="Make one with `starbench keys create`."
-        )
-    with storage_errors(folder), locked_folder(folder):
-        finish_rotation(folder)
-        old, principal = read_public(folder / f"{KEY_FILE}.pub")
-        archived = _archive(folder, old, keep=keep_old)
-        line = _begin(folder, now, old, principal, passphrase)
-        finish_rotation(folder)
-    return Rotation(fingerprint(old), fingerprint(read_signer(line).public_key), line, archived)
-
-
-def _begin(folder: Path, now: datetime, old: bytes, principal: str, passphrase: bytes | None) -> str:
-    """Make the new key beside the old one, and change the list of trusted keys; return the new line."""
-    key = BenchKey(Ed25519PrivateKey.generate(), principal)
-    signer = replace(read_signer(key.signers_line), valid_after=now.replace(microsecond=0))
-    with storage_errors(folder):  # of a process that was killed before the new key was trusted
-        for name in (NEW_KEY, f"{NEW_KEY}.pub"):
-            (folder / name).unlink(missing_ok=True)
-    write_atomic(folder / NEW_KEY, private_text(key, passphrase), mode=0o600)
-    write_atomic(folder / f"{NEW_KEY}.pub", f"{key.public_text} {principal}\n".encode())
-    end = now.replace(microsecond=0) + timedelta(seconds=1)  # what was sealed in this second stays valid
-    replace_lines(folder, old, end, [signer.line])
-    return signer.line
-
-
-def _archive(folder: Path, old: bytes, *, keep: bool) -> Path | None:
-    """Keep the old private key under a name that no other key has, before it is replaced; or see that it is not."""
-    name = fingerprint(old).removeprefix("SHA256:").replace("/", "_").replace("+", "-")[:16]
-    path = folder / ARCHIVE / f"{KEY_FILE}-{name}"
-    with storage_errors(path):
-        if not keep:
-            path.unlink(missing_ok=True)
-            return None
-        make_folder(folder / ARCHIVE)
-        (folder / ARCHIVE).chmod(0o700)
-        with suppress(FileExistsError):  # of an interrupted replacement
-            os.link(folder / KEY_FILE, path)
-        sync_folder(folder / ARCHIVE)
-    return path
-
-
-def read_public(path: Path) -> tuple[bytes, str]:
-    """Return the public key of a file ``.pub``, and its principal."""
-    with storage_errors(path):
-        text = path.read_text(encoding="utf-8")
-    try:
-        key = read_public_key(text)
-    except ValueError as error:
-        raise _not_public(path, str(error)) from error
-    principal = ([*text.split(), "", ""])[2]
-    if not PRINCIPAL.fullmatch(principal):
-        raise _not_public(path, "it does not name its signer as name@place")
-    return key, principal
-
-
-def _not_public(path: Path, why: str) -> EvidenceError:
-    return EvidenceError(
-        f"This is not the bench's public key: {why}.",
-        where=str(path),
-        remedy=f"Restore it: ssh-keygen -y -f {path.with_suffix('')}; write name@place at the end.",
-    )

@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError
-from bench.evidence.keys import KEY_FILE, read_public
+from bench.evidence.key_rotation import read_public
+from bench.evidence.public_half import KEY_FILE
 from bench.evidence.signers import SIGNERS_FILE, read_signers
 from bench.evidence.sshsig import read_signature
 from bench.record.events import Event

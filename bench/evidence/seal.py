@@ -8,22 +8,15 @@ state who approved (`bench.evidence.authorisation`) and when (`bench.evidence.ti
 
 from __future__ import annotations
 
-import errno
-import json
 import os
 import re
 import shutil
 import stat
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 
-from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError
 from bench.evidence.keys import BenchKey
 from bench.evidence.signers import NAMESPACE
-from bench.evidence.sshsig import fingerprint, is_valid, read_signature
 from bench.record.journal import CAPTURES
 from bench.record.run_folder import JOURNAL, MANIFEST, SIGNATURE, RunFolder, is_sealed
 from bench.record.storage import (
@@ -31,64 +24,8 @@ from bench.record.storage import (
     sha256_of,
     storage_errors,
     sync_file,
-    sync_folder,
-    write_all,
     write_atomic,
 )
-
-# The seal of a collimator's passport: the bench's signature inside the file, on a line of its own.
-#
-# A passport is one file that people copy, so its seal travels in it. The second line of a sealed passport
-# holds the SSH signature (`bench.evidence.sshsig`) of the file without that line, which is the unsealed
-# passport. So it can be checked without Starbench::
-#
-#     sed -n 's/^ "seal": "\(.*\)",$/\1/p' collimator.json | sed 's/\\n/\n/g' > seal.sig
-#     grep -v '^ "seal": ' collimator.json |
-#         ssh-keygen -Y verify -f allowed_signers -I bench@lab -n starbench-report@v1 -s seal.sig
-#
-# This module handles bytes only. It does not decide which keys are trusted.
-
-_FIRST = b"{\n"
-_BEGIN = b' "seal": '
-_MAKE_AGAIN = "Get the file again from who made it; or make a new passport."
-
-
-@dataclass(frozen=True)
-class PassportSeal:
-    """The valid seal of a passport."""
-
-    public_key: bytes  # The signer's key, as SSH encodes it
-    fingerprint: str
-
-
-def seal_passport(data: bytes, key: BenchKey) -> bytes:
-    """Add a seal to a passport. Removing the second line of the result gives ``data``."""
-    if not data.startswith(_FIRST + b" ") or _has_seal_line(data):
-        raise EvidenceError("This is not an unsealed passport in the layout that Starbench writes.")
-    signature = key.sign(data, NAMESPACE).decode()
-    return _FIRST + _BEGIN + json.dumps(signature).encode() + b",\n" + data[len(_FIRST) :]
-
-
-def read_passport_seal(data: bytes) -> PassportSeal | None:
-    """Check the seal of a passport; None if the file has none."""
-    if not _has_seal_line(data):
-        return None
-    line, _, rest = data[len(_FIRST) :].partition(b"\n")
-    try:
-        armoured = parse_json(line[len(_BEGIN) :].removesuffix(b","))
-        signature = read_signature(armoured.encode())
-    except (ValueError, AttributeError, EvidenceError) as error:
-        raise EvidenceError("The seal of this passport is not a signature.", remedy=_MAKE_AGAIN) from error
-    if signature.namespace != NAMESPACE or not is_valid(signature, _FIRST + rest):
-        raise EvidenceError(
-            "This passport was changed after it was sealed: its seal does not match.", remedy=_MAKE_AGAIN
-        )
-    return PassportSeal(signature.public_key, fingerprint(signature.public_key))
-
-
-def _has_seal_line(data: bytes) -> bool:
-    return data.startswith(_FIRST + _BEGIN)
-
 
 KINDS = {JOURNAL: "run", "certificate.json": "certificate", "sources.json": "results"}
 """Kind of a sealed folder by the file that only this kind has."""
@@ -309,107 +246,3 @@ def remove_unnamed(part: Path) -> None:
         for folder_name, _, _ in os.walk(part):
             Path(folder_name).chmod(0o755)
         shutil.rmtree(part)
-
-
-# Read and add the reserved files beside a seal. The sealed folder stays read-only.
-#
-# A file appears whole or not at all: it is written without a name and synced, then linked under its name.
-# Linking never replaces a file. Where the file system has no files without a name, a temporary file is
-# used; the next attempt removes one that a died process left behind.
-
-MOST_BYTES = 1 << 20
-"""Signatures and time stamps have some kilobytes; a larger file is not read."""
-_NO_TMPFILE = {errno.EOPNOTSUPP, errno.EISDIR, errno.EINVAL, errno.ENOENT}
-_NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK}
-"""Errors of file systems without hard links, such as FAT."""
-_MODE, _FOLDER_MODE = 0o444, 0o555
-
-
-def read_beside(folder: Path, name: str) -> bytes | None:
-    """Read a reserved file, or the signature of the seal: no link, and no larger than 1 MiB."""
-    path = folder / name
-    try:
-        status = path.lstat()
-    except FileNotFoundError:
-        return None
-    if not stat.S_ISREG(status.st_mode):
-        raise EvidenceError("this is a link or a folder, not a file", where=name)
-    if status.st_size > MOST_BYTES:
-        raise EvidenceError(f"the file is too large: more than {MOST_BYTES} bytes", where=name)
-    return path.read_bytes()
-
-
-def add_beside(folder: Path, name: str, data: bytes) -> None:
-    """Add a reserved file, which is never replaced, beside the seal. File and folder are read-only afterwards."""
-    if name not in RESERVED:
-        raise EvidenceError(f"{name!r} cannot be added to a sealed folder.", where=str(folder))
-    path = folder / name
-    with storage_errors(path):
-        with _writable(folder):
-            (folder / f".{name}{TEMPORARY}").unlink(missing_ok=True)
-            try:
-                write_and_link(path, data)
-            except FileExistsError as error:
-                raise EvidenceError(
-                    f"There is a file {name} already; it is never replaced.",
-                    where=str(folder),
-                    remedy="Check it with `starbench verify`.",
-                ) from error
-        sync_folder(folder)
-
-
-@contextmanager
-def _writable(folder: Path) -> Iterator[None]:
-    """Make the folder writable for the block."""
-    folder.chmod(_FOLDER_MODE | stat.S_IWUSR)
-    try:
-        yield
-    finally:
-        folder.chmod(_FOLDER_MODE)
-
-
-def write_and_link(path: Path, data: bytes) -> None:
-    """Write a file without a name, and give it its name. Raises FileExistsError and other OSErrors."""
-    try:
-        descriptor = os.open(path.parent, os.O_TMPFILE | os.O_WRONLY, _MODE)
-    except (AttributeError, OSError) as error:
-        if isinstance(error, OSError) and error.errno not in _NO_TMPFILE:
-            raise
-        write_and_rename(path, data)
-        return
-    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        _fill(descriptor, data)
-        # Its name in /proc is linked (open(2), O_TMPFILE). Python follows that link only if a folder's descriptor
-        # is given.
-        os.link(f"/proc/self/fd/{descriptor}", path.name, dst_dir_fd=folder, follow_symlinks=True)
-    finally:
-        os.close(descriptor)
-        os.close(folder)
-
-
-def write_and_rename(path: Path, data: bytes) -> None:
-    """Write a file under another name, sync it, and give it its name."""
-    part = path.with_name(f".{path.name}{TEMPORARY}")
-    descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, _MODE)
-    try:
-        try:
-            _fill(descriptor, data)
-        finally:
-            os.close(descriptor)
-        try:
-            os.link(part, path)
-        except OSError as error:
-            if error.errno not in _NO_LINKS or path.exists():
-                raise
-            part.rename(path)
-    finally:
-        with suppress(FileNotFoundError):
-            part.unlink()
-
-
-def _fill(descriptor: int, data: bytes) -> None:
-    write_all(descriptor, data)
-    if hasattr(os, "fchmod"):
-        os.fchmod(descriptor, _MODE)  # whatever the umask
-    os.fsync(descriptor)

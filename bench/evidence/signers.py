@@ -8,85 +8,16 @@ from __future__ import annotations
 
 import base64
 import binascii
-import os
 import re
-import stat
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TypeVar
 
 from bench.base.errors import EvidenceError
-from bench.evidence.sshsig import KEY_TYPES, check_key, fingerprint, key_text, key_type_of
+from bench.evidence.private_files import Line, read_list
+from bench.evidence.ssh_keys import KEY_TYPES, check_key, fingerprint, key_text, key_type_of
 from bench.record.storage import make_folder, storage_errors, write_atomic
-
-# Refuse files on which the trust rests if other users can read or write them.
-#
-# The rule is that of OpenSSH (sshd_config(5), ``StrictModes``): neither the group nor others may write the
-# file or its folder. A folder with the sticky bit is safe, because nobody can replace the files of another
-# user in it.
-
-Line = TypeVar("Line")
-_WRITABLE_BY_OTHERS = 0o022
-_MOST_BYTES = 16 << 20
-_ANY_ACCESS_BY_OTHERS = 0o077
-
-
-def refuse_writable_by_others(path: Path, what: str) -> None:
-    """Refuse a file, or a folder, that group or others can change or replace."""
-    if not hasattr(os, "getuid"):  # Windows has no such modes
-        return
-    real = path.resolve()
-    for place in (real, real.parent):
-        mode = place.stat().st_mode
-        is_sticky_folder = stat.S_ISDIR(mode) and mode & stat.S_ISVTX
-        if mode & _WRITABLE_BY_OTHERS and not is_sticky_folder:
-            thing = what if place == real else f"the folder of {what}"
-            raise EvidenceError(
-                f"Other users can change {thing} (mode {stat.S_IMODE(mode):04o}), so it proves nothing.",
-                where=str(place),
-                remedy=f"If nobody has changed it: chmod go-w '{place}'. Otherwise get it again.",
-            )
-
-
-def read_list(path: Path, what: str) -> str:
-    """Read a list on which the trust rests: text of at most 16 MB that other users cannot change."""
-    refuse_writable_by_others(path, what)
-    if not path.is_file():  # a pipe would never answer
-        raise EvidenceError(
-            f"{what[0].upper()}{what[1:]} is not a file.",
-            where=str(path),
-            remedy="Copy it into a file, and name that.",
-        )
-    with path.open("rb") as stream:
-        data = stream.read(_MOST_BYTES + 1)
-    try:
-        text = data.decode("utf-8")
-        if len(data) <= _MOST_BYTES:
-            return text
-        why = f"it has more than {_MOST_BYTES >> 20} MB"
-    except UnicodeDecodeError:
-        why = "it is not text"
-    raise EvidenceError(
-        f"{what[0].upper()}{what[1:]} cannot be read: {why}.",
-        where=str(path),
-        remedy="Expected is one key a line, in OpenSSH's format; a binary list (KRL) is not supported.",
-    )
-
-
-def refuse_readable_by_others(path: Path) -> None:
-    """Refuse a private key that other users can read, or own."""
-    if not hasattr(os, "getuid"):
-        return
-    status = path.stat()
-    if status.st_mode & _ANY_ACCESS_BY_OTHERS or status.st_uid != os.getuid():
-        raise EvidenceError(
-            f"Other users can read the key (mode {stat.S_IMODE(status.st_mode):04o}): its signatures prove nothing.",
-            where=str(path),
-            remedy=f"If nobody has read it: chmod 600 '{path}'. Otherwise make a new key.",
-        )
-
 
 NAMESPACE = "starbench-report@v1"
 """Purpose of a bench's signature, the seal: the namespace of SSHSIG."""
@@ -154,7 +85,7 @@ def read_signers(path: Path) -> list[Signer]:
             where=str(path),
             remedy="Get the file allowed_signers from the laboratory, and name it.",
         ) from error
-    return _read_lines(path, text, read_signer)
+    return read_lines(path, text, read_signer)
 
 
 def signers_of(folder: Path) -> list[Signer]:
@@ -163,7 +94,7 @@ def signers_of(folder: Path) -> list[Signer]:
     return read_signers(path) if path.exists() else []
 
 
-def _read_lines(path: Path, text: str, read: Callable[[str], Line]) -> list[Line]:
+def read_lines(path: Path, text: str, read: Callable[[str], Line]) -> list[Line]:
     """Read each line with a key; the error names the line."""
     found = []
     for number, line in _lines_of_keys(text):
@@ -181,7 +112,8 @@ def _lines_of_keys(text: str) -> Iterator[tuple[int, str]]:
             yield number, line
 
 
-def _add_line(path: Path, present: str, line: str) -> None:
+def add_line(path: Path, present: str, line: str) -> None:
+    """Write a list of keys again, with one line more."""
     separator = "" if not present or present.endswith("\n") else "\n"
     make_private_folder(path.parent)
     write_atomic(path, f"{present}{separator}{line}\n".encode())
@@ -237,7 +169,7 @@ def trust(folder: Path, line: str) -> Signer:
     present = _read_list(path)
     _refuse_two_purposes(folder, signer)
     if line.strip() not in present.splitlines():
-        _add_line(path, present, line.strip())
+        add_line(path, present, line.strip())
     return signer
 
 
@@ -309,80 +241,3 @@ def _matches(pattern: str, text: str) -> bool:
     """Compare with ``*`` and ``?`` as ssh does (ssh_config(5), PATTERNS)."""
     translated = re.escape(pattern).replace(r"\*", ".*").replace(r"\?", ".")
     return re.fullmatch(translated, text) is not None
-
-
-# The list of revoked keys, ``revoked_keys``: keys that were stolen or lost.
-#
-# The format is a plain list of public keys, which ``ssh-keygen -Y verify -r revoked_keys`` reads (ssh-
-# keygen(1), ``-Y verify``). A binary list (KRL) cannot hold a date and a reason; here both stand behind the
-# key. A revoked key's signatures are refused unless a trusted time stamp proves that they are older than
-# the revocation: whoever has a stolen key can write any date into a report. A key that is only replaced is
-# not revoked; its line in ``allowed_signers`` ends (`bench.evidence.keys`).
-
-REVOKED_FILE = "revoked_keys"
-_MARK = "revoked"
-_EVER = datetime(1970, 1, 1, tzinfo=UTC)
-
-
-@dataclass(frozen=True)
-class RevokedKey:
-    """A key that is no longer trusted."""
-
-    public_key: bytes
-    since: datetime = _EVER  # Moment from which its signatures are refused; 1970 for a line without a date
-    reason: str = ""  # Why; empty for a line without a reason
-
-    @property
-    def text(self) -> str:
-        """Date and reason, for a message."""
-        date = f"{self.since:%Y-%m-%d %H:%M} UTC" if self.since > _EVER else "without a date"
-        return f"{date} ({self.reason})" if self.reason else date
-
-    @property
-    def line(self) -> str:
-        """The line of ``revoked_keys`` for this key."""
-        return f"{key_text(self.public_key)} {_MARK} {time_text(self.since)} {self.reason}".rstrip()
-
-
-def read_revoked(path: Path) -> list[RevokedKey]:
-    """Read the revoked keys, in the order of the lines (no file: none); the error names a line that is none."""
-    if not path.exists():
-        return []
-    with storage_errors(path):
-        text = read_list(path, "the list of revoked keys")
-    return _read_lines(path, text, _read_revoked)
-
-
-def revoke(folder: Path, key: RevokedKey) -> None:
-    """Add a key to the list of revoked keys, with a reason of one line."""
-    path = folder / REVOKED_FILE
-    if not key.reason.strip() or not key.reason.isprintable():
-        raise EvidenceError(
-            "A revocation needs a reason of one line.",
-            remedy="Say what happened, for example: stolen laptop.",
-        )
-    known = next((one for one in read_revoked(path) if one.public_key == key.public_key), None)
-    if known is not None:
-        raise EvidenceError(
-            f"The key {fingerprint(key.public_key)} is revoked already: {known.text}.", where=str(path)
-        )
-    with storage_errors(path):
-        present = path.read_text(encoding="utf-8") if path.exists() else ""
-    _add_line(path, present, key.line)
-
-
-def _read_revoked(line: str) -> RevokedKey:
-    """Read one line of ``revoked_keys``."""
-    try:
-        public_key = read_public_key(line)
-        comment = line.split(maxsplit=2)[2:]
-        mark, _, rest = comment[0].strip().partition(" ") if comment else ("", "", "")
-        if mark != _MARK:
-            return RevokedKey(public_key)
-        date, _, reason = rest.partition(" ")
-        return RevokedKey(public_key, parse_time(date), reason)
-    except ValueError as error:
-        raise EvidenceError(
-            f"This is not a line of a revoked key: {error}.",
-            remedy="Expected form: ssh-ed25519 AAAA... revoked YYYYMMDDHHMMSSZ reason",
-        ) from error

@@ -13,12 +13,15 @@ from pathlib import Path
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, EvidenceError, StorageError
-from bench.evidence.authorisation import NOTHING_KNOWN, Known, check_authorisation, compare_authorisation
+from bench.evidence.authorisation import check_authorisation
+from bench.evidence.authorisations import NOTHING_KNOWN, Known, compare_authorisation
+from bench.evidence.beside_seal import read_beside
 from bench.evidence.findings import State, Verification
 from bench.evidence.key_trust import Moments, Trust, judge_key, read_trust
-from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP, read_beside
+from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP
 from bench.evidence.signers import NAMESPACE
-from bench.evidence.sshsig import NotInstalled, fingerprint, is_valid, read_signature
+from bench.evidence.ssh_keys import fingerprint
+from bench.evidence.sshsig import NotInstalled, is_valid, read_signature
 from bench.evidence.timestamp import Stamp, check_timestamps
 from bench.record.run_folder import JOURNAL, MANIFEST, PAGE_SIGNATURE, REPORT, RESULTS, SIGNATURE, is_sealed
 from bench.record.storage import read_json, storage_errors

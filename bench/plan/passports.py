@@ -32,7 +32,7 @@ from sequences.script import SolveStep, Step
 from sequences.tree import DocumentPath, Fault
 
 if TYPE_CHECKING:
-    from bench.evidence.seal import PassportSeal
+    from bench.evidence.passport_seal import PassportSeal
 
 
 def setting_path(document: Located[Sequence], path: DocumentPath, key: str, word: str) -> DocumentPath:
@@ -162,7 +162,7 @@ def read_passport_file(path: Path) -> tuple[Passport, bytes]:
 
 def parse_passport(data: bytes, where: str) -> Passport:
     """Read the bytes of a passport; `UsageError` says why it is none: changed, an unknown parameter, absurd numbers."""
-    from bench.evidence.seal import read_passport_seal  # a plan without a file needs no cryptography
+    from bench.evidence.passport_seal import read_passport_seal
 
     remedy = "Make a passport with `starbench passport make` or `starbench passport certificate`."
     try:
@@ -434,7 +434,7 @@ class _Named:
             assert self.certificate is not None
             data = passport_bytes(self.certificate)
             return PassportInUse(self.certificate, data, self.source, name, self.other_accepted)
-        from bench.evidence.seal import read_passport_seal
+        from bench.evidence.passport_seal import read_passport_seal
 
         passport, data = read_passport_file(path)
         return PassportInUse(passport, data, self.source, name, self.other_accepted, read_passport_seal(data))

@@ -16,11 +16,12 @@ from typing import Any
 from bench.base.errors import ScriptError
 from bench.measure.camera_kinds import recording_duration_s
 from bench.plan.passports import PassportChoice, choose_passport
-from bench.plan.script_check import angle_faults, check_script, find_simulation_faults, find_url_secrets
+from bench.plan.script_check import angle_faults, check_script, find_simulation_faults
 from bench.plan.stated_camera import StatedCameraChoice, choose_stated_camera
+from bench.plan.url_secrets import find_url_secrets
+from bench.stations.placeholders import find_placeholders
 from bench.stations.sections import AxisConfig, FrameCameraConfig
 from bench.stations.station import Station, load_station
-from bench.stations.station_fields import find_placeholders
 from calib.model.passport import Passport
 from drivers.stage.motion import travel_time_s
 from sequences.errors import DocumentFaults

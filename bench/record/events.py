@@ -475,7 +475,7 @@ class Deviation(TypedDict):
 
 
 class FailureData(TypedDict):
-    """An error as JSON holds it (`bench.base.errors.Failure`)."""
+    """An error as JSON holds it (`bench.base.failure.Failure`)."""
 
     kind: str
     what: str

@@ -28,7 +28,8 @@ from bench.record.events import (
     UntilDecided,
     event_name,
 )
-from bench.record.journal import CLOCK_JUMPED, Entry, Journal
+from bench.record.journal import CLOCK_JUMPED, Journal
+from bench.record.journal_line import Entry
 from drivers.lateness import LatenessData
 
 DeviceName = Literal["stage", "light", "camera"]

@@ -18,7 +18,9 @@ from typing import Any
 from bench.base.errors import BenchError, EvidenceError, JournalBroken, UsageError
 from bench.base.home import home_folder
 from bench.record.events import LedgerPlace
-from bench.record.journal import Entry, Journal, read_journal
+from bench.record.folder_lock import locked_folder
+from bench.record.journal import Journal, read_journal
+from bench.record.journal_line import Entry
 from bench.record.ledger_marks import (
     BREAK_EXPLAINED,
     EXPLAIN,
@@ -43,7 +45,7 @@ from bench.record.ledger_marks import (
     write_own_mark,
 )
 from bench.record.run_folder import MANIFEST, is_sealed
-from bench.record.storage import locked_folder, make_folder, sha256_of, storage_errors, sync_folder
+from bench.record.storage import make_folder, sha256_of, storage_errors, sync_folder
 
 LEDGER = "ledger.jsonl"
 PLACE_FORGOTTEN = "place_forgotten"

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, JournalBroken, StorageError
-from bench.record.journal import Entry
+from bench.record.journal_line import Entry
 from bench.record.storage import O_BINARY, read_bounded, storage_errors, sync_folder, write_all, write_atomic
 
 MARK = "ledger_high"

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, TypeVar, 
 from bench.base.errors import BenchError
 from bench.record.events import DeviceData, Event, LightSettingsData, Solved, UntilDecided, Written
 from bench.record.history import Attempt, History
-from bench.record.journal import Entry
+from bench.record.journal_line import Entry
 from bench.record.results import CalibrationData, CameraData, ConformityData, Results, StatementData, Verdict
 from bench.record.run_folder import RESULTS
 from bench.record.storage import read_bounded

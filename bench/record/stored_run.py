@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Any, cast
 from bench.base.bounded_json import parse_json
 from bench.base.errors import RunFolderError
 from bench.record.history import History, replay
-from bench.record.journal import Capture, Entry, read_journal, stored_captures
+from bench.record.journal import Capture, read_journal, stored_captures
+from bench.record.journal_line import Entry
 from bench.record.run_folder import JOURNAL, MANIFEST, RESULTS, is_sealed
 from bench.record.storage import read_bounded, sha256_of
 

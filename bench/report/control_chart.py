@@ -5,12 +5,9 @@ Each run shows its stated expanded uncertainty.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from datetime import datetime
-from html import escape
 from typing import Any
-
-import numpy as np
 
 from bench.record.summaries import (
     ChartData,
@@ -22,122 +19,10 @@ from bench.record.summaries import (
     has_limits,
 )
 from bench.report.html import environment
-from bench.report.svg_plot import FONT, INK, MUTED, POSE_COLOURS, Picture, Words, axes_in
-from bench.report.svg_scale import Array, Scale, tick_label, ticks
+from bench.report.svg_plot import INK
+from bench.report.svg_scale import tick_label, ticks
+from bench.report.wide_chart import BLUE, MANY, RED, Chart
 from bench.wording.numbers import with_uncertainty
-
-# A chart of many runs. What falls on the same place is drawn once, so the size of a picture is bounded, also with
-# thousands of runs.
-
-_WIDTH, _HEIGHT, _NAMES, _DATE = 380.0, 156.0, 46.0, 10.0
-"""Width and height of a picture, room for the names of lines at its right, and for half a date at its left, points."""
-BLUE, RED = POSE_COLOURS[0], "#c0271d"
-_MOST_DOTS_WITH_TEXT = 150
-MANY = 200
-"""With more runs, bars are paler and the dots are not joined."""
-_ROUNDING = 1e-12
-"""Values that differ by less than this share are equal."""
-_BAND, _BAR, _PALE_BAR = 0.09, 0.44, 0.18
-"""Opacities of the band between the limits, of bars, and of bars of many runs."""
-
-
-class _Chart:
-    """A picture in work: lines, bars and dots in one frame."""
-
-    def __init__(
-        self, title: str, xs: Sequence[float], values: Sequence[float], labels: Sequence[tuple[float, str]]
-    ) -> None:
-        self._picture = Picture(_WIDTH, _HEIGHT, "chart", title)
-        x, y = _wider(xs, 0.02, 0.5, labels), _wider(values, 0.05, abs(values[0]) * 1e-6 or 1.0)
-        place = (_DATE, 0.0, _WIDTH - _NAMES - _DATE, _HEIGHT)
-        self._axes = axes_in(self._picture, x, y, Words((title,)), place=place, grid="y", clip=False)
-
-    def band(self, xs: Sequence[float], low: Sequence[float], high: Sequence[float]) -> None:
-        """Fill the area between two lines."""
-        there, back = self._thinned(xs, high), self._thinned(xs, low)
-        self._axes.shapes([[*there, *reversed(back)]], BLUE, _BAND)
-
-    def line(
-        self, xs: Sequence[float], values: Sequence[float], colour: str, width: float = 0.9, dash: str = ""
-    ) -> None:
-        """Draw a line."""
-        self._axes.line(self._thinned(xs, values), colour, width, dash=dash)
-
-    def bars(self, xs: Sequence[float], low: Sequence[float], high: Sequence[float]) -> None:
-        """Draw vertical bars, such as uncertainties; bars in one column become one."""
-        columns: dict[float, tuple[float, float, float]] = {}
-        for column, x, bottom, top in zip(self._columns(xs), xs, low, high, strict=True):
-            known = columns.get(column, (x, bottom, top))
-            columns[column] = (known[0], min(known[1], bottom), max(known[2], top))
-        x, bottoms, tops = np.array(list(columns.values())).T
-        opacity = _BAR if len(columns) <= MANY else _PALE_BAR
-        self._axes.strokes(np.column_stack([x, bottoms]), np.column_stack([x, tops]), BLUE, 0.9, opacity)
-
-    def dots(
-        self, xs: Sequence[float], values: Sequence[float], texts: Sequence[str], beyond: Iterable[int]
-    ) -> None:
-        """Draw dots; those beyond the limits are red and larger."""
-        red, points = set(beyond), np.column_stack([xs, values])
-        plain = [place for place in range(len(points)) if place not in red]
-        if len(points) <= _MOST_DOTS_WITH_TEXT:
-            self._told_dots(points, plain, texts, BLUE, 2.1)
-        else:
-            _, kept = np.unique(np.round(2 * self._axes.at(points[plain])), axis=0, return_index=True)
-            self._axes.dots(points[plain][kept], BLUE, 2.5)
-        self._told_dots(points, sorted(red), texts, RED, 3.3)
-
-    def rule(self, value: float, name: str, *, dashed: bool = True) -> None:
-        """Draw a horizontal line over the whole width, with its name at the right."""
-        self._axes.level(value, INK if dashed else MUTED, 0.8, dash="5 3" if dashed else "")
-        self.name_at_right(value, name)
-
-    def name_at_right(self, value: float, name: str) -> None:
-        """Write a name to the right of the axes."""
-        self._axes.text((self._axes.x.high, value), name, by=(4.0, 3.0), colour=MUTED, size=FONT)
-
-    def upright(self, value: float, name: str) -> None:
-        """Draw a vertical line with a name, such as the end of the baseline."""
-        self._axes.upright(value, MUTED, dash="2 3")
-        at = value, self._axes.y.high
-        self._axes.text(at, name, by=(-4.0, 8.0), colour=MUTED, anchor="end")
-
-    def svg(self) -> str:
-        """Return the picture."""
-        return self._picture.svg()
-
-    def _told_dots(
-        self, points: Array, places: Sequence[int], texts: Sequence[str], colour: str, radius: float
-    ) -> None:
-        """Draw dots that show their text under the pointer."""
-        for place, (x, y) in zip(places, self._axes.at(points[places]).tolist(), strict=True):
-            told = f"<title>{escape(texts[place])}</title>"
-            self._picture.add(f'<circle cx="{x:g}" cy="{y:g}" r="{radius:g}" fill="{colour}">{told}</circle>')
-
-    def _columns(self, xs: Sequence[float]) -> list[float]:
-        """Return the column of each point, in half points of the picture."""
-        return [round(2 * self._axes.width * share) for share in self._axes.x.share(xs).tolist()]
-
-    def _thinned(self, xs: Sequence[float], values: Sequence[float]) -> list[tuple[float, float]]:
-        """Keep the first, the last, the highest and the lowest point of each column."""
-        columns: dict[float, list[tuple[float, float]]] = {}
-        for column, point in zip(self._columns(xs), zip(xs, values, strict=True), strict=True):
-            columns.setdefault(column, []).append(point)
-        kept: list[tuple[float, float]] = []
-        for found in columns.values():
-            ends = (min(found, key=lambda one: one[1]), max(found, key=lambda one: one[1]))
-            kept += found if len(found) <= 4 else [found[0], *ends, found[-1]]
-        return kept
-
-
-def _wider(
-    values: Sequence[float], share: float, least: float, ticks: Sequence[tuple[float, str]] | None = None
-) -> Scale:
-    """Return a scale that is wider than values by a share of their range; by the least if they are equal."""
-    low, high = min(values), max(values)
-    equal = high - low <= _ROUNDING * max(abs(low), abs(high))
-    margin = least if equal else share * (high - low)
-    return Scale(low - margin, high + margin, ticks=ticks)
-
 
 _TICKS = 4
 
@@ -158,7 +43,7 @@ def _values(chart: ChartData, group: ChartGroupData) -> str:
     values, runs = chart["values"], list(range(1, len(chart["values"]) + 1))
     lows, highs = _ends(chart)
     limits = [chart["lower"], chart["upper"]] if has_limits(chart) else []
-    axes = _Chart(_titled("Values", chart), [1, len(runs)], [*lows, *highs, *limits], _dates(group))
+    axes = Chart(_titled("Values", chart), [1, len(runs)], [*lows, *highs, *limits], _dates(group))
     if has_limits(chart):
         axes.band([1, len(runs)], [chart["lower"]] * 2, [chart["upper"]] * 2)
     axes.bars(runs, lows, highs)
@@ -174,7 +59,7 @@ def _values(chart: ChartData, group: ChartGroupData) -> str:
 def _ranges(chart: LimitedChart, group: ChartGroupData) -> str:
     places = list(range(2, len(chart["values"]) + 1))
     values = [0.0, *chart["ranges"], chart["range_upper"]]
-    axes = _Chart(_titled("Moving ranges", chart), [1, places[-1]], values, _dates(group))
+    axes = Chart(_titled("Moving ranges", chart), [1, places[-1]], values, _dates(group))
     _join(axes, places, chart["ranges"])
     upper, _ = with_uncertainty(chart["range_upper"], chart["sigma"] or 1.0)
     axes.rule(chart["range_upper"], f"≤ {upper}")
@@ -186,7 +71,7 @@ def _ranges(chart: LimitedChart, group: ChartGroupData) -> str:
 
 def _averages(chart: LimitedChart, group: ChartGroupData) -> str:
     average, runs = chart["ewma"], list(range(1, len(chart["values"]) + 1))
-    axes = _Chart(
+    axes = Chart(
         _titled(f"EWMA, λ = {average['lambda']:g}, L = {average['limit']:g}", chart),
         [1, len(runs)],
         [*average["values"], *average["lower"], *average["upper"]],
@@ -232,7 +117,7 @@ def _drift(
     middle_x, middle_y = sum(xs) / len(xs), sum(values) / len(values)
     ends = [min(xs), max(xs)]
     line = [middle_y + slope["value"] * (x - middle_x) for x in ends]
-    axes = _Chart(f"Over {what}: {slope['text']}", ends, [*lows, *highs, *line], labels)
+    axes = Chart(f"Over {what}: {slope['text']}", ends, [*lows, *highs, *line], labels)
     axes.bars(xs, lows, highs)
     texts = _texts(chart, group)
     axes.dots(xs, values, [texts[place] for place in places], ())
@@ -240,7 +125,7 @@ def _drift(
     return axes.svg()
 
 
-def _join(axes: _Chart, xs: Sequence[float], values: Sequence[float]) -> None:
+def _join(axes: Chart, xs: Sequence[float], values: Sequence[float]) -> None:
     """Join the dots; thousands of them would hide each other behind the lines."""
     if len(xs) <= MANY:
         axes.line(xs, values, BLUE, 0.6)
@@ -251,7 +136,7 @@ def _titled(what: str, chart: ChartData) -> str:
     return f"{what} of {chart['name']}{unit}"
 
 
-def _name_limits(axes: _Chart, centre: float, lower: float, upper: float, sigma: float) -> None:
+def _name_limits(axes: Chart, centre: float, lower: float, upper: float, sigma: float) -> None:
     for value, dashed in ((lower, True), (centre, False), (upper, True)):
         axes.rule(value, with_uncertainty(value, sigma)[0], dashed=dashed)
 

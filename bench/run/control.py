@@ -21,12 +21,14 @@ from bench.base.clock import BenchClock
 from bench.base.errors import RunFolderError, StorageError
 from bench.record import events
 from bench.record.events import Commanded, Event
+from bench.record.folder_lock import is_locked
 from bench.record.history import History, RunLog
 from bench.record.inbox import Inbox, KnownBy, MessageId, Poller
 from bench.record.journal import lines_after
 from bench.record.run_folder import JOURNAL
-from bench.record.storage import is_locked, make_folder, storage_errors, sync_folder
-from bench.run.heartbeat import CONTROL, HEARTBEAT, LAST_VIEW
+from bench.record.storage import make_folder, storage_errors, sync_folder
+from bench.run.heartbeat import CONTROL, HEARTBEAT
+from bench.run.last_view import LAST_VIEW
 from sequences.schema import Answer
 
 POLL_S = 0.1

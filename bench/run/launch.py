@@ -25,7 +25,8 @@ from bench.plan.job import Job, documents_of
 from bench.plan.plan import Plan
 from bench.record.events import Event
 from bench.record.history import History, replay
-from bench.record.journal import Entry, Journal
+from bench.record.journal import Journal
+from bench.record.journal_line import Entry
 from bench.record.run_folder import (
     PLAN,
     REPORT,
@@ -34,8 +35,8 @@ from bench.record.run_folder import (
 )
 from bench.record.stored_run import StoredRun
 from bench.run.control import remove_inbox
+from bench.run.crash_log import archive_crash, crash_log, read_crash
 from bench.run.ended_page import remove_ended_page, write_ended_page
-from bench.run.heartbeat import archive_crash, crash_log, read_crash
 from bench.run.ledger_entry import (
     enter_in_ledger,
     ledger_entry,
@@ -47,7 +48,7 @@ from bench.run.run_messages import MakeSender, NoSender, RunMessages
 from bench.run.runner import RunEnd, Runner
 from bench.run.steps import intentions
 from bench.solve.result import Outcome
-from bench.solve.results_content import plugins_of_run, run_software
+from bench.solve.software import plugins_of_run, run_software
 from bench.stations.devices import Devices
 from bench.stations.station import PictureFolderConfig
 from bench.wording.conformity import conformity_headline

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, Unpack, cast, get_args
 
 from bench.record.events import Circumstances, Entering, Event, LeftOff
 from bench.record.history import History
-from bench.record.journal import Entry
+from bench.record.journal_line import Entry
 from sequences.script import PromptStep, SettleStep, WaitStep
 
 if TYPE_CHECKING:

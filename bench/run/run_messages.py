@@ -12,7 +12,7 @@ from bench.base.errors import BenchError
 from bench.record.events import Entering
 from bench.run.interlocks import interlock_text
 from bench.run.status import read_status, status_text
-from bench.stations.station_fields import MessagesConfig
+from bench.stations.messages_section import MessagesConfig
 
 HOLD_NOTIFY_INTERVAL_S = 600.0
 """Shortest time between two notifications about holds by the same interlock, s."""

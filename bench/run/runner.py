@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Literal, NotRequired, TypedDict, cast
 
 from bench.base.clock import Aborted, BenchClock, Interrupted
-from bench.base.errors import FORESEEN, Failure, StorageError
+from bench.base.errors import StorageError
+from bench.base.failure import FORESEEN, Failure
 from bench.base.progress import Progress
 from bench.plan.job import DEVICE_STEPS, Job, ScriptStep
 from bench.record import events

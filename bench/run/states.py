@@ -17,9 +17,9 @@ from bench.measure.measure import Measurement
 from bench.plan.job import Job, ScriptStep
 from bench.record import events
 from bench.record.journal import capture_name
-from bench.record.run_folder import recover, written_files
-from bench.run.heartbeat import leave_view
+from bench.record.recovery import recover, written_files
 from bench.run.interlocks import Trip, interlock_text
+from bench.run.last_view import leave_view
 from bench.run.machine import State
 from bench.run.run_devices import RunContext
 from bench.stations.devices import Devices

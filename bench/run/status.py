@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from bench.base.encoding import clock_text, counted, times
 from bench.base.errors import RunFolderError, StorageError
 from bench.base.home import home_folder
-from bench.evidence.authorisation import known_authorisations
+from bench.evidence.authorisations import known_authorisations
 from bench.evidence.states import home_trust, shown_state
 from bench.record.events import (
     AttemptChecked,
@@ -25,11 +25,12 @@ from bench.record.events import (
     RunEnded,
     RunResumed,
 )
+from bench.record.folder_lock import is_locked
 from bench.record.history import NO_END, NOT_ASKED, DeviceEnd, History, all_ends, lost_ends, way_on
-from bench.record.journal import Entry
+from bench.record.journal_line import Entry
 from bench.record.run_facts import estimates, factors_text
 from bench.record.run_folder import PLAN
-from bench.record.storage import is_locked, read_json
+from bench.record.storage import read_json
 from bench.record.stored_run import StoredRun
 from bench.run.interlocks import interlock_text
 from bench.run.machine import END_STATES, TimeLeft

@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 from bench.base.errors import BenchError, EvidenceError, RunFolderError, StorageError
 from bench.evidence.findings import UNREADABLE, Findings, Part
 from bench.evidence.seal import INSTRUCTIONS, instructions, kind_of
-from bench.evidence.sshsig import fingerprint, read_signature
+from bench.evidence.ssh_keys import fingerprint
+from bench.evidence.sshsig import read_signature
 from bench.measure.views_file import VIEWS, StoredView, read_views, views_file
-from bench.record.run_folder import EXPORTS, PLAN, REPORT, RESULTS, SIGNATURE
+from bench.record.recovery import EXPORTS
+from bench.record.run_folder import PLAN, REPORT, RESULTS, SIGNATURE
 from bench.record.storage import read_json
 from bench.record.stored_calibration import stored_calibration
 from bench.record.stored_run import StoredRun

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any, cast
 
 from bench.base.errors import BenchError, UsageError
-from bench.measure.views_file import KeptViews, StoredView
+from bench.measure.kept_views import KeptViews
+from bench.measure.views_file import StoredView
 from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
 from bench.record.results import CalibrationData, ConformityData, GimbalReadingsData

@@ -19,13 +19,15 @@ from bench.evidence.keys import BenchKey
 from bench.evidence.seal import seal_folder
 from bench.measure.views_file import VIEWS, views_file
 from bench.plan.job import Job
-from bench.record.run_folder import EXPORTS, MANIFEST, PASSPORT_COPY, RESULTS, is_sealed
+from bench.record.recovery import EXPORTS
+from bench.record.run_folder import MANIFEST, PASSPORT_COPY, RESULTS, is_sealed
 from bench.record.storage import make_folder, sha256_of, storage_errors, write_atomic
 from bench.solve import results_content
 from bench.solve.offline import OfflineResult
-from bench.solve.offline_options import options_data
 from bench.solve.result import shown_files
-from bench.solve.results_content import calculated, collimator_data, files_software, target_data
+from bench.solve.results_content import calculated, collimator_data, target_data
+from bench.solve.software import files_software
+from bench.solve.sources import options_data
 from bench.solve.view_sources import PHOTOGRAPHS, ViewSource, jobs_of
 
 SOURCES = "sources.json"

@@ -12,7 +12,7 @@ from typing import Any
 
 from bench.base.errors import UsageError
 from bench.evidence.keys import BenchKey
-from bench.evidence.seal import read_passport_seal, seal_passport
+from bench.evidence.passport_seal import read_passport_seal, seal_passport
 from bench.plan.passports import passport_bytes, read_passport_file
 from bench.record.run_folder import MANIFEST, is_sealed
 from bench.record.storage import sha256_of, storage_errors, write_atomic

@@ -14,7 +14,7 @@ import numpy as np
 
 from bench.evidence.findings import Findings
 from bench.record.events import Event
-from bench.record.journal import Entry
+from bench.record.journal_line import Entry
 from bench.record.run_folder import JOURNAL
 from bench.record.stored_run import StoredRun
 from drivers.camera.raw_header import MAX_HEADER_BYTES, RawHeader, parse_header

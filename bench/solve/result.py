@@ -17,23 +17,26 @@ from bench.base.bounded_json import canonical_json
 from bench.base.errors import BenchError
 from bench.evidence.seal import read_manifest
 from bench.measure.camera_kinds import EventKind, FrameKind
+from bench.measure.kept_views import KeptViews, view_key
 from bench.measure.measure import Measurement
-from bench.measure.views_file import VIEWS, KeptViews, StoredView, view_key, views_file
+from bench.measure.views_file import VIEWS, StoredView, views_file
 from bench.plan.job import Job
 from bench.record.events import Solved
 from bench.record.history import History, RunLog
 from bench.record.ledger import Ledger, bench_ledger
 from bench.record.ledger_marks import LedgerRun
+from bench.record.recovery import EXPORTS
 from bench.record.results import CameraData, ChangeData, PreviousData, Results
 from bench.record.run_facts import coverage_factor
-from bench.record.run_folder import EXPORTS, MANIFEST, REPORT, RESULTS, RunFolder
+from bench.record.run_folder import MANIFEST, REPORT, RESULTS, RunFolder
 from bench.record.stored_calibration import camera_covariance
 from bench.record.stored_run import object_of
 from bench.report.html import ReportData, render_report
 from bench.report.pictured_poses import pictured_poses
 from bench.report.pose_plot import change_maps
 from bench.solve.exports import exports
-from bench.solve.results_content import results_content, run_software
+from bench.solve.results_content import results_content
+from bench.solve.software import run_software
 from bench.solve.solution import Solution, main_numbers, solve_run
 from bench.solve.view_sources import decided_by_run
 from calib.boards.board import Board

@@ -6,19 +6,19 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
-from typing import Any, Final, cast
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench import __version__
-from bench.base.home import differing_software, forms
+from bench.base.program import differing_software, forms
 from bench.measure.camera_kinds import CameraKind
 from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
-from bench.record.events import AttemptData, GateData, RunStarted
+from bench.record.events import AttemptData, GateData
 from bench.record.history import Attempt, History
 from bench.record.results import (
     Conditions,
@@ -31,8 +31,6 @@ from bench.record.results import (
 from bench.record.run_facts import conformity
 from bench.report.maps import reach_px, star_distance
 from bench.solve.solution import Solution, compare_with_truth
-from bench.stations.plugin_sections import GROUPS, Plugin, plugins
-from bench.stations.station import Station
 from calib.calibration import ENGINES, Calibration, ViewSummary
 from calib.model.camera import CameraModel
 from calib.model.result_parts import WORST_CORNER
@@ -284,75 +282,3 @@ def _pose_gates(history: History) -> list[GateData]:
         for index, attempt in sorted(history.accepted().items())
         for gate in attempt.gates
     ]
-
-
-# A verification may run on a computer without plug-ins and the libraries of drivers. So `other_software` does
-# not compare them, and a run that cannot be read without a plug-in is told as not compared.
-
-_LIBRARIES: Final = {"neuromorphic_evk4": "neuromorphic-drivers"}
-"""Package that a built-in driver needs, by the name of the driver."""
-_READERS: Final = {
-    ".aedat4": "aedat",
-    ".bag": "rosbags",
-    ".db3": "rosbags",
-    ".mcap": "rosbags",
-}
-"""Package that reads recordings of others, by the ending of the file."""
-_NOT_STATED: Final = "not stated"
-
-
-def run_software(station: Station) -> dict[str, str]:
-    """Return `software`, and versions of plug-ins and optional libraries that the station uses."""
-    brought = {plugin.distribution: plugin.version for plugin in used_plugins(station)}
-    library = _LIBRARIES.get(getattr(station.camera, "driver", ""))
-    own = software()  # whose entries no package replaces
-    return own | brought | _versions([library] if library is not None else []) | own
-
-
-def files_software(endings: Iterable[str]) -> dict[str, str]:
-    """Return `software`, and the version of each optional library that reads files with such endings."""
-    readers = {_READERS[ending.lower()] for ending in endings if ending.lower() in _READERS}
-    return software() | _versions(readers)
-
-
-def plugins_of_run(station: Station) -> dict[str, dict[str, list[str]]]:
-    """Return ``plugins`` of a station as ``run_started`` states them, ``["stage turntable"]`` a package; or nothing."""
-    found: dict[str, list[str]] = {}
-    for plugin in used_plugins(station):
-        found.setdefault(plugin.distribution, []).append(f"{plugin.kind} {plugin.name}")
-    return {"plugins": found} if found else {}
-
-
-def plugins_stated(started: RunStarted) -> dict[str, str]:
-    """Return the plug-ins that a run used, by its journal: ``{"starbench-turntable 1.0": "stage turntable"}``."""
-    versions = started.get("software") or {}
-    return {
-        f"{name} {versions.get(name, _NOT_STATED)}": ", ".join(drivers)
-        for name, drivers in (started.get("plugins") or {}).items()
-    }
-
-
-def plugins_missing(started: RunStarted) -> list[str]:
-    """Return the plug-ins of a run that this computer does not have, or not in the version of the run."""
-    here = {plugin.package for kind in GROUPS for plugin in plugins(kind) if not plugin.trouble}
-    return [package for package in plugins_stated(started) if package not in here]
-
-
-def used_plugins(station: Station) -> Iterator[Plugin]:
-    """List the plug-ins that the sections of a station name."""
-    for kind in GROUPS:
-        section = type(getattr(station, kind))
-        for plugin in plugins(kind):
-            if plugin.section is section and plugin.distribution:
-                yield plugin
-
-
-def _versions(packages: Iterable[str]) -> dict[str, str]:
-    """Return the versions of packages; one that is missing has taken no part."""
-    found = {}
-    for name in sorted(packages):
-        try:
-            found[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return found

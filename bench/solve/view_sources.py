@@ -19,7 +19,8 @@ from bench.record.events import RunStarted
 from bench.record.history import Attempt
 from bench.record.run_folder import JOURNAL
 from bench.record.stored_run import StoredRun
-from bench.solve.offline_options import OfflineOptions, read_point_file
+from bench.solve.offline_options import OfflineOptions
+from bench.solve.point_files import read_point_file
 from calib.boards.board import Board
 from calib.errors import InputMismatch, TargetNotFound, TooFewStars
 from calib.view import View

@@ -16,7 +16,8 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
-from bench.stations.station_fields import SIMULATED_PREFIX, UNKNOWN_PORT, Serial, Text
+from bench.stations.placeholders import UNKNOWN_PORT
+from bench.stations.station_fields import SIMULATED_PREFIX, Serial, Text
 from drivers.camera import EventCamera
 from drivers.camera.frames import FrameCamera, FrameSettings
 from drivers.clock import Clock

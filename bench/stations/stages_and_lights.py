@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 from pydantic import AfterValidator, Field, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from bench.stations.plugin_sections import with_plugins
+from bench.stations.placeholders import ToFillIn, not_zero
+from bench.stations.plugins import with_plugins
 from bench.stations.sections import (
     AnyLight,
     AnyStage,
@@ -24,7 +25,7 @@ from bench.stations.sections import (
     differing,
     driver_axes,
 )
-from bench.stations.station_fields import Port, Serial, Text, ToFillIn, not_zero
+from bench.stations.station_fields import Port, Serial, Text
 from bench.stations.station_text import TextLightConfig, TextStageConfig
 from drivers.clock import Clock
 from drivers.light import Light, LightSettings

@@ -17,7 +17,8 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from bench.base.errors import UsageError
-from bench.stations.plugin_sections import with_plugins
+from bench.stations.messages_section import MessagesConfig
+from bench.stations.plugins import with_plugins
 from bench.stations.sections import (
     AxisConfig,
     EventCameraConfig,
@@ -31,7 +32,6 @@ from bench.stations.station_fields import (
     SIMULATED_PREFIX,
     FocalLength,
     InterlocksConfig,
-    MessagesConfig,
     Port,
     Serial,
     TargetConfig,

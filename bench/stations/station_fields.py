@@ -4,67 +4,13 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationInfo, field_validator, model_validator
+from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 from pydantic_core import PydanticCustomError
 
-from bench.base.bounded_json import leaves
 from calib.errors import InputMismatch
 from calib.target import StarTarget
 from drivers.port_address import PORT_REMEDY, SOURCE_REMEDY, refused_port, refused_source
 from sequences.strict_model import StrictModel, Within
-from sequences.tree import Fault, Tree, path_text
-
-# Placeholders in a drafted or example station file for values that a person must fill in.
-#
-# A file with placeholders is valid, so that `plan` can read it and name every value that is missing; but no
-# run starts.
-
-UNKNOWN_SERIAL = "ASK-THE-LABEL"
-UNKNOWN_NUMBER = "ASK-THE-DATA-SHEET"
-UNKNOWN_PORT = "/dev/serial/by-id/CHOOSE-A-PORT"
-UNKNOWN_ADDRESS = "socket://CHOOSE-AN-ADDRESS:5025"
-UNKNOWN_SOURCE = "/dev/v4l/by-id/CHOOSE-A-CAMERA"
-UNKNOWN_BOARD = "NAME-THE-BOARD"
-UNKNOWN_LABORATORY = "YOUR-LABORATORY"
-_ALL = frozenset(
-    {
-        UNKNOWN_SERIAL,
-        UNKNOWN_NUMBER,
-        UNKNOWN_PORT,
-        UNKNOWN_ADDRESS,
-        UNKNOWN_SOURCE,
-        UNKNOWN_BOARD,
-        UNKNOWN_LABORATORY,
-    }
-)
-
-
-def _accept_placeholder(value: Any) -> Any:
-    """Replace the placeholder of a number by 1, so that the file can be read and what is missing named."""
-    return 1.0 if value == UNKNOWN_NUMBER else value
-
-
-ToFillIn = BeforeValidator(_accept_placeholder)
-"""Marks a number of a station file that a draft leaves open."""
-
-
-def not_zero(scale: float) -> float:
-    """Refuse a scale of 0."""
-    if scale == 0:
-        raise PydanticCustomError("no_scale", "a scale of 0 moves nothing.")
-    return scale
-
-
-def find_placeholders(station: Tree) -> list[Fault]:
-    """Find the values of a drafted station file that are not filled in yet."""
-    return [
-        Fault(
-            station.file, *station.spot(path), path_text(path), f"this value is missing (placeholder {text})."
-        )
-        for path, text in leaves(station.value)
-        if isinstance(text, str) and text in _ALL
-    ]
-
 
 SIMULATED_PREFIX = "sim:"
 SIMULATED_PORTS = (
@@ -138,65 +84,6 @@ Positive = Annotated[float, Within(1e-6, 1e9)]
 
 
 FocalLength = Annotated[float, Within(1, 100_000, "mm")]
-
-
-# The messages section of a station file: on which occasions messages are sent, and by mail, webhook or
-# other services.
-#
-# A station file has no secrets, because it is copied into every run folder. It names the environment
-# variables that hold passwords and secret addresses.
-
-Occasion = Literal["failure", "hold", "end"]
-Address = Annotated[str, Field(max_length=254, pattern=r"^[^\s@<>\"]+@[^\s@<>\"]+$")]
-Url = Annotated[str, Field(max_length=2000, pattern=r"^https?://[^\s]+$")]
-
-
-class MailConfig(StrictModel):
-    """Mail, sent by SMTP."""
-
-    host: Text
-    port: Annotated[int, Field(ge=1, le=65535)] = 587
-    security: Literal["starttls", "tls", "none"] = "starttls"
-    sender: Address
-    to: Annotated[tuple[Address, ...], Field(min_length=1, max_length=50)]
-    user: Text | None = None
-    password_env: Variable | None = None
-
-    @model_validator(mode="after")
-    def _never_in_the_clear(self) -> MailConfig:
-        if (self.user is None) != (self.password_env is None):
-            raise PydanticCustomError("half_login", "user and password_env must be given together.")
-        if self.user is not None and self.security == "none":
-            raise PydanticCustomError("in_the_clear", "a password is sent only with starttls or tls.")
-        return self
-
-
-class WebhookConfig(StrictModel):
-    """A JSON object, sent to an address by POST: ``id occasion subject text run folder utc``."""
-
-    url: Url | None = None
-    url_env: Variable | None = None
-
-    @model_validator(mode="after")
-    def _one_address(self) -> WebhookConfig:
-        if (self.url is None) == (self.url_env is None):
-            raise PydanticCustomError("one_address", "give either url or url_env.")
-        return self
-
-
-class AppriseConfig(StrictModel):
-    """A service that the library apprise supports (chat, telephone, ...). Its address is a secret."""
-
-    url_env: Variable
-
-
-class MessagesConfig(StrictModel):
-    """Occasions of messages, and their channels."""
-
-    occasions: tuple[Occasion, ...] = ("failure", "hold", "end")
-    mail: MailConfig | None = None
-    webhooks: Annotated[tuple[WebhookConfig, ...], Field(max_length=20)] = ()
-    apprise: Annotated[tuple[AppriseConfig, ...], Field(max_length=20)] = ()
 
 
 Hold = Annotated[

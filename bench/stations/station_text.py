@@ -10,6 +10,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, Field, PrivateAttr
 
+from bench.stations.placeholders import ToFillIn, not_zero
 from bench.stations.sections import (
     AnyLight,
     AnyStage,
@@ -20,7 +21,7 @@ from bench.stations.sections import (
     differing,
     driver_axes,
 )
-from bench.stations.station_fields import Port, Serial, ToFillIn, not_zero
+from bench.stations.station_fields import Port, Serial
 from bench.stations.text_descriptions import Described, LightProtocol, StageProtocol
 from drivers.clock import Clock
 from drivers.light import Light

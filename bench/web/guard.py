@@ -14,16 +14,11 @@
 from __future__ import annotations
 
 import hmac
-import ipaddress
-import os
 import secrets
 import socket
-import stat
 import time
-from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 from urllib.parse import quote, urlsplit
@@ -33,138 +28,18 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, JSONResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from bench.base.errors import Failure, UsageError
+from bench.base.errors import UsageError
+from bench.base.failure import Failure
 from bench.web.pages import error_answer, read_object
-
-# The token that a browser needs for the pages, and how many wrong tokens a client may send.
-#
-# Every process of this computer can ask the pages, whoever runs it, so they need a secret. Unless a person
-# gives one, each start makes one, and the printed address holds it. A person's token comes from an
-# environment variable or a file, never from an option: every user of the computer can read the options of a
-# running process.
-
-TOKEN_VARIABLE = "STARBENCH_PAGE_TOKEN"  # noqa: S105 - the name of a variable
-LEAST_LENGTH = 12
-_MOST_BYTES = 4096
-_MADE_BYTES = 16
-_NAME_BYTES = 8  # 64 bits in the name of a host: no page of another site can guess where the cookie goes
-_MOST_WRONG, _WRONG_WINDOW_S = 10, 60.0
-_MOST_CLIENTS = 1000
-_USER_COLUMN = 7
-
-
-@dataclass(frozen=True)
-class PageToken:
-    """The token of the pages."""
-
-    text: str
-    made: bool = False  # Whether it was made for this start; the printed address then holds it
-
-
-def page_token(
-    token_file: Path | None, *, none: bool = False, environ: Mapping[str, str] = os.environ
-) -> PageToken | None:
-    """Return the token of the pages, made now if nobody gives one; None if they need none."""
-    if none:
-        if token_file is not None:
-            raise UsageError(
-                "--no-token and --token-file exclude each other.",
-                where="--no-token",
-                remedy="Leave out one of them.",
-            )
-        return None
-    if token_file is None:
-        where, token = TOKEN_VARIABLE, environ.get(TOKEN_VARIABLE, "").strip()
-        if not token:
-            return PageToken(secrets.token_urlsafe(_MADE_BYTES), made=True)
-    else:
-        where, token = str(token_file), _read(token_file)
-    if len(token) < LEAST_LENGTH or not token.isprintable():
-        raise UsageError(
-            f"The token must have at least {LEAST_LENGTH} printable characters.",
-            where=where,
-            remedy="To make one: openssl rand -hex 16",
-        )
-    return PageToken(token)
-
-
-def require_token(host: str, token: PageToken | None) -> None:
-    """Check that pages for other computers have a token."""
-    if token is None and not is_loopback(host):
-        raise UsageError(
-            "Pages that other computers can open need a token.",
-            where=f"--host {host}",
-            remedy="Leave out --no-token. To serve this computer only, leave out --host.",
-        )
-
-
-def is_loopback(host: str) -> bool:
-    """Return whether a name or an address means this computer only: ``localhost``, 127.0.0.0/8 or ::1.
-
-    >>> is_loopback("127.0.0.1"), is_loopback("localhost"), is_loopback("0.0.0.0")
-    (True, True, False)
-    """
-    address = address_of(host)
-    return host.rstrip(".").lower() == "localhost" or (address is not None and address.is_loopback)
-
-
-def address_of(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    """Return the address that a text is; None for a name."""
-    with suppress(ValueError):
-        return ipaddress.ip_address(host)
-    return None
-
-
-class WrongTokens:
-    """Counts the wrong tokens of each client, so that guessing is slow and nobody shuts out another client."""
-
-    def __init__(self, monotonic: Callable[[], float]) -> None:
-        self._monotonic = monotonic
-        self._wrong_s: dict[str, deque[float]] = {}
-
-    def refuse(self, client: str) -> bool:
-        """Return whether a client has sent too many wrong tokens in the last minute."""
-        wrong_s = self._wrong_s.get(client, deque())
-        return len(wrong_s) == _MOST_WRONG and self._monotonic() - wrong_s[0] < _WRONG_WINDOW_S
-
-    def add(self, client: str) -> None:
-        """Note a wrong token; of very many clients the first ones are forgotten."""
-        self._wrong_s.setdefault(client, deque(maxlen=_MOST_WRONG)).append(self._monotonic())
-        if len(self._wrong_s) > _MOST_CLIENTS:
-            del self._wrong_s[next(iter(self._wrong_s))]
-
-
-def client_name(host: str, port: int, own_port: int) -> str:
-    """Return what tells clients apart: the address; on Linux, for this computer, also the user's number."""
-    return f"{host} {_local_user(port, own_port)}" if is_loopback(host) else host
-
-
-def _local_user(port: int, own_port: int) -> str:
-    """Return the number of the user whose process has a connection to the server, or empty (columns: proc(5))."""
-    ends = f":{port:04X}", f":{own_port:04X}"
-    for table in (Path("/proc/net/tcp"), Path("/proc/net/tcp6")):
-        with suppress(OSError):
-            for line in table.read_text("ascii").splitlines():
-                columns = line.split()
-                if columns[1].endswith(ends[0]) and columns[2].endswith(ends[1]):
-                    return columns[_USER_COLUMN]
-    return ""
-
-
-def _read(path: Path) -> str:
-    try:
-        status = path.stat()
-        if os.name == "posix" and status.st_mode & (stat.S_IRGRP | stat.S_IROTH):
-            raise UsageError(
-                "Other users may read the file with the token.", where=str(path), remedy=f"chmod 600 {path}"
-            )
-        if not stat.S_ISREG(status.st_mode) or status.st_size > _MOST_BYTES:
-            raise UsageError("This is not a file with a token.", where=str(path), remedy="Check the path.")
-        return path.read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        what = f"The file with the token cannot be read: {getattr(error, 'strerror', None) or error}."
-        raise UsageError(what, where=str(path), remedy="Check the path and its permissions.") from error
-
+from bench.web.token import (
+    MADE_BYTES,
+    NAME_BYTES,
+    PageToken,
+    WrongTokens,
+    address_of,
+    client_name,
+    is_loopback,
+)
 
 SIGN_IN = "/sign-in"
 _SIGNED_IN = "starbench.signed_in"
@@ -204,9 +79,9 @@ class Guard:
         self._cookie = f"starbench-{port}"  # browsers share cookies between the ports of a host
         self._port = port
         self._token = None if token is None else token.text.encode()
-        self._session = secrets.token_urlsafe(_MADE_BYTES)
+        self._session = secrets.token_urlsafe(MADE_BYTES)
         self._session_host = (
-            f"starbench-{secrets.token_hex(_NAME_BYTES)}.localhost" if token and is_loopback(host) else ""
+            f"starbench-{secrets.token_hex(NAME_BYTES)}.localhost" if token and is_loopback(host) else ""
         )
         """The only host that gets the cookie; empty where the server has one name for all its ports."""
         self._wrong = WrongTokens(monotonic)

@@ -22,7 +22,8 @@ from starlette.types import Message as AsgiMessage
 from starlette.types import Receive, Scope, Send
 
 from bench.base.bounded_json import parse_json
-from bench.base.errors import FORESEEN, Failure, RunFolderError, UsageError
+from bench.base.errors import RunFolderError, UsageError
+from bench.base.failure import FORESEEN, Failure
 
 # Server-sent events (WHATWG HTML, section 9.2): messages with ids, a heartbeat, and an end when the reader
 # leaves.

@@ -24,8 +24,9 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from bench.base.errors import UsageError
-from bench.web.guard import SIGN_IN, Guard, PageToken, address_of, require_token
+from bench.web.guard import SIGN_IN, Guard
 from bench.web.pages import CLOSING
+from bench.web.token import PageToken, address_of, require_token
 
 LOOPBACK = "127.0.0.1"
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from calib.arrays import Array, Array32, Bools, EventArrays, Ints
 from calib.compiled import KERNEL
 from calib.errors import InputMismatch, TooFewEvents
-from calib.events.flicker import EventTimes, Flicker, event_times, folded_rates
+from calib.events.event_times import EventTimes, event_times
+from calib.events.flicker import Flicker, folded_rates
 
 #: Share of a period that a window may lack and still count as whole: 33 ms at 60 Hz are two periods less 1 %.
 PERIOD_TOLERANCE = 0.03

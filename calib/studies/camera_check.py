@@ -26,10 +26,10 @@ from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.arrays import Array, Bools
 from calib.calibration import Calibration, CalibrationOptions
-from calib.compiled import on_one_thread
 from calib.engine import calibrate
 from calib.errors import DegenerateViews
 from calib.model.camera import PINHOLE, CameraModel, require_image_size
+from calib.one_thread import on_one_thread
 from calib.uncertainty.projection_uncertainty import (
     CameraDifference,
     camera_difference,

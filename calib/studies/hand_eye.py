@@ -16,11 +16,11 @@ from dataclasses import replace
 import numpy as np
 
 from calib.arrays import Array
-from calib.compiled import on_one_thread
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.gimbal_readings import AXES, ENCODER_SHARE, ONE_ANGLE_DEG, angles_of
 from calib.model.likelihood_ratio import DECISIVE
 from calib.model.rotation import log_map
+from calib.one_thread import on_one_thread
 from calib.studies.gimbal_faults import Explanation, SeenRotations, search_faults
 from calib.studies.gimbal_model import (
     GimbalFit,

@@ -16,7 +16,6 @@ import numpy as np
 from calib.adjustment.parameters import SAME_POSE_DEG, AdjustmentParameters, views_of_poses
 from calib.arrays import Array
 from calib.calibration import CalibrationOptions
-from calib.compiled import on_one_thread
 from calib.errors import DegenerateViews, TooFewStars
 from calib.joint.budget import budget_rows, row_gradients, variances
 from calib.joint.effects.collimator import CENTRE, RADIAL
@@ -25,6 +24,7 @@ from calib.model.gimbal import Gimbal, aligned_gimbal
 from calib.model.gimbal_readings import angles_of
 from calib.model.result_parts import ROW_QUANTITIES, WORST_CORNER, BudgetRow
 from calib.model.rotation import nearest_rotation
+from calib.one_thread import on_one_thread
 from calib.studies.expected_posterior import (
     Angles,
     PoseGains,

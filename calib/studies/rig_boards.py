@@ -22,10 +22,10 @@ from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.arrays import Array, Bools, rms_length
 from calib.boards.board import Board
-from calib.compiled import on_one_thread
 from calib.errors import DegenerateViews, InputMismatch, NotConverged
 from calib.model.camera import CameraModel, require_image_size
 from calib.model.rotation import exp_map, nearest_rotation, skew
+from calib.one_thread import on_one_thread
 from calib.studies.rig import Rig, common_names
 from calib.uncertainty.covariance import inverse_information
 from calib.view import View

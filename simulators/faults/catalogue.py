@@ -21,7 +21,7 @@ from typing import Any, Final
 from simulators.cameras.streaming import FRAME_CAMERA_FAULTS, STREAM_FAULTS
 from simulators.errors import ConfigError, SimulatorError
 from simulators.faults.line_faults import REPLY_FAULTS, REQUEST_FAULTS
-from simulators.lights.driver import LAMP_FAULTS
+from simulators.lights.lamp import LAMP_FAULTS
 
 Parameter = float | int | str
 

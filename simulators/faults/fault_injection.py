@@ -19,7 +19,8 @@ from simulators.errors import ConfigError
 from simulators.faults.camera_hands import HAND_DEVICES, CameraHands
 from simulators.faults.catalogue import LIGHT_FAULTS, FaultOrder, Parameter
 from simulators.faults.line_faults import FaultLine, LineFault
-from simulators.lights.driver import Lamp, LightDriver
+from simulators.lights.driver import LightDriver
+from simulators.lights.lamp import Lamp
 from simulators.ports.serial_device import SerialDevice
 from simulators.stages.axis_motion import Axis, FaultKind, MotionFault
 

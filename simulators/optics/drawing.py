@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from simulators.compiled import INNER, LOOP
 from simulators.optics.collimator_errors import Aberrations, displacement, reticle_point
-from simulators.optics.lens_focus import image_point
+from simulators.optics.lens import image_point
 from simulators.world.truth import CameraTruth
 
 FloatArray = NDArray[np.float64]

@@ -37,7 +37,8 @@ from simulators.optics.drawing import (
     plane_points,
     spread_kernel,
 )
-from simulators.optics.lens_focus import blur_px, camera_of, ray_grid, reach_px, spread_over_disc
+from simulators.optics.lens import ray_grid
+from simulators.optics.lens_focus import blur_px, camera_of, reach_px, spread_over_disc
 from simulators.optics.outlines import black_polygons
 from simulators.world.gimbal import GimbalTruth, gimbal_rotation, rotation_matrix
 from simulators.world.truth import CollimatorTruth, OpticsTruth, Truth

@@ -15,17 +15,14 @@ from collections.abc import Callable, Mapping
 from typing import Final, Literal, NamedTuple
 
 from simulators.stages.axis_motion import Axis, AxisModel, MotionEvent, Unit
+from simulators.stages.gcode import Block, GcodeError, parse_block, strip_line
 from simulators.stages.grbl_planner import (
-    Block,
-    GcodeError,
     Motion,
     Planner,
     factory_settings,
     format_setting,
     must_be_positive,
-    parse_block,
     parse_setting,
-    strip_line,
 )
 from simulators.world.trajectory import LoadTrajectory
 

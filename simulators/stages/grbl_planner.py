@@ -8,122 +8,14 @@ units/min. The planner handles hold and resume. Lines and states are the control
 from __future__ import annotations
 
 import math
-import re
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Final, NamedTuple
 
 from simulators.stages.axis_motion import Axis, AxisModel
+from simulators.stages.gcode import NUMBER, GcodeError
 from simulators.world.trajectory import LoadTrajectory
-
-# Parser of one G-code block, in the subset that a GRBL controller of a rotary stage needs.
-#
-# Grammar and error numbers are those of GRBL 1.1 (its source, ``gcode.c``, and its wiki page "Interface").
-# The module does not move anything.
-
-NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)")
-_COMMENT: Final = re.compile(r"\([^)]*(?:\)|$)|;.*")
-
-#: Accepted codes without effect here: plane, work offset, units per minute, spindle and coolant off.
-_WITHOUT_EFFECT: Final = {"G17", "G21", "G40", "G49", "G54", "G61", "G80", "G94", "M5", "M9"}
-_GROUPS: Final = {
-    **dict.fromkeys(("G0", "G1"), "motion"),
-    **dict.fromkeys(("G90", "G91"), "distance"),
-    **dict.fromkeys(("G4", "G53"), "once"),
-}
-
-
-class GcodeError(Exception):
-    """A refused block, with an error number of GRBL 1.1."""
-
-    def __init__(self, number: int) -> None:
-        self.number = number
-        super().__init__(f"error:{number}")
-
-
-@dataclass(frozen=True)
-class Block:
-    """Content of a block; None stands for what the block does not contain."""
-
-    motion: str | None = None  # "G0" or "G1"; the last one remains in force
-    distance: str | None = None  # "G90" (absolute) or "G91" (relative); the last one remains in force
-    dwell_s: float | None = None  # Dwell time of G4, s
-    feed: float | None = None  # Feed, units/min
-    machine_coordinates: bool = False  # Whether the block contains G53
-    targets: dict[str, float] = field(default_factory=dict)  # Coordinates by axis letter, units
-
-
-def strip_line(line: str) -> str:
-    """Return a line as the firmware keeps it: without blanks, comments and ``/``, in capitals.
-
-    >>> strip_line("g0 (fast) x-1 ; and back"), strip_line("$ i"), strip_line("G1 (not closed")
-    ('G0X-1', '$I', 'G1')
-    """
-    return re.sub(r"[\s/]", "", _COMMENT.sub("", line)).upper()
-
-
-def parse_block(line: str, axes: str = "XYZ") -> Block:
-    """Parse a block, with or without comments and blanks.
-
-    `GcodeError`: 1 letter expected, 2 bad number, 4 negative value, 20 unsupported code, 21 two codes of one group, 23
-    code is not a whole number, 24 two codes need the axes, 25 repeated letter, 28 dwell time missing.
-
-    >>> parse_block("G90 g1 X-1.5 F600").targets
-    {'X': -1.5}
-    """
-    codes: dict[str, str] = {}
-    values: dict[str, float] = {}
-    for letter, value in _words(strip_line(line)):
-        if letter in "GM":
-            _take_code(letter, value, codes)
-        elif letter not in axes and letter not in "FPNST":
-            raise GcodeError(20)
-        elif letter in values:
-            raise GcodeError(25)
-        elif letter in "FPNST" and value < 0.0:
-            raise GcodeError(4)
-        else:
-            values[letter] = value
-    if codes.get("once") == "G4" and "P" not in values:
-        raise GcodeError(28)
-    return Block(
-        motion=codes.get("motion"),
-        distance=codes.get("distance"),
-        dwell_s=values["P"] if codes.get("once") == "G4" else None,
-        feed=values.get("F"),
-        machine_coordinates=codes.get("once") == "G53",
-        targets={letter: values[letter] for letter in axes if letter in values},
-    )
-
-
-def _words(text: str) -> Iterator[tuple[str, float]]:
-    """Yield the letters of a block, each with its number."""
-    while text:
-        letter, text = text[0], text[1:]
-        if not "A" <= letter <= "Z":
-            raise GcodeError(1)
-        match = NUMBER.match(text)
-        if match is None:
-            raise GcodeError(2)
-        text = text[match.end() :]
-        yield letter, float(match[0])
-
-
-def _take_code(letter: str, value: float, codes: dict[str, str]) -> None:
-    if value != int(value):
-        raise GcodeError(23)
-    code = f"{letter}{int(value)}"
-    if code in _WITHOUT_EFFECT:
-        return
-    if code not in _GROUPS:
-        raise GcodeError(20)
-    group = _GROUPS[code]
-    if group in codes:
-        raise GcodeError(24 if group == "motion" else 21)
-    codes[group] = code
-
 
 HOMING_FEED, HOMING_SEEK, PULL_OFF = 24, 25, 27
 STEPS, MAX_RATE, ACCELERATION, MAX_TRAVEL = 100, 110, 120, 130

@@ -34,11 +34,13 @@ import measured
 from quick_runs import THREE, write_sequence, write_station
 from varied_runs import make_runs
 
-from bench.base.home import forms
+from bench.base.program import forms
+from bench.extras.many.places import Place, find_places
 from bench.extras.many.processes import Processes
-from bench.extras.many.recalculation import TABLE, Recalculation, ResultsFolders
-from bench.extras.many.tasks import Place, Task, find_places, find_view
-from bench.extras.many.work import Serial, Work
+from bench.extras.many.recalculation import Recalculation
+from bench.extras.many.results_folders import TABLE, ResultsFolders
+from bench.extras.many.tasks import Task, find_view
+from bench.extras.many.workers import Serial, Work
 from bench.solve.offline_options import OfflineOptions
 
 ROOT = Path(__file__).parents[2]

@@ -22,11 +22,12 @@ from typing import Any
 
 import measured
 
-from bench.base.home import forms
+from bench.base.program import forms
 from bench.evidence.keys import create_key
-from bench.extras.many.recalculation import ResultsFolders
-from bench.extras.many.tasks import Place, Task, list_recordings
-from bench.measure.views_file import pack_view
+from bench.extras.many.places import Place
+from bench.extras.many.results_folders import ResultsFolders
+from bench.extras.many.tasks import Task, list_recordings
+from bench.measure.kept_views import pack_view
 from bench.record.storage import sha256_of
 from bench.solve.offline import OfflineResult, calibrate_sources
 from bench.solve.offline_folder import offline_files

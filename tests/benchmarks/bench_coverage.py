@@ -18,7 +18,7 @@ from typing import Any
 import measured
 import monte_carlo
 
-from bench.base.home import forms
+from bench.base.program import forms
 from bench.plan.plan import load_documents, make_plan
 from bench.solve.forecasts import expected_bench
 from calib.calibration import CalibrationOptions

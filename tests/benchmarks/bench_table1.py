@@ -22,7 +22,7 @@ from compared.methods import rows_of
 from compared.scenes import recordings_key
 from compared.summary import table
 
-from bench.base.home import forms
+from bench.base.program import forms
 
 Key = tuple[str, int, int, str]
 """Name of the comparison, group of columns, seed, and a hash of all that the result depends on."""

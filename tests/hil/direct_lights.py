@@ -17,7 +17,8 @@ from simulators.config import LightConfig
 from simulators.faults.catalogue import fault_order_from_text
 from simulators.faults.fault_injection import BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
-from simulators.lights.driver import Lamp, LightDriver
+from simulators.lights.driver import LightDriver
+from simulators.lights.lamp import Lamp
 from simulators.world.world import LightState
 from tests.hil.direct_stages import DirectLine, VirtualClock
 

@@ -12,7 +12,7 @@ from drivers.errors import DriverError, LightError, PortLost, ReplyError, Settin
 from drivers.light import LightSettings
 from simulators.faults.catalogue import LIGHT_FAULTS, LINE_FAULTS
 from simulators.faults.line_faults import REPLY_FAULTS, REQUEST_FAULTS
-from simulators.lights.driver import LAMP_FAULTS
+from simulators.lights.lamp import LAMP_FAULTS
 from tests.hil.direct_lights import OPENED, DirectLight, direct_light
 from tests.hil.direct_stages import VirtualClock
 from tests.hil.test_fault_line_fuzz import like

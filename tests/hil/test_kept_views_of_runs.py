@@ -5,7 +5,7 @@ from click.testing import CliRunner
 from quick_runs import THREE, write_sequence, write_station
 
 from bench.commands.cli import cli
-from bench.measure.views_file import FOLDER, KeptViews, pack_view, view_key
+from bench.measure.kept_views import FOLDER, KeptViews, pack_view, view_key
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.view_sources import view_sources
 

@@ -18,7 +18,7 @@ from bench.base.errors import UsageError
 from bench.extras.panel.line import Line
 from bench.extras.panel.panel_app import panel_app
 from bench.record.events import Event
-from bench.web.guard import PageToken
+from bench.web.token import PageToken
 
 PATIENCE_MS = 90_000
 SERIAL = "00050423"

@@ -9,7 +9,7 @@ from running import called, results
 from servers import MailServer, WebServer, serving
 
 from bench.extras.batch.messages import DeliveryFailed, Message, channels_of, send
-from bench.stations.station_fields import AppriseConfig, MailConfig, MessagesConfig, WebhookConfig
+from bench.stations.messages_section import AppriseConfig, MailConfig, MessagesConfig, WebhookConfig
 
 MESSAGE = Message(
     "k" * 64,

@@ -18,7 +18,7 @@ from running import end_when, entering, journal, start
 
 from bench.extras.panel.panel_app import panel_app
 from bench.record.journal import read_journal
-from bench.web.guard import PageToken
+from bench.web.token import PageToken
 
 PATIENCE_S = 60.0
 

@@ -19,7 +19,8 @@ from own_disk import Disk
 
 from bench.base.errors import BenchError
 from bench.record.journal import Journal, read_journal, stored_captures
-from bench.record.run_folder import RunFolder, recover
+from bench.record.recovery import recover
+from bench.record.run_folder import RunFolder
 
 WRITER = """
 import hashlib, os, sys, time
@@ -29,7 +30,7 @@ if sys.argv[2] == "careless":
     os.fsync = lambda descriptor: None
 from bench.record.journal import Journal
 from bench.record.journal import CAPTURE_STORED, capture_name
-from bench.record.run_folder import recover
+from bench.record.recovery import recover
 from bench.record.run_folder import RunFolder
 clocks = {"utc_now": lambda: datetime.now(UTC), "monotonic": time.monotonic}
 path = Path(sys.argv[1])

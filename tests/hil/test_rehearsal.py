@@ -8,8 +8,9 @@ from station_texts import PLAIN
 
 from bench.base.clock import BenchClock, VirtualClock
 from bench.base.errors import RunFolderError, ScriptError, UsageError
-from bench.extras.batch.batch import Batch, rehearse_batch
+from bench.extras.batch.batch import Batch
 from bench.extras.batch.batch_plan import plan_batch, read_queue
+from bench.extras.batch.batch_rehearsal import rehearse_batch
 from bench.extras.batch.rehearsal import rehearse_run
 from bench.extras.batch.supervisor import WorkerEnd
 from bench.record.journal import read_journal

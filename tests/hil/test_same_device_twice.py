@@ -13,7 +13,8 @@ import pytest
 from station_texts import PLAIN
 
 from bench.base.clock import BenchClock
-from bench.stations.devices import Devices, serial_devices
+from bench.stations.device_locks import serial_devices
+from bench.stations.devices import Devices
 from bench.stations.station import Station
 from drivers.errors import PortBusy
 from drivers.file_lock import FOLDER_VARIABLE, DeviceHold

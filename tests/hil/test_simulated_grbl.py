@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulators.stages.grbl_planner import GcodeError, parse_block
+from simulators.stages.gcode import GcodeError, parse_block
 from tests.hil.direct_stages import of_one_port
 
 BANNER = "\r\nGrbl 1.1h ['$' for help]\r\n"

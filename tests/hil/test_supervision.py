@@ -16,9 +16,11 @@ from station_texts import PLAIN
 
 from bench.base.clock import Aborted, BenchClock
 from bench.extras.batch.supervisor import OUT_OF_MEMORY, POLL_S, SILENCE_S, adopt, supervise
-from bench.run.heartbeat import out_of_memory_kills, read_crash
+from bench.run.crash_log import read_crash
+from bench.run.processes import out_of_memory_kills
 from bench.simulated import SimulatedBench
-from bench.stations.devices import make_orphans_safe, open_light
+from bench.stations.devices import open_light
+from bench.stations.orphans import make_orphans_safe
 from bench.stations.station import load_station
 from drivers.light import LightSettings
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from bench.evidence.authorisation import load_file_key
+from bench.evidence.personal_key import load_file_key
 from bench.evidence.signers import AUTHORISATION_NAMESPACE, NAMESPACE, Signer
-from bench.evidence.sshsig import string
+from bench.evidence.ssh_keys import string
 
 needs_ssh_keygen = pytest.mark.skipif(
     shutil.which("ssh-keygen") is None, reason="ssh-keygen is not installed"

@@ -29,13 +29,13 @@ from simulators.optics.drawing import (
     join_cells,
     spread_kernel,
 )
+from simulators.optics.lens import ray_grid
 from simulators.optics.lens_focus import (
     SHARP_PX,
     Spectrum,
     blurred_spectrum,
     brightness,
     camera_of,
-    ray_grid,
     reach_px,
     signed_blur_px,
 )

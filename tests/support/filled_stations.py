@@ -2,8 +2,7 @@
 
 import re
 
-from bench.stations.station import SHIPPED_STATIONS
-from bench.stations.station_fields import (
+from bench.stations.placeholders import (
     UNKNOWN_ADDRESS,
     UNKNOWN_BOARD,
     UNKNOWN_LABORATORY,
@@ -12,6 +11,7 @@ from bench.stations.station_fields import (
     UNKNOWN_SERIAL,
     UNKNOWN_SOURCE,
 )
+from bench.stations.station import SHIPPED_STATIONS
 
 _TEXTS = {
     UNKNOWN_PORT: "/dev/serial/by-id/usb-Maker_Adapter_{}-if00-port0",

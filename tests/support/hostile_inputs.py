@@ -160,7 +160,7 @@ def main() -> None:
     watched = given.folder / "canary"
     watched.mkdir()
     (watched / "victim.txt").write_text("keep me\n")
-    from bench.base.home import set_kernel_cache
+    from bench.base.kernel_cache import set_kernel_cache
 
     set_kernel_cache(os.environ)
     choose = few_cases if given.few else all_cases

@@ -9,8 +9,8 @@ import json
 from datetime import UTC, datetime, timedelta
 
 from bench.record.events import Event
-from bench.record.journal import UnsyncedJournal
 from bench.record.ledger_marks import RUN_BEGUN, RUN_ENDED, LedgerMark, OwnMark, write_own_mark
+from bench.record.unsynced_journal import UnsyncedJournal
 
 BEGIN = datetime(2026, 1, 5, 8, 0, tzinfo=UTC)
 SIGMAS = {"fx": 1.0, "fy": 1.0, "cx": 1.3, "cy": 2.7, "k1": 0.007, "k2": 0.16, "r": 0.08}

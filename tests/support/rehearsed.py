@@ -12,7 +12,8 @@ from bench.extras.batch.virtual_devices import VirtualDevices
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.record.events import Event
-from bench.record.journal import Journal, UnsyncedJournal, read_journal
+from bench.record.journal import Journal, read_journal
+from bench.record.unsynced_journal import UnsyncedJournal
 from bench.run.runner import Runner
 
 BEGIN = datetime(2026, 3, 1, 20, tzinfo=UTC)

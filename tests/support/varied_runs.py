@@ -16,8 +16,9 @@ from pathlib import Path
 
 import numpy as np
 
-from bench.record.journal import UnsyncedJournal, read_journal
+from bench.record.journal import read_journal
 from bench.record.run_folder import JOURNAL
+from bench.record.unsynced_journal import UnsyncedJournal
 
 _VECT_12, _VECT_8 = 0x4, 0x5
 _KEPT = 0.97

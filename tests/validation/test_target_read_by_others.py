@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from bench.stations.station_fields import TargetConfig
-from bench.stations.target_files import (
+from bench.stations.reticle_files import (
     GDS_CELL,
     GDS_OPAQUE,
     GDS_OUTLINE,
@@ -18,6 +17,7 @@ from bench.stations.target_files import (
     OUTLINE_LAYER,
     drawing_file,
 )
+from bench.stations.station_fields import TargetConfig
 from bench.stations.target_shapes import draw_target
 from calib.stars.detect import detect_stars
 from simulators.optics.outlines import black_polygons

@@ -6,22 +6,18 @@ done.
 
 from __future__ import annotations
 
-import json
 import os
-import shutil
 import sys
-import tempfile
 import threading
-from collections.abc import Callable, Iterable
-from dataclasses import replace
-from datetime import datetime
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, ParamSpec
 
-from bench.base.clock import Aborted, BenchClock, VirtualClock
-from bench.base.errors import BenchError, RunFolderError, ScriptError, UsageError
+from bench.base.clock import Aborted, BenchClock
+from bench.base.errors import BenchError, RunFolderError, ScriptError
 from bench.base.home import home_folder
-from bench.extras.batch.batch_plan import WORKER_S, Request, RequestInbox, planned_duration_s, refusal
+from bench.extras.batch.batch_messages import BatchMessages
+from bench.extras.batch.batch_plan import planned_duration_s
 from bench.extras.batch.batch_record import (
     NEVER_S,
     BatchBegun,
@@ -35,117 +31,31 @@ from bench.extras.batch.batch_record import (
     choose_next,
     resume_text,
 )
+from bench.extras.batch.batch_requests import Request, RequestInbox, refusal
 from bench.extras.batch.batch_summary import (
     RUNS,
     DoneRun,
     missed_goals,
     summarise,
-    summary_lines,
     write_summary,
 )
-from bench.extras.batch.messages import Courier, bench_courier
 from bench.extras.batch.supervisor import WorkerEnd, adopt, make_safe_after, supervise
-from bench.extras.history.chart_findings import standard_problem
+from bench.extras.history.check_standard import standard_problem
 from bench.plan.plan import load_documents
 from bench.record.events import event_name
+from bench.record.folder_lock import lock_folder
 from bench.record.history import History
-from bench.record.journal import Journal, UnsyncedJournal
+from bench.record.journal import Journal
 from bench.record.run_folder import JOURNAL, is_sealed
 from bench.record.run_index import QUEUE_COPY
-from bench.record.storage import lock_folder, make_folder, storage_errors, sync_folder, write_atomic
+from bench.record.storage import make_folder, storage_errors, sync_folder, write_atomic
 from bench.record.stored_run import StoredRun
-from bench.record.summaries import BatchSummary, newest_place
-from bench.run.status import read_status, status_text
-from bench.stations.station import load_station
-from sequences.errors import DocumentFaults
+from bench.record.summaries import BatchSummary
+from bench.record.unsynced_journal import UnsyncedJournal
 from sequences.queue import Queue
 from sequences.reader import Located, check_document
 
 P = ParamSpec("P")
-
-# Messages of a batch that no run can send: a process died, hung or could not begin; the batch ended.
-#
-# The station file of each run names the recipients. If a run has sent a message about its failure itself,
-# the batch uses the same key, so that nobody receives the message twice.
-
-REPORTED_BY_BATCH = frozenset({"died", "hung", "failed"})
-
-
-class BatchMessages:
-    """Messages of one batch; ``say`` hears of those that could not be sent, which do not end the batch."""
-
-    def __init__(self, clock: BenchClock, say: Callable[[str], None]) -> None:
-        self._clock = clock
-        self._say = say
-        self._couriers: dict[str, Courier] = {}
-
-    def run_ended(self, key: str, station: str, run: Path, end: WorkerEnd, line: str) -> None:
-        """Send a message about a run that failed, died or hung, which the journal line with this hash records."""
-        courier = self._courier(station)
-        if courier is None or end.how not in REPORTED_BY_BATCH:
-            return
-        what = f"{end.how}{': ' if end.why else ''}{end.why}"
-        text, place = _status_of(run, asked=bool(end.devices))
-        if end.how != "failed":
-            answers = [one.text for one in end.devices] or ["No device was asked after that."]
-            text = "\n".join([f"Its process {what}", *answers, "", text])
-        subject = f"Starbench: run {key} {what}"
-        own_message = _journal_head(run) if end.how == "failed" else ""
-        courier.write("failure", subject, text, run=key, folder=run, key=own_message or line, place=place)
-
-    def batch_ended(self, summary: BatchSummary, folder: Path, line: str) -> None:
-        """Send what the terminal prints at the batch's end to all; ``line`` is the hash of its journal line."""
-        name, how, why = summary["queue"], summary["how"], summary["why"]
-        what = f"{how}{': ' if why else ''}{why}"
-        text = "\n".join(summary_lines(summary))
-        for courier in self._couriers.values():
-            courier.write(
-                "end" if how in {"finished", "aborted"} else "failure",
-                f"Starbench: batch {name} {what}",
-                text,
-                run=name,
-                folder=folder,
-                key=line,
-                place=newest_place(summary["items"]),
-            )
-
-    def add_recipients(self, stations: Iterable[str]) -> None:
-        """Add the recipients that these stations name."""
-        for station in stations:
-            self._courier(station)
-
-    def close(self) -> None:
-        """Try once more to send the messages that are waiting."""
-        for courier in self._couriers.values():
-            courier.close()
-
-    def _courier(self, station: str) -> Courier | None:
-        try:
-            messages = load_station(station).value.messages
-        except DocumentFaults as error:
-            self._say(f"{station} cannot be read any more, so no message can be sent: {error}")
-            return None
-        name = json.dumps(messages.model_dump(), sort_keys=True)
-        if name not in self._couriers:
-            self._couriers[name] = bench_courier(messages, self._clock, self._say)
-        return self._couriers[name]
-
-
-def _status_of(run: Path, *, asked: bool) -> tuple[str, tuple[int, str] | None]:
-    """Return the status of a run as text, without its devices if they were asked since, and its place in the ledger."""
-    try:
-        status = read_status(run)
-    except BenchError as error:
-        return str(error), None
-    return status_text(replace(status, devices=()) if asked else status), status.place
-
-
-def _journal_head(run: Path) -> str:
-    """Return the hash of the last line of a run's journal; empty if there is none."""
-    try:
-        return StoredRun(run).head
-    except BenchError:
-        return ""
 
 
 WAIT_POLL_S = 1.0
@@ -424,67 +334,3 @@ def _set_aside_unbegun(run: Path) -> None:
     with storage_errors(run):
         run.rename(aside)
         sync_folder(run.parent)
-
-
-# In a rehearsal all is as in a real batch but what `bench.extras.batch.rehearsal` lists. It is written in memory
-# if possible, then copied: no sync is needed.
-
-_IN_MEMORY = "/dev/shm"  # noqa: S108 - a folder in memory, not a predictable file name
-_ROOM_BYTES = 1_000_000_000
-
-
-def rehearse_batch(
-    queue: Located[Queue], folder: Path, *, begin: datetime, seed: int, say: Callable[[str], None]
-) -> BatchSummary:
-    """Rehearse a batch, which cannot be continued, from ``begin``, with its zone, to its end, in an empty folder.
-
-    The seed is for runs to which the queue gives none. The same seed and begin give the same journals, byte for byte.
-    """
-    make_folder(folder)
-    with storage_errors(folder):
-        if any(folder.iterdir()):
-            raise UsageError(
-                "The folder is not empty, and a rehearsal cannot be continued.",
-                where=str(folder),
-                remedy="Choose another --output.",
-            )
-    with tempfile.TemporaryDirectory(prefix="starbench-rehearsal-", dir=_memory()) as place:
-        summary = _rehearse(queue, Path(place), VirtualClock(begin), seed, say)
-        with storage_errors(folder):
-            shutil.copytree(place, folder, dirs_exist_ok=True)
-    return summary
-
-
-def _memory() -> str | None:
-    """Return a folder in memory that has enough space; None for the system's usual temporary folder."""
-    try:
-        roomy = shutil.disk_usage(_IN_MEMORY).free > _ROOM_BYTES
-    except OSError:
-        return None
-    return _IN_MEMORY if roomy else None
-
-
-def _rehearse(
-    queue: Located[Queue], folder: Path, clock: VirtualClock, seed: int, say: Callable[[str], None]
-) -> BatchSummary:
-    from bench.extras.batch.rehearsal import rehearse_run
-
-    def work(item: Item, run: Path, _log: Path) -> WorkerEnd:
-        clock.sleep(WORKER_S)
-        own_seed = (item.job.seed if item.job.seed is not None else seed) + item.number
-        job = item.job
-        try:
-            end = rehearse_run(
-                job.sequence,
-                job.station,
-                seed=own_seed,
-                operator=job.operator,
-                folder=run,
-                clock=clock,
-                settings=job.settings,
-            )
-        except BenchError as error:
-            return WorkerEnd("failed", str(error))
-        return WorkerEnd(end.how, end.why)
-
-    return Batch(folder, queue, clock, say, work, rehearsal=True).run()

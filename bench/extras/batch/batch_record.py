@@ -17,7 +17,7 @@ from zoneinfo import ZoneInfo
 from pydantic import ValidationError
 
 from bench.base.errors import JournalBroken
-from bench.record.journal import Entry
+from bench.record.journal_line import Entry
 from sequences.queue import JobConfig, Queue
 
 NEVER_S = math.inf

@@ -38,7 +38,7 @@ from bench.base.clock import BenchClock
 from bench.base.errors import BenchError, StorageError
 from bench.base.home import home_folder
 from bench.record.storage import make_folder, storage_errors
-from bench.stations.station_fields import AppriseConfig, MailConfig, MessagesConfig, WebhookConfig
+from bench.stations.messages_section import AppriseConfig, MailConfig, MessagesConfig, WebhookConfig
 from drivers import file_lock
 
 OUTBOX = "outbox.sqlite3"

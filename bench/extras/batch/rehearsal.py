@@ -23,13 +23,14 @@ from bench.plan.job import Job, documents_of
 from bench.plan.plan import CHECK_S, CHOOSE_S, PREFLIGHT_S, REPORT_S, SOLVE_S, Plan, load_documents, make_plan
 from bench.record.events import Event, MeasuredFacts, Solved, UntilDecided
 from bench.record.history import History, RunLog, replay
-from bench.record.journal import Journal, UnsyncedJournal
+from bench.record.journal import Journal
 from bench.record.results import Results
 from bench.record.run_folder import JOURNAL, PLAN, RESULTS, RunFolder
+from bench.record.unsynced_journal import UnsyncedJournal
 from bench.run.runner import RunEnd, Runner
 from bench.solve.interim import decide_until
 from bench.solve.result import Outcome, ResultWriter
-from bench.solve.results_content import plugins_of_run, run_software
+from bench.solve.software import plugins_of_run, run_software
 from bench.solve.solution import accepted_measurements, compare_with_truth, main_numbers, views_in
 from bench.solve.solve_options import solve_options
 from bench.stations.devices import Devices

@@ -18,19 +18,13 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.clock import Aborted, BenchClock
+from bench.record.folder_lock import is_locked
 from bench.record.history import DeviceEnd, all_ends, lost_ends, unsafe_devices
 from bench.record.run_folder import STATION_COPY
-from bench.record.storage import is_locked
-from bench.run.heartbeat import (
-    SUPERVISOR,
-    Heartbeat,
-    open_process,
-    out_of_memory_kills,
-    read_heartbeat,
-    waits_for_disk,
-    write_crash_log,
-)
-from bench.stations.devices import make_orphans_safe
+from bench.run.crash_log import write_crash_log
+from bench.run.heartbeat import SUPERVISOR, Heartbeat, open_process, read_heartbeat
+from bench.run.processes import out_of_memory_kills, waits_for_disk
+from bench.stations.orphans import make_orphans_safe
 from bench.stations.station import load_station
 from sequences.errors import DocumentFaults
 

@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec, rsa
 
 from bench.base.errors import EvidenceError
-from bench.evidence.signers import refuse_readable_by_others
+from bench.evidence.private_files import refuse_readable_by_others
 from bench.extras.certificate.dcc_xml import (
     DS,
     NAMESPACES,

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError, EvidenceError
-from bench.base.home import differing_software, hash_of_files
+from bench.base.program import differing_software, hash_of_files
 from bench.evidence.findings import PARTS, Findings, Part, Verification
 from bench.extras.certificate.certificate_data import CERTIFICATE, Certificate, Run, Software, sha256
 from bench.record.ledger import Ledger

@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from bench.base.errors import EvidenceError, JournalBroken
-from bench.record.journal import Entry, Journal
+from bench.record.journal import Journal
+from bench.record.journal_line import Entry
 from bench.record.ledger import Ledger
 from bench.record.ledger_marks import highest_counts
 from bench.record.storage import make_folder, storage_errors

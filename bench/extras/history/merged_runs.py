@@ -10,9 +10,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from bench.base.errors import BenchError, JournalBroken, UsageError
-from bench.evidence.keys import KEY_FILE
 from bench.evidence.ledger_check import is_sealed_by, own_public_keys
-from bench.record.journal import Entry
+from bench.evidence.public_half import KEY_FILE
+from bench.record.journal_line import Entry
 from bench.record.ledger import LEDGER, Ledger
 from bench.record.ledger_marks import LedgerRun, runs_of
 from bench.record.run_facts import IndexedRun

@@ -18,8 +18,9 @@ from dataclasses import dataclass
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-from bench.base.errors import Failure, UsageError
-from bench.extras.many.work import Finished, Work, Workers, WorkersLost, do
+from bench.base.errors import UsageError
+from bench.base.failure import Failure
+from bench.extras.many.workers import Finished, Work, Workers, WorkersLost, do
 
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _END_S = 2.0

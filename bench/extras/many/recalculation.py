@@ -11,12 +11,10 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Se
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
-from pathlib import Path
-from typing import Any
 
-from bench.base.errors import FORESEEN, EvidenceError, Failure, StorageError, UsageError
-from bench.evidence.keys import BenchKey
-from bench.evidence.seal import remove_unnamed, seal_folder
+from bench.base.failure import FORESEEN, Failure
+from bench.extras.many.places import Place
+from bench.extras.many.results_folders import ResultsFolders
 from bench.extras.many.tasks import (
     ROW_FORMAT,
     CalibratedData,
@@ -24,7 +22,6 @@ from bench.extras.many.tasks import (
     FailedRow,
     FoundView,
     Listed,
-    Place,
     RunRow,
     SkippedRow,
     Task,
@@ -32,106 +29,8 @@ from bench.extras.many.tasks import (
     find_view,
     list_recordings,
 )
-from bench.extras.many.work import (
-    Finished,
-    Table,
-    TimeLeft,
-    Work,
-    Workers,
-    line_of,
-    rounds,
-)
-from bench.record.run_folder import RESULTS
-from bench.record.storage import sha256_of, storage_errors, sync_folder, write_atomic
-from bench.solve.offline_folder import SealedBy, write_files
-
-# The folder of a recalculation of many runs: a folder of results for each, and one table of all, as lines
-# of JSON.
-#
-# A row is written before its folder gets its name; after a power cut the row without folder counts as not
-# done. Rows are added while the work goes on; at the end the table is written again, one row for each run,
-# in the order of the runs.
-
-TABLE = "recalculated.jsonl"
-_PART = ".part-"
-_KEY_SHOWN = 8
-
-
-class ResultsFolders(Table):
-    """The folder of a recalculation, used by one process at a time; what an interrupted one did is used again.
-
-    ``key`` is the bench's; None leaves the results drafts. ``table_only`` writes no folder for a run.
-    """
-
-    foreign = "The folder is not that of a recalculation"
-
-    def __init__(self, folder: Path, key: BenchKey | None, *, table_only: bool = False) -> None:
-        with storage_errors(folder):
-            is_file = folder.exists() and not folder.is_dir()
-        if is_file:
-            raise UsageError("This is a file, not a folder.", where=str(folder), remedy="Choose another -o.")
-        self.folder, self.key, self.table_only = folder, key, table_only
-        self._reserved: set[str] = set()
-        super().__init__(folder, TABLE)
-        try:
-            for part in folder.glob(f"{_PART}*"):  # of a process that was killed
-                remove_unnamed(part)
-        except BaseException:
-            self.__exit__()
-            raise
-
-    def done(self, place: str, key: str) -> DoneRow | None:
-        """Return the row of a calibration of this key; None if it is to be done, or its results have changed."""
-        row: RunRow | None = self._rows.get(place)
-        if row is None or row["state"] != "done" or row["key"] != key:
-            return None
-        if self.table_only:
-            return row
-        if row["results"] is None:
-            return None
-        results = self.folder / row["results"] / RESULTS
-        try:
-            whole = results.is_file() and sha256_of(results) == row["results_sha256"]
-        except OSError:
-            return None
-        return row if whole else None
-
-    def name_for(self, place_name: str, key: str) -> str:
-        """Return a free name: that of the calibrated folder, and first digits of the key. It is not given out again."""
-        name = f"{place_name}-{key[:_KEY_SHOWN]}"
-        number = 1
-        while name in self._reserved or (self.folder / name).exists():
-            number += 1
-            name = f"{place_name}-{key[:_KEY_SHOWN]}-{number}"
-        self._reserved.add(name)
-        return name
-
-    def write(self, name: str, files: Mapping[str, bytes], row: DoneRow) -> None:
-        """Write, seal and name a folder of results, and add its row."""
-        part = self.folder / f"{_PART}{name}"
-        try:
-            write_files(part, files)
-            if self.key is not None:
-                seal_folder(part, self.key)
-        except (StorageError, EvidenceError):
-            remove_unnamed(part)
-            raise
-        self.append(row)
-        with storage_errors(part):
-            part.rename(self.folder / name)
-            sync_folder(self.folder)
-
-    def finish(self, rows: Iterable[RunRow]) -> None:
-        """Write the table again, in the order given; rows of folders that were not given this time stay behind them."""
-        given = {row["folder"]: row for row in rows}
-        others = [row for place, row in self._rows.items() if place not in given]
-        write_atomic(self.path, b"".join(line_of(row) for row in (*given.values(), *others)))
-
-    def _known(self, row: Any) -> tuple[str, Any]:
-        if not {"state", "key", "results", "results_sha256"} <= row.keys():
-            raise KeyError(row)
-        return str(row["folder"]), row
-
+from bench.extras.many.workers import Finished, TimeLeft, Work, Workers, rounds
+from bench.solve.offline_folder import SealedBy
 
 _AHEAD = 8
 """Runs behind URLs that are listed at the same time: most of that time is spent waiting for answers."""

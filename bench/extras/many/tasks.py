@@ -7,198 +7,29 @@ from __future__ import annotations
 
 import hashlib
 import json
-import posixpath
-import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any, Literal, TypedDict
+from typing import Literal, TypedDict
 
-from bench.base.errors import FORESEEN, BenchError, StorageError, UsageError
+from bench.base.errors import BenchError
+from bench.base.failure import FORESEEN
+from bench.extras.many.places import Place
 from bench.extras.many.work import require_program_of
-from bench.measure.views_file import VIEWS, KeptViews
-from bench.record.run_folder import JOURNAL, REPORT, RESULTS
+from bench.measure.kept_views import KeptViews
+from bench.record.run_folder import JOURNAL, RESULTS
 from bench.record.storage import sha256_of, storage_errors
 from bench.record.stored_run import StoredRun
 from bench.solve.offline import OfflineResult, calibrate_sources, with_kept_views
 from bench.solve.offline_folder import SealedBy, offline_files
-from bench.solve.offline_options import OfflineOptions, options_data
+from bench.solve.offline_options import OfflineOptions
+from bench.solve.sources import options_data
 from bench.solve.view_sources import ViewSource, view_sources
 from calib.errors import CalibrationError
 from calib.view import View
 from drivers.camera.raw_writer import require_regular, require_whole
-
-# Folders with recordings, on a disk or behind a URL that fsspec reads (extra `cluster`), such as
-# ``s3://bucket/runs``.
-#
-# What is behind a URL is copied to a folder for temporary files, for one piece of work at a time: small
-# files of the run, and one recording at most. Writes nothing else.
-
-_URL = re.compile(r"[a-z][a-z0-9+.-]+://")
-_NOT_COPIED = {REPORT, VIEWS}
-_MOST_SMALL_BYTES = 1 << 28
-"""Size of a file of a run that is copied; a journal of a thousand poses has some megabytes."""
-_SIDE_BY_SIDE = 8
-"""Requests at a time; the connections of S3's client are ten."""
-
-
-@dataclass(frozen=True)
-class Place:
-    """A folder with a run or with recordings."""
-
-    name: str
-
-    @property
-    def is_remote(self) -> bool:
-        """Whether it is a URL."""
-        return _URL.match(self.name) is not None
-
-    @property
-    def base_name(self) -> str:
-        """The last part of the name."""
-        return (
-            posixpath.basename(self.name.rstrip("/")) if self.is_remote else Path(self.name).absolute().name
-        )
-
-    @contextmanager
-    def folder(self, *captures: str, only: Collection[str] | None = None) -> Iterator[Path]:
-        """Give the folder as a path here; of a URL a copy that exists in the block, of ``only`` these small files."""
-        if not self.is_remote:
-            yield Path(self.name)
-            return
-        with TemporaryDirectory(prefix="starbench-") as made:
-            copy = Path(made) / self.base_name
-            copy.mkdir()
-            with _remote_errors(self.name):
-                _copy(self.name, copy, captures, only)
-            yield copy
-
-    def said(self, text: str, folder: Path) -> str:
-        """Return a text with the name of this place where it names the copy in ``folder``."""
-        return text.replace(str(folder), self.name) if self.is_remote else text
-
-
-def find_places(names: Sequence[str]) -> list[Place]:
-    """Return the folders that hold runs or recordings: each once, in order; the runs of one in natural order."""
-    found: dict[str, Place] = {}
-    for name in names:
-        place = Place(name)
-        inner = _remote_runs(name) if place.is_remote else _local_runs(Path(name))
-        for one in inner:
-            same = one.rstrip("/") if place.is_remote else str(Path(one).resolve())
-            found.setdefault(same, Place(one if place.is_remote else str(Path(one).absolute())))
-    return list(found.values())
-
-
-def _local_runs(path: Path) -> list[str]:
-    if not path.is_dir():
-        what = "This is a file, not a folder." if path.exists() else "There is no such folder."
-        raise UsageError(what, where=str(path), remedy="Give folders of runs or recordings.")
-    if (path / JOURNAL).is_file():
-        return [str(path)]
-    runs = [one.name for one in path.iterdir() if (one / JOURNAL).is_file() and not one.name.startswith(".")]
-    return [str(path / name) for name in sorted(runs, key=_natural)] or [str(path)]
-
-
-def _remote_runs(url: str) -> list[str]:
-    with _remote_errors(url):
-        system, root = file_system(url)
-        if system.exists(f"{root}/{JOURNAL}"):
-            return [url]
-        listed = system.ls(root, detail=True)
-        folders = [one["name"].rstrip("/") for one in listed if one["type"] == "directory"]
-        are_runs = _side_by_side(system, system.exists, [(f"{folder}/{JOURNAL}",) for folder in folders])
-        runs = [posixpath.basename(one) for one, is_run in zip(folders, are_runs, strict=True) if is_run]
-    if not runs:
-        raise UsageError(
-            "There is no run: behind a URL, only folders of runs are read.",
-            where=url,
-            remedy=f"Give the URL of a folder with {JOURNAL}, or of a folder of such folders; copy other files here.",
-        )
-    return [f"{url.rstrip('/')}/{name}" for name in sorted(runs, key=_natural)]
-
-
-def _copy(url: str, to: Path, captures: Iterable[str], only: Collection[str] | None) -> None:
-    system, root = file_system(url)
-    names = []
-    for one in system.ls(root, detail=True):
-        name = posixpath.basename(one["name"].rstrip("/"))
-        is_small = one["type"] == "file" and name and one["size"] <= _MOST_SMALL_BYTES
-        if is_small and (name not in _NOT_COPIED if only is None else name in only):
-            names.append(name)
-    for name in captures:
-        local = to / name
-        if to not in local.resolve().parents:
-            raise StorageError("A recording lies outside of its run.", where=f"{url}/{name}")
-        local.parent.mkdir(parents=True, exist_ok=True)
-        names.append(name)
-    _side_by_side(system, system.get_file, [(f"{root}/{name}", str(to / name)) for name in names])
-
-
-def _side_by_side(system: Any, request: Callable[..., Any], calls: Sequence[tuple[str, ...]]) -> list[Any]:
-    """Make several requests at a time, of a file system that may be used by several threads: those of its own loop."""
-    if not getattr(system, "async_impl", False):
-        return [request(*arguments) for arguments in calls]
-    with ThreadPoolExecutor(_SIDE_BY_SIDE) as pool:
-        return list(pool.map(lambda arguments: request(*arguments), calls))
-
-
-def file_system(url: str) -> tuple[Any, str]:
-    """Return the file system of a URL, and its path there. Listings are asked for anew each time."""
-    try:
-        from fsspec.core import url_to_fs
-    except ImportError as error:
-        raise _missing(url) from error
-    try:
-        system, root = url_to_fs(url, use_listings_cache=False)
-    except ImportError as error:
-        raise _missing(url) from error
-    except ValueError as error:
-        raise UsageError(
-            f"This URL cannot be read: {error}.", where=url, remedy="Known is, for example, s3://."
-        ) from error
-    system.invalidate_cache()
-    return system, root.rstrip("/")
-
-
-def _missing(url: str) -> UsageError:
-    what = "What reads this URL is not installed."
-    return UsageError(what, where=url, remedy="Install it: pip install 'starbench[cluster]'")
-
-
-@contextmanager
-def _remote_errors(url: str) -> Iterator[None]:
-    """Turn the errors of fsspec and of the libraries below it into ours."""
-    try:
-        yield
-    except BenchError:
-        raise
-    except FileNotFoundError as error:
-        raise UsageError(
-            "There is no such folder or file.",
-            where=str(error.args[0] if error.args else url),
-            remedy=f"Check {url}.",
-        ) from error
-    except PermissionError as error:
-        remedy = "Check the credentials of this computer and of the workers."
-        raise StorageError(f"No permission: {error}.", where=url, remedy=remedy) from error
-    except Exception as error:  # each file system raises its own errors
-        what = f"It cannot be read: {type(error).__name__}: {error}"
-        remedy = (
-            "Check the URL, the endpoint and the network, then repeat the command: what was done is kept."
-        )
-        raise StorageError(what, where=url, remedy=remedy) from error
-
-
-def _natural(name: str) -> list[tuple[int, int, str]]:
-    """Return a sort key that puts run10 after run9."""
-    words = re.split(r"(\d+)", name)
-    return [(0, int(word), "") if word.isdigit() else (1, 0, word) for word in words]
-
 
 ROW_FORMAT = "starbench/recalibration/1"
 _READ = (JOURNAL, "sequence.yaml", "station.yaml", "passport.json")

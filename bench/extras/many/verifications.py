@@ -5,137 +5,17 @@ Only what was made again may be kept, which depends on the bytes of folder and p
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from bench.base.errors import BenchError, Failure, UsageError
-from bench.base.home import forms
 from bench.evidence.findings import Derivation, Findings, SealFault, Verification
 from bench.evidence.key_trust import Trust
 from bench.evidence.verify import verify_folder
-from bench.extras.many.work import Finished, KeptRows, Workers, content_key, map_work, require_program_of
-from bench.record.storage import sha256_of, storage_errors, sync_folder
-from drivers.camera.event_arrays import ReadingChoices
-
-# Many event files converted into one folder: one piece of work each; what is done is known by its content.
-#
-# A worker writes under a temporary name. The command keeps the row and then gives the file its name, so a
-# file with its name is complete, and its row says which bytes it was made of.
-
-CONVERTED = "converted.jsonl"
-_ENDINGS: Mapping[str, str] = {"raw": ".raw", "metavision": ".hdf5", "hdf5": ".h5", "numpy": ".npz"}
-_PART = ".part-"
-
-
-@dataclass(frozen=True)
-class Converted:
-    """The end of one conversion."""
-
-    source: Path
-    target: Path
-    before: bool = False  # Whether an earlier command made it
-    # What was written, as of ``ExportSummary``; None if it failed.
-    summary: Mapping[str, Any] | None = None
-    failure: Failure | None = None  # Why it failed; None if it did not
-
-
-def plan_targets(sources: Sequence[Path], folder: Path, kind: str) -> list[tuple[Path, Path]]:
-    """Return each source with its new file. Raises UsageError if two would have the same name."""
-    pairs = [(source, folder / f"{source.stem}{_ENDINGS[kind]}") for source in dict.fromkeys(sources)]
-    taken: dict[Path, Path] = {}
-    for source, target in pairs:
-        if target in taken:
-            raise UsageError(
-                f"Two files would become {target.name}: {taken[target]} and {source}.",
-                where=str(folder),
-                remedy="Convert them into two folders.",
-            )
-        taken[target] = source
-    return pairs
-
-
-def convert_many(
-    pairs: Sequence[tuple[Path, Path]],
-    kind: str,
-    workers: Workers,
-    kept: KeptRows,
-    ended: Callable[[Converted], None],
-    choices: ReadingChoices | None = None,
-) -> None:
-    """Convert files. One that fails stops no other; ``choices`` say what the sources do not state themselves."""
-    folder, program = kept.path.parent, forms()["program"]
-    for part in folder.glob(f"{_PART}*"):
-        part.unlink()
-    rows = [kept.get(target.name) for _, target in pairs]
-    work = (
-        (source.absolute(), target.absolute(), kind, row, program, choices or ReadingChoices())
-        for (source, target), row in zip(pairs, rows, strict=True)
-    )
-    for number, end in map_work(convert_one, work, workers):
-        source, target = pairs[number]
-        ended(_taken(source, target, end, kept))
-
-
-def _taken(source: Path, target: Path, end: Finished, kept: KeptRows) -> Converted:
-    if end.failure is not None:
-        return Converted(source, target, failure=end.failure)
-    row, before = end.value
-    if not before:
-        kept.add(target.name, row)
-        with storage_errors(target):
-            _part_of(target).rename(target)
-            sync_folder(target.parent)
-    return Converted(source, target, before=before, summary=row["summary"])
-
-
-def convert_one(
-    source: Path,
-    target: Path,
-    kind: str,
-    known: Mapping[str, Any] | None,
-    program: str,
-    choices: ReadingChoices,
-) -> tuple[dict[str, Any], bool]:
-    """Convert one file, unless ``known`` is the row of an earlier conversion of it; also return whether it is."""
-    # Loaded here, because it needs NumPy, HDF5 and numba, which a verification of seals does not.
-    from drivers.camera.formats.event_conversion import convert
-
-    require_program_of(program)
-    with storage_errors(source):
-        decided_by = {"source_sha256": content_hash(source), "kind": kind, **choices.as_json()}
-    if target.exists():
-        ours = known is not None and {**known, **decided_by} == known and sha256_of(target) == known["sha256"]
-        if not ours:
-            raise BenchError(
-                "A file with this name exists, and it is not the conversion of this source.",
-                where=str(target),
-                remedy="Choose a new folder, or remove the file.",
-            )
-        if known is not None and known["program"] == program:
-            return dict(known), True
-    part = _part_of(target)
-    part.unlink(missing_ok=True)  # of a worker that died
-    written = convert(source, part, kind, choices)  # type: ignore[arg-type]
-    made = {"source": str(source), "sha256": sha256_of(part), "program": program, "summary": asdict(written)}
-    return {**decided_by, **made}, False
-
-
-def content_hash(path: Path) -> str:
-    """Return the hash of a file, or of a folder's files and their names."""
-    if not path.is_dir():
-        return sha256_of(path)
-    files = sorted(one for one in path.rglob("*") if one.is_file())
-    listed = "\n".join(f"{sha256_of(one)}  {one.relative_to(path).as_posix()}" for one in files)
-    return hashlib.sha256(listed.encode()).hexdigest()
-
-
-def _part_of(target: Path) -> Path:
-    return target.with_name(f"{_PART}{target.name}")
-
+from bench.extras.many.conversions import content_hash
+from bench.extras.many.work import content_key, require_program_of
 
 VERIFIED = "verified.jsonl"
 
@@ -205,7 +85,8 @@ def derivations_of(folder: Path, *, again: bool) -> list[Derivation]:
 
         found.append(check_recorded_with)
     if again:
-        from bench.solve.again import check_recalculated, check_run_again
+        from bench.solve.again import check_run_again
+        from bench.solve.recalculated_again import check_recalculated
 
         found.append(check_run_again if kind_of(folder) == "run" else check_recalculated)
     return found

@@ -14,7 +14,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from bench.base.bounded_json import parse_json
-from bench.base.errors import Failure, RunFolderError, StorageError
+from bench.base.errors import RunFolderError, StorageError
+from bench.base.failure import Failure
 from bench.extras.panel.run_head import ProcessState, brief_of, faults_of, look_at_process
 from bench.extras.panel.run_model import RunModel
 from bench.extras.panel.shown_run import FolderContent, ListedBatch, ListedRun
@@ -150,7 +151,7 @@ class FolderList:
 
     def _batch(self, folder: Path) -> ListedBatch:
         from bench.extras.batch.batch_summary import read_batch_status
-        from bench.record.storage import is_locked
+        from bench.record.folder_lock import is_locked
 
         now = self._utc_now()
         running = is_locked(folder)

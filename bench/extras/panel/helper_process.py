@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.worker_process import answer_questions
-from bench.run.heartbeat import LastView
+from bench.run.last_view import LastView
 
 if TYPE_CHECKING:
     from bench.extras.panel.shown_run import Uncertainties
@@ -257,7 +257,7 @@ def job_of_run(folder: Path) -> Job:
 
 def answer_request(request: Request[T]) -> T | str:
     """Answer a request, or say why it has no answer; one that fails must not end the others."""
-    from bench.base.errors import Failure
+    from bench.base.failure import Failure
 
     try:
         return request.answer()
@@ -267,7 +267,7 @@ def answer_request(request: Request[T]) -> T | str:
 
 def main() -> None:
     """Answer the panel until its end."""
-    from bench.base.home import set_kernel_cache
+    from bench.base.kernel_cache import set_kernel_cache
 
     with suppress(AttributeError, OSError):
         os.nice(19)

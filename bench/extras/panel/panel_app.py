@@ -25,9 +25,10 @@ from bench.extras.panel.helper_process import PictureAnswer, PictureRequest, pic
 from bench.extras.panel.line import Line
 from bench.extras.panel.shown_run import LogLine
 from bench.extras.panel.watching import MOST_LOG_LINES, Extras, Helper, RunWatch, Watcher
+from bench.record.folder_lock import is_locked
 from bench.record.run_folder import JOURNAL, REPORT
 from bench.record.run_index import QUEUE_COPY
-from bench.record.storage import is_locked, storage_errors
+from bench.record.storage import storage_errors
 from bench.record.summaries import BatchSummary, ItemData
 from bench.run.control import Command, command_text, send
 from bench.web.guard import POLICY, known_by

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from bench.base.errors import BenchError
 from bench.base.home import home_folder
-from bench.evidence.authorisation import known_authorisations
+from bench.evidence.authorisations import known_authorisations
 from bench.evidence.states import home_trust, shown_state
 from bench.extras.panel.run_model import RunModel
 from bench.extras.panel.shown_run import (
@@ -24,8 +24,8 @@ from bench.extras.panel.shown_run import (
     TimesData,
 )
 from bench.record.events import Asked, AttemptChecked, CaptureStored
+from bench.record.folder_lock import is_locked
 from bench.record.run_folder import is_sealed
-from bench.record.storage import is_locked
 from bench.run.heartbeat import CONTROL, HEARTBEAT, SLOW_STALL_LIMIT_S, SLOW_STATES
 from bench.run.interlocks import interlock_text
 from bench.run.machine import END_STATES

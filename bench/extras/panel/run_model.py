@@ -24,7 +24,8 @@ from bench.record.events import (
     UntilDecided,
 )
 from bench.record.history import History, apply_entry
-from bench.record.journal import FIRST_PREV, Entry, decode_line, read_journal
+from bench.record.journal import read_journal
+from bench.record.journal_line import FIRST_PREV, Entry, decode_line
 from bench.record.run_facts import coverage_factor
 from bench.record.run_folder import JOURNAL
 from bench.record.storage import storage_errors

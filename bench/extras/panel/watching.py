@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, TypeVar
 
-from bench.base.errors import Failure
+from bench.base.failure import Failure
 from bench.base.worker_process import WorkerProcess
 from bench.extras.panel.helper_process import (
     CoverageRequest,
@@ -29,7 +29,7 @@ from bench.extras.panel.run_head import ProcessState, head_of, look_at_process
 from bench.extras.panel.run_model import RunModel, read_final
 from bench.extras.panel.shown_run import Coverage, Forecast, RunExtras, RunHead, RunMessage
 from bench.record.history import History
-from bench.run.heartbeat import LastView, read_last_view
+from bench.run.last_view import LastView, read_last_view
 from bench.web.pages import Changes
 
 LOOK_S = 0.02

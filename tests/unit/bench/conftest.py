@@ -12,7 +12,7 @@ from bench.base.bounded_json import canonical_json
 from bench.evidence.keys import create_key, load_key
 from bench.evidence.seal import seal
 from bench.evidence.signers import read_signers
-from bench.measure.views_file import KeptViews
+from bench.measure.kept_views import KeptViews
 from bench.record.journal import CAPTURE_STORED, Journal, capture_name
 from bench.record.run_folder import RunFolder
 from tests.unit.bench.evidence.resealed import copied
@@ -123,5 +123,5 @@ def sealed(sealed_once, tmp_path):
 def own_kept_views(tmp_path, monkeypatch):
     """No test keeps views in the folder of this computer's bench, or takes them from there."""
     monkeypatch.setattr(
-        "bench.measure.views_file.KeptViews.of_bench", lambda: KeptViews(tmp_path / "kept-views")
+        "bench.measure.kept_views.KeptViews.of_bench", lambda: KeptViews(tmp_path / "kept-views")
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from calib.compiled import on_one_thread
+from calib.one_thread import on_one_thread
 
 
 def threads():

@@ -16,7 +16,7 @@ from simulators.faults.camera_hands import CameraHands
 from simulators.faults.catalogue import fault_order_from_text, faults_of
 from simulators.faults.fault_injection import BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
-from simulators.lights.driver import Lamp
+from simulators.lights.lamp import Lamp
 from simulators.world.truth import MountTruth, Truth
 from simulators.world.world import LightState, World
 

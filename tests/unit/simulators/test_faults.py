@@ -15,7 +15,7 @@ from simulators.faults.catalogue import (
     fault_order,
     fault_order_from_text,
 )
-from simulators.lights.driver import Lamp
+from simulators.lights.lamp import Lamp
 from simulators.world.world import LightState, SyncLine
 
 

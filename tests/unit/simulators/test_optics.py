@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from simulators.errors import ConfigError
 from simulators.optics import picture as optics
-from simulators.optics.lens_focus import distort, image_point, ray_grid, undistort
+from simulators.optics.lens import distort, image_point, ray_grid, undistort
 from simulators.world.truth import CAMERAS, CameraTruth, CollimatorTruth, OpticsTruth, Truth
 from simulators.world.truth_config import truth_from_config
 

@@ -10,7 +10,8 @@ from json_form import with_json
 from quick_runs import END, THREE
 from rehearsed import Scene
 
-from bench.base.errors import FORESEEN, BenchError, Failure, JournalBroken, StorageError
+from bench.base.errors import BenchError, JournalBroken, StorageError
+from bench.base.failure import FORESEEN, Failure
 from bench.commands.run import show_run
 from bench.record.events import Event
 from bench.record.history import DeviceEnd, replay

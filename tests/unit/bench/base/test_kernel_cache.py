@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from bench.base import home
-from bench.base.home import PARTS, VARIABLE, missing_parts, remove_stale_kernels, set_kernel_cache
+from bench.base import compile_missing as compiling
+from bench.base.kernel_cache import PARTS, VARIABLE, missing_parts, remove_stale_kernels, set_kernel_cache
 
 ROOT = Path(__file__).parents[4]
 
@@ -66,7 +66,7 @@ def test_a_folder_that_somebody_else_could_have_filled_is_not_used(closed, tmp_p
 
 def test_the_command_line_asks_before_numba_is_imported():
     program = (
-        "import sys, bench.base.home as k; k.set_kernel_cache = lambda e: print('numba' in sys.modules);"
+        "import sys, bench.base.kernel_cache as k; k.set_kernel_cache = lambda e: print('numba' in sys.modules);"
         "from bench.commands.cli import main; main(['--version'])"
     )
     command = [sys.executable, "-c", program]
@@ -119,9 +119,9 @@ def test_missing_parts_are_compiled_in_processes_of_their_own_and_told(monkeypat
         begun.append(words[1:])
         return real([sys.executable, "-c", f"raise SystemExit({int(words[-1] == 'stars')})"], **options)
 
-    monkeypatch.setattr(home, "missing_parts", lambda parts, _environ: tuple(parts))
+    monkeypatch.setattr(compiling, "missing_parts", lambda parts, _environ: tuple(parts))
     monkeypatch.setattr("subprocess.Popen", begin)
-    home.compile_missing(("good", "stars"), said.append)
+    compiling.compile_missing(("good", "stars"), said.append)
     assert begun == [["-m", "bench.warm_up", part] for part in ("good", "stars")]
     assert said[0].startswith("Compiling loops for this processor, once after an installation or an update")
     assert any(text.startswith("  good: compiled, ") for text in said[1:])
@@ -129,5 +129,5 @@ def test_missing_parts_are_compiled_in_processes_of_their_own_and_told(monkeypat
 
 
 def test_nothing_is_said_where_all_is_compiled(monkeypatch):
-    monkeypatch.setattr(home, "missing_parts", lambda _parts, _environ: ())
-    home.compile_missing(PARTS, pytest.fail)
+    monkeypatch.setattr(compiling, "missing_parts", lambda _parts, _environ: ())
+    compiling.compile_missing(PARTS, pytest.fail)

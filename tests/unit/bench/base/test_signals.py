@@ -148,7 +148,7 @@ def test_other_errors_in_clearing_up_go_where_they_went(monkeypatch):
 
 PROGRAM = """
 import sys
-from bench.base.encoding import protect_output, output_is_lost
+from bench.base.lost_output import output_is_lost, protect_output
 protect_output()
 print(sys.stdin.readline(), flush=True)
 for number in range(3):

@@ -11,10 +11,11 @@ from click.testing import CliRunner
 
 from bench.base.errors import BenchError
 from bench.commands.cli import cli
-from bench.evidence.authorisation import known_authorisations
+from bench.evidence.authorisations import known_authorisations
 from bench.evidence.keys import create_key, load_key
+from bench.evidence.revoked_keys import RevokedKey, revoke
 from bench.evidence.seal import seal
-from bench.evidence.signers import RevokedKey, read_signers, revoke
+from bench.evidence.signers import read_signers
 from bench.evidence.states import home_trust, shown_state
 from bench.record.ledger import Ledger
 from bench.record.run_folder import RunFolder

@@ -17,7 +17,7 @@ import pytest
 from terminal_screen import Screen
 
 from bench.base.clock import BenchClock
-from bench.base.progress import Block
+from bench.base.text_block import Block
 from bench.commands.status import status
 from bench.extras.batch.batch_summary import BatchStatus
 from bench.plan.plan import load_documents, make_plan

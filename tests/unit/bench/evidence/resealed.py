@@ -9,8 +9,9 @@ from bench.base.bounded_json import canonical_json
 from bench.evidence.seal import make_manifest
 from bench.evidence.signers import NAMESPACE
 from bench.measure.views_file import read_views, views_file
-from bench.record.journal import FIRST_PREV, encode_line, read_journal
-from bench.record.run_folder import written_files
+from bench.record.journal import read_journal
+from bench.record.journal_line import FIRST_PREV, encode_line
+from bench.record.recovery import written_files
 from bench.record.stored_calibration import stored_calibration
 from bench.report.html import ReportData, render_report
 from bench.report.pictured_poses import pictured_poses

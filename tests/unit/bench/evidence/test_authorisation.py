@@ -11,13 +11,14 @@ import pytest
 from authorising import make_key, needs_ssh_keygen, person, ssh_verifies
 
 from bench.base.errors import EvidenceError, StorageError
-from bench.evidence import seal
+from bench.evidence import beside_seal
 from bench.evidence.authorisation import authorise
+from bench.evidence.beside_seal import add_beside
 from bench.evidence.key_trust import Trust
 from bench.evidence.keys import create_key
-from bench.evidence.seal import RESERVED, add_beside, seal_folder
+from bench.evidence.seal import RESERVED, seal_folder
 from bench.evidence.signers import AUTHORISATION_NAMESPACE, NAMESPACE, Signer
-from bench.evidence.sshsig import fingerprint
+from bench.evidence.ssh_keys import fingerprint
 from bench.evidence.states import State, shown_state, standing_of, stated_time
 from bench.evidence.verify import verify_folder
 from tests.unit.bench.evidence.resealed import copied, reseal, writable
@@ -186,7 +187,7 @@ def test_a_failure_leaves_the_folder_as_it_was(sealed_once, tmp_path, monkeypatc
     shutil.copytree(sealed_once, folder)
     before = modes(folder)
     if named:
-        monkeypatch.setattr(seal, "write_and_link", seal.write_and_rename)
+        monkeypatch.setattr(beside_seal, "write_and_link", beside_seal.write_and_rename)
 
     def fail(*_, **__):
         raise OSError(28, "No space left on device")

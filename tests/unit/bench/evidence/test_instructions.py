@@ -10,9 +10,10 @@ import pytest
 from authorising import needs_openssl, needs_ssh_keygen
 
 from bench.evidence.authorisation import authorise
+from bench.evidence.beside_seal import add_beside
 from bench.evidence.key_trust import Trust
-from bench.evidence.seal import KINDS, add_beside, kind_of, make_manifest, seal_folder
-from bench.evidence.sshsig import fingerprint
+from bench.evidence.seal import KINDS, kind_of, make_manifest, seal_folder
+from bench.evidence.ssh_keys import fingerprint
 
 pytest.importorskip("rfc3161_client", reason="the extra `certificate` is not installed")
 pytestmark = [needs_ssh_keygen, needs_openssl]

@@ -13,30 +13,22 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.base.errors import EvidenceError
-from bench.evidence.authorisation import load_file_key
+from bench.evidence.key_rotation import rotate
 from bench.evidence.key_trust import Moments, Trust, judge_key, read_trust
-from bench.evidence.keys import (
-    create_key,
-    key_to_seal,
-    load_key,
-    require_usable,
-    rotate,
-    usable_key,
-)
+from bench.evidence.keys import create_key, key_to_seal, load_key, require_usable, usable_key
+from bench.evidence.personal_key import load_file_key
+from bench.evidence.revoked_keys import RevokedKey, read_revoked, revoke
 from bench.evidence.seal import seal_folder
 from bench.evidence.signers import (
     NAMESPACE,
-    RevokedKey,
     Signer,
-    read_revoked,
     read_signer,
     read_signers,
     replace_lines,
-    revoke,
     time_text,
     trust,
 )
-from bench.evidence.sshsig import fingerprint
+from bench.evidence.ssh_keys import fingerprint
 from bench.evidence.states import standing_of
 from bench.evidence.timestamp import Stamp
 

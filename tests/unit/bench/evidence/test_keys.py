@@ -12,9 +12,10 @@ from cryptography.hazmat.primitives.asymmetric import ec
 
 from bench.base.errors import EvidenceError, StorageError
 from bench.base.home import home_folder
-from bench.evidence.keys import create_key, ensure_key, load_key, load_public_key
+from bench.evidence.keys import create_key, ensure_key, load_key
+from bench.evidence.public_half import load_public_key
 from bench.evidence.signers import read_signers, trust
-from bench.record.storage import locked_folder
+from bench.record.folder_lock import locked_folder
 
 
 def test_a_key_is_made_at_first_use_kept_and_can_be_read_by_its_owner_alone(tmp_path):

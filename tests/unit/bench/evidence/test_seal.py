@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from bench.base.errors import EvidenceError, RunFolderError, StorageError
 from bench.evidence.seal import list_files, make_manifest, read_manifest, seal
-from bench.evidence.sshsig import is_valid, read_signature, string, strings
+from bench.evidence.ssh_keys import string, strings
+from bench.evidence.sshsig import is_valid, read_signature
 from bench.record.journal import Journal
 from bench.record.run_folder import RunFolder
 from bench.run.launch import seal_finished

@@ -11,8 +11,9 @@ import pytest
 from authorising import make_key
 
 from bench.base.errors import EvidenceError
-from bench.evidence.authorisation import agent_keys, find_key
-from bench.evidence.sshsig import fingerprint, is_valid, read_signature
+from bench.evidence.personal_key import agent_keys, find_key
+from bench.evidence.ssh_keys import fingerprint
+from bench.evidence.sshsig import is_valid, read_signature
 
 needs_agent = pytest.mark.skipif(
     not all(map(shutil.which, ("ssh-agent", "ssh-add", "ssh-keygen"))), reason="ssh-agent is not installed"

@@ -16,16 +16,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.base.errors import EvidenceError
-from bench.evidence.authorisation import load_file_key
-from bench.evidence.sshsig import (
-    Ed25519Signer,
-    NotInstalled,
-    check_key,
-    encode_public_key,
-    is_valid,
-    read_signature,
-    string,
-)
+from bench.evidence.personal_key import load_file_key
+from bench.evidence.ssh_keys import check_key, encode_public_key, string
+from bench.evidence.sshsig import Ed25519Signer, NotInstalled, is_valid, read_signature
 
 
 def no_passphrase(path):

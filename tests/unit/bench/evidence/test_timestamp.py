@@ -16,10 +16,11 @@ from hypothesis import strategies as st
 from bench.base.errors import EvidenceError, UsageError
 from bench.evidence import timestamp, tsa_client
 from bench.evidence.authorisation import authorise
+from bench.evidence.beside_seal import add_beside
+from bench.evidence.der import sets_in_order
 from bench.evidence.findings import Findings
 from bench.evidence.key_trust import Trust
-from bench.evidence.seal import add_beside
-from bench.evidence.sshsig import string
+from bench.evidence.ssh_keys import string
 from bench.evidence.states import standing_of
 from bench.evidence.timestamp import (
     TrustedAuthorities,
@@ -28,7 +29,6 @@ from bench.evidence.timestamp import (
     check_reply,
     check_timestamps,
     read_authorities,
-    sets_in_order,
 )
 from bench.evidence.tsa_client import ask_authority, check_url, make_request
 

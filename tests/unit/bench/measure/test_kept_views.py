@@ -10,16 +10,10 @@ import pytest
 from made_views import made_rim, made_view
 from solved_run import write_solved_run
 
-from bench.measure import views_file
+from bench.measure import kept_views
+from bench.measure.kept_views import DETECTOR_SOURCES, KeptViews, detector_version, pack_view, view_key
 from bench.measure.measure import Measurement
-from bench.measure.views_file import (
-    DETECTOR_SOURCES,
-    KeptViews,
-    detector_version,
-    pack_view,
-    read_views,
-    view_key,
-)
+from bench.measure.views_file import read_views
 from bench.plan.job import Job
 from bench.record.history import replay
 from bench.record.journal import read_journal
@@ -80,7 +74,7 @@ def test_other_bytes_other_options_and_another_detector_are_found_again(kept, re
     recording.write_bytes(b"Events")
     kept.view(recording, OPTIONS, find)
     assert find.calls == 3
-    monkeypatch.setattr(views_file, "detector_version", lambda: "another")
+    monkeypatch.setattr(kept_views, "detector_version", lambda: "another")
     kept.view(recording, OPTIONS, find)
     assert find.calls == 4
 
@@ -203,7 +197,7 @@ def test_several_writers_of_one_entry_leave_it_whole(kept):
 def test_a_recording_with_holes_is_not_hashed(kept, recording, monkeypatch):
     with recording.open("r+b") as file:
         file.truncate(10 << 30)
-    monkeypatch.setattr("bench.measure.views_file.sha256_of", lambda _: pytest.fail("it was hashed"))
+    monkeypatch.setattr("bench.measure.kept_views.sha256_of", lambda _: pytest.fail("it was hashed"))
 
     def find():
         raise ValueError("holes")
@@ -241,7 +235,7 @@ def test_the_version_changes_with_a_source(monkeypatch, tmp_path):
     changed = tmp_path / "calib" / "errors.py"
     changed.parent.mkdir()
     changed.write_text("")
-    monkeypatch.setattr(views_file, "source_files", lambda _root: [])
+    monkeypatch.setattr(kept_views, "source_files", lambda _root: [])
     assert detector_version.__wrapped__() != before
 
 

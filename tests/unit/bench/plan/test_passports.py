@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from station_texts import PLAIN
 
 from bench.base.errors import EvidenceError, UsageError
-from bench.evidence.seal import read_passport_seal, seal_passport
+from bench.evidence.passport_seal import read_passport_seal, seal_passport
 from bench.plan.job import Job, calibration_options, documents_of
 from bench.plan.passports import parse_passport, passport_bytes, read_passport_file
 from bench.plan.plan import load_documents, make_plan

@@ -9,8 +9,8 @@ READS = re.compile(
 )
 OTHER_JOURNALS = {
     "record/stored_run.py", "record/journal.py",
-    "record/ledger.py", "evidence/authorisation.py",  # the ledger, and signatures: chains of lines of their own
-    "extras/batch/batch_summary.py", "extras/batch/batch_plan.py",  # the journal of a batch
+    "record/ledger.py", "evidence/authorisations.py",  # the ledger, and signatures: chains of lines of their own
+    "extras/batch/batch_summary.py", "extras/batch/batch_requests.py",  # the journal of a batch
     "extras/panel/run_model.py",  # follows a journal that grows, line by line
     "record/run_facts.py",  # results.json is read only if its bytes are those that the journal names
     "extras/certificate/check.py", "extras/certificate/issue.py",  # the copy of results.json in the folder of a certificate

@@ -15,7 +15,8 @@ import pytest
 from bench.base.errors import RunFolderError, StorageError, UsageError
 from bench.record import run_folder as run_folder_module
 from bench.record.journal import CAPTURE_STORED, Journal, capture_name, stored_captures
-from bench.record.run_folder import RunFolder, recover
+from bench.record.recovery import recover
+from bench.record.run_folder import RunFolder
 from bench.record.storage import HASH_CHUNK_BYTES
 
 HOLD = "import sys; from pathlib import Path; from bench.record.run_folder import RunFolder; RunFolder.open(Path(sys.argv[1]))"

@@ -13,7 +13,7 @@ from bench.record.journal import Journal
 from bench.record.run_facts import Estimate
 from bench.record.run_folder import RunFolder
 from bench.record.run_index import INDEX, RunIndex, read_run_and_details, run_folders
-from bench.solve.trends import agreement, compare_runs
+from bench.solve.agreement import agreement, compare_runs
 
 DAYS = [datetime(2026, 3, day, 20, 0, tzinfo=UTC) for day in (1, 2, 3)]
 

@@ -11,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from bench.measure.view_picture import ViewPicture
-from bench.report.maps import outlines
+from bench.report.contours import outlines
 from bench.report.plots import deviations_from_truth, regions, residual_vectors
 from bench.report.svg_plot import Key, Picture, Words, axes_in
 from bench.report.svg_scale import Scale, log_ticks, text_width, tick_labels, ticks

@@ -11,7 +11,7 @@ from bench.record.history import replay
 from bench.record.journal import Journal, read_journal
 from bench.record.run_folder import RunFolder
 from bench.run import launch
-from bench.run.heartbeat import CRASH_LOG, write_crash_log
+from bench.run.crash_log import CRASH_LOG, write_crash_log
 from bench.run.launch import Launch, resume_run
 
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}

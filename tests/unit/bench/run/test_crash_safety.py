@@ -16,7 +16,8 @@ from bench.base.errors import BenchError, StorageError
 from bench.evidence.seal import seal
 from bench.evidence.verify import verify_folder
 from bench.record.journal import CAPTURE_STORED, Journal, capture_name, read_journal, stored_captures
-from bench.record.run_folder import RunFolder, recover
+from bench.record.recovery import recover
+from bench.record.run_folder import RunFolder
 
 POSES = 3
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}

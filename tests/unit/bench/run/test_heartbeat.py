@@ -11,7 +11,7 @@ import pytest
 
 from bench.base.clock import BenchClock
 from bench.record.events import ComputerBusy, Event
-from bench.record.journal import Entry
+from bench.record.journal_line import Entry
 from bench.run import heartbeat
 from bench.run.heartbeat import (
     CONTROL,
@@ -24,9 +24,8 @@ from bench.run.heartbeat import (
     HeartbeatWriter,
     open_process,
     read_heartbeat,
-    start_ticks,
-    thread_waits_for_disk,
 )
+from bench.run.processes import start_ticks, thread_waits_for_disk
 from bench.run.status import line_text
 
 

@@ -22,8 +22,9 @@ from rehearsed import Scene, with_runner
 from bench.base.clock import VirtualClock
 from bench.record.events import Event
 from bench.record.history import replay
-from bench.record.journal import UnsyncedJournal, read_journal, stored_captures
+from bench.record.journal import read_journal, stored_captures
 from bench.record.storage import sha256_of
+from bench.record.unsynced_journal import UnsyncedJournal
 from bench.run.control import Command
 from bench.run.machine import EDGES
 from drivers.errors import (

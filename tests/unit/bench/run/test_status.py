@@ -17,7 +17,8 @@ from bench.record.events import Commanded, Event
 from bench.record.journal import Journal
 from bench.record.run_folder import RunFolder
 from bench.run.control import inbox_of
-from bench.run.heartbeat import CONTROL, LAST_VIEW, leave_view, read_last_view
+from bench.run.heartbeat import CONTROL
+from bench.run.last_view import LAST_VIEW, leave_view, read_last_view
 from bench.run.status import read_status, status_text
 from calib.target import StarTarget
 from calib.view import View

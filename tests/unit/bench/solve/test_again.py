@@ -10,10 +10,11 @@ import pytest
 
 from bench.base.bounded_json import canonical_json
 from bench.evidence.verify import verify_folder
-from bench.solve.again import check_recalculated
 from bench.solve.offline import calibrate_paths
 from bench.solve.offline_folder import write_offline_results
-from bench.solve.offline_options import OfflineOptions, options_data, options_of_data
+from bench.solve.offline_options import OfflineOptions
+from bench.solve.recalculated_again import check_recalculated
+from bench.solve.sources import options_data, options_of_data
 from calib.boards.board import Board
 from calib.engine import calibrate
 from tests.unit.bench.evidence.resealed import Forger, copied, kinds

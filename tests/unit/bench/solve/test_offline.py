@@ -16,11 +16,12 @@ from bench.commands.cli import cli
 from bench.commands.keys import key_or_draft
 from bench.evidence.keys import create_key
 from bench.evidence.verify import verify_folder
-from bench.solve.again import check_recalculated
 from bench.solve.offline import calibrate_paths, views_of_one_size
 from bench.solve.offline_folder import require_new, write_offline_results
-from bench.solve.offline_options import OfflineOptions, read_point_file
+from bench.solve.offline_options import OfflineOptions
 from bench.solve.passports import passport_from_certificate, write_passport
+from bench.solve.point_files import read_point_file
+from bench.solve.recalculated_again import check_recalculated
 from bench.solve.solve_options import ONE_VIEW
 from bench.solve.view_sources import refuse_truncated_jpeg
 from calib.errors import DegenerateViews, InputMismatch

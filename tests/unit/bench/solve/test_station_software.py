@@ -3,16 +3,10 @@
 import pytest
 
 from bench.report.run_tables import software as report_rows
-from bench.solve import results_content
-from bench.solve.results_content import (
-    files_software,
-    plugins_missing,
-    plugins_of_run,
-    plugins_stated,
-    run_software,
-    software,
-)
-from bench.stations.plugin_sections import Plugin
+from bench.solve import software as software_module
+from bench.solve.results_content import software
+from bench.solve.software import files_software, plugins_missing, plugins_of_run, plugins_stated, run_software
+from bench.stations.plugins import Plugin
 from bench.stations.station import load_station
 
 STARTED = {
@@ -37,7 +31,7 @@ def brought(monkeypatch, station):
         )
         return {"stage": (other, used), "light": (used,), "camera": ()}[kind]
 
-    monkeypatch.setattr(results_content, "plugins", plugins)
+    monkeypatch.setattr(software_module, "plugins", plugins)
 
 
 def test_a_station_without_plugins_adds_nothing(station):
@@ -51,7 +45,7 @@ def test_a_run_states_the_package_of_each_plugin_that_its_station_uses(brought, 
 
 def test_a_package_never_replaces_an_entry_of_starbench(brought, station, monkeypatch):
     monkeypatch.setattr(
-        results_content,
+        software_module,
         "used_plugins",
         lambda _: [Plugin("stage", "x", "program 6", None, distribution="program", version="6")],
     )
@@ -62,9 +56,9 @@ def test_libraries_of_drivers_and_of_files_of_others_are_stated_where_they_are_u
     assert files_software([".raw", ".png"]) == software()
     installed, real = (
         {"neuromorphic-drivers": "0.18.1", "aedat": "2.3", "rosbags": "0.11"},
-        results_content.version,
+        software_module.version,
     )
-    monkeypatch.setattr(results_content, "version", lambda name: installed.get(name) or real(name))
+    monkeypatch.setattr(software_module, "version", lambda name: installed.get(name) or real(name))
     evk4 = station.model_copy(update={"camera": type("Camera", (), {"driver": "neuromorphic_evk4"})()})
     assert run_software(evk4)["neuromorphic-drivers"] == "0.18.1"
     assert files_software([".AEDAT4", ".raw"]) == software() | {"aedat": "2.3"}

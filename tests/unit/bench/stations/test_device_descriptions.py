@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.stations.devices import serial_devices
+from bench.stations.device_locks import serial_devices
 from bench.stations.station import load_station
 from bench.stations.station_text import (
     SHIPPED_DESCRIPTIONS,

@@ -9,17 +9,12 @@ from filled_stations import filled
 
 from bench.commands.station import show_devices, station_new
 from bench.plan.plan import load_documents, make_plan
-from bench.stations import station_draft
+from bench.stations import discovery
+from bench.stations.discovery import Discovery, FoundPort, discover
+from bench.stations.placeholders import UNKNOWN_PORT, UNKNOWN_SERIAL
 from bench.stations.stages_and_lights import LightConfig
 from bench.stations.station import SHIPPED_STATIONS, CameraConfig, Station, load_station
-from bench.stations.station_draft import (
-    CAMERAS,
-    Discovery,
-    FoundPort,
-    discover,
-    draft_station,
-)
-from bench.stations.station_fields import UNKNOWN_PORT, UNKNOWN_SERIAL
+from bench.stations.station_draft import CAMERAS, draft_station
 from drivers.camera import FoundCamera
 
 CHOICES = {one.name: one.type.choices for one in station_new.params if hasattr(one.type, "choices")}
@@ -37,10 +32,8 @@ def test_a_port_is_called_by_its_id_where_it_has_one(tmp_path, monkeypatch):
     by_id.mkdir()
     (by_id / "usb-Zaber-if00").symlink_to(device)
     infos = [types.SimpleNamespace(device=str(device), description="X-USBDC", serial_number="A1")]
-    monkeypatch.setattr(station_draft.list_ports, "comports", lambda: infos)
-    monkeypatch.setattr(
-        station_draft, "find_cameras", lambda: ([FoundCamera("metavision", "00051", "EVK4")], [])
-    )
+    monkeypatch.setattr(discovery.list_ports, "comports", lambda: infos)
+    monkeypatch.setattr(discovery, "find_cameras", lambda: ([FoundCamera("metavision", "00051", "EVK4")], []))
     found = discover(by_id)
     assert [(port.name, port.note) for port in found.ports] == [(str(by_id / "usb-Zaber-if00"), "")]
     assert found.cameras[0].serial == "00051"
@@ -48,8 +41,8 @@ def test_a_port_is_called_by_its_id_where_it_has_one(tmp_path, monkeypatch):
 
 
 def test_what_is_missing_is_said(monkeypatch, tmp_path):
-    monkeypatch.setattr(station_draft.list_ports, "comports", list)
-    monkeypatch.setattr(station_draft, "find_cameras", lambda: ([], ["OpenEB is not installed."]))
+    monkeypatch.setattr(discovery.list_ports, "comports", list)
+    monkeypatch.setattr(discovery, "find_cameras", lambda: ([], ["OpenEB is not installed."]))
     found = discover(tmp_path / "none")
     assert found.missing == (
         "OpenEB is not installed.",

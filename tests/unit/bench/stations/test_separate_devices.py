@@ -6,8 +6,8 @@ import pytest
 from align_fakes import FakeCamera, FakeLight, FakeStage, wait_until
 
 from bench.base.clock import BenchClock
-from bench.stations import devices as opening
-from bench.stations.devices import LateDevice, SeparateDevices
+from bench.stations import orphans as opening
+from bench.stations.orphans import LateDevice, SeparateDevices
 from bench.stations.station import load_station
 from drivers.errors import PortNotFound, StillOpening
 

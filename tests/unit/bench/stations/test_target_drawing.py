@@ -15,9 +15,10 @@ from matplotlib.path import Path as Outline
 
 from bench.base.errors import UsageError
 from bench.commands.cli import cli
+from bench.stations.reticle_files import WRITERS, drawing_file
 from bench.stations.station import load_station
 from bench.stations.station_fields import TargetConfig
-from bench.stations.target_files import WRITERS, drawing_file, optics_of, use_of
+from bench.stations.target_files import optics_of, use_of
 from bench.stations.target_shapes import draw_target, scale_bar_mm, text_rectangles
 
 SMALL = {"squares": (16, 18), "pitch_mm": 3.0, "tag_square": (6, 7), "serial": "a-7"}
@@ -82,7 +83,7 @@ def test_letters_fill_their_height_and_no_two_are_alike():
 def test_the_same_station_gives_the_same_bytes_in_another_process(ending):
     pytest.importorskip({".dxf": "ezdxf", ".gds": "gdstk"}.get(ending, "numpy"))
     code = (
-        "import sys, pathlib; from bench.stations.target_files import drawing_file, TargetConfig;"
+        "import sys, pathlib; from bench.stations.reticle_files import drawing_file; from bench.stations.station_fields import TargetConfig;"
         f"sys.stdout.buffer.write(drawing_file(TargetConfig(**{SMALL}), pathlib.Path('x{ending}')))"
     )
     seeded = [{**os.environ, "PYTHONHASHSEED": seed} for seed in ("1", "4")]

@@ -14,8 +14,9 @@ from starlette.responses import PlainTextResponse
 from starlette.routing import Route
 
 from bench.base.errors import UsageError
-from bench.web.guard import TOKEN_VARIABLE, Guard, PageToken, client_name, page_token, require_token
+from bench.web.guard import Guard
 from bench.web.pages import page_app
+from bench.web.token import TOKEN_VARIABLE, PageToken, client_name, page_token, require_token
 
 TOKEN = "0123456789abcdef"
 

@@ -8,11 +8,7 @@ from hypothesis import strategies as st
 from calib.adjustment.initialization import passport_starts, planar_starts, spherical_starts
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import CalibrationError, DegenerateViews
-from calib.model.closed_forms import (
-    camera_matrix_from_centre,
-    linear_solution,
-    zhang_matrix,
-)
+from calib.model.closed_forms import camera_matrix_from_centre, linear_solution, zhang_matrix
 from calib.model.collimator import Collimator
 from calib.model.homography import view_homography
 from calib.model.passport import Passport

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from calib.stars.centring import normal_equations, symmetry_samples
+from calib.stars.centring import symmetry_samples
 from calib.stars.grid_map import LocalMap
+from calib.stars.symmetry_loops import normal_equations
 
 random = np.random.default_rng(5)
 IMAGE = random.normal(100.0, 30.0, (60, 70)).astype(np.float32)

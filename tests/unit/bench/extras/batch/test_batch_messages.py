@@ -8,14 +8,15 @@ from station_texts import PLAIN
 
 from bench.base.clock import VirtualClock
 from bench.commands.batch import show_summary
-from bench.extras.batch.batch import BatchMessages
+from bench.extras.batch.batch_messages import BatchMessages
 from bench.extras.batch.messages import Message, Outbox, channels_of
 from bench.extras.batch.supervisor import WorkerEnd
 from bench.record.history import DeviceEnd
 from bench.record.journal import Journal
 from bench.record.run_facts import Estimate
 from bench.record.summaries import newest_place
-from bench.solve.trends import Trend, agreement
+from bench.solve.agreement import agreement
+from bench.solve.trends import Trend
 from bench.stations.station import load_station
 
 NOW = datetime(2026, 3, 1, 20, tzinfo=UTC)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from bench.base.clock import VirtualClock
 from bench.base.errors import StorageError
 from bench.extras.batch.messages import LONGEST_PAUSE_S, Courier, DeliveryFailed, Message, Outbox
-from bench.stations.station_fields import MessagesConfig, WebhookConfig
+from bench.stations.messages_section import MessagesConfig, WebhookConfig
 
 NOW = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)
 

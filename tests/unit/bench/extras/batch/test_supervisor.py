@@ -8,7 +8,8 @@ import pytest
 
 from bench.base.clock import BenchClock, VirtualClock
 from bench.extras.batch.supervisor import OUT_OF_MEMORY, QUIET_S, SILENCE_S, adopt, supervise
-from bench.run.heartbeat import STALL_LIMIT_S, Heartbeat, waits_for_disk
+from bench.run.heartbeat import STALL_LIMIT_S, Heartbeat
+from bench.run.processes import waits_for_disk
 
 
 def test_a_worker_that_cannot_be_started_has_failed_and_the_night_may_go_on(tmp_path):

@@ -12,15 +12,9 @@ from many_runs import BEGIN, SIGMAS, VALUES, write_run
 
 from bench.base.errors import UsageError
 from bench.evidence.states import ShownState
+from bench.extras.history.columns import COLUMNS, SCHEMA, parameter_columns, table_row
 from bench.extras.history.merged_runs import RunPlace
-from bench.extras.history.table import (
-    COLUMNS,
-    ROWS_AT_ONCE,
-    SCHEMA,
-    parameter_columns,
-    table_row,
-    write_table,
-)
+from bench.extras.history.table import ROWS_AT_ONCE, write_table
 from bench.record.run_index import RunIndex
 
 DOCUMENT = Path(__file__).parents[5] / "docs" / "runs-table.md"

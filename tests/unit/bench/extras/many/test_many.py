@@ -9,13 +9,15 @@ import pytest
 from click.testing import CliRunner
 
 from bench.base.errors import UsageError
-from bench.base.home import forms
+from bench.base.program import forms
 from bench.commands.cli import cli
 from bench.evidence.findings import Findings
 from bench.evidence.key_trust import Trust
 from bench.extras.many import verifications
-from bench.extras.many.verifications import Check, check_one, convert_many, plan_targets
-from bench.extras.many.work import KeptRows, Serial
+from bench.extras.many.conversions import convert_many, plan_targets
+from bench.extras.many.verifications import Check, check_one
+from bench.extras.many.work import KeptRows
+from bench.extras.many.workers import Serial
 from drivers.camera import CameraIdentity
 from drivers.camera.event_arrays import Events, Triggers
 from drivers.camera.formats.event_conversion import Evt3Encoder
@@ -90,8 +92,8 @@ def test_an_interrupted_conversion_goes_on_and_replaces_nothing_of_others(record
     assert not list(out.glob(".part*"))
     with np.load(out / "p2.npz") as arrays:
         assert len(arrays["t"]) == 4000
-    monkeypatch.setattr("bench.extras.many.verifications.forms", lambda: {"program": "newer"})
-    monkeypatch.setattr("bench.extras.many.verifications.require_program_of", lambda _program: None)
+    monkeypatch.setattr("bench.extras.many.conversions.forms", lambda: {"program": "newer"})
+    monkeypatch.setattr("bench.extras.many.conversions.require_program_of", lambda _program: None)
     assert [one.before for one in converted(recordings, out)] == [False, False], "by another program, again"
     before = (out / "p1.npz").read_bytes()
     recordings[0].write_bytes(recordings[1].read_bytes())

@@ -8,9 +8,10 @@ import pytest
 from solved_run import write_solved_run
 
 from bench.base.errors import StorageError, UsageError
-from bench.base.home import forms
+from bench.base.program import forms
+from bench.extras.many.places import Place, find_places
 from bench.extras.many.recalculation import listed_ahead
-from bench.extras.many.tasks import FoundView, Place, Task, calibrate_found, find_places, list_recordings
+from bench.extras.many.tasks import FoundView, Task, calibrate_found, list_recordings
 from bench.measure.views_file import read_views
 from bench.record.storage import sha256_of
 from bench.solve.offline_options import OfflineOptions

@@ -8,14 +8,16 @@ import pytest
 from click.testing import CliRunner
 from expected_stars import THREE, expected_views, write_points
 
-from bench.base.home import forms
+from bench.base.program import forms
 from bench.commands.cli import cli
 from bench.evidence.keys import create_key
 from bench.evidence.signers import SIGNERS_FILE, read_signers
 from bench.evidence.verify import verify_folder
-from bench.extras.many.recalculation import TABLE, Recalculation, ResultsFolders
-from bench.extras.many.tasks import Place, Task, find_places, list_recordings
-from bench.extras.many.work import Serial, WorkersLost
+from bench.extras.many.places import Place, find_places
+from bench.extras.many.recalculation import Recalculation
+from bench.extras.many.results_folders import TABLE, ResultsFolders
+from bench.extras.many.tasks import Task, list_recordings
+from bench.extras.many.workers import Serial, WorkersLost
 from bench.solve.offline import calibrate_paths
 from bench.solve.offline_options import OfflineOptions
 

@@ -7,7 +7,7 @@ import pytest
 
 from bench.base.errors import UsageError
 from bench.extras.many.processes import DaskWorkers
-from bench.extras.many.work import Work, WorkersLost
+from bench.extras.many.workers import Work, WorkersLost
 from tests.unit.bench.extras.many.test_work import DASK, ends
 
 distributed = pytest.importorskip("distributed")

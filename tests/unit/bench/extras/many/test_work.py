@@ -8,7 +8,7 @@ import cluster_work
 import pytest
 
 from bench.extras.many.processes import DaskWorkers, Processes
-from bench.extras.many.work import Serial, TimeLeft, Work, map_work
+from bench.extras.many.workers import Serial, TimeLeft, Work, map_work
 
 
 def ends(workers, *works):

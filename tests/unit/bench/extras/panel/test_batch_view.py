@@ -22,7 +22,7 @@ from bench.extras.panel.helper_process import (
 from bench.extras.panel.panel_app import BatchView
 from bench.extras.panel.watching import Helper, forecast_poses
 from bench.measure.measure import StoredImage
-from bench.run.heartbeat import LastView
+from bench.run.last_view import LastView
 from calib.target import StarTarget
 
 

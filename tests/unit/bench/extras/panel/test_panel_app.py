@@ -17,7 +17,7 @@ from bench.extras.panel.panel_app import Panel, panel_app
 from bench.extras.panel.run_model import JournalTail
 from bench.record.events import Asked
 from bench.record.journal import read_journal
-from bench.web.guard import PageToken
+from bench.web.token import PageToken
 from tests.support.align_fakes import wait_until
 
 PATIENCE_S = 20.0

@@ -1,0 +1,85 @@
+"""A batch in a rehearsal: all is as in a real one but what `bench.extras.batch.rehearsal` lists.
+
+It is written in memory if possible, then copied: no sync is needed.
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+
+from bench.base.clock import VirtualClock
+from bench.base.errors import BenchError, UsageError
+from bench.extras.batch.batch import Batch
+from bench.extras.batch.batch_plan import WORKER_S
+from bench.extras.batch.batch_record import (
+    Item,
+)
+from bench.extras.batch.supervisor import WorkerEnd
+from bench.record.storage import make_folder, storage_errors
+from bench.record.summaries import BatchSummary
+from sequences.queue import Queue
+from sequences.reader import Located
+
+_IN_MEMORY = "/dev/shm"  # noqa: S108 - a folder in memory, not a predictable file name
+_ROOM_BYTES = 1_000_000_000
+
+
+def rehearse_batch(
+    queue: Located[Queue], folder: Path, *, begin: datetime, seed: int, say: Callable[[str], None]
+) -> BatchSummary:
+    """Rehearse a batch, which cannot be continued, from ``begin``, with its zone, to its end, in an empty folder.
+
+    The seed is for runs to which the queue gives none. The same seed and begin give the same journals, byte for byte.
+    """
+    make_folder(folder)
+    with storage_errors(folder):
+        if any(folder.iterdir()):
+            raise UsageError(
+                "The folder is not empty, and a rehearsal cannot be continued.",
+                where=str(folder),
+                remedy="Choose another --output.",
+            )
+    with tempfile.TemporaryDirectory(prefix="starbench-rehearsal-", dir=_memory()) as place:
+        summary = _rehearse(queue, Path(place), VirtualClock(begin), seed, say)
+        with storage_errors(folder):
+            shutil.copytree(place, folder, dirs_exist_ok=True)
+    return summary
+
+
+def _memory() -> str | None:
+    """Return a folder in memory that has enough space; None for the system's usual temporary folder."""
+    try:
+        roomy = shutil.disk_usage(_IN_MEMORY).free > _ROOM_BYTES
+    except OSError:
+        return None
+    return _IN_MEMORY if roomy else None
+
+
+def _rehearse(
+    queue: Located[Queue], folder: Path, clock: VirtualClock, seed: int, say: Callable[[str], None]
+) -> BatchSummary:
+    from bench.extras.batch.rehearsal import rehearse_run
+
+    def work(item: Item, run: Path, _log: Path) -> WorkerEnd:
+        clock.sleep(WORKER_S)
+        own_seed = (item.job.seed if item.job.seed is not None else seed) + item.number
+        job = item.job
+        try:
+            end = rehearse_run(
+                job.sequence,
+                job.station,
+                seed=own_seed,
+                operator=job.operator,
+                folder=run,
+                clock=clock,
+                settings=job.settings,
+            )
+        except BenchError as error:
+            return WorkerEnd("failed", str(error))
+        return WorkerEnd(end.how, end.why)
+
+    return Batch(folder, queue, clock, say, work, rehearsal=True).run()

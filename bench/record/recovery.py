@@ -1,0 +1,81 @@
+"""Recovery of a run folder after a crash: what the journal names completely stays, the rest is set aside."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import TYPE_CHECKING, TypedDict, cast
+
+from bench.record.journal import CAPTURES, Capture, Journal, stored_captures
+from bench.record.run_folder import PART, REPORT, RESULTS, RunFolder
+from bench.record.storage import (
+    is_temporary,
+    make_folder,
+    sha256_of,
+    storage_errors,
+)
+
+if TYPE_CHECKING:
+    from bench.record.events import Recovered, WireLogState
+
+
+def recover(folder: RunFolder, journal: Journal) -> Recovered:
+    """Put a run folder, locked by this process, in order after a crash.
+
+    Recordings that are incomplete, changed or not in the journal go to ``quarantine/``; temporary files are deleted.
+    """
+    stored = stored_captures(journal.entries)
+    found: dict[str, list[str]] = {
+        state: [] for state in ("intact", "missing", "changed", "interrupted", "unnamed")
+    }
+    make_folder(folder.path / CAPTURES)
+    with storage_errors(folder.path):
+        for path in [p for p in folder.path.rglob("*") if is_temporary(p)]:
+            path.unlink()
+        for path in sorted((folder.path / CAPTURES).iterdir()):
+            name = f"{CAPTURES}/{path.name}"
+            state = _state_of(path, stored.get(name))
+            found[state].append(name)
+            if state != "intact":
+                folder.quarantine(path)
+    found["missing"] = sorted(set(stored) - set(found["intact"]) - set(found["changed"]))
+    return cast("Recovered", found)
+
+
+def _state_of(path: Path, capture: Capture | None) -> str:
+    """Return the state of a recording after a crash: a key of `Recovered`."""
+    if path.name.endswith(PART):
+        return "interrupted"
+    if capture is None:
+        return "unnamed"
+    whole = path.is_file() and not path.is_symlink() and path.stat().st_size == capture.size
+    return "intact" if whole and sha256_of(path) == capture.sha256 else "changed"
+
+
+EXPORTS = "exports"
+VIEWS = "views.h5"
+WIRE_LOG = "wire.jsonl"
+
+
+class WrittenFiles(TypedDict):
+    """Files and wire logs, as `bench.record.events.Written` holds them."""
+
+    files: dict[str, str]
+    wire: dict[str, WireLogState]
+
+
+def written_files(folder: Path) -> WrittenFiles:
+    """Return ``files``: SHA-256 by name of a run's results, and ``wire``: size and SHA-256 of its wire logs so far."""
+    with storage_errors(folder):
+        exported = sorted(path.name for path in (folder / EXPORTS).glob("*"))
+        names = [RESULTS, VIEWS, REPORT, *(f"{EXPORTS}/{name}" for name in exported)]
+        logs = sorted(path.name for path in folder.glob(f"{WIRE_LOG}*"))
+        return {
+            "files": {name: sha256_of(folder / name) for name in names if (folder / name).is_file()},
+            "wire": {name: _wire_state(folder / name) for name in logs},
+        }
+
+
+def _wire_state(path: Path) -> WireLogState:
+    data = path.read_bytes()  # at most 8 MB: full logs are rotated
+    return {"size": len(data), "sha256": hashlib.sha256(data).hexdigest()}

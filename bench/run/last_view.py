@@ -1,0 +1,79 @@
+"""The picture of the last recording, for people who watch a run from another process.
+
+It is one file in ``control/`` of the run folder, no evidence: it is not synced, it is replaced with each
+recording, and it goes with ``control/`` when the run ends. If it cannot be written, the run goes on
+without it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from bench.base.bounded_json import parse_json
+from bench.base.errors import StorageError
+from bench.record.storage import TEMPORARY, read_bounded
+from bench.run.heartbeat import CONTROL
+
+if TYPE_CHECKING:
+    from bench.measure.measure import Measurement
+    from calib.target import StarTarget
+
+
+LAST_VIEW = ".last-view"
+_DIGITS = 3
+_MOST_BYTES = 64 << 20
+
+
+@dataclass(frozen=True)
+class LastView:
+    """The picture of a recording."""
+
+    # pose, attempt: Number of the pose and of the attempt, from 1.
+    pose: int
+    attempt: int
+    nodes: Sequence[Sequence[float]]
+    points_px: Sequence[Sequence[float]]  # Place of each star, [x, y], px, to a thousandth
+    fault: str  # Why no stars were found; empty if there are some
+    png: bytes
+
+
+def leave_view(folder: Path, pose: int, attempt: int, found: Measurement, target: StarTarget) -> None:
+    """Leave the picture of a recording for others; nothing happens if there is no image or nobody can be told."""
+    if found.image is None or not (folder / CONTROL).is_dir():
+        return
+    stars = (
+        {"nodes": [], "points_px": []}
+        if found.view is None
+        else {
+            "nodes": target.node_of(found.view.ids).tolist(),
+            "points_px": found.view.points_px.round(_DIGITS).tolist(),
+        }
+    )
+    head = json.dumps({"pose": pose, "attempt": attempt, "fault": found.fault, **stars})
+    path = folder / CONTROL / LAST_VIEW
+    part = path.with_name(f"{LAST_VIEW}{TEMPORARY}")
+    with suppress(OSError):
+        part.write_bytes(head.encode() + b"\n" + found.image.png)
+        part.replace(path)
+
+
+def read_last_view(folder: Path) -> LastView | None:
+    """Read the picture of the last recording of a run in progress; None if there is none."""
+    try:
+        head, _, png = read_bounded(folder / CONTROL / LAST_VIEW, _MOST_BYTES).partition(b"\n")
+        found = parse_json(head)
+        return LastView(
+            int(found["pose"]),
+            int(found["attempt"]),
+            [[float(column), float(row)] for column, row in found["nodes"]],
+            [[float(x), float(y)] for x, y in found["points_px"]],
+            str(found["fault"]),
+            png,
+        )
+    except (StorageError, ValueError, KeyError, TypeError):
+        return None

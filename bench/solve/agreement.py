@@ -1,0 +1,130 @@
+"""Agreement of several runs: whether they differ by more than their own uncertainty.
+
+What all runs share (certificate, glass, print) does not appear in their differences, and no number of runs lowers it:
+the mean carries it in full.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from bench.base.errors import UsageError
+from bench.record.run_facts import Estimate, IndexedRun
+
+_LEAST_OWN = 1e-6
+"""A run has at least this share of its variance for itself, so that a difference can be judged."""
+_LOWEST_PERCENT = -2.326
+"""The 1 % quantile of the normal distribution."""
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """One parameter in several runs."""
+
+    name: str
+    # mean, sigma: Mean weighted by 1 / sigma^2, and its standard uncertainty, in the parameter's unit.
+    mean: float
+    sigma: float
+    k: float  # Coverage factor: the largest of the runs
+    # Birge ratio sqrt(chi^2 / (n - 1)) with what is not shared. It is about 1 if the runs scatter as their
+    # uncertainties predict, larger if the camera or the bench changed between runs, and smaller if what limits a run
+    # repeats in the next.
+    birge: float
+    # For each run, its difference from the mean divided by the standard uncertainty of this difference.
+    deviations: Sequence[float]
+
+    @property
+    def expanded(self) -> float:
+        """Expanded uncertainty of the mean."""
+        return self.k * self.sigma
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return ``name mean sigma coverage_factor expanded birge deviations`` as JSON holds them."""
+        return {
+            "name": self.name,
+            "mean": self.mean,
+            "sigma": self.sigma,
+            "coverage_factor": self.k,
+            "expanded": self.expanded,
+            "birge": self.birge,
+            "deviations": list(self.deviations),
+        }
+
+
+def compare_runs(runs: Sequence[IndexedRun]) -> list[Agreement]:
+    """Compare every parameter that all runs estimated: two or more runs, of one camera and one model."""
+    if len(runs) < 2:
+        raise UsageError(
+            f"Cannot compare {len(runs)} runs with a result: at least two are needed.",
+            remedy="Select more runs by FOLDER, --serial or --since.",
+        )
+    differing = (
+        ("cameras", {r.camera for r in runs}),
+        ("models", {str(r.model) for r in runs}),
+        ("kinds", {r.kind for r in runs}),
+    )
+    for what, kinds in differing:
+        if len(kinds) > 1:
+            raise UsageError(
+                f"Cannot compare runs of different {what}: {', '.join(sorted(kinds))}.",
+                remedy="Select runs of one of them by FOLDER, --serial or --since.",
+            )
+    shared = [
+        name
+        for name in runs[0].parameters
+        if all(name in r.parameters and r.parameters[name].sigma > 0 for r in runs)
+    ]
+    return [agreement(name, [run.parameters[name] for run in runs]) for name in shared]
+
+
+def agreement(name: str, runs: Sequence[Estimate]) -> Agreement:
+    """Compute the weighted mean and the Birge ratio of several values of one parameter.
+
+    Birge ratio: Birge, Phys. Rev. 40 (1932) 207, with the part of each uncertainty that the runs do not share. Below 1,
+    the rest of this part repeated itself in every run, and the mean carries it like the shared part. The deviations are
+    normalised as the degrees of equivalence of a key comparison: Cox, Metrologia 39 (2002) 589, procedure A.
+
+    runs: At least two values, each with its standard uncertainty greater than 0.
+
+    >>> alone = [Estimate(9.0, 1.0), Estimate(11.0, 1.0), Estimate(10.0, 1.0)]
+    >>> found = agreement("fx", alone)
+    >>> found.mean, round(found.sigma, 4), round(found.birge, 4)
+    (10.0, 0.5774, 1.0)
+    >>> [round(d, 4) for d in found.deviations]
+    [-1.2247, 1.2247, 0.0]
+    >>> shared = [one._replace(sigma=1.25, shared=0.75) for one in alone]
+    >>> round(agreement("fx", shared).sigma ** 2, 4) == round(1.0 / 3.0 + 0.75**2, 4)
+    True
+    """
+    weights = [1.0 / one.sigma**2 for one in runs]
+    total = math.fsum(weights)
+    weights = [weight / total for weight in weights]
+    mean = math.fsum(w * one.value for w, one in zip(weights, runs, strict=True))
+    own = [max(one.sigma**2 - one.shared**2, _LEAST_OWN * one.sigma**2) for one in runs]
+    chi2 = math.fsum((one.value - mean) ** 2 / variance for one, variance in zip(runs, own, strict=True))
+    birge = math.sqrt(chi2 / (len(runs) - 1))
+    repeated = max(0.0, 1.0 - birge**2)
+    averaged = math.fsum(w**2 * variance for w, variance in zip(weights, own, strict=True))
+    carried = math.fsum(
+        w * math.sqrt(one.shared**2 + repeated * variance)
+        for w, one, variance in zip(weights, runs, own, strict=True)
+    )
+    deviations = [
+        (one.value - mean) / math.sqrt(averaged + (1.0 - 2.0 * w) * variance)
+        for w, one, variance in zip(weights, runs, own, strict=True)
+    ]
+    sigma = math.sqrt((1.0 - repeated) * averaged + carried**2)
+    return Agreement(name, mean, sigma, max(one.k for one in runs), birge, deviations)
+
+
+def repeats(birge: float, runs: int) -> bool:
+    """Return whether the runs agree far better than their uncertainties say: their errors are then the same in each.
+
+    1 % of independent runs do: chi^2 quantile by Wilson and Hilferty, PNAS 17 (1931) 684.
+    """
+    freedom = runs - 1
+    step = 2.0 / (9.0 * freedom)
+    return birge**2 < max(0.0, 1.0 - step + _LOWEST_PERCENT * math.sqrt(step)) ** 3

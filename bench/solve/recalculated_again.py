@@ -1,0 +1,149 @@
+"""Recalculated results: the sources are calibrated again."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from bench.base.bounded_json import parse_json
+from bench.base.errors import BenchError, StorageError
+from bench.evidence.findings import UNREADABLE, Findings
+from bench.evidence.ssh_keys import fingerprint
+from bench.evidence.sshsig import read_signature
+from bench.record.run_folder import (
+    PASSPORT_COPY,
+    RESULTS,
+    SIGNATURE,
+)
+from bench.record.storage import read_json, sha256_of
+from bench.record.stored_run import StoredRun
+from bench.solve.compare_numbers import differences
+from bench.solve.compare_trees import (
+    MadeAgain,
+    compare_file,
+    compare_instructions,
+    compare_trees,
+)
+from bench.solve.offline import OfflineResult, calibrate_paths
+from bench.solve.offline_folder import SOURCES, SealedBy, offline_files, source_data
+from bench.solve.offline_options import StationFile, passport_of_file
+from bench.solve.results_content import (
+    other_engine,
+    other_software,
+)
+from bench.solve.sources import options_of_data
+from bench.stations.station import load_station
+from calib.errors import CalibrationError
+from calib.target import StarTarget
+from drivers.errors import DriverError
+from sequences.errors import SequencesError
+
+
+def check_recalculated(folder: Path) -> Findings:
+    """Calibrate the sources of recalculated results again, with the same options, and compare every file."""
+    found = Findings()
+    try:
+        described, stored = read_json(folder / SOURCES), StoredRun(folder).results_as_written
+        used = stored["run"]["software"]
+        compare_instructions(folder, used, found)
+        _check_station(described, found)
+        if stored["sources"] != described["sources"]:
+            found.fault("results", RESULTS, f"its sources are not those of {SOURCES}")
+            return found
+        if why := other_engine(stored) or _cannot(described):
+            found.could_not_compare(f"{RESULTS} with its sources: {why}", "results")
+            return found
+        again = _calibrated(folder, described)
+        pairs = zip(again.sources, again.views, strict=True)
+        sources = [source_data(source, view.name) for source, view in pairs]
+        if sources != described["sources"]:
+            found.could_not_compare(
+                f"{RESULTS} with its sources: the paths hold other files now than those that were calculated from",
+                "results",
+            )
+            return found
+        files = offline_files(again, str(stored["run"]["id"]), _sealer(folder, stored), sources=sources)
+        results = parse_json(files[RESULTS])
+        results["run"] |= {name: stored["run"][name] for name in ("calibrated_utc", "software")}
+    except (BenchError, CalibrationError, DriverError) as error:
+        found.fault("results", RESULTS, f"its sources cannot be calibrated again: {error}")
+        return found
+    except (StorageError, *UNREADABLE) as error:
+        found.fault("results", RESULTS, f"it cannot be compared with its sources ({error!r})")
+        return found
+    for name in (SOURCES, PASSPORT_COPY):
+        compare_file(
+            folder / name, name, files.get(name), "results", other_software(used), found, "the sources"
+        )
+    made = MadeAgain(
+        results,
+        again.stored_views,
+        str(described["camera_name"]),
+        again.board or again.target,
+        used,
+        source="sources",
+    )
+    compare_trees(folder, made, found)
+    return found
+
+
+def _check_station(described: Mapping[str, Any], found: Findings) -> None:
+    """Compare the station file of the command line, if it is still there, with its hash and its target."""
+    stated = described["station"]
+    if stated is None:
+        return
+    path = Path(str(stated["path"]))
+    if not path.is_file():
+        found.remarks.append(f"the station file {path}, whose target was used, is not there any more")
+        return
+    if sha256_of(path) != stated["sha256"]:
+        found.remarks.append(
+            f"{path}: another station file lies there now than the one whose target was used"
+        )
+        return
+    try:
+        target = asdict(load_station(str(path)).value.target.pattern())
+    except (BenchError, SequencesError) as error:
+        found.remarks.append(f"the target of the station file {path} cannot be read here: {error}")
+        return
+    for one in differences(described["option_target"], target):
+        found.fault("results", SOURCES, f"option_target: {one}, by the station file {path}")
+
+
+def _sealer(folder: Path, stored: Mapping[str, Any]) -> SealedBy | None:
+    """Return who sealed the results, by the key of their signature; None if they name nobody. Raises ``UNREADABLE``."""
+    stated = stored["run"].get("sealed_by")
+    if stated is None:
+        return None
+    key = read_signature((folder / SIGNATURE).read_bytes()).public_key
+    return SealedBy(str(stated["principal"]), fingerprint(key))
+
+
+def _cannot(described: Mapping[str, Any]) -> str:
+    """Return why the calibration cannot be made again; empty if it can."""
+    gone = [path for path in described["paths"] if not Path(path).exists()]
+    if gone:
+        return f"{gone[0]} is not there any more" + (f", and {len(gone) - 1} more" if len(gone) > 1 else "")
+    for source in described["sources"]:
+        path = Path(str(source["path"]))
+        if not path.is_file():
+            return f"{path} is not there any more"
+        if sha256_of(path) != source["sha256"]:
+            return f"{path} is another file now"
+    return ""
+
+
+def _calibrated(folder: Path, described: Mapping[str, Any]) -> OfflineResult:
+    """Calibrate the sources again. Raises the errors of the reader and of the engine, and one of ``UNREADABLE``."""
+    stored, passport = described["options"], None
+    if stored["passport"] is not None:
+        passport = passport_of_file(folder / PASSPORT_COPY, str(stored["passport"]))
+    given = described["option_target"]
+    target = StarTarget(**{**given, "tag_square": tuple(given["tag_square"])})
+    station = described["station"]
+    options = replace(
+        options_of_data(stored, passport, target), station=None if station is None else StationFile(**station)
+    )
+    return calibrate_paths([Path(path) for path in described["paths"]], options)
