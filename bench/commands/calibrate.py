@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 import click
 
 from bench.base.clock import reliable_interrupts
-from bench.base.encoding import clock_text, printable
+from bench.base.encoding import clock_text
 from bench.base.errors import UsageError
 from bench.base.home import home_folder
 from bench.base.program import forms
@@ -125,10 +125,10 @@ def run_text(row: RunRow) -> str:
     if row["state"] != "done":
         failure = row["failure"]
         place = f" ({failure['where']})" if failure["where"] else ""
-        return printable(f"{name}: FAILED. {failure['what']}{place} {failure['remedy']}".rstrip())
+        return f"{name}: FAILED. {failure['what']}{place} {failure['remedy']}".rstrip()
     if "skipped" in row:
         where = f"; its results are in {row['results']}" if row["results"] else ""
-        return printable(f"{name}: was done before{where}.")
+        return f"{name}: was done before{where}."
     shown, factors = [], []
     for parameter in _SHOWN:
         if parameter in row["sigma"]:
@@ -143,7 +143,7 @@ def run_text(row: RunRow) -> str:
         parts.append(f"{len(row['left_out'])} recordings left out")
     if not row["converged"]:
         parts.append("NOT CONVERGED")
-    return printable(f"{name}: {'; '.join([*parts, change_text(row)])}.")
+    return f"{name}: {'; '.join([*parts, change_text(row)])}."
 
 
 def change_text(row: DoneRow) -> str:

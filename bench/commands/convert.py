@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench.base.clock import reliable_interrupts
-from bench.base.encoding import printable
 from bench.base.errors import UsageError
 from bench.commands.calibrations import CAMERA, LENS, stated_camera
 from bench.commands.options import (
@@ -146,7 +145,7 @@ def _convert_many(
         ends.append(one)
         line.clear()
         if one.failure is not None:
-            click.echo(printable(f"{one.source}: FAILED. {one.failure.message}"), err=True)
+            click.echo(f"{one.source}: FAILED. {one.failure.message}", err=True)
         elif one.before:
             click.echo(f"{one.target}: was converted before")
         elif one.summary is not None:

@@ -13,7 +13,6 @@ from typing import Any
 
 import click
 
-from bench.base.encoding import printable
 from bench.base.errors import EvidenceError, ScriptError, StorageError, UsageError
 from bench.base.failure import FORESEEN, INVALID_FILES, Failure
 from bench.base.home import home_folder
@@ -112,7 +111,6 @@ def print_usage_error(error: click.ClickException, arguments: Sequence[str]) -> 
     """Print what is wrong with the words of a call; ``arguments`` are these words."""
     if "--json" in arguments:
         print_json({"error": {"kind": "UsageError", "message": error.format_message(), "remedy": ""}})
-    error.message = printable(error.message)  # type: ignore[misc]
     error.show()
     return error.exit_code
 
@@ -125,7 +123,7 @@ def print_error(error: Exception, arguments: Sequence[str]) -> int:
     if "--json" in arguments:
         faults = {"faults": error.faults} if isinstance(error, ScriptError) else {}
         print_json({"error": {**error_object(failure), **faults}})
-    click.echo(f"starbench: {printable(failure.message)}", err=True)
+    click.echo(f"starbench: {failure.message}", err=True)
     if "--debug" in arguments or failure.kind == DEFECT:
         click.echo("".join(traceback.format_exception(error)), err=True)
     return 2 if isinstance(error, INVALID_FILES) else getattr(error, "exit_status", 1)

@@ -10,7 +10,6 @@ from typing import Any
 
 import click
 
-from bench.base.encoding import printable
 from bench.base.home import home_folder
 from bench.base.program import forms
 from bench.commands.options import (
@@ -170,7 +169,7 @@ def _verify_many(folders: Sequence[Path], check: Check, workers: Workers, output
             state, text, rows[number] = _ended(chosen[number], end, kept, check)
             states[state] += 1
             line.clear()
-            click.echo(printable(text), err=wants_json())
+            click.echo(text, err=wants_json())
             line.count()
     counted = ", ".join(f"{states[state]} {word}" for state, word in _WORDS.items() if states[state])
     show(

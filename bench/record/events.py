@@ -80,9 +80,7 @@ class Event(StrEnum):
     COMMANDED = "commanded"  # An operator's command from another terminal, taken or refused
     POSE_SKIPPED = "pose_skipped"  # A pose is given up. The report calls it a deviation
     INTERLOCK_RELEASED = "interlock_released"  # An interlock that held the run releases it
-    SUPERVISOR_LOST = (
-        "supervisor_lost"  # The process that watched this one is gone; the run goes on to its own end
-    )
+    SUPERVISOR_LOST = "supervisor_lost"  # The process that watched this one is gone; the run ends safely
     COMPUTER_BUSY = "computer_busy"  # The computer is too busy for the run
     DEVICES_LEFT = "devices_left"  # How the run left each device after the last step that needs devices
     DEVIATION = "deviation"  # The run departed from its sequence; printed in the report
@@ -472,6 +470,8 @@ class Deviation(TypedDict):
 
     what: str
     hold: NotRequired[bool]
+    # Time from which on the wire log lacks what this process and its devices said, s, on its monotonic clock
+    wire_log_ended_s: NotRequired[float]
 
 
 class FailureData(TypedDict):

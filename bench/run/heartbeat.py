@@ -115,9 +115,9 @@ def open_process(heartbeat: Heartbeat) -> int | None:
 
 
 def _supervisor() -> int | None:
-    """Return the process id of the supervisor, if the environment names it and it is the parent process."""
+    """Return the process id of the supervisor, which started this process, if the environment names it."""
     text = os.environ.get(SUPERVISOR, "")
-    return int(text) if text.isdecimal() and int(text) == os.getppid() else None
+    return int(text) if text.isdecimal() else None
 
 
 class BusyWatch:

@@ -30,6 +30,7 @@ from bench.record.journal_line import Entry
 from bench.record.run_folder import (
     PLAN,
     REPORT,
+    WIRE_LOG,
     RunFolder,
     require_resumable,
 )
@@ -54,8 +55,6 @@ from bench.stations.station import PictureFolderConfig
 from bench.wording.conformity import conformity_headline
 from drivers.wire_log import WireLogFile
 from sequences.reader import OptionSettings
-
-WIRE_LOG = "wire.jsonl"
 
 AskPassphrase = Callable[[Path], bytes]
 
@@ -250,7 +249,9 @@ def run_and_seal(
 
         try:
             with crash_log(folder.path):
-                end = Runner(job, folder, journal, open_devices, clock, progress, messages.write).run()
+                end = Runner(
+                    job, folder, journal, open_devices, clock, progress, messages.write, wire_log
+                ).run()
             wire_log.close()
             sealing_key = partial(key_to_seal, home_folder(), key, clock.utc_now(), launch.ask_passphrase)
             if end.how == "finished":

@@ -20,7 +20,7 @@ from bench.record import events
 from bench.record.events import Entering, FailureData, LeftOff
 from bench.record.history import DeviceEnd, RunLog, way_on
 from bench.record.journal import Journal
-from bench.record.run_folder import RunFolder
+from bench.record.run_folder import WIRE_LOG, RunFolder
 from bench.run.control import CommandInbox
 from bench.run.heartbeat import BusyWatch, HeartbeatWriter
 from bench.run.interlocks import Interlocks, Trip, loss_text
@@ -36,6 +36,7 @@ from bench.stations.devices import Devices
 from bench.wording.goals import decision_text
 from drivers.errors import CameraLost, PortLost, ReplyTimeout
 from drivers.lateness import LatenessData
+from drivers.wire_log import WireLogFile
 from sequences.script import ChooseStep, RecordStep, WaitStep
 
 LOST_DEVICE_ERRORS = (PortLost, CameraLost, ReplyTimeout)
@@ -85,11 +86,13 @@ class Runner:
         clock: BenchClock,
         progress: Progress,
         notify: Callable[[str, str, str], None] = lambda _occasion, _what, _key: None,
+        wire_log: WireLogFile | None = None,
         results: ResultWriter | None = None,
         decide: Decide | None = None,
     ) -> None:
         self._progress = progress
         self._notify = notify
+        self._wire_log = wire_log
         self._hold_notifier = HoldNotifier(clock, notify)
         log = RunLog(journal)
         devices = RunDevices(job, folder, log, open_devices, progress.say)
@@ -112,7 +115,7 @@ class Runner:
         self._count_poses()
         round_tasks = (
             self._heartbeat.beat,
-            self._report_lost_supervisor,
+            self._stop_without_supervisor,
             BusyWatch(log, clock).look,
             self.context.interlocks.check_door,
         )
@@ -130,6 +133,7 @@ class Runner:
                 self._do_remaining_steps()
             with self.context.clock.shielded():
                 self.context.devices.make_safe()
+            self._note_end_of_wire_log()
             self.context.log.write(events.RunEnded, how="finished", why="", **self._end_data())
         except Aborted as stop:
             return self._end_early("aborted", stop.reason)
@@ -320,6 +324,7 @@ class Runner:
 
     def entering(self, data: Entering) -> None:
         """Journal a change of state before it is made; then update heartbeat, interlocks and progress."""
+        self._note_end_of_wire_log()
         self.context.log.write(events.Entering, **data)
         state = data["state"]
         self._heartbeat.entering(state)
@@ -328,17 +333,27 @@ class Runner:
         if state == "holding":
             self._hold_notifier.entering(data, self.context.log.journal.head)
 
+    def _note_end_of_wire_log(self) -> None:
+        """Journal once, as a deviation, that the wire log could not be written any more; the run goes on."""
+        fault = self._wire_log.fault if self._wire_log else None
+        if fault is not None:
+            self._wire_log = None
+            what = f"The log of the bytes to and from the devices, {WIRE_LOG}, ended early: {fault.why}."
+            self._progress.say(f"WARNING: {what} The run continues.")
+            self.context.log.write(events.Deviation, what=what, wire_log_ended_s=fault.since_s)
+
     def left_off(self, data: LeftOff) -> None:
         """Journal that the work of a state has ended; nothing interrupts the time between two states."""
         self.context.log.write(events.LeftOff, **data)
         self.context.interlocks.left_off()
 
-    def _report_lost_supervisor(self) -> None:
-        """Journal that the supervisor of this process has ended; the run continues."""
+    def _stop_without_supervisor(self) -> None:
+        """End the run safely if the supervisor of this process has ended: nobody would notice its hang."""
         if self._heartbeat.supervisor_is_gone():
+            self.context.clock.request_stop("its supervisor has ended")
             self.context.log.write(events.SupervisorLost)
             self._notify(
                 "failure",
-                "continues, but its supervisor has ended: no further run follows",
+                "stops safely: its supervisor has ended, and no further run follows. To go on: call the batch again",
                 self.context.log.journal.head,
             )

@@ -7,6 +7,7 @@ now, it says that the numbers were not compared. Nothing is written.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -59,6 +60,7 @@ _MOST_LOG_BYTES = 64 << 20
 
 def check_wire_log(folder: Path, entries: Sequence[Entry], job: Job, found: Findings) -> None:
     """Check that the wire log, about the last 32 MB, holds bytes at each journaled move, and the stage's serials."""
+    entries = _logged(entries)
     moves = list(_moves(entries))
     try:
         times, replies, ports = _read_logs(folder)
@@ -82,6 +84,19 @@ def check_wire_log(folder: Path, entries: Sequence[Entry], job: Job, found: Find
         what = f"its ports {sorted(ports)} are not those of the station, {sorted(stated)}"
         found.fault("wire", WIRE_LOG, what)
     _check_serials(entries, job, replies, found)
+
+
+def _logged(entries: Sequence[Entry]) -> list[Entry]:
+    """Return the lines of the time in which the wire log was written: in each process until it ended, as journaled."""
+    process, processes = 0, []
+    ended_s: dict[int, float] = {}
+    for entry in entries:
+        process += entry.event == Event.RUN_RESUMED
+        processes.append(process)
+        if entry.event == Event.DEVIATION and "wire_log_ended_s" in entry.data:
+            ended_s[process] = float(entry.data["wire_log_ended_s"])
+    pairs = zip(entries, processes, strict=True)
+    return [entry for entry, process in pairs if entry.mono_s < ended_s.get(process, math.inf)]
 
 
 def _moves(entries: Sequence[Entry]) -> Iterator[tuple[float, float, Entry]]:

@@ -102,20 +102,34 @@ def test_a_worker_that_is_killed_and_one_that_hangs_are_noticed_told_and_the_run
     assert "No device was asked after that." in server.posts[0][1]["text"]  # they ended with the process
 
 
-def test_a_worker_whose_supervisor_is_killed_continues_reports_it_and_is_found_again(tmp_path, night):
+def ended(pid):
+    """Whether a process is gone, or waits for its parent as a zombie only."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
+
+
+def test_a_worker_ends_safely_with_the_group_of_its_supervisor_and_its_run_is_resumed(tmp_path, night):
     queue, folder, server = night
     process = start("batch", queue, "-o", folder, home=tmp_path / "home")
     run = folder / "runs" / "cam-001"
     wait_for(process, run, entering("recording", 1))
+    (worker,) = children(process.pid)
     process.kill()
     process.communicate()
+    while not ended(worker):
+        time.sleep(0.01)
+    end = journal(run)[-1]
+    assert (end["event"], end["how"], end["why"]) == ("run_ended", "aborted", "its supervisor has ended")
+    assert {device["state"] for device in end["devices"]} == {"confirmed safe"}
     again = start("batch", queue, "-o", folder, "--json", home=tmp_path / "home")
     out, err = again.communicate(timeout=PATIENCE_S)
     assert again.returncode == 0, err
     assert err.startswith("Night continues: 0 of 1 runs are done; to resume: cam-001.\n")
     (item,) = json.loads(out)["items"]
-    assert (item["how"], item["attempts"]) == ("finished", 1)
-    assert results(run)["run"]["resumed"] == 0
+    assert (item["how"], item["attempts"]) == ("finished", 2)
+    assert results(run)["run"]["resumed"] == 1
     assert sum(line["event"] == "supervisor_lost" for line in journal(run)) == 1
     assert [s for s in subjects(server) if "its supervisor has ended" in s]
 

@@ -98,7 +98,7 @@ def _write_parquet(path: Path, rows: Iterable[Row], schema: Any) -> int:
 def _write_csv(path: Path, rows: Iterable[Row]) -> int:
     count = 0
     with path.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
+        writer = csv.writer(stream, lineterminator="\r\n")  # RFC 4180; a CR within a text is then quoted, too
         writer.writerow([column.name for column in COLUMNS])
         for row in rows:
             writer.writerow([_cell(row[column.name]) for column in COLUMNS])
@@ -106,9 +106,17 @@ def _write_csv(path: Path, rows: Iterable[Row]) -> int:
     return count
 
 
+_FORMULA = tuple("=+-@\t\r\n\uff1d\uff0b\uff0d\uff20")
+"""A spreadsheet takes text that begins with one of these for a formula; the last four are = + - @ of full width (OWASP,
+CSV injection)."""
+
+
 def _cell(value: Cell) -> str:
+    """Return a value as a cell; text that a spreadsheet would calculate begins with an apostrophe."""
     if value is None:
         return ""
+    if isinstance(value, str):
+        return f"'{value}" if value.startswith(_FORMULA) else value
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, datetime):

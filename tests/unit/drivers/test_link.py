@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import json
+import os
 import threading
 
 import pytest
@@ -10,7 +13,7 @@ import pytest
 from drivers.errors import ReplyError, ReplyGarbled, ReplyTimeout
 from drivers.link import LONGEST_LINE, ReplyReader
 from drivers.stage.zaber import ZaberChain
-from drivers.wire_log import WireLogFile
+from drivers.wire_log import WireLogFault, WireLogFile
 from tests.unit.drivers.conftest import CountedLink
 
 
@@ -124,7 +127,50 @@ def test_a_log_that_cannot_be_written_says_so_and_disturbs_nothing(tmp_path) -> 
     log.record(0.0, "port", ">", b"stop\n")
     log.record(0.0, "port", ">", b"stop\n")
     assert log.fault is not None
-    assert "No such file or directory" in log.fault
+    assert log.fault.why == "No such file or directory"
+
+
+class FullDisk(io.FileIO):
+    """A file whose third write stores a part, as on a disk that is full; the next fails, and so does its close."""
+
+    writes = 0
+
+    def write(self, data):
+        FullDisk.writes += 1
+        if FullDisk.writes > 3:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return super().write(bytes(data)[:7] if FullDisk.writes == 3 else data)
+
+    def close(self):
+        was_open = not self.closed
+        super().close()
+        if was_open:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+
+def test_a_log_whose_write_fails_keeps_whole_lines_and_never_changes_after_that(
+    tmp_path, monkeypatch
+) -> None:
+    monkeypatch.setattr("drivers.wire_log.io.FileIO", FullDisk)
+    log = WireLogFile(tmp_path / "wire.jsonl")
+    for number in range(4):
+        log.record(float(number), "port", ">", b"x")
+    held = log.path.read_bytes()
+    assert log.fault == WireLogFault(2.0, "No space left on device")
+    log.close()
+    assert log.path.read_bytes() == held
+    assert [entry["t"] for entry in entries(log.path)] == [0.0, 1.0]
+
+
+def test_half_a_line_that_a_power_cut_left_does_not_spoil_the_next_one(tmp_path) -> None:
+    log = WireLogFile(tmp_path / "wire.jsonl")
+    log.record(1.0, "port", ">", b"x")
+    log.close()
+    with log.path.open("ab") as file:
+        file.write(b'{"t": 2.0, "po')
+    log.record(3.0, "port", ">", b"x")
+    log.close()
+    assert [entry["t"] for entry in entries(log.path)] == [1.0, 3.0]
 
 
 # ---------------------------------------------------------------- devices that babble

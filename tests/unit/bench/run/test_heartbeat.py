@@ -159,7 +159,12 @@ def test_a_lost_supervisor_is_reported_once(monkeypatch, tmp_path):
     assert [pulse.supervisor_is_gone(), pulse.supervisor_is_gone()] == [True, False]
 
 
-@pytest.mark.parametrize("told", ["", "1x", "999999999"])
+def test_a_supervisor_that_ended_before_its_worker_looked_is_lost_too(monkeypatch, tmp_path):
+    monkeypatch.setenv(SUPERVISOR, "999999999")
+    assert HeartbeatWriter(tmp_path, BenchClock()).supervisor_is_gone()
+
+
+@pytest.mark.parametrize("told", ["", "1x"])
 def test_a_process_without_a_supervisor_loses_none(monkeypatch, tmp_path, told):
     monkeypatch.setenv(SUPERVISOR, told)
     pulse = HeartbeatWriter(tmp_path, BenchClock())

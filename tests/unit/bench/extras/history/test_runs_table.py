@@ -1,5 +1,6 @@
 """The table of runs: its document, its files as strangers read them, and rows of unusual runs."""
 
+import csv
 import json
 import math
 import re
@@ -177,6 +178,17 @@ def test_a_file_that_cannot_be_written_is_refused_with_what_to_do(tmp_path, monk
     with pytest.raises(UsageError, match=r"pip install 'starbench\[table\]'"):
         write_table(tmp_path / "runs.parquet", [])
     assert write_table(tmp_path / "runs.csv", []) == 0
+
+
+@pytest.mark.parametrize("begin", ["=", "+", "-", "@", "\t", "\r", "\n", "\N{FULLWIDTH EQUALS SIGN}"])
+def test_a_spreadsheet_takes_no_text_of_a_csv_table_for_a_formula(tmp_path, rows, begin):
+    operator = f"{begin}cmd|'/c calc'!A1"
+    row = {**rows[0], "operator": operator, "fx_px": -3345.5, "laboratory": "cam-7 = left"}
+    write_table(tmp_path / "runs.csv", [row])
+    with (tmp_path / "runs.csv").open(encoding="utf-8", newline="") as stream:
+        (cells,) = csv.DictReader(stream)
+    assert (cells["operator"], cells["laboratory"]) == (f"'{operator}", "cam-7 = left")
+    assert float(cells["fx_px"]) == -3345.5
 
 
 def test_a_fisheye_and_a_skew_have_columns():
