@@ -27,10 +27,10 @@ from bench.record.events import Event
 from bench.record.history import History, replay
 from bench.record.journal import Journal
 from bench.record.journal_line import Entry
+from bench.record.recovery import WIRE_LOG
 from bench.record.run_folder import (
     PLAN,
     REPORT,
-    WIRE_LOG,
     RunFolder,
     require_resumable,
 )

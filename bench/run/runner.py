@@ -20,7 +20,8 @@ from bench.record import events
 from bench.record.events import Entering, FailureData, LeftOff
 from bench.record.history import DeviceEnd, RunLog, way_on
 from bench.record.journal import Journal
-from bench.record.run_folder import WIRE_LOG, RunFolder
+from bench.record.recovery import WIRE_LOG
+from bench.record.run_folder import RunFolder
 from bench.run.control import CommandInbox
 from bench.run.heartbeat import BusyWatch, HeartbeatWriter
 from bench.run.interlocks import Interlocks, Trip, loss_text
