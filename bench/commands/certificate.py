@@ -50,7 +50,7 @@ _NOT_FOUND = "NOT FOUND"
 @click.group(
     cls=Family,
     epilog=epilog(
-        "starbench certificate new -o lab.yaml",
+        "starbench certificate new lab.yaml",
         "starbench certificate issue runs/cam7 --config lab.yaml -o certificates/2026-0042",
         "starbench certificate authorise certificates/2026-0042 --key ~/.ssh/id_ed25519",
     ),
@@ -59,16 +59,16 @@ def certificate() -> None:
     """Issue, amend, list, authorise and time-stamp calibration certificates."""
 
 
-@certificate.command("new", epilog=epilog("starbench certificate new -o lab.yaml"))
-@click.option("--output", "-o", required=True, type=NewFile(), help="New file, such as lab.yaml.")
-def new(output: Path) -> int:
-    """Write an example of lab.yaml, with comments. Replace every REPLACE in it."""
+@certificate.command("new", epilog=epilog("starbench certificate new lab.yaml"))
+@click.argument("path", type=NewFile())
+def new(path: Path) -> int:
+    """Create an example of lab.yaml at PATH, with comments. Replace every REPLACE in it."""
     from bench.extras.certificate.lab_config import EXAMPLE
 
-    with storage_errors(output):
-        write_atomic(output, EXAMPLE.read_bytes())
+    with storage_errors(path):
+        write_atomic(path, EXAMPLE.read_bytes())
     click.echo(
-        f"Wrote {output}. Replace every REPLACE in it; then: starbench certificate issue RUN -c {output} -o FOLDER"
+        f"Written: {path}. Replace every REPLACE in it; then: starbench certificate issue RUN -c {path} -o FOLDER"
     )
     return 0
 

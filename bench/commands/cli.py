@@ -146,7 +146,7 @@ class LazyCommands(click.Group):
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog=f"Exit status: {RUN_STATUS}",
 )
-@click.version_option(__version__, prog_name="starbench")
+@click.version_option(__version__, "-V", "--version", prog_name="starbench")
 @click.option("--debug", is_flag=True, expose_value=False, help="On an error, print the traceback too.")
 def cli() -> None:
     """Calibrate event cameras on a collimator bench without an operator, and write a report that anyone can verify.
@@ -170,6 +170,8 @@ def main(arguments: list[str] | None = None) -> None:
     remove_stale_kernels()
     replace_unencodable(sys.stdout, sys.stderr)
     args = sys.argv[1:] if arguments is None else arguments
+    if args[:1] == ["help"]:  # `starbench help run` is `starbench run --help`
+        args = [*args[1:], "--help"]
     _compile_missing(args)
     sys.exit(_exit_status(lambda: cli.main(args=args, prog_name="starbench", standalone_mode=False), args))
 

@@ -116,6 +116,7 @@ def _plan_dict(planned: Plan, found: PlanForecast | None, suggested: Sequence[We
     ]
     return {
         **planned.to_dict(),
+        "missing_software": _missing_software(planned),
         "expected": _forecast_dict(found),
         "expected_untils": [course.to_dict() for course in found.courses] if found else [],
         "suggested": poses,
@@ -126,6 +127,7 @@ def _plan_lines(planned: Plan, found: PlanForecast | None, suggested: Sequence[W
     from bench.wording.plan_text import render_plan
 
     yield render_plan(planned)
+    yield from _missing_software(planned)
     if found is not None:
         yield ""
         yield from (course.text for course in found.courses)
@@ -137,6 +139,16 @@ def _plan_lines(planned: Plan, found: PlanForecast | None, suggested: Sequence[W
         for pose, forecast in zip(suggested, forecasts_with(planned, suggested), strict=True):
             yield _suggestion_text(pose, before, forecast)
             before = forecast
+
+
+def _missing_software(planned: Plan) -> list[str]:
+    """Return, as sentences, what this computer lacks in order to use the camera of the station."""
+    from drivers.camera.discovery import missing_software
+
+    return [
+        f"Missing for a run on this computer: {text}"
+        for text in missing_software(planned.station.value.camera.driver)
+    ]
 
 
 def _forecast_dict(found: PlanForecast | None) -> dict[str, Any] | None:

@@ -225,19 +225,65 @@ def station() -> None:
     type=click.Choice(["metavision", "neuromorphic_evk4", "opencv", "recorded", "pictures"]),
     help="Kind of camera.  [default: the connected one]",
 )
-def station_new(path: Path, name: str, stage: str, light: str, camera: str | None) -> int:
-    """Create a station file at PATH, filled in with the connected devices."""
+@click.option(
+    "--port",
+    "ports",
+    multiple=True,
+    metavar="PORT",
+    help="Port on which to ask for stage and light, such as socket://10.0.0.7:5025; may be given again."
+    "  [default: the serial ports of this computer]",
+)
+@click.option("--no-questions", is_flag=True, help="Send nothing to any port.")
+@click.option(
+    "--stand-ins",
+    type=click.Choice(["keysight", "rigol", "siglent"]),
+    help="Take all devices from the simulated bench, with a generator of this make.",
+)
+def station_new(
+    path: Path,
+    name: str,
+    stage: str,
+    light: str,
+    camera: str | None,
+    ports: tuple[str, ...],
+    stand_ins: str | None,
+    *,
+    no_questions: bool,
+) -> int:
+    """Create a station file at PATH, filled in with the connected devices and with what they answer.
+
+    Zaber stages are asked for serial number, scale and limits, generators for make and serial number. Nothing moves and
+    nothing is switched.
+    """
     from bench.record.storage import write_atomic
+    from bench.stations.asked_devices import ask_light, ask_stage
     from bench.stations.discovery import discover
     from bench.stations.placeholders import UNKNOWN_SERIAL
-    from bench.stations.station_draft import draft_station
+    from bench.stations.practice import draft_stand_ins
+    from bench.stations.station_draft import draft_station, free_ports
 
-    draft = draft_station(name, discover(), stage=stage, light=light, camera=camera)
+    if stand_ins:
+        write_atomic(path, draft_stand_ins(name, stand_ins).encode())
+        show({"station": str(path)}, [f"Written: {path}. Check it with: starbench plan three_pose -s {path}"])
+        return 0
+    found, clock = discover(), BenchClock()
+    asked_ports = [] if no_questions else [*ports] or free_ports(found)
+    asked = ask_stage(stage, asked_ports, clock), ask_light(light, asked_ports, clock)
+    draft = draft_station(name, found, stage=stage, light=light, camera=camera, asked=asked)
     write_atomic(path, draft.encode())
+    for device in asked:
+        if device is not None:
+            click.echo(f"It answered: {device.what} at {device.port}.")
+    for sentence in found.missing:
+        click.echo(f"Missing: {sentence}")
     click.echo(
         f"Written: {path}. Replace every placeholder (such as {UNKNOWN_SERIAL}), check scales and limits, then:"
         f" starbench plan three_pose -s {path}"
     )
+    if found.missing:
+        click.echo(
+            "To practise without these devices: starbench station new practice.yaml --stand-ins keysight"
+        )
     return 0
 
 

@@ -25,8 +25,9 @@ from bench.record.folder_lock import is_locked
 from bench.record.history import History, RunLog
 from bench.record.inbox import Inbox, KnownBy, MessageId, Poller
 from bench.record.journal import lines_after
-from bench.record.run_folder import JOURNAL
+from bench.record.run_folder import JOURNAL, MANIFEST
 from bench.record.storage import make_folder, storage_errors, sync_folder
+from bench.record.stored_run import StoredRun
 from bench.run.heartbeat import CONTROL, HEARTBEAT
 from bench.run.last_view import LAST_VIEW
 from sequences.schema import Answer
@@ -182,11 +183,7 @@ def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> 
     """Send a command and return its answer in the journal, ``word by pose taken why``; withdraw it if none comes."""
     inbox = inbox_of(folder)
     if not is_locked(folder) or not inbox.folder.is_dir():
-        raise RunFolderError(
-            "No process works on this run.",
-            where=str(folder),
-            remedy="See `starbench status`. To continue an interrupted run, use `starbench resume`.",
-        )
+        raise _nothing_to_tell(folder)
     with storage_errors(folder):
         begin = (folder / JOURNAL).stat().st_size  # the answer comes after this place
     try:
@@ -215,6 +212,21 @@ def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> 
         f"The run did not answer within {patience_s:g} s; the command was withdrawn.",
         where=str(folder),
         remedy="See `starbench status`. If the process does not respond at all, end it by the signal SIGTERM.",
+    )
+
+
+def _nothing_to_tell(folder: Path) -> RunFolderError:
+    """Return why no process works on a run, and what to do."""
+    if (folder / MANIFEST).is_file() and StoredRun(folder).history.ended == "finished":
+        return RunFolderError(
+            "The run has finished, so it takes no more commands.",
+            where=str(folder),
+            remedy=f"See its result: starbench status {folder}",
+        )
+    return RunFolderError(
+        "No process works on this run.",
+        where=str(folder),
+        remedy=f"To see where it stands: starbench status {folder}. To continue it: starbench resume {folder}",
     )
 
 

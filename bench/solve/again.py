@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -50,6 +50,14 @@ from bench.solve.solution import main_numbers, solve_run
 from calib.errors import CalibrationError
 from drivers.errors import DriverError
 from sequences.script import RecordStep, SolveStep
+
+Progress = Callable[[int, int], None]
+"""Is told how many recordings of all have been measured."""
+
+
+def nothing_shown(_done: int, _total: int) -> None:
+    """Show no progress."""
+
 
 _WITH_STAGE = frozenset({"homing", "slewing", "parking"})
 """States in which the program speaks to the stage."""
@@ -175,8 +183,11 @@ class _Evidence:
         )
 
 
-def check_run_again(folder: Path) -> Findings:
-    """Make the results of a run again from its recordings, and compare every file with what follows from them."""
+def check_run_again(folder: Path, progress: Progress = nothing_shown) -> Findings:
+    """Make the results of a run again from its recordings, and compare every file with what follows from them.
+
+    ``progress`` is told how many recordings of all have been measured.
+    """
     found = Findings()
     evidence = _read(folder, found)
     if evidence is None:
@@ -191,7 +202,7 @@ def check_run_again(folder: Path) -> Findings:
     compare_plan(folder, evidence.job.plan.to_dict(), started.get("software", {}), found)
     _check_steps(evidence, found)
     check_wire_log(folder, evidence.entries, evidence.job, found)
-    measured = _check_attempts(evidence, found)
+    measured = _check_attempts(evidence, found, progress)
     if not evidence.head:
         found.remarks.append("this run has no results to calculate again")
         return found
@@ -293,11 +304,13 @@ def _check_steps(evidence: _Evidence, found: Findings) -> None:
                 found.fault("journal", JOURNAL, what)
 
 
-def _check_attempts(evidence: _Evidence, found: Findings) -> dict[int, Measurement]:
+def _check_attempts(evidence: _Evidence, found: Findings, progress: Progress) -> dict[int, Measurement]:
     """Measure every recording again and compare with the journal; return the measurements of the accepted ones."""
     kept: dict[int, Measurement] = {}
     other = other_software(evidence.history.started.get("software", {}))
-    for attempt in evidence.history.attempts:
+    attempts = evidence.history.attempts
+    for done, attempt in enumerate(attempts):
+        progress(done, len(attempts))
         name = str(attempt.stored["capture"])
         if not (evidence.folder / name).is_file():
             found.remarks.append(f"{name} was lost before the run was resumed, so it was not measured again")
@@ -315,6 +328,7 @@ def _check_attempts(evidence: _Evidence, found: Findings) -> dict[int, Measureme
             seen = [one for one in seen if not (is_excused(one, {}) or ".reasons[" in one.where)]
         for one in seen[:MOST_SHOWN]:
             found.fault("journal", JOURNAL, f"the recordings do not give what it states: {one}")
+    progress(len(attempts), len(attempts))
     return kept
 
 

@@ -8,9 +8,11 @@ from __future__ import annotations
 
 import json
 import re
+from dataclasses import dataclass
 
 from jinja2 import Template
 
+from bench.stations.asked_devices import AskedLight, AskedStage
 from bench.stations.discovery import DRAFT, Discovery
 from bench.stations.placeholders import UNKNOWN_PORT, UNKNOWN_SOURCE
 
@@ -18,16 +20,43 @@ CAMERAS = ("metavision", "neuromorphic_evk4", "opencv", "recorded", "pictures")
 """Drivers of cameras; of those connected, the first of them is drafted."""
 
 
-def draft_station(
-    name: str, found: Discovery, *, stage: str, light: str = "scpi", camera: str | None = None
-) -> str:
-    """Write a new station file; the first adapter is the stage's, the second the light's.
+@dataclass(frozen=True)
+class StandIns:
+    """Devices of the simulated bench, which take the place of real ones in a new station file."""
 
-    ``camera`` is one of `CAMERAS`; None for the first connected one in their order.
+    light: str  # Make of the generator
+    camera_serial: str
+    high_v: float  # Voltage of the lamp's full brightness, V
+
+
+def free_ports(found: Discovery) -> list[str]:
+    """Return the ports that may belong to stage and light.
+
+    A port of the computer itself mostly has nothing behind it: it is listed, and not chosen.
     """
-    # A port of the computer itself mostly has nothing behind it: it is listed, and not chosen.
-    ports = [port.name for port in found.ports if not port.device.startswith("/dev/ttyS")]
-    stage_port, light_port = [*ports, UNKNOWN_PORT, UNKNOWN_PORT][:2]
+    return [port.name for port in found.ports if not port.device.startswith("/dev/ttyS")]
+
+
+def draft_station(
+    name: str,
+    found: Discovery,
+    *,
+    stage: str,
+    light: str = "scpi",
+    camera: str | None = None,
+    asked: tuple[AskedStage | None, AskedLight | None] = (None, None),
+    stand_ins: StandIns | None = None,
+) -> str:
+    """Write a new station file; ``asked`` is what stage and light answered, None where they did not.
+
+    Without an answer, the first free port is the stage's, the second the light's. ``camera`` is one of `CAMERAS`; None
+    for the first connected one in their order.
+    """
+    asked_stage, asked_light = asked
+    taken = {one.port for one in asked if one is not None}
+    ports = iter([*(port for port in free_ports(found) if port not in taken), UNKNOWN_PORT, UNKNOWN_PORT])
+    stage_port = asked_stage.port if asked_stage else next(ports)
+    light_port = asked_light.port if asked_light else next(ports)
     usable = [one for one in found.cameras if not one.trouble and (one.serial or one.source)]
     wanted = CAMERAS if camera is None else [camera]
     first = next((one for driver in wanted for one in usable if one.driver == driver), None)
@@ -36,12 +65,15 @@ def draft_station(
         name=_as_yaml(name),
         ports=found.ports,
         stage=stage,
-        stage_port=stage_port,
+        stage_port="sim:gimbal" if stand_ins else stage_port,
+        axes=asked_stage.axes if asked_stage else (),
         light=light,
-        light_port=light_port,
+        light_port="sim:light" if stand_ins else light_port,
+        asked_light=asked_light,
         camera=camera or (first.driver if first else CAMERAS[0]),
         serial=first.serial if first else "",
         source=first.source if first else UNKNOWN_SOURCE,
+        stand_ins=stand_ins,
     )
 
 

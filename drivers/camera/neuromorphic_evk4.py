@@ -41,7 +41,7 @@ _UNKNOWN_KIND: Final = ("unknown maker", "camera with an IMX636")
 
 def discover() -> tuple[FoundCamera, ...]:
     """List the EVK4 that are connected."""
-    package = _package()
+    package = import_package()
     try:
         listed = package.list_devices()
     except RuntimeError as error:
@@ -89,7 +89,7 @@ class NeuromorphicEvk4(UsbCameraDriver):
         of this bench has locked it (with a serial number given, the camera has not been touched); `WrongDevice` if
         another camera answers; `CameraSettingRefused` if the camera is connected by USB 2.
         """
-        return cls(None, _package(), serial=serial, clock=clock, utc_now=utc_now).open_device()
+        return cls(None, import_package(), serial=serial, clock=clock, utc_now=utc_now).open_device()
 
     def _opened(self) -> Any:
         """Open the package's device with its trigger input off. Raises CameraNotFound."""
@@ -279,7 +279,7 @@ class PacketStream:
         self._dropped = ring.dropped_packets
 
 
-def _package() -> Any:
+def import_package() -> Any:
     """Import ``neuromorphic_drivers``. Raises CameraSoftwareMissing."""
     try:
         return importlib.import_module("neuromorphic_drivers")

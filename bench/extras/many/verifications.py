@@ -5,9 +5,10 @@ Only what was made again may be kept, which depends on the bytes of folder and p
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -75,8 +76,13 @@ def _derived(folder: Path, check: Check, known: Mapping[str, Any] | None) -> Map
     return {"key": key, "derived": asdict(found)}
 
 
-def derivations_of(folder: Path, *, again: bool) -> list[Derivation]:
-    """Return what compares the files of a run or of recalculated results, in order; ``again``: by the recordings."""
+def derivations_of(
+    folder: Path, *, again: bool, progress: Callable[[int, int], None] | None = None
+) -> list[Derivation]:
+    """Return what compares the files of a run or of recalculated results, in order; ``again``: by the recordings.
+
+    ``progress`` is told how many recordings of all have been measured again.
+    """
     from bench.evidence.seal import kind_of
 
     found: list[Derivation] = []
@@ -85,8 +91,9 @@ def derivations_of(folder: Path, *, again: bool) -> list[Derivation]:
 
         found.append(check_recorded_with)
     if again:
-        from bench.solve.again import check_run_again
+        from bench.solve.again import check_run_again, nothing_shown
         from bench.solve.recalculated_again import check_recalculated
 
-        found.append(check_run_again if kind_of(folder) == "run" else check_recalculated)
+        of_run = partial(check_run_again, progress=progress or nothing_shown)
+        found.append(of_run if kind_of(folder) == "run" else check_recalculated)
     return found

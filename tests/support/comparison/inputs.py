@@ -122,5 +122,5 @@ SHORT_COMMANDS: dict[str, str] = {
     "schema-queue": "schema queue", "schema-job": "schema job", "schema-lab": "schema lab",
     "target-show": "target show -s simulated --json",
     "target-draw": "target draw -s simulated -o target.svg",
-    "certificate-new": "certificate new -o new_lab.yaml", "certificate-list": "certificate list --json",
+    "certificate-new": "certificate new new_lab.yaml", "certificate-list": "certificate list --json",
 }  # fmt: skip

@@ -11,11 +11,15 @@ from pathlib import Path
 
 import click
 import pytest
+from calling import out_of, refusal
+from journals import MadeRun
 
 from bench.base.errors import StorageError
 from bench.commands.cli import cli, main
 from bench.commands.history import signed
 from bench.commands.output import print_error
+from bench.commands.verify import MeasuredLine
+from bench.extras.many.workers import TimeLeft
 
 RUN_COMMANDS = [
     ("resume",),
@@ -372,3 +376,44 @@ def test_a_fault_of_a_setting_names_the_option(say, words):
 
 def test_a_deviation_of_zero_has_no_sign():
     assert [signed(number) for number in (-0.004, 0.004, -0.006, 1.0)] == ["0.00", "0.00", "-0.01", "+1.00"]
+
+
+def test_help_and_version_have_the_words_of_other_programs(capsys):
+    assert out_of(capsys, "help", "run") == out_of(capsys, "run", "--help")
+    assert out_of(capsys, "help") == out_of(capsys, "--help")
+    assert out_of(capsys, "-V") == out_of(capsys, "--version")
+
+
+def test_the_same_verb_takes_the_same_arguments(capsys, tmp_path):
+    told = out_of(capsys, "certificate", "new", tmp_path / "lab.yaml")
+    assert told.startswith(f"Written: {tmp_path / 'lab.yaml'}.")
+    assert "REPLACE" in (tmp_path / "lab.yaml").read_text()
+    assert "exists" in refusal(capsys, "certificate", "new", tmp_path / "lab.yaml", status=2)
+
+
+def test_a_finished_run_is_told_as_finished_and_an_interrupted_one_how_it_goes_on(capsys, tmp_path):
+    run = MadeRun(tmp_path / "run7").begin()
+    run.record(1)
+    said = refusal(capsys, "tell", run.folder, "hold")
+    assert f"starbench resume {run.folder}" in said
+    run.record_all().end()
+    (run.folder / "SHA256SUMS").write_text("")
+    said = refusal(capsys, "tell", run.folder, "hold")
+    assert "The run has finished, so it takes no more commands." in said
+    assert f"starbench status {run.folder}" in said
+    assert "resume" not in said
+
+
+def test_recordings_that_are_measured_again_are_counted_with_the_time_left(monkeypatch):
+    now_s = [0.0]
+    line, shown = MeasuredLine(TimeLeft(lambda: now_s[0])), []
+    monkeypatch.setattr(line, "quiet", False)
+    monkeypatch.setattr(line, "show", shown.append)
+    monkeypatch.setattr(line, "due", lambda: True)
+    for done in range(3):
+        line.measured(done, 3)
+        now_s[0] += 10.0
+    assert shown == [
+        "1 of 3 recordings measured again, 0:20 left",
+        "2 of 3 recordings measured again, 0:10 left",
+    ]

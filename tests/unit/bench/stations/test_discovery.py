@@ -1,17 +1,23 @@
 """What is connected, and the station file drafted from it."""
 
 import re
+import sys
 import types
 from typing import get_args
 
 import pytest
-from filled_stations import filled
+from calling import out_of
+from filled_stations import filled, filled_example
 
+from bench.base.clock import BenchClock
 from bench.commands.station import show_devices, station_new
 from bench.plan.plan import load_documents, make_plan
+from bench.simulated import SimulatedBench
 from bench.stations import discovery
+from bench.stations.asked_devices import AskedAxis, ask_light, ask_stage, dialect_of
 from bench.stations.discovery import Discovery, FoundPort, discover
 from bench.stations.placeholders import UNKNOWN_PORT, UNKNOWN_SERIAL
+from bench.stations.practice import draft_stand_ins
 from bench.stations.stages_and_lights import LightConfig
 from bench.stations.station import SHIPPED_STATIONS, CameraConfig, Station, load_station
 from bench.stations.station_draft import CAMERAS, draft_station
@@ -136,3 +142,68 @@ def test_every_family_of_devices_can_be_drafted(name, config, simulated):
     }
     assert set(CHOICES[name]) == families - simulated
     assert set(CAMERAS) == set(CHOICES["camera"])
+
+
+# ---------------------------------------------------------------- what the devices answer
+
+
+@pytest.mark.parametrize(
+    ("kind", "dialect"), [("keysight", "keysight"), ("rigol", "numbered"), ("siglent", "siglent")]
+)
+def test_a_station_of_stand_ins_states_what_its_devices_answer_and_can_be_planned(tmp_path, kind, dialect):
+    path = tmp_path / "practice.yaml"
+    path.write_text(draft_stand_ins("Practice", kind))
+    station = load_station(str(path))
+    assert station.value.light.dialect == dialect
+    assert station.value.light.serial == "SG0042"
+    axes = station.value.stage.axes
+    assert {name: (axis.serial, axis.limits_deg) for name, axis in axes.items()} == {
+        "pan": ("100101", (-12.0, 12.0)),
+        "tilt": ("100102", (-10.0, 10.0)),  # as far as the controller allows
+    }
+    assert make_plan(*load_documents("three_pose", str(path))).faults == ()
+
+
+def test_stage_and_light_are_found_at_whichever_port_they_answer(tmp_path):
+    clock = BenchClock()
+    with SimulatedBench({}, 1) as bench:
+        ports = [bench.endpoints["light"], bench.endpoints["gimbal"]]
+        stage, light = ask_stage("zaber_ascii", ports, clock), ask_light("scpi", ports, clock)
+    assert (stage.port, light.port) == (ports[1], ports[0])
+    assert [axis.microsteps_per_deg for axis in stage.axes] == [None, None]  # a goniometer does not know it
+    found = Discovery((FoundPort(ports[1], ports[1], "", "", ""),), (), ())
+    path = tmp_path / "bench.yaml"
+    path.write_text(draft_station("Own", found, stage="zaber_ascii", asked=(stage, light)))
+    text = path.read_text()
+    assert "tilt: the controller allows -64000 to 64000 microsteps" in text
+    assert load_station(str(path)).value.light.port == ports[0]
+    assert ask_stage("zaber_ascii", [str(tmp_path / "nothing")], clock) is None
+
+
+@pytest.mark.parametrize(
+    ("maker", "model", "dialect"),
+    [
+        ("Agilent Technologies", "33220A", "keysight"),
+        ("Keysight Technologies", "33512B", "numbered"),
+        ("RIGOL TECHNOLOGIES", "DG1022Z", "numbered"),
+        ("Siglent Technologies", "SDG1032X", "siglent"),
+        ("HEWLETT-PACKARD", "33250A", "keysight"),
+    ],
+)
+def test_the_dialect_follows_from_maker_and_model(maker, model, dialect):
+    assert dialect_of(maker, model) == dialect
+
+
+def test_a_scale_that_the_controller_states_gives_limits_within_its_travel():
+    axis = AskedAxis("pan", 1, "7", 6400.0, (-32000, 128000))
+    assert axis.limits_deg() == (-5.0, 12.0)
+    assert axis.remark == ""
+
+
+def test_the_plan_tells_a_missing_package(capsys, monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "neuromorphic_drivers", None)
+    path = tmp_path / "bench.yaml"
+    path.write_text(filled_example("example_evk4").replace("driver: metavision", "driver: neuromorphic_evk4"))
+    told = out_of(capsys, "plan", "three_pose", "-s", path)
+    assert "Missing for a run on this computer: The package neuromorphic-drivers cannot be imported" in told
+    assert "pip install 'starbench[evk4]'" in told

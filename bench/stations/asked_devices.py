@@ -1,0 +1,143 @@
+"""Asks stage and light for what a new station file must state: serial numbers, scale, limits and dialect.
+
+Only questions are sent: nothing moves, nothing is switched, nothing is set. The driver is the one that the operator
+chose; a port on which no such device answers is tried for the other one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from drivers.clock import Clock
+from drivers.errors import DriverError
+from drivers.light.scpi import ScpiLight
+from drivers.light.scpi_dialects import DialectName
+from drivers.serial_port import SerialPort, closed_on_error
+from drivers.stage.zaber import ZaberChain
+from drivers.text_line import ScpiLine
+
+AXES: Final = ("pan", "tilt", "roll")
+"""Names of axes in the order in which a new station file gives them to the devices of a chain."""
+WANTED_DEG: Final = 12.0
+"""Limit of an axis in a new station file, degrees, if its controller allows it: the field of a usual collimator."""
+ZABER_BAUDRATE: Final = 115_200
+_NUMBERED: Final = ("RIGOL", "335")
+"""Beginnings of makers and models that number their channels."""
+
+
+@dataclass(frozen=True)
+class AskedAxis:
+    """What the controller of an axis states."""
+
+    name: str
+    device: int  # Address in the chain
+    serial: str
+    microsteps_per_deg: float | None  # None if the controller does not know it
+    limits_microsteps: tuple[int, int] | None
+
+    def limits_deg(self) -> tuple[float, float]:
+        """Return limits within those of the controller, degrees; the wanted ones if its scale is not known."""
+        if self.limits_microsteps is None or self.microsteps_per_deg is None:
+            return -WANTED_DEG, WANTED_DEG
+        low, high = (steps / self.microsteps_per_deg for steps in self.limits_microsteps)
+        return round(max(low, -WANTED_DEG), 4), round(min(high, WANTED_DEG), 4)
+
+    @property
+    def remark(self) -> str:
+        """What to check, as a comment of the file; empty if all is known."""
+        if self.limits_microsteps is None or self.microsteps_per_deg is not None:
+            return ""
+        low, high = self.limits_microsteps
+        return f"the controller allows {low} to {high} microsteps: keep limits_deg within that"
+
+
+@dataclass(frozen=True)
+class AskedStage:
+    """A stage that answered."""
+
+    port: str
+    axes: Sequence[AskedAxis]
+
+    @property
+    def what(self) -> str:
+        """The stage in words, for the operator."""
+        return f"a stage with {' and '.join(f'{axis.name} (serial {axis.serial})' for axis in self.axes)}"
+
+
+@dataclass(frozen=True)
+class AskedLight:
+    """A generator that answered."""
+
+    port: str
+    what: str  # Maker and model
+    serial: str
+    dialect: DialectName
+
+
+def ask_stage(
+    driver: str, ports: Sequence[str], clock: Clock, scale: float | None = None
+) -> AskedStage | None:
+    """Return the first stage that answers on one of the ports; None if none does, or the driver cannot ask.
+
+    ``scale``, microsteps per degree, is that of axes whose controller does not state it.
+    """
+    for port in ports if driver == "zaber_ascii" else ():
+        try:
+            axes = _zaber_axes(port, clock, scale)
+        except DriverError:
+            continue  # another device, or none
+        if axes:
+            return AskedStage(port, axes)
+    return None
+
+
+def ask_light(driver: str, ports: Sequence[str], clock: Clock) -> AskedLight | None:
+    """Return the first generator that answers on one of the ports; None if none does, or the driver cannot ask."""
+    for port in ports if driver == "scpi" else ():
+        try:
+            line = SerialPort(port, baudrate=ScpiLight.BAUDRATE)
+            with closed_on_error(line):
+                link = ScpiLine(line, clock=clock)
+            maker, model, serial, _ = link.identity
+            link.close()
+        except DriverError:
+            continue  # another device, or none
+        return AskedLight(port, f"{maker} {model}", "" if serial == "0" else serial, dialect_of(maker, model))
+    return None
+
+
+def dialect_of(maker: str, model: str) -> DialectName:
+    """Return the dialect of a generator by its answer to ``*IDN?``.
+
+    >>> dialect_of("Rigol Technologies", "DG1022Z"), dialect_of("Agilent Technologies", "33522B")
+    ('numbered', 'numbered')
+    """
+    if maker.upper().startswith("SIGLENT"):
+        return "siglent"
+    return "numbered" if maker.upper().startswith(_NUMBERED) or model.startswith(_NUMBERED) else "keysight"
+
+
+def _zaber_axes(port: str, clock: Clock, scale: float | None) -> list[AskedAxis]:
+    """Return the devices of a chain, from address 1 on, one axis each."""
+    line = SerialPort(port, baudrate=ZABER_BAUDRATE)
+    with closed_on_error(line):
+        chain = ZaberChain(line, range(1, len(AXES) + 1), clock=clock)
+    axes = []
+    try:
+        for device, name in enumerate(AXES, start=1):
+            try:
+                serial = chain.query(device, 0, "get system.serial", strict=False).data
+            except DriverError:
+                break  # the end of the chain
+            turn, *limits = (
+                chain.parse_integer(chain.query(device, 1, f"get {setting}", strict=False).data)
+                for setting in ("limit.cycle.dist", "limit.min", "limit.max")
+            )
+            axes.append(
+                AskedAxis(name, device, serial, turn / 360.0 if turn else scale, (limits[0], limits[1]))
+            )
+    finally:
+        chain.close()
+    return axes
