@@ -4,8 +4,14 @@ from __future__ import annotations
 
 from typing import Any, Final
 
-KERNEL: Final[dict[str, Any]] = {"cache": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-"""Compiler options. Only Python and other loops call these loops: an entry for C costs 4 % of the time of compiling."""
+KERNEL: Final[dict[str, Any]] = {
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",
+    "no_cfunc_wrapper": True,
+}
+"""Compiler options. A run goes on beside these loops (``nogil``). Only Python and other loops call them: an entry for C
+costs 4 % of the time of compiling."""
 
 INNER: Final[dict[str, Any]] = {
     "error_model": "numpy",

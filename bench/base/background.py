@@ -13,12 +13,19 @@ Result = TypeVar("Result")
 def in_background(work: Callable[[], Result], name: str) -> Future[Result]:
     """Begin work in a thread of its own, which does not keep the program from ending; return its future."""
     future: Future[Result] = Future()
-
-    def do() -> None:
-        try:
-            future.set_result(work())
-        except BaseException as error:  # noqa: BLE001 - raised again by who asks the future
-            future.set_exception(error)
-
-    threading.Thread(target=do, name=name, daemon=True).start()
+    threading.Thread(target=_do, args=(work, future), name=name, daemon=True).start()
     return future
+
+
+def done_at_once(work: Callable[[], Result]) -> Future[Result]:
+    """Do work in this thread; return its future, which is done."""
+    future: Future[Result] = Future()
+    _do(work, future)
+    return future
+
+
+def _do(work: Callable[[], Result], future: Future[Result]) -> None:
+    try:
+        future.set_result(work())
+    except BaseException as error:  # noqa: BLE001 - raised again by who asks the future
+        future.set_exception(error)

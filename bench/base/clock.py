@@ -18,8 +18,12 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
 from types import FrameType
+from typing import TypeVar
 
+from bench.base.background import done_at_once, in_background
 from drivers.lateness import LatenessData, own_lateness
+
+Result = TypeVar("Result")
 
 
 class _Asked(Exception):
@@ -119,6 +123,10 @@ class BenchClock:
         if self._requested.is_set() and not self._shields:
             self._raise_request()
 
+    def in_parallel(self, work: Callable[[], Result]) -> Callable[[], Result]:
+        """Begin work that goes on while this clock's worker does other things; return what waits for its result."""
+        return in_background(work, "parallel work").result
+
     def inactive_s(self) -> float:
         """Return for how long, s, the work has not waited, checked or read the time; 0 while it waits."""
         return 0.0 if self._asleep else max(0.0, time.monotonic() - self._asked_s)
@@ -196,6 +204,19 @@ class VirtualClock(BenchClock):
         """Advance the virtual time; returns at once. A negative duration is 0."""
         self.check()
         self._now_s += max(0.0, seconds)
+
+    def in_parallel(self, work: Callable[[], Result]) -> Callable[[], Result]:
+        """See `BenchClock.in_parallel`. The work is done at once; its virtual time passes beside that of the worker."""
+        begin_s = self._now_s
+        with self.shielded():
+            outcome = done_at_once(work)
+        end_s, self._now_s = self._now_s, begin_s
+
+        def result() -> Result:
+            self.sleep(end_s - self._now_s)
+            return outcome.result()
+
+        return result
 
     def lateness(self) -> LatenessData:
         """See `BenchClock.lateness`."""

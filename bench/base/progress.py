@@ -58,7 +58,8 @@ class Progress:
 
     def done(self, seconds: float) -> None:
         """Set how much of the expected duration has passed, s from the start of the run in the plan."""
-        self._done_s, self._counted_from_s = seconds, self._monotonic()
+        if seconds >= self._done_s:  # a recording may be accepted after the move that follows it
+            self._done_s, self._counted_from_s = seconds, self._monotonic()
 
     def show(self, state: str, *, pose: int | None = None, detail: str = "") -> None:
         """Show the present state, pose (from 1; None: unchanged), and in brackets further words."""

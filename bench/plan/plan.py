@@ -96,12 +96,14 @@ class Estimate:
         """Return the time after the last step that needs devices, s: light off, stage to 0 deg."""
         return LIGHT_OFF_S + self._travel_s(self._at_deg) + MOVE_EXTRA_S
 
-    def add(self, step: Step) -> float:
-        """Add the next step, and return its duration, s."""
+    def add(self, step: Step, following: tuple[Step, ...] = ()) -> float:
+        """Add the next step, and return its duration, s; ``following`` are the steps after it, at least two."""
         if isinstance(step, ChooseStep):
             self._spare = self._is_spare(step)
         sizes = self.size_bytes
         duration_s = self._duration_s(step)
+        if isinstance(step, RecordStep):
+            duration_s += self._check_s(following)
         if self._spare and isinstance(step, ChooseStep | MoveStep | SettleStep | RecordStep):
             self.size_bytes, duration_s = sizes, 0.0
         self._elapsed_s += duration_s
@@ -129,7 +131,7 @@ class Estimate:
             case MoveStep():
                 duration_s = self._move(step.pose.angles_deg)
             case RecordStep():
-                duration_s = self._record(step) + RECORD_EXTRA_S + CHECK_S
+                duration_s = self._record(step) + RECORD_EXTRA_S
             case SettleStep() | WaitStep():
                 duration_s = step.duration_s
             case PromptStep():
@@ -155,6 +157,18 @@ class Estimate:
         self.most_bytes += int(most_events * MOST_BYTES_PER_EVENT * step.attempts) + POSE_BYTES
         return recorded_s
 
+    def _check_s(self, following: tuple[Step, ...]) -> float:
+        """Return how long the run waits for a check, s: it goes on while the stage turns and the camera settles."""
+        left_s = CHECK_S
+        for step in following:
+            if isinstance(step, MoveStep):
+                left_s -= self._travel_s(self._distances(step.pose.angles_deg)) + MOVE_EXTRA_S
+            elif isinstance(step, SettleStep):
+                left_s -= step.duration_s
+            else:
+                break
+        return max(0.0, left_s)
+
     def _move_anywhere(self) -> float:
         """Return the time of a move over the whole range; the farthest end is the place to park from."""
         ranges = {name: axis.limits_deg[1] - axis.limits_deg[0] for name, axis in self._axes.items()}
@@ -162,9 +176,12 @@ class Estimate:
         return self._travel_s(ranges) + MOVE_EXTRA_S
 
     def _move(self, target_deg: Mapping[str, float]) -> float:
-        distances = {name: angle - self._at_deg.get(name, 0.0) for name, angle in target_deg.items()}
+        distances = self._distances(target_deg)
         self._at_deg |= target_deg
         return self._travel_s(distances) + MOVE_EXTRA_S
+
+    def _distances(self, target_deg: Mapping[str, float]) -> dict[str, float]:
+        return {name: angle - self._at_deg.get(name, 0.0) for name, angle in target_deg.items()}
 
     def _travel_s(self, distances_deg: Mapping[str, float]) -> float:
         """Return the time of the slowest axis, s. An axis that the station does not have is a fault of the script."""
@@ -377,8 +394,8 @@ def _timed(script: tuple[Step, ...], estimate: Estimate) -> tuple[tuple[PlannedS
     last = next((step for step in reversed(script) if isinstance(step, SEQUENCE_DEVICE_STEPS)), None)
     elapsed_s = estimate.preparation_s() if last is not None else 0.0
     steps: list[PlannedStep] = []
-    for step in script:
-        duration_s = estimate.add(step)
+    for place, step in enumerate(script):
+        duration_s = estimate.add(step, script[place + 1 : place + 3])
         elapsed_s += duration_s
         steps.append(PlannedStep(step, duration_s, elapsed_s))
         if step is last:

@@ -38,7 +38,7 @@ from bench.wording.goals import decision_text
 from drivers.errors import CameraLost, PortLost, ReplyTimeout
 from drivers.lateness import LatenessData
 from drivers.wire_log import WireLogFile
-from sequences.script import ChooseStep, RecordStep, WaitStep
+from sequences.script import ChooseStep, MoveStep, RecordStep, SettleStep, WaitStep
 
 LOST_DEVICE_ERRORS = (PortLost, CameraLost, ReplyTimeout)
 """Errors of a device that was lost, or no longer answers."""
@@ -163,6 +163,8 @@ class Runner:
             self._with_interlocks(None, partial(self._prepare_bench, steps))
         needs_devices = [place for place, step in enumerate(steps) if isinstance(step, DEVICE_STEPS)]
         for place, step in enumerate(steps):
+            if not isinstance(step, MoveStep | SettleStep):
+                self._conclude_check()
             if place > max(needs_devices, default=-1):
                 self._leave_devices()
             if history.is_left_out(step.number):
@@ -171,7 +173,15 @@ class Runner:
                 self._with_interlocks(step, partial(self._do_step, step))
             else:
                 self._do_step(step)
+        self._conclude_check()
         self._machine.fire("finish")
+
+    def _conclude_check(self) -> None:
+        """End the check of the last recording, which went on while the stage turned; go back if it is rejected."""
+        step = self._steps.in_check
+        if step is not None:
+            self._with_interlocks(step, partial(self._steps.conclude, step))
+            self._finish_step(step)
 
     def _leave_devices(self) -> None:
         """Journal how the devices are left, once, when the remaining steps need none; the report states it."""
@@ -261,18 +271,23 @@ class Runner:
     def _do_step(self, step: ScriptStep) -> None:
         """Do a step, unless its pose is skipped."""
         self._steps.reach(step)
-        done = self.context.log.history.done_steps
         if self._steps.is_skipped(step):
-            if step.number not in done:
+            if step.number not in self.context.log.history.done_steps:
                 self.context.log.write(events.StepDone, step=step.number, skipped=True)
             return
+        self._steps.return_to(step)
         if isinstance(step, RecordStep):
             self._steps.record(step)
         else:
             self._steps.take(step)
         if isinstance(step, ChooseStep):
             self._show_decision(step)
-        if step.number not in done:
+        if self._steps.in_check is not step:
+            self._finish_step(step)
+
+    def _finish_step(self, step: ScriptStep) -> None:
+        """Journal that a step is done, once, and show it."""
+        if step.number not in self.context.log.history.done_steps:
             self.context.log.write(events.StepDone, step=step.number)
         done_s = self.context.job.done_after_s(step)
         if done_s is not None:

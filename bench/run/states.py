@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
+from functools import partial
 from typing import Any, Final, cast
 
 from bench.base.clock import Aborted
@@ -114,6 +115,8 @@ class StateWork:
     def __init__(self, run: RunContext) -> None:
         self._run = run
         self._measured: dict[int, Measurement] = {}
+        self._begun: dict[str, Callable[[], Measurement]] = {}
+        """What waits for the measurement of a recording that has begun, by the recording's file."""
 
     def on_enter(self) -> Mapping[State, Callable[..., None]]:
         """Return what is done in each state; it is done when the state is entered."""
@@ -177,7 +180,10 @@ class StateWork:
         self._run.clock.sleep(step.duration_s)
 
     def recording(self, step: RecordStep, *, attempt: int, **_: Any) -> None:
-        """Record at the step's pose. On return, the recording is complete, in its place and journaled."""
+        """Record at the step's pose. On return, the recording is complete, in its place and journaled.
+
+        Its measurement has begun, and goes on while the stage turns to the next pose.
+        """
         pose, kind, devices = step.pose, self._run.job.camera_kind, self._run.devices.opened
         before = self._position_as_commanded(pose.angles_deg)
         light = devices.light.read()
@@ -200,19 +206,31 @@ class StateWork:
             light=cast("events.LightSettingsData", asdict(light)),
             facts=cast("events.RecordedData", asdict(facts)),
         )
+        self._begun = {capture.name: self._begin_measuring(step, attempt)}
 
     def checking(self, step: RecordStep, *, attempt: int, **_: Any) -> None:
-        """Measure the recording just stored; accept it or journal why not."""
-        pose, job, history = step.pose, self._run.job, self._run.log.history
-        stored = next(a for a in history.attempts_at(pose.index) if a.attempt == attempt).stored
-        expected = grid_from_earlier_poses(history, stored, job.target)
-        path = self._run.folder.path / stored["capture"]
-        found = job.camera_kind.measure(path, step, job.frequency_hz(step), job.target, expected)
+        """Wait until a stored recording is measured; accept it or journal why not."""
+        pose, job = step.pose, self._run.job
+        stored = self._stored(step, attempt)
+        measurement = self._begun.pop(stored["capture"], None) or self._begin_measuring(step, attempt)
+        found = measurement()
         leave_view(self._run.folder.path, pose.index, attempt, found, job.target)
         checked = job.judged(step, stored, found)
         if checked["accepted"]:
             self._measured[pose.index] = found
         self._run.log.write(events.AttemptChecked, **checked)
+
+    def _stored(self, step: RecordStep, attempt: int) -> events.CaptureStored:
+        attempts = self._run.log.history.attempts_at(step.pose.index)
+        return next(one.stored for one in attempts if one.attempt == attempt)
+
+    def _begin_measuring(self, step: RecordStep, attempt: int) -> Callable[[], Measurement]:
+        """Begin to measure a stored recording beside the run; return what waits for the measurement."""
+        job, stored = self._run.job, self._stored(step, attempt)
+        expected = grid_from_earlier_poses(self._run.log.history, stored, job.target)
+        path = self._run.folder.path / stored["capture"]
+        work = partial(job.camera_kind.measure, path, step, job.frequency_hz(step), job.target, expected)
+        return self._run.clock.in_parallel(work)
 
     def choosing(self, step: ChooseStep, **_: Any) -> None:
         """Choose the next pose of an ``until``, or end it; a decision that the journal holds is kept."""

@@ -47,6 +47,10 @@ def remaining_steps(steps: Sequence[ScriptStep], done: Iterable[int]) -> list[Sc
     """Return the steps to do, in order: those not done, and those done that the first of them depends on."""
     done = set(done)
     undone = [i for i, step in enumerate(steps) if step.number not in done]
+    unrecorded = next((i for i in undone if isinstance(steps[i], RecordStep)), len(steps))
+    # The stage turned on while that recording was checked, and turns again after it is repeated.
+    turned = [i for i, s in enumerate(steps) if i > unrecorded and isinstance(s, MoveStep | SettleStep)]
+    undone = sorted({*undone, *turned})
     again: set[int] = set()
     for wanted in ((MoveStep, SettleStep, RecordStep), (SolveStep, ReportStep)):
         first = next((i for i in undone if isinstance(steps[i], wanted)), None)
@@ -193,11 +197,19 @@ class Steps:
         self._run = run
         self._machine = machine
         self._steps_skipped: dict[int, set[int]] = {}
+        self._last_move: int | None = None  # Number of the move that the stage took last
+        self._in_check: RecordStep | None = None
+
+    @property
+    def in_check(self) -> RecordStep | None:
+        """The step whose recording is stored and being checked; `conclude` ends that."""
+        return self._in_check
 
     def take(self, step: ScriptStep) -> None:
         """Take the one edge of a step that records nothing."""
         if isinstance(step, MoveStep):
             step = self._run.job.at_its_pose(step, self._run.log.history.chosen)
+            self._last_move = step.number
             self.fire_at("slew", step, target_deg=dict(step.pose.angles_deg))
         else:
             self._machine.fire(_TRIGGERS[type(step)], step)
@@ -226,6 +238,13 @@ class Steps:
         for needed in steps_to_repeat(self._run.job.steps, step):
             self.take(needed)
 
+    def return_to(self, step: ScriptStep) -> None:
+        """Move the stage where the next recording needs it, if it went back to an earlier pose in between."""
+        needed = steps_to_repeat(self._run.job.steps, step)
+        if needed and needed[0].number != self._last_move:
+            for move_or_settle in needed:
+                self.take(move_or_settle)
+
     # ------------------------------------------------------------------ safe points
 
     def reach(self, step: ScriptStep) -> None:
@@ -236,9 +255,11 @@ class Steps:
         holder = history.holder
         if holder and self._machine.can("hold"):
             self._hold(step, holder)
-        accepted = history.accepted()
+        settled = {*history.accepted(), *history.skipped}
+        if self._in_check is not None:
+            settled.add(self._in_check.pose.index)
         for pose_index, by in list(history.to_skip.items()):
-            if pose_index not in history.skipped and pose_index not in accepted:
+            if pose_index not in settled:
                 self.skip(pose_index, f"{by} asked for it")
         if holder and not self.is_skipped(step):
             self.prepare_again(step)
@@ -271,8 +292,21 @@ class Steps:
     # ------------------------------------------------------------------ attempts at a recording
 
     def record(self, step: RecordStep) -> None:
-        """Record until accepted; after the last attempt do as the step says, or as the operator decides."""
-        while (reasons := self._try_attempts(step)) is not None:
+        """Record at a pose. The recording is then `in_check`; one that the camera loses is repeated at once."""
+        if step.pose.index in self._run.log.history.accepted():
+            return  # the process died between accepting it and journaling that
+        lost = self._record_once(step)
+        if lost:
+            self.conclude(step, lost)
+        else:
+            self._in_check = step
+
+    def conclude(self, step: RecordStep, reasons: Sequence[str] = ()) -> None:
+        """Check a recording; record again until one is accepted. After the last attempt do as the step says, or ask.
+
+        ``reasons`` tell why the first attempt was lost.
+        """
+        while reasons := self._try_attempts(step, reasons):
             pose = step.pose
             what = f"Pose {pose.index} ({pose.name}) failed {counted(step.attempts, 'attempt')}: {_joined(reasons)}."
             if step.on_failure == "fail":
@@ -291,6 +325,7 @@ class Steps:
             self._machine.fire(
                 "hold", PromptStep(step.number, step.where, step.path, question, "abort", step.hold_s)
             )
+            reasons = ()
 
     def _last_capture(self, pose_index: int) -> str:
         """Return the file of the last recording at a pose; empty if none was stored."""
@@ -306,33 +341,50 @@ class Steps:
             events.AttemptLost, pose=pose.index, pose_name=pose.name, attempt=attempt, why=why, kept=kept
         )
 
-    def _try_attempts(self, step: RecordStep) -> list[str] | None:
-        """Make up to the allowed attempts; return why the last was rejected, None if accepted or skipped."""
+    def _try_attempts(self, step: RecordStep, reasons: Sequence[str]) -> Sequence[str]:
+        """Make up to the allowed attempts; return why the last was rejected, nothing if accepted or skipped.
+
+        The first attempt may have been lost, which ``reasons`` say, or be stored and not yet checked.
+        """
         history, pose = self._run.log.history, step.pose
-        reasons: list[str] = []
-        if pose.index in history.accepted():  # the process died between accepting it and journaling that
-            return None
-        for i in range(step.attempts):
+        for i in range(1 if reasons else 0, step.attempts):
             if i:
                 self.fire_at("back_off", step, wait_s=step.backoff_s * 2 ** (i - 1))
                 self.reach(step)
                 if pose.index in history.skipped:
-                    return None
-            attempt = history.next_attempt(pose.index)
-            try:
-                self.fire_at("record", step, attempt=attempt)
-                self.fire_at("check", step, attempt=attempt)
-            except RecordingFailed as error:
-                reasons = [str(error)]
-                self.keep_lost_recording(step, str(error))
-                continue
-            if pose.index in history.accepted():
-                return None
-            reasons = list(history.attempts_at(pose.index)[-1].reasons)
-            self._run.say(f"Pose {pose.index} ({pose.name}), attempt {attempt}: {_joined(reasons)}")
+                    return ()
+            if history.unchecked(pose.index) is None:
+                self.return_to(step)
+                reasons = self._record_once(step)
+                if reasons:
+                    continue
+            reasons = self._check(step)
+            if not reasons:
+                return ()
         self.fire_at("back_off", step, wait_s=0.0)
         self.reach(step)
-        return None if pose.index in history.skipped else reasons
+        return () if pose.index in history.skipped else reasons
+
+    def _record_once(self, step: RecordStep) -> Sequence[str]:
+        """Make one attempt; return why it was lost, nothing if it is stored."""
+        try:
+            self.fire_at("record", step, attempt=self._run.log.history.next_attempt(step.pose.index))
+        except RecordingFailed as error:
+            self.keep_lost_recording(step, str(error))
+            return [str(error)]
+        return ()
+
+    def _check(self, step: RecordStep) -> Sequence[str]:
+        """End the check of the recording stored last at a pose; return why it is rejected."""
+        history, pose = self._run.log.history, step.pose
+        attempt = history.attempts_at(pose.index)[-1].attempt
+        self._in_check = None
+        self.fire_at("check", step, attempt=attempt)
+        if pose.index in history.accepted():
+            return ()
+        reasons = history.attempts_at(pose.index)[-1].reasons
+        self._run.say(f"Pose {pose.index} ({pose.name}), attempt {attempt}: {_joined(reasons)}")
+        return reasons
 
 
 def _joined(reasons: Sequence[str]) -> str:
