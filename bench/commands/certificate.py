@@ -98,6 +98,12 @@ def new(path: Path) -> int:
     help="Why the certificate is amended (it is printed), or why a run gets a further certificate.",
 )
 @click.option(
+    "--despite-fail",
+    "despite",
+    metavar="TEXT",
+    help="Why limits of LAB.YAML are certified as kept though the run says FAIL by its own; it is printed.",
+)
+@click.option(
     "--xades-key",
     type=ExistingFile(),
     metavar="PEM",
@@ -125,6 +131,7 @@ def issue(
     lab_file: Path,
     output: Path,
     reason: str | None,
+    despite: str | None,
     xades_key: Path | None,
     xades_certificate: Path | None,
     no_again: bool,
@@ -144,15 +151,22 @@ def issue(
 
     is_amended = (folder / CERTIFICATE).is_file()
     dcc_key = _dcc_key(xades_key, xades_certificate)
+    why = "" if despite is None else _stated(despite, "--despite-fail")
     laboratory = _laboratory(dcc_key, again=not no_again and not is_amended)
     if is_amended:
         if reason is None:
             raise click.UsageError("Missing option '--reason': why the certificate is amended.")
-        issued = amend(folder, lab_file, output, laboratory, reason=_stated(reason))
+        issued = amend(folder, lab_file, output, laboratory, reason=_stated(reason), despite=why)
     else:
         also = "" if reason is None else _stated(reason)
         issued = issue_first(
-            folder, lab_file, output, laboratory, also=also, accept_not_compared=accept_not_compared
+            folder,
+            lab_file,
+            output,
+            laboratory,
+            also=also,
+            despite=why,
+            accept_not_compared=accept_not_compared,
         )
     made = issued.certificate
     show(
@@ -365,10 +379,10 @@ def verify_sealed(folder: Path, *, again: bool) -> Verification:
     return verify_one(folder, read_trust(home_folder()), again=again)
 
 
-def _stated(reason: str) -> str:
+def _stated(reason: str, option: str = "--reason") -> str:
     """Return a reason; raise UsageError if it is empty."""
     if not reason.strip():
-        raise UsageError("The reason is empty.", remedy="Say why, with --reason TEXT.")
+        raise UsageError("The reason is empty.", remedy=f"Say why, with {option} TEXT.")
     return reason.strip()
 
 

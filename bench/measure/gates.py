@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any, Literal, cast
 
 from drivers.camera import RecordingFacts
+from sequences.schema import GateConfig, Waveform
 from sequences.script import Gates
 
 if TYPE_CHECKING:
@@ -67,6 +68,24 @@ def at_most(name: str, value: float, limit: float, unit: str) -> Gate:
     """
     verdict: Verdict = "fail" if value > limit else "marginal" if value > limit * (1 - MARGIN) else "pass"
     return Gate(name, value, unit, f"<= {limit:g}", verdict)
+
+
+def looser_gates(gates: Gates, waveform: Waveform) -> list[str]:
+    """Return a sentence for each gate that accepts more than its default under this waveform of the light."""
+    stated, usual = _limits(gates), _limits(Gates.from_settings(dict(GateConfig()), waveform))
+    looser = [
+        f"The gate {name} was {stated[name]:g}, looser than its default {limit:g}."
+        for name, limit in usual.items()
+        if (stated[name] < limit if name.startswith("min_") else stated[name] > limit)
+    ]
+    if not gates.require_triggers:
+        looser.append("The gate require_triggers was off.")
+    return looser
+
+
+def _limits(gates: Gates) -> dict[str, float]:
+    rate = gates.max_event_rate_mev_s
+    return {"min_stars": gates.min_stars, "max_event_rate_mev_s": rate, **gates.limits}
 
 
 def recording_gates(

@@ -19,6 +19,7 @@ from bench.record.results import (
 )
 from bench.report.pose_tables import gates
 from bench.wording.camera_check import check_sentences
+from bench.wording.earlier_runs import earlier_runs
 from bench.wording.goals import goals_missed
 from bench.wording.numbers import NOTHING, exact, moment, number, value_text, with_uncertainty
 from bench.wording.target_words import words_of
@@ -238,10 +239,6 @@ def _with_unit(key: str, value: Any) -> str:
     return printed if printed == NOTHING else printed + unit
 
 
-_ENDS = {"open": "without an end"}
-"""Words for the ends of runs in the ledger."""
-
-
 def identification(results: Results) -> list[tuple[str, str]]:
     """Identify what was calibrated, by whom, where and when (ISO/IEC 17025, 7.8.2.1)."""
     run = results["run"]
@@ -350,7 +347,4 @@ def _ledger_rows(ledger: LedgerPlace) -> list[tuple[str, str]]:
 
 
 def _place_in_ledger(ledger: LedgerPlace) -> str:
-    earlier = dict(ledger["of_camera"])
-    earlier["open"] = earlier.get("open", 0) - 1  # this run was entered when it began
-    counts = ", ".join(f"{count} {_ENDS.get(how, how)}" for how, count in earlier.items() if count > 0)
-    return f"{ledger['number']} of this bench; earlier runs of this camera: {counts or 'none'}"
+    return f"{ledger['number']} of this bench; earlier runs of this camera: {earlier_runs(ledger)}"

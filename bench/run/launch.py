@@ -21,6 +21,7 @@ from bench.base.home import home_folder
 from bench.base.progress import Progress
 from bench.evidence.keys import BenchKey, key_to_seal, usable_key
 from bench.evidence.seal import seal
+from bench.plan.departures import departures
 from bench.plan.job import Job, documents_of
 from bench.plan.plan import Plan
 from bench.record.events import Event
@@ -120,8 +121,9 @@ def start_run(
     ``output`` None is a new folder in ``runs/``; ``seed`` None is drawn and recorded; ``settings`` replace those of the
     files (`load_documents`), also in the copies; ``expect_serial`` replaces the station's.
     """
+    given = settings or {}
     if expect_serial is not None:
-        settings = _expecting(expect_serial, settings or {})
+        settings = _expecting(expect_serial, given)
     seed = secrets.randbits(31) if seed is None else seed
     job = Job.from_files(sequence, station, seed=seed, operator=operator, settings=settings)
     if expect_serial is not None:
@@ -161,6 +163,8 @@ def start_run(
                 **plugins_of_run(job.station),
                 ledger=place,
             )
+            for what in departures(job, given):
+                journal.append(Event.DEVIATION, what=what)
             return ending(run_and_seal(job, folder, journal, launch, key, ledger_lines(place)))
 
 

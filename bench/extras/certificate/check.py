@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 from bench.base.bounded_json import parse_json
@@ -22,10 +23,11 @@ from bench.extras.certificate.issue import (
     require_libraries,
 )
 from bench.extras.certificate.lab_config import LabConfig, lab_of
+from bench.extras.certificate.limits import is_despite_fail, passes_over_fail
 from bench.extras.certificate.sealed_run import is_statement, other_writer, stated_run
 from bench.extras.certificate.series import SIMULATED, is_number_format, number_pattern, numbers
 from bench.record.ledger import LEDGER, Ledger
-from bench.record.run_folder import MANIFEST, RESULTS
+from bench.record.run_folder import MANIFEST, RESULTS, SEQUENCE_COPY, STATION_COPY
 from bench.record.storage import read_bounded, sha256_of
 from sequences.errors import DocumentFaults
 from sequences.reader import Located
@@ -67,9 +69,12 @@ def _derive(folder: Path, certificate: Certificate, found: Findings) -> None:
     except DocumentFaults as error:
         found.fault(_KIND, LAB, "; ".join(str(fault) for fault in error.faults[:5]))
         return
-    for fault in faults_of_lab(lab, content)[:5]:
+    for fault in faults_of_lab(lab, content, certificate.run.sequence_sha256)[:5]:
         found.fault(_KIND, LAB, str(fault))
     _check_number(certificate, lab.value, found)
+    if certificate.issued_utc < certificate.ended_utc:
+        what = f"it was issued on {certificate.issued_utc}, before its calibration ended on {certificate.ended_utc}"
+        found.fault(_KIND, CERTIFICATE, what)
     other = other_writer(certificate.run.software)
     stated = certificate.statement("verification")
     if not other and not is_statement(stated):
@@ -85,8 +90,15 @@ def _derive(folder: Path, certificate: Certificate, found: Findings) -> None:
         found.fault(
             _KIND, CERTIFICATE, "it does not state as issuing does why the run has a further certificate"
         )
-    identity = Identity(certificate.number, certificate.issued_utc, run, certificate.amends, also, stated)
+    despite = certificate.statement("limits")
+    identity = Identity(
+        certificate.number, certificate.issued_utc, run, certificate.amends, also, despite, stated
+    )
     again = compose(content, lab.value, identity)
+    passes = passes_over_fail(content, lab.value, again.conformity)
+    if (bool(passes) or bool(despite)) != (bool(passes) and is_despite_fail(content, despite)):
+        tell = found.remarks.append if other else partial(found.fault, _KIND, CERTIFICATE)
+        tell("it does not state as issuing does that limits of the laboratory pass over a FAIL of the run")
     if again.to_json() != (folder / CERTIFICATE).read_bytes():
         where = _first_difference(certificate, again)
         if other and _same_numbers(certificate, again):
@@ -129,7 +141,8 @@ def _same_numbers(stated: Certificate, derived: Certificate) -> bool:
         [(one.symbol, one.lower, one.upper, one.guard_band, one.verdict) for one in each.conformity]
         for each in (stated, derived)
     ]
-    return numbers_of[0] == numbers_of[1] and verdicts[0] == verdicts[1]
+    # An earlier version left the limits of the run out if the laboratory stated some.
+    return numbers_of[0] == numbers_of[1] and all(one in verdicts[1] for one in verdicts[0])
 
 
 def _compare_documents(
@@ -251,6 +264,13 @@ def _compare_with_run(folder: Path, run: Path, certificate: Certificate, found: 
     if read_bounded(run / RESULTS) != results:
         found.fault(_KIND, RESULTS, f"the results are not those of the run {run}")
         return
+    hashes = {
+        SEQUENCE_COPY: certificate.run.sequence_sha256,
+        STATION_COPY: certificate.run.station_sha256,
+    }
+    for name, stated in hashes.items():
+        if stated and sha256_of(run / name) != stated:
+            found.fault(_KIND, CERTIFICATE, f"it names another {name} than that of the run {run}")
     from bench.extras.certificate.pdf import plots_of_run
 
     if plots_of_run(run, parse_json(results)) != plots_in(folder):

@@ -135,9 +135,16 @@ _OF_THE_RUN = frozenset({"camera temperature", "event rate", "illumination", "li
 _NO_NAMES = frozenset({"-", "n/a", "none", "unknown", "tbd", "todo", "?"})
 
 
-def faults_of_lab(lab: Located[LabConfig], found: Results) -> list[Fault]:
-    """Return what prevents a certificate: contradictions first, then clauses without an answer, in their order."""
+def faults_of_lab(lab: Located[LabConfig], found: Results, sequence_sha256: str) -> list[Fault]:
+    """Return what prevents a certificate: contradictions first, then clauses without an answer, in their order.
+
+    ``sequence_sha256`` is that of the run's sequence.yaml; empty if it is not known.
+    """
     faults = [lab.fault(path, message) for path, message in _contradictions(lab.value, found)]
+    allowed = lab.value.method.sequence_sha256 if lab.value.method else ""
+    if allowed and allowed != sequence_sha256:
+        what = f"the run used another sequence.yaml: SHA-256 {sequence_sha256 or 'not known'}."
+        faults.append(lab.fault(("method", "sequence_sha256"), what))
     for clause, key in unanswered(lab.value, found):
         spot = lab.position(tuple(key.split(".")[:-1]))
         faults.append(Fault(lab.file, spot.line, spot.column, key, clause.message(key)))

@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
-from bench.base.errors import EvidenceError
 from bench.extras.certificate import run_facts
 from bench.extras.certificate.budget_rows import RowSource, budget_of
 from bench.extras.certificate.certificate_data import (
@@ -39,10 +38,12 @@ from bench.extras.certificate.lab_config import (
     PreviousConfig,
     SourceConfig,
 )
+from bench.extras.certificate.limits import rules_of
 from bench.extras.certificate.run_facts import is_unnamed
 from bench.extras.certificate.series import SIMULATED
 from bench.record.results import PassportData, Results
 from bench.record.run_facts import verdict_of
+from bench.wording.earlier_runs import earlier_runs
 from bench.wording.parameters import unit_of
 from bench.wording.target_words import words_of
 from calib.model.lens import is_fisheye
@@ -99,13 +100,14 @@ def further_statement(reason: str) -> str:
     return f"{FURTHER}{reason}" if reason else ""
 
 
-def statements_of(found: Results, lab: LabConfig, *, also: str, verified: str) -> tuple[Statement, ...]:
-    """Return the fixed texts in printed order; ``also`` is `further_statement`, or empty."""
+def statements_of(found: Results, lab: LabConfig, identity: Identity) -> tuple[Statement, ...]:
+    """Return the fixed texts in printed order."""
     calibration = found["calibration"]
     notes = " ".join(str(note) for note in calibration["notes"])
     left_out = "; ".join(str(line) for line in calibration["not_included"])
     pairs = [
         ("simulated", _SIMULATED if found["run"]["simulated"] else ""),
+        ("limits", identity.despite),
         ("authorisation", _AUTHORISATION),
         ("accreditation", _NOT_ACCREDITED if lab.laboratory.accreditation == NONE else ""),
         ("items", _ITEMS),
@@ -116,13 +118,23 @@ def statements_of(found: Results, lab: LabConfig, *, also: str, verified: str) -
         ("notes", notes),
         ("not_included", f"Not known and not included in the uncertainty: {left_out}." if left_out else ""),
         ("traceability", lab.traceability or ""),
-        ("verification", verified),
+        ("verification", identity.verified),
+        ("earlier_runs", _earlier_runs(found)),
         ("adjustment", _ADJUSTMENT),
         ("customer_data", _CUSTOMER_DATA if lab.customer_supplied else ""),
         ("recalibration", f"Recalibration: {lab.recalibration}" if lab.recalibration else ""),
-        ("also", also),
+        ("also", identity.also),
     ]
     return tuple(Statement(name, text) for name, text in pairs if text)
+
+
+def _earlier_runs(found: Results) -> str:
+    """Return how often the camera was calibrated on this bench before, by the bench's ledger."""
+    ledger = found["run"].get("ledger")
+    if not ledger:
+        return ""
+    broken = " The ledger had a break that nobody had explained." if ledger.get("faults") else ""
+    return f"Earlier runs of this camera on this bench, by its ledger: {earlier_runs(ledger)}.{broken}"
 
 
 def _model_of(camera: Mapping[str, Any]) -> str:
@@ -137,28 +149,6 @@ RULE = (
     " the limits by U or more. conditionalPass: inside the limits, but by less than U. conditionalFail: outside the"
     " limits, by U or less. fail: outside the limits by more than U. (ILAC-G8, guarded acceptance and rejection.)"
 )
-
-
-def _rules_of(found: Results, lab: LabConfig) -> Sequence[LabRuleConfig]:
-    """Return the laboratory's limits for conformity, or else the run's, without those of the collimator."""
-    if lab.decision_rules:
-        return lab.decision_rules
-    judged = found.get("conformity")
-    rules = []
-    for one in judged["statements"] if judged else ():
-        if one["result"] in found["calibration"]["camera"]:
-            text = one["specification"] or f"limits of the run's {one['stated_by']}"
-            rules.append(
-                LabRuleConfig(
-                    result=one["result"], specification=text, lower=one["lower"], upper=one["upper"]
-                )
-            )
-        elif one["value"] is None:
-            raise EvidenceError(
-                f"The run has limits of {one['result']}, and no such result.",
-                remedy="State the limits of the certificate as decision_rules in lab.yaml.",
-            )
-    return rules
 
 
 def conformity_of(rule: LabRuleConfig, result: Result) -> Conformity:
@@ -187,6 +177,7 @@ class Identity:
     run: Run
     amends: Amends | None = None  # The certificate that this one replaces, if any
     also: str = ""  # `further_statement` of a second certificate of the run; empty if it is the first one
+    despite: str = ""  # `despite_fail` of one that states a pass over a FAIL of the run; empty for others
     verified: str = ""  # What was verified before the issue, in words
 
 
@@ -225,14 +216,14 @@ def compose(found: Results, lab: LabConfig, identity: Identity) -> Certificate:
             for one in results
         ),
         before_adjustment=_before(found, lab),
-        conformity=tuple(conformity_of(rule, _named(results, rule.result)) for rule in _rules_of(found, lab)),
+        conformity=tuple(conformity_of(rule, _named(results, rule.result)) for rule in rules_of(found, lab)),
         customer_supplied=tuple(one.text for one in lab.customer_supplied or ()),
         external=lab.external or (),
         opinions=lab.opinions,
         authorised_by=_needed(lab.authorised_by),
         run=identity.run,
         amends=identity.amends,
-        statements=statements_of(found, lab, also=identity.also, verified=identity.verified),
+        statements=statements_of(found, lab, identity),
     )
 
 

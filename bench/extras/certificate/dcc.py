@@ -66,6 +66,8 @@ _STATEMENT_NAMES = {
     "customer_data": "Data of the customer",
     "recalibration": "Recalibration",
     "also": "Further information",
+    "limits": "Limits of the laboratory beside those of the run",
+    "earlier_runs": "Earlier runs of the item",
     "notes": "Notes on the results",
     "not_included": "Not included in the uncertainty",
 }
@@ -270,6 +272,8 @@ def _provenance(certificate: Certificate) -> dict[str, str]:
         "journalHead": run.journal_head,
         "sealSHA256": run.seal_sha256,
         "resultsSHA256": run.results_sha256,
+        "sequenceSHA256": run.sequence_sha256,
+        "stationSHA256": run.station_sha256,
         "signer": run.signer,
         "signerFingerprint": run.signer_fingerprint,
         "begun": certificate.begun_utc,

@@ -25,6 +25,7 @@ from bench.extras.certificate.compose import Identity, compose, further_statemen
 from bench.extras.certificate.dcc import render_dcc
 from bench.extras.certificate.dcc_xml import library
 from bench.extras.certificate.lab_config import LabConfig, read_lab
+from bench.extras.certificate.limits import despite_fail, stated_despite_fail
 from bench.extras.certificate.sealed_run import Source, Verify, read_sealed_run, written_with
 from bench.extras.certificate.series import (
     Numbered,
@@ -164,19 +165,27 @@ def issue(
     laboratory: Laboratory,
     *,
     also: str = "",
+    despite: str = "",
     accept_not_compared: bool = False,
 ) -> Issued:
     """Issue the certificate of a sealed run; raises `DocumentFaults` with all faults of lab.yaml.
 
-    Without ``also``, the reason, a second one is refused. ``accept_not_compared`` allows parts that could not be made
-    again.
+    Without ``also``, the reason, a second one is refused; without ``despite``, one whose own limits pass over a FAIL of
+    the run. ``accept_not_compared`` allows parts that could not be made again.
     """
     require_libraries()
     refuse_occupied(folder)
     lab = read_lab(lab_file)
     _refuse_second_early(run, laboratory.ledger, also)
     source = read_sealed_run(run, laboratory.verify, accept_not_compared=accept_not_compared)
-    return make_certificate(source, lab, folder, laboratory, further=further_statement(also))
+    return make_certificate(
+        source,
+        lab,
+        folder,
+        laboratory,
+        further=further_statement(also),
+        despite=despite_fail(source.found, despite) if despite else "",
+    )
 
 
 def make_certificate(
@@ -186,20 +195,28 @@ def make_certificate(
     laboratory: Laboratory,
     *,
     further: str = "",
+    despite: str = "",
     amended: Callable[[Certificate], Amends] | None = None,
     amends: str = "",
 ) -> Issued:
     """Make, seal and enter the certificate of a verified run.
 
-    ``further`` is the statement of a second one, ``amends`` the number that it replaces; both may be empty. ``amended``
-    returns what it amends, given the certificate without that; None if it amends none.
+    ``further`` is the statement of a second one, ``despite`` that of one whose own limits pass over a FAIL of the run,
+    ``amends`` the number that it replaces; each may be empty. ``amended`` returns what it amends, given the certificate
+    without that; None if it amends none.
     """
     folder = folder.absolute()
     try:
-        if faults := faults_of_lab(lab, source.found):
+        if faults := faults_of_lab(lab, source.found, source.run.sequence_sha256):
             raise DocumentFaults(faults, lab.tree)
-        trial_identity = Identity("0", "1970-01-01T00:00:00Z", source.run, None, further, source.verified)
+        trial_identity = Identity(
+            "0", "1970-01-01T00:00:00Z", source.run, None, further, despite, source.verified
+        )
         trial = compose(source.found, lab.value, trial_identity)
+        stated = stated_despite_fail(source.found, lab.value, trial.conformity, despite)
+        if stated != despite:  # an amended one may not need it any more
+            trial_identity = replace(trial_identity, despite=stated)
+            trial = compose(source.found, lab.value, trial_identity)
     except (LookupError, TypeError, AttributeError, ArithmeticError) as error:
         raise EvidenceError(
             f"The results are not of the form that this version reads ({error!r}).",
@@ -295,8 +312,13 @@ _PROGRAM = "run.software["
 _MOST_CHARACTERS = 300
 
 
-def amend(old: Path, lab_file: Path, folder: Path, laboratory: Laboratory, *, reason: str) -> Issued:
-    """Issue a certificate that replaces another one: it verifies, is the newest one, and something changes."""
+def amend(
+    old: Path, lab_file: Path, folder: Path, laboratory: Laboratory, *, reason: str, despite: str = ""
+) -> Issued:
+    """Issue a certificate that replaces another one: it verifies, is the newest one, and something changes.
+
+    ``despite`` is as for `issue`; without it, the statement of the old one remains.
+    """
     require_libraries()
     refuse_occupied(folder)
     lab = read_lab(lab_file)
@@ -314,6 +336,7 @@ def amend(old: Path, lab_file: Path, folder: Path, laboratory: Laboratory, *, re
         folder,
         laboratory,
         further=before.statement("also"),
+        despite=despite_fail(source.found, despite) if despite else before.statement("limits"),
         amended=amended,
         amends=before.number,
     )

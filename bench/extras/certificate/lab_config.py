@@ -226,6 +226,10 @@ class Method(StrictModel):
     id: Text
     version: Text
     text: LongText
+    sequence_sha256: Annotated[
+        OrEmpty[Sha256],
+        Field(description="SHA-256 of the only sequence.yaml that this version of the method allows."),
+    ] = ""
 
 
 class ConditionConfig(StrictModel):

@@ -21,6 +21,7 @@ from bench.extras.certificate.certificate_data import (
     sha256,
 )
 from bench.extras.certificate.lab_config import ItemConfig
+from bench.extras.certificate.limits import limits_of_others
 from bench.record.events import GateData, LightSettingsData
 from bench.record.results import BoresightData, CalibrationData, CameraConditions, KnownDirection, Results
 from bench.record.stored_calibration import camera_covariance, camera_of
@@ -278,6 +279,7 @@ def deviations_of(found: Results) -> tuple[Deviation, ...]:
         for gate in found.get("gates") or []
         if gate["verdict"] == "fail"
     ]
+    texts += limits_of_others(found)
     return tuple(Deviation(text, "run") for text in dict.fromkeys(texts))
 
 

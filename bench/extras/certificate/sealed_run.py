@@ -20,7 +20,7 @@ from bench.evidence.findings import PARTS, Findings, Part, Verification
 from bench.extras.certificate.certificate_data import CERTIFICATE, Certificate, Run, Software, sha256
 from bench.record.ledger import Ledger
 from bench.record.results import Results
-from bench.record.run_folder import MANIFEST, RESULTS, is_sealed
+from bench.record.run_folder import MANIFEST, RESULTS, SEQUENCE_COPY, STATION_COPY, is_sealed
 from bench.record.storage import read_bounded, sha256_of, storage_errors
 from bench.record.stored_run import StoredRun
 
@@ -32,6 +32,8 @@ _ALSO = (
     "bench/record/stored_calibration.py",
     "bench/report/calibration_tables.py",
     "bench/report/pose_plot.py",
+    "bench/wording/conformity.py",
+    "bench/wording/earlier_runs.py",
     "bench/wording/numbers.py",
     "calib/model/camera.py",
     "calib/model/lens.py",
@@ -171,9 +173,12 @@ def read_sealed_run(folder: Path, verify: Verify, *, accept_not_compared: bool =
         )
     from bench.extras.certificate.pdf import plots_of_run
 
+    hashes = stored.history.started.get("sha256", {})
     run = Run(
         **stated_run(found, results, written_with()),
         journal_head=stored.head,
+        sequence_sha256=hashes.get(SEQUENCE_COPY, ""),
+        station_sha256=hashes.get(STATION_COPY, ""),
         seal_sha256=seal,
         signer=verification.signer or "",
         signer_fingerprint=verification.fingerprint or "",

@@ -207,9 +207,10 @@ def reserve(ledger: Ledger, wanted: Wanted, now: datetime) -> Numbered:
     with ledger.locked() as journal:
         found = numbers(journal.entries)
         _refuse_clock(journal.entries, now, ledger.path)
-        if f"{now:%Y-%m-%d}" < wanted.ended_utc[:10]:  # the run may be of another bench
+        if f"{now:%Y-%m-%dT%H:%M:%SZ}" < wanted.ended_utc:  # the run may be of another bench
             raise EvidenceError(
-                f"The computer's clock says {now:%Y-%m-%d}, but the calibration ended on {wanted.ended_utc[:10]}.",
+                f"The computer's clock says {now:%Y-%m-%d %H:%M:%S} UTC, but the calibration ended on"
+                f" {wanted.ended_utc[:19].replace('T', ' ')}.",
                 remedy="Set the clock.",
             )
         own = _own_open_number(found, wanted)

@@ -18,8 +18,20 @@ PAGE = Path(__file__).parents[5] / "docs" / "certificates.md"
 NOTHING = "format: starbench/lab/1\n"
 
 
+SEQUENCE = "5e" * 32
+
+
+@pytest.mark.parametrize("used", ["", "6f" * 32])
+def test_a_method_that_names_its_sequence_allows_no_other(used):
+    lab = sample_lab(LAB.replace("version: 3.2,", f"version: 3.2, sequence_sha256: {SEQUENCE},"))
+    assert faults_of_lab(lab, sample_results(), SEQUENCE) == []
+    (fault,) = faults_of_lab(lab, sample_results(), used)
+    assert fault.path == "method.sequence_sha256"
+    assert f"another sequence.yaml: SHA-256 {used or 'not known'}" in str(fault)
+
+
 def test_the_sample_answers_every_clause():
-    assert faults_of_lab(sample_lab(), sample_results()) == []
+    assert faults_of_lab(sample_lab(), sample_results(), SEQUENCE) == []
 
 
 def test_every_key_of_a_clause_can_be_missing_and_is_then_named():
@@ -127,12 +139,15 @@ def test_a_camera_without_a_number_is_identified_by_the_laboratory():
     devices = sample_results()["devices"]
     camera = {**devices["camera"], "serial": "", "maker": "OpenCV", "model": "/dev/video0"}
     unnamed = {**sample_results(), "devices": {**devices, "camera": camera}}
-    assert [fault.path for fault in faults_of_lab(sample_lab(), unnamed)] == ["item.maker", "item.model"]
+    assert [fault.path for fault in faults_of_lab(sample_lab(), unnamed, SEQUENCE)] == [
+        "item.maker",
+        "item.model",
+    ]
     own = "  serial: 00050423\n  maker: Basler\n  model: ace 2"
     named = sample_lab(LAB.replace("  serial: 00050423", own))
-    assert faults_of_lab(named, unnamed) == []
+    assert faults_of_lab(named, unnamed, SEQUENCE) == []
     certificate = compose(unnamed, named.value, identity())
     assert certificate.item.camera.maker == "Basler"
     assert "laboratory read them from the item" in certificate.statement("identity")
-    maker, _ = [str(fault) for fault in faults_of_lab(named, sample_results())]
+    maker, _ = [str(fault) for fault in faults_of_lab(named, sample_results(), SEQUENCE)]
     assert "item.maker: the camera 00050423 identified itself in the run; leave it out." in maker

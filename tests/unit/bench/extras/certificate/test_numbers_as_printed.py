@@ -18,6 +18,8 @@ from bench.extras.certificate.budget_rows import budget_of, expanded, print_resu
 from bench.extras.certificate.certificate_data import Certificate
 from bench.extras.certificate.compose import compose
 from bench.extras.certificate.dcc import render_dcc
+from bench.extras.certificate.lab_config import LabRuleConfig
+from bench.extras.certificate.limits import passes_over_fail
 from bench.extras.certificate.pdf import draw_plots, pictures
 from bench.record.run_facts import conformity, verdict_of
 from bench.wording.numbers import round_expanded, with_uncertainty
@@ -202,9 +204,54 @@ def test_the_limits_of_the_run_are_stated_where_the_laboratory_states_no_others(
 
 
 def test_limits_of_a_value_that_the_run_did_not_determine_are_not_left_out_in_silence():
-    results, lab = run_with_limits({"result": "kb1", "upper": 1.0})
-    with pytest.raises(EvidenceError, match=r"The run has limits of kb1, and no such result. State"):
-        compose(results, lab, identity())
+    results, lab = run_with_limits({"result": "kb1", "upper": 1.0, "specification": "drawing 4711"})
+    texts = [one.text for one in compose(results, lab, identity()).deviations if one.source == "run"]
+    assert "kb1: this calibration did not estimate it (limit: at most 1 by drawing 4711)." in texts
+
+
+def test_limits_of_the_collimator_that_the_run_does_not_keep_are_deviations():
+    results, lab = run_with_limits({"result": "r", "lower": 9999.0}, {"result": "r", "lower": 1.0})
+    certificate = compose(results, lab, identity())
+    assert certificate.conformity == ()
+    (text,) = [one.text for one in certificate.deviations if one.text.startswith("r ")]
+    assert "outside by more than U" in text
+
+
+def with_own_limits(results, lab, *limits):
+    rules = tuple(LabRuleConfig(**one) for one in limits)
+    return results, lab.model_copy(update={"decision_rules": rules})
+
+
+WIDE = {"result": "fx", "specification": "drawing 4711", "lower": 3300.0, "upper": 3400.0}
+
+
+def test_limits_of_the_laboratory_stand_beside_those_of_the_run():
+    results, lab = run_with_limits({"result": "fx", "upper": 3300.0, "specification": "drawing 4711"})
+    certificate = compose(*with_own_limits(results, lab, WIDE), identity())
+    assert [(one.specification, one.verdict) for one in certificate.conformity] == [
+        ("drawing 4711", "pass"),
+        ("drawing 4711 (limits of the run's sequence)", "fail"),
+    ]
+
+
+def test_limits_that_the_laboratory_states_as_the_run_does_stand_there_once():
+    results, lab = run_with_limits({"result": "fx", "lower": 3300.0, "upper": 3400.0})
+    results, lab = with_own_limits(results, lab, WIDE)
+    certificate = compose(results, lab, identity())
+    assert [one.specification for one in certificate.conformity] == ["drawing 4711"]
+    assert passes_over_fail(results, lab, certificate.conformity) == []
+
+
+def test_the_runs_of_the_camera_before_this_one_are_counted_as_in_the_report():
+    results = json.loads(json.dumps(sample_results()))
+    results["run"]["ledger"] = {
+        "number": 9, "head": "ab" * 32, "of_camera": {"failed": 2, "finished": 1, "open": 2}, "faults": ["x"],
+    }  # fmt: skip
+    text = compose(results, sample_lab().value, identity()).statement("earlier_runs")
+    assert "by its ledger: 2 failed, 1 finished, 1 without an end." in text
+    assert "The ledger had a break that nobody had explained." in text
+    results["run"].pop("ledger")
+    assert compose(results, sample_lab().value, identity()).statement("earlier_runs") == ""
 
 
 # ---------------------------------------------------------------- JSON

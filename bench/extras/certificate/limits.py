@@ -1,0 +1,103 @@
+"""The limits of a certificate: those of the laboratory and those of the run, of which it leaves none out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from bench.base.errors import EvidenceError
+from bench.extras.certificate.certificate_data import Conformity
+from bench.extras.certificate.lab_config import LabConfig, LabRuleConfig
+from bench.record.results import Results, StatementData
+from bench.wording.conformity import conformity_headline, conformity_sentences
+
+_PASSES = frozenset({"pass", "conditionalPass"})
+Limits = tuple[str, float | None, float | None]
+"""A result, its lower and its upper limit."""
+
+
+def rules_of(found: Results, lab: LabConfig) -> list[LabRuleConfig]:
+    """Return the laboratory's limits for conformity, then those of the run that it does not state itself."""
+    own = list(lab.decision_rules or ())
+    stated = {_limits_of(one) for one in own}
+    return own + [rule for rule in _rules_of_run(found) if _limits_of(rule) not in stated]
+
+
+def _rules_of_run(found: Results) -> Iterator[LabRuleConfig]:
+    for one in _statements(found):
+        if one["result"] in found["calibration"]["camera"]:
+            by = f"limits of the run's {one['stated_by']}"
+            text = f"{one['specification']} ({by})" if one["specification"] else by
+            # The run's own check of its text holds.
+            yield LabRuleConfig.model_construct(
+                result=one["result"], specification=text, lower=one["lower"], upper=one["upper"]
+            )
+
+
+def _statements(found: Results) -> list[StatementData]:
+    judged = found.get("conformity")
+    return list(judged["statements"]) if judged else []
+
+
+def _limits_of(rule: LabRuleConfig) -> Limits:
+    return rule.result, rule.lower, rule.upper
+
+
+def limits_of_others(found: Results) -> list[str]:
+    """Return a sentence for each limit of the run that is not kept, and whose result is none of the certificate."""
+    judged = found.get("conformity")
+    if judged is None:
+        return []
+    camera = found["calibration"]["camera"]
+    others = [one for one in _statements(found) if one["result"] not in camera and one["verdict"] != "pass"]
+    return conformity_sentences({**judged, "statements": others, "reasons": [], "rule": ""})[: len(others)]
+
+
+# A certificate that states a pass although the sealed run says FAIL: only with a reason, and then it says so.
+
+_DESPITE = "The sealed run says {headline} The laboratory states limits of its own beside them. Reason: "
+
+
+def despite_fail(found: Results, reason: str) -> str:
+    """Return the statement of a certificate with limits of the laboratory over a run that says FAIL."""
+    return _beginning(found) + reason
+
+
+def _beginning(found: Results) -> str:
+    judged = found.get("conformity")
+    return _DESPITE.format(headline=conformity_headline(judged)) if judged else ""
+
+
+def passes_over_fail(found: Results, lab: LabConfig, conformity: tuple[Conformity, ...]) -> list[str]:
+    """Return the results that pass by other limits than the run's although the run says FAIL; usually none."""
+    judged = found.get("conformity")
+    if judged is None or judged["passed"]:
+        return []
+    of_run = {_limits_of(rule) for rule in _rules_of_run(found)}
+    own = zip(lab.decision_rules or (), conformity, strict=False)  # those of the run follow
+    return [one.symbol for rule, one in own if one.verdict in _PASSES and _limits_of(rule) not in of_run]
+
+
+def stated_despite_fail(
+    found: Results, lab: LabConfig, conformity: tuple[Conformity, ...], statement: str
+) -> str:
+    """Return the statement where the certificate needs it, empty where not; `EvidenceError` where it is missing."""
+    passes = passes_over_fail(found, lab, conformity)
+    if not passes:
+        return ""
+    if not is_despite_fail(found, statement):
+        failed = [one for one in _statements(found) if one["verdict"] != "pass"]
+        judged = found["conformity"]
+        what = conformity_sentences({**judged, "statements": failed})[: len(failed) + len(judged["reasons"])]
+        raise EvidenceError(
+            f"The sealed run says FAIL: {' '.join(what)} By the limits of lab.yaml {', '.join(passes)} would pass.",
+            where="decision_rules of lab.yaml",
+            remedy="Leave these limits out of lab.yaml; the certificate then states those of the run. If both are"
+            " wanted, say why: --despite-fail TEXT. It is printed.",
+        )
+    return statement
+
+
+def is_despite_fail(found: Results, statement: str) -> bool:
+    """Return whether a statement is one that `despite_fail` makes of these results, with a reason."""
+    reason = statement.removeprefix(_beginning(found))
+    return bool(reason) and statement == despite_fail(found, reason) != reason
