@@ -321,7 +321,7 @@ class Statement(_Strict):
 
     # ``simulated``, ``authorisation``, ``accreditation``, ``items``, ``identity``, ``reproduction``,
     # ``model``, ``uncertainty``, ``notes``, ``not_included``, ``traceability``, ``verification``,
-    # ``adjustment``, ``customer_data``, ``recalibration``, ``also``, ``limits`` or ``earlier_runs``.
+    # ``adjustment``, ``customer_data``, ``recalibration``, ``also``, ``limits``, ``limits_reason`` or ``earlier_runs``.
     id: str
     text: str
 

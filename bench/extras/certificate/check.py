@@ -23,7 +23,7 @@ from bench.extras.certificate.issue import (
     require_libraries,
 )
 from bench.extras.certificate.lab_config import LabConfig, lab_of
-from bench.extras.certificate.limits import is_despite_fail, passes_over_fail
+from bench.extras.certificate.limits import passes_over_fail
 from bench.extras.certificate.sealed_run import is_statement, other_writer, stated_run
 from bench.extras.certificate.series import SIMULATED, is_number_format, number_pattern, numbers
 from bench.record.ledger import LEDGER, Ledger
@@ -90,13 +90,12 @@ def _derive(folder: Path, certificate: Certificate, found: Findings) -> None:
         found.fault(
             _KIND, CERTIFICATE, "it does not state as issuing does why the run has a further certificate"
         )
-    despite = certificate.statement("limits")
+    despite = certificate.statement("limits_reason")
     identity = Identity(
         certificate.number, certificate.issued_utc, run, certificate.amends, also, despite, stated
     )
     again = compose(content, lab.value, identity)
-    passes = passes_over_fail(content, lab.value, again.conformity)
-    if (bool(passes) or bool(despite)) != (bool(passes) and is_despite_fail(content, despite)):
+    if bool(passes_over_fail(content, lab.value, again.conformity)) != bool(despite):
         tell = found.remarks.append if other else partial(found.fault, _KIND, CERTIFICATE)
         tell("it does not state as issuing does that limits of the laboratory pass over a FAIL of the run")
     if again.to_json() != (folder / CERTIFICATE).read_bytes():

@@ -38,7 +38,7 @@ from bench.extras.certificate.lab_config import (
     PreviousConfig,
     SourceConfig,
 )
-from bench.extras.certificate.limits import rules_of
+from bench.extras.certificate.limits import despite_fail, rules_of
 from bench.extras.certificate.run_facts import is_unnamed
 from bench.extras.certificate.series import SIMULATED
 from bench.record.results import PassportData, Results
@@ -107,7 +107,8 @@ def statements_of(found: Results, lab: LabConfig, identity: Identity) -> tuple[S
     left_out = "; ".join(str(line) for line in calibration["not_included"])
     pairs = [
         ("simulated", _SIMULATED if found["run"]["simulated"] else ""),
-        ("limits", identity.despite),
+        ("limits", despite_fail(found) if identity.despite else ""),
+        ("limits_reason", identity.despite),
         ("authorisation", _AUTHORISATION),
         ("accreditation", _NOT_ACCREDITED if lab.laboratory.accreditation == NONE else ""),
         ("items", _ITEMS),
@@ -177,7 +178,7 @@ class Identity:
     run: Run
     amends: Amends | None = None  # The certificate that this one replaces, if any
     also: str = ""  # `further_statement` of a second certificate of the run; empty if it is the first one
-    despite: str = ""  # `despite_fail` of one that states a pass over a FAIL of the run; empty for others
+    despite: str = ""  # Why it states a pass over a FAIL of the run; empty if it does not
     verified: str = ""  # What was verified before the issue, in words
 
 

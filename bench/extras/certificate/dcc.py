@@ -67,6 +67,7 @@ _STATEMENT_NAMES = {
     "recalibration": "Recalibration",
     "also": "Further information",
     "limits": "Limits of the laboratory beside those of the run",
+    "limits_reason": "Reason for the limits of the laboratory",
     "earlier_runs": "Earlier runs of the item",
     "notes": "Notes on the results",
     "not_included": "Not included in the uncertainty",

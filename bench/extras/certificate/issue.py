@@ -25,7 +25,7 @@ from bench.extras.certificate.compose import Identity, compose, further_statemen
 from bench.extras.certificate.dcc import render_dcc
 from bench.extras.certificate.dcc_xml import library
 from bench.extras.certificate.lab_config import LabConfig, read_lab
-from bench.extras.certificate.limits import despite_fail, stated_despite_fail
+from bench.extras.certificate.limits import needed_reason
 from bench.extras.certificate.sealed_run import Source, Verify, read_sealed_run, written_with
 from bench.extras.certificate.series import (
     Numbered,
@@ -184,7 +184,7 @@ def issue(
         folder,
         laboratory,
         further=further_statement(also),
-        despite=despite_fail(source.found, despite) if despite else "",
+        despite=despite,
     )
 
 
@@ -201,7 +201,7 @@ def make_certificate(
 ) -> Issued:
     """Make, seal and enter the certificate of a verified run.
 
-    ``further`` is the statement of a second one, ``despite`` that of one whose own limits pass over a FAIL of the run,
+    ``further`` is the statement of a second one, ``despite`` why its own limits may pass over a FAIL of the run,
     ``amends`` the number that it replaces; each may be empty. ``amended`` returns what it amends, given the certificate
     without that; None if it amends none.
     """
@@ -213,9 +213,9 @@ def make_certificate(
             "0", "1970-01-01T00:00:00Z", source.run, None, further, despite, source.verified
         )
         trial = compose(source.found, lab.value, trial_identity)
-        stated = stated_despite_fail(source.found, lab.value, trial.conformity, despite)
-        if stated != despite:  # an amended one may not need it any more
-            trial_identity = replace(trial_identity, despite=stated)
+        reason = needed_reason(source.found, lab.value, trial.conformity, despite)
+        if reason != despite:  # an amended one may not need it any more
+            trial_identity = replace(trial_identity, despite=reason)
             trial = compose(source.found, lab.value, trial_identity)
     except (LookupError, TypeError, AttributeError, ArithmeticError) as error:
         raise EvidenceError(
@@ -317,7 +317,7 @@ def amend(
 ) -> Issued:
     """Issue a certificate that replaces another one: it verifies, is the newest one, and something changes.
 
-    ``despite`` is as for `issue`; without it, the statement of the old one remains.
+    ``despite`` is as for `issue`; without it, the reason of the old one remains.
     """
     require_libraries()
     refuse_occupied(folder)
@@ -336,7 +336,7 @@ def amend(
         folder,
         laboratory,
         further=before.statement("also"),
-        despite=despite_fail(source.found, despite) if despite else before.statement("limits"),
+        despite=despite or before.statement("limits_reason"),
         amended=amended,
         amends=before.number,
     )

@@ -54,17 +54,12 @@ def limits_of_others(found: Results) -> list[str]:
 
 # A certificate that states a pass although the sealed run says FAIL: only with a reason, and then it says so.
 
-_DESPITE = "The sealed run says {headline} The laboratory states limits of its own beside them. Reason: "
 
-
-def despite_fail(found: Results, reason: str) -> str:
+def despite_fail(found: Results) -> str:
     """Return the statement of a certificate with limits of the laboratory over a run that says FAIL."""
-    return _beginning(found) + reason
-
-
-def _beginning(found: Results) -> str:
     judged = found.get("conformity")
-    return _DESPITE.format(headline=conformity_headline(judged)) if judged else ""
+    headline = conformity_headline(judged) if judged else ""
+    return f"The sealed run says {headline} The laboratory states limits of its own beside them, for this reason:"
 
 
 def passes_over_fail(found: Results, lab: LabConfig, conformity: tuple[Conformity, ...]) -> list[str]:
@@ -77,14 +72,12 @@ def passes_over_fail(found: Results, lab: LabConfig, conformity: tuple[Conformit
     return [one.symbol for rule, one in own if one.verdict in _PASSES and _limits_of(rule) not in of_run]
 
 
-def stated_despite_fail(
-    found: Results, lab: LabConfig, conformity: tuple[Conformity, ...], statement: str
-) -> str:
-    """Return the statement where the certificate needs it, empty where not; `EvidenceError` where it is missing."""
+def needed_reason(found: Results, lab: LabConfig, conformity: tuple[Conformity, ...], reason: str) -> str:
+    """Return the reason for a pass over a FAIL, empty where there is none; `EvidenceError` where it is missing."""
     passes = passes_over_fail(found, lab, conformity)
     if not passes:
         return ""
-    if not is_despite_fail(found, statement):
+    if not reason:
         failed = [one for one in _statements(found) if one["verdict"] != "pass"]
         judged = found["conformity"]
         what = conformity_sentences({**judged, "statements": failed})[: len(failed) + len(judged["reasons"])]
@@ -94,10 +87,4 @@ def stated_despite_fail(
             remedy="Leave these limits out of lab.yaml; the certificate then states those of the run. If both are"
             " wanted, say why: --despite-fail TEXT. It is printed.",
         )
-    return statement
-
-
-def is_despite_fail(found: Results, statement: str) -> bool:
-    """Return whether a statement is one that `despite_fail` makes of these results, with a reason."""
-    reason = statement.removeprefix(_beginning(found))
-    return bool(reason) and statement == despite_fail(found, reason) != reason
+    return reason

@@ -44,7 +44,7 @@ _UNPRINTABLE = frozenset({"Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"})
 """Control, format (which can turn the order of digits round), private and unassigned characters."""
 _FROM_RUN = re.compile(r"run\.|results\[|covariance\.|further\[|budgets\[|item\.camera\.|amends\.changes\[")
 _ENTRY = re.compile(r"(deviations|conditions|statements)\[(\d+)\]")
-_OF_LABORATORY = frozenset({"traceability", "recalibration", "also", "limits"})
+_OF_LABORATORY = frozenset({"traceability", "recalibration", "also", "limits_reason"})
 """Statements that the laboratory words."""
 _MOST_SHOWN = 8
 CODE_NOTE = (

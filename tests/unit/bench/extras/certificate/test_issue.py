@@ -454,9 +454,10 @@ def test_a_pass_over_a_sealed_fail_is_refused_and_takes_no_number(failed):
 def test_a_pass_over_a_sealed_fail_with_a_reason_says_so_itself(failed):
     made = failed.issue(despite="the customer waived the drawing").certificate
     assert made.statement("limits") == (
-        "The sealed run says FAIL: 0 of 1 limits kept. The laboratory states limits of its own beside them."
-        " Reason: the customer waived the drawing"
+        "The sealed run says FAIL: 0 of 1 limits kept. The laboratory states limits of its own beside them, for this"
+        " reason:"
     )
+    assert made.statement("limits_reason") == "the customer waived the drawing"
     assert [(one.lower, one.upper, one.verdict) for one in made.conformity if one.symbol == "fx"] == [
         (3300.0, 3400.0, "pass"),
         (None, 3300.0, "fail"),
@@ -465,7 +466,7 @@ def test_a_pass_over_a_sealed_fail_with_a_reason_says_so_itself(failed):
     again = amend(
         failed.path / "certificate", failed.lab, failed.path / "again", failed.laboratory(), reason="address"
     )
-    assert again.certificate.statement("limits") == made.statement("limits")
+    assert again.certificate.statement("limits_reason") == "the customer waived the drawing"
     failed.lab.write_text(LAB, encoding="utf-8")
 
 
@@ -486,7 +487,7 @@ def test_the_verifier_asks_for_the_statement_and_for_a_date_after_the_run(failed
         return " ".join(map(str, check_certificate(issued.folder).faults))
 
     silent = dataclasses.replace(
-        whole, statements=tuple(one for one in whole.statements if one.id != "limits")
+        whole, statements=tuple(one for one in whole.statements if one.id != "limits_reason")
     )
     assert "pass over a FAIL of the run" in faults(silent)
     early = dataclasses.replace(whole, issued_utc="2025-11-21T08:30:00Z")
