@@ -23,7 +23,7 @@ from bench.record.summaries import (
     newest_place,
 )
 from bench.report.control_chart import chart_section, choose_drawn
-from bench.report.html import environment
+from bench.report.html import render_page
 from bench.report.trend_plots import against_temperature, over_time, timeline
 from bench.wording.numbers import NOTHING, duration, fixed, number, with_uncertainty
 
@@ -41,29 +41,24 @@ def render_batch(summary: BatchSummary) -> str:
     """Render a complete HTML document that loads nothing and depends on ``summary`` (summary.json) alone."""
     zone = _zone(summary)
     failures = [item for item in summary["items"] if item["how"] not in {"finished", *WITHOUT_END}]
-    return (
-        environment()
-        .get_template("batch.html.j2")
-        .render(
-            summary=summary,
-            zone=_zone_name(summary, zone),
-            headline=_headline(summary, zone),
-            figures=_key_figures(summary),
-            timeline=timeline(summary["items"], zone),
-            failures=[
-                (item["item"], item["how"], item["why"] or NOTHING, item["attempts"]) for item in failures
-            ],
-            not_begun=[item["item"] for item in summary["items"] if item["how"] == "not begun"],
-            not_kept=[item["item"] for item in summary["items"] if item["conformity"] == "FAIL"],
-            goals_missed=[(item["item"], text) for item in summary["items"] for text in item["goals_missed"]],
-            withdrawn=[item["item"] for item in summary["items"] if item["how"] == "withdrawn"],
-            cameras=[_camera_section(camera, place, zone) for place, camera in enumerate(summary["cameras"])],
-            rows=[item for item in summary["items"] if item["begun_utc"]],
-            local=partial(_local, zone=zone),
-            charts=_chart_sections(summary),
-            requests=summary["requests"],
-            ledger=_newest_line(summary["items"]),
-        )
+    return render_page(
+        "batch.html.j2",
+        summary=summary,
+        zone=_zone_name(summary, zone),
+        headline=_headline(summary, zone),
+        figures=_key_figures(summary),
+        timeline=timeline(summary["items"], zone),
+        failures=[(item["item"], item["how"], item["why"] or NOTHING, item["attempts"]) for item in failures],
+        not_begun=[item["item"] for item in summary["items"] if item["how"] == "not begun"],
+        not_kept=[item["item"] for item in summary["items"] if item["conformity"] == "FAIL"],
+        goals_missed=[(item["item"], text) for item in summary["items"] for text in item["goals_missed"]],
+        withdrawn=[item["item"] for item in summary["items"] if item["how"] == "withdrawn"],
+        cameras=[_camera_section(camera, place, zone) for place, camera in enumerate(summary["cameras"])],
+        rows=[item for item in summary["items"] if item["begun_utc"]],
+        local=partial(_local, zone=zone),
+        charts=_chart_sections(summary),
+        requests=summary["requests"],
+        ledger=_newest_line(summary["items"]),
     )
 
 

@@ -18,7 +18,7 @@ from bench.record.summaries import (
     drifts,
     has_limits,
 )
-from bench.report.html import environment
+from bench.report.html import render_page
 from bench.report.svg_plot import INK
 from bench.report.svg_scale import tick_label, ticks
 from bench.report.wide_chart import BLUE, MANY, RED, Chart
@@ -193,22 +193,19 @@ def render_charts(page: ChartsData, notes: Sequence[str] = (), faults: Sequence[
     drawn = choose_drawn(groups)
     sections = [chart_section(group, drawn.get(number, frozenset())) for number, group in enumerate(groups)]
     kinds = sorted({group["kind"] for group in groups} - {"measured"})
-    return (
-        environment()
-        .get_template("charts.html.j2")
-        .render(
-            sections=sections,
-            kinds=kinds,
-            mixed=bool(kinds) and any(group["kind"] == "measured" for group in groups),
-            runs=sum(len(group["runs"]) for group in groups if group["level"] == "camera"),
-            begun=min((g["runs"][0]["begun_utc"][:10] for g in groups), default=""),
-            ended=max((g["runs"][-1]["begun_utc"][:10] for g in groups), default=""),
-            wrong=[s for s in sections if s["state"] == "out of control" or s["drifts"]],
-            few=sum(section["state"] == "too few" for section in sections),
-            hidden=sum(len(group["parameters"]) for group in groups) - sum(map(len, drawn.values())),
-            notes=notes,
-            faults=faults,
-        )
+    return render_page(
+        "charts.html.j2",
+        sections=sections,
+        kinds=kinds,
+        mixed=bool(kinds) and any(group["kind"] == "measured" for group in groups),
+        runs=sum(len(group["runs"]) for group in groups if group["level"] == "camera"),
+        begun=min((g["runs"][0]["begun_utc"][:10] for g in groups), default=""),
+        ended=max((g["runs"][-1]["begun_utc"][:10] for g in groups), default=""),
+        wrong=[s for s in sections if s["state"] == "out of control" or s["drifts"]],
+        few=sum(section["state"] == "too few" for section in sections),
+        hidden=sum(len(group["parameters"]) for group in groups) - sum(map(len, drawn.values())),
+        notes=notes,
+        faults=faults,
     )
 
 

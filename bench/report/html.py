@@ -16,8 +16,10 @@ from bench.record.results import Results
 from bench.record.run_facts import coverage_factor
 from bench.report import calibration_tables, pose_tables, run_tables
 from bench.report.calibration_tables import amplitude_rows, witness_rows
+from bench.report.phone_tables import label_cells
 from bench.report.pictured_poses import PLOTS, pictured_poses, thinned
 from bench.report.pose_tables import courses, state_diagram
+from bench.report.residual_words import rim_text
 from bench.report.run_tables import left
 from bench.report.verdict import change, verdict
 from bench.wording import numbers, parameters
@@ -55,17 +57,15 @@ def render_report(data: ReportData, *, draw: bool = True) -> str:
     """Render the report as HTML from ``data`` alone; without plots and images (``draw``) the text is the same."""
     results, words = data.results, words_of(data.results)
     parts = _result_parts(results, words) | _run_parts(results, words) | _graphics(data, words, draw=draw)
-    return (
-        environment()
-        .get_template("report.html.j2")
-        .render(
-            run=results["run"],
-            words=words,
-            takes_pictures=results["run"].get("camera") == "frame",
-            verdict=verdict(results),
-            journal_head=data.journal_head,
-            **parts,
-        )
+    return render_page(
+        "report.html.j2",
+        run=results["run"],
+        words=words,
+        takes_pictures=results["run"].get("camera") == "frame",
+        verdict=verdict(results),
+        journal_head=data.journal_head,
+        rim=rim_text(data.views, results["calibration"]["camera"], words),
+        **parts,
     )
 
 
@@ -141,6 +141,11 @@ def _graphics(data: ReportData, words: TargetWords, *, draw: bool) -> dict[str, 
     }
 
 
+def render_page(template: str, **values: Any) -> str:
+    """Render a page from its template and its values; a phone shows its tables as cards."""
+    return label_cells(environment().get_template(template).render(**values))
+
+
 @functools.cache
 def environment() -> jinja2.Environment:
     """Return the templates' environment, made once: it escapes every value; an undefined name is an error."""
@@ -170,25 +175,22 @@ def _css_text(value: object) -> str:
 def render_ended(history: History, way_on: tuple[str, str], journal_head: str, namespace: str) -> str:
     """Render the page of a run that did not finish; the hash of its last line identifies the whole journal."""
     failure = history.failures[-1] if history.ended == "failed" and history.failures else None
-    return (
-        environment()
-        .get_template("ended.html.j2")
-        .render(
-            run=history.started,
-            how="failed" if history.ended == "failed" else "was aborted",
-            what=failure["what"] if failure else history.why,
-            where=failure["where"] if failure else "",
-            remedy=failure["remedy"] if failure else "",
-            way_on=way_on,
-            identification=_identification(history),
-            recordings=history.attempts,
-            accepted=len(history.accepted()),
-            lost=sum(history.lost.values()),
-            deviations=[*history.deviations, *history.holds],
-            devices_left=left(history.devices_at_end),
-            journal_head=journal_head,
-            namespace=namespace,
-        )
+    return render_page(
+        "ended.html.j2",
+        run=history.started,
+        how="failed" if history.ended == "failed" else "was aborted",
+        what=failure["what"] if failure else history.why,
+        where=failure["where"] if failure else "",
+        remedy=failure["remedy"] if failure else "",
+        way_on=way_on,
+        identification=_identification(history),
+        recordings=history.attempts,
+        accepted=len(history.accepted()),
+        lost=sum(history.lost.values()),
+        deviations=[*history.deviations, *history.holds],
+        devices_left=left(history.devices_at_end),
+        journal_head=journal_head,
+        namespace=namespace,
     )
 
 

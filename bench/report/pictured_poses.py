@@ -20,8 +20,8 @@ _WORST = 3
 _NOT_PASSED = ("fail", "marginal")
 
 PLOTS = (
-    "truth", "uncertainty", "direction", "halves", "distortion", "poses", "frames", "vectors", "cloud", "radial",
-    "coverage", "regions", "change", "change_ratio",
+    "truth", "uncertainty", "direction", "halves", "distortion", "poses", "frames", "scene", "vectors", "cloud",
+    "radial", "coverage", "regions", "change", "change_ratio",
 )  # fmt: skip
 """Names of the plots in the template."""
 

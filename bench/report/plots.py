@@ -30,6 +30,7 @@ from bench.report.pose_plot import (
     pose_directions,
     pose_frames,
 )
+from bench.report.pose_scene import pose_scene
 from bench.report.svg_plot import (
     INK,
     MUTED,
@@ -273,6 +274,7 @@ def report_plots(results: Results, views: Sequence[ViewPicture]) -> dict[str, st
     k = coverage_factor(results["calibration"], WORST_CORNER)
     plots |= camera_plots(results, [view.detected for view in seen], k) | _change_plots(results)
     plots["poses"], plots["frames"] = pose_directions(results), pose_frames(results["calibration"])
+    plots["scene"] = pose_scene(results["calibration"])
     if seen:
         plots |= {"cloud": residual_cloud(views), **star_plots(results, views)}
     return plots

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.record.results import CalibrationData, CameraData, Results
+from bench.record.results import CalibrationData, CameraData, Results, ViewData
 from bench.record.run_facts import coverage_factor
 from bench.record.stored_calibration import camera_covariance, camera_of
 from bench.report.svg_plot import INK, MUTED, PANEL, POSE_COLOURS, Axes, Key, Picture, Words, axes_in
@@ -205,9 +205,8 @@ def pose_frames(calibration: CalibrationData) -> str:
     if not views:
         return ""
     camera = camera_of(calibration["camera"], calibration["image_size"])
-    rays = camera.rays(_outline(calibration["image_size"]))
     shown = views[:: -(-len(views) // _MOST_FRAMES)]
-    frames = [_on_target(rays, np.array(view["rotation"]), np.array(view["centre_mm"])) for view in shown]
+    frames = [outline_on_target(camera, calibration["image_size"], view) for view in shown]
     every = np.concatenate(frames)
     if not len(every):
         return ""
@@ -225,6 +224,13 @@ def pose_frames(calibration: CalibrationData) -> str:
         colour = POSE_COLOURS[number % len(POSE_COLOURS)]
         axes.shapes([frame], colour, min(0.12, 1.0 / len(views)), colour)
     return picture.svg()
+
+
+def outline_on_target(camera: CameraModel, image_size: Sequence[int], view: ViewData) -> Array:
+    """Return the outline of the image of a pose on the target, mm, in order; points beyond it are left out."""
+    return _on_target(
+        camera.rays(_outline(image_size)), np.array(view["rotation"]), np.array(view["centre_mm"])
+    )
 
 
 def _on_target(rays: Array, rotation: Array, centre: Array) -> Array:

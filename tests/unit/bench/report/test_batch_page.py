@@ -144,7 +144,7 @@ def test_the_page_holds_the_number_of_each_run_and_the_newest_line_of_the_ledger
     items = [item(key, ledger_number=number, ledger_head=head) for key, (number, head) in places.items()]
     html = render_batch(summary(*items))
     assert f"Newest run in the ledger: run 10 of this bench, line {'b' * 64}" in html
-    assert '<td class="n">9</td>' in html
+    assert '<td class="n" data-label="Number">9</td>' in html
     assert "in the ledger" not in render_batch(summary(item("a-001")))
 
 

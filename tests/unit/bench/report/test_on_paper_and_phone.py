@@ -30,6 +30,10 @@ OVERLAPS = """() => [...document.querySelectorAll('.pair > *, .panels > *, .resi
   e.scrollWidth > e.clientWidth + 1).map(e => e.outerHTML.slice(0, 80))"""
 
 
+WIDER = """() => [...document.querySelectorAll('table')].filter(e => e.scrollWidth > innerWidth - 30)
+  .map(e => e.className || e.closest('.wide')?.ariaLabel)"""
+
+
 def test_it_prints_on_at_most_six_pages_and_fits_a_phone(html, tmp_path):
     page_file, pdf = tmp_path / "report.html", tmp_path / "report.pdf"
     page_file.write_text(html, encoding="utf-8")
@@ -40,6 +44,10 @@ def test_it_prints_on_at_most_six_pages_and_fits_a_phone(html, tmp_path):
         assert page.evaluate("document.documentElement.scrollWidth") == 390
         assert page.evaluate(CUT) == []
         assert page.evaluate(SCROLLS) == 0
+        page.evaluate("document.getElementById('details').open = true")
+        assert page.evaluate("document.documentElement.scrollWidth") == 390
+        assert page.evaluate(WIDER) == []  # each row is a card
+        page.evaluate("document.getElementById('details').open = false")
         page.set_viewport_size({"width": 1200, "height": 900})
         assert page.evaluate(OVERLAPS) == []
         page.pdf(path=str(pdf), prefer_css_page_size=True, print_background=True)

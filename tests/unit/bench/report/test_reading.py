@@ -77,7 +77,7 @@ def test_many_deviations_are_counted_before_the_result_and_all_told_below(data):
 
 def test_a_truth_is_printed_to_the_digits_of_its_value(data):
     shown = told(data).partition("Comparison with the simulated truth</h2>")[2].partition("</table>")[0]
-    rows = [re.findall(r'<td class="n">(.*?)</td>', row) for row in shown.split("</tr>")[1:-1]]
+    rows = [re.findall(r'<td class="n"[^>]*>(.*?)</td>', row) for row in shown.split("</tr>")[1:-1]]
     assert len(rows) == 9
     for value, _, truth, *_ in rows:
         assert len(value.partition(".")[2]) == len(truth.partition(".")[2])

@@ -1,0 +1,83 @@
+"""What somebody decides by stands on the page of a report; the rest stands behind one fold, and on paper."""
+
+import re
+
+import numpy as np
+import pytest
+from report_sample import SMALL, sample
+
+from bench.measure.view_picture import ViewPicture
+from bench.report.phone_tables import label_cells
+from bench.report.pose_scene import pose_scene
+from bench.report.residual_words import rim_text
+from bench.wording.target_words import STARS
+
+FOLD = re.compile(r'<details id="details">.*?</details>', re.DOTALL)
+
+
+def test_result_uncertainty_poses_and_gates_are_on_the_page_and_the_rest_is_folded(html):
+    (folded,) = FOLD.findall(html)
+    page = html.replace(folded, "")
+    for heading in (
+        "Result",
+        "Residuals",
+        "Poses",
+        "Uncertainty budget",
+        "Gates",
+        "Deviations from the procedure",
+    ):
+        assert re.search(f"<h[23][^>]*>{heading}</h", page), heading
+    for heading in ("Correlation of the values", "Devices", "Recordings", "Conditions", "Further plots"):
+        assert re.search(f"<h[23][^>]*>{heading}</h", folded), heading
+    assert html.count("<details") == 1
+    assert page.count('class="plot"') <= 7
+    assert folded.count('class="plot"') >= 6
+
+
+def residuals(*, rim_px, middle_px=0.1, stars=400):
+    rng = np.random.default_rng(4)
+    points = rng.uniform([0, 0], [1280, 720], (stars, 2))
+    far = np.linalg.norm(points - [640, 360], axis=1) > 560
+    sigma = np.where(far, rim_px, middle_px)[:, None]
+    errors = rng.normal(0.0, 1.0, (stars, 2)) * sigma
+    return [ViewPicture("one", None, points, points - errors, np.arange(stars))]
+
+
+@pytest.mark.parametrize(("rim_px", "said"), [(0.1, False), (0.12, False), (0.25, True)])
+def test_residuals_at_the_rim_are_told_only_if_they_stand_out(rim_px, said):
+    text = rim_text(residuals(rim_px=rim_px), {"cx": 640.0, "cy": 360.0}, STARS)
+    assert bool(text) == said
+    if said:
+        assert "px RMS, and 0.14 px in the middle" in text  # two numbers each
+
+
+def test_few_stars_at_the_rim_say_nothing():
+    assert rim_text(residuals(rim_px=2.0, stars=60), {"cx": 640.0, "cy": 360.0}, STARS) == ""
+    assert rim_text([], {"cx": 640.0, "cy": 360.0}, STARS) == ""
+
+
+def test_the_scene_shows_each_pose_from_the_camera_to_the_target():
+    calibration = dict(sample(size=SMALL).results["calibration"])
+    flat = {"rotation": np.eye(3).tolist(), "centre_mm": [96.0, 142.0, -255.0]}
+    calibration["views"] = [{**view, **flat} for view in calibration["views"]]
+    svg = pose_scene(calibration)
+    assert "Poses: 3 of 3" in svg
+    assert svg.count("<circle") == 3
+    assert svg.count("<path") == 1 + 3 * 5  # the target; the image and four edges of each pose
+    calibration["views"] = calibration["views"][:1]
+    assert "Poses: 1 of 1" in pose_scene(calibration)
+    calibration["views"] = []
+    assert pose_scene(calibration) == ""
+
+
+def test_each_cell_carries_the_head_of_its_column():
+    table = (
+        '<table><thead><tr><th colspan="2">Quantity</th><th>Value, "px"</th></tr></thead><tbody>'
+        '<tr><td>fx</td><td>focal length</td><td class="n">3346</td></tr>'
+        '<tr><td colspan="2">sum</td><td>1</td></tr></tbody></table>'
+    )
+    found = label_cells(table)
+    assert '<td>fx</td><td data-label="Quantity">focal length</td>' in found
+    assert '<td class="n" data-label="Value, &quot;px&quot;">3346</td>' in found
+    assert '<td colspan="2">sum</td><td data-label="Value, &quot;px&quot;">1</td>' in found
+    assert label_cells("<table><tr><td>1</td></tr></table>") == "<table><tr><td>1</td></tr></table>"
