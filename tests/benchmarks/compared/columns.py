@@ -8,10 +8,11 @@ from typing import Annotated, Literal
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-Method = Literal["starbench", "recipe", "zhang", "checkerboard", "reconstruction", "angles"]
+Method = Literal["starbench", "recipe", "zhang", "checkerboard", "reconstruction", "angles", "lines"]
 """``starbench``: this project's engine. ``recipe``: the published recipe. ``zhang``: OpenCV's planar calibration of the
 same star images. ``checkerboard``: a board on a flickering screen, placed by hand for each image. ``reconstruction``: a
-board that does not flicker, seen by a moving camera. ``angles``: one star image, by angle invariance."""
+board that does not flicker, seen by a moving camera. ``angles``: one star image, by angle invariance. ``lines``: the edges
+of a sheet or a box, seen by a moving camera."""
 STAR_METHODS: tuple[Method, ...] = ("starbench", "recipe", "zhang", "angles")
 _FEWEST = 2
 
@@ -46,6 +47,20 @@ class Motion(Strict):
     two_sided: bool = True  # False: the filter as published, of earlier events only
 
 
+class Body(Strict):
+    """The sheet (depth 0) or box whose edges the method ``lines`` uses, and how it moves before the camera."""
+
+    width_mm: float = 297.0  # A4
+    height_mm: float = 210.0
+    depth_mm: float = 0.0
+    distance_mm: float = 1800.0
+    tilt_deg: float = 45.0
+    speed_px_s: float = 1000.0
+    way_px: float = 30.0
+    marked_px: float = 5.0  # How exactly a person marks the ends of an edge
+    widened: bool = False  # Whether it is unknown by how much bright faces look larger; of a sheet
+
+
 class Column(Strict):
     """One column of the table: a method on a bench."""
 
@@ -63,6 +78,7 @@ class Column(Strict):
     lens: str = "k1k2"
     board: Screen = Screen()
     motion: Motion = Motion()
+    body: Body = Body()
 
     @model_validator(mode="after")
     def _enough_images(self) -> Column:

@@ -22,6 +22,7 @@ from calib.target import StarTarget
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
 from calib.view import View
 
+from .by_lines import calibrate_by_lines
 from .by_others import calibrate_by_angles
 from .columns import STAR_METHODS, Column
 from .scenes import Images, find_targets, finding_key, record
@@ -70,7 +71,7 @@ def bench_time_s(column: Column) -> float:
     """Return how long, s, the images of a column keep a bench busy: 20 s a board, 2 s a moving picture (assumed)."""
     if column.method in STAR_METHODS:
         return _BEFORE_S + column.images * _POSE_S
-    return column.images * (_PASS_S if column.method == "reconstruction" else _PLACEMENT_S)
+    return column.images * (_PASS_S if column.method in ("reconstruction", "lines") else _PLACEMENT_S)
 
 
 def gimbal_ratio_error(
@@ -129,9 +130,10 @@ _FLAT_AT_MM = 40.0
 
 def solve(column: Column, images: Images, images_cpu_s: float, seed: int) -> Row:
     """Calibrate by the method of a column: values, sigmas, errors and residuals."""
-    if len(images.views) < (1 if column.known_collimator or column.method == "angles" else _FEWEST_VIEWS):
+    count = len(images.views) + len(images.edges)
+    if count < (1 if column.known_collimator or column.method == "angles" else _FEWEST_VIEWS):
         reasons = "; ".join(dict.fromkeys(images.missed)) or "no image"
-        return failed_row(images, images_cpu_s, f"{len(images.views)} views with a target: {reasons}")
+        return failed_row(images, images_cpu_s, f"{count} views with a target: {reasons}")
     began = time.process_time()
     try:
         result, calibration = _result(column, images, seed)
@@ -140,7 +142,7 @@ def solve(column: Column, images: Images, images_cpu_s: float, seed: int) -> Row
     solve_cpu_s = time.process_time() - began
     numbers = _numbers(result, calibration)
     return {
-        "views": len(images.views),
+        "views": count,
         "missed": list(images.missed),
         "solve_cpu_s": solve_cpu_s,
         **numbers,
@@ -153,7 +155,7 @@ def solve(column: Column, images: Images, images_cpu_s: float, seed: int) -> Row
 def failed_row(images: Images, images_cpu_s: float, why: str) -> Row:
     """Return the row of images of which a method makes nothing."""
     return {
-        "views": len(images.views),
+        "views": len(images.views) + len(images.edges),
         "missed": list(images.missed),
         "error": why,
         "images_cpu_s": images_cpu_s,
@@ -216,6 +218,10 @@ def _result(column: Column, images: Images, seed: int) -> tuple[MethodResult, Ca
         return published_recipe(views, CalibrationOptions("spherical", lens)), None
     if column.method == "angles":
         return _by_angles(column, images, seed), None
+    if column.method == "lines":
+        return calibrate_by_lines(
+            images.edges, images.camera.image_size, lens, widened=column.body.widened
+        ), None
     board = column.method not in STAR_METHODS
     if column.method == "zhang" or (board and column.detector != "symmetry"):
         return opencv_planar(views, CalibrationOptions("planar", lens, "l2")), None

@@ -16,10 +16,9 @@ from virtual_camera import VirtualCamera
 
 from calib.boards.board import Board
 from calib.boards.detect import detect_board
-from calib.errors import CalibrationError
+from calib.errors import CalibrationError, TargetNotFound
 from calib.events.event_image import make_images
 from calib.events.flicker import Flicker
-from calib.events.reconstruction import reconstruct
 from calib.model.camera import CameraModel
 from calib.model.rotation import exp_map, log_map
 from calib.stars.detect import detect_view
@@ -27,62 +26,10 @@ from calib.stars.rim import downweight_vignetted
 from calib.target import StarTarget
 from calib.view import View
 
+from .by_lines import SeenEdges
 from .by_others import opencv_corners
 from .columns import STAR_METHODS, Column
-
-# Recordings of a board that moves before the simulated camera, under a steady light, and pictures made from
-# them.
-
-Pose = tuple[tuple[float, float, float], tuple[float, float, float]]
-
-STEP_PX = 2.5
-"""Motion of the picture in a step of the simulation, px."""
-_OBLIQUE_DEG = (20.0, 70.0)
-_TURN_DEG_S = 10.0
-
-
-def reach_px(column: Column) -> float:
-    """Return how far the board moves in the picture to either side of its place: half the way, px."""
-    return column.motion.way_px / 2.0
-
-
-def record_moving(
-    column: Column, section: dict[str, Any], focal_px: float, seed: int, number: int
-) -> dict[bool, NDArray[np.float32]]:
-    """Record a board that moves evenly through its placement, and reconstruct its picture there.
-
-    Pictures are (H, W) float32: two-sided (True), and of the filter as published (False).
-    """
-    motion = column.motion
-    rng = np.random.default_rng((seed, 31, number))
-    position, turn = np.array(section["screen"]["position_mm"]), np.array(section["screen"]["turn_deg"])
-    angle = motion.angle_deg if motion.angle_deg is not None else rng.uniform(*_OBLIQUE_DEG)
-    rows = exp_map(np.radians(turn))[:, 0]
-    direction = math.atan2(rows[1], rows[0]) + math.radians(angle) + 0.5 * math.pi * rng.integers(4)
-    way_mm = position[2] / focal_px * np.array([math.cos(direction), math.sin(direction), 0.0])
-    axis = rng.normal(size=3)
-    turning = _TURN_DEG_S * axis / np.linalg.norm(axis)
-    duration_us = 1e6 * motion.way_px / motion.speed_px_s
-    middle_us = 0.5 * duration_us
-
-    def board_at(t_us: float) -> Pose:
-        late_s = 1e-6 * (t_us - middle_us)
-        x, y, z = (position + late_s * motion.speed_px_s * way_mm).tolist()
-        a, b, c = (turn + late_s * turning).tolist()
-        return (x, y, z), (a, b, c)
-
-    camera = VirtualCamera(section, seed)
-    seen = camera.capture_moving(
-        board_at, duration_us, seed=1000 * seed + number, frame_us=1e6 * STEP_PX / motion.speed_px_s
-    )
-    pictures = {}
-    for two_sided in (True, False):
-        (picture,) = reconstruct(
-            [seen.events], seen.image_size, [middle_us], cutoff_hz=motion.cutoff_hz, two_sided=two_sided
-        )
-        pictures[two_sided] = picture.image
-    return pictures
-
+from .moving import reach_px, record_edges, record_moving
 
 #: Largest angles of the poses, degrees: as those of the included sequences.
 _PAN_DEG, _TILT_DEG = 6.0, 2.5
@@ -106,6 +53,7 @@ class Images:
     missed: tuple[str, ...]  # For each image without a view, the reason
     # Views of another camera before the same collimator, for its passport; None if they were not asked for.
     reference: Images | None = None
+    edges: tuple[SeenEdges, ...] = ()  # For the method lines, in place of views
 
 
 def recordings_key(column: Column) -> tuple[Any, ...]:
@@ -113,6 +61,9 @@ def recordings_key(column: Column) -> tuple[Any, ...]:
     if column.method in STAR_METHODS:
         key = ("stars", column.collimator, column.bow_um, column.noise, column.images)
         return (*key, "reference") if column.known_collimator else key
+    if column.method == "lines":
+        body = column.body.model_dump(exclude={"widened"})
+        return ("lines", column.noise, column.images, *body.values())
     board = ("board", column.noise, column.images, *column.board.model_dump().values())
     if column.method != "reconstruction":
         return board
@@ -139,10 +90,14 @@ class Recordings:
     reference: Recordings | None = None
     # For a moving board the pictures of the filter as published; else empty.
     one_sided: Sequence[NDArray[np.float32]] = ()
+    edges: tuple[SeenEdges, ...] = ()
+    missed: tuple[str, ...] = ()  # For each sheet or box whose edges were not found, the reason
 
 
 def record(column: Column, seed: int) -> Recordings:
     """Record the images of one repetition, which all columns with the same `recordings_key` share."""
+    if column.method == "lines":
+        return _record_edges(column, seed)
     if column.method not in STAR_METHODS:
         return _record_boards(column, seed)
     own = _record_stars(column, seed, seed)
@@ -154,6 +109,9 @@ def record(column: Column, seed: int) -> Recordings:
 
 def find_targets(column: Column, recorded: Recordings) -> Images:
     """Find the targets of recorded images, as a column asks."""
+    if column.method == "lines":
+        camera = true_camera(recorded.truth["camera"])
+        return Images((), (), camera, recorded.truth, recorded.missed, edges=recorded.edges)
     chosen = column.board
     board = Board("checkerboard", chosen.columns, chosen.rows, chosen.square_mm)
     target, stars = StarTarget(), column.method in STAR_METHODS
@@ -213,6 +171,17 @@ def _record_stars(column: Column, seed: int, camera_seed: int) -> Recordings:
     names = [f"pose {number}" for number in range(1, len(poses) + 1)]
     readings = [{f"{axis}_deg": angle for axis, angle in pose.items()} for pose in poses]
     return Recordings(images, names, readings, camera.truth())
+
+
+def _record_edges(column: Column, seed: int) -> Recordings:
+    truth = VirtualCamera({}, seed).truth()
+    camera, edges, missed = true_camera(truth["camera"]), [], []
+    for number in range(1, column.images + 1):
+        try:
+            edges.append(record_edges(column, camera, seed, number))
+        except TargetNotFound as error:
+            missed.append(str(error))
+    return Recordings((), (), (), truth, edges=tuple(edges), missed=tuple(missed))
 
 
 def _record_boards(column: Column, seed: int) -> Recordings:
