@@ -66,7 +66,8 @@ class Column(Strict):
 
     name: str
     method: Method
-    collimator: Literal["ideal", "like-real", "like-bench", "S1", "S2", "S3"] = "ideal"
+    # stranger: a bench of `worlds.stranger`, whose station states what a column knows
+    collimator: Literal["ideal", "like-real", "like-bench", "S1", "S2", "S3", "stranger"] = "ideal"
     bow_um: float = 0.0  # Bow of the reticle at 40 mm
     flatness_um: float | None = None  # Flatness of the reticle at 40 mm that the station states
     noise: Literal["none", "clean", "typical", "heavy"] = "typical"

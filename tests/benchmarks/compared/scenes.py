@@ -25,11 +25,14 @@ from calib.stars.detect import detect_view
 from calib.stars.rim import downweight_vignetted
 from calib.target import StarTarget
 from calib.view import View
+from tests.benchmarks.worlds.bench import Bench
+from tests.benchmarks.worlds.knowledge import views_of
 
 from .by_lines import SeenEdges
 from .by_others import opencv_corners
 from .columns import STAR_METHODS, Column
 from .moving import reach_px, record_edges, record_moving
+from .strangers import camera_model, stranger_bench
 
 #: Largest angles of the poses, degrees: as those of the included sequences.
 _PAN_DEG, _TILT_DEG = 6.0, 2.5
@@ -54,6 +57,7 @@ class Images:
     # Views of another camera before the same collimator, for its passport; None if they were not asked for.
     reference: Images | None = None
     edges: tuple[SeenEdges, ...] = ()  # For the method lines, in place of views
+    bench: Bench | None = None  # A stranger's
 
 
 def recordings_key(column: Column) -> tuple[Any, ...]:
@@ -91,6 +95,7 @@ class Recordings:
     # For a moving board the pictures of the filter as published; else empty.
     one_sided: Sequence[NDArray[np.float32]] = ()
     edges: tuple[SeenEdges, ...] = ()
+    bench: Bench | None = None  # A stranger's, which has its stars already
     missed: tuple[str, ...] = ()  # For each sheet or box whose edges were not found, the reason
 
 
@@ -100,6 +105,8 @@ def record(column: Column, seed: int) -> Recordings:
         return _record_edges(column, seed)
     if column.method not in STAR_METHODS:
         return _record_boards(column, seed)
+    if column.collimator == "stranger":
+        return Recordings((), (), (), {}, bench=stranger_bench(seed, column.images))
     own = _record_stars(column, seed, seed)
     if not column.known_collimator:
         return own
@@ -112,6 +119,10 @@ def find_targets(column: Column, recorded: Recordings) -> Images:
     if column.method == "lines":
         camera = true_camera(recorded.truth["camera"])
         return Images((), (), camera, recorded.truth, recorded.missed, edges=recorded.edges)
+    if recorded.bench is not None:
+        views = tuple(views_of(recorded.bench))
+        camera = camera_model(recorded.bench.camera, views[0].image_size)
+        return Images(views, tuple(recorded.bench.readings_deg), camera, {}, (), bench=recorded.bench)
     chosen = column.board
     board = Board("checkerboard", chosen.columns, chosen.rows, chosen.square_mm)
     target, stars = StarTarget(), column.method in STAR_METHODS
