@@ -95,3 +95,8 @@ def __getattr__(name: str) -> Any:
     value = getattr(importlib.import_module(_MODULES[name]), name)
     globals()[name] = value
     return value
+
+
+def __dir__() -> list[str]:
+    """Return the public names too, which are loaded at their first use: for completion, and for the site."""
+    return sorted({*globals(), *__all__})

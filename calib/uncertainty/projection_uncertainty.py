@@ -66,8 +66,8 @@ def projection_uncertainty(camera: CameraModel, covariance: Array, points_across
     """Map the projection uncertainty of a camera: var(q) = dq/db var(b) dq/db^T, without the implied rotation.
 
     The law of propagation is that of JCGM 100:2008, section 5.2. The implied rotation is an idea of mrcal (Kogan). Own
-    form for points at infinity: for a change db, the rotation t minimises the sum of |dq/db db - dq/dt t|^2 over the
-    grid.
+    form for points at infinity: for a change db, the rotation t minimises the sum of the squared lengths of
+    dq/db db - dq/dt t over the grid.
 
     Parameters
     ----------

@@ -121,12 +121,13 @@ def write(page: str, title: str, table: str, command: str, folder: Path = FOLDER
     shown = table.strip("\n")
     if not shown.startswith("|"):
         shown = f"```text\n{shown}\n```"
-    parts = [part for part in (words, _origin(command), shown) if part]
+    parts = [part for part in (words, origin(command), shown) if part]
     path.parent.mkdir(exist_ok=True)
     path.write_text(before + heading + "\n" + "\n\n".join(parts) + "\n" + following, encoding="utf-8")
 
 
-def _origin(command: str) -> str:
+def origin(command: str) -> str:
+    """Return the line above a table: the command, the commit, the date."""
     commit = _git("rev-parse", "--short=8", "HEAD")
     changed = " with changes" if _git("status", "--porcelain", "--untracked-files=no") else ""
     return f"{ORIGIN}{command}`, commit {commit}{changed}, {datetime.now(UTC).date().isoformat()}."

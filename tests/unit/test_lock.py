@@ -23,7 +23,10 @@ def _wanted(extras: list[str]) -> list[Requirement]:
     return [Requirement(one) for one in named]
 
 
-@pytest.mark.parametrize(("lock", "extras"), [("requirements.lock", []), ("requirements-dev.lock", ["dev"])])
+@pytest.mark.parametrize(
+    ("lock", "extras"),
+    [("requirements.lock", []), ("requirements-dev.lock", ["dev"]), ("requirements-docs.lock", ["docs"])],
+)
 def test_the_lock_has_a_version_of_every_dependency_within_its_range(lock, extras):
     versions: dict[str, list[str]] = {}
     for name, version in LOCKED.findall((ROOT / lock).read_text()):

@@ -66,6 +66,7 @@ class Column(Strict):
 
     name: str
     method: Method
+    group: str = ""  # Heading of the table above this column and those that follow it
     # stranger: a bench of `worlds.stranger`, whose station states what a column knows
     collimator: Literal["ideal", "like-real", "like-bench", "S1", "S2", "S3", "stranger"] = "ideal"
     bow_um: float = 0.0  # Bow of the reticle at 40 mm

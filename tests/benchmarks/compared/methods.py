@@ -51,8 +51,7 @@ def rows_of(columns: Sequence[Column], seed: int) -> dict[str, Row]:
     return rows
 
 
-# What a bench shows without the truth: the gimbal's angles as a check from outside, and the time that
-# images take.
+# What a bench shows without the truth: the gimbal's angles as a check from outside.
 #
 # A star is the same direction in every image, so the rotation between two images follows from the camera
 # alone: no collimator enters. With a focal length that is too long by some share, the camera seems to turn
@@ -60,19 +59,8 @@ def rows_of(columns: Sequence[Column], seed: int) -> dict[str, Row]:
 
 Array = NDArray[np.float64]
 
-#: Seconds of a run on the simulated bench: before the first pose, and for each (move, settle, record), as planned.
-_BEFORE_S, _POSE_S = 3.2, 2.3
-#: Seconds in which a person places a board, or moves a camera past it: an assumption.
-_PLACEMENT_S, _PASS_S = 20.0, 2.0
 _FEWEST_COMMON = 12
 _SMALLEST_TURN_DEG = 1.0
-
-
-def bench_time_s(column: Column) -> float:
-    """Return how long, s, the images of a column keep a bench busy: 20 s a board, 2 s a moving picture (assumed)."""
-    if column.method in STAR_METHODS:
-        return _BEFORE_S + column.images * _POSE_S
-    return column.images * (_PASS_S if column.method in ("reconstruction", "lines") else _PLACEMENT_S)
 
 
 def gimbal_ratio_error(

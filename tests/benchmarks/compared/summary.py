@@ -8,13 +8,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from .columns import Column
-from .methods import Row, bench_time_s
+from .methods import Row
 
 HEADS = (
     "method",
     "images",
     "solved",
-    "fx, px",
     "fx error, px",
     "stated U, px",
     "reproj., px",
@@ -23,19 +22,22 @@ HEADS = (
     "fx in U",
     "corner in U",
     "gimbal, %",
-    "bench, s",
 )
 """Heads of the table. Errors are root mean squares over the repetitions."""
 
 
 def table(columns: Sequence[Column], rows: Sequence[Sequence[Row]]) -> str:
     """Return the table, a line for each column; the reasons of failures come last."""
-    lines = [HEADS, ("---", *("--:" for _ in HEADS[1:]))]
-    lines += [_cells(column, of_column) for column, of_column in zip(columns, rows, strict=True)]
+    lines: list[tuple[str, ...]] = [HEADS, ("---", *("--:" for _ in HEADS[1:]))]
+    for column, of_column in zip(columns, rows, strict=True):
+        if column.group:
+            lines.append((f"**{column.group}**", *("" for _ in HEADS[1:])))
+        lines.append(_cells(column, of_column))
     failures = [
-        f"{column.name}: {times} without a result: {why}"
+        f"* {column.name}, {times} times without a result, such as: {why}"
         for column, of_column in zip(columns, rows, strict=True)
-        for why, times in Counter(row["error"] for row in of_column if "error" in row).items()
+        if (reasons := [row["error"] for row in of_column if "error" in row])
+        for times, why in [(len(reasons), Counter(reasons).most_common(1)[0][0])]
     ]
     return "\n".join(
         [*(f"| {' | '.join(cells)} |" for cells in lines), *([""] if failures else []), *failures]
@@ -53,7 +55,6 @@ def _cells(column: Column, rows: Sequence[Row]) -> tuple[str, ...]:
         column.name,
         str(column.images),
         f"{len(good)} of {len(rows)}",
-        _mean_and_spread([row["camera"]["fx"] for row in good]),
         shown(_rms([row["errors"]["fx"] for row in good])),
         shown(_mean([row["k"] * row["sigma"]["fx"] for row in good if "fx" in row["sigma"]])),
         shown(_rms([row["rms_px"] for row in good]), 2),
@@ -62,7 +63,6 @@ def _cells(column: Column, rows: Sequence[Row]) -> tuple[str, ...]:
         share(covered["fx"]),
         share(covered["corner"]),
         "-" if gimbal is None else f"{100 * gimbal:.2f}",
-        f"{bench_time_s(column):.0f}",
     )
 
 
@@ -73,14 +73,6 @@ def _mean(numbers: Sequence[float]) -> float | None:
 def _rms(numbers: Sequence[float | None]) -> float | None:
     known = [number for number in numbers if number is not None]
     return float(np.sqrt(np.mean(np.square(known)))) if known else None
-
-
-def _mean_and_spread(values: Sequence[float]) -> str:
-    """Return a mean with the standard deviation over the repetitions."""
-    if len(values) < 2 or not (spread := float(np.std(values, ddof=1))):
-        return shown(_mean(values), 6)
-    digits = max(0, 1 - int(f"{spread:.1e}".split("e")[1]))
-    return f"{np.mean(values):.{digits}f} ± {spread:.{digits}f}"
 
 
 def shown(number: float | None, digits: int = 3) -> str:

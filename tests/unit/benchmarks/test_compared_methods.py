@@ -50,9 +50,15 @@ def test_the_table_states_errors_and_coverage_and_names_failures():
     failed = {"error": "no board"}
     text = table((ours, board), [[row(3.0), row(-1.0), row(1.0), row(-3.0)], [failed] * 4])
     cells = [cell.strip() for cell in text.splitlines()[2].split("|")[1:-1]]
-    assert cells[:6] == ["ours", "3", "4 of 4", "3345.1 ± 2.6", "2.24", "2"]
-    assert cells[8:10] == ["60", "50 %"]
-    assert text.endswith("board: 4 without a result: no board")
+    assert cells[:5] == ["ours", "3", "4 of 4", "2.24", "2"]
+    assert cells[7:9] == ["60", "50 %"]
+    assert text.endswith("* board, 4 times without a result, such as: no board")
+
+
+def test_a_group_of_columns_has_a_heading_in_the_table():
+    first = Column(name="ours", method="starbench", group="collimator")
+    heads = [line.split(" | ")[0] for line in table((first,), [[row(1.0)]]).splitlines()[2:]]
+    assert heads == ["| **collimator**", "| ours"]
 
 
 def test_one_repetition_gives_every_method_the_same_images_and_compares_with_the_truth():

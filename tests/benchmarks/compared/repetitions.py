@@ -1,0 +1,79 @@
+"""Repetitions of a comparison, kept in a file: one line for all columns that share their images.
+
+After Ctrl-C, the same command continues. Whatever changes the program or a column makes its results again.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+from collections import defaultdict
+from collections.abc import Hashable
+from functools import lru_cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import measured
+
+from bench.base.program import forms
+
+from .columns import Column, read_comparison
+from .methods import Row, rows_of
+from .scenes import recordings_key
+
+Key = tuple[str, int, int, str]
+"""Name of the comparison, group of columns, seed, and a hash of all that the result depends on."""
+
+
+@lru_cache
+def columns_here(comparison: str) -> tuple[Column, ...]:
+    """Return the columns that can be measured here: those of strangers need a ray tracer, optiland."""
+    columns = read_comparison(comparison).columns
+    if find_spec("optiland") is None and any(column.collimator == "stranger" for column in columns):
+        print(
+            "Left out: collimators of a stranger's ray tracer. For them: pip install optiland",
+            file=sys.stderr,
+        )
+        columns = tuple(column for column in columns if column.collimator != "stranger")
+    return columns
+
+
+@lru_cache
+def _groups(comparison: str) -> list[list[Column]]:
+    """Return the columns that share their images."""
+    by_recordings: dict[Hashable, list[Column]] = defaultdict(list)
+    for column in columns_here(comparison):
+        by_recordings[recordings_key(column)].append(column)
+    return list(by_recordings.values())
+
+
+def _keys(comparison: str, repetitions: int) -> list[Key]:
+    """Return what is to be done: repetition by repetition, so that a short run has some of every column."""
+    program, first = forms()["program"], read_comparison(comparison).seed
+    digests = [
+        hashlib.sha256(repr((columns, program)).encode()).hexdigest()[:16] for columns in _groups(comparison)
+    ]
+    return [
+        (comparison, group, first + repetition, digest)
+        for repetition in range(repetitions)
+        for group, digest in enumerate(digests)
+    ]
+
+
+def _do(*key: Any) -> dict[str, Any]:
+    """Do one repetition of a group of columns."""
+    comparison, group, seed, _ = key
+    return {"key": key, "rows": rows_of(_groups(comparison)[group], seed)}
+
+
+def repeated(comparison: str, repetitions: int | None, kept: Path, jobs: int) -> list[list[Row]]:
+    """Return the rows of each of `columns_here`; what the file does not hold yet is measured and added to it."""
+    asked = _keys(comparison, repetitions or read_comparison(comparison).repetitions)
+    done = measured.kept(kept, lambda line: tuple(line["key"]))
+    measured.add_missing(kept, done, asked, _do, jobs)
+    rows: dict[str, list[Row]] = defaultdict(list)
+    for key in asked:
+        for name, row in done[key]["rows"].items():
+            rows[name].append(row)
+    return [rows[column.name] for column in columns_here(comparison)]
