@@ -23,7 +23,8 @@ from simulators.optics.drawing import (
     join_cells,
     spread_kernel,
 )
-from simulators.optics.lens_focus import camera_of, ray_grid
+from simulators.optics.lens import ray_grid
+from simulators.optics.lens_focus import camera_of
 from simulators.world.truth import Truth
 
 FloatArray = NDArray[np.float64]

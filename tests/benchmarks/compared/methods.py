@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from itertools import combinations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.calibration import Calibration, CalibrationOptions
 from calib.engine import calibrate
@@ -16,16 +14,15 @@ from calib.errors import CalibrationError
 from calib.model.camera import CameraModel
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
-from calib.model.rotation import exp_map, log_map, nearest_rotation
 from calib.studies.reference_methods import MethodResult, opencv_planar, published_recipe, starbench_result
 from calib.target import StarTarget
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
-from calib.view import View
 from tests.benchmarks.worlds.knowledge import options_for
 
 from .by_lines import calibrate_by_lines
 from .by_others import calibrate_by_angles
 from .columns import STAR_METHODS, Column
+from .gimbal_check import gimbal_ratio_error
 from .scenes import Images, find_targets, finding_key, record
 
 Row = dict[str, Any]
@@ -49,58 +46,6 @@ def rows_of(columns: Sequence[Column], seed: int) -> dict[str, Row]:
             images[how] = find_targets(column, recorded), record_cpu_s + time.process_time() - began
         rows[column.name] = solve(column, *images[how], seed)
     return rows
-
-
-# What a bench shows without the truth: the gimbal's angles as a check from outside.
-#
-# A star is the same direction in every image, so the rotation between two images follows from the camera
-# alone: no collimator enters. With a focal length that is too long by some share, the camera seems to turn
-# less by that share.
-
-Array = NDArray[np.float64]
-
-_FEWEST_COMMON = 12
-_SMALLEST_TURN_DEG = 1.0
-
-
-def gimbal_ratio_error(
-    camera: CameraModel, views: Sequence[View], readings_deg: Sequence[Mapping[str, float]]
-) -> float | None:
-    """Return by what share the camera turns more than the gimbal says; None without two views and readings.
-
-    Rotation between two images by Kabsch (1976), from common stars; pairs of poses are weighted by the squared angle.
-    """
-    if len(readings_deg) != len(views):
-        return None
-    product, square = 0.0, 0.0
-    for first, second in combinations(range(len(views)), 2):
-        read = _turn(_gimbal(readings_deg[first]).T @ _gimbal(readings_deg[second]))
-        _, at_first, at_second = np.intersect1d(views[first].ids, views[second].ids, return_indices=True)
-        if len(at_first) < _FEWEST_COMMON or read < np.radians(_SMALLEST_TURN_DEG):
-            continue
-        rays_first, rays_second = (
-            camera.rays(view.points_px[at])
-            for view, at in ((views[first], at_first), (views[second], at_second))
-        )
-        seen = _turn(nearest_rotation(_unit(rays_first).T @ _unit(rays_second)))
-        product += seen * read
-        square += read * read
-    return product / square - 1.0 if square else None
-
-
-def _gimbal(angles_deg: Mapping[str, float]) -> Array:
-    """Return the rotation of a gimbal: pan about the vertical axis carries tilt about the horizontal one."""
-    pan, tilt = (np.radians(angles_deg.get(f"{axis}_deg", 0.0)) for axis in ("pan", "tilt"))
-    return exp_map(np.array([0.0, pan, 0.0])) @ exp_map(np.array([tilt, 0.0, 0.0]))
-
-
-def _unit(rays: Array) -> Array:
-    return np.asarray(rays / np.linalg.norm(rays, axis=1)[:, None])
-
-
-def _turn(rotation: Array) -> float:
-    """Return the angle of a rotation, rad."""
-    return float(np.linalg.norm(log_map(rotation)))
 
 
 #: Points of the grid on which cameras are compared; expansion factor of methods that state none.

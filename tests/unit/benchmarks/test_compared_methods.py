@@ -10,7 +10,8 @@ from calib.target import StarTarget
 from calib.view import View
 from tests.benchmarks.compared.by_others import calibrate_by_angles
 from tests.benchmarks.compared.columns import Column, Screen, read_comparison
-from tests.benchmarks.compared.methods import compare_with_truth, gimbal_ratio_error, rows_of
+from tests.benchmarks.compared.gimbal_check import gimbal_ratio_error
+from tests.benchmarks.compared.methods import compare_with_truth, rows_of
 from tests.benchmarks.compared.scenes import recordings_key
 from tests.benchmarks.compared.summary import table
 
