@@ -175,13 +175,16 @@ def _css_text(value: object) -> str:
 def render_ended(history: History, way_on: tuple[str, str], journal_head: str, namespace: str) -> str:
     """Render the page of a run that did not finish; the hash of its last line identifies the whole journal."""
     failure = history.failures[-1] if history.ended == "failed" and history.failures else None
+    reason = {
+        "what": failure["what"] if failure else history.why,
+        "where": failure["where"] if failure else "",
+        "remedy": failure["remedy"] if failure else "",
+    }
     return render_page(
         "ended.html.j2",
+        **reason,
         run=history.started,
         how="failed" if history.ended == "failed" else "was aborted",
-        what=failure["what"] if failure else history.why,
-        where=failure["where"] if failure else "",
-        remedy=failure["remedy"] if failure else "",
         way_on=way_on,
         identification=_identification(history),
         recordings=history.attempts,

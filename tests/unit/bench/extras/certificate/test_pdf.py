@@ -6,6 +6,7 @@ import io
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 
@@ -63,6 +64,32 @@ class TestSameInputSameBytes:
         data = render_pdf(small_certificate(), {}, {}, NO_PLOTS)
         keywords = re.search(rb"<pdf:Keywords>([^<]*)</pdf:Keywords>", data)[1].decode()
         assert re.search(r"rendered by Starbench [\d.]+; typst [\d.]+$", keywords)
+
+
+class TestTheAnnexStandsBehind:
+    @pytest.mark.skipif(shutil.which("pdftotext") is None, reason="no poppler on this computer")
+    @pytest.mark.parametrize("certificate", [full_certificate(), small_certificate()], ids=["full", "small"])
+    def test_four_pages_say_what_the_certificate_says(self, certificate):
+        data = render_pdf(certificate, sample_results(), ATTACHED)
+        read = subprocess.run(["pdftotext", "-", "-"], input=data, capture_output=True, check=True)
+        pages = read.stdout.decode().split("\f")
+        (annex,) = [at for at, text in enumerate(pages) if re.search(r"^Annex$", text, re.MULTILINE)]
+        assert annex <= 4
+        assert "Authorised by" in "".join(pages[:annex])
+        assert "Uncertainty budgets" in pages[annex]
+
+    def test_budgets_and_covariance_are_the_annex(self):
+        sections = sections_of(full_certificate(), ATTACHED)
+        titles = {one["title"]: one["annex"] for one in sections}
+        assert [title for title, annex in titles.items() if annex][:2] == [
+            "Uncertainty budgets",
+            "Covariance and correlation of the results",
+        ]
+
+    def test_the_variance_of_one_value_is_no_matrix(self):
+        full = full_certificate()
+        one = changed(full, covariance=Covariance(("fx",), ("px",), ((1.0,),)))
+        assert "Covariance" not in " ".join(part["title"] for part in sections_of(one, ATTACHED))
 
 
 class TestEveryValueIsPrinted:
