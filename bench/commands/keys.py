@@ -112,6 +112,10 @@ def keys_create(principal: str | None, passphrase: bool) -> int:
     key = create_key(home_folder(), principal=principal, passphrase=secret)
     click.echo(f"Created {key.fingerprint}. Line for the allowed_signers file of those who verify:")
     click.echo(f"  {key.signers_line}")
+    click.echo(
+        f"Keep copies of {home_folder()}. Also name a second place for its ledger on another disk or share, in the"
+        "\nstation file: ledger: {anchor: /share/bench-ledger}. A restored copy that is too old is then noticed."
+    )
     return 0
 
 

@@ -31,6 +31,7 @@ NOW = datetime(2026, 11, 21, 8, 30, tzinfo=UTC)
 KEY = "SHA256:" + "A" * 43
 LAB = f"""\
 format: starbench/lab/1
+numbers: {{format: "SB-{{year}}-{{number:05d}}"}}
 laboratory:
   name: Optical Laboratory Ltd \N{EN DASH} Kalibrierlabor f\N{LATIN SMALL LETTER U WITH DIAERESIS}r Kameras
   address: {{street: Sternstra\N{LATIN SMALL LETTER SHARP S}e 5, post_code: 38116, city: Braunschweig, country: DE}}

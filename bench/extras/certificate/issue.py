@@ -11,14 +11,17 @@ import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 from bench.base.bounded_json import leaves, parse_json
 from bench.base.errors import EvidenceError, UsageError
 from bench.evidence.findings import Verification
 from bench.evidence.keys import BenchKey
+from bench.evidence.ledger_check import own_public_keys
 from bench.evidence.seal import remove_unnamed, seal_folder
 from bench.extras.certificate import run_facts
+from bench.extras.certificate.beside import count_beside
 from bench.extras.certificate.certificate_data import CERTIFICATE, Amends, Certificate, Change
 from bench.extras.certificate.clauses import faults_of_lab
 from bench.extras.certificate.compose import Identity, compose, further_statement
@@ -230,7 +233,11 @@ def make_certificate(
         if laboratory.sign_dcc is not None:  # a key that cannot sign is refused before a number is taken
             laboratory.sign_dcc(render_dcc(trial), now)
         replaced = None if amended is None else amended(trial)
-        number = reserve(laboratory.ledger, _wanted(source, lab.value, folder, amends, further), now)
+        wanted = replace(
+            _wanted(source, lab.value, folder, amends, further),
+            count_beside=partial(count_beside, folder.parent, own_public_keys(laboratory.ledger.home)),
+        )
+        number = reserve(laboratory.ledger, wanted, now)
         identity = replace(
             trial_identity, number=number.number, issued_utc=number.issued_utc, amends=replaced
         )

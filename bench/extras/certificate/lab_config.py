@@ -167,16 +167,19 @@ class NumbersConfig(StrictModel):
 
     format: Annotated[
         str,
-        Field(max_length=60, description="Number of a certificate; {year} and {number:05d} are replaced."),
-    ] = "SB-{year}-{number:05d}"
+        Field(
+            max_length=60,
+            description="Number of a certificate; {year}, {number:05d} and {head} are replaced.",
+        ),
+    ] = "SB-{year}-{number:05d}-{head}"
 
     @model_validator(mode="after")
     def _is_a_series(self) -> NumbersConfig:
         if not is_number_format(self.format):
             raise PydanticCustomError(
                 "no_series",
-                "format must contain {what} once and otherwise letters, digits, '-', '_', '.', '/' and {year}.",
-                {"what": "{number:05d}", "year": "{year}"},
+                "format must contain {what} once and otherwise letters, digits, '-', '_', '.', '/', {year} and {head}.",
+                {"what": "{number:05d}", "year": "{year}", "head": "{head}"},
             )
         return self
 

@@ -6,9 +6,10 @@ goes to the next certificate of the same run, or a person declares it void. Noth
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
@@ -25,35 +26,45 @@ from drivers import file_lock
 
 SIMULATED = "SIMULATED-"
 """Begin of the number of a certificate of simulated devices; these have a series of their own."""
-_FORMAT = re.compile(
-    r"(?P<before>(?:[A-Za-z0-9._/-]|\{year\})*)\{number(?::0(?P<digits>[1-9])d)?\}(?P<after>(?:[A-Za-z0-9._/-]|\{year\})*)"
-)
+_PLAIN = r"(?:[A-Za-z0-9._/-]|\{year\}|\{head\})*"
+_FORMAT = re.compile(rf"(?P<before>{_PLAIN})\{{number(?::0(?P<digits>[1-9])d)?\}}(?P<after>{_PLAIN})")
+_HEAD_DIGITS = 4
+"""Of two numbers with the same count, one in 65,536 pairs has the same text."""
+_LOST_HEAD = "lost"
 
 
 def is_number_format(text: str) -> bool:
     """Return whether a text is the format of a series of numbers.
 
-    It has ``{number}`` or ``{number:05d}`` exactly once and otherwise only plain characters and ``{year}``.
+    It has ``{number}`` or ``{number:05d}`` exactly once and otherwise only plain characters, ``{year}`` and ``{head}``.
 
-    >>> [is_number_format(one) for one in ("SB-{year}-{number:05d}", "SB", "{number.__class__}")]
+    >>> [is_number_format(one) for one in ("SB-{year}-{number:05d}-{head}", "SB", "{number.__class__}")]
     [True, False, False]
     """
     return _FORMAT.fullmatch(text) is not None
 
 
-def number_of(text: str, *, year: int, number: int) -> str:
+def number_of(text: str, *, year: int, number: int, head: str = _LOST_HEAD) -> str:
     """Return a number, from 1, of a series in its format.
 
-    >>> number_of("SB-{year}-{number:05d}", year=2026, number=17)
-    'SB-2026-00017'
+    ``head`` is part of the hash of its place in the ledger: it differs if a count is given twice, by a ledger that was
+    restored from an older copy.
+
+    >>> number_of("SB-{year}-{number:05d}-{head}", year=2026, number=17, head="4f1c")
+    'SB-2026-00017-4f1c'
     """
+    match = _matched(text)
+    before, after = (
+        match[name].replace("{year}", str(year)).replace("{head}", head) for name in ("before", "after")
+    )
+    return f"{before}{number:0{match['digits'] or 1}d}{after}"
+
+
+def _matched(text: str) -> re.Match[str]:
     match = _FORMAT.fullmatch(text)
     if match is None:
         raise ValueError(text)
-    digits = f"{number:0{match['digits'] or 1}d}"
-    return "".join(
-        [match["before"].replace("{year}", str(year)), digits, match["after"].replace("{year}", str(year))]
-    )
+    return match
 
 
 def series_of(text: str, *, year: int, simulated: bool) -> str:
@@ -68,16 +79,17 @@ def series_of(text: str, *, year: int, simulated: bool) -> str:
 def number_pattern(text: str) -> re.Pattern[str]:
     """Return what a number of a series looks like, in any year: it may be used in the year after its reservation.
 
-    >>> bool(number_pattern("SB-{year}-{number:05d}").fullmatch("SB-2026-00017"))
-    True
+    >>> number_pattern("SB-{year}-{number:05d}").fullmatch("SB-2026-00017")["count"]
+    '00017'
     """
-    match = _FORMAT.fullmatch(text)
-    if match is None:
-        raise ValueError(text)
+    match = _matched(text)
     before, after = (
-        "[0-9]{4}".join(map(re.escape, match[name].split("{year}"))) for name in ("before", "after")
+        re.escape(match[name])
+        .replace(re.escape("{year}"), "[0-9]{4}")
+        .replace(re.escape("{head}"), f"[0-9a-f]{{{_HEAD_DIGITS}}}")
+        for name in ("before", "after")
     )
-    return re.compile(f"{before}[0-9]{{{match['digits'] or 1},9}}{after}")
+    return re.compile(f"{before}(?P<count>[0-9]{{{match['digits'] or 1},9}}){after}")
 
 
 RESERVED = "certificate_reserved"
@@ -183,6 +195,8 @@ class Wanted:
     amends: str = ""  # Number of the certificate that it replaces; empty if none
     also: str = ""  # Why a second certificate of the run is issued; empty: a second one is refused
     ended_utc: str = ""  # When the calibration ended
+    # Returns the highest count of a series that certificates outside of the ledger have.
+    count_beside: Callable[[str], int] = lambda _series: 0
 
 
 @contextmanager
@@ -199,7 +213,7 @@ def one_at_a_time(home: Path) -> Iterator[None]:
 
 
 def reserve(ledger: Ledger, wanted: Wanted, now: datetime) -> Numbered:
-    """Reserve the next number on the disk, or take the open one of the run; lost numbers before it are entered as lost.
+    """Reserve the next number on the disk, or take the open one of the run; lost ones before it are entered as lost.
 
     Raises `EvidenceError` if the clock was set back, another number is open, the run has a certificate already, or what
     is to be amended is not the newest one.
@@ -229,12 +243,15 @@ def _next(
     series = series_of(wanted.number_format, year=now.year, simulated=wanted.simulated)
     last = sum(one.series == series for one in found.values())
     # A break of the ledger states what its mark and the second place know of lines that were lost.
-    highest = highest_counts(journal.entries).get(series, 0)
+    in_breaks = highest_counts(journal.entries).get(series, 0)
+    highest = max(in_breaks, wanted.count_beside(series))
     for count in range(last + 1, highest + 1):
         lost = number_of(series, year=now.year, number=count)
         journal.append(LOST, number=lost, series=series, count=count)
     count = max(last, highest) + 1
-    number = number_of(series, year=now.year, number=count)
+    place = f"{journal.head} {wanted.run_seal} {now.isoformat()}"
+    head = hashlib.sha256(place.encode()).hexdigest()[:_HEAD_DIGITS]
+    number = number_of(series, year=now.year, number=count, head=head)
     if number in found:
         raise EvidenceError(
             f"The number {number} was given already, in the series {found[number].series}.",

@@ -518,3 +518,44 @@ def test_sequence_and_station_are_bound_by_hash_and_compared_with_the_run(lab):
     (issued.folder / "certificate.json").write_bytes(changed.to_json())
     found = check_certificate(issued.folder, lab.ledger)
     assert "names another sequence.yaml" in " ".join(map(str, found.faults))
+
+
+# ---------------------------------------------------------------- a home that was restored
+
+
+def restored(lab, between):
+    """What comes after the home was set back to its state before ``between``."""
+    shutil.copytree(lab.home, lab.path / "backup")
+    made = between()
+    shutil.rmtree(lab.home)
+    shutil.copytree(lab.path / "backup", lab.home)
+    return made
+
+
+def test_no_number_is_given_twice_after_an_older_home_was_restored(lab):
+    first = restored(lab, lambda: lab.issue("first"))
+    again = lab.issue("again")
+    assert first.certificate.number == FIRST
+    assert again.certificate.number == FIRST.replace("00001", "00002")
+    assert lab.numbers() == {FIRST: "lost", again.certificate.number: "issued"}
+
+
+def test_a_certificate_of_another_bench_beside_the_new_folder_takes_no_number(lab, tmp_path):
+    other = Lab(tmp_path / "other")
+    (tmp_path / "other").mkdir(exist_ok=True)
+    other.issue("first")
+    shutil.copytree(other.path / "first", lab.path / "first")
+    assert lab.issue("own").certificate.number == FIRST
+
+
+def test_of_two_numbers_with_one_count_the_part_of_the_ledgers_head_differs(lab):
+    text = LAB.replace('numbers: {format: "SB-{year}-{number:05d}"}\n', "")
+    assert text != LAB
+    lab.lab.write_text(text, encoding="utf-8")
+    first = restored(lab, lambda: lab.issue("certificates/first")).certificate
+    lab.now += timedelta(hours=1)
+    again = lab.issue("elsewhere/first").certificate
+    assert [re.sub("[0-9a-f]{4}$", "head", one.number) for one in (first, again)] == [
+        "SIMULATED-SB-2026-00001-head"
+    ] * 2
+    assert first.number != again.number
