@@ -140,7 +140,7 @@ def _open(address: str) -> Any:
         return pyvisa.ResourceManager().open_resource(resource, open_timeout=_OPEN_MS)
     except Exception as error:  # PyVISA passes on the errors of many libraries
         remedy = (
-            "Check that it is switched on and plugged in, that this user may use it (a udev rule), and its address:"
+            "Check that it is switched on and plugged in, that this user may use it (a udev rule), and its address."
             " pyvisa-info tells what is missing, and pyvisa-shell lists the addresses."
         )
         raise PortNotFound(

@@ -35,7 +35,7 @@ _LONGEST_REASON = 2000
 @click.option(
     "--forget",
     metavar="PLACE",
-    help="Write the ledger to this second place no longer, for example to a share that was taken away.",
+    help="Stop writing the ledger to this second place, such as a share that was taken away.",
 )
 @click.option("--reason", metavar="TEXT", help="With --forget: why the place is not used any more.")
 @OPERATOR
@@ -137,7 +137,7 @@ def _explain_breaks(reason: str, by: str | None) -> int:
 
 
 def _forget_place(place: str, reason: str, by: str | None) -> int:
-    """Write the ledger to a second place no longer. Raises UsageError if it is no second place of the ledger."""
+    """Stop writing the ledger to a second place. Raises UsageError if it is no second place of the ledger."""
     from bench.run.control import operator_at_terminal
 
     person = by or operator_at_terminal()

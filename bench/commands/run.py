@@ -182,8 +182,8 @@ def _device_lines(end: RunEnd) -> list[str]:
     """Return what is known of each device; nothing is said that no device has answered."""
     if all(one.state == "never opened" for one in end.devices):
         return [
-            "No device was ready for use, so this run asked none how it stands.",
-            "Look at the bench: whether the stage stands and the light is off is not known.",
+            "No device was ready, so none has answered.",
+            "Look at the bench: the stage may turn, and the light may be on.",
         ]
     unsure = [one for one in end.devices if one.state != "confirmed safe"]
     if end.devices and not unsure:

@@ -271,7 +271,7 @@ class Ledger:
         return [str(one) for one in open_breaks]
 
     def forget_place(self, place: str, *, reason: str, by: str) -> None:
-        """Write to a second place no longer, and enter why."""
+        """Stop writing to a second place, and enter why."""
         known = self._places()
         if place not in known:
             raise UsageError(

@@ -216,7 +216,7 @@ def _read(folder: Path) -> tuple[IndexedRun, RunDetails]:
         return run_facts(run.history, folder), run_details(run.history, run.entries, folder)
     except (AttributeError, LookupError, TypeError, ValueError) as error:
         raise JournalBroken(
-            f"A line of the journal has another form: {error}.",
+            f"A line of the journal cannot be read: {error}.",
             where=str(folder / JOURNAL),
             remedy="Another program or version wrote it; this version cannot list the run.",
         ) from error

@@ -247,8 +247,8 @@ def _notes(job: Job, step: SolveStep, history: History, measurements: Sequence[M
     if aligned := aligned_poses(m.facts for m in measurements):
         notes.append(
             f"In {aligned} of {len(measurements)} recordings the stars' edges run along the pixels' rows or diagonals, "
-            "and neighbouring stars err alike: the uncertainties may be up to 1.6 times too small. Roll the camera by "
-            "about 10 degrees against the target."
+            "and neighbouring stars have the same error. The uncertainties may be up to 1.6 times too small. Roll the "
+            "camera by about 10 degrees against the target."
         )
     in_use = job.plan.passport.in_use
     if in_use is not None and job.plan.passport_for(step) is not None:

@@ -34,8 +34,8 @@ _EXPECTED_SHARE = 0.4
 #: Visible discs show how far the pupil moves if its logarithm is known to this, 1-sigma.
 _SEEN = 0.5
 _BACKWARDS = (
-    "The gimbal's readings fit the stars only if the camera looked backwards on the head: the sign of one axis (pan or "
-    "tilt) is probably wrong."
+    "The sign of one axis, pan or tilt, is probably wrong: with it, the gimbal's readings contradict the stars; with "
+    "the other sign, they fit."
 )
 _TOGETHER = (
     "These statements contradict each other or the stars. What cannot be decided is in the uncertainties."
@@ -123,7 +123,8 @@ def _lens(found: Posterior) -> str:
 
 def _doubt(one: Witness) -> str:
     """Return the sentence that names a statement."""
-    what = f"The statement '{one.name}' ({one.source})"
+    source = "" if one.source == one.name else f" ({one.source})"
+    what = f"The statement '{one.name}'{source}"
     probability = f"it is wrong, or its uncertainty too small, with probability {one.fault_probability:.0%}"
     if one.stated is None:
         return f"{what} differs by {abs(one.innovation):.1f} sigma from what all others say; {probability}."
@@ -151,9 +152,9 @@ def _denied(found: Posterior) -> str:
     if found.denied is None:
         return ""
     return (
-        "Visible discs and stars show that the entrance pupil does not move through the beam as this bound says. The "
-        "bound counts little here. Measure how far the pupil is in front of the pivot, or leave the bound out of the "
-        "station."
+        "The bound on the place of the entrance pupil is probably wrong: the rim of the beam and the stars contradict "
+        "it. It has little weight in this result. Measure how far the pupil is in front of the pivot, or leave the "
+        "bound out of the station."
     )
 
 
@@ -197,8 +198,8 @@ def _contradiction(result: Calibration) -> str:
         f"The gimbal's readings contradict the stars: {gimbal.rms_deg:.3f} degrees rms, chi-square "
         f"{gimbal.chi_square:.0f} with {gimbal.degrees_of_freedom} degrees of freedom. They did not enter. Either the "
         "readings are wrong: check the sign and the scale of each axis, whether each axis that moved is read, and "
-        "whether one slipped. Or the camera moves across the beam from pose to pose, so that the collimator's errors "
-        "differ from view to view: check what the station states of pupil and pivot."
+        "whether one slipped. Or the camera moves across the beam from pose to pose, and the collimator's errors move "
+        "with it: check what the station states of pupil and pivot."
     )
 
 

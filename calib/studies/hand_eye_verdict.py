@@ -263,9 +263,9 @@ def _scatter(found: HandEyeCheck) -> tuple[VerdictKind, str] | None:
     )
     if found.views_disagree:
         return "views_biased", (
-            f"{differ} The views also contradict each other ({found.birge_ratio:.1f} times more than the stars' noise "
-            "explains), without any reading: errors of the collimator or the lens model bias the rotations, so this "
-            "scatter does not show an error of the gimbal."
+            f"{differ} The views also contradict each other, {found.birge_ratio:.1f} times more than the noise of the "
+            "stars explains, although no reading is involved. Errors of the collimator or of the lens model bias the "
+            "rotations. So this scatter does not show an error of the gimbal."
         )
     few = "" if found.degrees_of_freedom >= 6 else " These poses are too few to tell which."
     return "scatter", (

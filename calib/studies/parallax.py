@@ -95,8 +95,8 @@ class PupilWalk:
         off, sigma = _rounded(abs(self.pupil_off_pivot_mm), self.sigma_mm)
         seen = self.views - len(self.without_rim)
         found = (
-            f"The disc of the beam moves on the target by {x} mm along x and {y} mm along y "
-            f"per unit tangent of the turn ({seen} of {self.views} views show the rim; standard uncertainties)."
+            f"The disc of the beam moves on the target by {x} mm along x and {y} mm along y per unit tangent of the "
+            f"turn, with standard uncertainties. The rim is seen in {seen} of {self.views} views."
         )
         side = "in front of" if self.pupil_off_pivot_mm >= 0 else "behind"
         place = f"{off} mm {side} the pivot" if float(off) else "on the pivot"

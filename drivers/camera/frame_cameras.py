@@ -347,8 +347,8 @@ class OpenCvFrameCamera:
             raise WrongDevice(
                 f"This is {answer}, not {self._serial}.",
                 where=self._where,
-                remedy="Plug in the right camera, or correct the source or the serial number in the station file"
-                " (without a serial number, any camera is accepted).",
+                remedy="Plug in the right camera, or correct the source or the serial number in the station file."
+                " Without a serial number there, any camera is accepted.",
             )
         return found
 

@@ -250,7 +250,7 @@ def test_a_real_run_is_watched_killed_resumed_and_aborted(tmp_path, tabs):
         wait_text(tab, "#coverage-note", "of the image has stars")
         end_when(first, folder, entering("recording", 3), signal.SIGKILL)
         wait_text(tab, "#verdict", "interrupted")
-        wait_text(tab, "#leave", "Nothing in its journal says how it left the bench")
+        wait_text(tab, "#leave", "Its journal does not say how it left the bench")
         second = start("resume", folder, home=tmp_path)
         wait_text(tab, "#verdict", "running")
         wait(lambda: tab.is_enabled("#abort"))

@@ -69,6 +69,55 @@ def test_no_message_in_the_sources_has_two_full_stops(messages):
     assert [one for one in messages if any(text and twice.search(text) for text in one[1:])] == []
 
 
+MOST_WORDS = 32
+"""In one sentence of a message: a reader at the bench keeps about 20 to 25 words, and lists are longer."""
+UNPLAIN = re.compile(
+    r"\b(in order to|respectively|hence|thus|whilst|utili[sz]e|aforementioned|prior to|thereof|whereby|wherein|and/or"
+    r"|it should be noted|asked none|counts little|has another form|is not known whether|on the head|no longer to)\b",
+    re.IGNORECASE,
+)
+"""Words of papers and contracts, and phrases that a second reading was needed for."""
+
+
+def sentences_of(text):
+    """The sentences of a text, without what stands in quotes or after a colon to be copied."""
+    plain = re.sub(r"`[^`]*`|'[^']*'|\n +\S.*", "X", text)
+    return re.split(r"(?<=[.!?;:])\s+", plain)
+
+
+def test_no_sentence_of_a_message_needs_a_second_reading(messages):
+    long = [
+        (where, sentence)
+        for where, *texts in messages
+        for text in texts
+        for sentence in sentences_of(text or "")
+        if len(sentence.split()) > MOST_WORDS
+    ]
+    assert long == []
+    unplain = [(where, text) for where, *texts in messages for text in texts if text and UNPLAIN.search(text)]
+    assert unplain == []
+
+
+@pytest.fixture(scope="module")
+def spoken():
+    """Every text of more than some words that the sources print or show, by its place."""
+    found = []
+    for path in [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]:
+        tree = ast.parse(path.read_text())
+        parts = {id(one) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for one in node.values}
+        parts |= {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}  # docstrings
+        for node in ast.walk(tree):
+            text = spelled(node) if id(node) not in parts else None
+            if text and len(text.split()) > 6:
+                found.append((f"{path.relative_to(ROOT)}:{node.lineno}", text))
+    return found
+
+
+def test_no_text_of_the_sources_has_a_word_of_papers_and_contracts(spoken):
+    assert len(spoken) > 2000
+    assert [(where, UNPLAIN.search(text)[0]) for where, text in spoken if UNPLAIN.search(text)] == []
+
+
 @pytest.mark.parametrize("kind", [BenchError, CalibrationError, DriverError, SequencesError, SimulatorError])
 def test_an_error_that_quotes_a_sentence_has_one_full_stop(kind):
     error = kind("It cannot be read: The file is bad..", where="a.raw", remedy="Copy it again.")

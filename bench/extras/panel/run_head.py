@@ -114,7 +114,7 @@ def _without_process(model: RunModel) -> LeaveData:
         return _leave(False, "The run has not begun.")
     return _leave(
         False,
-        "The run's process was killed or lost its power. Nothing in its journal says how it left the bench: look at the"
+        "The run's process was killed or lost its power. Its journal does not say how it left the bench. Look at the"
         " light and the stage, then resume the run.",
     )
 

@@ -95,7 +95,7 @@ def test_a_wrong_sign_of_one_axis_is_named_and_changes_nothing():
     result = solved(bench, readings(bench, change=each(lambda pose: {**pose, "pan_deg": -pose["pan_deg"]})))
     right = solved(bench, readings(bench))
     assert result.camera.fx == pytest.approx(right.camera.fx, abs=0.05)
-    assert any("looked backwards on the head" in note for note in result.notes)
+    assert any("The sign of one axis, pan or tilt, is probably wrong" in note for note in result.notes)
     assert not any("backwards" in note for note in right.notes)
 
 

@@ -120,7 +120,7 @@ def test_a_killed_run_is_not_called_safe(run):
     head = _head(run, ProcessState())
     assert head["verdict"] == "interrupted"
     assert not head["leave"]["safe"]
-    assert "Nothing in its journal says how it left the bench" in head["leave"]["text"]
+    assert "Its journal does not say how it left the bench" in head["leave"]["text"]
 
 
 def test_a_question_ahead_ends_the_time_alone(tmp_path):
