@@ -26,7 +26,9 @@ from bench.commands.options import (
     status_text,
 )
 from bench.commands.output import JSON, print_findings, show
+from bench.commands.workers import CountLine
 from bench.evidence.authorisations import known_authorisations, lost_authorisations
+from bench.evidence.findings import State
 from bench.evidence.states import home_trust, shown_state
 from bench.record.ledger import Ledger, bench_ledger
 from bench.record.run_facts import IndexedRun
@@ -75,7 +77,9 @@ def _runs_of_bench(choice: RunChoice) -> tuple[list[IndexedRun], list[str], list
     """Return the runs of this bench, faults, and notes."""
     index, ledger = RunIndex(home_folder()), bench_ledger()
     folders, missing = (run_folders(choice.folder), []) if choice.folder else _ledger_folders(ledger, index)
-    found, faults = index.runs(folders, **choice.filters)
+    line = CountLine(len(folders), "runs read")
+    found, faults = index.runs(folders, **choice.filters, progress=line.count)
+    line.clear()
     broken, notes = ledger_findings(ledger)
     return found, [*faults, *missing, *broken, *lost_authorisations(known_authorisations(ledger.home))], notes
 
@@ -120,4 +124,7 @@ def _runs_lines(runs: Sequence[IndexedRun]) -> Iterator[str]:
 def _states(runs: Sequence[IndexedRun]) -> dict[str, str]:
     """Return DRAFT, SEALED or AUTHORISED by folder, from the signatures beside each run."""
     trust, now = home_trust(home_folder()), datetime.now(UTC)
-    return {run.folder: str(shown_state(Path(run.folder), trust, now).state) for run in runs}
+    return {
+        run.folder: str(shown_state(Path(run.folder), trust, now).state if run.sealed else State.DRAFT)
+        for run in runs
+    }

@@ -1,15 +1,16 @@
 """An index of the runs of a bench, made from their journals, to list, filter and compare them.
 
 One SQLite file beside the signing key, made anew when its schema (``user_version``) has changed or it is damaged; a row
-when journal or results.json have changed.
+when journal, results.json or the folder have changed.
 """
 
 from __future__ import annotations
 
 import json
+import os
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, replace
 from datetime import datetime
 from pathlib import Path
@@ -25,8 +26,8 @@ from bench.record.stored_run import StoredRun
 INDEX = "runs.sqlite3"
 QUEUE_COPY = "queue.yaml"
 """A file that the folder of a batch has and a run folder has not."""
-VERSION = 11
-_COMMIT_EVERY = 100
+VERSION = 12
+COMMIT_EVERY = 100
 """Rows between two commits, so that another process that starts a run does not wait for a long list."""
 _SCHEMA = f"""
 CREATE TABLE runs (folder TEXT PRIMARY KEY, stamp TEXT, id TEXT, ledger_number INTEGER, ledger_head TEXT, found TEXT)
@@ -35,6 +36,10 @@ CREATE TABLE details (folder TEXT PRIMARY KEY, found TEXT) WITHOUT ROWID;
 PRAGMA user_version = {VERSION};
 """
 """``found`` holds `run_facts` and `run_details` as JSON; ``stamp`` tells which files they were read from."""
+
+
+# Paths as text: a list has ten thousand of them, and the methods of ``Path`` take several times as long.
+_exists, _stat, _is_link = os.path.exists, os.stat, os.path.islink
 
 
 def is_batch(folder: Path) -> bool:
@@ -54,8 +59,19 @@ def run_folders(root: Path) -> list[Path]:
             "There is no such folder.", where=str(root), remedy="Name a folder that contains runs."
         )
     with storage_errors(root):
-        found = [path for pattern in ("", "*/", "*/*/") for path in root.glob(pattern + JOURNAL)]
-    return sorted(path.parent for path in found if not (path.parent / QUEUE_COPY).exists())
+        found = sorted(_with_journal(str(root), levels=2))
+    return [Path(folder) for folder in found]
+
+
+def _with_journal(folder: str, levels: int) -> Iterator[str]:
+    """Yield a folder if it is a run's, else the run folders some levels below it; what cannot be entered has none."""
+    if _exists(f"{folder}/{JOURNAL}") and not _exists(f"{folder}/{QUEUE_COPY}"):
+        yield folder
+    elif levels:
+        with suppress(PermissionError), os.scandir(folder) as inside:
+            for entry in inside:
+                if entry.is_dir():
+                    yield from _with_journal(entry.path, levels - 1)
 
 
 class RunIndex:
@@ -73,20 +89,24 @@ class RunIndex:
         until: datetime | None = None,
         sequence: str | None = None,
         how: str | None = None,
+        progress: Callable[[int], object] = lambda _more: None,
     ) -> tuple[list[IndexedRun], list[str]]:
         """List runs, oldest first, and a sentence for each folder that cannot be read; None stands for any.
 
-        A run began at or after ``since`` and before ``until``; ``sequence`` is a part of the name.
+        A run began at or after ``since`` and before ``until``; ``sequence`` is a part of the name. ``progress`` is told
+        how many more runs are listed, again and again.
         """
         found, faults = [], []
+        wanted = _resolved(folders)
         with self._open() as index:
-            for place, folder in enumerate(dict.fromkeys(path.resolve() for path in folders)):
+            for place, folder in enumerate(wanted):
                 try:
                     found.append(_run(index, folder))
                 except BenchError as error:
                     faults.append(str(error))
-                if place % _COMMIT_EVERY == 0:
+                if place % COMMIT_EVERY == 0:
                     index.commit()
+                    progress(COMMIT_EVERY)
         chosen = [
             run
             for run in found
@@ -167,21 +187,50 @@ def _connect(path: Path) -> sqlite3.Connection:
     return index
 
 
-def _run(index: sqlite3.Connection, folder: Path) -> IndexedRun:
-    """Return the row of a run; it is made anew if the journal has changed."""
-    with storage_errors(folder):
-        found = (folder / JOURNAL).stat()
-    stamp = f"{found.st_size} {found.st_mtime_ns} {_results_mtime_ns(folder)}"
-    kept = index.execute("SELECT stamp, found FROM runs WHERE folder = ?", (str(folder),)).fetchone()
+def _resolved(folders: Iterable[Path]) -> list[str]:
+    """Return folders without links, each once. The folder around each is resolved once: runs lie side by side."""
+    around: dict[str, str] = {}
+    found: dict[str, None] = {}
+    for folder in map(str, folders):
+        before, slash, name = folder.rpartition(os.sep)
+        if not slash or not name or name == ".." or _is_link(folder):
+            found[os.path.realpath(folder)] = None
+            continue
+        if before not in around:
+            around[before] = os.path.realpath(before or os.sep).rstrip(os.sep)
+        found[f"{around[before]}{os.sep}{name}"] = None
+    return list(found)
+
+
+def _run(index: sqlite3.Connection, folder: str) -> IndexedRun:
+    """Return the row of a run; it is made anew if the journal, the results or the folder have changed."""
+    stamp = _stamp(folder)
+    kept = index.execute("SELECT stamp, found FROM runs WHERE folder = ?", (folder,)).fetchone()
     if kept is not None and kept[0] == stamp:
         facts = json.loads(kept[1])
         parameters = {name: Estimate(*numbers) for name, numbers in facts["parameters"].items()}
-        return _as_it_is_now(IndexedRun(**{**facts, "parameters": parameters}))
-    run, details = _read(folder)
-    row = (str(folder), stamp, run.id, run.ledger_number, run.ledger_head, _packed(asdict(run)))
+        run = IndexedRun(**{**facts, "parameters": parameters})
+        return run if run.how else _as_it_is_now(run)
+    run, details = _read(Path(folder))
+    run = replace(run, sealed=is_sealed(Path(folder)))
+    row = (folder, stamp, run.id, run.ledger_number, run.ledger_head, _packed(asdict(run)))
     index.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?, ?)", row)
-    index.execute("INSERT OR REPLACE INTO details VALUES (?, ?)", (str(folder), _packed(details)))
+    index.execute("INSERT OR REPLACE INTO details VALUES (?, ?)", (folder, _packed(details)))
     return _as_it_is_now(run)
+
+
+def _stamp(folder: str) -> str:
+    """Return what changes when a line, a file or a signature is added to a run, or its results are changed."""
+    try:
+        journal, itself = _stat(f"{folder}/{JOURNAL}"), _stat(folder)
+    except OSError:
+        with storage_errors(Path(folder)):
+            raise
+    try:
+        results_ns = _stat(f"{folder}/{RESULTS}").st_mtime_ns
+    except OSError:
+        results_ns = 0
+    return f"{journal.st_size} {journal.st_mtime_ns} {itself.st_mtime_ns} {results_ns}"
 
 
 def _packed(found: Mapping[str, object]) -> str:
@@ -193,14 +242,6 @@ def _as_it_is_now(run: IndexedRun) -> IndexedRun:
     folder = Path(run.folder)
     how = run.how or ("running" if is_locked(folder) else "cut off")
     return replace(run, how=how, sealed=is_sealed(folder))
-
-
-def _results_mtime_ns(folder: Path) -> int:
-    """Return when results.json was changed, ns; 0 without it."""
-    try:
-        return (folder / RESULTS).stat().st_mtime_ns
-    except OSError:
-        return 0
 
 
 def read_run_and_details(folder: Path) -> tuple[IndexedRun, RunDetails]:

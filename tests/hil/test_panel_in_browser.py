@@ -128,6 +128,29 @@ def test_a_killed_panel_leaves_no_gap(run, tabs):
         assert len(told) == 3
 
 
+def test_the_list_shows_what_changes_in_every_tab_also_after_the_panel_began_anew(run, tabs):
+    root = run.folder.parent
+    with served(panel_app(root)) as server:
+        first = tabs.open(f"{server.url}runs")
+        wait_text(first, "#groups", "run7")
+        MadeRun(root / "run8").begin()
+        wait_text(first, "#groups", "run8")
+        second = tabs.open(f"{server.url}runs")  # it joins the stream of the first, which has begun
+        wait_text(second, "#groups", "run7")
+        wait_text(second, "#groups", "run8")
+        (root / "run8").rename(root.parent / "run8")
+        for tab in (first, second):
+            wait(lambda tab=tab: "run8" not in tab.inner_text("#groups"), "run8 is gone")
+            assert "run7" in tab.inner_text("#groups")
+        port = server.port
+    wait_text(first, "#link", "No link to the panel.")
+    MadeRun(root / "run9").begin()
+    with served(panel_app(root), port=port):
+        for tab in (first, second):
+            wait_text(tab, "#groups", "run9")
+            assert "run7" in tab.inner_text("#groups")
+
+
 def test_each_value_has_the_coverage_factor_of_its_own(run, tabs):
     values, sigma = {"fx": 3346.0, "p1": -1e-9}, {"fx": 1.0, "p1": 2e-4}
     factors = {"coverage_factor": 2.0, "coverage_factors": {"fx": 2.0, "p1": 3.0}}

@@ -24,10 +24,15 @@ from bench.record.run_folder import JOURNAL
 from bench.record.run_index import QUEUE_COPY
 from bench.record.storage import open_to_read, storage_errors
 
-Stamp = tuple[int, int]
-_BatchStamp = tuple[Stamp | None, bool, float]
+Stamp = tuple[int, int, int, int]
+_BatchStamp = tuple[Stamp, bool, float]
 
 _BATCH_AGAIN_S = 10.0
+MOST_NEW = 1000
+"""Most runs that are read for the first time at one look: the list appears after a second, and grows."""
+_stat = (
+    os.stat
+)  # of paths as text: a list has ten thousand of them, and ``Path.stat`` takes several times as long
 
 
 @dataclass
@@ -38,6 +43,11 @@ class _Known:
     row: ListedRun
     model: RunModel | None
 
+    @property
+    def is_over(self) -> bool:
+        """Whether only a new line of its journal can change it."""
+        return self.model is None
+
 
 class FolderList:
     """The runs and batches of a folder, which need not exist yet, of its subfolders and of theirs."""
@@ -45,8 +55,8 @@ class FolderList:
     def __init__(self, root: Path, utc_now: Callable[[], datetime] = lambda: datetime.now(UTC)) -> None:
         self.root = root
         self._utc_now = utc_now
-        self._runs: dict[Path, _Known] = {}
-        self._batches: dict[Path, tuple[_BatchStamp, ListedBatch]] = {}
+        self._runs: dict[str, _Known] = {}
+        self._batches: dict[str, tuple[_BatchStamp, ListedBatch]] = {}
         self._lock = threading.Lock()
 
     def look(self) -> FolderContent:
@@ -54,6 +64,7 @@ class FolderList:
         found: FolderContent = {
             "root": str(self.root),
             "exists": True,
+            "unread": 0,
             "runs": [],
             "batches": [],
             "faults": [],
@@ -61,26 +72,34 @@ class FolderList:
         with self._lock:
             try:
                 found["exists"] = self.root.is_dir()
-                folders = list(self._folders(found["faults"]))
+                folders = dict(self._folders(found["faults"]))
             except Exception as error:  # noqa: BLE001 - the pages must show it; the next look may succeed
                 found["faults"].append(Failure.of(error).message)
                 return found
-            for folder in folders:
-                self._look_at(folder, found)
-            for known in (self._runs, self._batches):
-                for gone in known.keys() - set(folders):
-                    known.pop(gone)
+            new = 0
+            for folder, stamp in folders.items():
+                known = self._runs.get(folder)
+                new += known is None and folder not in self._batches
+                if known is not None and known.is_over and known.stamp == stamp:
+                    found["runs"].append(known.row)
+                elif known is None and new > MOST_NEW:
+                    found["unread"] += 1
+                else:
+                    self._look_at(Path(folder), stamp, found)
+            for kept in (self._runs, self._batches):
+                for gone in kept.keys() - folders.keys():
+                    kept.pop(gone)
         found["runs"].sort(key=_begin, reverse=True)
         found["batches"].sort(key=_begin, reverse=True)
         return found
 
-    def _look_at(self, folder: Path, found: FolderContent) -> None:
+    def _look_at(self, folder: Path, stamp: Stamp, found: FolderContent) -> None:
         try:
             self.inside(folder / JOURNAL)
             if (folder / QUEUE_COPY).is_file():
-                found["batches"].append(self._batch(folder))
+                found["batches"].append(self._batch(folder, stamp))
             else:
-                found["runs"].append(self._run(folder))
+                found["runs"].append(self._run(folder, stamp))
         except Exception as error:  # noqa: BLE001 - one folder must not hide the others
             message = Failure.of(error).message
             found["faults"].append(message if str(folder) in message else f"{folder}: {message}")
@@ -93,7 +112,7 @@ class FolderList:
         folder = self.root.joinpath(*parts)
         self.inside(folder / JOURNAL)
         with storage_errors(folder):
-            found = _journal_stamp(folder)
+            found = _journal_stamp(str(folder))
         if found is None:
             raise _no_such_run(key, self.root)
         return folder
@@ -113,33 +132,31 @@ class FolderList:
         """Return the name of a folder as `folder_of` takes it: its path relative to the root."""
         return folder.relative_to(self.root).as_posix()
 
-    def _folders(self, faults: list[str]) -> Iterator[Path]:
-        """Yield every folder with a journal, two levels deep; the runs of a batch belong to its own page."""
-        if _is_folder_of_interest(self.root, faults):
-            yield self.root
-            return
-        for folder in _subfolders(self.root, faults):
-            if _is_folder_of_interest(folder, faults):
-                yield folder
-                continue
-            yield from (
-                inner for inner in _subfolders(folder, faults) if _is_folder_of_interest(inner, faults)
-            )
+    def _folders(self, faults: list[str]) -> Iterator[tuple[str, Stamp]]:
+        """Yield every folder with a journal, two levels deep, and its stamp; a batch's runs belong to its own page."""
+        levels = [[str(self.root)]]
+        for _ in range(3):
+            below = []
+            for folder in levels[-1]:
+                stamp = _stamp_or_fault(folder, faults)
+                if stamp is not None:
+                    yield folder, stamp
+                else:
+                    below.append(folder)
+            levels.append([inner for folder in below for inner in _subfolders(folder, faults)])
 
-    def _run(self, folder: Path) -> ListedRun:
-        known = self._runs.get(folder)
-        stamp = _journal_stamp(folder) or (-1, -1)
-        if known is None or known.stamp != stamp or known.model is not None:
-            model = (known.model if known is not None else None) or RunModel(folder)
-            while model.refresh():
-                pass
-            states = model.history.states
-            process = look_at_process(folder, states[-1]["state"] if states else "idle")
-            row = self._row(model, process)
-            # An interrupted run may be resumed at any time; its lock tells so before its journal does.
-            is_over = not process.running and bool(model.history.ended)
-            known = self._runs[folder] = _Known(stamp, row, None if is_over else model)
-        return known.row
+    def _run(self, folder: Path, stamp: Stamp) -> ListedRun:
+        known = self._runs.get(str(folder))
+        model = (known.model if known is not None else None) or RunModel(folder)
+        while model.refresh():
+            pass
+        states = model.history.states
+        process = look_at_process(folder, states[-1]["state"] if states else "idle")
+        row = self._row(model, process)
+        # An interrupted run may be resumed at any time; its lock tells so before its journal does.
+        is_over = not process.running and bool(model.history.ended)
+        self._runs[str(folder)] = _Known(stamp, row, None if is_over else model)
+        return row
 
     def _row(self, model: RunModel, process: ProcessState) -> ListedRun:
         return {
@@ -149,14 +166,14 @@ class FolderList:
             "fault": next(iter(faults_of(model, process)), ""),
         }
 
-    def _batch(self, folder: Path) -> ListedBatch:
+    def _batch(self, folder: Path, journal: Stamp) -> ListedBatch:
         from bench.extras.batch.batch_summary import read_batch_status
         from bench.record.folder_lock import is_locked
 
         now = self._utc_now()
         running = is_locked(folder)
-        stamp = _journal_stamp(folder), running, now.timestamp() // _BATCH_AGAIN_S if running else 0
-        kept = self._batches.get(folder)
+        stamp = journal, running, now.timestamp() // _BATCH_AGAIN_S if running else 0
+        kept = self._batches.get(str(folder))
         if kept is not None and kept[0] == stamp:
             return kept[1]
         status = read_batch_status(folder)
@@ -180,7 +197,7 @@ class FolderList:
             "ended_utc": status.last_end.isoformat() if status.last_end and status.ended else "",
             "started_utc": _first_utc(folder),
         }
-        self._batches[folder] = stamp, row
+        self._batches[str(folder)] = stamp, row
         return row
 
 
@@ -196,31 +213,41 @@ def _no_such_run(key: str, root: Path) -> RunFolderError:
     )
 
 
-def _journal_stamp(folder: Path) -> Stamp | None:
-    """Return size and time of a folder's journal; None if it has none."""
+def _journal_stamp(folder: str) -> Stamp | None:
+    """Return which file a folder's journal is, its size and time; None if it has none."""
     try:
-        found = (folder / JOURNAL).stat()
+        found = _stat(f"{folder}/{JOURNAL}")
     except (FileNotFoundError, NotADirectoryError):
         return None
-    return (found.st_size, found.st_mtime_ns) if stat.S_ISREG(found.st_mode) else None
+    if not stat.S_ISREG(found.st_mode):
+        return None
+    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
 
 
-def _is_folder_of_interest(folder: Path, faults: list[str]) -> bool:
+def _stamp_or_fault(folder: str, faults: list[str]) -> Stamp | None:
     try:
-        with storage_errors(folder):
-            return _journal_stamp(folder) is not None
-    except StorageError as error:
-        faults.append(str(error))
-        return False
+        return _journal_stamp(folder)
+    except OSError as error:
+        faults.append(_fault(error, folder))
+        return None
 
 
-def _subfolders(folder: Path, faults: list[str]) -> list[Path]:
+def _fault(error: OSError, folder: str) -> str:
+    """Return an error of the system as a sentence with its remedy."""
     try:
-        with storage_errors(folder), os.scandir(folder) as found:
-            return sorted(Path(one.path) for one in found if one.is_dir() and not one.name.startswith("."))
-    except StorageError as error:
-        if folder.exists():
-            faults.append(str(error))
+        with storage_errors(Path(folder)):
+            raise error
+    except StorageError as fault:
+        return str(fault)
+
+
+def _subfolders(folder: str, faults: list[str]) -> list[str]:
+    try:
+        with os.scandir(folder) as found:
+            return sorted(one.path for one in found if one.is_dir() and not one.name.startswith("."))
+    except OSError as error:
+        if Path(folder).exists():
+            faults.append(_fault(error, folder))
         return []
 
 

@@ -23,6 +23,7 @@ from bench.extras.batch.batch_summary import PAGE, RUNS, read_batch, read_batch_
 from bench.extras.panel.folder_list import FolderList
 from bench.extras.panel.helper_process import PictureAnswer, PictureRequest, picture_of_view
 from bench.extras.panel.line import Line
+from bench.extras.panel.list_changes import ListChanges
 from bench.extras.panel.shown_run import LogLine
 from bench.extras.panel.watching import MOST_LOG_LINES, Extras, Helper, RunWatch, Watcher
 from bench.record.folder_lock import is_locked
@@ -135,7 +136,9 @@ class Panel:
         self._helper, self._background = Helper(), Helper()
         self._extras: dict[RunWatch, asyncio.Task[None]] = {}
         self._batches: dict[Path, BatchView] = {}
-        self._list_text, self._listed_at_s = "", float("-inf")
+        self._changes, self._listed_at_s = ListChanges(), float("-inf")
+        self._list_texts: dict[int, str] = {}
+        self._unread = 0
         self._list_lock = threading.Lock()
 
     def app(self) -> Starlette:
@@ -220,20 +223,38 @@ class Panel:
 
     # ---------------------------------------------------------------- the list
     async def _list_stream(self, _request: Request) -> EventStream:
-        return EventStream(_told(self._listed, LIST_S))
+        return EventStream(self._list_messages())
+
+    async def _list_messages(self) -> AsyncIterator[Message]:
+        """Tell the whole list, then the rows that change."""
+        told = 0
+        while True:
+            text, version, unread = await asyncio.to_thread(self._listed, told)
+            if version != told:
+                told = version
+                yield Message(text, "update", str(version))
+            await asyncio.sleep(0.0 if unread else LIST_S)
 
     async def _list_state(self, _request: Request) -> Response:
-        found = await run_in_threadpool(self._list.look)
-        return JSONResponse(found)
+        text, _, _ = await run_in_threadpool(self._listed, 0)
+        return Response(text, media_type="application/json")
 
-    def _listed(self) -> tuple[str, int]:
-        """Return the list as JSON; the folder is looked at once for all pages, so not for the server's own thread."""
+    def _listed(self, told: int) -> tuple[str, int, int]:
+        """Return what is new after a version as JSON, the version now, and how many runs are still unread.
+
+        The folder is looked at once for all pages, so not for the server's own thread.
+        """
         with self._list_lock:
-            if time.monotonic() - self._listed_at_s >= 0.9 * LIST_S:
-                found = self._list.look()
-                self._list_text = json.dumps(found, separators=(",", ":"), allow_nan=False)
+            if self._unread or time.monotonic() - self._listed_at_s >= 0.9 * LIST_S:
+                content = self._list.look()
+                self._changes.take(content)
+                self._unread = content["unread"]
+                self._list_texts.clear()
                 self._listed_at_s = time.monotonic()
-            return self._list_text, 0
+            if told not in self._list_texts:
+                message = self._changes.since(told)
+                self._list_texts[told] = json.dumps(message, separators=(",", ":"), allow_nan=False)
+            return self._list_texts[told], self._changes.version, self._unread
 
     # ---------------------------------------------------------------- a run
     def _folder(self, request: Request, kind: Literal["run", "batch"]) -> Path:

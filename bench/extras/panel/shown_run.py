@@ -204,11 +204,26 @@ class ListedBatch(TypedDict):
     started_utc: str
 
 
-class FolderContent(TypedDict):
-    """The list of a folder, newest first; ``faults`` has a sentence for each part that cannot be read."""
+class ListHead(TypedDict):
+    """What a list says of its folder; ``faults`` has a sentence for each part that cannot be read."""
 
     root: str
     exists: bool
+    unread: int  # Number of runs that are not listed yet: of very many, some are read at each look
+    faults: list[str]
+
+
+class FolderContent(ListHead):
+    """The list of a folder, newest first."""
+
     runs: list[ListedRun]
     batches: list[ListedBatch]
-    faults: list[str]
+
+
+class ListMessage(FolderContent):
+    """What a page is told of a list: the rows that changed since it was told last, newest first."""
+
+    since: int  # Version after which these rows changed
+    version: int
+    reset: bool  # Whether these are all rows
+    gone: list[str]  # Keys of runs and batches that are not there any more

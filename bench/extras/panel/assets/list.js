@@ -5,6 +5,7 @@ import { STATE_WORDS, follow, plural, verdictPill } from "/assets/own/panel.js";
 const MOST_ROWS = 200, MOST_FAILURES = 20;
 const groups = document.getElementById("groups"), filter = document.getElementById("filter");
 let shown = null, all = new Set();
+const rowsOf = { runs: new Map(), batches: new Map() };
 
 const address = (kind, key) => `/${kind}/${key.split("/").map(encodeURIComponent).join("/")}`;
 const matches = (row) => {
@@ -68,7 +69,8 @@ function group(name, title, rows, tone, most) {
 }
 
 function draw() {
-  const { runs, batches, faults, root, exists } = shown;
+  const { faults, root, exists, unread } = shown;
+  const runs = [...rowsOf.runs.values()], batches = [...rowsOf.batches.values()];
   setText(document.getElementById("root"), root);
   fill(document.getElementById("faults"), faults.map((fault) => el("p", { class: "banner bad" }, fault)));
   const rows = [...batches.filter(matches).map((b) => ({ ...b, make: batchRow, bad: b.tone === "bad" })), ...runs.filter(matches).map((r) => ({ ...r, make: runRow, bad: r.tone === "bad" || Boolean(r.fault) }))];
@@ -77,13 +79,28 @@ function draw() {
   const now = rows.filter((row) => row.running).sort((a, b) => attention(a) - attention(b));
   const failed = rows.filter((row) => !row.running && row.bad), rest = rows.filter((row) => !row.running && !row.bad);
   const waiting = document.getElementById("waiting");
-  waiting.hidden = rows.length > 0;
-  setText(waiting, filter.value && runs.length + batches.length ? "Nothing has this text." : !exists ? `There is no folder ${root} yet. It appears with the first run.` : faults.length ? "" : "This folder has no runs yet. A run appears here as soon as it begins.");
+  waiting.hidden = rows.length > 0 && !unread;
+  setText(waiting, unread ? `${runs.length} of ${runs.length + unread} runs are read.` : filter.value && runs.length + batches.length ? "Nothing has this text." : !exists ? `There is no folder ${root} yet. It appears with the first run.` : faults.length ? "" : "This folder has no runs yet. A run appears here as soon as it begins.");
   const made = (list) => list.map((row) => row.make(row));
   fill(groups, group("now", "In progress", made(now), "", MOST_ROWS), group("failed", "Failed or interrupted", made(failed), "bad", MOST_FAILURES), group("rest", "Ended", made(rest), "", MOST_ROWS));
   document.title = `${now.length ? `${now.length} in progress` : "Runs"}${failed.length ? `, ${failed.length} failed` : ""} – Starbench`;
 }
 
 filter.addEventListener("input", () => shown && draw());
-const take = (message) => { shown = message; draw(); };
-follow("/api/list", take, async () => take(await get("/api/list/state")));
+// A message has the rows that changed since a version. The whole list is asked for where one is missing in between.
+function take(message) {
+  if (!message.reset && (!shown || message.version <= shown.version)) return;
+  if (!message.reset && message.since > shown.version) return void join();
+  for (const [kind, rows] of Object.entries(rowsOf)) {
+    if (message.reset) rows.clear();
+    for (const key of message.gone) rows.delete(key);
+    for (const row of message[kind]) rows.set(row.key, row);
+  }
+  shown = message;
+  draw();
+}
+async function join() {
+  const whole = await get("/api/list/state");
+  if (!shown || whole.version >= shown.version) take(whole);
+}
+follow("/api/list", take, join);

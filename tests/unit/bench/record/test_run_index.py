@@ -105,6 +105,31 @@ def test_an_unchanged_journal_is_not_read_again(index, three, monkeypatch):
     assert len(index.runs(three)[0]) == 3
 
 
+def test_a_seal_that_is_added_is_seen_although_the_journal_is_as_before(index, three):
+    assert not any(run.sealed for run in index.runs(three)[0])
+    (three[1] / "SHA256SUMS.sig").write_text("signature")
+    assert [run.id for run in index.runs(three)[0] if run.sealed] == ["a"]
+
+
+def test_a_run_is_listed_once_also_where_a_link_leads_to_it(index, tmp_path, three):
+    link = tmp_path / "runs" / "link"
+    link.symlink_to(three[0], target_is_directory=True)
+    (tmp_path / "other").symlink_to(tmp_path / "runs", target_is_directory=True)
+    found, faults = index.runs([*three, link, tmp_path / "other" / "a", three[1] / ".." / "a"])
+    assert faults == []
+    assert [run.folder for run in found] == [
+        str(folder.resolve()) for folder in (three[1], three[2], three[0])
+    ]
+
+
+def test_a_list_tells_how_far_it_is(index, tmp_path, monkeypatch):
+    monkeypatch.setattr("bench.record.run_index.COMMIT_EVERY", 2)
+    folders = [make(tmp_path / "runs" / name) for name in "abcde"]
+    told = []
+    index.runs(folders, progress=told.append)
+    assert told == [2, 2, 2]
+
+
 @pytest.mark.parametrize("harm", ["garbage", "older", "deleted"])
 def test_an_index_that_does_not_hold_is_made_anew(index, three, harm):
     before = index.runs(three)

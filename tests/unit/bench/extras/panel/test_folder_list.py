@@ -63,7 +63,9 @@ def test_a_run_in_progress_is_read_on_and_an_ended_one_only_once(tmp_path, monke
 def test_a_missing_folder_is_empty_until_it_is_there(tmp_path):
     root = tmp_path / "runs"
     listed = FolderList(root)
-    assert listed.look() == {"root": str(root), "exists": False, "runs": [], "batches": [], "faults": []}
+    assert listed.look() == {
+        "root": str(root), "exists": False, "unread": 0, "runs": [], "batches": [], "faults": [],
+    }  # fmt: skip
     MadeRun(root / "a").begin()
     assert [row["key"] for row in listed.look()["runs"]] == ["a"]
 
@@ -147,3 +149,27 @@ def test_no_key_leads_out_of_the_folder(tmp_path, key):
     MadeRun(tmp_path / "outside").begin()
     with pytest.raises(RunFolderError, match="There is no run or batch"):
         FolderList(root).folder_of(key)
+
+
+def test_of_very_many_runs_some_are_read_at_each_look_until_all_are_listed(tmp_path, monkeypatch):
+    monkeypatch.setattr("bench.extras.panel.folder_list.MOST_NEW", 2)
+    for name in "abcde":
+        MadeRun(tmp_path / name).begin().end()
+    listed = FolderList(tmp_path)
+    looks = [listed.look() for _ in range(3)]
+    assert [(len(one["runs"]), one["unread"]) for one in looks] == [(2, 3), (4, 1), (5, 0)]
+
+
+def test_a_run_that_another_replaces_in_its_folder_is_read_again(tmp_path):
+    old, new = (
+        MadeRun(tmp_path / "a").begin().end(),
+        MadeRun(tmp_path / "away" / "b").begin().end("failed", "so"),
+    )
+    listed = FolderList(tmp_path)
+    assert {row["key"]: row["how"] if "how" in row else row["verdict"] for row in listed.look()["runs"]}["a"]
+    times = old.path.stat()
+    new.path.write_bytes(new.path.read_bytes())
+    os.utime(new.path, ns=(times.st_atime_ns, times.st_mtime_ns))
+    new.path.rename(old.path)
+    row = next(row for row in listed.look()["runs"] if row["key"] == "a")
+    assert row["why"] == "so"

@@ -183,7 +183,13 @@ def test_the_list_tells_a_new_run(run, server):
     with streamed(server, "api/list") as stream:
         assert [row["key"] for row in stream.next()["runs"]] == ["run7"]
         MadeRun(run.folder.parent / "run8").begin()
-        stream.until(lambda m: {row["key"] for row in m["runs"]} == {"run7", "run8"})
+        changed = stream.until(lambda m: m["runs"] and m["runs"][0]["key"] == "run8")[-1]
+        assert [row["key"] for row in changed["runs"]] == ["run8"]  # what did not change is not told again
+        assert not changed["reset"]
+        assert changed["gone"] == []
+    whole = httpx.get(f"{server.url}api/list/state").json()
+    assert whole["reset"]
+    assert {row["key"] for row in whole["runs"]} == {"run7", "run8"}
 
 
 # ---------------------------------------------------------------- commands
