@@ -1,4 +1,4 @@
-"""The simulated bench in place of the station's devices. No other module of the bench imports the simulators.
+"""The simulated bench in place of the station's devices. Beside it, only the tests for plug-ins import the simulators.
 
 The simulators run in a process of their own, on pseudo-terminals and a socket, so that drivers work as with real
 devices; it ends when its input closes, with this one. The truth is read once, after the calibration.

@@ -33,7 +33,7 @@ from bench.extras.many.recalculation import Counts, Recalculation
 from bench.extras.many.results_folders import TABLE, ResultsFolders
 from bench.extras.many.tasks import DoneRow, RunRow, Task
 from bench.measure.kept_views import FOLDER
-from bench.record.run_facts import factors_text
+from bench.record.coverage import factors_text
 from bench.solve.offline_options import OfflineOptions
 from bench.wording.numbers import with_uncertainty
 from bench.wording.parameters import unit_text

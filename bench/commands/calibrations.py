@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import click
 
 from bench.commands.options import CheckedStation, Number
-from bench.record.run_facts import coverage_factor
+from bench.record.coverage import coverage_factor
 from bench.wording.conformity import conformity_headline, conformity_sentences
 from bench.wording.numbers import exact, with_uncertainty
 from bench.wording.parameters import unit_text

@@ -1,4 +1,4 @@
-"""The group `certificate`: issue, amend, list and show; `certificate_authorise` has the others."""
+"""The group `certificate`: new, issue (also to amend), show, void; `certificate_authorise` has the others."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from bench.record.run_folder import MANIFEST
 from bench.record.storage import read_bounded, sha256_of, storage_errors, write_atomic
 
 if TYPE_CHECKING:
-    from bench.extras.certificate.issue import Issued, Laboratory
+    from bench.extras.certificate.issue import Issued, Issuer
 
 
 _UNKNOWN = "UNKNOWN"
@@ -146,7 +146,7 @@ def issue(
     An amended certificate has a new number. It names the old one by number and hash, and lists every field that
     changed. The old one stays as it is; `starbench verify` says that it is superseded.
     """
-    from bench.extras.certificate.issue import amend
+    from bench.extras.certificate.amend import amend
     from bench.extras.certificate.issue import issue as issue_first
 
     is_amended = (folder / CERTIFICATE).is_file()
@@ -358,8 +358,8 @@ def _listed_state(one: Numbered, trust: Trust, now: datetime, *, is_known: bool)
         return _NOT_FOUND
 
 
-def _laboratory(dcc_key: tuple[Path, Path] | None, *, again: bool) -> Laboratory:
-    from bench.extras.certificate.issue import Laboratory
+def _laboratory(dcc_key: tuple[Path, Path] | None, *, again: bool) -> Issuer:
+    from bench.extras.certificate.issue import Issuer
 
     def key() -> BenchKey:
         return usable_key(home_folder(), datetime.now(UTC), ask_passphrase=ask_passphrase)
@@ -367,9 +367,7 @@ def _laboratory(dcc_key: tuple[Path, Path] | None, *, again: bool) -> Laboratory
     sign = None
     if dcc_key is not None:
         sign = signer_of_files(*dcc_key, ask_passphrase=ask_passphrase)
-    return Laboratory(
-        bench_ledger(), key, lambda: datetime.now(UTC), partial(verify_sealed, again=again), sign
-    )
+    return Issuer(bench_ledger(), key, lambda: datetime.now(UTC), partial(verify_sealed, again=again), sign)
 
 
 def verify_sealed(folder: Path, *, again: bool) -> Verification:

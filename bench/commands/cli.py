@@ -71,7 +71,7 @@ _CALCULATES = {
     **dict.fromkeys(("run", "resume", "batch"), ("stars", "simulator")),
     **dict.fromkeys(("verify", "calibrate", "check", "passport", "rig"), ("stars",)),
 }
-"""Parts with compiled loops that a command uses (`bench.base.home`)."""
+"""Parts with compiled loops that a command uses (`bench.base.kernel_cache.PARTS`)."""
 _RENAMED = {
     "recalibrate": "calibrate RUN... --each",
     "hold": "tell RUN hold",

@@ -39,8 +39,9 @@ from bench.extras.history.merged_runs import (
     read_source,
 )
 from bench.extras.history.table import require_writable_table, write_table
+from bench.record.coverage import REPEATS_TEXT
 from bench.record.ledger import Ledger
-from bench.record.run_facts import REPEATS_TEXT, IndexedRun
+from bench.record.run_facts import IndexedRun
 from bench.record.run_index import RunIndex, run_folders
 from bench.record.storage import write_atomic
 from bench.record.summaries import ChartGroupData, drifts, has_limits

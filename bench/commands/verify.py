@@ -31,7 +31,7 @@ from bench.evidence.ledger_check import ledger_faults_of_run
 from bench.evidence.verify import verify_folder
 from bench.extras.many.verifications import VERIFIED, Check, Checked, check_one, derivations_of
 from bench.extras.many.work import KeptRows
-from bench.extras.many.workers import Finished, TimeLeft, Workers, map_work
+from bench.extras.many.workers import Finished, Workers, WorkLeft, map_work
 from bench.record.ledger import bench_ledger
 from bench.record.run_folder import JOURNAL
 from bench.record.stored_run import StoredRun
@@ -208,9 +208,9 @@ def _ended(
 class MeasuredLine(LiveLine):
     """Shows how many recordings of a run have been measured again, and the time left."""
 
-    def __init__(self, time_left: TimeLeft | None = None) -> None:
+    def __init__(self, time_left: WorkLeft | None = None) -> None:
         super().__init__(quiet=wants_json())
-        self._time = time_left or TimeLeft()
+        self._time = time_left or WorkLeft()
 
     def measured(self, done: int, total: int) -> None:
         """Show the count; after the last recording, that the results are made again."""

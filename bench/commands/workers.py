@@ -145,9 +145,9 @@ class CountLine(LiveLine):
     def __init__(self, total: int, things: str, *, quiet: bool = False) -> None:
         super().__init__(quiet=quiet)
         self.done, self._total, self._things = 0, total, things
-        from bench.extras.many.workers import TimeLeft
+        from bench.extras.many.workers import WorkLeft
 
-        self._time = TimeLeft()
+        self._time = WorkLeft()
 
     def count(self, more: int = 1) -> None:
         """Count what has been done, and show the line if it is time."""

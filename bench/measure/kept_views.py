@@ -1,8 +1,9 @@
 """Views kept from earlier calculations, so that the stars of a recording are found once only.
 
 Each is a file, named by the hash of all that decides its content. Entries are no evidence, and their folder may be
-deleted at any time. It belongs to one user, and has a largest size. An entry that cannot be read or written is told,
-and never an error.
+deleted at any time: `starbench verify` never reads them. An entry belongs to a recording's bytes, options and detector:
+its sources and libraries, by hash. One that does not match its own hash is found again, and that is told. The folder
+belongs to one user, and has a largest size. An entry that cannot be read or written is told, and never an error.
 """
 
 from __future__ import annotations

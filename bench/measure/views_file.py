@@ -1,8 +1,4 @@
-"""`views.h5`: stars, residuals and image of each calibrated pose (layout: docs/run-folder.md); and views that are kept.
-
-An entry that is kept belongs to a recording's bytes, options and detector: its sources and libraries, by hash. It is no
-evidence: `starbench verify` never reads it. One that does not match its own hash is found again, and that is told.
-"""
+"""`views.h5`: stars, residuals and image of each calibrated pose (layout: docs/run-folder.md)."""
 
 from __future__ import annotations
 

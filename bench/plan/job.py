@@ -1,4 +1,7 @@
-"""The task of a run: a sequence on a station, expanded into steps, and the content of both files; no open devices."""
+"""The task of a run: a sequence on a station, expanded into steps; and the verdict on a recording of one of them.
+
+No device is open here. `Job.judged` decides whether a recording is accepted; `bench.run.steps` whether to try again.
+"""
 
 from __future__ import annotations
 

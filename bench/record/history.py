@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import threading
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Literal, NamedTuple, ParamSpec, cast
+from typing import NamedTuple, ParamSpec, cast
 
 import calib.errors
 from bench.base.errors import JournalBroken
@@ -26,80 +24,10 @@ from bench.record.events import (
     Solved,
     StateEntered,
     UntilDecided,
-    event_name,
 )
-from bench.record.journal import CLOCK_JUMPED, Journal
+from bench.record.journal import CLOCK_JUMPED
 from bench.record.journal_line import Entry
 from drivers.lateness import LatenessData
-
-DeviceName = Literal["stage", "light", "camera"]
-EndState = Literal["confirmed safe", "not confirmed", "never opened"]
-
-DEVICES: Final[tuple[DeviceName, ...]] = ("stage", "light", "camera")
-NOT_ASKED: Final = "nothing states how it was left"
-"""What is known of a device if no line of the journal states more."""
-NO_END: Final = "killed, power lost or disk full"
-"""Why a journal has no line that ends the run, as far as can be known."""
-_MAY_BE: Final[Mapping[DeviceName, str]] = {
-    "stage": "The stage may be moving.",
-    "light": "The light may be on.",
-    "camera": "",
-}
-_UNTOUCHED: Final[Mapping[DeviceName, str]] = {
-    "stage": "This run did not move it.",
-    "light": "This run did not switch it. The light may be on.",
-    "camera": "",
-}
-
-
-@dataclass(frozen=True)
-class DeviceEnd:
-    """How one device was left."""
-
-    device: DeviceName
-    state: EndState
-    said: str = ""  # What it answered, or why it did not; empty if it was never opened
-
-    @property
-    def text(self) -> str:
-        """The state as a line for people; it says what may be the case where nothing was confirmed."""
-        said = f": {self.said}" if self.said else ""
-        stop = "" if said.endswith((".", "!")) else "."
-        return f"{self.device}: {self.state}{said}{stop}{f' {self.advice}' if self.advice else ''}"
-
-    @property
-    def advice(self) -> str:
-        """What may be the case where nothing was confirmed; empty if the device confirmed that it is safe."""
-        if self.state == "confirmed safe":
-            return ""
-        return (_MAY_BE if self.state == "not confirmed" else _UNTOUCHED)[self.device]
-
-    def to_dict(self) -> dict[str, str]:
-        """Return the state as the journal and JSON hold it: ``device``, ``state``, ``said``."""
-        return {"device": self.device, "state": self.state, "said": self.said}
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, str]) -> DeviceEnd:
-        """Read what `to_dict` wrote."""
-        return cls(cast("DeviceName", data["device"]), cast("EndState", data["state"]), data.get("said", ""))
-
-
-def all_ends(known: Sequence[DeviceEnd]) -> list[DeviceEnd]:
-    """Add the devices that were never opened: one each for stage, light and camera, in this order."""
-    by_name = {end.device: end for end in known}
-    return [by_name.get(name, DeviceEnd(name, "never opened")) for name in DEVICES]
-
-
-def lost_ends(why: str) -> list[DeviceEnd]:
-    """Return the states of devices that cannot be asked any more: none is confirmed."""
-    return [DeviceEnd(name, "not confirmed", why) for name in DEVICES]
-
-
-def unsafe_devices(ends: Iterable[DeviceEnd]) -> list[str]:
-    """Return a sentence each for stage and light if it did not confirm that it is safe; a camera needs none."""
-    unsure = [end.said for end in ends if end.state == "not confirmed" and end.device != "camera"]
-    return list(dict.fromkeys(unsure))
-
 
 P = ParamSpec("P")
 
@@ -384,47 +312,6 @@ def _apply_command(history: History, data: Commanded) -> None:
             history.answer = str(data["answer"]), str(data["by"])
         case "skip":
             history.to_skip[int(data["pose"])] = str(data["by"])
-
-
-_WITHOUT_HARDWARE = frozenset({"settling", "checking"})
-"""States in which nothing moves, is switched or is stored."""
-
-
-class RunLog:
-    """A run's journal and history; the history follows the journal line by line. Safe to use from several threads."""
-
-    def __init__(self, journal: Journal) -> None:
-        self.journal = journal
-        self.history = replay(journal.entries)
-        self._lock = threading.RLock()
-
-    @contextmanager
-    def held(self) -> Iterator[History]:
-        """Keep other threads from writing inside the block, to decide by the history and write the decision."""
-        with self._lock:
-            yield self.history
-
-    def write(self, payload: Callable[P, object], *_: P.args, **data: P.kwargs) -> None:
-        """Write one line and update the history; it survives a power cut unless a restart finds the same again.
-
-        ``payload`` is the type of what the line holds, which names its event (`bench.record.events.event_name`).
-        """
-        event = Event(event_name(payload))
-        write = self.journal.append_unsynced if _is_repeatable(event, data) else self.journal.append
-        with self._lock:
-            apply_entry(self.history, write(event, **data))
-
-
-def _is_repeatable(event: Event, data: Mapping[str, Any]) -> bool:
-    """Return whether a line may be lost with the power, because a restart does or finds the same again."""
-    match event:
-        case Event.LEFT_OFF:
-            return "error" not in data
-        case Event.ENTERING:
-            return data["state"] in _WITHOUT_HARDWARE
-        case Event.ATTEMPT_CHECKED | Event.STEP_DONE:
-            return True
-    return False
 
 
 def way_on(history: History, folder: Path) -> tuple[str, str]:

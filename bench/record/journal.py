@@ -1,6 +1,7 @@
 """The journal of a run: it is written line by line, and verified when it is read.
 
-A line is written when what it states has happened and is on the disk: what is not in the journal has not happened.
+A fact is written when it has happened and is on the disk: what is not in the journal has not happened. An intention
+(`entering` a state) is written before it is acted on.
 """
 
 from __future__ import annotations

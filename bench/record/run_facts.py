@@ -1,114 +1,26 @@
-"""What the index keeps of a run: the facts of its row, its parameters, and details; and whether results keep limits.
+"""What the index keeps of a run: the facts of its row, its parameters, and details.
 
-`results.json` is read only if its hash is the one in the journal. Nothing is written. A limit is kept only if the value
-is inside by U or more: w = U (ILAC-G8:09/2019, 4.2.2 and 4.2.3; ISO 14253-1), for PASS or FAIL of a run as for a
-certificate.
+`results.json` is read only if its hash is the one in the journal. Nothing is written.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from decimal import Decimal
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypedDict, TypeVar, cast
+from typing import Any, Literal, TypedDict, TypeVar, cast
 
 from bench.base.errors import BenchError
-from bench.record.events import DeviceData, Event, LightSettingsData, Solved, UntilDecided, Written
+from bench.record.coverage import Estimate, estimates, parameters_data
+from bench.record.events import DeviceData, Event, LightSettingsData, UntilDecided, Written
 from bench.record.history import Attempt, History
 from bench.record.journal_line import Entry
-from bench.record.results import CalibrationData, CameraData, ConformityData, Results, StatementData, Verdict
+from bench.record.results import Results
 from bench.record.run_folder import RESULTS
 from bench.record.storage import read_bounded
 from bench.record.stored_run import object_of
-
-if TYPE_CHECKING:
-    from sequences.schema import ResultLimitConfig
-
-
-USUAL_COVERAGE_FACTOR = 2.0
-"""The k of results of earlier versions, which do not state one."""
-_MOST_FACTORS = 3
-"""So many different k are listed; of more, the least and the most."""
-
-REPEATS_TEXT = (
-    "the runs differ much less than their uncertainties (Birge ratio far below 1). "
-    "What limits a run repeats in the next: the mean of many runs is not better than one run."
-)
-
-
-class Estimate(NamedTuple):
-    """A parameter of one run. ``sigma`` and ``shared`` are standard uncertainties."""
-
-    value: float
-    sigma: float
-    k: float = USUAL_COVERAGE_FACTOR
-    # The part of sigma that is the same in all runs on this bench: certificate, glass, print. Other runs do not lower
-    # it. 0 in journals of an earlier version.
-    shared: float = 0.0
-
-    @property
-    def expanded(self) -> float:
-        """Expanded uncertainty U = k u (JCGM 100, 6.2.1)."""
-        return self.k * self.sigma
-
-
-class EstimateData(TypedDict):
-    """A parameter of one run as JSON carries it."""
-
-    value: float
-    sigma: float
-    coverage_factor: float
-    expanded: float
-
-
-def coverage_factor(stated: CameraData | Solved, name: str = "") -> float:
-    """Return k (2 if none is stated): U = k u has a coverage probability of about 95 % (JCGM 100, 6.2, annex G).
-
-    ``name`` is a value that may have a k of its own, empty for the common one.
-    """
-    if own := (stated.get("coverage_factors") or {}).get(name):
-        return float(own)
-    return float(stated.get("coverage_factor") or USUAL_COVERAGE_FACTOR)
-
-
-def factors_text(factors: Iterable[float]) -> str:
-    """Return the coverage factors of several values as text.
-
-    >>> factors_text([2.2215, 2.2215]), factors_text([2.2215, 2.0]), factors_text([2.02, 2.0, 2.21, 2.05])
-    ('k = 2.22', 'k = 2.22, 2', 'k = 2 to 2.21')
-    """
-    found = list(dict.fromkeys(f"{k:.3g}" for k in factors))
-    if len(found) > _MOST_FACTORS:
-        found = [f"{min(found, key=float)} to {max(found, key=float)}"]
-    return "k = " + ", ".join(found)
-
-
-def estimates(solved: Solved) -> dict[str, Estimate]:
-    """Return each parameter of the journal's line ``solved`` by name; a number that it does not have is NaN."""
-    sigma, shared = solved.get("sigma", {}), solved.get("shared", {})
-    return {
-        name: Estimate(
-            _number(value), _number(sigma[name]), coverage_factor(solved, name), float(shared.get(name, 0.0))
-        )
-        for name, value in solved.get("values", {}).items()
-        if name in sigma
-    }
-
-
-def parameters_data(parameters: Mapping[str, Estimate]) -> dict[str, EstimateData]:
-    """Return parameters as JSON carries them, by name."""
-    return {
-        name: {"value": one.value, "sigma": one.sigma, "coverage_factor": one.k, "expanded": one.expanded}
-        for name, one in parameters.items()
-    }
-
-
-def _number(value: object) -> float:
-    return float(value) if isinstance(value, int | float) else math.nan
-
 
 _Part = TypeVar("_Part")
 
@@ -382,62 +294,3 @@ def _mean(known: Sequence[float]) -> float | None:
 def _total(accepted: Sequence[Attempt], name: Literal["events", "bytes"]) -> int | None:
     known = [one.stored.get("facts", {}).get(name) for one in accepted]
     return sum(int(n) for n in known if n is not None) if any(n is not None for n in known) else None
-
-
-RULE = "guard band w = U (ILAC-G8:09/2019, 4.2.2; ISO 14253-1)"
-NO_CONVERGENCE = "The optimisation did not converge."
-
-
-def verdict_of(value: str, expanded: str, lower: float | None, upper: float | None) -> Verdict:
-    """Return ``pass``, ``conditionalPass``, ``conditionalFail`` or ``fail`` for a value; None stands for no limit.
-
-    >>> [verdict_of(one, "2", 0.0, 10.0) for one in ("5", "8", "9", "10", "11", "12", "13")]
-    ['pass', 'pass', 'conditionalPass', 'conditionalPass', 'conditionalFail', 'conditionalFail', 'fail']
-    """
-    band = Decimal(expanded)
-    inside = min(
-        (Decimal(repr(upper)) - Decimal(value)) if upper is not None else Decimal("Infinity"),
-        (Decimal(value) - Decimal(repr(lower))) if lower is not None else Decimal("Infinity"),
-    )
-    if inside >= band:
-        return "pass"
-    if inside >= 0:
-        return "conditionalPass"
-    return "conditionalFail" if inside >= -band else "fail"
-
-
-def conformity(
-    calibration: CalibrationData,
-    limits: Mapping[str, Sequence[ResultLimitConfig]],
-    failed_gates: Sequence[str],
-    *,
-    checks: bool = False,
-) -> ConformityData | None:
-    """Return PASS or FAIL of a run with limits, or one that ``checks`` a calibration; ``failed_gates`` count."""
-    statements = [_statement(calibration, by, rule) for by, rules in limits.items() for rule in rules]
-    if not statements and not checks:
-        return None
-    reasons = [*([] if calibration["converged"] else [NO_CONVERGENCE])]
-    reasons += [f"The gate {name} failed." for name in failed_gates]
-    kept = all(one["verdict"] == "pass" for one in statements)
-    return {"passed": kept and not reasons, "rule": RULE, "statements": statements, "reasons": reasons}
-
-
-def _statement(calibration: CalibrationData, stated_by: str, rule: ResultLimitConfig) -> StatementData:
-    name, sigma = rule.result, calibration["sigma"]
-    values = {**calibration["camera"], **(calibration["collimator"] or {})}
-    value = expanded = None
-    verdict: Verdict = "fail"
-    if name in values and sigma.get(name, 0.0) > 0:
-        value, expanded = values[name], coverage_factor(calibration, name) * sigma[name]
-        verdict = verdict_of(repr(value), repr(expanded), rule.lower, rule.upper)
-    return {
-        "result": name,
-        "specification": rule.specification,
-        "stated_by": stated_by,
-        "lower": rule.lower,
-        "upper": rule.upper,
-        "value": value,
-        "expanded": expanded,
-        "verdict": verdict,
-    }

@@ -16,9 +16,10 @@ from datetime import datetime
 from pathlib import Path
 
 from bench.base.errors import BenchError, JournalBroken, StorageError
+from bench.record.coverage import Estimate
 from bench.record.folder_lock import is_locked
 from bench.record.ledger_marks import KnownRun
-from bench.record.run_facts import Estimate, IndexedRun, RunDetails, run_details, run_facts
+from bench.record.run_facts import IndexedRun, RunDetails, run_details, run_facts
 from bench.record.run_folder import JOURNAL, RESULTS, is_sealed
 from bench.record.storage import make_folder, storage_errors
 from bench.record.stored_run import StoredRun

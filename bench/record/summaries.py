@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Final, Literal, TypedDict, TypeGuard
 
-from bench.record.run_facts import EstimateData
+from bench.record.coverage import EstimateData
 
 IN_PROGRESS: Final = "in progress"
 WITHOUT_END: Final = frozenset({IN_PROGRESS, "not begun", "withdrawn"})

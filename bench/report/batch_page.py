@@ -12,7 +12,7 @@ from functools import partial
 from typing import Any
 from zoneinfo import ZoneInfo
 
-from bench.record.run_facts import REPEATS_TEXT, factors_text
+from bench.record.coverage import REPEATS_TEXT, factors_text
 from bench.record.summaries import (
     WITHOUT_END,
     BatchSummary,

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from bench.record.coverage import coverage_factor
 from bench.record.results import (
     AmplitudeData,
     BudgetRowData,
@@ -16,7 +17,6 @@ from bench.record.results import (
     Results,
     WitnessData,
 )
-from bench.record.run_facts import coverage_factor
 from bench.report.run_tables import parallax_rows
 from bench.wording.numbers import NOTHING, angle, fixed, number, with_uncertainty
 from bench.wording.target_words import STARS, TargetWords

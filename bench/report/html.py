@@ -11,9 +11,9 @@ from typing import Any
 import jinja2
 
 from bench.measure.view_picture import ViewPicture
+from bench.record.coverage import coverage_factor
 from bench.record.history import History
 from bench.record.results import Results
-from bench.record.run_facts import coverage_factor
 from bench.report import calibration_tables, pose_tables, run_tables
 from bench.report.calibration_tables import amplitude_rows, witness_rows
 from bench.report.phone_tables import label_cells

@@ -1,4 +1,4 @@
-"""One pose as the report shows it, and which of its stars the plots show. Data only; loads no NumPy for its types."""
+"""Which poses a report shows as images, and which of their stars its plots show."""
 
 from __future__ import annotations
 

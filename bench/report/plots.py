@@ -17,8 +17,8 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 
 from bench.measure.view_picture import ViewPicture
+from bench.record.coverage import coverage_factor
 from bench.record.results import Results
-from bench.record.run_facts import coverage_factor
 from bench.record.stored_calibration import camera_covariance, camera_of
 from bench.report.maps import GROUND, sensor_axes, sensor_map, shade_unsupported, supported_share
 from bench.report.pictured_poses import PLOTS, thinned

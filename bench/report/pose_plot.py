@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.record.coverage import coverage_factor
 from bench.record.results import CalibrationData, CameraData, Results, ViewData
-from bench.record.run_facts import coverage_factor
 from bench.record.stored_calibration import camera_covariance, camera_of
 from bench.report.svg_plot import INK, MUTED, PANEL, POSE_COLOURS, Axes, Key, Picture, Words, axes_in
 from bench.report.svg_scale import Scale, text_width

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from bench.record.device_end import DeviceEnd
 from bench.record.events import FailureData, LedgerPlace
-from bench.record.history import DeviceEnd
 from bench.record.results import (
     CheckData,
     GimbalEstimateData,

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
+from bench.record.coverage import coverage_factor, factors_text
 from bench.record.results import CalibrationData, CameraData, ChangeData, Results
-from bench.record.run_facts import coverage_factor, factors_text
 from bench.report import calibration_tables, pose_tables, run_tables
 from bench.wording.conformity import conformity_headline, conformity_sentences
 from bench.wording.numbers import NOTHING, angle_text, exact, fixed, moment, number, with_uncertainty

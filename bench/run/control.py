@@ -22,10 +22,11 @@ from bench.base.errors import RunFolderError, StorageError
 from bench.record import events
 from bench.record.events import Commanded, Event
 from bench.record.folder_lock import is_locked
-from bench.record.history import History, RunLog
+from bench.record.history import History
 from bench.record.inbox import Inbox, KnownBy, MessageId, Poller
 from bench.record.journal import lines_after
 from bench.record.run_folder import JOURNAL, MANIFEST
+from bench.record.run_log import RunLog
 from bench.record.storage import make_folder, storage_errors, sync_folder
 from bench.record.stored_run import StoredRun
 from bench.run.heartbeat import CONTROL, HEARTBEAT

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from bench.base.clock import BenchClock
 from bench.record import events
-from bench.record.history import RunLog
+from bench.record.run_log import RunLog
 from bench.record.storage import TEMPORARY, storage_errors
 from bench.run.processes import start_ticks, thread_waits_for_disk
 

@@ -3,30 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import asdict
 from typing import Any, cast
 
-from bench.base.clock import BenchClock
 from bench.plan.job import Job
 from bench.record import events
-from bench.record.history import NOT_ASKED, DeviceEnd, RunLog, all_ends, lost_ends, unsafe_devices
+from bench.record.device_end import NOT_ASKED, DeviceEnd, all_ends, lost_ends, unsafe_devices
 from bench.record.run_folder import RunFolder
+from bench.record.run_log import RunLog
 from bench.record.storage import storage_errors
 from bench.run.interlocks import (
-    CameraTemperature,
-    DeviceLost,
-    DiskSpace,
-    Door,
-    EventRate,
-    Interlock,
-    Interlocks,
     loss_text,
 )
-from bench.solve.interim import Decide
-from bench.solve.result import ResultWriter
 from bench.stations.devices import Devices, left_devices
-from bench.stations.station_fields import InterlocksConfig
 from drivers.camera import EventCamera
 from drivers.errors import DriverError, WrongDevice
 
@@ -185,34 +174,3 @@ class RunDevices:
 def _rate_mev_s(facts: Mapping[str, Any]) -> float:
     duration_s = facts.get("duration_s") or 0.0
     return facts.get("events", 0) / duration_s / 1e6 if duration_s else 0.0
-
-
-def interlocks_of(config: InterlocksConfig, folder: Path, devices: RunDevices) -> list[Interlock]:
-    """Create the interlocks that the section ``interlocks`` of a station names. Their order is fixed."""
-    found: list[Interlock] = []
-    if config.door is not None:
-        found.append(Door(config.door))
-    if config.disk_space is not None:
-        found.append(DiskSpace(config.disk_space, folder))
-    if config.camera_temperature is not None:
-        found.append(CameraTemperature(config.camera_temperature, devices.camera_c))
-    if config.event_rate is not None:
-        found.append(EventRate(config.event_rate, devices.last_mev_s, devices.dark_mev_s))
-    if config.device_lost is not None:
-        found.append(DeviceLost(config.device_lost, devices.reopen))
-    return found
-
-
-@dataclass(frozen=True)
-class RunContext:
-    """One run, as its states and steps see it."""
-
-    job: Job
-    folder: RunFolder  # Locked by this process
-    log: RunLog
-    clock: BenchClock  # A requested stop ends the run safely
-    devices: RunDevices
-    interlocks: Interlocks
-    results: ResultWriter
-    decide: Decide  # Decides for the ``until`` steps
-    say: Callable[[str], None]  # Shows a line to the operator

@@ -17,16 +17,19 @@ from bench.base.failure import FORESEEN, Failure
 from bench.base.progress import Progress
 from bench.plan.job import DEVICE_STEPS, Job, ScriptStep
 from bench.record import events
+from bench.record.device_end import DeviceEnd
 from bench.record.events import Entering, FailureData, LeftOff
-from bench.record.history import DeviceEnd, RunLog, way_on
+from bench.record.history import way_on
 from bench.record.journal import Journal
 from bench.record.recovery import WIRE_LOG
 from bench.record.run_folder import RunFolder
+from bench.record.run_log import RunLog
 from bench.run.control import CommandInbox
 from bench.run.heartbeat import BusyWatch, HeartbeatWriter
 from bench.run.interlocks import Interlocks, Trip, loss_text
 from bench.run.machine import RunMachine
-from bench.run.run_devices import RunContext, RunDevices, interlocks_of
+from bench.run.run_context import RunContext, interlocks_of
+from bench.run.run_devices import RunDevices
 from bench.run.run_messages import HoldNotifier
 from bench.run.states import StateWork
 from bench.run.status import RunPlan

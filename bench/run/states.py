@@ -22,7 +22,7 @@ from bench.record.recovery import recover, written_files
 from bench.run.interlocks import Trip, interlock_text
 from bench.run.last_view import leave_view
 from bench.run.machine import State
-from bench.run.run_devices import RunContext
+from bench.run.run_context import RunContext
 from bench.stations.devices import Devices
 from drivers.camera import CameraIdentity
 from drivers.camera.usb_permission import LEAST_MBIT_S

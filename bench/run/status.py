@@ -14,6 +14,8 @@ from bench.base.errors import RunFolderError, StorageError
 from bench.base.home import home_folder
 from bench.evidence.authorisations import known_authorisations
 from bench.evidence.states import home_trust, shown_state
+from bench.record.coverage import estimates, factors_text
+from bench.record.device_end import NO_END, NOT_ASKED, DeviceEnd, all_ends, lost_ends
 from bench.record.events import (
     AttemptChecked,
     Commanded,
@@ -26,14 +28,14 @@ from bench.record.events import (
     RunResumed,
 )
 from bench.record.folder_lock import is_locked
-from bench.record.history import NO_END, NOT_ASKED, DeviceEnd, History, all_ends, lost_ends, way_on
+from bench.record.history import History, way_on
 from bench.record.journal_line import Entry
-from bench.record.run_facts import estimates, factors_text
 from bench.record.run_folder import PLAN
 from bench.record.storage import read_json
 from bench.record.stored_run import StoredRun
 from bench.run.interlocks import interlock_text
-from bench.run.machine import END_STATES, TimeLeft
+from bench.run.machine import END_STATES
+from bench.run.time_left import TimeLeft
 from bench.wording.goals import decision_text, goals_missed, reached_text
 from bench.wording.numbers import with_uncertainty
 from drivers.lateness import LatenessData

@@ -13,11 +13,12 @@ from bench.base.encoding import counted
 from bench.base.errors import PoseFailed
 from bench.plan.job import Job, ParkStep, ScriptStep
 from bench.record import events
+from bench.record.device_end import NO_END
 from bench.record.events import Circumstances
-from bench.record.history import NO_END, History, count_crash
+from bench.record.history import History, count_crash
 from bench.record.journal import capture_name
 from bench.run.machine import RunMachine, Trigger
-from bench.run.run_devices import RunContext
+from bench.run.run_context import RunContext
 from bench.run.status import RunPlan
 from bench.wording.goals import goals_text
 from drivers.errors import RecordingFailed

@@ -12,7 +12,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from bench.base.errors import UsageError
-from bench.record.run_facts import Estimate, IndexedRun
+from bench.record.coverage import Estimate
+from bench.record.run_facts import IndexedRun
 
 _LEAST_OWN = 1e-6
 """A run has at least this share of its variance for itself, so that a difference can be judged."""

@@ -13,8 +13,8 @@ from bench.measure.kept_views import KeptViews
 from bench.measure.views_file import StoredView
 from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
+from bench.record.conformity import conformity
 from bench.record.results import CalibrationData, ConformityData, GimbalReadingsData
-from bench.record.run_facts import conformity
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.solution import calibrated
 from bench.solve.solve_options import readings_result

@@ -1,4 +1,7 @@
-"""From accepted recordings to results.json, images, exports and report: from the run folder alone, without a device.
+"""From accepted recordings to results.json, images, exports and report, without a device.
+
+Besides the run folder, the ledger of the bench and earlier runs are read for the change since the last calibration; and
+the views are kept for later calculations.
 
 The truth of a simulated world is used only at the end, for a comparison, after all estimates are made.
 """
@@ -21,14 +24,15 @@ from bench.measure.kept_views import KeptViews, view_key
 from bench.measure.measure import Measurement
 from bench.measure.views_file import VIEWS, StoredView, views_file
 from bench.plan.job import Job
+from bench.record.coverage import coverage_factor
 from bench.record.events import Solved
-from bench.record.history import History, RunLog
+from bench.record.history import History
 from bench.record.ledger import Ledger, bench_ledger
 from bench.record.ledger_marks import LedgerRun
 from bench.record.recovery import EXPORTS
 from bench.record.results import CameraData, ChangeData, PreviousData, Results
-from bench.record.run_facts import coverage_factor
 from bench.record.run_folder import MANIFEST, REPORT, RESULTS, RunFolder
+from bench.record.run_log import RunLog
 from bench.record.stored_calibration import camera_covariance
 from bench.record.stored_run import object_of
 from bench.report.html import ReportData, render_report

@@ -18,6 +18,7 @@ from bench.base.program import differing_software, forms
 from bench.measure.camera_kinds import CameraKind
 from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
+from bench.record.conformity import conformity
 from bench.record.events import AttemptData, GateData
 from bench.record.history import Attempt, History
 from bench.record.results import (
@@ -28,7 +29,6 @@ from bench.record.results import (
     Results,
     SupportedPart,
 )
-from bench.record.run_facts import conformity
 from bench.report.maps import reach_px, star_distance
 from bench.solve.solution import Solution, compare_with_truth
 from calib.calibration import ENGINES, Calibration, ViewSummary
@@ -201,7 +201,7 @@ def target_data(job: Job) -> dict[str, str]:
 
 
 def software() -> dict[str, str]:
-    """Return versions by name of the software that makes a result and its report, and `bench.base.home`."""
+    """Return versions of the software that makes a result and its report, and hashes (`bench.base.program.forms`)."""
     parts = {"starbench": __version__, "python": platform.python_version()}
     for name in ("numpy", "scipy", "opencv-python-headless", "numba", "h5py"):
         parts[name] = version(name)

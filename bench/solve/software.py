@@ -1,7 +1,7 @@
 """The software that a run states: program, engine, libraries and plug-ins.
 
-A verification may run on a computer without plug-ins and the libraries of drivers. So `other_software` does not compare
-them, and a run that cannot be read without a plug-in is told as not compared.
+A verification may run on a computer without plug-ins and the libraries of drivers. So these are not compared
+(`bench.solve.results_content.other_software`), and a run that cannot be read without a plug-in is told as such.
 """
 
 from __future__ import annotations

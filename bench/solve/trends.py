@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime
 
-from bench.record.run_facts import Estimate, IndexedRun
+from bench.record.coverage import Estimate
+from bench.record.run_facts import IndexedRun
 from bench.record.summaries import SlopeData, TrendData
 from bench.solve.agreement import Agreement, agreement, repeats
 

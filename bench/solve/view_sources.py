@@ -60,7 +60,7 @@ class ViewSource:
     started: RunStarted | None = None
     attempt: Attempt | None = None
     # What decides the view besides the bytes of the file, as values that JSON can hold; None for a file whose
-    # views are not kept (`bench.measure.views_file`).
+    # views are not kept (`bench.measure.kept_views.KeptViews`).
     decided_by: Mapping[str, Any] | None = None
     view_name: str = ""  # Name of its view, if the file gives several; else empty
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from bench.base.clock import BenchClock
 from bench.base.errors import SimulationError
-from bench.record.history import DeviceEnd, DeviceName, lost_ends, unsafe_devices
+from bench.record.device_end import DeviceEnd, DeviceName, lost_ends, unsafe_devices
 from bench.simulated import SimulatedBench
 from bench.stations import station as station_file
 from bench.stations.device_locks import hold_devices, serial_devices
@@ -40,7 +40,7 @@ LEFT_DEVICES = "left_devices"
 class Devices:
     """A stage, a light and a camera, open; if one cannot be opened, all are closed. Opening moves nothing."""
 
-    # Devices that may still be opening, by name; empty here (see `bench.stations.devices`).
+    # Devices that may still be opening, by name; empty here (see `bench.stations.orphans.SeparateDevices`).
     late: Mapping[str, Any] = MappingProxyType({})
     stage: Stage
     light: Light

@@ -11,7 +11,7 @@ from contextlib import ExitStack, closing
 from typing import Any, Final, Literal, cast
 
 from bench.base.clock import Aborted, BenchClock
-from bench.record.history import NOT_ASKED, DeviceEnd, DeviceName
+from bench.record.device_end import NOT_ASKED, DeviceEnd, DeviceName
 from bench.simulated import SimulatedBench
 from bench.stations.device_locks import hold_devices
 from bench.stations.devices import Devices, open_camera, open_light, open_stage, stop_stage, switch_off

@@ -142,7 +142,7 @@ from bench.base.clock import BenchClock
 from bench.run.control import CommandInbox
 from bench.run.heartbeat import HeartbeatWriter
 from bench.record.events import Event
-from bench.record.history import RunLog
+from bench.record.run_log import RunLog
 from bench.record.journal import Journal
 from bench.record.run_folder import RunFolder
 clock = BenchClock()

@@ -4,7 +4,8 @@ import pytest
 from certificate_sample import LAB, NOW, verified, write_sealed_run
 
 from bench.evidence.keys import ensure_key
-from bench.extras.certificate.issue import Laboratory, amend, issue
+from bench.extras.certificate.amend import amend
+from bench.extras.certificate.issue import Issuer, issue
 from bench.extras.certificate.series import numbers
 from bench.record.ledger import Ledger
 from sequences.errors import DocumentFaults
@@ -27,7 +28,7 @@ class Lab:
 
     def laboratory(self):
         clock, key = (lambda: self.now), (lambda: ensure_key(self.home))
-        return Laboratory(self.ledger, key, clock, lambda f: verified(f, **self.says), self.sign_dcc)
+        return Issuer(self.ledger, key, clock, lambda f: verified(f, **self.says), self.sign_dcc)
 
     def issue(self, name="certificate", **facts):
         return issue(self.run, self.lab, self.path / name, self.laboratory(), **facts)

@@ -13,9 +13,9 @@ from typing import Any
 
 from bench.base.clock import BenchClock
 from bench.record.folder_lock import lock_folder
-from bench.record.history import RunLog
 from bench.record.journal import Journal
 from bench.record.journal_line import FIRST_PREV, decode_line, encode_line
+from bench.record.run_log import RunLog
 from bench.run.control import CommandInbox
 
 BEGIN = datetime(2026, 3, 1, 20, tzinfo=UTC)

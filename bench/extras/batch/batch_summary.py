@@ -31,10 +31,11 @@ from bench.extras.batch.batch_record import (
 from bench.extras.history.chart_findings import find_charts
 from bench.extras.history.chart_groups import group_runs
 from bench.extras.history.merged_runs import RunPlace
+from bench.record.coverage import REPEATS_TEXT, factors_text, parameters_data
+from bench.record.device_end import NO_END
 from bench.record.folder_lock import is_locked
-from bench.record.history import NO_END
 from bench.record.journal import read_journal
-from bench.record.run_facts import REPEATS_TEXT, IndexedRun, RunDetails, factors_text, parameters_data
+from bench.record.run_facts import IndexedRun, RunDetails
 from bench.record.run_folder import JOURNAL, REPORT
 from bench.record.run_index import QUEUE_COPY, is_batch, read_run_and_details
 from bench.record.storage import storage_errors, write_atomic

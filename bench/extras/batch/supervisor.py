@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.clock import Aborted, BenchClock
+from bench.record.device_end import DeviceEnd, all_ends, lost_ends, unsafe_devices
 from bench.record.folder_lock import is_locked
-from bench.record.history import DeviceEnd, all_ends, lost_ends, unsafe_devices
 from bench.record.run_folder import STATION_COPY
 from bench.run.crash_log import write_crash_log
 from bench.run.heartbeat import SUPERVISOR, Heartbeat, open_process, read_heartbeat

@@ -10,18 +10,11 @@ from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, UsageError
 from bench.evidence.findings import UNREADABLE, Findings
 from bench.evidence.ledger_check import is_sealed_by, own_public_keys, sealed_strangers
+from bench.extras.certificate.amend import changes_of, plots_in
 from bench.extras.certificate.certificate_data import CERTIFICATE, Certificate, sha256
+from bench.extras.certificate.certificate_folder import DCC, LAB, PDF, certificate_files, require_libraries
 from bench.extras.certificate.clauses import faults_of_lab
 from bench.extras.certificate.compose import FURTHER, Identity, compose
-from bench.extras.certificate.issue import (
-    DCC,
-    LAB,
-    PDF,
-    certificate_files,
-    changes_of,
-    plots_in,
-    require_libraries,
-)
 from bench.extras.certificate.lab_config import LabConfig, lab_of
 from bench.extras.certificate.limits import passes_over_fail
 from bench.extras.certificate.sealed_run import is_statement, other_writer, stated_run

@@ -12,8 +12,8 @@ from datetime import datetime
 from operator import attrgetter
 
 from bench.extras.certificate.budget_rows import row_names
+from bench.extras.certificate.facts_of_run import is_unnamed
 from bench.extras.certificate.lab_config import LabConfig, PreviousConfig
-from bench.extras.certificate.run_facts import is_unnamed
 from bench.record.results import Results
 from calib.model.result_parts import PASSPORT
 from sequences.reader import Located

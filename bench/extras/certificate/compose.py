@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
-from bench.extras.certificate import run_facts
+from bench.extras.certificate import facts_of_run
 from bench.extras.certificate.budget_rows import RowSource, budget_of
 from bench.extras.certificate.certificate_data import (
     FORMAT,
@@ -29,6 +29,7 @@ from bench.extras.certificate.certificate_data import (
     Traceability,
     ValueBefore,
 )
+from bench.extras.certificate.facts_of_run import is_unnamed
 from bench.extras.certificate.lab_config import (
     NONE,
     Accreditation,
@@ -39,10 +40,9 @@ from bench.extras.certificate.lab_config import (
     SourceConfig,
 )
 from bench.extras.certificate.limits import despite_fail, rules_of
-from bench.extras.certificate.run_facts import is_unnamed
 from bench.extras.certificate.series import SIMULATED
+from bench.record.conformity import verdict_of
 from bench.record.results import PassportData, Results
-from bench.record.run_facts import verdict_of
 from bench.wording.earlier_runs import earlier_runs
 from bench.wording.parameters import unit_of
 from bench.wording.target_words import words_of
@@ -186,7 +186,7 @@ def compose(found: Results, lab: LabConfig, identity: Identity) -> Certificate:
     """Return a run's certificate, its clauses checked before; `EvidenceError` if the budget does not add up."""
     simulated = bool(found["run"]["simulated"])
     supplied = frozenset(symbol for one in lab.customer_supplied or () for symbol in one.results)
-    results = run_facts.results_of(found, supplied)
+    results = facts_of_run.results_of(found, supplied)
     rows = row_sources(found, lab)
     return Certificate(
         format=FORMAT,
@@ -199,19 +199,19 @@ def compose(found: Results, lab: LabConfig, identity: Identity) -> Certificate:
         customer=lab.customer,
         item=_item(found, lab),
         received=_day(lab.item.received),
-        begun_utc=run_facts.utc_seconds(found["run"]["started_utc"]),
-        ended_utc=run_facts.utc_seconds(found["run"]["finished_utc"]),
+        begun_utc=facts_of_run.utc_seconds(found["run"]["started_utc"]),
+        ended_utc=facts_of_run.utc_seconds(found["run"]["finished_utc"]),
         issued_utc=identity.issued_utc,
         method=_needed(lab.method),
         deviations=(
-            *run_facts.deviations_of(found),
+            *facts_of_run.deviations_of(found),
             *(Deviation(text, "laboratory") for text in lab.deviations or ()),
         ),
-        conditions=(*run_facts.conditions_of(found), *(_condition(one) for one in lab.conditions or ())),
+        conditions=(*facts_of_run.conditions_of(found), *(_condition(one) for one in lab.conditions or ())),
         traceability=_traceability(found, lab),
         results=results,
-        covariance=run_facts.covariance_of(found),
-        further=run_facts.further_of(found),
+        covariance=facts_of_run.covariance_of(found),
+        further=facts_of_run.further_of(found),
         budgets=tuple(
             budget_of(found["calibration"], one.symbol, one.unit, rows, one.U, words_of(found))
             for one in results
@@ -279,7 +279,7 @@ def _day(date: dt.date | None) -> str:
 def _item(found: Results, lab: LabConfig) -> Item:
     lens = lab.item.lens
     return Item(
-        camera=run_facts.camera_identity(found, lab.item),
+        camera=facts_of_run.camera_identity(found, lab.item),
         lens=lens.model_copy(update={"serial": ""}) if lens.serial == NONE else lens,
         customer_id=lab.item.customer_id,
         condition=lab.item.condition,

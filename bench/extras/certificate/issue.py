@@ -6,30 +6,32 @@ of the old certificate, which it names by hash; the old one stays as it is.
 
 from __future__ import annotations
 
-import json
-import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from bench.base.bounded_json import leaves, parse_json
-from bench.base.errors import EvidenceError, UsageError
-from bench.evidence.findings import Verification
+from bench.base.errors import EvidenceError
 from bench.evidence.keys import BenchKey
 from bench.evidence.ledger_check import own_public_keys
-from bench.evidence.seal import remove_unnamed, seal_folder
-from bench.extras.certificate import run_facts
+from bench.evidence.seal import remove_unnamed
+from bench.extras.certificate import facts_of_run
 from bench.extras.certificate.beside import count_beside
-from bench.extras.certificate.certificate_data import CERTIFICATE, Amends, Certificate, Change
+from bench.extras.certificate.certificate_data import CERTIFICATE, Amends, Certificate
+from bench.extras.certificate.certificate_folder import (
+    certificate_files,
+    refuse_occupied,
+    require_libraries,
+    unfinished,
+    write_sealed,
+)
 from bench.extras.certificate.clauses import faults_of_lab
 from bench.extras.certificate.compose import Identity, compose, further_statement
 from bench.extras.certificate.dcc import render_dcc
-from bench.extras.certificate.dcc_xml import library
 from bench.extras.certificate.lab_config import LabConfig, read_lab
 from bench.extras.certificate.limits import needed_reason
-from bench.extras.certificate.sealed_run import Source, Verify, read_sealed_run, written_with
+from bench.extras.certificate.sealed_run import Source, Verify, read_sealed_run
 from bench.extras.certificate.series import (
     Numbered,
     Wanted,
@@ -37,109 +39,22 @@ from bench.extras.certificate.series import (
     numbers,
     one_at_a_time,
     open_numbers,
-    refuse_old,
     refuse_second,
     reserve,
 )
 from bench.record.ledger import Ledger
-from bench.record.results import Results
-from bench.record.run_folder import MANIFEST, RESULTS, is_sealed
+from bench.record.run_folder import MANIFEST, is_sealed
 from bench.record.storage import (
-    make_folder,
     read_bounded,
     sha256_of,
     storage_errors,
-    sync_folder,
-    write_atomic,
 )
 from sequences.errors import DocumentFaults
 from sequences.reader import Located
-from sequences.tree import path_text
-
-# The folder of a certificate: its files from the data, written as a whole and sealed under its final name.
-#
-# The folder is made under a hidden name beside its final one, sealed there, and renamed last. So a process
-# that is killed leaves no half certificate.
-
-PDF = "certificate.pdf"
-DCC = "dcc.xml"
-LAB = "lab.yaml"
-PLOTS = "plots"
-_UNFINISHED = ".tmp"
-
-
-def require_libraries() -> None:
-    """Refuse to begin without the libraries of PDF and DCC."""
-    for name in ("lxml.etree", "typst"):
-        library(name)
-
-
-def certificate_files(
-    certificate: Certificate,
-    found: Results,
-    results: bytes,
-    lab: bytes,
-    plots: Mapping[str, str],
-    sign: Callable[[bytes], bytes] | None = None,
-) -> dict[str, bytes]:
-    """Return the files of a certificate's folder but its seal's; ``sign`` signs the DCC, None leaves it unsigned."""
-    from bench.extras.certificate.pdf import render_pdf
-
-    dcc = render_dcc(certificate)
-    dcc = dcc if sign is None else sign(dcc)
-    attachments = {DCC: dcc, RESULTS: results}
-    return {
-        CERTIFICATE: certificate.to_json(),
-        RESULTS: results,
-        LAB: lab,
-        DCC: dcc,
-        PDF: render_pdf(certificate, found, attachments, plots),
-        **{f"{PLOTS}/{name}.svg": svg.encode() for name, svg in sorted(plots.items())},
-    }
-
-
-def refuse_occupied(folder: Path) -> None:
-    """Refuse a name that is taken, or that lies in a sealed folder, before any number is taken."""
-    sealed = next((parent for parent in folder.absolute().parents if is_sealed(parent)), None)
-    if sealed is not None:
-        raise UsageError(
-            f"{sealed} is sealed; a file in it would break its seal.",
-            where=str(folder),
-            remedy="Choose an --output outside of it.",
-        )
-    if os.path.lexists(folder):
-        raise UsageError(
-            "A file or folder with this name already exists.",
-            where=str(folder),
-            remedy="Choose another --output. A certificate is never overwritten.",
-        )
-
-
-def write_sealed(folder: Path, files: Mapping[str, bytes], key: BenchKey) -> str:
-    """Write and seal a folder, named only when it is complete; returns the SHA-256 of its SHA256SUMS."""
-    part = unfinished(folder)
-    make_folder(folder.parent)
-    remove_unnamed(part)  # of a process that was killed while it made this folder
-    refuse_occupied(folder)
-    make_folder(part)
-    for name, data in files.items():
-        make_folder((part / name).parent)
-        write_atomic(part / name, data)
-    seal_folder(part, key)
-    with storage_errors(folder):
-        seal = sha256_of(part / MANIFEST)
-        part.rename(folder)
-        sync_folder(folder.parent)
-    return seal
-
-
-def unfinished(folder: Path) -> Path:
-    """Return the name of a folder while it is being made."""
-    return folder.with_name(f".{folder.name}{_UNFINISHED}")
 
 
 @dataclass(frozen=True)
-class Laboratory:
+class Issuer:
     """What a laboratory needs to issue certificates."""
 
     ledger: Ledger
@@ -165,7 +80,7 @@ def issue(
     run: Path,
     lab_file: Path,
     folder: Path,
-    laboratory: Laboratory,
+    laboratory: Issuer,
     *,
     also: str = "",
     despite: str = "",
@@ -195,7 +110,7 @@ def make_certificate(
     source: Source,
     lab: Located[LabConfig],
     folder: Path,
-    laboratory: Laboratory,
+    laboratory: Issuer,
     *,
     further: str = "",
     despite: str = "",
@@ -287,7 +202,7 @@ def finished_certificate(one: Numbered) -> Certificate | None:
     return certificate if certificate.number == one.number else None
 
 
-def _signer(laboratory: Laboratory, utc: str) -> Callable[[bytes], bytes] | None:
+def _signer(laboratory: Issuer, utc: str) -> Callable[[bytes], bytes] | None:
     """Return what signs a DCC at a time; None if DCCs are not signed."""
     sign = laboratory.sign_dcc
     return None if sign is None else lambda dcc: sign(dcc, datetime.fromisoformat(utc))
@@ -302,107 +217,10 @@ def _wanted(source: Source, lab: LabConfig, folder: Path, amends: str, further: 
         folder=str(folder),
         amends=amends,
         also=further,
-        ended_utc=run_facts.utc_seconds(source.found["run"]["finished_utc"]),
+        ended_utc=facts_of_run.utc_seconds(source.found["run"]["finished_utc"]),
     )
 
 
 def _enter(ledger: Ledger, certificate: Certificate, seal: str) -> None:
     serial, customer = certificate.item.camera.serial, certificate.customer.name
     enter_issued(ledger, certificate.number, seal=seal, serial=serial, customer=customer)
-
-
-ABSENT = "absent"
-_OWN = frozenset({"number", "issued_utc", "amends"})
-"""Fields that differ in every amendment."""
-_PROGRAM = "run.software["
-"""Programs and their versions; a new version alone is no change of the certificate."""
-_MOST_CHARACTERS = 300
-
-
-def amend(
-    old: Path, lab_file: Path, folder: Path, laboratory: Laboratory, *, reason: str, despite: str = ""
-) -> Issued:
-    """Issue a certificate that replaces another one: it verifies, is the newest one, and something changes.
-
-    ``despite`` is as for `issue`; without it, the reason of the old one remains.
-    """
-    require_libraries()
-    refuse_occupied(folder)
-    lab = read_lab(lab_file)
-    before, source = _read_certificate(old, laboratory.verify(old))
-    refuse_old(numbers(laboratory.ledger.entries()), before.number)
-    with storage_errors(old):
-        digest = sha256_of(old / MANIFEST)
-
-    def amended(trial: Certificate) -> Amends:
-        return Amends(before.number, digest, reason, changes_of(before, trial))
-
-    return make_certificate(
-        source,
-        lab,
-        folder,
-        laboratory,
-        further=before.statement("also"),
-        despite=despite or before.statement("limits_reason"),
-        amended=amended,
-        amends=before.number,
-    )
-
-
-def changes_of(before: Certificate, after: Certificate) -> tuple[Change, ...]:
-    """Return the fields that differ, sorted, except number, time, software and what they amend."""
-    old, new = (_texts_by_path(one) for one in (before, after))
-    paths = dict.fromkeys([*old, *new])
-    changes = tuple(
-        Change(path, old.get(path, ABSENT), new.get(path, ABSENT))
-        for path in paths
-        if old.get(path) != new.get(path)
-    )
-    if not changes:
-        raise EvidenceError(
-            f"Nothing would change: this lab.yaml gives the certificate {before.number} again.",
-            remedy="Correct lab.yaml first.",
-        )
-    return changes
-
-
-def _texts_by_path(certificate: Certificate) -> dict[str, str]:
-    found = {name: value for name, value in json.loads(certificate.to_json()).items() if name not in _OWN}
-    texts = {
-        path_text(place): value if isinstance(value, str) else json.dumps(value)
-        for place, value in leaves(found)
-    }
-    return {
-        path: text if len(text) <= _MOST_CHARACTERS else f"{text[:_MOST_CHARACTERS]}..."
-        for path, text in texts.items()
-        if not path.startswith(_PROGRAM)
-    }
-
-
-def plots_in(folder: Path) -> dict[str, str]:
-    """Return the plots in the folder of a certificate: SVG by name."""
-    return {path.stem: path.read_text("utf-8") for path in sorted((folder / PLOTS).glob("*.svg"))}
-
-
-def _read_certificate(folder: Path, verification: Verification) -> tuple[Certificate, Source]:
-    if verification.kind != "certificate":
-        raise EvidenceError(
-            f"This folder is a {verification.kind} folder, not a certificate.",
-            where=str(folder),
-            remedy="Name the folder of a certificate.",
-        )
-    if not verification.ok:
-        what = "; ".join(str(fault) for fault in verification.faults[:5])
-        raise EvidenceError(
-            f"The certificate does not verify: {what}.",
-            where=str(folder),
-            remedy="Check it with `starbench verify`. Amend the copy that the laboratory keeps.",
-        )
-    with storage_errors(folder):
-        certificate = Certificate.from_json(read_bounded(folder / CERTIFICATE), str(folder / CERTIFICATE))
-        results = read_bounded(folder / RESULTS)
-        plots = plots_in(folder)
-    found = parse_json(results)
-    of_the_run = certificate.run.software[: len(found["run"]["software"])]
-    run = replace(certificate.run, software=(*of_the_run, *written_with()))
-    return certificate, Source(found, results, run, plots, certificate.statement("verification"))

@@ -27,8 +27,8 @@ from bench.base.bounded_json import leaves, mapped
 from bench.base.errors import BenchError, UsageError
 from bench.extras.certificate.certificate_data import Certificate
 from bench.extras.certificate.dcc_xml import library
+from bench.record.coverage import coverage_factor
 from bench.record.results import Results
-from bench.record.run_facts import coverage_factor
 from bench.wording.numbers import MINUS, NOTHING, exact, moment, number
 from bench.wording.target_words import STARS, TargetWords, words_of
 from sequences.tree import path_text

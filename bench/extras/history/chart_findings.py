@@ -24,7 +24,7 @@ from bench.extras.history.statistics import (
     holm,
     individuals,
 )
-from bench.record.run_facts import Estimate
+from bench.record.coverage import Estimate
 from bench.record.summaries import (
     ChartData,
     ChartGroupData,

@@ -9,7 +9,8 @@ from datetime import UTC, datetime
 from typing import Literal, NamedTuple
 
 from bench.extras.history.merged_runs import RunPlace
-from bench.record.run_facts import Estimate, IndexedRun, RunDetails
+from bench.record.coverage import Estimate
+from bench.record.run_facts import IndexedRun, RunDetails
 
 Level = Literal["camera", "type"]
 

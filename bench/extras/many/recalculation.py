@@ -29,7 +29,7 @@ from bench.extras.many.tasks import (
     find_view,
     list_recordings,
 )
-from bench.extras.many.workers import Finished, TimeLeft, Work, Workers, rounds
+from bench.extras.many.workers import Finished, Work, Workers, WorkLeft, rounds
 from bench.solve.offline_folder import SealedBy
 
 _AHEAD = 8
@@ -90,7 +90,7 @@ class Recalculation:
         self._runs: dict[int, _Run] = {}
         self._waiting: deque[Work] = deque()
         self._defects: set[str] = set()
-        self._time = TimeLeft()
+        self._time = WorkLeft()
 
     def run(self) -> list[RunRow]:
         """Calibrate all runs. A row for each, in their order."""

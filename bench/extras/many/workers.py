@@ -174,7 +174,7 @@ def _most_handed_out(workers: Workers) -> int:
     return max(1, _AHEAD * workers.size) if workers.size > 1 else 1
 
 
-class TimeLeft:
+class WorkLeft:
     """Expected time to the end of many pieces of work."""
 
     def __init__(self, monotonic: Callable[[], float] = time.monotonic) -> None:

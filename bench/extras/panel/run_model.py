@@ -13,6 +13,7 @@ from typing import cast
 
 from bench.base.errors import BenchError
 from bench.extras.panel.shown_run import LogLine, PoseRow, PoseState, Uncertainties
+from bench.record.coverage import coverage_factor
 from bench.record.events import (
     Asked,
     AttemptChecked,
@@ -26,12 +27,11 @@ from bench.record.events import (
 from bench.record.history import History, apply_entry
 from bench.record.journal import read_journal
 from bench.record.journal_line import FIRST_PREV, Entry, decode_line
-from bench.record.run_facts import coverage_factor
 from bench.record.run_folder import JOURNAL
 from bench.record.storage import storage_errors
 from bench.record.stored_run import StoredRun
-from bench.run.machine import TimeLeft
 from bench.run.status import RunPlan, event_text, read_plan
+from bench.run.time_left import TimeLeft
 
 # A complete line that is not valid ends the reading: what stands before it is kept. If a file becomes
 # shorter, or another file takes its name, it is read again from its beginning.

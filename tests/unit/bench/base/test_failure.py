@@ -13,8 +13,9 @@ from rehearsed import Scene
 from bench.base.errors import BenchError, JournalBroken, StorageError
 from bench.base.failure import FORESEEN, Failure
 from bench.commands.run import show_run
+from bench.record.device_end import DeviceEnd
 from bench.record.events import Event
-from bench.record.history import DeviceEnd, replay
+from bench.record.history import replay
 from bench.record.journal import read_journal
 from bench.run.runner import RunEnd
 from bench.run.status import line_text, read_status

@@ -19,7 +19,7 @@ from bench.commands.cli import cli, main
 from bench.commands.history import signed
 from bench.commands.output import print_error
 from bench.commands.verify import MeasuredLine
-from bench.extras.many.workers import TimeLeft
+from bench.extras.many.workers import WorkLeft
 
 RUN_COMMANDS = [
     ("resume",),
@@ -406,7 +406,7 @@ def test_a_finished_run_is_told_as_finished_and_an_interrupted_one_how_it_goes_o
 
 def test_recordings_that_are_measured_again_are_counted_with_the_time_left(monkeypatch):
     now_s = [0.0]
-    line, shown = MeasuredLine(TimeLeft(lambda: now_s[0])), []
+    line, shown = MeasuredLine(WorkLeft(lambda: now_s[0])), []
     monkeypatch.setattr(line, "quiet", False)
     monkeypatch.setattr(line, "show", shown.append)
     monkeypatch.setattr(line, "due", lambda: True)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.record.run_facts import conformity
+from bench.record.conformity import conformity
 from bench.wording.conformity import conformity_headline, conformity_sentences
 from sequences.schema import ResultLimitConfig
 

@@ -3,7 +3,7 @@
 import pytest
 
 from bench.base.clock import BenchClock
-from bench.record.history import DeviceEnd, all_ends
+from bench.record.device_end import DeviceEnd, all_ends
 from bench.stations import devices
 from bench.stations.station import load_station
 from drivers.errors import PortNotFound, ReplyTimeout

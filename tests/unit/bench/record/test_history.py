@@ -21,8 +21,9 @@ from bench.record.events import (
     Solved,
     StepDone,
 )
-from bench.record.history import RunLog, replay
+from bench.record.history import replay
 from bench.record.journal import Journal
+from bench.record.run_log import RunLog
 
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 

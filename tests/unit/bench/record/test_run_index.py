@@ -8,9 +8,9 @@ import pytest
 from many_runs import write_run
 
 from bench.base.errors import StorageError, UsageError
+from bench.record.coverage import Estimate
 from bench.record.events import Event
 from bench.record.journal import Journal
-from bench.record.run_facts import Estimate
 from bench.record.run_folder import RunFolder
 from bench.record.run_index import INDEX, RunIndex, read_run_and_details, run_folders
 from bench.solve.agreement import agreement, compare_runs

@@ -5,7 +5,8 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
-from bench.record.run_facts import Estimate, IndexedRun, parameters_data
+from bench.record.coverage import Estimate, parameters_data
+from bench.record.run_facts import IndexedRun
 from bench.report.batch_page import render_batch
 from bench.solve.trends import by_camera, fit_slope, trends_of
 from tests.unit.bench.report.structure import Structure

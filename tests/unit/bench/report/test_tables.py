@@ -9,7 +9,7 @@ import pytest
 from certificate_sample import sample_results
 from report_sample import SMALL, sample
 
-from bench.extras.certificate.run_facts import further_of, results_of
+from bench.extras.certificate.facts_of_run import further_of, results_of
 from bench.report.calibration_tables import (
     amplitude_rows,
     budget_rows,

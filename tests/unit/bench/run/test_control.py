@@ -15,9 +15,10 @@ from bench.base.errors import RunFolderError, StorageError
 from bench.record import inbox as inbox_module
 from bench.record.events import Entering, Event
 from bench.record.folder_lock import is_locked
-from bench.record.history import Attempt, History, RunLog, replay
+from bench.record.history import Attempt, History, replay
 from bench.record.journal import Journal, read_journal
 from bench.record.run_folder import RunFolder
+from bench.record.run_log import RunLog
 from bench.run.control import CONTROL, Command, CommandInbox, command_text, refusal, send
 
 POSES = {1: "left", 2: "right", 3: "below"}

@@ -8,7 +8,7 @@ import pytest
 
 from bench.base.clock import Interrupted, VirtualClock
 from bench.run.interlocks import CameraTemperature, DiskSpace, Door, EventRate, Interlocks
-from bench.run.run_devices import interlocks_of
+from bench.run.run_context import interlocks_of
 from bench.stations.station import Station
 from bench.stations.station_fields import (
     CameraTemperatureConfig,

@@ -6,8 +6,9 @@ import pytest
 from rehearsed import TWO, Scene
 
 from bench.commands.run import show_run
+from bench.record.device_end import DEVICES, NOT_ASKED
 from bench.record.events import Event
-from bench.record.history import DEVICES, NOT_ASKED, replay
+from bench.record.history import replay
 from bench.record.journal import Journal, read_journal
 from bench.report import run_tables
 from bench.run.run_devices import NOT_REOPENED

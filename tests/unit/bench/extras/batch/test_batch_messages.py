@@ -11,9 +11,9 @@ from bench.commands.batch import show_summary
 from bench.extras.batch.batch_messages import BatchMessages
 from bench.extras.batch.messages import Message, Outbox, channels_of
 from bench.extras.batch.supervisor import WorkerEnd
-from bench.record.history import DeviceEnd
+from bench.record.coverage import Estimate
+from bench.record.device_end import DeviceEnd
 from bench.record.journal import Journal
-from bench.record.run_facts import Estimate
 from bench.record.summaries import newest_place
 from bench.solve.agreement import agreement
 from bench.solve.trends import Trend

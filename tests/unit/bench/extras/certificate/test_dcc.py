@@ -15,6 +15,7 @@ from bench.base.bounded_json import leaves
 from bench.base.errors import EvidenceError, UsageError
 from bench.extras.certificate import dcc_xml
 from bench.extras.certificate.certificate_data import Software
+from bench.extras.certificate.certificate_folder import require_libraries
 from bench.extras.certificate.dcc import ellipsoid_factor, number_text, plain_number, render_dcc
 from bench.extras.certificate.dcc_signature import verify_signature, without_signature
 from bench.extras.certificate.dcc_xml import (
@@ -27,7 +28,6 @@ from bench.extras.certificate.dcc_xml import (
     read_xml,
     short,
 )
-from bench.extras.certificate.issue import require_libraries
 
 
 def dcc_of(certificate):

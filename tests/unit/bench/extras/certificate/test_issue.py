@@ -15,13 +15,15 @@ from bench.base.errors import EvidenceError, RunFolderError, UsageError
 from bench.evidence.findings import SealFault
 from bench.extras.certificate import issue as issue_module
 from bench.extras.certificate import sealed_run
+from bench.extras.certificate.amend import amend
 from bench.extras.certificate.certificate_data import Software
+from bench.extras.certificate.certificate_folder import certificate_files
 from bench.extras.certificate.check import check_certificate
-from bench.extras.certificate.issue import amend, certificate_files, issue
-from bench.extras.certificate.run_facts import utc_seconds
+from bench.extras.certificate.facts_of_run import utc_seconds
+from bench.extras.certificate.issue import issue
 from bench.extras.certificate.series import Wanted, numbers, reserve
+from bench.record.conformity import conformity
 from bench.record.ledger import Ledger
-from bench.record.run_facts import conformity
 from bench.record.storage import sha256_of
 from sequences.schema import ResultLimitConfig
 from tests.unit.bench.evidence.resealed import copied as copy_of

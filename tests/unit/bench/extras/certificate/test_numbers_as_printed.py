@@ -21,7 +21,7 @@ from bench.extras.certificate.dcc import render_dcc
 from bench.extras.certificate.lab_config import LabRuleConfig
 from bench.extras.certificate.limits import passes_over_fail
 from bench.extras.certificate.pdf import draw_plots, pictures
-from bench.record.run_facts import conformity, verdict_of
+from bench.record.conformity import conformity, verdict_of
 from bench.wording.numbers import round_expanded, with_uncertainty
 from bench.wording.target_words import BOARD, STARS
 from sequences.schema import ResultLimitConfig

@@ -8,7 +8,7 @@ import cluster_work
 import pytest
 
 from bench.extras.many.processes import DaskWorkers, Processes
-from bench.extras.many.workers import Serial, TimeLeft, Work, map_work
+from bench.extras.many.workers import Serial, Work, WorkLeft, map_work
 
 
 def ends(workers, *works):
@@ -124,7 +124,7 @@ def test_closing_ends_work_in_progress():
 
 def test_the_time_left_follows_from_the_time_so_far():
     now = [100.0]
-    left = TimeLeft(lambda: now[0])
+    left = WorkLeft(lambda: now[0])
     assert left.left_s(0, 10) is None
     now[0] = 120.0
     assert left.left_s(4, 10) == 30.0

@@ -1,0 +1,76 @@
+"""Whether results keep the limits that were set for them.
+
+A limit is kept only if the value is inside by U or more: w = U (ILAC-G8:09/2019, 4.2.2 and 4.2.3; ISO 14253-1), for
+PASS or FAIL of a run as for a certificate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from decimal import Decimal
+from typing import TYPE_CHECKING
+
+from bench.record.coverage import coverage_factor
+from bench.record.results import CalibrationData, ConformityData, StatementData, Verdict
+
+if TYPE_CHECKING:
+    from sequences.schema import ResultLimitConfig
+
+
+RULE = "guard band w = U (ILAC-G8:09/2019, 4.2.2; ISO 14253-1)"
+NO_CONVERGENCE = "The optimisation did not converge."
+
+
+def verdict_of(value: str, expanded: str, lower: float | None, upper: float | None) -> Verdict:
+    """Return ``pass``, ``conditionalPass``, ``conditionalFail`` or ``fail`` for a value; None stands for no limit.
+
+    >>> [verdict_of(one, "2", 0.0, 10.0) for one in ("5", "8", "9", "10", "11", "12", "13")]
+    ['pass', 'pass', 'conditionalPass', 'conditionalPass', 'conditionalFail', 'conditionalFail', 'fail']
+    """
+    band = Decimal(expanded)
+    inside = min(
+        (Decimal(repr(upper)) - Decimal(value)) if upper is not None else Decimal("Infinity"),
+        (Decimal(value) - Decimal(repr(lower))) if lower is not None else Decimal("Infinity"),
+    )
+    if inside >= band:
+        return "pass"
+    if inside >= 0:
+        return "conditionalPass"
+    return "conditionalFail" if inside >= -band else "fail"
+
+
+def conformity(
+    calibration: CalibrationData,
+    limits: Mapping[str, Sequence[ResultLimitConfig]],
+    failed_gates: Sequence[str],
+    *,
+    checks: bool = False,
+) -> ConformityData | None:
+    """Return PASS or FAIL of a run with limits, or one that ``checks`` a calibration; ``failed_gates`` count."""
+    statements = [_statement(calibration, by, rule) for by, rules in limits.items() for rule in rules]
+    if not statements and not checks:
+        return None
+    reasons = [*([] if calibration["converged"] else [NO_CONVERGENCE])]
+    reasons += [f"The gate {name} failed." for name in failed_gates]
+    kept = all(one["verdict"] == "pass" for one in statements)
+    return {"passed": kept and not reasons, "rule": RULE, "statements": statements, "reasons": reasons}
+
+
+def _statement(calibration: CalibrationData, stated_by: str, rule: ResultLimitConfig) -> StatementData:
+    name, sigma = rule.result, calibration["sigma"]
+    values = {**calibration["camera"], **(calibration["collimator"] or {})}
+    value = expanded = None
+    verdict: Verdict = "fail"
+    if name in values and sigma.get(name, 0.0) > 0:
+        value, expanded = values[name], coverage_factor(calibration, name) * sigma[name]
+        verdict = verdict_of(repr(value), repr(expanded), rule.lower, rule.upper)
+    return {
+        "result": name,
+        "specification": rule.specification,
+        "stated_by": stated_by,
+        "lower": rule.lower,
+        "upper": rule.upper,
+        "value": value,
+        "expanded": expanded,
+        "verdict": verdict,
+    }
