@@ -1,8 +1,8 @@
 """States of a run and the edges between them; the work of each state is in `bench.run.states`.
 
 The order of calls, for a step that moves the stage: `Steps` (`bench.run.steps`) fires the trigger ``slew``. The machine
-tells its listener, the `Runner` (`bench.run.runner`), which writes ``entering`` into the journal; it changes the state and
-calls ``on_enter``, `StateWork.slewing` (`bench.run.states`), which moves the stage; last, it tells the `Runner` the end.
+tells its listener, the `Runner` (`bench.run.runner`), which writes ``entering`` into the journal. It changes the state
+and calls ``on_enter``, `StateWork.slewing` (`bench.run.states`), which moves the stage. Last, it tells the `Runner`.
 
 Only the edges in ``EDGES`` exist; none is automatic. The work runs in ``on_enter``: if it raises, the machine stays in
 that state. A change is journaled before it is made, its outcome in ``finalize_event``, which comes also after an
