@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 Pose = tuple[tuple[float, float, float], tuple[float, float, float]]
 
 #: Motion of the picture in a step of the simulation, px: for pictures, and for lines, whose times matter.
-_STEP_PX, _LINES_STEP_PX = 2.5, 1.0
+_STEP_PX, _LINES_STEP_PX = 2.5, 1.5
 _OBLIQUE_DEG = (20.0, 70.0)
 _TURN_DEG_S = 10.0
 #: A person moves across all edges: the angle to each edge is this at least, if a few tries find such a direction.
