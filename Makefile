@@ -82,7 +82,6 @@ bench: $(VENV)/installed-dev ## speeds, beside those of peers (never part of the
 table1: $(VENV)/installed-dev ## methods compared where the truth is known: about an hour of two cores; Ctrl-C, and it continues
 	@$(PIP_COMPILED) 'optiland>=0.6' || echo "note: optiland is not to be had here; the collimators of strangers are left out"
 	$(BIN)/python tests/benchmarks/bench_table1.py --jobs 2 --pictures docs/pictures --write
-	$(BIN)/python tests/benchmarks/bench_image_counts.py --jobs 2 --pictures docs/pictures --write
 
 docs: $(VENV)/installed-docs ## the documents as a site, in build/site; open build/site/index.html
 	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --quiet --doctree-dir build/doctrees docs build/site
