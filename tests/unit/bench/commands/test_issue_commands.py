@@ -121,12 +121,12 @@ def test_a_certificate_that_was_moved_or_changed_is_not_claimed_to_be_sealed(ben
 
 
 def test_the_example_is_written_and_refused_until_it_is_filled_in(bench):
-    assert "Replace every REPLACE" in run("new", "-o", "mine.yaml")
+    assert "Replace every REPLACE" in run("new", "mine.yaml")
     with pytest.raises(DocumentFaults) as found:
         run("issue", "run", "-c", "mine.yaml", "-o", "first")
     assert len(found.value.faults) > 30
     with pytest.raises(UsageError, match="already exists"):
-        run("new", "-o", "mine.yaml")
+        run("new", "mine.yaml")
     assert run("show") == "The ledger of this bench has no certificates.\n"
 
 

@@ -13,8 +13,8 @@ from certificate_sample import LAB, NOW, full_dcc, sample_results, write_sealed_
 
 from bench.base.errors import EvidenceError, RunFolderError, UsageError
 from bench.evidence.findings import SealFault
+from bench.extras.certificate import certificate_folder, sealed_run
 from bench.extras.certificate import issue as issue_module
-from bench.extras.certificate import sealed_run
 from bench.extras.certificate.amend import amend
 from bench.extras.certificate.certificate_data import Software
 from bench.extras.certificate.certificate_folder import certificate_files
@@ -304,7 +304,8 @@ def test_no_interval_is_printed_unless_the_customer_agreed(lab):
 
 @pytest.mark.parametrize("at", ["certificate_files", "write_sealed", "seal_folder", "_enter"])
 def test_killed_at_any_point_the_next_command_ends_it_with_the_same_number(lab, at):
-    with mock.patch.object(issue_module, at, side_effect=Killed), pytest.raises(Killed):
+    module = certificate_folder if at == "seal_folder" else issue_module
+    with mock.patch.object(module, at, side_effect=Killed), pytest.raises(Killed):
         lab.issue()
     assert lab.numbers() == {FIRST: "reserved"}
     whole = at == "_enter"
@@ -322,7 +323,7 @@ def test_killed_at_any_point_the_next_command_ends_it_with_the_same_number(lab, 
 
 
 def test_a_killed_command_for_another_folder_leaves_nothing_behind(lab):
-    with mock.patch.object(issue_module, "seal_folder", side_effect=Killed), pytest.raises(Killed):
+    with mock.patch.object(certificate_folder, "seal_folder", side_effect=Killed), pytest.raises(Killed):
         lab.issue("first name")
     assert (lab.path / ".first name.tmp").exists()
     assert lab.issue("second name").certificate.number == FIRST
