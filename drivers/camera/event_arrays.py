@@ -271,14 +271,18 @@ def even_pieces(pieces: Iterable[_Columns], size: int) -> Iterator[_Columns]:
     kept: list[_Columns] = []
     have = 0
     for piece in pieces:
-        kept.append(piece)
-        have += len(piece[0])
-        if have >= size:
-            joined = _joined(kept)
-            for begin in range(0, have - size + 1, size):
-                yield tuple(column[begin : begin + size] for column in joined)
-            kept = [tuple(column[have - have % size :] for column in joined)]
-            have %= size
+        length, begin = len(piece[0]), 0
+        if have:
+            begin = min(size - have, length)
+            kept.append(tuple(column[:begin] for column in piece))
+            have += begin
+            if have < size:
+                continue
+            yield _joined(kept)
+        end = length - (length - begin) % size
+        for first in range(begin, end, size):
+            yield tuple(column[first : first + size] for column in piece)
+        kept, have = [tuple(column[end:] for column in piece)], length - end
     if have:
         yield _joined(kept)
 

@@ -25,6 +25,7 @@ from typing import Any, Final
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from drivers.camera.event_arrays import Events, empty_events
 
@@ -41,6 +42,13 @@ _WORST_BYTES: Final = 24
 """Largest size of an event: 17 bytes for its time, 2 for its row, 2 for its column, 1 for its polarity, rounded up."""
 
 
+def rising(t: NDArray[np.int64], least: int) -> NDArray[np.int64]:
+    """Return times, (N,) us, of which none steps back or is below ``least``: the same array if that is so already."""
+    if not len(t) or (t[0] >= least and (t[1:] >= t[:-1]).all()):
+        return t
+    return np.maximum(np.maximum.accumulate(t), least)
+
+
 def encode(events: Events) -> bytes:
     """Compress a chunk of 1 to 65535 events, whose columns and rows have at most 11 bits; else raise `ValueError`."""
     n = len(events.t)
@@ -48,7 +56,7 @@ def encode(events: Events) -> bytes:
         raise ValueError(f"a chunk holds 1 to {MAX_EVENTS} events, not {n}")
     if max(events.x.max(), events.y.max()) > MAX_ADDRESS:
         raise ValueError(f"a column or row above {MAX_ADDRESS}")
-    t = np.maximum.accumulate(events.t)
+    t = rising(events.t, int(events.t[0]))
     out = np.zeros(_HEAD_BYTES + _WORST_BYTES * n + 64, np.uint8)
     out[4:12] = np.frombuffer(np.int64(t[0]).tobytes(), np.uint8)
     style = _best_style(events.x, events.y, events.p)
