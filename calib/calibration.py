@@ -12,6 +12,7 @@ from calib.adjustment.loss import LossName
 from calib.arrays import Array
 from calib.errors import InputMismatch
 from calib.model.camera import CameraModel, distortion_names
+from calib.model.cause import Cause
 from calib.model.collimator import Collimator
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
@@ -225,6 +226,8 @@ class Calibration:
         What the joint adjustment found out about the collimator, for `passport`; None from another engine.
     boresight
         How the camera is turned against the stage's flange; None if no readings determined it.
+    causes
+        What a person did to the bench, as far as the views show it, the most probable first.
     rotation_errors
         How the errors of the rotations follow from those of camera and collimator; None from another engine.
     """
@@ -263,6 +266,7 @@ class Calibration:
     remarks: tuple[str, ...] = ()
     boresight: Boresight | None = None
     rotation_errors: RotationErrors | None = None
+    causes: tuple[Cause, ...] = ()
 
     @property
     def engine(self) -> dict[str, str | int]:

@@ -325,11 +325,27 @@ class AttemptLost(TypedDict):
     kept: str | None
 
 
+class CauseData(TypedDict):
+    """What a person did to the bench (`calib.model.cause.Cause`)."""
+
+    kind: str
+    evidence: float  # 2 log of the odds for it
+    value: float | None
+    expanded: float | None
+    unit: str
+    stated: float | None
+    axis: str
+    before: str
+    pose: str
+    beside: Sequence[str]
+    explains: Sequence[str]
+
+
 class Solved(TypedDict):
     """Payload of ``solved``: model, convergence, rms, values and standard uncertainties by parameter.
 
     ``coverage_factors`` are the k of values that have their own; ``shared`` is the part of a standard uncertainty that
-    all runs on the bench share. An earlier version wrote neither.
+    all runs on the bench share; ``causes`` what a person did to the bench. An earlier version wrote none of them.
     """
 
     model: str
@@ -340,6 +356,7 @@ class Solved(TypedDict):
     coverage_factor: NotRequired[float]
     coverage_factors: NotRequired[Mapping[str, float]]
     shared: NotRequired[Mapping[str, float]]
+    causes: NotRequired[Sequence[CauseData]]
 
 
 class WireLogState(TypedDict):

@@ -18,6 +18,7 @@ from typing_extensions import TypedDict
 
 from bench.record.events import (
     AttemptData,
+    CauseData,
     FailureData,
     GateData,
     ImageFacts,
@@ -495,4 +496,5 @@ class Results(TypedDict):
     truth: NotRequired[Mapping[str, Any] | None]
     comparison: NotRequired[Sequence[ComparisonRow]]
     previous: NotRequired[PreviousData]
+    causes: NotRequired[Sequence[CauseData]]  # The most probable first; empty or missing if there are none
     conformity: NotRequired[ConformityData]  # Missing without limits

@@ -161,6 +161,7 @@ def _size(one: AmplitudeData) -> str:
 _VERDICTS = {
     "agrees": "Gimbal: readings and rotations agree",
     "slip": "Gimbal: an axis slipped",
+    "camera_turned": "Gimbal: the camera turned in its mount",
     "wrong_pose": "Gimbal: a pose does not fit",
     "not_square": "Gimbal: the axes are not at right angles",
     "wrong_sign": "Gimbal: the sign of an axis is wrong",

@@ -19,10 +19,12 @@ from bench.record.results import (
 )
 from bench.report.pose_tables import gates
 from bench.wording.camera_check import check_sentences
+from bench.wording.causes import sentence_of
 from bench.wording.earlier_runs import earlier_runs
 from bench.wording.goals import goals_missed
 from bench.wording.numbers import NOTHING, exact, moment, number, value_text, with_uncertainty
 from bench.wording.target_words import words_of
+from calib.model.cause import Cause
 
 Rows = list[tuple[str, str]]
 
@@ -317,10 +319,16 @@ def software(results: Results) -> list[tuple[str, str]]:
     return rows
 
 
+def causes(results: Results) -> list[str]:
+    """List what a person did to the bench, as far as the data show it, the most probable first."""
+    return [sentence_of(Cause.from_dict(one)) for one in results.get("causes", ())]
+
+
 def alerts(results: Results) -> list[str]:
     """List what a reader must know before use: doubts, gates and goals that were not met, every deviation."""
     calibration = results["calibration"]
-    doubts = [note for note in calibration["notes"] if note not in calibration["remarks"]]
+    known = {*calibration["remarks"], *causes(results)}
+    doubts = [note for note in calibration["notes"] if note not in known]
     details = [
         f"Gate {row.name}: {row.verdict} ({row.values}, limit {row.limit}; {row.count} passed)."
         for row in gates(results.get("gates") or [], words_of(results))

@@ -127,12 +127,14 @@ class Verdict:
     sentences: tuple[str, ...]
     # What to read before the values are used: gates, goals that were not met, deviations.
     reasons: tuple[str, ...]
+    # What a person did to the bench, the most probable first; it stands before all else.
+    causes: tuple[str, ...] = ()
 
 
 def verdict(results: Results) -> Verdict:
     """Return the verdict: ``fail`` if not converged, or a gate or limit failed; ``marginal`` with other reasons."""
     calibration = results["calibration"]
-    reasons = tuple(run_tables.alerts(results))
+    reasons, causes = tuple(run_tables.alerts(results)), tuple(run_tables.causes(results))
     judged = [row.verdict for row in pose_tables.gates(results.get("gates") or [])]
     if not calibration["converged"]:
         return Verdict(
@@ -140,12 +142,13 @@ def verdict(results: Results) -> Verdict:
             f"{'FAIL. ' if results.get('conformity') else ''}Not calibrated.",
             ("The optimisation did not converge: do not use the values.",),
             reasons,
+            causes,
         )
     kind, headline = "pass", "Calibrated."
     if failed := judged.count("fail"):
         kind = "fail"
         headline = f"Calibrated, but {failed} of {len(judged)} gates {'fails' if failed == 1 else 'fail'}."
-    elif reasons:
+    elif reasons or causes:
         kind, headline = "marginal", "Calibrated, with reservations."
     if found := results.get("conformity"):
         headline = f"{conformity_headline(found)} {headline}"
@@ -157,7 +160,7 @@ def verdict(results: Results) -> Verdict:
         _support(results),
         change_sentence(results),
     )
-    return Verdict(kind, headline, tuple(filter(None, sentences)), reasons)
+    return Verdict(kind, headline, tuple(filter(None, sentences)), reasons, causes)
 
 
 def _focal_lengths(calibration: CalibrationData) -> str:

@@ -15,13 +15,13 @@ from bench.measure.expected_grid import engine_angles_deg
 from bench.record.results import GimbalCheckData, GimbalFaultData, GimbalPairs, HalvesData, MountFaceData
 from bench.stations.station import Station
 from bench.stations.station_budget import GimbalConfig
+from calib.diagnosis.gimbal_faults import GimbalFault
+from calib.diagnosis.gimbal_model import PairRatios
+from calib.diagnosis.hand_eye import check_hand_eye
 from calib.engine import Calibration, CalibrationOptions
 from calib.errors import CalibrationError
 from calib.model.gimbal_readings import AXES
 from calib.studies.camera_check import split_half
-from calib.studies.gimbal_faults import GimbalFault
-from calib.studies.gimbal_model import PairRatios
-from calib.studies.hand_eye import check_hand_eye
 from calib.studies.parallax import Parallax, PupilWalk, pupil_walk
 from calib.view import View
 

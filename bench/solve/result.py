@@ -8,36 +8,36 @@ The truth of a simulated world is used only at the end, for a comparison, after 
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from bench.base.bounded_json import canonical_json
 from bench.base.errors import BenchError
-from bench.evidence.seal import read_manifest
 from bench.measure.camera_kinds import EventKind, FrameKind
 from bench.measure.kept_views import KeptViews, view_key
 from bench.measure.measure import Measurement
 from bench.measure.views_file import VIEWS, StoredView, views_file
 from bench.plan.job import Job
 from bench.record.coverage import coverage_factor
-from bench.record.events import Solved
+from bench.record.events import CauseData, Solved
 from bench.record.history import History
 from bench.record.ledger import Ledger, bench_ledger
 from bench.record.ledger_marks import LedgerRun
 from bench.record.recovery import EXPORTS
 from bench.record.results import CameraData, ChangeData, PreviousData, Results
-from bench.record.run_folder import MANIFEST, REPORT, RESULTS, RunFolder
+from bench.record.run_folder import REPORT, RESULTS, RunFolder
 from bench.record.run_log import RunLog
 from bench.record.stored_calibration import camera_covariance
-from bench.record.stored_run import object_of
 from bench.report.html import ReportData, render_report
 from bench.report.pictured_poses import pictured_poses
 from bench.report.pose_plot import change_maps
+from bench.solve.causes import causes_of_run
+from bench.solve.earlier_runs import NotComparableError, earlier_runs, last_results, read_sealed
 from bench.solve.exports import exports
 from bench.solve.results_content import results_content
 from bench.solve.software import run_software
@@ -94,7 +94,15 @@ class ResultWriter:
         """Calibrate from the accepted recordings; ``check`` is called between pieces of work, and raises to stop."""
         keep_views_of_run(self._job, history, measured)
         self._solution = solve_run(self._job, self._folder.path, step, history, measured, check)
-        return main_numbers(self._solution.calibration)
+        solved = main_numbers(self._solution.calibration)
+        causes = causes_of_run(
+            self._job, history, self._solution.calibration, partial(self._last_results, history)
+        )
+        return {**solved, "causes": [cast("CauseData", one.to_dict()) for one in causes]}
+
+    def _last_results(self, history: History) -> Results | None:
+        """Return the results of the last run of this sequence with this camera; None if there is none."""
+        return last_results(bench_ledger(), history.ledger, str(history.started["sequence"]))
 
     def write(self, log: RunLog, truth: Mapping[str, Any] | None) -> None:
         """Write results.json, views.h5, exports and the report; a real bench has no ``truth``."""
@@ -141,13 +149,6 @@ def shown_files(
     return {**files, REPORT: render_report(ReportData(results, pictures, head)).encode()}
 
 
-class _NotComparableError(Exception):
-    """Why an earlier calibration cannot be compared, as the end of a sentence."""
-
-
-_MOST_READ = 20
-"""Runs whose results are read before the search is given up."""
-_LARGEST_BYTES = 100_000_000
 FIRST = "This is the first calibration of this camera on this bench."
 
 
@@ -158,63 +159,34 @@ def previous_calibration(
     if not place:
         return None
     try:
-        runs = ledger.runs()
+        earlier = earlier_runs(ledger, place)
     except BenchError as error:
         return {"run": None, "why_not": f"The ledger of this bench cannot be read: {error.what}"}
-    own = next((run for run in runs if run.number == place.get("number")), None)
-    if own is None:
+    if earlier is None:
         return None
-    earlier = [
-        run
-        for run in runs[: own.number - 1]
-        if (run.camera, run.simulated) == (own.camera, own.simulated) and run.how == "finished" and run.seal
-    ]
     if not earlier:
         return {"run": None, "why_not": FIRST}
     why = ""
-    for run in list(reversed(earlier))[:_MOST_READ]:
+    for run in earlier:
         try:
-            return _compared(run, *_read(Path(run.folder), run.seal or ""), results)
-        except _NotComparableError as error:
+            return _compared(run, *read_sealed(Path(run.folder), run.seal or ""), results)
+        except NotComparableError as error:
             why = why or f"The last calibration of this camera, {run.run_id}, cannot be compared: {error}"
     return {"run": None, "why_not": why}
-
-
-def _read(folder: Path, seal: str) -> tuple[Results, str]:
-    """Read sealed results, with the hash of their file; ledger, seal and file must agree."""
-    try:
-        manifest = (folder / MANIFEST).read_bytes()
-        if _sha256(manifest) != seal:
-            raise _NotComparableError("its folder has another seal than the ledger.")
-        listed = read_manifest(manifest).get(RESULTS)
-        if listed is None:
-            raise _NotComparableError("it has no result.")
-        data = b"" if (folder / RESULTS).stat().st_size > _LARGEST_BYTES else (folder / RESULTS).read_bytes()
-        if _sha256(data) != listed:
-            raise _NotComparableError("its results were changed after sealing.")
-        return object_of(data, folder / RESULTS), listed
-    except OSError as error:
-        raise _NotComparableError("its folder cannot be read.") from error
-    except (BenchError, ValueError) as error:
-        raise _NotComparableError("its results are not readable.") from error
-
-
-def _sha256(data: bytes) -> str:
-    return hashlib.sha256(data).hexdigest()
 
 
 def _refuse_other_camera(found: Results, results: Results) -> None:
     """Refuse a result whose images, lens or lens model are others."""
     then, now = found["calibration"], results["calibration"]
     if not then["converged"]:
-        raise _NotComparableError("it did not converge.")
+        raise NotComparableError("it did not converge.")
     if list(then["image_size"]) != list(now["image_size"]):
-        raise _NotComparableError("its images had another size.")
+        raise NotComparableError("its images had another size.")
     if is_fisheye(then["camera"]) != is_fisheye(now["camera"]):
-        raise _NotComparableError("it used another kind of lens model.")
+        raise NotComparableError("it used another kind of lens model.")
     lens, own = ((one.get("devices") or {}).get("camera", {}).get("lens") for one in (found, results))
     if lens != own:
-        raise _NotComparableError(f"the camera had another lens: {lens or 'not stated'}.")
+        raise NotComparableError(f"the camera had another lens: {lens or 'not stated'}.")
 
 
 def _compared(run: LedgerRun, found: Results, sha256: str, results: Results) -> PreviousData:
@@ -223,9 +195,9 @@ def _compared(run: LedgerRun, found: Results, sha256: str, results: Results) -> 
         _refuse_other_camera(found, results)
         covariance = camera_covariance(found["calibration"])
     except (KeyError, TypeError, AttributeError) as error:
-        raise _NotComparableError("its results are not readable.") from error
+        raise NotComparableError("its results are not readable.") from error
     if covariance is None:
-        raise _NotComparableError("its uncertainties are not complete.")
+        raise NotComparableError("its uncertainties are not complete.")
     then, run_of, conditions = found["calibration"], found["run"], found.get("conditions")
     earlier: CameraData = {
         "image_size": list(then["image_size"]),

@@ -124,6 +124,7 @@ def results_content(
         "gates": gates,
         **({"conformity": judged_limits} if judged_limits is not None else {}),
         **of_journal,
+        "causes": list(history.solved.get("causes", ())),
         "truth": dict(truth) if truth is not None else None,
         "comparison": compare_with_truth(calibration, truth) if truth is not None else [],
     }

@@ -261,13 +261,15 @@ def _approached(problem: Problem, start: State, views: Sequence[View], options: 
                     adjust, options=replace(options, passport=None), pupil=problem.bench.layout.bench.pupil
                 )
                 shifted = find_shifted_ids(alone, views, options.max_iterations, again).words
-                seen = f"{near.shared[free.bench.layout.index['r']]:.3g} mm"
+                r_mm = float(near.shared[free.bench.layout.index["r"]])
+                why = shifted or (
+                    f"The pitch of the target is probably {stated / r_mm:.3g} times the stated one, or another target "
+                    "is in the collimator. A certificate of another collimator looks the same."
+                )
                 raise InputMismatch(
-                    f"The certificate of the collimator says {stated:.6g} mm; the views alone show about {seen}. "
-                    f"{shifted}".strip(),
-                    remedy=""
-                    if shifted
-                    else "Give the certificate of the collimator that was used, or leave it out.",
+                    f"The certificate of the collimator says {stated:.6g} mm; the views alone show about {r_mm:.3g} "
+                    f"mm. {why}",
+                    remedy="" if shifted else "Check pitch and target, then the certificate.",
                 )
     except (NotConverged, np.linalg.LinAlgError):
         return approached(problem, start, equations, options.max_iterations)

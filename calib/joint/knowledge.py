@@ -32,6 +32,7 @@ from calib.joint.effects.gimbal import GimbalErrors
 from calib.joint.fields import FieldBasis
 from calib.joint.layout import Layout
 from calib.model import result_parts as rows
+from calib.model.cause import PARALLAX
 from calib.model.gimbal import MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
@@ -61,7 +62,7 @@ CHANGED_AXIS, CHANGED_RADIUS = (
 )
 CHANGED_RADIAL = "change of the radial errors since the passport"
 CHANGED_FIELD = "size of irregular changes since the passport"
-SCALE_OF, PARALLAX, ORTHOGONAL = "scale of {}", "pupil and defocus", "axes at a right angle"
+SCALE_OF, ORTHOGONAL = "scale of {}", "axes at a right angle"
 ASPECT, READINGS = "square pixels", "readings of the gimbal"
 STEADY = "steady focal length"
 

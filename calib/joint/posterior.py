@@ -281,6 +281,21 @@ def _modes(optimum: Optimum) -> tuple[Array, list[Node]]:
     return curvature, [first, *_others(optimum, curvature), *_faults(optimum, curvature, first)]
 
 
+def probable_faults(optimum: Optimum, *, relative: bool = False) -> dict[str, float]:
+    """Return the probability of a fault of each statement at an optimum, and under the empty name that of none.
+
+    ``relative``: weights against none instead, and under the empty name their sum with that of none.
+    """
+    modes = _modes(optimum)[1]
+    whole = sum(mode.weight for mode in modes)
+    found = {"": whole} if relative else {"": sum(mode.weight for mode in modes if not mode.faults) / whole}
+    for mode in modes:
+        for name, fault in mode.faults:
+            if fault != FOCAL:
+                found[name] = found.get(name, 0.0) + mode.weight / (1.0 if relative else whole)
+    return found
+
+
 def _mixture(optimum: Optimum, curvature: Array, modes: Sequence[Node]) -> Posterior:
     lower: Array = np.asarray(np.linalg.cholesky(curvature), np.float64)
     whole = sum(mode.weight for mode in modes)

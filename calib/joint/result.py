@@ -15,6 +15,7 @@ from calib.diagnosis.gross_stars import GrossStars, used_stars
 from calib.joint import amplitudes as amp
 from calib.joint.boresight import boresight
 from calib.joint.budget import budget_rows, row_gradients, variances
+from calib.joint.causes import find_causes
 from calib.joint.effects.collimator import CENTRE, COMMON_PLACES, FIELD, RADIAL
 from calib.joint.effects.gimbal import ENCODER
 from calib.joint.equations import State, ViewStars, robust_weights
@@ -44,7 +45,7 @@ def calibrate_jointly(
     views: Sequence[View], options: CalibrationOptions, wrong: Sequence[GrossStars]
 ) -> Calibration:
     """Return the result; wrong stars take no part, nor do readings of the gimbal that contradict the stars."""
-    used = used_stars(views, options.guard_band, wrong)
+    used, stated = used_stars(views, options.guard_band, wrong), options
     kept = [view if own.all() else view.part(own) for view, own in zip(views, used, strict=True)]
     found = posterior_of(kept, options)
     shifted = shifted_ids(found.optimum, kept, options)
@@ -63,6 +64,8 @@ def calibrate_jointly(
         shifted = shifted if shifted.words else shifted_ids(found.optimum, kept, options)
     require_determined(found, kept, parameters, options, shifted.words)
     result = _calibration(found, views, used, parameters, gimbal)
+    causes = () if shifted.words else find_causes(result, found, kept, stated)
+    result = replace(result, causes=causes)
     other = "" if shifted.words else find_other_origins(found.optimum, kept)
     return replace(result, notes=(*filter(None, (shifted.words, other)), *notes(result, found)))
 

@@ -27,12 +27,13 @@ from calib.joint.effects.by_turn import ASIDE
 from calib.joint.effects.collimator import CENTRE, RADIAL
 from calib.joint.effects.effect import Places
 from calib.joint.effects.gimbal import GimbalErrors
-from calib.joint.knowledge import DOUBTED, FAULTS, ODDS, PARALLAX, WRONG, Statement
+from calib.joint.knowledge import DOUBTED, FAULTS, ODDS, WRONG, Statement
 from calib.joint.places import narrowed
 from calib.joint.posterior import Innovation, OtherWay, Posterior, posterior
 from calib.joint.prior import block_diagonal
 from calib.joint.solve import Optimum, value_as_weighed
 from calib.joint.wrong_views import ShiftedIds, find_shifted_ids
+from calib.model.cause import PARALLAX
 from calib.view import View
 
 #: From this 2 log of the odds by the discs on, one way has a probability of less than 2 %, and is left out. The stars

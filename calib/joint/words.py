@@ -14,16 +14,16 @@ from calib.adjustment.parameters import (
 )
 from calib.calibration import Calibration, CalibrationOptions
 from calib.errors import DegenerateViews, NotConverged
+from calib.joint.causes import SCATTER
 from calib.joint.knowledge import CERTIFICATE, DOUBTED, FOCAL, READINGS
 from calib.joint.posterior import Posterior
 from calib.model import result_parts as rows
+from calib.model.cause import PARALLAX, cause_sentence
 from calib.model.gimbal import MOUNTING
 from calib.model.result_parts import Witness
 from calib.model.rotation import exp_map
 from calib.view import View
 
-#: Readings that scatter this many times more than stated are named.
-_SCATTER = 2.0
 _WEAK_FOCAL_SIGMA = 0.01
 #: Which length a certificate states is open if the less probable one has this share: U covers 95.45 %.
 _OPEN = 0.05
@@ -96,17 +96,19 @@ def _free_unknown(found: Posterior, at: int) -> str:
 
 def notes(result: Calibration, found: Posterior) -> tuple[str, ...]:
     """Return what a reader must know: weak geometry, statements that others contradict, readings that scatter."""
-    named = [one for one in result.witnesses if one.name != READINGS and one.fault_probability >= DOUBTED]
+    explained = {name for cause in result.causes for name in cause.explains}
+    named = [
+        one
+        for one in result.witnesses
+        if one.name not in {READINGS, *explained} and one.fault_probability >= DOUBTED
+    ]
     named.sort(key=lambda one: (-one.fault_probability, -abs(one.innovation)))
     together = "" if len(named) < 2 else _TOGETHER
-    sentences = [_lens(found) or _weakness(result, found), *map(_doubt, named), together]
-    sentences += [
-        _length(found),
-        _denied(found),
-        _readings(result),
-        _expected(result, found),
-        _contradiction(result),
-    ]
+    sentences = [*map(cause_sentence, result.causes), _lens(found) or _weakness(result, found)]
+    sentences += [*map(_doubt, named), together]
+    if READINGS not in explained:
+        sentences += [_readings(result), _contradiction(result)]
+    sentences += [_length(found), "" if PARALLAX in explained else _denied(found), _expected(result, found)]
     return tuple(filter(None, sentences))
 
 
@@ -181,7 +183,7 @@ def _readings(result: Calibration) -> str:
     mounting = exp_map(np.radians([gimbal.values[name] for name in MOUNTING]))
     if mounting[2, 2] < 0:
         return _BACKWARDS
-    if gimbal.scatter < _SCATTER:
+    if gimbal.scatter < SCATTER:
         return ""
     return (
         f"The gimbal's readings scatter {gimbal.scatter:.1f} times more than stated. They entered with "

@@ -1,7 +1,7 @@
 """Views whose stars are not where they should be: ids shifted on the lattice, points with another origin.
 
 A shift of all stars of a view, on the target or in the image, is two columns of its basis. So the equations say what
-the likelihood gains by any shifts, with all unknowns and with the own fields of the poses (`ViewShifts`). Where they
+the likelihood gains by any shifts, with all unknowns and with the own fields of the poses (`AddedColumns`). Where they
 promise enough, the shifted views are adjusted, and the likelihood ratio decides.
 """
 
@@ -17,9 +17,9 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.errors import CalibrationError, NotConverged
+from calib.joint.added_columns import AddedColumns, displaced
 from calib.joint.curvature import best_amplitudes
 from calib.joint.effects.effect import Places
-from calib.joint.marginal import Marginal
 from calib.joint.solve import Optimum, search, value_as_weighed
 from calib.model.likelihood_ratio import DECISIVE, needed
 from calib.model.local_consistency import local_spacing
@@ -51,66 +51,21 @@ class ShiftedIds(NamedTuple):
     worth: float = 0.0  # 2 log of the odds of these shifts against none
 
 
-@dataclass(frozen=True)
-class ViewShifts:
-    """What the likelihood gains by a shift of each of m views, all unknowns adjusted: 2 g s - s I s."""
-
-    gradient: Array  # (2 m,) g
-    information: Array  # (2 m, 2 m) I
-
-    @classmethod
-    def of(cls, optimum: Optimum, places: Places) -> ViewShifts:
-        """Return the gains at an optimum by shifts along two ``places`` of the views' bases.
-
-        Columns that join a linear model whose posterior is known (Searle, 1971): their own information, less what the
-        own fields and the shared unknowns take up.
-        """
-        marginal, found = optimum.marginal, optimum.solution
-        equations, bench = marginal.equations, marginal.problem.bench
-        own, poses, weight = bench.layout.own.places, bench.poses, 1.0 / found.star_variance
-        rows = weight * equations.of_views[:, places]
-        basis = equations.maps @ found.step
-        basis[:, own] += found.fields
-        gradient = weight * equations.right_of_views[:, places] - (rows @ basis[poses][:, :, None])[:, :, 0]
-        direct, by_own, by_shared = rows[:, :, places], rows[:, :, own], rows @ equations.maps[poses]
-        if marginal.uses_readings:
-            turned = marginal.axes @ equations.coupling[:, :, places]
-            weighted = np.swapaxes(marginal.reading_weights(found.squares)[:, :, None] * turned, 1, 2)
-            gradient += (weighted @ marginal.readings_left(found)[:, :, None])[:, :, 0]
-            direct = direct + weighted @ turned
-            by_own, by_shared = by_own + weighted @ marginal.own_rows, by_shared + weighted @ marginal.rows
-        m, taken = len(poses), by_own @ np.swapaxes(found.own_root[poses], 1, 2)
-        shared = ((by_shared - taken @ found.between[poses]) @ found.root.T).reshape(2 * m, -1)
-        information = -shared @ shared.T
-        for v, pose in enumerate(poses):
-            for u in np.flatnonzero(poses == pose):
-                information[2 * v : 2 * v + 2, 2 * u : 2 * u + 2] -= taken[v] @ taken[u].T
-            information[2 * v : 2 * v + 2, 2 * v : 2 * v + 2] += direct[v]
-        return cls(gradient.reshape(-1), information)
-
-    def gains(self, shifts: Array) -> Array:
-        """Return (K,) by how much -2 log of the likelihood falls with (K, m, 2) shifts."""
-        flat = shifts.reshape(len(shifts), -1)
-        return np.asarray(2.0 * flat @ self.gradient - ((flat @ self.information) * flat).sum(axis=1))
+def _shifts(optimum: Optimum, places: Places) -> AddedColumns:
+    """Return what the likelihood gains by a shift of each of m views along two ``places`` of their bases: K = 2 m."""
+    m, size = len(optimum.marginal.problem.bench.poses), optimum.marginal.equations.of_views.shape[1]
+    columns = np.zeros((m, size, 2 * m))
+    for v in range(m):
+        columns[v, places, [2 * v, 2 * v + 1]] = 1.0
+    return AddedColumns.of(optimum, columns)
 
 
 def _promised(optimum: Optimum, places: Places, shifts: Array) -> float:
     """Return by how much -2 log of the likelihood falls with (m, 2) shifts and the best amplitudes then, all linear."""
-    marginal = optimum.marginal
-    problem, equations = marginal.problem, marginal.equations
-    moved = (equations.of_views[:, :, places] @ shifts[:, :, None])[:, :, 0]
-    turned = (equations.coupling[:, :, places] @ shifts[:, :, None])[:, :, 0]
-    right = equations.right_of_views - moved
-    cost = float((shifts * (moved - 2.0 * equations.right_of_views)[:, places]).sum())
-    shifted = replace(
-        equations,
-        right_of_views=right,
-        right=problem.bench.by_pose(right),
-        cost=equations.cost + cost,
-        off=equations.off - turned[: len(equations.off)],
-    )
-    there = Marginal(problem, shifted, optimum.state)
-    return _ended(optimum).solution.value - best_amplitudes(there.solve(optimum.eta), _STEPS).value
+    basis = np.zeros((len(shifts), optimum.marginal.equations.of_views.shape[1]))
+    basis[:, places] = shifts
+    there = displaced(optimum, basis).solve(optimum.eta)
+    return _ended(optimum).solution.value - best_amplitudes(there, _STEPS).value
 
 
 @dataclass(frozen=True)
@@ -210,7 +165,7 @@ def _shifted(first: Optimum, best: _Moved, pitch: float, rounds: int) -> list[_M
     hypotheses = tried[open_views].reshape(-1, count, 2)
     places = layout.pose.shifts
     steps = (hypotheses - best.shifts) * pitch / layout.basis.reference[2]
-    gains = ViewShifts.of(best.optimum, places).gains(steps)
+    gains = _shifts(best.optimum, places).gains(steps.reshape(len(steps), -1))
     gains[~steps.any(axis=(1, 2))] = -np.inf
     found = []
     for k in np.argsort(-gains)[:_ADJUSTED]:
@@ -270,7 +225,7 @@ def find_other_origins(optimum: Optimum, views: Sequence[View]) -> str:
     if len(views) < 3:
         return ""
     places = np.array([optimum.marginal.problem.bench.layout.index[name] for name in ("cx", "cy")])
-    shifts = ViewShifts.of(optimum, places)
+    shifts = _shifts(optimum, places)
     ratio, shift = max((_joined(shifts, by) for by in (HALF_PX, -HALF_PX)), key=lambda one: one[0])
     if ratio < 0.0:
         return ""
@@ -292,7 +247,7 @@ def find_other_origins(optimum: Optimum, views: Sequence[View]) -> str:
     )
 
 
-def _joined(shifts: ViewShifts, by: float) -> tuple[float, Array]:
+def _joined(shifts: AddedColumns, by: float) -> tuple[float, Array]:
     """Return 2 log(likelihood ratio) of the best group of views, beyond what is needed, and the (m, 2) shifts, px."""
     views = len(shifts.gradient) // 2
     shift, best = np.zeros((views, 2)), (-np.inf, np.zeros((views, 2)))
@@ -300,7 +255,7 @@ def _joined(shifts: ViewShifts, by: float) -> tuple[float, Array]:
         tried = np.array(
             [np.where(np.eye(views)[i][:, None] > 0, by, shift) for i in range(views) if not shift[i, 0]]
         )
-        gains = shifts.gains(tried)
+        gains = shifts.gains(tried.reshape(len(tried), -1))
         shift = tried[gains.argmax()]
         ratio = float(gains.max()) - needed(2 * math.comb(views, size))
         best = max(best, (ratio, shift), key=lambda one: one[0])

@@ -9,6 +9,9 @@ import numpy as np
 
 from calib.arrays import Array
 
+#: Arc seconds in a radian.
+ARCSEC = 3600.0 * 180.0 / np.pi
+
 
 def skew(vectors: Array) -> Array:
     """Return the (..., 3, 3) matrices [v]x, with [v]x w = v x w (Hartley and Zisserman, 2004, appendix 4)."""

@@ -21,8 +21,7 @@ from calib.errors import DegenerateViews, InputMismatch
 from calib.model.camera import CameraModel
 from calib.model.collimator import CENTRE
 from calib.model.result_parts import RotationErrors
-from calib.model.rotation import exp_map, log_map, nearest_rotation
-from calib.uncertainty.projection_uncertainty import ARCSEC
+from calib.model.rotation import ARCSEC, exp_map, log_map, nearest_rotation
 
 #: A camera from other views, and the covariance of its values; None holds them.
 StatedCamera = tuple[CameraModel, Array | None]

@@ -14,9 +14,8 @@ import numpy as np
 
 from calib.arrays import Array, Bools
 from calib.model.camera import CameraModel
-from calib.model.rotation import exp_map, skew
+from calib.model.rotation import ARCSEC, exp_map, skew
 
-ARCSEC = 3600.0 * 180.0 / np.pi
 URAD_PER_ARCSEC = 1e6 / ARCSEC
 _TURNS = 10
 

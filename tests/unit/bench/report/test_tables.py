@@ -22,10 +22,10 @@ from bench.report.calibration_tables import (
 from bench.report.html import ReportData, render_report
 from bench.report.run_tables import boresight_rows, inputs, passport_rows, readings_rows
 from bench.wording.numbers import NOTHING
+from calib.diagnosis.hand_eye_verdict import VerdictKind
 from calib.model.result_parts import COMMON_FIELD as COMMON_ERRORS
 from calib.model.result_parts import Boresight
 from calib.model.rotation import exp_map
-from calib.studies.hand_eye_verdict import VerdictKind
 from tests.support.printed_text import printed_text
 
 # ---------------------------------------------------------------- the uncertainty budget

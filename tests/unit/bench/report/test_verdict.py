@@ -4,6 +4,7 @@ import copy
 
 from bench.report.html import render_report
 from bench.report.verdict import change, verdict
+from calib.model.cause import FOCUSED, Cause, cause_sentence
 
 
 def told(data, **more):
@@ -82,3 +83,17 @@ def test_a_change_beyond_its_uncertainty_is_told_with_its_size(data):
     assert (fx["name"], fx["change"]) == ("fx", ("21.5", "6.0"))  # U = hypot(4.26, 4.26)
     assert (fx["normalised"], fx["verdict"]) == ("3.57", "marginal")
     assert {row["normalised"] for row in others} == {"0.00"}
+
+
+def test_what_a_person_did_stands_first_once_and_a_right_result_is_not_called_good(data):
+    cause = Cause(FOCUSED, 80.0, 0.14, 0.002, "%", before="left", pose="right")
+    sentence = cause_sentence(cause)
+    results = copy.deepcopy(dict(data.results)) | {"causes": [cause.to_dict()]}
+    results["calibration"] |= {"notes": [sentence]}
+    found = told(type(data)(results))
+    assert (found.kind, found.headline) == ("marginal", "Calibrated, with reservations.")
+    assert (found.causes, found.reasons) == ((sentence,), ())
+    page = render_report(type(data)(results))
+    assert page.index("The focal length is 0.1400 ± 0.0020 % (k = 2) longer after the pose") < page.index(
+        "4.3 px"
+    )

@@ -1,4 +1,4 @@
-"""Search for faults of a gimbal: an axis that slipped, a single wrong pose, axes that are not at right angles.
+"""Search for faults of a gimbal: a slipped axis, a camera that turned in its mount, a wrong pose, axes not square.
 
 A fault is found if the likelihood ratio decides for it, whatever the number of places where it was looked for. Two
 faults are also looked for together, because each can hide the other.
@@ -25,8 +25,8 @@ import numpy as np
 from scipy import linalg, special
 
 from calib.arrays import Array
+from calib.diagnosis.gimbal_model import Fault, FaultKind, GimbalFit, GimbalModel, fit_at, refine
 from calib.model.likelihood_ratio import DECISIVE, needed
-from calib.studies.gimbal_model import Fault, FaultKind, GimbalFit, GimbalModel, fit_at, refine
 
 #: Prior of each parameter of a fault: Cauchy, half of all are larger than this, because sizes differ by orders of
 #: magnitude.
@@ -240,8 +240,10 @@ def _places(count: int, axes: tuple[int, ...]) -> list[Fault]:
     if count < _FEWEST:
         return []
     square = [Fault("squareness")] if {0, 1} <= set(axes) else []
-    slips = [Fault("slip", axis, first) for axis in axes for first in range(2, count - 1)]
-    return [*square, *slips, *(Fault("pose", pose=pose) for pose in range(count))]
+    steps = range(2, count - 1)  # before and after, two poses or more: a step at an end is one wrong pose
+    slips = [Fault("slip", axis, first) for axis in axes for first in steps]
+    turns = [Fault("mount", pose=first) for first in steps]
+    return [*square, *slips, *turns, *(Fault("pose", pose=pose) for pose in range(count))]
 
 
 def _cost(faults: Sequence[Fault], cost: Mapping[Fault, float]) -> float:

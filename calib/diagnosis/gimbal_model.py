@@ -20,7 +20,7 @@ from typing import Literal
 import numpy as np
 from scipy import linalg
 
-from calib.arrays import Array
+from calib.arrays import Array, Bools
 from calib.model.gimbal import Gimbal, mountings
 from calib.model.rotation import exp_map, log_map
 
@@ -35,35 +35,37 @@ _TINY = 1e-14
 _MAD = 1.4826
 
 
-FaultKind = Literal["slip", "pose", "squareness"]
+FaultKind = Literal["slip", "mount", "pose", "squareness"]
 
 
 @dataclass(frozen=True)
 class Fault:
     """A fault that a gimbal can have.
 
-    ``slip``: the readings of an axis are off by a constant from a pose on. ``pose``: one pose does not fit.
-    ``squareness``: the axes of pan and tilt are not at right angles.
+    ``slip``: the readings of an axis are off by a constant from a pose on. ``mount``: the camera turned in its mount
+    before a pose. ``pose``: one pose does not fit. ``squareness``: the axes of pan and tilt are not at right angles.
     """
 
     kind: FaultKind
     axis: int = 0  # Index of the axis that slipped
-    pose: int = 0  # Index of the first pose after the slip, or of the pose that does not fit
+    pose: int = 0  # Index of the first pose after slip or turn, or of the pose that does not fit
 
     @property
     def size(self) -> int:
-        """Number of its parameters, rad: a wrong pose has a rotation vector."""
-        return 3 if self.kind == "pose" else 1
+        """Number of its parameters, rad: a turned camera and a wrong pose have a rotation vector."""
+        return 3 if self.kind in {"mount", "pose"} else 1
+
+    def poses(self, count: int) -> Bools:
+        """Return (count,) which poses have it: all from the first one on, or the one that does not fit."""
+        numbers = np.arange(count)
+        return numbers == self.pose if self.kind == "pose" else numbers >= self.pose
 
     def columns(self, motors: Array, leaning: Array) -> Array:
         """Return (n, 3, size) derivatives of the rotations, from the axes as `Gimbal.turned` returns them."""
         if self.kind == "squareness":
             return leaning[:, :, None]
-        if self.kind == "slip":
-            return np.asarray(
-                motors[:, :, [self.axis]] * (np.arange(len(motors)) >= self.pose)[:, None, None]
-            )
-        return np.asarray(np.eye(3) * (np.arange(len(motors)) == self.pose)[:, None, None])
+        turned = motors[:, :, [self.axis]] if self.kind == "slip" else np.eye(3)
+        return np.asarray(turned * self.poses(len(motors))[:, None, None])
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,11 +99,11 @@ class GimbalModel:
         return Gimbal(non_orthogonality=square).turned(np.rad2deg(read))
 
     def errors(self, values: Array) -> Array:
-        """Return (n, 3) rotation vectors, rad, about the camera's axes by which poses do not fit."""
+        """Return (n, 3) rotation vectors, rad, about the camera's axes by which it has turned or poses do not fit."""
         errors = np.zeros((len(self.angles), 3))
         for fault in self.faults:
-            if fault.kind == "pose":
-                errors[fault.pose] = self.of(fault, values)
+            if fault.size > 1:
+                errors[fault.poses(len(errors))] += self.of(fault, values)
         return errors
 
 

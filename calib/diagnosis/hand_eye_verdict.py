@@ -1,6 +1,6 @@
 """Result of the hand-eye check, and its verdict in words: whose error it is, how large, and where.
 
-It compares nothing itself (`calib.studies.hand_eye`).
+It compares nothing itself (`calib.diagnosis.hand_eye`).
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ from typing import Literal
 import numpy as np
 
 from calib.arrays import Array, rms_length
+from calib.diagnosis.gimbal_faults import GimbalFault
+from calib.diagnosis.gimbal_model import FaultKind, PairRatios
 from calib.model.gimbal_readings import AXES
 from calib.model.likelihood_ratio import DECISIVE
-from calib.studies.gimbal_faults import GimbalFault
-from calib.studies.gimbal_model import FaultKind, PairRatios
 
 VerdictKind = Literal[
     "agrees",
     "slip",
+    "camera_turned",
     "wrong_pose",
     "not_square",
     "wrong_sign",
@@ -31,7 +32,12 @@ VerdictKind = Literal[
     "scatter",
 ]
 
-_KINDS: Mapping[FaultKind, VerdictKind] = {"slip": "slip", "pose": "wrong_pose", "squareness": "not_square"}
+_KINDS: Mapping[FaultKind, VerdictKind] = {
+    "slip": "slip",
+    "mount": "camera_turned",
+    "pose": "wrong_pose",
+    "squareness": "not_square",
+}
 #: Parallax before a real collimator imitates a scale up to about this size.
 PARALLAX = 0.015
 #: Views disagree if they differ this many times more than star noise explains.
@@ -51,7 +57,8 @@ _AMBIGUOUS = (
 class Verdict:
     """Result of the check in one name, and in plain sentences."""
 
-    # ``agrees``: readings and rotations agree. ``slip``, ``wrong_pose``, ``not_square``: a fault was found.
+    # ``agrees``: readings and rotations agree. ``slip``, ``camera_turned``, ``wrong_pose``, ``not_square``: a fault
+    # was found.
     # ``wrong_sign``: the sign of one axis is reversed. ``ambiguous``: different mountings explain the data
     # equally well. ``scale_or_parallax``: a scale that parallax can imitate. ``gimbal_scale``: a scale error of
     # the gimbal. ``views_biased``: the views contradict each other, so that scatter, or ratios that differ by axis,
@@ -171,13 +178,21 @@ def _fault(found: HandEyeCheck, fault: GimbalFault) -> tuple[VerdictKind, str]:
         more = "more" if fault.size_deg < 0 else "less"
         sentence = f"The {_name(AXES[fault.axis])} axis slipped between {before} and {after}: "
         sentence += f"after that, readings show {size} {more} than the axis turned"
+    elif fault.kind == "mount":
+        before, after = _pose(found, fault.pose - 1), _pose(found, fault.pose)
+        sentence = f"The camera turned in its mount between {before} and {after}, by {size}"
     elif fault.kind == "pose":
         pose = _pose(found, fault.pose)
         sentence = f"{pose[0].upper()}{pose[1:]} does not fit: reading and rotation differ by {size}"
     else:
         sentence = f"The axes of pan and tilt are not at right angles: they differ from it by {size}"
     if fault.rival is not None:
-        rival = {"slip": "a slipped axis", "pose": "one wrong pose", "squareness": "axes not at right angles"}
+        rival = {
+            "slip": "a slipped axis",
+            "mount": "a camera that turned in its mount",
+            "pose": "one wrong pose",
+            "squareness": "axes not at right angles",
+        }
         sentence += f"; {rival[fault.rival]} explains the data nearly as well"
     return _KINDS[fault.kind], f"{sentence}."
 

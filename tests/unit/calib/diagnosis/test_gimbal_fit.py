@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from drawn_gimbal import DrawnGimbal, draw_gimbal
 
+from calib.diagnosis.gimbal_faults import Explanation, SeenRotations
+from calib.diagnosis.gimbal_model import Fault, GimbalModel, fit_at, global_fit, refine, scales_near
+from calib.diagnosis.hand_eye import check_hand_eye
 from calib.model.gimbal import mountings
 from calib.model.rotation import exp_map
-from calib.studies.gimbal_faults import Explanation, SeenRotations
-from calib.studies.gimbal_model import Fault, GimbalModel, fit_at, global_fit, refine, scales_near
-from calib.studies.hand_eye import check_hand_eye
 
 KINDS = {
     "star noise": {},

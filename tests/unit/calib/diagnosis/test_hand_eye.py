@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from drawn_gimbal import AXES, DrawnGimbal, draw_gimbal
 
+from calib.diagnosis import gimbal_faults
+from calib.diagnosis.hand_eye import check_hand_eye
+from calib.diagnosis.hand_eye_verdict import HandEyeCheck, angle, angle_and_uncertainty
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.rotation import euler_zxy, exp_map
-from calib.studies import gimbal_faults
-from calib.studies.hand_eye import check_hand_eye
-from calib.studies.hand_eye_verdict import HandEyeCheck, angle, angle_and_uncertainty
 
 
 def quiet(seed: int, **drawn) -> DrawnGimbal:
@@ -215,11 +215,11 @@ def test_two_faults_that_hide_each_other_are_both_named():
     assert {(fault.kind, fault.pose) for fault in found.faults} == {("pose", 2), ("pose", 6)}
     readings = []
     for number, reading in enumerate(draw_gimbal(17, **NINE).readings):
-        slipped = {"pan_deg": 0.1 * (number >= 3), "tilt_deg": -0.15 * (number >= 6)}
+        slipped = {"pan_deg": 0.1 * (number >= 3), "tilt_deg": -0.15 * (number >= 5)}
         readings.append({axis: deg + slipped[axis] for axis, deg in reading.items()})
     bench = draw_gimbal(17, **NINE)
     found = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=6e-4)
-    assert {(fault.axis, fault.pose) for fault in found.faults} == {(0, 3), (1, 6)}
+    assert {(fault.axis, fault.pose) for fault in found.faults} == {(0, 3), (1, 5)}
 
 
 def test_axes_that_are_not_at_right_angles_are_measured():
@@ -324,3 +324,15 @@ def test_angles_are_degrees_from_a_tenth_on_and_arc_seconds_below():
     assert angle(0.05) == "180 arc seconds"
     assert angle_and_uncertainty(-0.30001, 0.005) == "0.300 ± 0.010 degrees (k = 2)"
     assert angle_and_uncertainty(0.01, 0.0002) == "36.0 ± 1.4 arc seconds (k = 2)"
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_camera_that_turned_in_its_mount_is_told_from_a_slipped_axis(seed):
+    bench, turn = draw_gimbal(seed, **NINE), exp_map(np.radians([0.1, -0.2, 0.15]))
+    seen = [turn @ one if k >= 4 else one for k, one in enumerate(bench.rotations)]
+    found = check_hand_eye(np.array(seen), bench.covariance, bench.readings, focal_uncertainty=6e-4)
+    assert found.verdict.kind == "camera_turned"
+    (fault,) = found.faults
+    assert (fault.kind, fault.pose, fault.rival) == ("mount", 4, None)
+    assert fault.size_deg == pytest.approx(np.linalg.norm([0.1, 0.2, 0.15]), abs=0.01)
+    assert "The camera turned in its mount between pose 4 and pose 5" in text_of(found)

@@ -1,8 +1,8 @@
 """Hand-eye check: the gimbal's readings compared with the rotations that the camera saw.
 
 The check is a witness: the readings do not enter the calibration here. It estimates how the camera is mounted, how the
-gimbal stands, and a scale of each axis that moved (`calib.studies.gimbal_model`). Faults of the gimbal are searched for
-(`calib.studies.gimbal_faults`), and the verdict names whose error it is.
+gimbal stands, and a scale of each axis that moved (`calib.diagnosis.gimbal_model`). It searches for faults
+(`calib.diagnosis.gimbal_faults`), and the verdict names whose error it is.
 
 A wrong focal length changes all seen angles by the same ratio, along all axes and in all pairs of poses. So a common
 ratio within the uncertainty of the focal length belongs to the calibration (camera or collimator), not to the gimbal.
@@ -16,13 +16,8 @@ from dataclasses import replace
 import numpy as np
 
 from calib.arrays import Array
-from calib.errors import DegenerateViews, InputMismatch
-from calib.model.gimbal_readings import AXES, ENCODER_SHARE, ONE_ANGLE_DEG, angles_of
-from calib.model.likelihood_ratio import DECISIVE
-from calib.model.rotation import log_map
-from calib.one_thread import on_one_thread
-from calib.studies.gimbal_faults import Explanation, SeenRotations, search_faults
-from calib.studies.gimbal_model import (
+from calib.diagnosis.gimbal_faults import Explanation, SeenRotations, search_faults
+from calib.diagnosis.gimbal_model import (
     GimbalFit,
     GimbalModel,
     first_scales,
@@ -30,8 +25,12 @@ from calib.studies.gimbal_model import (
     pair_ratios,
     scales_near,
 )
-from calib.studies.hand_eye_verdict import HandEyeCheck
-from calib.uncertainty.projection_uncertainty import ARCSEC
+from calib.diagnosis.hand_eye_verdict import HandEyeCheck
+from calib.errors import DegenerateViews, InputMismatch
+from calib.model.gimbal_readings import AXES, ENCODER_SHARE, ONE_ANGLE_DEG, angles_of
+from calib.model.likelihood_ratio import DECISIVE
+from calib.model.rotation import ARCSEC, log_map
+from calib.one_thread import on_one_thread
 
 _MIN_VIEWS = 3
 _MOVED_DEG = 0.5

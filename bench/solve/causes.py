@@ -1,0 +1,191 @@
+"""What a person did to the bench, as far as a run shows it: causes of the engine, and those that expectations show.
+
+An expectation is what the station expects, and what the last run of the same sequence with this camera had.
+"""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+from bench.measure.expected_grid import engine_angles_deg
+from bench.plan.job import Job
+from bench.record.events import ImageFacts, LightSettingsData
+from bench.record.history import History
+from bench.record.results import Results
+from bench.solve.forecasts import forecast_bench
+from bench.wording import causes as kinds
+from calib.calibration import Calibration
+from calib.errors import CalibrationError
+from calib.model.cause import LARGEST_EVIDENCE, Cause
+from calib.model.likelihood_ratio import DECISIVE
+from calib.studies.predicted_views import predicted_view
+
+#: A lens has the focal length that its station expects to this share (1 sigma): makers state it to 5 %, and a station
+#: may round it.
+_FOCAL_SHARE = 0.05
+#: From run to run of one bench, the number of stars and the residuals vary by these shares (1 sigma), and the events of
+#: an edge by the third; an aperture closed by two stops makes them half, twice, and less than half.
+_STARS_SHARE, _RESIDUAL_SHARE, _EVENTS_SHARE = 0.05, 0.15, 0.12
+#: What a station expects is known less well than what a run had: the share of stars, and of their noise (1 sigma).
+_EXPECTED_STARS, _EXPECTED_NOISE = 0.12, 0.4
+#: Settings of a light are others if they differ by more than this share.
+_SAME_SETTING = 0.01
+#: A computer that is this late at once, s, has slept or was stopped: load alone makes a tenth of it.
+_STOOD_STILL_S = 10.0
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """What the accepted recordings of a run showed, by name of the pose."""
+
+    stars: Mapping[str, int]
+    events_per_edge: Mapping[str, float]
+    rms_px: float
+    light: LightSettingsData
+
+    def of_poses(self, number: Mapping[str, float], other: Mapping[str, float]) -> tuple[float, float] | None:
+        """Return the medians of a number and of another one over the poses that both have; None without any."""
+        same = [name for name in number if name in other and other[name] > 0]
+        if not same:
+            return None
+        return tuple(statistics.median(one[name] for name in same) for one in (number, other))  # type: ignore[return-value]
+
+
+def causes_of_run(
+    job: Job, history: History, calibration: Calibration, earlier: Callable[[], Results | None]
+) -> list[Cause]:
+    """Return what a run shows that a person did, the most probable first."""
+    seen = _seen_in(history, calibration)
+    last = earlier()
+    causes = [*calibration.causes, *_other_lens(job, calibration), *_stood_still(history)]
+    causes += _against_last(seen, last) if last is not None else _against_station(job, calibration, seen)
+    return sorted(causes, key=lambda one: -one.evidence)
+
+
+def _seen_in(history: History, calibration: Calibration) -> _Seen:
+    accepted = history.accepted().values()
+    images = {one.pose_name: one.measured.get("image") for one in accepted}
+    return _Seen(
+        {one.name: one.n for one in calibration.views},
+        _events(images),
+        calibration.rms_px,
+        next((one.stored["light"] for one in reversed(list(accepted))), LightSettingsData()),
+    )
+
+
+def _seen_before(results: Results) -> _Seen:
+    poses = [pose for pose in results.get("poses", ()) if pose["stars"]]
+    conditions = results.get("conditions")
+    return _Seen(
+        {pose["name"]: pose["stars"] for pose in poses},
+        _events({pose["name"]: pose["image"] for pose in poses}),
+        float(results["calibration"]["rms_px"]),
+        conditions["light"] if conditions else LightSettingsData(),
+    )
+
+
+def _events(images: Mapping[str, ImageFacts | None]) -> dict[str, float]:
+    """Return the events of an edge by pose, as far as they were counted."""
+    counted = {name: image.get("events_per_edge") if image else None for name, image in images.items()}
+    return {name: float(number) for name, number in counted.items() if number}
+
+
+def _evidence(ratio: float, share: float) -> float:
+    """Return 2 log of the likelihood ratio of a changed number against one that varies by a share (1 sigma)."""
+    return min((math.log(max(ratio, 1e-6)) / share) ** 2, LARGEST_EVIDENCE)
+
+
+def _other_lens(job: Job, calibration: Calibration) -> Iterator[Cause]:
+    """Yield that the focal length is not the expected one."""
+    expected = job.station.expected
+    if expected is None:
+        return
+    found = math.sqrt(calibration.camera.fx * calibration.camera.fy)
+    evidence = _evidence(found / expected.focal_px, _FOCAL_SHARE)
+    if evidence > DECISIVE:
+        u = max(calibration.U.get("fx", 0.0), calibration.U.get("fy", 0.0))
+        yield Cause(kinds.LENS, evidence, found, u, "px", expected.focal_px)
+
+
+def _stood_still(history: History) -> Iterator[Cause]:
+    """Yield that the computer stood still."""
+    longest_s = history.lateness.get("longest_s", 0.0)
+    if longest_s >= _STOOD_STILL_S:
+        yield Cause(kinds.ASLEEP, LARGEST_EVIDENCE, longest_s, unit="s")
+
+
+def _against_last(seen: _Seen, results: Results) -> Iterator[Cause]:
+    """Yield what differs from the last run: settings of the light, and stars that are fewer, or weaker, or noisier."""
+    last, run = _seen_before(results), str(results["run"]["id"])
+    yield from _other_light(seen.light, last.light, run)
+    weak = list(_weaker(seen, last, run))
+    yield from weak[:1]
+
+
+def _weaker(seen: _Seen, last: _Seen, run: str) -> Iterator[Cause]:
+    """Yield the signs of weak stars, the one that a reader knows best first."""
+    if both := seen.of_poses(seen.stars, last.stars):
+        now, then = both
+        evidence = _evidence(now / then, _STARS_SHARE)
+        if now < then and evidence > DECISIVE:
+            yield Cause(kinds.FEWER, evidence, now, unit="stars", stated=then, before=run)
+    evidence = _evidence(seen.rms_px / last.rms_px, _RESIDUAL_SHARE) if last.rms_px > 0 else 0.0
+    if seen.rms_px > last.rms_px and evidence > DECISIVE:
+        yield Cause(kinds.NOISIER, evidence, seen.rms_px, unit="px", stated=last.rms_px, before=run)
+    if both := seen.of_poses(seen.events_per_edge, last.events_per_edge):
+        now, then = both
+        evidence = _evidence(now / then, _EVENTS_SHARE)
+        if now < then and evidence > DECISIVE:
+            yield Cause(kinds.DIMMER, evidence, now, unit="events", stated=then, before=run)
+
+
+def _other_light(now: LightSettingsData, then: LightSettingsData, run: str) -> Iterator[Cause]:
+    """Yield the first setting of the light that is not that of the last run."""
+    levels = [(one.get("low_v"), one.get("high_v")) for one in (now, then)]
+    height = [None if low is None or high is None else high - low for low, high in levels]
+    settings = {
+        "frequency": (now.get("frequency_hz"), then.get("frequency_hz"), "Hz"),
+        "duty": (now.get("duty_percent"), then.get("duty_percent"), "%"),
+        "level": (height[0], height[1], "V"),
+    }
+    for name, (own, last, unit) in settings.items():
+        if own is not None and last and abs(own / last - 1.0) > _SAME_SETTING:
+            yield Cause(
+                kinds.LIGHT, 2.0 * DECISIVE, float(own), unit=unit, stated=float(last), axis=name, before=run
+            )
+            return
+
+
+def _against_station(job: Job, calibration: Calibration, seen: _Seen) -> Iterator[Cause]:
+    """Yield that the stars are fewer, or noisier, than a station expects on whose bench no run was before."""
+    expected = job.station.expected
+    if expected is None or any(_other_lens(job, calibration)):
+        return
+    if (stars := _expected_stars(job, calibration)) and seen.stars:
+        now = statistics.median(seen.stars.values())
+        evidence = _evidence(now / stars, _EXPECTED_STARS)
+        if now < stars and evidence > DECISIVE:
+            yield Cause(kinds.FEWER, evidence, now, unit="stars", stated=stars)
+            return
+    now, noise = calibration.rms_px / math.sqrt(2.0), max(expected.star_sigma_px, expected.collimator.rms_px)
+    evidence = _evidence(now / noise, _EXPECTED_NOISE)
+    if now > noise and evidence > DECISIVE:
+        yield Cause(kinds.NOISIER, evidence, now, unit="px", stated=noise)
+
+
+def _expected_stars(job: Job, calibration: Calibration) -> float | None:
+    """Return the median number of stars that the station expects of a pose of the plan."""
+    poses = {str(pose.name): engine_angles_deg(pose.angles_deg) for pose in job.plan.poses}
+    try:
+        bench = forecast_bench(job.plan)
+        stars = [
+            len(predicted_view(bench, poses[one.name], one.name)[0])
+            for one in calibration.views
+            if one.name in poses
+        ]
+    except CalibrationError:
+        return None
+    return statistics.median(stars) if stars else None

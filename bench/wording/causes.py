@@ -1,0 +1,71 @@
+"""What a person did to a bench, in one sentence: with its number, and what to do."""
+
+from __future__ import annotations
+
+from calib.model.cause import Cause, cause_sentence
+
+LENS, ASLEEP, LIGHT = "another lens", "computer stood still", "light set otherwise"
+FEWER, NOISIER, DIMMER = "fewer stars", "noisier stars", "weaker light"
+
+_WEAK = (
+    "A closed aperture, dust on lens or target, a dim lamp and a lens out of focus look the same. Check them in this "
+    "order."
+)
+
+
+def sentence_of(cause: Cause) -> str:
+    """Return a cause in words."""
+    own = _SENTENCES.get(cause.kind)
+    return own(cause) if own else cause_sentence(cause)
+
+
+def _lens(cause: Cause) -> str:
+    return (
+        f"The focal length is {cause.value:.0f} px, and the station expects {cause.stated:.0f} px: another lens is on "
+        "the camera, or expected.focal_px is wrong. Compare the lens with the station file, and correct the file."
+    )
+
+
+def _asleep(cause: Cause) -> str:
+    return (
+        f"This computer stood still for {cause.value:.0f} s during the run: it slept, or the program was stopped. "
+        "Switch its sleep mode off, and look at the recording of that time before you use the values."
+    )
+
+
+def _light(cause: Cause) -> str:
+    return (
+        f"The light's {cause.axis} was set to {cause.value:g} {cause.unit}, and to {cause.stated:g} {cause.unit} in "
+        f"run {cause.before}. If nobody meant to change it, compare the sequences and the settings of the light."
+    )
+
+
+def _fewer(cause: Cause) -> str:
+    return f"The image is weak: {cause.value:.0f} stars a pose {_instead(cause, '.0f')}. {_WEAK}"
+
+
+def _noisier(cause: Cause) -> str:
+    return f"The image is weak: the stars scatter by {cause.value:.2g} px {_instead(cause, '.2g')}. {_WEAK}"
+
+
+def _dimmer(cause: Cause) -> str:
+    return (
+        f"The light is weak: {cause.value:.2g} events an edge {_instead(cause, '.2g')}. The duty or the level of the "
+        "lamp, the aperture and dust look the same. Check them in this order."
+    )
+
+
+def _instead(cause: Cause, form: str) -> str:
+    """Return the number that was there before, or that the station expects."""
+    whose = f"as in run {cause.before}" if cause.before else "as the station expects"
+    return f"instead of {cause.stated:{form}} {whose}"
+
+
+_SENTENCES = {
+    LENS: _lens,
+    ASLEEP: _asleep,
+    LIGHT: _light,
+    FEWER: _fewer,
+    NOISIER: _noisier,
+    DIMMER: _dimmer,
+}

@@ -1,0 +1,252 @@
+"""What a person did to a bench while it recorded, or stated wrongly: hypotheses beside those of the statements.
+
+Each is weighed against the same views with the faults of statements that the engine knows, by its likelihood ratio and
+the number of places where it is looked for. A statement that is at fault only without the cause is not accused.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib.arrays import Array
+from calib.calibration import Calibration, CalibrationOptions
+from calib.diagnosis.gimbal_faults import GimbalFault
+from calib.diagnosis.gimbal_model import GimbalModel, first_scales
+from calib.diagnosis.hand_eye import check_hand_eye
+from calib.diagnosis.hand_eye_verdict import HandEyeCheck
+from calib.errors import CalibrationError
+from calib.joint.added_columns import AddedColumns, displaced
+from calib.joint.curvature import best_amplitudes
+from calib.joint.effects.collimator import CENTRE
+from calib.joint.knowledge import CERTIFICATE, DOUBTED, FOCAL, READINGS
+from calib.joint.posterior import Posterior, probable_faults
+from calib.joint.solve import Optimum
+from calib.model import cause as kinds
+from calib.model.cause import LARGEST_EVIDENCE, PARALLAX, Cause
+from calib.model.gimbal import MOUNTING
+from calib.model.gimbal_readings import AXES, GimbalReadings, angles_of
+from calib.model.likelihood_ratio import DECISIVE, needed
+from calib.model.result_parts import GimbalEstimate
+from calib.model.rotation import exp_map
+from calib.model.type_b_terms import SCALES
+from calib.view import View
+
+#: Readings that scatter this many times more than stated are looked at.
+SCATTER = 2.0
+#: An axis moved if its readings differ by more, degrees. A scale that is so far off, in its logarithm, is a wrong
+#: number of steps; the search for faults expects scales within a tenth.
+_MOVED_DEG, _FAR_SCALE = 0.5, 0.2
+#: A focus ring is touched in one calibration of a hundred.
+_RARE = 1e-2
+#: Prior 1 sigma of a step of the focal length, as a share: 2 degrees of an ordinary ring. Smaller ones than the second
+#: number may come from 3 K of aluminium.
+_STEP, _LEAST_STEP = 1e-3, 1e-4
+#: So many of the most promising places of a step are adjusted, each with so many improvements of its size.
+_TRIED, _IMPROVED = 2, 3
+_AMPLITUDE_STEPS = 20
+#: A cause that takes the place of accusations is more probable than not.
+_MORE_PROBABLE = 0.5
+#: Certificates are right to this share: beyond it, the target is wrong more often.
+_CERTIFIED = 1e-3
+
+
+def find_causes(
+    result: Calibration, found: Posterior, views: Sequence[View], stated: CalibrationOptions
+) -> tuple[Cause, ...]:
+    """Return the causes that the data show, the most probable first; ``stated`` are the options with the readings."""
+    steps = _focus_steps(found, views)
+    scale = () if steps else _other_scale(found, stated)
+    causes = (*_of_gimbal(result, stated), *steps, *scale)
+    return tuple(sorted(causes, key=lambda one: -one.evidence))
+
+
+def _focus_steps(found: Posterior, views: Sequence[View]) -> tuple[Cause, ...]:
+    """Return the step of the focal length between two views that explains them better than any fault; or none.
+
+    A step displaces focal lengths in the bases of all later views; the equations at the optimum say what that gains.
+    """
+    optimum, m = found.optimum, len(views)
+    if m < 3 or len(set(optimum.marginal.problem.bench.poses.tolist())) < 3:
+        return ()
+    at = optimum.marginal.problem.bench.layout.places(("fx", "fy"))
+    columns = np.zeros((m, optimum.marginal.equations.of_views.shape[1], m - 1))
+    for k in range(1, m):
+        columns[k:, at, k - 1] = optimum.state.shared[at]
+    gains = AddedColumns.of(optimum, columns)
+    own = np.diag(gains.information)
+    places = np.argsort(-(gains.gradient**2) / np.maximum(own, 1e-300))[:_TRIED].tolist()
+    before = _evidence(optimum)
+    best: Cause | None = None
+    for place in places:
+        cause, there = _stepped(optimum, columns[:, :, place], before, needed(m - 1) - 2.0 * math.log(_RARE))
+        if cause.evidence > (best.evidence if best else DECISIVE):
+            accused = probable_faults(there)
+            explains = [name for name, p in found.faults.items() if p >= DOUBTED > accused.get(name, 0.0)]
+            names = {"before": views[place].name, "pose": views[place + 1].name}
+            best = replace(cause, explains=tuple(explains), **names)
+    return (best,) if best else ()
+
+
+def _stepped(optimum: Optimum, column: Array, before: float, cost: float) -> tuple[Cause, Optimum]:
+    """Return a step along an (m, B) column with its evidence, and the optimum that has it."""
+    size, there, information = 0.0, optimum, 0.0
+    for _ in range(_IMPROVED):
+        added = AddedColumns.of(there, column[:, :, None])
+        information = float(added.information[0, 0])
+        size += float(added.gradient[0]) / (information + _STEP**-2)
+        solution = displaced(optimum, size * column).solve(there.eta)
+        there = replace(optimum, solution=best_amplitudes(solution, _AMPLITUDE_STEPS))
+    # What the prior of the size takes: its width, and how far the size lies in it.
+    taken = math.log1p(information * _STEP**2) + (size / _STEP) ** 2 / (1.0 + (size / _STEP) ** 2)
+    evidence = before - _evidence(there) - taken - cost + DECISIVE
+    if abs(size) < _LEAST_STEP:
+        evidence = 0.0
+    percent, sigma = 100.0 * size, 100.0 / math.sqrt(max(information, 1e-300))
+    kept = min(evidence, LARGEST_EVIDENCE)
+    return Cause(kinds.FOCUSED, kept, value=percent, expanded=2.0 * sigma, unit="%"), there
+
+
+def _evidence(optimum: Optimum) -> float:
+    """Return -2 log of the evidence at an optimum, with every fault of a statement that the engine weighs."""
+    ended = replace(optimum, solution=best_amplitudes(optimum.solution, _AMPLITUDE_STEPS))
+    return ended.solution.value - 2.0 * math.log(probable_faults(ended, relative=True)[""])
+
+
+def _other_scale(found: Posterior, stated: CalibrationOptions) -> tuple[Cause, ...]:
+    """Return the cause if the certified radius alone contradicts the views: another pitch looks the same."""
+    scales = {one.name for one in stated.budget if one.kind in SCALES}
+    witnesses = found.optimum.marginal.problem.knowledge.witnesses
+    if CERTIFICATE not in witnesses:
+        return ()
+    length = {CERTIFICATE, *scales}
+    share = sum(
+        one.weight for one in found.nodes if length & {name for name, fault in one.faults if fault != FOCAL}
+    )
+    if share < _MORE_PROBABLE:
+        return ()
+    layout, r_mm = found.optimum.marginal.problem.bench.layout, float(witnesses[CERTIFICATE].values[0])
+    row = np.zeros(len(layout.names))
+    row[layout.index[CENTRE[2]]] = 1.0
+    # A print that is larger than stated looks as one that is nearer.
+    row[layout.places([name for name in scales if name in layout.index])] = -r_mm
+    ratio = float(row @ found.mean) / r_mm
+    if abs(ratio - 1.0) < _CERTIFIED:
+        return ()
+    sigma = math.sqrt(float(row @ found.covariance @ row)) / r_mm
+    cause = Cause(kinds.SCALED, _two_log_odds(1.0 - share), value=ratio, expanded=2.0 * sigma, stated=r_mm)
+    # Small changes of the scale, parallax can imitate; then both are told together.
+    parallax = (PARALLAX,) if DOUBTED <= found.faults.get(PARALLAX, 0.0) < _MORE_PROBABLE else ()
+    return (replace(cause, beside=(CERTIFICATE, *parallax), explains=(*sorted(length), *parallax)),)
+
+
+def _two_log_odds(against: float) -> float:
+    """Return 2 log of the odds for what has a probability against it."""
+    return min(2.0 * (math.log1p(-min(against, 0.999)) - math.log(max(against, 1e-30))), LARGEST_EVIDENCE)
+
+
+def _of_gimbal(result: Calibration, stated: CalibrationOptions) -> tuple[Cause, ...]:
+    """Return what readings that contradict the stars show: a wrong sign, or faults, or else a wrong scale."""
+    readings = stated.gimbal
+    if readings is None or not _contradicts(result.gimbal) or not len(result.rotation_covariance):
+        return ()
+    if far := _far_scales(result, readings):
+        return far
+    u = result.U
+    try:
+        check = check_hand_eye(
+            result.rotations,
+            result.rotation_covariance,
+            readings.angles_deg,
+            reading_sigma_deg=readings.reading_sigma_deg,
+            scale_sigma=math.hypot(readings.scale_sigma, math.radians(readings.eccentricity_deg)),
+            focal_uncertainty=max(u[name] / result.values[name] for name in ("fx", "fy")),
+            birge_ratio=result.birge_ratio,
+            names=[view.name for view in result.views],
+        )
+    except CalibrationError:  # too few poses, or axes that did not move
+        return ()
+    if check.reversed_axes:
+        return (
+            Cause(
+                kinds.REVERSED,
+                LARGEST_EVIDENCE,
+                axis=check.reversed_axes,
+                explains=(READINGS,),
+            ),
+        )
+    if check.faults:
+        return tuple(_of_fault(check, one) for one in check.faults if one.kind in _FAULTS)
+    return _of_scale(check)
+
+
+def _contradicts(gimbal: GimbalEstimate | None) -> bool:
+    """Return whether readings contradict the stars: they did not enter, or scatter, or the camera looks backwards."""
+    if gimbal is None:
+        return False
+    mounting = exp_map(np.radians([gimbal.values.get(name, 0.0) for name in MOUNTING]))
+    return not gimbal.entered or gimbal.scatter >= SCATTER or bool(mounting[2, 2] < 0.0)
+
+
+def _far_scales(result: Calibration, readings: GimbalReadings) -> tuple[Cause, ...]:
+    """Return the axes whose scale is so wrong that no other fault is looked for, by the angles between the poses."""
+    angles = angles_of(readings.angles_deg)
+    free = tuple(np.flatnonzero(np.ptp(angles, axis=0) > _MOVED_DEG).tolist())
+    if 3 * len(angles) <= 6 + len(free) or not free:
+        return ()
+    ratios = dict(zip(free, first_scales(result.rotations, GimbalModel(angles, free)).tolist(), strict=True))
+    return tuple(
+        Cause(kinds.AXIS_SCALE, LARGEST_EVIDENCE, value=ratio, axis=_axis(AXES[k]), explains=(READINGS,))
+        for k, ratio in ratios.items()
+        if abs(math.log(ratio)) > _FAR_SCALE
+    )
+
+
+def _axis(name: str) -> str:
+    """Return the name of an axis without its unit."""
+    return name.removesuffix("_deg")
+
+
+_FAULTS = {"slip": kinds.SLIPPED, "mount": kinds.TURNED, "pose": kinds.ONE_POSE}
+
+
+def _of_fault(check: HandEyeCheck, fault: GimbalFault) -> Cause:
+    """Return a fault of the gimbal as a cause. A step at the first or last pose is one pose that does not fit."""
+    names, last = check.names, len(check.names) - 1
+    beside = {_FAULTS[fault.rival]} if fault.rival in _FAULTS else set()
+    if fault.kind == "pose" and fault.pose in (0, last):
+        beside |= {kinds.TURNED}
+    return Cause(
+        _FAULTS[fault.kind],
+        _two_log_odds(fault.probability),
+        value=fault.size_deg,
+        expanded=2.0 * fault.sigma_deg,
+        unit="degrees",
+        axis=_axis(AXES[fault.axis]) if fault.kind == "slip" else "",
+        before=names[fault.pose - 1] if fault.kind != "pose" else "",
+        pose=names[fault.pose],
+        beside=tuple(sorted(beside)),
+        explains=(READINGS,),
+    )
+
+
+def _of_scale(check: HandEyeCheck) -> tuple[Cause, ...]:
+    """Return the scale of the axis that is farthest from 1, if no parallax imitates it."""
+    if check.verdict.kind != "gimbal_scale" or not check.scale:
+        return ()
+    axis = max(check.scale, key=lambda name: abs(check.scale[name] - 1.0))
+    value, sigma = check.scale[axis], check.scale_sigma[axis]
+    evidence = min(((value - 1.0) / sigma) ** 2, LARGEST_EVIDENCE)
+    return (
+        Cause(
+            kinds.AXIS_SCALE,
+            evidence,
+            value=value,
+            expanded=2.0 * sigma,
+            axis=_axis(axis),
+            explains=(READINGS,),
+        ),
+    )

@@ -1,0 +1,49 @@
+"""Make the mistakes that people make: is the right cause named first, and is a healthy bench left alone?
+
+    python tests/benchmarks/bench_mistakes.py -o FILE [--only WORD ...] [--seeds 3] [--healthy 100] [--table] [--told]
+
+Views and readings of drawn benches (`worlds.mistakes`), nine poses, a certificate and readings with a bound. Each result
+is a line of JSON; a later run goes on. Columns: results, right cause first (or refused with the right words, or rightly
+none), silent, wrong cause first.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import measured
+from worlds.mistakes import MISTAKES, mistaken
+
+#: Seeds of healthy benches begin here, so that none is also one with a mistake.
+HEALTHY = 1000
+
+
+def main() -> None:
+    parser = measured.options(__doc__)
+    parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument(
+        "--only", nargs="+", default=[""], help="mistakes whose name holds one of these words"
+    )
+    parser.add_argument("--seeds", type=int, default=3, help="number of seeds of each mistake")
+    parser.add_argument("--healthy", type=int, default=100, help="number of benches without a mistake")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--table", action="store_true", help="print the table of the file only")
+    parser.add_argument("--told", action="store_true", help="print what is told of the first seed too")
+    given = parser.parse_args()
+    names = [name for name in MISTAKES if any(word in name for word in given.only)]
+    done = measured.kept(given.output, lambda line: (line["mistake"], line["seed"]))
+    if not given.table:
+        keys = [(name, seed) for seed in range(1, given.seeds + 1) for name in names]
+        keys += [("healthy", HEALTHY + k) for k in range(given.healthy)]
+        measured.add_missing(given.output, done, keys, mistaken, given.jobs)
+    print(f"{'mistake':42s} {'N':>3s} {'right':>5s} {'silent':>6s} {'wrong':>5s}")
+    for name in [*names, "healthy"]:
+        lines = [line for (mistake, _), line in done.items() if mistake == name]
+        right, wrong = (sum(line[what] for line in lines) for what in ("right", "wrong"))
+        print(f"{name:42s} {len(lines):3d} {right:5d} {len(lines) - right - wrong:6d} {wrong:5d}")
+        for text in lines[0]["told"] if lines and given.told else ():
+            print(f"      {text[:230]}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,151 @@
+"""What people do to a bench, at the level of views and readings, with the cause that must be named first.
+
+The benches are those of the product's own optics with drawn signs (`product`), with certificate and bounded readings.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from calib.errors import CalibrationError
+from calib.model import cause as kinds
+from calib.model.rotation import exp_map
+
+from . import product
+from .attacks import readings, shifted, statement, views
+from .bench import NINE, Bench
+from .geometry import SIZE
+from .knowledge import options_for, solve
+
+Change = Callable[[Bench, np.random.Generator], Bench]
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """Something that a person does: it changes a bench; the first cause has one of the kinds, or a refusal the word."""
+
+    change: Change
+    named: tuple[str, ...] = ()
+    refused: str = ""
+
+
+def _after(rng: np.random.Generator) -> int:
+    """Number of the first pose after the mistake: two poses or more lie before and after it."""
+    return int(rng.integers(2, len(NINE) - 2))
+
+
+def _knocked(deg: float) -> Change:
+    def change(bench: Bench, rng: np.random.Generator) -> Bench:
+        first, axis = _after(rng), rng.normal(size=3)
+        turn = exp_map(np.radians(deg) * axis / np.linalg.norm(axis))
+
+        def turned(i: int, view: Any) -> Any:
+            if i < first:
+                return view
+            px = bench.camera.project(bench.camera.rays(view.px) @ turn.T)
+            seen = ((px > 0) & (px < np.array(SIZE) - 1)).all(axis=1)
+            return replace(
+                view, ids=view.ids[seen], px=px[seen], mm=view.mm[seen], sigma_px=view.sigma_px[seen]
+            )
+
+        return views(turned)(bench)
+
+    return change
+
+
+def _ring(share: float) -> Change:
+    def change(bench: Bench, rng: np.random.Generator) -> Bench:
+        first, v = _after(rng), bench.camera.values
+        centre, factor = np.array([v["cx"], v["cy"]]), 1.0 + share
+        return views(
+            lambda i, view: replace(view, px=centre + factor * (view.px - centre)) if i >= first else view
+        )(bench)
+
+    return change
+
+
+def _pitch(factor: float) -> Change:
+    return lambda bench, _: views(lambda _i, view: replace(view, mm=factor * view.mm))(bench)
+
+
+def _slip(axis: str, deg: float) -> Change:
+    def change(bench: Bench, rng: np.random.Generator) -> Bench:
+        first = _after(rng)
+        return readings(lambda i, one: {**one, axis: one[axis] + deg * (i >= first)})(bench)
+
+    return change
+
+
+def _scale(axis: str, factor: float) -> Change:
+    return lambda bench, _: readings(lambda _i, one: {**one, axis: factor * one[axis]})(bench)
+
+
+def _one_reading(deg: float) -> Change:
+    def change(bench: Bench, rng: np.random.Generator) -> Bench:
+        at = _after(rng)
+        return readings(lambda i, one: {**one, "pan_deg": one["pan_deg"] + deg * (i == at)})(bench)
+
+    return change
+
+
+def _certificate(bench: Bench, _: np.random.Generator) -> Bench:
+    return statement(r_mm=lambda r: 1.01 * r)(bench)
+
+
+def _mirrored(bench: Bench, _: np.random.Generator) -> Bench:
+    return views(lambda _i, view: replace(view, px=[SIZE[0] - 1, 0] + view.px * [-1, 1]))(bench)
+
+
+def _rolled(bench: Bench, _: np.random.Generator) -> Bench:
+    return views(lambda _i, view: replace(view, px=np.array(SIZE) - 1 - view.px))(bench)
+
+
+def _shifted(bench: Bench, rng: np.random.Generator) -> Bench:
+    at = _after(rng)
+    return views(lambda i, view: shifted(view) if i == at else view)(bench)
+
+
+MISTAKES: Mapping[str, Mistake] = {
+    "camera knocked by 0.3 degrees": Mistake(_knocked(0.3), (kinds.TURNED,)),
+    "camera knocked by 0.05 degrees": Mistake(_knocked(0.05), (kinds.TURNED,)),
+    "focus ring turned by 3 degrees": Mistake(_ring(1.4e-3), (kinds.FOCUSED,)),
+    "focus ring touched": Mistake(_ring(-5e-4), (kinds.FOCUSED,)),
+    "pitch 4.2 instead of 4.0139 mm": Mistake(_pitch(4.2 / 4.0139), (kinds.SCALED,)),
+    "pitch 4 instead of 4.0139 mm": Mistake(_pitch(4.0 / 4.0139), (kinds.SCALED,)),
+    "another target, pitch 8 % smaller": Mistake(_pitch(1.0 / 0.92), (kinds.SCALED,)),
+    "another target, pitch 25 % larger": Mistake(_pitch(0.8), (kinds.SCALED,), "pitch"),
+    "certificate of another collimator": Mistake(_certificate, (kinds.SCALED,)),
+    "pan slips by 0.3 degrees": Mistake(_slip("pan_deg", 0.3), (kinds.SLIPPED,)),
+    "tilt slips by 0.05 degrees": Mistake(_slip("tilt_deg", 0.05), (kinds.SLIPPED,)),
+    "sign of pan": Mistake(_scale("pan_deg", -1.0), (kinds.REVERSED,)),
+    "sign of tilt": Mistake(_scale("tilt_deg", -1.0), (kinds.REVERSED,)),
+    "scale of pan 5 % off": Mistake(_scale("pan_deg", 1.05), (kinds.AXIS_SCALE,)),
+    "scale of tilt halved": Mistake(_scale("tilt_deg", 0.5), (kinds.AXIS_SCALE,)),
+    "one reading 0.2 degrees off": Mistake(_one_reading(0.2), (kinds.ONE_POSE,)),
+    "images mirrored": Mistake(_mirrored, (), "mirror"),
+    "camera upside down": Mistake(_rolled),  # which is right
+    "ids of a view shifted": Mistake(_shifted),  # a note, and no cause
+}
+
+
+def mistaken(name: str, seed: int) -> dict[str, Any]:
+    """Calibrate a bench with a mistake; ``healthy`` for none. ``right``: its cause is first, or none is named."""
+    bench = product.draw(seed, NINE)
+    mistake = MISTAKES.get(name, Mistake(lambda one, _: one))
+    changed = mistake.change(bench, np.random.default_rng((seed, 93)))
+    line: dict[str, Any] = {"mistake": name, "seed": seed}
+    try:
+        answer = solve(changed, options_for(changed, "cr", "right"))
+    except CalibrationError as error:
+        told = bool(mistake.refused and mistake.refused in str(error))
+        return {**line, "causes": [], "told": [str(error)], "right": told, "wrong": not told}
+    causes = [one.kind for one in answer.raw.causes]
+    # A cause that the data cannot tell from another is told with the other.
+    first = {causes[0], *answer.raw.causes[0].beside} if causes else set()
+    right = bool(first & set(mistake.named)) if mistake.named else not causes
+    wrong = bool(causes) and not right
+    return {**line, "causes": causes, "told": list(answer.notes), "right": right, "wrong": wrong}
