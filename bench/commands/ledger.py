@@ -29,8 +29,8 @@ _LONGEST_REASON = 2000
 @click.option(
     "--explain",
     metavar="TEXT",
-    help="State what happened to the ledger, so that its breaks are explained. The reason is added; nothing is"
-    " rewritten.",
+    help="State what happened to the ledger, or to a run that is missing, so that this is explained. The reason is"
+    " added; nothing is rewritten.",
 )
 @click.option(
     "--forget",
@@ -89,6 +89,10 @@ def _check() -> int:
         head = entries[-1].hash if entries else None
         facts |= {"lines": len(entries), "runs": len(runs), "head": head}
         faults += [*found.faults(), *lost_authorisations(known_authorisations(found.home))]
+        notes += [
+            f"{one.data['what']}. Reason, stated by {one.data['by']}: {one.data['reason']}"
+            for one in found.explained_runs()
+        ]
     except BenchError:  # it is among the faults
         facts |= {"lines": None, "runs": None, "head": None}
     facts |= {"second_places": _second_places(found)}

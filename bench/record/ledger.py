@@ -49,6 +49,8 @@ from bench.record.storage import make_folder, sha256_of, storage_errors, sync_fo
 
 LEDGER = "ledger.jsonl"
 PLACE_FORGOTTEN = "place_forgotten"
+RUN_EXPLAINED = "run_explained"
+"""A person states why the folder of a sealed run is missing, or was changed."""
 
 
 class Ledger:
@@ -110,23 +112,27 @@ class Ledger:
                     self._write_own_mark(journal.entries)
 
     def _own_mark(self) -> OwnMark | str | None:
+        """Return the bench's own mark, or why its content is none. A disk that fails is no break: `StorageError`."""
         try:
             return read_own_mark(self.home)
-        except BenchError as error:
+        except EvidenceError as error:
             return str(error)
 
+    @contextmanager
+    def _warned(self, what: str) -> Iterator[None]:
+        """Turn what fails after the ledger was written into a warning."""
+        try:
+            yield
+        except BenchError as error:
+            self.warnings.append(f"{what}: {error}")
+
     def _write_own_mark(self, entries: Sequence[Entry]) -> None:
-        own = self._own_mark()
+        """Write the bench's own mark; what fails becomes a warning."""
         counts = dict(sorted(highest_counts(entries).items()))
         mark = LedgerMark(len(entries), highest_run(entries), entries[-1].hash, entries[-1].utc, counts)
-        self._store(replace(own, mark=mark) if isinstance(own, OwnMark) else OwnMark(mark))
-
-    def _store(self, own: OwnMark) -> None:
-        """Write the bench's own mark; what fails becomes a warning."""
-        try:
-            write_own_mark(self.home, own)
-        except BenchError as error:
-            self.warnings.append(f"The bench's own mark of the ledger cannot be written: {error}")
+        with self._warned("The bench's own mark of the ledger cannot be written"):
+            own = self._own_mark()
+            write_own_mark(self.home, replace(own, mark=mark) if isinstance(own, OwnMark) else OwnMark(mark))
 
     def _places(self) -> tuple[str, ...]:
         """Return the second places that were used before."""
@@ -141,23 +147,22 @@ class Ledger:
 
     def _write_anchors(self, anchor: str | None = None) -> None:
         """Write the newest head to all second places; what fails becomes a warning."""
-        own = self._own_mark()
-        if not isinstance(own, OwnMark):
-            return
-        for place in dict.fromkeys([*own.anchors, *([anchor] if anchor else [])]):
-            try:
-                append_to_anchor(Path(place), own.mark)
-            except BenchError as error:
-                self.warnings.append(f"The second place of the ledger cannot be written: {error}")
-        if anchor and anchor not in own.anchors:
-            self._change_anchors(lambda known: (*known, anchor))
+        with self._warned("The bench's own mark of the ledger cannot be read"):
+            own = self._own_mark()
+            if not isinstance(own, OwnMark):
+                return
+            for place in dict.fromkeys([*own.anchors, *([anchor] if anchor else [])]):
+                with self._warned("The second place of the ledger cannot be written"):
+                    append_to_anchor(Path(place), own.mark)
+            if anchor and anchor not in own.anchors:
+                self._change_anchors(lambda known: (*known, anchor))
 
     def _change_anchors(self, change: Callable[[tuple[str, ...]], tuple[str, ...]]) -> None:
         """Change the list of second places that the bench's own mark holds; what fails becomes a warning."""
-        with self._held():
+        with self._warned("The bench's own mark of the ledger cannot be written"), self._held():
             own = self._own_mark()
             if isinstance(own, OwnMark):
-                self._store(replace(own, anchors=tuple(dict.fromkeys(change(own.anchors)))))
+                write_own_mark(self.home, replace(own, anchors=tuple(dict.fromkeys(change(own.anchors)))))
 
     # ------------------------------------------------------------ runs
 
@@ -220,7 +225,15 @@ class Ledger:
         return runs_of(self.entries())
 
     def faults(self) -> list[str]:
-        """Check that the folder of every sealed run still exists and still has its seal."""
+        """Check that the folder of every sealed run still exists and still has its seal; explained faults count not."""
+        known = {str(entry.data["what"]) for entry in self.explained_runs()}
+        return [what for what in self._run_faults() if what not in known]
+
+    def explained_runs(self) -> list[Entry]:
+        """Return the lines in which a person stated why a run is missing: ``what``, ``reason`` and ``by``."""
+        return [entry for entry in self.entries() if entry.event == RUN_EXPLAINED]
+
+    def _run_faults(self) -> list[str]:
         found = []
         for run in self.runs():
             manifest = Path(run.folder) / MANIFEST
@@ -259,16 +272,22 @@ class Ledger:
     def explain(
         self, reason: str, by: str, *, anchor: str | None = None, strangers: Strangers = no_strangers
     ) -> list[str]:
-        """Record every break that is not recorded yet, and state the reason of every one without a reason, if any."""
+        """Record every break that is not recorded yet, and state the reason of every one without a reason, if any.
+
+        A sealed run whose folder is missing or was changed is explained, too.
+        """
         witnesses = self._ask_anchors(anchor)
         with self._mended(witnesses, strangers) as journal:
             open_breaks = [one for one in breaks_of(journal.entries) if one.reason is None]
             for one in open_breaks:
                 journal.append(BREAK_EXPLAINED, line=one.line, reason=reason, by=by)
+        runs = self.faults()
+        for what in runs:
+            self.append(RUN_EXPLAINED, what=what, reason=reason, by=by)
         self._write_anchors(anchor)
-        if not open_breaks:
+        if not open_breaks and not runs:
             raise UsageError("The ledger has no break to explain.", where=str(self.path))
-        return [str(one) for one in open_breaks]
+        return [*map(str, open_breaks), *runs]
 
     def forget_place(self, place: str, *, reason: str, by: str) -> None:
         """Stop writing to a second place, and enter why."""

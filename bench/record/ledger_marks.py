@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from bench.base.bounded_json import parse_json
-from bench.base.errors import BenchError, JournalBroken, StorageError
+from bench.base.errors import BenchError, EvidenceError, JournalBroken, StorageError
 from bench.record.journal_line import Entry
 from bench.record.storage import O_BINARY, read_bounded, storage_errors, sync_folder, write_all, write_atomic
 
@@ -92,7 +92,7 @@ def read_own_mark(home: Path) -> OwnMark | None:
     try:
         mark, anchors = parse_mark(data), parse_json(data).get("anchors", ())
     except ValueError as error:
-        raise StorageError(
+        raise EvidenceError(
             "This file does not hold the state of the ledger.",
             where=str(path),
             remedy="Somebody changed it. State what happened: `starbench ledger --explain TEXT`.",

@@ -21,6 +21,7 @@ from bench.record.storage import (
     is_temporary,
     make_folder,
     move_into_place,
+    read_bounded,
     sha256_of,
     storage_errors,
     sync_folder,
@@ -73,6 +74,7 @@ class RunFolder:
         make_folder(path)
         lock = lock_folder(path)
         try:
+            _clear_unbegun(path)
             _refuse_occupied(path)
             _refuse_full(path, bytes_needed + RESERVE_BYTES, bytes_kept_free)
             make_folder(path / CAPTURES)
@@ -201,6 +203,21 @@ def require_resumable(path: Path) -> None:
             where=str(path),
             remedy="A sealed run is never changed. Start a new run, or check this one with `starbench verify`.",
         )
+
+
+def _clear_unbegun(path: Path) -> None:
+    """Remove what a run left that ended before the first line of its journal: nothing was recorded yet.
+
+    The reserve, the first file of a run, shows that the folder was empty before, and that its files are a run's.
+    """
+    with storage_errors(path):
+        reserve, journal = path / _RESERVE, path / JOURNAL
+        if not reserve.is_file() or reserve.stat().st_size != RESERVE_BYTES:
+            return
+        if (journal.is_file() and b"\n" in read_bounded(journal)) or any((path / CAPTURES).glob("*")):
+            return
+        for file in [file for file in path.iterdir() if file.is_file() and file != reserve]:
+            file.unlink()
 
 
 def _refuse_occupied(path: Path) -> None:

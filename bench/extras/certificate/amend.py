@@ -15,7 +15,7 @@ from bench.extras.certificate.certificate_folder import (
     refuse_occupied,
     require_libraries,
 )
-from bench.extras.certificate.issue import Issued, Issuer, make_certificate
+from bench.extras.certificate.issue import Issued, Issuer, finished_before, make_certificate
 from bench.extras.certificate.lab_config import read_lab
 from bench.extras.certificate.sealed_run import Source, written_with
 from bench.extras.certificate.series import (
@@ -46,6 +46,8 @@ def amend(
     ``despite`` is as for `issue`; without it, the reason of the old one remains.
     """
     require_libraries()
+    if finished := finished_before(folder, laboratory.ledger):
+        return finished
     refuse_occupied(folder)
     lab = read_lab(lab_file)
     before, source = _read_certificate(old, laboratory.verify(old))

@@ -92,6 +92,8 @@ def issue(
     the run. ``accept_not_compared`` allows parts that could not be made again.
     """
     require_libraries()
+    if finished := finished_before(folder, laboratory.ledger):
+        return finished
     refuse_occupied(folder)
     lab = read_lab(lab_file)
     _refuse_second_early(run, laboratory.ledger, also)
@@ -190,6 +192,19 @@ def complete_open(ledger: Ledger) -> list[str]:
         elif one.folder:
             remove_unnamed(unfinished(Path(one.folder)))
     return done
+
+
+def finished_before(folder: Path, ledger: Ledger) -> Issued | None:
+    """Return the certificate that the same command completed before its line of the ledger could be written."""
+    if not is_sealed(folder):
+        return None
+    with one_at_a_time(ledger.home):
+        for number in complete_open(ledger):
+            one = numbers(ledger.entries())[number]
+            certificate = finished_certificate(one) if Path(one.folder) == folder.absolute() else None
+            if certificate is not None:
+                return Issued(certificate, folder.absolute(), one.seal, (number,))
+    return None
 
 
 def finished_certificate(one: Numbered) -> Certificate | None:

@@ -348,3 +348,52 @@ TestLedgerStory = LedgerStory.TestCase
 TestLedgerStory.settings = settings(
     max_examples=30, stateful_step_count=12, deadline=None, suppress_health_check=list(HealthCheck)
 )
+
+
+# ---------------------------------------------------------------- a run whose disk was taken away
+
+
+@pytest.fixture
+def lost_run(ledger, tmp_path):
+    """A sealed run, by the ledger, whose folder has gone; the folder."""
+    folder = tmp_path / "disk" / "run"
+    folder.mkdir(parents=True)
+    for name in ("SHA256SUMS", "SHA256SUMS.sig"):
+        (folder / name).write_text("sealed")
+    place = ledger.begin(run_id="run", folder=folder, camera="1", simulated=False)
+    ledger.end(place["number"], how="finished", folder=folder)
+    assert ledger.faults() == []
+    folder.rename(tmp_path / "taken away")
+    return folder
+
+
+def test_a_lost_run_is_a_fault_until_a_person_says_what_became_of_it(ledger, lost_run):
+    (fault,) = ledger.faults()
+    assert f"its folder {lost_run} is missing" in fault
+    assert ledger.explain("The disk broke.", "ada") == [fault]
+    assert ledger.faults() == []
+    (line,) = ledger.explained_runs()
+    assert (line.data["what"], line.data["reason"], line.data["by"]) == (fault, "The disk broke.", "ada")
+    with pytest.raises(UsageError, match="no break to explain"):
+        ledger.explain("The disk broke.", "ada")
+
+
+def test_an_explained_run_that_comes_back_changed_is_a_fault_again(ledger, lost_run, tmp_path):
+    ledger.explain("The disk broke.", "ada")
+    (tmp_path / "taken away").rename(lost_run)
+    assert ledger.faults() == []
+    (lost_run / "SHA256SUMS").write_text("sealed again")
+    (fault,) = ledger.faults()
+    assert "was changed after sealing" in fault
+
+
+def test_a_mark_that_the_disk_does_not_give_is_an_error_of_the_disk_and_no_break(ledger):
+    runs(ledger, 1)
+    broken = StorageError("The file system reports an error: Input/output error.", where="/home/ledger_high")
+    with (
+        mock.patch("bench.record.ledger.read_own_mark", side_effect=broken),
+        pytest.raises(StorageError, match="/home/ledger_high"),
+    ):
+        begin(ledger, "next")
+    assert faults(ledger) == []
+    assert begin(ledger, "next")["number"] == 2

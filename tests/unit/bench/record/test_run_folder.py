@@ -276,3 +276,28 @@ def test_work_is_seen_to_go_on_while_a_long_recording_is_hashed(run):
     run.part_path(capture_name(1, 1)).write_bytes(bytes(3 * HASH_CHUNK_BYTES + 1))
     run.commit(capture_name(1, 1), goes_on=lambda: pieces.append(1))
     assert len(pieces) == 4
+
+
+# ---------------------------------------------------------------- a run that ended before its first line
+
+
+def test_a_folder_that_a_run_left_before_its_first_line_is_used_by_the_same_command(tmp_path):
+    with RunFolder.create(tmp_path / "run") as folder:
+        folder.write_atomic("sequence.yaml", b"name: one")
+        begin_journal(folder).close()
+        (folder.path / "plan.json").write_bytes(b"{}")
+    with RunFolder.create(tmp_path / "run") as folder:
+        assert visible(folder.path) == []
+
+
+def test_a_folder_with_a_line_of_a_run_or_with_files_of_somebody_is_left_alone(tmp_path):
+    with RunFolder.create(tmp_path / "run") as folder, begin_journal(folder) as journal:
+        journal.append("run_started")
+    own = tmp_path / "own"
+    own.mkdir()
+    (own / "sequence.yaml").write_text("name: mine")
+    for path in (tmp_path / "run", own):
+        before = visible(path)
+        with pytest.raises(UsageError, match="not empty"):
+            RunFolder.create(path)
+        assert visible(path) == before

@@ -1,0 +1,301 @@
+"""The n-th call to the disk fails: a run, its seal, a certificate, the ledger and the keys end in words and go on."""
+
+import io
+import os
+import shutil
+from datetime import UTC, datetime, timedelta
+from unittest import mock
+
+import pytest
+from authorising import make_key, person
+from certificate_lab import FIRST, Lab, quick_files
+from certificate_sample import NOW
+from failing_calls import FailingCalls, each_call
+from quick_runs import THREE, write_sequence, write_station
+
+from bench.base.clock import VirtualClock
+from bench.base.errors import BenchError
+from bench.evidence.authorisation import authorise
+from bench.evidence.key_rotation import rotate
+from bench.evidence.key_trust import read_trust
+from bench.evidence.keys import ensure_key, load_key
+from bench.evidence.ledger_check import sealed_strangers
+from bench.evidence.signers import SIGNERS_FILE, read_signers, trust
+from bench.evidence.states import standing_of
+from bench.evidence.verify import verify_folder
+from bench.extras.batch.rehearsal import RehearsedJob, RehearsedResults
+from bench.extras.batch.virtual_devices import VirtualDevices
+from bench.extras.certificate import issue as issue_module
+from bench.extras.certificate.series import numbers
+from bench.plan.job import Job
+from bench.record.journal import CAPTURE_STORED, read_journal
+from bench.record.ledger import Ledger
+from bench.record.storage import sha256_of
+from bench.run.launch import Launch, resume_run, start_run
+
+BEGIN = datetime(2026, 3, 1, 20, tzinfo=UTC)
+SAMPLE = 29
+"""Every so many calls of the longer works are tried here; the whole loop is slow."""
+
+
+class Wired(VirtualDevices):
+    """Virtual devices whose every order to the stage and the light goes into the wire log, as those of links do."""
+
+    def __init__(self, station, *, seed, clock, wire_log):
+        super().__init__(station, seed=seed, clock=clock)
+        for device, name in ((self.stage, "move_to"), (self.light, "on"), (self.light, "off")):
+            self._wire(device, name, clock, wire_log)
+
+    def _wire(self, device, name, clock, wire_log):
+        real = getattr(device, name)
+
+        def call(*args, **more):
+            wire_log.record(clock.monotonic(), "port", ">", name.encode())
+            return real(*args, **more)
+
+        setattr(device, name, call)
+
+
+class Bench:
+    """A bench with virtual devices in a folder of its own; a run is begun by one command, and continued by another."""
+
+    def __init__(self, folder):
+        self.folder, self.home, self.run = folder, folder / "home", folder / "run"
+        folder.mkdir()
+        ensure_key(self.home, principal="bench@lab")
+        self.sequence = write_sequence(folder / "sequence.yaml", THREE, attempts=1)
+        self.station = write_station(folder / "station.yaml")
+        self.clock = VirtualClock(BEGIN)
+
+    def _virtual(self):
+        plain, clock = Job.from_plan, self.clock
+
+        def from_plan(*words, **more):
+            job = plain(*words, **more)
+            return RehearsedJob(job.plan, job.steps, job.seed, job.operator, clock)
+
+        return (
+            mock.patch.object(Job, "from_plan", from_plan),
+            mock.patch("bench.run.launch.Devices", Wired),
+            mock.patch("bench.run.runner.ResultWriter", RehearsedResults),
+            mock.patch.dict(os.environ, {"STARBENCH_HOME": str(self.home)}),
+        )
+
+    def begin(self):
+        job, devices, results, home = self._virtual()
+        with job, devices, results, home:
+            return start_run(
+                str(self.sequence), str(self.station), output=self.run, seed=1, operator="Ada",
+                launch=Launch(self.clock, stream=io.StringIO()),
+            )  # fmt: skip
+
+    def resume(self):
+        self.clock = VirtualClock(self.clock.utc_now())
+        job, devices, results, home = self._virtual()
+        with job, devices, results, home:
+            return resume_run(self.run, Launch(self.clock, stream=io.StringIO()))
+
+    def entries(self):
+        return read_journal(self.run / "journal.jsonl")[0] if (self.run / "journal.jsonl").exists() else []
+
+    def stored(self):
+        return [(e.data["capture"], e.data["sha256"]) for e in self.entries() if e.event == CAPTURE_STORED]
+
+    def faults(self):
+        """What the verifier finds. A report without pictures, which would take 20 s, is a fault of every such run."""
+        return verify_folder(self.run, read_trust(self.home)).faults
+
+    def ledger(self):
+        return Ledger(self.home, utc_now=self.clock.utc_now, monotonic=self.clock.monotonic)
+
+
+def run_with(bench, calls):
+    """Run. What failed is told with a path."""
+    try:
+        with calls:
+            end = bench.begin()
+    except BenchError as error:
+        why, unsafe = str(error), []
+    else:
+        why, unsafe = end.why, list(end.unsafe)
+    assert (not why or str(bench.folder) in why, unsafe) == (True, []), why
+
+
+def finish(bench):
+    """Do what an operator does next: resume, or give the same command again."""
+    if any(entry.event == "run_started" for entry in bench.entries()):
+        if not (bench.run / "SHA256SUMS.sig").exists():
+            assert bench.resume().how == "finished"
+    else:
+        assert bench.begin().how == "finished"
+
+
+def see_that_it_goes_on(bench, calls, usual):
+    """Run with a failing call, then do what an operator does next; nothing is lost, and nothing looks changed."""
+    run_with(bench, calls)
+    told = bench.stored()
+    finish(bench)
+    assert bench.stored()[: len(told)] == told
+    assert bench.faults() == usual
+    faults, _ = bench.ledger().breaks(None, sealed_strangers(bench.home))
+    assert (faults, bench.ledger().faults()) == ([], [])
+    with_lost_log = any("wire_log_ended_s" in entry.data for entry in bench.entries())
+    assert with_lost_log == calls.failed.endswith("wire.jsonl")
+
+
+def a_run_goes_on(tmp_path, first, step):
+    """Let calls of a run fail; return how many did, and what then fell."""
+    undisturbed, count, fallen = Bench(tmp_path / "undisturbed"), 0, []
+    undisturbed.begin()
+    usual = undisturbed.faults()
+    assert {fault.kind for fault in usual} <= {"results", "journal"}, usual
+
+    def work(passing, number):
+        nonlocal count
+        count += 1
+        bench = Bench(tmp_path / f"bench-{count}")
+        calls = FailingCalls(bench.folder, passing, number)
+        try:
+            see_that_it_goes_on(bench, calls, usual)
+        except Exception as error:  # noqa: BLE001 - whatever comes of a failing disk is told
+            fallen.append(f"{passing} {os.strerror(number)}, {calls.failed}: {error!r}"[:700])
+        shutil.rmtree(bench.folder)
+        return calls
+
+    return sum(1 for _ in each_call(work, first=first, step=step)), fallen
+
+
+def test_a_run_of_which_one_call_to_the_disk_fails_ends_in_words_and_is_finished(tmp_path):
+    failed, fallen = a_run_goes_on(tmp_path, first=3, step=SAMPLE)
+    assert (fallen, failed >= 6) == ([], True)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3 * 3600)
+def test_whichever_call_of_a_run_fails_it_ends_in_words_and_is_finished(tmp_path):
+    failed, fallen = a_run_goes_on(tmp_path, first=0, step=1)
+    print(f"{failed} failed calls, {len(fallen)} of them not overcome")
+    assert fallen == []
+
+
+EACH = pytest.mark.parametrize("step", [7, pytest.param(1, marks=pytest.mark.slow)], ids=["some", "all"])
+
+
+def each_goes_on(tmp_path, step, prepare, do, check):
+    """Let each call of a work fail once, then see what is left of it; return how many failed, and what then fell."""
+    fallen = []
+
+    def work(passing, number):
+        folder = tmp_path / "here"
+        prepared = prepare(folder)
+        calls, done = FailingCalls(folder, passing, number), True
+        try:
+            with calls:
+                do(prepared)
+        except Exception as error:  # noqa: BLE001 - whatever comes of a failing disk is told
+            done = False
+            if not (isinstance(error, BenchError) and str(folder) in str(error)):
+                fallen.append(f"{passing}, {calls.failed}: it said {error!r}"[:700])
+        try:
+            check(prepared, done=done)
+        except Exception as error:  # noqa: BLE001 - whatever comes of a failing disk is told
+            fallen.append(f"{passing}, {calls.failed}: {error!r}"[:700])
+        shutil.rmtree(folder)
+        return calls
+
+    return sum(1 for _ in each_call(work, step=step)), fallen
+
+
+@EACH
+def test_whichever_call_of_an_issue_fails_the_same_command_ends_it_with_the_same_number(tmp_path, step):
+    def issued(lab, *, done):
+        if not done:
+            lab.issue()
+        assert lab.numbers() == {FIRST: "issued"}
+        (one,) = numbers(lab.ledger.entries()).values()
+        assert one.seal == sha256_of(lab.path / "certificate" / "SHA256SUMS")
+        assert lab.ledger.breaks() == ([], [])
+
+    with (
+        mock.patch.object(issue_module, "certificate_files", quick_files),
+        mock.patch("bench.extras.certificate.pdf.plots_of_run", return_value={}),
+    ):
+        failed, fallen = each_goes_on(tmp_path, step, Lab, Lab.issue, issued)
+    assert (fallen, step * failed > 60) == ([], True)
+
+
+def see_that_the_seal_holds(lab):
+    """The sample is no whole run, which the verifier tells; its files are those that were sealed, by a trusted key."""
+    kinds = {fault.kind for fault in verify_folder(lab.run, read_trust(lab.home)).faults}
+    assert kinds <= {"form", "journal", "results"}
+
+
+class Authorised:
+    """A sealed run, and a person who may authorise it."""
+
+    def __init__(self, folder):
+        self.lab = Lab(folder)
+        self.key, signer = person(make_key(folder))
+        trust(self.lab.home, signer.line)
+
+    def authorise(self):
+        authorise(self.lab.run, self.key, read_trust(self.lab.home), NOW)
+
+    def state(self):
+        return standing_of(self.lab.run, read_trust(self.lab.home), NOW).state.value
+
+
+@EACH
+def test_whichever_call_of_an_authorisation_fails_it_is_whole_or_not_there(tmp_path, step):
+    def authorised(prepared, *, done):
+        if not done and prepared.state() != "AUTHORISED":
+            prepared.authorise()
+        assert prepared.state() == "AUTHORISED"
+        see_that_the_seal_holds(prepared.lab)
+
+    failed, fallen = each_goes_on(tmp_path, step, Authorised, Authorised.authorise, authorised)
+    assert (fallen, step * failed > 8) == ([], True)
+
+
+class Entered:
+    """The ledger of a bench with a run."""
+
+    def __init__(self, folder):
+        self.lab = Lab(folder)
+
+    def enter(self):
+        ledger, folder = self.lab.ledger, self.lab.run
+        place = ledger.begin(run_id="next", folder=folder, camera="1", simulated=True)
+        ledger.end(place["number"], how="finished", folder=folder)
+        ledger.append("noted", what="something")
+
+
+@EACH
+def test_whichever_call_of_the_ledger_fails_no_line_is_lost_and_no_break_is_seen(tmp_path, step):
+    def whole(prepared, *, done):
+        before = [run.number for run in prepared.lab.ledger.runs()]
+        prepared.enter()
+        after = [run.number for run in prepared.lab.ledger.runs()]
+        assert after == list(range(1, len(before) + 2))
+        assert done <= (len(before) == 2)
+        assert prepared.lab.ledger.breaks() == ([], [])
+
+    failed, fallen = each_goes_on(tmp_path, step, Entered, Entered.enter, whole)
+    assert (fallen, step * failed > 30) == ([], True)
+
+
+@EACH
+def test_whichever_call_of_a_change_of_keys_fails_the_bench_has_one_key_that_is_trusted(tmp_path, step):
+    def usable(lab, *, done):
+        own = load_key(lab.home)
+        assert own.public_key in {signer.public_key for signer in read_signers(lab.home / SIGNERS_FILE)}
+        see_that_the_seal_holds(lab)
+        if not done:
+            rotate(lab.home, NOW + timedelta(hours=1), passphrase=None, keep_old=True)
+            assert load_key(lab.home).public_key != own.public_key
+
+    def change(lab):
+        rotate(lab.home, NOW, passphrase=None, keep_old=True)
+
+    failed, fallen = each_goes_on(tmp_path, step, Lab, change, usable)
+    assert (fallen, step * failed > 30) == ([], True)
