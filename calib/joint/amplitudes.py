@@ -43,7 +43,7 @@ COMMON = tuple(f"common field, degree {d}" for d in range(1, DEGREE + 1))
 TURN = tuple(f"field by turn, degree {d}" for d in range(1, 6))
 TURN_2 = tuple(f"field by turn squared, degree {d}" for d in range(5))
 RADIAL, SHIFTED, CURVATURE_TURN = "radial", "shifted axis", "field curvature by turn"
-SCALE_TURN_2 = "scale by turn squared"
+SCALE_TURN_2, CURVATURE_ASIDE = "scale by turn squared", "field curvature beside the axes"
 PARALLAX, RIM, DISCS, ALONG = "parallax", "rim", "discs", "pupil along the axis"
 ASIDE = "pupil beside the axes"
 CHANGE = "irregular errors since the passport"
@@ -103,7 +103,12 @@ FAMILIES = (
     Family(COMMON, smooth(12e-6, DEGREE), 1.0, 0.5, 0.25, 0.9),
     Family(TURN, smooth(3e-6, len(TURN)), 1.0, 0.5, 0.25, 0.9),
     Family(TURN_2, smooth(1e-6, len(TURN_2)), 1.0, 0.5, 0.0, 0.9),
-    Family((RADIAL, SHIFTED, CURVATURE_TURN, SCALE_TURN_2), (0.05, 1e-3, 4e-4, 4e-6), 1.3, 0.5),
+    Family(
+        (RADIAL, SHIFTED, CURVATURE_TURN, SCALE_TURN_2, CURVATURE_ASIDE),
+        (0.05, 1e-3, 4e-4, 4e-6, 2e-3),
+        1.3,
+        0.5,
+    ),
     # A defocus of 0.06, times how far a pupil moves: a well corrected collimator can be out of focus, too.
     Family((PARALLAX, ASIDE), (0.06, 3e-4), 0.8, 0.5),
     Family((DISTORTION,), (0.015,), 1.5, 0.0),  # Share of the distance from the axis, at the sensor's corner

@@ -22,10 +22,17 @@ _CAMERA_AND_GLASS = (
     collimator.PoseFields,
     gimbal.GimbalErrors,
 )
-_ON_A_GIMBAL = (by_turn.GimbalParallax, by_turn.GimbalAside, by_turn.ByTurn, by_turn.ByTurnSquared)
+_ON_A_GIMBAL = (
+    by_turn.GimbalParallax,
+    by_turn.GimbalAside,
+    by_turn.CurvatureAside,
+    by_turn.ByTurn,
+    by_turn.ByTurnSquared,
+)
 _BY_HAND = (
     by_turn.Parallax,
     by_turn.Aside,
+    by_turn.CurvatureAside,
     by_turn.OwnByTurn,
     by_turn.Along,
     by_turn.ByTurn,

@@ -238,6 +238,35 @@ class GimbalAside(Aside):
         columns[:, self.pose.shifts] = -np.swapaxes(poses.axes, 1, 2)
 
 
+class CurvatureAside(Effect):
+    """Field curvature and astigmatism that a pupil beside the axis sees: it is beside in directions of the camera.
+
+    If the camera rolls, they turn with it over the target. Without them cx, or p1 and p2, would take them.
+    """
+
+    names = ("curvature_x", "curvature_y", "astigmatism_x", "astigmatism_y")
+
+    def fill(self, columns: Array, poses: Turned) -> None:
+        for pose, axes in enumerate(poses.axes):
+            for k, shape in enumerate((_curvature, _astigmatism)):
+                for axis, e in enumerate(axes):
+                    columns[pose, self.pose.field, 2 * k + axis] = self.pose.fields.shape(partial(shape, e))
+
+    def priors(self) -> Sequence[RandomBlock]:
+        sizes = np.diag(np.repeat(_CURVATURE_SIZES, 2))
+        return [RandomBlock(TURN_ROW, self.names, ((amp.CURVATURE_ASIDE, sizes),))]
+
+
+def _curvature(beside: Array, h: Array) -> Array:
+    """Return the field |h|^2 e. h: (N, 2)."""
+    return np.asarray((h * h).sum(axis=1, keepdims=True) * beside)
+
+
+def _astigmatism(beside: Array, h: Array) -> Array:
+    """Return the field (h e) h. h: (N, 2)."""
+    return np.asarray((h @ beside)[:, None] * h)
+
+
 def _coma(beside: Array, turn: Array, h: Array) -> Array:
     """Return the field (e h) t + (e t) h + (h t) e: coma, by a turn t, for a pupil beside the axis by e. h: (N, 2)."""
     return (h @ beside)[:, None] * turn + float(beside @ turn) * h + (h @ turn)[:, None] * beside
