@@ -42,7 +42,7 @@ from calib.joint.wrong_views import find_shifted_ids
 from calib.model.camera import DISTORTION_SETS, PINHOLE, SKEW
 from calib.model.collimator import Collimator
 from calib.model.gimbal import SCALES
-from calib.model.lens import BROWN, FISHEYE, is_fisheye
+from calib.model.lens import BROWN, FISHEYE, R8, is_fisheye
 from calib.model.passport import Passport
 from calib.view import View
 
@@ -73,11 +73,15 @@ _WIDE = 1e3
 
 
 def lens_names(chosen: Sequence[str]) -> tuple[str, ...]:
-    """Return the coefficients that are estimated: the whole family, and those of the denominator only if asked for."""
+    """Return the coefficients that are estimated: the whole family, and those of the denominator only if asked for.
+
+    With a denominator there is no term of r^8, which it would imitate.
+    """
     if is_fisheye(dict.fromkeys(chosen, 0.0)):
         return FISHEYE
     wanted = {*BROWN[:5], *chosen}
-    return tuple(name for name in (*BROWN, SKEW) if name in wanted)
+    further = () if wanted & set(BROWN[5:]) else (R8,)
+    return tuple(name for name in (*BROWN, SKEW) if name in wanted) + further
 
 
 def first_parameters(

@@ -23,6 +23,7 @@ from calib.joint.fields import FIELD_RADIUS
 from calib.joint.knowledge import CHANGED_FIELD, FREE_SCALE, READINGS
 from calib.joint.left_out import left_out_rms, rotation_errors
 from calib.joint.posterior import Posterior
+from calib.joint.reported import reported, without_r8
 from calib.joint.solve import Optimum
 from calib.joint.ways import posterior_of, shifted_ids, with_doubted_bound
 from calib.joint.words import notes, require_determined
@@ -97,31 +98,31 @@ def _calibration(
     gimbal: GimbalEstimate | None,
 ) -> Calibration:
     bench = found.optimum.marginal.problem.bench
-    names = (*bench.layout.pose.camera, *CENTRE, *RADIAL)
-    at = bench.layout.places(names)
-    unit = np.eye(len(bench.layout.names))[at]
-    covariance = found.covariance[np.ix_(at, at)]
+    stated = reported(found, (*CENTRE, *RADIAL))
+    names = stated.names
+    covariance = stated.rows @ found.covariance @ stated.rows.T
     sigmas = np.sqrt(np.diag(covariance))
-    factors = [float(found.expanded(row) / sigma) for row, sigma in zip(unit, sigmas, strict=True)]
+    factors = stated.factors(found, sigmas)
     star = float(np.sqrt(found.optimum.solution.star_variance))
     residuals, weights = _residuals(found, views, used, star)
     lengths = [np.linalg.norm(e[own], axis=1) for e, own in zip(residuals, used, strict=True)]
     rms_px, mean_px = rms_and_mean(np.concatenate(lengths))
     size = len(bench.layout.pose.camera)
     gradients = row_gradients(found, found.covariance[:size, :size])
-    parts = variances(found, np.concatenate([unit, gradients]))
+    parts = variances(found, np.concatenate([stated.rows, gradients]))
     corner = float(np.sqrt(gradients[-1] @ found.covariance @ gradients[-1]))
-    budget = {group: np.sqrt(np.maximum(part[: len(at)], 0.0)) for group, part in parts.items()}
-    rows = budget_rows(found, gradients, {group: part[len(at) :] for group, part in parts.items()})
+    size = len(names)
+    budget = {group: np.sqrt(np.maximum(part[:size], 0.0)) for group, part in parts.items()}
+    rows = budget_rows(found, gradients, {group: part[size:] for group, part in parts.items()})
     errors = rotation_errors(found)
     return Calibration(
         model="joint",
-        camera=parameters.camera,
+        camera=without_r8(parameters.camera),
         collimator=parameters.collimator,
         rotations=parameters.rotations,
         centres=parameters.centres,
         parameter_names=names,
-        estimates=found.mean[at],
+        estimates=stated.rows @ found.mean,
         covariance=covariance,
         residuals_px=residuals,
         weights=weights,

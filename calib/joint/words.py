@@ -25,8 +25,8 @@ from calib.model.rotation import exp_map
 from calib.view import View
 
 _WEAK_FOCAL_SIGMA = 0.01
-#: Which length a certificate states is open if the less probable one has this share: U covers 95.45 %.
-_OPEN = 0.05
+#: Which length a certificate states is open if the less probable one has this share: beyond it, U depends on both.
+_OPEN = 0.1
 #: If these have this share of the variance of fx, it rests on how large errors are expected. With a certificate it is
 #: below 0.22 in 41 of 42 drawn benches.
 _EXPECTED = rows.UNBOUNDED_PARALLAX, rows.TURN_FIELDS, rows.LENS, rows.AMPLITUDES

@@ -15,6 +15,10 @@ from calib.arrays import Array
 
 #: Coefficients of Brown's model in OpenCV's order; k4 to k6 are those of the denominator (rational model).
 BROWN = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+#: A further term of Brown's series, r^8 in the numerator. Other programs have none, so no result states it: the joint
+#: adjustment estimates it beside k1 to k3, which it changes. The name k4 is that of OpenCV's denominator.
+R8 = "r8"
+_SERIES = (*BROWN, R8)
 #: OpenCV's thin prism, and the tilt of its sensor in rad: known from a file, not estimated by a calibration.
 PRISM, TILT = ("s1", "s2", "s3", "s4"), ("tauX", "tauY")
 #: All coefficients of OpenCV, in its order.
@@ -22,9 +26,9 @@ OPENCV = (*BROWN, *PRISM, *TILT)
 #: Numbers of coefficients that OpenCV's functions accept.
 OPENCV_LENGTHS = (4, 5, 8, 12, 14)
 _TANGENTIAL = (2, 3)
-_NUMERATOR = (0, 1, 4)
-#: Power of r^2 of each radial coefficient, by its place in `BROWN`.
-_POWERS = {0: 1, 1: 2, 4: 3, 5: 1, 6: 2, 7: 3}
+_NUMERATOR = (0, 1, 4, 8)
+#: Power of r^2 of each radial coefficient, by its place in `_SERIES`.
+_POWERS = {0: 1, 1: 2, 4: 3, 5: 1, 6: 2, 7: 3, 8: 4}
 #: Coefficients of the angle's polynomial: theta (1 + kb1 theta^2 + kb2 theta^4 + ...); OpenCV's fisheye k1 to k4.
 FISHEYE = ("kb1", "kb2", "kb3", "kb4")
 _FISHEYE_NAMES, _PRISM_NAMES, _TILT_NAMES = frozenset(FISHEYE), frozenset(PRISM), frozenset(TILT)
@@ -33,12 +37,12 @@ _FISHEYE_NAMES, _PRISM_NAMES, _TILT_NAMES = frozenset(FISHEYE), frozenset(PRISM)
 def distort_with_jacobians(points: Array, coefficients: Mapping[str, float]) -> tuple[Array, Array, Array]:
     """Distort (N, 2) normalised points, and return the derivatives (own; by the product and the chain rule).
 
-    The names of the coefficients, `OPENCV` or `FISHEYE`, select the lens family: Brown (1971) with OpenCV's rational
-    denominator, thin prism and tilt, or Kannala and Brandt (2006). Those not named are zero. The K coefficients may
-    have other names beside, which change nothing: the skew belongs to the camera matrix.
+    The names of the coefficients, `OPENCV` (and `R8`) or `FISHEYE`, select the lens family: Brown (1971) with OpenCV's
+    rational denominator, thin prism and tilt, or Kannala and Brandt (2006). Those not named are zero. The K
+    coefficients may have other names beside, which change nothing: the skew belongs to the camera matrix.
     Returns: (N, 2) points; derivatives by the points, (N, 2, 2), and by the coefficients, (N, 2, K), 0 for others.
     """
-    family = FISHEYE if is_fisheye(coefficients) else BROWN
+    family = FISHEYE if is_fisheye(coefficients) else _SERIES
     evaluate = _fisheye_with_jacobians if family is FISHEYE else _brown_with_jacobians
     wanted = [family.index(name) for name in coefficients if name in family]
     k = np.array([coefficients.get(name, 0.0) for name in family])
@@ -62,15 +66,15 @@ def is_fisheye(coefficients: Iterable[str]) -> bool:
 def _brown_with_jacobians(points: Array, k: Array, wanted: Sequence[int]) -> tuple[Array, Array, Array]:
     """Distort points; return also the derivatives by the points (N, 2, 2) and by the wanted coefficients (N, 2, K).
 
-    Brown (1971), with OpenCV's rational model (1 + k1 r^2 + k2 r^4 + k3 r^6) / (1 + k4 r^2 + k5 r^4 + k6 r^6) of the
-    radius; own derivatives. In memory each derivative is one contiguous row over the points.
+    Brown (1971), with OpenCV's rational model (1 + k1 r^2 + k2 r^4 + k3 r^6 + r8 r^8) / (1 + k4 r^2 + k5 r^4 + k6 r^6)
+    of the radius; own derivatives. In memory each derivative is one contiguous row over the points.
     """
     x, y = np.ascontiguousarray(points.T)
     r2 = x * x + y * y
     denominator = 1.0 + r2 * (k[5] + r2 * (k[6] + r2 * k[7]))
-    radial = (1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))) / denominator
+    radial = (1.0 + r2 * (k[0] + r2 * (k[1] + r2 * (k[4] + r2 * k[8])))) / denominator
     p1, p2 = k[2], k[3]
-    numerator_slope = k[0] + r2 * (2.0 * k[1] + 3.0 * k[4] * r2)
+    numerator_slope = k[0] + r2 * (2.0 * k[1] + r2 * (3.0 * k[4] + 4.0 * k[8] * r2))
     denominator_slope = k[5] + r2 * (2.0 * k[6] + 3.0 * k[7] * r2)
     slope = (numerator_slope - radial * denominator_slope) / denominator
 
@@ -79,7 +83,7 @@ def _brown_with_jacobians(points: Array, k: Array, wanted: Sequence[int]) -> tup
     by_points[1, 1] = radial + 2.0 * y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
     by_points[0, 1] = by_points[1, 0] = 2.0 * x * y * slope + 2.0 * p1 * x + 2.0 * p2 * y
 
-    powers = r2, r2 * r2, r2 * r2 * r2  # products, because a general power is slow
+    powers = r2, r2 * r2, r2 * r2 * r2, r2 * r2 * r2 * r2  # products, because a general power is slow
     by_coefficients = np.empty((len(wanted), 2, len(x)))
     for rows, at in zip(by_coefficients, wanted, strict=True):
         if at in _TANGENTIAL:

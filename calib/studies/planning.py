@@ -19,6 +19,7 @@ from calib.calibration import CalibrationOptions
 from calib.errors import DegenerateViews, TooFewStars
 from calib.joint.budget import budget_rows, row_gradients, variances
 from calib.joint.effects.collimator import CENTRE, RADIAL
+from calib.joint.reported import reported
 from calib.joint.words import require_determined
 from calib.model.gimbal import Gimbal, aligned_gimbal
 from calib.model.gimbal_readings import angles_of
@@ -103,21 +104,22 @@ def forecast(bench: ExpectedBench, poses_deg: Sequence[Angles]) -> Forecast:
     kept, turned = [views[i][0] for i in firsts], rotations[firsts]
     found = expected_posterior(bench, kept, turned, [poses_deg[i] for i in firsts])
     layout = found.optimum.marginal.problem.bench.layout
-    names, size = (*layout.pose.camera, *CENTRE, *RADIAL), len(layout.pose.camera)
-    at = layout.places(names)
-    covariance = found.covariance[np.ix_(at, at)]
+    stated = reported(found, (*CENTRE, *RADIAL))
+    size = len(layout.pose.camera)
+    covariance = stated.rows @ found.covariance @ stated.rows.T
     centred = AdjustmentParameters(bench.camera, bench.collimator, turned, np.zeros((len(kept), 3)))
     require_determined(found, kept, centred, CalibrationOptions(passport=bench.passport))
-    gradients = row_gradients(found, covariance[:size, :size])
+    whole = found.covariance[:size, :size]
+    gradients = row_gradients(found, whole)
     parts = variances(found, gradients)
     sigmas = np.sqrt(sum(parts.values()))
     factors = [found.expanded(row) / sigma for row, sigma in zip(gradients, sigmas, strict=True)]
     camera = found.optimum.marginal.problem.bench.camera(found.mean)
     return Forecast(
-        dict(zip(names, np.sqrt(np.diag(covariance)).tolist(), strict=True)),
+        dict(zip(stated.names, np.sqrt(np.diag(covariance)).tolist(), strict=True)),
         covariance,
         dict(zip(ROW_QUANTITIES, factors, strict=True)),
-        projection_uncertainty(camera, covariance[:size, :size]),
+        projection_uncertainty(camera, whole),
         tuple(len(view) for view, _ in views),
         budget_rows(found, gradients, parts),
         _remarks(bench),

@@ -11,6 +11,7 @@ from calib.arrays import Array
 from calib.joint import amplitudes as amp
 from calib.joint.effects.effect import Effect, RandomBlock, Row, Turned
 from calib.model import result_parts as rows
+from calib.model.lens import R8
 
 #: Errors |x|^2 e of the image that turn with the camera: thin prism distortion of the lens (Weng et al., 1992), or what
 #: misaligned collimators do to a pupil that turns. Without them p1 and p2 would take these, and move cx and cy.
@@ -19,8 +20,10 @@ PRISM = ("prism_x", "prism_y")
 DECENTRING = ("decentring_x", "decentring_y")
 #: Change of the focal length, or of the radius, from the first pose to the last, as a share.
 DRIFT = "drift"
-#: Radial terms of a lens: how far each moves a point at the corner of the sensor, as a share of what the first does.
-_LENS_RATIOS = {"k1": 1.0, "k2": 0.4, "k3": 0.15, "kb1": 1.0, "kb2": 0.4, "kb3": 0.15, "kb4": 0.05}
+#: Radial terms of a lens: how far each moves a point at the corner of the sensor, as a share of what the first does;
+#: and the power of the tangent, or angle, that it has.
+_LENS_RATIOS = {"k1": (1.0, 2), "k2": (0.4, 4), "k3": (0.15, 6), R8: (0.05, 8)}
+_LENS_RATIOS |= {f"kb{n}": (ratio, 2 * n) for n, ratio in enumerate((1.0, 0.4, 0.15, 0.05), start=1)}
 _ROW = Row(rows.LENS, "B", "expected sizes of lens coefficients")
 
 
@@ -43,7 +46,7 @@ class Lens(Effect):
         """Return the radial terms: powers of the tangent, or of the angle for a fisheye lens."""
         names = tuple(name for name in self.names if name in _LENS_RATIOS)
         corner = self.bench.corner if "k1" in names else float(np.arctan(self.bench.corner))
-        sizes = [_LENS_RATIOS[name] * corner ** (-2.0 * int(name[-1])) for name in names]
+        sizes = [_LENS_RATIOS[name][0] * corner ** -_LENS_RATIOS[name][1] for name in names]
         return RandomBlock(_ROW, names, ((amp.DISTORTION, np.diag(sizes)),))
 
 
