@@ -269,7 +269,7 @@ def test_statements_that_agree_are_not_doubted(views):
 
 @pytest.mark.parametrize("times", [1.01, 0.92, pytest.param(1.08, marks=pytest.mark.slow)])
 def test_a_wrong_certificate_beside_right_readings_is_named_and_the_camera_right(views, bench, times):
-    result = calibrate(views, replace(KNOWN, passport=Passport.of_radius(255.0 * times, 0.05)))
+    result = calibrate(views, replace(KNOWN, passport=Passport.of_radius(255.0 * times, 0.05, length="seen")))
     certificate = next(one for one in result.witnesses if one.name == CERTIFICATE)
     assert abs(certificate.innovation) > 5.0
     assert certificate.fault_probability > sum(FAULTS.values())
