@@ -16,7 +16,7 @@ SEED ?= 1
 # An editable install holds a copy of these files (docs/decisions/0025).
 FRONT_DOOR := $(wildcard bench/front_door/*.py)
 
-.PHONY: demo night test test-slow lint types format bench table1 docs coverage lock release clean help
+.PHONY: pictures demo night test test-slow lint types format bench table1 docs coverage lock release clean help
 .DEFAULT_GOAL := help
 
 help: ## say what there is
@@ -82,6 +82,9 @@ bench: $(VENV)/installed-dev ## speeds, beside those of peers (never part of the
 table1: $(VENV)/installed-dev ## methods compared where the truth is known: about an hour of two cores; Ctrl-C, and it continues
 	@$(PIP_COMPILED) 'optiland>=0.6' || echo "note: optiland is not to be had here; the collimators of strangers are left out"
 	$(BIN)/python tests/benchmarks/bench_table1.py --jobs 2 --pictures docs/pictures --write
+
+pictures: $(VENV)/installed-dev ## make the pictures of README and documents again, from the present version; needs Chromium
+	$(BIN)/python -m tests.support.document_pictures
 
 docs: $(VENV)/installed-docs ## the documents as a site, in build/site; open build/site/index.html
 	$(BIN)/python -m sphinx --builder html --fail-on-warning --keep-going --quiet --doctree-dir build/doctrees docs build/site

@@ -28,8 +28,8 @@ _LARGEST_TURN, _LEAST_TURN = 3.0, 0.15
 """Most and least that is asked for, in units of the last turn; less is not seen in the picture."""
 _ON, _BACK = 1.5, -2.0
 """What is asked for while only coarse detail is seen: farther each time; after a wrong turn, back and as far again."""
-_SEEN_WITHIN_S: Final = 2.5
-"""Time within which a turn is seen, s: one that is seen later was made after the stop was reported."""
+_SEEN_WITHIN: Final = 4
+"""Figures within which a turn is seen: one in the turn, two at rest and a spare one. A later one is another turn."""
 _KEPT: Final = 5
 """Places of the ring that count; the lengths of older turns are too uncertain."""
 
@@ -65,7 +65,9 @@ class FocusCourse:
         self._course: deque[tuple[float, float | None, float | None, float | None]] = deque(maxlen=6000)
         self._rests: list[_Rest] = []
         self._turning = False
-        self._stop_s: float | None = None
+        self._added = 0
+        self._stop: int | None = None
+        """Number of figures added when a person reported the ring's stop; None if it does not stand there."""
         self._best_here_px: float | None = None
         self.best_edge_width_px: float | None = None
         """Smallest edge width seen, px: the median of `_RECENT` neighbouring values."""
@@ -76,6 +78,7 @@ class FocusCourse:
 
     def add(self, time_s: float, figures: FocusFigures) -> None:
         """Add the figures of a picture; its time, s, does not decrease."""
+        self._added += 1
         self._course.append((time_s, figures.edge_width_px, figures.sharpness, figures.coarse_detail))
         while self._course[0][0] < time_s - self._kept_s:
             self._course.popleft()
@@ -101,7 +104,7 @@ class FocusCourse:
             trend=self.trend(),
             turn_on=self.turn_on(),
             turning=self._turning,
-            at_stop=self._stop_s is not None,
+            at_stop=self._stop is not None,
             unchanged_s=self._course[-1][0] - self._rests[-1].since_s if self._rests else None,
         )
 
@@ -109,13 +112,13 @@ class FocusCourse:
         """Note that camera or light have changed: edges elsewhere in the field have another width."""
         self._best_here_px = None
         self._rests.clear()
-        self._turning, self._stop_s = False, None
+        self._turning, self._stop = False, None
 
     def at_stop(self) -> None:
         """Note that the ring is at the end of its travel: the best place lies the other way."""
-        self._stop_s = self._course[-1][0] if self._course else 0.0
+        self._stop = self._added
         if self._rests:
-            self._rests[-1].since_s = self._stop_s
+            self._rests[-1].since_s = self._course[-1][0]
         del self._rests[:-2]  # the turn to the stop was shorter than was asked for
 
     def better_before_px(self) -> float | None:
@@ -148,11 +151,11 @@ class FocusCourse:
         before, here = self._rests[-2:]
         if any(rest.kind == "width" for rest in self._rests):
             sharp_px = self.best_edge_width_px
-            best = best_place(self._rests, sharp_px=sharp_px, behind=self._stop_s is not None)
+            best = best_place(self._rests, sharp_px=sharp_px, behind=self._stop is not None)
             ratio = (best - here.place) / (here.place - before.place)
         else:
             ratio = _ON if self.trend() == "better" else _BACK
-        if self._stop_s is not None:
+        if self._stop is not None:
             ratio = -abs(ratio)
         return math.copysign(min(max(abs(ratio), _LEAST_TURN), _LARGEST_TURN), ratio)
 
@@ -177,10 +180,10 @@ class FocusCourse:
         elif here.settled:
             now.place = self._expected_place()
             self._rests.append(now)
-            if self._stop_s is not None and now.since_s - self._stop_s <= _SEEN_WITHIN_S:
+            if self._stop is not None and self._added - self._stop <= _SEEN_WITHIN:
                 del self._rests[:-2]  # this is the turn to the stop
             else:
-                self._stop_s = None
+                self._stop = None
         elif len(self._rests) > 1 and (now.worse_than(here) > 0.0) != (self.trend() == "worse"):
             # Turned through the best place, or back, without a rest: how far is not known.
             here.pictures, here.place, now.place = 1, 0.0, 1.0

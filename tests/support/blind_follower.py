@@ -40,6 +40,8 @@ class BlindFollower:
     ring_before: float | None = (
         None  # Where the ring stood before the last action, 1/m; None if it was another one
     )
+    waited_s: float = 0.0  # Time since the last action, s
+    last_was_ring: bool = False  # Whether the last action was a turn of the ring
     at_stop: bool = False  # Whether the last turn has ended at the end of the ring's travel
 
     def truth(self, ring: float | None = None) -> Truth:
@@ -69,6 +71,7 @@ class BlindFollower:
                 part = LiveSlice(path, time_s, None, dict(self.angles), moving)
                 _, figures = meter.measure(part, setting)
                 time_s += self.looks_s / PICTURES
+                self.waited_s += self.looks_s / PICTURES
                 if moving:
                     assert figures.advice == (TURNING,)
                 looks += "stars" in figures.took_ms  # a slow computer does not search in each picture
@@ -79,6 +82,7 @@ class BlindFollower:
                 break
             if figures.ring is None or figures.ring.way != "wait":
                 self.obey(figures)
+                self.waited_s = 0.0
                 if self.at_stop:
                     meter.at_stop()
         return figures
@@ -87,12 +91,17 @@ class BlindFollower:
         """Do what the first sentence says. Raises AssertionError if nobody can do it."""
         first = figures.advice[0]
         self.said.append(first)
+        before, self.last_was_ring = (
+            self.last_was_ring,
+            "urn the focus ring" in first and figures.ring is not None,
+        )
         if "switch" in first and "on" in first and not self.on:
             self.on = True
         elif "level to 100 %" in first:
             self.level = 100.0
         elif "urn the focus ring" in first:
-            self._turn_ring(first, seen_s=figures.focus.unchanged_s)
+            unchanged_s = figures.focus.unchanged_s
+            self._turn_ring(first, unseen=before and unchanged_s is not None and unchanged_s >= self.waited_s)
         elif turns := re.findall(r"(pan|tilt) by (?:about )?([-+][\d.]+) degrees", first):
             self.turned = True
             for axis, by_deg in turns:
@@ -104,12 +113,12 @@ class BlindFollower:
         else:
             raise AssertionError(f"Nobody can do this: {first}")
 
-    def _turn_ring(self, first: str, *, seen_s: float | None) -> None:
-        """Turn the ring as a sentence says; ``seen_s`` is how long ago the page has seen a turn, s."""
+    def _turn_ring(self, first: str, *, unseen: bool) -> None:
+        """Turn the ring as a sentence says; ``unseen``: the last turn has changed nothing."""
         by = re.search(r"turn (on|back) by about ([\d.]+) times the last turn", first)
         if self.at_stop:
             self.turn *= -(float(by[2]) if by else 2.0)
-        elif "too small to be seen" in first and self.said[-2:-1] and self._was_ring(seen_s):
+        elif "too small to be seen" in first and unseen:
             self.turn *= 2.0
         elif by:
             self.turn *= float(by[2]) * (1.0 if by[1] == "on" else -1.0)
@@ -119,7 +128,3 @@ class BlindFollower:
         if abs(reached - self.ring) > FIRMLY:
             self.turn = reached - self.ring
         self.ring_before, self.ring = self.ring, reached
-
-    def _was_ring(self, seen_s: float | None) -> bool:
-        """Return whether the last action was a turn of the ring, and the page has not seen it."""
-        return "urn the focus ring" in self.said[-2] and seen_s is not None and seen_s >= self.looks_s

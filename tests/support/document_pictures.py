@@ -1,17 +1,29 @@
-"""Renders the pictures of a report for the documents, from the folder of a finished run.
+"""Makes the pictures of README and documents from the present version: report, align page and panel. It needs Chromium.
 
-    python tests/support/document_pictures.py runs/demo
+    make pictures
 
-It writes docs/pictures/report.png and docs/pictures/report-plots.png, each below 200 kB. It needs Chromium.
+It runs the demonstration, aligns the simulated bench, and watches a second run. Each picture is below 200 kB.
 """
 
 import io
 import shutil
+import subprocess
 import sys
+import tempfile
+import time
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from PIL import Image
 from playwright.sync_api import sync_playwright
+
+from bench.align.page_requests import PageFiles
+from bench.align.serve import align_app
+from bench.align.session import Session
+from bench.extras.panel.panel_app import panel_app
+from bench.stations.station import SHIPPED_STATIONS, load_station
+from tests.support.pages import served
 
 PICTURES = Path(__file__).parents[2] / "docs" / "pictures"
 FLAGS = [
@@ -23,39 +35,109 @@ FLAGS = [
 ]
 FLAGS += ["--disable-component-update", "--disable-sync"]
 WIDTH_PX = 1160
-PARTS = {"report.png": ("Calibration report", 1180), "report-plots.png": ("Where the result holds", 530)}
-"""Heading with which each picture begins, and its height, px."""
+PARTS = {"report.png": ("Calibration report", 1180), "report-plots.png": ("Where the result holds", 420)}
+"""Heading with which each picture of the report begins, and its height, px."""
+LAPTOP = {"width": 1366, "height": 768}
 MOST_BYTES = 200_000
+PATIENCE_S = 180.0
 
 
 def save(picture: Image.Image, name: str) -> None:
-    """Write a picture with 256 colours; refuse one that is too large."""
+    """Write a picture with as many colours as its size allows; refuse one that is too large."""
     path = PICTURES / name
-    picture.quantize(256, dither=Image.Dither.NONE).save(path, optimize=True)
-    size = path.stat().st_size
+    for colours in (256, 128, 64, 32):
+        picture.quantize(colours, dither=Image.Dither.NONE).save(path, optimize=True)
+        size = path.stat().st_size
+        if size <= MOST_BYTES:
+            break
     print(f"{path.name}: {picture.size[0]} x {picture.size[1]} px, {size} bytes")
     if size > MOST_BYTES:
         raise SystemExit(f"{path} is larger than {MOST_BYTES} bytes.")
 
 
-def main(run: str) -> None:
-    """Render the head of the report, and its maps."""
+def shot(page: Any, **options: Any) -> Image.Image:
+    """Return what a page shows."""
+    return Image.open(io.BytesIO(page.screenshot(**options))).convert("RGB")
+
+
+def wait(holds: Callable[[], Any], what: str) -> None:
+    """Wait until something holds."""
+    end_s = time.monotonic() + PATIENCE_S
+    while not holds():
+        if time.monotonic() > end_s:
+            raise SystemExit(f"It did not happen in time: {what}.")
+        time.sleep(0.1)
+
+
+def report_pictures(browser: Any, run: Path) -> None:
+    """Picture the head of a report, and its maps."""
+    page = browser.new_page(viewport={"width": WIDTH_PX, "height": 900})
+    page.goto((run / "report.html").resolve().as_uri())
+    whole = shot(page, full_page=True)
+    for name, (heading, height_px) in PARTS.items():
+        box = page.get_by_role("heading", name=heading, exact=True).first.bounding_box()
+        if box is None:
+            raise SystemExit(f"The report has no heading {heading!r}.")
+        top = 0 if name == "report.png" else round(box["y"]) - 12
+        save(whole.crop((0, top, WIDTH_PX, min(top + height_px, whole.size[1]))), name)
+
+
+def align_picture(browser: Any, folder: Path) -> None:
+    """Picture the align page over a bench that is homed, lit, and somewhat out of focus."""
+    path = folder / "bench.yaml"
+    shutil.copy(SHIPPED_STATIONS / "simulated.yaml", path)
+    session = Session(load_station(str(path)))
+    if (failure := session.open()) is not None:
+        raise SystemExit(failure.message)
+    try:
+        with served(align_app(session, PageFiles(str(path), folder))) as server:
+            page = browser.new_page(viewport=LAPTOP)
+            page.goto(server.url)
+            page.click("#home")
+            page.click("#home-now")
+            wait(lambda: session.bench.stage.state.homed and not session.bench.stage.moving, "homing")
+            page.click("#light-on")
+            for step in ("20", "-5"):  # out of focus, and some of the way back
+                button = f"[data-action='lens turn'] [data-step='{step}']"
+                page.eval_on_selector(button, "button => button.click()")
+                page.wait_for_timeout(8000)
+            save(shot(page), "align.png")
+    finally:
+        session.close()
+
+
+def panel_picture(browser: Any, runs: Path) -> None:
+    """Picture the panel while a run records."""
+    run = runs / "second"
+    words = ["run", "three_pose", "--station", "simulated", "--output", str(run)]
+    process = subprocess.Popen([sys.executable, "-m", "bench", *words], stderr=subprocess.DEVNULL)
+    try:
+        wait(lambda: (run / "captures").is_dir() and any((run / "captures").iterdir()), "a recording")
+        with served(panel_app(runs)) as server:
+            page = browser.new_page(viewport={"width": WIDTH_PX, "height": 900})
+            page.goto(f"{server.url}run/second")
+            wait(lambda: "accepted" in page.inner_text("#log"), "an accepted pose")
+            page.wait_for_timeout(1000)
+            save(shot(page), "panel.png")
+    finally:
+        process.wait()
+
+
+def main() -> None:
+    """Make all pictures."""
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
     if chromium is None:
         raise SystemExit("Chromium is not installed.")
-    with sync_playwright() as driver:
+    with tempfile.TemporaryDirectory() as name, sync_playwright() as driver:
+        runs = Path(name) / "runs"
+        demo = ["run", "three_pose", "--station", "simulated", "--output", str(runs / "demo")]
+        subprocess.run([sys.executable, "-m", "bench", *demo], check=True)
         browser = driver.chromium.launch(executable_path=chromium, args=FLAGS)
-        page = browser.new_page(viewport={"width": WIDTH_PX, "height": 900})
-        page.goto((Path(run) / "report.html").resolve().as_uri())
-        whole = Image.open(io.BytesIO(page.screenshot(full_page=True))).convert("RGB")
-        for name, (heading, height_px) in PARTS.items():
-            box = page.get_by_role("heading", name=heading, exact=True).first.bounding_box()
-            if box is None:
-                raise SystemExit(f"The report has no heading {heading!r}.")
-            top = 0 if name == "report.png" else round(box["y"]) - 12
-            save(whole.crop((0, top, WIDTH_PX, min(top + height_px, whole.size[1]))), name)
+        report_pictures(browser, runs / "demo")
+        align_picture(browser, Path(name))
+        panel_picture(browser, runs)
         browser.close()
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    main()

@@ -80,12 +80,13 @@ function drawTimeline(items, status, working) {
   fill(at("timeline-legend"), [...legend(shown.map(([how, colour]) => [colour, how])).childNodes]);
 }
 
-/** Round times of day between two moments. */
+/** Round times of day, or days, between two moments. */
 function timeTicks(first, last) {
-  const minute = 60_000, steps = [1, 2, 5, 10, 15, 30, 60, 120, 180, 360, 720, 1440, 2880].map((m) => m * minute);
-  const step = steps.find((one) => (last - first) / one <= 9) || 2880 * minute;
+  const minute = 60_000, steps = [1, 2, 5, 10, 15, 30, 60, 120, 180, 360, 720, 1440, 2880].map((m) => m * minute), day = 1440 * minute;
+  const step = steps.find((one) => (last - first) / one <= 9) || day * Math.ceil((last - first) / (9 * day));
+  const form = step >= day ? { day: "numeric", month: "short" } : { hour: "2-digit", minute: "2-digit" };
   const offset = new Date(first).getTimezoneOffset() * minute, found = [];
-  for (let ms = Math.ceil((first - offset) / step) * step + offset; ms <= last; ms += step) found.push([ms, new Date(ms).toLocaleTimeString("en-GB", { hour: "2-digit", minute: "2-digit" })]);
+  for (let ms = Math.ceil((first - offset) / step) * step + offset; ms <= last; ms += step) found.push([ms, new Date(ms).toLocaleString("en-GB", form)]);
   return found;
 }
 

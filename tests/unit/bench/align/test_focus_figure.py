@@ -156,8 +156,18 @@ def test_at_the_stop_of_the_ring_the_way_is_back(places):
     course.at_stop()
     assert course.turn_on() < 0.0
     assert course.judged(FocusFigures()).at_stop
-    rested(course, *places[:1], start_s=20.0)  # turned away from the stop
+    rested(course, places[-1], places[0], start_s=20.0)  # turned away from the stop
     assert not course.judged(FocusFigures()).at_stop
+
+
+@pytest.mark.parametrize("period_s", [0.3, 6.0])
+def test_a_stop_that_is_reported_before_the_turn_to_it_is_seen_holds_for_it(period_s):
+    course = rested(FocusCourse(), (None, 0.03), (2.6, None))
+    course.at_stop()
+    for number, width in enumerate([2.0, 1.4, 1.4, 1.4]):  # the turn, as a slow or a fast computer sees it
+        course.add(10.0 + period_s * number, FocusFigures(edge_width_px=width))
+    assert course.judged(FocusFigures()).at_stop
+    assert -0.5 < course.turn_on() < -0.15  # on both sides of the best place
 
 
 def test_a_stop_before_any_turn_was_seen_is_known():
