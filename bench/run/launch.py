@@ -252,11 +252,13 @@ def run_and_seal(
         messages = RunMessages(sender, folder.path, progress.say)
 
         try:
-            with crash_log(folder.path):
-                end = Runner(
-                    job, folder, journal, open_devices, clock, progress, messages.write, wire_log
-                ).run()
-            wire_log.close()
+            try:
+                with crash_log(folder.path):
+                    end = Runner(
+                        job, folder, journal, open_devices, clock, progress, messages.write, wire_log
+                    ).run()
+            finally:
+                wire_log.close()
             sealing_key = partial(key_to_seal, home_folder(), key, clock.utc_now(), launch.ask_passphrase)
             if end.how == "finished":
                 journal.close()

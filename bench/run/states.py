@@ -19,6 +19,7 @@ from bench.plan.job import Job, ScriptStep
 from bench.record import events
 from bench.record.journal import capture_name
 from bench.record.recovery import recover, written_files
+from bench.record.storage import storage_errors
 from bench.run.interlocks import Trip, interlock_text
 from bench.run.last_view import leave_view
 from bench.run.machine import State
@@ -189,7 +190,8 @@ class StateWork:
         light = devices.light.read()
         name = capture_name(pose.index, attempt, kind.ending)
         part = self._run.folder.part_path(name)
-        facts = kind.record(devices.camera, part, step, self._run.job.frequency_hz(step))
+        with storage_errors(part):
+            facts = kind.record(devices.camera, part, step, self._run.job.frequency_hz(step))
         after = self._position_as_commanded(pose.angles_deg)
         capture = self._run.folder.commit(name, self._run.clock.monotonic)
         self._run.log.write(

@@ -3,6 +3,7 @@
 import io
 import os
 import shutil
+import sys
 from datetime import UTC, datetime, timedelta
 from unittest import mock
 
@@ -299,3 +300,7 @@ def test_whichever_call_of_a_change_of_keys_fails_the_bench_has_one_key_that_is_
 
     failed, fallen = each_goes_on(tmp_path, step, Lab, change, usable)
     assert (fallen, step * failed > 30) == ([], True)
+
+
+if __name__ == "__main__":
+    sys.exit(pytest.main([__file__, "-s", "-n", "0", "-m", "slow", *sys.argv[1:]]))
