@@ -1,26 +1,25 @@
 """Measure the cost of calibrations: CPU time, bytes and memory for a pose, a run, a night, and a million captures.
 
-    python tests/benchmarks/bench_costs.py RUN [--rounds 5] [--scaling 1.97]
+    python tests/benchmarks/bench_costs.py RUN [--rounds 11] [--scaling 1.97] [--write]
 
-RUN is a finished run. Everything is done by one process, several times; the median of the CPU time is printed, which
-other work on the computer hardly changes. The scaling to two workers is that of `bench_cluster.py --only scaling`.
-The result is text in Markdown, for docs/costs.md.
+RUN is a finished run. Everything is done by one process, several times. The median of the CPU time is printed,
+which other work on the computer hardly changes, and its 95th percentile. The scaling to two workers is that of `bench_cluster.py --only scaling`.
+``--write`` puts the tables into docs/measured/costs.md, and calculates what docs/costs.md says from the same numbers.
 """
 
 from __future__ import annotations
 
 import itertools
 import resource
-import statistics
 import tempfile
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import measured
+from measured import Spread
 
 from bench.base.program import forms
 from bench.evidence.keys import create_key
@@ -29,7 +28,7 @@ from bench.extras.many.results_folders import ResultsFolders
 from bench.extras.many.tasks import Task, list_recordings
 from bench.measure.kept_views import pack_view
 from bench.record.storage import sha256_of
-from bench.solve.offline import OfflineResult, calibrate_sources
+from bench.solve.offline import calibrate_sources
 from bench.solve.offline_folder import offline_files
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.view_sources import view_sources
@@ -39,13 +38,38 @@ POSES_OF_A_NIGHT, RUNS_OF_A_NIGHT = 540, 60
 CAPTURES = 1_000_000
 DISKS_MB_S = {"hard disk or 1 Gbit/s network": 110, "SATA SSD": 500, "NVMe SSD": 3000}
 _WORKERS = (1, 2, 8, 32, 128)
+S3_S = 0.03
+"""Time of the command for a run whose recordings are on S3, at 30 ms for each request."""
+_POSES = 9
+"""Poses of a run, where runs are counted."""
+
+
+class Costs(NamedTuple):
+    """What was measured: CPU times of a pose, of a run of nine poses, and of the command for each run; sizes."""
+
+    find_s: float
+    decode_s: float
+    fit_s: float
+    files_s: float
+    command_s: float
+    recording_mb: float
+    events_m: float
+    view_kb: float
+    results_mb: float
+    memory_mb: float
+    program_mb: float
+
+    @property
+    def run_s(self) -> float:
+        """CPU time of a run."""
+        return _POSES * self.find_s + self.fit_s + self.files_s
 
 
 def main() -> None:
     """Measure, and print the tables."""
     parser = measured.options(__doc__)
     parser.add_argument("run", type=Path)
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--rounds", type=int, default=11)
     parser.add_argument("--scaling", type=float, default=1.97, help="speed of two workers against one")
     options = parser.parse_args()
     sources = list(view_sources(options.run, OfflineOptions()))
@@ -58,17 +82,22 @@ def main() -> None:
     poses = len(sources)
     paths = [source.path for source in sources]
     pose = {
-        "hash of the recording": _median(rounds, lambda: [sha256_of(path) for path in paths]) / poses,
-        "decoding": _median(rounds, lambda: [_decode(path) for path in paths]) / poses,
-        "finding the stars, decoding included": _median(rounds, lambda: [one.read() for one in sources])
+        "hash of the recording": measured.cpu_times(rounds, lambda: [sha256_of(path) for path in paths])
+        / poses,
+        "decoding": measured.cpu_times(rounds, lambda: [_decode(path) for path in paths]) / poses,
+        "finding the stars, decoding included": measured.cpu_times(
+            rounds, lambda: [one.read() for one in sources]
+        )
         / poses,
     }
     run = {
-        "fit, the run's own model": _median(rounds, lambda: calibrate_sources(given, OfflineOptions())),
-        "fit, spherical, no passport": _median(
+        "fit, the run's own model": measured.cpu_times(
+            rounds, lambda: calibrate_sources(given, OfflineOptions())
+        ),
+        "fit, spherical, no passport": measured.cpu_times(
             rounds, lambda: calibrate_sources(given, OfflineOptions(model="spherical", without_passport=True))
         ),
-        "results, report, exports": _median(rounds, lambda: offline_files(result, "costs")),
+        "results, report, exports": measured.cpu_times(rounds, lambda: offline_files(result, "costs")),
     }
     task = Task(OfflineOptions(), forms()["program"], "")
     with tempfile.TemporaryDirectory() as folder:
@@ -82,12 +111,30 @@ def main() -> None:
                 output.write(f"run-{n}", made, {**row, "folder": str(n)})
 
             command = {
-                "list a run": _median(rounds, lambda: list_recordings(Place(str(options.run)), task)),
-                "write and seal its results": _median(rounds, write),
+                "list a run": measured.cpu_times(
+                    rounds, lambda: list_recordings(Place(str(options.run)), task)
+                ),
+                "write and seal its results": measured.cpu_times(rounds, write),
             }
+    costs = Costs(
+        find_s=pose["hash of the recording"].median_s + pose["finding the stars, decoding included"].median_s,
+        decode_s=pose["decoding"].median_s,
+        fit_s=run["fit, the run's own model"].median_s,
+        files_s=run["results, report, exports"].median_s,
+        command_s=sum(took.median_s for took in command.values()),
+        recording_mb=sum(path.stat().st_size for path in paths) / poses / 1e6,
+        events_m=sum(_decode(path) for path in paths) / poses / 1e6,
+        view_kb=sum(len(pack_view(view, "0" * 64)) for view in views) / poses / 1e3,
+        results_mb=sum(len(data) for data in offline_files(result, "costs").values()) / 1e6,
+        memory_mb=_peak_mb(),
+        program_mb=before_mb,
+    )
     _print_parts(pose, run, command, poses)
-    _print_sizes(paths, views, result, before_mb)
-    _print_sums(pose, run, paths, options.scaling)
+    _print_sizes(costs)
+    _print_sums(costs, paths, options.scaling)
+    if measured.is_writing():
+        page = measured.FOLDER.parent / "costs.md"
+        page.write_text(explained(costs, options.scaling), encoding="utf-8")
 
 
 def _same(view: Any) -> Any:
@@ -98,58 +145,37 @@ def _decode(path: Path) -> int:
     return sum(len(events.t) for events, _ in RawFile.open(path).pieces())
 
 
-def _median(rounds: int, work: Callable[[], object]) -> float:
-    """Return the median of the CPU time of some work, s."""
-    work()
-    times = []
-    for _ in range(rounds):
-        begun = time.process_time()
-        work()
-        times.append(time.process_time() - begun)
-    return statistics.median(times)
-
-
 def _peak_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def _print_parts(
-    pose: dict[str, float], run: dict[str, float], command: dict[str, float], poses: int
+    pose: dict[str, Spread], run: dict[str, Spread], command: dict[str, Spread], poses: int
 ) -> None:
-    print("| work | CPU time |\n| --- | ---: |")
-    for what, seconds in pose.items():
-        print(f"| a pose: {what} | {seconds:.3f} s |")
-    for what, seconds in run.items():
-        print(f"| a run of {poses} poses: {what} | {seconds:.2f} s |")
-    for what, seconds in command.items():
-        print(f"| the command itself: {what} | {seconds:.3f} s |")
-    work = sum(run.values()) - run["fit, spherical, no passport"] + poses * (
-        pose["hash of the recording"] + pose["finding the stars, decoding included"]
-    )  # fmt: skip
-    print(f"\nThe command keeps {work / sum(command.values()):.0f} workers busy.")
+    print("| work | CPU time | 95 % |\n| --- | ---: | ---: |")
+    for what, took in pose.items():
+        print(f"| a pose: {what} | {took.cells(3)} |")
+    for what, took in run.items():
+        print(f"| a run of {poses} poses: {what} | {took.cells(2)} |")
+    for what, took in command.items():
+        print(f"| the command itself: {what} | {took.cells(3)} |")
 
 
-def _print_sizes(
-    paths: Sequence[Path], views: Sequence[Any], result: OfflineResult, before_mb: float
-) -> None:
-    poses = len(paths)
-    recording = sum(path.stat().st_size for path in paths) / poses
-    kept = sum(len(pack_view(view, "0" * 64)) for view in views) / poses
-    events = sum(_decode(path) for path in paths) / poses
-    written = sum(len(data) for data in offline_files(result, "costs").values())
+def _print_sizes(costs: Costs) -> None:
     print("\n| size | |\n| --- | ---: |")
-    print(f"| a recording | {recording / 1e6:.2f} MB, {events / 1e6:.2f} million events |")
-    print(f"| a kept view | {kept / 1e3:.1f} kB |")
-    print(f"| the results of a run, written | {written / 1e6:.2f} MB |")
-    print(f"| memory of a worker, largest | {_peak_mb():.0f} MB ({before_mb:.0f} MB of it are the program) |")
+    print(f"| a recording | {costs.recording_mb:.2f} MB, {costs.events_m:.2f} million events |")
+    print(f"| a kept view | {costs.view_kb:.1f} kB |")
+    print(f"| the results of a run, written | {costs.results_mb:.2f} MB |")
+    print(
+        f"| memory of a worker, largest | {costs.memory_mb:.0f} MB"
+        f" ({costs.program_mb:.0f} MB of it are the program) |"
+    )
 
 
-def _print_sums(pose: dict[str, float], run: dict[str, float], paths: Sequence[Path], scaling: float) -> None:
+def _print_sums(costs: Costs, paths: Sequence[Path], scaling: float) -> None:
     """Print CPU time and duration of a night and of many captures, and what limits them."""
-    find = pose["hash of the recording"] + pose["finding the stars, decoding included"]
-    fit, files = run["fit, the run's own model"], run["results, report, exports"]
-    each = sum(path.stat().st_size for path in paths) / len(paths)
-    runs_of_captures = CAPTURES / 9
+    find, fit, files, each = costs.find_s, costs.fit_s, costs.files_s, costs.recording_mb * 1e6
+    runs_of_captures = CAPTURES / _POSES
     amounts = {
         f"a run of {len(paths)} poses": (find * len(paths), fit, files, each * len(paths)),
         f"a night: {RUNS_OF_A_NIGHT} runs, {POSES_OF_A_NIGHT} poses": (
@@ -165,7 +191,7 @@ def _print_sums(pose: dict[str, float], run: dict[str, float], paths: Sequence[P
     for what, (stars, fits, reports, size) in amounts.items():
         total = stars + fits + reports
         print(
-            f"| {what} | {_time(stars)} | {_time(fits)} | {_time(reports)} | {size / 1e9:.3g} GB |"
+            f"| {what} | {_time(stars)} | {_time(fits)} | {_time(reports)} | {float(f'{size / 1e9:.3g}'):,g} GB |"
             f" {_time(total)} | {_time(total / scaling)} |"
         )
     efficiency = scaling / 2
@@ -180,6 +206,51 @@ def _print_sums(pose: dict[str, float], run: dict[str, float], paths: Sequence[P
         full = (stars + fits) / least
         print(f"| {disk}, {rate} MB/s: {_time(least)} to read | {'|'.join(' ' for _ in _WORKERS[1:])} |"
               f" {full:.0f} workers keep it busy |")  # fmt: skip
+
+
+def explained(costs: Costs, scaling: float) -> str:
+    """Return docs/costs.md: what calibrations cost, and what to buy."""
+    parts = {
+        "Finding stars": _POSES * costs.find_s,
+        "The fit": costs.fit_s,
+        "Writing results and reports": costs.files_s,
+    }
+    most = max(parts, key=lambda name: parts[name])
+    runs = CAPTURES / _POSES
+    night = RUNS_OF_A_NIGHT * costs.run_s
+    workers = {disk: _workers_fed(costs, rate) for disk, rate in DISKS_MB_S.items()}
+    fed = ", ".join(
+        f"{'an' if disk[0] == 'N' else 'a'} {disk} {count:.0f}" for disk, count in workers.items()
+    )
+    return f"""# What calibrations cost
+
+How to calibrate many runs at once is in [cluster.md](cluster.md). These numbers are calculated from what was
+[measured](measured/costs.md) with simulated recordings. For a run of your own, use
+`python tests/benchmarks/bench_costs.py RUN`; with `--write` it writes this page.
+
+* **{most} takes the most time**: {parts[most] / costs.run_s:.0%} of a run of nine poses, which takes {costs.run_s:.1f} s of
+  processor time: {_POSES * costs.find_s:.1f} s for the stars, {costs.fit_s:.1f} s for the fit, {costs.files_s:.1f} s for results and report.
+* Stars of a recording take {costs.find_s:.2f} s, decoding {costs.decode_s:.2f} s of it.
+* A night of {POSES_OF_A_NIGHT} poses is calibrated again in {_time(night)} of one processor, {CAPTURES:,} captures in {_time(runs * costs.run_s)} of one,
+  or {_time(runs * costs.run_s / 8 / (scaling / 2))} of eight (more than two workers are a projection; two are {scaling:.2f} times as fast as one).
+* {CAPTURES:,} captures need {CAPTURES * costs.recording_mb / 1e6:.1f} TB, {CAPTURES * costs.view_kb / 1e6:.0f} GB for kept views, and {runs * costs.results_mb / 1e3:.0f} GB for results with reports. A kept
+  view ({costs.view_kb:.0f} kB) saves the {costs.find_s:.2f} s: a run of nine poses then costs {costs.fit_s + costs.files_s:.1f} s.
+
+| part | limit | what to buy |
+| --- | --- | --- |
+| processors | {1 / costs.run_s * 60:.0f} runs of nine poses a minute for each | processors; fast ones for a bench that waits for its result |
+| disk or network | enough for so many workers: {fed} | an SSD, and 10 Gbit/s from some {workers["hard disk or 1 Gbit/s network"]:.0f} workers on |
+| memory | {costs.memory_mb / 1e3:.1f} GB for each worker | 1 GB for each processor, 2 GB if recordings are long |
+| the command | it lists, writes and seals {costs.command_s:.2f} s a run of nine poses, enough for {costs.run_s / costs.command_s:.0f} workers | nothing; or several commands, each with an output folder of its own |
+| S3 | {S3_S:.2f} s a run at 30 ms for each request, enough for some {costs.run_s / S3_S:.0f} workers | a shared folder, or several commands |
+
+* Read a recording in pieces, or count without a list, where speed matters: all events at once take 13 bytes of memory an event.
+"""
+
+
+def _workers_fed(costs: Costs, rate_mb_s: float) -> float:
+    """Return how many workers a disk keeps busy."""
+    return rate_mb_s * costs.run_s / (_POSES * costs.recording_mb)
 
 
 def _time(seconds: float) -> str:

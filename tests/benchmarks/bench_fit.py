@@ -2,7 +2,7 @@
 
     python tests/benchmarks/bench_fit.py [--poses 3 9 20] [--seeds 0-3] [--worlds polynomial product S1] [--checkout FOLDER]
 
-For each world and number of poses, the median over the seeds, s. ``cr``: certificate and bounded readings; a mount
+For each world and number of poses, the median over the seeds and the 95th percentile, s. ``cr``: certificate and bounded readings; a mount
 moved by hand (S1) has neither. OpenCV's ``calibrateCamera`` gets the same stars, and the same two coefficients.
 ``--checkout`` then measures another checkout, and prints its time over this one's.
 """
@@ -13,7 +13,6 @@ import json
 import time
 from itertools import product
 from pathlib import Path
-from statistics import median
 
 import cv2
 import measured
@@ -62,7 +61,8 @@ def main() -> None:
     seconds("polynomial", 3, 0)  # imports and compiled loops
     found = {
         f"{world}, {poses}": [
-            median(part) for part in zip(*(seconds(world, poses, seed) for seed in given.seeds), strict=True)
+            measured.spread(part)
+            for part in zip(*(seconds(world, poses, seed) for seed in given.seeds), strict=True)
         ]
         for world, poses in product(given.worlds, given.poses)
     }
@@ -79,11 +79,14 @@ def main() -> None:
             *map(str, given.poses),
         ]
         other = json.loads(measured.in_checkout(given.checkout, *words, "--worlds", *given.worlds))
-    print(f"| world, poses | joint adjustment | OpenCV, planar |{' other over this one |' if other else ''}")
-    print(f"| --- | --- | --- |{' --- |' if other else ''}")
+    names = ("world, poses", *("joint adjustment", "95 %"), *("OpenCV, planar", "95 %"))
+    names += ("other over this one", "95 %") if other else ()
+    print(f"| {' | '.join(names)} |\n|{' --- |' * len(names)}")
     for name, (joint, planar) in found.items():
-        ratio = f" {other[name][0] / joint:.2f} |" if other else ""
-        print(f"| {name} | {joint:.2f} s | {planar:.2f} s |{ratio}")
+        ratios = [before / now for before, now in zip(other[name][0], joint, strict=True)] if other else []
+        print(
+            f"| {name} | {joint.cells(2)} | {planar.cells(2)} |{''.join(f' {one:.2f} |' for one in ratios)}"
+        )
 
 
 if __name__ == "__main__":

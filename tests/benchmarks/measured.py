@@ -16,13 +16,15 @@ import io
 import json
 import os
 import re
+import statistics
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Hashable, Iterable
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, NamedTuple, TextIO
 
 ROOT = Path(__file__).parents[2]
 os.environ.setdefault("OMP_NUM_THREADS", "1")
@@ -30,6 +32,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 sys.path += [str(ROOT), str(ROOT / "tests" / "support")]
 FOLDER = ROOT / "docs" / "measured"
 ORIGIN = "Measured by `"
+_WRITE = "--write"
+_CALLED_WITH = tuple(sys.argv[1:])
 
 
 def options(described: str | None) -> argparse.ArgumentParser:
@@ -77,6 +81,40 @@ def add_missing(
             file.flush()
 
 
+class Spread(NamedTuple):
+    """Times of the same work, s: what half of them do not exceed, and what 95 of 100 do not."""
+
+    median_s: float
+    p95_s: float
+
+    def __truediv__(self, parts: float) -> Spread:
+        """Return the times of one of some equal parts of the work."""
+        return Spread(self.median_s / parts, self.p95_s / parts)
+
+    def cells(self, digits: int) -> str:
+        """Return both as two cells of a table."""
+        return f"{self.median_s:.{digits}f} s | {self.p95_s:.{digits}f} s"
+
+
+def spread(times_s: Iterable[float]) -> Spread:
+    """Return the spread of some times, s; between two of them it is interpolated."""
+    times = sorted(times_s)
+    if len(times) < 2:
+        return Spread(times[0], times[0])
+    return Spread(statistics.median(times), statistics.quantiles(times, n=20, method="inclusive")[-1])
+
+
+def cpu_times(rounds: int, work: Callable[[], object]) -> Spread:
+    """Do some work once, and then in rounds whose CPU time is taken."""
+    work()
+    times = []
+    for _ in range(rounds):
+        begun = time.process_time()
+        work()
+        times.append(time.process_time() - begun)
+    return spread(times)
+
+
 class _Tee(io.StringIO):
     """A text that is kept, and that is printed at once too."""
 
@@ -94,9 +132,14 @@ class _Tee(io.StringIO):
         self.printed.flush()
 
 
+def is_writing() -> bool:
+    """Return whether this benchmark was called with ``--write``."""
+    return _WRITE in _CALLED_WITH
+
+
 def run(main: Callable[[], int | None], page: str, title: str) -> None:
     """Run a benchmark and exit with its status. With ``--write``, write what it printed; not if it failed."""
-    words = [word for word in sys.argv[1:] if word != "--write"]
+    words = [word for word in sys.argv[1:] if word != _WRITE]
     wanted = len(words) < len(sys.argv) - 1
     sys.argv[1:] = words
     kept = _Tee(sys.stdout)
