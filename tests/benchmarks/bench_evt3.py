@@ -1,11 +1,11 @@
 """Speed of reading EVT3, beside the PyPI decoder ``evt3`` in the same run: CPU seconds on one core.
 
 Three recordings of 4 million events each, as an IMX636 sends them: sparse (single events, TIME_HIGH dominates),
-flicker (about 1.8 bytes an event, as in the published comparisons) and dense (vectors nearly full). Works are
-interleaved round by round, the first round is not counted (it compiles), and each number is the best round: on a busy
-machine compare ratios, not absolute speeds.
+flicker (about 1.8 bytes an event, as in the published comparisons) and dense (vectors nearly full); and any recording
+of a real camera. Works are interleaved round by round, the first round is not counted (it compiles), and each number is
+the median round and the 95th percentile: on a busy machine compare ratios, not absolute speeds.
 
-    python tests/benchmarks/bench_evt3.py [--old FOLDER]
+    python tests/benchmarks/bench_evt3.py [--recording FILE]... [--old FOLDER]
 
 ``--old`` names a checkout of an earlier version, which is measured in the same minutes by a process of its own.
 """
@@ -56,18 +56,16 @@ def write_scene(path: Path, density: float, rate_mev_s: float) -> None:
             written += len(t)
 
 
-def best_s(
-    works: dict[str, Callable[[], object]], clock: Callable[[], float] = time.process_time
-) -> dict[str, float]:
-    """Shortest time of each work in some rounds of all."""
-    times = dict.fromkeys(works, float("inf"))
+def times_of(works: dict[str, Callable[[], object]]) -> dict[str, measured.Spread]:
+    """CPU time of each work in some rounds of all."""
+    times: dict[str, list[float]] = {name: [] for name in works}
     for k in range(ROUNDS + 1):
         for name, work in works.items():
-            begin = clock()
+            begin = time.process_time()
             work()
             if k:
-                times[name] = min(times[name], clock() - begin)
-    return times
+                times[name].append(time.process_time() - begin)
+    return {name: measured.spread(found) for name, found in times.items()}
 
 
 def works(path: Path) -> dict[str, Callable[[], object]]:
@@ -101,26 +99,40 @@ def main() -> None:
     """Print a table a scene."""
     parser = argparse.ArgumentParser()
     parser.add_argument("--old", type=Path, help="checkout of an earlier version")
+    parser.add_argument(
+        "--recording", type=Path, action="append", default=[], help="a RAW file of a real camera"
+    )
     options = parser.parse_args()
     if options.old:
+        words = [word for path in options.recording for word in ("--recording", str(path.resolve()))]
         for name, folder in (("OLD", options.old), ("NEW", measured.ROOT)):
-            print(f"\n===== {name}\n{measured.in_checkout(folder)}", flush=True)
+            print(f"\n===== {name}\n{measured.in_checkout(folder, *words)}", flush=True)
         return
     with tempfile.TemporaryDirectory() as folder:
-        for name, (density, rate) in SCENES.items():
-            path = Path(folder) / f"{name}.raw"
-            write_scene(path, density, rate)
-            scan = RawFile.open(path).scan()
+        paths = {path.name: path for path in options.recording}
+        for name, scene in SCENES.items():
+            paths[name] = Path(folder) / f"{name}.raw"
+            write_scene(paths[name], *scene)
+        for name, path in paths.items():
+            show(name, path)
+
+
+def show(name: str, path: Path) -> None:
+    """Print the table of a recording."""
+    scan = RawFile.open(path).scan()
+    print(
+        f"\n{name}: {scan.events / 1e6:.2f} M events in {scan.duration_s:.2f} s, "
+        f"{scan.bytes / scan.events:.2f} bytes an event"
+    )
+    times = times_of(works(path))
+    for work, took in times.items():
+        rate = scan.events / took.median_s / 1e6
+        print(f"  {work:40s} {rate:7.0f} Mev per CPU s, 95 %: {scan.events / took.p95_s / 1e6:.0f}")
+    for ours, theirs in PEERS.items():
+        if theirs in times:
             print(
-                f"\n{name}: {scan.events / 1e6:.1f} M events in {scan.duration_s:.2f} s, "
-                f"{scan.bytes / scan.events:.2f} bytes an event"
+                f"  {ours}: {times[theirs].median_s / times[ours].median_s:.2f} times {theirs.partition(':')[0]}"
             )
-            times = best_s(works(path))
-            for work, taken in times.items():
-                print(f"  {work:40s} {scan.events / taken / 1e6:7.0f} Mev per CPU s")
-            for ours, theirs in PEERS.items():
-                if theirs in times:
-                    print(f"  {ours}: {times[theirs] / times[ours]:.1f} times evt3")
 
 
 if __name__ == "__main__":
