@@ -82,6 +82,7 @@ bench: $(VENV)/installed-dev ## speeds, beside those of peers (never part of the
 table1: $(VENV)/installed-dev ## methods compared where the truth is known: about an hour of two cores; Ctrl-C, and it continues
 	@$(PIP_COMPILED) 'optiland>=0.6' || echo "note: optiland is not to be had here; the collimators of strangers are left out"
 	$(BIN)/python tests/benchmarks/bench_table1.py --jobs 2 --pictures docs/pictures --write
+	$(BIN)/python tests/benchmarks/bench_image_counts.py --jobs 2 --pictures docs/pictures --write
 
 pictures: $(VENV)/installed-dev ## make the pictures of README and documents again, from the present version; needs Chromium
 	$(BIN)/python -m tests.support.document_pictures

@@ -88,7 +88,8 @@ def _draw_formula_block(translator: Any, node: Any) -> None:
     """Write a formula on lines of its own as MathML."""
     from docutils import nodes
 
-    translator.body.append(convert(node.astext(), display="block"))
+    formula = convert(node.astext(), display="block")
+    translator.body.append(f'<div style="overflow-x: auto">{formula}</div>')
     raise nodes.SkipNode
 
 

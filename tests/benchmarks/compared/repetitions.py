@@ -5,6 +5,7 @@ After Ctrl-C, the same command continues. Whatever changes the program or a colu
 
 from __future__ import annotations
 
+import argparse
 import hashlib
 import sys
 from collections import defaultdict
@@ -67,13 +68,27 @@ def _do(*key: Any) -> dict[str, Any]:
     return {"key": key, "rows": rows_of(_groups(comparison)[group], seed)}
 
 
-def repeated(comparison: str, repetitions: int | None, kept: Path, jobs: int) -> list[list[Row]]:
+def options(described: str | None, kept: str) -> argparse.Namespace:
+    """Read the options that the benchmarks of comparisons have in common."""
+    parser = measured.options(described)
+    parser.add_argument("--repetitions", type=int)
+    parser.add_argument("--kept", type=Path, default=Path(kept))
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument(
+        "--ready", action="store_true", help="measure nothing: the table of what the file holds"
+    )
+    parser.add_argument("--pictures", type=Path, help="the folder in which pictures are written")
+    return parser.parse_args()
+
+
+def repeated(comparison: str, given: argparse.Namespace) -> list[list[Row]]:
     """Return the rows of each of `columns_here`; what the file does not hold yet is measured and added to it."""
-    asked = _keys(comparison, repetitions or read_comparison(comparison).repetitions)
-    done = measured.kept(kept, lambda line: tuple(line["key"]))
-    measured.add_missing(kept, done, asked, _do, jobs)
+    asked = _keys(comparison, given.repetitions or read_comparison(comparison).repetitions)
+    done = measured.kept(given.kept, lambda line: tuple(line["key"]))
+    if not given.ready:
+        measured.add_missing(given.kept, done, asked, _do, given.jobs)
     rows: dict[str, list[Row]] = defaultdict(list)
-    for key in asked:
+    for key in (one for one in asked if one in done):
         for name, row in done[key]["rows"].items():
             rows[name].append(row)
     return [rows[column.name] for column in columns_here(comparison)]

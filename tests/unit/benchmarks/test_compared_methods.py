@@ -1,5 +1,10 @@
 """Comparison of methods, a benchmark: its columns, one repetition, its table, one image by angles, the gimbal's check."""
 
+import argparse
+import importlib
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -155,3 +160,21 @@ def test_a_camera_that_is_too_long_turns_too_little_beside_the_gimbal(longer, er
     views, readings = views_and_readings()
     assert gimbal_ratio_error(camera, views, readings) == pytest.approx(error, abs=within)
     assert gimbal_ratio_error(camera, views, ()) is None  # a board
+
+
+# ---------------------------------------------------------------- kept repetitions
+
+
+def test_what_is_ready_is_shown_without_a_measurement(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(str(Path(__file__).parents[2] / "benchmarks"))
+    repetitions = importlib.import_module("tests.benchmarks.compared.repetitions")
+    kept = tmp_path / "table1.jsonl"
+    given = argparse.Namespace(repetitions=2, ready=True, kept=kept, jobs=1)
+    assert not any(repetitions.repeated("table1", given))
+    first, second = repetitions._keys("table1", 2)[:2]
+    ours = {"Starbench, ideal collimator, 3 images": row(3.0)}
+    lines = [{"key": first, "rows": ours}, {"key": [*second[:3], "of another program"], "rows": ours}]
+    kept.write_text("".join(json.dumps(line) + "\n" for line in lines))
+    rows = repetitions.repeated("table1", given)
+    assert [len(of_column) for of_column in rows if of_column] == [1]
+    assert " 1 of 1 | 3 |" in table(repetitions.columns_here("table1"), rows)

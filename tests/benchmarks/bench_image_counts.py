@@ -1,0 +1,25 @@
+"""Errors by the number of images, the noise and the collimator: the comparison ``sweep``.
+
+    python tests/benchmarks/bench_image_counts.py [--repetitions 3] [--jobs 2] [--pictures docs/pictures] [--kept FILE]
+
+Results are kept in a file: after Ctrl-C, the same command continues, and ``--ready`` shows what is there.
+"""
+
+from __future__ import annotations
+
+import measured
+from compared.pictures import draw_image_counts
+from compared.repetitions import columns_here, options, repeated
+from compared.summary import table
+
+
+def main() -> None:
+    given = options(__doc__, "image_counts.jsonl")
+    rows, columns = repeated("sweep", given), columns_here("sweep")
+    if given.pictures:
+        draw_image_counts(columns, rows, measured.origin("bench_image_counts.py"), given.pictures)
+    print(table(columns, rows))
+
+
+if __name__ == "__main__":
+    measured.run(main, "comparison", "Number of images")
