@@ -37,7 +37,9 @@ from calib.events.event_image import (
 from calib.events.flicker import Flicker, flicker_from_events, flicker_from_triggers
 from calib.events.grey_image import to_uint8
 from calib.model.homography import fit_homography
+from calib.stars.beam import find_beam
 from calib.stars.detect import detect_stars
+from calib.stars.focus import sharpness
 from calib.stars.motion import shift_between_halves
 from calib.stars.rim import downweight_vignetted, find_rim
 from calib.target import StarTarget
@@ -217,11 +219,25 @@ LEAST_LIT = 0.005
 pixels alone do."""
 
 
-def without_light(error: TargetNotFound, facts: MeasuredFacts, pixels: int) -> TargetNotFound:
-    """Return the error of a recording that shows no target; if it shows no light either, one that says so."""
+_BLURRED = 0.16
+"""Sharpness (`calib.stars.focus.sharpness`) below which no stars are seen: with the shipped target and lens, it is 0.34
+in focus, 0.16 where stars can just be found, and 0.09 far out of focus."""
+
+
+def why_no_target(error: TargetNotFound, facts: MeasuredFacts, whole: NDArray[np.float32]) -> TargetNotFound:
+    """Return the error of an image, (H, W), without a target: what is told if it is dark, or out of focus, instead."""
     image = facts.get("image")
-    if image is None or image["lit_pixels"] >= LEAST_LIT * pixels:
-        return error
+    if image is None or image["lit_pixels"] >= LEAST_LIT * whole.size:
+        detail = sharpness(whole, find_beam(whole).lit)
+        if detail is None or detail >= _BLURRED:
+            return error
+        return TargetNotFound(
+            "The image is out of focus: the beam is lit, and shows hardly any detail.",
+            where=error.where,
+            remedy="Focus the lens: `starbench align` shows how. If it is in focus, look whether the target is in the "
+            "collimator.",
+        )
+    pixels = whole.size
     source = "the sync signal comes" if facts.get("flicker_source") == "triggers" else "some events flicker"
     return TargetNotFound(
         f"The picture is dark: {source}, but only {100 * image['lit_pixels'] / pixels:.2g} % of the pixels follow the "
@@ -327,7 +343,7 @@ def measure(
         try:
             found = find_stars(whole.image, target, name, expected_grid, facts, edge_width=motion)
         except TargetNotFound as error:
-            raise without_light(error, facts, whole.image.size) from error
+            raise why_no_target(error, facts, whole.image) from error
         if motion:
             facts["motion_px"] = motion_px(whole.halves(), found, target)
         return downweight_vignetted(found, target)

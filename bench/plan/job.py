@@ -211,7 +211,8 @@ class Job:
             at_most(f"{axis} moved", abs(after_deg[axis] - before_deg[axis]), MAX_MOTION_DEG, "deg")
             for axis in before_deg
         ]
-        reasons = [*filter(None, [found.fault]), *failed_gate_texts(gates), *other_reasons]
+        failed = [gate for gate in gates if found.view is not None or gate.name != "stars"]
+        reasons = [*filter(None, [found.fault]), *failed_gate_texts(failed), *other_reasons]
         return {
             "pose": stored["pose"],
             "attempt": stored["attempt"],

@@ -120,6 +120,7 @@ class RunStarted(TypedDict):
     operator: str | None
     simulated: bool
     software: Mapping[str, str]
+    begun_with: NotRequired[Sequence[str]]  # Arguments of `starbench run` that begin it again
     plugins: NotRequired[Mapping[str, Sequence[str]]]
     ledger: NotRequired[LedgerPlace]
     rehearsal: NotRequired[bool]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -325,10 +326,13 @@ def way_on(history: History, folder: Path) -> tuple[str, str]:
             "All recordings are kept. With the same model they are refused again. With the joint adjustment:",
             f"starbench calibrate {folder} --model joint",
         )
-    if kind and not history.attempts:
-        copies = f"a resumed run would use the copies of its files in {folder}"
-        return (
-            f"Nothing was recorded. Remove the cause; {copies}. To begin again, with corrected files:",
-            "starbench run SEQUENCE --station STATION",
+    if kind and (not history.attempts or (kind == "PoseFailed" and not history.accepted())):
+        nothing = "accepted" if history.attempts else "recorded"
+        begun = history.started.get("begun_with")  # which earlier versions did not write
+        files = begun or (str(folder / "sequence.yaml"), "--station", str(folder / "station.yaml"))
+        known = (
+            f"Nothing was {nothing}. A resumed run (starbench resume {shlex.quote(str(folder))}) uses its own copies "
+            "of the files: it helps if the cause is on the bench. If a file was wrong, correct it, and begin again:"
         )
+        return known, shlex.join(["starbench", "run", *files])
     return "All recordings are kept. To continue:", f"starbench resume {folder}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import functools
 import re
 from collections.abc import Callable, Sequence
@@ -172,8 +173,13 @@ def _css_text(value: object) -> str:
     return re.sub(r"[^A-Za-z0-9 ._-]", "?", str(value))
 
 
-def render_ended(history: History, way_on: tuple[str, str], journal_head: str, namespace: str) -> str:
-    """Render the page of a run that did not finish; the hash of its last line identifies the whole journal."""
+def render_ended(
+    history: History, way_on: tuple[str, str], journal_head: str, namespace: str, picture: bytes = b""
+) -> str:
+    """Render the page of a run that did not finish; the hash of its last line identifies the whole journal.
+
+    ``picture`` is the image of the recording that was refused last, as PNG.
+    """
     failure = history.failures[-1] if history.ended == "failed" and history.failures else None
     reason = {
         "what": failure["what"] if failure else history.why,
@@ -186,6 +192,7 @@ def render_ended(history: History, way_on: tuple[str, str], journal_head: str, n
         run=history.started,
         how="failed" if history.ended == "failed" else "was aborted",
         way_on=way_on,
+        picture=base64.b64encode(picture).decode(),
         identification=_identification(history),
         recordings=history.attempts,
         accepted=len(history.accepted()),

@@ -18,6 +18,8 @@ from bench.record.run_folder import (
 )
 from bench.record.storage import storage_errors
 from bench.record.stored_run import StoredRun
+from calib.errors import CalibrationError
+from drivers.errors import DriverError
 
 
 def write_ended_page(folder: RunFolder, key: Callable[[], BenchKey], say: Callable[[str], None]) -> None:
@@ -29,12 +31,25 @@ def write_ended_page(folder: RunFolder, key: Callable[[], BenchKey], say: Callab
         if not run.history.ended:
             return
         way = way_on(run.history, folder.path)
-        page = render_ended(run.history, way, run.head, NAMESPACE).encode()
+        page = render_ended(run.history, way, run.head, NAMESPACE, refused_picture(run)).encode()
         signature = key().sign(page, NAMESPACE)
         folder.write_atomic(REPORT, page)
         folder.write_atomic(PAGE_SIGNATURE, signature)
     except BenchError as error:
         say(f"The page of the run could not be written: {error}")
+
+
+def refused_picture(run: StoredRun) -> bytes:
+    """Return the event image of the last recording of a failed run, if it was refused, as PNG; empty without one."""
+    from bench.measure.measure import StoredImage, recorded_image
+
+    last = run.history.attempts[-1] if run.history.ended == "failed" and run.history.attempts else None
+    if last is None or last.checked is None or last.accepted:
+        return b""
+    try:
+        return StoredImage.from_image(recorded_image(run.folder / str(last.stored["capture"]))).png
+    except (CalibrationError, DriverError, OSError):  # a recording without a flicker has no such image
+        return b""
 
 
 def remove_ended_page(folder: RunFolder) -> None:

@@ -160,12 +160,20 @@ def start_run(
                 operator=job.operator,
                 simulated=job.simulated,
                 software=run_software(job.station),
+                begun_with=_begun_with(sequence, station, settings or {}),
                 **plugins_of_run(job.station),
                 ledger=place,
             )
             for what in departures(job, given):
                 journal.append(Event.DEVIATION, what=what)
             return ending(run_and_seal(job, folder, journal, launch, key, ledger_lines(place)))
+
+
+def _begun_with(sequence: str, station: str, settings: Mapping[str, str]) -> list[str]:
+    """Return the arguments that begin a run again from any folder: files as absolute paths, names as they are."""
+    files = [str(Path(one).resolve()) if Path(one).is_file() else one for one in (sequence, station)]
+    changed = [word for name, value in settings.items() for word in ("--set", f"{name}={value}")]
+    return [files[0], "--station", files[1], *changed]
 
 
 def resume_run(folder_path: Path, launch: Launch) -> RunEnd:

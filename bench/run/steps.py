@@ -314,7 +314,7 @@ class Steps:
                 raise PoseFailed(
                     what,
                     where=self._last_capture(pose.index),
-                    remedy="Remove the cause, then continue with `starbench resume`; all attempts are kept.",
+                    remedy="Remove the cause. All attempts are kept.",
                 )
             if step.on_failure == "skip":
                 self._run.log.write(

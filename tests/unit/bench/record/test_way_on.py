@@ -5,11 +5,13 @@ import pytest
 from bench.record.history import Attempt, History, way_on
 
 
-def ended(kind, *, how="failed", recorded=1):
+def ended(kind, *, how="failed", recorded=1, accepted=True):
     history = History()
     history.ended = how
+    history.started = {"begun_with": ["nine_pose", "--station", "my bench.yaml"]}
     history.failures = [{"kind": kind, "what": "w", "where": "", "remedy": ""}]
     history.attempts = [Attempt(1, "left", 1, {})] * recorded
+    history.accepted = lambda: dict(enumerate(history.attempts)) if accepted else {}
     return history
 
 
@@ -18,10 +20,11 @@ def ended(kind, *, how="failed", recorded=1):
     [
         (ended("DegenerateViews"), "starbench calibrate run --model joint"),
         (ended("NotConverged"), "starbench calibrate run --model joint"),
-        (ended("OutsideLimits", recorded=0), "starbench run SEQUENCE --station STATION"),
-        (ended("PreflightFailed", recorded=0), "starbench run SEQUENCE --station STATION"),
+        (ended("OutsideLimits", recorded=0), "starbench run nine_pose --station 'my bench.yaml'"),
+        (ended("PreflightFailed", recorded=0), "starbench run nine_pose --station 'my bench.yaml'"),
         (ended("PreflightFailed"), "starbench resume run"),
         (ended("PoseFailed"), "starbench resume run"),
+        (ended("PoseFailed", accepted=False), "starbench run nine_pose --station 'my bench.yaml'"),
         (ended("OutsideLimits", how="aborted", recorded=0), "starbench resume run"),
         (History(), "starbench resume run"),
     ],
@@ -29,3 +32,12 @@ def ended(kind, *, how="failed", recorded=1):
 def test_the_command_can_work(tmp_path, monkeypatch, history, command):
     monkeypatch.chdir(tmp_path)
     assert way_on(history, tmp_path.relative_to(tmp_path) / "run")[1] == command
+
+
+def test_a_run_of_an_earlier_version_begins_again_with_the_copies_of_its_files(tmp_path):
+    history = ended("PreflightFailed", recorded=0)
+    history.started = {}
+    run = tmp_path / "run"
+    sentence, command = way_on(history, run)
+    assert command == f"starbench run {run / 'sequence.yaml'} --station {run / 'station.yaml'}"
+    assert f"(starbench resume {run}) uses its own copies" in sentence

@@ -1,0 +1,37 @@
+"""A recording that shows no target says why: dark, out of focus, or as the detector said."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+
+from bench.measure.measure import why_no_target
+from calib.errors import TargetNotFound
+
+SAID = TargetNotFound("Tag 3 is not in the image.", where="view left")
+
+
+def beam(square_px: int, blur_px: float = 0.0) -> np.ndarray:
+    """A lit disc with a checkerboard in it, as (H, W) events of an edge."""
+    y, x = np.mgrid[:720, :1280]
+    inside = np.hypot(x - 640, y - 360) < 330
+    image = ((x // square_px + y // square_px) % 2 + 0.0) if square_px else np.ones(x.shape)
+    image = cv2.GaussianBlur(image, (0, 0), blur_px) if blur_px else image
+    return (image * inside).astype(np.float32)
+
+
+@pytest.mark.parametrize(
+    ("image", "words"),
+    [
+        (beam(12), "Tag 3 is not in the image."),
+        (beam(12, 20.0), "The image is out of focus"),
+        (beam(0), "The image is out of focus"),
+        (np.zeros((720, 1280), np.float32), "The picture is dark"),
+    ],
+)
+def test_the_reason_is_told_and_where(image, words):
+    facts = {"image": {"lit_pixels": int(np.count_nonzero(image))}, "flicker_source": "triggers"}
+    told = why_no_target(SAID, facts, image)
+    assert words in told.what
+    assert told.where == "view left"
