@@ -39,9 +39,7 @@ def draw_errors(columns: Sequence[Column], rows: Sequence[Sequence[Row]], origin
             stated = [row["k"] * row["sigma"]["fx"] for row in of_column if "fx" in row.get("sigma", {})]
             if stated:
                 axes.plot(np.median(stated), place, "|", color=_STATED, markersize=11, markeredgewidth=2)
-        axes.set_xlabel(
-            "error of fx, px: grey, each repetition; red, root mean square; blue, the stated expanded uncertainty"
-        )
+        axes.set_xlabel("error of fx, px: grey, each repetition; red, root mean square; blue, stated U")
         _save(figure, origin, folder / "comparison-focal.svg")
 
 
