@@ -37,10 +37,10 @@ def variances(posterior: Posterior, gradients: Array) -> dict[str, Array]:
     found: dict[str, Array] = {}
     means = posterior.means @ gradients.T
     middle, end = posterior.mean @ gradients.T, len(posterior.nodes)
-    ways = [(posterior, gradients, posterior.counted[:end], means[:end])]
+    ways = [(posterior, gradients, posterior.weights[:end], means[:end])]
     if posterior.other is not None:
         other = posterior.other.posterior
-        ways.append((other, _in_layout(posterior, other, gradients), posterior.counted[end:], means[end:]))
+        ways.append((other, _in_layout(posterior, other, gradients), posterior.weights[end:], means[end:]))
     for way, slopes, weights, own_means in ways:
         share = float(weights.sum())
         for node, weight in zip(way.nodes, weights, strict=True):

@@ -40,20 +40,19 @@ from calib.model.target_focus import CertifiedLength, TargetFocus
 from calib.model.type_b_terms import RADII, TypeBTerm
 from calib.model.type_b_terms import SCALES as SCALE_TERMS
 
-#: Faults of a statement: its uncertainty is several times larger than stated; or it is as if nobody had stated it.
-MISJUDGED, WRONG = "misjudged", "wrong"
-MISJUDGED_TIMES = 5.0
-#: Probability of each fault before the views are seen.
-FAULTS = {MISJUDGED: 0.05, WRONG: 0.02}
-#: A statement is named, and casts doubt on a bound of the parallax, if it is at fault with this probability: beyond
-#: it, its fault decides how large U is, since U covers 95.45 %. An honest one is named at 2.3 sigma, in 1 of 50
-#: results.
-DOUBTED = 0.1
+#: Fault of a statement: it is as if nobody had stated it.
+WRONG = "wrong"
+#: Probability that the errors of what is stated are larger than stated by `_WIDER` or more; by each further such factor
+#: it falls as one over the width. Errors of published measurements have such tails (Bailey, 2017): about 1 in 100 is
+#: beyond five times its uncertainty.
+_DOUBTFUL, _WIDER = 0.03, 10.0**0.5
+#: At least so probable is it that the statement is about another thing, however precise it is.
+_ANOTHER = 1e-3
+#: A statement is named if it is doubted with this probability. An honest one is named at 2.8 sigma.
+DOUBTED = 0.2
 #: No fault: a certificate that does not say which length it states may state the focal length, and not what the camera
 #: sees. Makers state the one, benches measure the other: equally probable.
-FOCAL = "focal length"
-#: Odds beforehand of each fault, and of the other meaning, against a statement that holds.
-ODDS = FAULTS | {FOCAL: 1.0}
+FOCAL, _FOCAL_ODDS = "focal length", 1.0
 #: Names of witnesses.
 CERTIFICATE = "certificate of the collimator"
 CHANGED_AXIS, CHANGED_RADIUS = (
@@ -74,6 +73,8 @@ _SKEW_PX = 5.0
 _ASPECT_SIGMA, _FREE_ASPECT = 3e-3, 0.1
 #: Focal length and radius change by this share from first to last pose: 1 K of aluminium; if not, by the second.
 _DRIFT_SIGMA, _FREE_DRIFT = 3e-5, 5e-3
+#: That it changes by more is more probable than that of a statement: nobody measured it, and halls drift by 3 K a night.
+_UNSTEADY = 0.1
 #: The principal point lies in the middle of the sensor to this share of its diagonal.
 _MIDDLE_SHARE = 0.1
 #: If nobody had stated it, or stated it wrongly: a certificate's radius, the scale of an axis, that of a print, its
@@ -90,6 +91,13 @@ _EXACT = 1e-7
 _UNCHANGED = 1e-3
 
 
+class Doubt(NamedTuple):
+    """What a statement can be beside what it says."""
+
+    covariance: Array  # (k, k)
+    odds: float  # Beforehand, against a statement that holds
+
+
 @dataclass(frozen=True)
 class Statement:
     """A linear observation of shared unknowns."""
@@ -102,27 +110,38 @@ class Statement:
     covariance: Array  # (k, k)
     # (k, k) covariance if nobody had stated it; None if this is no statement that could be wrong.
     free: Array | None = None
-    # (k, k) covariance if the stated one is misjudged; None: `MISJUDGED_TIMES` squared times the stated one.
-    misjudged: Array | None = None
+    # (k, k) covariance that is larger if the errors are larger than stated; None: all of it.
+    doubtful: Array | None = None
     # (k, k) covariance if it states a focal length; None if that is none of its meanings.
     focal: Array | None = None
     unit: str = ""
     term: TypeBTerm | None = None  # The type B term of the budget that it is
+    doubt: float = _DOUBTFUL  # Probability that its errors are `_WIDER` times as large or more
+
+    @cached_property
+    def doubts(self) -> Mapping[str, Doubt]:
+        """What else it can be, by name: ever wider ones up to that if nobody had stated it, and its other meaning."""
+        if self.free is None:
+            return {}
+        own = self.covariance if self.doubtful is None else self.doubtful
+        widest = float(np.sqrt(np.linalg.eigvals(np.linalg.solve(own, self.free)).real.max()))
+        found, left, times = {}, self.doubt / (1.0 - self.doubt), _WIDER
+        while times * _WIDER**0.5 < widest:
+            wider = self.covariance + (times**2 - 1.0) * own
+            found[f"{times:.3g} times"] = Doubt(wider, left * (1.0 - 1.0 / _WIDER))
+            left, times = left / _WIDER, times * _WIDER
+        found[WRONG] = Doubt(self.free, max(left, _ANOTHER))
+        return found if self.focal is None else found | {FOCAL: Doubt(self.focal, _FOCAL_ODDS)}
 
     @cached_property
     def _informations(self) -> dict[str, Array]:
-        """The inverse covariances by fault."""
-        covariances = dict.fromkeys(("", MISJUDGED, WRONG), self.covariance)
-        if self.free is not None:
-            wider = MISJUDGED_TIMES**2 * self.covariance if self.misjudged is None else self.misjudged
-            covariances |= {MISJUDGED: wider, WRONG: self.free}
-        if self.focal is not None:
-            covariances[FOCAL] = self.focal
-        return {fault: np.asarray(np.linalg.inv(one)) for fault, one in covariances.items()}
+        """The inverse covariances, by doubt."""
+        covariances = {"": self.covariance} | {name: one.covariance for name, one in self.doubts.items()}
+        return {name: np.asarray(np.linalg.inv(one)) for name, one in covariances.items()}
 
-    def information(self, fault: str = "") -> Array:
-        """Return the (k, k) inverse covariance; ``fault`` is one of `ODDS`, or empty if the statement holds."""
-        return self._informations[fault]
+    def information(self, doubt: str = "") -> Array:
+        """Return the (k, k) inverse covariance; ``doubt`` is one of `doubts`, or empty if the statement holds."""
+        return self._informations.get(doubt, self._informations[""])
 
     def as_meant(self, fault: str) -> Statement:
         """Return the statement as ``fault`` says it is meant: that of a focal length, or as it stands."""
@@ -210,7 +229,7 @@ def _camera(layout: Layout, image_size: tuple[int, int], start: Mapping[str, flo
     still = _Source(layout, rows.PRIORS, "nothing changes while the poses are recorded")
     found = [
         square.says(ASPECT, {"fx": 1.0 / f, "fy": -1.0 / f}, (0.0, _ASPECT_SIGMA), _FREE_ASPECT),
-        still.says(STEADY, {DRIFT: 1.0}, (0.0, _DRIFT_SIGMA), _FREE_DRIFT),
+        replace(still.says(STEADY, {DRIFT: 1.0}, (0.0, _DRIFT_SIGMA), _FREE_DRIFT), doubt=_UNSTEADY),
     ]
     corner, lens = 0.5 * float(np.hypot(*image_size)) / f, _Source(layout, rows.LENS, "expected sizes")
     sigmas = {name: one * corner ** (-2.0 * (int(name[1]) - 3)) for name, one in _DENOMINATOR.items()}
@@ -310,7 +329,7 @@ def _passport(layout: Layout, options: CalibrationOptions, passport: Passport) -
                 np.zeros(len(at)),
                 stated,
                 stated + wide,
-                stated + (MISJUDGED_TIMES**2 - 1.0) * own,
+                own,
                 unit="mm" if witness != CHANGED_RADIAL else "",
             )
         )

@@ -15,7 +15,7 @@ from calib.joint.effects.effect import Places
 from calib.joint.knowledge import Statement
 from calib.joint.layout import Layout
 
-#: Names of statements with their faults (`calib.joint.knowledge.FAULTS`).
+#: Names of statements with their doubts (`Statement.doubts`).
 Faults = tuple[tuple[str, str], ...]
 NO_FAULT: Faults = ()
 

@@ -23,13 +23,14 @@ from calib.errors import CalibrationError
 from calib.joint.adjust import adjust, adjust_again
 from calib.joint.amplitudes import ASIDE as ASIDE_AMPLITUDE
 from calib.joint.amplitudes import Pupil
+from calib.joint.doubts import Innovation, prior_odds
 from calib.joint.effects.by_turn import ASIDE
 from calib.joint.effects.collimator import CENTRE, RADIAL
 from calib.joint.effects.effect import Places
 from calib.joint.effects.gimbal import GimbalErrors
-from calib.joint.knowledge import DOUBTED, FAULTS, ODDS, WRONG, Statement
+from calib.joint.knowledge import Statement
 from calib.joint.places import narrowed
-from calib.joint.posterior import Innovation, OtherWay, Posterior, posterior
+from calib.joint.posterior import OtherWay, Posterior, posterior
 from calib.joint.prior import block_diagonal
 from calib.joint.solve import Optimum, value_as_weighed
 from calib.joint.wrong_views import ShiftedIds, find_shifted_ids
@@ -39,6 +40,10 @@ from calib.view import View
 #: From this 2 log of the odds by the discs on, one way has a probability of less than 2 %, and is left out. The stars
 #: count at most as much: neither way has all errors that there are, and a search can end at the wrong place.
 _DECIDED = 8.0
+#: A bound is doubted if some statement is wrong with this probability: a hand contradicts several by many sigma.
+_CONTRADICTED = 0.5
+#: Probability that a hand moves the camera of a station that bounds the parallax of a gimbal.
+_BY_HAND = 0.02
 #: A way with a smaller share adds nothing to the result.
 _LEAST = 1e-3
 #: Readings with this standard uncertainty say nothing beside the stars.
@@ -121,7 +126,7 @@ def with_doubted_bound(
     Ids of a view that are shifted imitate a hand. If they explain more, the bound holds.
     """
     bounded = options.gimbal is not None and options.gimbal.parallax is not None
-    contradicted = max(held.faults.values(), default=0.0) >= DOUBTED
+    contradicted = max(held.faults.values(), default=0.0) >= _CONTRADICTED
     if not (bounded and contradicted and held.optimum.marginal.problem.bench.discs):
         return held
     try:
@@ -160,7 +165,7 @@ def _log_odds(views: Sequence[View], options: CalibrationOptions) -> float:
     log = _log_evidence(free, held.optimum) - _log_evidence(held, held.optimum)
     # A density of unknowns: that of what is stated, times the determinant of how it follows the unknowns.
     log -= 0.5 * float(np.linalg.slogdet(bound.rows @ bound.rows.T)[1])
-    return log + _beside_as_stated(bound, held.optimum) + math.log(FAULTS[WRONG])
+    return log + _beside_as_stated(bound, held.optimum) + math.log(_BY_HAND)
 
 
 def _beside_as_stated(bound: Statement, optimum: Optimum) -> float:
@@ -196,7 +201,7 @@ def _log_evidence(found: Posterior, than: Optimum) -> float:
         value = value_as_weighed(optimum, than, largest.solution)
     if optimum.marginal.problem.pupils is not None:
         value += narrowed(optimum.solution)
-    return -0.5 * value + sum(math.log(ODDS[fault]) for _, fault in largest.faults)
+    return -0.5 * value + math.log(prior_odds(optimum.marginal.problem.knowledge.witnesses, largest.faults))
 
 
 def _bound(held: Posterior) -> Statement:

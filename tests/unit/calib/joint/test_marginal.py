@@ -16,7 +16,7 @@ from calib.joint.curvature import best_amplitudes, expected_curvature
 from calib.joint.effects.by_turn import ByTurn, Parallax
 from calib.joint.effects.effect import Turned
 from calib.joint.equations import sines_of, turns_of
-from calib.joint.knowledge import CERTIFICATE, FAULTS, PARALLAX, WRONG
+from calib.joint.knowledge import CERTIFICATE, DOUBTED, PARALLAX, WRONG
 from calib.joint.posterior import posterior
 from calib.joint.samples import log_odds
 from calib.joint.solve import weighed_as
@@ -272,7 +272,7 @@ def test_a_wrong_certificate_beside_right_readings_is_named_and_the_camera_right
     result = calibrate(views, replace(KNOWN, passport=Passport.of_radius(255.0 * times, 0.05, length="seen")))
     certificate = next(one for one in result.witnesses if one.name == CERTIFICATE)
     assert abs(certificate.innovation) > 5.0
-    assert certificate.fault_probability > sum(FAULTS.values())
+    assert certificate.fault_probability > DOUBTED
     assert any(CERTIFICATE in note for note in result.notes)
     assert abs(result.camera.fx - bench.fx) < result.coverage_factors["fx"] * result.sigma["fx"]
 
