@@ -4,14 +4,15 @@ The modules in the order of the work. `fields`: smooth random fields and their s
 expected to be. `knowledge`: statements, a row each. `effects`: an object each, with its unknowns, columns and prior.
 `layout`: names and places of the unknowns. `equations`: linearised stars and readings, a small matrix a view.
 `marginal`: likelihood of the amplitudes, with its gradient. `solve`: the search. `poses`: which views are one pose.
-`adjust`: from views to the optimum. `posterior`: intervals, budget, witnesses. `ways`: a gimbal and a hand, a bound of
-the parallax and none, as one mixture. `words`: notes. `result`: the door, a `Calibration`. The equations stand in
-docs/adjustment.md. Nothing here chooses among models.
+`adjust`: from views to the optimum. `doubts`: which statements hold. `posterior`: the mixture and its intervals.
+`ways`: a gimbal and a hand, a bound of the parallax and none, as one mixture. `words`: notes. `result`: the door, a
+`Calibration`. The equations stand in docs/adjustment.md. Nothing here chooses among models.
 
 References
 ----------
 - Armijo (1966), Minimization of functions having Lipschitz continuous first partial derivatives, Pacific Journal of
   Mathematics 16, 1.
+- Bailey (2017), Not Normal: the uncertainties of scientific measurements, Royal Society Open Science 4, 160600.
 - Bickel (1975), One-step Huber estimates in the linear model, Journal of the American Statistical Association 70, 428.
 - Birge (1932), The calculation of errors by the method of least squares, Physical Review 40, 207.
 - Golub and Pereyra (1973), The differentiation of pseudo-inverses and nonlinear least squares problems whose variables

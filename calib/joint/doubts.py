@@ -159,9 +159,8 @@ class _Search:
 
     def log_odds(self, doubts: Faults) -> float:
         """Return the logarithm of the odds of doubts against none."""
-        return 0.5 * (self.best(NO_FAULT)[0] - self.best(doubts)[0]) + math.log(
-            prior_odds(self.witnesses, doubts)
-        )
+        prior = math.log(prior_odds(self.witnesses, doubts))
+        return 0.5 * (self.best(NO_FAULT)[0] - self.best(doubts)[0]) + prior
 
     def contradicted(self) -> set[str]:
         """Return the statements that some of the others contradict, and those with another meaning."""
@@ -220,7 +219,7 @@ def doubted(optimum: Optimum, curvature: Array) -> Doubted:
             break
         likeliest = max(left, key=lambda one: odds[one])
         done.add(_names(likeliest))
-        for doubts in {likeliest, tuple((name, WRONG) for name in _names(likeliest))}:
+        for doubts in dict.fromkeys((likeliest, tuple((name, WRONG) for name in _names(likeliest)))):
             search.improve(doubts)
         odds = search.combinations()
     return _chosen(search, odds)
@@ -233,9 +232,10 @@ def _names(doubts: Faults) -> tuple[str, ...]:
 
 def _chosen(search: _Search, odds: dict[Faults, float]) -> Doubted:
     """Return the combinations that count, solved in full where they show another camera."""
-    optimum, nodes, alike = search.optimum, [], {}
+    optimum, alike = search.optimum, dict[Faults, float]()
+    solutions: list[tuple[Solution, float]] = []
     value, sigma = search.at[0].camera(NO_FAULT)
-    whole = math.log(1.0 + sum(math.exp(min(one, LARGEST_LOG)) for one in odds.values()))
+    whole = float(np.logaddexp.reduce([0.0, *odds.values()]))
     for doubts, log in odds.items():
         share, at = math.exp(log - whole), search.best(doubts)[1]
         if share < _ALIKE**2:
@@ -243,13 +243,15 @@ def _chosen(search: _Search, odds: dict[Faults, float]) -> Doubted:
         there, wide = at.camera(doubts)
         change = max(np.abs(wide / sigma - 1.0).max(), np.abs((there - value) / sigma).max())
         if share * float(change) < _ALIKE:
-            alike[doubts] = math.exp(min(log, LARGEST_LOG))
+            alike[doubts] = log
             continue
         found = optimum.marginal.solve(at.eta, doubts)
         prior = math.log(prior_odds(search.witnesses, doubts))
         evidence = (log - prior) * share_of_stars(found) + math.log(trusted(found, optimum.solution))
-        nodes.append(Node(found, math.exp(min(evidence, LARGEST_LOG) + prior)))
-    return Doubted(nodes, alike)
+        solutions.append((found, prior + evidence))
+    most = max(max((log for _, log in solutions), default=0.0) - LARGEST_LOG, 0.0)
+    nodes = [Node(found, math.exp(log - most)) for found, log in solutions]
+    return Doubted(nodes, {doubts: math.exp(min(log, LARGEST_LOG)) for doubts, log in alike.items()})
 
 
 def share_of_stars(found: Solution) -> float:

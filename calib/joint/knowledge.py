@@ -1,8 +1,8 @@
 """What is known beside the stars: statements, each a linear observation of shared unknowns with its source.
 
-A statement says ``rows b = values`` with a covariance. Each has a second, wider covariance: what would be known of the
-same quantity if nobody had stated it. The posterior weighs both (`calib.joint.posterior`), so a wrong statement loses
-its weight, and a note can name it.
+A statement says ``rows b = values`` with a covariance. Its errors may be larger than stated: up to what would be known
+of the same quantity if nobody had stated it. The posterior weighs these (`calib.joint.doubts`), so a wrong statement
+loses its weight, and a note can name it.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ from calib.model.type_b_terms import SCALES as SCALE_TERMS
 
 #: Fault of a statement: it is as if nobody had stated it.
 WRONG = "wrong"
-#: Probability that the errors of what is stated are larger than stated by `_WIDER` or more; by each further such factor
-#: it falls as one over the width. Errors of published measurements have such tails (Bailey, 2017): about 1 in 100 is
-#: beyond five times its uncertainty.
+#: Probability that the errors of what is stated are larger than stated by `_WIDER` or more. By each further such factor
+#: it falls as one over the width: the tails of published measurements are nearly as heavy (Bailey, 2017). So 1 in 100
+#: statements is beyond five times its uncertainty.
 _DOUBTFUL, _WIDER = 0.03, 10.0**0.5
 #: At least so probable is it that the statement is about another thing, however precise it is.
 _ANOTHER = 1e-3
@@ -73,7 +73,7 @@ _SKEW_PX = 5.0
 _ASPECT_SIGMA, _FREE_ASPECT = 3e-3, 0.1
 #: Focal length and radius change by this share from first to last pose: 1 K of aluminium; if not, by the second.
 _DRIFT_SIGMA, _FREE_DRIFT = 3e-5, 5e-3
-#: That it changes by more is more probable than that of a statement: nobody measured it, and halls drift by 3 K a night.
+#: That it changes by more is more probable than for a statement: nobody measured it, and halls drift by 3 K a night.
 _UNSTEADY = 0.1
 #: The principal point lies in the middle of the sensor to this share of its diagonal.
 _MIDDLE_SHARE = 0.1

@@ -2,9 +2,9 @@
 
 For given amplitudes the posterior is Gaussian (`calib.joint.marginal`). The amplitudes are known only so well, so the
 result is the mixture over their posterior: importance sampling about each mode, with fixed normal deviates, so that the
-result follows the data without steps. A statement may be at fault: each fault has a small probability beforehand, and
-counts by what the views add to it. If two statements contradict each other and nothing decides, the mixture covers
-both.
+result follows the data without steps. A statement may be doubted (`calib.joint.doubts`): each doubt has odds
+beforehand, and counts by its likelihood. If two statements contradict each other and nothing decides, the mixture
+covers both.
 """
 
 from __future__ import annotations
