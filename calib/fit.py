@@ -37,6 +37,17 @@ from calib.uncertainty.covariance import (
 from calib.uncertainty.projection_uncertainty import worst_point
 from calib.view import View
 
+#: Limit of the robust loss in robust standard deviations per axis, and the number of times it is estimated again.
+_LIMIT_SIGMAS = 2.5
+_LIMIT_ROUNDS = 3
+
+#: Views are reported as weak if the 1-sigma of a focal length, as a share of it, reaches this.
+_WEAK_FOCAL_SIGMA = 0.01
+_SOURCES = {
+    names.STARS: "residuals of the stars",
+    names.POSE_FIELDS: "differences between the views",
+}
+
 
 @dataclass(frozen=True)
 class Fit:
@@ -100,11 +111,6 @@ def _constrained(
     return found
 
 
-#: Limit of the robust loss in robust standard deviations per axis, and the number of times it is estimated again.
-_LIMIT_SIGMAS = 2.5
-_LIMIT_ROUNDS = 3
-
-
 def refine_robustly(
     bundle: Bundle, start: AdjustmentParameters, options: CalibrationOptions
 ) -> tuple[Refinement[AdjustmentParameters], Loss]:
@@ -128,14 +134,6 @@ def refine_robustly(
         refined = refine(bundle, refined.parameters, loss, options.max_iterations)
         iterations += refined.iterations
     return replace(refined, iterations=iterations), loss
-
-
-#: Views are reported as weak if the 1-sigma of a focal length, as a share of it, reaches this.
-_WEAK_FOCAL_SIGMA = 0.01
-_SOURCES = {
-    names.STARS: "residuals of the stars",
-    names.POSE_FIELDS: "differences between the views",
-}
 
 
 def summarize(fitted: Fit) -> Calibration:

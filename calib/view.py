@@ -12,6 +12,9 @@ from calib.arrays import AnyArray, Array, Bools, Ints
 from calib.errors import InputMismatch
 
 T = TypeVar("T")
+#: Share of the variances by which the two halves of a covariance may differ, as rounding makes them.
+_ASYMMETRY = 1e-9
+_ARRAYS = {"ids": np.int64, **dict.fromkeys(("points_px", "target_mm", "covariances_px2"), np.float64)}
 
 
 @dataclass(frozen=True)
@@ -33,11 +36,6 @@ class RimPoints:
         numbers = (self.points_mm, self.sigmas_mm, self.lit_mm, np.array(self.level_sigma_mm))
         if not all(np.isfinite(a).all() for a in numbers):
             raise InputMismatch("The rim holds numbers that are not finite.", where="rim points")
-
-
-#: Share of the variances by which the two halves of a covariance may differ, as rounding makes them.
-_ASYMMETRY = 1e-9
-_ARRAYS = {"ids": np.int64, **dict.fromkeys(("points_px", "target_mm", "covariances_px2"), np.float64)}
 
 
 @dataclass(frozen=True, eq=False, repr=False)

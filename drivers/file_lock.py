@@ -27,6 +27,11 @@ _PROC: Final = Path("/proc")
 _START_TIME: Final = 19
 """Position in ``/proc/PID/stat`` after the name of the program: field 22, clock ticks since the system booted."""
 _MOST_LETTERS: Final = 200
+_HELD: Final = {errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK}
+
+FOLDER_VARIABLE: Final = "STARBENCH_LOCKS"
+"""Environment variable that names another folder: one that containers share, or one for a single test."""
+_SHARED_FOLDERS: Final = (Path("/run/lock"), Path("/tmp"))  # noqa: S108 - never trusted by its name: see _is_shared
 
 
 def holder_text(inode: int) -> str:
@@ -82,8 +87,6 @@ def _user(number: int) -> str:
         return f"user {number}"
 
 
-_HELD: Final = {errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK}
-
 try:
     import fcntl
 except ImportError:  # Windows
@@ -129,11 +132,6 @@ def lock(descriptor: int, *, shared: bool = False, wait: bool = False) -> None:
 def event_camera_name(serial: str) -> str:
     """Return the lock name of an event camera, so that all drivers that reach it by USB exclude each other."""
     return f"event camera {serial}"
-
-
-FOLDER_VARIABLE: Final = "STARBENCH_LOCKS"
-"""Environment variable that names another folder: one that containers share, or one for a single test."""
-_SHARED_FOLDERS: Final = (Path("/run/lock"), Path("/tmp"))  # noqa: S108 - never trusted by its name: see _is_shared
 
 
 def locks_folder(shared: Sequence[Path] = _SHARED_FOLDERS) -> Path:

@@ -30,6 +30,7 @@ BUSY_S: Final = 0.3
 REMEDY: Final = (
     "End other programs on this computer, or start fewer runs at the same time; then resume the run."
 )
+_clocks: dict[str, Callable[[], float]] = {}
 
 
 class LatenessData(TypedDict, total=False):
@@ -102,9 +103,6 @@ def own_lateness() -> Lateness:
 
     threading.Thread(target=wake, name="lateness", daemon=True).start()
     return lateness
-
-
-_clocks: dict[str, Callable[[], float]] = {}
 
 
 def follow_clock(address: str, lived_s: Callable[[], float]) -> None:

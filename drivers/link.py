@@ -33,6 +33,21 @@ TRIES: Final = 3
 """How often a request is sent in all, before its last error is passed on."""
 TRIES_WHEN_LATE: Final = 3
 """How much more often a request is sent when time-outs came from a computer that is too busy."""
+_MOST_READINGS: Final = 5
+
+LONGEST_LINE = 4096
+"""Longest line, in bytes. A longer one comes from a device that sends without pause, or from another protocol."""
+
+RESYNCHRONISE_TRIES: Final = 2
+CONNECT_TRIES: Final = 3
+CONNECT_PAUSE_S: Final = 0.5
+"""A device that has closed a connection may need a moment before it accepts another one."""
+
+_LONGEST_WAIT_S = 0.25
+"""Longest single wait after a deadline was stretched, in seconds. After each the link uses its clock, as a sign of
+life."""
+
+T = TypeVar("T")
 
 
 def do_nothing(*_arguments: object) -> None:
@@ -70,9 +85,6 @@ def repeat(
                 raise
             before_next()
     return attempt()
-
-
-_MOST_READINGS: Final = 5
 
 
 def read_until_agreed(read: Callable[[], T], *, what: str, where: str) -> T:
@@ -133,21 +145,6 @@ def _disagreement(what: str, where: str) -> ReplyGarbled:
         where=where,
         remedy="Check the cable, and that nobody operates the device by hand.",
     )
-
-
-LONGEST_LINE = 4096
-"""Longest line, in bytes. A longer one comes from a device that sends without pause, or from another protocol."""
-
-RESYNCHRONISE_TRIES: Final = 2
-CONNECT_TRIES: Final = 3
-CONNECT_PAUSE_S: Final = 0.5
-"""A device that has closed a connection may need a moment before it accepts another one."""
-
-_LONGEST_WAIT_S = 0.25
-"""Longest single wait after a deadline was stretched, in seconds. After each the link uses its clock, as a sign of
-life."""
-
-T = TypeVar("T")
 
 
 class ReplyReader:

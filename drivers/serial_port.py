@@ -37,6 +37,17 @@ except ImportError:  # Windows opens every serial port exclusively by itself, an
     _TERMIOS_ERROR, _LOCKS_PORTS = OSError, False
 
 _LOST = (serial.SerialException, OSError, _TERMIOS_ERROR)
+_NO_SERIAL_PORT = (ValueError, NotImplementedError)
+"""Exceptions of pyserial for settings that a port, or a system, does not have."""
+SYSTEM = os.name
+_SLICE_S = 0.05
+"""Longest single read of the port, in seconds. A new value for an open port would write its line settings again."""
+_WRITE_S = 2.0
+_MOST_BYTES = 4096
+"""Most bytes of one read, so that a device that sends without pause does not keep the reader forever."""
+
+T = TypeVar("T")
+P = ParamSpec("P")
 
 
 def lock_exclusively(descriptor: int) -> None:
@@ -59,19 +70,6 @@ def disable_hang_up_on_close(descriptor: int) -> None:
     if attributes[2] & termios.HUPCL:
         attributes[2] &= ~termios.HUPCL
         termios.tcsetattr(descriptor, termios.TCSANOW, attributes)
-
-
-_NO_SERIAL_PORT = (ValueError, NotImplementedError)
-"""Exceptions of pyserial for settings that a port, or a system, does not have."""
-SYSTEM = os.name
-_SLICE_S = 0.05
-"""Longest single read of the port, in seconds. A new value for an open port would write its line settings again."""
-_WRITE_S = 2.0
-_MOST_BYTES = 4096
-"""Most bytes of one read, so that a device that sends without pause does not keep the reader forever."""
-
-T = TypeVar("T")
-P = ParamSpec("P")
 
 
 class Port(Protocol):

@@ -30,6 +30,11 @@ READABLE_REMEDY: Final = (
     "It answers, so the line works: check that the station file names the right port, driver and dialect."
 )
 """What to do about an answer that can be read, but not understood."""
+_LONGEST_QUEUE = 40
+_ERROR = re.compile(r'([+-]?\d+)(?: ?[, ] ?(?:"([^"]*)"|([^"]*)))?')
+_PROMPT = re.compile(rb"\s*(?:[\w .-]{0,20}>\s*)*")
+"""What an instrument with a prompt sends before or after its answers, as in ``33500B> ``."""
+_HARDWARE_MISSING = -241
 
 
 class TextLine(Link):
@@ -283,13 +288,6 @@ class TextLine(Link):
             remedy=self.GARBLED_REMEDY,
             inspect_old=self.inspect_old,
         )
-
-
-_LONGEST_QUEUE = 40
-_ERROR = re.compile(r'([+-]?\d+)(?: ?[, ] ?(?:"([^"]*)"|([^"]*)))?')
-_PROMPT = re.compile(rb"\s*(?:[\w .-]{0,20}>\s*)*")
-"""What an instrument with a prompt sends before or after its answers, as in ``33500B> ``."""
-_HARDWARE_MISSING = -241
 
 
 class InstrumentError(NamedTuple):

@@ -46,6 +46,13 @@ from sequences.strict_model import StrictModel
 from sequences.tree import DocumentPath, Fault
 from sequences.wording import did_you_mean
 
+MOST_STEPS = 100_000
+"""Steps that a script may have at most: about a night with one pose a second."""
+POSES_FAILED = 10
+"""An ``until`` ends when this number of its chosen poses failed all attempts."""
+MOST_FAULTS = 1000
+"""Faults that are collected at most: each round of a repeat has the same faults again."""
+
 
 def axes_named(sequence: Sequence) -> tuple[str, ...]:
     """Return the axes that any pose of the sequence names, in the order pan, tilt, roll."""
@@ -100,14 +107,6 @@ def _every_step(steps: List[StepConfig]) -> Iterator[StepConfig]:
         yield step
         if step.repeat is not None:
             yield from _every_step(step.repeat.steps)
-
-
-MOST_STEPS = 100_000
-"""Steps that a script may have at most: about a night with one pose a second."""
-POSES_FAILED = 10
-"""An ``until`` ends when this number of its chosen poses failed all attempts."""
-MOST_FAULTS = 1000
-"""Faults that are collected at most: each round of a repeat has the same faults again."""
 
 
 def unfold(document: Located[Sequence]) -> tuple[tuple[Step, ...], list[Fault]]:

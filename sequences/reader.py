@@ -20,6 +20,8 @@ from sequences.tree import DocumentPath, Fault, Spot, Tree, path_text
 from sequences.wording import did_you_mean, faults_of
 from sequences.yaml_text import MOST_BYTES, parse
 
+Model = TypeVar("Model", bound=BaseModel)
+
 
 class OptionSettings(dict[str, str]):
     """Settings given by an option of a command; messages then name the option."""
@@ -117,9 +119,6 @@ def _mapping(here: Any) -> dict[str, Any]:
     if not isinstance(here, dict):
         raise TypeError
     return here
-
-
-Model = TypeVar("Model", bound=BaseModel)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,18 @@ from sequences.strict_model import StrictModel, Within
 
 LimitedResult = Literal["fx", "fy", "cx", "cy", "x", "y", "r", DistortionTerm]
 Bound = Annotated[float, Field(ge=-1e12, le=1e12)]
+AXES = ("pan", "tilt", "roll")
+
+Axis = Literal["pan", "tilt", "roll"]
+Waveform = Literal["square", "sine", "steady"]
+ImageKind = Literal["auto", "last_polarity", "any", "count", "fired_per_edge", "lock_in", "on_latency"]
+Answer = Literal["continue", "abort"]
+OnFailure = Literal["fail", "skip", "hold"]
+
+Angle = Annotated[float, Field(ge=-360, le=360)]
+Name = Annotated[str, Field(min_length=1, max_length=80, pattern=r"^\S(.*\S)?$")]
+
+NotNegative = Annotated[float, Field(ge=0)]
 
 
 class RuleConfig(StrictModel):
@@ -42,21 +54,6 @@ class ResultLimitConfig(RuleConfig):
 
 
 ResultLimits = Annotated[tuple[ResultLimitConfig, ...], Field(max_length=100)]
-
-
-AXES = ("pan", "tilt", "roll")
-
-Axis = Literal["pan", "tilt", "roll"]
-Waveform = Literal["square", "sine", "steady"]
-ImageKind = Literal["auto", "last_polarity", "any", "count", "fired_per_edge", "lock_in", "on_latency"]
-Answer = Literal["continue", "abort"]
-OnFailure = Literal["fail", "skip", "hold"]
-
-Angle = Annotated[float, Field(ge=-360, le=360)]
-Name = Annotated[str, Field(min_length=1, max_length=80, pattern=r"^\S(.*\S)?$")]
-
-
-NotNegative = Annotated[float, Field(ge=0)]
 
 
 class FlickerConfig(StrictModel):

@@ -21,6 +21,23 @@ Readings = Literal["auto", "witness"]
 Loss = Literal["huber", "l2", "cauchy"]
 
 Limit = Annotated[float, Field(gt=0)] | None
+LENS_FAMILIES: tuple[tuple[str, ...], ...] = (
+    ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "skew"),
+    ("kb1", "kb2", "kb3", "kb4"),
+)
+"""Coefficients of each lens model, with the skew of the camera matrix; those of two models cannot be estimated
+together."""
+DISTORTION_SETS: Mapping[str, tuple[str, ...]] = {
+    "none": (),
+    "k1": ("k1",),
+    "k1k2": ("k1", "k2"),
+    "k1k2k3": ("k1", "k2", "k3"),
+    "k1k2p1p2": ("k1", "k2", "p1", "p2"),
+    "k1k2k3p1p2": ("k1", "k2", "p1", "p2", "k3"),
+    "rational": LENS_FAMILIES[0][:8],
+    "fisheye": LENS_FAMILIES[1],
+}
+"""Coefficients by the name of their set."""
 
 
 class LimitConfig(StrictModel):
@@ -51,25 +68,6 @@ class LimitConfig(StrictModel):
     expanded_fx_px: Limit = None
     expanded_fy_px: Limit = None
     worst_corner_px: Limit = None
-
-
-LENS_FAMILIES: tuple[tuple[str, ...], ...] = (
-    ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "skew"),
-    ("kb1", "kb2", "kb3", "kb4"),
-)
-"""Coefficients of each lens model, with the skew of the camera matrix; those of two models cannot be estimated
-together."""
-DISTORTION_SETS: Mapping[str, tuple[str, ...]] = {
-    "none": (),
-    "k1": ("k1",),
-    "k1k2": ("k1", "k2"),
-    "k1k2k3": ("k1", "k2", "k3"),
-    "k1k2p1p2": ("k1", "k2", "p1", "p2"),
-    "k1k2k3p1p2": ("k1", "k2", "p1", "p2", "k3"),
-    "rational": LENS_FAMILIES[0][:8],
-    "fisheye": LENS_FAMILIES[1],
-}
-"""Coefficients by the name of their set."""
 
 
 def _set_or_list(value: Any) -> str:

@@ -59,6 +59,8 @@ from simulators.world.world import AxisMotion, AxisName, LightState, World, with
 
 PERIOD_S = 0.02
 """The thread asks to be woken after this time, s."""
+_NEW_OBJECTS: Final = 200_000
+"""Python looks for cycles after so many new objects. Compiling makes millions, and a search takes longer each time."""
 
 
 class Pulse:
@@ -191,10 +193,6 @@ class Bench:
                 where=str(self.truth_path),
                 remedy="Choose a folder with write permission.",
             ) from error
-
-
-_NEW_OBJECTS: Final = 200_000
-"""Python looks for cycles after so many new objects. Compiling makes millions, and a search takes longer each time."""
 
 
 def _warm_up(truth: Truth) -> None:

@@ -58,6 +58,13 @@ _TRUTH_SECTIONS: Final = (
 _POSITIVE = refused(lambda value: value <= 0, "{!r} is not positive.")
 _Positive = Annotated[Number, _POSITIVE]
 _NotNegative = Annotated[Number, refused(lambda value: value < 0, "{!r} is negative.")]
+_MOUNTING_STREAM = 1
+_MOUNTING_SPREAD_DEG = 0.25
+_MOUNTING_DEG = (0.0, 0.0, 10.0)
+"""With a roll, as on a real bench: the print's edges are then not parallel to the rows of pixels."""
+
+_ENDS: Final = {"zaber": b"\n", "grbl": b"\n", "esp301": b"\r", "flir_ptu": b" "}
+"""Ends of messages, by kind of stage; the messages of other kinds are written in hexadecimal digits."""
 
 
 @dataclass(frozen=True)
@@ -146,12 +153,6 @@ class BenchConfig:
         return replace(truth, optics=replace(truth.optics, mounting_deg=tuple(drawn.tolist())))
 
 
-_MOUNTING_STREAM = 1
-_MOUNTING_SPREAD_DEG = 0.25
-_MOUNTING_DEG = (0.0, 0.0, 10.0)
-"""With a roll, as on a real bench: the print's edges are then not parallel to the rows of pixels."""
-
-
 def bench_config(given: Mapping[str, Any]) -> BenchConfig:
     """Read a configuration; `ConfigError` names a key that is unknown or whose value is not valid.
 
@@ -212,10 +213,6 @@ def _with_backlash(
                 remedy="Remove this key, and give gimbal.backlash_deg by axis.",
             )
     return {name: replace(axis, backlash_deg=play[name]) for name, axis in axes.items()}
-
-
-_ENDS: Final = {"zaber": b"\n", "grbl": b"\n", "esp301": b"\r", "flir_ptu": b" "}
-"""Ends of messages, by kind of stage; the messages of other kinds are written in hexadecimal digits."""
 
 
 def _left_behind(kind: str, given: object) -> tuple[bytes, ...]:

@@ -19,6 +19,7 @@ _Kind = TypeVar("_Kind")
 
 COMPUTED = {"computed": True}
 """Metadata of a field of a section that is no key of the configuration."""
+_NEGATIVE = "{!r} is negative.", "Give a number of at least 0."
 
 
 class Wrong(ValueError):
@@ -154,8 +155,6 @@ def _switch(value: object) -> bool:
         raise Wrong(f"True or false is expected, not {value!r}.")
     return value
 
-
-_NEGATIVE = "{!r} is negative.", "Give a number of at least 0."
 
 Number = Annotated[float, BeforeValidator(number)]
 Positive = Annotated[

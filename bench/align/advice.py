@@ -13,7 +13,7 @@ from bench.align.live_image import LiveSetting, SignalFigures
 from bench.align.seen import SHARP_PX, Seen
 from bench.align.where_to_turn import TurnFigures
 from bench.measure.gates import FILTERS_TO_DISABLE, FREQUENCY_TOLERANCE
-from bench.measure.measure import MOST_SATURATED
+from bench.measure.measure_frames import MOST_SATURATED
 from calib.stars.beam import Beam
 from drivers.camera import RecordingFacts
 from drivers.camera.frames import FrameFacts

@@ -32,6 +32,22 @@ _SEEN_WITHIN: Final = 4
 """Figures within which a turn is seen: one in the turn, two at rest and a spare one. A later one is another turn."""
 _KEPT: Final = 5
 """Places of the ring that count; the lengths of older turns are too uncertain."""
+_SHARPEST_PX: Final = 0.6
+"""Edge width of a sharp picture, if none sharper was seen, px."""
+_LEAST_BLURRED_PX: Final = 3.0
+"""Edge width below which stars are found, so that a place with coarse detail alone is more blurred, px."""
+_SLOPES_PX: Final[NDArray[np.float64]] = np.geomspace(0.15, 15.0, 31)
+"""Blur by one unit of the ring, px: a first turn of some degrees changes the edges by 0.15 px at least."""
+_USUAL_SLOPE_PX, _SLOPE_FACTOR = 1.5, 4.0
+"""Usual blur by a first turn, px, and the factor within which two of three are: own estimate for C-mount lenses."""
+_WIDTH_SIGMA, _DETAIL_SIGMA = 0.06, 0.2
+"""Relative deviations of an edge width, and of the least width where only coarse detail is seen."""
+_TURN_SIGMA: Final = 0.15
+"""Standard deviation of a turn by hand from what was asked for, as a share of it."""
+_REACH: Final = 8.0
+"""How far a best place is sought, in units of the way between the places known: a first turn may be a small one."""
+_AGAINST: Final = 0.05
+"""How much less likely a place is if a picture with more detail would be the more blurred one of two."""
 
 
 @dataclass
@@ -222,24 +238,6 @@ def _larger(one: float | None, other: float | None) -> float | None:
     """Return the larger of two numbers that may be unknown."""
     known = [value for value in (one, other) if value is not None]
     return max(known, default=None)
-
-
-_SHARPEST_PX: Final = 0.6
-"""Edge width of a sharp picture, if none sharper was seen, px."""
-_LEAST_BLURRED_PX: Final = 3.0
-"""Edge width below which stars are found, so that a place with coarse detail alone is more blurred, px."""
-_SLOPES_PX: Final[NDArray[np.float64]] = np.geomspace(0.15, 15.0, 31)
-"""Blur by one unit of the ring, px: a first turn of some degrees changes the edges by 0.15 px at least."""
-_USUAL_SLOPE_PX, _SLOPE_FACTOR = 1.5, 4.0
-"""Usual blur by a first turn, px, and the factor within which two of three are: own estimate for C-mount lenses."""
-_WIDTH_SIGMA, _DETAIL_SIGMA = 0.06, 0.2
-"""Relative deviations of an edge width, and of the least width where only coarse detail is seen."""
-_TURN_SIGMA: Final = 0.15
-"""Standard deviation of a turn by hand from what was asked for, as a share of it."""
-_REACH: Final = 8.0
-"""How far a best place is sought, in units of the way between the places known: a first turn may be a small one."""
-_AGAINST: Final = 0.05
-"""How much less likely a place is if a picture with more detail would be the more blurred one of two."""
 
 
 def best_place(rests: Sequence[_Rest], *, sharp_px: float | None, behind: bool = False) -> float:

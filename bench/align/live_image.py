@@ -37,6 +37,18 @@ _MOST_EVENTS: Final = 150_000
 """Number of events from which the flicker is searched; more do not make the figure better."""
 _LEAST_PERIODS: Final = 3
 _SHORT_PERIODS: Final = 1.9
+_TIME_LOW, _TIME_HIGH = 0x6, 0x8
+_CLOCK: Final = 1 << 24
+"""Number of microseconds after which the time words begin again."""
+_NEARLY: Final = 0.02
+"""Share of a period that may be missing at the end: time words come only with events."""
+
+GAMMA: Final = 0.6
+"""Exponent of the tone map: a pattern at a tenth of the brightest light is shown at a quarter."""
+_CLIPPED: Final = 0.004
+_LEAST_FIRED: Final = 0.3
+_LEAST_GREY: Final = 0.02
+_HOT_EVENTS: Final = 6
 
 
 @dataclass(frozen=True)
@@ -274,13 +286,6 @@ class LiveSlice:
     moving: bool = False  # Whether the stage turned meanwhile
 
 
-_TIME_LOW, _TIME_HIGH = 0x6, 0x8
-_CLOCK: Final = 1 << 24
-"""Number of microseconds after which the time words begin again."""
-_NEARLY: Final = 0.02
-"""Share of a period that may be missing at the end: time words come only with events."""
-
-
 class CountedSlice(NamedTuple):
     """A slice as counted."""
 
@@ -327,14 +332,6 @@ def whole_periods(words: NDArray[np.uint16], period_us: float) -> tuple[int, int
     periods = int(elapsed[-1] / period_us + _NEARLY)
     beyond = np.searchsorted(elapsed, periods * period_us)
     return (int(low[beyond]) if beyond < len(low) else len(words)), periods
-
-
-GAMMA: Final = 0.6
-"""Exponent of the tone map: a pattern at a tenth of the brightest light is shown at a quarter."""
-_CLIPPED: Final = 0.004
-_LEAST_FIRED: Final = 0.3
-_LEAST_GREY: Final = 0.02
-_HOT_EVENTS: Final = 6
 
 
 class LiveImage(NamedTuple):

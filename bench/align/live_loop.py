@@ -32,6 +32,33 @@ from drivers.errors import DriverError
 MEMORY = Path("/dev/shm")  # noqa: S108 - only a folder of our own in it is used
 _ROOM = 500_000_000
 _NAME = re.compile(r"starbench-align-(\d+)-\w+")
+SHORT_S = 1 / 60
+"""Length of most slices, s, rounded to whole flicker periods, at least one. A short slice makes a quick picture."""
+LONGEST_SLICE_S = 4.0
+"""Longest slice, s. With a slower flicker, a slice holds no whole period."""
+_OF_LONGER = ("trigger_hz", "event_hz", "jitter_us", "event_jitter_us")
+_OF_THE_FLICKER = ("sync", "flicker is")
+"""Words of advice that only a slice of several periods can give."""
+_LEARNT = 0.3
+"""Weight of the newest duration in the expected ones."""
+_RATE_OVER_S = 4.0
+
+SIGNAL_PERIODS = 4
+"""Periods of a slice that shows the flicker itself: frequency by triggers and by events, and jitter. It holds three
+whole periods at any phase of the light."""
+SIGNAL_EVERY_S = 4.0
+"""Time between two such slices, s."""
+_AFTER_FAULT_S = 1.0
+MOVING_PERIODS = 0.6
+"""Length of a slice while the stage turns, periods: it holds one edge of the light at least."""
+_STALE_S = 0.4
+"""Age of a slice from which it is recorded again while it waits to be measured, s."""
+SHORTEST_S = 0.1
+"""Shortest time from one slice to the next, s: more pictures show no more."""
+_EARLY_S = 0.02
+
+T = TypeVar("T")
+Recorded = RecordingFacts | FrameFacts
 
 
 def make_slice_folder() -> Path:
@@ -61,18 +88,6 @@ def _is_alive(process: int) -> bool:
     except (PermissionError, OverflowError):
         return True
     return True
-
-
-SHORT_S = 1 / 60
-"""Length of most slices, s, rounded to whole flicker periods, at least one. A short slice makes a quick picture."""
-LONGEST_SLICE_S = 4.0
-"""Longest slice, s. With a slower flicker, a slice holds no whole period."""
-_OF_LONGER = ("trigger_hz", "event_hz", "jitter_us", "event_jitter_us")
-_OF_THE_FLICKER = ("sync", "flicker is")
-"""Words of advice that only a slice of several periods can give."""
-_LEARNT = 0.3
-"""Weight of the newest duration in the expected ones."""
-_RATE_OVER_S = 4.0
 
 
 def slice_periods(setting: LiveSetting) -> int:
@@ -129,24 +144,6 @@ class LivePicture:
     # record_ms, measure_ms: Duration of the recording and of the measurement, ms.
     record_ms: float = 0.0
     measure_ms: float = 0.0
-
-
-SIGNAL_PERIODS = 4
-"""Periods of a slice that shows the flicker itself: frequency by triggers and by events, and jitter. It holds three
-whole periods at any phase of the light."""
-SIGNAL_EVERY_S = 4.0
-"""Time between two such slices, s."""
-_AFTER_FAULT_S = 1.0
-MOVING_PERIODS = 0.6
-"""Length of a slice while the stage turns, periods: it holds one edge of the light at least."""
-_STALE_S = 0.4
-"""Age of a slice from which it is recorded again while it waits to be measured, s."""
-SHORTEST_S = 0.1
-"""Shortest time from one slice to the next, s: more pictures show no more."""
-_EARLY_S = 0.02
-
-T = TypeVar("T")
-Recorded = RecordingFacts | FrameFacts
 
 
 @dataclass(frozen=True)

@@ -48,6 +48,20 @@ _IMX636: Mapping[str, tuple[int, int]] = {
     "bias_refr": (-50, 255),
 }
 """Ranges of the biases where the camera's driver does not state them; the camera refuses what it cannot do."""
+RANGES = {"duty_percent": (1.0, 99.0), "level_percent": (0.1, 100.0)}
+"""Lowest and highest value of each number besides the frequency, whose range the station states."""
+
+_ALL_OPEN = "All devices are open. Nothing was moved, and the light was not switched."
+
+ACTIONS: Mapping[str, tuple[str, ...]] = {
+    "lens turn": ("deg",),
+    "lens ring": ("deg",),
+    "lens aperture": ("f_number",),
+    "mount turn": ("pan_deg", "tilt_deg", "roll_deg"),
+}
+"""What the hands can do, with the numbers that each needs."""
+
+OpenDevices = Callable[[Station, int, BenchClock], Devices]
 
 
 class CameraControl:
@@ -154,10 +168,6 @@ class CameraControl:
             "frame": dict(self.frame_settings),
             "reasons": list(self.reasons),
         }
-
-
-RANGES = {"duty_percent": (1.0, 99.0), "level_percent": (0.1, 100.0)}
-"""Lowest and highest value of each number besides the frequency, whose range the station states."""
 
 
 @dataclass(frozen=True)
@@ -281,9 +291,6 @@ class LightControl:
                 )
 
 
-_ALL_OPEN = "All devices are open. Nothing was moved, and the light was not switched."
-
-
 def follow(bench: Bench, say: Callable[[str], None]) -> None:
     """Say when stage and light are open too, or why they could not be opened; ``say`` is called by any thread."""
     if not bench.devices.late:
@@ -313,15 +320,6 @@ def _ended(bench: Bench, say: Callable[[str], None], name: str) -> None:
         say(f"The {name} could not be opened. {failure.message}")
     elif all(one.state == "open" for one in late.values()):
         say(_ALL_OPEN)
-
-
-ACTIONS: Mapping[str, tuple[str, ...]] = {
-    "lens turn": ("deg",),
-    "lens ring": ("deg",),
-    "lens aperture": ("f_number",),
-    "mount turn": ("pan_deg", "tilt_deg", "roll_deg"),
-}
-"""What the hands can do, with the numbers that each needs."""
 
 
 class SimulatedHands:
@@ -364,9 +362,6 @@ class SimulatedHands:
                 raise ControlRefused(f"The simulated bench refused: {what}", remedy="Give another value.")
             self.seen = found.get("now")
         return self.seen or {}
-
-
-OpenDevices = Callable[[Station, int, BenchClock], Devices]
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, Final
 
-from bench.align.controls import Owners
 from bench.align.live_figures import LiveSetting
 from bench.align.live_loop import LivePicture
 from bench.align.meter import Meter, MeterProcess
@@ -27,10 +26,11 @@ from bench.align.open_bench import (
     open_devices,
     try_again,
 )
+from bench.align.owners import Owners
 from bench.base.errors import ControlRefused
 from bench.base.failure import FORESEEN, Failure
 from bench.stations.station import Station
-from bench.web.pages import Changes
+from bench.web.server_sent import Changes
 from drivers.errors import DriverError
 from sequences.reader import Located
 
@@ -38,6 +38,11 @@ KEPT: Final = 50
 SHOWN: Final = 20
 _SAME_S: Final = 10.0
 """Time within which a further step replaces the entry of the one before, s."""
+_WATCH_S = 0.05
+_LOOK_MOVING_S = 0.15
+_LOOK_RESTING_S = 1.0
+_LOOK_THOROUGHLY_S = 4.0
+_LOOK_LIGHT_S = 2.0
 
 
 class Happened:
@@ -68,13 +73,6 @@ class Happened:
         """Return the newest entries: number, time (s since 1970) and text of each, the newest last."""
         with self._lock:
             return list(self._entries)[-SHOWN:]
-
-
-_WATCH_S = 0.05
-_LOOK_MOVING_S = 0.15
-_LOOK_RESTING_S = 1.0
-_LOOK_THOROUGHLY_S = 4.0
-_LOOK_LIGHT_S = 2.0
 
 
 class Session:

@@ -33,6 +33,15 @@ _SIZES: Final = (0.5, 2.0)
 _UNUSUAL_DEG: Final = 30.0
 """Difference of the directions from which the motion seen counts, and not the signs of the bench."""
 _UPRIGHT: Final = {"pan": np.array([1.0, 0.0]), "tilt": np.array([0.0, -1.0])}
+ROLL_WANTED_DEG: Final = 10.0
+"""Roll of the pattern against the pixel grid at which stars are located best (docs/stars.md)."""
+CENTRED_DEG, CENTRED_PX = 0.25, 15.0
+"""Offset up to which the pattern counts as centred, degrees, or px if no focal length is known."""
+BEAM_STEP_DEG, BEAM_STEP_PX = 1.0, 50.0
+"""Turns by the beam are given in these steps: its rim is ragged, and a frame shows a short arc of it."""
+_RIM_INSIDE_SHARE: Final = 0.1
+
+Offset = tuple[float, float]
 
 
 class SeenMotion:
@@ -95,17 +104,6 @@ def _rotated(vector: Array, angle_deg: float) -> Array:
     """Return a vector rotated by an angle."""
     c, s = math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))
     return np.array([c * vector[0] - s * vector[1], s * vector[0] + c * vector[1]])
-
-
-ROLL_WANTED_DEG: Final = 10.0
-"""Roll of the pattern against the pixel grid at which stars are located best (docs/stars.md)."""
-CENTRED_DEG, CENTRED_PX = 0.25, 15.0
-"""Offset up to which the pattern counts as centred, degrees, or px if no focal length is known."""
-BEAM_STEP_DEG, BEAM_STEP_PX = 1.0, 50.0
-"""Turns by the beam are given in these steps: its rim is ragged, and a frame shows a short arc of it."""
-_RIM_INSIDE_SHARE: Final = 0.1
-
-Offset = tuple[float, float]
 
 
 @dataclass(frozen=True)

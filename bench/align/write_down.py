@@ -37,6 +37,10 @@ from sequences.yaml_text import parse
 
 Text = str | tuple[str, ...]
 """YAML text of a value, or of each entry of a list."""
+_LAYOUTS = ((2, 2, 0), (2, 4, 2), (4, 4, 0), (4, 4, 2), (4, 6, 4))
+"""Indentation of mappings, of lists, and of a list's dash, as files use them."""
+POSES = "aligned"
+"""List of poses for a sequence that has none to which a pose can be added."""
 
 
 def station_values(
@@ -125,12 +129,6 @@ def plain_number(value: float, digits: int) -> str:
     """
     text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
     return "0" if text in ("", "-0") else text
-
-
-_LAYOUTS = ((2, 2, 0), (2, 4, 2), (4, 4, 0), (4, 4, 2), (4, 6, 4))
-"""Indentation of mappings, of lists, and of a list's dash, as files use them."""
-POSES = "aligned"
-"""List of poses for a sequence that has none to which a pose can be added."""
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,9 @@ from bench.base.background import done_at_once, in_background
 from drivers.lateness import LatenessData, own_lateness
 
 Result = TypeVar("Result")
+_STOPPING = ("SIGINT", "SIGTERM", "SIGHUP")
+_SIGNALS_TO_END_AT_ONCE = 3
+_RESEND_AFTER_S = 0.05
 
 
 class _Asked(Exception):
@@ -221,11 +224,6 @@ class VirtualClock(BenchClock):
     def lateness(self) -> LatenessData:
         """See `BenchClock.lateness`."""
         return {}
-
-
-_STOPPING = ("SIGINT", "SIGTERM", "SIGHUP")
-_SIGNALS_TO_END_AT_ONCE = 3
-_RESEND_AFTER_S = 0.05
 
 
 @contextmanager

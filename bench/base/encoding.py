@@ -17,6 +17,9 @@ _PLAIN = {
     "°": "deg",
     "\N{HORIZONTAL ELLIPSIS}": "...",
 }
+_ASCII_CONTROLS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f]")
+
+_TIMES = {1: "once", 2: "twice"}
 
 
 def replace_unencodable(*streams: TextIO | None) -> None:
@@ -25,9 +28,6 @@ def replace_unencodable(*streams: TextIO | None) -> None:
     for stream in streams:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors=_NAME)
-
-
-_ASCII_CONTROLS = re.compile(r"[\x00-\x08\x0b-\x1f\x7f]")
 
 
 def printable(text: str) -> str:
@@ -66,9 +66,6 @@ def clock_text(seconds: float) -> str:
     hours, rest = divmod(whole, 3600)
     minutes, seconds_left = divmod(rest, 60)
     return f"{hours}:{minutes:02d}:{seconds_left:02d}" if hours else f"{minutes}:{seconds_left:02d}"
-
-
-_TIMES = {1: "once", 2: "twice"}
 
 
 def counted(number: int, noun: str) -> str:

@@ -22,6 +22,12 @@ from bench.base.lost_output import Steering
 _BAR_WIDTH, _LEAST_BAR = 24, 8
 _ENDING_EARLY = frozenset({"aborting", "aborted", "failed"})
 """States without a remaining time: the rest of the plan is not done."""
+_POLL_S = 0.2
+_YES = {"c", "continue", "y", "yes"}
+_NO = {"a", "abort", "n", "no"}
+
+_readers: dict[TextIO, queue.SimpleQueue[str]] = {}
+"""One reader for each terminal. A reader that waits for a line cannot be stopped, so the next question uses it."""
 
 
 class Progress:
@@ -111,11 +117,6 @@ class Progress:
         )
 
 
-_POLL_S = 0.2
-_YES = {"c", "continue", "y", "yes"}
-_NO = {"a", "abort", "n", "no"}
-
-
 @dataclass(frozen=True)
 class Reply:
     """An answer."""
@@ -178,10 +179,6 @@ def _discard_typed(source: TextIO) -> None:
 
         with suppress(termios.error):
             termios.tcflush(source.fileno(), termios.TCIFLUSH)
-
-
-_readers: dict[TextIO, queue.SimpleQueue[str]] = {}
-"""One reader for each terminal. A reader that waits for a line cannot be stopped, so the next question uses it."""
 
 
 def _lines_of(source: TextIO) -> Callable[[], str | None]:

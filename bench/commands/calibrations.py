@@ -31,6 +31,17 @@ LENS = click.option(
 CAMERA = click.option(
     "--camera", metavar="NAME", help="Camera of a calibration file that holds several, such as cam1."
 )
+MODELS = ["joint", "spherical", "planar"]
+MODEL_HELP = "joint: the joint adjustment. spherical (of the paper), planar (Zhang's): for comparison."
+LOSSES = ["l2", "huber", "cauchy"]
+LOSS_HELP = (
+    "Loss function of spherical and planar for outliers: l2 gives them full weight, huber less, cauchy least."
+)
+_Command = TypeVar("_Command", bound=Callable[..., Any])
+_CUTOFF_HZ = (0.01, 1000.0)
+
+_THROUGH_COLLIMATOR = ("model", "distortion", "passport", "image-size", "views", "origin", "station")
+"""Options of commands that take all others from the runs."""
 
 
 def stated_camera(file: Path, name: str | None, lens: LensFamily | None) -> CameraFile:
@@ -137,16 +148,6 @@ def comparison_text(baselines: list[MethodResult | MethodFailure]) -> str:
         " only their rotation solved."
     )
     return "\n".join(lines)
-
-
-MODELS = ["joint", "spherical", "planar"]
-MODEL_HELP = "joint: the joint adjustment. spherical (of the paper), planar (Zhang's): for comparison."
-LOSSES = ["l2", "huber", "cauchy"]
-LOSS_HELP = (
-    "Loss function of spherical and planar for outliers: l2 gives them full weight, huber less, cauchy least."
-)
-_Command = TypeVar("_Command", bound=Callable[..., Any])
-_CUTOFF_HZ = (0.01, 1000.0)
 
 
 class _Model(click.Choice[str]):
@@ -267,8 +268,6 @@ _OPTIONS = {
         "evenly spread]",
     ),
 }
-_THROUGH_COLLIMATOR = ("model", "distortion", "passport", "image-size", "views", "origin", "station")
-"""Options of commands that take all others from the runs."""
 
 
 def engine_options(command: _Command) -> _Command:

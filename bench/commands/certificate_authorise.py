@@ -29,10 +29,11 @@ from bench.evidence.authorisation import named_person, require_authorisable, req
 from bench.evidence.authorisations import enter_authorisation
 from bench.evidence.beside_seal import add_beside
 from bench.evidence.key_trust import Trust, read_trust
+from bench.evidence.openssh import agent_socket
 from bench.evidence.personal_key import find_key
 from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP, kind_of
 from bench.evidence.ssh_keys import fingerprint
-from bench.evidence.sshsig import agent_socket, is_valid, read_signature
+from bench.evidence.sshsig import is_valid, read_signature
 from bench.evidence.timestamp import (
     LABORATORY_TSA_FILE,
     STAMPED,
@@ -52,6 +53,8 @@ from bench.record.storage import read_json, storage_errors, write_atomic
 from bench.record.stored_run import StoredRun
 
 _NAMES = {"seal": TIMESTAMP, "authorisation": AUTHORISATION_TIMESTAMP}
+_FROM_ENVIRONMENT = "STARBENCH_PASSPHRASE"
+_KINDS = {"certificate": "Certificate", "run": "Run", "results": "Recalculated results", "files": "Files"}
 
 
 @command(
@@ -200,10 +203,6 @@ def _signed(folder: Path, name: str) -> bytes:
             remedy="See all faults with `starbench verify`.",
         )
     return data
-
-
-_FROM_ENVIRONMENT = "STARBENCH_PASSPHRASE"
-_KINDS = {"certificate": "Certificate", "run": "Run", "results": "Recalculated results", "files": "Files"}
 
 
 @command(

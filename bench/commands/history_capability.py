@@ -29,6 +29,10 @@ from calib.model.camera import PINHOLE
 from calib.model.lens import BROWN, FISHEYE
 
 _OF_THE_CAMERA = {*PINHOLE, *BROWN, *FISHEYE}
+_OF_TERM = ("sum_of_squares", "degrees_of_freedom", "mean_square", "f", "p")
+_OF_STUDY = ("repeatability", "reproducibility", "gauge", "total", "gauge_percent", "categories", "verdict")
+_OF_CAPABILITY = ("cp", "cpk", "tolerance_percent")
+_HEADS = ("", "unit", "EV", "AV", "GRR", "PV", "TV", "%GRR", "ndc", "%tol", "Cp", "Cpk")
 
 
 @dataclass(frozen=True)
@@ -155,12 +159,6 @@ def _parameter_json(one: _Studied) -> dict[str, Any]:
 def _parts(of: object, names: Sequence[str]) -> dict[str, Any]:
     """Return some attributes of an object by name; of None, None each."""
     return {name: of and getattr(of, name) for name in names}
-
-
-_OF_TERM = ("sum_of_squares", "degrees_of_freedom", "mean_square", "f", "p")
-_OF_STUDY = ("repeatability", "reproducibility", "gauge", "total", "gauge_percent", "categories", "verdict")
-_OF_CAPABILITY = ("cp", "cpk", "tolerance_percent")
-_HEADS = ("", "unit", "EV", "AV", "GRR", "PV", "TV", "%GRR", "ndc", "%tol", "Cp", "Cpk")
 
 
 def _lines(

@@ -32,6 +32,40 @@ QUEUE_STATUS = (
     f"0 every run has a result, 1 at least one run has no result, {_INVALID}, 3 stopped on request, 4 a limit of a run"
     f" is not kept (FAIL), {_CTRL_C}"
 )
+SEED = click.IntRange(0, 2**63 - 1)
+_MOST_NAMED = 5
+_SMALLEST, _LARGEST = 1e-9, 1e12
+"""Size of any number that is not 0: no quantity of a bench lies outside."""
+
+SET = click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="PATH=VALUE",
+    help="Replace a value of the sequence or station file, e.g. station.camera.biases.bias_diff_on=20. Can be given"
+    " several times.",
+)
+
+OPERATOR = click.option("--operator", "by", metavar="NAME", help="Your name.  [default: user@host]")
+MOMENT = click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M", "%Y-%m-%d %H:%M", "%Y-%m-%dT%H:%M:%S"])
+MOMENT_FORM = "DATE[THH:MM]"
+BEGIN = click.option(
+    "--begin",
+    type=click.DateTime(["%Y-%m-%dT%H:%M", "%Y-%m-%d %H:%M"]),
+    metavar="DATETHH:MM",
+    help="Time at which the night begins, in the time zone of the queue.  [default: now]",
+)
+
+OF_CAMERA = click.option(
+    "--serial", metavar="NUMBER", help="Only runs of the camera with this serial number."
+)
+SINCE = click.option(
+    "--since", type=MOMENT, metavar=MOMENT_FORM, help="Only runs that began at or after this time (UTC)."
+)
+UNTIL = click.option(
+    "--until", type=MOMENT, metavar=MOMENT_FORM, help="Only runs that began before this time (UTC)."
+)
+OF_SEQUENCE = click.option("--sequence", help="Only runs whose sequence name contains this text.")
 
 
 def status_text(words: str) -> str:
@@ -60,12 +94,6 @@ class Family(click.Group):
         """See `click.Group.add_command`."""
         cmd.short_help = (cmd.help or "").partition("\n\n")[0].replace("\n", " ")
         super().add_command(cmd, name)
-
-
-SEED = click.IntRange(0, 2**63 - 1)
-_MOST_NAMED = 5
-_SMALLEST, _LARGEST = 1e-9, 1e12
-"""Size of any number that is not 0: no quantity of a bench lies outside."""
 
 
 class Number(click.ParamType):
@@ -325,14 +353,6 @@ STATION = click.option(
     type=STATION_NAME,
     help="Station file, or the name of a station that is included (simulated).",
 )
-SET = click.option(
-    "--set",
-    "settings",
-    multiple=True,
-    metavar="PATH=VALUE",
-    help="Replace a value of the sequence or station file, e.g. station.camera.biases.bias_diff_on=20. Can be given"
-    " several times.",
-)
 _PAGE = (
     click.option(
         "--port",
@@ -370,27 +390,6 @@ def page_options(command: Callable[..., int]) -> Callable[..., int]:
     return command
 
 
-OPERATOR = click.option("--operator", "by", metavar="NAME", help="Your name.  [default: user@host]")
-MOMENT = click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M", "%Y-%m-%d %H:%M", "%Y-%m-%dT%H:%M:%S"])
-MOMENT_FORM = "DATE[THH:MM]"
-BEGIN = click.option(
-    "--begin",
-    type=click.DateTime(["%Y-%m-%dT%H:%M", "%Y-%m-%d %H:%M"]),
-    metavar="DATETHH:MM",
-    help="Time at which the night begins, in the time zone of the queue.  [default: now]",
-)
-
-
-OF_CAMERA = click.option(
-    "--serial", metavar="NUMBER", help="Only runs of the camera with this serial number."
-)
-SINCE = click.option(
-    "--since", type=MOMENT, metavar=MOMENT_FORM, help="Only runs that began at or after this time (UTC)."
-)
-UNTIL = click.option(
-    "--until", type=MOMENT, metavar=MOMENT_FORM, help="Only runs that began before this time (UTC)."
-)
-OF_SEQUENCE = click.option("--sequence", help="Only runs whose sequence name contains this text.")
 LEDGERS = click.option(
     "--ledger",
     "ledgers",

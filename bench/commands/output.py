@@ -34,6 +34,8 @@ _DISK_REMEDIES = {
 
 
 _WANTED = "bench.json"
+_MOST_SHOWN = 40
+"""Most notes or faults that are printed as text."""
 
 
 def _remember(context: click.Context, _option: click.Parameter, wanted: bool) -> None:
@@ -64,10 +66,6 @@ def show(
         return
     for line in (text,) if isinstance(text, str) else text:
         click.echo(line, err=err)
-
-
-_MOST_SHOWN = 40
-"""Most notes or faults that are printed as text."""
 
 
 def print_findings(faults: Sequence[str], notes: Sequence[str] = ()) -> int:

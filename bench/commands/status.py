@@ -41,6 +41,14 @@ _ANSWERS = {"yes": "continue", "no": "abort"}
 _VALUES = {"skip": "the number of a pose", "add": "the file of a job", "withdraw": "the name of a job"}
 """What stands behind a word; it may be left out for ``skip``."""
 _OF_BATCH = ("add", "withdraw")
+FOLLOW_S = 0.5
+_READING_SHARE = 4.0
+"""A follower waits at least this many times as long as it read the journal, so that it takes little of a computer."""
+
+_INTERRUPTED = 130
+_NOT_READ = 128 + 13
+"""Exit status of `status --follow` whose output nobody reads any more: that of SIGPIPE."""
+_ENDED = {"finished": 0, "aborted": STOPPED}
 
 
 class _Told(ExistingFolder):
@@ -175,11 +183,6 @@ def _lines(found: Sequence[Delivery]) -> Iterator[str]:
         yield "No messages."
 
 
-FOLLOW_S = 0.5
-_READING_SHARE = 4.0
-"""A follower waits at least this many times as long as it read the journal, so that it takes little of a computer."""
-
-
 def follow(
     folder: Path,
     sleep: Callable[[float], None] = time.sleep,
@@ -218,12 +221,6 @@ def _counted_down(status: Status, since_s: float) -> Status:
     if status.left_s is None or status.held_by or status.question:
         return status
     return replace(status, left_s=max(0.0, status.left_s - since_s))
-
-
-_INTERRUPTED = 130
-_NOT_READ = 128 + 13
-"""Exit status of `status --follow` whose output nobody reads any more: that of SIGPIPE."""
-_ENDED = {"finished": 0, "aborted": STOPPED}
 
 
 @command(

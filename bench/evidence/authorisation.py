@@ -13,10 +13,11 @@ from pathlib import Path
 from bench.base.errors import EvidenceError, StorageError
 from bench.evidence.beside_seal import add_beside, read_beside
 from bench.evidence.key_trust import Judgement, Moments, Trust, judge_key
+from bench.evidence.openssh import NotInstalled
 from bench.evidence.seal import AUTHORISATION
 from bench.evidence.signers import AUTHORISATION_NAMESPACE
 from bench.evidence.ssh_keys import fingerprint
-from bench.evidence.sshsig import NotInstalled, SigningKey, SshSignature, is_valid, read_signature
+from bench.evidence.sshsig import SigningKey, SshSignature, is_valid, read_signature
 from bench.record.run_folder import MANIFEST, SIGNATURE
 from bench.record.storage import read_json, storage_errors
 

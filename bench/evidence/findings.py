@@ -9,6 +9,13 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any, Literal
 
+UNREADABLE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError)
+"""Exceptions raised by reading JSON that is not of the expected form."""
+
+Part = Literal["plan", "results", "exports", "report", "stars and images", "instructions"]
+"""A part of a sealed folder that is made again and compared, as a certificate names it."""
+PARTS: tuple[Part, ...] = ("plan", "results", "exports", "report", "stars and images", "instructions")
+
 
 @dataclass(frozen=True)
 class SealFault:
@@ -23,15 +30,6 @@ class SealFault:
 
     def __str__(self) -> str:
         return f"{self.where}: {self.what}"
-
-
-UNREADABLE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError)
-"""Exceptions raised by reading JSON that is not of the expected form."""
-
-
-Part = Literal["plan", "results", "exports", "report", "stars and images", "instructions"]
-"""A part of a sealed folder that is made again and compared, as a certificate names it."""
-PARTS: tuple[Part, ...] = ("plan", "results", "exports", "report", "stars and images", "instructions")
 
 
 @dataclass

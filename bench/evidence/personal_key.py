@@ -12,10 +12,11 @@ from cryptography.hazmat.primitives.asymmetric import ec, rsa
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from bench.base.errors import EvidenceError
+from bench.evidence.openssh import SOCKET_VARIABLE, OpenSshKey, agent_lines
 from bench.evidence.private_files import refuse_readable_by_others
 from bench.evidence.signers import read_public_key
 from bench.evidence.ssh_keys import check_key, fingerprint
-from bench.evidence.sshsig import SOCKET_VARIABLE, Ed25519Signer, OpenSshKey, SigningKey, agent_lines
+from bench.evidence.sshsig import Ed25519Signer, SigningKey
 from bench.record.storage import storage_errors
 
 _MOST_BYTES = 1 << 20

@@ -102,18 +102,6 @@ ssh-keygen judges a key for today. To judge it for the time of a time stamp, add
 With Starbench at hand, `starbench verify` makes these checks and more. The folder is read-only; to
 delete it: chmod -R u+w, then rm -r.
 """
-
-
-def kind_of(path: Path) -> str:
-    """Return what a folder is, by its content: ``run``, ``certificate``, ``results`` (recalculated) or ``files``."""
-    return next((kind for name, kind in KINDS.items() if (path / name).is_file()), "files")
-
-
-def instructions(kind: str, *, principal: str, fingerprint: str) -> str:
-    """Return the text of ``VERIFY.txt`` for a folder of this kind, sealed by this bench."""
-    return _TEXT.format(what=_WHAT[kind], more=_MORE[kind], principal=principal, fingerprint=fingerprint)
-
-
 INSTRUCTIONS = "VERIFY.txt"
 AUTHORISATION = "SHA256SUMS.authorised.sig"
 """A person's signature of ``SHA256SUMS.sig``, added at any time after sealing (`bench.evidence.authorisation`)."""
@@ -127,6 +115,16 @@ NOT_LISTED = frozenset({MANIFEST, SIGNATURE, *RESERVED})
 """Files of a sealed folder that the list does not name."""
 
 _LINE = re.compile(r"([0-9a-f]{64})  ([^\\\x00-\x1f\x7f]+)")
+
+
+def kind_of(path: Path) -> str:
+    """Return what a folder is, by its content: ``run``, ``certificate``, ``results`` (recalculated) or ``files``."""
+    return next((kind for name, kind in KINDS.items() if (path / name).is_file()), "files")
+
+
+def instructions(kind: str, *, principal: str, fingerprint: str) -> str:
+    """Return the text of ``VERIFY.txt`` for a folder of this kind, sealed by this bench."""
+    return _TEXT.format(what=_WHAT[kind], more=_MORE[kind], principal=principal, fingerprint=fingerprint)
 
 
 def seal(folder: RunFolder, key: BenchKey) -> str:

@@ -18,10 +18,11 @@ from bench.evidence.authorisations import NOTHING_KNOWN, Known, compare_authoris
 from bench.evidence.beside_seal import read_beside
 from bench.evidence.findings import State, Verification
 from bench.evidence.key_trust import Moments, Trust, judge_key, read_trust
+from bench.evidence.openssh import NotInstalled
 from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP
 from bench.evidence.signers import NAMESPACE
 from bench.evidence.ssh_keys import fingerprint
-from bench.evidence.sshsig import NotInstalled, is_valid, read_signature
+from bench.evidence.sshsig import is_valid, read_signature
 from bench.evidence.timestamp import Stamp, check_timestamps
 from bench.record.run_folder import JOURNAL, MANIFEST, PAGE_SIGNATURE, REPORT, RESULTS, SIGNATURE, is_sealed
 from bench.record.storage import read_json, storage_errors
@@ -30,6 +31,11 @@ from bench.record.stored_run import StoredRun
 _PLACES = (("certificate.json", ("issued_utc",)), (RESULTS, ("run", "calibrated_utc")))
 _LAST_BYTES = 1 << 20
 """The last line of a journal is shorter than this."""
+_STAMPED = {SIGNATURE: "The seal", AUTHORISATION: "The authorisation"}
+_CLOCK_SLACK = timedelta(minutes=10)
+"""Clocks of a bench and of a time stamping authority may differ so much without a remark."""
+LARGEST_SEAL_BYTES = 64 << 20
+"""Seals of ten thousand poses are smaller; a larger file is not read."""
 
 
 def stated_time(folder: Path) -> datetime | None:
@@ -68,13 +74,6 @@ def _moment(text: object) -> datetime | None:
         return moment.astimezone(UTC) if moment.tzinfo is not None else None
     except (ValueError, OverflowError):
         return None
-
-
-_STAMPED = {SIGNATURE: "The seal", AUTHORISATION: "The authorisation"}
-_CLOCK_SLACK = timedelta(minutes=10)
-"""Clocks of a bench and of a time stamping authority may differ so much without a remark."""
-LARGEST_SEAL_BYTES = 64 << 20
-"""Seals of ten thousand poses are smaller; a larger file is not read."""
 
 
 def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | None = None) -> Verification:

@@ -54,6 +54,7 @@ FILES = {
 """Names of the files that a sealed folder of each kind may have."""
 _CANONICAL = {RESULTS: True, PLAN: True, "sources.json": True, "certificate.json": False}
 """JSON files that the program writes in one form only; whether other letters than ASCII are escaped in them."""
+_FOLDERS = {"run": "run folder", "results": "folder of recalculated results", "certificate": "certificate"}
 
 
 def check_listed(folder: Path, found: Findings) -> dict[str, str] | None:
@@ -80,9 +81,6 @@ def _kind(found: Findings, manifest: Mapping[str, str]) -> None:
         found.fault("kind", markers[1], f"a folder with {markers[0]} does not have this file")
     elif not markers and _RUN_FILES & set(manifest):
         found.fault("kind", JOURNAL, "the file is missing, though the folder has other files of a run")
-
-
-_FOLDERS = {"run": "run folder", "results": "folder of recalculated results", "certificate": "certificate"}
 
 
 def _form(found: Findings, path: Path) -> None:

@@ -20,7 +20,8 @@ from sequences.script import Flicker, RecordStep
 
 if TYPE_CHECKING:  # a plan needs none of these
     from bench.measure.measure import ExpectedGrid, Measurement
-    from bench.record.events import RecordedData, RecordingCounts
+    from bench.record.events import RecordedData
+    from bench.record.measured_facts import RecordingCounts
     from bench.record.results import CameraConditions
     from bench.stations.devices import Camera
 
@@ -182,7 +183,7 @@ class FrameKind:
         motion: bool = True,  # noqa: ARG002
     ) -> Measurement:
         """See `EventKind.measure`. Uses the mean of the frames."""
-        from bench.measure.measure import measure_frames
+        from bench.measure.measure_frames import measure_frames
 
         return measure_frames(path, name=step.pose.name, target=target, expected_grid=expected_grid)
 
@@ -194,7 +195,7 @@ class FrameKind:
         found: Measurement,
     ) -> tuple[list[Gate], list[str]]:
         """See `EventKind.judge`. Judges stars, saturation and motion."""
-        from bench.measure.measure import frame_gates, frame_rejection_reasons
+        from bench.measure.measure_frames import frame_gates, frame_rejection_reasons
 
         recorded = _of_frames(facts)
         gates = frame_gates(recorded, step.gates, found)

@@ -11,7 +11,7 @@ from sequences.schema import GateConfig, Waveform
 from sequences.script import Gates
 
 if TYPE_CHECKING:
-    from bench.record.events import GateData, MeasuredFacts
+    from bench.record.measured_facts import GateData, MeasuredFacts
 
 Verdict = Literal["pass", "marginal", "fail"]
 
@@ -33,6 +33,12 @@ ADVICE = {
 """What to do if a gate fails, by its name."""
 MARGIN = 0.1
 """A value that passes but is within this share of its limit is marginal."""
+_LABELS = {
+    "motion_px": "stars moved",
+    "flicker_off_percent": "flicker off nominal",
+    "data_rate_gbit_s": "data rate",
+}
+_UNITS = {"px": "px", "us": "us", "percent": "%"}
 
 
 @dataclass(frozen=True)
@@ -126,14 +132,6 @@ def gate_values(
         passed = facts.rate_controller_out / facts.rate_controller_in
         values["rate_controller_loss_percent"] = 100 * max(1.0 - passed, 0.0)
     return values
-
-
-_LABELS = {
-    "motion_px": "stars moved",
-    "flicker_off_percent": "flicker off nominal",
-    "data_rate_gbit_s": "data rate",
-}
-_UNITS = {"px": "px", "us": "us", "percent": "%"}
 
 
 def _unit(fact: str) -> str:

@@ -32,7 +32,7 @@ from bench.measure.views_file import arrays_of, view_of
 from bench.record.storage import sha256_of
 from calib.errors import InputMismatch
 from calib.view import View
-from drivers.camera.raw_writer import require_regular, require_whole
+from drivers.camera.raw_check import require_regular, require_whole
 from drivers.errors import DriverError
 
 _BUCKETS = 256

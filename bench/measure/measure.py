@@ -9,15 +9,14 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.bounded_json import without_nan
-from bench.measure.gates import Gate, at_least, at_most
-from bench.record.events import MeasuredFacts
+from bench.record.measured_facts import MeasuredFacts
 from calib.errors import (
     CalibrationError,
     DegenerateViews,
@@ -28,7 +27,6 @@ from calib.errors import (
     TooFewStars,
 )
 from calib.events.event_image import (
-    MOVING_PX,
     ChosenImage,
     EventImages,
     half_windows,
@@ -45,10 +43,23 @@ from calib.stars.rim import downweight_vignetted, find_rim
 from calib.target import StarTarget
 from calib.view import View
 from drivers.camera.event_arrays import Events, Triggers
-from drivers.camera.frames import FrameFacts, read_frames
 from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingFileError
-from sequences.script import Gates
+
+LEAST_LIT = 0.005
+"""Share of the sensor's pixels that follow the flicker as soon as the camera sees the lit target. Without light, hot
+pixels alone do: a dark lamp and a closed lens cap are no fault of the camera's direction."""
+_BLURRED = 0.16
+"""Sharpness (`calib.stars.focus.sharpness`) below which no stars are seen: with the shipped target and lens, it is 0.34
+in focus, 0.16 where stars can just be found, and 0.09 far out of focus."""
+
+ExpectedGrid = Callable[[tuple[int, int]], NDArray[np.float64]]
+"""Returns, for an image size (width, height) in px, the expected homography of the target's grid: (3, 3) float64, from
+[column row 1] to [u v 1] px. Raises DegenerateViews if no prediction is possible."""
+
+_ALIGNED_DEG = 3.0
+"""Largest angle to the pixel rows or diagonals at which the errors of star edges count as correlated, degrees. They are
+correlated at 0.5 degrees and not at 10 degrees (docs/stars.md)."""
 
 
 class EventData(NamedTuple):
@@ -211,19 +222,6 @@ def _image_facts(images: EventImages, chosen: ChosenImage, origin_us: int) -> Me
     }
 
 
-# A dark lamp and a closed lens cap are no fault of the camera's direction. `bench.align.advice` tells the
-# same cases apart on the live picture.
-
-LEAST_LIT = 0.005
-"""Share of the sensor's pixels that follow the flicker as soon as the camera sees the lit target. Without light, hot
-pixels alone do."""
-
-
-_BLURRED = 0.16
-"""Sharpness (`calib.stars.focus.sharpness`) below which no stars are seen: with the shipped target and lens, it is 0.34
-in focus, 0.16 where stars can just be found, and 0.09 far out of focus."""
-
-
 def why_no_target(error: TargetNotFound, facts: MeasuredFacts, whole: NDArray[np.float32]) -> TargetNotFound:
     """Return the error of an image, (H, W), without a target: what is told if it is dark, or out of focus, instead."""
     image = facts.get("image")
@@ -264,16 +262,6 @@ class StoredImage:
         image = cv2.imdecode(np.frombuffer(self.png, np.uint8), cv2.IMREAD_GRAYSCALE)
         assert image is not None
         return np.asarray(image, np.uint8)
-
-
-ExpectedGrid = Callable[[tuple[int, int]], NDArray[np.float64]]
-"""Returns, for an image size (width, height) in px, the expected homography of the target's grid: (3, 3) float64, from
-[column row 1] to [u v 1] px. Raises DegenerateViews if no prediction is possible."""
-
-
-_ALIGNED_DEG = 3.0
-"""Largest angle to the pixel rows or diagonals at which the errors of star edges count as correlated, degrees. They are
-correlated at 0.5 degrees and not at 10 degrees (docs/stars.md)."""
 
 
 @dataclass(frozen=True)
@@ -419,61 +407,3 @@ def motion_px(halves: Iterable[NDArray[Any]], view: View, target: StarTarget) ->
         return float(np.hypot(*shift_between_halves(first, second, view, target)))
     except (TooFewEvents, TooFewStars):
         return None
-
-
-# From the frames of one pose to one view, and whether they are accepted: the recording of a frame camera.
-#
-# Stars are detected in the mean of all frames, and in the mean of each half to check that the camera stood
-# still. Every number is calculated from the file alone, so that it can be calculated again from the
-# evidence.
-
-MOST_SATURATED: Final = 0.001
-"""Largest share of pixels at the highest grey value. Some pixels are hot; but saturation displaces a star's edge."""
-
-
-def measure_frames(
-    path: Path, *, name: str, target: StarTarget, expected_grid: ExpectedGrid | None = None
-) -> Measurement:
-    """Read a pose's frames and find the stars; a fault instead if they are bad.
-
-    Facts are ``image`` (``kind``, ``reason``, ``pictures``), ``motion_px``, and those of `find_stars`.
-    """
-
-    def find(seen: Observed) -> View:
-        mean, halves = mean_frames(path, seen)
-        view = find_stars(mean, target, name, expected_grid, seen.facts)
-        seen.facts["motion_px"] = motion_px(halves, view, target) if halves else None
-        return downweight_vignetted(view, target)
-
-    return measurement_of(find)
-
-
-def mean_frames(path: Path, seen: Observed) -> tuple[NDArray[np.float32], list[NDArray[np.float32]]]:
-    """Return the mean of all frames, and the means of both halves unless there is one frame; keep and state it."""
-    frames = read_frames(path)
-    kind = f"mean of {len(frames)} pictures" if len(frames) > 1 else "picture"
-    seen.facts["image"] = {"kind": kind, "reason": "", "pictures": len(frames)}
-    half, mean = len(frames) // 2, _mean(frames)
-    seen.keep(mean)
-    return mean, [_mean(part) for part in (frames[:half], frames[-half:])] if half else []
-
-
-def frame_gates(facts: FrameFacts, gates: Gates, found: Measurement) -> list[Gate]:
-    """Judge the frames of a pose; of the sequence's gates, those about stars apply."""
-    judged = [
-        at_least("stars", found.stars, gates.min_stars, ""),
-        at_most("saturated pixels", 100 * facts.saturated_share, 100 * MOST_SATURATED, "%"),
-    ]
-    motion_px = found.facts.get("motion_px")
-    if motion_px is not None:
-        judged.append(at_most("stars moved", motion_px, gates.limits.get("max_motion_px", MOVING_PX), "px"))
-    return judged
-
-
-def frame_rejection_reasons(facts: FrameFacts) -> list[str]:
-    """Return why frames are rejected, whatever they show."""
-    return [] if facts.complete else ["fewer frames were recorded than asked for"]
-
-
-def _mean(frames: NDArray[Any]) -> NDArray[np.float32]:
-    return frames.mean(axis=0, dtype=np.float64).astype(np.float32)

@@ -19,7 +19,7 @@ from bench.measure.view_picture import ViewPicture
 from calib.errors import InputMismatch
 from calib.view import RimPoints, View
 from drivers.camera.formats.hdf5_reading import dataset, member, whole
-from drivers.camera.raw_writer import require_regular
+from drivers.camera.raw_check import require_regular
 from drivers.errors import RecordingFileError
 
 VIEWS = "views.h5"

@@ -111,6 +111,8 @@ _KINDS = {
     "type": "Metavision's camera-geometry.json",
 }
 _ASK = "Give --lens brown or --lens fisheye, or write `fisheye_model: 0` or `fisheye_model: 1` into the file."
+_Found = tuple[str, CameraModel, Array | None, tuple[str, ...]]
+_Values = Mapping[str, Any]
 
 
 class NotACamera(UsageError):
@@ -200,10 +202,6 @@ def _remarks_about(camera: CameraModel) -> Iterator[str]:
             f"The principal point ({camera.cx:.0f}, {camera.cy:.0f}) lies at {x:.0f} % of the width and {y:.0f} % of"
             " the height. Does the camera matrix belong to an image of this size, without binning and cropping?"
         )
-
-
-_Found = tuple[str, CameraModel, Array | None, tuple[str, ...]]
-_Values = Mapping[str, Any]
 
 
 def _recognised(data: bytes, name: str | None, lens: LensFamily | None) -> _Found:

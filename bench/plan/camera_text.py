@@ -51,6 +51,11 @@ _INI_MATRIX = re.compile(r"^camera matrix\s*$", re.MULTILINE)
 WRITE_OPENCV = (
     "Write the camera by cv2.FileStorage: camera_matrix, distortion_coefficients, image_width, image_height."
 )
+#: Numbers of focal lengths and of coefficients of COLMAP's models; the coefficients are in OpenCV's order.
+_COLMAP_MODELS = {
+    "SIMPLE_PINHOLE": (1, 0), "PINHOLE": (2, 0), "SIMPLE_RADIAL": (1, 1), "RADIAL": (1, 2), "OPENCV": (2, 4),
+    "FULL_OPENCV": (2, 8), "SIMPLE_RADIAL_FISHEYE": (1, 1), "RADIAL_FISHEYE": (1, 2), "OPENCV_FISHEYE": (2, 4),
+}  # fmt: skip
 
 
 class OtherForm(ValueError):
@@ -209,13 +214,6 @@ def _colmap(text: str) -> dict[str, Any]:
             "image_size": [width, height],
         }
     return cameras
-
-
-#: Numbers of focal lengths and of coefficients of COLMAP's models; the coefficients are in OpenCV's order.
-_COLMAP_MODELS = {
-    "SIMPLE_PINHOLE": (1, 0), "PINHOLE": (2, 0), "SIMPLE_RADIAL": (1, 1), "RADIAL": (1, 2), "OPENCV": (2, 4),
-    "FULL_OPENCV": (2, 8), "SIMPLE_RADIAL_FISHEYE": (1, 1), "RADIAL_FISHEYE": (1, 2), "OPENCV_FISHEYE": (2, 4),
-}  # fmt: skip
 
 
 def numbers(value: Any) -> list[float]:

@@ -34,6 +34,11 @@ from sequences.script import ChooseStep, Flicker, LightStep, MoveStep, RecordSte
 if TYPE_CHECKING:
     from bench.measure.measure import Measurement
 
+PoseStep = TypeVar("PoseStep", bound=MoveStep | RecordStep)
+
+MAX_MOTION_DEG = 0.0005
+"""Largest motion between the begin and the end of a recording, degrees: 0.03 px at f = 3345 px."""
+
 
 @dataclass(frozen=True)
 class ParkStep:
@@ -44,7 +49,6 @@ class ParkStep:
 
 
 ScriptStep = Step | ParkStep
-PoseStep = TypeVar("PoseStep", bound=MoveStep | RecordStep)
 DEVICE_STEPS = (LightStep, MoveStep, SettleStep, RecordStep, ChooseStep, ParkStep)
 
 
@@ -74,10 +78,6 @@ def calibration_options(
         gimbal=gimbal,
         budget=budget,
     )
-
-
-MAX_MOTION_DEG = 0.0005
-"""Largest motion between the begin and the end of a recording, degrees: 0.03 px at f = 3345 px."""
 
 
 @dataclass(frozen=True)

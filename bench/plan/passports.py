@@ -34,6 +34,41 @@ from sequences.tree import DocumentPath, Fault
 if TYPE_CHECKING:
     from bench.evidence.passport_seal import PassportSeal
 
+_MOST = 1e6
+"""Largest size of a value, mm; no collimator is a kilometre long."""
+LEAST_R_MM = 0.1
+"""Smallest focal length of a collimator, mm."""
+_LEAST_SIGMA = 1e-7
+"""Smallest standard uncertainty, mm: a tenth of a nanometre."""
+_LEAST_RELATIVE_SIGMA_OF_R = 1e-8
+_LEAST_EIGENVALUE = 1e-13
+"""Smallest eigenvalue of the correlation matrix; rounding alone gives values below it."""
+_ASYMMETRY = 1e-9
+_MOST_NUMBERS = 10_000
+
+_LARGEST_BYTES = 1_000_000
+_KEYS = frozenset(
+    {
+        "schema",
+        "names",
+        "values",
+        "covariance",
+        "reference",
+        "disagreement",
+        "views",
+        "conditions",
+        "length",
+        "seal",
+    }
+)
+
+NO_PASSPORT = "none"
+"""Word in a sequence: use no passport, not even the station's."""
+MOST_DEGREES_APART = 5.0
+"""Largest difference between the temperatures of passport and bench without a caution, degrees Celsius."""
+
+PassportSource = Literal["sequence", "station", "station certificate", "command line"]
+
 
 def setting_path(document: Located[Sequence], path: DocumentPath, key: str, word: str) -> DocumentPath:
     """Return the path of a step's setting in the file."""
@@ -50,19 +85,6 @@ def require_copy(copy: Path) -> Path:
             remedy="Restore it from a copy of the run.",
         )
     return copy
-
-
-_MOST = 1e6
-"""Largest size of a value, mm; no collimator is a kilometre long."""
-LEAST_R_MM = 0.1
-"""Smallest focal length of a collimator, mm."""
-_LEAST_SIGMA = 1e-7
-"""Smallest standard uncertainty, mm: a tenth of a nanometre."""
-_LEAST_RELATIVE_SIGMA_OF_R = 1e-8
-_LEAST_EIGENVALUE = 1e-13
-"""Smallest eigenvalue of the correlation matrix; rounding alone gives values below it."""
-_ASYMMETRY = 1e-9
-_MOST_NUMBERS = 10_000
 
 
 def refuse_absurd_numbers(document: Mapping[str, Any]) -> None:
@@ -119,23 +141,6 @@ def refuse_indefinite(passport: Passport) -> None:
             "Its covariance is not positive definite: the uncertainties contradict each other.",
             where="passport",
         )
-
-
-_LARGEST_BYTES = 1_000_000
-_KEYS = frozenset(
-    {
-        "schema",
-        "names",
-        "values",
-        "covariance",
-        "reference",
-        "disagreement",
-        "views",
-        "conditions",
-        "length",
-        "seal",
-    }
-)
 
 
 def determines_one_view(passport: Passport) -> bool:
@@ -210,14 +215,6 @@ def _is_known(name: str) -> bool:
 def passport_bytes(passport: Passport) -> bytes:
     """Return the bytes of a passport's file."""
     return (json.dumps(passport.to_dict(), indent=1, allow_nan=False) + "\n").encode()
-
-
-NO_PASSPORT = "none"
-"""Word in a sequence: use no passport, not even the station's."""
-MOST_DEGREES_APART = 5.0
-"""Largest difference between the temperatures of passport and bench without a caution, degrees Celsius."""
-
-PassportSource = Literal["sequence", "station", "station certificate", "command line"]
 
 
 @dataclass(frozen=True, eq=False)

@@ -66,6 +66,10 @@ PICTURE_SIZE = (1280, 720)
 POSE_BYTES = 200_000
 """Images, stars and logs of one pose."""
 REPORT_BYTES = 1_000_000
+SHIPPED_SEQUENCES = Path(__file__).parents[2] / "sequences"
+SEQUENCE_DEVICE_STEPS = (LightStep, MoveStep, SettleStep, RecordStep, ChooseStep)
+DEFAULT_MODEL: CalibrationModel = "auto"
+"""Model of a solve step that names none: no other model is honest on every collimator."""
 
 
 class Estimate:
@@ -193,12 +197,6 @@ class Estimate:
             ),
             default=0.0,
         )
-
-
-SHIPPED_SEQUENCES = Path(__file__).parents[2] / "sequences"
-SEQUENCE_DEVICE_STEPS = (LightStep, MoveStep, SettleStep, RecordStep, ChooseStep)
-DEFAULT_MODEL: CalibrationModel = "auto"
-"""Model of a solve step that names none: no other model is honest on every collimator."""
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,13 @@ from typing import (
 from typing_extensions import TypedDict
 
 from bench.record.journal import CAPTURE_STORED
+from bench.record.measured_facts import GateData, MeasuredFacts, RecordingCounts
 from drivers.lateness import LatenessData
+
+_NEXT_WORD = re.compile("(?<=[a-z])(?=[A-Z])")
+
+UntilEnd = Literal["met", "unreachable", "at_most", "minutes", "failures", "no_pose"]
+"""How an ``until`` ended: its goals are met, or cannot be met; a bound was reached; or no pose is left to choose."""
 
 
 class DeviceData(TypedDict, total=False):
@@ -85,9 +91,6 @@ class Event(StrEnum):
     DEVICES_LEFT = "devices_left"  # How the run left each device after the last step that needs devices
     DEVIATION = "deviation"  # The run departed from its sequence; printed in the report
     RUN_ENDED = "run_ended"  # Last line of a run
-
-
-_NEXT_WORD = re.compile("(?<=[a-z])(?=[A-Z])")
 
 
 def event_name(payload: Callable[..., object]) -> str:
@@ -229,58 +232,6 @@ class StepDone(TypedDict):
     skipped: NotRequired[bool]
 
 
-class GateData(TypedDict):
-    """One quality gate as judged (`bench.measure.gates.Gate`)."""
-
-    name: str
-    value: float
-    unit: str
-    limit: str
-    verdict: str
-    # In results.json, for a gate of a recording: its name among the gates, and the pose. ``name`` names both.
-    gate: NotRequired[str]
-    pose: NotRequired[int]
-
-
-class ImageFacts(TypedDict, total=False):
-    """The image in which the stars of a recording were found: of events, or the mean of ``pictures`` frames."""
-
-    kind: str
-    reason: str
-    pictures: int
-    window_us: Sequence[float]
-    periods: int
-    events_per_edge: float | None
-    events_per_edge_on: float | None
-    events_per_edge_off: float | None
-    lit_pixels: int
-    on_share: float | None
-    first_on_spread_us: float | None
-    hot_pixels: int
-    silent_rows: int
-
-
-class MeasuredFacts(TypedDict, total=False):
-    """Numbers measured in a recording; a number that could not be measured is absent or None."""
-
-    image: ImageFacts
-    flicker_hz: float
-    flicker_source: Literal["triggers", "events"]
-    flicker_duty: float | None
-    triggers_found: int
-    triggers_expected: int
-    trigger_jitter_us: float | None
-    flicker_from_events_hz: float
-    flicker_disagreement_percent: float
-    flicker_lag_periods: float
-    named_by: str
-    grid: Sequence[Sequence[float]]
-    edge_width_px: float | None
-    expected_grid: Sequence[Sequence[float]]
-    motion_px: float | None
-    rehearsed: bool
-
-
 class AttemptChecked(TypedDict):
     """Payload of ``attempt_checked``: the verdict, its reasons, and the numbers behind it."""
 
@@ -291,19 +242,6 @@ class AttemptChecked(TypedDict):
     stars: int
     gates: Sequence[GateData]
     measured: MeasuredFacts
-
-
-class RecordingCounts(TypedDict, total=False):
-    """What was counted in a recording, of events or of frames."""
-
-    events: int
-    triggers: int
-    duration_s: float
-    event_rate_mev_s: float | None
-    temperature_c: float | None
-    pictures: int
-    bits: int
-    saturated_percent: float
 
 
 class AttemptData(RecordingCounts):
@@ -374,10 +312,6 @@ class Written(TypedDict):
     # SHA-256 by name of results.json, views.h5, report.html and each file of exports/.
     files: Mapping[str, str]
     wire: Mapping[str, WireLogState]
-
-
-UntilEnd = Literal["met", "unreachable", "at_most", "minutes", "failures", "no_pose"]
-"""How an ``until`` ended: its goals are met, or cannot be met; a bound was reached; or no pose is left to choose."""
 
 
 class ChosenPose(TypedDict):

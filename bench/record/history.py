@@ -18,9 +18,7 @@ from bench.record.events import (
     Devices,
     Event,
     FailureData,
-    GateData,
     LedgerPlace,
-    MeasuredFacts,
     RunStarted,
     Solved,
     StateEntered,
@@ -28,6 +26,7 @@ from bench.record.events import (
 )
 from bench.record.journal import CLOCK_JUMPED
 from bench.record.journal_line import Entry
+from bench.record.measured_facts import GateData, MeasuredFacts
 from drivers.lateness import LatenessData
 
 P = ParamSpec("P")

@@ -29,6 +29,9 @@ MOST_JOURNAL_BYTES = 1 << 29
 """Largest journal that is read: a run of fifty thousand poses has so much, or a ledger of half a million runs."""
 _MOST_UNSYNCED_BYTES = 64 * 1024
 """A power cut leaves zeros only nearer to the end than this: lines are synced far more often."""
+CAPTURES = "captures"
+CAPTURE_STORED = "capture_stored"
+"""Event of a journal line about a capture; the line holds ``Capture.as_data``."""
 
 
 class Journal:
@@ -242,11 +245,6 @@ def _was_cut_off(rest: bytes, begin: int) -> bool:
     last = len(rest) - len(rest[first:].lstrip(b"\0"))
     from_block = first == 0 or (begin + first) % _BLOCK_BYTES == 0
     return from_block and (last == len(rest) or (begin + last) % _BLOCK_BYTES == 0)
-
-
-CAPTURES = "captures"
-CAPTURE_STORED = "capture_stored"
-"""Event of a journal line about a capture; the line holds ``Capture.as_data``."""
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,15 @@ _MOST_MARK_BYTES = 1 << 20
 _MARK_FORM = "is not a mark of a ledger"
 
 Found = TypeVar("Found")
+RUN_BEGUN = "run_begun"
+RUN_ENDED = "run_ended"
+STILL_OPEN = "open"
+"""State of a run without an end: it is running, was killed, or was cut off by a loss of power."""
+
+LEDGER_BROKEN = "ledger_broken"
+BREAK_EXPLAINED = "break_explained"
+EXPLAIN = "State what happened: `starbench ledger --explain TEXT`."
+_MOST_KNOWN = 100
 
 
 @dataclass(frozen=True)
@@ -209,12 +218,6 @@ def ask_anchor(path: Path, *, was_there: bool) -> Witness:
         return Witness(str(path), trouble=error.what, was_there=was_there)
 
 
-RUN_BEGUN = "run_begun"
-RUN_ENDED = "run_ended"
-STILL_OPEN = "open"
-"""State of a run without an end: it is running, was killed, or was cut off by a loss of power."""
-
-
 @dataclass(frozen=True)
 class LedgerRun:
     """One run in the ledger."""
@@ -259,12 +262,6 @@ def _require_rising(number: object, runs: Sequence[LedgerRun]) -> None:
     last = runs[-1].number if runs else 0
     if isinstance(number, bool) or not isinstance(number, int) or number <= last:
         raise ValueError(number)
-
-
-LEDGER_BROKEN = "ledger_broken"
-BREAK_EXPLAINED = "break_explained"
-EXPLAIN = "State what happened: `starbench ledger --explain TEXT`."
-_MOST_KNOWN = 100
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,10 @@ from bench.record.storage import (
 if TYPE_CHECKING:
     from bench.record.events import Recovered, WireLogState
 
+EXPORTS = "exports"
+VIEWS = "views.h5"
+WIRE_LOG = "wire.jsonl"
+
 
 def recover(folder: RunFolder, journal: Journal) -> Recovered:
     """Put a run folder, locked by this process, in order after a crash.
@@ -50,11 +54,6 @@ def _state_of(path: Path, capture: Capture | None) -> str:
         return "unnamed"
     whole = path.is_file() and not path.is_symlink() and path.stat().st_size == capture.size
     return "intact" if whole and sha256_of(path) == capture.sha256 else "changed"
-
-
-EXPORTS = "exports"
-VIEWS = "views.h5"
-WIRE_LOG = "wire.jsonl"
 
 
 class WrittenFiles(TypedDict):

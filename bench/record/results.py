@@ -20,13 +20,12 @@ from bench.record.events import (
     AttemptData,
     CauseData,
     FailureData,
-    GateData,
-    ImageFacts,
     LedgerPlace,
     LightSettingsData,
     StateEntered,
     UntilDecided,
 )
+from bench.record.measured_facts import GateData, ImageFacts
 
 Numbers = Mapping[str, float]
 """A number by name: ``fx``, ``cx``, ``r`` ... or by axis: ``pan``, ``tilt``."""

@@ -30,6 +30,11 @@ _TO_SYNC = os.O_RDONLY if _FOLDERS_OPEN else os.O_RDWR
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _DENIED = {errno.EACCES, errno.EPERM, errno.EROFS}
 _NOWHERE = {errno.ENOENT, errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.ELOOP}
+MOST_BYTES = 100_000_000
+"""Largest JSON file that is read: the results of ten thousand poses have 70 MB."""
+MOST_TABLE_BYTES = 1 << 30
+"""Largest table of rows, a line of JSON each, that is read."""
+_RESTORE = "Restore the file from a copy."
 
 
 @contextmanager
@@ -149,13 +154,6 @@ def _write_new(path: Path, data: bytes, mode: int) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
-
-
-MOST_BYTES = 100_000_000
-"""Largest JSON file that is read: the results of ten thousand poses have 70 MB."""
-MOST_TABLE_BYTES = 1 << 30
-"""Largest table of rows, a line of JSON each, that is read."""
-_RESTORE = "Restore the file from a copy."
 
 
 @contextmanager

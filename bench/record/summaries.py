@@ -13,6 +13,21 @@ from bench.record.coverage import EstimateData
 IN_PROGRESS: Final = "in progress"
 WITHOUT_END: Final = frozenset({IN_PROGRESS, "not begun", "withdrawn"})
 """What `ItemData.how` states of a run that has not ended."""
+EwmaData = TypedDict(
+    "EwmaData",
+    {
+        "lambda": float,  # Weight of the newest value
+        "limit": float,  # Distance of the limits in standard deviations of the average (L)
+        "values": Sequence[float],  # The average at each value, as its control limits
+        "lower": Sequence[float],
+        "upper": Sequence[float],
+        "beyond": Sequence[int],  # Places at which the average is beyond its limits
+    },
+)
+"""Chart of the exponentially weighted moving average (`bench.extras.history.statistics.ewma`); places count from 0."""
+
+ChartState = Literal["out of control", "check", "in control", "too few"]
+"""Worst first; chance can explain ``check``."""
 
 
 class TryData(TypedDict):
@@ -147,20 +162,6 @@ class DriftData(TypedDict):
     scatter: float | None
 
 
-EwmaData = TypedDict(
-    "EwmaData",
-    {
-        "lambda": float,  # Weight of the newest value
-        "limit": float,  # Distance of the limits in standard deviations of the average (L)
-        "values": Sequence[float],  # The average at each value, as its control limits
-        "lower": Sequence[float],
-        "upper": Sequence[float],
-        "beyond": Sequence[int],  # Places at which the average is beyond its limits
-    },
-)
-"""Chart of the exponentially weighted moving average (`bench.extras.history.statistics.ewma`); places count from 0."""
-
-
 class LimitsData(TypedDict):
     """Chart of individuals and of moving ranges; places count from 0."""
 
@@ -174,10 +175,6 @@ class LimitsData(TypedDict):
     range_upper: float
     ranges_beyond: Sequence[int]  # Places of the values too far from the value before
     baseline: int
-
-
-ChartState = Literal["out of control", "check", "in control", "too few"]
-"""Worst first; chance can explain ``check``."""
 
 
 class ChartValues(TypedDict):

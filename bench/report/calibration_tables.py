@@ -30,6 +30,30 @@ _EXACT_DIGITS = 3
 _SHARED = "errors that all views share"
 _OF_WAVEFRONT = "urad"
 """Unit of the slopes of a wavefront, and of no other row."""
+_UNUSUAL, _CONTRADICTION = 2.0, 4.0
+"""Sizes of an innovation, in units of its standard uncertainty."""
+_DOUBTED = 0.3
+"""Probability of a fault from which on a statement is named in the notes (`calib.joint.words`)."""
+
+_VERDICTS = {
+    "agrees": "Gimbal: readings and rotations agree",
+    "slip": "Gimbal: an axis slipped",
+    "camera_turned": "Gimbal: the camera turned in its mount",
+    "wrong_pose": "Gimbal: a pose does not fit",
+    "not_square": "Gimbal: the axes are not at right angles",
+    "wrong_sign": "Gimbal: the sign of an axis is wrong",
+    "ambiguous": "Gimbal: no scale can be stated",
+    "contradictory": "Gimbal: no scale can be stated",
+    "focal_length": "Gimbal: no fault shown; the focal length is in question",
+    "scale_or_parallax": "Gimbal: scale error or parallax",
+    "gimbal_scale": "Gimbal: its scale is in question",
+    "views_biased": "Gimbal: no fault shown; the views contradict each other",
+    "scatter": "Gimbal: scatter of unknown cause",
+}
+"""Heading of each verdict of the hand-eye check."""
+
+Cell = tuple[str, float]
+"""A cell of a matrix: its text and the strength of its shading, 0 to 1."""
 
 
 def budget_rows(calibration: CalibrationData, words: TargetWords = STARS) -> list[dict[str, Any]]:
@@ -111,12 +135,6 @@ def _length(value: float) -> str:
     return "< 0.001" if 0 < value < 0.0005 else number(float(f"{value:.3f}"), 2 if value >= 0.01 else 1)
 
 
-_UNUSUAL, _CONTRADICTION = 2.0, 4.0
-"""Sizes of an innovation, in units of its standard uncertainty."""
-_DOUBTED = 0.3
-"""Probability of a fault from which on a statement is named in the notes (`calib.joint.words`)."""
-
-
 def witness_rows(calibration: CalibrationData) -> list[dict[str, str]]:
     """List the statements, those that are most at odds with the others first."""
     found = sorted(
@@ -156,28 +174,6 @@ def _size(one: AmplitudeData) -> str:
     unit = {"urad": " \N{MICRO SIGN}rad", "1": ""}.get(one["unit"], f" {one['unit']}")
     factor, expected = number(math.exp(one["log_sigma"]), 2), number(one["expected"], 2)
     return f"{number(one['value'], 2)}{unit}, known to a factor of {factor}; expected {expected}{unit}"
-
-
-_VERDICTS = {
-    "agrees": "Gimbal: readings and rotations agree",
-    "slip": "Gimbal: an axis slipped",
-    "camera_turned": "Gimbal: the camera turned in its mount",
-    "wrong_pose": "Gimbal: a pose does not fit",
-    "not_square": "Gimbal: the axes are not at right angles",
-    "wrong_sign": "Gimbal: the sign of an axis is wrong",
-    "ambiguous": "Gimbal: no scale can be stated",
-    "contradictory": "Gimbal: no scale can be stated",
-    "focal_length": "Gimbal: no fault shown; the focal length is in question",
-    "scale_or_parallax": "Gimbal: scale error or parallax",
-    "gimbal_scale": "Gimbal: its scale is in question",
-    "views_biased": "Gimbal: no fault shown; the views contradict each other",
-    "scatter": "Gimbal: scatter of unknown cause",
-}
-"""Heading of each verdict of the hand-eye check."""
-
-
-Cell = tuple[str, float]
-"""A cell of a matrix: its text and the strength of its shading, 0 to 1."""
 
 
 def values(calibration: CalibrationData) -> list[tuple[str, str, str, str, str]]:

@@ -25,6 +25,10 @@ from bench.report.wide_chart import BLUE, MANY, RED, Chart
 from bench.wording.numbers import with_uncertainty
 
 _TICKS = 4
+MOST_DRAWN = 60
+"""Most parameters that are drawn; the table has all of them."""
+_ORDER = ("out of control", "check", "in control", "too few")
+_PILLS = {"in control": "pass", "check": "marginal", "out of control": "fail", "too few": "marginal"}
 
 
 def pictures(chart: ChartData, group: ChartGroupData) -> list[str]:
@@ -179,12 +183,6 @@ def _day_ticks(days: Sequence[float], group: ChartGroupData) -> list[tuple[float
     wanted = [days[-1] * n / (_TICKS - 1) for n in range(_TICKS)]
     places = sorted({min(range(len(days)), key=lambda p: abs(days[p] - day)) for day in wanted})
     return [(days[place], _label(group["runs"][place]["begun_utc"], days[-1])) for place in places]
-
-
-MOST_DRAWN = 60
-"""Most parameters that are drawn; the table has all of them."""
-_ORDER = ("out of control", "check", "in control", "too few")
-_PILLS = {"in control": "pass", "check": "marginal", "out of control": "fail", "too few": "marginal"}
 
 
 def render_charts(page: ChartsData, notes: Sequence[str] = (), faults: Sequence[str] = ()) -> str:

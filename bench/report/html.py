@@ -19,9 +19,10 @@ from bench.report import calibration_tables, pose_tables, run_tables
 from bench.report.calibration_tables import amplitude_rows, witness_rows
 from bench.report.phone_tables import label_cells
 from bench.report.pictured_poses import PLOTS, pictured_poses, thinned
-from bench.report.pose_tables import courses, state_diagram
+from bench.report.pose_tables import courses
 from bench.report.residual_words import rim_text
 from bench.report.run_tables import left
+from bench.report.state_diagram import state_diagram
 from bench.report.verdict import change, verdict
 from bench.wording import numbers, parameters
 from bench.wording.numbers import NOTHING, moment, number, value_text
@@ -129,7 +130,8 @@ def _graphics(data: ReportData, words: TargetWords, *, draw: bool) -> dict[str, 
     plots: dict[str, str] = dict.fromkeys(PLOTS, "")
     pictures: list[tuple[str, str]] = []
     if draw:
-        from bench.report.plots import pose_pictures, report_plots
+        from bench.report.plots import report_plots
+        from bench.report.pose_images import pose_pictures
 
         plots = report_plots(data.results, data.views)
         pictures = pose_pictures([view for view in data.views if view.name in pictured.names], words)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.report.contours import Array, Outline, outlines
+from bench.report.supported import reach_px, star_distance
 from bench.report.svg_plot import (
     INK,
     PANEL,
@@ -25,33 +25,17 @@ from bench.report.svg_plot import (
 from bench.report.svg_scale import Scale, decades, text_width
 from calib.uncertainty.projection_uncertainty import CameraDifference
 
-# The part of the sensor that stars support: every point near a star. Outside of it, a calibration
-# extrapolates.
-
-REACH = 0.05
-"""A star supports its surroundings up to this share of the diagonal of the sensor."""
-
-
-def reach_px(image_size: Sequence[int]) -> float:
-    """Return how far from a star, px, a point of the sensor is supported."""
-    return REACH * math.hypot(*image_size)
-
-
-def star_distance(points: Array, image_size: Sequence[int]) -> NDArray[np.float32]:
-    """Return each pixel's distance, (H, W) float32 px, from the nearest of (N, 2) stars, N > 0, at whole pixels."""
-    width, height = image_size
-    free = np.full((height, width), 255, np.uint8)
-    at = np.clip(np.rint(points).astype(int), 0, [width - 1, height - 1])
-    free[at[:, 1], at[:, 0]] = 0
-    distance = cv2.distanceTransform(free, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
-    return np.asarray(distance, np.float32)
-
-
 GROUND = "#eef3f8"
 """Colour of the sensor where a plot shows what stars support."""
 _COARSE = 8
 """The part that stars support is drawn from every n-th pixel."""
 _UNSUPPORTED, _EDGE = "#f2dcc9", "#9a5b00"
+_MOST_LINES = 7
+_LARGE_RANGE = 6.0
+"""From this ratio of the largest to the smallest value on, contours are at 1, 2 and 5 times powers of ten."""
+_CONTOUR, _HALO, _LABEL_SIZE = "#3b4b5b", "#ffffff", 8.0
+_MESH = 4
+"""Distance between two arrows, in grid points of the map."""
 
 
 def sensor_axes(
@@ -90,14 +74,6 @@ def supported_share(points: Array, image_size: Sequence[int]) -> tuple[NDArray[n
     """Return `star_distance`, and the share of the sensor, 0 to 1, that stars support."""
     distance = star_distance(points, image_size)
     return distance, float(np.mean(distance <= reach_px(image_size)))
-
-
-_MOST_LINES = 7
-_LARGE_RANGE = 6.0
-"""From this ratio of the largest to the smallest value on, contours are at 1, 2 and 5 times powers of ten."""
-_CONTOUR, _HALO, _LABEL_SIZE = "#3b4b5b", "#ffffff", 8.0
-_MESH = 4
-"""Distance between two arrows, in grid points of the map."""
 
 
 def sensor_map(

@@ -1,4 +1,7 @@
-"""Which poses a report shows as images, and which of their stars its plots show."""
+"""Which poses a report shows as images, because a page cannot show thousands, and which of their stars its plots show.
+
+Results.json alone decides: a report that is rendered again from the same results selects the same poses.
+"""
 
 from __future__ import annotations
 
@@ -6,13 +9,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from bench.measure.view_picture import ViewPicture
-from bench.record.events import GateData
+from bench.record.measured_facts import GateData
 from bench.record.results import Results
-
-# Selects the poses that a report shows as images, because a page cannot show thousands.
-#
-# Uses results.json alone, no images. A report that is rendered again from the same results selects the same
-# poses.
 
 MOST_PICTURES = 24
 """Largest number of poses shown as images."""
@@ -24,6 +22,9 @@ PLOTS = (
     "radial", "coverage", "regions", "change", "change_ratio",
 )  # fmt: skip
 """Names of the plots in the template."""
+MOST_STARS = 12_000
+"""Approximate largest number of stars in a plot."""
+_GOLDEN = 0.6180339887498949
 
 
 @dataclass(frozen=True)
@@ -68,11 +69,6 @@ def _evenly_spread(places: Sequence[int], most: int) -> Sequence[int]:
     if len(places) <= most:
         return places
     return [places[k * (len(places) - 1) // max(1, most - 1)] for k in range(most)]
-
-
-MOST_STARS = 12_000
-"""Approximate largest number of stars in a plot."""
-_GOLDEN = 0.6180339887498949
 
 
 def thinned(views: Sequence[ViewPicture], most: int = MOST_STARS) -> Sequence[ViewPicture]:

@@ -24,6 +24,12 @@ Array = NDArray[np.float64]
 _POINTS = 121
 _TANGENTIAL = frozenset({"p1", "p2"})
 _STEP_SIGMAS = 1e-3
+_USED, _LEFT_OUT, _REFUSED = "used", "accepted, not used", "no recording accepted"
+_COLOURS = {_USED: POSE_COLOURS[0], _LEFT_OUT: POSE_COLOURS[4], _REFUSED: "#a32020"}
+_FRAME_SHARE = 0.11
+"""Width of a frame in the plot, as a share of its width."""
+_MOST_NUMBERS, _MOST_FRAMES = 40, 150
+_EDGE_POINTS = 9
 
 
 def distortion_curve(
@@ -159,14 +165,6 @@ def change_maps(then: CameraData, now: CameraData) -> tuple[Array, Array, Array]
     difference = camera_difference(found[1][0], found[0][0])
     expanded = np.hypot(found[0][1], found[1][1])
     return difference.grid_px, np.linalg.norm(difference.offset_px, axis=2), expanded
-
-
-_USED, _LEFT_OUT, _REFUSED = "used", "accepted, not used", "no recording accepted"
-_COLOURS = {_USED: POSE_COLOURS[0], _LEFT_OUT: POSE_COLOURS[4], _REFUSED: "#a32020"}
-_FRAME_SHARE = 0.11
-"""Width of a frame in the plot, as a share of its width."""
-_MOST_NUMBERS, _MOST_FRAMES = 40, 150
-_EDGE_POINTS = 9
 
 
 @dataclass(frozen=True)

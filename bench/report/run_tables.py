@@ -38,6 +38,7 @@ _ORIGINS = {
 
 
 _NO_BORESIGHT = "not determined: two axes of the stage must move, and the sign of no axis may be wrong"
+_UNIT_ENDINGS = {"_hz": "Hz", "_c": "°C", "_v": "V", "_percent": "%", "_lux": "lx", "_us": "µs", "_s": "s"}
 
 
 def passport_rows(passport: PassportData | None) -> Rows:
@@ -184,9 +185,6 @@ def _bound(bound: ParallaxBound) -> str:
     share, sigma = 100 * bound["parallax"], 100 * bound["parallax_sigma"]
     shown = number(share, 2)
     return f"{text}: {shown} % of the focal length, standard uncertainty {sigma:.2g} %"
-
-
-_UNIT_ENDINGS = {"_hz": "Hz", "_c": "°C", "_v": "V", "_percent": "%", "_lux": "lx", "_us": "µs", "_s": "s"}
 
 
 def conditions(found: Mapping[str, Any]) -> list[tuple[str, str]]:

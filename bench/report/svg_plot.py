@@ -30,6 +30,11 @@ FONT, TITLE = 9.0, 9.5
 _FAMILY = "DejaVu Sans, Verdana, sans-serif"
 _CLASSES = {INK: "ink", MUTED: "muted", LINE: "faint"}
 _PALE, _DEEP = (244, 248, 252), (106, 172, 214)
+_LINE_HEIGHT, _TICK, _SIGN_LENGTH = 12.0, 3.0, 14.0
+_BETWEEN_LABELS, _BETWEEN_ROWS = 16.0, 24.0
+_RIGHT = 7.0
+
+Place = tuple[float, float, float, float]
 
 
 def shade(share: float) -> str:
@@ -198,13 +203,6 @@ def painted(what: str, colour: str) -> str:
 def _stroke(colour: str, width: float, opacity: float = 1.0) -> str:
     clear = f' stroke-opacity="{opacity:g}"' if opacity < 1 else ""
     return f'fill="none" {painted("stroke", colour)} stroke-width="{width:g}"{clear}'
-
-
-_LINE_HEIGHT, _TICK, _SIGN_LENGTH = 12.0, 3.0, 14.0
-_BETWEEN_LABELS, _BETWEEN_ROWS = 16.0, 24.0
-_RIGHT = 7.0
-
-Place = tuple[float, float, float, float]
 
 
 class Key(NamedTuple):

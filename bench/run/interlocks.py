@@ -42,6 +42,7 @@ GUARDED = frozenset(
     {"homing", "lighting", "slewing", "settling", "waiting", "recording", "backing_off", "parking"}
 )
 """States in which the stage moves, the light is on, or the camera records."""
+_MOST_BYTES = 64
 
 
 class Interlock(ABC):
@@ -164,9 +165,6 @@ def interlock_text(name: str) -> str:
     'camera temperature'
     """
     return name.replace("_", " ")
-
-
-_MOST_BYTES = 64
 
 
 @dataclass(frozen=True)

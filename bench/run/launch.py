@@ -48,7 +48,7 @@ from bench.run.ledger_entry import (
 )
 from bench.run.run_messages import MakeSender, NoSender, RunMessages
 from bench.run.runner import RunEnd, Runner
-from bench.run.steps import intentions
+from bench.run.steps_to_do import intentions
 from bench.solve.result import Outcome
 from bench.solve.software import plugins_of_run, run_software
 from bench.stations.devices import Devices
@@ -58,6 +58,7 @@ from drivers.wire_log import WireLogFile
 from sequences.reader import OptionSettings
 
 AskPassphrase = Callable[[Path], bytes]
+_SERIAL = "station.camera.serial"
 
 
 @dataclass(frozen=True)
@@ -68,9 +69,6 @@ class Launch:
     stream: TextIO | None = None  # Stream for progress; standard error by default
     ask_passphrase: AskPassphrase | None = None  # Asks for the passphrase of a protected signing key
     sender: MakeSender = NoSender  # Sends the messages of the run; nothing is sent by default
-
-
-_SERIAL = "station.camera.serial"
 
 
 def serial_number(scanned: str) -> str:

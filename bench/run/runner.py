@@ -33,7 +33,8 @@ from bench.run.run_devices import RunDevices
 from bench.run.run_messages import HoldNotifier
 from bench.run.states import StateWork
 from bench.run.status import RunPlan
-from bench.run.steps import Steps, pose_names, poses_crashed_too_often, steps_to_do
+from bench.run.steps import Steps
+from bench.run.steps_to_do import pose_names, poses_crashed_too_often, steps_to_do
 from bench.solve.interim import Decide, decide_until
 from bench.solve.result import Outcome, ResultWriter
 from bench.stations.devices import Devices

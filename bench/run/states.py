@@ -43,6 +43,9 @@ from sequences.script import (
 OPTIONAL: Final = ("firmware_built", "link_mbit_s")
 """Parts of a camera's identity that are left out where the camera does not state them."""
 NOT_STATED: Final = "not stated by the device"
+MAX_HOLD_S = 8 * 3600.0
+"""A run that an operator holds for longer than this is aborted safely, s."""
+HOLD_POLL_S = 0.1
 
 
 def preflight(devices: Devices, job: Job) -> events.Devices:
@@ -103,11 +106,6 @@ def require_no_faults(reasons: list[str]) -> None:
             f"The bench is not ready: {'; '.join(reasons)}.",
             remedy="Correct this first.",
         )
-
-
-MAX_HOLD_S = 8 * 3600.0
-"""A run that an operator holds for longer than this is aborted safely, s."""
-HOLD_POLL_S = 0.1
 
 
 class StateWork:

@@ -42,6 +42,11 @@ from bench.wording.numbers import with_uncertainty
 from calib.model.cause import Cause
 from drivers.lateness import LatenessData
 
+LAST_LINES = 5
+
+_WORTH_TELLING_S = 5.0
+"""A run that has ended tells how late the computer was if it lost more than this, s."""
+
 
 def event_text(entry: Entry) -> str:
     """Return what a journal line says, as text; empty for lines that only programs need."""
@@ -126,9 +131,6 @@ _ENTRY_TEXTS: Mapping[str, Callable[[Any], str]] = {
     Event.SUPERVISOR_LOST: lambda _data: "the supervisor of this process has ended; the run continues",
 }
 """Text of each kind of journal line that people read."""
-
-
-LAST_LINES = 5
 
 
 @dataclass(frozen=True)
@@ -408,10 +410,6 @@ def _is_over(history: History) -> bool:
 def _last_lines(entries: Sequence[Entry]) -> tuple[str, ...]:
     texts = (text for text in map(line_text, reversed(entries)) if text)
     return tuple(reversed(tuple(islice(texts, LAST_LINES))))
-
-
-_WORTH_TELLING_S = 5.0
-"""A run that has ended tells how late the computer was if it lost more than this, s."""
 
 
 def status_text(status: Status) -> str:

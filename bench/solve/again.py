@@ -53,17 +53,15 @@ from sequences.script import RecordStep, SolveStep
 
 Progress = Callable[[int, int], None]
 """Is told how many recordings of all have been measured."""
-
-
-def nothing_shown(_done: int, _total: int) -> None:
-    """Show no progress."""
-
-
 _WITH_STAGE = frozenset({"homing", "slewing", "parking"})
 """States in which the program speaks to the stage."""
 _SLACK_S = 1e-3
 _MOST_LOG_BYTES = 64 << 20
 """Logs are rotated at 8 MB."""
+
+
+def nothing_shown(_done: int, _total: int) -> None:
+    """Show no progress."""
 
 
 def check_wire_log(folder: Path, entries: Sequence[Entry], job: Job, found: Findings) -> None:

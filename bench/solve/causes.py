@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 from bench.measure.expected_grid import engine_angles_deg
 from bench.plan.job import Job
-from bench.record.events import ImageFacts, LightSettingsData
+from bench.record.events import LightSettingsData
 from bench.record.history import History
+from bench.record.measured_facts import ImageFacts
 from bench.record.results import Results
 from bench.solve.forecasts import forecast_bench
 from bench.wording import causes as kinds

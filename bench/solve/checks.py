@@ -28,6 +28,11 @@ from calib.view import View
 _NOT_INDEPENDENT = (
     "The readings also entered the calibration, so this comparison is not independent of them.",
 )
+PARALLAX_TEST = "Parallax test"
+"""Name of the shipped sequence that must have a result here, or say why there is none."""
+
+#: The station's place of the pupil is contradicted from this many standard uncertainties on.
+_CONTRADICTED = 2.5
 
 
 def split_half_check(views: Sequence[View], options: CalibrationOptions) -> HalvesData | None:
@@ -131,13 +136,6 @@ def mount_faces(calibration: Calibration, station: Station) -> list[MountFaceDat
             }
         )
     return answer
-
-
-PARALLAX_TEST = "Parallax test"
-"""Name of the shipped sequence that must have a result here, or say why there is none."""
-
-#: The station's place of the pupil is contradicted from this many standard uncertainties on.
-_CONTRADICTED = 2.5
 
 
 def parallax_check(

@@ -20,6 +20,52 @@ from bench.record.run_folder import RESULTS
 from calib.view import View
 
 Number = int | float
+Tolerance = Callable[[str, Number, Number, float], bool]
+"""Whether two numbers count as equal: place, both numbers, and the largest number of their list."""
+
+TOLERANCE_SIGMAS = 1e-3
+"""Values that differ by less than this fraction of their standard uncertainty count as equal."""
+TOLERANCE_SHARE = 1e-6
+"""Other numbers that differ by less than this fraction of themselves count as equal."""
+TOLERANCE_PLANAR = 1e-2
+"""The same for all numbers of the planar model, which is there for comparison. Three views hardly determine it: points
+that are moved by 1e-11 px change its standard uncertainties by up to 0.6 %."""
+_COUNTED = ("iterations",)
+"""Numbers of work, not of results: rounding may change them by a few."""
+MOST_SHOWN = 12
+"""Differences of one file that are shown one by one."""
+MOST_SIGMAS = 0.25
+"""A value of the calibration may differ by this share of its standard uncertainty."""
+MOST_SIGMA_RATIO = 4.0
+"""A standard uncertainty may differ by this factor: a later program may know another source of error."""
+MOST_SHARE = 0.25
+"""A number measured on a pose may differ by this share of itself, or of the largest number in its list."""
+MOST_PX = 0.02
+"""A star may lie this far away, per axis."""
+_MOST_STARS = 0.02
+"""Share of the stars of a view that only one of both programs may have."""
+_VALUES = ("calibration.camera.", "calibration.collimator.")
+_SIGMA = "calibration.sigma."
+_FOLLOWS = (
+    "calibration.",
+    "planar.",
+    "projection.",
+    "halves.",
+    "comparison[",
+    "gimbal.",
+    "mount_faces[",
+    "check.",
+)
+"""Numbers that follow from stars and model; values and standard uncertainties among them have limits of their own."""
+_TABLES = ("calibration.budget_rows[", "calibration.not_included[")
+"""Tables whose rows another program may order and name otherwise."""
+_WORDS = (".notes[", ".says[")
+"""Sentences that another program may write otherwise."""
+_TABLES_OF_PLANAR = tuple(name.replace("calibration.", "planar.") for name in _TABLES)
+_MEASURED = ("poses[", "pose ", "gates[")
+_NUMBER = re.compile(r"\d+(\.\d+)?")
+_SMALL_PX = 0.01
+"""A measured number in px may differ by this much, whatever its size."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +86,6 @@ class Difference:
         if self.kind == "missing":
             return f"{self.where} is missing; it must be {_shown(self.derived)}"
         return f"{self.where} is {_shown(self.stored)}; it must be {_shown(self.derived)}"
-
-
-Tolerance = Callable[[str, Number, Number, float], bool]
-"""Whether two numbers count as equal: place, both numbers, and the largest number of their list."""
 
 
 def exactly(_where: str, stored: Number, derived: Number, _scale: float) -> bool:
@@ -101,51 +143,6 @@ def _largest(values: Sequence[Any]) -> float:
 def _shown(value: Any) -> str:
     text = json.dumps(value, ensure_ascii=False) if not isinstance(value, float) else f"{value:.12g}"
     return text if len(text) <= 70 else f"{text[:67]}..."
-
-
-TOLERANCE_SIGMAS = 1e-3
-"""Values that differ by less than this fraction of their standard uncertainty count as equal."""
-TOLERANCE_SHARE = 1e-6
-"""Other numbers that differ by less than this fraction of themselves count as equal."""
-TOLERANCE_PLANAR = 1e-2
-"""The same for all numbers of the planar model, which is there for comparison. Three views hardly determine it: points
-that are moved by 1e-11 px change its standard uncertainties by up to 0.6 %."""
-_COUNTED = ("iterations",)
-"""Numbers of work, not of results: rounding may change them by a few."""
-MOST_SHOWN = 12
-"""Differences of one file that are shown one by one."""
-MOST_SIGMAS = 0.25
-"""A value of the calibration may differ by this share of its standard uncertainty."""
-MOST_SIGMA_RATIO = 4.0
-"""A standard uncertainty may differ by this factor: a later program may know another source of error."""
-MOST_SHARE = 0.25
-"""A number measured on a pose may differ by this share of itself, or of the largest number in its list."""
-MOST_PX = 0.02
-"""A star may lie this far away, per axis."""
-_MOST_STARS = 0.02
-"""Share of the stars of a view that only one of both programs may have."""
-_VALUES = ("calibration.camera.", "calibration.collimator.")
-_SIGMA = "calibration.sigma."
-_FOLLOWS = (
-    "calibration.",
-    "planar.",
-    "projection.",
-    "halves.",
-    "comparison[",
-    "gimbal.",
-    "mount_faces[",
-    "check.",
-)
-"""Numbers that follow from stars and model; values and standard uncertainties among them have limits of their own."""
-_TABLES = ("calibration.budget_rows[", "calibration.not_included[")
-"""Tables whose rows another program may order and name otherwise."""
-_WORDS = (".notes[", ".says[")
-"""Sentences that another program may write otherwise."""
-_TABLES_OF_PLANAR = tuple(name.replace("calibration.", "planar.") for name in _TABLES)
-_MEASURED = ("poses[", "pose ", "gates[")
-_NUMBER = re.compile(r"\d+(\.\d+)?")
-_SMALL_PX = 0.01
-"""A measured number in px may differ by this much, whatever its size."""
 
 
 def check_numbers(

@@ -41,6 +41,10 @@ from calib.target import StarTarget
 from calib.view import View
 
 _BYTES_BY = ("starbench", "h5py", "numpy", "program")
+_REPORT_BY = ("starbench", "report_form", "numpy", "opencv-python-headless")
+_EXPORTS_BY = ("starbench", "export_form", "opencv-python-headless")
+_PRINCIPAL = re.compile(r" -I (\S+) -n ")
+_AROUND = 30
 
 
 def compare_views(
@@ -124,12 +128,6 @@ def close(stored: NDArray[np.float64], again: NDArray[np.float64]) -> bool:
         return False
     scale = float(np.max(np.abs(again), initial=0.0))
     return bool(np.all(np.abs(stored - again) <= TOLERANCE_SHARE * scale))
-
-
-_REPORT_BY = ("starbench", "report_form", "numpy", "opencv-python-headless")
-_EXPORTS_BY = ("starbench", "export_form", "opencv-python-headless")
-_PRINCIPAL = re.compile(r" -I (\S+) -n ")
-_AROUND = 30
 
 
 @dataclass(frozen=True)

@@ -52,6 +52,18 @@ from calib.view import View
 
 PLUMB_BOB = BROWN[:5]
 """The coefficients of ROS's model plumb_bob, and of OpenCV with five coefficients."""
+_RADTAN = BROWN[:4]
+_MOST_CHANGE_PX = 0.05
+#: ROS's names of the distortion models, by number of coefficients.
+_ROS_MODELS = {4: "equidistant", 5: "plumb_bob", 8: "rational_polynomial"}
+
+NOT_WRITTEN = "not-written.txt"
+"""File that lists the formats that cannot represent the lens model or the targets, with the reason."""
+
+Writer = Callable[[Calibration, str], bytes]
+
+TABLES, CAMERA_INFO, PREVIEW = "undistort.npz", "camera_info.yaml", "preview.png"
+_GAP_PX = 8
 
 
 class FormatCannotCarry(BenchError):
@@ -122,17 +134,6 @@ def _store(storage: cv2.FileStorage, name: str, value: Any) -> None:
         storage.endWriteStruct()
     else:
         storage.write(name, value if isinstance(value, int | str | float) else np.ascontiguousarray(value))
-
-
-_RADTAN = BROWN[:4]
-_MOST_CHANGE_PX = 0.05
-#: ROS's names of the distortion models, by number of coefficients.
-_ROS_MODELS = {4: "equidistant", 5: "plumb_bob", 8: "rational_polynomial"}
-
-NOT_WRITTEN = "not-written.txt"
-"""File that lists the formats that cannot represent the lens model or the targets, with the reason."""
-
-Writer = Callable[[Calibration, str], bytes]
 
 
 def exports(
@@ -359,10 +360,6 @@ WRITERS: Mapping[str, Writer] = {
     "camera-geometry.json": camera_geometry_json,
 }
 """Writer of each file."""
-
-
-TABLES, CAMERA_INFO, PREVIEW = "undistort.npz", "camera_info.yaml", "preview.png"
-_GAP_PX = 8
 
 
 @dataclass(frozen=True)

@@ -29,6 +29,8 @@ from sequences.script import ChooseStep, Until
 
 _FEWEST_LABELLED = 3
 """Poses that must show the tag before a pose without it is chosen; docs/sequences.md gives the reason."""
+Decide = Callable[[ChooseStep, History, MutableMapping[int, Measurement], Callable[[], None]], UntilDecided]
+"""Decides for the ``until`` steps of one run: `decide_until` with the job and the folder of the run."""
 
 
 @dataclass(frozen=True)
@@ -40,10 +42,6 @@ class Interim:
     calibration: Calibration | None  # The calibration; None if the poses do not determine the camera
     why: str = ""  # Why there is no calibration; empty if there is one
     passport: Passport | None = None  # Passport that the calibration uses, if any
-
-
-Decide = Callable[[ChooseStep, History, MutableMapping[int, Measurement], Callable[[], None]], UntilDecided]
-"""Decides for the ``until`` steps of one run: `decide_until` with the job and the folder of the run."""
 
 
 def decide_until(

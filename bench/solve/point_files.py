@@ -16,7 +16,7 @@ import numpy as np
 from bench.base.errors import BenchError, StorageError
 from calib.errors import InputMismatch
 from calib.view import View
-from drivers.camera.raw_writer import require_regular
+from drivers.camera.raw_check import require_regular
 
 Origin = Literal["corner", "centre"]
 _COLUMNS = 5

@@ -49,6 +49,8 @@ from calib.model.lens import is_fisheye
 from calib.target import StarTarget
 from sequences.script import SolveStep
 
+FIRST = "This is the first calibration of this camera on this bench."
+
 
 def keep_views_of_run(job: Job, history: History, measured: Mapping[int, Measurement]) -> int:
     """Keep the views of a run's accepted recordings, unless it is a rehearsal."""
@@ -147,9 +149,6 @@ def shown_files(
     pictured = pictured_poses(results).names
     pictures = [one.shown(pictured=one.view.name in pictured) for one in views]
     return {**files, REPORT: render_report(ReportData(results, pictures, head)).encode()}
-
-
-FIRST = "This is the first calibration of this camera on this bench."
 
 
 def previous_calibration(

@@ -19,8 +19,9 @@ from bench.measure.camera_kinds import CameraKind
 from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
 from bench.record.conformity import conformity
-from bench.record.events import AttemptData, GateData
+from bench.record.events import AttemptData
 from bench.record.history import Attempt, History
+from bench.record.measured_facts import GateData
 from bench.record.results import (
     Conditions,
     GimbalReadingsData,
@@ -29,7 +30,7 @@ from bench.record.results import (
     Results,
     SupportedPart,
 )
-from bench.report.maps import reach_px, star_distance
+from bench.report.supported import reach_px, star_distance
 from bench.solve.solution import Solution, compare_with_truth
 from calib.calibration import ENGINES, Calibration, ViewSummary
 from calib.model.camera import CameraModel
@@ -45,6 +46,7 @@ _CORNERS = {
     "bottom left": (-1, 0),
     "bottom right": (-1, -1),
 }
+SCHEMA = "starbench/results/1"
 
 
 def projection_facts(
@@ -91,9 +93,6 @@ def _supported(found: ProjectionMap, points: Array, size: tuple[int, int], k: fl
         "expanded_px": None if inside[0] is None else k * inside[0],
         "expanded_urad": None if inside[1] is None else k * URAD_PER_ARCSEC * inside[1],
     }
-
-
-SCHEMA = "starbench/results/1"
 
 
 def results_content(

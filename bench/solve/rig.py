@@ -36,6 +36,13 @@ from calib.view import View
 from drivers.camera.raw_file import RawFile
 
 Pair = Sequence[Path]
+Array = NDArray[np.float64]
+
+_MOST_BYTES = 20_000_000
+_FARTHEST_MM = 1e6
+_LARGEST_VARIANCE = 1e12
+
+_NAMES = ("cam0", "cam1")
 
 
 @dataclass(frozen=True)
@@ -143,13 +150,6 @@ def _rising_us(path: Path) -> list[int]:
     return list(map(int, edges.t[edges.value == 1]))
 
 
-Array = NDArray[np.float64]
-
-_MOST_BYTES = 20_000_000
-_FARTHEST_MM = 1e6
-_LARGEST_VARIANCE = 1e12
-
-
 class NotARig(UsageError):
     """A file does not hold one rig of two cameras that can be read."""
 
@@ -211,9 +211,6 @@ def _require_possible(stated: StatedRig) -> None:
         (np.abs(known) <= _LARGEST_VARIANCE).all() and np.linalg.eigvalsh(known)[0] >= -1e-9 * np.trace(known)
     ):
         raise OtherForm("its covariance is impossible")
-
-
-_NAMES = ("cam0", "cam1")
 
 
 def rig_exports(rig: Rig, content: Mapping[str, Any]) -> dict[str, bytes]:

@@ -34,6 +34,12 @@ from calib.studies.camera_check import CameraCheck, check_camera
 from calib.view import View
 from sequences.script import SolveStep
 
+CHECK_SEED = 20_260_101
+"""Of the drawn changes of a check: the same files give the same numbers."""
+_COMPARED = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "x", "y", "r")
+_MOVE_THE_CENTRE = ("defocus", "coma", "astigmatism", "field_curvature")
+"""Errors of a collimator that displace the apparent centre across the beam, as its place depends on the pupil's."""
+
 
 @contextmanager
 def errors_in(words: TargetWords) -> Iterator[None]:
@@ -45,13 +51,6 @@ def errors_in(words: TargetWords) -> Iterator[None]:
             raise
         said = type(error)(words.fitting(error.what), where=error.where, remedy=words.fitting(error.remedy))
         raise said from error
-
-
-CHECK_SEED = 20_260_101
-"""Of the drawn changes of a check: the same files give the same numbers."""
-_COMPARED = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "x", "y", "r")
-_MOVE_THE_CENTRE = ("defocus", "coma", "astigmatism", "field_curvature")
-"""Errors of a collimator that displace the apparent centre across the beam, as its place depends on the pupil's."""
 
 
 def calibrated(

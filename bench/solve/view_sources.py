@@ -248,8 +248,8 @@ def _file_source(path: Path, choices: OfflineOptions) -> ViewSource:
     elif ending in PHOTOGRAPHS:
         kind, find = "photograph", _view_of_photograph
     else:
+        from drivers.camera.raw_check import read_start
         from drivers.camera.raw_header import looks_like
-        from drivers.camera.raw_writer import read_start
 
         contents, remedy = looks_like(read_start(path))
         raise UsageError(

@@ -22,6 +22,9 @@ from drivers.light import Light
 from drivers.stage import AxisLimits, Stage
 from drivers.wire_log import WireLog
 
+_CLOSE_S: Final = 15.0
+"""Longest wait for a device that is still being opened, s."""
+
 
 def make_orphans_safe(station: Station, clock: BenchClock) -> list[DeviceEnd]:
     """Stop stage and light whose process died, each opened anew; return what they answered. Not simulated ones."""
@@ -40,10 +43,6 @@ def make_orphans_safe(station: Station, clock: BenchClock) -> list[DeviceEnd]:
             fault = f"the {name} of a dead process could not be made safe: {error}"
             ends.append(DeviceEnd(name, "not confirmed", fault))
     return [*ends, DeviceEnd("camera", "not confirmed", NOT_ASKED)] if ends else []
-
-
-_CLOSE_S: Final = 15.0
-"""Longest wait for a device that is still being opened, s."""
 
 
 class LateDevice:

@@ -30,6 +30,18 @@ _LARGEST_PDF_MM = 14_400 / _POINTS_PER_MM
 """The largest page of PDF 1.7 without a unit of its own (ISO 32000-1, annex C.2)."""
 _LINE_MM = 0.1
 """Width of the line for the edge of the glass."""
+OPAQUE_LAYER, OUTLINE_LAYER = "OPAQUE", "OUTLINE"
+"""Layers of a DXF file."""
+GDS_OPAQUE, GDS_OUTLINE = 1, 10
+"""Layers of a GDSII file, each with data type 0."""
+GDS_CELL = "TARGET"
+GDS_STEP_M = 1e-9
+"""Step of the coordinates in a GDSII file: 1 nm."""
+_LARGEST_GDS_MM = 2 * 2**31 * GDS_STEP_M * 1e3
+_DXF_UNITS = {"inch": 1, "mm": 4, "um": 13}
+_NO_DATE = datetime(2000, 1, 1, tzinfo=UTC)
+
+_ON_OPAQUE = {"layer": OPAQUE_LAYER}
 
 
 class TooLarge(ValueError):
@@ -125,18 +137,6 @@ def _short(number: float) -> str:
     return "0" if text == "-0" else text
 
 
-OPAQUE_LAYER, OUTLINE_LAYER = "OPAQUE", "OUTLINE"
-"""Layers of a DXF file."""
-GDS_OPAQUE, GDS_OUTLINE = 1, 10
-"""Layers of a GDSII file, each with data type 0."""
-GDS_CELL = "TARGET"
-GDS_STEP_M = 1e-9
-"""Step of the coordinates in a GDSII file: 1 nm."""
-_LARGEST_GDS_MM = 2 * 2**31 * GDS_STEP_M * 1e3
-_DXF_UNITS = {"inch": 1, "mm": 4, "um": 13}
-_NO_DATE = datetime(2000, 1, 1, tzinfo=UTC)
-
-
 def dxf(drawing: Drawing, units: str) -> bytes:
     """Write a drawing as DXF (AutoCAD 2010): closed polylines, units in ``$INSUNITS``. It needs ezdxf."""
     ezdxf = _library("ezdxf")
@@ -159,9 +159,6 @@ def dxf(drawing: Drawing, units: str) -> bytes:
         return text.getvalue().encode()
     finally:
         ezdxf.options.write_fixed_meta_data_for_testing = was
-
-
-_ON_OPAQUE = {"layer": OPAQUE_LAYER}
 
 
 def gdsii(drawing: Drawing, units: str) -> bytes:

@@ -42,6 +42,10 @@ Tolerance = Annotated[
     Within(1e-6, 1, "deg"),
     Field(description="Largest distance from the target at the end of a move."),
 ]
+Controllers = Sequence[tuple[str, str | None]]
+"""Port and serial number of each controller of a section; None where the section states no number."""
+
+Bias = Annotated[int, Field(ge=-255, le=2047)]
 
 
 class AxisConfig(StrictModel):
@@ -96,10 +100,6 @@ class SerialLine(StrictModel):
             description="Whether the lines RTS and CTS hold the sender. Default: as the maker of the device says."
         ),
     ] = None
-
-
-Controllers = Sequence[tuple[str, str | None]]
-"""Port and serial number of each controller of a section; None where the section states no number."""
 
 
 class _Section(StrictModel):
@@ -274,9 +274,6 @@ def differing(*keys: str) -> AfterValidator:
         return axes
 
     return AfterValidator(check)
-
-
-Bias = Annotated[int, Field(ge=-255, le=2047)]
 
 
 class BiasesConfig(StrictModel):

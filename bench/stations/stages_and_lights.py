@@ -40,6 +40,8 @@ _BAUD_RATES = Within(50, 20_000_000, "Bd")
 Scale = Annotated[
     float, AfterValidator(not_zero), Within(0.01, 1e9, "counts/deg", either_sign=True), ToFillIn
 ]
+Volts = Annotated[float, Field(ge=-20, le=20)]
+Percent = Annotated[float, Within(0.01, 1000, "%")]
 
 
 class ThorlabsAxisConfig(AxisConfig):
@@ -289,9 +291,6 @@ else:
             " Use another stage."
         },
     )
-
-Volts = Annotated[float, Field(ge=-20, le=20)]
-Percent = Annotated[float, Within(0.01, 1000, "%")]
 
 
 class ScpiLightConfig(SerialLine, AnyLight):

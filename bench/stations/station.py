@@ -47,6 +47,16 @@ from sequences.reader import Located, find_document, read_document
 from sequences.schema import Name, ResultLimits
 from sequences.strict_model import StrictModel, Within
 
+_STRICT = "strict"
+
+_Side = Annotated[int, Within(8, 65_536, "px")]
+_Coefficient = Annotated[float, Within(-1000, 1000)]
+
+SHIPPED_STATIONS = Path(__file__).parent
+
+_TRUTHS = {"true": True, "false": False}
+_NUMBER = re.compile(r"[-+]?(?!0\d)(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
+
 
 class SimulatedEvk4Config(EventCameraConfig):
     """A simulated EVK4, connected through a local socket."""
@@ -144,9 +154,6 @@ else:
     CameraConfig = with_plugins("camera", get_args(_BuiltIn))
 
 
-_STRICT = "strict"
-
-
 def _absolute(path: str) -> str:
     """Accept an absolute path only: the station file is copied into every run folder. Raises PydanticCustomError."""
     if not (PurePosixPath(path).is_absolute() or PureWindowsPath(path).is_absolute()):
@@ -178,10 +185,6 @@ class LedgerConfig(StrictModel):
     @classmethod
     def _from_word(cls, value: Any) -> Any:
         return {"strict": "true"} if value == _STRICT else value
-
-
-_Side = Annotated[int, Within(8, 65_536, "px")]
-_Coefficient = Annotated[float, Within(-1000, 1000)]
 
 
 class ExpectedCollimatorConfig(StrictModel):
@@ -231,9 +234,6 @@ class ExpectedConfig(StrictModel):
         )
 
 
-SHIPPED_STATIONS = Path(__file__).parent
-
-
 class DiskConfig(StrictModel):
     """Disk space that must be free before a run, in addition to what the run needs."""
 
@@ -254,10 +254,6 @@ class CheckStandardConfig(StrictModel):
             description="Whether no other camera is measured in a batch while it is out of control or due."
         ),
     ] = False
-
-
-_TRUTHS = {"true": True, "false": False}
-_NUMBER = re.compile(r"[-+]?(?!0\d)(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
 def _plain_values(section: Any) -> Any:

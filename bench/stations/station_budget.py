@@ -34,6 +34,15 @@ Celsius = Annotated[float, Field(ge=-50, le=100)]
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}")
 #: A focal length farther than this share from the nominal one is another collimator's (``calib.joint.adjust``).
 _OTHER_RADIUS = 0.15
+#: Reference temperature of dimensional measurements, degrees Celsius (ISO 1).
+_REFERENCE_C = 20.0
+_Degrees = Annotated[
+    float | None, Field(ge=1, le=1e6, description="Degrees of freedom; without it infinite.")
+]
+_Share = Annotated[float, Field(ge=0, le=0.1)]
+
+_TERMS = ("print_scale", "print_bow", "thermal", "collimator_thermal", "effective_radius", "wavefront")
+"""Keys of the budget that are terms of the same kind, in their order."""
 
 
 def _date(value: Any) -> Any:
@@ -217,14 +226,6 @@ class GimbalConfig(StrictModel):
     ] = None
 
 
-#: Reference temperature of dimensional measurements, degrees Celsius (ISO 1).
-_REFERENCE_C = 20.0
-_Degrees = Annotated[
-    float | None, Field(ge=1, le=1e6, description="Degrees of freedom; without it infinite.")
-]
-_Share = Annotated[float, Field(ge=0, le=0.1)]
-
-
 def _not_blank(text: str) -> str:
     """Refuse a text of spaces."""
     if not text.strip():
@@ -359,10 +360,6 @@ class ThermalConfig(StrictModel):
             difference_c=measured_c - reference_c,
             difference_sigma_c=self.sigma_c,
         )
-
-
-_TERMS = ("print_scale", "print_bow", "thermal", "collimator_thermal", "effective_radius", "wavefront")
-"""Keys of the budget that are terms of the same kind, in their order."""
 
 
 class BudgetConfig(StrictModel):

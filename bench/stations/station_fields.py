@@ -22,6 +22,41 @@ SIMULATED_PORTS = (
     "sim:camera",
     "sim:frame-camera",
 )
+Text = Annotated[str, Field(min_length=1, max_length=200)]
+
+Variable = Annotated[str, Field(max_length=100, pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
+"""Name of an environment variable, which holds a secret in place of the station file."""
+
+Serial = Annotated[
+    str,
+    Field(
+        min_length=1,
+        max_length=64,
+        description="As the device reports it, with all zeros.",
+        json_schema_extra={
+            "type": ["string", "integer"]
+        },  # an editor may read it as a number; Starbench reads it as text
+    ),
+]
+
+Positive = Annotated[float, Within(1e-6, 1e9)]
+
+FocalLength = Annotated[float, Within(1, 100_000, "mm")]
+
+Hold = Annotated[
+    float,
+    Field(gt=0, le=86_400, description="Longest hold of this interlock in a run, all its holds together, s."),
+]
+
+InterlockName = Literal["door", "camera_temperature", "event_rate", "disk_space", "device_lost"]
+
+Units = Literal["mm", "um", "inch"]
+Polarity = Literal["positive", "negative"]
+Squares = Annotated[int, Within(2, 10_000)]
+_GlassSide = Annotated[float, Within(0.01, 100_000, "mm")]
+
+_FEWEST_PITCHES = 4.0
+"""Width of the margin around the pattern, pitches, if no size is given: it holds the text and the scale bars."""
 
 
 def _simulated_or_real(port: str, info: ValidationInfo) -> str:
@@ -39,12 +74,6 @@ def _simulated_or_real(port: str, info: ValidationInfo) -> str:
             "no_simulation", "a simulated device needs a simulation section (simulation: {} is enough)."
         )
     return port
-
-
-Text = Annotated[str, Field(min_length=1, max_length=200)]
-
-Variable = Annotated[str, Field(max_length=100, pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
-"""Name of an environment variable, which holds a secret in place of the station file."""
 
 
 def _not_another_url(port: str) -> str:
@@ -65,31 +94,6 @@ Port = Annotated[Text, AfterValidator(_simulated_or_real), AfterValidator(_not_a
 
 
 VideoSource = Annotated[Text, AfterValidator(_simulated_or_real), AfterValidator(_not_another_protocol)]
-
-
-Serial = Annotated[
-    str,
-    Field(
-        min_length=1,
-        max_length=64,
-        description="As the device reports it, with all zeros.",
-        json_schema_extra={
-            "type": ["string", "integer"]
-        },  # an editor may read it as a number; Starbench reads it as text
-    ),
-]
-
-
-Positive = Annotated[float, Within(1e-6, 1e9)]
-
-
-FocalLength = Annotated[float, Within(1, 100_000, "mm")]
-
-
-Hold = Annotated[
-    float,
-    Field(gt=0, le=86_400, description="Longest hold of this interlock in a run, all its holds together, s."),
-]
 
 
 class InterlockConfig(StrictModel):
@@ -167,18 +171,6 @@ class InterlocksConfig(StrictModel):
     event_rate: EventRateConfig | None = None
     disk_space: DiskSpaceConfig | None = None
     device_lost: DeviceLostConfig | None = None
-
-
-InterlockName = Literal["door", "camera_temperature", "event_rate", "disk_space", "device_lost"]
-
-
-Units = Literal["mm", "um", "inch"]
-Polarity = Literal["positive", "negative"]
-Squares = Annotated[int, Within(2, 10_000)]
-_GlassSide = Annotated[float, Within(0.01, 100_000, "mm")]
-
-_FEWEST_PITCHES = 4.0
-"""Width of the margin around the pattern, pitches, if no size is given: it holds the text and the scale bars."""
 
 
 class DrawingConfig(StrictModel):

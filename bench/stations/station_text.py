@@ -36,26 +36,6 @@ from sequences.strict_model import Within
 from sequences.tree import Fault
 
 SHIPPED_DESCRIPTIONS: Final = Path(__file__).parent / "descriptions"
-
-
-def read_stage_protocol(path: Path) -> Located[StageProtocol]:
-    """Read the description of a stage."""
-    return read_document(path, StageProtocol)
-
-
-def read_light_protocol(path: Path) -> Located[LightProtocol]:
-    """Read the description of a light."""
-    return read_document(path, LightProtocol)
-
-
-def find_description(name_or_path: str, folder: Path | None) -> Path:
-    """Find a description by its shipped name or a path from ``folder`` (None: the cwd); the error lists the names."""
-    path = Path(name_or_path)
-    if folder is not None and (path.name != name_or_path or path.suffix):
-        return folder / path
-    return find_document(name_or_path, SHIPPED_DESCRIPTIONS)
-
-
 PROTOCOL_COPIES: Final = {"stage": "protocol-stage.yaml", "light": "protocol-light.yaml"}
 """Byte-exact copies of the descriptions in a run folder, by section."""
 _STATION_COPY: Final = "station.yaml"
@@ -75,6 +55,24 @@ _Protocol = Annotated[
         description="Name of a shipped description, or path of a file, relative to the station file.",
     ),
 ]
+
+
+def read_stage_protocol(path: Path) -> Located[StageProtocol]:
+    """Read the description of a stage."""
+    return read_document(path, StageProtocol)
+
+
+def read_light_protocol(path: Path) -> Located[LightProtocol]:
+    """Read the description of a light."""
+    return read_document(path, LightProtocol)
+
+
+def find_description(name_or_path: str, folder: Path | None) -> Path:
+    """Find a description by its shipped name or a path from ``folder`` (None: the cwd); the error lists the names."""
+    path = Path(name_or_path)
+    if folder is not None and (path.name != name_or_path or path.suffix):
+        return folder / path
+    return find_document(name_or_path, SHIPPED_DESCRIPTIONS)
 
 
 class TextAxisConfig(AxisConfig):

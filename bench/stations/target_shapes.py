@@ -22,6 +22,17 @@ from calib.target import StarTarget
 
 _FONT, _FONT_SCALE = cv2.FONT_HERSHEY_PLAIN, 1.0
 """Letters of OpenCV, about a dozen pixels high."""
+Array = NDArray[np.float64]
+Rectangle = tuple[float, float, float, float]
+"""Left, top, right, bottom."""
+
+_CLEAR_PITCHES = 1.5
+"""Distance of the marks in the margin from the stars' cells, pitches. The star finder sees white there."""
+_LETTER_PITCHES = 0.8
+_BAR_PITCHES = 0.25
+_LONGEST_BAR = 0.5
+"""Longest scale bar that is chosen, as a share of the shorter side of the pattern."""
+_MOST_POLYGONS = 1_000_000
 
 
 def text_rectangles(text: str) -> NDArray[np.float64]:
@@ -34,19 +45,6 @@ def text_rectangles(text: str) -> NDArray[np.float64]:
     edges = np.diff(np.pad(ink, ((0, 0), (1, 1))).astype(np.int8))
     (top, left), (_, right) = np.nonzero(edges > 0), np.nonzero(edges < 0)
     return np.column_stack([left, top, right, top + 1]) / len(ink)
-
-
-Array = NDArray[np.float64]
-Rectangle = tuple[float, float, float, float]
-"""Left, top, right, bottom."""
-
-_CLEAR_PITCHES = 1.5
-"""Distance of the marks in the margin from the stars' cells, pitches. The star finder sees white there."""
-_LETTER_PITCHES = 0.8
-_BAR_PITCHES = 0.25
-_LONGEST_BAR = 0.5
-"""Longest scale bar that is chosen, as a share of the shorter side of the pattern."""
-_MOST_POLYGONS = 1_000_000
 
 
 class Shapes(NamedTuple):

@@ -20,6 +20,12 @@ ADDRESS = frozenset({"address"})
 NOTHING: frozenset[str] = frozenset()
 _ENDS: Final = {"CR": b"\r", "LF": b"\n", "CRLF": b"\r\n", "space": b" "}
 _D = TypeVar("_D", bound="DataclassInstance")
+Line = Annotated[str, Field(min_length=1, max_length=200)]
+
+Tolerance = Annotated[float, Within(0, 50, "%")]
+Factor = Annotated[float, Within(1e-12, 1e12, either_sign=True)]
+
+_WORDS: Final = {"waveform": {"square", "sine", "steady"}, "sync": {"on", "off"}}
 
 
 def made_of(kind: type[_D], *sections: StrictModel, **others: Any) -> _D:
@@ -77,9 +83,6 @@ def _is_reply(text: str) -> str:
     return text
 
 
-Line = Annotated[str, Field(min_length=1, max_length=200)]
-
-
 class _Exchange(StrictModel):
     """A request and its reply."""
 
@@ -135,10 +138,6 @@ class StateQuery(_Exchange):
     def for_driver(self) -> of.Switch:
         """Return the query for the driver."""
         return of.Switch(super().for_driver(), tuple(self.when))
-
-
-Tolerance = Annotated[float, Within(0, 50, "%")]
-Factor = Annotated[float, Within(1e-12, 1e12, either_sign=True)]
 
 
 class LineConfig(StrictModel):
@@ -236,9 +235,6 @@ class _Get(_Exchange):
     """A query of a value of a light."""
 
     tells = "value"
-
-
-_WORDS: Final = {"waveform": {"square", "sine", "steady"}, "sync": {"on", "off"}}
 
 
 class LightSettingConfig(StrictModel):

@@ -25,7 +25,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from bench.base.errors import UsageError
 from bench.web.guard import SIGN_IN, Guard
-from bench.web.pages import CLOSING
+from bench.web.server_sent import CLOSING
 from bench.web.token import PageToken, address_of, require_token
 
 LOOPBACK = "127.0.0.1"

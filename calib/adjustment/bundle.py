@@ -25,6 +25,7 @@ from calib.view import View
 #: Number of rounded operations in a projection.
 _ROUNDED_OPERATIONS = 10.0
 _EPSILON = float(np.finfo(float).eps)
+_TINY = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True)
@@ -182,9 +183,6 @@ def _stacked(counts: Sequence[int]) -> tuple[tuple[slice, ...], Ints]:
     ends = np.cumsum(counts)
     slices = tuple(slice(int(end - n), int(end)) for n, end in zip(counts, ends, strict=True))
     return slices, np.repeat(np.arange(len(counts)), counts)
-
-
-_TINY = float(np.finfo(float).tiny)
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,15 @@ from calib.model.gimbal import Gimbal
 from calib.model.rotation import exp_map, log_map
 from calib.view import View
 
+#: Views that are turned by less against each other belong to one pose.
+SAME_POSE_DEG = 0.2
+
+#: Largest acceptable 1-sigma of a focal length, as a share of it.
+MAX_FOCAL_SIGMA = 0.05
+_SAME_POSE_DEG = 0.5
+_PARALLEL_SINE = 0.05
+_NARROW_DEG = 5.0
+
 
 @dataclass(frozen=True)
 class AdjustmentParameters:
@@ -61,10 +70,6 @@ class AdjustmentParameters:
         return replace(self, rotations=self.rotations[index], offsets=self.offsets[index])
 
 
-#: Views that are turned by less against each other belong to one pose.
-SAME_POSE_DEG = 0.2
-
-
 def poses_of(rotations: Array, moved: Bools | None = None) -> tuple[int, ...]:
     """Return for each view the index of its pose, from (n, 3, 3) rotations, camera <- target.
 
@@ -99,13 +104,6 @@ def views_of_poses(rotations: Array) -> list[list[int]]:
     """Return the views of each pose, as `poses_of`."""
     poses = poses_of(rotations)
     return [[i for i, pose in enumerate(poses) if pose == k] for k in range(max(poses) + 1)]
-
-
-#: Largest acceptable 1-sigma of a focal length, as a share of it.
-MAX_FOCAL_SIGMA = 0.05
-_SAME_POSE_DEG = 0.5
-_PARALLEL_SINE = 0.05
-_NARROW_DEG = 5.0
 
 
 def require_distinct_poses(parameters: AdjustmentParameters) -> None:

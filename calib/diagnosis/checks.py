@@ -30,6 +30,36 @@ _NEAR_PX = 1.0
 #: Views with fewer common stars are not compared, nor views of which less than this share is common.
 _FEWEST = 4
 _COMMON_SHARE = 0.5
+Size = tuple[int, int]
+
+#: What may be in another unit.
+_TARGET, _CERTIFICATE = "target positions", "lengths of the certificate"
+#: Millimetres in units that are taken for millimetres by mistake.
+_UNITS = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4, "micrometres": 0.001}
+#: Pitches and radii outside of these ranges are implausible, mm.
+PLAUSIBLE_PITCH_MM = (0.05, 500.0)
+PLAUSIBLE_R_MM = (5.0, 50_000.0)
+#: A ratio of radii names a unit if it is within this factor of it. A closed-form radius is known to some 20 per cent.
+_TOLERANCE = 1.5
+#: Closed forms with a free and with a central principal point agree within this factor if the views show the radius.
+_ALIKE = 1.05
+
+#: Sizes of event cameras and of common frame cameras, px.
+KNOWN_SIZES: tuple[Size, ...] = (
+    (1280, 720), (640, 480), (346, 260), (320, 320), (304, 240), (240, 180), (128, 128), (320, 240),
+    (480, 320), (640, 512), (768, 640), (816, 612), (752, 480), (800, 600), (1024, 768), (1280, 800),
+    (1280, 960), (1280, 1024), (1440, 1080), (1600, 1200), (1632, 1224), (1920, 1080), (1920, 1200),
+    (2048, 1536), (2448, 2048), (2592, 1944), (4096, 3000),
+)  # fmt: skip
+#: Points up to this far outside of the outermost pixel centres are inside of the image, px: half a pixel, and another
+#: half for points whose origin is the corner.
+_OUTSIDE_PX = 1.0
+#: A principal point this share of the width or height away from the middle is implausible.
+_FAR_FROM_MIDDLE = 0.15
+#: A size explains the views if its middle is within this share of the principal point ...
+_NEAR_MIDDLE = 0.1
+#: ... and if the outermost points come this close to its border, as a share of it.
+_NEAR_BORDER = 0.1
 
 
 def check_views(views: Sequence[View], *, known_r_mm: float | None = None) -> tuple[str, ...]:
@@ -70,21 +100,6 @@ def find_duplicates(views: Sequence[View]) -> list[str]:
                 f"would ({1.4142 * noise:.2g} px per axis). Check that one recording was not used twice."
             )
     return found
-
-
-Size = tuple[int, int]
-
-#: What may be in another unit.
-_TARGET, _CERTIFICATE = "target positions", "lengths of the certificate"
-#: Millimetres in units that are taken for millimetres by mistake.
-_UNITS = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4, "micrometres": 0.001}
-#: Pitches and radii outside of these ranges are implausible, mm.
-PLAUSIBLE_PITCH_MM = (0.05, 500.0)
-PLAUSIBLE_R_MM = (5.0, 50_000.0)
-#: A ratio of radii names a unit if it is within this factor of it. A closed-form radius is known to some 20 per cent.
-_TOLERANCE = 1.5
-#: Closed forms with a free and with a central principal point agree within this factor if the views show the radius.
-_ALIKE = 1.05
 
 
 def check_target_units(views: Sequence[View], *, known_r_mm: float | None = None) -> str:
@@ -139,24 +154,6 @@ def _unit(ratio: float) -> str:
     near = {name: abs(np.log(ratio / length)) for name, length in _UNITS.items()}
     name = min(near, key=lambda unit: near[unit])
     return name if near[name] < np.log(_TOLERANCE) else ""
-
-
-#: Sizes of event cameras and of common frame cameras, px.
-KNOWN_SIZES: tuple[Size, ...] = (
-    (1280, 720), (640, 480), (346, 260), (320, 320), (304, 240), (240, 180), (128, 128), (320, 240),
-    (480, 320), (640, 512), (768, 640), (816, 612), (752, 480), (800, 600), (1024, 768), (1280, 800),
-    (1280, 960), (1280, 1024), (1440, 1080), (1600, 1200), (1632, 1224), (1920, 1080), (1920, 1200),
-    (2048, 1536), (2448, 2048), (2592, 1944), (4096, 3000),
-)  # fmt: skip
-#: Points up to this far outside of the outermost pixel centres are inside of the image, px: half a pixel, and another
-#: half for points whose origin is the corner.
-_OUTSIDE_PX = 1.0
-#: A principal point this share of the width or height away from the middle is implausible.
-_FAR_FROM_MIDDLE = 0.15
-#: A size explains the views if its middle is within this share of the principal point ...
-_NEAR_MIDDLE = 0.1
-#: ... and if the outermost points come this close to its border, as a share of it.
-_NEAR_BORDER = 0.1
 
 
 def require_points_inside(views: Sequence[View]) -> None:

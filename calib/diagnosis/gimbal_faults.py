@@ -45,6 +45,10 @@ _ROUNDS = 3
 _ROUNDING, _LEAST = 1e-15, 1e-20
 #: Least information on a size, in units of its prior.
 _SINGULAR = 1e-6
+#: Number of the most promising hypotheses that are fitted.
+_FITTED = 4
+#: Poses that are needed to look for faults.
+_FEWEST = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,12 +193,6 @@ def _gains(rest: Array, hypotheses: Sequence[Sequence[int]]) -> Array:
         gains[:, which] = (right * sizes - 2.0 * np.log1p(sizes**2)).sum(axis=-1)
         gains[:, which] -= np.linalg.slogdet(normal + np.eye(size))[1]
     return gains
-
-
-#: Number of the most promising hypotheses that are fitted.
-_FITTED = 4
-#: Poses that are needed to look for faults.
-_FEWEST = 5
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -36,6 +36,11 @@ _MAD = 1.4826
 
 
 FaultKind = Literal["slip", "mount", "pose", "squareness"]
+#: A direction of the parameters is determined if its singular value exceeds this share of the largest.
+_DETERMINED = 1e-7
+_STEPS = 60
+#: Starts whose elements differ by less than this lead to the same minimum.
+_SAME = 1e-3
 
 
 @dataclass(frozen=True)
@@ -164,13 +169,6 @@ def _pairs(rotations: Array) -> Array:
     """Return the angles between (n, 3, 3) rotations, pair by pair, rad."""
     i, j = np.triu_indices(len(rotations), 1)
     return np.asarray(np.linalg.norm(log_map(rotations[i] @ np.swapaxes(rotations[j], 1, 2)), axis=1))
-
-
-#: A direction of the parameters is determined if its singular value exceeds this share of the largest.
-_DETERMINED = 1e-7
-_STEPS = 60
-#: Starts whose elements differ by less than this lead to the same minimum.
-_SAME = 1e-3
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,8 @@ PERIOD_TOLERANCE = 0.03
 FOLD_BINS = 512
 #: Share of a burst's events that lie in its window.
 BURST_SHARE = 0.98
+#: Types of the fields of `PixelSums`.
+_KINDS = (np.uint32, np.uint32, np.int32, np.int32, np.float32, np.float32, np.uint16, np.uint16, np.int8)
 
 
 class BurstWindow(NamedTuple):
@@ -85,10 +87,6 @@ def whole_period_window(
     waits = [(edge - 0.01 * flicker.period_us - begin) % flicker.period_us for edge in edges]
     start = begin + (min(waits) if min(waits) <= slack else 0.0)
     return start, start + wanted * flicker.period_us, wanted
-
-
-#: Types of the fields of `PixelSums`.
-_KINDS = (np.uint32, np.uint32, np.int32, np.int32, np.float32, np.float32, np.uint16, np.uint16, np.int8)
 
 
 class PixelSums(NamedTuple):

@@ -52,6 +52,9 @@ from calib.events.flicker import Flicker
 LOCK_IN_MIN_EVENTS = 1.9
 #: Least share of the edges on which a lit pixel fires.
 LIT_SHARE = 0.75
+#: Shift between the halves from which a pose counts as moving, px. Repeated recordings of a pose at rest differ by
+#: 0.006 to 0.02 px a star, and far less in the mean.
+MOVING_PX = 0.05
 
 
 class ChosenImage(NamedTuple):
@@ -279,11 +282,6 @@ def make_quick_image(counts: NDArray[np.uint16], periods: int) -> QuickImage:
     if found:
         cv2.copyTo(cv2.medianBlur(image, 3), hot, image)
     return QuickImage(name, image, found)
-
-
-#: Shift between the halves from which a pose counts as moving, px. Repeated recordings of a pose at rest differ by
-#: 0.006 to 0.02 px a star, and far less in the mean.
-MOVING_PX = 0.05
 
 
 def half_windows(facts: SliceFacts) -> tuple[tuple[float, float], tuple[float, float]]:

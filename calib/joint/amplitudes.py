@@ -22,21 +22,6 @@ from calib.model.gimbal_readings import ENCODER_SHARE
 
 #: Highest degree of the field of a pose.
 POSE_DEGREE = 4
-
-
-class Pupil(Enum):
-    """How the camera's pupil is moved through the beam."""
-
-    HELD = "the parallax is bounded, or no disc is visible: the pupil stays where it is"
-    WALKS = "visible discs count, and the pupil follows the turn"
-    BY_HAND = "visible discs count, and the pupil wanders: they show where it is"
-
-
-#: Highest degrees of the fields by turn and by turn squared. A pupil that is moved through the beam by 10 mm sees all
-#: that the glass has: with 4 where discs count, 25 poses of a mount moved by hand were 3.6 U wrong. They are the same
-#: for a gimbal and a hand: else their odds would be those of the degrees. If places of the pupil are unknown, fields of
-#: higher degrees predict poses that are left out worse (published recordings: .18 px with 7, .16 with 5).
-TURN_DEGREES = {Pupil.HELD: (4, 3), Pupil.WALKS: (5, 4), Pupil.BY_HAND: (5, 4)}
 STAR, READING, ENCODER = "star noise", "readings", "readings of the same angle"
 POSE = tuple(f"pose field, degree {d}" for d in range(1, POSE_DEGREE + 1))
 COMMON = tuple(f"common field, degree {d}" for d in range(1, DEGREE + 1))
@@ -58,6 +43,41 @@ _BY_PUPIL = {
     **dict.fromkeys((CURVATURE_TURN, *TURN), 1.0),
     **dict.fromkeys((SCALE_TURN_2, *TURN_2), 2.0),
 }
+
+#: Errors of published collimators, in shares of the focal length: medians of eight designs with the tolerances of a
+#: workshop (doublet, Ploessl, Erfle eyepiece, Tessar, Petzval lens, triplet, two mirrors). Distortion |h|^2 h; field
+#: curvature |h|^2 s for a pupil aside by s. Of two more, the medians here are those of drawn collimators, 1.5 to 1.8
+#: times as large: |h|^2 e of glass off its axis, .7e-3, and coma |s|^2 h, .24.
+_DISTORTION, _CURVATURE = 0.12, 0.33
+#: How far a turn of `UNIT_TURN` moves the pupil. A camera that was set up by eye is beside the axis by 2 mm, known to a
+#: factor of 2.7, before a collimator of 250 mm.
+_MOVED, _BESIDE = LEVER * UNIT_TURN, 0.008
+#: From degree to degree, fields of drawn and real collimators fall by 0.5 to 0.8.
+_FALL = 0.65
+
+#: Amplitudes are searched within this number of 1-sigma of the hyperprior.
+_REACH = 3.0
+#: No field is larger: 1 px at 3345 px.
+_LARGEST_FIELD = 3e-4
+#: That of a pupil 50 mm before the pivot, in a collimator of 250 mm that is out of focus by an eighth.
+_LARGEST_PARALLAX = 0.03
+#: Readings may be those of other poses: degrees beside what they say. Sigmas of stars may be in another unit.
+_NOISIEST_READINGS, _NOISIEST_STARS = 1e6, 1e4
+
+
+class Pupil(Enum):
+    """How the camera's pupil is moved through the beam."""
+
+    HELD = "the parallax is bounded, or no disc is visible: the pupil stays where it is"
+    WALKS = "visible discs count, and the pupil follows the turn"
+    BY_HAND = "visible discs count, and the pupil wanders: they show where it is"
+
+
+#: Highest degrees of the fields by turn and by turn squared. A pupil that is moved through the beam by 10 mm sees all
+#: that the glass has: with 4 where discs count, 25 poses of a mount moved by hand were 3.6 U wrong. They are the same
+#: for a gimbal and a hand: else their odds would be those of the degrees. If places of the pupil are unknown, fields of
+#: higher degrees predict poses that are left out worse (published recordings: .18 px with 7, .16 with 5).
+TURN_DEGREES = {Pupil.HELD: (4, 3), Pupil.WALKS: (5, 4), Pupil.BY_HAND: (5, 4)}
 
 
 @dataclass(frozen=True)
@@ -91,16 +111,6 @@ def smooth(first: float, count: int) -> tuple[float, ...]:
     return tuple(first * _FALL**k for k in range(count))
 
 
-#: Errors of published collimators, in shares of the focal length: medians of eight designs with the tolerances of a
-#: workshop (doublet, Ploessl, Erfle eyepiece, Tessar, Petzval lens, triplet, two mirrors). Distortion |h|^2 h; field
-#: curvature |h|^2 s for a pupil aside by s. Of two more, the medians here are those of drawn collimators, 1.5 to 1.8
-#: times as large: |h|^2 e of glass off its axis, .7e-3, and coma |s|^2 h, .24.
-_DISTORTION, _CURVATURE = 0.12, 0.33
-#: How far a turn of `UNIT_TURN` moves the pupil. A camera that was set up by eye is beside the axis by 2 mm, known to a
-#: factor of 2.7, before a collimator of 250 mm.
-_MOVED, _BESIDE = LEVER * UNIT_TURN, 0.008
-#: From degree to degree, fields of drawn and real collimators fall by 0.5 to 0.8.
-_FALL = 0.65
 #: Fields in units of r (at 3345 px, 1e-6 is .0033 px); stars and readings relative to what is stated. The medians are
 #: those of good collimators and gimbals; the widths leave a factor of 20 to 50 to both sides (2 sigma).
 FAMILIES = (
@@ -132,14 +142,6 @@ FAMILIES = (
     # Another pupil looks through other places of the glass; another glass differs ten times as much.
     Family((CHANGE,), (3e-6,), 1.3, 0.0),
 )
-#: Amplitudes are searched within this number of 1-sigma of the hyperprior.
-_REACH = 3.0
-#: No field is larger: 1 px at 3345 px.
-_LARGEST_FIELD = 3e-4
-#: That of a pupil 50 mm before the pivot, in a collimator of 250 mm that is out of focus by an eighth.
-_LARGEST_PARALLAX = 0.03
-#: Readings may be those of other poses: degrees beside what they say. Sigmas of stars may be in another unit.
-_NOISIEST_READINGS, _NOISIEST_STARS = 1e6, 1e4
 
 
 class Lever(NamedTuple):

@@ -52,6 +52,7 @@ _AMPLITUDE_STEPS = 20
 _MORE_PROBABLE = 0.5
 #: Certificates are right to this share: beyond it, the target is wrong more often.
 _CERTIFIED = 1e-3
+_FAULTS = {"slip": kinds.SLIPPED, "mount": kinds.TURNED, "pose": kinds.ONE_POSE}
 
 
 def find_causes(
@@ -208,9 +209,6 @@ def _far_scales(result: Calibration, readings: GimbalReadings) -> tuple[Cause, .
 def _axis(name: str) -> str:
     """Return the name of an axis without its unit."""
     return name.removesuffix("_deg")
-
-
-_FAULTS = {"slip": kinds.SLIPPED, "mount": kinds.TURNED, "pose": kinds.ONE_POSE}
 
 
 def _of_fault(check: HandEyeCheck, fault: GimbalFault) -> Cause:

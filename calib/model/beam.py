@@ -20,6 +20,24 @@ from calib.view import RimPoints, View
 
 #: Least number of rim points for a fit.
 _FEWEST_POINTS = 3
+#: Stars farther than this from the grid's nodes, in pitches, are not on a grid.
+_OFF_GRID = 0.1
+#: A star closer than this to the frame's border, in pitches, may be missing for that reason.
+_BORDER_PITCHES = 1.0
+#: The rim lies anywhere between two nodes: 1-sigma, in pitches.
+_SIGMA = 12.0**-0.5
+#: Nodes beyond the outermost stars that are looked at.
+_MARGIN = 6
+#: A node that differs from so many of its four neighbours is an error of finding stars, not a rim.
+_ERROR = 3
+#: Side of a square block of nodes.
+_BLOCK = 3
+#: In this share of the views, missed stars may pass for darkness beyond the rim.
+_BY_CHANCE = 0.01
+_NEIGHBOURS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])
+#: Nodes are amid the stars if, along each of these directions, some star lies farther out.
+_DIRECTIONS = np.column_stack([np.cos(np.linspace(0.0, 6.2, 72)), np.sin(np.linspace(0.0, 6.2, 72))])
+_OUT_OF_FRAME, _NOT_PRINTED, _ABSENT, _PRESENT = range(4)
 
 
 def visible_discs(views: Sequence[View]) -> list[Disc]:
@@ -51,26 +69,6 @@ def inside_guard_band(view: View, disc: Disc, share: float) -> Bools:
     """Tell which stars, (N,), lie within a share of the disc's radius from its centre; all from a share of 1 on."""
     away = np.linalg.norm(view.target_mm - disc.centre_mm, axis=1)
     return np.asarray((away <= share * disc.radius_mm) | (share >= 1.0))
-
-
-#: Stars farther than this from the grid's nodes, in pitches, are not on a grid.
-_OFF_GRID = 0.1
-#: A star closer than this to the frame's border, in pitches, may be missing for that reason.
-_BORDER_PITCHES = 1.0
-#: The rim lies anywhere between two nodes: 1-sigma, in pitches.
-_SIGMA = 12.0**-0.5
-#: Nodes beyond the outermost stars that are looked at.
-_MARGIN = 6
-#: A node that differs from so many of its four neighbours is an error of finding stars, not a rim.
-_ERROR = 3
-#: Side of a square block of nodes.
-_BLOCK = 3
-#: In this share of the views, missed stars may pass for darkness beyond the rim.
-_BY_CHANCE = 0.01
-_NEIGHBOURS = np.array([(1, 0), (-1, 0), (0, 1), (0, -1)])
-#: Nodes are amid the stars if, along each of these directions, some star lies farther out.
-_DIRECTIONS = np.column_stack([np.cos(np.linspace(0.0, 6.2, 72)), np.sin(np.linspace(0.0, 6.2, 72))])
-_OUT_OF_FRAME, _NOT_PRINTED, _ABSENT, _PRESENT = range(4)
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,14 @@ DISTORTION_SETS: Mapping[str, tuple[str, ...]] = {
 #: Coefficients that can be estimated together.
 _FAMILIES = ((*BROWN, SKEW), FISHEYE)
 _ONE_NAME = re.compile(r"k[1-6]|p[12]|kb[1-4]|skew")
+_STEPS = 20
+_POINTS_ACROSS = 33
+
+#: Pixels that are worked on at once.
+_BLOCK = 200_000
+#: A point of the rectified image farther out than every ray of the sensor would fold back into the image.
+_BEYOND = 1.0 + 1e-6
+_OUTSIDE = -1.0
 
 
 def distortion_names(chosen: str | Sequence[str]) -> tuple[str, ...]:
@@ -328,10 +336,6 @@ def require_image_size(camera: CameraModel, size: tuple[int, int], who: str) -> 
         )
 
 
-_STEPS = 20
-_POINTS_ACROSS = 33
-
-
 def nearest_lens(camera: CameraModel, names: Sequence[str]) -> tuple[CameraModel, float]:
     """Fit a camera with only the given coefficients; return it, and its largest difference over the sensor, px.
 
@@ -354,13 +358,6 @@ def nearest_lens(camera: CameraModel, names: Sequence[str]) -> tuple[CameraModel
         if np.abs(step * scale).max() < 1e-9:
             break
     return found, float(np.linalg.norm(found.project(rays) - pixels, axis=1).max())
-
-
-#: Pixels that are worked on at once.
-_BLOCK = 200_000
-#: A point of the rectified image farther out than every ray of the sensor would fold back into the image.
-_BEYOND = 1.0 + 1e-6
-_OUTSIDE = -1.0
 
 
 @dataclass(frozen=True)

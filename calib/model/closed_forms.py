@@ -125,10 +125,6 @@ def _plane_conditioning(homographies: Array, image_size: tuple[int, int]) -> Arr
     return np.array([[scale, 0.0, middle[0]], [0.0, scale, middle[1]], [0.0, 0.0, 1.0]])
 
 
-# The planar model, in which each view has its own free centre (Zhang, 2000): a comparison, and a second way to start
-# the spherical model.
-
-
 def zhang_matrix(
     homographies: Array, image_size: tuple[int, int], *, free_principal_point: bool
 ) -> Array | None:

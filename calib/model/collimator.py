@@ -15,6 +15,24 @@ import numpy as np
 from calib.arrays import Array
 
 CENTRE = ("x", "y", "r")
+#: Names of the aberrations that a passport may hold, those of earlier versions included. ``radial`` and ``radial_4``
+#: are |h|^2 h and |h|^4 h, with the field h in units of r. The others follow the camera's place in the pupil; the joint
+#: adjustment has fields by the turn for these (docs/adjustment.md).
+ABERRATIONS = frozenset(
+    {
+        "pupil_shift",
+        "radial",
+        "radial_4",
+        "field_curve",
+        "tilt_x",
+        "tilt_y",
+        "coma",
+        "coma_round",
+        "astigmatism",
+        "rim_4",
+        "rim_10",
+    }
+)
 
 
 @dataclass(frozen=True)
@@ -82,23 +100,3 @@ class Collimator:
             x, y, r in mm, and the aberration coefficients.
         """
         return dict(zip(self.parameter_names, self.values.tolist(), strict=True))
-
-
-#: Names of the aberrations that a passport may hold, those of earlier versions included. ``radial`` and ``radial_4``
-#: are |h|^2 h and |h|^4 h, with the field h in units of r. The others follow the camera's place in the pupil; the joint
-#: adjustment has fields by the turn for these (docs/adjustment.md).
-ABERRATIONS = frozenset(
-    {
-        "pupil_shift",
-        "radial",
-        "radial_4",
-        "field_curve",
-        "tilt_x",
-        "tilt_y",
-        "coma",
-        "coma_round",
-        "astigmatism",
-        "rim_4",
-        "rim_10",
-    }
-)

@@ -47,6 +47,43 @@ _LIT_SIGMA_MM = 0.5
 #: Share of its new value that a site takes.
 _DAMPING = 0.5
 _HUBER = 2.5
+#: Grid of the 1-sigma scatters between views, as shares of the radius: centre, radius, coefficients of the shape. Each
+#: grid is even in the logarithm, from differences that do not matter to those of the published recordings.
+_CENTRE_SCATTERS = (0.003, 0.01, 0.03, 0.09, 0.2)
+_RADIUS_SCATTERS = (0.001, 0.004, 0.018, 0.08)
+_SHAPE_SCATTERS = (0.0004, 0.0015, 0.005, 0.015, 0.04)
+#: Prior weight of a scatter: its power of this exponent. A few arcs cannot exclude large scatters, and sigmas would be
+#: too small on benches whose rims differ from view to view; where the rims are alike, the data decide.
+_SCATTER_POWER = 1.0
+#: A gimbal holds the pupil so well that the centres scatter by at most this share of the disc's radius.
+_HELD = 0.017
+#: So many matrices, one for each view and scatter, are handled at once.
+_MOST_MATRICES = 1000
+#: Power of the likelihood of the scatters. Views that look in neighbouring directions look through the same glass, so
+#: the nine views of a bench are about five independent ones.
+_LIKELIHOOD_POWER = 0.5
+#: Scatters of a smaller weight no longer take part after two rounds.
+_LEAST_WEIGHT = 1e-6
+#: Scatters of a smaller weight do not enter the average.
+_LEAST_AVERAGED = 1e-4
+#: Prior 1-sigma of what the views have in common: centre and radius as shares of the first guess, motion of the disc
+#: in mm per mm of the camera's look, and coefficients of the shape as shares of the radius.
+_CENTRE_PRIOR, _RADIUS_PRIOR, _WALK_PRIOR, _SHAPE_PRIOR = 0.6, 0.4, 0.3, 0.03
+#: The rim counts as visible if the 1-sigma of the disc's centre is at most this share of its radius.
+_VISIBLE_RIM_SIGMA = 0.15
+#: Smallest 1-sigma of a point, mm: neighbouring points share errors of the map.
+_POINT_FLOOR_MM = 0.03
+#: Largest number of bright points of a view that take part.
+_MOST_BRIGHT = 30
+_ROUNDS, _SETTLED_MM = 20, 1e-3
+#: The same for the fits that average over the scatters.
+_FINAL_ROUNDS, _FINAL_SETTLED_MM = 10, 0.02
+#: Share of a step that is taken. Whole steps run away where a short arc does not tell its shape from its centre.
+_STEP = 0.5
+#: Scatters, as shares of the radius, with which the fit starts: centre, radius, shape.
+_FIRST_SCATTERS = (0.12, 0.05, 0.03)
+#: Number of the unknowns of a view that have each of the three scatters.
+_ALIKE = (2, 1, UNKNOWNS - 3)
 
 
 class Evidence(NamedTuple):
@@ -170,45 +207,6 @@ def bright_sites(sites: _Sites, gap: Array, variance: Array) -> _Sites:
     matched = alone - alone**2 * ratio * (z + ratio) / whole
     matched_gap = gap_alone + alone * ratio / np.sqrt(whole)
     return _Sites(np.maximum(1.0 / matched - 1.0 / alone, 0.0), matched_gap / matched - gap_alone / alone)
-
-
-#: Grid of the 1-sigma scatters between views, as shares of the radius: centre, radius, coefficients of the shape. Each
-#: grid is even in the logarithm, from differences that do not matter to those of the published recordings.
-_CENTRE_SCATTERS = (0.003, 0.01, 0.03, 0.09, 0.2)
-_RADIUS_SCATTERS = (0.001, 0.004, 0.018, 0.08)
-_SHAPE_SCATTERS = (0.0004, 0.0015, 0.005, 0.015, 0.04)
-#: Prior weight of a scatter: its power of this exponent. A few arcs cannot exclude large scatters, and sigmas would be
-#: too small on benches whose rims differ from view to view; where the rims are alike, the data decide.
-_SCATTER_POWER = 1.0
-#: A gimbal holds the pupil so well that the centres scatter by at most this share of the disc's radius.
-_HELD = 0.017
-#: So many matrices, one for each view and scatter, are handled at once.
-_MOST_MATRICES = 1000
-#: Power of the likelihood of the scatters. Views that look in neighbouring directions look through the same glass, so
-#: the nine views of a bench are about five independent ones.
-_LIKELIHOOD_POWER = 0.5
-#: Scatters of a smaller weight no longer take part after two rounds.
-_LEAST_WEIGHT = 1e-6
-#: Scatters of a smaller weight do not enter the average.
-_LEAST_AVERAGED = 1e-4
-#: Prior 1-sigma of what the views have in common: centre and radius as shares of the first guess, motion of the disc
-#: in mm per mm of the camera's look, and coefficients of the shape as shares of the radius.
-_CENTRE_PRIOR, _RADIUS_PRIOR, _WALK_PRIOR, _SHAPE_PRIOR = 0.6, 0.4, 0.3, 0.03
-#: The rim counts as visible if the 1-sigma of the disc's centre is at most this share of its radius.
-_VISIBLE_RIM_SIGMA = 0.15
-#: Smallest 1-sigma of a point, mm: neighbouring points share errors of the map.
-_POINT_FLOOR_MM = 0.03
-#: Largest number of bright points of a view that take part.
-_MOST_BRIGHT = 30
-_ROUNDS, _SETTLED_MM = 20, 1e-3
-#: The same for the fits that average over the scatters.
-_FINAL_ROUNDS, _FINAL_SETTLED_MM = 10, 0.02
-#: Share of a step that is taken. Whole steps run away where a short arc does not tell its shape from its centre.
-_STEP = 0.5
-#: Scatters, as shares of the radius, with which the fit starts: centre, radius, shape.
-_FIRST_SCATTERS = (0.12, 0.05, 0.03)
-#: Number of the unknowns of a view that have each of the three scatters.
-_ALIKE = (2, 1, UNKNOWNS - 3)
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,14 @@ MIN_MARGIN = 0.15
 #: Largest distance of the stars from whole nodes, and their largest scatter, by an expected pose, pitches.
 MAX_OFF_NODE, MAX_SCATTER = 0.3, 0.35
 _QUARTER_TURNS = [np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), quarter) for quarter in range(4)]
+#: Least number of stars of a view.
+MIN_STARS = 12
+#: Largest share of the stars found without the tag that may lie where none is printed.
+MAX_STRAY = 0.02
+#: Least distance of a corner of the tag from the image, px, by a homography, for the tag to be cut.
+CUT_PX = 10.0
+
+NamedBy = Literal["tag", "part of the tag", "expected pose"]
 
 
 class StarLabels(NamedTuple):
@@ -138,16 +146,6 @@ def _modules(image: Array32, grown: StarGrid, h: Array, middle: Array, target: S
         return None
     at = predict_locally(h, grown.nodes().astype(float), grown.places(), on_grid)
     return values_at(image, *at.T).reshape(inner.shape).astype(float)
-
-
-#: Least number of stars of a view.
-MIN_STARS = 12
-#: Largest share of the stars found without the tag that may lie where none is printed.
-MAX_STRAY = 0.02
-#: Least distance of a corner of the tag from the image, px, by a homography, for the tag to be cut.
-CUT_PX = 10.0
-
-NamedBy = Literal["tag", "part of the tag", "expected pose"]
 
 
 class Candidates(NamedTuple):

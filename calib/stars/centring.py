@@ -47,6 +47,15 @@ LAST_STEP_PX = 1e-3
 _MAX_STEPS = 12
 #: Normal equations of a larger condition determine no step.
 _MAX_CONDITION = 1e12
+#: Number of surrounded stars from which their scatter alone is used; below it, the typical factor is mixed in.
+TRUSTED_FROM = 30
+#: Largest normalised square that takes part: chi-square of two degrees of freedom exceeds it 1 in 22,000 times.
+_MAX_SQUARE = 20.0
+#: Neighbours of a star in the stencil, and their weights.
+_STENCIL = {
+    **dict.fromkeys([(1, 0), (-1, 0), (0, 1), (0, -1)], -0.5),
+    **dict.fromkeys([(1, 1), (1, -1), (-1, 1), (-1, -1)], 0.25),
+}
 
 
 class SymmetryFit(NamedTuple):
@@ -130,15 +139,6 @@ def refine_by_symmetry(
         going = kept & ~done
         stars, centres, slopes = stars[going], centres[going], slopes[going]
     return fit
-
-
-#: Neighbours of a star in the stencil, and their weights.
-_STENCIL = dict.fromkeys([(1, 0), (-1, 0), (0, 1), (0, -1)], -0.5)
-_STENCIL |= dict.fromkeys([(1, 1), (1, -1), (-1, 1), (-1, -1)], 0.25)
-#: Number of surrounded stars from which their scatter alone is used; below it, the typical factor is mixed in.
-TRUSTED_FROM = 30
-#: Largest normalised square that takes part: chi-square of two degrees of freedom exceeds it 1 in 22,000 times.
-_MAX_SQUARE = 20.0
 
 
 def stencil_residuals(nodes: Ints, points: Array, nominal: Array) -> tuple[Array, Array]:

@@ -18,6 +18,14 @@ from calib.stars.centring import SYMMETRY_REACH
 from calib.stars.grid_map import LocalMap
 from calib.stars.printed_star import OVERSAMPLING, EdgeMap, cell_reach
 
+#: Width of the bins of tau, px.
+TAU_BIN_PX = 0.03
+_BINS_PER_PX = 1.0 / TAU_BIN_PX
+#: Largest number of levels of brightness.
+LEVELS = 64
+#: Number of unknowns of a star: shift of its centre x, y; shift of the threshold; slope of the threshold x, y.
+EDGE_UNKNOWNS = 5
+
 
 class EdgePixels(NamedTuple):
     """All pixels near an edge of N stars with E edges each: star by star, and in each star edge by edge."""
@@ -139,15 +147,6 @@ def _store_by_edge(space: Any, small: Any, n: Any, counts: Any, group: int, foun
         counts[edge] += 1
         found.tau[at], found.along_x[at], found.along_y[at] = space[0, m], space[1, m], space[2, m]
         found.u[at], found.v[at], found.level[at] = space[3, m], space[4, m], small[0, m]
-
-
-#: Width of the bins of tau, px.
-TAU_BIN_PX = 0.03
-_BINS_PER_PX = 1.0 / TAU_BIN_PX
-#: Largest number of levels of brightness.
-LEVELS = 64
-#: Number of unknowns of a star: shift of its centre x, y; shift of the threshold; slope of the threshold x, y.
-EDGE_UNKNOWNS = 5
 
 
 class ScoreTables(NamedTuple):

@@ -16,6 +16,17 @@ from numpy.typing import NDArray
 from calib.arrays import Array, Bools
 from calib.model.homography import apply_homography, fit_homography
 
+#: Number of neighbours that predict a star.
+NEIGHBOURS = 12
+#: Ridge of the local polynomials for 1, x, y, x^2, x y, y^2. It keeps them flat if all neighbours lie on one side or
+#: on a line.
+RIDGE = (0.0, 0.5, 0.5, 8.0, 8.0, 8.0)
+#: Least number of stars for a polynomial of each degree over a view.
+STARS_FOR_DEGREE = {2: 20, 3: 40, 4: 80, 5: 160}
+#: Largest residual of a star that takes part in the fit of a view, in robust standard deviations.
+OUTLIER_SIGMAS = 5.0
+_STEP_PITCHES = 0.05
+
 
 class LocalMap(NamedTuple):
     """Map from the target plane to the image around each of N stars, without its centre."""
@@ -28,18 +39,6 @@ class LocalMap(NamedTuple):
     def pitch_px(self) -> float:
         """Typical distance, px, of neighbouring stars: the root of the median Jacobian determinant."""
         return float(np.sqrt(np.median(np.abs(np.linalg.det(self.linear)))))
-
-
-#: Number of neighbours that predict a star.
-NEIGHBOURS = 12
-#: Ridge of the local polynomials for 1, x, y, x^2, x y, y^2. It keeps them flat if all neighbours lie on one side or
-#: on a line.
-RIDGE = (0.0, 0.5, 0.5, 8.0, 8.0, 8.0)
-#: Least number of stars for a polynomial of each degree over a view.
-STARS_FOR_DEGREE = {2: 20, 3: 40, 4: 80, 5: 160}
-#: Largest residual of a star that takes part in the fit of a view, in robust standard deviations.
-OUTLIER_SIGMAS = 5.0
-_STEP_PITCHES = 0.05
 
 
 def predict_locally(h: Array, grid: Array, points: Array, wanted: Array) -> Array:

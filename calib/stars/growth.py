@@ -27,6 +27,40 @@ from calib.stars.tag import TagDetection
 from calib.stars.template import SEARCH_RADII, SHARP_CORRELATION, StarTemplate, correlations, values_at
 from calib.target import StarTarget
 
+#: Least correlation with its pattern of a star during growth.
+MIN_CORRELATION = 0.45
+#: Radius of the search around a predicted star, pitches: for the first stars, and next to stars already found.
+FIRST_REACH, REACH = 0.15, 0.08
+#: Least distance of neighbouring stars, px.
+MIN_PITCH_PX = 10.0
+#: How often the pattern of a star is learnt from the first nodes, each time at places that are nearer to the stars.
+LEARNING_ROUNDS = 3
+#: How often a node is searched, each time with more neighbours that predict it.
+MAX_TRIES = 3
+#: Least number of points for a homography; from half of it on, an affine map is fitted.
+PERSPECTIVE_FROM = 16
+_AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
+
+#: Pitches that are tried, px. Neighbouring ones are so close that a star responds to one of them.
+PITCHES_PX = tuple(18.0 * 1.3**k for k in range(7))
+#: The image is reduced until a pitch has this length, px.
+SMALL_PITCH_PX = 18.0
+#: Inner and outer radius of the ring of the response, pitches.
+RING = (0.22, 0.46)
+#: Least response of a candidate, 0 to 1, and largest number of candidates.
+MIN_RESPONSE, MAX_CANDIDATES = 0.35, 400
+#: Least response of a candidate that is tried first, as a share of the largest response.
+STRONG = 0.75
+#: The search over pitches ends if a pitch has less than the share `PAST` of the best pitch's total response, and that
+#: is more than the share `MIN_SHARE` of the image's area.
+PAST, MIN_SHARE = 0.5, 0.05
+#: Largest distance of a neighbour from the corner of a square, pitches.
+SQUARENESS = 0.2
+#: Least correlation with their pattern of the first star and its neighbours, without the tag.
+MIN_FIRST_CORRELATION = 0.5
+#: Largest number of candidates that are tried in a group.
+MAX_TRIED = 25
+
 
 def search_stars(
     image: Array32, guesses: Array, linear: Array, reach_px: Array, template: StarTemplate, sign: float
@@ -49,21 +83,6 @@ def search_stars(
     best = np.where(np.isnan(score), -np.inf, score).argmax(axis=1)
     score = score[np.arange(len(score)), best]
     return np.where(np.isnan(score)[:, None], np.nan, guesses + moves[best]), score
-
-
-#: Least correlation with its pattern of a star during growth.
-MIN_CORRELATION = 0.45
-#: Radius of the search around a predicted star, pitches: for the first stars, and next to stars already found.
-FIRST_REACH, REACH = 0.15, 0.08
-#: Least distance of neighbouring stars, px.
-MIN_PITCH_PX = 10.0
-#: How often the pattern of a star is learnt from the first nodes, each time at places that are nearer to the stars.
-LEARNING_ROUNDS = 3
-#: How often a node is searched, each time with more neighbours that predict it.
-MAX_TRIES = 3
-#: Least number of points for a homography; from half of it on, an affine map is fitted.
-PERSPECTIVE_FROM = 16
-_AROUND = [(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)]
 
 
 @dataclass
@@ -181,27 +200,6 @@ def _refitted(h: Array, start: GrowthStart, grown: StarGrid) -> Array:
     if len(grid) >= PERSPECTIVE_FROM:
         return fit_homography(grid, places)
     return fit_affine(grid, places) if len(grid) >= PERSPECTIVE_FROM // 2 else h
-
-
-#: Pitches that are tried, px. Neighbouring ones are so close that a star responds to one of them.
-PITCHES_PX = tuple(18.0 * 1.3**k for k in range(7))
-#: The image is reduced until a pitch has this length, px.
-SMALL_PITCH_PX = 18.0
-#: Inner and outer radius of the ring of the response, pitches.
-RING = (0.22, 0.46)
-#: Least response of a candidate, 0 to 1, and largest number of candidates.
-MIN_RESPONSE, MAX_CANDIDATES = 0.35, 400
-#: Least response of a candidate that is tried first, as a share of the largest response.
-STRONG = 0.75
-#: The search over pitches ends if a pitch has less than the share `PAST` of the best pitch's total response, and that
-#: is more than the share `MIN_SHARE` of the image's area.
-PAST, MIN_SHARE = 0.5, 0.05
-#: Largest distance of a neighbour from the corner of a square, pitches.
-SQUARENESS = 0.2
-#: Least correlation with their pattern of the first star and its neighbours, without the tag.
-MIN_FIRST_CORRELATION = 0.5
-#: Largest number of candidates that are tried in a group.
-MAX_TRIED = 25
 
 
 class _Candidates(NamedTuple):

@@ -39,6 +39,7 @@ FIRST_FOCAL_LENGTHS = (0.6, 1.0, 1.7, 2.9, 5.0)
 SIDE, INNER = 5, 0.8
 _LOG_F, _CENTRE, _LOG_R, _MOUNTING, _BASE = 0, slice(1, 3), 3, slice(4, 7), slice(7, 10)
 _UNKNOWNS = 10
+_REMEDY = "Begin with poses that have the tag in view, in two directions or more along each axis that moves."
 
 
 def grid_homography(matrix: Array, rotation: Array, centre_mm: Array, pitch_mm: float) -> Array:
@@ -125,9 +126,6 @@ def predict_grid(
             remedy=_REMEDY,
         )
     return prediction
-
-
-_REMEDY = "Begin with poses that have the tag in view, in two directions or more along each axis that moves."
 
 
 def _image_points(image_size: tuple[int, int]) -> Array:

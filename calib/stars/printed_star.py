@@ -28,6 +28,8 @@ TAU_LIMIT_BLURS = 3.2
 _QUANTILES = 1 << 16
 #: Least brightness for which a distance is computed, and least darkness.
 _LEAST_SHARE = 1e-4
+#: Least half side of the part of a cell that is used, pitches, however wide the blur is.
+MIN_REACH = 0.25
 
 
 class EdgeMap(NamedTuple):
@@ -92,10 +94,6 @@ def _nearest_edges(pitch_px: float, segments: int) -> Bytes:
     u, v = np.meshgrid(_steps(pitch_px), _steps(pitch_px))
     edge = np.round(np.arctan2(v, u) / (2.0 * np.pi) * segments) % segments
     return np.asarray(edge, np.uint8)
-
-
-#: Least half side of the part of a cell that is used, pitches, however wide the blur is.
-MIN_REACH = 0.25
 
 
 def open_sides(target: StarTarget, nodes: Ints) -> Bools:

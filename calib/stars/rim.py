@@ -53,6 +53,24 @@ _ROUNDS = 12
 _CLEARLY_WORSE = 1.5
 #: Distance from the rim, in widths, beyond which the logistic function is 0 or 1.
 _SATURATED = 14.0
+#: Nodes farther than this from all stars, pitches, are outside of the beam.
+_REACH = 3
+#: Samples along each side of a node's cell, and their least distance from an edge of the print, pitches: first of all
+#: cells, then of those near the rim.
+_COARSE, _FINE = (24, 0.055), (56, 0.04)
+
+#: A border whose width is at most this share of its length may be straight.
+_FLAT = 0.35
+
+#: Grey values of dark and bright print inside the beam, and whether white print is the dark one.
+_Levels = tuple[float, float, bool]
+
+#: Standard uncertainty per axis that is added to a vignetted star's own, px. In simulated beams the outermost stars
+#: are all shifted outwards by 0.03 px, which changes f by 2 sigma. With this uncertainty they have little weight.
+VIGNETTED_SIGMA_PX = 0.2
+#: Distance from the border of the frame, pitches, within which a neighbour is missing because of the border.
+_BORDER_PITCHES = 0.55
+_NEIGHBOURS = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)])
 
 
 class Samples(NamedTuple):
@@ -218,26 +236,12 @@ def _last_bright(section: Ints, rho: Array, bright: Bools, open_: Bools, pitch_m
     return np.asarray(order[ends])
 
 
-#: Nodes farther than this from all stars, pitches, are outside of the beam.
-_REACH = 3
-#: Samples along each side of a node's cell, and their least distance from an edge of the print, pitches: first of all
-#: cells, then of those near the rim.
-_COARSE, _FINE = (24, 0.055), (56, 0.04)
-
-#: A border whose width is at most this share of its length may be straight.
-_FLAT = 0.35
-
-
 class _Map(NamedTuple):
     """Map of a view: (N, 2) nodes, and for each its (2,) image point and (2, 2) derivatives, px and px per pitch."""
 
     nodes: Ints
     points: Array
     linear: Array
-
-
-#: Grey values of dark and bright print inside the beam, and whether white print is the dark one.
-_Levels = tuple[float, float, bool]
 
 
 def find_rim(image: NDArray[Any], view: View, target: StarTarget) -> RimPoints | None:
@@ -392,14 +396,6 @@ def _coarse_circle(border_mm: Array, samples: Samples) -> tuple[Array, float]:
         normal = axes[1] * np.sign(axes[1] @ inward)
         centre = 2.0 * reach * normal
     return origin + centre, float(np.sqrt(np.mean(((away - centre) ** 2).sum(axis=1))))
-
-
-#: Standard uncertainty per axis that is added to a vignetted star's own, px. In simulated beams the outermost stars
-#: are all shifted outwards by 0.03 px, which changes f by 2 sigma. With this uncertainty they have little weight.
-VIGNETTED_SIGMA_PX = 0.2
-#: Distance from the border of the frame, pitches, within which a neighbour is missing because of the border.
-_BORDER_PITCHES = 0.55
-_NEIGHBOURS = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1) if (i, j) != (0, 0)])
 
 
 def vignetted_stars(view: View, target: StarTarget) -> Bools:

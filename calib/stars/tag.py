@@ -28,6 +28,27 @@ MIN_CORRELATION = 0.5
 MIN_PICTURE_PX = 170
 #: Least perimeter of a tag, as a share of the picture's longer side. The many corners of stars are smaller.
 MIN_PERIMETER = 0.12
+Border = Literal["left", "right", "upper", "lower"]
+
+#: Long side of the reduced image, cells. A module of a tag is then some cells wide.
+REDUCED = 320
+#: Brightness below which a cell is dark, as a share of the brightness of white print.
+DARK = 0.5
+#: Least and largest side, as a share of the picture's longer side, and relative to the side that is expected.
+SIDES, OF_EXPECTED = (0.05, 0.5), (0.6, 1.3)
+#: Least share of its rectangle that a square fills; least ratio of its sides if it is whole, and if it is cut.
+FILLED, WHOLE, CUT = 0.88, 0.85, 0.4
+#: Width of a tag's dark edge and of the margin around it, as a share of the side; least share that is dark and light.
+EDGE, EDGE_DARK, MARGIN_LIGHT = 0.06, 0.75, 0.85
+#: Least share of light inside the dark edge: a tag shows white modules there.
+INSIDE_LIGHT = 0.1
+
+_NORMALS: dict[Border, Array] = {
+    "left": np.array([-1.0, 0.0]),
+    "right": np.array([1.0, 0.0]),
+    "upper": np.array([0.0, -1.0]),
+    "lower": np.array([0.0, 1.0]),
+}
 
 
 @dataclass(frozen=True)
@@ -171,22 +192,6 @@ def _values(picture: Array32, scale: float, at: Array) -> Array:
     return np.asarray(seen, float).ravel()
 
 
-Border = Literal["left", "right", "upper", "lower"]
-
-#: Long side of the reduced image, cells. A module of a tag is then some cells wide.
-REDUCED = 320
-#: Brightness below which a cell is dark, as a share of the brightness of white print.
-DARK = 0.5
-#: Least and largest side, as a share of the picture's longer side, and relative to the side that is expected.
-SIDES, OF_EXPECTED = (0.05, 0.5), (0.6, 1.3)
-#: Least share of its rectangle that a square fills; least ratio of its sides if it is whole, and if it is cut.
-FILLED, WHOLE, CUT = 0.88, 0.85, 0.4
-#: Width of a tag's dark edge and of the margin around it, as a share of the side; least share that is dark and light.
-EDGE, EDGE_DARK, MARGIN_LIGHT = 0.06, 0.75, 0.85
-#: Least share of light inside the dark edge: a tag shows white modules there.
-INSIDE_LIGHT = 0.1
-
-
 class DarkSquare(NamedTuple):
     """A dark square that looks like a tag."""
 
@@ -248,14 +253,6 @@ def _square(
             if abs(towards) > 0.7:
                 out += math.copysign(0.5 * (side - length), towards) * axis
     return (float(x + out[0]), float(y + out[1])), side, borders
-
-
-_NORMALS: dict[Border, Array] = {
-    "left": np.array([-1.0, 0.0]),
-    "right": np.array([1.0, 0.0]),
-    "upper": np.array([0.0, -1.0]),
-    "lower": np.array([0.0, 1.0]),
-}
 
 
 def _borders(points: NDArray[Any], shape: tuple[int, ...]) -> tuple[Border, ...]:

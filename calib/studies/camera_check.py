@@ -47,6 +47,15 @@ _REGIONS = 3
 #: A single kind of change is named if it explains this share of the squared difference.
 _EXPLAINS = 0.8
 _ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "centre", "right")
+#: Changes of the camera that a pose imitates to this share of their effect are not judged.
+_UNSEEN = 1e-3
+#: A point farther off than this many robust sigmas, after all changes are allowed, is a gross error.
+_GROSS = 6.0
+_MEDIAN_OF_NORMAL = 0.6745
+_LEAST_POINTS = 20
+
+#: Each half must determine a camera.
+_MIN_VIEWS = 4
 
 
 @dataclass(frozen=True)
@@ -166,14 +175,6 @@ def _shares(camera: CameraModel, slope: Array, offset: Array) -> dict[str, float
 def _scaled(camera: CameraModel) -> Array:
     """Return the (K,) change of the parameters of a camera that is larger by a share."""
     return np.append([camera.fx, camera.fy], np.zeros(len(camera.values) - 2))
-
-
-#: Changes of the camera that a pose imitates to this share of their effect are not judged.
-_UNSEEN = 1e-3
-#: A point farther off than this many robust sigmas, after all changes are allowed, is a gross error.
-_GROSS = 6.0
-_MEDIAN_OF_NORMAL = 0.6745
-_LEAST_POINTS = 20
 
 
 @dataclass(frozen=True)
@@ -297,10 +298,6 @@ def _seen_from(camera: CameraModel, moved: Array, inverse: Array, limit: float) 
         if kind not in PINHOLE[:2]:
             found[kind] = float(np.sqrt(limit / squares)) if squares > 0 else np.inf
     return found
-
-
-#: Each half must determine a camera.
-_MIN_VIEWS = 4
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,12 @@ _PAIRS = 8
 _THIRD_ORDER, _FIFTH_ORDER = 0.003, -0.002
 #: Robust limit of predicted stars; they have no residuals.
 _LIMIT = 1.0
+_GRID_POINTS = 9
+#: Poses are compared with about so many of their stars; each then counts for those that are left out.
+_STARS = 80
+
+#: Distance at which two poses share about a third of their errors, degrees.
+SHARED_ERROR_DEG = 1.5
 
 
 def posed_bench(
@@ -132,11 +138,6 @@ def _still(found: Solution) -> Solution:
     return replace(found, step=np.zeros_like(found.step), fields=np.zeros_like(found.fields))
 
 
-_GRID_POINTS = 9
-#: Poses are compared with about so many of their stars; each then counts for those that are left out.
-_STARS = 80
-
-
 @dataclass(frozen=True)
 class Sigmas:
     """Standard uncertainties that some poses leave, for the expected amplitudes."""
@@ -215,10 +216,6 @@ def _prior(problem: Problem, squares: Array) -> Array:
     information, at = problem.stated().information.copy(), problem.random.places
     information[at[:, None], at] += problem.random.information(squares)[0]
     return information
-
-
-#: Distance at which two poses share about a third of their errors, degrees.
-SHARED_ERROR_DEG = 1.5
 
 
 def distance_deg(one: Angles, other: Angles) -> float:

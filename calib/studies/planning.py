@@ -39,6 +39,11 @@ from calib.studies.predicted_views import ExpectedBench, predicted_view, rim_sha
 from calib.uncertainty.projection_uncertainty import ProjectionMap, projection_uncertainty
 from calib.view import View
 
+_MIN_VIEWS = 3
+_MOVED_DEG = 0.5
+#: Poses are weighed again so many at a time.
+_AT_ONCE = 12
+
 
 @dataclass(frozen=True)
 class Forecast:
@@ -142,12 +147,6 @@ def _remarks(bench: ExpectedBench) -> tuple[str, ...]:
             "uncertainty."
         )
     return tuple(remarks)
-
-
-_MIN_VIEWS = 3
-_MOVED_DEG = 0.5
-#: Poses are weighed again so many at a time.
-_AT_ONCE = 12
 
 
 @on_one_thread

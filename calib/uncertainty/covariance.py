@@ -31,6 +31,16 @@ _SINGULAR = 1e-13
 _DETERMINED = 1e-6
 #: Probability that consistent views are reported as inconsistent.
 _FALSE_ALARMS = 1e-3
+#: Leaving one pose out must leave enough to calibrate with.
+_MIN_POSES = 3
+#: Views differ by far more than what a refit leaves undone at this tolerance: some hundredths of a sigma.
+_TOLERANCE = 1e-8
+#: A step is the answer if it reaches this share of what it promises. Steps of 20 views that reached .83 or more ended
+#: within a twentieth of their length of the optimum, and the rms of the views left out was right to a thousandth.
+_PROMISED = 0.7
+#: Behind a collimator the centres of the views agree to a few per cent of the radius. If they scatter by more than this
+#: share of their distance, the target is a board that was placed anew for each view.
+_PLACED_BY_HAND = 0.1
 
 
 @dataclass(frozen=True)
@@ -184,18 +194,6 @@ def inverse_information(information: Array, names: Sequence[str]) -> Array:
             f"These views cannot separate {free}.", remedy="Add views turned about other axes."
         )
     return np.asarray((vectors / eigenvalues) @ vectors.T * np.outer(scale, scale))
-
-
-#: Leaving one pose out must leave enough to calibrate with.
-_MIN_POSES = 3
-#: Views differ by far more than what a refit leaves undone at this tolerance: some hundredths of a sigma.
-_TOLERANCE = 1e-8
-#: A step is the answer if it reaches this share of what it promises. Steps of 20 views that reached .83 or more ended
-#: within a twentieth of their length of the optimum, and the rms of the views left out was right to a thousandth.
-_PROMISED = 0.7
-#: Behind a collimator the centres of the views agree to a few per cent of the radius. If they scatter by more than this
-#: share of their distance, the target is a board that was placed anew for each view.
-_PLACED_BY_HAND = 0.1
 
 
 def leave_one_out(bundle: Bundle, parameters: AdjustmentParameters, loss: Loss) -> float | None:

@@ -15,6 +15,23 @@ from numpy.typing import NDArray
 
 from drivers.errors import NotARecording, UnreadableEvents
 
+MOST_RATIO: Final = 200
+"""How many times larger than the file its arrays may be. Events are compressed to a third, at most to a thirtieth."""
+SMALL_BYTES: Final = 1 << 24
+"""Arrays of this size need no ratio."""
+MOST_TRIGGERS: Final = 5_000_000
+"""Largest number of trigger edges: a day of 28 Hz, or six hours of 115 Hz."""
+MAX_TIME_US: Final = 86_400_000_000
+"""One day: the clock words of longer gaps would fill the disk (42 MB a day), and no recording lasts that long."""
+_SECOND_US: Final = 1_000_000
+_YEAR_2000_US: Final = 946_684_800_000_000
+_YEAR_2100_US: Final = 4_102_444_800_000_000
+_MOST_NAMED: Final = 8
+
+_TYPES: Final[tuple[type[np.generic], ...]] = (np.int64, np.uint16, np.uint16, np.uint8)
+
+_Columns = tuple[NDArray[Any], ...]
+
 
 class Events(NamedTuple):
     """Contrast change events in the order in which the sensor sent them, one array a field."""
@@ -65,19 +82,6 @@ def join_triggers(pieces: list[Triggers]) -> Triggers:
         else empty_triggers(0)
     )
 
-
-MOST_RATIO: Final = 200
-"""How many times larger than the file its arrays may be. Events are compressed to a third, at most to a thirtieth."""
-SMALL_BYTES: Final = 1 << 24
-"""Arrays of this size need no ratio."""
-MOST_TRIGGERS: Final = 5_000_000
-"""Largest number of trigger edges: a day of 28 Hz, or six hours of 115 Hz."""
-MAX_TIME_US: Final = 86_400_000_000
-"""One day: the clock words of longer gaps would fill the disk (42 MB a day), and no recording lasts that long."""
-_SECOND_US: Final = 1_000_000
-_YEAR_2000_US: Final = 946_684_800_000_000
-_YEAR_2100_US: Final = 4_102_444_800_000_000
-_MOST_NAMED: Final = 8
 
 Piece = tuple[Events, Triggers]
 
@@ -247,9 +251,6 @@ def as_events(t: Any, x: Any, y: Any, p: Any) -> Events:
     )
 
 
-_TYPES: Final[tuple[type[np.generic], ...]] = (np.int64, np.uint16, np.uint16, np.uint8)
-
-
 def _whole(name: str, values: Any, dtype: type[np.generic]) -> Any:
     """Convert numbers to a type. Raises NotARecording if they are not whole, or do not fit."""
     values = np.asarray(values)
@@ -261,9 +262,6 @@ def _whole(name: str, values: Any, dtype: type[np.generic]) -> Any:
     if cast is not values and not np.array_equal(cast, values):
         raise UnreadableEvents(f"some numbers of {name} do not fit into {np.dtype(dtype)}.")
     return cast
-
-
-_Columns = tuple[NDArray[Any], ...]
 
 
 def even_pieces(pieces: Iterable[_Columns], size: int) -> Iterator[_Columns]:

@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera.event_arrays import Events, Triggers, empty_events, join_triggers
-from drivers.camera.evt3_kernel import MARGIN, S, StopReason, add_events, max_event_count, new_state, run
+from drivers.camera.evt3_kernel import MARGIN, add_events, max_event_count, run
+from drivers.camera.evt3_state import S, StopReason, new_state
 from drivers.errors import RecordingCorrupt
 
 Words = NDArray[np.uint16]

@@ -36,6 +36,20 @@ DEV: Final = Path("/dev")
 """Folder of the device files."""
 SYSTEM: Final = Path("/sys/class/video4linux")
 """Folder in which Linux lists its video devices."""
+IMAGE_SUFFIXES: Final = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
+"""Endings of the files that count as images."""
+
+STALE_FRAMES: Final = 5
+"""Number of old frames that a video device may hand out: four in its buffers, and the one that is being exposed."""
+
+START_S: Final = 60.0
+"""Longest time until a network camera's first frame after it is opened, s."""
+
+SILENCE_S: Final = 10.0
+"""Longest time without a frame later, s; for a video device of Linux, OpenCV waits as long."""
+
+_MANUAL_EXPOSURE: Final = 1.0
+"""V4L2's value of manual exposure."""
 
 
 def device_path(source: str, dev: Path = DEV) -> Path | None:
@@ -87,10 +101,6 @@ def video_devices(dev: Path = DEV, system: Path = SYSTEM) -> list[FoundCamera]:
         )
         for device in devices
     ]
-
-
-IMAGE_SUFFIXES: Final = (".bmp", ".jpeg", ".jpg", ".pgm", ".png", ".tif", ".tiff")
-"""Endings of the files that count as images."""
 
 
 class FolderFrameCamera:
@@ -164,19 +174,6 @@ class FolderFrameCamera:
             self._pages = list(read_frames(file))
         self._taken += 1
         return self._pages.pop(0)
-
-
-STALE_FRAMES: Final = 5
-"""Number of old frames that a video device may hand out: four in its buffers, and the one that is being exposed."""
-
-START_S: Final = 60.0
-"""Longest time until a network camera's first frame after it is opened, s."""
-
-SILENCE_S: Final = 10.0
-"""Longest time without a frame later, s; for a video device of Linux, OpenCV waits as long."""
-
-_MANUAL_EXPOSURE: Final = 1.0
-"""V4L2's value of manual exposure."""
 
 
 class OpenCvFrameCamera:

@@ -22,7 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera import CameraIdentity
-from drivers.camera.raw_writer import check_new, check_space, require_regular, require_whole, sync_file
+from drivers.camera.raw_check import require_regular, require_whole
+from drivers.camera.raw_writer import check_new, check_space, sync_file
 from drivers.clock import Clock
 from drivers.errors import NotARecording, RecordingFailed, RecordingFileError
 
@@ -36,6 +37,12 @@ MOST_PAGES: Final = 10_000
 """Images that a TIFF may have at most."""
 _MOST_SEGMENTS: Final = 10_000
 _PNM = re.compile(rb"P[1-6]\s+(?:#[^\n]*\n\s*)*([0-9]+)\s+(?:#[^\n]*\n\s*)*([0-9]+)")
+_PAUSE_S: Final = 0.1
+"""Pause between two uses of the clock while frames are written, s."""
+
+T = TypeVar("T")
+Frame = NDArray[np.uint8] | NDArray[np.uint16]
+"""Grey values of one frame, (height, width) uint8 or uint16."""
 
 
 class ImageSize(NamedTuple):
@@ -140,14 +147,6 @@ def _tiff(file: BinaryIO, order: str) -> list[ImageSize]:
 
 def _refused(path: Path, what: str) -> NotARecording:
     return NotARecording(what, where=str(path), remedy="Give an original photograph of the target.")
-
-
-_PAUSE_S: Final = 0.1
-"""Pause between two uses of the clock while frames are written, s."""
-
-T = TypeVar("T")
-Frame = NDArray[np.uint8] | NDArray[np.uint16]
-"""Grey values of one frame, (height, width) uint8 or uint16."""
 
 
 @dataclass(frozen=True)

@@ -50,6 +50,13 @@ from drivers.errors import (
 )
 from drivers.lateness import own_lateness
 
+_POLL_S: Final = 0.001
+
+_RECONNECT: Final = "Check the camera's cable and power, then resume the run."
+
+_LARGEST_STEP_US: Final = 1_000_000
+"""Between two buffers of one stream lie milliseconds. A longer step means that the sensor's clock was restarted."""
+
 
 @contextmanager
 def lets_go(*, holds: bool = False) -> Iterator[None]:
@@ -77,14 +84,6 @@ def _clear(error: BaseException | None, outside: BaseException | None) -> None:
         cleared.add(id(one))
         traceback.clear_frames(one.__traceback__)
         waiting += [one.__cause__, one.__context__]
-
-
-_POLL_S: Final = 0.001
-
-_RECONNECT: Final = "Check the camera's cable and power, then resume the run."
-
-_LARGEST_STEP_US: Final = 1_000_000
-"""Between two buffers of one stream lie milliseconds. A longer step means that the sensor's clock was restarted."""
 
 
 class MetavisionEvk4(UsbCameraDriver):

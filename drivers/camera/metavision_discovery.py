@@ -28,6 +28,23 @@ _OLD_FIRMWARE: Final = re.compile(r"serial\s*(\S+)\s*is using an old firmware")
 """OpenEB 5.1.1, ``tz_libusb_board_command.cpp``: written once for each camera in a process, for firmware below 3.8."""
 
 refused_firmware: set[str] = set()
+OLDEST_FIRMWARE: Final = "3.8"
+"""The maker's software refuses an EVK4 with an older firmware."""
+_DENIED: Final = "LIBUSB_ERROR_ACCESS"
+"""Word of the software on standard error for a camera that this user may not use."""
+_MUTE: Final = "LIBUSB_ERROR_TIMEOUT"
+"""Word of the software for a camera that does not answer."""
+_REPLUG: Final = "Pull the camera's cable, wait for 5 s, plug it in again, then resume the run."
+_ENDED: Final = re.compile(r"Error (\w+): LibUSB connection error: \*\*UNKNOWN\*\*")
+_ENDINGS: Final[Mapping[str, str]] = {
+    "1": "error",
+    "2": "timed out",
+    "4": "stalled",
+    "5": "the device is gone",
+    "6": "the device sent too much",
+}
+"""States in which libusb ends a transfer; OpenEB tells them as errors without a name."""
+_UPDATE: Final = "Update the camera's firmware with the maker's updater (support.prophesee.ai)"
 
 
 @contextmanager
@@ -62,25 +79,6 @@ def listening() -> Iterator[list[str]]:
 def cameras_with_old_firmware() -> frozenset[str]:
     """Return the serial numbers of the cameras that the maker's software refused for their firmware."""
     return frozenset(refused_firmware)
-
-
-OLDEST_FIRMWARE: Final = "3.8"
-"""The maker's software refuses an EVK4 with an older firmware."""
-_DENIED: Final = "LIBUSB_ERROR_ACCESS"
-"""Word of the software on standard error for a camera that this user may not use."""
-_MUTE: Final = "LIBUSB_ERROR_TIMEOUT"
-"""Word of the software for a camera that does not answer."""
-_REPLUG: Final = "Pull the camera's cable, wait for 5 s, plug it in again, then resume the run."
-_ENDED: Final = re.compile(r"Error (\w+): LibUSB connection error: \*\*UNKNOWN\*\*")
-_ENDINGS: Final[Mapping[str, str]] = {
-    "1": "error",
-    "2": "timed out",
-    "4": "stalled",
-    "5": "the device is gone",
-    "6": "the device sent too much",
-}
-"""States in which libusb ends a transfer; OpenEB tells them as errors without a name."""
-_UPDATE: Final = "Update the camera's firmware with the maker's updater (support.prophesee.ai)"
 
 
 def discover() -> tuple[FoundCamera, ...]:

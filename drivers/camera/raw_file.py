@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from drivers.camera.event_arrays import Events, Triggers, empty_events, join_triggers
 from drivers.camera.evt3 import Evt3Decoder, StreamStatistics, Words
 from drivers.camera.evt3_kernel import MARGIN, max_event_count
+from drivers.camera.raw_check import read_start, require_whole
 from drivers.camera.raw_header import RawHeader, parse_header
-from drivers.camera.raw_writer import read_start, reason, require_whole
+from drivers.camera.raw_writer import reason
 from drivers.errors import NotARecording, RecordingFileError
 
 

@@ -27,31 +27,6 @@ MAX_SIDE_PX: Final = 2048
 _COPY_AGAIN: Final = "Copy the file again from the computer that recorded it."
 _CORRECT: Final = "Correct its header in a copy of the file."
 _GIVE_SIZE: Final = "Say the size: starbench convert --sensor-size WIDTHxHEIGHT, in px."
-
-
-class Sensor(NamedTuple):
-    """A sensor that ``system_ID`` stands for, and what it sends if the header does not say it."""
-
-    encoding: str
-    # width, height: px
-    width: int
-    height: int
-
-
-_VGA: Final = Sensor("EVT2", 640, 480)  # Gen3.0 and Gen3.1
-_HD_EVT2: Final = Sensor("EVT2", 1280, 720)  # Gen4.0 and Gen4.1 behind a CCAM3 or an EVK2
-_HD: Final = Sensor("EVT3", 1280, 720)  # Gen4.0, Gen4.1, IMX636, IMX646
-_STACKED_VGA: Final = Sensor("EVT3", 640, 512)  # IMX637, IMX647
-_GENX320: Final = Sensor("EVT21", 320, 320)
-SENSOR_OF_SYSTEM: Final[Mapping[str, Sensor]] = {
-    **dict.fromkeys(("21", "23", "25", "28", "29", "33", "34", "35", "41"), _VGA),
-    **dict.fromkeys(("151", "153", "161", "162"), _VGA),  # the same behind an EVK: 128 more
-    "40": Sensor("EVT3", 640, 480),
-    **dict.fromkeys(("26", "31", "39", "154"), _HD_EVT2),
-    **dict.fromkeys(("30", "32", "46", "48", "49", "50", "53", "58", "66"), _HD),
-    **dict.fromkeys(("52", "54"), _STACKED_VGA),
-    **dict.fromkeys(("55", "59", "64"), _GENX320),
-}
 _FIRST_LITTLE_ENDIAN: Final = 55
 """Smallest ``system_ID`` whose EVT2.1 words are little-endian if the header does not say it."""
 _ENCODINGS: Final = {"2.0": "EVT2", "2.1": "EVT21", "3.0": "EVT3", "4.0": "EVT4"}
@@ -85,6 +60,31 @@ _MAGIC: Final = (
     (b"MM\x00*", "a TIFF image", ""),
     (b"%PDF", "a PDF document", ""),
 )
+
+
+class Sensor(NamedTuple):
+    """A sensor that ``system_ID`` stands for, and what it sends if the header does not say it."""
+
+    encoding: str
+    # width, height: px
+    width: int
+    height: int
+
+
+_VGA: Final = Sensor("EVT2", 640, 480)  # Gen3.0 and Gen3.1
+_HD_EVT2: Final = Sensor("EVT2", 1280, 720)  # Gen4.0 and Gen4.1 behind a CCAM3 or an EVK2
+_HD: Final = Sensor("EVT3", 1280, 720)  # Gen4.0, Gen4.1, IMX636, IMX646
+_STACKED_VGA: Final = Sensor("EVT3", 640, 512)  # IMX637, IMX647
+_GENX320: Final = Sensor("EVT21", 320, 320)
+SENSOR_OF_SYSTEM: Final[Mapping[str, Sensor]] = {
+    **dict.fromkeys(("21", "23", "25", "28", "29", "33", "34", "35", "41"), _VGA),
+    **dict.fromkeys(("151", "153", "161", "162"), _VGA),  # the same behind an EVK: 128 more
+    "40": Sensor("EVT3", 640, 480),
+    **dict.fromkeys(("26", "31", "39", "154"), _HD_EVT2),
+    **dict.fromkeys(("30", "32", "46", "48", "49", "50", "53", "58", "66"), _HD),
+    **dict.fromkeys(("52", "54"), _STACKED_VGA),
+    **dict.fromkeys(("55", "59", "64"), _GENX320),
+}
 
 
 @dataclass(frozen=True)

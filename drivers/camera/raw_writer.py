@@ -10,88 +10,33 @@ from __future__ import annotations
 import errno
 import os
 import shutil
-import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
-from drivers.camera.raw_header import MAX_HEADER_BYTES
-from drivers.errors import DriverError, NotARecording, RecordingCorrupt, RecordingFailed, RecordingFileError
+from drivers.errors import DriverError, RecordingFailed, RecordingFileError
 
-# Check a file of a recording before it is read: an ordinary file, without parts that were never written.
-#
-# A pipe or a device would keep the reader forever; a file with holes states more bytes than were ever
-# written.
+FULL_BYTES: Final = 1 << 20
+"""A disk with less free space than this counts as full."""
 
-_SMALL_BYTES: Final = 1 << 20
-_LEAST_SHARE: Final = 0.1
-"""Share of a file that may be holes: some writers leave gaps between their parts."""
-_MOST_HOLES: Final = 10_000
-_KINDS: Final = (
-    (stat.S_ISDIR, "a folder"),
-    (stat.S_ISFIFO, "a pipe"),
-    (stat.S_ISSOCK, "a socket"),
-    (stat.S_ISCHR, "a device"),
-    (stat.S_ISBLK, "a device"),
-)
+_BINARY: Final = getattr(os, "O_BINARY", 0)  # only Windows has text files
+_FOLDERS_OPEN: Final = hasattr(os, "O_DIRECTORY")
+_TO_SYNC: Final = (
+    os.O_RDONLY if _FOLDERS_OPEN else os.O_RDWR
+)  # Windows cannot sync a file that is open for reading
 
-
-def require_regular(path: Path) -> None:
-    """Refuse (`NotARecording`) a folder, a pipe, a socket or a device; a link to a file is followed."""
-    mode = path.stat().st_mode
-    if stat.S_ISREG(mode):
-        return
-    what = next((name for is_one, name in _KINDS if is_one(mode)), "no ordinary file")
-    raise NotARecording(f"This is {what}, not a file.", where=str(path), remedy="Give a file.")
-
-
-def read_start(path: Path) -> bytes:
-    """Read what may be the header of a file; refuse (`NotARecording`) a folder, a pipe, a socket or a device."""
-    require_regular(path)
-    with path.open("rb") as file:
-        return file.read(MAX_HEADER_BYTES)
-
-
-def require_whole(path: Path) -> None:
-    """Refuse a file with holes: parts that its file system has never stored, because they were never written.
-
-    The `RecordingCorrupt` names the byte at which the first hole begins.
-    """
-    if not hasattr(os, "SEEK_HOLE"):  # Windows
-        return
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        size = os.fstat(descriptor).st_size
-        if size < _SMALL_BYTES:
-            return
-        first, missing = _holes(descriptor, size)
-    finally:
-        os.close(descriptor)
-    if missing > _LEAST_SHARE * size:
-        raise RecordingCorrupt(
-            f"The file is incomplete: of its {size} bytes, {missing} were never written.",
-            offset=first,
-            where=str(path),
-            remedy="Copy it again from its origin, or leave it out.",
-        )
-
-
-def _holes(descriptor: int, size: int) -> tuple[int, int]:
-    """Return where the first hole of a file begins, and how many bytes its holes have together."""
-    first, missing, at = size, 0, 0
-    for _ in range(_MOST_HOLES):
-        try:
-            hole = os.lseek(descriptor, at, os.SEEK_HOLE)
-            if hole >= size:
-                break
-            first = min(first, hole)
-            at = os.lseek(descriptor, hole, os.SEEK_DATA)
-        except OSError as error:  # ENXIO: no data behind the hole; anything else: the file system cannot tell
-            return first, missing + (size - hole if error.errno == errno.ENXIO else 0)
-        missing += at - hole
-    return first, missing
+_REMEDIES: Final = {
+    errno.EEXIST: ("The file exists already", "Recordings are never overwritten: choose another name."),
+    errno.ENOSPC: ("The disk is full", "Free space on that disk, then record again."),
+    errno.EDQUOT: ("The disk quota is used up", "Free space within the quota, then record again."),
+    errno.EACCES: ("This user has no write permission", "Give yourself write permission on the folder."),
+    errno.EPERM: ("This user has no write permission", "Give yourself write permission on the folder."),
+    errno.EROFS: ("The disk is read-only", "Record to a disk that can be written."),
+    errno.ENOENT: ("There is no such folder", "Make the folder first."),
+    errno.ENOTDIR: ("A part of the path is no folder", "Check the path."),
+}
 
 
 @contextmanager
@@ -146,27 +91,6 @@ def _exists(path: Path) -> DriverError:
     return RecordingFileError(
         "The file exists already.", where=str(path), remedy="Choose another name, or remove the file."
     )
-
-
-FULL_BYTES: Final = 1 << 20
-"""A disk with less free space than this counts as full."""
-
-_BINARY: Final = getattr(os, "O_BINARY", 0)  # only Windows has text files
-_FOLDERS_OPEN: Final = hasattr(os, "O_DIRECTORY")
-_TO_SYNC: Final = (
-    os.O_RDONLY if _FOLDERS_OPEN else os.O_RDWR
-)  # Windows cannot sync a file that is open for reading
-
-_REMEDIES: Final = {
-    errno.EEXIST: ("The file exists already", "Recordings are never overwritten: choose another name."),
-    errno.ENOSPC: ("The disk is full", "Free space on that disk, then record again."),
-    errno.EDQUOT: ("The disk quota is used up", "Free space within the quota, then record again."),
-    errno.EACCES: ("This user has no write permission", "Give yourself write permission on the folder."),
-    errno.EPERM: ("This user has no write permission", "Give yourself write permission on the folder."),
-    errno.EROFS: ("The disk is read-only", "Record to a disk that can be written."),
-    errno.ENOENT: ("There is no such folder", "Make the folder first."),
-    errno.ENOTDIR: ("A part of the path is no folder", "Check the path."),
-}
 
 
 class RawWriter:

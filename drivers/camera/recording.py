@@ -34,6 +34,8 @@ from drivers.file_lock import CameraLock, event_camera_name
 
 _CLOCK_AT_ZERO: Final = b"\x00\x80\x00\x60"
 """TIME_HIGH and TIME_LOW: the shortest valid stream."""
+BIASES: Final = ("bias_diff_on", "bias_diff_off", "bias_fo", "bias_hpf", "bias_refr")
+"""The biases that CameraSettings may name. ``bias_diff`` is the reference of two of them and is never changed."""
 
 
 class WordSource(Protocol):
@@ -74,10 +76,6 @@ def refuse_roi(settings: CameraSettings, where: str) -> None:
             where=where,
             remedy="Leave roi out of the station file.",
         )
-
-
-BIASES: Final = ("bias_diff_on", "bias_diff_off", "bias_fo", "bias_hpf", "bias_refr")
-"""The biases that CameraSettings may name. ``bias_diff`` is the reference of two of them and is never changed."""
 
 
 def refuse_unknown_biases(settings: CameraSettings, known: Sequence[str], where: str) -> None:

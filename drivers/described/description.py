@@ -37,6 +37,10 @@ _FIRST: Final = {
     "word": "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789_.+-",
 }
 """Characters with which the text after a placeholder of that kind cannot begin."""
+Checksum = Literal["none", "xor"]
+AxisQuantity = Literal["speed", "acceleration", "lowest", "highest", "constant"]
+ScaleUnit = Literal["counts_per_deg", "deg_per_count", "arcsec_per_count"]
+LightQuantity = Literal["waveform", "frequency_hz", "duty_percent", "level_percent", "sync", "constant"]
 
 
 class TemplateFault(ValueError):
@@ -181,12 +185,6 @@ def _written(place: Placeholder, value: Value) -> str:
     if place.kind == "integer":
         return str(round(value))
     return f"{value:.{9 if place.decimals is None else place.decimals}f}"
-
-
-Checksum = Literal["none", "xor"]
-AxisQuantity = Literal["speed", "acceleration", "lowest", "highest", "constant"]
-ScaleUnit = Literal["counts_per_deg", "deg_per_count", "arcsec_per_count"]
-LightQuantity = Literal["waveform", "frequency_hz", "duty_percent", "level_percent", "sync", "constant"]
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,8 @@ REFUSALS = {
     5: "a time was out of range and was changed to a valid one",
 }
 """Meanings of the error numbers."""
+_DELAY_MS = 0.01
+"""The shortest delay from trigger to pulse, in milliseconds; the same for lamp and sync."""
 
 
 class RtLine(TextLine):
@@ -125,10 +127,6 @@ class RtLine(TextLine):
         if quantity is None:
             raise self.garbled_reply(f"no quantity {name} in {fields}.", READABLE_REMEDY)
         return quantity
-
-
-_DELAY_MS = 0.01
-"""The shortest delay from trigger to pulse, in milliseconds; the same for lamp and sync."""
 
 
 class GardasoftLight(WatchedLight):

@@ -30,6 +30,32 @@ DialectName = Literal["keysight", "numbered", "siglent"]
 
 Setting = tuple[str, str]
 """Name of a setting, for messages, and the command that makes it."""
+# Largest difference of two equal values: the finest resolution that generators have and print.
+_FREQUENCY_REL: Final = 1e-6
+_DUTY_PERCENT: Final = 0.01
+_LEVEL_REL: Final = 1e-3
+_LEVEL_V: Final = 0.002
+_UNITS: Final[Mapping[str, str]] = {"frequency_hz": "Hz", "duty_percent": "%", "low_v": "V", "high_v": "V"}
+
+_SHORT: dict[Waveform, str] = {"square": "SQU", "sine": "SIN", "steady": "DC"}
+_LONG: dict[Waveform, str] = {"square": "SQUARE", "sine": "SINE", "steady": "DC"}
+
+_LONG_HEADERS: Final[Mapping[str, str]] = {
+    "BSWV": "BASIC_WAVE",
+    "OUTP": "OUTPUT",
+    "SYNC": "SYNC",
+    "MDWV": "MODULATEWAVE",
+    "SWWV": "SWEEPWAVE",
+    "BTWV": "BURSTWAVE",
+    "CMBN": "COMBINE",
+    "COUP": "COUPLING",
+}
+_FIELDS: Final[Mapping[str, str]] = {
+    "frequency_hz": "FRQ",
+    "duty_percent": "DUTY",
+    "low_v": "LLEV",
+    "high_v": "HLEV",
+}
 
 
 class Mode(NamedTuple):
@@ -43,14 +69,6 @@ class Mode(NamedTuple):
     def is_switch(self) -> bool:
         """Whether it is on or off, so that a generator has no reason to refuse "off"."""
         return self.words == ("OFF",)
-
-
-# Largest difference of two equal values: the finest resolution that generators have and print.
-_FREQUENCY_REL: Final = 1e-6
-_DUTY_PERCENT: Final = 0.01
-_LEVEL_REL: Final = 1e-3
-_LEVEL_V: Final = 0.002
-_UNITS: Final[Mapping[str, str]] = {"frequency_hz": "Hz", "duty_percent": "%", "low_v": "V", "high_v": "V"}
 
 
 @dataclass(frozen=True)
@@ -89,10 +107,6 @@ class GeneratorReading:
         elif asked.waveform != "steady" and asked.sync_output != self.sync_output:
             wrong.append("sync_output")
         return [f"{name}: asked {getattr(asked, name)}, got {getattr(got, name)}" for name in wrong]
-
-
-_SHORT: dict[Waveform, str] = {"square": "SQU", "sine": "SIN", "steady": "DC"}
-_LONG: dict[Waveform, str] = {"square": "SQUARE", "sine": "SINE", "steady": "DC"}
 
 
 @dataclass(frozen=True)
@@ -202,24 +216,6 @@ class HeaderDialect:
         """Ask whether the output is on. Another query comes first: a late answer to it is not that of a switch."""
         line.query(f"{self.source}FUNC?")
         return line.query_switch(f"{self.output_header}?")
-
-
-_LONG_HEADERS: Final[Mapping[str, str]] = {
-    "BSWV": "BASIC_WAVE",
-    "OUTP": "OUTPUT",
-    "SYNC": "SYNC",
-    "MDWV": "MODULATEWAVE",
-    "SWWV": "SWEEPWAVE",
-    "BTWV": "BURSTWAVE",
-    "CMBN": "COMBINE",
-    "COUP": "COUPLING",
-}
-_FIELDS: Final[Mapping[str, str]] = {
-    "frequency_hz": "FRQ",
-    "duty_percent": "DUTY",
-    "low_v": "LLEV",
-    "high_v": "HLEV",
-}
 
 
 class SiglentDialect:

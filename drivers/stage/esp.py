@@ -47,6 +47,18 @@ AXIS_ERRORS = {
     20: "homing aborted",
 }
 """Meanings of the last two digits of an error of an axis; the digits before them are the number of the axis."""
+_NO_SUCH_COMMAND = 6
+"""Number of the error of a command that this controller does not know."""
+_LEFT_BEHIND = {"TJ": 1.0, "SH": 0.0, "BA": 0.0, "CO": 0.0}
+"""What another program may have left otherwise: the profile of moves (1: a trapezoid; from 4 on, an axis follows
+another one), the position at the reference, the corrections of backlash and of the scale."""
+_DEGREES = 7
+"""Value of ``SN`` for an axis that counts in degrees."""
+_RESOLUTION = 1e-4
+"""Largest difference of two equal settings, in degrees: the controller prints no more digits."""
+_SAME_RESOLUTION = 1e-4
+"""Largest relative difference of two equal resolutions: the controller prints few digits."""
+_MOST_ERRORS = 20
 
 
 @dataclass(frozen=True)
@@ -71,20 +83,6 @@ def parse_error(text: str) -> EspError | None:
     """
     match = _ERROR.fullmatch(text)
     return EspError(int(match[1]), int(match[2]), match[3]) if match else None
-
-
-_NO_SUCH_COMMAND = 6
-"""Number of the error of a command that this controller does not know."""
-_LEFT_BEHIND = {"TJ": 1.0, "SH": 0.0, "BA": 0.0, "CO": 0.0}
-"""What another program may have left otherwise: the profile of moves (1: a trapezoid; from 4 on, an axis follows
-another one), the position at the reference, the corrections of backlash and of the scale."""
-_DEGREES = 7
-"""Value of ``SN`` for an axis that counts in degrees."""
-_RESOLUTION = 1e-4
-"""Largest difference of two equal settings, in degrees: the controller prints no more digits."""
-_SAME_RESOLUTION = 1e-4
-"""Largest relative difference of two equal resolutions: the controller prints few digits."""
-_MOST_ERRORS = 20
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -64,6 +64,16 @@ _ERRORS = {
 
 READ_ONLY = 162
 """Error of FluidNC for a setting that its configuration file holds."""
+_REPORT = re.compile(rb"<([A-Z][A-Za-z]+)(?::(\d{1,3}))?((?:\|[A-Za-z]+(?::[^|<>]*)?)+)>\r*\n")
+_NUMBER = r"-?\d+\.\d+"
+_MACHINE = re.compile(rf"\|MPos:({_NUMBER}(?:,{_NUMBER})*)(?:\||$)")
+_SETTING = re.compile(rb"\$(\d+)=(-?\d+(?:\.\d*)?)(?: *\(.*\))?\r*\n")
+_BUILD = re.compile(rb"\[VER:([^:\]]*):([^\]]*)\]\r*\n")
+_START_UP = re.compile(rb"\$N\d+=(.*?)\r*\n")
+_AXIS_WORD = re.compile(r"[ABCUVWXYZ][-+.\d#\[]", re.IGNORECASE)
+_GREETING = re.compile(rb"grbl|fluidnc|for help\]|rst:0x|brownout", re.IGNORECASE)
+_MESSAGE_AT_START = re.compile(rb"\[MSG:INFO: FluidNC v\d")
+_ALARM = re.compile(rb"ALARM:? *(\d{1,3})?")
 
 
 @dataclass(frozen=True)
@@ -141,17 +151,6 @@ FLUIDNC = Firmware(
     frozenset({1, 2, 13}),
 )
 UNKNOWN = Firmware("this firmware")
-
-_REPORT = re.compile(rb"<([A-Z][A-Za-z]+)(?::(\d{1,3}))?((?:\|[A-Za-z]+(?::[^|<>]*)?)+)>\r*\n")
-_NUMBER = r"-?\d+\.\d+"
-_MACHINE = re.compile(rf"\|MPos:({_NUMBER}(?:,{_NUMBER})*)(?:\||$)")
-_SETTING = re.compile(rb"\$(\d+)=(-?\d+(?:\.\d*)?)(?: *\(.*\))?\r*\n")
-_BUILD = re.compile(rb"\[VER:([^:\]]*):([^\]]*)\]\r*\n")
-_START_UP = re.compile(rb"\$N\d+=(.*?)\r*\n")
-_AXIS_WORD = re.compile(r"[ABCUVWXYZ][-+.\d#\[]", re.IGNORECASE)
-_GREETING = re.compile(rb"grbl|fluidnc|for help\]|rst:0x|brownout", re.IGNORECASE)
-_MESSAGE_AT_START = re.compile(rb"\[MSG:INFO: FluidNC v\d")
-_ALARM = re.compile(rb"ALARM:? *(\d{1,3})?")
 
 
 @dataclass(frozen=True)

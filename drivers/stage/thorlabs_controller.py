@@ -87,6 +87,21 @@ FAULTS: Final = {
 }
 """Meanings of the status bits with which this driver moves no axis."""
 _USED: Final = _MOVING | _HOMING | _HOMED | sum(LIMITS) | sum(FAULTS)
+_STEPPER: Final = (53.68, 53.68 * 204.94e-6)
+
+FORWARD: Final = 1
+REVERSE: Final = 2
+SWITCHES: Final = {FORWARD: 4, REVERSE: 1}
+"""Limit switch of a search of the reference, by its direction."""
+_SAME_SPEED: Final = 0.01
+"""Largest relative difference of two equal speeds or ramps: a controller may round them to its own steps."""
+
+_MARKER_S: Final = 0.45
+_STOP_POLL_S: Final = 0.02
+_POLLS_A_STOP: Final = 5
+"""While the axis moves, the stop is sent again after so many readings: it may be lost, and has no reply."""
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -104,7 +119,6 @@ def _by_sample_time(sample_s: float) -> Family:
     return Family(65536.0 * sample_s, 65536.0 * sample_s**2, sign_of_life=True)
 
 
-_STEPPER: Final = (53.68, 53.68 * 204.94e-6)
 FAMILIES: Final = {
     "K10CR1": Family(*_STEPPER, sign_of_life=False, counts_per_deg=409_600 / 3),
     "K10CR2": Family(*_STEPPER, sign_of_life=False),
@@ -116,14 +130,6 @@ FAMILIES: Final = {
     "TBD001": _by_sample_time(102.4e-6),
 }
 """Families by the beginning of the model's name, as the controller reports it."""
-
-
-FORWARD: Final = 1
-REVERSE: Final = 2
-SWITCHES: Final = {FORWARD: 4, REVERSE: 1}
-"""Limit switch of a search of the reference, by its direction."""
-_SAME_SPEED: Final = 0.01
-"""Largest relative difference of two equal speeds or ramps: a controller may round them to its own steps."""
 
 
 def same_speed(wanted: int, found: int) -> bool:
@@ -270,14 +276,6 @@ def _garbled(what: str, where: str) -> ReplyGarbled:
     return ReplyGarbled(
         what, where=where, remedy="Check that the port is that of the Thorlabs controller, and its cable."
     )
-
-
-_MARKER_S: Final = 0.45
-_STOP_POLL_S: Final = 0.02
-_POLLS_A_STOP: Final = 5
-"""While the axis moves, the stop is sent again after so many readings: it may be lost, and has no reply."""
-
-T = TypeVar("T")
 
 
 class ThorlabsController(Link):

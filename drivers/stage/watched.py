@@ -41,6 +41,7 @@ StopCheck = Callable[[], None]
 A driver calls it with the line's lock held, and keeps the lock until its command is out. A stop then either comes
 before the command, which is not sent, or after it, and stops what the command has started.
 """
+L = TypeVar("L", bound=Link)
 
 
 class AxisState(NamedTuple):
@@ -51,9 +52,6 @@ class AxisState(NamedTuple):
     problem: str = ""  # Why the present move will not end at its target; empty while nothing is wrong
     # Whether the position is still known after that problem, as after another command or a hold.
     position_kept: bool = False
-
-
-L = TypeVar("L", bound=Link)
 
 
 class WatchedStage(ABC, Generic[A]):

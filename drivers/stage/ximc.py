@@ -34,6 +34,7 @@ from drivers.wire_log import WireLog
 _MARKER_S = 0.5
 
 S = TypeVar("S", bound=Settings)
+_OWN_COMMANDS = {"move", "home"}
 
 
 class XimcController(Link):
@@ -153,9 +154,6 @@ class XimcController(Link):
 
 def _text(field: bytes) -> str:
     return field.rstrip(b"\0 ").decode("ascii", errors="replace")
-
-
-_OWN_COMMANDS = {"move", "home"}
 
 
 @dataclass(frozen=True, kw_only=True)

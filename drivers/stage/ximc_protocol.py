@@ -54,6 +54,31 @@ REFUSALS = {
     b"errv": "a value is out of range and was corrected",
 }
 _DAMAGED = b"errd"
+ENGINE_REVERSED = 0x01
+ENGINE_AT_FULL_SPEED = 0x04
+"""Flag of moves at the highest speed of the motor, whatever speed is set."""
+ENGINE_ANTIPLAY = 0x08
+"""Flag of the compensation of backlash, which overruns the target."""
+ENGINE_RAMPS = 0x10
+ENGINE_LIMITS_SPEED = 0x80
+
+SYNC_IN_MOVES = 0x01
+"""Flag of a synchronisation input that moves the axis."""
+
+POWER_OFF = 0x02
+"""Flag of a motor that is switched off some time after a move."""
+ENGINE_TYPE_LAYOUT = struct.Struct("<BB6x")
+STEPPER = 3
+"""Engine type of ``gent``. With other motors, positions are encoder counts and speeds revolutions per minute."""
+FEEDBACK_LAYOUT = struct.Struct("<HBBI4x")
+BY_ENCODER = frozenset({0x01, 0x06})
+"""Feedback types of ``gfbs`` (its second field) with which the positions of a stepper are encoder counts too."""
+INFORMATION_LAYOUT = struct.Struct("<4s2s8sBBH12x")
+VERSION_LAYOUT = struct.Struct("<BBH")
+SERIAL_LAYOUT = struct.Struct("<I")
+_MOVE_LAYOUT = struct.Struct("<ih6s")
+_RESERVED = b"\xcc" * 6
+"""The bytes that the maker's own library sends there."""
 
 
 def _remainder(byte: int) -> int:
@@ -220,15 +245,6 @@ class EngineSettings(Settings):
     reserved: bytes
 
 
-ENGINE_REVERSED = 0x01
-ENGINE_AT_FULL_SPEED = 0x04
-"""Flag of moves at the highest speed of the motor, whatever speed is set."""
-ENGINE_ANTIPLAY = 0x08
-"""Flag of the compensation of backlash, which overruns the target."""
-ENGINE_RAMPS = 0x10
-ENGINE_LIMITS_SPEED = 0x80
-
-
 @dataclass(frozen=True)
 class HomeSettings(Settings):
     """The data of ``ghom`` and ``shom``: the search of the reference."""
@@ -264,10 +280,6 @@ class SyncInSettings(Settings):
     reserved: bytes
 
 
-SYNC_IN_MOVES = 0x01
-"""Flag of a synchronisation input that moves the axis."""
-
-
 @dataclass(frozen=True)
 class PowerSettings(Settings):
     """The data of ``gpwr`` and ``spwr``: the current of the motor at rest."""
@@ -281,22 +293,6 @@ class PowerSettings(Settings):
     ramp_ms: int
     flags: int
     reserved: bytes
-
-
-POWER_OFF = 0x02
-"""Flag of a motor that is switched off some time after a move."""
-ENGINE_TYPE_LAYOUT = struct.Struct("<BB6x")
-STEPPER = 3
-"""Engine type of ``gent``. With other motors, positions are encoder counts and speeds revolutions per minute."""
-FEEDBACK_LAYOUT = struct.Struct("<HBBI4x")
-BY_ENCODER = frozenset({0x01, 0x06})
-"""Feedback types of ``gfbs`` (its second field) with which the positions of a stepper are encoder counts too."""
-INFORMATION_LAYOUT = struct.Struct("<4s2s8sBBH12x")
-VERSION_LAYOUT = struct.Struct("<BBH")
-SERIAL_LAYOUT = struct.Struct("<I")
-_MOVE_LAYOUT = struct.Struct("<ih6s")
-_RESERVED = b"\xcc" * 6
-"""The bytes that the maker's own library sends there."""
 
 
 def move_data(steps: int, microsteps: int) -> bytes:

@@ -26,6 +26,11 @@ from drivers.stage.zaber_protocol import Reply
 from drivers.wire_log import WireLog
 
 _MARKER_S = 0.5
+SPEED_UNITS = 1.6384
+"""maxspeed = 1.6384 x microsteps/s (ASCII Protocol Manual, setting maxspeed)."""
+ACCELERATION_UNITS = 1.6384e-4
+"""accel = 1.6384 / 10000 x microsteps/s^2 (ASCII Protocol Manual, setting accel)."""
+_SCALE_AGREES = 1e-6
 
 
 class ZaberChain(Link):
@@ -148,13 +153,6 @@ class ZaberChain(Link):
             marker_s=_MARKER_S,
             silence_after=False,
         )
-
-
-SPEED_UNITS = 1.6384
-"""maxspeed = 1.6384 x microsteps/s (ASCII Protocol Manual, setting maxspeed)."""
-ACCELERATION_UNITS = 1.6384e-4
-"""accel = 1.6384 / 10000 x microsteps/s^2 (ASCII Protocol Manual, setting accel)."""
-_SCALE_AGREES = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,6 +22,17 @@ from simulators.pixels.biases import ALLOWED, FACTORY, FILTERS, PixelSettings
 from simulators.pixels.sensor_stream import CameraState, SensorStream
 from simulators.world.world import World
 
+HEADER: Final = struct.Struct("<cI")
+"""Frame header: type (one ASCII letter) and payload length in bytes."""
+MAX_REQUEST_BYTES: Final = 65536
+FIRMWARE: Final = "4.2.0-simulated"
+NOMINAL_LUX: Final = 250.0
+"""Illumination of the sensor at nominal brightness, lux."""
+MEAN_COVERAGE: Final = 0.5
+"""Share of the target that lets light through: half of each star is black."""
+LEAVING_S: Final = 1.0
+"""Time within which the camera notices that a host which has closed its connection is gone, s."""
+
 
 class Refusal(Exception):
     """A refused command; ``code`` is an error code of the protocol, e.g. ``bad_value``."""
@@ -63,18 +74,6 @@ def read_frames(request: Mapping[str, Any]) -> int | None:
     if frames is not None and (isinstance(frames, bool) or not isinstance(frames, int) or frames < 0):
         raise Refusal("bad_value", f"A number of frames is a whole one, not {frames!r}.")
     return frames
-
-
-HEADER: Final = struct.Struct("<cI")
-"""Frame header: type (one ASCII letter) and payload length in bytes."""
-MAX_REQUEST_BYTES: Final = 65536
-FIRMWARE: Final = "4.2.0-simulated"
-NOMINAL_LUX: Final = 250.0
-"""Illumination of the sensor at nominal brightness, lux."""
-MEAN_COVERAGE: Final = 0.5
-"""Share of the target that lets light through: half of each star is black."""
-LEAVING_S: Final = 1.0
-"""Time within which the camera notices that a host which has closed its connection is gone, s."""
 
 
 class _HostGone(Exception):

@@ -20,6 +20,32 @@ import numpy as np
 
 POLL_S: Final = 0.1
 """Interval at which waiting threads check whether they must end, s."""
+#: Faults of frames, by name.
+STREAM_FAULTS: Final = {
+    "frames_lost": "frames never arrive",
+    "frame_cut": "the second half of a frame never arrives",
+    "frame_doubled": "a frame arrives twice",
+    "frame_garbled": "a word in the middle of a frame has an unknown type",
+    "clock_back": "the sensor's clock jumps back and continues from there",
+    "silence": "nothing more arrives, without any message",
+}
+
+#: Faults of the frame camera, by name.
+FRAME_CAMERA_FAULTS: Final = {
+    "unplug": "the camera disconnects and no longer answers",
+    "silence": "no more pictures arrive, without any message",
+    "frozen": "the last picture arrives again and again",
+    "mend": "clears the fault",
+}
+
+_TIME_HIGH: Final = 0x8
+_UNKNOWN_WORD: Final = 0x9000
+
+#: Jump of the clock, in units of its high word (4096 us).
+_JUMP: Final = 10
+
+INTERVAL_S: Final = 0.5
+"""Interval between notifications, s; also the delay before the first one. The protocol promises at most 1 s."""
 
 
 class CameraServer(ABC):
@@ -56,31 +82,6 @@ class CameraServer(ABC):
         while not self._closing.is_set():
             if select.select([self._listener], [], [], POLL_S)[0]:
                 self._meet(self._listener.accept()[0])
-
-
-#: Faults of frames, by name.
-STREAM_FAULTS: Final = {
-    "frames_lost": "frames never arrive",
-    "frame_cut": "the second half of a frame never arrives",
-    "frame_doubled": "a frame arrives twice",
-    "frame_garbled": "a word in the middle of a frame has an unknown type",
-    "clock_back": "the sensor's clock jumps back and continues from there",
-    "silence": "nothing more arrives, without any message",
-}
-
-#: Faults of the frame camera, by name.
-FRAME_CAMERA_FAULTS: Final = {
-    "unplug": "the camera disconnects and no longer answers",
-    "silence": "no more pictures arrive, without any message",
-    "frozen": "the last picture arrives again and again",
-    "mend": "clears the fault",
-}
-
-_TIME_HIGH: Final = 0x8
-_UNKNOWN_WORD: Final = 0x9000
-
-#: Jump of the clock, in units of its high word (4096 us).
-_JUMP: Final = 10
 
 
 @dataclass(frozen=True)
@@ -151,10 +152,6 @@ def _changed(fault: StreamFault, frame: bytes) -> bytes:
         high = words >> 12 == _TIME_HIGH
         words[high] = _TIME_HIGH << 12 | (words[high] - _JUMP) & 0xFFF
     return words.tobytes()
-
-
-INTERVAL_S: Final = 0.5
-"""Interval between notifications, s; also the delay before the first one. The protocol promises at most 1 s."""
 
 
 class KeepAlive:

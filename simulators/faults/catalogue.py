@@ -24,6 +24,14 @@ from simulators.faults.line_faults import REPLY_FAULTS, REQUEST_FAULTS
 from simulators.lights.lamp import LAMP_FAULTS
 
 Parameter = float | int | str
+_LINE_PARAMETERS: Final[Mapping[str, Parameter]] = {
+    "count": 1,
+    "skip": 0,
+    "chance": 1.0,
+    "delay_s": 0.5,
+    "pattern": "",
+    "replacement": "",
+}
 
 
 @dataclass(frozen=True)
@@ -61,14 +69,6 @@ AXIS_FAULTS: Final[Mapping[str, Fault]] = {
     "mend": Fault("clears all faults of this axis", {}),
 }
 
-_LINE_PARAMETERS: Final[Mapping[str, Parameter]] = {
-    "count": 1,
-    "skip": 0,
-    "chance": 1.0,
-    "delay_s": 0.5,
-    "pattern": "",
-    "replacement": "",
-}
 
 LINE_FAULTS: Final[Mapping[str, Fault]] = {
     **{

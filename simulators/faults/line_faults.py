@@ -24,6 +24,17 @@ _ZABER_REPLY: Final = re.compile(rb"@(\d\d \d )(\d\d)( [^:\r\n]*):[0-9A-F]{2}\r\
 
 #: An answer of the XIMC protocol that carries data: four letters, data, CRC of two bytes.
 _XIMC_ANSWER: Final = re.compile(rb"([a-z0-9]{4})(.+)..", re.DOTALL)
+#: What the host receives of one message: pieces, each with its delay in seconds.
+Pieces = list[tuple[float, bytes]]
+
+#: Answer of a device of another kind to any request.
+_STRANGE: Final = b"?READY\r\n"
+
+#: Faults of a request, by name.
+REQUEST_FAULTS: Final = ("request_lost", "request_garbled", "echo")
+
+#: Reply faults from which ``any`` draws: those that need no text.
+_DRAWN: Final = ("lost", "late", "truncated", "garbled", "nul", "doubled", "split")
 
 
 def wrong_checksum(reply: bytes) -> bytes:
@@ -89,10 +100,6 @@ class LineFault:
     replacement: bytes = b""
 
 
-#: What the host receives of one message: pieces, each with its delay in seconds.
-Pieces = list[tuple[float, bytes]]
-
-
 def _garbled(_fault: LineFault, reply: bytes, rng: np.random.Generator) -> Pieces:
     """Flip one bit of one byte."""
     garbled = bytearray(reply)
@@ -117,9 +124,6 @@ def _split(fault: LineFault, reply: bytes, _rng: np.random.Generator) -> Pieces:
     return [(0.0, reply[:half]), (fault.delay_s, reply[half:])]
 
 
-#: Answer of a device of another kind to any request.
-_STRANGE: Final = b"?READY\r\n"
-
 #: Faults of a reply, by name.
 REPLY_FAULTS: Final[Mapping[str, Callable[[LineFault, bytes, np.random.Generator], Pieces]]] = {
     "lost": lambda _fault, _reply, _rng: [],
@@ -136,12 +140,6 @@ REPLY_FAULTS: Final[Mapping[str, Callable[[LineFault, bytes, np.random.Generator
     "wrong_id": lambda _fault, reply, _rng: [(0.0, wrong_id(reply))],
     "stranger": lambda _fault, _reply, _rng: [(0.0, _STRANGE)],
 }
-
-#: Faults of a request, by name.
-REQUEST_FAULTS: Final = ("request_lost", "request_garbled", "echo")
-
-#: Reply faults from which ``any`` draws: those that need no text.
-_DRAWN: Final = ("lost", "late", "truncated", "garbled", "nul", "doubled", "split")
 
 
 class FaultLine:

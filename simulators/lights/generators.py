@@ -54,6 +54,29 @@ _MIN_AMPLITUDE_V: Final = 0.002
 
 #: Size of the input buffer, bytes.
 _MAX_MESSAGE: Final = 2048
+_HERTZ: Final = {"UHZ": 1e-6, "HZ": 1.0, "KHZ": 1e3, "MHZ": 1e6}
+_VOLTS: Final = {"MV": 1e-3, "V": 1.0, "VPP": 1.0, "MVPP": 1e-3}
+_PERCENT: Final = {"PCT": 1.0, "%": 1.0}
+_OHMS: Final = {"OHM": 1.0, "KOHM": 1e3}
+_LOAD_OHM: Final = (1.0, 10_000.0)
+
+_VALUES: Final[tuple[tuple[str, Setting, dict[str, float], str], ...]] = (
+    ("FREQuency", "frequency", _HERTZ, "frequency_hz"),
+    ("FUNCtion:SQUare:DCYCle", "duty", _PERCENT, "duty_percent"),
+    ("VOLTage", "amplitude", _VOLTS, "amplitude_v"),
+    ("VOLTage:OFFSet", "offset", _VOLTS, "offset_v"),
+    ("VOLTage:HIGH", "high", _VOLTS, "high_v"),
+    ("VOLTage:LOW", "low", _VOLTS, "low_v"),
+)
+"""Header, name, units, and attribute of `Settings`, of each number."""
+
+_SHAPES: Final[Mapping[str, Shape]] = {"SINusoid": "sine", "SQUare": "square", "DC": "dc"}
+
+_CLIP_ERRORS: Final = {
+    "lower limit": (-222, "value clipped to lower limit"),
+    "upper limit": (-222, "value clipped to upper limit"),
+    "conflict": (-221, "the other level has been adjusted"),
+}
 
 
 @dataclass(frozen=True)
@@ -212,31 +235,6 @@ class Generator(LightDriver):
 def _voltage_share(load_ohm: float) -> float:
     """Return the voltage at a load as a share of the source voltage (voltage divider)."""
     return 1.0 if math.isinf(load_ohm) else load_ohm / (load_ohm + SOURCE_OHM)
-
-
-_HERTZ: Final = {"UHZ": 1e-6, "HZ": 1.0, "KHZ": 1e3, "MHZ": 1e6}
-_VOLTS: Final = {"MV": 1e-3, "V": 1.0, "VPP": 1.0, "MVPP": 1e-3}
-_PERCENT: Final = {"PCT": 1.0, "%": 1.0}
-_OHMS: Final = {"OHM": 1.0, "KOHM": 1e3}
-_LOAD_OHM: Final = (1.0, 10_000.0)
-
-_VALUES: Final[tuple[tuple[str, Setting, dict[str, float], str], ...]] = (
-    ("FREQuency", "frequency", _HERTZ, "frequency_hz"),
-    ("FUNCtion:SQUare:DCYCle", "duty", _PERCENT, "duty_percent"),
-    ("VOLTage", "amplitude", _VOLTS, "amplitude_v"),
-    ("VOLTage:OFFSet", "offset", _VOLTS, "offset_v"),
-    ("VOLTage:HIGH", "high", _VOLTS, "high_v"),
-    ("VOLTage:LOW", "low", _VOLTS, "low_v"),
-)
-"""Header, name, units, and attribute of `Settings`, of each number."""
-
-_SHAPES: Final[Mapping[str, Shape]] = {"SINusoid": "sine", "SQUare": "square", "DC": "dc"}
-
-_CLIP_ERRORS: Final = {
-    "lower limit": (-222, "value clipped to lower limit"),
-    "upper limit": (-222, "value clipped to upper limit"),
-    "conflict": (-221, "the other level has been adjusted"),
-}
 
 
 @dataclass(frozen=True)

@@ -54,6 +54,15 @@ RIM_HARMONICS: Final = 3
 """Largest number of periods of the rim's field around the disc."""
 RIM_OUTWARDS: Final = 1.6
 """Mean outward displacement, in units of the rim's rms."""
+ROLL_TO = 1.2
+"""Distance from the disc's centre, in radii, beyond which the rim's displacement grows only in proportion to it."""
+
+CIRCLE: Final = np.zeros(0)
+EDGE_TERMS: Final = 8
+
+PERFECT_PRINT: Final = ReticleTruth()
+
+_NOTHING: Final = np.zeros((0, 2))
 
 
 def field_coefficients(axis: tuple[float, float], rms: float, rim_rms: float, seed: int) -> FloatArray:
@@ -173,10 +182,6 @@ def _rim_field(cosine: FloatArray, sine: FloatArray, coefficients: FloatArray) -
     return x, y
 
 
-ROLL_TO = 1.2
-"""Distance from the disc's centre, in radii, beyond which the rim's displacement grows only in proportion to it."""
-
-
 class Disc(NamedTuple):
     """Disc of light in one pose."""
 
@@ -187,10 +192,6 @@ class Disc(NamedTuple):
     # (EDGE_TERMS,) float64: relative change of the radius in direction phi, as coefficients of cos 2 phi, sin
     # 2 phi, cos 3 phi, ...; (0,) for a circle.
     edge: FloatArray
-
-
-CIRCLE: Final = np.zeros(0)
-EDGE_TERMS: Final = 8
 
 
 class Aberrations(NamedTuple):
@@ -206,11 +207,6 @@ class Aberrations(NamedTuple):
         """Coefficient of the third order, dimensionless; the reticle's bow is part of it."""
         c, reticle = self.collimator, self.reticle
         return c.distortion + reticle.bow_mm * c.r / reticle.bow_radius_mm**2
-
-
-PERFECT_PRINT: Final = ReticleTruth()
-
-_NOTHING: Final = np.zeros((0, 2))
 
 
 def disc_of(collimator: CollimatorTruth, rotation: FloatArray) -> Disc:

@@ -27,6 +27,8 @@ FloatArray = NDArray[np.float64]
 
 REACH_SIGMAS: Final = 3.6
 """Standard deviations beyond which the point spread is cut off."""
+CHORD_PX: Final = 1e-3
+"""Largest distance of an edge, curved by the lens, from the chords that replace it."""
 
 
 def empty_picture(width: int, height: int, cells: int, margin: int) -> NDArray[np.float32]:
@@ -156,10 +158,6 @@ def _lit_row(
             u = (c + 0.5) / cells
             share = min(max(covered, 0.0), 1.0)  # a running sum of single precision may miss by 1e-6
             row[c, j] = (shades[0] + shades[1] * share) * ((1.0 - u) * left + u * right)
-
-
-CHORD_PX: Final = 1e-3
-"""Largest distance of an edge, curved by the lens, from the chords that replace it."""
 
 
 class Projection(NamedTuple):

@@ -47,6 +47,20 @@ ERC_QUOTA: Final = 4000
 """Events that the rate controller passes in each window (20 Mev/s). It is simpler than the chip's, with the same effect
 on a flickering target: it removes nearly all of its events."""
 _LONG_AGO: Final = -(1 << 40)
+# Indices into the writer's int64 state.
+_TICK: Final = 0  # time of the next TIME_HIGH
+_LOW: Final = 1  # time of the last TIME_LOW, -1 if a TIME_HIGH came since
+_COUNT_END: Final = 2  # end of the present counter window
+_COUNT_OUT: Final = 3  # events sent in the window
+_COUNT_IN: Final = 4  # events that entered the rate controller in the window
+_BASE: Final = 5  # vector base in force, with polarity in bit 11; -1 unknown
+_Y: Final = 6  # row in force, -1 unknown; sent again with each read
+_READ_T: Final = 7  # time of the row read in progress
+_START: Final = 8  # time at which the stream started
+_N_STATE: Final = 9
+
+Columns = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
+"""Times (us), columns, rows and polarities of events."""
 
 
 class RateController:
@@ -70,23 +84,6 @@ def _within_quota(t: NDArray[np.int64], erc: NDArray[np.int64]) -> NDArray[np.bo
         erc[1] += 1
         keep[i] = erc[1] <= ERC_QUOTA
     return keep
-
-
-# Indices into the writer's int64 state.
-_TICK: Final = 0  # time of the next TIME_HIGH
-_LOW: Final = 1  # time of the last TIME_LOW, -1 if a TIME_HIGH came since
-_COUNT_END: Final = 2  # end of the present counter window
-_COUNT_OUT: Final = 3  # events sent in the window
-_COUNT_IN: Final = 4  # events that entered the rate controller in the window
-_BASE: Final = 5  # vector base in force, with polarity in bit 11; -1 unknown
-_Y: Final = 6  # row in force, -1 unknown; sent again with each read
-_READ_T: Final = 7  # time of the row read in progress
-_START: Final = 8  # time at which the stream started
-_N_STATE: Final = 9
-
-
-Columns = tuple[NDArray[np.int64], NDArray[np.uint16], NDArray[np.uint16], NDArray[np.uint8]]
-"""Times (us), columns, rows and polarities of events."""
 
 
 class Evt3Writer:

@@ -28,6 +28,13 @@ create nor return any, and the counting took four times as long as the work itse
 """
 INNER: Final[dict[str, Any]] = {"no_cpython_wrapper": True, **_SENSOR}
 """Compiler options of what only these loops call, as `simulators.compiled.INNER`: never call it from Python."""
+_LOG2_E: Final = np.float32(1.0 / math.log(2.0))
+_LN_2_HIGH: Final = np.float32(355.0 / 512.0)
+"""ln 2 in two parts; the first has so few bits that its multiples are exact (Cody and Waite 1980)."""
+_LN_2_LOW: Final = np.float32(math.log(2.0) - 355.0 / 512.0)
+_LOWEST: Final = np.float32(-87.0)
+_SQRT_HALF_BITS: Final = np.int32(np.float32(math.sqrt(0.5)).view(np.int32))
+_MANTISSA: Final = np.int32(0x007FFFFF)
 
 
 class _NoAlias(CompilerBase):
@@ -42,14 +49,6 @@ class _NoAlias(CompilerBase):
 
 INNER_KERNEL: Final[dict[str, Any]] = {**INNER, "pipeline_class": _NoAlias}
 """How the loops over a batch of pixels are compiled; no array argument may overlap another."""
-
-_LOG2_E: Final = np.float32(1.0 / math.log(2.0))
-_LN_2_HIGH: Final = np.float32(355.0 / 512.0)
-"""ln 2 in two parts; the first has so few bits that its multiples are exact (Cody and Waite 1980)."""
-_LN_2_LOW: Final = np.float32(math.log(2.0) - 355.0 / 512.0)
-_LOWEST: Final = np.float32(-87.0)
-_SQRT_HALF_BITS: Final = np.int32(np.float32(math.sqrt(0.5)).view(np.int32))
-_MANTISSA: Final = np.int32(0x007FFFFF)
 
 
 @njit(forceinline=True, **INNER)

@@ -46,8 +46,6 @@ from simulators.pixels.square_light import (
     tail_width,
 )
 
-# Next requests of the pixels: after a read, at the start, and under a new light or a new picture. Compiled functions.
-
 FEW: Final = 9
 """With fewer events, the pixels of a row are processed one by one, not as a batch."""
 LANES: Final = 16

@@ -39,6 +39,17 @@ RATE_SPREAD: Final = 0.4
 """Standard deviation of the logarithm of a pixel's background rate."""
 THINNEST_THRESHOLD: Final = 0.2
 """Smallest threshold that the mismatch gives, as a share of the nominal one."""
+EPOCH_US: Final = 16384.0
+"""The epoch of the pixels' times is a multiple of this; float32 then resolves 4 ns."""
+FIRST_ROOM: Final = 1 << 16
+"""Initial size of a slice's arrays; must exceed the longest row."""
+
+PEAK_EVENTS_US: Final = 1066.0
+"""Largest rate of the readout, events per us (1.066 GEPS; Finateu et al. 2020)."""
+ROW_US: Final = 0.1
+LINK_WORDS_US: Final = 100.0 - 1.0 / 16.0 - 8.0 / 200.0
+"""1.6 Gbit/s of 16-bit words, without those that carry time and counters; words per us."""
+FIFO_WORDS: Final = 65536.0
 
 
 def make_pixels(
@@ -108,19 +119,6 @@ def draw_noise_rates(
     rates[hot] = noise.hot_hz
     rates[dead_pixels(width, height, noise, camera_seed).ravel()] = 0.0
     return rates
-
-
-EPOCH_US: Final = 16384.0
-"""The epoch of the pixels' times is a multiple of this; float32 then resolves 4 ns."""
-FIRST_ROOM: Final = 1 << 16
-"""Initial size of a slice's arrays; must exceed the longest row."""
-
-PEAK_EVENTS_US: Final = 1066.0
-"""Largest rate of the readout, events per us (1.066 GEPS; Finateu et al. 2020)."""
-ROW_US: Final = 0.1
-LINK_WORDS_US: Final = 100.0 - 1.0 / 16.0 - 8.0 / 200.0
-"""1.6 Gbit/s of 16-bit words, without those that carry time and counters; words per us."""
-FIFO_WORDS: Final = 65536.0
 
 
 class Events(NamedTuple):

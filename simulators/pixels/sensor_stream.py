@@ -40,6 +40,13 @@ START_US: Final = 102_400
 """A stream begins at a multiple of this, which is one of TIME_LOW's 4096 us and of the counters' 200 us."""
 MOVING_SUBSAMPLES: Final = 2
 """Cells per pixel side of a moving picture; its motion blurs it, so coarser cells suffice."""
+PREVIEW_SUBSAMPLES: Final = 1
+PREVIEW_FRAMES: Final = 4
+"""The same of a preview, and the number of frames for which such a picture stays."""
+SILENT_FRAMES: Final = 2
+"""Frames after a change of the view that a preview does not show: pixels fire once where the brightness has changed."""
+VIEW_LASTS_S: Final = 5.0
+"""Time after which a preview follows the temperature of the lens, s."""
 
 
 @dataclass(frozen=True)
@@ -50,15 +57,6 @@ class CameraState:
     # Whether each on-chip filter is on, by name.
     filters: Mapping[str, bool] = field(default_factory=lambda: dict.fromkeys(FILTERS, False))
     trigger_in: bool = False  # Whether the trigger input is enabled
-
-
-PREVIEW_SUBSAMPLES: Final = 1
-PREVIEW_FRAMES: Final = 4
-"""The same of a preview, and the number of frames for which such a picture stays."""
-SILENT_FRAMES: Final = 2
-"""Frames after a change of the view that a preview does not show: pixels fire once where the brightness has changed."""
-VIEW_LASTS_S: Final = 5.0
-"""Time after which a preview follows the temperature of the lens, s."""
 
 
 class SensorStream:

@@ -24,6 +24,7 @@ _PACKET_BYTES = 32
 
 #: Interval at which the device is asked for unsolicited messages, s.
 _POLL_S = 0.02
+_CHUNK = 4096
 
 
 class Dialect(Protocol):
@@ -185,9 +186,6 @@ class SerialDevice:
 def _garbage(received: bytes) -> bytes:
     """Return what a line at the wrong baud rate carries: as many bytes, none of them right."""
     return bytes((0x80 | (byte * 29 + 7 * index)) & 0xFF for index, byte in enumerate(received))
-
-
-_CHUNK = 4096
 
 
 class TcpPort:

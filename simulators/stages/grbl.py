@@ -35,6 +35,14 @@ _OFFSETS: Final = "".join(
     f"[{name}:{_ZERO}]\r\n" for name in ("G54", "G55", "G56", "G57", "G58", "G59", "G28", "G30", "G92")
 )
 """Work offsets, which are all zero."""
+_RESET_BYTE: Final = 0x18
+_LOCKED: Final = "[MSG:'$H'|'$X' to unlock]\r\n"
+_MAX_LINE: Final = 79
+_PAUSE_S: Final = 0.5
+"""After it has told an alarm, the firmware waits for this time, s. What it receives meanwhile is lost."""
+
+#: Fields that only some status reports contain, by the number of the report modulo ten.
+_EXTRA_FIELDS: Final = {0: "|WCO:0.000,0.000,0.000", 1: "|Ov:100,100,100"}
 
 
 class Answered(Exception):
@@ -63,15 +71,6 @@ FIRMWARES: Final[Mapping[str, Firmware]] = {
     ),
     "fork": Firmware("Machine 2 ['$' for help]", "[VER:2.0.1:{}]\r\n[OPT:V]\r\n"),
 }
-
-_RESET_BYTE: Final = 0x18
-_LOCKED: Final = "[MSG:'$H'|'$X' to unlock]\r\n"
-_MAX_LINE: Final = 79
-_PAUSE_S: Final = 0.5
-"""After it has told an alarm, the firmware waits for this time, s. What it receives meanwhile is lost."""
-
-#: Fields that only some status reports contain, by the number of the report modulo ten.
-_EXTRA_FIELDS: Final = {0: "|WCO:0.000,0.000,0.000", 1: "|Ov:100,100,100"}
 
 
 class _Pause(NamedTuple):

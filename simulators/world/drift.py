@@ -22,6 +22,7 @@ from simulators.world.truth import REFERENCE_C, MountTruth, ThermalTruth, Truth
 _Axis = TypeVar("_Axis", bound=str)
 
 STEP_C: Final = 0.01
+STEP_ARCSEC: Final = 0.05
 
 
 def temperature_c(thermal: ThermalTruth, on_s: float) -> float:
@@ -54,9 +55,6 @@ def lamp_brightness(thermal: ThermalTruth, at_c: float) -> float:
 def has_effect(thermal: ThermalTruth) -> bool:
     """Return whether anything depends on the temperature."""
     return thermal.focal_ppm_per_c != 0.0 or thermal.lamp_percent_per_c != 0.0
-
-
-STEP_ARCSEC: Final = 0.05
 
 
 def has_motion(mount: MountTruth) -> bool:

@@ -50,6 +50,8 @@ _STREAM: Final = 2
 
 _LARGEST_SCALE: Final = 0.2
 """Largest relative error of an axis's scale; larger numbers are factors that were given by mistake."""
+_TILTED_ABOUT: Final = ((0, 2), (1, 2), (0, 1))
+"""For pan (y), tilt (x) and roll (z): the two other directions."""
 
 
 def _by_axis(value: object) -> tuple[float, ...]:
@@ -199,10 +201,6 @@ def gimbal_rotation(angles_deg: Mapping[Any, float], gimbal: GimbalTruth) -> Flo
     rotation = rotation @ _wobble(angles_deg, 1, gimbal)
     rotation = rotation @ rotation_matrix((0.0, pan, 0.0)) @ _wobble(angles_deg, 0, gimbal)
     return rotation_matrix(np.radians(gimbal.camera_on_head_deg)) @ rotation
-
-
-_TILTED_ABOUT: Final = ((0, 2), (1, 2), (0, 1))
-"""For pan (y), tilt (x) and roll (z): the two other directions."""
 
 
 def _wobble(angles_deg: Mapping[Any, float], axis: int, gimbal: GimbalTruth) -> FloatArray:

@@ -37,6 +37,55 @@ _FocalLength = Annotated[
     Positive,
     refused(lambda px: not 1.0 <= px <= 1e6, "{!r} px is no focal length.", "Give a number from 1 to 1e+06."),
 ]
+POLARITIES: Final = ("positive", "negative")
+
+REFERENCE_C: Final = 41.5
+"""Temperature of the camera at which its focal lengths and the lamp's light have the values of the truth."""
+
+LAW: Final[Mapping[str, str]] = {
+    "temperature_c": "room_c + room_c_per_h t / 3600 s + self_heating_c (1 - exp(-t / (60 s warm_up_min)))",
+    "t": "seconds since the bench was switched on",
+    "fx, fy": f"times 1 + 1e-6 focal_ppm_per_c (temperature_c - {REFERENCE_C})",
+    "light": f"times 1 + 1e-2 lamp_percent_per_c (temperature_c - {REFERENCE_C})",
+}
+"""Equations of the quantities that depend on `ThermalTruth`."""
+
+DELIVERED_F_NUMBER: Final = 2.8
+"""f-number at which the light on the sensor has its nominal brightness."""
+
+CLOSEST_M: Final = 0.2
+"""Focus distance at the ring's near stop."""
+
+BEYOND_M: Final = -3.3
+"""Focus distance at the other stop, a little beyond infinity: rays that meet 3.3 m behind the lens are in focus."""
+
+RING_SPAN_DEG: Final = 180.0
+"""Turn of the focus ring from infinity (0) to the near stop."""
+
+F_NUMBERS: Final = (1.0, 32.0)
+"""Smallest and largest f-number."""
+
+LARGEST_FOCAL_MM: Final = 100.0
+"""Longest focal length for which the ring's travel is meant."""
+
+LENS_LAW: Final[Mapping[str, str]] = {
+    "focal length": "1 / f = 1 / v0 + V, v0 = pixel_um (fx + fy) / 2 of section camera as configured",
+    "vergence of the pattern": "V = defocus / r of the collimator",
+    "image distance": "1 / v = 1 / f - 1 / focus_distance",
+    "fx, fy": "times v / v0: a lens that is focused nearer sees a narrower angle (breathing)",
+    "blur_px": "diameter of the disc of light of a point: f / f_number v |1 / focus_distance - V| / pixel_um",
+    "light": f"times (v0 / v)^2 ({DELIVERED_F_NUMBER} / f_number)^2",
+}
+"""Equations of focus and aperture, as ``truth.json`` holds them."""
+
+FNumber = Annotated[
+    Positive,
+    refused(
+        lambda f: not F_NUMBERS[0] <= f <= F_NUMBERS[1],
+        "The aperture does not go to f/{:g}.",
+        "Give an f-number from {:g} to {:g}.".format(*F_NUMBERS),
+    ),
+]
 
 
 @dataclass(frozen=True)
@@ -103,9 +152,6 @@ class CollimatorTruth(Section):
     glass_seed: Count = 1
 
 
-POLARITIES: Final = ("positive", "negative")
-
-
 @dataclass(frozen=True)
 class ReticleTruth(Section):
     """Errors of the printed target."""
@@ -153,18 +199,6 @@ class NoiseTruth(Section):
     dead_share: NotNegative = 0.0  # Share of pixels that never fire
 
 
-REFERENCE_C: Final = 41.5
-"""Temperature of the camera at which its focal lengths and the lamp's light have the values of the truth."""
-
-LAW: Final[Mapping[str, str]] = {
-    "temperature_c": "room_c + room_c_per_h t / 3600 s + self_heating_c (1 - exp(-t / (60 s warm_up_min)))",
-    "t": "seconds since the bench was switched on",
-    "fx, fy": f"times 1 + 1e-6 focal_ppm_per_c (temperature_c - {REFERENCE_C})",
-    "light": f"times 1 + 1e-2 lamp_percent_per_c (temperature_c - {REFERENCE_C})",
-}
-"""Equations of the quantities that depend on `ThermalTruth`."""
-
-
 @dataclass(frozen=True)
 class ThermalTruth(Section):
     """Temperature of the camera, and what depends on it by the `LAW`."""
@@ -196,35 +230,6 @@ class MountTruth(Section):
     turn_deg: Vector = (0.0, 0.0, 0.0)
 
 
-DELIVERED_F_NUMBER: Final = 2.8
-"""f-number at which the light on the sensor has its nominal brightness."""
-
-CLOSEST_M: Final = 0.2
-"""Focus distance at the ring's near stop."""
-
-BEYOND_M: Final = -3.3
-"""Focus distance at the other stop, a little beyond infinity: rays that meet 3.3 m behind the lens are in focus."""
-
-RING_SPAN_DEG: Final = 180.0
-"""Turn of the focus ring from infinity (0) to the near stop."""
-
-F_NUMBERS: Final = (1.0, 32.0)
-"""Smallest and largest f-number."""
-
-LARGEST_FOCAL_MM: Final = 100.0
-"""Longest focal length for which the ring's travel is meant."""
-
-LENS_LAW: Final[Mapping[str, str]] = {
-    "focal length": "1 / f = 1 / v0 + V, v0 = pixel_um (fx + fy) / 2 of section camera as configured",
-    "vergence of the pattern": "V = defocus / r of the collimator",
-    "image distance": "1 / v = 1 / f - 1 / focus_distance",
-    "fx, fy": "times v / v0: a lens that is focused nearer sees a narrower angle (breathing)",
-    "blur_px": "diameter of the disc of light of a point: f / f_number v |1 / focus_distance - V| / pixel_um",
-    "light": f"times (v0 / v)^2 ({DELIVERED_F_NUMBER} / f_number)^2",
-}
-"""Equations of focus and aperture, as ``truth.json`` holds them."""
-
-
 def _focus_distance(value: object) -> float:
     """Check a focus distance, m: infinite for parallel light, negative beyond infinity."""
     word = isinstance(value, str) and value.strip().lower() in {"infinity", "inf", ".inf"}
@@ -246,14 +251,6 @@ def _delivered(value: object) -> object:
 
 
 FocusDistance = Annotated[float, BeforeValidator(_focus_distance)]
-FNumber = Annotated[
-    Positive,
-    refused(
-        lambda f: not F_NUMBERS[0] <= f <= F_NUMBERS[1],
-        "The aperture does not go to f/{:g}.",
-        "Give an f-number from {:g} to {:g}.".format(*F_NUMBERS),
-    ),
-]
 
 
 @dataclass(frozen=True)

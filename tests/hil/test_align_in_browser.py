@@ -9,8 +9,8 @@ from align_browser import NEEDS_CHROMIUM, Tab, running_chromium
 from align_fakes import fake_session, wait_until
 from pages import served
 
+from bench.align.align_app import align_app
 from bench.align.page_requests import PageFiles
-from bench.align.serve import align_app
 from bench.align.session import Session
 from bench.stations.devices import Devices
 from bench.stations.station import SHIPPED_STATIONS, load_station

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from running import called, journal, results, starbench
 
-from bench.measure.measure import frame_gates, measure_frames
+from bench.measure.measure_frames import frame_gates, measure_frames
 from calib.target import StarTarget
 from drivers.camera import frame_cameras
 from drivers.camera.frame_cameras import OpenCvFrameCamera

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from running import journal, results, starbench
 
-from bench.measure.measure import measure_frames
+from bench.measure.measure_frames import measure_frames
 from calib.errors import DegenerateViews
 from calib.model.homography import apply_homography, fit_homography
 from simulators.optics.picture import TARGET, pose_rotation, render, star_centres

@@ -13,7 +13,8 @@ import numpy as np
 from lxml import etree
 from scipy.special import chdtri, stdtrit
 
-from bench.extras.certificate.dcc_xml import NAMESPACES, PREFIXES, is_unit, product
+from bench.extras.certificate.d_si import PREFIXES, is_unit, product
+from bench.extras.certificate.dcc_xml import NAMESPACES
 
 SIMULATED = "SIMULATED"
 STATISTIC, LIMIT = "starbench_statistic", "starbench_limit"

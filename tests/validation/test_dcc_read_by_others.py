@@ -15,8 +15,8 @@ import certificate_sample
 import lab_pki
 import pytest
 
+from bench.extras.certificate.d_si import OUR_UNITS
 from bench.extras.certificate.dcc_signature import sign_dcc
-from bench.extras.certificate.dcc_xml import OUR_UNITS
 
 SCHEMAS = Path(named) if (named := os.environ.get("STARBENCH_DCC_SCHEMAS")) else None
 needs_schemas = pytest.mark.skipif(

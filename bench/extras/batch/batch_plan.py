@@ -39,6 +39,8 @@ TOLD_FROM = 2.0
 """A forecast that is longer than the plan by this factor says why."""
 _NOT_THE_PACE = frozenset({Event.RUN_RESUMED, Event.DEVIATION, Event.ASKED})
 """Events of a run whose duration says nothing about the computer."""
+WORKER_S = 2.5
+"""Time to start a run's process and to seal its folder, s; measured on the simulated bench."""
 
 
 @dataclass(frozen=True)
@@ -86,10 +88,6 @@ def _ratio(folder: Path) -> tuple[str, float] | None:
         return str(entries[0].data["station"]), (ended - begun).total_seconds() / planned_s
     except (BenchError, LookupError, TypeError, ValueError):
         return None
-
-
-WORKER_S = 2.5
-"""Time to start a run's process and to seal its folder, s; measured on the simulated bench."""
 
 
 def read_queue(path: Path) -> Located[Queue]:

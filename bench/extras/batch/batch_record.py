@@ -21,6 +21,8 @@ from bench.record.journal_line import Entry
 from sequences.queue import JobConfig, Queue
 
 NEVER_S = math.inf
+MOST_CUTS = 10
+"""A run is given up after this number of cuts without a further recorded pose: it may be what cuts the power."""
 
 
 @dataclass(frozen=True)
@@ -261,10 +263,6 @@ class BatchEnded(TypedDict):
 
     how: str
     why: str
-
-
-MOST_CUTS = 10
-"""A run is given up after this number of cuts without a further recorded pose: it may be what cuts the power."""
 
 
 @dataclass(frozen=True)

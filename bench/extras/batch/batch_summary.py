@@ -63,6 +63,12 @@ from sequences.reader import read_document
 RUNS = "runs"
 SUMMARY, PAGE = "summary.json", "summary.html"
 SCHEMA = "starbench/batch/1"
+FOLLOW_S = 1.0
+_TICK_WAITS = 2
+"""With ``ticks``, the status is read again after this many waits."""
+_MOST_UPCOMING = 12
+
+_K = 2.0  # of a change per hour
 
 
 def read_batch(folder: Path) -> BatchRecord:
@@ -256,12 +262,6 @@ def _planned_poses(run: Path) -> int | None:
 
 def _iso(moment: datetime | None) -> str | None:
     return moment.isoformat() if moment else None
-
-
-FOLLOW_S = 1.0
-_TICK_WAITS = 2
-"""With ``ticks``, the status is read again after this many waits."""
-_MOST_UPCOMING = 12
 
 
 class DoneRun(NamedTuple):
@@ -458,9 +458,6 @@ def _upcoming_lines(status: BatchStatus) -> list[str]:
 
 def _clock(moment: datetime, zone: tzinfo | None, *, day: bool = False) -> str:
     return f"{moment.astimezone(zone):{'%a %H:%M %Z' if day else '%H:%M'}}"
-
-
-_K = 2.0  # of a change per hour
 
 
 def summary_lines(summary: BatchSummary) -> Iterator[str]:

@@ -56,6 +56,12 @@ CREATE TABLE IF NOT EXISTS deliveries (
 );
 PRAGMA user_version = {VERSION};
 """
+TIMEOUT_S = 10.0
+"""Longest silence of a server, s."""
+_LOOK_S = 5.0
+_UNPRINTABLE = re.compile(r"\x1b\[[0-9;]*[A-Za-z]|[\x00-\x08\x0b-\x1f\x7f]")
+"""Colours of a terminal, and control characters: an error of another package may have them."""
+_MAIL, _WEBHOOK, _APPRISE = "mail", "webhook", "apprise"
 
 
 class DeliveryFailed(Exception):
@@ -237,14 +243,6 @@ def _delivery(row: Sequence[Any]) -> Delivery:
     key, channel, occasion, subject, text, run, folder, utc, state, tries, _, twice, error, *place = row
     message = Message(key, occasion, subject, text, run, folder, utc, *place)
     return Delivery(message, channel, state, tries, bool(twice), error)
-
-
-TIMEOUT_S = 10.0
-"""Longest silence of a server, s."""
-_LOOK_S = 5.0
-_UNPRINTABLE = re.compile(r"\x1b\[[0-9;]*[A-Za-z]|[\x00-\x08\x0b-\x1f\x7f]")
-"""Colours of a terminal, and control characters: an error of another package may have them."""
-_MAIL, _WEBHOOK, _APPRISE = "mail", "webhook", "apprise"
 
 
 def channels_of(messages: MessagesConfig) -> list[str]:

@@ -21,9 +21,10 @@ from bench.measure.camera_kinds import CameraKind, EventKind
 from bench.measure.measure import ExpectedGrid, Measurement
 from bench.plan.job import Job, documents_of
 from bench.plan.plan import CHECK_S, CHOOSE_S, PREFLIGHT_S, REPORT_S, SOLVE_S, Plan, load_documents, make_plan
-from bench.record.events import Event, MeasuredFacts, Solved, UntilDecided
+from bench.record.events import Event, Solved, UntilDecided
 from bench.record.history import History, replay
 from bench.record.journal import Journal
+from bench.record.measured_facts import MeasuredFacts
 from bench.record.results import Results
 from bench.record.run_folder import JOURNAL, PLAN, RESULTS, RunFolder
 from bench.record.run_log import RunLog

@@ -22,6 +22,24 @@ from bench.wording.target_words import TargetWords
 from calib.model.result_parts import COMMON_FIELD, PASSPORT, POSE_FIELDS, PRIORS, READINGS, STARS
 from calib.uncertainty.covariance import coverage_factor
 
+_CERTAIN = (PASSPORT, PRIORS)
+"""Sources of the adjustment whose variance is known: their degrees of freedom are infinite."""
+_TYPE_A = (STARS, POSE_FIELDS, COMMON_FIELD)
+_SAME = 1e-3
+"""Largest relative difference between the combined rows and the stated uncertainty: below its last printed digit."""
+_OVERLAP = (
+    "All sources act together in one joint adjustment. The engine splits the combined uncertainty by source, so that"
+    " the squares of the rows add up to u squared. A sensitivity is the contribution over the standard uncertainty of"
+    " the stated value; a row without a stated value has none."
+)
+
+_SOURCES = {
+    STARS: "residuals of the stars, with the gimbal's readings if there are any",
+    POSE_FIELDS: "differences between the views",
+    COMMON_FIELD: "residuals that all views share",
+    PRIORS: "station, and expected sizes",
+}
+
 
 def printed(number: Decimal) -> str:
     """Return a decimal number without an exponent.
@@ -70,18 +88,6 @@ def print_plain(value: float) -> str:
 def with_unit(text: str, unit: str) -> str:
     """Return a number with its unit; nothing is written for the unit ``1``."""
     return text if unit == "1" else f"{text} {unit}"
-
-
-_CERTAIN = (PASSPORT, PRIORS)
-"""Sources of the adjustment whose variance is known: their degrees of freedom are infinite."""
-_TYPE_A = (STARS, POSE_FIELDS, COMMON_FIELD)
-_SAME = 1e-3
-"""Largest relative difference between the combined rows and the stated uncertainty: below its last printed digit."""
-_OVERLAP = (
-    "All sources act together in one joint adjustment. The engine splits the combined uncertainty by source, so that"
-    " the squares of the rows add up to u squared. A sensitivity is the contribution over the standard uncertainty of"
-    " the stated value; a row without a stated value has none."
-)
 
 
 @dataclass(frozen=True)
@@ -260,14 +266,6 @@ def _stated_value(row: Mapping[str, Any], source: RowSource) -> tuple[float | No
     if row.get("name") == PASSPORT or row.get("value") is None or row.get("divisor") is None:
         return None, None, ""
     return float(row["value"]), float(row["divisor"]), str(row.get("unit") or "")
-
-
-_SOURCES = {
-    STARS: "residuals of the stars, with the gimbal's readings if there are any",
-    POSE_FIELDS: "differences between the views",
-    COMMON_FIELD: "residuals that all views share",
-    PRIORS: "station, and expected sizes",
-}
 
 
 def _group(row: BudgetRowData, calibration: CalibrationData) -> str:

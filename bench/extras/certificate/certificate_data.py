@@ -32,6 +32,23 @@ from sequences.wording import MESSAGES
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
+FORMAT: Literal["starbench/certificate/1"] = "starbench/certificate/1"
+_LATER = {("run", "sequence_sha256"), ("run", "station_sha256"), ("method", "sequence_sha256")}
+"""Fields that certificates of earlier versions do not have."""
+CERTIFICATE = "certificate.json"
+
+_MOST_FAULTS = 20
+_FORMS = {
+    "string_type": "a text",
+    "float_type": "a finite number",
+    "finite_number": "a finite number",
+    "int_type": "a whole number",
+    "bool_type": "true or false",
+    "tuple_type": "a list",
+    "dataclass_type": "a mapping",
+    "model_type": "a mapping",
+}
+
 
 class _Strict:
     """What is read has every key and no other, and each value is of its type; numbers are finite."""
@@ -264,12 +281,6 @@ class Software(_Strict):
     version: str
 
 
-FORMAT: Literal["starbench/certificate/1"] = "starbench/certificate/1"
-_LATER = {("run", "sequence_sha256"), ("run", "station_sha256"), ("method", "sequence_sha256")}
-"""Fields that certificates of earlier versions do not have."""
-CERTIFICATE = "certificate.json"
-
-
 @dataclass(frozen=True)
 class Run(_Strict):
     """The sealed run that the certificate is made from."""
@@ -393,19 +404,6 @@ class Certificate(_Strict):
     def statement(self, id: str) -> str:  # noqa: A002 - the field's name
         """Return a fixed text; empty if the certificate does not have it."""
         return next((one.text for one in self.statements if one.id == id), "")
-
-
-_MOST_FAULTS = 20
-_FORMS = {
-    "string_type": "a text",
-    "float_type": "a finite number",
-    "finite_number": "a finite number",
-    "int_type": "a whole number",
-    "bool_type": "true or false",
-    "tuple_type": "a list",
-    "dataclass_type": "a mapping",
-    "model_type": "a mapping",
-}
 
 
 @cache

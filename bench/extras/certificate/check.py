@@ -27,6 +27,24 @@ from sequences.reader import Located
 
 _FILES = frozenset({CERTIFICATE, RESULTS, LAB, DCC, PDF, "VERIFY.txt"})
 _KIND = "certificate"
+_IN_EVERY_VERSION = (
+    "simulated",
+    "series",
+    "laboratory",
+    "customer",
+    "item",
+    "received",
+    "begun_utc",
+    "ended_utc",
+    "method",
+    "traceability",
+    "covariance",
+    "customer_supplied",
+    "external",
+    "opinions",
+    "authorised_by",
+)
+"""Fields that come from the run and from lab.yaml without words or rounding of the program."""
 
 
 def check_certificate(folder: Path, ledger: Ledger | None = None) -> Findings:
@@ -99,26 +117,6 @@ def _derive(folder: Path, certificate: Certificate, found: Findings) -> None:
             found.fault(_KIND, CERTIFICATE, f"it does not follow from {RESULTS} and {LAB}: {where}")
         return
     _compare_documents(folder, again, lab, results, other, found)
-
-
-_IN_EVERY_VERSION = (
-    "simulated",
-    "series",
-    "laboratory",
-    "customer",
-    "item",
-    "received",
-    "begun_utc",
-    "ended_utc",
-    "method",
-    "traceability",
-    "covariance",
-    "customer_supplied",
-    "external",
-    "opinions",
-    "authorised_by",
-)
-"""Fields that come from the run and from lab.yaml without words or rounding of the program."""
 
 
 def _same_numbers(stated: Certificate, derived: Certificate) -> bool:

@@ -22,21 +22,6 @@ from sequences.wording import did_you_mean
 
 Missing = Callable[[LabConfig, Results], Sequence[str]]
 """Returns the keys of lab.yaml, dotted, that are to be stated and are not."""
-
-
-@dataclass(frozen=True)
-class Clause:
-    """A clause that lab.yaml must answer."""
-
-    number: str  # Number of the clause, such as ``7.8.2.1 e``
-    item: str
-    missing: Missing
-
-    def message(self, key: str) -> str:
-        """Return what is missing and what to write, without the key itself."""
-        return f"is missing. ISO/IEC 17025, {self.number}: {self.item}. {_REMEDIES.get(key, 'Add it.')}"
-
-
 _LIST = "List them, or write none."
 _REMEDIES = {
     "laboratory.accreditation": "Give body, number and scope, or write none.",
@@ -56,12 +41,6 @@ _REMEDIES = {
     },
 }
 
-
-def _keys(*keys: str) -> Missing:
-    """Return a check that keys are stated."""
-    return lambda lab, _results: [key for key in keys if attrgetter(key)(lab) in (None, "")]
-
-
 _ITEM = (
     "item.condition",
     "item.lens.maker",
@@ -72,6 +51,31 @@ _ITEM = (
     "item.lens.aperture",
     "item.lens.aperture_locked",
 )
+
+_LABORATORY = ("laboratory.name", "laboratory.address", "laboratory.contact", "laboratory.accreditation")
+_CUSTOMER = ("customer.name", "customer.address", "customer.contact")
+
+_OF_THE_RUN = frozenset({"camera temperature", "event rate", "illumination", "light", "light frequency"})
+"""Conditions that the run records; a second statement could contradict it."""
+_NO_NAMES = frozenset({"-", "n/a", "none", "unknown", "tbd", "todo", "?"})
+
+
+@dataclass(frozen=True)
+class Clause:
+    """A clause that lab.yaml must answer."""
+
+    number: str  # Number of the clause, such as ``7.8.2.1 e``
+    item: str
+    missing: Missing
+
+    def message(self, key: str) -> str:
+        """Return what is missing and what to write, without the key itself."""
+        return f"is missing. ISO/IEC 17025, {self.number}: {self.item}. {_REMEDIES.get(key, 'Add it.')}"
+
+
+def _keys(*keys: str) -> Missing:
+    """Return a check that keys are stated."""
+    return lambda lab, _results: [key for key in keys if attrgetter(key)(lab) in (None, "")]
 
 
 def _item(lab: LabConfig, results: Results) -> Sequence[str]:
@@ -99,8 +103,6 @@ def _traceability(lab: LabConfig, results: Results) -> Sequence[str]:
     return [*missing, *(f"sources.{name}" for name in needed if not getattr(stated, name, None))]
 
 
-_LABORATORY = ("laboratory.name", "laboratory.address", "laboratory.contact", "laboratory.accreditation")
-_CUSTOMER = ("customer.name", "customer.address", "customer.contact")
 CLAUSES = (
     Clause("7.8.2.1 b", "name and address of the laboratory; its accreditation or none", _keys(*_LABORATORY)),
     Clause("7.8.2.1 c", "place where the calibration was performed", _keys("place")),
@@ -128,11 +130,6 @@ CLAUSES = (
 def unanswered(lab: LabConfig, results: Results) -> list[tuple[Clause, str]]:
     """Return the clauses that lab.yaml and the run leave open, in order, each with one missing key."""
     return [(clause, key) for clause in CLAUSES for key in clause.missing(lab, results)]
-
-
-_OF_THE_RUN = frozenset({"camera temperature", "event rate", "illumination", "light", "light frequency"})
-"""Conditions that the run records; a second statement could contradict it."""
-_NO_NAMES = frozenset({"-", "n/a", "none", "unknown", "tbd", "todo", "?"})
 
 
 def faults_of_lab(lab: Located[LabConfig], found: Results, sequence_sha256: str) -> list[Fault]:

@@ -93,6 +93,13 @@ _FISHEYE = (
 
 
 FURTHER = "This is a further certificate of the same run. Reason: "
+RULE = (
+    "Decision rule: guard band w = U, the expanded uncertainty; the printed numbers count. pass: the value lies inside"
+    " the limits by U or more. conditionalPass: inside the limits, but by less than U. conditionalFail: outside the"
+    " limits, by U or less. fail: outside the limits by more than U. (ILAC-G8, guarded acceptance and rejection.)"
+)
+
+Part = TypeVar("Part")
 
 
 def further_statement(reason: str) -> str:
@@ -145,13 +152,6 @@ def _model_of(camera: Mapping[str, Any]) -> str:
     return _BROWN + _SKEW if "skew" in camera else _BROWN
 
 
-RULE = (
-    "Decision rule: guard band w = U, the expanded uncertainty; the printed numbers count. pass: the value lies inside"
-    " the limits by U or more. conditionalPass: inside the limits, but by less than U. conditionalFail: outside the"
-    " limits, by U or less. fail: outside the limits by more than U. (ILAC-G8, guarded acceptance and rejection.)"
-)
-
-
 def conformity_of(rule: LabRuleConfig, result: Result) -> Conformity:
     """Return the statement of conformity of a result."""
     return Conformity(
@@ -164,9 +164,6 @@ def conformity_of(rule: LabRuleConfig, result: Result) -> Conformity:
         rule=RULE,
         verdict=verdict_of(result.printed_value, result.printed_uncertainty, rule.lower, rule.upper),
     )
-
-
-Part = TypeVar("Part")
 
 
 @dataclass(frozen=True)

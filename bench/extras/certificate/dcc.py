@@ -25,15 +25,8 @@ from bench.extras.certificate.certificate_data import (
     Software,
     Traceability,
 )
-from bench.extras.certificate.dcc_xml import (
-    DCC_VERSION,
-    NAMESPACES,
-    d_si_unit,
-    library,
-    printable,
-    product,
-    to_bytes,
-)
+from bench.extras.certificate.d_si import d_si_unit, product
+from bench.extras.certificate.dcc_xml import DCC_VERSION, NAMESPACES, library, printable, to_bytes
 from bench.extras.certificate.sealed_run import FORM
 
 if TYPE_CHECKING:

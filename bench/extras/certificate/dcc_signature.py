@@ -43,6 +43,9 @@ MOST_CERTIFICATES = 10
 """Most certificates of a chain."""
 _LEAST_RSA_BITS = 2048
 _KEY_FORM = "Use a key in PEM: RSA of 2048 bits or more, or ECDSA on P-256, P-384 or P-521."
+_METHODS = ("RSA_SHA256", "RSA_SHA384", "RSA_SHA512", "ECDSA_SHA256", "ECDSA_SHA384", "ECDSA_SHA512")
+_DIGESTS = ("SHA256", "SHA384", "SHA512")
+_TAMPERED = "The document was changed after it was signed, or the signature is not one of XAdES."
 
 
 def load_signing_key(path: Path, *, ask_passphrase: Callable[[Path], bytes] | None = None) -> PrivateKey:
@@ -154,11 +157,6 @@ def refuse_unfit(certificate: x509.Certificate, when: datetime, where: str = "")
 def name_of(name: x509.Name) -> str:
     """Return the name of a certificate's owner or issuer for messages, RFC 4514, cut if it is long."""
     return short(name.rfc4514_string()) or "nobody"
-
-
-_METHODS = ("RSA_SHA256", "RSA_SHA384", "RSA_SHA512", "ECDSA_SHA256", "ECDSA_SHA384", "ECDSA_SHA512")
-_DIGESTS = ("SHA256", "SHA384", "SHA512")
-_TAMPERED = "The document was changed after it was signed, or the signature is not one of XAdES."
 
 
 @dataclass(frozen=True)

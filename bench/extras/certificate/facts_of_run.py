@@ -22,7 +22,8 @@ from bench.extras.certificate.certificate_data import (
 )
 from bench.extras.certificate.lab_config import ItemConfig
 from bench.extras.certificate.limits import limits_of_others
-from bench.record.events import GateData, LightSettingsData
+from bench.record.events import LightSettingsData
+from bench.record.measured_facts import GateData
 from bench.record.results import BoresightData, CalibrationData, CameraConditions, KnownDirection, Results
 from bench.record.stored_calibration import camera_covariance, camera_of
 from bench.wording.parameters import unit_of
@@ -39,6 +40,17 @@ _NAMES = {
     "p2": "decentring distortion, second",
 }
 _DEGREE = "\N{DEGREE SIGN}C"
+_SUFFIXES = {
+    "_hz": "Hz",
+    "_percent": "%",
+    "_v": "V",
+    "_ms": "ms",
+    "_us": "\N{MICRO SIGN}s",
+    "_db": "dB",
+    "_deg": "\N{DEGREE SIGN}",
+    "_c": _DEGREE,
+}
+"""Units by the end of a setting's name."""
 
 
 def results_of(found: Results, customer_supplied: frozenset[str] = frozenset()) -> tuple[Result, ...]:
@@ -214,19 +226,6 @@ def conditions_of(found: Results) -> tuple[Condition, ...]:
         ),
     ]
     return tuple(row for row in rows if row is not None)
-
-
-_SUFFIXES = {
-    "_hz": "Hz",
-    "_percent": "%",
-    "_v": "V",
-    "_ms": "ms",
-    "_us": "\N{MICRO SIGN}s",
-    "_db": "dB",
-    "_deg": "\N{DEGREE SIGN}",
-    "_c": _DEGREE,
-}
-"""Units by the end of a setting's name."""
 
 
 def _setting(name: str, value: Any) -> str:

@@ -37,6 +37,14 @@ EXAMPLE = Path(__file__).with_name("example_lab.yaml")
 NONE = "none"
 PLACEHOLDER = "REPLACE"
 """Stands in the example for every value that only the laboratory knows."""
+Kind = TypeVar("Kind")
+
+Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$", description="SHA-256 of the certificate's file.")]
+Number = Annotated[float, Field(ge=-1e12, le=1e12)]
+NotNegative = Annotated[float, Field(ge=0, le=1e12)]
+Factor = Annotated[float, Field(ge=1, le=10, description="Coverage factor of the uncertainty.")]
+
+PlaceKind = Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"]
 
 
 def _plain(text: str) -> str:
@@ -69,18 +77,12 @@ def _or_empty(value: Any, read: ValidatorFunctionWrapHandler, info: ValidationIn
     return "" if value == ("" if info.mode == "json" else None) else read(value)
 
 
-Kind = TypeVar("Kind")
 OrEmpty = Annotated[
     Kind,
     WrapValidator(_or_empty),
     Field(json_schema_extra={"type": ["string", "number", "null"]}),
 ]
 """A text that may be absent: it is then empty."""
-
-Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$", description="SHA-256 of the certificate's file.")]
-Number = Annotated[float, Field(ge=-1e12, le=1e12)]
-NotNegative = Annotated[float, Field(ge=0, le=1e12)]
-Factor = Annotated[float, Field(ge=1, le=10, description="Coverage factor of the uncertainty.")]
 
 
 def _none_or_values(value: Any) -> str | None:
@@ -150,9 +152,6 @@ class LaboratoryConfig(StrictModel):
         ]
         | None
     ) = None
-
-
-PlaceKind = Literal["laboratory", "customer", "laboratoryBranch", "customerBranch", "other"]
 
 
 class PlaceConfig(StrictModel):

@@ -52,9 +52,6 @@ def limits_of_others(found: Results) -> list[str]:
     return conformity_sentences({**judged, "statements": others, "reasons": [], "rule": ""})[: len(others)]
 
 
-# A certificate that states a pass although the sealed run says FAIL: only with a reason, and then it says so.
-
-
 def despite_fail(found: Results) -> str:
     """Return the statement of a certificate with limits of the laboratory over a run that says FAIL."""
     judged = found.get("conformity")

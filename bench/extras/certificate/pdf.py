@@ -51,6 +51,38 @@ CODE_NOTE = (
     "A code in square brackets, such as [U+5C71], stands for a character that the fonts of this document do not have."
     " The exact text is in certificate.json."
 )
+PDF = "certificate.pdf"
+STANDARDS: tuple[Literal["a-3a"], Literal["ua-1"]] = ("a-3a", "ua-1")
+"""PDF/A-3a (ISO 19005-3) for the archive, and PDF/UA-1 (ISO 14289-1) for screen readers."""
+_KINDS = {
+    "dcc.xml": (
+        "application/xml",
+        "alternative",
+        "This certificate as a digital calibration certificate (DCC)",
+    ),
+    "certificate.json": ("application/json", "source", "All values of this certificate"),
+    "results.json": ("application/json", "source", "Results of the sealed run"),
+}
+_HEADER = 120
+"""Most characters of the laboratory's name in the head of a page."""
+AUTHORISATION = "SHA256SUMS.authorised.sig"
+_PLAIN_FROM, _PLAIN_TO = 1e-4, 1e7
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_OTHER = ("application/octet-stream", "supplement", "Supplement to this certificate")
+
+PLOTS = ("uncertainty", "direction", "coverage", "vectors", "radial", "regions", "distortion", "halves")
+"""Names of the plots, in their order; the directions only of a wide lens, the halves only of many poses."""
+_WIDE = frozenset({"vectors"})
+_CAPTIONS = {
+    "uncertainty": "Expanded uncertainty U of an image point over the sensor.",
+    "direction": "Expanded uncertainty U of the direction that belongs to a pixel.",
+    "coverage": "Stars of all poses on the sensor. The results are extrapolated where no star supports them.",
+    "vectors": "Residual of each star at its place on the sensor, magnified.",
+    "radial": "Length of the residuals against the distance from the principal point.",
+    "regions": "RMS residual and number of stars for each region of the sensor.",
+    "distortion": "Radial displacement by the lens against the field angle, with its expanded uncertainty.",
+    "halves": "Difference between the cameras from two halves of the poses.",
+}
 
 
 @cache
@@ -123,26 +155,6 @@ def _named(characters: Sequence[str]) -> str:
     ]
     more = len(characters) - _MOST_SHOWN
     return ", ".join(shown) + (f" and {more} more" if more > 0 else "")
-
-
-PDF = "certificate.pdf"
-STANDARDS: tuple[Literal["a-3a"], Literal["ua-1"]] = ("a-3a", "ua-1")
-"""PDF/A-3a (ISO 19005-3) for the archive, and PDF/UA-1 (ISO 14289-1) for screen readers."""
-_KINDS = {
-    "dcc.xml": (
-        "application/xml",
-        "alternative",
-        "This certificate as a digital calibration certificate (DCC)",
-    ),
-    "certificate.json": ("application/json", "source", "All values of this certificate"),
-    "results.json": ("application/json", "source", "Results of the sealed run"),
-}
-_HEADER = 120
-"""Most characters of the laboratory's name in the head of a page."""
-AUTHORISATION = "SHA256SUMS.authorised.sig"
-_PLAIN_FROM, _PLAIN_TO = 1e-4, 1e7
-_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_OTHER = ("application/octet-stream", "supplement", "Supplement to this certificate")
 
 
 def render_pdf(
@@ -356,21 +368,6 @@ def percent(share: float) -> str:
     if share == 0:
         return "0"
     return f"{100 * share:.1f}" if share >= 0.0005 else "< 0.1"
-
-
-PLOTS = ("uncertainty", "direction", "coverage", "vectors", "radial", "regions", "distortion", "halves")
-"""Names of the plots, in their order; the directions only of a wide lens, the halves only of many poses."""
-_WIDE = frozenset({"vectors"})
-_CAPTIONS = {
-    "uncertainty": "Expanded uncertainty U of an image point over the sensor.",
-    "direction": "Expanded uncertainty U of the direction that belongs to a pixel.",
-    "coverage": "Stars of all poses on the sensor. The results are extrapolated where no star supports them.",
-    "vectors": "Residual of each star at its place on the sensor, magnified.",
-    "radial": "Length of the residuals against the distance from the principal point.",
-    "regions": "RMS residual and number of stars for each region of the sensor.",
-    "distortion": "Radial displacement by the lens against the field angle, with its expanded uncertainty.",
-    "halves": "Difference between the cameras from two halves of the poses.",
-}
 
 
 def plots_of_run(run: Path, results: Results) -> dict[str, str]:

@@ -41,6 +41,16 @@ _ALSO = (
     "calib/uncertainty/projection_uncertainty.py",
 )
 """Other modules whose code decides a value or a word of a certificate."""
+_SEAL = "Before the issue the sealed run was verified: its seal, every file, its journal and the ledger."
+_SAME = " The results were made again from the recordings, and are the same."
+_PARTLY = (
+    " The results were made again from the recordings by another version of the program than that of the run;"
+    " not compared, and protected by the seal alone: "
+)
+_NOT_MADE = " The results were not made again from the recordings."
+
+Verify = Callable[[Path], Verification]
+_MOST_NAMED = 5
 
 
 @functools.cache
@@ -68,15 +78,6 @@ def other_writer(software: tuple[Software, ...]) -> str:
     """Return how the program that wrote a certificate differs, as ``typst 0.14 (here 0.15)``; empty if it does not."""
     stated, here = ({one.name: one.version for one in every} for every in (software, written_with()))
     return differing_software(stated, here)
-
-
-_SEAL = "Before the issue the sealed run was verified: its seal, every file, its journal and the ledger."
-_SAME = " The results were made again from the recordings, and are the same."
-_PARTLY = (
-    " The results were made again from the recordings by another version of the program than that of the run;"
-    " not compared, and protected by the seal alone: "
-)
-_NOT_MADE = " The results were not made again from the recordings."
 
 
 def statement_of(verification: Verification) -> str:
@@ -124,10 +125,6 @@ def check_run_of_certificate(
     if run.ok:
         found.remarks.append(f"the results of the run in {here[0]} were made again from its recordings")
     return found
-
-
-Verify = Callable[[Path], Verification]
-_MOST_NAMED = 5
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,16 @@ _FORMAT = re.compile(rf"(?P<before>{_PLAIN})\{{number(?::0(?P<digits>[1-9])d)?\}
 _HEAD_DIGITS = 4
 """Of two numbers with the same count, one in 65,536 pairs has the same text."""
 _LOST_HEAD = "lost"
+RESERVED = "certificate_reserved"
+ISSUED = "certificate_issued"
+VOIDED = "certificate_voided"
+LOST = "certificate_lost"
+_EVENTS = frozenset({RESERVED, ISSUED, VOIDED, LOST})
+
+How = Literal["reserved", "issued", "void", "lost"]
+
+LOCK = "certificates.lock"
+_CLOCK_SLACK = timedelta(seconds=2)
 
 
 def is_number_format(text: str) -> bool:
@@ -90,15 +100,6 @@ def number_pattern(text: str) -> re.Pattern[str]:
         for name in ("before", "after")
     )
     return re.compile(f"{before}(?P<count>[0-9]{{{match['digits'] or 1},9}}){after}")
-
-
-RESERVED = "certificate_reserved"
-ISSUED = "certificate_issued"
-VOIDED = "certificate_voided"
-LOST = "certificate_lost"
-_EVENTS = frozenset({RESERVED, ISSUED, VOIDED, LOST})
-
-How = Literal["reserved", "issued", "void", "lost"]
 
 
 @dataclass(frozen=True)
@@ -177,10 +178,6 @@ def _replay(event: str, data: Mapping[str, Any], found: dict[str, Numbered], cou
 def open_numbers(found: Mapping[str, Numbered]) -> list[Numbered]:
     """Return the numbers that were reserved and neither issued nor declared void, in the order of reservation."""
     return [one for one in found.values() if one.how == "reserved"]
-
-
-LOCK = "certificates.lock"
-_CLOCK_SLACK = timedelta(seconds=2)
 
 
 @dataclass(frozen=True)

@@ -47,6 +47,12 @@ from bench.wording.parameters import meaning_of, unit_text
 _DAYS_A_YEAR = 365.25
 _NAMED = 3
 _SCATTER_SIGMAS = 3.5
+SCHEMA = "starbench/charts/1"
+LEAST_RUNS = 5
+"""Fewest runs for control limits."""
+ENOUGH_RUNS = 20
+"""With fewer runs, limits are provisional (Montgomery, section 6.2, advises 20 to 25)."""
+_UNTESTED = Drift(None, None, joint=False, separable=True, between_runs=None, scatter=None)
 
 
 def slope_text(value: float, expanded: float, unit: str, per: str) -> str:
@@ -169,14 +175,6 @@ def _group_verdict(charts: Sequence[ChartData], state: ChartState, runs: int) ->
     if not drifting:
         sentences.append("No significant drift.")
     return " ".join(sentences)
-
-
-SCHEMA = "starbench/charts/1"
-LEAST_RUNS = 5
-"""Fewest runs for control limits."""
-ENOUGH_RUNS = 20
-"""With fewer runs, limits are provisional (Montgomery, section 6.2, advises 20 to 25)."""
-_UNTESTED = Drift(None, None, joint=False, separable=True, between_runs=None, scatter=None)
 
 
 @dataclass(frozen=True)

@@ -21,6 +21,20 @@ SCHEMA = "starbench/runs-table/1"
 """Name and version. Columns may be added within a version; they are never removed or given another meaning."""
 
 Kind = Literal["text", "texts", "integer", "number", "truth", "moment"]
+_FURTHER = {
+    "kb1": "fisheye distortion, 2nd order",
+    "kb2": "fisheye distortion, 4th order",
+    "kb3": "fisheye distortion, 6th order",
+    "kb4": "fisheye distortion, 8th order",
+}
+
+PARAMETERS = tuple(dict.fromkeys((*known_parameters(), *_FURTHER)))
+"""Parameters that have columns of their own."""
+
+Cell = str | float | bool | datetime | list[str] | None
+"""A value of the table; None if it is not known."""
+Row = Mapping[str, Cell]
+"""A run, by column."""
 
 
 class Column(NamedTuple):
@@ -119,14 +133,6 @@ _RECORD: Sequence[Column] = (
 )
 
 
-_FURTHER = {
-    "kb1": "fisheye distortion, 2nd order",
-    "kb2": "fisheye distortion, 4th order",
-    "kb3": "fisheye distortion, 6th order",
-    "kb4": "fisheye distortion, 8th order",
-}
-
-
 def parameter_columns(parameter: str) -> tuple[str, str, str]:
     """Return the columns of a parameter: its value, its standard uncertainty, and its expanded uncertainty.
 
@@ -148,8 +154,6 @@ def _of_parameter(parameter: str) -> tuple[Column, ...]:
     return tuple(Column(name, "number", unit, text) for name, text in zip(names, meanings, strict=True))
 
 
-PARAMETERS = tuple(dict.fromkeys((*known_parameters(), *_FURTHER)))
-"""Parameters that have columns of their own."""
 COLUMNS: Sequence[Column] = (
     *_IDENTITY,
     *_LEDGER,
@@ -161,11 +165,6 @@ COLUMNS: Sequence[Column] = (
 )
 """All columns, in order."""
 
-
-Cell = str | float | bool | datetime | list[str] | None
-"""A value of the table; None if it is not known."""
-Row = Mapping[str, Cell]
-"""A run, by column."""
 
 _COPIED = frozenset(column.name for column in COLUMNS)
 

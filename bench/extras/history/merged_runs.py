@@ -22,6 +22,7 @@ from bench.record.storage import sha256_of
 
 _SHORT = 12
 """Characters of a hash that name a ledger."""
+IN_LEDGER, NOT_IN_LEDGER, NO_LEDGER = "entered", "not in the ledgers", "no ledger"
 
 
 @dataclass(frozen=True)
@@ -120,9 +121,6 @@ def merge_ledgers(sources: Iterable[LedgerSource]) -> MergedLedgers:
             entered.setdefault(run.head, EnteredRun(run, source.bench, source.identity))
     merged.entered = entered
     return merged
-
-
-IN_LEDGER, NOT_IN_LEDGER, NO_LEDGER = "entered", "not in the ledgers", "no ledger"
 
 
 @dataclass(frozen=True)

@@ -37,6 +37,22 @@ EWMA_LIMIT = 2.86
 (1989) 155)."""
 SHEWHART_CHANCE = 0.0027
 """Chance of a run in control to lie beyond three sigma."""
+LEVEL = 0.05
+"""Chance of one false drift or more on a whole page."""
+LEAST_RUNS = 5
+"""Fewest runs for the test of one slope."""
+LEAST_RUNS_JOINT = 8
+"""Fewest runs for the test of both slopes together."""
+LEAST_RANGE_C = 0.2
+"""Smallest range of temperatures for which a slope is tested, degrees Celsius."""
+INSEPARABLE = 0.9
+"""From this correlation of time and temperature on, their slopes are tested one at a time."""
+
+PART, REPEATABILITY = "camera", "repeatability"
+POOLED_ABOVE = 0.05
+"""An interaction with a larger p is counted as repeatability (AIAG, appendix A)."""
+_CATEGORIES = 1.41
+_GOOD, _CONDITIONAL = 10.0, 30.0
 
 
 def individuals(values: Sequence[float], baseline: int | None = None) -> LimitsData:
@@ -114,18 +130,6 @@ def ewma_sigma(number: Array, sigma: float, weight: float) -> Array:
 
 def _places(condition: NDArray[np.bool_]) -> tuple[int, ...]:
     return tuple(int(place) for place in np.flatnonzero(condition))
-
-
-LEVEL = 0.05
-"""Chance of one false drift or more on a whole page."""
-LEAST_RUNS = 5
-"""Fewest runs for the test of one slope."""
-LEAST_RUNS_JOINT = 8
-"""Fewest runs for the test of both slopes together."""
-LEAST_RANGE_C = 0.2
-"""Smallest range of temperatures for which a slope is tested, degrees Celsius."""
-INSEPARABLE = 0.9
-"""From this correlation of time and temperature on, their slopes are tested one at a time."""
 
 
 @dataclass(frozen=True)
@@ -230,13 +234,6 @@ def holm(chances: Sequence[float]) -> list[float]:
         least = max(least, min(1.0, (len(chances) - rank) * chances[place]))
         adjusted[place] = least
     return adjusted
-
-
-PART, REPEATABILITY = "camera", "repeatability"
-POOLED_ABOVE = 0.05
-"""An interaction with a larger p is counted as repeatability (AIAG, appendix A)."""
-_CATEGORIES = 1.41
-_GOOD, _CONDITIONAL = 10.0, 30.0
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,9 @@ ENDINGS = (".parquet", ".csv")
 _INSTALL = (
     "Install it: pip install 'starbench[table]'. Or name a file that ends in .csv, which needs nothing."
 )
+_FORMULA = tuple("=+-@\t\r\n\uff1d\uff0b\uff0d\uff20")
+"""A spreadsheet takes text that begins with one of these for a formula; the last four are = + - @ of full width (OWASP,
+CSV injection)."""
 
 
 def require_writable_table(path: Path) -> None:
@@ -104,11 +107,6 @@ def _write_csv(path: Path, rows: Iterable[Row]) -> int:
             writer.writerow([_cell(row[column.name]) for column in COLUMNS])
             count += 1
     return count
-
-
-_FORMULA = tuple("=+-@\t\r\n\uff1d\uff0b\uff0d\uff20")
-"""A spreadsheet takes text that begins with one of these for a formula; the last four are = + - @ of full width (OWASP,
-CSV injection)."""
 
 
 def _cell(value: Cell) -> str:

@@ -24,6 +24,19 @@ from bench.extras.many.workers import Finished, Work, Workers, WorkersLost, do
 
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _END_S = 2.0
+_SILENCE_S = 60.0
+"""How long to wait while the scheduler has no worker."""
+_CONNECT_S = 10.0
+_SIZE_HOLDS_S = 5.0
+_LOGGERS = (
+    "distributed",
+    "distributed.client",
+    "distributed.utils",
+    "distributed.comm",
+    "tornado",
+    "asyncio",
+)
+_REMEDY = "Start it, check the address, then repeat the command: what was done is kept."
 
 
 @dataclass(frozen=True)
@@ -181,21 +194,6 @@ def _one_thread() -> Iterator[None]:
 def processors() -> int:
     """Return how many processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-_SILENCE_S = 60.0
-"""How long to wait while the scheduler has no worker."""
-_CONNECT_S = 10.0
-_SIZE_HOLDS_S = 5.0
-_LOGGERS = (
-    "distributed",
-    "distributed.client",
-    "distributed.utils",
-    "distributed.comm",
-    "tornado",
-    "asyncio",
-)
-_REMEDY = "Start it, check the address, then repeat the command: what was done is kept."
 
 
 class DaskWorkers(Workers):

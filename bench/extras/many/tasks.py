@@ -29,7 +29,7 @@ from bench.solve.sources import options_data
 from bench.solve.view_sources import ViewSource, view_sources
 from calib.errors import CalibrationError
 from calib.view import View
-from drivers.camera.raw_writer import require_regular, require_whole
+from drivers.camera.raw_check import require_regular, require_whole
 
 ROW_FORMAT = "starbench/recalibration/1"
 _READ = (JOURNAL, "sequence.yaml", "station.yaml", "passport.json")

@@ -25,6 +25,18 @@ if TYPE_CHECKING:
     from bench.measure.measure import StoredImage
     from bench.plan.job import Job
 
+Array = NDArray[np.float64]
+T_co = TypeVar("T_co", covariant=True)
+T = TypeVar("T")
+
+_ORDERS = (5, 3)
+_STARS_A_TERM = 2
+_DIGITS = 3
+_PNG_SIZE = struct.Struct(">16xII")
+"""Width and height in the first bytes of a PNG file (ISO/IEC 15948, 11.2.2)."""
+
+_JOBS_KEPT = 4
+
 
 class PictureAnswer(TypedDict, total=False):
     """Stars and residuals of one recording as a page shows them, px; alone ``fault`` where there is no picture."""
@@ -36,17 +48,6 @@ class PictureAnswer(TypedDict, total=False):
     rms_px: float | None
     fault: Required[str]
     absent: bool  # Whether it was not made, because it was not to be measured
-
-
-Array = NDArray[np.float64]
-T_co = TypeVar("T_co", covariant=True)
-T = TypeVar("T")
-
-_ORDERS = (5, 3)
-_STARS_A_TERM = 2
-_DIGITS = 3
-_PNG_SIZE = struct.Struct(">16xII")
-"""Width and height in the first bytes of a PNG file (ISO/IEC 15948, 11.2.2)."""
 
 
 def picture_of_view(left: LastView) -> PictureAnswer:
@@ -97,9 +98,6 @@ def picture_answer(
         answer["residuals_of"] = residuals_of
         answer["rms_px"] = float(np.sqrt(np.mean(np.sum(residuals_px**2, axis=1))))
     return answer
-
-
-_JOBS_KEPT = 4
 
 
 class Request(Protocol[T_co]):

@@ -6,7 +6,7 @@ import asyncio
 import json
 import threading
 import time
-from collections.abc import AsyncIterator, Callable, Sequence
+from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, Literal
@@ -18,82 +18,25 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Response
 from starlette.routing import Route
 
-from bench.base.errors import BenchError, RunFolderError, UsageError
-from bench.extras.batch.batch_summary import PAGE, RUNS, read_batch, read_batch_status, summarise
+from bench.base.errors import RunFolderError, UsageError
+from bench.extras.batch.batch_summary import PAGE
+from bench.extras.panel.batch_view import LOOK_S, BatchView
 from bench.extras.panel.folder_list import FolderList
 from bench.extras.panel.helper_process import PictureAnswer, PictureRequest, picture_of_view
 from bench.extras.panel.line import Line
 from bench.extras.panel.list_changes import ListChanges
 from bench.extras.panel.shown_run import LogLine
 from bench.extras.panel.watching import MOST_LOG_LINES, Extras, Helper, RunWatch, Watcher
-from bench.record.folder_lock import is_locked
 from bench.record.run_folder import JOURNAL, REPORT
 from bench.record.run_index import QUEUE_COPY
-from bench.record.storage import storage_errors
-from bench.record.summaries import BatchSummary, ItemData
 from bench.run.control import Command, command_text, send
 from bench.web.guard import POLICY, known_by
-from bench.web.pages import EventStream, Message, last_id, page_app, read_object, whole_number
+from bench.web.pages import page_app, read_object, whole_number
+from bench.web.server_sent import EventStream, Message, last_id
 
-# A batch as its page shows it: failures first, the queue, the time of each run, and the trend of each
-# parameter.
-#
-# The summary is read again only when the batch's journal has grown; what comes next is told every few
-# seconds.
-
-LOOK_S = 0.5
-AGAIN_S = 3.0
-_FAILURES = frozenset({"failed", "died", "hung", "cut off"})
-_NOT_BEGUN = frozenset({"not begun", "withdrawn"})
-
-
-class BatchView:
-    """One batch, for all its pages."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder = folder
-        self._lock = threading.Lock()
-        self._stamp: tuple[Any, ...] = ()
-        self._summary: BatchSummary | None = None
-        self._lines = 0
-        self._text = ""
-        self._made_at_s = float("-inf")
-
-    def text(self) -> tuple[str, int]:
-        """Return the batch as JSON. May read many files, so not for the server's own thread."""
-        with self._lock:
-            try:
-                self._look()
-            except BenchError as error:
-                self._text = json.dumps({"fault": str(error), "line": self._lines})
-            return self._text, self._lines
-
-    def _look(self) -> None:
-        running = is_locked(self.folder)
-        with storage_errors(self.folder):
-            found = (self.folder / JOURNAL).stat()
-        stamp = found.st_size, found.st_mtime_ns, running
-        now_s = time.monotonic()
-        is_new = stamp != self._stamp
-        if not is_new and (not running or now_s - self._made_at_s < AGAIN_S):
-            return
-        summary = self._summary
-        if is_new or summary is None:
-            record = read_batch(self.folder)
-            summary = self._summary = summarise(self.folder, record)
-            self._lines = _line_count(self.folder / JOURNAL)
-        status = read_batch_status(self.folder).to_dict()
-        shown = {name: value for name, value in summary.items() if name != "items"}
-        body = {
-            **shown,
-            "fault": "",
-            "line": self._lines,
-            "status": status,
-            "items": _failures_first(summary["items"]),
-            "runs_folder": RUNS,
-        }
-        self._text = json.dumps(body, separators=(",", ":"), allow_nan=False)
-        self._stamp, self._made_at_s = stamp, now_s
+ASSETS = Path(__file__).parent / "assets"
+LIST_S = 1.0
+"""Time between two looks at the folder while a page lists it, s."""
 
 
 async def _told(text: Callable[[], tuple[str, int]], every_s: float) -> AsyncIterator[Message]:
@@ -105,25 +48,6 @@ async def _told(text: Callable[[], tuple[str, int]], every_s: float) -> AsyncIte
             told = found
             yield Message(found, "update", str(lines))
         await asyncio.sleep(every_s)
-
-
-def _failures_first(items: Sequence[ItemData]) -> list[ItemData]:
-    """Return the runs of a batch: failures, then those with a result and others, then those that have not begun."""
-
-    def place(item: ItemData) -> int:
-        return 0 if item["how"] in _FAILURES else 2 if item["how"] in _NOT_BEGUN else 1
-
-    return sorted(items, key=place)
-
-
-def _line_count(path: Path) -> int:
-    with storage_errors(path), path.open("rb") as stream:
-        return sum(line.endswith(b"\n") for line in stream)
-
-
-ASSETS = Path(__file__).parent / "assets"
-LIST_S = 1.0
-"""Time between two looks at the folder while a page lists it, s."""
 
 
 class Panel:

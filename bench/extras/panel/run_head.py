@@ -31,6 +31,14 @@ from bench.run.interlocks import interlock_text
 from bench.run.machine import END_STATES
 
 _QUIET_LIMIT_S = 15.0
+MAX_HOLD_H = 8
+"""As `bench.run.states.MAX_HOLD_S`, in hours; that module opens devices, which this one must not."""
+_GIGABYTE = 1e9
+_POSES_OF_A_SERIES = 3
+
+_MOST_DEVIATIONS = 30
+_MOST_DECISIONS = 200
+_TONES = {"finished": "good", "aborted": "warn", "failed": "bad", "interrupted": "bad", "running": "busy"}
 
 
 @dataclass(frozen=True)
@@ -79,12 +87,6 @@ def _free_bytes(folder: Path) -> int | None:
         return shutil.disk_usage(folder).free
     except OSError:
         return None
-
-
-MAX_HOLD_H = 8
-"""As `bench.run.states.MAX_HOLD_S`, in hours; that module opens devices, which this one must not."""
-_GIGABYTE = 1e9
-_POSES_OF_A_SERIES = 3
 
 
 def _leave(safe: bool, text: str, until_utc: str = "") -> LeaveData:
@@ -173,11 +175,6 @@ def _needed_bytes(model: RunModel) -> float:
     of_pose = model.plan.most_bytes / max(model.plan.most_poses, 1)
     done = len(model.history.accepted()) + len(model.history.skipped)
     return of_pose * max(0, model.plan.count_poses(model.history).most - done)
-
-
-_MOST_DEVIATIONS = 30
-_MOST_DECISIONS = 200
-_TONES = {"finished": "good", "aborted": "warn", "failed": "bad", "interrupted": "bad", "running": "busy"}
 
 
 def verdict_of(model: RunModel, process: ProcessState) -> tuple[str, str]:

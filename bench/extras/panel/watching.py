@@ -25,12 +25,13 @@ from bench.extras.panel.helper_process import (
     PictureRequest,
     Request,
 )
+from bench.extras.panel.journal_tail import read_final
 from bench.extras.panel.run_head import ProcessState, head_of, look_at_process
-from bench.extras.panel.run_model import RunModel, read_final
+from bench.extras.panel.run_model import RunModel
 from bench.extras.panel.shown_run import Coverage, Forecast, RunExtras, RunHead, RunMessage
 from bench.record.history import History
 from bench.run.last_view import LastView, read_last_view
-from bench.web.pages import Changes
+from bench.web.server_sent import Changes
 
 LOOK_S = 0.02
 """Time between two looks at a journal, s."""
@@ -43,6 +44,13 @@ LINGER_S = 20.0
 MOST_LOG_LINES = 300
 MOST_VIEWS = 40
 """Pictures that are kept for each run."""
+T = TypeVar("T")
+_MOST_PICTURES = 60
+
+CELLS = (32, 18)
+"""Columns and rows in which the coverage is counted."""
+_MOST_FORECASTS = 8
+_MOST_POSES_TO_FORECAST = 60
 
 
 class RunWatch:
@@ -233,10 +241,6 @@ class Watcher:
             return [watch for watch in self._watches.values() if watch.readers > 0]
 
 
-T = TypeVar("T")
-_MOST_PICTURES = 60
-
-
 class Helper:
     """The helper process, for all pages together. For any thread; one request at a time."""
 
@@ -271,12 +275,6 @@ class Helper:
     def close(self) -> None:
         """End the process."""
         self._worker.close()
-
-
-CELLS = (32, 18)
-"""Columns and rows in which the coverage is counted."""
-_MOST_FORECASTS = 8
-_MOST_POSES_TO_FORECAST = 60
 
 
 class Extras:

@@ -24,6 +24,12 @@ _LONG_S = 30.0
 """Time of a recording that something is to end early, s."""
 _AT_WORK_S = 0.3
 """After this time a recording is at work, s."""
+_MANY = 5000
+"""Number of frames of a capture that something is to end early."""
+_FRAMES_AT_WORK_S = 0.5
+"""After this time a capture is at work, s."""
+_LONGEST_END_S = 15.0
+"""Longest time until a stopped capture ends, s."""
 
 
 class SimulatedCamera(Protocol):
@@ -250,14 +256,6 @@ def _readable(folder: Path) -> None:
     (left,) = folder.iterdir()
     assert RawFile.open(left).scan().events >= 0
     left.rename(folder.parent / f"kept-{folder.name}")
-
-
-_MANY = 5000
-"""Number of frames of a capture that something is to end early."""
-_FRAMES_AT_WORK_S = 0.5
-"""After this time a capture is at work, s."""
-_LONGEST_END_S = 15.0
-"""Longest time until a stopped capture ends, s."""
 
 
 class FrameCameraContract(AnyCameraContract):

@@ -40,6 +40,12 @@ MAX_ADDRESS: Final = 2047
 _HEAD_BYTES: Final = 12
 _WORST_BYTES: Final = 24
 """Largest size of an event: 17 bytes for its time, 2 for its row, 2 for its column, 1 for its polarity, rounded up."""
+_STYLE_A: Final = 2
+_STYLE_B: Final = 1
+_STYLE_C: Final = 0
+_ROW_COUNT_BITS: Final = 5  # of 16
+_POLARITY_COUNT_BITS: Final = 7  # of 8
+_BAD: Final = -1
 
 
 def rising(t: NDArray[np.int64], least: int) -> NDArray[np.int64]:
@@ -95,14 +101,6 @@ def decode(chunk: bytes) -> Events:
     if at < 0:
         raise ValueError(f"a chunk of {len(chunk)} bytes does not hold the {n} events that it states")
     return events
-
-
-_STYLE_A: Final = 2
-_STYLE_B: Final = 1
-_STYLE_C: Final = 0
-_ROW_COUNT_BITS: Final = 5  # of 16
-_POLARITY_COUNT_BITS: Final = 7  # of 8
-_BAD: Final = -1
 
 
 @njit(cache=True, nogil=True)

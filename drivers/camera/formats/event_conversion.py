@@ -31,7 +31,7 @@ from drivers.camera.event_arrays import (
     empty_events,
 )
 from drivers.camera.evt3 import Words
-from drivers.camera.evt3_kernel import MAX_BACK_STEP_US
+from drivers.camera.evt3_state import MAX_BACK_STEP_US
 from drivers.camera.formats.event_exports import (
     ExportSummary,
     Progress,
@@ -41,9 +41,10 @@ from drivers.camera.formats.event_exports import (
 )
 from drivers.camera.formats.event_files import open_events
 from drivers.camera.formats.prophesee_words import is_dat
+from drivers.camera.raw_check import read_start
 from drivers.camera.raw_file import RawFile, is_recording
 from drivers.camera.raw_header import MAX_SIDE_PX, encoding_of, header_fields, render_fields
-from drivers.camera.raw_writer import new_file, read_start
+from drivers.camera.raw_writer import new_file
 from drivers.errors import NotARecording, RecordingFileError
 
 Kind = Literal["raw", "metavision", "hdf5", "numpy"]
@@ -55,6 +56,15 @@ _BY_ENDING: Final[Mapping[str, Kind]] = {
     ".h5": "hdf5",
     ".npz": "numpy",
 }
+_EXPORTS: Final = {"metavision": export_metavision, "hdf5": export_hdf5, "numpy": export_numpy}
+
+_OF_LAYOUT: Final = frozenset(
+    {"evt", "format", "geometry", "endianness", "width", "height", "version", "converted_from", "end"}
+)
+"""Keys, in small letters, that describe how the source is laid out."""
+
+_MAX_ADDRESS: Final = 2047
+_MAX_CHANNEL: Final = 15
 
 
 def kind_of_name(path: Path) -> Kind | None:
@@ -144,9 +154,6 @@ def write_raw(
     return ExportSummary(count, len(triggers.t), encoder.moved_events, opened.truncated)
 
 
-_EXPORTS: Final = {"metavision": export_metavision, "hdf5": export_hdf5, "numpy": export_numpy}
-
-
 def is_evt3(path: Path) -> bool:
     """Return whether a file is a RAW recording with EVT3 words; False if it cannot be read: what reads it says why."""
     try:
@@ -158,12 +165,6 @@ def is_evt3(path: Path) -> bool:
         return False
 
 
-_OF_LAYOUT: Final = frozenset(
-    {"evt", "format", "geometry", "endianness", "width", "height", "version", "converted_from", "end"}
-)
-"""Keys, in small letters, that describe how the source is laid out."""
-
-
 def _header(opened: EventSource, source: Path) -> bytes:
     """Return the header of a new RAW file: the facts of its source, and its name."""
     facts = {key: value for key, value in opened.header.items() if key.lower() not in _OF_LAYOUT}
@@ -173,10 +174,6 @@ def _header(opened: EventSource, source: Path) -> bytes:
         "geometry": f"{opened.width}x{opened.height}",
     }
     return render_fields({**facts, **layout, "converted_from": f"{source.name}; not the bytes of a camera"})
-
-
-_MAX_ADDRESS: Final = 2047
-_MAX_CHANNEL: Final = 15
 
 
 class _S(IntEnum):

@@ -21,9 +21,9 @@ from drivers.camera.formats import prophesee_words
 from drivers.camera.formats.hdf5_events import opened_hdf5
 from drivers.camera.formats.library_process import source_of_library
 from drivers.camera.formats.library_reader import AEDAT4_MAGIC, is_bag
+from drivers.camera.raw_check import read_start, require_whole
 from drivers.camera.raw_file import RawFile, unreadable
 from drivers.camera.raw_header import parse_header
-from drivers.camera.raw_writer import read_start, require_whole
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError, UnreadableEvents
 
 _EVENT_FILES: Final = "Give a file of events: RAW, HDF5, .npz, DAT, AEDAT4 or a ROS bag."

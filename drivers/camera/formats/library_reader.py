@@ -62,6 +62,36 @@ from drivers.errors import (
 
 _PIECE: Final = 500_000
 _MOST_NAMED: Final = 8
+AEDAT4_MAGIC: Final = b"#!AER-DAT4.0"
+_RISING: Final = 1
+_FALLING: Final = 2
+
+_HEAD_BYTES: Final = 1 << 16
+_STREAM: Final = re.compile(rb'<node name="([0-9]+)"')
+_SOURCE: Final = re.compile(rb'<attr key="source"[^>]*>([ -;=-~]{1,80})</attr>')
+
+MAGIC_1: Final = b"#ROSBAG V2.0"
+MAGIC_MCAP: Final = b"\x89MCAP0\r\n"
+MAGIC_SQLITE: Final = b"SQLite format 3\x00"
+_OF_EVENTS: Final = ("EventArray", "EventPacket")
+
+_HEADER: Final = "std_msgs/Header header\n"
+_PACKET_TEXT: Final = (
+    f"{_HEADER}uint32 height\nuint32 width\nuint64 seq\nuint64 time_base\nstring encoding\n"
+    "bool is_bigendian\nuint8[] events\n"
+)
+_EVENT: Final = "uint16 x\nuint16 y\ntime ts\nbool polarity\n"
+DEFINITIONS: Final = {
+    "dvs_msgs/msg/Event": _EVENT.replace("time ts", "builtin_interfaces/Time ts"),
+    "dvs_msgs/msg/EventArray": f"{_HEADER}uint32 height\nuint32 width\ndvs_msgs/Event[] events\n",
+    "prophesee_event_msgs/msg/Event": _EVENT.replace("time ts", "builtin_interfaces/Time ts"),
+    "prophesee_event_msgs/msg/EventArray": (
+        f"{_HEADER}uint32 height\nuint32 width\nprophesee_event_msgs/Event[] events\n"
+    ),
+    "event_camera_msgs/msg/EventPacket": _PACKET_TEXT,
+    "event_array_msgs/msg/EventArray": _PACKET_TEXT,
+}
+"""Definitions for bags of ROS 2 that do not hold them."""
 
 
 def main(kind: str, path: Path, choices: ReadingChoices) -> None:
@@ -167,16 +197,6 @@ def _from_hdf5(path: Path, choices: ReadingChoices) -> EventSource:
     return source
 
 
-AEDAT4_MAGIC: Final = b"#!AER-DAT4.0"
-_RISING: Final = 1
-_FALLING: Final = 2
-
-
-_HEAD_BYTES: Final = 1 << 16
-_STREAM: Final = re.compile(rb'<node name="([0-9]+)"')
-_SOURCE: Final = re.compile(rb'<attr key="source"[^>]*>([ -;=-~]{1,80})</attr>')
-
-
 def _from_aedat4(path: Path, choices: ReadingChoices) -> EventSource:
     """Open a stream of events of an AEDAT4 file, named by its number, with the edges at the camera's signal input."""
     streams = {str(number): one for number, one in _decoder(path).id_to_stream().items()}
@@ -239,30 +259,6 @@ def _aedat4_edges(rows: Any, origin: int) -> Triggers:
         (rows["source"] == _RISING).astype(np.uint8),
         np.zeros(len(rows), np.uint8),
     )
-
-
-MAGIC_1: Final = b"#ROSBAG V2.0"
-MAGIC_MCAP: Final = b"\x89MCAP0\r\n"
-MAGIC_SQLITE: Final = b"SQLite format 3\x00"
-_OF_EVENTS: Final = ("EventArray", "EventPacket")
-
-_HEADER: Final = "std_msgs/Header header\n"
-_PACKET_TEXT: Final = (
-    f"{_HEADER}uint32 height\nuint32 width\nuint64 seq\nuint64 time_base\nstring encoding\n"
-    "bool is_bigendian\nuint8[] events\n"
-)
-_EVENT: Final = "uint16 x\nuint16 y\ntime ts\nbool polarity\n"
-DEFINITIONS: Final = {
-    "dvs_msgs/msg/Event": _EVENT.replace("time ts", "builtin_interfaces/Time ts"),
-    "dvs_msgs/msg/EventArray": f"{_HEADER}uint32 height\nuint32 width\ndvs_msgs/Event[] events\n",
-    "prophesee_event_msgs/msg/Event": _EVENT.replace("time ts", "builtin_interfaces/Time ts"),
-    "prophesee_event_msgs/msg/EventArray": (
-        f"{_HEADER}uint32 height\nuint32 width\nprophesee_event_msgs/Event[] events\n"
-    ),
-    "event_camera_msgs/msg/EventPacket": _PACKET_TEXT,
-    "event_array_msgs/msg/EventArray": _PACKET_TEXT,
-}
-"""Definitions for bags of ROS 2 that do not hold them."""
 
 
 def is_bag(path: Path, start: bytes) -> bool:

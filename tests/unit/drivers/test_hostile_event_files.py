@@ -13,7 +13,7 @@ from imported import import_events
 from drivers.camera.formats.event_conversion import write_raw
 from drivers.camera.formats.event_files import open_events
 from drivers.camera.formats.hdf5_reading import MOST_CHUNK_BYTES
-from drivers.camera.raw_writer import require_whole
+from drivers.camera.raw_check import require_whole
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError
 
 N = 3000

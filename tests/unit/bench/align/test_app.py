@@ -9,9 +9,9 @@ import pytest
 from align_fakes import fake_session, wait_until
 from pages import served
 
+from bench.align.align_app import align_app
 from bench.align.live_figures import LiveMeter
 from bench.align.page_requests import PageFiles
-from bench.align.serve import align_app
 from bench.stations.station import SHIPPED_STATIONS
 
 ONE, TWO = "page-one", "page-two"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from bench.align.controls import BEAT_LIMIT_S, Owners
+from bench.align.owners import BEAT_LIMIT_S, Owners
 from bench.align.session import KEPT, SHOWN, Happened
 from bench.base.errors import ControlRefused
 

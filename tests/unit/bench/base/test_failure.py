@@ -19,7 +19,7 @@ from bench.record.history import replay
 from bench.record.journal import read_journal
 from bench.run.runner import RunEnd
 from bench.run.status import line_text, read_status
-from bench.run.steps import intentions
+from bench.run.steps_to_do import intentions
 from calib.errors import CalibrationError
 from drivers.errors import CameraLost, DriverError, MoveFailed, ReplyTimeout
 from sequences.errors import SequencesError

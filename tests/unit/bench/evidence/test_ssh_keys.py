@@ -16,9 +16,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.base.errors import EvidenceError
+from bench.evidence.openssh import NotInstalled
 from bench.evidence.personal_key import load_file_key
 from bench.evidence.ssh_keys import check_key, encode_public_key, string
-from bench.evidence.sshsig import Ed25519Signer, NotInstalled, is_valid, read_signature
+from bench.evidence.sshsig import Ed25519Signer, is_valid, read_signature
 
 
 def no_passphrase(path):

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from bench.measure.camera_kinds import EventKind, FrameKind, camera_kind
-from bench.measure.measure import Measurement, frame_gates, frame_rejection_reasons, measure_frames
+from bench.measure.measure import Measurement
+from bench.measure.measure_frames import frame_gates, frame_rejection_reasons, measure_frames
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.stations.station import SHIPPED_STATIONS, Station

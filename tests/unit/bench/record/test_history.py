@@ -23,6 +23,7 @@ from bench.record.events import (
 )
 from bench.record.history import replay
 from bench.record.journal import Journal
+from bench.record.measured_facts import GateData
 from bench.record.run_log import RunLog
 
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
@@ -126,7 +127,7 @@ def log(tmp_path):
     with Journal.create(path, utc_now=lambda: datetime.now(UTC), monotonic=lambda: 0.0) as journal:
         log = RunLog(journal)
         with pytest.raises(ValueError, match="gate_data"):
-            log.write(events.GateData)
+            log.write(GateData)
         log.write(CaptureStored, **STORED)
         yield log
 

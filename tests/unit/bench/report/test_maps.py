@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.record.stored_calibration import camera_covariance, camera_of
-from bench.report.maps import reach_px, round_levels, sensor_map, star_distance
+from bench.report.maps import round_levels, sensor_map
 from bench.report.pose_plot import (
     displacement,
     distortion_curve,
@@ -17,6 +17,7 @@ from bench.report.pose_plot import (
     pose_directions,
     pose_frames,
 )
+from bench.report.supported import reach_px, star_distance
 from calib.uncertainty.projection_uncertainty import sensor_grid
 
 

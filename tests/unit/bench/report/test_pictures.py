@@ -12,7 +12,7 @@ from report_sample import SMALL
 
 from bench.measure.view_picture import ViewPicture
 from bench.report.plots import residual_vectors
-from bench.report.pose_tables import state_diagram
+from bench.report.state_diagram import state_diagram
 from tests.unit.bench.report.structure import Structure
 
 

@@ -8,7 +8,7 @@ from bench.plan.job import Job
 from bench.record.events import Event
 from bench.record.history import History, replay
 from bench.record.journal import Journal
-from bench.run.steps import (
+from bench.run.steps_to_do import (
     intentions,
     poses_crashed_too_often,
     remaining_steps,

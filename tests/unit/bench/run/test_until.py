@@ -13,7 +13,7 @@ from bench.record.history import replay
 from bench.record.journal import read_journal
 from bench.run.control import Command
 from bench.run.status import read_status, status_text
-from bench.run.steps import intentions
+from bench.run.steps_to_do import intentions
 from bench.solve import interim, next_pose
 from drivers.errors import RecordingFailed
 

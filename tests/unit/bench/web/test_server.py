@@ -15,8 +15,9 @@ from starlette.responses import JSONResponse, PlainTextResponse
 from starlette.routing import Route
 
 from bench.base.errors import UsageError
-from bench.web.pages import Changes, EventStream, Message, last_id, page_app, read_object
+from bench.web.pages import page_app, read_object
 from bench.web.server import PageServer
+from bench.web.server_sent import Changes, EventStream, Message, last_id
 from bench.web.token import PageToken
 
 

@@ -12,6 +12,7 @@ import pytest
 from journals import MadeRun, made_batch
 
 from bench.extras.panel import helper_process, panel_app
+from bench.extras.panel.batch_view import BatchView
 from bench.extras.panel.helper_process import (
     CoverageRequest,
     ForecastRequest,
@@ -19,7 +20,6 @@ from bench.extras.panel.helper_process import (
     picture_of_view,
     smooth_residuals,
 )
-from bench.extras.panel.panel_app import BatchView
 from bench.extras.panel.watching import Helper, forecast_poses
 from bench.measure.measure import StoredImage
 from bench.run.last_view import LastView

@@ -8,7 +8,7 @@ import pytest
 from journals import MadeRun
 
 from bench.extras.panel import run_model
-from bench.extras.panel.run_model import JournalTail
+from bench.extras.panel.journal_tail import JournalTail
 
 
 @pytest.fixture

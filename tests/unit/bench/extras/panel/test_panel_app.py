@@ -13,8 +13,8 @@ from journals import MadeRun, at_work
 from pages import served
 
 from bench.base.clock import Aborted
+from bench.extras.panel.journal_tail import JournalTail
 from bench.extras.panel.panel_app import Panel, panel_app
-from bench.extras.panel.run_model import JournalTail
 from bench.record.events import Asked
 from bench.record.journal import read_journal
 from bench.web.token import PageToken

@@ -9,8 +9,9 @@ import pytest
 from journals import BEGIN, MadeRun
 
 from bench.extras.panel import run_head
+from bench.extras.panel.journal_tail import read_final
 from bench.extras.panel.run_head import ProcessState, head_of, look_at_process
-from bench.extras.panel.run_model import RunModel, read_final
+from bench.extras.panel.run_model import RunModel
 from bench.run.states import MAX_HOLD_S
 
 RUNNING = ProcessState(running=True, takes_commands=True, free_bytes=10**12)

@@ -1,0 +1,72 @@
+"""A module has one head and one thing: constants above the first definition, and no second head comment inside."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+FILES = sorted(
+    path
+    for package in ("bench", "calib", "drivers", "sequences", "simulators")
+    for path in (ROOT / package).rglob("*.py")
+)
+DEFINITIONS = (ast.FunctionDef, ast.ClassDef, ast.AsyncFunctionDef)
+
+
+def targets(node):
+    """Return the names that a statement binds."""
+    return {
+        part.id for part in ast.walk(node) if isinstance(part, ast.Name) and isinstance(part.ctx, ast.Store)
+    }
+
+
+def late_constants(text):
+    """Yield constants below the first definition that need no definition of their module."""
+    made, below = set(), False
+    for node in ast.parse(text).body:
+        if isinstance(node, DEFINITIONS):
+            made.add(node.name)
+            below = True
+        elif isinstance(node, ast.Assign | ast.AnnAssign) and node.value is not None:
+            read = {part.id for part in ast.walk(node) if isinstance(part, ast.Name)}
+            read |= {part.value for part in ast.walk(node) if isinstance(part, ast.Constant)}
+            if below and not read & made:
+                yield f"{node.lineno}: {ast.unparse(node)[:60]}"
+            elif below:
+                made |= targets(node)
+        elif not isinstance(node, ast.Import | ast.ImportFrom | ast.Expr):
+            made |= targets(node)
+
+
+def second_heads(text):
+    """Yield comments that stand alone between two empty lines at the left margin, below the imports."""
+    lines = text.splitlines()
+    inside = {
+        line
+        for node in ast.parse(text).body
+        for line in range(node.lineno, (node.end_lineno or node.lineno) + 1)
+    }
+    begun = min(inside, default=0)
+    for number, line in enumerate(lines, start=1):
+        alone = number > 1 and not lines[number - 2].strip() and number > begun
+        if alone and line.startswith("# ") and number not in inside:
+            end = next((k for k in range(number, len(lines)) if not lines[k].startswith("#")), len(lines))
+            if end < len(lines) and not lines[end].strip():
+                yield f"{number}: {line[:60]}"
+
+
+@pytest.mark.parametrize("scan", [late_constants, second_heads])
+def test_a_module_has_one_head_and_one_thing(scan):
+    found = [
+        f"{path.relative_to(ROOT).as_posix()}:{line}"
+        for path in FILES
+        for line in scan(path.read_text(encoding="utf-8"))
+    ]
+    assert found == []
+
+
+def test_the_scan_sees_a_late_constant_and_a_second_head():
+    text = '"""Head."""\n\nA = 1\n\n\ndef f():\n    return B\n\n\n# Another thing.\n\nB = 2\nC = f()\nD = C + 1\n'
+    assert list(late_constants(text)) == ["12: B = 2"]
+    assert list(second_heads(text)) == ["10: # Another thing."]
