@@ -356,7 +356,12 @@ def _made_again(evidence: _Evidence, measured: dict[int, Measurement], found: Fi
     except UNREADABLE as error:
         found.fault("results", RESULTS, f"the results have no calibration to compare ({error!r})")
         return None
-    _check_solved(evidence, solution.calibration.sigma, main_numbers(solution.calibration), found)
+    # Some causes rest on earlier runs, whose folders may have gone: as the journal states them.
+    again = {
+        **main_numbers(solution.calibration),
+        **{k: v for k, v in history.solved.items() if k == "causes"},
+    }
+    _check_solved(evidence, solution.calibration.sigma, again, found)
     return MadeAgain(results, solution.views, job.camera_name, job.target, evidence.used, evidence.head)
 
 
