@@ -49,7 +49,7 @@ def _groups(comparison: str) -> list[list[Column]]:
     return list(by_recordings.values())
 
 
-def _keys(comparison: str, repetitions: int) -> list[Key]:
+def keys_of(comparison: str, repetitions: int) -> list[Key]:
     """Return what is to be done: repetition by repetition, so that a short run has some of every column."""
     program, first = forms()["program"], read_comparison(comparison).seed
     digests = [
@@ -83,7 +83,7 @@ def options(described: str | None, kept: str) -> argparse.Namespace:
 
 def repeated(comparison: str, given: argparse.Namespace) -> list[list[Row]]:
     """Return the rows of each of `columns_here`; what the file does not hold yet is measured and added to it."""
-    asked = _keys(comparison, given.repetitions or read_comparison(comparison).repetitions)
+    asked = keys_of(comparison, given.repetitions or read_comparison(comparison).repetitions)
     done = measured.kept(given.kept, lambda line: tuple(line["key"]))
     if not given.ready:
         measured.add_missing(given.kept, done, asked, _do, given.jobs)

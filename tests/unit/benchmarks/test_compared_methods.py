@@ -171,7 +171,7 @@ def test_what_is_ready_is_shown_without_a_measurement(monkeypatch, tmp_path):
     kept = tmp_path / "table1.jsonl"
     given = argparse.Namespace(repetitions=2, ready=True, kept=kept, jobs=1)
     assert not any(repetitions.repeated("table1", given))
-    first, second = repetitions._keys("table1", 2)[:2]
+    first, second = repetitions.keys_of("table1", 2)[:2]
     ours = {"Starbench, ideal collimator, 3 images": row(3.0)}
     lines = [{"key": first, "rows": ours}, {"key": [*second[:3], "of another program"], "rows": ours}]
     kept.write_text("".join(json.dumps(line) + "\n" for line in lines))
