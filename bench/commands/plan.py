@@ -143,7 +143,7 @@ def _plan_lines(planned: Plan, found: PlanForecast | None, suggested: Sequence[W
 
 def _missing_software(planned: Plan) -> list[str]:
     """Return, as sentences, what this computer lacks in order to use the camera of the station."""
-    from drivers.camera.discovery import missing_software
+    from drivers.camera.camera_software import missing_software
 
     return [
         f"Missing for a run on this computer: {text}"

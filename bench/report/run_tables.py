@@ -325,7 +325,7 @@ def causes(results: Results) -> list[str]:
 def alerts(results: Results) -> list[str]:
     """List what a reader must know before use: doubts, gates and goals that were not met, every deviation."""
     calibration = results["calibration"]
-    known = {*calibration["remarks"], *causes(results)}
+    known = {*calibration.get("remarks", ()), *causes(results)}
     doubts = [note for note in calibration["notes"] if note not in known]
     details = [
         f"Gate {row.name}: {row.verdict} ({row.values}, limit {row.limit}; {row.count} passed)."

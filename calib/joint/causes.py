@@ -24,6 +24,7 @@ from calib.joint.curvature import best_amplitudes
 from calib.joint.effects.collimator import CENTRE
 from calib.joint.knowledge import CERTIFICATE, DOUBTED, FOCAL, READINGS
 from calib.joint.posterior import Posterior, probable_faults
+from calib.joint.readings import SCATTER
 from calib.joint.solve import Optimum
 from calib.model import cause as kinds
 from calib.model.cause import LARGEST_EVIDENCE, PARALLAX, Cause
@@ -35,8 +36,6 @@ from calib.model.rotation import exp_map
 from calib.model.type_b_terms import SCALES
 from calib.view import View
 
-#: Readings that scatter this many times more than stated are looked at.
-SCATTER = 2.0
 #: An axis moved if its readings differ by more, degrees. A scale that is so far off, in its logarithm, is a wrong
 #: number of steps; the search for faults expects scales within a tenth.
 _MOVED_DEG, _FAR_SCALE = 0.5, 0.2

@@ -20,6 +20,9 @@ from calib.model.gimbal import GIMBAL, MOUNTING, NON_ORTHOGONALITY, STANDING, Gi
 from calib.model.gimbal_readings import AXES, ONE_ANGLE_DEG, GimbalReadings
 from calib.model.rotation import log_map
 
+#: Readings that scatter this many times more than stated are looked at.
+SCATTER = 2.0
+
 
 @dataclass(frozen=True)
 class Readings:

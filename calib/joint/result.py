@@ -15,7 +15,6 @@ from calib.diagnosis.gross_stars import GrossStars, used_stars
 from calib.joint import amplitudes as amp
 from calib.joint.boresight import boresight
 from calib.joint.budget import budget_rows, row_gradients, variances
-from calib.joint.causes import find_causes
 from calib.joint.effects.collimator import CENTRE, COMMON_PLACES, FIELD, RADIAL
 from calib.joint.effects.gimbal import ENCODER
 from calib.joint.equations import State, ViewStars, robust_weights
@@ -65,6 +64,8 @@ def calibrate_jointly(
         shifted = shifted if shifted.words else shifted_ids(found.optimum, kept, options)
     require_determined(found, kept, parameters, options, shifted.words)
     result = _calibration(found, views, used, parameters, gimbal)
+    from calib.joint.causes import find_causes  # here: it brings scipy, which a forecast does not need
+
     causes = () if shifted.words else find_causes(result, found, kept, stated)
     result = replace(result, causes=causes)
     other = "" if shifted.words else find_other_origins(found.optimum, kept)

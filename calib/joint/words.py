@@ -14,9 +14,9 @@ from calib.adjustment.parameters import (
 )
 from calib.calibration import Calibration, CalibrationOptions
 from calib.errors import DegenerateViews, NotConverged
-from calib.joint.causes import SCATTER
 from calib.joint.knowledge import CERTIFICATE, DOUBTED, FOCAL, READINGS
 from calib.joint.posterior import Posterior
+from calib.joint.readings import SCATTER
 from calib.model import result_parts as rows
 from calib.model.cause import PARALLAX, cause_sentence
 from calib.model.gimbal import MOUNTING

@@ -2,28 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Final
-
 from drivers.camera import FoundCamera, metavision_discovery, neuromorphic_evk4
 from drivers.camera.frame_cameras import video_devices
-from drivers.errors import CameraSoftwareMissing, DriverError
-
-_SOFTWARE: Final[Mapping[str, Callable[[], object]]] = {
-    "metavision": metavision_discovery.vendor_software,
-    "neuromorphic_evk4": neuromorphic_evk4.import_package,
-}
-"""What imports the software of other makers that a driver needs."""
-
-
-def missing_software(driver: str) -> list[str]:
-    """Return, as sentences, which software of other makers a driver of a camera needs and this computer lacks."""
-    try:
-        if driver in _SOFTWARE:
-            _SOFTWARE[driver]()
-    except CameraSoftwareMissing as error:
-        return [str(error)]
-    return []
+from drivers.errors import DriverError
 
 
 def find_cameras() -> tuple[list[FoundCamera], list[str]]:

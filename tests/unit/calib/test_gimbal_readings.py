@@ -78,7 +78,7 @@ def test_the_scale_of_the_encoders_enters_as_stated():
     ids=["a wrong scale", "an axis that slips", "two poses swapped", "of other poses"],
 )
 def test_readings_that_contradict_the_stars_are_named_and_change_nothing(change):
-    bench, certificate = draw_bench("S3", NINE, 15), Passport.of_radius(255.0, 0.05)
+    bench, certificate = draw_bench("S3", NINE, 15), Passport.of_radius(255.0, 0.05, length="seen")
     result = calibrate(
         bench.views, CalibrationOptions(gimbal=readings(bench, change=change), passport=certificate)
     )
@@ -142,7 +142,7 @@ def test_statements_out_of_range_are_refused(changed, said):
 
 def test_a_certificate_and_readings_together_are_better_than_either():
     bench = draw_bench("S3", NINE, 17)
-    given, certificate = readings(bench, scale_sigma=3e-4), Passport.of_radius(255.0, 0.05)
+    given, certificate = readings(bench, scale_sigma=3e-4), Passport.of_radius(255.0, 0.05, length="seen")
     both, only_readings, only_certificate = (
         calibrate(bench.views, CalibrationOptions(model="auto", gimbal=gimbal, passport=passport))
         for gimbal, passport in ((given, certificate), (given, None), (None, certificate))

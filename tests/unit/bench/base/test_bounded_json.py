@@ -15,7 +15,7 @@ from bench.record.storage import MOST_BYTES, read_bounded, read_json
 OWN_DATA = {
     "align/open_bench.py",  # answers of the simulated bench, a process of our own
     "base/bounded_json.py",
-    "extras/certificate/issue.py",  # text that was written a line before
+    "extras/certificate/amend.py",  # text that was written a line before
     "extras/certificate/pdf.py",
     "commands/certificate.py",
     "commands/status.py",  # channel of a message, from our own outbox

@@ -13,7 +13,7 @@ OTHER_JOURNALS = {
     "extras/batch/batch_summary.py", "extras/batch/batch_requests.py",  # the journal of a batch
     "extras/panel/run_model.py",  # follows a journal that grows, line by line
     "record/run_facts.py",  # results.json is read only if its bytes are those that the journal names
-    "extras/certificate/check.py", "extras/certificate/issue.py",  # the copy of results.json in the folder of a certificate
+    "extras/certificate/check.py", "extras/certificate/amend.py", "extras/certificate/issue.py",  # the copy of results.json in the folder of a certificate
 }  # fmt: skip
 
 

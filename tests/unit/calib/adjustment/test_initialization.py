@@ -105,7 +105,7 @@ def test_every_closed_form_gives_the_camera_of_well_spread_views(count, focal):
 @example(turns=np.zeros((1, 3)), focal=3345.0, known=True)
 def test_there_is_always_somewhere_to_begin(turns, focal, known):
     h = mappings(turns, focal)
-    passport = Passport.of_radius(255.0, 0.1)
+    passport = Passport.of_radius(255.0, 0.1, length="seen")
     lists = [planar_starts(h, SIZE, ("k1", "k2"))]
     if known or len(h) == 1:
         lists.append(passport_starts(h, SIZE, ("k1", "k2"), passport))
@@ -129,7 +129,7 @@ def test_there_is_always_somewhere_to_begin(turns, focal, known):
 def test_a_calibration_ends_in_finite_numbers_or_a_named_reason(turns, noise, known):
     bench = Bench(fx=2000.0, fy=2001.0, half_angle_deg=5.0, poses=tuple(map(tuple, np.clip(turns, -60, 60))))
     views = [view for view in bench.views(np.random.default_rng(3), noise) if len(view) >= 4]
-    passport = Passport.of_radius(255.0, 0.1) if known else None
+    passport = Passport.of_radius(255.0, 0.1, length="seen") if known else None
     try:
         result = calibrate(views, CalibrationOptions(distortion="k1", passport=passport))
     except CalibrationError:
@@ -211,5 +211,7 @@ def test_poses_that_the_search_parts_stay_as_they_were_found():
     views = bench.views(np.random.default_rng(3), 2.0)
     with pytest.raises(CalibrationError, match="determine"):
         calibrate(views, CalibrationOptions(distortion="k1"))
-    result = calibrate(views, CalibrationOptions(distortion="k1", passport=Passport.of_radius(255.0, 0.1)))
+    result = calibrate(
+        views, CalibrationOptions(distortion="k1", passport=Passport.of_radius(255.0, 0.1, length="seen"))
+    )
     assert np.isfinite(result.estimates).all()

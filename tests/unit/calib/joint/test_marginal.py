@@ -33,7 +33,7 @@ POSES = ((-5.0, 2.0), (5.0, 2.5), (0.5, -2.5), (-5.0, 2.0))
 ANGLES = tuple({"pan_deg": pan, "tilt_deg": tilt} for pan, tilt in POSES)
 BOUND = ParallaxBound(0.0, 0.01, 0.0, 1.0)
 READINGS = GimbalReadings(ANGLES, 0.002, 2e-4, 0.001, BOUND, "drawn")
-KNOWN = CalibrationOptions("joint", passport=Passport.of_radius(255.03, 0.05), gimbal=READINGS)
+KNOWN = CalibrationOptions("joint", passport=Passport.of_radius(255.03, 0.05, length="seen"), gimbal=READINGS)
 
 
 @pytest.fixture
@@ -280,7 +280,7 @@ def test_a_wrong_certificate_beside_right_readings_is_named_and_the_camera_right
 @pytest.mark.parametrize("known", [KNOWN, replace(KNOWN, gimbal=None)], ids=["with readings", "alone"])
 @pytest.mark.parametrize("times", [0.5, 0.8, 0.86, 1.14, 2.0])
 def test_the_certificate_of_another_collimator_is_refused(views, times, known):
-    other = Passport.of_radius(255.0 * times, 0.05)
+    other = Passport.of_radius(255.0 * times, 0.05, length="seen")
     with pytest.raises(InputMismatch, match=r"the views alone show about 25\d mm"):
         calibrate(views, replace(known, passport=other))
 
@@ -289,7 +289,7 @@ def test_a_certificate_that_the_fields_could_take_up_is_refused():
     """An eighth too short: the focal length was wrong by as much, with U of 5 px and no note."""
     views = drawn_benches.draw_bench("like-bench", drawn_benches.NINE, 2).views
     with pytest.raises(InputMismatch, match=r"the views alone show about 25\d mm"):
-        calibrate(views, CalibrationOptions(passport=Passport.of_radius(224.4, 0.05)))
+        calibrate(views, CalibrationOptions(passport=Passport.of_radius(224.4, 0.05, length="seen")))
 
 
 def test_result_has_amplitudes_witnesses_and_factors(views):

@@ -105,7 +105,9 @@ def test_a_rim_that_differs_from_pose_to_pose_does_not_move_the_camera():
     over = []
     for seed in (9, 17, 36, 38):
         bench = draw_bench("like-real", NINE, seed)
-        found = calibrate(bench.views, CalibrationOptions(passport=Passport.of_radius(255.0, 0.05)))
+        found = calibrate(
+            bench.views, CalibrationOptions(passport=Passport.of_radius(255.0, 0.05, length="seen"))
+        )
         expanded = {name: found.coverage_factors[name] * found.sigma[name] for name in ("fx", "cx", "cy")}
         assert expanded["fx"] < 5.0  # the certificate is right and not doubted
         assert max(expanded.values()) < 15.0
@@ -120,7 +122,7 @@ def test_a_rim_that_differs_from_pose_to_pose_does_not_move_the_camera():
 def test_readings_beside_visible_discs_of_a_mount_moved_by_hand_give_a_covariance():
     bench = draw_bench("S1", THREE, 202)
     readings = GimbalReadings(tuple(bench.readings_deg), 0.002, 2e-4, source="drawn")
-    known = CalibrationOptions(passport=Passport.of_radius(255.0, 0.05), gimbal=readings)
+    known = CalibrationOptions(passport=Passport.of_radius(255.0, 0.05, length="seen"), gimbal=readings)
     found = calibrate(bench.views, known)
     assert np.linalg.eigvalsh(found.correlation).min() > 0.0
 

@@ -35,14 +35,14 @@ def test_the_passports_own_uncertainty_enters(bench):
 
 def test_a_certificate_leaves_the_radial_terms_free(bench):
     views = bench.views(np.random.default_rng(63), 0.05)
-    known = calibrate(views, with_passport(Passport.of_radius(255.0, 0.02)))
+    known = calibrate(views, with_passport(Passport.of_radius(255.0, 0.02, length="seen")))
     assert set(known.collimator.aberrations) == {"radial", "radial_4"}
     share = {row.name: row.contribution["fx"] for row in known.budget_rows}
     assert share["passport of the collimator"] == pytest.approx(0.02 / 255.0 * bench.fx, rel=0.1)
 
 
 def test_a_passport_made_from_views_calibrates_another_camera(make_bench, bench):
-    certified = with_passport(Passport.of_radius(255.0, 0.05))
+    certified = with_passport(Passport.of_radius(255.0, 0.05, length="seen"))
     first = calibrate(bench.views(np.random.default_rng(64), 0.02), certified)
     passport = first.passport({"temperature_c": 21.5})
     assert passport.names[:5] == ("x", "y", "r", "radial", "radial_4")

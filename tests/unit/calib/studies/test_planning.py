@@ -124,7 +124,7 @@ def test_one_pose_twice_will_not_constrain():
 ERRORS = CollimatorErrors(rms_px=0.09)
 REAL = replace(BENCH, star_sigma_px=0.014, errors=ERRORS)
 NINE = [{"pan_deg": pan, "tilt_deg": tilt} for pan in (-6.0, 0.0, 6.0) for tilt in (-2.5, 0.0, 2.5)]
-CERTIFICATE = Passport.of_radius(255.0, 0.05)
+CERTIFICATE = Passport.of_radius(255.0, 0.05, length="seen")
 
 
 def readings(bound):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from journals import MadeRun, made_batch
 
-from bench.extras.panel import helper_process, panel_app
+from bench.extras.panel import batch_view, helper_process
 from bench.extras.panel.batch_view import BatchView
 from bench.extras.panel.helper_process import (
     CoverageRequest,
@@ -34,8 +34,8 @@ def batch(tmp_path):
 def test_a_batch_is_told_again_only_when_something_is_new(batch, monkeypatch):
     batch.write("item_begun", item="one-001", again=False, attempt=1, recorded=0)
     made = []
-    real = panel_app.summarise
-    monkeypatch.setattr(panel_app, "summarise", lambda *words: made.append(1) or real(*words))
+    real = batch_view.summarise
+    monkeypatch.setattr(batch_view, "summarise", lambda *words: made.append(1) or real(*words))
     view = BatchView(batch.folder)
     first, lines = view.text()
     assert view.text() == (first, lines)
@@ -58,7 +58,7 @@ def test_failures_come_first_and_what_has_not_begun_last(batch, monkeypatch):
         {"item": str(n), "how": how}
         for n, how in enumerate(("finished", "not begun", "died", "aborted", "failed"))
     ]
-    monkeypatch.setattr(panel_app, "summarise", lambda *_: {"items": items})
+    monkeypatch.setattr(batch_view, "summarise", lambda *_: {"items": items})
     shown = json.loads(BatchView(batch.folder).text()[0])
     assert [item["how"] for item in shown["items"]] == [
         "died",

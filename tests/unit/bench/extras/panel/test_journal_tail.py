@@ -7,7 +7,7 @@ import os
 import pytest
 from journals import MadeRun
 
-from bench.extras.panel import run_model
+from bench.extras.panel import journal_tail
 from bench.extras.panel.journal_tail import JournalTail
 
 
@@ -98,7 +98,7 @@ def test_a_missing_file_is_a_fault_until_it_is_there(run):
 
 
 def test_a_long_journal_is_read_in_parts(run, monkeypatch):
-    monkeypatch.setattr(run_model, "MOST_BYTES", 700)
+    monkeypatch.setattr(journal_tail, "MOST_BYTES", 700)
     for _ in range(20):
         run.write("left_off", state="idle")
     tail, _ = _tail(run)
@@ -111,7 +111,7 @@ def test_a_long_journal_is_read_in_parts(run, monkeypatch):
 
 
 def test_a_line_longer_than_a_part_is_read_whole(run, monkeypatch):
-    monkeypatch.setattr(run_model, "MOST_BYTES", 100)
+    monkeypatch.setattr(journal_tail, "MOST_BYTES", 100)
     run.write("deviation", what="x" * 5000)
     tail, _ = _tail(run)
     assert _events(tail) == ["deviation"]
