@@ -120,7 +120,7 @@ ATTACKS = [
     Attack("export added, told", told(write("exports/more.yaml", b"fx: 1\n")), "exports/more.yaml", "kind", "ls"),
     # report
     Attack("report, not told", edit("report.html", "Calibration report", "Calibration Report"), "report.html", "report", WRITTEN),
-    Attack("number in the report", told(edit("report.html", '<td class="n value">', '<td class="n value">9')), "report.html", "report", DIFF),
+    Attack("number in the report", told(edit("report.html", '<td class="u"', '<td class="n">9</td><td class="u"')), "report.html", "report", DIFF),
     Attack("number by CSS", told(edit("report.html", "</style>", "td.value::before{content:'9'}</style>")), "report.html", "report"),
     Attack("image in the report", told(edit("report.html", "base64,iVBORw0KGgo", "base64,iVBORw0KGgp")), "report.html", "report"),
     Attack("script in the report", told(edit("report.html", "</body>", "<script>1</script></body>")), "report.html", "report"),
