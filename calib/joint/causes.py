@@ -23,7 +23,7 @@ from calib.joint.added_columns import AddedColumns, displaced
 from calib.joint.curvature import best_amplitudes
 from calib.joint.effects.collimator import CENTRE
 from calib.joint.knowledge import CERTIFICATE, DOUBTED, FOCAL, READINGS
-from calib.joint.posterior import Posterior, probable_faults
+from calib.joint.posterior import Posterior, modes_of, probable_faults
 from calib.joint.readings import SCATTER
 from calib.joint.solve import Optimum
 from calib.model import cause as kinds
@@ -113,7 +113,7 @@ def _stepped(optimum: Optimum, column: Array, before: float, cost: float) -> tup
 def _evidence(optimum: Optimum) -> float:
     """Return -2 log of the evidence at an optimum, with every fault of a statement that the engine weighs."""
     ended = replace(optimum, solution=best_amplitudes(optimum.solution, _AMPLITUDE_STEPS))
-    return ended.solution.value - 2.0 * math.log(probable_faults(ended, relative=True)[""])
+    return ended.solution.value - 2.0 * modes_of(ended).log_odds
 
 
 def _other_scale(found: Posterior, stated: CalibrationOptions) -> tuple[Cause, ...]:

@@ -9,7 +9,7 @@ anything, seen through the T values of all statements, gives the evidence of any
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -124,10 +124,12 @@ class Unstated:
 
 @dataclass(frozen=True)
 class Doubted:
-    """The combinations of doubts beside none, with odds against it."""
+    """The combinations of doubts beside none, with odds against it; all odds are divided by a common ``scale``."""
 
     nodes: list[Node]  # Those that show another camera
-    alike: dict[Faults, float]  # Odds of those that show the same camera
+    likeliest: Faults  # The likeliest combination, which may be none
+    alike: dict[Faults, float]  # Odds of those that show the same camera as the likeliest
+    scale: float  # Logarithm
 
 
 def prior_odds(witnesses: Mapping[str, Statement], doubts: Faults) -> float:
@@ -145,11 +147,11 @@ def prior_odds(witnesses: Mapping[str, Statement], doubts: Faults) -> float:
 class _Search:
     """The search for the combinations that count, at ever better amplitudes."""
 
-    def __init__(self, optimum: Optimum, curvature: Array) -> None:
+    def __init__(self, optimum: Optimum, curvature: Array, others: Sequence[Array]) -> None:
         self.optimum, self.curvature = optimum, curvature
         self.witnesses = optimum.marginal.problem.knowledge.witnesses
         self.at: list[Unstated] = []
-        for eta in (optimum.eta, usual_amplitudes(optimum), optimum.fault_eta):
+        for eta in (optimum.eta, usual_amplitudes(optimum), optimum.fault_eta, *others):
             with suppress(np.linalg.LinAlgError):  # amplitudes that do not determine all unknowns
                 self.at += [] if eta is None else [Unstated(optimum.marginal, eta)]
 
@@ -204,14 +206,14 @@ class _Search:
                     yield tuple(sorted((named | more).items()))
 
 
-def doubted(optimum: Optimum, curvature: Array) -> Doubted:
-    """Return the doubts beside an optimum, which has the (A, A) curvature.
+def doubted(optimum: Optimum, curvature: Array, others: Sequence[Node] = ()) -> Doubted:
+    """Return the doubts beside an optimum, which has the (A, A) curvature, and beside its other modes.
 
     A wrong statement makes the errors of the collimator look large, and then hardly contradicts the others. So the
-    evidence counts at the best of several amplitudes: those of the optimum, expected ones, and those that fit the most
-    probable doubts best.
+    evidence counts at the best of several amplitudes: those of the optimum and of its other modes, expected ones, and
+    those that fit the most probable doubts best.
     """
-    search = _Search(optimum, curvature)
+    search = _Search(optimum, curvature, [one.eta for one in others])
     odds, possible, done = search.combinations(), search.contradicted(), set[tuple[str, ...]]()
     for _ in range(_SEARCHES):
         left = [one for one in odds if _names(one) not in done and {*_names(one)} <= possible]
@@ -222,7 +224,9 @@ def doubted(optimum: Optimum, curvature: Array) -> Doubted:
         for doubts in dict.fromkeys((likeliest, tuple((name, WRONG) for name in _names(likeliest)))):
             search.improve(doubts)
         odds = search.combinations()
-    return _chosen(search, odds)
+    best = search.best(NO_FAULT)[1].eta
+    of_mode = max((one.weight for one in others if one.eta is best), default=1.0)
+    return _chosen(search, odds, math.log(of_mode))
 
 
 def _names(doubts: Faults) -> tuple[str, ...]:
@@ -230,11 +234,17 @@ def _names(doubts: Faults) -> tuple[str, ...]:
     return tuple(name for name, _ in doubts)
 
 
-def _chosen(search: _Search, odds: dict[Faults, float]) -> Doubted:
-    """Return the combinations that count, solved in full where they show another camera."""
+def _chosen(search: _Search, odds: dict[Faults, float], log_mode: float) -> Doubted:
+    """Return the combinations that count, solved in full where they show another camera than the likeliest.
+
+    ``log_mode`` is the logarithm of the odds of the best mode without doubts against the optimum: odds are against it.
+    """
     optimum, alike = search.optimum, dict[Faults, float]()
     solutions: list[tuple[Solution, float]] = []
-    value, sigma = search.at[0].camera(NO_FAULT)
+    likeliest = max(odds, key=lambda one: odds[one], default=NO_FAULT)
+    likeliest = likeliest if odds.get(likeliest, 0.0) > 0.0 else NO_FAULT
+    first = search.at[0] if likeliest == NO_FAULT else search.best(likeliest)[1]
+    value, sigma = first.camera(likeliest)
     whole = float(np.logaddexp.reduce([0.0, *odds.values()]))
     for doubts, log in odds.items():
         share, at = math.exp(log - whole), search.best(doubts)[1]
@@ -242,16 +252,18 @@ def _chosen(search: _Search, odds: dict[Faults, float]) -> Doubted:
             continue
         there, wide = at.camera(doubts)
         change = max(np.abs(wide / sigma - 1.0).max(), np.abs((there - value) / sigma).max())
-        if share * float(change) < _ALIKE:
-            alike[doubts] = log
+        if doubts != likeliest and share * float(change) < _ALIKE:
+            alike[doubts] = log - odds.get(likeliest, 0.0)
             continue
         found = optimum.marginal.solve(at.eta, doubts)
         prior = math.log(prior_odds(search.witnesses, doubts))
         evidence = (log - prior) * share_of_stars(found) + math.log(trusted(found, optimum.solution))
-        solutions.append((found, prior + evidence))
-    most = max(max((log for _, log in solutions), default=0.0) - LARGEST_LOG, 0.0)
-    nodes = [Node(found, math.exp(log - most)) for found, log in solutions]
-    return Doubted(nodes, {doubts: math.exp(min(log, LARGEST_LOG)) for doubts, log in alike.items()})
+        solutions.append((found, prior + evidence + log_mode))
+    own = next((log for found, log in solutions if found.faults == likeliest), log_mode)
+    scale = max([0.0, own, *(log for _, log in solutions)])
+    nodes = [Node(found, math.exp(log - scale)) for found, log in solutions]
+    same = {doubts: math.exp(own + log - scale) for doubts, log in alike.items()}
+    return Doubted(nodes, likeliest, same, scale)
 
 
 def share_of_stars(found: Solution) -> float:

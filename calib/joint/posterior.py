@@ -54,6 +54,8 @@ _NEAR = 0.01
 _REACHED = 0.05
 #: A fault that leads farther is looked at if its odds against none are more than this.
 _COUNTS = 0.05
+#: Odds are told up to this logarithm: its exponential is still a number.
+_LARGEST_SCALE = 600.0
 
 
 @dataclass(frozen=True)
@@ -148,29 +150,53 @@ class Posterior:
 
 
 @dataclass(frozen=True)
-class _Modes:
+class Modes:
     """The modes of the posterior by the equations of an optimum."""
 
     optimum: Optimum
     curvature: Array  # (A, A) about the optimum
-    nodes: list[Node]  # Their weights are odds; the first is the optimum
+    nodes: list[Node]  # Their weights are relative; the first is the optimum
+    likeliest: Node  # The likeliest doubts, or the first
     alike: dict[
         Faults, float
-    ]  # Odds of doubts that show the same camera as the first, which has their weight
+    ]  # Weights of doubts that show the same camera as the likeliest, which has their weight
+    scale: float  # Weights are odds against the first without doubts, divided by the exponential of this
+
+    @property
+    def none(self) -> float:
+        """Weight of the first without doubts."""
+        return math.exp(-min(self.scale, _LARGEST_SCALE))
+
+    @property
+    def log_odds(self) -> float:
+        """Logarithm of the odds of all modes together against the first without doubts."""
+        return math.log(sum(one.weight for one in self.nodes)) + self.scale
+
+    def shares(self, modes: Sequence[Node]) -> dict[Faults, float]:
+        """Return the weight of each combination of doubts, none included, among some of the modes or others."""
+        found: dict[Faults, float] = {}
+        for mode in modes:
+            own = [(mode.faults, mode.weight)]
+            if mode is self.likeliest:
+                own = [(mode.faults, mode.weight - sum(self.alike.values())), *self.alike.items()]
+            for doubts, weight in own:
+                found[doubts] = found.get(doubts, 0.0) + weight
+        return found
 
 
-def posterior(optimum: Optimum, rounds: int, *, follow: bool = True) -> Posterior:
+def posterior(optimum: Optimum, rounds: int, *, follow: bool = True, found: Modes | None = None) -> Posterior:
     """Return the posterior about an optimum, or about the most probable faults if these lead far away from it.
 
     The equations at the state that such faults lead to say how much they count; the search of that state takes at most
     ``rounds`` linearisations. They do not count if these equations lead far away again, or if ``follow`` is false.
+    The modes may be ``found`` already.
     """
-    found = _modes(optimum)
+    found = found or modes_of(optimum)
     modes = found.nodes
     far = [bool(one.faults) and not _holds(optimum, one) for one in modes]
     near = [one for one, away in zip(modes, far, strict=True) if not away]
     likeliest = max((one for one, away in zip(modes, far, strict=True) if away), key=_by_weight, default=None)
-    if likeliest is None or likeliest.weight < _COUNTS:
+    if likeliest is None or likeliest.weight < _COUNTS * found.none:
         return _mixture(found, modes)
     if not follow:
         return _mixture(found, near)
@@ -180,13 +206,13 @@ def posterior(optimum: Optimum, rounds: int, *, follow: bool = True) -> Posterio
     except (NotConverged, np.linalg.LinAlgError):  # without the statement nothing determines the camera
         return _mixture(found, near)
     if odds > 1.0 and likeliest.weight > max(one.weight for one in near):
-        found_there = _modes(there)
+        found_there = modes_of(there)
         near_there = [one for one in found_there.nodes if _holds(there, one)]
         if near_there:
-            others = _also(there, found_there.nodes, near, likeliest.faults, odds)
+            others = _also(there, found_there.nodes, near, likeliest.faults, odds * found.none)
             return _mixture(found_there, [*near_there, *others])
         odds = 0.0
-    share = min(odds / likeliest.weight, 1.0)
+    share = min(odds * found.none / likeliest.weight, 1.0)
     kept = [
         replace(one, weight=share * one.weight) if away else one for one, away in zip(modes, far, strict=True)
     ]
@@ -228,42 +254,40 @@ def _by_weight(mode: Node) -> float:
     return mode.weight
 
 
-def _modes(optimum: Optimum) -> _Modes:
+def modes_of(optimum: Optimum) -> Modes:
     """Return the modes of the posterior by the equations of an optimum."""
     curvature = 0.5 * expected_curvature(optimum.solution)
-    found = doubted(optimum, curvature)
-    first = Node(optimum.solution, 1.0 + sum(found.alike.values()))
-    return _Modes(optimum, curvature, [first, *_others(optimum, curvature), *found.nodes], found.alike)
+    others = _others(optimum, curvature)
+    found = doubted(optimum, curvature, others)
+    nodes = [Node(optimum.solution, math.exp(-found.scale))]
+    nodes += [replace(one, weight=one.weight * math.exp(-found.scale)) for one in others]
+    nodes += found.nodes
+    at = next((k for k, one in enumerate(nodes) if one.faults == found.likeliest), 0)
+    nodes[at] = replace(nodes[at], weight=nodes[at].weight + sum(found.alike.values()))
+    return Modes(optimum, curvature, nodes, nodes[at], found.alike, found.scale)
 
 
-def probable_faults(optimum: Optimum, *, relative: bool = False) -> dict[str, float]:
-    """Return the probability of a fault of each statement at an optimum, and under the empty name that of none.
-
-    ``relative``: weights against none instead, and under the empty name their sum with that of none.
-    """
-    modes = _modes(optimum)
+def probable_faults(optimum: Optimum) -> dict[str, float]:
+    """Return the probability of a fault of each statement at an optimum, and under the empty name that of none."""
+    modes = modes_of(optimum)
     whole = sum(mode.weight for mode in modes.nodes)
-    odds = [*((mode.faults, mode.weight) for mode in modes.nodes[1:]), *modes.alike.items()]
-    none = whole - sum(weight for faults, weight in odds if faults)
-    found = {"": whole if relative else none / whole}
-    for faults, weight in odds:
+    shares = modes.shares(modes.nodes)
+    found = {"": shares.get((), 0.0) / whole}
+    for faults, weight in shares.items():
         for name in (name for name, doubt in faults if doubt != FOCAL):
-            found[name] = found.get(name, 0.0) + weight / (1.0 if relative else whole)
+            found[name] = found.get(name, 0.0) + weight / whole
     return found
 
 
-def _mixture(found: _Modes, modes: Sequence[Node]) -> Posterior:
+def _mixture(found: Modes, modes: Sequence[Node]) -> Posterior:
     """Return the mixture of some of the modes, or of others."""
     lower: Array = np.asarray(np.linalg.cholesky(found.curvature), np.float64)
     whole = sum(mode.weight for mode in modes)
     nodes: list[Node] = []
     probabilities: dict[str, float] = {}
-    shares = [(mode.faults, mode.weight / whole) for mode in modes]
-    if modes[0] is found.nodes[0]:
-        shares += [(doubts, odds / whole) for doubts, odds in found.alike.items()]
-    for faults, share in shares:
+    for faults, weight in found.shares(modes).items():
         for name in (name for name, doubt in faults if doubt != FOCAL):
-            probabilities[name] = probabilities.get(name, 0.0) + share
+            probabilities[name] = probabilities.get(name, 0.0) + weight / whole
     for mode in modes:
         share = mode.weight / whole
         if share < (_SMALL_DOUBT if mode.faults else _SMALL_SHARE):

@@ -30,7 +30,7 @@ from calib.joint.effects.effect import Places
 from calib.joint.effects.gimbal import GimbalErrors
 from calib.joint.knowledge import Statement
 from calib.joint.places import narrowed
-from calib.joint.posterior import OtherWay, Posterior, posterior
+from calib.joint.posterior import Modes, OtherWay, Posterior, modes_of, posterior
 from calib.joint.prior import block_diagonal
 from calib.joint.solve import Optimum, value_as_weighed
 from calib.joint.wrong_views import ShiftedIds, find_shifted_ids
@@ -60,24 +60,27 @@ def posterior_of(views: Sequence[View], options: CalibrationOptions) -> Posterio
         return posterior(first, rounds)
     try:
         second = adjust_again(first, views, options, Pupil.WALKS if by_hand else Pupil.BY_HAND)
-        share = _share(first, second)
+        own, others = modes_of(first), modes_of(second)
+        share = _share(own, others)
         if share > 0.5 or not first.converged:
-            first, second, share = second, first, 1.0 - share
+            first, second, share, own, others = second, first, 1.0 - share, others, own
         if share < _LEAST or not second.converged:
-            return posterior(first, rounds)
-        other = posterior(second, rounds, follow=False)
+            return posterior(first, rounds, found=own)
+        other = posterior(second, rounds, follow=False, found=others)
     except (CalibrationError, np.linalg.LinAlgError):  # these views cannot be explained so
         return posterior(first, rounds)
-    return _mixed(posterior(first, rounds), other, share)
+    return _mixed(posterior(first, rounds, found=own), other, share)
 
 
-def _share(first: Optimum, second: Optimum) -> float:
-    """Return the probability of the way of the second optimum: one to one beforehand, by discs and stars.
+def _share(own: Modes, others: Modes) -> float:
+    """Return the probability of the way of the second optimum: one to one beforehand, by discs, stars and doubts.
 
     The places of a hand's pupil are free, so they explain something on a gimbal, too. They are integrated out.
     """
+    first, second = own.optimum, others.optimum
     sign, by_hand = (-1.0, first) if first.marginal.problem.pupils is not None else (1.0, second)
-    by_stars = sign * (first.solution.value - value_as_weighed(second, first))
+    by_stars = first.solution.value - value_as_weighed(second, first)
+    by_stars = sign * (by_stars + 2.0 * (others.log_odds - own.log_odds))
     by_stars -= narrowed(by_hand.solution)
     log = first.marginal.problem.wander + min(max(by_stars, -_DECIDED), _DECIDED)
     return _logistic(0.5 * sign * log)
