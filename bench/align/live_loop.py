@@ -54,7 +54,7 @@ MOVING_PERIODS = 0.6
 _STALE_S = 0.4
 """Age of a slice from which it is recorded again while it waits to be measured, s."""
 SHORTEST_S = 0.1
-"""Shortest time from one slice to the next, s: more pictures show no more."""
+"""Shortest time from one slice to the next, s. A person sees no more in more pictures."""
 _EARLY_S = 0.02
 
 T = TypeVar("T")

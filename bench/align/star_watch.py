@@ -1,4 +1,4 @@
-"""Stars and focus of one live picture after the other: searched now and then, and followed in between.
+"""Stars and focus of live pictures: a full search now and then; between searches, the known stars are followed.
 
 A search takes five times as long as following stars that stand still. Nothing is followed that has moved:
 then the stars are searched at once, or none are shown. Pictures are compared when they are reduced to

@@ -72,7 +72,7 @@ def read_key_file(path: Path) -> bytes:
 
 
 def principal_of(public_path: Path) -> str:
-    """Return the name of the signer that the file of a public key states, as ``name@place``."""
+    """Return the signer's name (``name@place``) from a file with a public key."""
     fields = read_bounded(public_path, _MOST_KEY_BYTES).decode("utf-8", "replace").split()
     principal = fields[2] if len(fields) > 2 else ""
     if not PRINCIPAL.fullmatch(principal):

@@ -44,7 +44,7 @@ _VERDICTS = {
     "wrong_sign": "Gimbal: the sign of an axis is wrong",
     "ambiguous": "Gimbal: no scale can be stated",
     "contradictory": "Gimbal: no scale can be stated",
-    "focal_length": "Gimbal: no fault shown; the focal length is in question",
+    "focal_length": "Gimbal: no fault found; the focal length may be wrong",
     "scale_or_parallax": "Gimbal: scale error or parallax",
     "gimbal_scale": "Gimbal: its scale is in question",
     "views_biased": "Gimbal: no fault shown; the views contradict each other",

@@ -45,35 +45,17 @@ MakeSender = Callable[[MessagesConfig, BenchClock, Callable[[str], None]], Sende
 """Makes the sender of a station's messages; the last argument prints what could not be sent."""
 
 
-class NoSender:
-    """Sends nothing, for a caller that watches the run itself."""
-
-    def __init__(self, messages: MessagesConfig, clock: BenchClock, say: Callable[[str], None]) -> None:
-        """Take what every sender is made of, and use none of it."""
-
-    def is_wanted(self, occasion: str) -> bool:
-        """Return False: no message is wanted."""
-        del occasion
-        return False
-
-    def write(self, *_message: object, **_about: object) -> None:
-        """Keep no message."""
-
-    def close(self) -> None:
-        """Deliver nothing."""
-
-
 @dataclass(frozen=True)
 class RunMessages:
     """Writes messages about one run; ``say`` prints why one could not be written, and the run continues."""
 
-    sender: Sender
+    sender: Sender | None  # None: the caller watches the run itself
     folder: Path
     say: Callable[[str], None]
 
     def write(self, occasion: str, what: str, key: str) -> None:
         """Write a message on ``failure``, ``hold`` or ``end``, if wanted; ``key`` is the line's hash."""
-        if not self.sender.is_wanted(occasion):
+        if self.sender is None or not self.sender.is_wanted(occasion):
             return
         try:
             status = read_status(self.folder)
@@ -91,6 +73,11 @@ class RunMessages:
             key=key,
             place=status.place,
         )
+
+    def close(self) -> None:
+        """Try once more to deliver what waits."""
+        if self.sender is not None:
+            self.sender.close()
 
 
 class HoldNotifier:

@@ -84,7 +84,7 @@ def plugins(kind: Kind) -> tuple[Plugin, ...]:
 def with_plugins(
     kind: Kind, built_in: Sequence[type[BaseModel]], taken_out: Mapping[str, str] = MappingProxyType({})
 ) -> Any:
-    """Return the type of a section: any built-in driver or plug-in, told apart by ``driver``.
+    """Return the type of a section of the station file: a built-in driver or a plug-in, chosen by its key ``driver``.
 
     ``taken_out`` holds the names of former drivers, each with the reason why it was taken out.
     """

@@ -28,7 +28,7 @@ def goals_text(wanted: Mapping[str, float]) -> str:
 
 
 def beside_goal(value: float, goal: float, digits: int = 3) -> str:
-    """Return a value with so many digits, and with more if only these show on which side of its goal it lies.
+    """Return a value with ``digits`` digits, or with more if only these show whether it exceeds its goal.
 
     >>> beside_goal(3.1416, 1.45), beside_goal(1.4523, 1.45), beside_goal(1.4499, 1.45)
     ('3.14', '1.452', '1.4499')

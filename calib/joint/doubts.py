@@ -133,7 +133,7 @@ class Doubted:
 
 
 def prior_odds(witnesses: Mapping[str, Statement], doubts: Faults) -> float:
-    """Return the odds of doubts beforehand, against none. All that one source states can be wrong together."""
+    """Return the prior odds of doubts against no doubt; a source can be wrong in all that it states."""
     alone = {name: witnesses[name].doubts[doubt].odds for name, doubt in doubts}
     odds = math.prod(alone.values())
     for group, share in _TOGETHER.items():

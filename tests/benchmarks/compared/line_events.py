@@ -1,4 +1,4 @@
-"""Straight edges in the events of a moving camera: each is a plane in the space of image and time.
+"""Finds straight edges in the events of a moving camera: in x, y and time, the events of an edge lie on a plane.
 
 An edge that moves evenly sweeps a plane d = a + b s + c t, with s along the edge, d across it and t the time of an event.
 The plane is looked for by samples of three events (Fischler and Bolles, 1981), in a band beside the segment that a person

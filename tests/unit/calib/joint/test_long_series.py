@@ -12,6 +12,7 @@ from calib.model.camera import CameraModel
 from calib.model.lens import distort_with_jacobians
 from tests.unit.calib.conftest import Bench
 
+# Pan, tilt and roll, degrees; the columns are rolled differently.
 POSES = tuple((pan, tilt, 40.0 * pan) for tilt in (-8.0, 0.0, 8.0) for pan in (-14.0, 0.0, 14.0))
 #: At the corner, 24 degrees off the axis, the term of r^8 moves a star by 2.5 px.
 WIDE = CameraModel(
