@@ -160,6 +160,11 @@ def main() -> None:
     watched = given.folder / "canary"
     watched.mkdir()
     (watched / "victim.txt").write_text("keep me\n")
+    import bench.commands.calibrate
+    import bench.commands.cli
+    import bench.run.launch
+    import bench.solve.offline
+    import bench.solve.offline_folder  # noqa: F401 - loaded once, before the forks
     from bench.base.kernel_cache import set_kernel_cache
 
     set_kernel_cache(os.environ)
