@@ -260,7 +260,7 @@ def _approached(problem: Problem, start: State, views: Sequence[View], options: 
         if stated is not None and _is_far(free, near, stated):
             alone = search(free, near, options.max_iterations)
             near = alone.state
-            if _is_far(free, near, stated):
+            if _is_far(free, near, stated) and _is_denied(problem, start, alone, options):
                 again = partial(
                     adjust, options=replace(options, passport=None), pupil=problem.bench.layout.bench.pupil
                 )
@@ -278,6 +278,17 @@ def _approached(problem: Problem, start: State, views: Sequence[View], options: 
     except (NotConverged, np.linalg.LinAlgError):
         return approached(problem, start, equations, options.max_iterations)
     return near
+
+
+def _is_denied(problem: Problem, start: State, alone: Optimum, options: CalibrationOptions) -> bool:
+    """Tell whether the views are clearly less probable with the certificate, at the state where it is held to."""
+    try:
+        equations = first_equations(problem, start)
+        near = approached(problem, start, equations, options.max_iterations)
+        held = search(problem, near, options.max_iterations)
+    except (NotConverged, np.linalg.LinAlgError):
+        return True
+    return held.solution.value - alone.solution.value > _CLEARLY**2
 
 
 def _certified_radius(options: CalibrationOptions) -> float | None:

@@ -65,8 +65,9 @@ def require_determined(
     if options.passport is None:
         require_distinct_poses(parameters)
     sigmas = np.sqrt(np.diag(found.covariance))
-    cause = doubt or _lens(found)
-    why = cause or explain_weak_geometry(views, parameters)
+    weak = explain_weak_geometry(views, parameters)  # then nothing else is determined: no lens, no ids
+    cause = "" if weak else _lens(found) or doubt  # a lens of another family looks like shifted ids, too
+    why = weak or cause
     for k, name in enumerate(("fx", "fy")):
         share = float(sigmas[k] / found.mean[k])
         if not 0.0 <= share <= MAX_FOCAL_SIGMA:

@@ -69,7 +69,7 @@ def test_a_focal_length_determines_the_camera_where_focus_and_pupil_are_stated()
     result = calibrate(NARROW.views(np.random.default_rng(71), 0.05), options)
     assert abs(result.camera.fx - BENCH.fx) < result.U["fx"]
     # 60 mm x .002 and .05 x 2 mm of the pupil, beside .05 mm of the certificate: .164 mm of 255
-    assert result.sigma["r"] == pytest.approx(0.164, rel=0.1)
+    assert result.sigma["r"] == pytest.approx(0.164, rel=0.15)  # and the tails of a statement
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ def test_a_well_corrected_collimator_may_be_out_of_focus(off_mm, defocus):
     """Nothing is stated. Field curvature explains the views too, less probably: fx was 16 px wrong at U 12 px."""
     result = calibrate(recorded(WIDE, (0.0, 0.0, off_mm), defocus, RASTER, 5), CalibrationOptions())
     assert largest_error_over_u(WIDE, result) < 1.0
-    assert 2.0 * result.sigma["fx"] < 10.0
+    assert 2.0 * result.sigma["fx"] < 20.0  # with errors as published prescriptions have them
 
 
 @pytest.mark.parametrize("focal_px", [3345.0, 1200.0])

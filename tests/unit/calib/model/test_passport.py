@@ -16,7 +16,7 @@ def with_passport(passport, **more):
     return CalibrationOptions(passport=passport, **more)
 
 
-@pytest.mark.parametrize(("count", "limit"), [(1, 0.55), (3, 0.4)])
+@pytest.mark.parametrize(("count", "limit"), [(1, 1.3), (3, 0.5)])
 def test_an_exact_passport_settles_the_focal_length(make_bench, count, limit):
     bench = make_bench()
     views = bench.views(np.random.default_rng(61), 0.05)[:count]
@@ -30,7 +30,8 @@ def test_the_passports_own_uncertainty_enters(bench):
     loose = Passport(EXACT.names, EXACT.values, np.diag([0.01, 0.01, 0.1]) ** 2)
     sigma = calibrate(views, with_passport(loose)).sigma["fx"]
     # df / f = .98 dr / r, beside what the stars and another place of the pupil leave.
-    assert sigma == pytest.approx(np.hypot(0.98 * 3345 * 0.1 / 255, 0.2), rel=0.05)
+    stated = np.hypot(0.98 * 3345 * 0.1 / 255, 0.2)
+    assert stated <= sigma < 1.2 * stated  # with the tails of a statement
 
 
 def test_a_certificate_leaves_the_radial_terms_free(bench):
@@ -38,7 +39,8 @@ def test_a_certificate_leaves_the_radial_terms_free(bench):
     known = calibrate(views, with_passport(Passport.of_radius(255.0, 0.02, length="seen")))
     assert set(known.collimator.aberrations) == {"radial", "radial_4"}
     share = {row.name: row.contribution["fx"] for row in known.budget_rows}
-    assert share["passport of the collimator"] == pytest.approx(0.02 / 255.0 * bench.fx, rel=0.1)
+    stated = 0.02 / 255.0 * bench.fx
+    assert stated <= share["passport of the collimator"] < 1.4 * stated  # with the tails of a statement
 
 
 def test_a_passport_made_from_views_calibrates_another_camera(make_bench, bench):

@@ -100,7 +100,7 @@ def test_views_without_rim_are_named_and_do_not_disturb():
     assert found.without_rim == ("near", "near")
     assert found.views == len(views) + 2
     assert found.pupil_off_pivot_mm == pytest.approx(10.0, abs=3 * found.sigma_mm)
-    assert "15 of 17 views show the rim" in found.says()[0]
+    assert "The rim is seen in 15 of 17 views" in found.says()[0]
 
 
 def test_too_few_rims_are_refused_with_advice():
