@@ -1,7 +1,20 @@
 """Likelihood of the amplitudes with all other unknowns integrated out, its gradient, and the solution for given ones.
 
 Restricted likelihood: Patterson and Thompson (1971), Harville (1977). The rotation of each view and the own field of
-each pose are eliminated; S shared unknowns are left. The equations stand in docs/adjustment.md.
+each pose are eliminated; S shared unknowns are left. The equations stand in docs/adjustment.md, in these letters:
+
+b; f             `State.shared`; `State.fields`: the S shared unknowns; own fields
+T                `Equations.maps`: what b does to the image of each pose
+e^T W e          `Equations.cost`: weighted squares of all residuals
+log a; m; Omega  `Solution.eta`; `Hyperprior.mean`; `Hyperprior.covariance`: amplitudes; their prior
+U                `RandomPrior.shapes`: columns that one amplitude scales
+Pi               `Solution.inside`: prior information of unknowns with amplitudes
+D_i^-1           `Solution.own`: covariance of an own field
+V = H^-1         `Solution.covariance`: covariance of b
+-2 log L         `Solution.value`: of likelihood times prior of the amplitudes
+s; Sigma_s; F    `Statement.values`; `Statement.covariance`; `Statement.free`: what is stated; covariances
+z                `Innovation.normalised`: stated less expected, in sigmas
+C; y; M          `Unstated.covariance`; `Unstated.away`; `Unstated.more`: of all statements
 """
 
 from __future__ import annotations

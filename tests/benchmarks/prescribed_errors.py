@@ -4,17 +4,15 @@ Each design of `worlds.stranger_glass` is made several times with the tolerances
 shares of the focal length: distortion (|h|^2 h and |h|^4 h), what makes distortion about a shifted axis (|h|^2 e of a
 pupil on the axis), field curvature (|h|^2 s for a pupil aside by s), astigmatism over it ((h s) h), and coma (|s|^2 h).
 
-    python -m tests.benchmarks.prescribed_errors [seeds]
+    python tests/benchmarks/prescribed_errors.py [--seeds 4] [--write]
 """
 
 from __future__ import annotations
 
-import sys
-
+import measured
 import numpy as np
 from numpy.typing import NDArray
-
-from tests.benchmarks.worlds.stranger_glass import DESIGNS, Collimator, Tolerances, collimator
+from worlds.stranger_glass import DESIGNS, Collimator, Tolerances, collimator
 
 Array = NDArray[np.float64]
 
@@ -86,5 +84,12 @@ def table(seeds: int) -> None:
     print(f"{'scatter of log':18}" + "".join(f"{np.std(logs[term]):13.3g}" for term in TERMS))
 
 
+def main() -> None:
+    """Print the table."""
+    options = measured.options(__doc__)
+    options.add_argument("--seeds", type=int, default=4, help="how often each design is made")
+    table(options.parse_args().seeds)
+
+
 if __name__ == "__main__":
-    table(int(sys.argv[1]) if len(sys.argv) > 1 else 4)
+    measured.run(main, "engine", "Errors of published collimators")
