@@ -27,7 +27,7 @@ from calib.diagnosis.gimbal_model import (
 )
 from calib.diagnosis.hand_eye_verdict import HandEyeCheck
 from calib.errors import DegenerateViews, InputMismatch
-from calib.model.gimbal_readings import AXES, ENCODER_SHARE, ONE_ANGLE_DEG, angles_of
+from calib.model.gimbal_readings import AXES, ENCODER_SHARE, alike_errors, angles_of
 from calib.model.likelihood_ratio import DECISIVE
 from calib.model.rotation import ARCSEC, log_map
 from calib.one_thread import on_one_thread
@@ -102,10 +102,9 @@ def check_hand_eye(
 def _covariance_of(axes_rad: Array, angles_deg: Array) -> Array:
     """Return the (3 n, 3 n) covariance of readings, from (n, 3, k) axes times 1 sigma, and (n, k) angles.
 
-    Readings of one angle share an error of the encoder. Without it, the last row of a raster looks like a slip.
+    Readings of neighbouring angles share errors. Without these, the last row of a raster looks like a slip.
     """
-    alike = np.abs(angles_deg[:, None] - angles_deg) < ONE_ANGLE_DEG
-    alike &= alike.sum(axis=1) > 1
+    alike = np.moveaxis(alike_errors(angles_deg), 0, 2)
     shares = np.eye(len(angles_deg))[:, :, None] + ENCODER_SHARE**2 * alike
     both = np.einsum("nik,nmk,mjk->nimj", axes_rad, shares, axes_rad)
     return np.asarray(both.reshape(3 * len(angles_deg), -1))

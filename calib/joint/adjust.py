@@ -21,7 +21,16 @@ from calib.joint.effects.by_turn import Aside, Parallax
 from calib.joint.effects.effect import Circumstances, PoseBasis
 from calib.joint.equations import Bench, State, ViewStars, sines_of, turns_of
 from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
-from calib.joint.knowledge import CERTIFICATE, FOCAL, WRONG, gather, stated_names, term_shapes, wavefront
+from calib.joint.knowledge import (
+    ASPECT,
+    CERTIFICATE,
+    FOCAL,
+    WRONG,
+    gather,
+    stated_names,
+    term_shapes,
+    wavefront,
+)
 from calib.joint.layout import Layout
 from calib.joint.marginal import Marginal, Problem
 from calib.joint.poses import Poses, seen_poses
@@ -35,6 +44,7 @@ from calib.joint.solve import (
     first_amplitudes,
     first_equations,
     search,
+    search_with_fault,
     solved,
     value_as_weighed,
 )
@@ -55,8 +65,11 @@ _WIDE_FIELD = 0.8
 #: A certificate is another collimator's if its radius differs by this share, and by so many sigma, from what the views
 #: alone show, even if all errors are larger than expected by 1-sigma: near the optimum, and at it.
 _OTHER_RADIUS, _CLEARLY = 0.1, 6.0
-#: From this difference on, the state is looked at to which the search leads if the certificate is wrong.
+#: From this difference on, the state is looked at to which the search leads if the certificate is wrong, or if the
+#: pixels are not square.
 _OTHER_STATE = 0.02
+#: Near the optimum pixels are square to .3 % only, so that images that were stretched are found.
+_NEARLY_SQUARE = ((ASPECT, "10 times"),)
 #: A search that ends so far from its start, as a share of the focal length, begins again.
 _FAR_START = 0.05
 #: Focal lengths of further starts, as shares of the image's diagonal: octaves from a wide-angle lens to a telephoto
@@ -253,6 +266,7 @@ def _approached(problem: Problem, start: State, views: Sequence[View], options: 
     """
     equations, knowledge = first_equations(problem, start), problem.knowledge
     others = tuple(one for one in knowledge.statements if one.name != CERTIFICATE)
+    problem = replace(problem, faults=_NEARLY_SQUARE)
     free = replace(problem, knowledge=replace(knowledge, statements=others))
     try:
         near = approached(free, start, equations, options.max_iterations)
@@ -368,6 +382,8 @@ def _searched(
     problem, state = posed(views, options, start, lens, seen)
     near = _approached(problem, state, views, options)
     begin = _posed_at(near, problem, views, options, start, seen)
+    if abs(near.shared[0] / near.shared[1] - 1.0) > _OTHER_STATE:
+        return search_with_fault(*begin, ((ASPECT, WRONG),), options.max_iterations), near
     found = search(*begin, options.max_iterations)
     away = np.abs(found.state.shared[:2] / near.shared[:2] - 1.0).max()
     if away > _FAR_START:

@@ -22,7 +22,7 @@ from calib.model.gimbal_readings import ENCODER_SHARE
 
 #: Highest degree of the field of a pose.
 POSE_DEGREE = 4
-STAR, READING, ENCODER = "star noise", "readings", "readings of the same angle"
+STAR, READING, ENCODER = "star noise", "readings", "readings of neighbouring angles"
 POSE = tuple(f"pose field, degree {d}" for d in range(1, POSE_DEGREE + 1))
 COMMON = tuple(f"common field, degree {d}" for d in range(1, DEGREE + 1))
 TURN = tuple(f"field by turn, degree {d}" for d in range(1, 6))

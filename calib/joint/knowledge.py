@@ -69,8 +69,9 @@ STEADY = "steady focal length"
 #: the corner of the sensor. All others of a lens have an amplitude (`calib.joint.layout`).
 _DENOMINATOR = {"k4": 0.1, "k5": 0.05, "k6": 0.01}
 _SKEW_PX = 5.0
-#: Pixels are square to this share; if not, to the second.
-_ASPECT_SIGMA, _FREE_ASPECT = 3e-3, 0.1
+#: Pixels are square to this share: a sensor is exact to 1e-5, but one that is tilted by 1.4 degrees shows one axis
+#: shorter by 3e-4. If not, to the second.
+_ASPECT_SIGMA, _FREE_ASPECT = 3e-4, 0.1
 #: Focal length and radius change by this share from first to last pose: 1 K of aluminium; if not, by the second.
 _DRIFT_SIGMA, _FREE_DRIFT = 3e-5, 5e-3
 #: That it changes by more is more probable than for a statement: nobody measured it, and halls drift by 3 K a night.

@@ -1,8 +1,8 @@
 """The gimbal's readings as observations of the views' rotations.
 
 A reading predicts the rotation M = A Rz(roll) Rx(tilt) Rz(delta) Ry(pan) B (`calib.model.gimbal`). Each angle is its
-reading times the scale of its axis, plus two errors of the encoder: e_s sin(a) + e_c (cos(a) - 1) of one period, and an
-error that belongs to this angle. Poses at the same angle share it, so they do not count as independent readings.
+reading times the scale of its axis, plus two errors of the encoder: e_s sin(a) + e_c (cos(a) - 1) of one period, and a
+smooth one. Poses at neighbouring angles share it, so they do not count as independent readings.
 """
 
 from __future__ import annotations
@@ -12,16 +12,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.arrays import Array
 from calib.joint.effects.gimbal import ECCENTRICITY, ENCODER
 from calib.model.gimbal import GIMBAL, MOUNTING, NON_ORTHOGONALITY, STANDING, Gimbal, aligned_gimbal
-from calib.model.gimbal_readings import AXES, ONE_ANGLE_DEG, GimbalReadings
+from calib.model.gimbal_readings import AXES, GimbalReadings, alike_errors
 from calib.model.rotation import log_map
 
 #: Readings that scatter this many times more than stated are looked at.
 SCATTER = 2.0
+#: Parts of the smooth errors with a smaller variance are left to what each reading has for itself.
+_SMALL_PART = 0.05
 
 
 @dataclass(frozen=True)
@@ -46,30 +47,30 @@ class Readings:
         turned = [f"scale_{axis}" for axis in axes] + [
             name for name in ECCENTRICITY if name.split("_")[1] in axes
         ]
-        return (*MOUNTING, *STANDING, *turned, *self.at_angles, NON_ORTHOGONALITY)
+        return (*MOUNTING, *STANDING, *turned, *self.smooth, NON_ORTHOGONALITY)
 
     @cached_property
-    def at_angles(self) -> Mapping[str, tuple[int, NDArray[np.bool_]]]:
-        """By the name of what an encoder is off at an angle of several poses: the axis, and (m,) their views."""
-        found = {}
-        for k in np.flatnonzero(self.moved).tolist():
-            order = np.argsort(self.angles_deg[:, k], kind="stable")
-            ends = np.flatnonzero(np.diff(self.angles_deg[order, k]) > ONE_ANGLE_DEG) + 1
-            for views in np.split(order, ends):
-                if np.ptp(self.angles_deg[views], axis=0).max() > ONE_ANGLE_DEG:
-                    axis, angle = AXES[k].removesuffix("_deg"), float(self.angles_deg[views[0], k])
-                    found[f"{ENCODER}_{axis}_{angle:g}"] = (k, np.isin(range(len(order)), views))
+    def smooth(self) -> Mapping[str, tuple[int, Array]]:
+        """By the name of an unknown: the axis, and (m,) the part of its smooth errors with this unit variance."""
+        found: dict[str, tuple[int, Array]] = {}
+        for k, alike in enumerate(alike_errors(self.angles_deg)):
+            if self.moved[k]:
+                sizes, parts = np.linalg.eigh(alike)
+                axis = AXES[k].removesuffix("_deg")
+                for number, at in enumerate(np.flatnonzero(sizes > _SMALL_PART)):
+                    found[f"{ENCODER}_{axis}_{number}"] = k, np.sqrt(sizes[at]) * parts[:, at]
         return found
 
     @cached_property
     def errors(self) -> Mapping[str, tuple[int, Array]]:
         """By the name of an error of an encoder: its axis, and (m,) the error of each reading for a unit of it."""
-        found, angles = {}, np.radians(self.angles_deg)
+        found: dict[str, tuple[int, Array]] = {}
+        angles = np.radians(self.angles_deg)
         for name in ECCENTRICITY:
             axis, part = name.split("_")[1:]
             k = AXES.index(f"{axis}_deg")
             found[name] = k, np.sin(angles[:, k]) if part == "sin" else np.cos(angles[:, k]) - 1.0
-        return found | {name: (k, views.astype(float)) for name, (k, views) in self.at_angles.items()}
+        return {**found, **self.smooth}
 
     def start(self, rotations: Array) -> Gimbal:
         """Return the gimbal that fits given rotations with unit scales."""

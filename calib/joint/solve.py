@@ -179,11 +179,21 @@ def beside(optimum: Optimum, faults: Faults, rounds: int, start: State | None = 
     search begins at the state of the optimum, or at a ``start`` that is known to be nearer.
     """
     problem = optimum.marginal.problem
-    there = search(replace(problem, faults=faults), start or optimum.state, rounds)
+    there = search_with_fault(problem, start or optimum.state, faults, rounds, optimum.eta)
+    return replace(there, iterations=optimum.iterations + there.iterations, better_lens=optimum.better_lens)
+
+
+def search_with_fault(
+    problem: Problem, start: State, faults: Faults, rounds: int, eta: Array | None = None
+) -> Optimum:
+    """Return the optimum without faults by the equations of the state that these lead to.
+
+    The best amplitudes are searched from ``eta``, or from those with the faults.
+    """
+    there = search(replace(problem, faults=faults), start, rounds)
     marginal = Marginal(problem, there.marginal.equations, there.state)
-    found = searched(solved(marginal, optimum.eta), _LONG, enough=FINE)
-    iterations = optimum.iterations + there.iterations
-    return Optimum(found, iterations, there.converged, there.eta, optimum.better_lens)
+    found = searched(solved(marginal, there.eta if eta is None else eta), _LONG, enough=FINE)
+    return Optimum(found, there.iterations, there.converged, there.eta)
 
 
 def weighed_as(there: Optimum, than: Optimum) -> Marginal:

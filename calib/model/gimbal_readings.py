@@ -20,9 +20,14 @@ from calib.errors import InputMismatch
 AXES = ("pan_deg", "tilt_deg", "roll_deg")
 #: How far a camera's pupil is beside the axes that turn it, 1-sigma, if the camera was set up by eye.
 BESIDE_AXES_MM = 2.0
-#: Readings of an axis that differ by less are those of one angle: the encoder is off by the same.
+#: Poses that differ by less along all axes are one.
 ONE_ANGLE_DEG = 0.05
-#: What they share is expected to be so large, over the 1-sigma of what each reading has for itself.
+#: Errors of an axis at neighbouring angles are alike within this length: a worm wheel of 180 teeth has a period of 2
+#: degrees, and a sine is as curved at its top as this kernel at zero.
+ALIKE_DEG = 2.0 / (2.0 * np.pi)
+#: So many lengths apart, they are not alike (1 %).
+_APART = 3.0
+#: What neighbours share is expected to be so large, over the 1-sigma of what each reading has for itself.
 ENCODER_SHARE = 0.7
 
 
@@ -105,6 +110,19 @@ class GimbalReadings:
     def angles(self) -> Array:
         """(n, 3) float64 pan, tilt, roll of each view, degrees; axes without a reading are zero."""
         return angles_of(self.angles_deg)
+
+
+def alike_errors(angles_deg: Array) -> Array:
+    """Return (k, n, n) how the errors that n readings of k axes share with their neighbours are correlated.
+
+    A reading without a neighbour has a row of zeros: all of its error is its own. So has one whose neighbours only
+    repeat its pose.
+    """
+    apart = np.abs(angles_deg[:, None] - angles_deg)
+    other_pose = apart.max(axis=2) > ONE_ANGLE_DEG
+    away = np.moveaxis(apart, 2, 0) / ALIKE_DEG
+    shared = ((away < _APART) & other_pose).any(axis=2)
+    return np.asarray(np.exp(-0.5 * away**2) * shared[:, :, None] * shared[:, None, :])
 
 
 def angles_of(readings_deg: Sequence[Mapping[str, float]]) -> Array:

@@ -13,7 +13,7 @@ from calib.model import result_parts as rows
 ECCENTRICITY = tuple(
     f"eccentricity_{axis}_{part}" for axis in ("pan", "tilt", "roll") for part in ("sin", "cos")
 )
-#: Begin of the names of what an encoder is off at an angle that several views have.
+#: Begin of the names of the smooth errors of an encoder.
 ENCODER = "encoder"
 
 

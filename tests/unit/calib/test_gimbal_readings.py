@@ -47,17 +47,22 @@ def test_without_a_bound_of_the_parallax_readings_say_less_of_the_focal_length()
     assert abs(unbounded.camera.fx - bench.truth.camera.fx) < expanded
 
 
-def test_poses_at_the_same_angle_of_an_axis_share_what_its_encoder_is_off():
-    """Nine poses of a grid read three angles of each axis; nine poses apart read nine."""
-    apart = [
-        {"pan": pose["pan"] + 0.1 * (k // 3), "tilt": pose["tilt"] + 0.1 * (k % 3)}
-        for k, pose in enumerate(NINE)
+def test_poses_at_neighbouring_angles_of_an_axis_share_what_its_encoder_is_off():
+    """Nine poses of a grid read three angles of each axis; nine poses apart read nine. There is no step between."""
+    grids = [
+        [
+            {"pan": pose["pan"] + apart * (k // 3), "tilt": pose["tilt"] + apart * (k % 3)}
+            for k, pose in enumerate(NINE)
+        ]
+        for apart in (0.0, 0.03, 0.1, 1.1)
     ]
-    of_grid, of_apart = (
+    same, close, near, far = (
         solved(bench, readings(bench, sigma_deg=0.005)).sigma["fx"]
-        for bench in (draw_bench("ideal", poses, 11) for poses in (NINE, apart))
+        for bench in (draw_bench("ideal", poses, 11) for poses in grids)
     )
-    assert of_grid > 1.3 * of_apart
+    assert same > 1.25 * far
+    assert close == pytest.approx(same, rel=0.1)
+    assert near == pytest.approx(close, rel=0.1)
 
 
 def test_the_scale_of_the_encoders_enters_as_stated():
