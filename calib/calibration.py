@@ -37,6 +37,7 @@ _ONLY_JOINT = {
     "budget": "the uncertainties of the budget",
     "radial_sigma": "the prior of the radial term",
     "focus": "the focus of the target",
+    "compares_lenses": "the choice of a lens model (auto); name the coefficients",
 }
 _ONLY_REFERENCE = {"loss": "the loss", "huber_px": "the limit of the loss"}
 """Options that only one kind of model uses, in words. A method of reference refuses a passport."""

@@ -47,6 +47,12 @@ _SOURCES = {
     names.STARS: "residuals of the stars",
     names.POSE_FIELDS: "differences between the views",
 }
+#: What describes views that differ by more than noise.
+_OTHERWISE = {
+    "spherical": "The joint adjustment describes such errors.",
+    "planar": "The lens may need other coefficients (such as k1k2k3p1p2 or fisheye), the target may not be flat, or "
+    "the focus changed. Behind a collimator, the joint adjustment describes such errors.",
+}
 
 
 @dataclass(frozen=True)
@@ -206,7 +212,6 @@ def _notes(fitted: Fit) -> tuple[str, ...]:
     if fitted.uncertainty.inconsistent:
         notes.append(
             f"Views differ {fitted.uncertainty.birge_ratio:.1f} times more than star noise explains. The uncertainties "
-            f"are enlarged by this ratio. The {fitted.model} model is for comparison; the joint adjustment describes "
-            "such errors."
+            f"are enlarged by this ratio. {_OTHERWISE[fitted.model]}"
         )
     return tuple(notes)

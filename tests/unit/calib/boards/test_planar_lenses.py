@@ -1,5 +1,6 @@
 """The planar model with the lens options of OpenCV and of MATLAB: the same optimum as OpenCV's, and skew."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -107,3 +108,24 @@ def test_skew_is_that_of_gtsam():
     for x, y in np.random.default_rng(1).uniform(-0.5, 0.5, (20, 2)):
         (found,) = camera.project(np.array([[x, y, 1.0]]))
         np.testing.assert_allclose(found, theirs.uncalibrate(np.array([x, y])), atol=1e-9)
+
+
+def test_views_that_a_lens_with_too_few_coefficients_fits_badly_say_which_may_help():
+    shown, _ = views("k1k2k3p1p2", 0.01)
+    fine = [replace(view, covariances_px2=1e-4 * np.tile(np.eye(2), (54, 1, 1))) for view in shown]
+    (note,) = calibrate(fine, CalibrationOptions("planar", "k1k2")).notes
+    assert "The lens may need other coefficients (such as k1k2k3p1p2 or fisheye)" in note
+    assert calibrate(fine, CalibrationOptions("planar", "k1k2k3p1p2")).notes == ()
+
+
+def test_a_board_says_that_it_does_not_choose_a_lens():
+    shown, _ = views("k1k2")
+    assert (
+        CalibrationOptions("planar", "auto").unused
+        in calibrate(shown, CalibrationOptions("planar", "auto")).notes
+    )
+    assert (
+        "the choice of a lens model (auto); name the coefficients"
+        in CalibrationOptions("planar", "auto").unused
+    )
+    assert CalibrationOptions("joint", "auto").unused == ""
