@@ -25,6 +25,7 @@ from bench.commands.output import JSON, NOT_KEPT, STOPPED, ask_passphrase, error
 from bench.record.journal import CAPTURES
 from bench.record.run_folder import REPORT
 from bench.wording.camera_check import check_sentences
+from bench.wording.causes import cause_sentences
 from bench.wording.conformity import conformity_headline, conformity_sentences
 from bench.wording.goals import goals_missed
 from bench.wording.numbers import fixed, with_uncertainty
@@ -144,6 +145,8 @@ def _ended_lines(end: RunEnd) -> Iterator[str]:
         yield from _recorded_lines(end)
         return
     results = end.outcome.results
+    causes = cause_sentences(results.get("causes", ()))
+    yield from causes
     yield from goals_missed(results.get("untils") or [])
     if check := results.get("check"):
         yield from check_sentences(check)
@@ -151,7 +154,9 @@ def _ended_lines(end: RunEnd) -> Iterator[str]:
         yield conformity_headline(found)
         yield from (f"  {sentence}" for sentence in conformity_sentences(found))
         yield ""
-    yield calibration_text(results["calibration"], words_of(results))
+    calibration = results["calibration"]
+    notes = [note for note in calibration["notes"] if note not in causes]
+    yield calibration_text({**calibration, "notes": notes}, words_of(results))
     if results["comparison"]:
         yield "\nSIMULATED devices. Distance from the simulated truth:"
         yield from map(_distance_text, results["comparison"])

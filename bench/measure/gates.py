@@ -29,6 +29,10 @@ ADVICE = {
     "bias_diff_off; if the camera carries them, set a higher max_event_rate_mev_s",
     "data rate": "for less data, use a square flicker, or lower both frequency_hz and level_percent of the sine",
     "edge width": "the image is out of focus; focus the lens",
+    "triggers missed": "edges of the sync signal were lost: check its cable, its plugs and its level",
+    "trigger jitter": "the edges of the sync signal are not regular: check its cable, and that it comes from the light",
+    "events after sync": "the sync signal is inverted, or not that of the light: check the sync output and its cable",
+    "flicker off nominal": "the light does not flicker as set: compare its frequency_hz with what its driver shows",
 }
 """What to do if a gate fails, by its name."""
 MARGIN = 0.1

@@ -46,12 +46,13 @@ from drivers.camera.event_arrays import Events, Triggers
 from drivers.camera.raw_file import RawFile
 from drivers.errors import RecordingFileError
 
-LEAST_LIT = 0.005
-"""Share of the sensor's pixels that follow the flicker as soon as the camera sees the lit target. Without light, hot
-pixels alone do: a dark lamp and a closed lens cap are no fault of the camera's direction."""
-_BLURRED = 0.16
+LEAST_LIT = 0.05
+"""Share of the sensor's pixels that follow the flicker where stars can be found. Simulated, it is 0.74 at f/2.8, 0.24
+at f/13, 0.05 at f/14.5 and 0.003 at f/16; without light, hot pixels alone follow it, whichever way the camera looks."""
+_BLURRED, _FLAT = 0.16, 0.04
 """Sharpness (`calib.stars.focus.sharpness`) below which no stars are seen: with the shipped target and lens, it is 0.34
-in focus, 0.16 where stars can just be found, and 0.09 far out of focus."""
+in focus, 0.16 where stars can just be found, and 0.09 far out of focus. Below the second number no picture of the
+target is left: 0.03 with the lens at its near stop, and with 5 % of flickering light beside that of the target."""
 
 ExpectedGrid = Callable[[tuple[int, int]], NDArray[np.float64]]
 """Returns, for an image size (width, height) in px, the expected homography of the target's grid: (3, 3) float64, from
@@ -229,6 +230,13 @@ def why_no_target(error: TargetNotFound, facts: MeasuredFacts, whole: NDArray[np
         detail = sharpness(whole, find_beam(whole).lit)
         if detail is None or detail >= _BLURRED:
             return error
+        if detail < _FLAT:
+            return TargetNotFound(
+                "The camera sees flickering light, and no picture in it: light of the lamp reaches the lens past the "
+                "target, no target is in the collimator, or the lens is far out of focus.",
+                where=error.where,
+                remedy="Shade the lens from the lamp, look for the target, then focus the lens with `starbench align`.",
+            )
         return TargetNotFound(
             "The image is out of focus: the beam is lit, and shows hardly any detail.",
             where=error.where,

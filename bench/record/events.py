@@ -305,13 +305,21 @@ class WireLogState(TypedDict):
     sha256: str
 
 
+class VerdictData(TypedDict):
+    """The verdict on a calibration, as the head of its report has it."""
+
+    kind: str  # ``pass``, ``marginal`` or ``fail``
+    headline: str
+
+
 class Written(TypedDict):
-    """Payload of ``written``: what the report step wrote."""
+    """Payload of ``written``: what the report step wrote; an earlier version wrote no ``verdict``."""
 
     head: str  # Hash of the journal's last line when the results were made; the report prints it
     # SHA-256 by name of results.json, views.h5, report.html and each file of exports/.
     files: Mapping[str, str]
     wire: Mapping[str, WireLogState]
+    verdict: NotRequired[VerdictData]
 
 
 class ChosenPose(TypedDict):

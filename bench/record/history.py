@@ -23,6 +23,7 @@ from bench.record.events import (
     Solved,
     StateEntered,
     UntilDecided,
+    VerdictData,
 )
 from bench.record.journal import CLOCK_JUMPED
 from bench.record.journal_line import Entry
@@ -112,6 +113,8 @@ class History:
     """How late the computer was when the journal last said that it is too busy, as text; empty if it never was."""
     solved: Solved = field(default_factory=lambda: cast("Solved", {}))
     """Main numbers of its calibration; empty while it has none."""
+    verdict: VerdictData | None = None
+    """The verdict of its report; None while it has none."""
     decisions: list[UntilDecided] = field(default_factory=list)
     """What each ``until`` decided, in order."""
     worked_s: dict[int, float] = field(default_factory=dict)
@@ -233,8 +236,8 @@ def apply_entry(history: History, entry: Entry) -> None:
             history.done_steps.add(int(data["step"]))
         case Event.DEVIATION:
             (history.holds if data.get("hold") else history.deviations).append(str(data["what"]))
-        case Event.SOLVED:
-            history.solved = cast("Solved", data)
+        case Event.SOLVED | Event.WRITTEN:
+            _apply_result(history, entry)
         case Event.UNTIL_DECIDED:
             history.decisions.append(cast("UntilDecided", data))
         case Event.COMMANDED:
@@ -248,6 +251,14 @@ def apply_entry(history: History, entry: Entry) -> None:
             count_crash(history, data.get("crashed"))
         case _:
             _apply_pose_entry(history, entry)
+
+
+def _apply_result(history: History, entry: Entry) -> None:
+    """Keep the numbers of a calibration, or the verdict on the last one."""
+    if entry.event == Event.SOLVED:
+        history.solved, history.verdict = cast("Solved", entry.data), None
+    else:
+        history.verdict = cast("VerdictData | None", entry.data.get("verdict"))
 
 
 def _apply_devices(history: History, entry: Entry) -> None:

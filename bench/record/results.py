@@ -310,6 +310,7 @@ class PoseData(TypedDict):
     attempts: Sequence[AttemptData]
     image: ImageFacts | None
     flicker_hz: float | None
+    flicker_duty: NotRequired[float | None]  # Share of a period in which the light is on
     named_by: str | None  # ``tag`` or ``gimbal``
     stars: int
     rms_px: float | None  # None if the pose is not part of the calibration

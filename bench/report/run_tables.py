@@ -19,12 +19,11 @@ from bench.record.results import (
 )
 from bench.report.pose_tables import gates
 from bench.wording.camera_check import check_sentences
-from bench.wording.causes import sentence_of
+from bench.wording.causes import cause_sentences
 from bench.wording.earlier_runs import earlier_runs
 from bench.wording.goals import goals_missed
 from bench.wording.numbers import NOTHING, exact, moment, number, value_text, with_uncertainty
 from bench.wording.target_words import words_of
-from calib.model.cause import Cause
 
 Rows = list[tuple[str, str]]
 
@@ -319,7 +318,7 @@ def software(results: Results) -> list[tuple[str, str]]:
 
 def causes(results: Results) -> list[str]:
     """List what a person did to the bench, as far as the data show it, the most probable first."""
-    return [sentence_of(Cause.from_dict(one)) for one in results.get("causes", ())]
+    return cause_sentences(results.get("causes", ()))
 
 
 def alerts(results: Results) -> list[str]:

@@ -271,9 +271,10 @@ class StateWork:
         truth = self._run.devices.truth() if self._run.devices.is_open else self._run.job.read_truth()
         self._run.results.write(self._run.log, truth)
         outcome = self._run.results.outcome
-        if outcome is not None and outcome.journal_head:  # a rehearsal writes results alone
+        if outcome is not None and outcome.verdict is not None:  # a rehearsal writes results alone
             written = written_files(self._run.folder.path)
-            self._run.log.write(events.Written, head=outcome.journal_head, **written)
+            head, verdict = outcome.journal_head, outcome.verdict
+            self._run.log.write(events.Written, head=head, verdict=verdict, **written)
 
     def aborting(self, *_: Any, **__: Any) -> None:
         """Stop the stage, switch the light off, stop the camera. Never raises."""

@@ -36,10 +36,9 @@ from bench.record.stored_run import StoredRun
 from bench.run.interlocks import interlock_text
 from bench.run.machine import END_STATES
 from bench.run.time_left import TimeLeft
-from bench.wording.causes import sentence_of
+from bench.wording.causes import cause_sentences
 from bench.wording.goals import decision_text, goals_missed, reached_text
 from bench.wording.numbers import with_uncertainty
-from calib.model.cause import Cause
 from drivers.lateness import LatenessData
 
 LAST_LINES = 5
@@ -165,6 +164,7 @@ class Status:
     goals_missed: Sequence[str]  # Each ``until`` that ended without its goals, as sentences
     # Focal lengths with their expanded uncertainty, as text; empty if nothing is calibrated yet.
     result: str
+    verdict: str  # The headline of its report; empty while it has none
     causes: Sequence[str]  # What a person did to the bench, as sentences, the most probable first
     left_s: float | None  # Expected time until the end, s; None if no process works on the run
     held_by: str  # Operator or interlock that holds the run, and why; empty while none does
@@ -307,7 +307,8 @@ def _status(run: StoredRun, now: datetime, *, running: bool, sealed: bool) -> St
         uncertainty=reached_text(history.decisions[-1]) if history.decisions else "",
         goals_missed=goals_missed(history.decisions),
         result=_result_text(history),
-        causes=[sentence_of(Cause.from_dict(one)) for one in history.solved.get("causes", ())],
+        verdict=history.verdict["headline"] if history.verdict else "",
+        causes=cause_sentences(history.solved.get("causes", ())),
         left_s=_left_s(history, plan, entries, now) if going_on else None,
         held_by=_held_by(history) if running else "",
         question=history.question if running else "",
@@ -426,8 +427,9 @@ def head_lines(status: Status) -> list[str]:
     counts += f", resumed {times(status.resumed)}" if status.resumed else ""
     lines = [f"Run {status.run_id}{'  SIMULATED' if status.simulated else ''}", _state(status), counts]
     told = {"Uncertainty after": status.uncertainty, "Result:": status.result, **_busy(status)}
-    lines += [f"{name} {text}" for name, text in told.items() if text]
-    lines += [*status.causes, *status.goals_missed, *_unasked(status)]
+    lines += [status.verdict] if status.verdict else []
+    lines += [*status.causes, *(f"{name} {text}" for name, text in told.items() if text)]
+    lines += [*status.goals_missed, *_unasked(status)]
     lines += [f"Evidence: {status.evidence}"] if status.ended and not status.running else []
     return [*lines, *(f"Deviation: {what}" for what in status.deviations)]
 

@@ -9,10 +9,12 @@ import math
 import statistics
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from datetime import datetime
+from itertools import pairwise
 
 from bench.measure.expected_grid import engine_angles_deg
 from bench.plan.job import Job
-from bench.record.events import LightSettingsData
+from bench.record.events import LightSettingsData, StateEntered
 from bench.record.history import History
 from bench.record.measured_facts import ImageFacts
 from bench.record.results import Results
@@ -27,14 +29,15 @@ from calib.studies.predicted_views import predicted_view
 #: A lens has the focal length that its station expects to this share (1 sigma): makers state it to 5 %, and a station
 #: may round it.
 _FOCAL_SHARE = 0.05
-#: From run to run of one bench, the number of stars and the residuals vary by these shares (1 sigma), and the events of
-#: an edge by the third; an aperture closed by two stops makes them half, twice, and less than half.
-_STARS_SHARE, _RESIDUAL_SHARE, _EVENTS_SHARE = 0.05, 0.15, 0.12
+#: From run to run of one bench, the number of stars and the residuals vary by these shares (1 sigma), and the pixels
+#: that light up by the third. Simulated, f/11 instead of f/2.8 makes them 0.6 times as many, a tenth of the light 0.7.
+_STARS_SHARE, _RESIDUAL_SHARE, _LIT_SHARE = 0.05, 0.15, 0.08
 #: What a station expects is known less well than what a run had: the share of stars, and of their noise (1 sigma).
 _EXPECTED_STARS, _EXPECTED_NOISE = 0.12, 0.4
-#: Settings of a light are others if they differ by more than this share.
-_SAME_SETTING = 0.01
-#: A computer that is this late at once, s, has slept or was stopped: load alone makes a tenth of it.
+#: Settings of a light are others if they differ by more than this share; a duty is measured to parts in a thousand.
+_SAME_SETTING = 0.02
+#: A computer that is this late at once, s, has slept or was stopped: load alone makes a tenth of it. A clock that is
+#: set by a time server moves by less than a second.
 _STOOD_STILL_S = 10.0
 
 
@@ -43,7 +46,8 @@ class _Seen:
     """What the accepted recordings of a run showed, by name of the pose."""
 
     stars: Mapping[str, int]
-    events_per_edge: Mapping[str, float]
+    lit_pixels: Mapping[str, float]
+    duty: Mapping[str, float]  # By the edges of the sync signal, as a share of the period
     rms_px: float
     light: LightSettingsData
 
@@ -61,17 +65,20 @@ def causes_of_run(
     """Return what a run shows that a person did, the most probable first."""
     seen = _seen_in(history, calibration)
     last = earlier()
-    causes = [*calibration.causes, *_other_lens(job, calibration), *_stood_still(history)]
+    lens = list(_other_lens(job, calibration))
+    causes = [*calibration.causes, *lens, *_stood_still(history)]
     causes += _against_last(seen, last) if last is not None else _against_station(job, calibration, seen)
-    return sorted(causes, key=lambda one: -one.evidence)
+    # Another lens shows another number of stars, and lights up another number of pixels.
+    told = [one for one in causes if not (lens and one.kind in kinds.WEAK)]
+    return sorted(told, key=lambda one: -one.evidence)
 
 
 def _seen_in(history: History, calibration: Calibration) -> _Seen:
     accepted = history.accepted().values()
-    images = {one.pose_name: one.measured.get("image") for one in accepted}
     return _Seen(
         {one.name: one.n for one in calibration.views},
-        _events(images),
+        _lit({one.pose_name: one.measured.get("image") for one in accepted}),
+        _known({one.pose_name: one.measured.get("flicker_duty") for one in accepted}),
         calibration.rms_px,
         next((one.stored["light"] for one in reversed(list(accepted))), LightSettingsData()),
     )
@@ -82,16 +89,20 @@ def _seen_before(results: Results) -> _Seen:
     conditions = results.get("conditions")
     return _Seen(
         {pose["name"]: pose["stars"] for pose in poses},
-        _events({pose["name"]: pose["image"] for pose in poses}),
+        _lit({pose["name"]: pose["image"] for pose in poses}),
+        _known({pose["name"]: pose.get("flicker_duty") for pose in poses}),
         float(results["calibration"]["rms_px"]),
         conditions["light"] if conditions else LightSettingsData(),
     )
 
 
-def _events(images: Mapping[str, ImageFacts | None]) -> dict[str, float]:
-    """Return the events of an edge by pose, as far as they were counted."""
-    counted = {name: image.get("events_per_edge") if image else None for name, image in images.items()}
-    return {name: float(number) for name, number in counted.items() if number}
+def _lit(images: Mapping[str, ImageFacts | None]) -> dict[str, float]:
+    """Return how many pixels light up by pose, as far as they were counted."""
+    return _known({name: image.get("lit_pixels") if image else None for name, image in images.items()})
+
+
+def _known(numbers: Mapping[str, float | None]) -> dict[str, float]:
+    return {name: float(number) for name, number in numbers.items() if number}
 
 
 def _evidence(ratio: float, share: float) -> float:
@@ -112,16 +123,29 @@ def _other_lens(job: Job, calibration: Calibration) -> Iterator[Cause]:
 
 
 def _stood_still(history: History) -> Iterator[Cause]:
-    """Yield that the computer stood still."""
-    longest_s = history.lateness.get("longest_s", 0.0)
+    """Yield that the computer stood still: it was late, or its time of day went on without its clock."""
+    longest_s = max(history.lateness.get("longest_s", 0.0), *map(_slept_s, pairwise(history.states)), 0.0)
     if longest_s >= _STOOD_STILL_S:
         yield Cause(kinds.ASLEEP, LARGEST_EVIDENCE, longest_s, unit="s")
+
+
+def _slept_s(states: tuple[StateEntered, StateEntered]) -> float:
+    """Return how much longer the time between two states was by the time of day than by the clock, s.
+
+    The clock of a computer that sleeps stands still. A resumed run has another clock.
+    """
+    before, after = states
+    passed_s = after["mono_s"] - before["mono_s"]
+    if after["state"] == "recovering" or passed_s < 0.0:
+        return 0.0
+    begun, ended = (datetime.fromisoformat(one["utc"]) for one in states)
+    return (ended - begun).total_seconds() - passed_s
 
 
 def _against_last(seen: _Seen, results: Results) -> Iterator[Cause]:
     """Yield what differs from the last run: settings of the light, and stars that are fewer, or weaker, or noisier."""
     last, run = _seen_before(results), str(results["run"]["id"])
-    yield from _other_light(seen.light, last.light, run)
+    yield from _other_light(seen, last, run)
     weak = list(_weaker(seen, last, run))
     yield from weak[:1]
 
@@ -136,26 +160,30 @@ def _weaker(seen: _Seen, last: _Seen, run: str) -> Iterator[Cause]:
     evidence = _evidence(seen.rms_px / last.rms_px, _RESIDUAL_SHARE) if last.rms_px > 0 else 0.0
     if seen.rms_px > last.rms_px and evidence > DECISIVE:
         yield Cause(kinds.NOISIER, evidence, seen.rms_px, unit="px", stated=last.rms_px, before=run)
-    if both := seen.of_poses(seen.events_per_edge, last.events_per_edge):
+    if both := seen.of_poses(seen.lit_pixels, last.lit_pixels):
         now, then = both
-        evidence = _evidence(now / then, _EVENTS_SHARE)
+        evidence = _evidence(now / then, _LIT_SHARE)
         if now < then and evidence > DECISIVE:
-            yield Cause(kinds.DIMMER, evidence, now, unit="events", stated=then, before=run)
+            yield Cause(kinds.DIMMER, evidence, now, unit="pixels", stated=then, before=run)
 
 
-def _other_light(now: LightSettingsData, then: LightSettingsData, run: str) -> Iterator[Cause]:
-    """Yield the first setting of the light that is not that of the last run."""
+def _other_light(seen: _Seen, last: _Seen, run: str) -> Iterator[Cause]:
+    """Yield the first setting of the light that is not that of the last run; the duty as the sync signal shows it."""
+    now, then = seen.light, last.light
     levels = [(one.get("low_v"), one.get("high_v")) for one in (now, then)]
     height = [None if low is None or high is None else high - low for low, high in levels]
+    duty = seen.of_poses(seen.duty, last.duty)
+    shown = (100.0 * duty[0], 100.0 * duty[1]) if duty else (None, None)
     settings = {
         "frequency": (now.get("frequency_hz"), then.get("frequency_hz"), "Hz"),
         "duty": (now.get("duty_percent"), then.get("duty_percent"), "%"),
-        "level": (height[0], height[1], "V"),
+        "duty by the sync signal": (*shown, "%"),
+        "level": (*height, "V"),
     }
-    for name, (own, last, unit) in settings.items():
-        if own is not None and last and abs(own / last - 1.0) > _SAME_SETTING:
+    for name, (own, other, unit) in settings.items():
+        if own is not None and other and abs(own / other - 1.0) > _SAME_SETTING:
             yield Cause(
-                kinds.LIGHT, 2.0 * DECISIVE, float(own), unit=unit, stated=float(last), axis=name, before=run
+                kinds.LIGHT, 2.0 * DECISIVE, float(own), unit=unit, stated=float(other), axis=name, before=run
             )
             return
 

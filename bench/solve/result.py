@@ -24,7 +24,7 @@ from bench.measure.measure import Measurement
 from bench.measure.views_file import VIEWS, StoredView, views_file
 from bench.plan.job import Job
 from bench.record.coverage import coverage_factor
-from bench.record.events import CauseData, Solved
+from bench.record.events import CauseData, Solved, VerdictData
 from bench.record.history import History
 from bench.record.ledger import Ledger, bench_ledger
 from bench.record.ledger_marks import LedgerRun
@@ -36,6 +36,7 @@ from bench.record.stored_calibration import camera_covariance
 from bench.report.html import ReportData, render_report
 from bench.report.pictured_poses import pictured_poses
 from bench.report.pose_plot import change_maps
+from bench.report.verdict import verdict
 from bench.solve.causes import causes_of_run
 from bench.solve.earlier_runs import NotComparableError, earlier_runs, last_results, read_sealed
 from bench.solve.exports import exports
@@ -75,6 +76,7 @@ class Outcome:
     report: Path
     # Hash of the journal's last line when the results were made; the report prints it.
     journal_head: str = ""
+    verdict: VerdictData | None = None  # As the report prints it
 
 
 class ResultWriter:
@@ -129,7 +131,10 @@ class ResultWriter:
         )
         for name, data in shown.items():
             self._folder.write_atomic(name, data)
-        self.outcome = Outcome(results, self._folder.path / REPORT, head)
+        found = verdict(results)
+        self.outcome = Outcome(
+            results, self._folder.path / REPORT, head, {"kind": found.kind, "headline": found.headline}
+        )
 
 
 def shown_files(

@@ -254,6 +254,7 @@ def _poses(history: History, views: Sequence[ViewSummary], kind: CameraKind) -> 
                 "attempts": [_attempt(a, kind) for a in attempts],
                 "image": measured.get("image"),
                 "flicker_hz": measured.get("flicker_hz"),
+                "flicker_duty": measured.get("flicker_duty"),
                 "named_by": measured.get("named_by"),
                 "stars": summary.n if summary else 0,
                 "rms_px": summary.rms_px if summary else None,

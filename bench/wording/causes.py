@@ -2,15 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
 from calib.model.cause import Cause, cause_sentence
 
+if TYPE_CHECKING:
+    from bench.record.events import CauseData
+
 LENS, ASLEEP, LIGHT = "another lens", "computer stood still", "light set otherwise"
-FEWER, NOISIER, DIMMER = "fewer stars", "noisier stars", "weaker light"
+WEAK = FEWER, NOISIER, DIMMER = "fewer stars", "noisier stars", "weaker light"
 
 _WEAK = (
     "A closed aperture, dust on lens or target, a dim lamp and a lens out of focus look the same. Check them in this "
     "order."
 )
+
+
+def cause_sentences(causes: Iterable[CauseData]) -> list[str]:
+    """Return the causes that results or a journal hold, in words and in their order."""
+    return [sentence_of(Cause.from_dict(one)) for one in causes]
 
 
 def sentence_of(cause: Cause) -> str:
@@ -35,8 +46,8 @@ def _asleep(cause: Cause) -> str:
 
 def _light(cause: Cause) -> str:
     return (
-        f"The light's {cause.axis} was set to {cause.value:g} {cause.unit}, and to {cause.stated:g} {cause.unit} in "
-        f"run {cause.before}. If nobody meant to change it, compare the sequences and the settings of the light."
+        f"The light's {cause.axis} was {cause.value:.4g} {cause.unit}, and {cause.stated:.4g} {cause.unit} in run "
+        f"{cause.before}. If nobody meant to change it, compare the sequences and the settings of the light."
     )
 
 
@@ -50,8 +61,8 @@ def _noisier(cause: Cause) -> str:
 
 def _dimmer(cause: Cause) -> str:
     return (
-        f"The light is weak: {cause.value:.2g} events an edge {_instead(cause, '.2g')}. The duty or the level of the "
-        "lamp, the aperture and dust look the same. Check them in this order."
+        f"The light is weak: {cause.value:.0f} pixels light up {_instead(cause, '.0f')}. The level of the lamp, the "
+        "aperture and dust look the same. Check them in this order."
     )
 
 

@@ -198,7 +198,7 @@ class MoveWatch(Generic[A]):
             raise self._failed(
                 f"busy without progress for {self._patience_s:g} s, at {position_deg:.4f} deg{self._aim()}."
             )
-        if now_s > self._end_s:
+        if busy and now_s > self._end_s:
             raise self._late()
         return False
 

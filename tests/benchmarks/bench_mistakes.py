@@ -2,9 +2,10 @@
 
     python tests/benchmarks/bench_mistakes.py -o FILE [--only WORD ...] [--seeds 3] [--healthy 100] [--table] [--told]
 
-Views and readings of drawn benches (`worlds.mistakes`), nine poses, a certificate and readings with a bound. Each result
-is a line of JSON; a later run goes on. Columns: results, right cause first (or refused with the right words, or rightly
-none), silent, wrong cause first.
+Views and readings of drawn benches (`worlds.mistakes`), nine poses, a certificate and readings with a bound; with
+--runs, whole runs on the simulated bench, each after a healthy one of the same bench (`worlds.mistaken_runs`). Each
+result is a line of JSON; a later run goes on. Columns: results, right cause first (or refused with the right words, or
+rightly none), silent, wrong cause first.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import measured
+from worlds.mistaken_runs import RUN_MISTAKES, mistaken_run
 from worlds.mistakes import MISTAKES, mistaken
 
 #: Seeds of healthy benches begin here, so that none is also one with a mistake.
@@ -26,16 +28,18 @@ def main() -> None:
     )
     parser.add_argument("--seeds", type=int, default=3, help="number of seeds of each mistake")
     parser.add_argument("--healthy", type=int, default=100, help="number of benches without a mistake")
+    parser.add_argument("--runs", action="store_true", help="whole runs instead of views")
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--table", action="store_true", help="print the table of the file only")
     parser.add_argument("--told", action="store_true", help="print what is told of the first seed too")
     given = parser.parse_args()
-    names = [name for name in MISTAKES if any(word in name for word in given.only)]
+    known, work = (RUN_MISTAKES, mistaken_run) if given.runs else (MISTAKES, mistaken)
+    names = [name for name in known if any(word in name for word in given.only)]
     done = measured.kept(given.output, lambda line: (line["mistake"], line["seed"]))
     if not given.table:
         keys = [(name, seed) for seed in range(1, given.seeds + 1) for name in names]
         keys += [("healthy", HEALTHY + k) for k in range(given.healthy)]
-        measured.add_missing(given.output, done, keys, mistaken, given.jobs)
+        measured.add_missing(given.output, done, keys, work, given.jobs)
     print(f"{'mistake':42s} {'N':>3s} {'right':>5s} {'silent':>6s} {'wrong':>5s}")
     for name in [*names, "healthy"]:
         lines = [line for (mistake, _), line in done.items() if mistake == name]

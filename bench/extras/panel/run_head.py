@@ -29,6 +29,7 @@ from bench.record.run_folder import is_sealed
 from bench.run.heartbeat import CONTROL, HEARTBEAT, SLOW_STALL_LIMIT_S, SLOW_STATES
 from bench.run.interlocks import interlock_text
 from bench.run.machine import END_STATES
+from bench.wording.causes import cause_sentences
 
 _QUIET_LIMIT_S = 15.0
 MAX_HOLD_H = 8
@@ -38,7 +39,17 @@ _POSES_OF_A_SERIES = 3
 
 _MOST_DEVIATIONS = 30
 _MOST_DECISIONS = 200
-_TONES = {"finished": "good", "aborted": "warn", "failed": "bad", "interrupted": "bad", "running": "busy"}
+#: By the end of a run, and by the verdict of its report.
+_TONES = {
+    "finished": "good",
+    "aborted": "warn",
+    "failed": "bad",
+    "interrupted": "bad",
+    "running": "busy",
+    "pass": "good",
+    "marginal": "warn",
+    "fail": "bad",
+}
 
 
 @dataclass(frozen=True)
@@ -189,6 +200,8 @@ def verdict_of(model: RunModel, process: ProcessState) -> tuple[str, str]:
     how = history.ended or "interrupted"
     if how == "finished" and not process.sealed and not history.started.get("rehearsal", False):
         return ("being sealed", "busy") if process.running else ("not sealed", "warn")
+    if how == "finished" and history.verdict:
+        return how, _TONES[history.verdict["kind"]]
     return how, _TONES[how]
 
 
@@ -238,6 +251,8 @@ def head_of(model: RunModel, process: ProcessState, now: datetime) -> RunHead:
         "can": _possible(model, process),
         "decisions": history.decisions[-_MOST_DECISIONS:],
         "solved": history.solved or None,
+        "headline": history.verdict["headline"] if history.verdict else "",
+        "causes": cause_sentences(history.solved.get("causes", ())),
     }
 
 

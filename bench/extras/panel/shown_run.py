@@ -130,6 +130,8 @@ class RunHead(RunBrief):
     can: Mapping[str, bool]  # Which commands make sense now
     decisions: Sequence[UntilDecided]
     solved: Solved | None  # The calibration that stands
+    headline: str  # The verdict of its report; empty while it has none
+    causes: Sequence[str]  # What a person did to the bench, as sentences, the most probable first
 
 
 class Coverage(TypedDict):

@@ -74,6 +74,13 @@ def test_one_idle_read_in_mid_move_decides_nothing() -> None:
         assert not move.update(0.1 * tick, float(tick), busy=busy)
 
 
+def test_a_move_that_had_arrived_while_the_computer_slept_is_not_late() -> None:
+    move = watch()
+    assert not move.update(0.1, 2.0, busy=True)
+    assert not move.update(60.0, 5.0, busy=False)
+    assert move.update(60.1, 5.0, busy=False)
+
+
 def test_a_move_that_stops_short_has_failed() -> None:
     move = watch()
     move.update(0.1, 4.9, busy=False)

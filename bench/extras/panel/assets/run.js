@@ -82,6 +82,7 @@ function drawHead() {
   if (head.incomplete) faults.push("The journal ends within a line: the process was killed while it wrote. Nothing that counts is lost; `starbench resume` removes the rest of the line.");
   fill(at("faults"), faults.map((text) => el("p", { class: "banner bad" }, text)),
     head.read_share < 1 ? el("p", { class: "banner busy", id: "reading" }, `Reading the journal: ${Math.floor(100 * head.read_share)} %`) : null,
+    head.headline || head.causes.length ? el("div", { class: `banner ${head.causes.length && head.tone === "good" ? "warn" : head.tone}`, id: "calibrated" }, head.headline, head.causes.map((text) => el("p", {}, text))) : null,
     head.ended === "failed" || (head.why && !head.running) ? el("div", { class: `banner ${head.tone}` }, head.why, head.remedy ? el("p", {}, head.remedy) : null) : null);
   const leave = at("leave"), safe = head.leave.safe;
   leave.hidden = !head.running && head.tone === "good";

@@ -27,6 +27,8 @@ def beam(square_px: int, blur_px: float = 0.0) -> np.ndarray:
         (beam(12), "Tag 3 is not in the image."),
         (beam(12, 20.0), "The image is out of focus"),
         (beam(0), "The image is out of focus"),
+        (np.ones((720, 1280), np.float32), "flickering light, and no picture in it"),
+        (beam(12) * (np.arange(1280) < 420), "The picture is dark"),
         (np.zeros((720, 1280), np.float32), "The picture is dark"),
     ],
 )

@@ -20,6 +20,7 @@ from bench.run.control import inbox_of
 from bench.run.heartbeat import CONTROL
 from bench.run.last_view import LAST_VIEW, leave_view, read_last_view
 from bench.run.status import read_status, status_text
+from calib.model.cause import Cause
 from calib.target import StarTarget
 from calib.view import View
 
@@ -296,3 +297,17 @@ def test_a_pose_skipped_during_its_last_attempt_is_skipped_and_does_not_end_the_
     one.hook = hook
     assert one.run().how == "finished"
     assert [d["pose"] for d in one.told(Event.POSE_SKIPPED)] == [1]
+
+
+def test_the_verdict_and_its_causes_are_told_before_the_numbers(run):
+    cause = Cause("computer stood still", 100.0, 60.0, unit="s").to_dict()
+    numbers = {"values": {"fx": 3300.0, "fy": 3300.0}, "sigma": {"fx": 1.0, "fy": 1.0}}
+    run.tell(Event.SOLVED, model="m", converged=True, rms_px=0.1, **numbers, causes=[cause])
+    verdict = {"kind": "marginal", "headline": "Calibrated, with reservations."}
+    run.tell(Event.WRITTEN, head="", files={}, wire={}, verdict=verdict)
+    run.tell(Event.RUN_ENDED, how="finished", why="")
+    lines = status_text(run.status()).splitlines()
+    at = lines.index("Calibrated, with reservations.")
+    assert lines[at + 1].startswith("This computer stood still for 60 s")
+    assert lines[at + 2].startswith("Result: fx 3300")
+    run.die()

@@ -16,17 +16,23 @@ LIGHT = {"waveform": "square", "frequency_hz": 60.0, "duty_percent": 50.0, "low_
 
 
 def causes(
-    *, focal_px: float = 3345.0, last: dict[str, Any] | None = None, longest_s: float = 0.0, **seen: Any
+    *,
+    focal_px: float = 3345.0,
+    last: dict[str, Any] | None = None,
+    longest_s: float = 0.0,
+    states: tuple[tuple[str, str, float], ...] = (),
+    **seen: Any,
 ):
-    """Causes of a run with fx 3345 px, 600 stars a pose, 0.04 px of residuals and 1.2 events an edge."""
-    now = {"stars": 600, "rms_px": 0.04, "events": 1.2, "light": LIGHT, **seen}
+    """Causes of a run with fx 3345 px, 600 stars a pose, 0.04 px of residuals, 700 000 lit pixels and a duty of 50 %."""
+    now = {"stars": 600, "rms_px": 0.04, "lit": 700_000, "duty": 0.5, "light": LIGHT, **seen}
     names = ("left", "right")
     history = History()
     history.lateness = {"longest_s": longest_s}
+    history.states = [{"state": state, "utc": utc, "mono_s": mono_s} for state, utc, mono_s in states]
     accepted = {
         k: SimpleNamespace(
             pose_name=name,
-            measured={"image": {"events_per_edge": now["events"]}},
+            measured={"image": {"lit_pixels": now["lit"]}, "flicker_duty": now["duty"]},
             stored={"light": now["light"]},
         )
         for k, name in enumerate(names)
@@ -45,9 +51,14 @@ def causes(
 
 def earlier(**changed: Any) -> dict[str, Any]:
     """Results of the last run: as this one, or changed."""
-    then = {"stars": 600, "rms_px": 0.04, "events": 1.2, "light": LIGHT, **changed}
+    then = {"stars": 600, "rms_px": 0.04, "lit": 700_000, "duty": 0.5, "light": LIGHT, **changed}
     poses = [
-        {"name": name, "stars": then["stars"], "image": {"events_per_edge": then["events"]}}
+        {
+            "name": name,
+            "stars": then["stars"],
+            "image": {"lit_pixels": then["lit"]},
+            "flicker_duty": then["duty"],
+        }
         for name in ("left", "right")
     ]
     return {
@@ -59,7 +70,7 @@ def earlier(**changed: Any) -> dict[str, Any]:
 
 
 def test_a_run_as_the_last_one_has_no_cause():
-    assert causes(stars=585, rms_px=0.043, events=1.1, longest_s=0.8, focal_px=3200.0) == []
+    assert causes(stars=585, rms_px=0.043, lit=640_000, duty=0.503, longest_s=0.8, focal_px=3200.0) == []
 
 
 @pytest.mark.parametrize(
@@ -68,13 +79,14 @@ def test_a_run_as_the_last_one_has_no_cause():
         ({"focal_px": 10300.0}, kinds.LENS, "The focal length is 3345 px, and the station expects 10300 px"),
         ({"stars": 379, "rms_px": 0.154}, kinds.FEWER, "379 stars a pose instead of 600 as in run run-7"),
         ({"rms_px": 0.154}, kinds.NOISIER, "the stars scatter by 0.15 px instead of 0.04"),
-        ({"events": 0.6}, kinds.DIMMER, "0.6 events an edge instead of 1.2"),
+        ({"lit": 400_000}, kinds.DIMMER, "400000 pixels light up instead of 700000 as in run run-7"),
+        ({"duty": 0.15}, kinds.LIGHT, "duty by the sync signal was 15 %, and 50 % in run run-7"),
         (
             {"light": {**LIGHT, "duty_percent": 15.0}},
             kinds.LIGHT,
-            "duty was set to 15 %, and to 50 % in run run-7",
+            "duty was 15 %, and 50 % in run run-7",
         ),
-        ({"light": {**LIGHT, "high_v": 2.0}}, kinds.LIGHT, "level was set to 2 V, and to 5 V"),
+        ({"light": {**LIGHT, "high_v": 2.0}}, kinds.LIGHT, "level was 2 V, and 5 V"),
         ({"longest_s": 60.0}, kinds.ASLEEP, "This computer stood still for 60 s"),
     ],
 )
@@ -85,5 +97,31 @@ def test_each_is_told_with_both_numbers(case, kind, words):
 
 
 def test_the_most_probable_cause_is_first():
-    found = causes(focal_px=10300.0, stars=500)
-    assert [one.kind for one in found] == [kinds.LENS, kinds.FEWER]
+    found = causes(focal_px=10300.0, light={**LIGHT, "high_v": 2.0})
+    assert [one.kind for one in found] == [kinds.LENS, kinds.LIGHT]
+
+
+def test_another_lens_explains_another_number_of_stars_and_another_light():
+    (found,) = causes(focal_px=5100.0, stars=300, lit=300_000)
+    assert found.kind == kinds.LENS
+
+
+SLEPT = (("slewing", "2026-03-01T10:00:00+00:00", 100.0), ("settling", "2026-03-01T10:30:00+00:00", 101.0))
+
+
+def test_a_computer_whose_clock_stood_still_while_it_slept_is_told():
+    (found,) = causes(states=SLEPT)
+    assert found.kind == kinds.ASLEEP
+    assert "stood still for 1799 s" in sentence_of(found)
+
+
+@pytest.mark.parametrize(
+    "after",
+    [
+        ("recovering", "2026-03-02T10:00:00+00:00", 4000.0),  # another process went on
+        ("preflight", "2026-03-02T10:00:00+00:00", 7.0),  # after the computer was started again
+        ("settling", "2026-03-01T10:00:01.4+00:00", 101.0),
+    ],
+)
+def test_a_run_that_is_resumed_the_next_day_did_not_sleep(after):
+    assert causes(states=(SLEPT[0], after)) == []

@@ -116,6 +116,33 @@ def test_verdicts_of_ended_runs(run, how, process, verdict):
     assert not any(head["can"].values())
 
 
+CAUSE = {
+    "kind": "computer stood still", "evidence": 100.0, "value": 60.0, "expanded": None, "unit": "s", "stated": None,
+    "axis": "", "before": "", "pose": "", "beside": [], "explains": [],
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("kind", "headline", "causes", "tone"),
+    [
+        ("pass", "Calibrated.", [], "good"),
+        ("marginal", "Calibrated, with reservations.", [CAUSE], "warn"),
+        ("fail", "Calibrated, but 1 of 2 gates fails.", [], "bad"),
+    ],
+)
+def test_a_finished_run_is_green_only_if_its_report_has_no_reservation(run, kind, headline, causes, tone):
+    run.record_all()
+    solved = {"model": "m", "converged": True, "rms_px": 0.1, "values": {}, "sigma": {}, "causes": causes}
+    run.write("solved", **solved)
+    run.write("written", head="", files={}, wire={}, verdict={"kind": kind, "headline": headline})
+    run.end("finished")
+    head = _head(run, ProcessState(sealed=True))
+    assert (head["verdict"], head["tone"], head["headline"]) == ("finished", tone, headline)
+    assert [text[:40] for text in head["causes"]] == ["This computer stood still for 60 s durin"] * len(
+        causes
+    )
+
+
 def test_a_killed_run_is_not_called_safe(run):
     run.record(1)
     head = _head(run, ProcessState())
