@@ -30,7 +30,7 @@ from bench.record.events import (
 from bench.record.folder_lock import is_locked
 from bench.record.history import History, way_on
 from bench.record.journal_line import Entry
-from bench.record.run_folder import PLAN
+from bench.record.run_folder import PLAN, REPORT
 from bench.record.storage import read_json
 from bench.record.stored_run import StoredRun
 from bench.run.interlocks import interlock_text
@@ -175,6 +175,7 @@ class Status:
     # last, advice: Last journal lines as text, the newest last; and what to do next.
     last: Sequence[str]
     advice: str
+    report: str = ""  # Path of its report, or of the page of a run that ended early; empty while it has none
     # How stage, light and camera were left: ``device``, ``state``, ``said``. Empty while a process works on
     # the run.
     devices: Sequence[Mapping[str, str]] = ()
@@ -314,7 +315,8 @@ def _status(run: StoredRun, now: datetime, *, running: bool, sealed: bool) -> St
         question=history.question if running else "",
         resumed=history.resumed,
         deviations=tuple(history.deviations),
-        last=_last_lines(entries),
+        last=_last_lines(entries, history.why),
+        report=str(folder / REPORT) if (folder / REPORT).is_file() else "",
         advice=_advice(folder, history, running=running, sealed=sealed),
         devices=() if going_on else _devices_left(history),
         busy=history.busy,
@@ -408,9 +410,15 @@ def _is_over(history: History) -> bool:
     return bool(history.ended) or (bool(history.states) and history.states[-1]["state"] in END_STATES)
 
 
-def _last_lines(entries: Sequence[Entry]) -> tuple[str, ...]:
+def _last_lines(entries: Sequence[Entry], why: str) -> tuple[str, ...]:
+    """Return the last journal lines as text; what the reason of the run's end tells already is not told again."""
     texts = (text for text in map(line_text, reversed(entries)) if text)
-    return tuple(reversed(tuple(islice(texts, LAST_LINES))))
+    return tuple(reversed([_without(why, text) for text in islice(texts, LAST_LINES)]))
+
+
+def _without(why: str, text: str) -> str:
+    head, mark, reason = text.partition(": ")
+    return f"{head}: as above" if mark and reason.rstrip(".") in why else text
 
 
 def status_text(status: Status) -> str:
@@ -431,6 +439,7 @@ def head_lines(status: Status) -> list[str]:
     lines += [*status.causes, *(f"{name} {text}" for name, text in told.items() if text)]
     lines += [*status.goals_missed, *_unasked(status)]
     lines += [f"Evidence: {status.evidence}"] if status.ended and not status.running else []
+    lines += [f"Report: {status.report}"] if status.report else []
     return [*lines, *(f"Deviation: {what}" for what in status.deviations)]
 
 

@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import pytest
 from quick_runs import THREE, write_sequence, write_station
@@ -43,6 +44,18 @@ def test_a_mail_arrives_with_subject_text_and_key():
     assert letter["Message-ID"] == f"<{MESSAGE.key[:40]}@starbench>"
     assert letter["To"] == "a@lab.example, c@lab.example"
     assert letter.get_content().splitlines() == MESSAGE.text.splitlines()
+
+
+def test_a_mail_about_a_run_that_ended_early_carries_its_page(tmp_path):
+    (tmp_path / "report.html").write_text("<p>The refused recording</p>")
+    (tmp_path / "report.html.sig").write_text("signature")
+    with serving(MailServer()) as server:
+        send(replace(MESSAGE, folder=str(tmp_path)), mail_to(server, "a@lab.example"))
+    (letter,) = server.letters
+    (page,) = letter.iter_attachments()
+    assert (page.get_filename(), page.get_content_type()) == ("report.html", "text/html")
+    assert "The refused recording" in page.get_content()
+    assert letter.get_body().get_content().splitlines() == MESSAGE.text.splitlines()
 
 
 @pytest.mark.parametrize("to", [("nobody@lab.example",), ("a@lab.example", "nobody@lab.example")])

@@ -37,6 +37,7 @@ from bench.base.background import in_background
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError, StorageError
 from bench.base.home import home_folder
+from bench.record.run_folder import PAGE_SIGNATURE, REPORT
 from bench.record.storage import make_folder, storage_errors
 from bench.stations.messages_section import AppriseConfig, MailConfig, MessagesConfig, WebhookConfig
 from drivers import file_lock
@@ -59,6 +60,8 @@ PRAGMA user_version = {VERSION};
 TIMEOUT_S = 10.0
 """Longest silence of a server, s."""
 _LOOK_S = 5.0
+_LARGEST_PAGE_BYTES = 5_000_000
+"""Larger pages are not attached to a mail: many servers refuse 10 MB, and base64 adds a third."""
 _UNPRINTABLE = re.compile(r"\x1b\[[0-9;]*[A-Za-z]|[\x00-\x08\x0b-\x1f\x7f]")
 """Colours of a terminal, and control characters: an error of another package may have them."""
 _MAIL, _WEBHOOK, _APPRISE = "mail", "webhook", "apprise"
@@ -274,6 +277,8 @@ def _mail(mail: MailConfig, message: Message, environ: Mapping[str, str]) -> Non
     letter["Date"] = format_datetime(datetime.fromisoformat(message.utc))
     letter["Auto-Submitted"] = "auto-generated"
     letter.set_content(message.text)
+    if page := _page_of(Path(message.folder)):
+        letter.add_attachment(page, maintype="text", subtype="html", filename=REPORT)
     context = ssl.create_default_context()
     if mail.security == "tls":
         server: smtplib.SMTP = smtplib.SMTP_SSL(mail.host, mail.port, timeout=TIMEOUT_S, context=context)
@@ -287,6 +292,14 @@ def _mail(mail: MailConfig, message: Message, environ: Mapping[str, str]) -> Non
         refused = server.send_message(letter)
     if refused:
         raise DeliveryFailed(f"the server refused {', '.join(sorted(refused))}")
+
+
+def _page_of(folder: Path) -> bytes:
+    """Return the page of a run that ended early, which shows the refused recording; empty without one."""
+    page = folder / REPORT
+    if not (folder / PAGE_SIGNATURE).is_file() or page.stat().st_size > _LARGEST_PAGE_BYTES:
+        return b""
+    return page.read_bytes()
 
 
 def _post(hook: WebhookConfig, message: Message, environ: Mapping[str, str]) -> None:

@@ -171,13 +171,27 @@ def test_the_last_lines_are_shown_as_text(run):
 
 
 @pytest.mark.parametrize(
-    ("how", "why", "told"), [("finished", "", "finished"), ("failed", "the lamp", "failed: the lamp")]
+    ("how", "why", "told"), [("finished", "", "finished"), ("failed", "the lamp", "failed: as above")]
 )
 def test_the_end_is_shown_once(run, how, why, told):
     run.tell(Event.ENTERING, state="reporting", pose=None)
     run.tell(Event.ENTERING, state=how, pose=None)
     run.tell(Event.RUN_ENDED, how=how, why=why)
     assert [line[14:] for line in run.status().last[-2:]] == ["reporting", told]
+
+
+def test_the_reason_of_a_failure_is_told_once_and_its_page_is_named(run):
+    reason = "The image is out of focus. Focus the lens."
+    run.tell(Event.CAPTURE_STORED, pose=1, pose_name="left", attempt=1, capture="captures/a.raw")
+    run.tell(Event.ATTEMPT_CHECKED, pose=1, attempt=1, accepted=False, reasons=[reason])
+    why = f"captures/a.raw: Pose 1 (left) failed 1 attempt: {reason} All attempts are kept."
+    run.tell(Event.ENTERING, state="failed", pose=None)
+    run.tell(Event.RUN_ENDED, how="failed", why=why)
+    (run.path / "report.html").write_text("page")
+    text = status_text(run.status())
+    assert text.count("The image is out of focus") == 1
+    assert "attempt 1 at pose 1: as above" in text
+    assert f"Report: {run.path / 'report.html'}" in text
 
 
 def test_following_shows_each_change_and_ends_with_the_run(run):
