@@ -8,6 +8,8 @@ count by their opening.
 import errno
 import io
 import os
+import re
+from collections import Counter
 from contextlib import ExitStack
 from pathlib import Path
 from unittest import mock
@@ -105,3 +107,32 @@ def each_call(work, *, first=0, step=1):
         while (calls := work(passing, number)).failed:
             yield calls
             passing += step
+
+
+def kind_of(failed, folder):
+    """The kind of a failed call: what was called, and the file's name without its numbers."""
+    name, _, place = failed.partition(" ")
+    inside = Path(place).relative_to(folder).parts[-2:] if place != str(folder) else (".",)
+    return f"{name} {re.sub('[0-9a-f]{6,}|[0-9]+', 'N', '/'.join(inside))}"
+
+
+class Tally:
+    """How many calls failed of each kind, and what then fell."""
+
+    def __init__(self):
+        self.tried, self.fallen = Counter(), []
+
+    def add(self, calls):
+        """Count a call that failed."""
+        self.tried[kind_of(calls.failed, calls.folder)] += 1
+
+    def __len__(self):
+        return self.tried.total()
+
+    def show(self, what):
+        """Print a line for each kind, most frequent first, and each that fell."""
+        print(f"\n{what}: {len(self)} failed calls, {len(self.fallen)} of them not overcome")
+        for kind, count in self.tried.most_common():
+            print(f"{count:6d}  {kind}")
+        for fell in self.fallen:
+            print(f"  not overcome: {fell}")
