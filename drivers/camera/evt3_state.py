@@ -156,6 +156,18 @@ def one_tick_later(idle_us: int) -> int:
     return idle_us + _TICK_US if 0 <= idle_us < _TICK_US * _MAX_TICKS else -1
 
 
+@njit(**INNER, forceinline=True)
+def ticks_of(idle_us: int) -> int:
+    """Return the number of TIME_HIGH words that idled for so long; more than any known one if it is not known."""
+    return idle_us // _TICK_US if idle_us >= 0 else _MAX_TICKS + 1
+
+
+@njit(**INNER, forceinline=True)
+def idle_us_of(ticks: int) -> int:
+    """Return for how long so many TIME_HIGH words idled, us; -1 if it is not known."""
+    return _TICK_US * ticks if ticks <= _MAX_TICKS else -1
+
+
 @njit(**INNER)
 def _rate_controller(state: Any, kind: int, payload: int) -> None:
     """Add an OTHERS word, or a part of its payload, to the counters of the rate controller.
@@ -173,8 +185,9 @@ def _rate_controller(state: Any, kind: int, payload: int) -> None:
             state[S.ARRIVED] = sent - state[S.EVENTS_AT_REPORT] if state[S.EVENTS_AT_REPORT] >= 0 else -1
             now = state[S.T] + state[S.IDLE_US] if min(state[S.T], state[S.IDLE_US]) >= 0 else -1
             if min(now, state[S.REPORT_T]) >= 0 and state[S.EVENTS_AT_REPORT] >= 0:
-                windows = (now - state[S.REPORT_T] + _WINDOW_US // 2) // _WINDOW_US
-                state[S.MISSING_WINDOWS] += max(windows - 1, 0)
+                since_us = now - state[S.REPORT_T]
+                if since_us >= 3 * _WINDOW_US // 2:  # a division costs as much as the rest of the report
+                    state[S.MISSING_WINDOWS] += (since_us + _WINDOW_US // 2) // _WINDOW_US - 1
             state[S.EVENTS_AT_REPORT] = sent
             state[S.REPORT_T] = now
             state[S.REPORTED] = 0
@@ -192,6 +205,16 @@ def _rate_controller(state: Any, kind: int, payload: int) -> None:
         if parts == 1 and state[S.ARRIVED] >= 0 and state[S.REPORTED] != state[S.ARRIVED]:
             state[S.MISMATCHED_WINDOWS] += 1
             state[S.LOST] += max(state[S.REPORTED] - state[S.ARRIVED], 0)
+
+
+@njit(**INNER, forceinline=True)
+def take_reports(words: Any, i: int, state: Any) -> int:
+    """Take reports of the rate controller from word ``i`` on; return the index of the first other word."""
+    while i < len(words) and words[i] >> 12 in (0x7, 0xE, 0xF):
+        word: Any = np.int64(words[i])
+        _rate_controller(state, word >> 12, word & 0xFFF)
+        i += 1
+    return i
 
 
 @njit(**INNER)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,9 @@ from drivers.camera.raw_check import read_start, require_whole
 from drivers.camera.raw_header import RawHeader, parse_header
 from drivers.camera.raw_writer import reason
 from drivers.errors import NotARecording, RecordingFileError
+
+_WORDS_READ: Final = 1 << 18
+"""Words of a piece where the events go into arrays of their own, which no cache holds: fewer pieces cost less."""
 
 
 @dataclass(frozen=True)
@@ -123,8 +127,10 @@ class RawFile:
     def read(self) -> tuple[Events, Triggers]:
         """Decode all events and triggers, which takes 13 bytes of memory an event; errors as ``pieces``."""
         decoder, triggers, n = self.decoder(), [], 0
-        events = empty_events(MARGIN + sum(max_event_count(words) for words in self.words()))
-        for words in self.words():
+        events = empty_events(
+            MARGIN + sum(max_event_count(words) for words in self.words(piece_words=_WORDS_READ))
+        )
+        for words in self.words(piece_words=_WORDS_READ):
             n, edges = decoder.decode_into(words, events, n)
             triggers.append(edges)
         return events.part(0, n), join_triggers(triggers)
