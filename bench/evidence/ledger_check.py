@@ -14,14 +14,14 @@ from typing import Any
 from bench.base.errors import BenchError
 from bench.evidence.key_rotation import read_public
 from bench.evidence.public_half import KEY_FILE
-from bench.evidence.signers import SIGNERS_FILE, read_signers
-from bench.evidence.sshsig import read_signature
+from bench.evidence.signers import NAMESPACE, SIGNERS_FILE, read_signers
+from bench.evidence.sshsig import is_valid, read_signature
 from bench.record.events import Event
 from bench.record.ledger import Ledger
 from bench.record.ledger_marks import EXPLAIN, STILL_OPEN, KnownRun, LedgerRun, Strangers
 from bench.record.run_folder import MANIFEST, SIGNATURE, is_sealed
 from bench.record.run_index import RunIndex
-from bench.record.storage import sha256_of
+from bench.record.storage import read_bounded, sha256_of
 from bench.record.stored_run import StoredRun
 
 _LARGEST_SIGNATURE_BYTES = 64 * 1024
@@ -44,12 +44,15 @@ def own_public_keys(home: Path) -> set[bytes]:
 
 
 def is_sealed_by(folder: Path, keys: Collection[bytes]) -> bool:
-    """Return whether the signature of a sealed folder, which is not verified, names one of some keys."""
+    """Return whether one of some keys has signed the list of a folder, whose files are not compared with it."""
     path = folder / SIGNATURE
     try:
         if not is_sealed(folder) or path.stat().st_size > _LARGEST_SIGNATURE_BYTES:
             return False
-        return read_signature(path.read_bytes()).public_key in keys
+        signature = read_signature(path.read_bytes())
+        if signature.public_key not in keys or signature.namespace != NAMESPACE:
+            return False
+        return is_valid(signature, read_bounded(folder / MANIFEST))
     except (OSError, BenchError):
         return False
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from bench.evidence.keys import create_key, load_key
-from bench.evidence.ledger_check import ledger_faults_of_run, sealed_strangers
+from bench.evidence.ledger_check import is_sealed_by, ledger_faults_of_run, own_public_keys, sealed_strangers
 from bench.evidence.seal import seal
 from bench.record.events import Event
 from bench.record.journal import Journal
@@ -114,6 +114,21 @@ def test_a_run_of_another_bench_is_no_fault(bench, tmp_path):
     RunIndex(bench.ledger.home).runs([tmp_path / "guest"])
     assert strangers(bench) == []
     assert ledger_faults_of_run(tmp_path / "guest", bench.ledger) == []
+
+
+def test_whoever_names_the_key_of_this_bench_without_having_it_accuses_nobody_of_a_cut_ledger(
+    bench, tmp_path
+):
+    bench.run(tmp_path / "run")
+    planted = written_anew(
+        bench, Path(shutil.copytree(tmp_path / "run", tmp_path / "planted")), {"number": 9}
+    )
+    signature = (tmp_path / "run" / "SHA256SUMS.sig").read_bytes()
+    (writable(planted) / "SHA256SUMS.sig").write_bytes(signature)
+    bench.ledger.path.unlink()
+    assert is_sealed_by(tmp_path / "run", own_public_keys(bench.ledger.home))
+    assert not is_sealed_by(planted, own_public_keys(bench.ledger.home))
+    assert ledger_faults_of_run(planted, bench.ledger) == []
 
 
 def test_a_run_sealed_with_an_earlier_key_of_this_bench_is_its_own(bench, tmp_path):
