@@ -232,6 +232,12 @@ def read_views(sources: Sequence[ViewSource]) -> tuple[list[View], list[ViewSour
     return _distinct(views_of_one_size(views, [source.sized for source in used])), used, skipped
 
 
+def _some(names: Sequence[str]) -> str:
+    """Return the first names, and the number of the others."""
+    more = len(names) - _MOST_NAMES
+    return ", ".join(names[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
+
+
 def _first(skipped: Sequence[str]) -> str:
     """Return the first reasons why files were left out, and the number of the others."""
     more = len(skipped) - _MOST_NAMES
@@ -243,8 +249,10 @@ def views_of_one_size(views: Sequence[View], sized: Sequence[bool]) -> list[View
     known = {view.image_size: view.name for view, is_sized in zip(views, sized, strict=True) if is_sized}
     width, height = (max(sides) for sides in zip(*(view.image_size for view in views), strict=True))
     if len(known) > 1 or (known and (width, height) not in known):
-        sizes = {view.image_size: view.name for view in views}
-        listed = ", ".join(f"{w} x {h} px ({name})" for (w, h), name in sorted(sizes.items()))
+        sizes = {view.image_size for view in views}
+        named = [([one.name for one in views if one.image_size == size], size) for size in sorted(sizes)]
+        named.sort(key=lambda group: len(group[0]))
+        listed = ", ".join(f"{w} x {h} px ({_some(names)})" for names, (w, h) in named)
         raise BenchError(
             f"The views have different image sizes: {listed}.",
             remedy="Calibrate each camera separately, with original images: not rotated, not cropped.",

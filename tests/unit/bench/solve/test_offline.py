@@ -45,6 +45,15 @@ def test_views_of_different_image_sizes_are_refused_with_their_names(names, pict
     assert f"720 x 1280 px ({names[1]}), 1280 x 720 px (lying)" in str(refused.value) or not all(pictures)
 
 
+def test_every_picture_that_is_turned_is_named_before_the_others():
+    views = [view(f"lying {n}", (1280, 720)) for n in range(8)]
+    views += [view("first on end", (720, 1280)), view("last on end", (720, 1280))]
+    with pytest.raises(BenchError) as refused:
+        views_of_one_size(views, [True] * 10)
+    shown = "720 x 1280 px (first on end, last on end), 1280 x 720 px (lying 0, lying 1, lying 2, lying 3, lying 4 and 3 more)"
+    assert shown in str(refused.value)
+
+
 def test_point_files_take_the_size_of_the_pictures_beside_them_and_else_the_largest():
     views = [view("picture", (1280, 720)), view("points", (900, 600))]
     assert [one.image_size for one in views_of_one_size(views, [True, False])] == [(1280, 720)] * 2
