@@ -28,7 +28,6 @@ def align_on_page(
     station: str,
     settings: Sequence[str] = (),
     *,
-    seed: int = 1,
     host: str = "127.0.0.1",
     port: int = 0,
     token: PageToken | None,
@@ -38,7 +37,7 @@ def align_on_page(
 
     ``settings`` (``PATH=VALUE``) replace values of the file. Other computers need a ``token`` (else `UsageError`).
     """
-    session = make_session(station, settings, seed=seed)
+    session = make_session(station, settings)
     path = find_document(station, SHIPPED_STATIONS)
     server = PageServer(align_app(session, PageFiles(str(path))), host=host, port=port, token=token)
     opening = threading.Thread(target=_open, args=(session,), name="align-open", daemon=True)
@@ -61,7 +60,7 @@ def align_on_page(
     return status
 
 
-def make_session(station: str, settings: Sequence[str] = (), *, seed: int = 1) -> Session:
+def make_session(station: str, settings: Sequence[str] = ()) -> Session:
     """Make a session, no device open yet; ``settings`` (``PATH=VALUE``) replace values of the station file."""
     given = {}
     for text in settings:
@@ -73,7 +72,7 @@ def make_session(station: str, settings: Sequence[str] = (), *, seed: int = 1) -
     missing = find_placeholders(located.tree)
     if missing:  # a scale that nobody has filled in would turn the stage by a wrong angle
         raise ScriptError([str(fault) for fault in missing])
-    return Session(located, seed=seed)
+    return Session(located)
 
 
 def leave(session: Session) -> int:

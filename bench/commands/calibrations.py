@@ -31,16 +31,10 @@ LENS = click.option(
 CAMERA = click.option(
     "--camera", metavar="NAME", help="Camera of a calibration file that holds several, such as cam1."
 )
-MODELS = ["joint", "spherical", "planar"]
-MODEL_HELP = "joint: the joint adjustment. spherical (of the paper), planar (Zhang's): for comparison."
-LOSSES = ["l2", "huber", "cauchy"]
-LOSS_HELP = (
-    "Loss function of spherical and planar for outliers: l2 gives them full weight, huber less, cauchy least."
-)
 _Command = TypeVar("_Command", bound=Callable[..., Any])
 _CUTOFF_HZ = (0.01, 1000.0)
 
-_THROUGH_COLLIMATOR = ("model", "distortion", "passport", "image-size", "views", "origin", "station")
+_THROUGH_COLLIMATOR = ("distortion", "passport", "image-size", "views", "origin", "station")
 """Options of commands that take all others from the runs."""
 
 
@@ -190,17 +184,13 @@ class _CutoffFrequency(click.ParamType):
 _OPTIONS = {
     "model": click.option(
         "--model",
-        type=_Model(MODELS),
-        help=f"{MODEL_HELP}  [default: as in the run; else joint]",
+        type=_Model(["joint", "spherical", "planar"]),
+        help="joint: the joint adjustment. spherical (of the paper), planar (Zhang's): for comparison.  [default: as"
+        " in the run; else joint]",
     ),
     "distortion": click.option(
         "--distortion",
         help="Distortion coefficients, e.g. k1k2k3p1p2, none or auto.  [default: as in the run; else k1k2]",
-    ),
-    "loss": click.option(
-        "--loss",
-        type=click.Choice(LOSSES),
-        help=f"{LOSS_HELP}  [default: as in the run; else huber]",
     ),
     "guard-band": click.option(
         "--guard-band",
@@ -260,12 +250,6 @@ _OPTIONS = {
         metavar="[HZ]",
         help="For a board that does not flicker, and a camera that moves: reconstruct pictures from the RAW files. HZ "
         "is the cutoff frequency of the high-pass filter: 10 if you give no number; use less for slower motion.",
-    ),
-    "pictures-at": click.option(
-        "--pictures-at",
-        metavar="0.5,1,1.5",
-        help="Times of the reconstructed pictures, in seconds after the first event.  [default: at most 40 pictures, "
-        "evenly spread]",
     ),
 }
 

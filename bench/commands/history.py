@@ -29,7 +29,7 @@ from bench.commands.output import JSON, print_findings, show
 from bench.evidence.authorisations import known_authorisations
 from bench.evidence.states import home_trust, shown_state
 from bench.extras.history.chart_findings import find_charts, needs_attention
-from bench.extras.history.chart_groups import Grouped, Level, group_runs
+from bench.extras.history.chart_groups import Grouped, group_runs
 from bench.extras.history.columns import SCHEMA, Row, table_row
 from bench.extras.history.merged_runs import (
     LedgerSource,
@@ -54,12 +54,12 @@ _MOST_GROUPS = 12
 
 
 _CHARTS, _AGREEMENT, _CAPABILITY, _TABLE = "charts", "agreement", "capability", "table"
-_TAKES = {"parameter": _CHARTS, "by": _CHARTS, "baseline": _CHARTS, "factors": _CAPABILITY}
+_TAKES = {"baseline": _CHARTS, "factors": _CAPABILITY}
 """What alone takes an option."""
 
 
 @command(
-    "starbench history charts --parameter fx -o fx.html",
+    "starbench history charts --baseline 30",
     "starbench history agreement --serial 00051234",
     "starbench history capability runs/study --factors operator,day",
     "starbench history table -o runs.parquet",
@@ -75,14 +75,6 @@ _TAKES = {"parameter": _CHARTS, "by": _CHARTS, "baseline": _CHARTS, "factors": _
 @UNTIL
 @OF_SEQUENCE
 @LEDGERS
-@click.option(
-    "--parameter", metavar="NAME", help="charts: only this parameter, such as fx.  [default: all parameters]"
-)
-@click.option(
-    "--by",
-    type=click.Choice(["camera", "type"]),
-    help="charts: one for each camera, or one for each camera type.  [default: both]",
-)
 @click.option(
     "--baseline",
     type=click.IntRange(2),
@@ -119,7 +111,7 @@ def history(what: str, folder: Path | None, output: Path | None, **given: Any) -
         raise UsageError(f"`history {what}` writes no file.", remedy="Leave out --output.")
     if what == _CHARTS:
         page = output or Path("runs-charts.html")
-        return _chart_runs(choice, given["parameter"], given["by"], given["baseline"], page)
+        return _chart_runs(choice, given["baseline"], page)
     if what == _TABLE:
         if output is None:
             raise UsageError("The file is missing.", remedy="Name it: --output runs.parquet, or .csv.")
@@ -187,22 +179,17 @@ def _rows(merged: MergedRuns) -> Iterator[Row]:
         yield table_row(run, more, merged.places[run.folder], state)
 
 
-def _chart_runs(
-    choice: RunChoice, parameter: str | None, by: Level | None, baseline: int | None, page: Path
-) -> int:
-    """Write the page of control charts, and print the verdict; None stands for all parameters, or all runs.
+def _chart_runs(choice: RunChoice, baseline: int | None, page: Path) -> int:
+    """Write the page of control charts, and print the verdict. The first ``baseline`` runs set the limits; None: all.
 
-    Exit status: 1 out of control, a drift, or ledgers and folders that differ; else 0. ``baseline`` runs set the
-    limits.
+    Exit status: 1 out of control, a drift, or ledgers and folders that differ; else 0.
     """
     _require_page(page)
     merged = find_runs(choice)
     facts = RunIndex(home_folder()).details(merged.runs)
-    grouped = group_runs(((run, more, merged.places[run.folder]) for run, more in facts), by)
-    _require_parameter(grouped, parameter)
-    if parameter is not None:
-        grouped.groups = [group for group in grouped.groups if parameter in group.key.parameters]
-    found = find_charts(grouped.groups, parameter=parameter, baseline=baseline)
+    grouped = group_runs(((run, more, merged.places[run.folder]) for run, more in facts))
+    _require_groups(grouped)
+    found = find_charts(grouped.groups, baseline=baseline)
     notes = [*grouped.left_out, *merged.notes]
     write_atomic(page, render_charts(found, notes, merged.faults).encode())
     show(
@@ -230,18 +217,12 @@ def _require_page(page: Path) -> None:
         )
 
 
-def _require_parameter(grouped: Grouped, parameter: str | None) -> None:
+def _require_groups(grouped: Grouped) -> None:
     if not grouped.groups:
         why = " ".join(grouped.left_out)
         raise UsageError(
             f"There is no run with a result. {why}".rstrip(),
             remedy="Name a FOLDER with runs, or a ledger with --ledger.",
-        )
-    known = dict.fromkeys(name for group in grouped.groups for name in group.key.parameters)
-    if parameter is not None and parameter not in known:
-        raise UsageError(
-            f"No run has a parameter {parameter!r}.",
-            remedy=f"There are: {', '.join(known)}. For all of them, leave out --parameter.",
         )
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from bench.commands.options import SEED, STATION, ExistingFolder, command, page_options
+from bench.commands.options import STATION, ExistingFolder, command, page_options
 
 
 @command(
@@ -17,7 +17,6 @@ from bench.commands.options import SEED, STATION, ExistingFolder, command, page_
 )
 @STATION
 @page_options
-@click.option("--seed", type=SEED, metavar="N", default=1, help="Random seed of the simulated bench.")
 @click.option(
     "--set",
     "settings",
@@ -25,7 +24,7 @@ from bench.commands.options import SEED, STATION, ExistingFolder, command, page_
     metavar="PATH=VALUE",
     help="Override a setting of the station file, e.g. camera.biases.bias_diff_on=20. Can be given several times.",
 )
-def align(station: str, seed: int, settings: tuple[str, ...], **page: Any) -> int:
+def align(station: str, settings: tuple[str, ...], **page: Any) -> int:
     """Aim and focus the camera, and set light and biases, on a page with the live picture.
 
     The first line printed is the address of the page, with a token: keep it to yourself. Nothing moves and no light
@@ -33,7 +32,7 @@ def align(station: str, seed: int, settings: tuple[str, ...], **page: Any) -> in
     """
     from bench.align.serve import align_on_page
 
-    return align_on_page(station, settings, seed=seed, **_served(**page))
+    return align_on_page(station, settings, **_served(**page))
 
 
 @command(

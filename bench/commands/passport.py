@@ -36,7 +36,7 @@ def passport() -> None:
 
 @passport.command(
     "make",
-    epilog=epilog("starbench passport make runs/* -o collimator.json --collimator C-17 --model joint"),
+    epilog=epilog("starbench passport make runs/* -o collimator.json --collimator C-17"),
 )
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...", type=ExistingPath())
 @collimator_options

@@ -321,9 +321,8 @@ def schema(document: str) -> int:
 )
 @click.option("--station", "-s", type=STATION_NAME, help="Station for --wiring.")
 @click.option("--yes", is_flag=True, help="With --wiring: switch the light on without asking.")
-@click.option("--seed", type=SEED, metavar="N", default=1, hidden=True)
 @JSON
-def devices(wiring: bool, station: str | None, yes: bool, seed: int) -> int:
+def devices(wiring: bool, station: str | None, yes: bool) -> int:
     """List connected devices, their names for a station file, and missing software.
 
     Sends nothing to stages and lights. The camera makers' software asks each camera for its name.
@@ -334,7 +333,7 @@ def devices(wiring: bool, station: str | None, yes: bool, seed: int) -> int:
     if wiring:
         if station is None:
             raise click.UsageError("Missing option '--station' / '-s', which --wiring needs.")
-        return _show_wiring(station, seed, yes=yes)
+        return _show_wiring(station, yes=yes)
     from bench.stations.discovery import discover
 
     return show_devices(discover())
@@ -383,7 +382,7 @@ def _plugins() -> list[dict[str, str]]:
     ]
 
 
-def _show_wiring(station_name: str, seed: int, *, yes: bool) -> int:
+def _show_wiring(station_name: str, *, yes: bool) -> int:
     """Ask, test the wiring, print the result; exit status 0: right, 1: not, 3: the person refused."""
     from bench.run.wiring import FREQUENCY_HZ, check_wiring
     from bench.stations.devices import Devices
@@ -401,7 +400,7 @@ def _show_wiring(station_name: str, seed: int, *, yes: bool) -> int:
             click.echo("Nothing was done.", err=True)
             return STOPPED
     clock = BenchClock()
-    devices = Devices(station, seed=seed, clock=clock, wire_log=None)
+    devices = Devices(station, seed=1, clock=clock, wire_log=None)
     try:
         report = check_wiring(devices, station, clock)
     finally:

@@ -1,14 +1,13 @@
-"""A recording of a moving camera before a still board: pictures at stated times, reconstructed from its RAW file.
+"""A recording of a moving camera before a still board: pictures evenly spread over it, reconstructed from its RAW file.
 
 The file is read in pieces, so its length does not matter. This module finds no board.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
-from bench.base.errors import UsageError
 from calib.errors import TooFewEvents
 from calib.events.reconstruction import ReconstructedPicture, reconstruct
 from drivers.camera.raw_file import RawFile
@@ -18,23 +17,17 @@ MOVING_REMEDY = (
     "for slow motion give a lower frequency to --reconstruct."
 )
 _MOST_PICTURES = 40
-_LEAST_APART_S = 0.1
+_LEAST_APART_S = 0.05  # Three time constants of the filter at its usual 10 Hz: other events make each picture
 
 
 class MovingRecording:
-    """Pictures of one recording, by a filter with a cutoff frequency, at times after its first event, s."""
+    """Pictures of one recording, by a filter with a cutoff frequency, evenly spread over it."""
 
-    def __init__(self, path: Path, cutoff_hz: float, at_s: Sequence[float] | None = None) -> None:
+    def __init__(self, path: Path, cutoff_hz: float) -> None:
         self._path, self._cutoff_hz = path, cutoff_hz
         self._first_us, last_us = _span_us(path)
-        length_s = 1e-6 * (last_us - self._first_us)
-        if at_s is not None and at_s[-1] > length_s:
-            raise UsageError(
-                f"There is no picture at {at_s[-1]:g} s: the recording is {length_s:.3f} s long.",
-                where=str(path),
-                remedy="Give earlier times to --pictures-at.",
-            )
-        self.at_s = _spread(length_s) if at_s is None else tuple(at_s)
+        self.at_s = _spread(1e-6 * (last_us - self._first_us))
+        """Times of the pictures after the first event, s."""
         self._next = 0
         self._stream = self._reconstructed()
 
@@ -66,6 +59,6 @@ def _span_us(path: Path) -> tuple[int, int]:
 
 
 def _spread(length_s: float) -> tuple[float, ...]:
-    """Return the middles of equal parts of a recording, at most 40 and at least 0.1 s apart."""
+    """Return the middles of equal parts of a recording, at most 40 and at least 0.05 s apart."""
     count = max(1, min(_MOST_PICTURES, int(length_s / _LEAST_APART_S)))
     return tuple(length_s * (number + 0.5) / count for number in range(count))

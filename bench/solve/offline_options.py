@@ -6,7 +6,6 @@ import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import Self, cast, get_args
 
@@ -18,7 +17,6 @@ from bench.plan.plan import DEFAULT_MODEL
 from bench.solve.point_files import Origin
 from bench.solve.solve_options import solve_options
 from bench.stations.station import load_station
-from calib.adjustment.loss import LossName
 from calib.boards.board import Board
 from calib.calibration import REFERENCE_MODELS, ModelName
 from calib.engine import CalibrationOptions
@@ -42,11 +40,10 @@ class StationFile:
 class OfflineOptions:
     """Options of an offline calibration. An option that is None is that of the run's last solve step, or a default."""
 
-    # model, distortion, loss, guard_band: Options of the engine, see `CalibrationOptions`; ``distortion`` is
+    # model, distortion, guard_band: Options of the engine, see `CalibrationOptions`; ``distortion`` is
     # the name of a set.
     model: ModelName | None = None
     distortion: str | None = None
-    loss: LossName | None = None
     guard_band: float | None = None
     passport: PassportInUse | None = None
     without_passport: bool = False  # Whether to use no passport, not even that of the run
@@ -62,8 +59,6 @@ class OfflineOptions:
     # Cutoff frequency at which pictures of a moving camera are reconstructed from RAW files, Hz; None for
     # recordings of a camera that stands still before a flickering target.
     reconstruct_hz: float | None = None
-    # Times of these pictures after the first event, s; None for times spread over the recording.
-    pictures_at_s: tuple[float, ...] | None = None
     # The station file whose target is ``target``; None for the standard target.
     station: StationFile | None = None
 
@@ -77,33 +72,36 @@ class OfflineOptions:
         views: str | None = None,
         origin: str = "corner",
         station: str | None = None,
-        loss: str | None = None,
         image: str = "auto",
         passport: str | None = None,
         guard_band: float | None = None,
         readings: str | None = None,
         board: str | None = None,
         reconstruct_hz: float | None = None,
-        pictures_at: str | None = None,
     ) -> Self:
         """Parse the options as the command line writes them; None stands for those of the run, or the defaults.
 
         ``image_size`` as ``1280x720``, ``views`` as ``1,5,9``, ``origin`` ``corner`` or ``centre``, ``passport`` a file
         or ``none``, ``readings`` ``auto`` or ``witness``, ``board`` as `calib.boards.board.Board.parse` reads it,
-        ``reconstruct_hz`` in Hz, ``pictures_at`` in s as ``0.5,1,1.5``, ``guard_band`` as in `CalibrationOptions`.
+        ``reconstruct_hz`` in Hz, ``guard_band`` as in `CalibrationOptions`.
         """
         if image not in get_args(ImageKind):
             raise UsageError(
                 f"Unknown event image {image!r}.", remedy=f"Known are {', '.join(get_args(ImageKind))}."
             )
         shown = parse_board(board, model, passport)
+        if reconstruct_hz is not None and shown is None:
+            raise UsageError(
+                "Pictures of a moving camera are reconstructed for boards only.",
+                where="--reconstruct",
+                remedy="Describe the board: --board checkerboard:11x7:20mm.",
+            )
         model = "planar" if shown else model
         named = passport if passport != NO_PASSPORT else None
         target, station_file = _target_of_station(station)
         made = cls(
             cast("ModelName | None", model),
             distortion,
-            cast("LossName | None", loss),
             guard_band,
             passport_of_file(Path(named)) if named else None,
             passport == NO_PASSPORT,
@@ -115,7 +113,6 @@ class OfflineOptions:
             target,
             shown,
             reconstruct_hz,
-            _parse_picture_times(pictures_at, reconstruct_hz, shown),
             station_file,
         )
         try:
@@ -131,7 +128,6 @@ class OfflineOptions:
         return CalibrationOptions(
             self.model or DEFAULT_MODEL,
             self.distortion or ("k1", "k2"),
-            self.loss,
             passport=used.passport if used else None,
             guard_band=self.guard_band or 1.0,
         )
@@ -152,7 +148,6 @@ class OfflineOptions:
         return replace(
             step,
             model=self.model or step.model,
-            loss=self.loss or step.loss,
             guard_band=self.guard_band or step.guard_band,
             readings=self.readings or step.readings,
         )
@@ -189,37 +184,6 @@ def parse_board(text: str | None, model: str | None = None, passport: str | None
         return Board.parse(text)
     except CalibrationError as error:
         raise UsageError(error.what, where="--board", remedy=error.remedy) from error
-
-
-def _parse_picture_times(
-    text: str | None, reconstruct_hz: float | None, board: Board | None
-) -> tuple[float, ...] | None:
-    """Read the times of reconstructed pictures, and check that the options belong together."""
-    if reconstruct_hz is not None and board is None:
-        raise UsageError(
-            "Pictures of a moving camera are reconstructed for boards only.",
-            where="--reconstruct",
-            remedy="Describe the board: --board checkerboard:11x7:20mm.",
-        )
-    if text is None:
-        return None
-    if reconstruct_hz is None:
-        raise UsageError(
-            "Only pictures that are reconstructed have times.",
-            where="--pictures-at",
-            remedy="Add --reconstruct.",
-        )
-    words = [word.strip() for word in text.split(",")]
-    if not all(re.fullmatch(r"\d{1,6}(\.\d{1,6})?", word) for word in words):
-        raise UsageError(
-            f"{text!r} is not a list of times.", where="--pictures-at", remedy="Write seconds: 0.5,1,1.5."
-        )
-    times = tuple(float(word) for word in words)
-    if any(later <= earlier for earlier, later in pairwise(times)):
-        raise UsageError(
-            "The times do not ascend.", where="--pictures-at", remedy="Write each time once, in order."
-        )
-    return times
 
 
 def parse_image_size(text: str | None, where: str = "--image-size") -> tuple[int, int] | None:

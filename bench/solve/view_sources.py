@@ -215,7 +215,7 @@ def _file_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
             remedy=f"Convert it first: starbench convert {path.name} {path.stem}-evt3.raw",
         )
     refuse_truncated(path)
-    moving = MovingRecording(path, choices.reconstruct_hz, choices.pictures_at_s)
+    moving = MovingRecording(path, choices.reconstruct_hz)
     for number, at_s in enumerate(moving.at_s):
         name = f"{path.stem}-at-{at_s:.3f}s"
         yield ViewSource(path, partial(_view_of_picture, moving, number, name, choices.board), view_name=name)

@@ -219,17 +219,12 @@ class _Judge:
     adjusted: Mapping[float, float]  # The adjusted chance of each slope by its own: equal ones stay equal
 
 
-def find_charts(
-    groups: Iterable[ChartGroup], *, parameter: str | None = None, baseline: int | None = None
-) -> ChartsData:
-    """Compute all charts (None: of all parameters), and judge them together.
+def find_charts(groups: Iterable[ChartGroup], *, baseline: int | None = None) -> ChartsData:
+    """Compute the charts of all parameters, and judge them together.
 
     Limits come from each group's first ``baseline`` runs, all where None.
     """
-    found = [
-        (group, [_computed(n, group, baseline) for n in group.key.parameters if parameter in {None, n}])
-        for group in groups
-    ]
+    found = [(group, [_computed(name, group, baseline) for name in group.key.parameters]) for group in groups]
     every = [one for _, charts in found for one in charts]
     chances = [slope["p"] for one in every for slope in one.slopes]
     judge = _Judge(

@@ -96,7 +96,7 @@ def _recalculated(side: Side, old: Path) -> None:
         side.say(
             "calibrate", "run", "--model", model, "--distortion", "auto", "--views", "1,3,5,7,8,9", "--json"
         )
-    side.say("calibrate", *captures, "--model", "joint", "--loss", "cauchy", "--json")
+    side.say("calibrate", *captures, "--model", "joint", "--json")
     side.say("passport", "make", "run", "-o", "passport.json", "--json")
     side.say("calibrate", "run", "--views", "2,5", "--passport", "passport.json", "--json")
     side.say("recalibrate", "run", "-o", "again", "--workers", "1", "--json")

@@ -261,7 +261,9 @@ def test_a_line_without_a_key_is_an_invalid_argument(say):
     assert "ssh-ed25519" in said
 
 
-@pytest.mark.parametrize("words", [("run", "three_pose"), ("status",), ("calibrate", "--loss", "none", ".")])
+@pytest.mark.parametrize(
+    "words", [("run", "three_pose"), ("status",), ("calibrate", "--readings", "none", ".")]
+)
 def test_with_json_an_invalid_argument_is_an_object_too(say, words):
     status, out, said = say(*words, "--json")
     assert status == 2

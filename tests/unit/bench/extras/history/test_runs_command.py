@@ -69,14 +69,10 @@ def test_the_charts_and_their_verdict(tmp_path, capsys, home):
     assert "In control. No significant drift." in out
     assert out.endswith("Charts: runs-charts.html\n")
     assert (tmp_path / "runs-charts.html").read_text().startswith("<!DOCTYPE html>")
-    status, out, _ = call(
-        capsys, *CHARTS, "--ledger", drifting, "--parameter", "fx", "--output", "fx.html", "--by", "camera"
-    )
+    status, out, _ = call(capsys, *CHARTS, "--ledger", drifting, "--output", "drifting.html")
     assert status == 1
     assert "It drifts with time: +0.4993 ± 0.0059 px per hour" in out
-    status, out, _ = call(
-        capsys, *CHARTS, "--ledger", drifting, "--parameter", "fx", "--baseline", "20", "--json"
-    )
+    status, out, _ = call(capsys, *CHARTS, "--ledger", drifting, "--baseline", "20", "--json")
     (group,) = json.loads(out)["groups"]
     assert group["parameters"][0]["baseline"] == 20
     assert group["parameters"][0]["drift"]["per_day"]["seen"]
@@ -92,7 +88,6 @@ def test_a_single_run_is_too_few(tmp_path, capsys, home):
 @pytest.mark.parametrize(
     ("words", "what"),
     [
-        ([*CHARTS, "runs", "--parameter", "focal"], "No run has a parameter 'focal'. There are: fx, fy,"),
         ([*CHARTS, "empty"], "There is no run with a result."),
         ([*CHARTS, "runs", "--output", "x.pdf"], "The page is an HTML file."),
         ([*CHARTS, "runs", "--output", "none/x.html"], "The folder of this file does not exist."),
