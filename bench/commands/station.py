@@ -252,8 +252,8 @@ def station_new(
 ) -> int:
     """Create a station file at PATH, filled in with the connected devices and with what they answer.
 
-    Zaber stages are asked for serial number, scale and limits, generators for make and serial number. Nothing moves and
-    nothing is switched.
+    Zaber and ESP stages are asked for serial number and limits, generators and Gardasoft controllers for their make.
+    Nothing moves and nothing is switched.
     """
     from bench.record.storage import write_atomic
     from bench.stations.asked_devices import ask_light, ask_stage

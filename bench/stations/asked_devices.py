@@ -6,15 +6,17 @@ chose; a port on which no such device answers is tried for the other one.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from drivers.clock import Clock
 from drivers.errors import DriverError
+from drivers.light.gardasoft import IDENTITY, GardasoftLight, RtLine
 from drivers.light.scpi import ScpiLight
 from drivers.light.scpi_dialects import DialectName
 from drivers.serial_port import SerialPort, closed_on_error
+from drivers.stage.esp import EspStage
 from drivers.stage.zaber import ZaberChain
 from drivers.text_line import ScpiLine
 
@@ -32,10 +34,10 @@ class AskedAxis:
     """What the controller of an axis states."""
 
     name: str
-    device: int  # Address in the chain
+    device: int  # Address in the chain, or number on the controller
     serial: str
-    microsteps_per_deg: float | None  # None if the controller does not know it
-    limits_microsteps: tuple[int, int] | None
+    microsteps_per_deg: float | None  # None if the controller does not know it; 1 if it counts in degrees
+    limits_microsteps: tuple[float, float] | None
 
     def limits_deg(self) -> tuple[float, float]:
         """Return limits within those of the controller, degrees; the wanted ones if its scale is not known."""
@@ -50,7 +52,7 @@ class AskedAxis:
         if self.limits_microsteps is None or self.microsteps_per_deg is not None:
             return ""
         low, high = self.limits_microsteps
-        return f"the controller allows {low} to {high} microsteps: keep limits_deg within that"
+        return f"the controller allows {low:.0f} to {high:.0f} microsteps: keep limits_deg within that"
 
 
 @dataclass(frozen=True)
@@ -68,12 +70,13 @@ class AskedStage:
 
 @dataclass(frozen=True)
 class AskedLight:
-    """A generator that answered."""
+    """A light that answered."""
 
     port: str
     what: str  # Maker and model
-    serial: str
-    dialect: DialectName
+    serial: str  # Empty if it has none
+    dialect: DialectName | None = None  # Of a generator
+    model: str = ""  # Of a controller that is recognised by it
 
 
 def ask_stage(
@@ -83,9 +86,10 @@ def ask_stage(
 
     ``scale``, microsteps per degree, is that of axes whose controller does not state it.
     """
-    for port in ports if driver == "zaber_ascii" else ():
+    ask = _STAGES.get(driver)
+    for port in ports if ask else ():
         try:
-            axes = _zaber_axes(port, clock, scale)
+            axes = ask(port, clock, scale) if ask else []
         except DriverError:
             continue  # another device, or none
         if axes:
@@ -94,17 +98,13 @@ def ask_stage(
 
 
 def ask_light(driver: str, ports: Sequence[str], clock: Clock) -> AskedLight | None:
-    """Return the first generator that answers on one of the ports; None if none does, or the driver cannot ask."""
-    for port in ports if driver == "scpi" else ():
+    """Return the first light that answers on one of the ports; None if none does, or the driver cannot ask."""
+    ask = _LIGHTS.get(driver)
+    for port in ports if ask else ():
         try:
-            line = SerialPort(port, baudrate=ScpiLight.BAUDRATE)
-            with closed_on_error(line):
-                link = ScpiLine(line, clock=clock)
-            maker, model, serial, _ = link.identity
-            link.close()
+            return ask(port, clock) if ask else None
         except DriverError:
             continue  # another device, or none
-        return AskedLight(port, f"{maker} {model}", "" if serial == "0" else serial, dialect_of(maker, model))
     return None
 
 
@@ -141,3 +141,52 @@ def _zaber_axes(port: str, clock: Clock, scale: float | None) -> list[AskedAxis]
     finally:
         chain.close()
     return axes
+
+
+def _esp_axes(port: str, clock: Clock, _: float | None) -> list[AskedAxis]:
+    """Return the axes of an ESP controller that have a stage, with their limits; they count in degrees."""
+    line = SerialPort(port, baudrate=EspStage.BAUDRATE, rtscts=EspStage.RTSCTS)
+    with closed_on_error(line):
+        link = EspStage.line(line, clock)
+    axes = []
+    try:
+        for number, name in enumerate(AXES, start=1):
+            try:
+                serial = link.query(f"{number}ID?").partition(",")[2].strip()
+                low, high = (link.query_number(f"{number}{limit}?") for limit in ("SL", "SR"))
+            except DriverError:
+                break  # no stage at this number
+            if serial:
+                axes.append(AskedAxis(name, number, serial, 1.0, (low, high)))
+    finally:
+        link.close()
+    return axes
+
+
+def _generator(port: str, clock: Clock) -> AskedLight:
+    line = SerialPort(port, baudrate=ScpiLight.BAUDRATE)
+    with closed_on_error(line):
+        link = ScpiLine(line, clock=clock)
+    maker, model, serial, _ = link.identity
+    link.close()
+    return AskedLight(port, f"{maker} {model}", "" if serial == "0" else serial, dialect_of(maker, model))
+
+
+def _strobe_controller(port: str, clock: Clock) -> AskedLight:
+    line = SerialPort(port, baudrate=GardasoftLight.BAUDRATE)
+    with closed_on_error(line):
+        link = RtLine(line, clock=clock)
+    identity = IDENTITY.fullmatch(link.identity_text)
+    link.close()
+    model = identity[1] if identity else link.identity_text
+    return AskedLight(port, f"Gardasoft {model}", "", model=model)
+
+
+_STAGES: Final[Mapping[str, Callable[[str, Clock, float | None], list[AskedAxis]]]] = {
+    "zaber_ascii": _zaber_axes,
+    "esp30x": _esp_axes,
+}
+_LIGHTS: Final[Mapping[str, Callable[[str, Clock], AskedLight]]] = {
+    "scpi": _generator,
+    "gardasoft": _strobe_controller,
+}

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from drivers.clock import Clock
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyTimeout
 from drivers.link import read_until_agreed
 from drivers.serial_port import Port
@@ -117,16 +118,21 @@ class EspStage(OneLineStage[EspAxis, TextLine]):
     BAUDRATE = 19200
     RTSCTS = True  # the maker's controllers always use the two lines
 
-    def _connected(self, port: Port, wire_log: WireLog | None) -> TextLine:
+    @staticmethod
+    def line(port: Port, clock: Clock, wire_log: WireLog | None = None) -> TextLine:
+        """Return the line to a controller at a port, which asks for its identity and sets nothing."""
         return TextLine(
             port,
             identity_query="VE?",
             is_identity=lambda text: text.upper().startswith("ESP"),
             request_end=b"\r",
             reply_s=PROMPT_S,
-            clock=self._clock,
+            clock=clock,
             wire_log=wire_log,
         )
+
+    def _connected(self, port: Port, wire_log: WireLog | None) -> TextLine:
+        return self.line(port, self._clock, wire_log)
 
     def _set_up(self) -> None:
         self._time_cycles = self._restarts = 0

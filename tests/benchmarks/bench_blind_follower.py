@@ -1,6 +1,6 @@
 """A person who only obeys the first sentence of the align page, from random starts: does it end, and after how many actions?
 
-    python tests/benchmarks/bench_blind_follower.py [--starts N] [--seed S] [--write]
+    python tests/benchmarks/bench_blind_follower.py [--starts N] [--only START ...] [--seed S] [--write]
 
 A start is a distance of focus between 0.5 m and 3 m beyond infinity, pan and tilt within 6 and 4 degrees, any roll
 within 20 degrees, a level of 20 to 100 %, and the light off; the stage is homed. The first turn of the ring goes either
@@ -27,6 +27,7 @@ def main() -> None:
     """Print a line a start, then the counts."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--starts", type=int, default=40)
+    parser.add_argument("--only", type=int, nargs="+", help="the starts to do, by number")
     parser.add_argument("--seed", type=int, default=27)
     given = parser.parse_args()
     rng = np.random.default_rng(given.seed)
@@ -44,6 +45,8 @@ def main() -> None:
             turn=float(rng.choice([-0.25, 0.25])),
             looks_s=(2.0, 5.0, 10.0)[number % 3],
         )
+        if given.only and number not in given.only:
+            continue
         start = (
             f"{number:5d} {person.looks_s:8.0f} {person.ring:10.2f} {person.angles['pan']:6.1f} {person.angles['tilt']:6.1f}"
             f" {person.roll_deg:6.1f} {person.level:6.0f} {person.turn:11.2f}"
@@ -64,7 +67,7 @@ def main() -> None:
         counts.append(len(person.said))
         bad += bool(left)
     print(
-        f"{given.starts - bad} of {given.starts} end with nothing to do; actions: median {np.median(counts):g}, most {max(counts)}"
+        f"{len(counts) - bad} of {len(counts)} end with nothing to do; actions: median {np.median(counts):g}, most {max(counts)}"
     )
     print(f"processor time {time.process_time():.0f} s")
 

@@ -180,6 +180,26 @@ def test_stage_and_light_are_found_at_whichever_port_they_answer(tmp_path):
     assert ask_stage("zaber_ascii", [str(tmp_path / "nothing")], clock) is None
 
 
+def test_a_stage_that_counts_in_degrees_states_its_limits_and_a_strobe_controller_its_model(tmp_path):
+    clock = BenchClock()
+    axes = {"pan": {"serial": "1", "limit_deg": 9.5}, "tilt": {"serial": "2", "limit_deg": 40}}
+    with SimulatedBench({"stage": {"kind": "esp301", **axes}, "light": {"kind": "gardasoft"}}, 1) as bench:
+        ports = [bench.endpoints["light"], bench.endpoints["gimbal"]]
+        stage, light = ask_stage("esp30x", ports, clock), ask_light("gardasoft", ports, clock)
+    assert (stage.port, light.port) == (ports[1], ports[0])
+    path = tmp_path / "bench.yaml"
+    found = Discovery((), (), ())
+    path.write_text(draft_station("Own", found, stage="esp30x", light="gardasoft", asked=(stage, light)))
+    station = load_station(str(path)).value
+    assert {
+        name: (axis.number, axis.serial, axis.limits_deg) for name, axis in station.stage.axes.items()
+    } == {
+        "pan": (1, "SN1", (-9.5, 9.5)),
+        "tilt": (2, "SN2", (-12.0, 12.0)),
+    }
+    assert light.what == f"Gardasoft {station.light.model}"
+
+
 @pytest.mark.parametrize(
     ("maker", "model", "dialect"),
     [
