@@ -221,5 +221,20 @@ def test_it_is_said_again_after_a_minute():
     assert len(lines_of(0.5, 2 * REPEAT_S)) == 2
 
 
+def test_a_busy_computer_that_sleeps_is_told_at_once():
+    clock, log = LateClock(0.5), Log()
+    watch = BusyWatch(log, clock)
+    clock.now_s = WINDOW_S
+    watch.look()
+    clock.now_s += WINDOW_S + 14.0
+    clock.lateness = lambda: {"lost_s": 24.0, "longest_s": 14.0}
+    watch.look()
+    assert [data["lateness"].get("longest_s") for _, data in log.lines] == [None, 14.0]
+    clock.now_s += WINDOW_S
+    clock.lateness = lambda: {"lost_s": 34.0, "longest_s": 14.0}
+    watch.look()
+    assert len(log.lines) == 2
+
+
 def test_a_computer_that_is_a_little_late_is_not_too_busy():
     assert lines_of(0.2, 300.0) == []
