@@ -88,7 +88,7 @@ def _check() -> int:
         runs = runs_of(entries)
         head = entries[-1].hash if entries else None
         facts |= {"lines": len(entries), "runs": len(runs), "head": head}
-        faults += [*found.faults(), *lost_authorisations(known_authorisations(found.home))]
+        faults += [*found.faults_and_remedies(), *lost_authorisations(known_authorisations(found.home))]
         notes += [
             f"{one.data['what']}. Reason, stated by {one.data['by']}: {one.data['reason']}"
             for one in found.explained_runs()

@@ -97,7 +97,7 @@ def _ledger_folders(ledger: Ledger, index: RunIndex) -> tuple[list[Path], list[s
         for run in entries
         if run.seal is None and not (Path(run.folder) / JOURNAL).is_file()
     ]
-    return present, [*ledger.faults(), *missing]
+    return present, [*ledger.faults_and_remedies(), *missing]
 
 
 def _runs_dict(runs: Sequence[IndexedRun]) -> dict[str, Any]:

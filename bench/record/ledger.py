@@ -51,6 +51,7 @@ LEDGER = "ledger.jsonl"
 PLACE_FORGOTTEN = "place_forgotten"
 RUN_EXPLAINED = "run_explained"
 """A person states why the folder of a sealed run is missing, or was changed."""
+_SAY_WHAT = "state what became of it: `starbench ledger --explain TEXT`."
 
 
 class Ledger:
@@ -228,6 +229,10 @@ class Ledger:
         """Check that the folder of every sealed run still exists and still has its seal; explained faults count not."""
         known = {str(entry.data["what"]) for entry in self.explained_runs()}
         return [what for what in self._run_faults() if what not in known]
+
+    def faults_and_remedies(self) -> list[str]:
+        """Return `faults`, each with what to do."""
+        return [f"{what}. Copy it back, or {_SAY_WHAT}" for what in self.faults()]
 
     def explained_runs(self) -> list[Entry]:
         """Return the lines in which a person stated why a run is missing: ``what``, ``reason`` and ``by``."""

@@ -370,6 +370,8 @@ def lost_run(ledger, tmp_path):
 def test_a_lost_run_is_a_fault_until_a_person_says_what_became_of_it(ledger, lost_run):
     (fault,) = ledger.faults()
     assert f"its folder {lost_run} is missing" in fault
+    (shown,) = ledger.faults_and_remedies()
+    assert shown == f"{fault}. Copy it back, or state what became of it: `starbench ledger --explain TEXT`."
     assert ledger.explain("The disk broke.", "ada") == [fault]
     assert ledger.faults() == []
     (line,) = ledger.explained_runs()
