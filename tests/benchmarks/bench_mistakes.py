@@ -17,7 +17,7 @@ from worlds.mistaken_runs import RUN_MISTAKES, mistaken_run
 from worlds.mistakes import MISTAKES, mistaken
 
 #: Seeds of healthy benches begin here, so that none is also one with a mistake.
-HEALTHY = 1000
+HEALTHY = 2000
 
 
 def main() -> None:
