@@ -65,7 +65,7 @@ def causes_of_run(
     """Return what a run shows that a person did, the most probable first."""
     seen = _seen_in(history, calibration)
     last = earlier()
-    lens = list(_other_lens(job, calibration))
+    lens = list(_other_lens(job, calibration, last))
     causes = [*calibration.causes, *lens, *_stood_still(history)]
     causes += _against_last(seen, last) if last is not None else _against_station(job, calibration, seen)
     # Another lens shows another number of stars, and lights up another number of pixels.
@@ -110,16 +110,21 @@ def _evidence(ratio: float, share: float) -> float:
     return min((math.log(max(ratio, 1e-6)) / share) ** 2, LARGEST_EVIDENCE)
 
 
-def _other_lens(job: Job, calibration: Calibration) -> Iterator[Cause]:
-    """Yield that the focal length is not the expected one."""
-    expected = job.station.expected
-    if expected is None:
+def _other_lens(job: Job, calibration: Calibration, last: Results | None) -> Iterator[Cause]:
+    """Yield that the focal length is not the expected one; a station that expects none has that of the last run."""
+    expected, run = job.station.expected, ""
+    if expected is not None:
+        focal_px = expected.focal_px
+    elif last is not None:
+        camera, run = last["calibration"]["camera"], str(last["run"]["id"])
+        focal_px = math.sqrt(camera["fx"] * camera["fy"])
+    else:
         return
     found = math.sqrt(calibration.camera.fx * calibration.camera.fy)
-    evidence = _evidence(found / expected.focal_px, _FOCAL_SHARE)
+    evidence = _evidence(found / focal_px, _FOCAL_SHARE)
     if evidence > DECISIVE:
         u = max(calibration.U.get("fx", 0.0), calibration.U.get("fy", 0.0))
-        yield Cause(kinds.LENS, evidence, found, u, "px", expected.focal_px)
+        yield Cause(kinds.LENS, evidence, found, u, "px", focal_px, before=run)
 
 
 def _stood_still(history: History) -> Iterator[Cause]:
@@ -191,7 +196,7 @@ def _other_light(seen: _Seen, last: _Seen, run: str) -> Iterator[Cause]:
 def _against_station(job: Job, calibration: Calibration, seen: _Seen) -> Iterator[Cause]:
     """Yield that the stars are fewer, or noisier, than a station expects on whose bench no run was before."""
     expected = job.station.expected
-    if expected is None or any(_other_lens(job, calibration)):
+    if expected is None:
         return
     if (stars := _expected_stars(job, calibration)) and seen.stars:
         now = statistics.median(seen.stars.values())

@@ -31,6 +31,11 @@ def sentence_of(cause: Cause) -> str:
 
 
 def _lens(cause: Cause) -> str:
+    if cause.before:
+        return (
+            f"The focal length is {cause.value:.0f} px, and was {cause.stated:.0f} px in run {cause.before}: another "
+            "lens is on the camera. If nobody meant to change it, compare the lens with the notes of that run."
+        )
     return (
         f"The focal length is {cause.value:.0f} px, and the station expects {cause.stated:.0f} px: another lens is on "
         "the camera, or expected.focal_px is wrong. Compare the lens with the station file, and correct the file."

@@ -17,7 +17,7 @@ LIGHT = {"waveform": "square", "frequency_hz": 60.0, "duty_percent": 50.0, "low_
 
 def causes(
     *,
-    focal_px: float = 3345.0,
+    focal_px: float | None = 3345.0,
     last: dict[str, Any] | None = None,
     longest_s: float = 0.0,
     states: tuple[tuple[str, str, float], ...] = (),
@@ -45,13 +45,22 @@ def causes(
         rms_px=now["rms_px"],
         views=[SimpleNamespace(name=name, n=now["stars"]) for name in names],
     )
-    job = SimpleNamespace(station=SimpleNamespace(expected=SimpleNamespace(focal_px=focal_px)))
+    expected = None if focal_px is None else SimpleNamespace(focal_px=focal_px)
+    job = SimpleNamespace(station=SimpleNamespace(expected=expected))
     return causes_of_run(cast("Any", job), history, cast("Any", calibration), lambda: last or earlier())
 
 
 def earlier(**changed: Any) -> dict[str, Any]:
     """Results of the last run: as this one, or changed."""
-    then = {"stars": 600, "rms_px": 0.04, "lit": 700_000, "duty": 0.5, "light": LIGHT, **changed}
+    then = {
+        "stars": 600,
+        "rms_px": 0.04,
+        "lit": 700_000,
+        "duty": 0.5,
+        "light": LIGHT,
+        "fx": 3345.0,
+        **changed,
+    }
     poses = [
         {
             "name": name,
@@ -65,7 +74,7 @@ def earlier(**changed: Any) -> dict[str, Any]:
         "run": {"id": "run-7"},
         "poses": poses,
         "conditions": {"light": then["light"]},
-        "calibration": {"rms_px": then["rms_px"]},
+        "calibration": {"rms_px": then["rms_px"], "camera": {"fx": then["fx"], "fy": then["fx"]}},
     }
 
 
@@ -104,6 +113,12 @@ def test_the_most_probable_cause_is_first():
 def test_another_lens_explains_another_number_of_stars_and_another_light():
     (found,) = causes(focal_px=5100.0, stars=300, lit=300_000)
     assert found.kind == kinds.LENS
+
+
+def test_a_station_that_expects_no_lens_has_that_of_the_last_run():
+    assert causes(focal_px=None) == []
+    (found,) = causes(focal_px=None, last=earlier(fx=5000.0, stars=300))
+    assert "is 3345 px, and was 5000 px in run run-7: another lens" in sentence_of(found)
 
 
 SLEPT = (("slewing", "2026-03-01T10:00:00+00:00", 100.0), ("settling", "2026-03-01T10:30:00+00:00", 101.0))
