@@ -10,11 +10,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal, TypedDict, TypeVar, cast
+from typing import Any, Literal, NotRequired, TypedDict, TypeVar, cast
 
 from bench.base.errors import BenchError
 from bench.record.coverage import Estimate, estimates, parameters_data
-from bench.record.events import DeviceData, Event, LightSettingsData, UntilDecided, Written
+from bench.record.events import CauseData, DeviceData, Event, LightSettingsData, UntilDecided, Written
 from bench.record.history import Attempt, History
 from bench.record.journal_line import Entry
 from bench.record.results import Results
@@ -152,6 +152,8 @@ class RunDetails(RunConditions, ResultFacts):
     journal_head: str | None
     deviations: Sequence[str]
     untils: Sequence[UntilDecided]  # What each ``until`` decided, in order
+    # What a person did to the bench, the most probable first; an earlier version kept none.
+    causes: NotRequired[Sequence[CauseData]]
     results_sha256: str | None  # As the journal states it
     results_fault: str | None
     warnings: Sequence[str]
@@ -188,6 +190,7 @@ def run_details(history: History, entries: Sequence[Entry], folder: Path) -> Run
         "journal_head": entries[-1].hash if entries else None,
         "deviations": list(history.deviations),
         "untils": list(history.decisions),
+        "causes": list(history.solved.get("causes", ())),
         **_conditions(history),
         **_from_results(results),
         "results_sha256": _named_hash(entries),

@@ -6,7 +6,7 @@ Times are ISO 8601 with the offset from UTC. `bench.wording.parameters.unit_of` 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Final, Literal, TypedDict, TypeGuard
+from typing import Final, Literal, NotRequired, TypedDict, TypeGuard
 
 from bench.record.coverage import EstimateData
 
@@ -66,6 +66,8 @@ class ItemData(TypedDict):
     ledger_head: str | None
     conformity: str | None  # ``PASS`` or ``FAIL``; None without limits
     goals_missed: Sequence[str]  # Each ``until`` that ended without its goals, as sentences
+    # What a person did to the bench, as sentences, the most probable first; an earlier version kept none.
+    causes: NotRequired[Sequence[str]]
 
 
 class TotalsData(TypedDict):

@@ -51,7 +51,11 @@ def render_batch(summary: BatchSummary) -> str:
         failures=[(item["item"], item["how"], item["why"] or NOTHING, item["attempts"]) for item in failures],
         not_begun=[item["item"] for item in summary["items"] if item["how"] == "not begun"],
         not_kept=[item["item"] for item in summary["items"] if item["conformity"] == "FAIL"],
-        goals_missed=[(item["item"], text) for item in summary["items"] for text in item["goals_missed"]],
+        remarks=[
+            (item["item"], text)
+            for item in summary["items"]
+            for text in [*item.get("causes", ()), *item["goals_missed"]]
+        ],
         withdrawn=[item["item"] for item in summary["items"] if item["how"] == "withdrawn"],
         cameras=[_camera_section(camera, place, zone) for place, camera in enumerate(summary["cameras"])],
         rows=[item for item in summary["items"] if item["begun_utc"]],

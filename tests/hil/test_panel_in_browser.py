@@ -19,6 +19,7 @@ from running import end_when, entering, journal, start
 from bench.extras.panel.panel_app import panel_app
 from bench.record.journal import read_journal
 from bench.web.token import PageToken
+from calib.model.cause import Cause
 
 PATIENCE_S = 60.0
 
@@ -172,6 +173,30 @@ def test_the_page_of_a_batch_names_the_goal_that_a_run_missed(tmp_path, tabs):
     with served(panel_app(tmp_path)) as server:
         tab = tabs.open(f"{server.url}batch/night")
         wait_text(tab, "#done", f"The goal of a step was not met. {why}")
+
+
+CAUSE = Cause("computer stood still", 100.0, 60.0, unit="s").to_dict()
+
+
+def test_a_batch_and_a_run_show_what_a_person_did_and_are_not_green(tmp_path, tabs):
+    batch = made_batch(tmp_path / "night")
+    run = MadeRun(batch.folder / "runs" / "cam-001").begin().record_all()
+    batch.write("item_begun", item="cam-001", again=False, attempt=1, recorded=0)
+    numbers = {"values": {"fx": 3345.0}, "sigma": {"fx": 0.6}}
+    run.write("solved", model="spherical", converged=True, rms_px=0.08, **numbers, causes=[CAUSE])
+    verdict = {"kind": "marginal", "headline": "Calibrated, with reservations."}
+    run.write("written", head="", files={}, wire={}, verdict=verdict)
+    run.end()
+    batch.write("item_ended", item="cam-001", how="finished", why="", noticed_s=0.0, unsafe=[])
+    with served(panel_app(tmp_path)) as server:
+        tab = tabs.open(f"{server.url}batch/night")
+        wait_text(tab, "#done", "This computer stood still for 60 s during the run")
+        assert tab.inner_text("#done .pill.warn") == "finished"
+        tab.goto(f"{server.url}run/night/runs/cam-001")
+        wait_text(tab, "#calibrated", "Calibrated, with reservations.")
+        wait_text(tab, "#calibrated", "This computer stood still for 60 s")
+        assert tab.query_selector("#calibrated.warn")
+        assert not tab.is_visible("#leave")
 
 
 @pytest.mark.parametrize("page", ["", "run/run7", "batch/night"])

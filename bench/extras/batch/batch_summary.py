@@ -52,6 +52,7 @@ from bench.record.summaries import (
 from bench.report.batch_page import render_batch
 from bench.run.status import read_plan, read_status
 from bench.solve.trends import by_camera, hours_after, trends_of
+from bench.wording.causes import cause_sentences
 from bench.wording.goals import goals_missed
 from bench.wording.numbers import with_uncertainty
 from bench.wording.parameters import unit_text
@@ -206,6 +207,7 @@ def _item(
         "ledger_head": stated.ledger_head,
         "conformity": details["conformity"] if details else None,
         "goals_missed": goals_missed(details["untils"]) if details else [],
+        "causes": cause_sentences(details.get("causes", ())) if details else [],
     }
 
 
@@ -470,7 +472,7 @@ def summary_lines(summary: BatchSummary) -> Iterator[str]:
         verdict = f"  {item['conformity']}" if item["conformity"] else ""
         attempts = f"{item['attempts']} attempt{'' if item['attempts'] == 1 else 's'}"
         yield f"  {item['item']:<30} {item['how']:<10} {attempts}{verdict}{why}"
-        yield from (f"    {sentence}" for sentence in item["goals_missed"])
+        yield from (f"    {sentence}" for sentence in [*item.get("causes", ()), *item["goals_missed"]])
     for camera in summary["cameras"]:
         yield from _trend_lines(camera)
 

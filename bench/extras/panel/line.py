@@ -20,6 +20,7 @@ from bench.record.storage import make_folder, read_json, storage_errors
 from bench.run.control import Command, send
 from bench.run.launch import serial_number
 from bench.run.status import read_status
+from bench.wording.causes import cause_sentences
 from bench.wording.conformity import conformity_headline, conformity_sentences
 
 _WORDS = {0: ("pass", "PASS"), 3: ("stopped", "STOPPED"), 4: ("fail", "FAIL")}
@@ -122,7 +123,8 @@ class Line:
         if error.get("kind") == "WrongDevice":
             phase, word = _WRONG
         if found := results.get("conformity"):
-            lines = [conformity_headline(found), *conformity_sentences(found)]
+            causes = cause_sentences(results.get("causes", ()))
+            lines = [conformity_headline(found), *causes, *conformity_sentences(found)]
         unsafe = [f"CHECK THE BENCH: {one}" for one in said.get("unsafe") or ()]
         if not said:  # it was killed: nothing is known of the devices
             unsafe = ["CHECK THE BENCH: the process of the run died. The light may be on."]

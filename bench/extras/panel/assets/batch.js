@@ -44,12 +44,12 @@ function take(batch) {
 function figure(value, meaning, note) { return el("div", {}, el("b", {}, value, note ? el("small", {}, ` ${note}`) : null), el("span", {}, meaning)); }
 function poses(item) { return item.poses === null ? String(item.accepted) : `${item.accepted} / ${item.poses}`; }
 
-function remarks(item) { return [item.why, item.conformity === "FAIL" ? "FAIL by the limits." : "", ...item.goals_missed].filter(Boolean).join(" "); }
+function remarks(item) { return [item.why, item.conformity === "FAIL" ? "FAIL by the limits." : "", ...(item.causes || []), ...item.goals_missed].filter(Boolean).join(" "); }
 
 function doneRow(item) {
   const fx = item.parameters.fx;
   return el("tr", {}, el("td", { class: "name" }, name(item.item, true), item.report ? el("div", { class: "note screen" }, el("a", { href: link(item.item).replace("/run/", "/report/") }, "report")) : null),
-    el("td", { "data-label": "End" }, el("span", { class: `pill ${TONES[item.how] || ""}` }, item.how)), el("td", { "data-label": "Began", class: "nowrap" }, clockText(item.begun_utc)), el("td", { class: "n", "data-label": "Poses" }, poses(item)),
+    el("td", { "data-label": "End" }, el("span", { class: `pill ${item.how === "finished" && remarks(item) ? "warn" : TONES[item.how] || ""}` }, item.how)), el("td", { "data-label": "Began", class: "nowrap" }, clockText(item.begun_utc)), el("td", { class: "n", "data-label": "Poses" }, poses(item)),
     el("td", { class: "n", "data-label": "RMS, px" }, item.rms_px === null ? "" : number(item.rms_px)), el("td", { class: "n", "data-label": "fx, px" }, fx ? withUncertainty(fx.value, fx.sigma, fx.coverage_factor) : ""), el("td", { class: "why" }, remarks(item)));
 }
 
