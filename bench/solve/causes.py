@@ -65,11 +65,11 @@ def causes_of_run(
     """Return what a run shows that a person did, the most probable first."""
     seen = _seen_in(history, calibration)
     last = earlier()
-    lens = list(_other_lens(job, calibration, last))
-    causes = [*calibration.causes, *lens, *_stood_still(history)]
+    causes = [*calibration.causes, *_other_lens(job, calibration, last), *_stood_still(history)]
     causes += _against_last(seen, last) if last is not None else _against_station(job, calibration, seen)
-    # Another lens shows another number of stars, and lights up another number of pixels.
-    told = [one for one in causes if not (lens and one.kind in kinds.WEAK)]
+    # Another lens shows another number of stars, and under another light an image is weaker or stronger.
+    explained = any(one.kind in {kinds.LENS, kinds.LIGHT} for one in causes)
+    told = [one for one in causes if not (explained and one.kind in kinds.WEAK)]
     return sorted(told, key=lambda one: -one.evidence)
 
 
@@ -148,28 +148,25 @@ def _slept_s(states: tuple[StateEntered, StateEntered]) -> float:
 
 
 def _against_last(seen: _Seen, results: Results) -> Iterator[Cause]:
-    """Yield what differs from the last run: settings of the light, and stars that are fewer, or weaker, or noisier."""
+    """Yield what differs from the last run: settings of the light, and the sign of a weak image that is known best."""
     last, run = _seen_before(results), str(results["run"]["id"])
     yield from _other_light(seen, last, run)
-    weak = list(_weaker(seen, last, run))
+    weak = [
+        *_weak(kinds.FEWER, seen.of_poses(seen.stars, last.stars), _STARS_SHARE, "stars", run),
+        *_weak(kinds.NOISIER, (seen.rms_px, last.rms_px), _RESIDUAL_SHARE, "px", run),
+        *_weak(kinds.DIMMER, seen.of_poses(seen.lit_pixels, last.lit_pixels), _LIT_SHARE, "pixels", run),
+    ]
     yield from weak[:1]
 
 
-def _weaker(seen: _Seen, last: _Seen, run: str) -> Iterator[Cause]:
-    """Yield the signs of weak stars, the one that a reader knows best first."""
-    if both := seen.of_poses(seen.stars, last.stars):
-        now, then = both
-        evidence = _evidence(now / then, _STARS_SHARE)
-        if now < then and evidence > DECISIVE:
-            yield Cause(kinds.FEWER, evidence, now, unit="stars", stated=then, before=run)
-    evidence = _evidence(seen.rms_px / last.rms_px, _RESIDUAL_SHARE) if last.rms_px > 0 else 0.0
-    if seen.rms_px > last.rms_px and evidence > DECISIVE:
-        yield Cause(kinds.NOISIER, evidence, seen.rms_px, unit="px", stated=last.rms_px, before=run)
-    if both := seen.of_poses(seen.lit_pixels, last.lit_pixels):
-        now, then = both
-        evidence = _evidence(now / then, _LIT_SHARE)
-        if now < then and evidence > DECISIVE:
-            yield Cause(kinds.DIMMER, evidence, now, unit="pixels", stated=then, before=run)
+def _weak(
+    kind: str, both: tuple[float, float] | None, share: float, unit: str, run: str = ""
+) -> Iterator[Cause]:
+    """Yield that a number is worse than the one expected of it, as a sign of a weak image."""
+    now, then = both or (0.0, 0.0)
+    worse = now > then if kind == kinds.NOISIER else now < then
+    if then > 0.0 and worse and (evidence := _evidence(now / then, share)) > DECISIVE:
+        yield Cause(kind, evidence, now, unit=unit, stated=then, before=run)
 
 
 def _other_light(seen: _Seen, last: _Seen, run: str) -> Iterator[Cause]:
@@ -198,16 +195,14 @@ def _against_station(job: Job, calibration: Calibration, seen: _Seen) -> Iterato
     expected = job.station.expected
     if expected is None:
         return
-    if (stars := _expected_stars(job, calibration)) and seen.stars:
-        now = statistics.median(seen.stars.values())
-        evidence = _evidence(now / stars, _EXPECTED_STARS)
-        if now < stars and evidence > DECISIVE:
-            yield Cause(kinds.FEWER, evidence, now, unit="stars", stated=stars)
-            return
-    now, noise = calibration.rms_px / math.sqrt(2.0), max(expected.star_sigma_px, expected.collimator.rms_px)
-    evidence = _evidence(now / noise, _EXPECTED_NOISE)
-    if now > noise and evidence > DECISIVE:
-        yield Cause(kinds.NOISIER, evidence, now, unit="px", stated=noise)
+    stars = _expected_stars(job, calibration)
+    counted = (statistics.median(seen.stars.values()), stars) if stars and seen.stars else None
+    noise = calibration.rms_px / math.sqrt(2.0), max(expected.star_sigma_px, expected.collimator.rms_px)
+    weak = [
+        *_weak(kinds.FEWER, counted, _EXPECTED_STARS, "stars"),
+        *_weak(kinds.NOISIER, noise, _EXPECTED_NOISE, "px"),
+    ]
+    yield from weak[:1]
 
 
 def _expected_stars(job: Job, calibration: Calibration) -> float | None:

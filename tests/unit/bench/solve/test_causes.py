@@ -19,6 +19,7 @@ def causes(
     *,
     focal_px: float | None = 3345.0,
     last: dict[str, Any] | None = None,
+    first: bool = False,
     longest_s: float = 0.0,
     states: tuple[tuple[str, str, float], ...] = (),
     **seen: Any,
@@ -45,9 +46,15 @@ def causes(
         rms_px=now["rms_px"],
         views=[SimpleNamespace(name=name, n=now["stars"]) for name in names],
     )
-    expected = None if focal_px is None else SimpleNamespace(focal_px=focal_px)
+    expected = (
+        None
+        if focal_px is None
+        else SimpleNamespace(focal_px=focal_px, star_sigma_px=0.03, collimator=SimpleNamespace(rms_px=0.0))
+    )
     job = SimpleNamespace(station=SimpleNamespace(expected=expected))
-    return causes_of_run(cast("Any", job), history, cast("Any", calibration), lambda: last or earlier())
+    return causes_of_run(
+        cast("Any", job), history, cast("Any", calibration), lambda: None if first else last or earlier()
+    )
 
 
 def earlier(**changed: Any) -> dict[str, Any]:
@@ -115,10 +122,31 @@ def test_another_lens_explains_another_number_of_stars_and_another_light():
     assert found.kind == kinds.LENS
 
 
+def test_another_level_of_the_light_explains_a_weak_image():
+    (found,) = causes(light={**LIGHT, "high_v": 0.5}, stars=300, lit=300_000)
+    assert found.kind == kinds.LIGHT
+
+
 def test_a_station_that_expects_no_lens_has_that_of_the_last_run():
     assert causes(focal_px=None) == []
     (found,) = causes(focal_px=None, last=earlier(fx=5000.0, stars=300))
     assert "is 3345 px, and was 5000 px in run run-7: another lens" in sentence_of(found)
+
+
+@pytest.mark.parametrize(
+    ("seen", "kind", "words"),
+    [
+        ({}, "", ""),
+        ({"stars": 300}, kinds.FEWER, "300 stars a pose instead of 600 as the station expects"),
+        ({"rms_px": 0.2}, kinds.NOISIER, "scatter by 0.14 px instead of 0.03 as the station expects"),
+        ({"stars": 300, "rms_px": 0.2}, kinds.FEWER, "300 stars"),
+    ],
+)
+def test_the_first_run_of_a_bench_has_what_its_station_expects(monkeypatch, seen, kind, words):
+    monkeypatch.setattr("bench.solve.causes._expected_stars", lambda *_: 600.0)
+    found = causes(first=True, **seen)
+    assert [one.kind for one in found] == [kind] * bool(kind)
+    assert all(words in sentence_of(one) for one in found)
 
 
 SLEPT = (("slewing", "2026-03-01T10:00:00+00:00", 100.0), ("settling", "2026-03-01T10:30:00+00:00", 101.0))
