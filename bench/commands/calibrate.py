@@ -59,16 +59,14 @@ def calibrate_each(
     *,
     table_only: bool,
     no_seal: bool,
-    find_again: bool,
 ) -> int:
     """Calibrate runs, a line each; return 1 if one failed.
 
-    ``output`` is for a table of all, and each run's results unless ``table_only``; ``find_again`` uses no kept views.
+    ``output`` is for a table of all, and each run's results unless ``table_only``.
     """
     if table_only and output is None:
         raise UsageError("There is no folder for the table.", where="--table-only", remedy="Give one: -o.")
-    here = str((home_folder() / FOLDER).absolute())
-    kept = "" if find_again else None if isinstance(workers, str) else here
+    kept = None if isinstance(workers, str) else str((home_folder() / FOLDER).absolute())
     task = Task(options, forms()["program"], kept)
     who = open_workers(workers)
     as_json = wants_json()  # other threads, which call below, cannot ask
@@ -212,11 +210,6 @@ class _PathOrUrl(ExistingPath):
     " interruption, repeat the command with the same folder: it continues.",
 )
 @click.option("--no-seal", is_flag=True, help="Leave the results a DRAFT, without a seal.")
-@click.option(
-    "--find-again",
-    is_flag=True,
-    help="Find the stars (of a board: its points) in every recording again; use none that an earlier command has kept.",
-)
 @click.option("--each", is_flag=True, help="Calibrate each run alone. If a run fails, the others continue.")
 @click.option(
     "--table-only",
@@ -230,7 +223,6 @@ def calibrate(
     compare: bool,
     output: Path | None,
     no_seal: bool,
-    find_again: bool,
     each: bool,
     table_only: bool,
     workers: int | str | None,
@@ -252,16 +244,12 @@ def calibrate(
     if each and compare:
         raise UsageError("--compare and --each cannot be used together.", remedy="Leave out one of them.")
     if each:
-        return calibrate_each(
-            paths, chosen, workers, output, table_only=table_only, no_seal=no_seal, find_again=find_again
-        )
+        return calibrate_each(paths, chosen, workers, output, table_only=table_only, no_seal=no_seal)
     if table_only or workers is not None:
         what = "--table-only" if table_only else "--workers"
         raise UsageError(f"{what} needs --each.", remedy=f"Add --each, or leave {what} out.")
     places = [ExistingPath().convert(path, None, None) for path in paths]
-    return _calibrate_together(
-        places, chosen, output, compare=compare, no_seal=no_seal, find_again=find_again
-    )
+    return _calibrate_together(places, chosen, output, compare=compare, no_seal=no_seal)
 
 
 def _calibrate_together(
@@ -271,7 +259,6 @@ def _calibrate_together(
     *,
     compare: bool,
     no_seal: bool,
-    find_again: bool,
 ) -> int:
     """Calibrate from all views, write and seal the results where an output folder is given, and print."""
     from bench.measure.kept_views import KeptViews
@@ -282,9 +269,9 @@ def _calibrate_together(
     if output is not None:
         require_new(output)
     key = None if output is None or no_seal else key_or_draft()
-    kept = None if find_again else KeptViews.of_bench()
+    kept = KeptViews.of_bench()
     result = calibrate_paths(paths, options, kept)
-    for remark in kept.remarks if kept else ():
+    for remark in kept.remarks:
         click.echo(remark, err=True)
     if output is not None:
         write_offline_results(result, output, key)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, cast
 
 import click
 
-from bench.commands.options import CheckedStation, Number
+from bench.commands.options import CheckedStation, Number, together
 from bench.record.coverage import coverage_factor
 from bench.wording.conformity import conformity_headline, conformity_sentences
 from bench.wording.numbers import exact, with_uncertainty
@@ -31,7 +31,6 @@ LENS = click.option(
 CAMERA = click.option(
     "--camera", metavar="NAME", help="Camera of a calibration file that holds several, such as cam1."
 )
-_Command = TypeVar("_Command", bound=Callable[..., Any])
 _CUTOFF_HZ = (0.01, 1000.0)
 
 _THROUGH_COLLIMATOR = ("distortion", "passport", "image-size", "views", "origin", "station")
@@ -254,19 +253,11 @@ _OPTIONS = {
 }
 
 
-def engine_options(command: _Command) -> _Command:
-    """Add all options that say how to calibrate to a command."""
-    for option in reversed(_OPTIONS.values()):
-        command = option(command)
-    return command
-
+engine_options = together(*_OPTIONS.values())
+"""All options that say how to calibrate."""
 
 BOARD = _OPTIONS["board"]
 """The option of commands that take a board beside the star target."""
 
-
-def collimator_options(command: _Command) -> _Command:
-    """Add the options of a calibration through a collimator to a command."""
-    for name in reversed(_THROUGH_COLLIMATOR):
-        command = _OPTIONS[name](command)
-    return command
+collimator_options = together(*(_OPTIONS[name] for name in _THROUGH_COLLIMATOR))
+"""The options of a calibration through a collimator."""

@@ -14,15 +14,9 @@ from bench.base.encoding import counted
 from bench.base.errors import UsageError
 from bench.base.home import home_folder
 from bench.commands.options import (
-    LEDGERS,
-    OF_CAMERA,
-    OF_SEQUENCE,
-    SINCE,
-    UNTIL,
-    ExistingFolder,
     RunChoice,
     command,
-    filters_of,
+    run_options,
     status_text,
 )
 from bench.commands.output import JSON, print_findings, show
@@ -69,12 +63,7 @@ _TAKES = {"baseline": _CHARTS, "factors": _CAPABILITY}
     ),
 )
 @click.argument("what", type=click.Choice([_CHARTS, _AGREEMENT, _CAPABILITY, _TABLE]))
-@click.argument("folder", required=False, type=ExistingFolder())
-@OF_CAMERA
-@SINCE
-@UNTIL
-@OF_SEQUENCE
-@LEDGERS
+@run_options
 @click.option(
     "--baseline",
     type=click.IntRange(2),
@@ -94,7 +83,7 @@ _TAKES = {"baseline": _CHARTS, "factors": _CAPABILITY}
     help="charts: file for the page [default: runs-charts.html]. table: a new .parquet or .csv file.",
 )
 @JSON
-def history(what: str, folder: Path | None, output: Path | None, **given: Any) -> int:
+def history(what: str, output: Path | None, **given: Any) -> int:
     """Show what many runs tell together: those in FOLDER, or all runs in the ledger of this bench.
 
     charts: an HTML page with control charts and drift tests. agreement: whether the results of one camera agree within
@@ -106,7 +95,7 @@ def history(what: str, folder: Path | None, output: Path | None, **given: Any) -
             raise UsageError(
                 f"`history {what}` has no --{option}.", remedy=f"Leave it out; `history {owner}` has it."
             )
-    choice = RunChoice(folder, given["ledgers"], filters_of(given))
+    choice = RunChoice.of(given)
     if output is not None and what in {_AGREEMENT, _CAPABILITY}:
         raise UsageError(f"`history {what}` writes no file.", remedy="Leave out --output.")
     if what == _CHARTS:

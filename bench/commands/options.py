@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from datetime import UTC
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self, TypeVar
 
 import click
 from click.shell_completion import CompletionItem
@@ -21,6 +21,7 @@ from bench.base.errors import UsageError
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
+_Command = TypeVar("_Command", bound="Callable[..., Any]")
 _INVALID = "2 invalid argument or file"
 _CTRL_C = "130 ended by Ctrl-C."
 PLAIN_STATUS = f"0 done, 1 failed, {_INVALID}, {_CTRL_C}"
@@ -56,17 +57,6 @@ BEGIN = click.option(
     help="Time at which the night begins, in the time zone of the queue.  [default: now]",
 )
 
-OF_CAMERA = click.option(
-    "--serial", metavar="NUMBER", help="Only runs of the camera with this serial number."
-)
-SINCE = click.option(
-    "--since", type=MOMENT, metavar=MOMENT_FORM, help="Only runs that began at or after this time (UTC)."
-)
-UNTIL = click.option(
-    "--until", type=MOMENT, metavar=MOMENT_FORM, help="Only runs that began before this time (UTC)."
-)
-OF_SEQUENCE = click.option("--sequence", help="Only runs whose sequence name contains this text.")
-
 
 def status_text(words: str) -> str:
     """Return exit statuses of a command that differ from the usual ones, completed as ``0 shown{invalid}{ctrl_c}``."""
@@ -78,6 +68,17 @@ def epilog(*examples: str, status: str = PLAIN_STATUS) -> str:
     title = "Examples" if len(examples) > 1 else "Example"
     lines = "\n".join(f"  {line}" for line in examples)
     return f"\b\n{title}:\n{lines}\n\nExit status: {status}"
+
+
+def together(*options: Callable[[_Command], _Command]) -> Callable[[_Command], _Command]:
+    """Return a decorator that adds options and arguments to a command, in this order."""
+
+    def add(command: _Command) -> _Command:
+        for option in reversed(options):
+            command = option(command)
+        return command
+
+    return add
 
 
 def command(
@@ -353,7 +354,7 @@ STATION = click.option(
     type=STATION_NAME,
     help="Station file, or the name of a station that is included (simulated).",
 )
-_PAGE = (
+page_options = together(
     click.option(
         "--port",
         type=click.IntRange(0, 65535),
@@ -381,32 +382,29 @@ _PAGE = (
     ),
     click.option("--no-browser", is_flag=True, help="Do not open the page in a browser."),
 )
+"""The options that `panel` and `align` share: ``port host token_file no_token no_browser``."""
 
-
-def page_options(command: Callable[..., int]) -> Callable[..., int]:
-    """Add the options that `panel` and `align` share: ``port host token_file no_token no_browser``."""
-    for option in reversed(_PAGE):
-        command = option(command)
-    return command
-
-
-LEDGERS = click.option(
-    "--ledger",
-    "ledgers",
-    multiple=True,
-    metavar="FOLDER",
-    type=ExistingFolder(),
-    help="Read the ledger in this folder, not that of this bench. The folder is the configuration folder of another"
-    " bench, or a copy of it. Give the option several times to merge several benches.",
+run_options = together(
+    click.argument("folder", required=False, type=ExistingFolder()),
+    click.option("--serial", metavar="NUMBER", help="Only runs of the camera with this serial number."),
+    click.option(
+        "--since", type=MOMENT, metavar=MOMENT_FORM, help="Only runs that began at or after this time (UTC)."
+    ),
+    click.option(
+        "--until", type=MOMENT, metavar=MOMENT_FORM, help="Only runs that began before this time (UTC)."
+    ),
+    click.option("--sequence", help="Only runs whose sequence name contains this text."),
+    click.option(
+        "--ledger",
+        "ledgers",
+        multiple=True,
+        metavar="FOLDER",
+        type=ExistingFolder(),
+        help="Read the ledger in this folder, not that of this bench. The folder is the configuration folder of another"
+        " bench, or a copy of it. Give the option several times to merge several benches.",
+    ),
 )
-
-
-def filters_of(given: Mapping[str, Any]) -> dict[str, Any]:
-    """Return which runs the options name, as `bench.record.run_index.RunIndex.runs` takes it."""
-    moments = {
-        name: moment.replace(tzinfo=UTC) if (moment := given[name]) else None for name in ("since", "until")
-    }
-    return {"camera": given["serial"], **moments, "sequence": given["sequence"], "how": given.get("how")}
+"""What names runs, for `RunChoice.of`: ``folder serial since until sequence ledgers``."""
 
 
 @dataclass(frozen=True)
@@ -417,6 +415,16 @@ class RunChoice:
     # Configuration folders of the benches whose ledgers to merge; this bench's own where empty.
     ledgers: Sequence[Path]
     filters: Mapping[str, Any]  # As `bench.record.run_index.RunIndex.runs` takes them
+
+    @classmethod
+    def of(cls, given: Mapping[str, Any]) -> Self:
+        """Return the choice that `run_options` name, and with ``how`` the outcome."""
+        moments = {
+            name: moment.replace(tzinfo=UTC) if (moment := given[name]) else None
+            for name in ("since", "until")
+        }
+        filters = {"camera": given["serial"], "sequence": given["sequence"], "how": given.get("how")}
+        return cls(given["folder"], given["ledgers"], {**filters, **moments})
 
 
 def settings_of(texts: tuple[str, ...]) -> Mapping[str, str]:

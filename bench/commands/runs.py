@@ -13,18 +13,7 @@ from bench.base.encoding import counted
 from bench.base.errors import JournalBroken
 from bench.base.home import home_folder
 from bench.commands.ledger import ledger_findings
-from bench.commands.options import (
-    LEDGERS,
-    OF_CAMERA,
-    OF_SEQUENCE,
-    SINCE,
-    UNTIL,
-    ExistingFolder,
-    RunChoice,
-    command,
-    filters_of,
-    status_text,
-)
+from bench.commands.options import RunChoice, command, run_options, status_text
 from bench.commands.output import JSON, print_findings, show
 from bench.commands.workers import CountLine
 from bench.evidence.authorisations import known_authorisations, lost_authorisations
@@ -43,24 +32,19 @@ from bench.record.run_index import RunIndex, run_folders
         "0 runs shown, 1 a run is missing or was changed, or the ledger is broken{invalid}{ctrl_c}"
     ),
 )
-@click.argument("folder", required=False, type=ExistingFolder())
-@OF_CAMERA
-@SINCE
-@UNTIL
-@OF_SEQUENCE
+@run_options
 @click.option(
     "--how",
     type=click.Choice(["finished", "aborted", "failed", "running", "cut off"]),
     help="Only runs with this outcome or status.",
 )
-@LEDGERS
 @JSON
-def runs(folder: Path | None, ledgers: tuple[Path, ...], **given: Any) -> int:
+def runs(**given: Any) -> int:
     """List the runs in FOLDER; without FOLDER, all runs in the ledger of this bench.
 
     The command names runs that occur twice, are missing or were changed.
     """
-    choice = RunChoice(folder, ledgers, filters_of(given))
+    choice = RunChoice.of(given)
     if choice.ledgers:
         from bench.commands.history import find_runs
 
