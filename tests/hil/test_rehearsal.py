@@ -63,17 +63,17 @@ def journals(folder):
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(queue, tmp_path):
-    (tmp_path / "files" / "two.yaml").write_text(
-        QUEUE.replace("times: 3", "times: 2").partition("  - {name: b")[0]
+    (tmp_path / "files" / "short.yaml").write_text(
+        QUEUE.replace("times: 3", "times: 1").partition("  - {name: b")[0]
     )
-    two = read_queue(tmp_path / "files" / "two.yaml")
-    rehearsed(two, tmp_path / "one")
-    rehearsed(two, tmp_path / "again")
-    rehearsed(two, tmp_path / "other", seed=2)
+    short = read_queue(tmp_path / "files" / "short.yaml")
+    rehearsed(short, tmp_path / "one")
+    rehearsed(short, tmp_path / "again")
+    rehearsed(short, tmp_path / "other", seed=2)
     one, again, other = (journals(tmp_path / name) for name in ("one", "again", "other"))
     assert sorted(one) == [
         "journal.jsonl",
-        *(f"runs/{name}/journal.jsonl" for name in ("a-001", "a-002")),
+        "runs/a-001/journal.jsonl",
     ]
     assert one == again
     assert one["runs/a-001/journal.jsonl"] != other["runs/a-001/journal.jsonl"]

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import pickle
 import subprocess
 from datetime import UTC, datetime
 from pathlib import Path
@@ -15,6 +16,7 @@ from bench.evidence.signers import read_signers
 from bench.measure.kept_views import KeptViews
 from bench.record.journal import CAPTURE_STORED, Journal, capture_name
 from bench.record.run_folder import RunFolder
+from calib.engine import calibrate
 from tests.unit.bench.evidence.resealed import copied
 
 
@@ -38,6 +40,22 @@ def children(monkeypatch):
     started, real = [], subprocess.Popen
     monkeypatch.setattr(subprocess, "Popen", lambda *a, **k: started.append(real(*a, **k)) or started[-1])
     return started
+
+
+CALIBRATED = {}
+
+
+@pytest.fixture
+def calibrated_once(monkeypatch):
+    """The same views with the same options are calibrated once, for all tests that ask for this."""
+
+    def once(views, options):
+        key = hashlib.sha256(pickle.dumps((list(views), options))).digest()
+        if key not in CALIBRATED:
+            CALIBRATED[key] = calibrate(views, options)
+        return CALIBRATED[key]
+
+    monkeypatch.setattr("bench.solve.solution.calibrate", once)
 
 
 @pytest.fixture(scope="session")

@@ -19,7 +19,7 @@ from calib.boards.board import Board
 from calib.engine import calibrate
 from tests.unit.bench.evidence.resealed import Forger, copied, kinds
 
-CALIBRATED = {}
+pytestmark = pytest.mark.usefixtures("calibrated_once")
 
 
 @pytest.fixture(scope="module")
@@ -28,20 +28,6 @@ def results_once(points, tmp_path_factory, key):
     result = calibrate_paths([points], OfflineOptions(image_size=(1280, 720)))
     write_offline_results(result, folder, key)
     return folder
-
-
-@pytest.fixture(autouse=True)
-def _calibrated_once(monkeypatch):
-    """The same views with the same options are calibrated once, of a recalculation once a test."""
-
-    def once(views, options):
-        stars = b"".join(view.points_px.tobytes() + view.ids.tobytes() for view in views)
-        key = stars, repr([view.name for view in views]), repr(options)
-        if key not in CALIBRATED:
-            CALIBRATED[key] = calibrate(views, options)
-        return CALIBRATED[key]
-
-    monkeypatch.setattr("bench.solve.solution.calibrate", once)
 
 
 @pytest.fixture

@@ -157,14 +157,27 @@ def options(**given):
     return OfflineOptions.from_command_line(image_size="1280x720", **given)
 
 
-def test_the_folder_holds_results_report_exports_and_the_hashes_of_the_inputs(points, passport, tmp_path):
+@pytest.fixture(scope="module")
+def certified(points, passport):
+    """The calibration of the points with the passport."""
+    return calibrate_paths([points], options(passport=passport))
+
+
+@pytest.fixture(scope="module")
+def uncertified(points):
+    """The calibration of the points alone."""
+    return calibrate_paths([points], options())
+
+
+def test_the_folder_holds_results_report_exports_and_the_hashes_of_the_inputs(
+    points, passport, certified, tmp_path
+):
     out = tmp_path / "out"
-    result = calibrate_paths([points], options(passport=passport))
-    write_offline_results(result, out)
+    write_offline_results(certified, out)
     found = json.loads((out / "results.json").read_text())
     assert found["schema"] == "starbench/results/1"
     assert (found["run"]["offline"], found["run"]["simulated"]) == (True, False)
-    assert found["calibration"]["camera"] == result.calibration.to_dict()["camera"]
+    assert found["calibration"]["camera"] == certified.calibration.to_dict()["camera"]
     sources = json.loads((out / "sources.json").read_text())["sources"]
     assert sources == found["sources"]
     for source in sources:
@@ -184,9 +197,9 @@ def test_the_folder_holds_results_report_exports_and_the_hashes_of_the_inputs(po
     assert not (out / "SHA256SUMS").exists()
 
 
-def test_the_folder_is_sealed_and_says_that_it_is_a_recalculation(points, tmp_path, key, signers):
+def test_the_folder_is_sealed_and_says_that_it_is_a_recalculation(uncertified, tmp_path, key, signers):
     out = tmp_path / "out"
-    write_offline_results(calibrate_paths([points], options()), out, key)
+    write_offline_results(uncertified, out, key)
     run = json.loads((out / "results.json").read_text())["run"]
     assert run["sealed_by"] == {"principal": key.principal, "fingerprint": key.fingerprint}
     assert "a recalculation" in run["statement"]
@@ -220,7 +233,8 @@ OWN_TARGET = PLAIN + "target: {squares: [60, 80], pitch_mm: 4.0, tag_square: [20
 def test_metavision_s_json_describes_the_target_of_the_station(points, tmp_path):
     station = tmp_path / "station.yaml"
     station.write_text(OWN_TARGET)
-    write_offline_results(calibrate_paths([points], options(station=str(station))), tmp_path / "out")
+    result = calibrate_paths([points], options(station=str(station), model="planar"))
+    write_offline_results(result, tmp_path / "out")
     pattern = json.loads((tmp_path / "out" / "exports" / "metavision.json").read_text())["pattern"]
     assert (pattern["n_cols"], pattern["n_rows"], pattern["square_width"]) == (60, 80, 0.004)
 
@@ -228,7 +242,7 @@ def test_metavision_s_json_describes_the_target_of_the_station(points, tmp_path)
 def test_the_station_file_of_the_target_is_stated_with_its_hash(points, tmp_path, key):
     station, sources = tmp_path / "station.yaml", tmp_path / "out" / "sources.json"
     station.write_text(PLAIN)
-    result = calibrate_paths([points], options(station=str(station)))
+    result = calibrate_paths([points], options(station=str(station), model="planar"))
     write_offline_results(result, tmp_path / "out", key)
     described = json.loads(sources.read_text())
     hashed = hashlib.sha256(PLAIN.encode()).hexdigest()
@@ -267,20 +281,22 @@ def test_a_folder_with_anything_in_it_is_refused_before_anything_is_calibrated(p
     assert not (tmp_path / "results.json").exists()
 
 
-def test_a_passport_is_used_and_none_switches_it_off(points, passport):
-    assert calibrate_paths([points], options(passport=passport)).calibration.model == "joint"
-    assert calibrate_paths([points], options(passport="none")).passport is None
+def test_a_passport_is_used_and_none_switches_it_off(points, passport, certified):
+    assert certified.calibration.model == "joint"
+    assert certified.passport is not None
+    assert calibrate_paths([points], options(passport="none", model="spherical")).passport is None
     for model in ("spherical", "planar"):
         with pytest.raises(InputMismatch, match="method of reference: it uses no passport"):
             calibrate_paths([points], options(passport=passport, model=model))
 
 
-def test_one_view_without_a_passport_of_the_centre_says_what_one_would_give(points, passport, tmp_path):
+def test_one_view_without_a_passport_of_the_centre_says_what_one_would_give(
+    points, passport, uncertified, tmp_path
+):
     for given in (None, passport):
         with pytest.raises(DegenerateViews) as caught:
             calibrate_paths([points / "left.csv"], options(passport=given))
         assert ONE_VIEW in str(caught.value)
-    whole = calibrate_paths([points], options()).calibration.passport()
-    write_passport(tmp_path / "whole.json", whole)
+    write_passport(tmp_path / "whole.json", uncertified.calibration.passport())
     one = calibrate_paths([points / "left.csv"], options(passport=str(tmp_path / "whole.json")))
     assert one.calibration.sigma["fx"] < 0.02 * one.calibration.camera.fx

@@ -322,6 +322,7 @@ def test_a_passport_allows_that_another_camera_looks_through_the_glass_elsewhere
     assert max(over) < 1.3
 
 
+@pytest.mark.slow
 def test_passport_of_another_glass_is_named_and_its_uncertainty_covers_the_camera():
     """Glass of another type, whose radius happens to be the same: fx was 5 U wrong, the distortion 10 U."""
     other = polynomial.draw_world(52, "real", 1)

@@ -42,8 +42,15 @@ def test_a_well_corrected_collimator_may_be_out_of_focus(off_mm, defocus):
     assert 2.0 * result.sigma["fx"] < 20.0  # with errors as published prescriptions have them
 
 
-@pytest.mark.parametrize("focal_px", [3345.0, 1200.0])
-@pytest.mark.parametrize("beside_mm", [(6.0, -5.0), (-3.0, 7.0)])
+@pytest.mark.parametrize(
+    ("focal_px", "beside_mm"),
+    [
+        (3345.0, (6.0, -5.0)),
+        (1200.0, (-3.0, 7.0)),
+        pytest.param(3345.0, (-3.0, 7.0), marks=pytest.mark.slow),
+        pytest.param(1200.0, (6.0, -5.0), marks=pytest.mark.slow),
+    ],
+)
 def test_a_pupil_beside_the_roll_axis_does_not_pass_for_another_principal_point(focal_px, beside_mm):
     """Out of focus by 0.05, it moves the image by up to 5 px, along axes that turn with the camera."""
     bench = replace(WIDE, fx=focal_px, fy=focal_px, k=(0.02, -0.05))
@@ -68,7 +75,7 @@ class CurvedField(Bench):
         )
 
 
-@pytest.mark.parametrize("seed", [6, 7])
+@pytest.mark.parametrize("seed", [6, pytest.param(7, marks=pytest.mark.slow)])
 def test_field_curvature_beside_a_roll_axis_does_not_pass_for_another_principal_point(seed):
     """It turns with the camera. Without a term of its own, cx was 8 U wrong, or p1 and p2."""
     bench = CurvedField()

@@ -100,10 +100,11 @@ def test_places_of_the_pupil_are_a_row_of_the_budget_which_adds_up(optimum):
     assert (parts[PUPILS] > 0).all()
 
 
-def test_a_rim_that_differs_from_pose_to_pose_does_not_move_the_camera():
+@pytest.mark.parametrize("seeds", [(9, 17), pytest.param((9, 17, 36, 38), marks=pytest.mark.slow)])
+def test_a_rim_that_differs_from_pose_to_pose_does_not_move_the_camera(seeds):
     """Short arcs show the middles of the discs to millimetres only; what the rim does bends about them."""
     over = []
-    for seed in (9, 17, 36, 38):
+    for seed in seeds:
         bench = draw_bench("like-real", NINE, seed)
         found = calibrate(
             bench.views, CalibrationOptions(passport=Passport.of_radius(255.0, 0.05, length="seen"))
@@ -116,7 +117,7 @@ def test_a_rim_that_differs_from_pose_to_pose_does_not_move_the_camera():
             for name, u in expanded.items()
         ]
     assert max(over) < 1.6
-    assert np.mean(np.array(over) < 1.0) > 0.9
+    assert sum(share > 1.0 for share in over) <= 1
 
 
 def test_readings_beside_visible_discs_of_a_mount_moved_by_hand_give_a_covariance():

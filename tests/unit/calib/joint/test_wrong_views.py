@@ -110,7 +110,10 @@ def test_sound_views_are_not_doubted(count, seed, noise_px):
     assert doubts(bench(seed, noise_px, count)) == []
 
 
-@pytest.mark.parametrize(("world", "count"), [("polynomial", 3), ("product", 9), ("S1", 9), ("S2", 3)])
+@pytest.mark.parametrize(
+    ("world", "count"),
+    [("polynomial", 3), ("product", 9), pytest.param("S1", 9, marks=pytest.mark.slow), ("S2", 3)],
+)
 def test_right_ids_behind_a_real_collimator_are_not_doubted(world, count):
     drawn = WORLDS[world](705, count, 1, 0)
     assert doubts(views_of(drawn), options_for(drawn, "0")) == []
