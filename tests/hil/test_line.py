@@ -19,6 +19,7 @@ from bench.extras.panel.line import Line
 from bench.extras.panel.panel_app import panel_app
 from bench.record.events import Event
 from bench.web.token import PageToken
+from calib.model.cause import Cause
 
 PATIENCE_MS = 90_000
 SERIAL = "00050423"
@@ -141,6 +142,30 @@ def test_a_panel_without_a_line_has_no_such_page(tmp_path):
     with served(panel_app(tmp_path)) as server:
         begun = httpx.post(f"{server.url}api/line/begin", json={"serial": SERIAL}, headers=own(server))
         assert (begun.status_code, httpx.get(f"{server.url}line").status_code) == (404, 404)
+
+
+def test_what_a_person_did_stands_below_the_verdict(tmp_path, home, monkeypatch):
+    cause = Cause("computer stood still", 100.0, 60.0, unit="s").to_dict()
+    results = {
+        "conformity": {"passed": True, "rule": "", "statements": [], "reasons": []},
+        "causes": [cause],
+    }
+
+    class Ended:
+        """A run whose process has ended; it has told its results."""
+
+        def __init__(self, words, stdout, **_):
+            stdout.write(json.dumps({"results": results}).encode())
+
+        def poll(self):
+            return 0
+
+    made = line(tmp_path)
+    monkeypatch.setattr("bench.extras.panel.line.subprocess.Popen", Ended)
+    made.begin(SERIAL)
+    state = made.state()
+    assert state["word"] == "PASS"
+    assert state["lines"][1].startswith("This computer stood still for 60 s during the run")
 
 
 def test_a_line_without_limits_does_not_begin(tmp_path, home):
