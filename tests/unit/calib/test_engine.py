@@ -205,7 +205,7 @@ def test_the_data_choose_the_lens_beside_a_certificate_too():
     assert "The data chose the lens model fisheye." in calibrate(views, options).notes
 
 
-WIDE = {"fx": 420.0, "fy": 420.4, "poses": tuple((p, t) for t in (-20, 0, 20) for p in (-38, 0, 38))}
+WIDE = {"fx": 420.0, "fy": 420.4, "poses": tuple((p, t) for t in (-20, 20) for p in (-38, 0, 38))}
 
 
 @pytest.mark.parametrize(
@@ -234,7 +234,7 @@ def test_sigmas_of_stars_in_another_unit_change_the_result_little(noisy):
         assert other.sigma[name] == pytest.approx(plain.sigma[name], rel=0.3)
 
 
-@pytest.mark.parametrize("stretched", [0.95, 1.1])
+@pytest.mark.parametrize("stretched", [0.95, pytest.param(1.1, marks=pytest.mark.slow)])
 def test_pixels_that_are_not_square_are_named_and_the_focal_lengths_are_right(bench, stretched):
     """Images that a program has stretched along one direction."""
     views = [

@@ -13,7 +13,7 @@ from calib.model.rotation import euler_zxy
 from tests.support.drawn_benches import NINE, THREE, draw_bench
 
 BENCHES = [
-    pytest.param("ideal", THREE, {}, id="ideal"),
+    pytest.param("ideal", THREE, {}, id="ideal", marks=pytest.mark.slow),
     pytest.param("like-bench", THREE, {}, id="like-bench"),
     pytest.param("S3", THREE, {}, id="moved by hand", marks=pytest.mark.slow),
     pytest.param(

@@ -14,8 +14,11 @@ from tests.benchmarks.worlds.mistakes import MISTAKES, mistaken
         ("camera knocked by 0.3 degrees", "The camera turned in its mount between the poses"),
         ("focus ring turned by 3 degrees", "The focal length is 0.1"),
         ("pitch 4.2 instead of 4.0139 mm", "the pitch of the target is probably 0.95"),
-        ("sign of pan", "The sign of pan or of tilt is wrong in the station file"),
-        ("scale of pan 5 % off", "The pan axis turns 0.95"),
+        # These two are told in test_gimbal_readings.py too, of benches that take less time.
+        pytest.param(
+            "sign of pan", "The sign of pan or of tilt is wrong in the station file", marks=pytest.mark.slow
+        ),
+        pytest.param("scale of pan 5 % off", "The pan axis turns 0.95", marks=pytest.mark.slow),
     ],
 )
 def test_the_cause_is_named_first_and_nothing_right_is_accused(name, words):

@@ -16,7 +16,7 @@ from tests.support.drawn_benches import NINE, THREE, GimbalErrors, draw_bench
 
 CERTIFICATE_SIGMA_MM, SCALE_SIGMA, DRIFT_SIGMA = 0.05, 2e-4, 3e-5
 MIDDLE_PX = np.array([639.5, 359.5])
-BENCHES = 8
+BENCHES = 12
 
 
 @dataclass(frozen=True)
