@@ -23,12 +23,15 @@ from drivers.errors import DriverError
 
 
 def write_ended_page(folder: RunFolder, key: Callable[[], BenchKey], say: Callable[[str], None]) -> None:
-    """Write and sign the page. A page that cannot be written is said; the run has ended in any case."""
+    """Write and sign the page. A page that cannot be written is said; the run has ended in any case.
+
+    A run whose journal says that it finished has its report, even if that line could not be synced: it keeps it.
+    """
     from bench.report.html import render_ended
 
     try:
         run = StoredRun(folder.path)
-        if not run.history.ended:
+        if run.history.ended in {"", "finished"}:
             return
         way = way_on(run.history, folder.path)
         page = render_ended(run.history, way, run.head, NAMESPACE, refused_picture(run)).encode()

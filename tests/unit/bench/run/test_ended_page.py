@@ -80,6 +80,17 @@ def test_each_recording_shows_whether_it_was_accepted(folder, key):
     ]
 
 
+def test_a_run_whose_journal_says_that_it_finished_keeps_its_report(folder, key):
+    """Only the sync of that line had failed: the run ended as a failed one, and is sealed when it is resumed."""
+    with Journal.open(folder.journal_path, utc_now=lambda: NOW, monotonic=lambda: 0.0) as journal:
+        journal.append(Event.RUN_RESUMED, torn_bytes=0, software={})
+        journal.append(Event.RUN_ENDED, how="finished", why="", devices=[])
+    (folder.path / REPORT).write_text("the report")
+    write_ended_page(folder, lambda: key, pytest.fail)
+    assert (folder.path / REPORT).read_text() == "the report"
+    assert not (folder.path / PAGE_SIGNATURE).exists()
+
+
 def verified(folder, tmp_path):
     found = verify_folder(folder.path, read_signers(tmp_path / "home" / "allowed_signers"), now=NOW)
     assert not found.ok
