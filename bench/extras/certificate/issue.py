@@ -12,7 +12,7 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from bench.base.errors import EvidenceError
+from bench.base.errors import EvidenceError, UsageError
 from bench.evidence.keys import BenchKey
 from bench.evidence.ledger_check import own_public_keys
 from bench.evidence.seal import remove_unnamed
@@ -195,15 +195,27 @@ def complete_open(ledger: Ledger) -> list[str]:
 
 
 def finished_before(folder: Path, ledger: Ledger) -> Issued | None:
-    """Return the certificate that the same command completed before its line of the ledger could be written."""
+    """Return the certificate that the same command completed before its line of the ledger could be written.
+
+    A certificate that is in the ledger too is refused as one that needs nothing: only the sync of its line had failed.
+    """
     if not is_sealed(folder):
         return None
+    place = folder.absolute()
     with one_at_a_time(ledger.home):
         for number in complete_open(ledger):
             one = numbers(ledger.entries())[number]
-            certificate = finished_certificate(one) if Path(one.folder) == folder.absolute() else None
+            certificate = finished_certificate(one) if Path(one.folder) == place else None
             if certificate is not None:
-                return Issued(certificate, folder.absolute(), one.seal, (number,))
+                return Issued(certificate, place, one.seal, (number,))
+        for one in numbers(ledger.entries()).values():
+            if one.how == "issued" and Path(one.folder) == place and one.seal == sha256_of(place / MANIFEST):
+                raise UsageError(
+                    f"This folder is the certificate {one.number}, which is issued and in the ledger.",
+                    where=str(folder),
+                    remedy="Nothing is missing, even if the command before ended with an error. For another"
+                    " certificate, choose another --output.",
+                )
     return None
 
 

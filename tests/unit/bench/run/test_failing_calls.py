@@ -13,7 +13,7 @@ from certificate_sample import NOW
 from failing_calls import FailingCalls, Tally, each_call
 from virtual_bench import VirtualBench
 
-from bench.base.errors import BenchError
+from bench.base.errors import BenchError, UsageError
 from bench.evidence.authorisation import authorise
 from bench.evidence.key_rotation import rotate
 from bench.evidence.key_trust import read_trust
@@ -129,7 +129,10 @@ def each_goes_on(tmp_path, step, prepare, do, check):
 @EACH
 def test_whichever_call_of_an_issue_fails_the_same_command_ends_it_with_the_same_number(tmp_path, step):
     def issued(lab, *, done):
-        if not done:
+        if not done and lab.numbers() == {FIRST: "issued"}:  # the line is there, its sync had failed
+            with pytest.raises(UsageError, match=f"This folder is the certificate {FIRST}, which is issued"):
+                lab.issue()
+        elif not done:
             lab.issue()
         assert lab.numbers() == {FIRST: "issued"}
         (one,) = numbers(lab.ledger.entries()).values()
