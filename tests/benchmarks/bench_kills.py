@@ -13,6 +13,7 @@ import json
 import os
 import random
 import signal
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -114,7 +115,7 @@ class ACertificate:
 
 def kills_of(kind: type[ARun | ACertificate], kills: int, folder: Path, chance: random.Random) -> str:
     """Kill a work so often, anywhere in the time that it takes; return the row of the table."""
-    undisturbed = kind(folder / "undisturbed")
+    undisturbed = kind(folder / f"{kind.name}-undisturbed")
     begun = time.monotonic()
     undisturbed.work()
     takes_s = time.monotonic() - begun
@@ -134,24 +135,23 @@ def kills_of(kind: type[ARun | ACertificate], kills: int, folder: Path, chance: 
     return f"| {kind.name} | {killed} | {killed - len(fallen)} | {len(fallen)} | |"
 
 
-def workers_of(folder: Path) -> list[int]:
-    """Return the processes that work on a run of a batch."""
-    found = []
-    for process in Path("/proc").iterdir():
-        if process.name.isdigit():
-            try:
-                words = (process / "cmdline").read_bytes()
-            except OSError:
-                continue
-            if str(folder / "runs").encode() in words:
-                found.append(int(process.name))
-    return found
+def children(pid: int) -> list[int]:
+    """Return the processes that a process has begun."""
+    return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
-def seconds_alone(folder: Path) -> float:
+def has_ended(pid: int) -> bool:
+    """Return whether a process is gone, or waits for its parent only."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
+
+
+def seconds_alone(workers: list[int]) -> float:
     """Wait until no worker of a batch is left; return how long that took."""
     begun = time.monotonic()
-    while workers_of(folder) and time.monotonic() - begun < ALONE_S:
+    while not all(map(has_ended, workers)) and time.monotonic() - begun < ALONE_S:
         time.sleep(0.02)
     return time.monotonic() - begun
 
@@ -171,9 +171,11 @@ def batch(kills: int, folder: Path, chance: random.Random) -> str:
             try:
                 process.wait(chance.uniform(1.0, 15.0))
             except subprocess.TimeoutExpired:
+                workers = children(process.pid)
                 process.kill()
                 killed += 1
-                alone_s.append(seconds_alone(night))
+                if workers:
+                    alone_s.append(seconds_alone(workers))
         out, err = process.communicate()
         for run in sorted((night / "runs").glob("cam-?-001")):
             now = [e["sha256"] for e in journal(run) if e["event"] == "capture_stored"]
@@ -193,7 +195,11 @@ def batch(kills: int, folder: Path, chance: random.Random) -> str:
             fallen.append(verified.stdout + verified.stderr)
     for text in fallen:
         print(f"batch: {text}", file=sys.stderr)
-    alone = f"{sorted(alone_s)[len(alone_s) // 2]:.1f} s, at most {max(alone_s):.1f} s" if alone_s else ""
+    alone = (
+        f"{len(alone_s)} workers: {statistics.median(alone_s):.1f} s, at most {max(alone_s):.1f} s"
+        if alone_s
+        else ""
+    )
     return f"| batch | {killed} | {killed - len(fallen)} | {len(fallen)} | {alone} |"
 
 
