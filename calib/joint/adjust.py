@@ -7,6 +7,7 @@ from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import zip_longest
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotCo
 from calib.joint import amplitudes as amp
 from calib.joint.effects import rim
 from calib.joint.effects.by_turn import Aside, Parallax
+from calib.joint.effects.collimator import CENTRE
 from calib.joint.effects.effect import Circumstances, PoseBasis
 from calib.joint.equations import Bench, State, ViewStars, sines_of, turns_of
 from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
@@ -69,8 +71,8 @@ _OTHER_RADIUS, _CLEARLY = 0.1, 6.0
 #: pixels are not square.
 _OTHER_STATE = 0.02
 #: Near the optimum pixels are square to .3 % only, so that images that were stretched are found.
-_NEARLY_SQUARE = ((ASPECT, "10 times"),)
-#: A search that ends so far from its start, as a share of the focal length, begins again.
+_NEARLY_SQUARE, _STRETCHED = ((ASPECT, "10 times"),), ((ASPECT, WRONG),)
+#: A search that ends so far from its start, as a share of focal length or radius, begins again.
 _FAR_START = 0.05
 #: Focal lengths of further starts, as shares of the image's diagonal: octaves from a wide-angle lens to a telephoto
 #: lens. A search finds the optimum from .5 to 1.4 times the true one.
@@ -83,6 +85,14 @@ _AS_NEIGHBOURS, _AS_STATED = 1.15, 3.0
 _COMPARISON_STARS = 50
 #: Limit of the stars' weights, in sigmas, so that none counts as an outlier.
 _WIDE = 1e3
+
+
+class _End(NamedTuple):
+    """The end of a search."""
+
+    optimum: Optimum
+    near: State  # What the views alone show, near the optimum
+    begin: tuple[Problem, State]
 
 
 def lens_names(chosen: Sequence[str]) -> tuple[str, ...]:
@@ -213,7 +223,7 @@ def _adjusted(
     if seen.discs and (options.gimbal is None or options.gimbal.parallax is None):
         seen = seen._replace(pupil=pupil or shown_way(seen.discs))
     try:
-        found, near = _best_searched(views, options, lens, start, seen)
+        end = _best_searched(views, options, lens, start, seen)
     except (NotConverged, np.linalg.LinAlgError) as error:
         why = explain_weak_geometry(views, start)
         if not why:
@@ -222,7 +232,7 @@ def _adjusted(
             f"These views do not determine the camera. {why}",
             remedy="Add views turned about other axes, with the stars elsewhere in the image.",
         ) from error
-    return _without_wrong_certificate(found, near, options)
+    return _without_wrong_certificate(end.optimum, end.near, options)
 
 
 def _thinned(view: View) -> View:
@@ -328,33 +338,32 @@ def _best_searched(
     lens: tuple[str, ...],
     start: AdjustmentParameters,
     seen: Poses,
-) -> tuple[Optimum, State]:
-    """Return the most probable end of searches, as `_searched`: from the closed form, and from another start.
+) -> _End:
+    """Return the most probable end of searches: from the closed form, and from another start.
 
     A closed form follows the errors of a collimator along what the views hardly determine, focal length and radius in
     proportion, and can end at eight times the camera. If its end leaves the stars or the readings unexplained, the best
     start with a held radius is followed, too. Nothing is blamed or left out before.
     """
     failed: Exception | None = None
-    first: tuple[Optimum, State] | None = None
+    best: _End | None = None
     try:
-        first = _searched(views, options, lens, start, seen)
-        if _explains(first[0], views):
-            return first
+        best = _searched(views, options, lens, start, seen)
+        if _explains(best.optimum, views):
+            return _begun_again(best, options)
     except (NotConverged, np.linalg.LinAlgError) as error:
         failed = error
     few = [_thinned(view) for view in views]
     held = _held_starts(few, options, lens, start)
     if held:
-        best = min(held, key=lambda one: _value_at(posed(few, options, one, lens, seen)))
+        other = min(held, key=lambda one: _value_at(posed(few, options, one, lens, seen)))
         with suppress(NotConverged, np.linalg.LinAlgError):
-            second = _searched(views, options, lens, best, seen)
-            if first is None or value_as_weighed(second[0], first[0]) < first[0].solution.value:
-                return second
-    if first is None:
+            second = _searched(views, options, lens, other, seen)
+            best = second if best is None else _better(best, second)
+    if best is None:
         assert failed is not None
         raise failed
-    return first
+    return _begun_again(best, options)
 
 
 def _explains(found: Optimum, views: Sequence[View]) -> bool:
@@ -368,30 +377,68 @@ def _explains(found: Optimum, views: Sequence[View]) -> bool:
     return np.sqrt(found.solution.star_variance) <= _AS_NEIGHBOURS * local and reading <= _AS_STATED
 
 
+def _better(first: _End, second: _End) -> _End:
+    """Return the more probable of two ends."""
+    value = value_as_weighed(second.optimum, first.optimum)
+    return second if value < first.optimum.solution.value else first
+
+
+def _begun_again(end: _End, options: CalibrationOptions) -> _End:
+    """Return the more probable end if the centre went far: the second begins with errors as large as the first shows.
+
+    Where the distortion is larger than expected, the centre takes it up.
+    """
+    problem, state = end.begin
+    centre = problem.bench.layout.places(CENTRE)
+    moved = np.abs(end.optimum.state.shared[centre] - end.near.shared[centre]).max()
+    if moved <= _FAR_START * problem.bench.layout.basis.reference[2]:
+        return end
+    try:
+        again = search(problem, state, options.max_iterations, end.optimum.eta)
+    except NotConverged:
+        return end
+    iterations = end.optimum.iterations + again.iterations
+    return _better(end, end._replace(optimum=replace(again, iterations=iterations)))
+
+
 def _searched(
     views: Sequence[View],
     options: CalibrationOptions,
     lens: tuple[str, ...],
     start: AdjustmentParameters,
     seen: Poses,
-) -> tuple[Optimum, State]:
-    """Return the optimum, and the state near it that the views alone show.
+) -> _End:
+    """Return the end of a search.
 
     Fields that grew far from the optimum may keep the search from it. Then it begins again where it ended.
     """
-    problem, state = posed(views, options, start, lens, seen)
-    near = _approached(problem, state, views, options)
-    begin = _posed_at(near, problem, views, options, start, seen)
-    if abs(near.shared[0] / near.shared[1] - 1.0) > _OTHER_STATE:
-        return search_with_fault(*begin, ((ASPECT, WRONG),), options.max_iterations), near
-    found = search(*begin, options.max_iterations)
+    begin = posed(views, options, start, lens, seen)
+    near = _approached(*begin, views, options)
+    found = _square_or_stretched(*_posed_at(near, begin[0], views, options, start, seen), options)
     away = np.abs(found.state.shared[:2] / near.shared[:2] - 1.0).max()
     if away > _FAR_START:
-        begin = _posed_at(found.state, found.marginal.problem, views, options, start, seen)
+        there = _posed_at(found.state, found.marginal.problem, views, options, start, seen)
         with suppress(NotConverged):  # the first end stands
-            again = search(*begin, options.max_iterations)
+            again = search(*there, options.max_iterations)
             found = replace(again, iterations=found.iterations + again.iterations)
-    return found, near
+    return _End(found, near, begin)
+
+
+def _square_or_stretched(problem: Problem, near: State, options: CalibrationOptions) -> Optimum:
+    """Return the optimum near a state. Where that has no square pixels, images may have been stretched."""
+    rounds = options.max_iterations
+    stretched = abs(near.shared[0] / near.shared[1] - 1.0) > _OTHER_STATE
+    try:
+        found = search(problem, near, rounds)
+    except NotConverged:
+        if not stretched:
+            raise
+        return search_with_fault(problem, near, _STRETCHED, rounds)
+    if stretched:
+        with suppress(NotConverged, np.linalg.LinAlgError):
+            there = beside(found, _STRETCHED, rounds, near)
+            return there if odds_of(there, _STRETCHED, found) > 1.0 else found
+    return found
 
 
 def _posed_at(

@@ -28,7 +28,7 @@ from calib.joint.effects.by_turn import ASIDE
 from calib.joint.effects.collimator import CENTRE, RADIAL
 from calib.joint.effects.effect import Places
 from calib.joint.effects.gimbal import GimbalErrors
-from calib.joint.knowledge import Statement
+from calib.joint.knowledge import ASPECT, Statement
 from calib.joint.places import narrowed
 from calib.joint.posterior import Modes, OtherWay, Posterior, modes_of, posterior
 from calib.joint.prior import block_diagonal
@@ -40,7 +40,8 @@ from calib.view import View
 #: From this 2 log of the odds by the discs on, one way has a probability of less than 2 %, and is left out. The stars
 #: count at most as much: neither way has all errors that there are, and a search can end at the wrong place.
 _DECIDED = 8.0
-#: A bound is doubted if some statement is wrong with this probability: a hand contradicts several by many sigma.
+#: A bound is doubted if some statement is wrong with this probability: a hand contradicts several by many sigma. It
+#: makes no pixel oblong.
 _CONTRADICTED = 0.5
 #: Probability that a hand moves the camera of a station that bounds the parallax of a gimbal.
 _BY_HAND = 0.02
@@ -129,7 +130,8 @@ def with_doubted_bound(
     Ids of a view that are shifted imitate a hand. If they explain more, the bound holds.
     """
     bounded = options.gimbal is not None and options.gimbal.parallax is not None
-    contradicted = max(held.faults.values(), default=0.0) >= _CONTRADICTED
+    faults = (probability for name, probability in held.faults.items() if name != ASPECT)
+    contradicted = max(faults, default=0.0) >= _CONTRADICTED
     if not (bounded and contradicted and held.optimum.marginal.problem.bench.discs):
         return held
     try:
