@@ -395,7 +395,7 @@ def _begun_again(end: _End, options: CalibrationOptions) -> _End:
         return end
     try:
         again = search(problem, state, options.max_iterations, end.optimum.eta)
-    except NotConverged:
+    except (NotConverged, np.linalg.LinAlgError):
         return end
     iterations = end.optimum.iterations + again.iterations
     return _better(end, end._replace(optimum=replace(again, iterations=iterations)))
@@ -430,7 +430,7 @@ def _square_or_stretched(problem: Problem, near: State, options: CalibrationOpti
     stretched = abs(near.shared[0] / near.shared[1] - 1.0) > _OTHER_STATE
     try:
         found = search(problem, near, rounds)
-    except NotConverged:
+    except (NotConverged, np.linalg.LinAlgError):
         if not stretched:
             raise
         return search_with_fault(problem, near, _STRETCHED, rounds)
