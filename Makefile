@@ -56,7 +56,7 @@ demo: $(VENV)/installed ## the main job on the simulated bench: three poses to a
 	@$(BIN)/starbench run sequences/three_pose.yaml --station simulated --seed $(SEED) --output "$(OUTPUT)-$$(date -u +%Y%m%d-%H%M%S)"
 
 night: $(VENV)/installed ## rehearse a night of sixty runs on a virtual clock; one of them fails, as it is meant to
-	@$(BIN)/starbench rehearse sequences/night/queue.yaml --begin 2026-03-01T19:30 --quiet --output "runs/night-$$(date -u +%Y%m%d-%H%M%S)"; test $$? -le 1
+	@$(BIN)/starbench rehearse sequences/night/queue.yaml --begin 2026-03-01T19:30 --output "runs/night-$$(date -u +%Y%m%d-%H%M%S)"; test $$? -le 1
 
 test: $(VENV)/installed-dev lint types ## every check that CI runs
 	$(BIN)/pytest -n 3 --dist worksteal -m "not slow" --durations=40

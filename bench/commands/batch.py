@@ -76,9 +76,8 @@ def batch(queue: Path, output: Path) -> int:
     show_default=True,
     help="Random seed of the rehearsed devices.",
 )
-@click.option("--quiet", is_flag=True, help="Print only the summary.")
 @JSON
-def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int, quiet: bool) -> int:
+def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int) -> int:
     """Rehearse the night of a QUEUE file on a virtual clock, without devices and without waiting.
 
     The journals and the summary have the same form as those of a real night.
@@ -94,7 +93,7 @@ def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int, quiet
         output,
         begin=begin_utc(read.value, begin),
         seed=seed,
-        say=lambda line: None if quiet else click.echo(line, err=True),
+        say=lambda line: click.echo(line, err=True),
     )
     status = show_summary(output, summary)
     took_s = time.monotonic() - started_s

@@ -16,7 +16,6 @@ from bench.base.program import forms
 from bench.commands.options import (
     ALLOWED_SIGNERS,
     TSA_CERTIFICATES,
-    ExistingFile,
     OutputFolder,
     RunFolder,
     command,
@@ -55,11 +54,6 @@ _WORDS = {"ok": "verified", "incomplete": "not compared completely", "failed": "
 )
 @click.argument("folders", metavar="FOLDER...", nargs=-1, required=True, type=RunFolder(journal=False))
 @ALLOWED_SIGNERS
-@click.option(
-    "--revoked-keys",
-    type=ExistingFile(),
-    help="File of revoked keys.  [default: the one beside the trusted keys]",
-)
 @TSA_CERTIFICATES
 @click.option(
     "--at",
@@ -86,7 +80,6 @@ _WORDS = {"ok": "verified", "incomplete": "not compared completely", "failed": "
 def verify(
     folders: tuple[Path, ...],
     allowed_signers: Path | None,
-    revoked_keys: Path | None,
     tsa_certificates: Path | None,
     at: datetime | None,
     serial: str | None,
@@ -96,16 +89,12 @@ def verify(
 ) -> int:
     """Check sealed FOLDERs: runs, certificates or recalculated results.
 
-    The command checks the signatures, every file, the journal and the ledger. It does not compare numbers. With --again
-    it makes the results again from the recordings, and compares every number and file: use it if the numbers matter.
+    The command checks the signatures, every file, the journal and the ledger. A key in the file revoked_keys beside the
+    trusted keys is refused. The command does not compare numbers. With --again it makes the results again from the
+    recordings, and compares every number and file: use it if the numbers matter.
     Several folders are checked at the same time, on all processors.
     """
-    trust = read_trust(
-        home_folder(),
-        allowed_signers=allowed_signers,
-        revoked_keys=revoked_keys,
-        tsa_certificates=tsa_certificates,
-    )
+    trust = read_trust(home_folder(), allowed_signers=allowed_signers, tsa_certificates=tsa_certificates)
     moment = at.replace(tzinfo=UTC) if at else None
     if len(folders) > 1 or isinstance(workers, str) or output:
         who = open_workers(workers, most=len(folders))

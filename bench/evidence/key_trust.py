@@ -28,17 +28,13 @@ class Trust:
 
 
 def read_trust(
-    home: Path,
-    *,
-    allowed_signers: Path | None = None,
-    revoked_keys: Path | None = None,
-    tsa_certificates: Path | None = None,
+    home: Path, *, allowed_signers: Path | None = None, tsa_certificates: Path | None = None
 ) -> Trust:
-    """Read whom the reader trusts, from the configuration folder or named files, with ``revoked_keys`` beside them."""
+    """Read whom the reader trusts, from ``home`` or named files. ``revoked_keys`` lies beside the trusted keys."""
     signers = allowed_signers or home / SIGNERS_FILE
     return Trust(
         read_signers(signers),
-        read_revoked(revoked_keys or signers.parent / REVOKED_FILE),
+        read_revoked(signers.parent / REVOKED_FILE),
         read_authorities(home, tsa_certificates),
     )
 
