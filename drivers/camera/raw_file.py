@@ -22,8 +22,8 @@ from drivers.camera.raw_header import RawHeader, parse_header
 from drivers.camera.raw_writer import reason
 from drivers.errors import NotARecording, RecordingFileError
 
-_WORDS_READ: Final = 1 << 18
-"""Words of a piece where the events go into arrays of their own, which no cache holds: fewer pieces cost less."""
+_READ_ONCE_BYTES: Final = 1 << 24
+"""Size of a file up to which its words stay in memory between their count and their decoding."""
 
 
 @dataclass(frozen=True)
@@ -127,10 +127,9 @@ class RawFile:
     def read(self) -> tuple[Events, Triggers]:
         """Decode all events and triggers, which takes 13 bytes of memory an event; errors as ``pieces``."""
         decoder, triggers, n = self.decoder(), [], 0
-        events = empty_events(
-            MARGIN + sum(max_event_count(words) for words in self.words(piece_words=_WORDS_READ))
-        )
-        for words in self.words(piece_words=_WORDS_READ):
+        pieces = list(self.words()) if self._size() <= _READ_ONCE_BYTES else None
+        events = empty_events(MARGIN + sum(max_event_count(words) for words in pieces or self.words()))
+        for words in pieces or self.words():
             n, edges = decoder.decode_into(words, events, n)
             triggers.append(edges)
         return events.part(0, n), join_triggers(triggers)
