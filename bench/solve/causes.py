@@ -195,7 +195,7 @@ def _against_station(job: Job, calibration: Calibration, seen: _Seen) -> Iterato
     expected = job.station.expected
     if expected is None:
         return
-    stars = _expected_stars(job, calibration)
+    stars = expected_stars(job, calibration)
     counted = (statistics.median(seen.stars.values()), stars) if stars and seen.stars else None
     noise = calibration.rms_px / math.sqrt(2.0), max(expected.star_sigma_px, expected.collimator.rms_px)
     weak = [
@@ -205,7 +205,7 @@ def _against_station(job: Job, calibration: Calibration, seen: _Seen) -> Iterato
     yield from weak[:1]
 
 
-def _expected_stars(job: Job, calibration: Calibration) -> float | None:
+def expected_stars(job: Job, calibration: Calibration) -> float | None:
     """Return the median number of stars that the station expects of a pose of the plan."""
     poses = {str(pose.name): engine_angles_deg(pose.angles_deg) for pose in job.plan.poses}
     try:

@@ -143,7 +143,7 @@ def test_a_station_that_expects_no_lens_has_that_of_the_last_run():
     ],
 )
 def test_the_first_run_of_a_bench_has_what_its_station_expects(monkeypatch, seen, kind, words):
-    monkeypatch.setattr("bench.solve.causes._expected_stars", lambda *_: 600.0)
+    monkeypatch.setattr("bench.solve.causes.expected_stars", lambda *_: 600.0)
     found = causes(first=True, **seen)
     assert [one.kind for one in found] == [kind] * bool(kind)
     assert all(words in sentence_of(one) for one in found)
