@@ -119,7 +119,7 @@ def test_picture_and_star_positions_agree_through_a_real_collimator():
         optics=OpticsTruth(psf_px=0.0, gradient_x=0.0, gradient_y=0.0, black=0.0),
     )
     image = optics.render(truth, TURN)
-    x, y = np.meshgrid(np.arange(20.0, 180.0, 0.1), np.arange(60.0, 220.0, 0.1))
+    x, y = np.meshgrid(np.arange(20.0, 180.0, 0.06), np.arange(60.0, 220.0, 0.06))
     points = np.column_stack([x.ravel(), y.ravel()])
     printed = optics.TARGET.reflectance(*points.T)
 
