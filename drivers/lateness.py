@@ -76,12 +76,18 @@ class Lateness:
     def lost_s(self) -> float:
         """Return the time that this process has lost since it began to measure, s, with a delay that still lasts."""
         with self._noting:
-            overdue_s = 0.0 if self._held else self._now_s() - self._due_s
+            overdue_s = self._overdue_s()
             return self._lost_s + (overdue_s if overdue_s > NOTED_S else 0.0)
 
     def summary(self) -> LatenessData:
         """Return the lateness for a journal."""
-        return {"lost_s": round(self.lost_s(), 3), "longest_s": round(self.longest_s, 3), "load": _load()}
+        with self._noting:
+            longest_s = max(self.longest_s, self._overdue_s())
+        return {"lost_s": round(self.lost_s(), 3), "longest_s": round(longest_s, 3), "load": _load()}
+
+    def _overdue_s(self) -> float:
+        """Return the delay that still lasts, s: after a sleep, another thread may run before that which measures."""
+        return 0.0 if self._held else self._now_s() - self._due_s
 
 
 def _load() -> float | None:

@@ -5,7 +5,7 @@ import pytest
 from drivers import lateness
 from drivers.clock import SystemClock
 from drivers.errors import ReplyTimeout
-from drivers.lateness import Deadline, Lateness, follow_clock, follow_no_clock
+from drivers.lateness import PERIOD_S, Deadline, Lateness, follow_clock, follow_no_clock
 from drivers.link import TRIES, TRIES_WHEN_LATE, repeat
 from tests.unit.drivers.conftest import CountedLink
 
@@ -151,3 +151,10 @@ def test_a_makers_software_that_holds_the_interpreter_is_no_busy_computer():
     measured.woken()  # 2.75 s, due 2.72
     assert measured.longest_s == pytest.approx(0.03)
     assert measured.lost_s() == pytest.approx(0.03 + 0.23)
+
+
+def test_a_sleep_is_told_before_the_thread_that_measures_it_has_run():
+    clock = [0.0]
+    lateness = Lateness(lambda: clock[0])
+    clock[0] = 14.0 + PERIOD_S
+    assert lateness.summary()["longest_s"] == pytest.approx(14.0)
