@@ -24,7 +24,8 @@ from calib.model.result_parts import Witness
 from calib.model.rotation import exp_map
 from calib.view import View
 
-_WEAK_FOCAL_SIGMA = 0.01
+#: A focal length is poorly known from this share on, by its U.
+_WEAK_FOCAL = 0.02
 #: Which length a certificate states is open if the less probable one has this share: beyond it, U depends on both.
 _OPEN = 0.1
 #: If these have this share of the variance of fx, it rests on how large errors are expected. With a certificate it is
@@ -163,15 +164,13 @@ def _denied(found: Posterior) -> str:
 
 def _weakness(result: Calibration, found: Posterior) -> str:
     """Return a note if a focal length is poorly determined."""
-    sigma = result.sigma
-    relative = {name: sigma[name] / getattr(result.camera, name) for name in ("fx", "fy")}
+    relative = {name: result.U[name] / getattr(result.camera, name) for name in ("fx", "fy")}
     name = max(relative, key=lambda one: relative[one])
-    if relative[name] < _WEAK_FOCAL_SIGMA:
+    if relative[name] < _WEAK_FOCAL:
         return ""
-    k = result.coverage_factors[name]
     free = _free_unknown(found, 0)
     return (
-        f"Weak geometry: {name} is known only to ±{100.0 * k * relative[name]:.1f} % (k = {k:.1f}). "
+        f"Weak geometry: {name} is known only to ±{100.0 * relative[name]:.1f} % (95 %). "
         f"{_BINDS[free][0].upper()}{_BINDS[free][1:]} would bind it."
     )
 
