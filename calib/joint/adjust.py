@@ -19,7 +19,6 @@ from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotCo
 from calib.joint import amplitudes as amp
 from calib.joint.effects import rim
 from calib.joint.effects.by_turn import Aside, Parallax
-from calib.joint.effects.collimator import CENTRE
 from calib.joint.effects.effect import Circumstances, PoseBasis
 from calib.joint.equations import Bench, State, ViewStars, sines_of, turns_of
 from calib.joint.fields import FIELD_RADIUS, FieldBasis, basis_of
@@ -72,7 +71,7 @@ _OTHER_RADIUS, _CLEARLY = 0.1, 6.0
 _OTHER_STATE = 0.02
 #: Near the optimum pixels are square to .3 % only, so that images that were stretched are found.
 _NEARLY_SQUARE, _STRETCHED = ((ASPECT, "10 times"),), ((ASPECT, WRONG),)
-#: A search that ends so far from its start, as a share of focal length or radius, begins again.
+#: A search that ends so far from its start, as a share of the focal length, begins again.
 _FAR_START = 0.05
 #: Focal lengths of further starts, as shares of the image's diagonal: octaves from a wide-angle lens to a telephoto
 #: lens. A search finds the optimum from .5 to 1.4 times the true one.
@@ -92,7 +91,6 @@ class _End(NamedTuple):
 
     optimum: Optimum
     near: State  # What the views alone show, near the optimum
-    begin: tuple[Problem, State]
 
 
 def lens_names(chosen: Sequence[str]) -> tuple[str, ...]:
@@ -350,7 +348,7 @@ def _best_searched(
     try:
         best = _searched(views, options, lens, start, seen)
         if _explains(best.optimum, views):
-            return _begun_again(best, options)
+            return best
     except (NotConverged, np.linalg.LinAlgError) as error:
         failed = error
     few = [_thinned(view) for view in views]
@@ -363,7 +361,7 @@ def _best_searched(
     if best is None:
         assert failed is not None
         raise failed
-    return _begun_again(best, options)
+    return best
 
 
 def _explains(found: Optimum, views: Sequence[View]) -> bool:
@@ -383,24 +381,6 @@ def _better(first: _End, second: _End) -> _End:
     return second if value < first.optimum.solution.value else first
 
 
-def _begun_again(end: _End, options: CalibrationOptions) -> _End:
-    """Return the more probable end if the centre went far: the second begins with errors as large as the first shows.
-
-    Where the distortion is larger than expected, the centre takes it up.
-    """
-    problem, state = end.begin
-    centre = problem.bench.layout.places(CENTRE)
-    moved = np.abs(end.optimum.state.shared[centre] - end.near.shared[centre]).max()
-    if moved <= _FAR_START * problem.bench.layout.basis.reference[2]:
-        return end
-    try:
-        again = search(problem, state, options.max_iterations, end.optimum.eta)
-    except (NotConverged, np.linalg.LinAlgError):
-        return end
-    iterations = end.optimum.iterations + again.iterations
-    return _better(end, end._replace(optimum=replace(again, iterations=iterations)))
-
-
 def _searched(
     views: Sequence[View],
     options: CalibrationOptions,
@@ -412,16 +392,16 @@ def _searched(
 
     Fields that grew far from the optimum may keep the search from it. Then it begins again where it ended.
     """
-    begin = posed(views, options, start, lens, seen)
-    near = _approached(*begin, views, options)
-    found = _square_or_stretched(*_posed_at(near, begin[0], views, options, start, seen), options)
+    problem, state = posed(views, options, start, lens, seen)
+    near = _approached(problem, state, views, options)
+    found = _square_or_stretched(*_posed_at(near, problem, views, options, start, seen), options)
     away = np.abs(found.state.shared[:2] / near.shared[:2] - 1.0).max()
     if away > _FAR_START:
         there = _posed_at(found.state, found.marginal.problem, views, options, start, seen)
         with suppress(NotConverged):  # the first end stands
             again = search(*there, options.max_iterations)
             found = replace(again, iterations=found.iterations + again.iterations)
-    return _End(found, near, begin)
+    return _End(found, near)
 
 
 def _square_or_stretched(problem: Problem, near: State, options: CalibrationOptions) -> Optimum:

@@ -92,12 +92,9 @@ class Optimum:
         return float(np.sqrt(1.0 + explained / (fields.size * self.solution.star_variance)))
 
 
-def search(problem: Problem, start: State, rounds: int, eta: Array | None = None) -> Optimum:
-    """Return the optimum after at most ``rounds`` linearisations; `NotConverged` if the equations cannot be solved.
-
-    ``eta``: (A,) logarithms of the amplitudes to begin with; small errors if none are known.
-    """
-    eta, state = first_amplitudes(problem, start) if eta is None else eta, start
+def search(problem: Problem, start: State, rounds: int) -> Optimum:
+    """Return the optimum after at most ``rounds`` linearisations; `NotConverged` if the equations cannot be solved."""
+    eta, state = first_amplitudes(problem, start), start
     equations, short_steps, pace = first_equations(problem, start), 0, _Pace(np.zeros(len(eta)))
     for k in range(rounds):
         marginal = Marginal(problem, equations, state)
