@@ -164,7 +164,9 @@ def main(arguments: list[str] | None = None) -> None:
     from bench.base.encoding import replace_unencodable
     from bench.base.kernel_cache import remove_stale_kernels, set_kernel_cache
     from bench.base.lost_output import protect_output
+    from bench.base.supervised import end_with_supervisor
 
+    end_with_supervisor()
     protect_output()
     set_kernel_cache(os.environ)
     remove_stale_kernels()

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from bench.base.clock import BenchClock
+from bench.base.supervised import outlive_supervisor, supervisor
 from bench.record import events
 from bench.record.run_log import RunLog
 from bench.record.storage import TEMPORARY, storage_errors
@@ -20,8 +21,6 @@ from bench.run.processes import start_ticks, thread_waits_for_disk
 
 CONTROL = "control"
 HEARTBEAT = ".heartbeat"
-SUPERVISOR = "STARBENCH_SUPERVISOR"
-"""Environment variable: process id of the supervisor of this process."""
 STALL_LIMIT_S = 0.5
 """Work that used its clock longer ago than this has stalled, s. Drivers use the clock 20 times a second."""
 SLOW_STALL_LIMIT_S = 600.0
@@ -57,7 +56,8 @@ class HeartbeatWriter:
         self._state = "idle"
         self._since_s = time.monotonic()
         self._own = os.getpid(), start_ticks(os.getpid())
-        self._supervisor = _supervisor()
+        self._supervisor = supervisor()
+        outlive_supervisor()
 
     def entering(self, state: str) -> None:
         """Take note of the state that the work enters."""
@@ -112,12 +112,6 @@ def open_process(heartbeat: Heartbeat) -> int | None:
         return process
     os.close(process)
     return None
-
-
-def _supervisor() -> int | None:
-    """Return the process id of the supervisor, which started this process, if the environment names it."""
-    text = os.environ.get(SUPERVISOR, "")
-    return int(text) if text.isdecimal() else None
 
 
 class BusyWatch:

@@ -18,11 +18,12 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.clock import Aborted, BenchClock
+from bench.base.supervised import SUPERVISOR
 from bench.record.device_end import DeviceEnd, all_ends, lost_ends, unsafe_devices
 from bench.record.folder_lock import is_locked
 from bench.record.run_folder import STATION_COPY
 from bench.run.crash_log import write_crash_log
-from bench.run.heartbeat import SUPERVISOR, Heartbeat, open_process, read_heartbeat
+from bench.run.heartbeat import Heartbeat, open_process, read_heartbeat
 from bench.run.processes import out_of_memory_kills, waits_for_disk
 from bench.stations.orphans import make_orphans_safe
 from bench.stations.station import load_station

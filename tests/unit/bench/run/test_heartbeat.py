@@ -10,6 +10,7 @@ from types import SimpleNamespace
 import pytest
 
 from bench.base.clock import BenchClock
+from bench.base.supervised import SUPERVISOR
 from bench.record.events import ComputerBusy, Event
 from bench.record.journal_line import Entry
 from bench.run import heartbeat
@@ -17,7 +18,6 @@ from bench.run.heartbeat import (
     CONTROL,
     HEARTBEAT,
     REPEAT_S,
-    SUPERVISOR,
     WINDOW_S,
     BusyWatch,
     Heartbeat,

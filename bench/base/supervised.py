@@ -1,0 +1,40 @@
+"""The supervisor of this process, which started it and is named by the environment.
+
+A worker that is still starting ends with its supervisor, by a signal of the kernel (PR_SET_PDEATHSIG of prctl(2)).
+Where there is no such signal, the run notices it later. A run that has begun ends itself: devices must be left safe.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+
+SUPERVISOR = "STARBENCH_SUPERVISOR"
+"""Environment variable: process id of the supervisor of this process."""
+_PR_SET_PDEATHSIG = 1
+
+
+def supervisor() -> int | None:
+    """Return the process id of the supervisor, if the environment names one."""
+    text = os.environ.get(SUPERVISOR, "")
+    return int(text) if text.isdecimal() else None
+
+
+def end_with_supervisor() -> None:
+    """Let this process end when its supervisor ends."""
+    if supervisor() == os.getppid():
+        _signal_at_end_of_parent(signal.SIGTERM)
+
+
+def outlive_supervisor() -> None:
+    """Let this process go on when its supervisor ends: it looks after its own safe end."""
+    if supervisor() is not None:
+        _signal_at_end_of_parent(0)
+
+
+def _signal_at_end_of_parent(number: int) -> None:
+    if sys.platform == "linux":
+        import ctypes  # only a worker needs it
+
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, ctypes.c_ulong(number))
