@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
@@ -130,6 +130,12 @@ _ENTRY_TEXTS: Mapping[str, Callable[[Any], str]] = {
     Event.SUPERVISOR_LOST: lambda _data: "the supervisor of this process has ended; the run continues",
 }
 """Text of each kind of journal line that people read."""
+_REASONS: Mapping[str, str] = {
+    Event.RUN_ENDED: "why",
+    Event.LEFT_OFF: "error",
+    Event.ATTEMPT_CHECKED: "reasons",
+}
+"""Where journal lines state why something failed."""
 
 
 @dataclass(frozen=True)
@@ -412,13 +418,19 @@ def _is_over(history: History) -> bool:
 
 def _last_lines(entries: Sequence[Entry], why: str) -> tuple[str, ...]:
     """Return the last journal lines as text; what the reason of the run's end tells already is not told again."""
-    texts = (text for text in map(line_text, reversed(entries)) if text)
-    return tuple(reversed([_without(why, text) for text in islice(texts, LAST_LINES)]))
+    texts = (text for entry in reversed(entries) if (text := line_text(_reason_once(entry, why))))
+    return tuple(reversed(tuple(islice(texts, LAST_LINES))))
 
 
-def _without(why: str, text: str) -> str:
-    head, mark, reason = text.partition(": ")
-    return f"{head}: as above" if mark and reason.rstrip(".") in why else text
+def _reason_once(entry: Entry, why: str) -> Entry:
+    """Return a journal line that refers to the reason of the run's end instead of stating it again."""
+    name = _REASONS.get(entry.event, "")
+    reason = entry.data.get(name, "")
+    is_list = not isinstance(reason, str)
+    text = "; ".join(reason) if is_list else reason
+    if not text or text.rstrip(".") not in why:
+        return entry
+    return replace(entry, data={**entry.data, name: ["as above"] if is_list else "as above"})
 
 
 def status_text(status: Status) -> str:
