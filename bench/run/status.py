@@ -41,6 +41,12 @@ from bench.wording.goals import decision_text, goals_missed, reached_text
 from bench.wording.numbers import with_uncertainty
 from drivers.lateness import LatenessData
 
+_REASONS: Mapping[str, str] = {
+    Event.RUN_ENDED: "why",
+    Event.LEFT_OFF: "error",
+    Event.ATTEMPT_CHECKED: "reasons",
+}
+"""Where journal lines state why something failed."""
 LAST_LINES = 5
 
 _WORTH_TELLING_S = 5.0
@@ -130,12 +136,6 @@ _ENTRY_TEXTS: Mapping[str, Callable[[Any], str]] = {
     Event.SUPERVISOR_LOST: lambda _data: "the supervisor of this process has ended; the run continues",
 }
 """Text of each kind of journal line that people read."""
-_REASONS: Mapping[str, str] = {
-    Event.RUN_ENDED: "why",
-    Event.LEFT_OFF: "error",
-    Event.ATTEMPT_CHECKED: "reasons",
-}
-"""Where journal lines state why something failed."""
 
 
 @dataclass(frozen=True)
