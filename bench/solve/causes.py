@@ -1,6 +1,6 @@
 """What a person did to the bench, as far as a run shows it: causes of the engine, and those that expectations show.
 
-An expectation is what the station expects, and what the last run of the same sequence with this camera had.
+An expectation is what the station expects, and what the last run of this sequence with this camera on this bench had.
 """
 
 from __future__ import annotations

@@ -40,15 +40,15 @@ def earlier_runs(ledger: Ledger, place: Mapping[str, object]) -> list[LedgerRun]
     return same[::-1][:_MOST_READ]
 
 
-def last_results(ledger: Ledger, place: Mapping[str, object], sequence: str) -> Results | None:
-    """Return the results of the last run of a sequence before that at a place of the ledger; None without any.
+def last_results(ledger: Ledger, place: Mapping[str, object], sequence: str, station: str) -> Results | None:
+    """Return the results of the last run of a sequence on a bench before a place of the ledger; None without any.
 
     An earlier run that cannot be read is passed over: without it, less is known of the bench.
     """
-    return next(_results_of(ledger, place, sequence), None)
+    return next(_results_of(ledger, place, (sequence, station)), None)
 
 
-def _results_of(ledger: Ledger, place: Mapping[str, object], sequence: str) -> Iterator[Results]:
+def _results_of(ledger: Ledger, place: Mapping[str, object], same: tuple[str, str]) -> Iterator[Results]:
     try:
         runs = (earlier_runs(ledger, place) or []) if place else []
     except BenchError:  # the report says so
@@ -58,7 +58,8 @@ def _results_of(ledger: Ledger, place: Mapping[str, object], sequence: str) -> I
             found = read_sealed(Path(run.folder), run.seal or "")[0]
         except NotComparableError:
             continue
-        if found["run"].get("sequence") == sequence and found["calibration"]["converged"]:
+        run_of = found["run"].get("sequence"), found["run"].get("station")
+        if run_of == same and found["calibration"]["converged"]:
             yield found
 
 

@@ -105,8 +105,9 @@ class ResultWriter:
         return {**solved, "causes": [cast("CauseData", one.to_dict()) for one in causes]}
 
     def _last_results(self, history: History) -> Results | None:
-        """Return the results of the last run of this sequence with this camera; None if there is none."""
-        return last_results(bench_ledger(), history.ledger, str(history.started["sequence"]))
+        """Return the results of the last run of this sequence with this camera on this bench; None without any."""
+        started = history.started
+        return last_results(bench_ledger(), history.ledger, str(started["sequence"]), str(started["station"]))
 
     def write(self, log: RunLog, truth: Mapping[str, Any] | None) -> None:
         """Write results.json, views.h5, exports and the report; a real bench has no ``truth``."""
