@@ -1,7 +1,8 @@
 """The supervisor of this process, which started it and is named by the environment.
 
 A worker that is still starting ends with its supervisor, by a signal of the kernel (PR_SET_PDEATHSIG of prctl(2)).
-Where there is no such signal, the run notices it later. A run that has begun ends itself: devices must be left safe.
+On other systems the run notices later that its supervisor is gone. A run that has begun is not ended by the signal:
+it switches its devices off first.
 """
 
 from __future__ import annotations

@@ -34,7 +34,7 @@ class AskedAxis:
     """What the controller of an axis states."""
 
     name: str
-    device: int  # Address in the chain, or number on the controller
+    device: int  # Address of the device in a chain; or the axis number, where one controller has several axes
     serial: str
     microsteps_per_deg: float | None  # None if the controller does not know it; 1 if it counts in degrees
     limits_microsteps: tuple[float, float] | None
