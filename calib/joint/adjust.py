@@ -394,14 +394,14 @@ def _searched(
     """
     problem, state = posed(views, options, start, lens, seen)
     near = _approached(problem, state, views, options)
-    found = _square_or_stretched(*_posed_at(near, problem, views, options, start, seen), options)
-    away = np.abs(found.state.shared[:2] / near.shared[:2] - 1.0).max()
+    optimum = _square_or_stretched(*_posed_at(near, problem, views, options, start, seen), options)
+    away = np.abs(optimum.state.shared[:2] / near.shared[:2] - 1.0).max()
     if away > _FAR_START:
-        there = _posed_at(found.state, found.marginal.problem, views, options, start, seen)
+        there = _posed_at(optimum.state, optimum.marginal.problem, views, options, start, seen)
         with suppress(NotConverged):  # the first end stands
             again = search(*there, options.max_iterations)
-            found = replace(again, iterations=found.iterations + again.iterations)
-    return _End(found, near)
+            optimum = replace(again, iterations=optimum.iterations + again.iterations)
+    return _End(optimum, near)
 
 
 def _square_or_stretched(problem: Problem, near: State, options: CalibrationOptions) -> Optimum:
@@ -409,16 +409,16 @@ def _square_or_stretched(problem: Problem, near: State, options: CalibrationOpti
     rounds = options.max_iterations
     stretched = abs(near.shared[0] / near.shared[1] - 1.0) > _OTHER_STATE
     try:
-        found = search(problem, near, rounds)
+        optimum = search(problem, near, rounds)
     except (NotConverged, np.linalg.LinAlgError):
         if not stretched:
             raise
         return search_with_fault(problem, near, _STRETCHED, rounds)
     if stretched:
         with suppress(NotConverged, np.linalg.LinAlgError):
-            there = beside(found, _STRETCHED, rounds, near)
-            return there if odds_of(there, _STRETCHED, found) > 1.0 else found
-    return found
+            there = beside(optimum, _STRETCHED, rounds, near)
+            return there if odds_of(there, _STRETCHED, optimum) > 1.0 else optimum
+    return optimum
 
 
 def _posed_at(

@@ -157,9 +157,8 @@ class Modes:
     curvature: Array  # (A, A) about the optimum
     nodes: list[Node]  # Their weights are relative; the first is the optimum
     likeliest: Node  # The likeliest doubts, or the first
-    alike: dict[
-        Faults, float
-    ]  # Weights of doubts that show the same camera as the likeliest, which has their weight
+    # Weights of doubts that show the same camera as the likeliest, whose weight includes them.
+    alike: dict[Faults, float]
     scale: float  # Weights are odds against the first without doubts, divided by the exponential of this
 
     @property
