@@ -240,7 +240,7 @@ def _limit_faults(document: Located[Sequence], steps: tuple[Step, ...], station:
     last = [step for step in steps if isinstance(step, SolveStep)][-1:]
     estimated = set().union(*map(_estimated, last))
     if last and last[0].model in {None, "auto", "joint"}:  # whatever terms the step names
-        from calib.joint.adjust import lens_names  # needed for this alone
+        from calib.joint.posed import lens_names  # needed for this alone
 
         estimated |= set(lens_names(last[0].distortion))
     for path, result, said in stated:

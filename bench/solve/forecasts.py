@@ -21,8 +21,8 @@ from calib.errors import DegenerateViews, TooFewStars
 from calib.model.camera import CameraModel
 from calib.model.collimator import Collimator
 from calib.model.result_parts import WORST_CORNER
-from calib.studies.expected_posterior import Angles
 from calib.studies.planning import Forecast, WeighedPose, forecast, next_poses
+from calib.studies.pose_gains import Angles
 from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located
 from sequences.script import ChooseStep, Pose, SolveStep

@@ -27,8 +27,8 @@ from calib.model.collimator import Collimator
 from calib.model.gimbal import Gimbal
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
-from calib.studies.expected_posterior import Angles, Sigmas
 from calib.studies.planning import PoseWeigher, WeighedPose, fit_gimbal
+from calib.studies.pose_gains import Angles, Sigmas
 from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located
 

@@ -34,39 +34,34 @@ _ROWS = (
 
 def variances(posterior: Posterior, gradients: Array) -> dict[str, Array]:
     """Return by group the (p,) variances of quantities with (p, S) gradients; they add up to those of the posterior."""
-    found: dict[str, Array] = {}
-    means = posterior.means @ gradients.T
-    middle, end = posterior.mean @ gradients.T, len(posterior.nodes)
-    ways = [(posterior, gradients, posterior.weights[:end], means[:end])]
-    if posterior.other is not None:
-        other = posterior.other.posterior
-        ways.append((other, _in_layout(posterior, other, gradients), posterior.weights[end:], means[end:]))
-    for way, slopes, weights, own_means in ways:
-        share = float(weights.sum())
-        for node, weight in zip(way.nodes, weights, strict=True):
-            _add_to(found, {k: weight * v for k, v in _at_node(node.solution, slopes).items()})
-        own = weights @ own_means / share
-        _add_to(found, {names.AMPLITUDES: weights @ (own_means - own) ** 2})
-        if posterior.other is not None:
-            _add_to(found, {names.PUPILS: share * (own - middle) ** 2})
-        if way.pupils is not None:
-            _add_to(found, {names.PUPILS: share * ((slopes @ way.pupils) * slopes).sum(axis=1)})
-    return found
+    parts: dict[str, Array] = {}
+    means, middle, end = posterior.means @ gradients.T, posterior.mean @ gradients.T, 0
+    members = [(posterior, posterior.share, gradients, "")]
+    for other in posterior.others:
+        members.append((other.posterior, other.share, other.gradients(gradients), other.hypothesis.row))
+        _add_to(
+            parts, {other.hypothesis.row: other.share * ((gradients @ other.rest) * gradients).sum(axis=1)}
+        )
+    differs = max(posterior.others, key=lambda other: other.share).hypothesis.row if posterior.others else ""
+    for member, share, slopes, row in members:
+        weights = np.array([node.weight for node in member.nodes])
+        own_means = means[end : (end := end + len(weights))]
+        for node, weight in zip(member.nodes, weights, strict=True):
+            at_node = _at_node(node.solution, slopes)
+            _add_to(parts, {group: share * weight * part for group, part in at_node.items()})
+        own = weights @ own_means
+        _add_to(parts, {names.AMPLITUDES: share * (weights @ (own_means - own) ** 2)})
+        if differs:
+            _add_to(parts, {row or differs: share * (own - middle) ** 2})
+        if member.pupils is not None:
+            _add_to(parts, {names.PUPILS: share * ((slopes @ member.pupils) * slopes).sum(axis=1)})
+    return parts
 
 
 def _add_to(found: dict[str, Array], parts: Mapping[str, Array]) -> None:
     """Add (p,) variances by group to those of the same groups."""
     for group, part in parts.items():
         found[group] = found.get(group, 0.0) + part
-
-
-def _in_layout(posterior: Posterior, other: Posterior, gradients: Array) -> Array:
-    """Return (p, S) gradients, which read results alone, in the layout of the other way."""
-    layout, there = (one.optimum.marginal.problem.bench.layout for one in (posterior, other))
-    used = np.flatnonzero(gradients.any(axis=0))
-    found = np.zeros((len(gradients), len(there.names)))
-    found[:, there.places([layout.names[k] for k in used])] = gradients[:, used]
-    return found
 
 
 def _at_node(found: Solution, gradients: Array) -> dict[str, Array]:
@@ -136,8 +131,8 @@ def budget_rows(posterior: Posterior, gradients: Array, parts: Mapping[str, Arra
 
 def _rows_of(posterior: Posterior) -> dict[str, Row]:
     """Return the rows that are not statements, by name."""
-    ways = [posterior] if posterior.other is None else [posterior, posterior.other.posterior]
-    effects = [row for way in ways for row in way.optimum.marginal.problem.bench.layout.rows.values()]
+    layouts = [member.optimum.marginal.problem.bench.layout for member, _, _ in posterior.explanations]
+    effects = [row for layout in layouts for row in layout.rows.values()]
     return {row.name: row for row in (*effects, *_ROWS)}
 
 

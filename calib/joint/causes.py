@@ -22,8 +22,11 @@ from calib.errors import CalibrationError
 from calib.joint.added_columns import AddedColumns, displaced
 from calib.joint.curvature import best_amplitudes
 from calib.joint.effects.collimator import CENTRE
+from calib.joint.evidence import log_evidence
+from calib.joint.hypotheses import FOCUS_STEP
 from calib.joint.knowledge import CERTIFICATE, DOUBTED, FOCAL, READINGS
-from calib.joint.posterior import Posterior, modes_of, probable_faults
+from calib.joint.modes import Modes, modes_of
+from calib.joint.posterior import Posterior
 from calib.joint.readings import SCATTER
 from calib.joint.solve import Optimum
 from calib.model import cause as kinds
@@ -39,8 +42,6 @@ from calib.view import View
 #: An axis moved if its readings differ by more, degrees. A scale that is so far off, in its logarithm, is a wrong
 #: number of steps; the search for faults expects scales within a tenth.
 _MOVED_DEG, _FAR_SCALE = 0.5, 0.2
-#: A focus ring is touched in one calibration of a hundred.
-_RARE = 1e-2
 #: Prior 1 sigma of a step of the focal length, as a share: 2 degrees of an ordinary ring. Smaller ones than the second
 #: number may come from 3 K of aluminium.
 _STEP, _LEAST_STEP = 1e-3, 1e-4
@@ -79,20 +80,20 @@ def _focus_steps(found: Posterior, views: Sequence[View]) -> tuple[Cause, ...]:
     gains = AddedColumns.of(optimum, columns)
     own = np.diag(gains.information)
     places = np.argsort(-(gains.gradient**2) / np.maximum(own, 1e-300))[:_TRIED].tolist()
-    before = _evidence(optimum)
+    before, cost = _two_log_evidence(_at_best(optimum)), needed(m - 1) - 2.0 * math.log(FOCUS_STEP.odds)
     best: Cause | None = None
     for place in places:
-        cause, there = _stepped(optimum, columns[:, :, place], before, needed(m - 1) - 2.0 * math.log(_RARE))
+        cause, there = _stepped(optimum, columns[:, :, place], before, cost)
         if cause.evidence > (best.evidence if best else DECISIVE):
-            accused = probable_faults(there)
+            accused = there.fault_probabilities(there.nodes)
             explains = [name for name, p in found.faults.items() if p >= DOUBTED > accused.get(name, 0.0)]
             names = {"before": views[place].name, "pose": views[place + 1].name}
             best = replace(cause, explains=tuple(explains), **names)
     return (best,) if best else ()
 
 
-def _stepped(optimum: Optimum, column: Array, before: float, cost: float) -> tuple[Cause, Optimum]:
-    """Return a step along an (m, B) column with its evidence, and the optimum that has it."""
+def _stepped(optimum: Optimum, column: Array, before: float, cost: float) -> tuple[Cause, Modes]:
+    """Return a step along an (m, B) column with its evidence, and the modes about the optimum that has it."""
     size, there, information = 0.0, optimum, 0.0
     for _ in range(_IMPROVED):
         added = AddedColumns.of(there, column[:, :, None])
@@ -102,18 +103,22 @@ def _stepped(optimum: Optimum, column: Array, before: float, cost: float) -> tup
         there = replace(optimum, solution=best_amplitudes(solution, _AMPLITUDE_STEPS))
     # What the prior of the size takes: its width, and how far the size lies in it.
     taken = math.log1p(information * _STEP**2) + (size / _STEP) ** 2 / (1.0 + (size / _STEP) ** 2)
-    evidence = before - _evidence(there) - taken - cost + DECISIVE
+    modes = _at_best(there)
+    evidence = _two_log_evidence(modes) - before - taken - cost + DECISIVE
     if abs(size) < _LEAST_STEP:
         evidence = 0.0
     percent, sigma = 100.0 * size, 100.0 / math.sqrt(max(information, 1e-300))
     kept = min(evidence, LARGEST_EVIDENCE)
-    return Cause(kinds.FOCUSED, kept, value=percent, expanded=2.0 * sigma, unit="%"), there
+    return Cause(kinds.FOCUSED, kept, value=percent, expanded=2.0 * sigma, unit="%"), modes
 
 
-def _evidence(optimum: Optimum) -> float:
-    """Return -2 log of the evidence at an optimum, with every fault of a statement that the engine weighs."""
-    ended = replace(optimum, solution=best_amplitudes(optimum.solution, _AMPLITUDE_STEPS))
-    return ended.solution.value - 2.0 * modes_of(ended).log_odds
+def _at_best(optimum: Optimum) -> Modes:
+    """Return the modes about an optimum at its best amplitudes, which a long search does not look for at its end."""
+    return modes_of(replace(optimum, solution=best_amplitudes(optimum.solution, _AMPLITUDE_STEPS)))
+
+
+def _two_log_evidence(modes: Modes) -> float:
+    return 2.0 * log_evidence(modes, modes.optimum)
 
 
 def _other_scale(found: Posterior, stated: CalibrationOptions) -> tuple[Cause, ...]:

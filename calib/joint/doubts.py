@@ -18,6 +18,7 @@ import numpy as np
 from calib.arrays import Array
 from calib.joint import amplitudes as amp
 from calib.joint.curvature import ROUGH, best_amplitudes
+from calib.joint.hypotheses import WHOLE_GIMBAL, WHOLE_PASSPORT
 from calib.joint.knowledge import FOCAL, WRONG, Statement
 from calib.joint.marginal import Marginal, Solution
 from calib.joint.places import spread_by_fields
@@ -27,7 +28,7 @@ from calib.joint.solve import Optimum
 from calib.model.result_parts import GIMBAL_SCALE, PASSPORT
 
 #: What one source states can be wrong together, with this share of the odds of a single doubt.
-_TOGETHER = {GIMBAL_SCALE: 1.0, PASSPORT: 0.1}
+_TOGETHER = {GIMBAL_SCALE: WHOLE_GIMBAL.odds, PASSPORT: WHOLE_PASSPORT.odds}
 #: A combination stands beside another one as far as this logarithm below the likeliest.
 _BESIDE = 2.0
 #: The best amplitudes of doubts are searched if a statement is away from the others by more sigmas than the first, and

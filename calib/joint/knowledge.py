@@ -30,6 +30,7 @@ from calib.joint.effects.collimator import (
 )
 from calib.joint.effects.gimbal import GimbalErrors
 from calib.joint.fields import FieldBasis
+from calib.joint.hypotheses import ANOTHER_THING, LARGER_ERRORS, OTHER_LENGTH, UNSTEADY
 from calib.joint.layout import Layout
 from calib.model import result_parts as rows
 from calib.model.cause import PARALLAX
@@ -42,17 +43,14 @@ from calib.model.type_b_terms import SCALES as SCALE_TERMS
 
 #: Fault of a statement: it is as if nobody had stated it.
 WRONG = "wrong"
-#: Probability that the errors of what is stated are larger than stated by `_WIDER` or more. By each further such factor
-#: it falls as one over the width: the tails of published measurements are nearly as heavy (Bailey, 2017). So 1 in 100
-#: statements is beyond five times its uncertainty.
-_DOUBTFUL, _WIDER = 0.03, 10.0**0.5
-#: At least so probable is it that the statement is about another thing, however precise it is.
-_ANOTHER = 1e-3
+#: Errors may be so many times as large as stated, or more: the first step of a ladder. By each further such factor the
+#: odds fall as one over the width, as the tails of published measurements do (Bailey, 2017).
+_WIDER = 10.0**0.5
 #: A statement is named if it is doubted with this probability. An honest one is named at 2.8 sigma.
 DOUBTED = 0.2
 #: No fault: a certificate that does not say which length it states may state the focal length, and not what the camera
-#: sees. Makers state the one, benches measure the other: equally probable.
-FOCAL, _FOCAL_ODDS = "focal length", 1.0
+#: sees.
+FOCAL = "focal length"
 #: Names of witnesses.
 CERTIFICATE = "certificate of the collimator"
 CHANGED_AXIS, CHANGED_RADIUS = (
@@ -74,8 +72,6 @@ _SKEW_PX = 5.0
 _ASPECT_SIGMA, _FREE_ASPECT = 3e-4, 0.1
 #: Focal length and radius change by this share from first to last pose: 1 K of aluminium; if not, by the second.
 _DRIFT_SIGMA, _FREE_DRIFT = 3e-5, 5e-3
-#: That it changes by more is more probable than for a statement: nobody measured it, and halls drift by 3 K a night.
-_UNSTEADY = 0.1
 #: The principal point lies in the middle of the sensor to this share of its diagonal.
 _MIDDLE_SHARE = 0.1
 #: If nobody had stated it, or stated it wrongly: a certificate's radius, the scale of an axis, that of a print, its
@@ -117,7 +113,7 @@ class Statement:
     focal: Array | None = None
     unit: str = ""
     term: TypeBTerm | None = None  # The type B term of the budget that it is
-    doubt: float = _DOUBTFUL  # Probability that its errors are `_WIDER` times as large or more
+    doubt: float = LARGER_ERRORS.odds  # Odds beforehand that its errors are `_WIDER` times as large or more
 
     @cached_property
     def doubts(self) -> Mapping[str, Doubt]:
@@ -126,13 +122,13 @@ class Statement:
             return {}
         own = self.covariance if self.doubtful is None else self.doubtful
         widest = float(np.sqrt(np.linalg.eigvals(np.linalg.solve(own, self.free)).real.max()))
-        found, left, times = {}, self.doubt / (1.0 - self.doubt), _WIDER
+        found, left, times = {}, self.doubt, _WIDER
         while times * _WIDER**0.5 < widest:
             wider = self.covariance + (times**2 - 1.0) * own
             found[f"{times:.3g} times"] = Doubt(wider, left * (1.0 - 1.0 / _WIDER))
             left, times = left / _WIDER, times * _WIDER
-        found[WRONG] = Doubt(self.free, max(left, _ANOTHER))
-        return found if self.focal is None else found | {FOCAL: Doubt(self.focal, _FOCAL_ODDS)}
+        found[WRONG] = Doubt(self.free, max(left, ANOTHER_THING.odds))
+        return found if self.focal is None else found | {FOCAL: Doubt(self.focal, OTHER_LENGTH.odds)}
 
     @cached_property
     def _informations(self) -> dict[str, Array]:
@@ -230,7 +226,7 @@ def _camera(layout: Layout, image_size: tuple[int, int], start: Mapping[str, flo
     still = _Source(layout, rows.PRIORS, "nothing changes while the poses are recorded")
     found = [
         square.says(ASPECT, {"fx": 1.0 / f, "fy": -1.0 / f}, (0.0, _ASPECT_SIGMA), _FREE_ASPECT),
-        replace(still.says(STEADY, {DRIFT: 1.0}, (0.0, _DRIFT_SIGMA), _FREE_DRIFT), doubt=_UNSTEADY),
+        replace(still.says(STEADY, {DRIFT: 1.0}, (0.0, _DRIFT_SIGMA), _FREE_DRIFT), doubt=UNSTEADY.odds),
     ]
     corner, lens = 0.5 * float(np.hypot(*image_size)) / f, _Source(layout, rows.LENS, "expected sizes")
     sigmas = {name: one * corner ** (-2.0 * (int(name[1]) - 3)) for name, one in _DENOMINATOR.items()}

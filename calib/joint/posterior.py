@@ -1,17 +1,16 @@
-"""The posterior: a mixture over the amplitudes and over faults of statements.
+"""The posterior: a mixture over the amplitudes, over faults of statements, and over what else explains the views.
 
 For given amplitudes the posterior is Gaussian (`calib.joint.marginal`). The amplitudes are known only so well, so the
 result is the mixture over their posterior: importance sampling about each mode, with fixed normal deviates, so that the
 result follows the data without steps. A statement may be doubted (`calib.joint.doubts`): each doubt has odds
 beforehand, and counts by its likelihood. If two statements contradict each other and nothing decides, the mixture
-covers both.
+covers both. Other explanations (`calib.joint.hypotheses`) join it with their shares.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -19,23 +18,17 @@ import numpy as np
 
 from calib.arrays import Array
 from calib.errors import NotConverged
-from calib.joint import amplitudes as amp
-from calib.joint.curvature import ROUGH, best_amplitudes, expected_curvature
-from calib.joint.doubts import (
-    LARGEST_LOG,
-    Innovation,
-    Unstated,
-    doubted,
-    prior_odds,
-    share_of_stars,
-    usual_amplitudes,
-)
-from calib.joint.knowledge import FOCAL
-from calib.joint.marginal import Solution
+from calib.joint.doubts import Innovation, Unstated
+from calib.joint.effects.collimator import CENTRE, RADIAL
+from calib.joint.effects.effect import Places
+from calib.joint.effects.gimbal import GimbalErrors
+from calib.joint.evidence import odds_of
+from calib.joint.hypotheses import Hypothesis
+from calib.joint.modes import Modes, modes_of
 from calib.joint.places import spread_of_places
 from calib.joint.prior import Faults
-from calib.joint.samples import Node, log_odds, nodes_about
-from calib.joint.solve import Optimum, beside, relative_step, weighed_as
+from calib.joint.samples import Node, nodes_about
+from calib.joint.solve import Optimum, beside, relative_step
 from calib.model.result_parts import COVERAGE
 
 #: Halvings of an interval until its half width is known to 1e-9 of the widest.
@@ -43,65 +36,95 @@ _HALVINGS = 30
 _PAIRS, _FAULT_PAIRS = 12, 4
 #: A mode of a smaller share stands for all amplitudes about it.
 _SMALL_SHARE, _SMALL_DOUBT = 0.01, 0.05
-_FAULT_STEPS = 20
-#: A search of another mode starts with logarithms that are so much smaller, and larger, where the mode may differ.
-_LOWER, _HIGHER = 2.5, 1.0
-#: A mode is another one if it is so far away: a square, in sigmas. A search that comes nearer ends where the first did.
-_APART = 2.0
 #: The equations hold for steps of this share of focal length and radius.
 _NEAR = 0.01
 #: What lies beside such a state still counts if it is so near that the equations show where it is.
 _REACHED = 0.05
 #: A fault that leads farther is looked at if its odds against none are more than this.
 _COUNTS = 0.05
-#: Odds are told up to this logarithm: its exponential is still a number.
-_LARGEST_SCALE = 600.0
 
 
 @dataclass(frozen=True)
-class OtherWay:
-    """The posterior of the same views if the pupil is moved in the other way, in the unknowns of the first one."""
+class Other:
+    """The posterior by another explanation of the same views, in the unknowns of the first one."""
 
     posterior: Posterior
     share: float
+    hypothesis: Hypothesis
+    names: tuple[str, ...]  # The results that both have
+    follow: Array  # (S, C) how all unknowns of the first follow these
+    rest: Array  # (S, S) covariance of what does not follow them
     means: Array  # (L, S) of its nodes
-    covariances: list[Array]  # (S, S) of each
+
+    @cached_property
+    def covariances(self) -> list[Array]:
+        """(S, S) of each node."""
+        at = self.posterior.optimum.marginal.problem.bench.layout.places(self.names)
+        return [
+            self.follow @ covariance[np.ix_(at, at)] @ self.follow.T + self.rest
+            for covariance in self.posterior.covariances
+        ]
+
+    def gradients(self, gradients: Array) -> Array:
+        """Return (p, S') in its own unknowns the (p, S) gradients of results in those of the first."""
+        layout = self.posterior.optimum.marginal.problem.bench.layout
+        own = np.zeros((len(gradients), len(layout.names)))
+        own[:, layout.places(self.names)] = gradients @ self.follow
+        return own
 
 
 @dataclass(frozen=True)
 class Posterior:
     """The mixture."""
 
-    optimum: Optimum
+    modes: Modes
     nodes: tuple[Node, ...]
     spread: Array  # (A,) 1-sigma of the logarithms of the amplitudes
     faults: dict[str, float]  # Probability of a fault by name of the statement
     largest: Node  # The mode with the largest share
-    other: OtherWay | None = None
+    others: tuple[Other, ...] = ()
     denied: Innovation | None = None  # A statement that is not in the equations: it is probably wrong
+    better_lens: str = (
+        ""  # The coefficients of the other family of lenses, if it explains the views far better
+    )
+
+    @property
+    def optimum(self) -> Optimum:
+        """The optimum of the first explanation."""
+        return self.modes.optimum
+
+    @property
+    def share(self) -> float:
+        """Probability of the first explanation."""
+        return 1.0 - sum(other.share for other in self.others)
+
+    @property
+    def explanations(self) -> list[tuple[Posterior, float, Hypothesis | None]]:
+        """Each explanation alone, with its share; None is the hypothesis of the first."""
+        others = [(other.posterior, other.share, other.hypothesis) for other in self.others]
+        return [(replace(self, others=()), self.share, None), *others]
 
     @cached_property
     def weights(self) -> Array:
-        """(K,) weights of the nodes, those of the other way behind."""
+        """(K,) weights of the nodes, those of other explanations behind."""
         own = np.array([node.weight for node in self.nodes])
-        if self.other is None:
-            return own
-        share = self.other.share
-        return np.concatenate([(1.0 - share) * own, share * self.other.posterior.weights])
+        return np.concatenate(
+            [self.share * own, *(other.share * other.posterior.weights for other in self.others)]
+        )
 
     @cached_property
     def means(self) -> Array:
         """(K, S) means of the shared unknowns."""
         own = self.optimum.state.shared + np.array([node.solution.step for node in self.nodes])
-        return own if self.other is None else np.concatenate([own, self.other.means])
+        return np.concatenate([own, *(other.means for other in self.others)])
 
     @cached_property
     def covariances(self) -> list[Array]:
         """(S, S) of each node."""
         own = [node.solution.covariance for node in self.nodes]
         if self.pupils is not None:
-            own = [one + self.pupils for one in own]
-        return own if self.other is None else own + self.other.covariances
+            own = [covariance + self.pupils for covariance in own]
+        return own + [covariance for other in self.others for covariance in other.covariances]
 
     @cached_property
     def pupils(self) -> Array | None:
@@ -136,86 +159,49 @@ class Posterior:
 
     def share_of(self, fault: tuple[str, str]) -> float:
         """Return the probability of a fault of a statement, or of its other meaning."""
-        own = sum(node.weight for node in self.nodes if fault in node.faults)
-        if self.other is None:
-            return own
-        return (1.0 - self.other.share) * own + self.other.share * self.other.posterior.share_of(fault)
+        own = self.share * sum(node.weight for node in self.nodes if fault in node.faults)
+        return own + sum(other.share * other.posterior.share_of(fault) for other in self.others)
 
     def innovations(self) -> list[Innovation]:
         """Return the innovation of every statement that could be wrong, at the largest mode."""
         largest = self.largest.solution
-        found = Unstated(largest.marginal, largest.eta).innovations(largest.faults)
-        found += [self.denied] if self.denied else []
-        return [replace(one, probability=self.faults.get(one.name, 0.0)) for one in found]
+        innovations = Unstated(largest.marginal, largest.eta).innovations(largest.faults)
+        innovations += [self.denied] if self.denied else []
+        return [
+            replace(innovation, probability=self.faults.get(innovation.name, 0.0))
+            for innovation in innovations
+        ]
 
 
-@dataclass(frozen=True)
-class Modes:
-    """The modes of the posterior by the equations of an optimum."""
-
-    optimum: Optimum
-    curvature: Array  # (A, A) about the optimum
-    nodes: list[Node]  # Their weights are relative; the first is the optimum
-    likeliest: Node  # The likeliest doubts, or the first
-    # Weights of doubts that show the same camera as the likeliest, whose weight includes them.
-    alike: dict[Faults, float]
-    scale: float  # Weights are odds against the first without doubts, divided by the exponential of this
-
-    @property
-    def none(self) -> float:
-        """Weight of the first without doubts."""
-        return math.exp(-min(self.scale, _LARGEST_SCALE))
-
-    @property
-    def log_odds(self) -> float:
-        """Logarithm of the odds of all modes together against the first without doubts."""
-        return math.log(sum(one.weight for one in self.nodes)) + self.scale
-
-    def shares(self, modes: Sequence[Node]) -> dict[Faults, float]:
-        """Return the weight of each combination of doubts, none included, among some of the modes or others."""
-        found: dict[Faults, float] = {}
-        for mode in modes:
-            own = [(mode.faults, mode.weight)]
-            if mode is self.likeliest:
-                own = [(mode.faults, mode.weight - sum(self.alike.values())), *self.alike.items()]
-            for doubts, weight in own:
-                found[doubts] = found.get(doubts, 0.0) + weight
-        return found
-
-
-def posterior(optimum: Optimum, rounds: int, *, follow: bool = True, found: Modes | None = None) -> Posterior:
-    """Return the posterior about an optimum, or about the most probable faults if these lead far away from it.
+def posterior(modes: Modes, rounds: int, *, follow: bool = True) -> Posterior:
+    """Return the posterior by the modes about an optimum, or about the most probable faults if these lead far from it.
 
     The equations at the state that such faults lead to say how much they count; the search of that state takes at most
     ``rounds`` linearisations. They do not count if these equations lead far away again, or if ``follow`` is false.
-    The modes may be ``found`` already.
     """
-    found = found or modes_of(optimum)
-    modes = found.nodes
-    far = [bool(one.faults) and not _holds(optimum, one) for one in modes]
-    near = [one for one, away in zip(modes, far, strict=True) if not away]
-    likeliest = max((one for one, away in zip(modes, far, strict=True) if away), key=_by_weight, default=None)
-    if likeliest is None or likeliest.weight < _COUNTS * found.none:
-        return _mixture(found, modes)
+    optimum, nodes = modes.optimum, modes.nodes
+    far = [node for node in nodes if node.faults and not _holds(optimum, node)]
+    near = [node for node in nodes if not any(node is other for other in far)]
+    likeliest = max(far, key=_weight, default=None)
+    if likeliest is None or likeliest.weight < _COUNTS * modes.none:
+        return _mixture(modes, nodes)
     if not follow:
-        return _mixture(found, near)
+        return _mixture(modes, near)
     try:
         there = beside(optimum, likeliest.faults, rounds)
         odds = odds_of(there, likeliest.faults, optimum)
     except (NotConverged, np.linalg.LinAlgError):  # without the statement nothing determines the camera
-        return _mixture(found, near)
-    if odds > 1.0 and likeliest.weight > max(one.weight for one in near):
-        found_there = modes_of(there)
-        near_there = [one for one in found_there.nodes if _holds(there, one)]
+        return _mixture(modes, near)
+    if odds > 1.0 and likeliest.weight > max(node.weight for node in near):
+        modes_there = modes_of(there)
+        near_there = [node for node in modes_there.nodes if _holds(there, node)]
         if near_there:
-            others = _also(there, found_there.nodes, near, likeliest.faults, odds * found.none)
-            return _mixture(found_there, [*near_there, *others])
+            others = _also(there, modes_there.nodes, near, likeliest.faults, odds * modes.none)
+            return _mixture(modes_there, [*near_there, *others])
         odds = 0.0
-    share = min(odds * found.none / likeliest.weight, 1.0)
-    kept = [
-        replace(one, weight=share * one.weight) if away else one for one, away in zip(modes, far, strict=True)
-    ]
-    return _mixture(found, kept)
+    share = min(odds * modes.none / likeliest.weight, 1.0)
+    lowered = [replace(node, weight=share * node.weight) for node in far]
+    return _mixture(modes, [*near, *lowered])
 
 
 def _also(
@@ -236,101 +222,67 @@ def _also(
     ]
 
 
-def odds_of(there: Optimum, faults: Faults, than: Optimum) -> float:
-    """Return the odds of faults, seen at the state that they lead to, against no fault at another optimum."""
-    assert there.fault_eta is not None
-    found = best_amplitudes(weighed_as(there, than).solve(there.fault_eta, faults), _FAULT_STEPS)
-    log = 0.5 * (than.solution.value - found.value) * share_of_stars(found)
-    return math.exp(min(log, LARGEST_LOG)) * prior_odds(there.marginal.problem.knowledge.witnesses, faults)
-
-
 def _holds(optimum: Optimum, mode: Node) -> bool:
     """Return whether the step to a mode is so short that the equations hold there."""
     return relative_step(optimum.marginal, mode.solution.step) < _NEAR
 
 
-def _by_weight(mode: Node) -> float:
+def _weight(mode: Node) -> float:
     return mode.weight
 
 
-def modes_of(optimum: Optimum) -> Modes:
-    """Return the modes of the posterior by the equations of an optimum."""
-    curvature = 0.5 * expected_curvature(optimum.solution)
-    others = _others(optimum, curvature)
-    found = doubted(optimum, curvature, others)
-    nodes = [Node(optimum.solution, math.exp(-found.scale))]
-    nodes += [replace(one, weight=one.weight * math.exp(-found.scale)) for one in others]
-    nodes += found.nodes
-    at = next((k for k, one in enumerate(nodes) if one.faults == found.likeliest), 0)
-    nodes[at] = replace(nodes[at], weight=nodes[at].weight + sum(found.alike.values()))
-    return Modes(optimum, curvature, nodes, nodes[at], found.alike, found.scale)
-
-
-def probable_faults(optimum: Optimum) -> dict[str, float]:
-    """Return the probability of a fault of each statement at an optimum, and under the empty name that of none."""
-    modes = modes_of(optimum)
-    whole = sum(mode.weight for mode in modes.nodes)
-    shares = modes.shares(modes.nodes)
-    found = {"": shares.get((), 0.0) / whole}
-    for faults, weight in shares.items():
-        for name in (name for name, doubt in faults if doubt != FOCAL):
-            found[name] = found.get(name, 0.0) + weight / whole
-    return found
-
-
-def _mixture(found: Modes, modes: Sequence[Node]) -> Posterior:
+def _mixture(modes: Modes, nodes: Sequence[Node]) -> Posterior:
     """Return the mixture of some of the modes, or of others."""
-    lower: Array = np.asarray(np.linalg.cholesky(found.curvature), np.float64)
-    whole = sum(mode.weight for mode in modes)
-    nodes: list[Node] = []
-    probabilities: dict[str, float] = {}
-    for faults, weight in found.shares(modes).items():
-        for name in (name for name, doubt in faults if doubt != FOCAL):
-            probabilities[name] = probabilities.get(name, 0.0) + weight / whole
-    for mode in modes:
+    lower: Array = np.asarray(np.linalg.cholesky(modes.curvature), np.float64)
+    whole = sum(mode.weight for mode in nodes)
+    samples: list[Node] = []
+    for mode in nodes:
         share = mode.weight / whole
         if share < (_SMALL_DOUBT if mode.faults else _SMALL_SHARE):
-            nodes.append(replace(mode, weight=share))
+            samples.append(replace(mode, weight=share))
         else:
-            nodes += nodes_about(mode, lower, _FAULT_PAIRS if mode.faults else _PAIRS, share)
-    spread = np.sqrt(np.diag(np.linalg.inv(found.curvature)))
-    return Posterior(found.optimum, tuple(nodes), spread, probabilities, max(modes, key=_by_weight))
+            samples += nodes_about(mode, lower, _FAULT_PAIRS if mode.faults else _PAIRS, share)
+    spread = np.sqrt(np.diag(np.linalg.inv(modes.curvature)))
+    return Posterior(modes, tuple(samples), spread, modes.fault_probabilities(nodes), max(nodes, key=_weight))
 
 
-def _others(optimum: Optimum, curvature: Array) -> list[Node]:
-    """Return the other modes that there are."""
-    known = [optimum.solution]
+def mixed(first: Posterior, others: Sequence[tuple[Posterior, float, Hypothesis]]) -> Posterior:
+    """Return a posterior as the mixture with those of other explanations, each with its share and hypothesis.
 
-    def near(one: Solution) -> bool:
-        away = np.array([one.eta - other.eta for other in known])
-        return bool((((away @ curvature) * away).sum(axis=1) < _APART).any())
-
-    for start in _starts_of_others(optimum):
-        with suppress(np.linalg.LinAlgError):
-            ended = best_amplitudes(optimum.marginal.solve(start), _FAULT_STEPS, enough=ROUGH, until=near)
-            known += [] if near(ended) else [ended]
-    return [Node(one, _odds_of_mode(one, optimum.solution, curvature)) for one in known[1:]]
-
-
-def _starts_of_others(optimum: Optimum) -> list[Array]:
-    """Return the (A,) logarithms at which searches of other modes start.
-
-    In one, what differs between poses follows their turn. In the other, parallax takes the place of field curvature.
+    Unknowns that are not results are those of the first, and follow the results as in it.
     """
-    problem = optimum.marginal.problem
-    hyper, own = problem.hyper, problem.hyper.places(amp.POSE)
-    follows = usual_amplitudes(optimum)
-    follows[own] = hyper.mean[own] - _LOWER
-    follows[hyper.at(amp.CURVATURE_TURN)] += _HIGHER
-    if problem.bench.layout.bench.parallax_known:
-        return [follows]
-    parallax = optimum.eta.copy()
-    parallax[hyper.at(amp.CURVATURE_TURN)] -= _LOWER
-    parallax[hyper.at(amp.PARALLAX)] += _HIGHER
-    return [follows, parallax]
+    members = [(first, 1.0 - sum(share for _, share, _ in others), None), *others]
+    faults = dict.fromkeys((name for member, _, _ in members for name in member.faults), 0.0)
+    for member, share, _ in members:
+        for name, probability in member.faults.items():
+            faults[name] += share * probability
+    alone, *rest = [
+        (part, share * own, of_part or hypothesis)
+        for member, share, hypothesis in members
+        for part, own, of_part in member.explanations
+    ]
+    named = [(part, share, hypothesis) for part, share, hypothesis in rest if hypothesis]
+    return replace(first, faults=faults, others=tuple(_as_other(alone[0], *part) for part in named))
 
 
-def _odds_of_mode(one: Solution, other: Solution, curvature: Array) -> float:
-    """Return the odds of a mode against another one, which has the (A, A) curvature, by values and widths (Laplace)."""
-    wider = float(np.linalg.slogdet(curvature)[1] - np.linalg.slogdet(0.5 * expected_curvature(one))[1])
-    return float(np.exp(min(log_odds(one, other, 0.5 * wider), LARGEST_LOG)))
+def _as_other(first: Posterior, other: Posterior, share: float, hypothesis: Hypothesis) -> Other:
+    """Return the posterior of another explanation in the unknowns of the first."""
+    layout, there = (member.optimum.marginal.problem.bench.layout for member in (first, other))
+    results = (*layout.pose.camera, *CENTRE, *RADIAL, *layout.names_of(GimbalErrors))
+    names = tuple(name for name in results if name in there.index)
+    at = layout.places(names)
+    solution = first.largest.solution
+    follow = _follow(solution.covariance, at)
+    rest = solution.covariance - follow @ solution.covariance[at]
+    middle = first.optimum.state.shared + solution.step
+    means = middle + (other.means[:, there.places(names)] - middle[at]) @ follow.T
+    return Other(other, share, hypothesis, names, follow, rest, means)
+
+
+def _follow(covariance: Array, at: Places) -> Array:
+    """Return (S, C) how all unknowns follow the C at some places, for an (S, S) covariance."""
+    scale = np.sqrt(np.diag(covariance))
+    alike = covariance / np.outer(scale, scale)
+    follow = np.linalg.solve(alike[np.ix_(at, at)], alike[at]).T
+    follow[at] = np.eye(len(at))
+    return np.asarray(scale[:, None] * follow / scale[at])

@@ -14,23 +14,23 @@ from calib.calibration import Calibration, CalibrationOptions, ViewSummary, rms_
 from calib.diagnosis.gross_stars import GrossStars, used_stars
 from calib.joint import amplitudes as amp
 from calib.joint.boresight import boresight
-from calib.joint.budget import budget_rows, row_gradients, variances
 from calib.joint.effects.collimator import CENTRE, COMMON_PLACES, FIELD, RADIAL
 from calib.joint.effects.gimbal import ENCODER
 from calib.joint.equations import State, ViewStars, robust_weights
+from calib.joint.explanations import posterior_of, shifted_ids, with_doubted_bound
 from calib.joint.fields import FIELD_RADIUS
 from calib.joint.knowledge import CHANGED_FIELD, FREE_SCALE, READINGS
 from calib.joint.left_out import left_out_rms, rotation_errors
 from calib.joint.posterior import Posterior
-from calib.joint.reported import reported, without_r8
+from calib.joint.reported import without_r8
 from calib.joint.solve import Optimum
-from calib.joint.ways import posterior_of, shifted_ids, with_doubted_bound
+from calib.joint.summary import summarised
 from calib.joint.words import notes, require_determined
 from calib.joint.wrong_views import find_other_origins
 from calib.model.collimator import Collimator
 from calib.model.gimbal import SCALES
 from calib.model.passport import Passport
-from calib.model.result_parts import WORST_CORNER, Amplitude, GimbalEstimate, Witness
+from calib.model.result_parts import Amplitude, GimbalEstimate, Witness
 from calib.view import View
 
 #: Amplitudes that are given in microradians of a direction; all others are factors or coefficients.
@@ -99,22 +99,11 @@ def _calibration(
     gimbal: GimbalEstimate | None,
 ) -> Calibration:
     bench = found.optimum.marginal.problem.bench
-    stated = reported(found, (*CENTRE, *RADIAL))
-    names = stated.names
-    covariance = stated.rows @ found.covariance @ stated.rows.T
-    sigmas = np.sqrt(np.diag(covariance))
-    factors = stated.factors(found, sigmas)
+    stated = summarised(found)
     star = float(np.sqrt(found.optimum.solution.star_variance))
     residuals, weights = _residuals(found, views, used, star)
     lengths = [np.linalg.norm(e[own], axis=1) for e, own in zip(residuals, used, strict=True)]
     rms_px, mean_px = rms_and_mean(np.concatenate(lengths))
-    size = len(bench.layout.pose.camera)
-    gradients = row_gradients(found, found.covariance[:size, :size])
-    parts = variances(found, np.concatenate([stated.rows, gradients]))
-    corner = float(np.sqrt(gradients[-1] @ found.covariance @ gradients[-1]))
-    size = len(names)
-    budget = {group: np.sqrt(np.maximum(part[:size], 0.0)) for group, part in parts.items()}
-    rows = budget_rows(found, gradients, {group: part[size:] for group, part in parts.items()})
     errors = rotation_errors(found)
     return Calibration(
         model="joint",
@@ -122,9 +111,9 @@ def _calibration(
         collimator=parameters.collimator,
         rotations=parameters.rotations,
         centres=parameters.centres,
-        parameter_names=names,
-        estimates=stated.rows @ found.mean,
-        covariance=covariance,
+        parameter_names=stated.names,
+        estimates=stated.estimates,
+        covariance=stated.covariance,
         residuals_px=residuals,
         weights=weights,
         rms_px=rms_px,
@@ -138,21 +127,18 @@ def _calibration(
         converged=found.optimum.converged,
         iterations=found.optimum.iterations,
         birge_ratio=found.optimum.disagreement,
-        coverage_factor=factors[0],
+        coverage_factor=stated.coverage_factors["fx"],
         left_out_rms_px=left_out_rms(found.optimum),
         rotation_covariance=errors.joint_covariance,
         rotation_errors=errors,
-        budget={group: dict(zip(names, part.tolist(), strict=True)) for group, part in budget.items()},
+        budget=stated.budget,
         gimbal=gimbal,
         boresight=boresight(found, parameters.camera, parameters.gimbal),
         poses=tuple(int(pose) for pose in bench.poses),
-        budget_rows=rows,
+        budget_rows=stated.rows,
         witnesses=_witnesses(found),
         amplitudes=_amplitudes(found),
-        coverage_factors={
-            **dict(zip(names, factors, strict=True)),
-            WORST_CORNER: found.expanded(gradients[-1]) / corner,
-        },
+        coverage_factors=stated.coverage_factors,
         glass=_glass(found, views),
     )
 

@@ -44,8 +44,6 @@ _LEAST_GAIN = 0.1
 _DAMPING = 4.0
 #: Largest numbers of steps of a search of amplitudes: in a round, and at the end.
 _QUICK, _LONG = 3, 30
-#: Largest number of steps to the best amplitudes of an optimum whose stars have the weights of another.
-_STEPS = 20
 #: Before the state is found, a round changes no logarithm of an amplitude by more than this.
 _FARTHEST = 1.0
 #: No step moves a focal length or the radius by more than this share.
@@ -67,7 +65,6 @@ class Optimum:
     iterations: int
     converged: bool
     fault_eta: Array | None = None  # (A,) with the fault whose state this is (`beside`)
-    better_lens: str = ""  # The set of coefficients of the other family, if it explains the views far better
 
     @property
     def marginal(self) -> Marginal:
@@ -180,7 +177,7 @@ def beside(optimum: Optimum, faults: Faults, rounds: int, start: State | None = 
     """
     problem = optimum.marginal.problem
     there = search_with_fault(problem, start or optimum.state, faults, rounds, optimum.eta)
-    return replace(there, iterations=optimum.iterations + there.iterations, better_lens=optimum.better_lens)
+    return replace(there, iterations=optimum.iterations + there.iterations)
 
 
 def search_with_fault(
@@ -194,25 +191,6 @@ def search_with_fault(
     marginal = Marginal(problem, there.marginal.equations, there.state)
     found = searched(solved(marginal, there.eta if eta is None else eta), _LONG, enough=FINE)
     return Optimum(found, there.iterations, there.converged, there.eta)
-
-
-def weighed_as(there: Optimum, than: Optimum) -> Marginal:
-    """Return the equations of an optimum with the weights that the stars have at another.
-
-    Only so can the values of two optima be compared: where stars fit badly, they would not count.
-    """
-    problem = there.marginal.problem
-    same = problem.bench.linearised(there.state, 1.0, than.marginal.equations)
-    return Marginal(problem, same, there.state)
-
-
-def value_as_weighed(there: Optimum, than: Optimum, mode: Solution | None = None) -> float:
-    """Return -2 log of the likelihood of an optimum with the star weights of another, at the best amplitudes then.
-
-    ``mode``: another mode about the optimum, with faults of its own.
-    """
-    begin = mode or there.solution
-    return best_amplitudes(weighed_as(there, than).solve(begin.eta, begin.faults), _STEPS).value
 
 
 def first_amplitudes(problem: Problem, state: State) -> Array:

@@ -14,6 +14,7 @@ from calib.adjustment.parameters import (
 )
 from calib.calibration import Calibration, CalibrationOptions
 from calib.errors import DegenerateViews, NotConverged
+from calib.joint.hypotheses import OTHER_OPTIMUM
 from calib.joint.knowledge import CERTIFICATE, DOUBTED, FOCAL, READINGS
 from calib.joint.posterior import Posterior
 from calib.joint.readings import SCATTER
@@ -110,13 +111,18 @@ def notes(result: Calibration, found: Posterior) -> tuple[str, ...]:
     sentences += [*map(_doubt, named), together]
     if READINGS not in explained:
         sentences += [_readings(result), _contradiction(result)]
-    sentences += [_length(found), "" if PARALLAX in explained else _denied(found), _expected(result, found)]
+    sentences += [
+        _two_optima(found),
+        _length(found),
+        "" if PARALLAX in explained else _denied(found),
+        _expected(result, found),
+    ]
     return tuple(filter(None, sentences))
 
 
 def _lens(found: Posterior) -> str:
     """Return a note if the other family of lenses explains the views far better; empty if not, as all here."""
-    better = found.optimum.better_lens
+    better = found.better_lens
     if not better:
         return ""
     return (
@@ -148,6 +154,22 @@ def _length(found: Posterior) -> str:
         "The certificate of the collimator does not say which length it states. By what the views show, it is the "
         f"focal length with a probability of {share:.0%}, and else the length that this camera sees. The uncertainties "
         "cover both. State which one it is (length: focal_length or seen)."
+    )
+
+
+def _two_optima(found: Posterior) -> str:
+    """Return a note if searches from two starts ended at cameras that explain the views nearly as well."""
+    optima = [
+        (share, float(part.optimum.state.shared[0]))
+        for part, share, hypothesis in found.explanations
+        if hypothesis in (None, OTHER_OPTIMUM)
+    ]
+    if len(optima) == 1 or max(share for share, _ in optima[1:]) < _OPEN:
+        return ""
+    cameras = ", or ".join(f"fx is {fx:.5g} px with a probability of {share:.0%}" for share, fx in optima)
+    return (
+        f"Two searches ended at different cameras that explain these views: {cameras}. The uncertainties cover both. "
+        "A certificate of the collimator, readings of the gimbal, or poses turned farther would decide."
     )
 
 

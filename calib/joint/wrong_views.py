@@ -20,7 +20,9 @@ from calib.errors import CalibrationError, NotConverged
 from calib.joint.added_columns import AddedColumns, displaced
 from calib.joint.curvature import best_amplitudes
 from calib.joint.effects.effect import Places
-from calib.joint.solve import Optimum, search, value_as_weighed
+from calib.joint.evidence import value_as_weighed
+from calib.joint.hypotheses import SHIFTED_IDS
+from calib.joint.solve import Optimum, search
 from calib.model.likelihood_ratio import DECISIVE, needed
 from calib.model.local_consistency import local_spacing
 from calib.view import View
@@ -38,8 +40,6 @@ _ON_LATTICE = 0.05
 _LOOKED_AT, _PROMISED = -5.0, 4.0
 #: Largest number of shifts that are adjusted at a time, and of steps of the amplitudes.
 _ADJUSTED, _STEPS = 4, 20
-#: The ids of a view, which come from its tag, are wrong so often.
-_RARE = 1e-4
 #: An origin at a pixel's corner instead of its centre, px.
 HALF_PX = 0.5
 
@@ -115,7 +115,7 @@ def find_shifted_ids(
     pitch = _lattice_pitch(views)
     if len(views) < 2 or pitch is None:
         return ShiftedIds()
-    each = needed(len(views) * len(_SHIFTS)) - 2.0 * math.log(_RARE)
+    each = needed(len(views) * len(_SHIFTS)) - 2.0 * math.log(SHIFTED_IDS.odds)
 
     def cost(one: _Moved) -> float:
         return each * float(np.count_nonzero(one.shifts.any(axis=1)))

@@ -1,6 +1,6 @@
 """Planning: the uncertainty that a set of poses will give, and what each possible pose would add to it.
 
-A forecast is the posterior of the joint adjustment on predicted views (`calib.studies.expected_posterior`); repeats of
+A forecast is the posterior of the joint adjustment on predicted views (`calib.joint.forecast`); repeats of
 a pose count as one. A possible pose's rotation comes from a gimbal fitted to the poses so far. A pose is judged by what
 remains at the worst point of the sensor (the G-optimality of experimental design; Kiefer and Wolfowitz, 1960).
 """
@@ -13,25 +13,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.adjustment.parameters import SAME_POSE_DEG, AdjustmentParameters, views_of_poses
+from calib.adjustment.parameters import SAME_POSE_DEG, views_of_poses
 from calib.arrays import Array
-from calib.calibration import CalibrationOptions
 from calib.errors import DegenerateViews, TooFewStars
-from calib.joint.budget import budget_rows, row_gradients, variances
-from calib.joint.effects.collimator import CENTRE, RADIAL
-from calib.joint.reported import reported
-from calib.joint.words import require_determined
 from calib.model.gimbal import Gimbal, aligned_gimbal
 from calib.model.gimbal_readings import angles_of
-from calib.model.result_parts import ROW_QUANTITIES, WORST_CORNER, BudgetRow
+from calib.model.result_parts import WORST_CORNER, BudgetRow
 from calib.model.rotation import nearest_rotation
 from calib.one_thread import on_one_thread
-from calib.studies.expected_posterior import (
+from calib.studies.pose_gains import (
     Angles,
     PoseGains,
     Sigmas,
     distance_deg,
-    expected_posterior,
+    expected_amplitudes,
+    predicted_views,
     share_of_news,
     with_distortion,
 )
@@ -107,26 +103,16 @@ def forecast(bench: ExpectedBench, poses_deg: Sequence[Angles]) -> Forecast:
     rotations = np.array([rotation for _, rotation in views])
     firsts = [repeats[0] for repeats in views_of_poses(rotations)]
     kept, turned = [views[i][0] for i in firsts], rotations[firsts]
-    found = expected_posterior(bench, kept, turned, [poses_deg[i] for i in firsts])
-    layout = found.optimum.marginal.problem.bench.layout
-    stated = reported(found, (*CENTRE, *RADIAL))
-    size = len(layout.pose.camera)
-    covariance = stated.rows @ found.covariance @ stated.rows.T
-    centred = AdjustmentParameters(bench.camera, bench.collimator, turned, np.zeros((len(kept), 3)))
-    require_determined(found, kept, centred, CalibrationOptions(passport=bench.passport))
-    whole = found.covariance[:size, :size]
-    gradients = row_gradients(found, whole)
-    parts = variances(found, gradients)
-    sigmas = np.sqrt(sum(parts.values()))
-    factors = [found.expanded(row) / sigma for row, sigma in zip(gradients, sigmas, strict=True)]
-    camera = found.optimum.marginal.problem.bench.camera(found.mean)
+    predicted = predicted_views(bench, kept, turned, [poses_deg[i] for i in firsts])
+    expected = predicted.summary(expected_amplitudes(bench, predicted.hyper))
+    sigmas = np.sqrt(np.diag(expected.covariance)).tolist()
     return Forecast(
-        dict(zip(stated.names, np.sqrt(np.diag(covariance)).tolist(), strict=True)),
-        covariance,
-        dict(zip(ROW_QUANTITIES, factors, strict=True)),
-        projection_uncertainty(camera, whole),
+        dict(zip(expected.names, sigmas, strict=True)),
+        expected.covariance,
+        expected.coverage_factors,
+        projection_uncertainty(expected.camera, expected.camera_covariance),
         tuple(len(view) for view, _ in views),
-        budget_rows(found, gradients, parts),
+        expected.rows,
         _remarks(bench),
     )
 

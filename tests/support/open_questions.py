@@ -6,11 +6,8 @@ number or a sentence of the engine before. Which of them the new engine must rea
 """
 
 _SIZES = "U is larger: errors are expected as published prescriptions have them"
-_CAUSE = "what a person did is named first, in other words than the statement that contradicts"
-_DOUBT = "a doubted statement is named from another probability on"
 
 OPEN = {
-    "calib/joint/test_ways.py::test_what_is_expected_of_a_pupil_beside_the_axes_does_not_speak_for_a_bound": _DOUBT,
     "calib/studies/test_planning.py::test_the_sizes_of_errors_that_a_run_found_replace": _SIZES,
 }
 

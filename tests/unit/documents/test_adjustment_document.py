@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from calib.joint import amplitudes, doubts, equations, knowledge, marginal, prior
+from calib.joint.hypotheses import HYPOTHESES
 
 PAGE = (Path(__file__).parents[3] / "docs" / "adjustment.md").read_text(encoding="utf-8")
 #: What the page writes in TeX, as the head of the module writes it.
@@ -83,3 +84,11 @@ def test_the_page_has_the_prior_of_every_amplitude():
     for name, (median, sigma) in stated.items():
         assert median == pytest.approx(expected[name][0], rel=0.02), name
         assert sigma == pytest.approx(expected[name][1], abs=0.06), name
+
+
+def test_the_page_lists_every_hypothesis_with_its_odds():
+    table = PAGE.partition("| hypothesis | odds |")[2].partition("\n\n")[0]
+    stated = {
+        name: float(odds) for name, odds in re.findall(r"^\| ([a-z].+?) \| (.+?) \|$", table, re.MULTILINE)
+    }
+    assert stated == {one.name: pytest.approx(one.odds, rel=0.02) for one in HYPOTHESES}

@@ -12,7 +12,7 @@ from bench.solve.expectations import expected_uncertainty
 from bench.solve.forecasts import forecast_bench, suggest_poses
 from bench.stations.station import ExpectedConfig
 from calib.model.camera import distortion_names
-from calib.studies.expected_posterior import distance_deg
+from calib.studies.pose_gains import distance_deg
 from calib.studies.predicted_views import TYPICAL_DEFOCUS, TYPICAL_RMS_PX
 
 NINE = (SHIPPED_SEQUENCES / "nine_pose.yaml").read_text()

@@ -16,10 +16,11 @@ from calib.joint.curvature import best_amplitudes, expected_curvature
 from calib.joint.effects.by_turn import ByTurn, Parallax
 from calib.joint.effects.effect import Turned
 from calib.joint.equations import sines_of, turns_of
+from calib.joint.evidence import weighed_as
 from calib.joint.knowledge import CERTIFICATE, DOUBTED, PARALLAX, WRONG
+from calib.joint.modes import modes_of
 from calib.joint.posterior import posterior
 from calib.joint.samples import log_odds
-from calib.joint.solve import weighed_as
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.type_b_terms import TypeBTerm
 from tests.benchmarks.worlds import polynomial
@@ -99,7 +100,7 @@ def test_search_of_amplitudes_ends_where_that_of_scipy_does(optimum):
 
 
 def test_parts_of_the_budget_add_up_to_the_variance(optimum):
-    found = posterior(optimum, 30)
+    found = posterior(modes_of(optimum), 30)
     at = optimum.marginal.problem.bench.layout.places(["fx", "cx", "r"])
     parts = variances(found, np.eye(len(found.mean))[at])
     assert sum(parts.values()) == pytest.approx(np.diag(found.covariance)[at], rel=1e-6)
@@ -108,7 +109,7 @@ def test_parts_of_the_budget_add_up_to_the_variance(optimum):
 
 @pytest.mark.parametrize("name", [CERTIFICATE, "scale of pan", "pupil and defocus", "square pixels"])
 def test_innovation_is_what_an_adjustment_says_for_which_nobody_had_stated_it(optimum, name):
-    one = next(one for one in posterior(optimum, 30).innovations() if one.name == name)
+    one = next(one for one in posterior(modes_of(optimum), 30).innovations() if one.name == name)
     marginal = optimum.marginal
     kept = tuple(
         replace(s, covariance=s.free) if s.name == name and s.free is not None else s

@@ -10,6 +10,7 @@ from calib.joint import amplitudes as amp
 from calib.joint.adjust import adjust
 from calib.joint.budget import variances
 from calib.joint.marginal import Marginal
+from calib.joint.modes import modes_of
 from calib.joint.places import spread_of_places, step_to_places
 from calib.joint.posterior import posterior
 from calib.model.gimbal_readings import GimbalReadings
@@ -93,7 +94,7 @@ def test_places_elsewhere_come_back(optimum):
 
 
 def test_places_of_the_pupil_are_a_row_of_the_budget_which_adds_up(optimum):
-    found = posterior(optimum, 30)
+    found = posterior(modes_of(optimum), 30)
     at = optimum.marginal.problem.bench.layout.places(["fx", "cx", "r"])
     parts = variances(found, np.eye(len(found.mean))[at])
     assert sum(parts.values()) == pytest.approx(np.diag(found.covariance)[at], rel=1e-6)

@@ -7,6 +7,7 @@ import pytest
 
 from calib.joint.adjust import adjust
 from calib.joint.curvature import expected_curvature
+from calib.joint.modes import modes_of
 from calib.joint.posterior import posterior
 from tests.benchmarks.worlds.catalogue import WORLDS
 from tests.benchmarks.worlds.knowledge import options_for, views_of
@@ -43,6 +44,6 @@ def chain(optimum):
 
 def test_the_uncertainty_is_that_of_a_markov_chain_over_the_amplitudes(optimum, chain):
     """At the best amplitudes alone it is a third smaller."""
-    found, (steps, sigmas) = posterior(optimum, 100), chain
+    found, (steps, sigmas) = posterior(modes_of(optimum), 100), chain
     by_chain = half_width(steps, sigmas, np.full(STEPS, 1.0 / STEPS), steps.mean())
     assert found.expanded(np.eye(len(found.mean))[0]) == pytest.approx(by_chain, rel=0.1)

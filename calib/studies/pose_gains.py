@@ -1,7 +1,4 @@
-"""The expected posterior: the joint adjustment of predicted views, with the amplitudes that are expected of the bench.
-
-Predicted views have no residuals, so they cannot tell how large the errors are. The amplitudes therefore stand at their
-expected values, and are known as well as the Fisher information of the planned views allows.
+"""What an expected bench expects: predicted views with its amplitudes, and what each of many poses would add.
 
 What each of many poses would add to others is a sum of information (`PoseGains`): a pose tells of the shared unknowns
 what its stars and its reading say, with its rotation and its own field eliminated. So a pose to add is judged without
@@ -16,22 +13,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.adjustment.parameters import AdjustmentParameters, poses_of
+from calib.adjustment.parameters import AdjustmentParameters
 from calib.arrays import Array
 from calib.calibration import CalibrationOptions
-from calib.errors import DegenerateViews
-from calib.joint import amplitudes as amp
-from calib.joint.adjust import lens_names, posed
-from calib.joint.curvature import expected_curvature
-from calib.joint.effects.camera import DRIFT
-from calib.joint.effects.collimator import POSE_PLACES
-from calib.joint.equations import State, sines_of, turns_of
-from calib.joint.left_out import maps_with_gimbal, normal_of_poses
-from calib.joint.marginal import Marginal, Problem, Solution
-from calib.joint.poses import Poses
-from calib.joint.posterior import Posterior
-from calib.joint.samples import Node
-from calib.joint.solve import Optimum
+from calib.joint.forecast import PredictedViews
+from calib.joint.forecast import amplitudes as amp
 from calib.model.lens import is_fisheye
 from calib.studies.predicted_views import ExpectedBench
 from calib.uncertainty.projection_uncertainty import projection_derivatives
@@ -44,12 +30,9 @@ _COMMON = (amp.RADIAL, amp.SHIFTED, *amp.COMMON)
 _BY_TURN = (amp.CURVATURE_TURN, amp.SCALE_TURN_2, *amp.TURN, *amp.TURN_2)
 #: A bad collimator may be badly focused, too. A good one is not better focused than others.
 _FOCUS = (amp.PARALLAX, amp.ASIDE)
-_PAIRS = 8
 #: Distortion of a lens at the corner of the sensor, as a share of the distance from the axis: as large as that of the
 #: camera of arXiv:2512.16092.
 _THIRD_ORDER, _FIFTH_ORDER = 0.003, -0.002
-#: Robust limit of predicted stars; they have no residuals.
-_LIMIT = 1.0
 _GRID_POINTS = 9
 #: Poses are compared with about so many of their stars; each then counts for those that are left out.
 _STARS = 80
@@ -58,11 +41,10 @@ _STARS = 80
 SHARED_ERROR_DEG = 1.5
 
 
-def posed_bench(
+def predicted_views(
     bench: ExpectedBench, views: Sequence[View], rotations: Array, angles_deg: Sequence[Angles]
-) -> tuple[Problem, State]:
+) -> PredictedViews:
     """Return the adjustment of predicted views with (n, 3, 3) rotations, camera <- target, at the expected bench."""
-    lens = lens_names(tuple(bench.camera.distortion))
     start = AdjustmentParameters(bench.camera, bench.collimator, rotations, np.zeros((len(views), 3)))
     readings, axes = bench.readings, {axis for pose in angles_deg for axis in pose}
     whole = tuple({axis: pose.get(axis, 0.0) for axis in axes} for pose in angles_deg)
@@ -72,7 +54,7 @@ def posed_bench(
         budget=bench.terms,
         radial_sigma=bench.radial_sigma,
     )
-    return posed(views, options, start, lens, Poses(np.array(poses_of(rotations), np.int64)))
+    return PredictedViews(views, start, options)
 
 
 def with_distortion(bench: ExpectedBench) -> ExpectedBench:
@@ -110,34 +92,6 @@ def expected_amplitudes(bench: ExpectedBench, hyper: amp.Hyperprior) -> Array:
     return np.clip(eta, *bounds)
 
 
-def expected_posterior(
-    bench: ExpectedBench, views: Sequence[View], rotations: Array, angles_deg: Sequence[Angles]
-) -> Posterior:
-    """Return the posterior that planned views with (n, 3, 3) rotations, camera <- target, are expected to give."""
-    problem, state = posed_bench(bench, views, rotations, angles_deg)
-    marginal = Marginal(problem, problem.bench.linearised(state, _LIMIT), state)
-    hyper = problem.hyper
-    eta = expected_amplitudes(bench, hyper)
-    try:
-        middle = _still(marginal.solve(eta))
-        spread = np.linalg.inv(0.5 * expected_curvature(middle))
-        lower = np.linalg.cholesky(spread)
-        deviates = np.random.default_rng(0).standard_normal((_PAIRS, len(eta)))
-        places = [eta, *(eta + lower @ z for z in (*deviates, *-deviates))]
-        bounds = np.array(hyper.bounds).T
-        solved = [_still(marginal.solve(np.clip(place, *bounds))) for place in places]
-    except np.linalg.LinAlgError as error:
-        raise DegenerateViews("These poses do not determine the camera.") from error
-    nodes = tuple(Node(one, 1.0 / len(solved)) for one in solved)
-    optimum = Optimum(middle, 0, converged=True)
-    return Posterior(optimum, nodes, np.sqrt(np.diag(spread)), {}, replace(nodes[0], solution=middle))
-
-
-def _still(found: Solution) -> Solution:
-    """Return a solution whose mean is the expected bench itself: statements do not move a forecast."""
-    return replace(found, step=np.zeros_like(found.step), fields=np.zeros_like(found.fields))
-
-
 @dataclass(frozen=True)
 class Sigmas:
     """Standard uncertainties that some poses leave, for the expected amplitudes."""
@@ -152,30 +106,18 @@ class PoseGains:
     def __init__(
         self, bench: ExpectedBench, views: Sequence[View], rotations: Array, angles_deg: Sequence[Angles]
     ) -> None:
-        problem, state = posed_bench(bench, [_thinned(view) for view in views], rotations, angles_deg)
-        apart = np.arange(len(views))
-        own = replace(problem.bench, poses=apart)
-        turns, axes = turns_of(rotations, apart)
-        own = replace(own, turns=turns, axes=axes, pupils=sines_of(turns))
-        state = replace(state, fields=np.zeros((len(views), len(POSE_PLACES))))
-        eta = expected_amplitudes(bench, problem.hyper)
-        squares = np.exp(2.0 * eta)
-        equations = own.linearised(state, _LIMIT)
-        self._own = normal_of_poses(replace(problem, bench=own), equations, state, squares)[:, :, :-1]
-        maps = own.maps.copy()
-        maps[:, :, own.layout.index[DRIFT]] = 0.0  # it is not known when a candidate will be recorded
-        self._maps = maps_with_gimbal(own, maps)
-        self._prior = _prior(problem, squares)
-        self._camera = len(own.layout.pose.camera)
-        self._by_camera = projection_derivatives(own.camera(state.shared), _GRID_POINTS)[0]
+        predicted = predicted_views(bench, [_thinned(view) for view in views], rotations, angles_deg)
+        self._poses = predicted.information(expected_amplitudes(bench, predicted.hyper))
+        self._by_camera = projection_derivatives(self._poses.camera, _GRID_POINTS)[0]
 
     def information(self, weights: Array) -> Array:
         """Return the (S, S) information of all priors and of the first poses, which count by (k,) weights."""
-        return sum(map(self.added, range(len(weights)), weights), start=self._prior)
+        return sum(map(self.added, range(len(weights)), weights), start=self._poses.prior)
 
     def added(self, place: int, weight: float) -> Array:
         """Return the (S, S) information that a pose adds."""
-        return np.asarray(weight * self._maps[place].T @ self._own[place] @ self._maps[place])
+        maps = self._poses.maps[place]
+        return np.asarray(weight * maps.T @ self._poses.own[place] @ maps)
 
     def covariance(self, information: Array) -> Array:
         """Return the (S, S) covariance of the shared unknowns."""
@@ -188,15 +130,16 @@ class PoseGains:
 
         The criterion of the worst point is the G-optimality of Kiefer and Wolfowitz (1960).
         """
-        camera = covariance[: self._camera, : self._camera]
+        size = self._poses.camera_size
+        camera = covariance[:size, :size]
         spread = self._by_camera @ camera @ np.swapaxes(self._by_camera, 1, 2)
         worst = float(np.linalg.eigvalsh(spread)[:, 1].max())
         return Sigmas(float(np.sqrt(max(camera[0, 0], 0.0))), float(np.sqrt(max(worst, 0.0))))
 
     def with_poses(self, covariance: Array, places: Sequence[int], weights: Sequence[float]) -> list[Sigmas]:
         """Return what each of some further poses leaves of the (S, S) covariance without it."""
-        maps, camera = self._maps[list(places)], self._camera
-        own = np.asarray(weights)[:, None, None] * self._own[list(places)]
+        maps, camera = self._poses.maps[list(places)], self._poses.camera_size
+        own = np.asarray(weights)[:, None, None] * self._poses.own[list(places)]
         moved = (maps.reshape(-1, maps.shape[2]) @ covariance).reshape(maps.shape)
         at = moved[:, :, :camera]
         inside = np.eye(own.shape[1]) + own @ (moved @ np.swapaxes(maps, 1, 2))
@@ -209,13 +152,6 @@ def _thinned(view: View) -> View:
     step = max(1, len(view) // _STARS)
     part = view.part(np.arange(len(view)) % step == 0)
     return replace(part, covariances_px2=part.covariances_px2 / step)
-
-
-def _prior(problem: Problem, squares: Array) -> Array:
-    """Return the (S, S) information of all that is known beside the poses."""
-    information, at = problem.stated().information.copy(), problem.random.places
-    information[at[:, None], at] += problem.random.information(squares)[0]
-    return information
 
 
 def distance_deg(one: Angles, other: Angles) -> float:

@@ -1,0 +1,117 @@
+"""The face of the joint adjustment for studies: what predicted views are expected to tell.
+
+Predicted views have no residuals, so they cannot tell how large the errors are. The amplitudes therefore stand at their
+expected values, and are known as well as the Fisher information of the planned views allows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.adjustment.parameters import AdjustmentParameters, poses_of
+from calib.arrays import Array
+from calib.calibration import CalibrationOptions
+from calib.errors import DegenerateViews
+from calib.joint import amplitudes
+from calib.joint.curvature import expected_curvature
+from calib.joint.effects.camera import DRIFT
+from calib.joint.equations import sines_of, turns_of
+from calib.joint.left_out import maps_with_gimbal, normal_of_poses
+from calib.joint.marginal import Marginal, Solution
+from calib.joint.modes import Modes
+from calib.joint.posed import lens_names, posed
+from calib.joint.poses import Poses
+from calib.joint.posterior import Posterior
+from calib.joint.samples import Node
+from calib.joint.solve import Optimum
+from calib.joint.summary import Summary, summarised
+from calib.joint.words import require_determined
+from calib.model.camera import CameraModel
+from calib.view import View
+
+__all__ = ["PoseInformation", "PredictedViews", "Summary", "amplitudes"]
+
+_PAIRS = 8
+#: Robust limit of predicted stars; they have no residuals.
+_LIMIT = 1.0
+
+
+class PredictedViews:
+    """Views as they are expected of a camera and a collimator, as the problem of an adjustment that is at its end."""
+
+    def __init__(
+        self, views: Sequence[View], start: AdjustmentParameters, options: CalibrationOptions
+    ) -> None:
+        self.views, self.options, self.start = views, options, start
+        lens = lens_names(tuple(start.camera.distortion))
+        poses = Poses(np.array(poses_of(start.rotations), np.int64))
+        self._problem, self._state = posed(views, options, start, lens, poses)
+
+    @property
+    def hyper(self) -> amplitudes.Hyperprior:
+        """What is expected of the amplitudes."""
+        return self._problem.hyper
+
+    def summary(self, eta: Array) -> Summary:
+        """Return what these views are expected to give with (A,) logarithms of the amplitudes.
+
+        Views that would not determine the camera are refused.
+        """
+        expected = self._posterior(eta)
+        require_determined(expected, self.views, self.start, self.options)
+        return summarised(expected)
+
+    def _posterior(self, eta: Array) -> Posterior:
+        marginal = Marginal(self._problem, self._problem.bench.linearised(self._state, _LIMIT), self._state)
+        bounds = np.array(self.hyper.bounds).T
+        try:
+            middle = _still(marginal.solve(eta))
+            curvature = 0.5 * expected_curvature(middle)
+            spread = np.linalg.inv(curvature)
+            lower = np.linalg.cholesky(spread)
+            deviates = np.random.default_rng(0).standard_normal((_PAIRS, len(eta)))
+            places = [eta, *(eta + lower @ z for z in (*deviates, *-deviates))]
+            solved = [_still(marginal.solve(np.clip(place, *bounds))) for place in places]
+        except np.linalg.LinAlgError as error:
+            raise DegenerateViews("These poses do not determine the camera.") from error
+        nodes = tuple(Node(solution, 1.0 / len(solved)) for solution in solved)
+        largest = Node(middle, 1.0)
+        modes = Modes(Optimum(middle, 0, converged=True), curvature, [largest], largest, {}, 0.0)
+        return Posterior(modes, nodes, np.sqrt(np.diag(spread)), {}, largest)
+
+    def information(self, eta: Array) -> PoseInformation:
+        """Return what each view tells, as a pose of its own, with (A,) logarithms of the amplitudes."""
+        problem, squares = self._problem, np.exp(2.0 * eta)
+        apart = np.arange(len(self.views))
+        turns, axes = turns_of(self.start.rotations, apart)
+        bench = replace(problem.bench, poses=apart, turns=turns, axes=axes, pupils=sines_of(turns))
+        state = replace(self._state, fields=np.zeros((len(self.views), self._state.fields.shape[1])))
+        equations = bench.linearised(state, _LIMIT)
+        own = normal_of_poses(replace(problem, bench=bench), equations, state, squares)[:, :, :-1]
+        maps = bench.maps.copy()
+        maps[:, :, bench.layout.index[DRIFT]] = 0.0  # it is not known when a pose will be recorded
+        prior, at = problem.stated().information.copy(), problem.random.places
+        prior[at[:, None], at] += problem.random.information(squares)[0]
+        camera = len(bench.layout.pose.camera)
+        return PoseInformation(
+            own, maps_with_gimbal(bench, maps), prior, bench.camera(self._state.shared), camera
+        )
+
+
+class PoseInformation(NamedTuple):
+    """What each of n poses tells of the S shared unknowns, with its rotation and its own field eliminated."""
+
+    own: Array  # (n, Z, Z) information of its basis and of the gimbal
+    maps: Array  # (n, Z, S) what the shared unknowns do to these
+    prior: Array  # (S, S) information of all that is known beside the poses
+    camera: CameraModel
+    camera_size: int  # The first so many unknowns are the camera's
+
+
+def _still(solution: Solution) -> Solution:
+    """Return a solution whose mean is the expected bench itself: statements do not move a forecast."""
+    return replace(solution, step=np.zeros_like(solution.step), fields=np.zeros_like(solution.fields))
