@@ -80,8 +80,9 @@ def posterior_of(views: Sequence[View], options: CalibrationOptions) -> Posterio
     was asked for stays, and the result says that the other one explains the views better.
     """
     explanations = _at_all_optima(views, options)
-    lenses = _with_other_lens(max(explanations, key=_rank), views, options)
-    better = [other for other in lenses if not options.compares_lenses and other.log_odds > 0.0]
+    best = max(explanations, key=_rank)
+    lenses = _with_other_lens(best, views, options)
+    better = [other for other in lenses if not options.compares_lenses and other.log_odds > best.log_odds]
     explanations += lenses if options.compares_lenses else []
     explanations += _moved_otherwise(max(explanations, key=_rank), views, options)
     mixture = _mixture(explanations, options.max_iterations)
@@ -132,7 +133,8 @@ def _with_other_lens(
     other = _BROWN if _family(first.optimum) == _FISHEYE else _FISHEYE
     with suppress(CalibrationError, np.linalg.LinAlgError):  # these views cannot be those of such a lens
         there = modes_of(adjust(views, options, lens=lens_names(DISTORTION_SETS[other])))
-        return [_Explanation(there, _log_odds(there, first) + math.log(OTHER_LENS.odds), OTHER_LENS)]
+        log_odds = _log_odds(there, first) + math.log(OTHER_LENS.odds)
+        return [_Explanation(there, first.log_odds + log_odds, OTHER_LENS)]
     return []
 
 
