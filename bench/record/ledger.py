@@ -31,6 +31,7 @@ from bench.record.ledger_marks import (
     LedgerMark,
     LedgerRun,
     OwnMark,
+    RunFault,
     Strangers,
     Witness,
     append_to_anchor,
@@ -225,20 +226,20 @@ class Ledger:
         """List all runs in the order of their numbers; empty while there is no ledger."""
         return runs_of(self.entries())
 
-    def faults(self) -> list[str]:
+    def faults(self) -> list[RunFault]:
         """Check that the folder of every sealed run still exists and still has its seal; explained faults count not."""
-        known = {str(entry.data["what"]) for entry in self.explained_runs()}
-        return [what for what in self._run_faults() if what not in known]
+        known = {(entry.data.get("run"), entry.data.get("fault")) for entry in self.explained_runs()}
+        return [fault for fault in self._run_faults() if fault.key not in known]
 
     def faults_and_remedies(self) -> list[str]:
         """Return `faults`, each with what to do."""
-        return [f"{what}. Copy it back, or {_SAY_WHAT}" for what in self.faults()]
+        return [f"{fault}. Copy it back, or {_SAY_WHAT}" for fault in self.faults()]
 
     def explained_runs(self) -> list[Entry]:
-        """Return the lines in which a person stated why a run is missing: ``what``, ``reason`` and ``by``."""
+        """Return the lines in which a person stated why a run is missing or changed; ``what`` is the fault in words."""
         return [entry for entry in self.entries() if entry.event == RUN_EXPLAINED]
 
-    def _run_faults(self) -> list[str]:
+    def _run_faults(self) -> list[RunFault]:
         found = []
         for run in self.runs():
             manifest = Path(run.folder) / MANIFEST
@@ -246,9 +247,9 @@ class Ledger:
                 continue
             with storage_errors(manifest):
                 if not manifest.is_file():
-                    found.append(f"run {run.number} ({run.run_id}): its folder {run.folder} is missing")
+                    found.append(RunFault(run, "missing"))
                 elif sha256_of(manifest) != run.seal:
-                    found.append(f"run {run.number} ({run.run_id}): {manifest} was changed after sealing")
+                    found.append(RunFault(run, "changed"))
         return found
 
     # ------------------------------------------------------------ breaks
@@ -287,12 +288,13 @@ class Ledger:
             for one in open_breaks:
                 journal.append(BREAK_EXPLAINED, line=one.line, reason=reason, by=by)
         runs = self.faults()
-        for what in runs:
-            self.append(RUN_EXPLAINED, what=what, reason=reason, by=by)
+        for fault in runs:
+            head, kind = fault.key
+            self.append(RUN_EXPLAINED, run=head, fault=kind, what=str(fault), reason=reason, by=by)
         self._write_anchors(anchor)
         if not open_breaks and not runs:
             raise UsageError("The ledger has no break to explain.", where=str(self.path))
-        return [*map(str, open_breaks), *runs]
+        return [*map(str, open_breaks), *map(str, runs)]
 
     def forget_place(self, place: str, *, reason: str, by: str) -> None:
         """Stop writing to a second place, and enter why."""

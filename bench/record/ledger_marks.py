@@ -13,11 +13,12 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, EvidenceError, JournalBroken, StorageError
 from bench.record.journal_line import Entry
+from bench.record.run_folder import MANIFEST
 from bench.record.storage import O_BINARY, read_bounded, storage_errors, sync_folder, write_all, write_atomic
 
 MARK = "ledger_high"
@@ -232,6 +233,27 @@ class LedgerRun:
     seal: str | None = None  # SHA-256 of its list of files; None when it was not sealed
     head: str = ""  # Hash of the line that enters it
     ended_utc: str = ""  # Time of the line with its end and its seal; empty without one
+
+
+@dataclass(frozen=True)
+class RunFault:
+    """A sealed run of the ledger whose folder is not as it was sealed."""
+
+    run: LedgerRun
+    kind: Literal["missing", "changed"]
+
+    @property
+    def key(self) -> tuple[str, str]:
+        """What a line that explains the fault repeats: the hash of the run's line, and the kind."""
+        return self.run.head, self.kind
+
+    def __str__(self) -> str:
+        folder = self.run.folder
+        missing, changed = (
+            f"its folder {folder} is missing",
+            f"{Path(folder) / MANIFEST} was changed after sealing",
+        )
+        return f"run {self.run.number} ({self.run.run_id}): {missing if self.kind == 'missing' else changed}"
 
 
 def runs_of(entries: Iterable[Entry]) -> list[LedgerRun]:

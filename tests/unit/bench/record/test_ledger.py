@@ -70,7 +70,7 @@ def test_the_seal_of_a_run_is_entered_and_held_against_its_folder(ledger, make_r
         (tmp_path / name).chmod(0o755)
     (tmp_path / "removed" / "SHA256SUMS").unlink()
     (tmp_path / "changed" / "SHA256SUMS").write_bytes(b"")
-    gone, changed = ledger.faults()
+    gone, changed = map(str, ledger.faults())
     assert gone.startswith("run 2 (removed): its folder ")
     assert changed.startswith("run 3 (changed)")
     assert "was changed after sealing" in changed

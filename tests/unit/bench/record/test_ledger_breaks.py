@@ -15,7 +15,7 @@ from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, pr
 from bench.base.errors import EvidenceError, StorageError, UsageError
 from bench.record.journal import Journal
 from bench.record.ledger import Ledger
-from bench.record.ledger_marks import MARK, highest_counts
+from bench.record.ledger_marks import MARK, RunFault, highest_counts
 
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 
@@ -368,7 +368,7 @@ def lost_run(ledger, tmp_path):
 
 
 def test_a_lost_run_is_a_fault_until_a_person_says_what_became_of_it(ledger, lost_run):
-    (fault,) = ledger.faults()
+    (fault,) = map(str, ledger.faults())
     assert f"its folder {lost_run} is missing" in fault
     (shown,) = ledger.faults_and_remedies()
     assert shown == f"{fault}. Copy it back, or state what became of it: `starbench ledger --explain TEXT`."
@@ -386,7 +386,13 @@ def test_an_explained_run_that_comes_back_changed_is_a_fault_again(ledger, lost_
     assert ledger.faults() == []
     (lost_run / "SHA256SUMS").write_text("sealed again")
     (fault,) = ledger.faults()
-    assert "was changed after sealing" in fault
+    assert "was changed after sealing" in str(fault)
+
+
+def test_an_explained_run_stays_explained_if_the_fault_is_told_in_other_words(ledger, lost_run, monkeypatch):
+    ledger.explain("The disk broke.", "ada")
+    monkeypatch.setattr(RunFault, "__str__", lambda self: "other words")
+    assert ledger.faults() == []
 
 
 def test_a_mark_that_the_disk_does_not_give_is_an_error_of_the_disk_and_no_break(ledger):
