@@ -12,13 +12,13 @@ from bench.align.open_bench import Confirmation
 from bench.align.page_requests import PageFiles
 from bench.align.session import Session
 from bench.base.clock import stop_on_signals
-from bench.base.errors import ScriptError, UsageError
+from bench.base.errors import ScriptError
 from bench.stations.placeholders import find_placeholders
 from bench.stations.station import SHIPPED_STATIONS, load_station
 from bench.web.server import PageServer, print_line
 from bench.web.token import PageToken
 from drivers.errors import DriverError
-from sequences.reader import OptionSettings, find_document
+from sequences.reader import find_document
 
 _STOPPED = 0
 _NOT_CONFIRMED = 1
@@ -26,7 +26,6 @@ _NOT_CONFIRMED = 1
 
 def align_on_page(
     station: str,
-    settings: Sequence[str] = (),
     *,
     host: str = "127.0.0.1",
     port: int = 0,
@@ -35,9 +34,9 @@ def align_on_page(
 ) -> int:
     """Serve the align page of a station until Ctrl-C; return 0 if every device confirmed a safe state, else 1.
 
-    ``settings`` (``PATH=VALUE``) replace values of the file. Other computers need a ``token`` (else `UsageError`).
+    Other computers need a ``token`` (else `UsageError`).
     """
-    session = make_session(station, settings)
+    session = make_session(station)
     path = find_document(station, SHIPPED_STATIONS)
     server = PageServer(align_app(session, PageFiles(str(path))), host=host, port=port, token=token)
     opening = threading.Thread(target=_open, args=(session,), name="align-open", daemon=True)
@@ -60,15 +59,9 @@ def align_on_page(
     return status
 
 
-def make_session(station: str, settings: Sequence[str] = ()) -> Session:
-    """Make a session, no device open yet; ``settings`` (``PATH=VALUE``) replace values of the station file."""
-    given = {}
-    for text in settings:
-        path, equals, value = text.partition("=")
-        if not equals:
-            raise UsageError(f"{text!r} does not have the form PATH=VALUE.", where="--set")
-        given[path.strip().removeprefix("station.")] = value
-    located = load_station(station, OptionSettings(given, "--set") if given else None)
+def make_session(station: str) -> Session:
+    """Make a session, no device open yet."""
+    located = load_station(station)
     missing = find_placeholders(located.tree)
     if missing:  # a scale that nobody has filled in would turn the stage by a wrong angle
         raise ScriptError([str(fault) for fault in missing])

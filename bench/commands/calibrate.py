@@ -58,7 +58,6 @@ def calibrate_each(
     output: Path | None,
     *,
     table_only: bool,
-    no_seal: bool,
 ) -> int:
     """Calibrate runs, a line each; return 1 if one failed.
 
@@ -86,7 +85,7 @@ def calibrate_each(
     with reliable_interrupts(), ExitStack() as stack:
         stack.callback(who.close)
         places = find_places([str(place) for place in paths])
-        key = None if output is None or no_seal or table_only else key_or_draft()
+        key = None if output is None or table_only else key_or_draft()
         results = None
         if output is not None:
             results = stack.enter_context(ResultsFolders(output, key, table_only=table_only))
@@ -209,7 +208,6 @@ class _PathOrUrl(ExistingPath):
     " --each: one folder of results for each run, and one table of all runs (recalculated.jsonl); after an"
     " interruption, repeat the command with the same folder: it continues.",
 )
-@click.option("--no-seal", is_flag=True, help="Leave the results a DRAFT, without a seal.")
 @click.option("--each", is_flag=True, help="Calibrate each run alone. If a run fails, the others continue.")
 @click.option(
     "--table-only",
@@ -222,7 +220,6 @@ def calibrate(
     paths: tuple[Path | str, ...],
     compare: bool,
     output: Path | None,
-    no_seal: bool,
     each: bool,
     table_only: bool,
     workers: int | str | None,
@@ -244,12 +241,12 @@ def calibrate(
     if each and compare:
         raise UsageError("--compare and --each cannot be used together.", remedy="Leave out one of them.")
     if each:
-        return calibrate_each(paths, chosen, workers, output, table_only=table_only, no_seal=no_seal)
+        return calibrate_each(paths, chosen, workers, output, table_only=table_only)
     if table_only or workers is not None:
         what = "--table-only" if table_only else "--workers"
         raise UsageError(f"{what} needs --each.", remedy=f"Add --each, or leave {what} out.")
     places = [ExistingPath().convert(path, None, None) for path in paths]
-    return _calibrate_together(places, chosen, output, compare=compare, no_seal=no_seal)
+    return _calibrate_together(places, chosen, output, compare=compare)
 
 
 def _calibrate_together(
@@ -258,7 +255,6 @@ def _calibrate_together(
     output: Path | None,
     *,
     compare: bool,
-    no_seal: bool,
 ) -> int:
     """Calibrate from all views, write and seal the results where an output folder is given, and print."""
     from bench.measure.kept_views import KeptViews
@@ -268,7 +264,7 @@ def _calibrate_together(
 
     if output is not None:
         require_new(output)
-    key = None if output is None or no_seal else key_or_draft()
+    key = None if output is None else key_or_draft()
     kept = KeptViews.of_bench()
     result = calibrate_paths(paths, options, kept)
     for remark in kept.remarks:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 import click
 
-from bench.commands.options import CheckedStation, Number, together
+from bench.commands.options import CheckedStation, together
 from bench.record.coverage import coverage_factor
 from bench.wording.conformity import conformity_headline, conformity_sentences
 from bench.wording.numbers import exact, with_uncertainty
@@ -191,23 +191,10 @@ _OPTIONS = {
         "--distortion",
         help="Distortion coefficients, e.g. k1k2k3p1p2, none or auto.  [default: as in the run; else k1k2]",
     ),
-    "guard-band": click.option(
-        "--guard-band",
-        type=Number(least=0, above=True, most=1),
-        metavar="SHARE",
-        help="Use only stars within this share of the beam's radius: above 0, at most 1.  [default: as in the run; "
-        "else 1]",
-    ),
     "passport": click.option(
         "--passport",
         metavar="FILE",
         help="Passport of the collimator, or none.  [default: that of the run, if it has one]",
-    ),
-    "readings": click.option(
-        "--readings",
-        type=click.Choice(["auto", "witness"]),
-        help="Gimbal readings of a run. auto: they enter the adjustment, if the station states their uncertainty; "
-        "witness: they are only compared with the result.  [default: as in the run]",
     ),
     "image-size": click.option(
         "--image-size",
@@ -215,12 +202,6 @@ _OPTIONS = {
         help="Image size for point files, and for event files that do not state it.",
     ),
     "views": click.option("--views", metavar="1,5,9", help="Use only these views. The first one is 1."),
-    "image": click.option(
-        "--image",
-        default="auto",
-        show_default=True,
-        help="Kind of event image for RAW files (docs/sequences.md).",
-    ),
     "origin": click.option(
         "--origin",
         type=click.Choice(["corner", "centre"]),
@@ -261,3 +242,6 @@ BOARD = _OPTIONS["board"]
 
 collimator_options = together(*(_OPTIONS[name] for name in _THROUGH_COLLIMATOR))
 """The options of a calibration through a collimator."""
+
+rig_options = together(*(_OPTIONS[name] for name in ("distortion", "image-size", "origin", "station")))
+"""The options of two cameras that are calibrated together."""

@@ -104,8 +104,30 @@ _GONE = {
     "certificate from-dcc": "Copy focal length, uncertainty and number of the certificate into the station file "
     "(docs/stations.md#collimator).",
     "study": "The check of the stated uncertainties is a benchmark now: `make coverage` in the source folder.",
+    "passport certificate": "Copy focal length, uncertainty and number of the certificate into the station file "
+    "(docs/stations.md#collimator).",
+    "station --name": "Change the name in the new station file.",
+    **dict.fromkeys(
+        ("target --focal-length-mm", "target --r-mm", "target --pixel-um"),
+        "State `expected` and the collimator in the station file (docs/target.md).",
+    ),
+    **dict.fromkeys(
+        ("calibrate --guard-band", "calibrate --readings"),
+        "A calibration of a run takes this from the step `solve` of its sequence (docs/sequences.md).",
+    ),
+    "calibrate --image": "The kind of event image is that of the run's sequence, and auto for other files.",
+    "calibrate --no-seal": "Results that are written are sealed; without --output they are only printed.",
+    "rig --passport": "Calibrate each camera alone with it, from other views, and name the results: "
+    "`starbench rig FIRST SECOND --calibration`.",
+    "rig --views": "Name two folders that hold only the views to use.",
+    "undistort --board": "`starbench check PHOTOS --calibration RUN --board BOARD` says whether the calibration is "
+    "right.",
+    "align --set": "Change the station file; light and biases can also be set on the page.",
+    **dict.fromkeys(
+        ("align --token-file", "panel --token-file"), "Put the token into the variable STARBENCH_PAGE_TOKEN."
+    ),
 }
-"""Commands of earlier versions that no command replaces, and where their work is done."""
+"""Commands and options of earlier versions that nothing replaces, and where their work is done."""
 
 
 class LazyCommands(click.Group):
@@ -123,8 +145,9 @@ class LazyCommands(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """See `click.Group.resolve_command`. A name of an earlier version is refused with the new one."""
-        for words in (" ".join(args[:2]), args[0]):
+        """See `click.Group.resolve_command`. A name of an earlier version is refused with what replaces it."""
+        options = [f"{args[0]} {word.partition('=')[0]}" for word in args[1:] if word.startswith("--")]
+        for words in (" ".join(args[:2]), *options, args[0]):
             if words in _RENAMED:
                 raise click.UsageError(f"`{words}` is now `starbench {_RENAMED[words]}`.", ctx)
             if words in _GONE:

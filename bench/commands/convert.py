@@ -29,7 +29,6 @@ from bench.record.storage import make_folder, write_atomic
 
 if TYPE_CHECKING:
     from bench.plan.camera_files import LensFamily
-    from bench.solve.exports import Straightness
     from calib.model.camera import Undistortion
     from drivers.camera.event_arrays import ReadingChoices
 
@@ -166,7 +165,7 @@ def _convert_many(
 
 @command(
     "starbench undistort runs/cam7 -o cam7-tables",
-    "starbench undistort opencv.yaml -o tables --preview board.raw --board checkerboard:11x7:20mm",
+    "starbench undistort opencv.yaml -o tables --preview board.raw",
 )
 @click.argument("file", metavar="RUN", type=ExistingPath())
 @click.option("--output", "-o", required=True, type=OutputFolder(), help="New folder for the tables.")
@@ -182,10 +181,6 @@ def _convert_many(
     type=ExistingFile(),
     help="RAW recording or photograph to show before and after, as preview.png.",
 )
-@click.option(
-    "--board",
-    help="The preview shows this board (as in `calibrate --board`): say how straight its lines are before and after.",
-)
 @CAMERA
 @LENS
 @JSON
@@ -194,7 +189,6 @@ def undistort(
     output: Path,
     keep: float,
     preview: Path | None,
-    board: str | None,
     camera: str | None,
     lens: LensFamily | None,
 ) -> int:
@@ -204,25 +198,14 @@ def undistort(
     undistort.npz holds for each pixel its ray and its place in the rectified image, the pair of maps for OpenCV's
     remap, and the new camera matrix; camera_info.yaml is ROS's, with the new matrix as P.
     """
-    from bench.solve.exports import board_straightness, read_picture_for, undistorted_files
+    from bench.solve.exports import read_picture_for, undistorted_files
     from bench.solve.offline_folder import require_new
-    from bench.solve.offline_options import parse_board
     from calib.model.camera import undistort as tables_of
 
-    if board is not None and preview is None:
-        raise UsageError(
-            "There is no picture of the board.",
-            where="--board",
-            remedy="Give a recording or a photograph of it with --preview.",
-        )
     require_new(output)
-    shown = parse_board(board)
     stated = stated_camera(file, camera, lens).camera
     picture = read_picture_for(preview, stated) if preview is not None else None
     found = tables_of(stated, keep)
-    straight = None
-    if picture is not None and shown is not None:
-        straight = board_straightness(picture, shown, found, stated, str(preview))
     files = undistorted_files(stated, found, picture)
     make_folder(output)
     for name, data in files.items():
@@ -234,16 +217,13 @@ def undistort(
             "files": list(files),
             "camera_matrix": found.camera.matrix.tolist(),
             "without_ray": found.without_ray,
-            "straightness": asdict(straight) if straight is not None else None,
         }
 
-    show(as_json, _lines(output, list(files), found, straight))
+    show(as_json, _lines(output, list(files), found))
     return 0
 
 
-def _lines(
-    output: Path, files: list[str], found: Undistortion, straight: Straightness | None
-) -> Iterator[str]:
+def _lines(output: Path, files: list[str], found: Undistortion) -> Iterator[str]:
     new = found.camera
     yield f"Written to {output}: {', '.join(files)}."
     yield f"New camera matrix: fx {new.fx:.2f}, fy {new.fy:.2f}, cx {new.cx:.2f}, cy {new.cy:.2f} px."
@@ -251,9 +231,4 @@ def _lines(
         yield (
             f"{100 * found.without_ray:.2g} % of the pixels have no ray, because the distortion folds back there: their"
             " entries are NaN."
-        )
-    if straight is not None:
-        yield (
-            f"The lines of the board: {straight.before_px:.3f} px RMS from straight before, {straight.after_px:.3f} px"
-            f" after ({straight.points} points)."
         )

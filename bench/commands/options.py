@@ -366,14 +366,9 @@ page_options = together(
         "--host",
         default="127.0.0.1",
         metavar="NAME",
-        help="Name or address at which to serve the page. Any other than this computer's own needs a token.  [default: "
+        help="Name or address at which to serve the page. Any other than this computer's own needs a token: "
+        "that in the variable STARBENCH_PAGE_TOKEN, else a new one, which the printed address holds.  [default: "
         "127.0.0.1, this computer only]",
-    ),
-    click.option(
-        "--token-file",
-        type=ExistingFile(),
-        help="File with the token that people must enter; only you may be able to read it.  [default: the environment "
-        "variable STARBENCH_PAGE_TOKEN, else a new token, which the printed address holds]",
     ),
     click.option(
         "--no-token",
@@ -382,7 +377,7 @@ page_options = together(
     ),
     click.option("--no-browser", is_flag=True, help="Do not open the page in a browser."),
 )
-"""The options that `panel` and `align` share: ``port host token_file no_token no_browser``."""
+"""The options that `panel` and `align` share: ``port host no_token no_browser``."""
 
 run_options = together(
     click.argument("folder", required=False, type=ExistingFolder()),

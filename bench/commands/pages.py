@@ -17,14 +17,7 @@ from bench.commands.options import STATION, ExistingFolder, command, page_option
 )
 @STATION
 @page_options
-@click.option(
-    "--set",
-    "settings",
-    multiple=True,
-    metavar="PATH=VALUE",
-    help="Override a setting of the station file, e.g. camera.biases.bias_diff_on=20. Can be given several times.",
-)
-def align(station: str, settings: tuple[str, ...], **page: Any) -> int:
+def align(station: str, **page: Any) -> int:
     """Aim and focus the camera, and set light and biases, on a page with the live picture.
 
     The first line printed is the address of the page, with a token: keep it to yourself. Nothing moves and no light
@@ -32,7 +25,7 @@ def align(station: str, settings: tuple[str, ...], **page: Any) -> int:
     """
     from bench.align.serve import align_on_page
 
-    return align_on_page(station, settings, **_served(**page))
+    return align_on_page(station, **_served(**page))
 
 
 @command(
@@ -78,11 +71,8 @@ def panel(
     return 0
 
 
-def _served(
-    *, port: int, host: str, token_file: Path | None, no_token: bool, no_browser: bool
-) -> dict[str, Any]:
+def _served(*, port: int, host: str, no_token: bool, no_browser: bool) -> dict[str, Any]:
     """Return how a page is served, by the options of `page_options`."""
     from bench.web.token import page_token
 
-    token = page_token(token_file, none=no_token)
-    return {"host": host, "port": port, "token": token, "open_browser": not no_browser}
+    return {"host": host, "port": port, "token": page_token(none=no_token), "open_browser": not no_browser}

@@ -77,64 +77,6 @@ def passport_make(
     return 0
 
 
-@passport.command(
-    "certificate",
-    epilog=epilog(
-        "starbench passport certificate --radius 255.02 --sigma 0.05 --number 2026-114 -o collimator.json"
-    ),
-)
-@click.option(
-    "--radius",
-    "r_mm",
-    type=Number(least=0, above=True),
-    metavar="MM",
-    required=True,
-    help="Focal length of the collimator, mm.",
-)
-@click.option(
-    "--sigma",
-    "sigma_mm",
-    type=Number(least=0, above=True),
-    metavar="MM",
-    required=True,
-    help="Standard uncertainty of the focal length (k = 1), mm.",
-)
-@click.option(
-    "--length",
-    type=click.Choice(["focal_length", "seen"]),
-    help="Which length it is: the focal length, as makers state it, or what a camera on this bench saw. Without it, "
-    "both are weighed.",
-)
-@click.option("--number", required=True, help="Number of the certificate.")
-@click.option("--date", "issued", help="Date of issue, as written on the certificate.")
-@click.option(
-    "--valid-until",
-    type=click.DateTime(["%Y-%m-%d"]),
-    metavar="YEAR-MONTH-DAY",
-    help="Last day on which the certificate is valid.",
-)
-@click.option("--collimator", help="Serial number or name of the collimator.")
-@click.option(
-    "--temperature",
-    "temperature_c",
-    type=Number(),
-    metavar="C",
-    help="Temperature for which the focal length holds, degrees Celsius.",
-)
-@click.option("--output", "-o", required=True, type=NewFile(), help="New passport file.")
-def passport_certificate(
-    r_mm: float, sigma_mm: float, output: Path, valid_until: datetime | None, **certificate: Any
-) -> int:
-    """Make a passport from a certificate that states only the collimator's focal length."""
-    from bench.solve.passports import passport_from_certificate, write_passport
-
-    until = valid_until.date().isoformat() if valid_until else None
-    made = passport_from_certificate(r_mm, sigma_mm, valid_until=until, now=datetime.now(UTC), **certificate)
-    write_passport(output, made, _key())
-    click.echo(f"Passport: {output}")
-    return 0
-
-
 def _key() -> BenchKey:
     """Return the bench's key, to seal a passport."""
     return usable_key(home_folder(), datetime.now(UTC), ask_passphrase=ask_passphrase)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench.base.errors import UsageError
-from bench.commands.calibrations import BOARD, LENS, collimator_options, stated_camera
+from bench.commands.calibrations import BOARD, LENS, rig_options, stated_camera
 from bench.commands.options import ExistingPath, OutputFolder, command
 from bench.commands.output import JSON, show
 from bench.wording.numbers import with_uncertainty
@@ -69,7 +69,7 @@ if TYPE_CHECKING:
 @click.option(
     "--output", "-o", type=OutputFolder(), help="New folder for files of Kalibr, ROS, OpenCV and Metavision."
 )
-@collimator_options
+@rig_options
 @JSON
 def rig(
     first: Path,

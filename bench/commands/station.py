@@ -20,7 +20,6 @@ from bench.commands.options import (
     STATION_NAME,
     Family,
     NewFile,
-    Number,
     command,
     epilog,
     status_text,
@@ -36,29 +35,10 @@ if TYPE_CHECKING:
 
 @command(
     "starbench target -s my_bench.yaml",
-    "starbench target -s simulated --focal-length-mm 12 --r-mm 200",
     "starbench target -s my_bench.yaml -o reticle.gds",
     "starbench target -s simulated -o target.pdf",
 )
 @STATION
-@click.option(
-    "--focal-length-mm",
-    type=Number(least=0, above=True),
-    metavar="MM",
-    help="Focal length of the lens.  [default: expected.focal_px of the station]",
-)
-@click.option(
-    "--r-mm",
-    type=Number(least=0, above=True),
-    metavar="MM",
-    help="Focal length of the collimator.  [default: that of the station]",
-)
-@click.option(
-    "--pixel-um",
-    type=Number(least=0, above=True),
-    metavar="UM",
-    help="Side of a pixel, with --focal-length-mm.  [default: 4.86, of the IMX636]",
-)
 @click.option(
     "--output",
     "-o",
@@ -66,13 +46,7 @@ if TYPE_CHECKING:
     help="Draw the reticle into this new file instead; its name ends in .svg, .pdf, .dxf or .gds.",
 )
 @JSON
-def target(
-    station: str,
-    focal_length_mm: float | None,
-    r_mm: float | None,
-    pixel_um: float | None,
-    output: Path | None,
-) -> int:
+def target(station: str, output: Path | None) -> int:
     """Show what the target of a station is good for: stars in view, their size in px, the field, and warnings.
 
     With --output, draw the reticle that the section `target` of the station describes. What is filled in the drawing is
@@ -86,7 +60,7 @@ def target(
         return _draw(described.target, output)
     from bench.stations.target_files import optics_of, use_of
 
-    optics = optics_of(described, focal_length_mm=focal_length_mm, r_mm=r_mm, pixel_um=pixel_um)
+    optics = optics_of(described)
     found = use_of(described.target, optics)
     data = described.target.model_dump(mode="json") | {"size_mm": list(described.target.size_mm)}
     show(
@@ -200,12 +174,9 @@ def station() -> None:
 
 @station.command(
     "new",
-    epilog=epilog(
-        "starbench station new my_bench.yaml --name 'Optics bench 2' --stage ximc --light gardasoft"
-    ),
+    epilog=epilog("starbench station new my_bench.yaml --stage ximc --light gardasoft"),
 )
 @click.argument("path", type=NewFile())
-@click.option("--name", default="My bench", show_default=True, help="Name of the bench.")
 @click.option(
     "--stage",
     type=click.Choice(["zaber_ascii", "ximc", "grbl", "esp30x", "thorlabs_apt", "text"]),
@@ -241,7 +212,6 @@ def station() -> None:
 )
 def station_new(
     path: Path,
-    name: str,
     stage: str,
     light: str,
     camera: str | None,
@@ -263,13 +233,13 @@ def station_new(
     from bench.stations.station_draft import draft_station, free_ports
 
     if stand_ins:
-        write_atomic(path, draft_stand_ins(name, stand_ins).encode())
+        write_atomic(path, draft_stand_ins(stand_ins).encode())
         show({"station": str(path)}, [f"Written: {path}. Check it with: starbench plan three_pose -s {path}"])
         return 0
     found, clock = discover(), BenchClock()
     asked_ports = [] if no_questions else [*ports] or free_ports(found)
     asked = ask_stage(stage, asked_ports, clock), ask_light(light, asked_ports, clock)
-    draft = draft_station(name, found, stage=stage, light=light, camera=camera, asked=asked)
+    draft = draft_station(found, stage=stage, light=light, camera=camera, asked=asked)
     write_atomic(path, draft.encode())
     for device in asked:
         if device is not None:

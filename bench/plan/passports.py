@@ -169,7 +169,7 @@ def parse_passport(data: bytes, where: str) -> Passport:
     """Read the bytes of a passport; `UsageError` says why it is none: changed, an unknown parameter, absurd numbers."""
     from bench.evidence.passport_seal import read_passport_seal
 
-    remedy = "Make a passport with `starbench passport make` or `starbench passport certificate`."
+    remedy = "Make a passport with `starbench passport make`."
     try:
         shape: Any = parse_json(data)
         document = shape if isinstance(shape, dict) else {}

@@ -26,7 +26,6 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -41,14 +40,12 @@ from scipy.spatial.transform import Rotation
 from bench.base.errors import BenchError, UsageError
 from bench.solve.view_sources import picture_of
 from calib.boards.board import Board
-from calib.boards.detect import detect_board
 from calib.calibration import Calibration
 from calib.events.grey_image import to_uint8
-from calib.model.camera import SKEW, CameraModel, Undistortion, nearest_lens, straightness_px
+from calib.model.camera import SKEW, CameraModel, Undistortion, nearest_lens
 from calib.model.lens import BROWN, FISHEYE, OPENCV, PRISM
 from calib.model.result_parts import Boresight
 from calib.target import StarTarget
-from calib.view import View
 
 PLUMB_BOB = BROWN[:5]
 """The coefficients of ROS's model plumb_bob, and of OpenCV with five coefficients."""
@@ -362,15 +359,6 @@ WRITERS: Mapping[str, Writer] = {
 """Writer of each file."""
 
 
-@dataclass(frozen=True)
-class Straightness:
-    """How straight the rows and columns of a board are: RMS distance of its points from straight lines, px."""
-
-    points: int
-    before_px: float
-    after_px: float
-
-
 def undistorted_files(
     camera: CameraModel, found: Undistortion, preview: NDArray[Any] | None
 ) -> Mapping[str, bytes]:
@@ -407,26 +395,6 @@ def read_picture_for(path: Path, camera: CameraModel) -> NDArray[Any]:
             remedy="Give a recording of the camera that was calibrated, with the whole sensor.",
         )
     return picture
-
-
-def board_straightness(
-    picture: NDArray[Any], board: Board, found: Undistortion, camera: CameraModel, name: str
-) -> Straightness:
-    """Find a board in a picture, and return how straight its rows and columns are, before and after."""
-    view = detect_board(picture, board, name=name)
-    rays = camera.rays(view.points_px)
-    lines = _lines(view, board)
-    return Straightness(
-        len(view),
-        straightness_px(view.points_px, lines),
-        straightness_px(found.camera.project(rays), lines),
-    )
-
-
-def _lines(view: View, board: Board) -> list[NDArray[np.int64]]:
-    """Return the points of a view that lie on each row and each column of the board."""
-    nodes = board.nodes[view.ids]
-    return [np.flatnonzero(nodes[:, axis] == value) for axis in (0, 1) for value in np.unique(nodes[:, axis])]
 
 
 def _side_by_side(picture: NDArray[Any], found: Undistortion) -> NDArray[np.uint8]:

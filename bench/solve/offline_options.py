@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Self, cast, get_args
+from typing import Self, cast
 
 from bench.base.errors import UsageError
 from bench.evidence.passport_seal import read_passport_seal
@@ -22,7 +22,6 @@ from calib.calibration import REFERENCE_MODELS, ModelName
 from calib.engine import CalibrationOptions
 from calib.errors import CalibrationError
 from calib.target import StarTarget
-from sequences.schema import ImageKind
 from sequences.script import SolveStep
 from sequences.solve_schema import Readings
 
@@ -38,7 +37,10 @@ class StationFile:
 
 @dataclass(frozen=True)
 class OfflineOptions:
-    """Options of an offline calibration. An option that is None is that of the run's last solve step, or a default."""
+    """Options of an offline calibration. An option that is None is that of the run's last solve step, or a default.
+
+    ``guard_band``, ``readings`` and ``image`` are options of earlier versions, which their sealed results state.
+    """
 
     # model, distortion, guard_band: Options of the engine, see `CalibrationOptions`; ``distortion`` is
     # the name of a set.
@@ -72,23 +74,15 @@ class OfflineOptions:
         views: str | None = None,
         origin: str = "corner",
         station: str | None = None,
-        image: str = "auto",
         passport: str | None = None,
-        guard_band: float | None = None,
-        readings: str | None = None,
         board: str | None = None,
         reconstruct_hz: float | None = None,
     ) -> Self:
         """Parse the options as the command line writes them; None stands for those of the run, or the defaults.
 
         ``image_size`` as ``1280x720``, ``views`` as ``1,5,9``, ``origin`` ``corner`` or ``centre``, ``passport`` a file
-        or ``none``, ``readings`` ``auto`` or ``witness``, ``board`` as `calib.boards.board.Board.parse` reads it,
-        ``reconstruct_hz`` in Hz, ``guard_band`` as in `CalibrationOptions`.
+        or ``none``, ``board`` as `calib.boards.board.Board.parse` reads it, ``reconstruct_hz`` in Hz.
         """
-        if image not in get_args(ImageKind):
-            raise UsageError(
-                f"Unknown event image {image!r}.", remedy=f"Known are {', '.join(get_args(ImageKind))}."
-            )
         shown = parse_board(board, model, passport)
         if reconstruct_hz is not None and shown is None:
             raise UsageError(
@@ -100,20 +94,17 @@ class OfflineOptions:
         named = passport if passport != NO_PASSPORT else None
         target, station_file = _target_of_station(station)
         made = cls(
-            cast("ModelName | None", model),
-            distortion,
-            guard_band,
-            passport_of_file(Path(named)) if named else None,
-            passport == NO_PASSPORT,
-            cast("Readings | None", readings),
-            parse_image_size(image_size),
-            _parse_view_numbers(views),
-            image,
-            "centre" if origin == "centre" else "corner",
-            target,
-            shown,
-            reconstruct_hz,
-            station_file,
+            model=cast("ModelName | None", model),
+            distortion=distortion,
+            passport=passport_of_file(Path(named)) if named else None,
+            without_passport=passport == NO_PASSPORT,
+            image_size=parse_image_size(image_size),
+            view_numbers=_parse_view_numbers(views),
+            origin="centre" if origin == "centre" else "corner",
+            target=target,
+            board=shown,
+            reconstruct_hz=reconstruct_hz,
+            station=station_file,
         )
         try:
             made.without_run()

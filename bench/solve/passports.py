@@ -1,4 +1,4 @@
-"""Passport files: what is known of a collimator from one calibration or certificate, for use in later calibrations.
+"""Passport files: what is known of a collimator from one calibration, for use in later calibrations.
 
 A passport is one JSON object, `calib.model.passport` with its conditions, and never overwrites a file.
 """
@@ -68,37 +68,6 @@ def passport_from_calibration(
         "model": calibration.model,
     }
     return calibration.passport(_without_none(conditions))
-
-
-def passport_from_certificate(
-    r_mm: float,
-    sigma_mm: float,
-    *,
-    number: str,
-    issued: str | None,
-    valid_until: str | None = None,
-    collimator: str | None,
-    temperature_c: float | None,
-    now: datetime,
-    length: str | None = None,
-) -> Passport:
-    """Make a passport from a collimator's certificate; ``sigma_mm`` is the expanded uncertainty over its k.
-
-    ``valid_until`` is the last day of its validity, year-month-day, if known. ``length``: which one it states.
-    """
-    if not (0 < r_mm < float("inf") and 0 < sigma_mm < float("inf")):
-        raise UsageError(
-            "The focal length and its uncertainty must be positive and finite.", where="--radius, --sigma"
-        )
-    conditions = {
-        "certificate": number,
-        "issued": issued,
-        "valid_until": valid_until,
-        "collimator": collimator,
-        "temperature_c": temperature_c,
-        "made_utc": now.isoformat(timespec="seconds"),
-    }
-    return Passport.of_radius(r_mm, sigma_mm, _without_none(conditions), length or "")
 
 
 def _without_none(conditions: Mapping[str, Any]) -> dict[str, Any]:

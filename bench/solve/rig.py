@@ -27,7 +27,7 @@ from bench.solve.exports import (
 )
 from bench.solve.offline import calibrate_paths, read_views, require_common_views
 from bench.solve.offline_options import OfflineOptions
-from bench.solve.view_sources import RECORDINGS, ViewSource, left_beside, view_sources
+from bench.solve.view_sources import RECORDINGS, left_beside, view_sources
 from calib.model.rotation import exp_map, log_map
 from calib.studies.clock_offset import ClockOffset, clock_offset, common_rate
 from calib.studies.rig import Rig, stated_cameras, through_collimator
@@ -127,16 +127,12 @@ def find_clocks(folders: Sequence[Pair], choices: OfflineOptions) -> tuple[Clock
     """Return offset and rate of the second camera's clock in each recording that both cameras made."""
     clocks = []
     for pair in folders:
-        first, second = ({source.name: source.path for source in _chosen(path, choices)} for path in pair)
+        first, second = (
+            {source.name: source.path for source in view_sources(path, choices)} for path in pair
+        )
         common = [name for name in first if name in second]
         clocks += [clock_offset(name, *(_rising_us(own[name]) for own in (first, second))) for name in common]
     return tuple(clocks)
-
-
-def _chosen(path: Path, choices: OfflineOptions) -> list[ViewSource]:
-    sources = list(view_sources(path, choices))
-    numbers = choices.view_numbers or range(1, len(sources) + 1)
-    return [sources[number - 1] for number in numbers if number <= len(sources)]
 
 
 def _rising_us(path: Path) -> list[int]:

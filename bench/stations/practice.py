@@ -12,7 +12,7 @@ from bench.stations.station import load_station
 from bench.stations.station_draft import StandIns, draft_station
 
 
-def draft_stand_ins(name: str, light: str) -> str:
+def draft_stand_ins(light: str) -> str:
     """Return a station file with the devices of the simulated bench; ``light`` is the make of the generator."""
     shipped = load_station("simulated").value
     assert isinstance(shipped.stage, ZaberStageConfig)
@@ -25,7 +25,6 @@ def draft_stand_ins(name: str, light: str) -> str:
         stage = ask_stage("zaber_ascii", [bench.endpoints["gimbal"]], clock, scale)
         generator = ask_light("scpi", [bench.endpoints["light"]], clock)
     return draft_station(
-        name,
         Discovery((), (), ()),
         stage="zaber_ascii",
         asked=(stage, generator),

@@ -6,8 +6,6 @@ until `placeholders` are replaced.
 
 from __future__ import annotations
 
-import json
-import re
 from dataclasses import dataclass
 
 from jinja2 import Template
@@ -38,7 +36,6 @@ def free_ports(found: Discovery) -> list[str]:
 
 
 def draft_station(
-    name: str,
     found: Discovery,
     *,
     stage: str,
@@ -62,7 +59,6 @@ def draft_station(
     first = next((one for driver in wanted for one in usable if one.driver == driver), None)
     draft = Template(DRAFT.read_text(encoding="utf-8"), trim_blocks=True, keep_trailing_newline=True)
     return draft.render(
-        name=_as_yaml(name),
         ports=found.ports,
         stage=stage,
         stage_port="sim:gimbal" if stand_ins else stage_port,
@@ -75,8 +71,3 @@ def draft_station(
         source=first.source if first else UNKNOWN_SOURCE,
         stand_ins=stand_ins,
     )
-
-
-def _as_yaml(text: str) -> str:
-    """Return a text as YAML: in quotes, if it has more than letters, digits, blanks and some harmless signs."""
-    return text if re.fullmatch(r"[A-Za-z][\w ,./-]*(?<! )", text) else json.dumps(text, ensure_ascii=False)

@@ -17,9 +17,6 @@ from bench.stations.station import Station
 from bench.stations.station_fields import TargetConfig
 from calib.target import StarTarget
 
-IMX636_PIXEL_UM = 4.86
-"""Side of a pixel of the Prophesee IMX636 (EVK4), by its data sheet."""
-
 _CLEAR_SEGMENT_PX, _LEAST_SEGMENT_PX = 2.2, 1.6
 """Width of a segment at 0.4 pitches from the centre: all stars are found; below the second number hardly any."""
 _LEAST_TAG_PX = 45.0
@@ -62,31 +59,19 @@ class TargetUse:
         return asdict(self)
 
 
-def optics_of(
-    station: Station, *, focal_length_mm: float | None, r_mm: float | None, pixel_um: float | None
-) -> Optics:
-    """Return the optics as given, else as the station states them; `UsageError` if a value is stated nowhere."""
+def optics_of(station: Station) -> Optics:
+    """Return the optics as the station states them; `UsageError` if a value is not stated."""
     expected, collimator = station.expected, station.collimator
     certificate = collimator.certificate
     stated = certificate.r_mm if certificate is not None and not isinstance(certificate, str) else None
-    known_r = r_mm or stated or collimator.nominal_r_mm or (expected.r_mm if expected else None)
-    focal_px = expected.focal_px if expected else None
-    if focal_length_mm is not None:
-        focal_px = 1e3 * focal_length_mm / (pixel_um or IMX636_PIXEL_UM)
-    if focal_px is None:
+    if expected is None:
         raise UsageError(
             "The focal length of the lens is not known.",
             where="expected.focal_px",
-            remedy="Give --focal-length-mm, or add the section `expected` to the station file.",
+            remedy="Add the section `expected` to the station file.",
         )
-    if known_r is None:
-        raise UsageError(
-            "The focal length of the collimator is not known.",
-            where="collimator.nominal_r_mm",
-            remedy="Give --r-mm, or add it to the station file.",
-        )
-    size = expected.image_size if expected else (1280, 720)
-    return Optics(focal_px, known_r, size, expected.half_angle_deg if expected else None)
+    known_r = stated or collimator.nominal_r_mm or expected.r_mm
+    return Optics(expected.focal_px, known_r, expected.image_size, expected.half_angle_deg)
 
 
 def use_of(target: TargetConfig, optics: Optics) -> TargetUse:

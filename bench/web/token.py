@@ -2,8 +2,7 @@
 
 Every process of this computer can ask the pages, whoever runs it, so they need a secret. Unless a person
 gives one, each start makes one, and the printed address holds it. A person's token comes from an
-environment variable or a file, never from an option: every user of the computer can read the options of a
-running process.
+environment variable, never from an option: every user of the computer can read the options of a running process.
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ from __future__ import annotations
 import ipaddress
 import os
 import secrets
-import stat
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -22,7 +20,6 @@ from bench.base.errors import UsageError
 
 TOKEN_VARIABLE = "STARBENCH_PAGE_TOKEN"  # noqa: S105 - the name of a variable
 LEAST_LENGTH = 12
-_MOST_BYTES = 4096
 MADE_BYTES = 16
 NAME_BYTES = 8  # 64 bits in the name of a host: no page of another site can guess where the cookie goes
 _MOST_WRONG, _WRONG_WINDOW_S = 10, 60.0
@@ -38,28 +35,17 @@ class PageToken:
     made: bool = False  # Whether it was made for this start; the printed address then holds it
 
 
-def page_token(
-    token_file: Path | None, *, none: bool = False, environ: Mapping[str, str] = os.environ
-) -> PageToken | None:
+def page_token(*, none: bool = False, environ: Mapping[str, str] = os.environ) -> PageToken | None:
     """Return the token of the pages, made now if nobody gives one; None if they need none."""
     if none:
-        if token_file is not None:
-            raise UsageError(
-                "--no-token and --token-file exclude each other.",
-                where="--no-token",
-                remedy="Leave out one of them.",
-            )
         return None
-    if token_file is None:
-        where, token = TOKEN_VARIABLE, environ.get(TOKEN_VARIABLE, "").strip()
-        if not token:
-            return PageToken(secrets.token_urlsafe(MADE_BYTES), made=True)
-    else:
-        where, token = str(token_file), _read(token_file)
+    token = environ.get(TOKEN_VARIABLE, "").strip()
+    if not token:
+        return PageToken(secrets.token_urlsafe(MADE_BYTES), made=True)
     if len(token) < LEAST_LENGTH or not token.isprintable():
         raise UsageError(
             f"The token must have at least {LEAST_LENGTH} printable characters.",
-            where=where,
+            where=TOKEN_VARIABLE,
             remedy="To make one: openssl rand -hex 16",
         )
     return PageToken(token)
@@ -126,18 +112,3 @@ def _local_user(port: int, own_port: int) -> str:
                 if columns[1].endswith(ends[0]) and columns[2].endswith(ends[1]):
                     return columns[_USER_COLUMN]
     return ""
-
-
-def _read(path: Path) -> str:
-    try:
-        status = path.stat()
-        if os.name == "posix" and status.st_mode & (stat.S_IRGRP | stat.S_IROTH):
-            raise UsageError(
-                "Other users may read the file with the token.", where=str(path), remedy=f"chmod 600 {path}"
-            )
-        if not stat.S_ISREG(status.st_mode) or status.st_size > _MOST_BYTES:
-            raise UsageError("This is not a file with a token.", where=str(path), remedy="Check the path.")
-        return path.read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        what = f"The file with the token cannot be read: {getattr(error, 'strerror', None) or error}."
-        raise UsageError(what, where=str(path), remedy="Check the path and its permissions.") from error

@@ -329,19 +329,8 @@ def odd_folders(run: Path) -> Iterator[Case]:
         "set-long": ("plan", "three_pose", "--station", "simulated", "--set", "sequence.name=" + "[" * 5000),
         "trust-rubbish": ("keys", "trust", "\x1b[2J ssh-ed25519 AAAA"),
         "trust-long": ("keys", "trust", "x" * 100_000),
-        "number": (
-            "passport",
-            "certificate",
-            "--radius",
-            "1e-320",
-            "--sigma",
-            "1",
-            "--number",
-            "1",
-            "-o",
-            "a",
-        ),
-        "underscore": ("calibrate", "points.csv", "--guard-band", "1_0"),
+        "number": ("undistort", "bad", "-o", "a", "--keep", "1e-320"),
+        "underscore": ("undistort", "bad", "-o", "a", "--keep", "1_0"),
         "image-size": ("calibrate", "points.csv", "--image-size", "99999999999x1"),
     }.items():
         yield Case(f"words:{name}", options(*words), named=False)

@@ -10,7 +10,7 @@ import pytest
 from align_fakes import FakeDevices, fake_session, wait_until
 
 from bench.align import serve
-from bench.base.errors import ScriptError, UsageError
+from bench.base.errors import ScriptError
 from bench.stations.station import SHIPPED_STATIONS
 from drivers.errors import CameraBusy
 from sequences.errors import DocumentFaults
@@ -123,16 +123,6 @@ def test_the_page_answers_while_the_devices_open(aligned, monkeypatch):
 
     aligned(session, lambda: urls and session.state()["devices"]["state"] == "opening", look)
     assert answers == ["opening"]
-
-
-def test_settings_replace_values_of_the_station_file():
-    for path in ("camera.biases.bias_fo", "station.camera.biases.bias_fo"):
-        session = serve.make_session("simulated", [f"{path}=7"])
-        assert session.station.value.camera.biases.bias_fo == 7
-    with pytest.raises(UsageError, match="PATH=VALUE"):
-        serve.make_session("simulated", ["camera"])
-    with pytest.raises(DocumentFaults, match="bias_fo"):
-        serve.make_session("simulated", ["camera.biases.bias_fo=9999"])
 
 
 def test_a_station_with_a_scale_that_nobody_filled_in_is_refused(tmp_path):

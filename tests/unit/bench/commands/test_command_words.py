@@ -202,7 +202,7 @@ def test_an_output_that_is_a_file_is_refused(say, tmp_path, words, output):
 @pytest.mark.parametrize(
     "words",
     [
-        ("passport", "certificate", "--radius", 255, "--sigma", 1, "--number", 1, "-o"),
+        ("passport", "seal", "source", "-o"),
         ("station", "new"),
         ("convert", "source"),
     ],
@@ -242,9 +242,8 @@ def test_a_missing_path_is_named_and_is_an_invalid_argument(say, words):
 @pytest.mark.parametrize(
     "words",
     [
-        ("calibrate", ".", "--guard-band"),
-        ("passport", "certificate", "--sigma", "1", "--number", "1", "-o", "new.json", "--radius"),
-        ("passport", "certificate", "--radius", "255", "--number", "1", "-o", "new.json", "--sigma"),
+        ("undistort", ".", "-o", "new.json", "--keep"),
+        ("align", "-s", "simulated", "--port"),
     ],
     ids=lambda words: " ".join((words[0], words[-1])),
 )
@@ -262,7 +261,7 @@ def test_a_line_without_a_key_is_an_invalid_argument(say):
 
 
 @pytest.mark.parametrize(
-    "words", [("run", "three_pose"), ("status",), ("calibrate", "--readings", "none", ".")]
+    "words", [("run", "three_pose"), ("status",), ("calibrate", "--origin", "none", ".")]
 )
 def test_with_json_an_invalid_argument_is_an_object_too(say, words):
     status, out, said = say(*words, "--json")
@@ -343,6 +342,9 @@ def test_a_command_of_an_earlier_version_is_refused_with_the_one_that_does_its_w
     [
         (("compare", "table1"), "`make table1`"),
         (("study", "--runs", "9"), "`make coverage`"),
+        (("passport", "certificate", "--radius", "255"), "docs/stations.md#collimator"),
+        (("calibrate", "runs/cam7", "--guard-band=0.8"), "the step `solve` of its sequence"),
+        (("panel", "--token-file", "token"), "STARBENCH_PAGE_TOKEN"),
         (("certificate", "check", "dcc.xml"), "xmllint"),
         (("certificate", "from-dcc", "dcc.xml"), "station file"),
     ],

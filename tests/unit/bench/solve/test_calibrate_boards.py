@@ -47,9 +47,7 @@ def folder(tmp_path_factory):
 
 def test_photographs_of_a_checkerboard_give_the_camera_within_its_uncertainty(folder, tmp_path, capsys):
     out = tmp_path / "out"
-    said = call(
-        capsys, "calibrate", folder, "--board", "checkerboard:7x5:20mm", "-o", out, "--no-seal", "--json"
-    )
+    said = call(capsys, "calibrate", folder, "--board", "checkerboard:7x5:20mm", "-o", out, "--json")
     told = json.loads(said.out)
     assert told["model"] == "planar"
     k = told["coverage_factor"]

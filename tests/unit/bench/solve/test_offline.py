@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-from datetime import UTC, datetime
 from pathlib import Path
 
 import cv2
@@ -19,12 +18,13 @@ from bench.evidence.verify import verify_folder
 from bench.solve.offline import calibrate_paths, views_of_one_size
 from bench.solve.offline_folder import require_new, write_offline_results
 from bench.solve.offline_options import OfflineOptions
-from bench.solve.passports import passport_from_certificate, write_passport
+from bench.solve.passports import write_passport
 from bench.solve.point_files import read_point_file
 from bench.solve.recalculated_again import check_recalculated
 from bench.solve.solve_options import ONE_VIEW
 from bench.solve.view_sources import refuse_truncated_jpeg
 from calib.errors import DegenerateViews, InputMismatch
+from calib.model.passport import Passport
 from calib.view import View
 from drivers.errors import RecordingCorrupt
 from tests.support.printed_text import printed_text
@@ -146,10 +146,7 @@ def test_a_file_that_is_not_text_or_not_there_is_refused(tmp_path):
 def passport(tmp_path_factory):
     """A passport file of a certificate."""
     path = tmp_path_factory.mktemp("passport") / "p.json"
-    made = passport_from_certificate(
-        255, 0.05, number="T-1", issued=None, collimator=None, temperature_c=None, now=datetime.now(UTC)
-    )
-    write_passport(path, made)
+    write_passport(path, Passport.of_radius(255.0, 0.05, {"certificate": "T-1"}, ""))
     return str(path)
 
 

@@ -47,12 +47,8 @@ def say(capsys, *words, status=0):
 
 def test_a_board_is_straight_in_the_image_that_the_tables_give(capsys, calibrated):
     camera, folder = calibrated
-    words = (folder / "info.yaml", "-o", folder / "new", "--preview", folder / "board.png", "--board", BOARD)
+    words = (folder / "info.yaml", "-o", folder / "new", "--preview", folder / "board.png")
     told = json.loads(say(capsys, *words, "--json"))
-    straight = told["straightness"]
-    assert straight["points"] >= 50
-    assert straight["before_px"] > 0.5
-    assert straight["after_px"] < 0.06
     with np.load(folder / "new" / "undistort.npz") as file:
         tables = dict(file)
     # a stranger's way from the same tables: remap with the pair, find the corners again
@@ -94,9 +90,8 @@ def test_it_says_in_words_what_was_written(capsys, calibrated):
     shown = say(capsys, folder / "info.yaml", "-o", folder / "new", "--keep", 1)
     assert "undistort.npz, camera_info.yaml." in shown
     assert "New camera matrix: fx" in shown
-    words = (folder / "info.yaml", "-o", folder / "more", "--preview", folder / "board.png", "--board", BOARD)
-    assert "px RMS from straight before" in say(capsys, *words)
-    assert "The folder is not empty" in say(capsys, *words, status=2)
+    again = (folder / "info.yaml", "-o", folder / "new")
+    assert "The folder is not empty" in say(capsys, *again, status=2)
 
 
 def test_the_tables_use_a_thin_prism_and_a_tilted_sensor_and_no_file_drops_them(capsys, tmp_path):
@@ -117,15 +112,11 @@ def test_the_tables_use_a_thin_prism_and_a_tilted_sensor_and_no_file_drops_them(
 def test_a_fault_is_one_clear_error_and_nothing_is_written(capsys, tmp_path, calibrated):
     _, folder = calibrated
     cv2.imwrite(str(folder / "small.png"), np.full((30, 40), 128, np.uint8))
-    cv2.imwrite(str(folder / "grey.png"), np.full((SIZE[1], SIZE[0]), 128, np.uint8))
     (folder / "events.csv").write_text("1 2 3 4\n")
     (folder / "no.yaml").write_text("a: 1\n")
     faults = [
         (2, "This picture has 40 x 30 px, the camera 400 x 300 px", "info.yaml", "--preview", "small.png"),
-        (1, "", "info.yaml", "--preview", "grey.png", "--board", BOARD),
         (2, "There is no picture in this file", "info.yaml", "--preview", "events.csv"),
-        (2, "There is no picture of the board", "info.yaml", "--board", BOARD),
-        (2, "--board", "info.yaml", "--preview", "grey.png", "--board", "9x6"),
         (2, "does not hold a calibrated camera", "no.yaml"),
         (2, "2", "info.yaml", "--keep", "2"),
     ]

@@ -63,9 +63,9 @@ def test_what_is_missing_is_said(monkeypatch, tmp_path):
 def test_a_draft_reads_without_a_fault_and_names_what_is_connected(tmp_path, stage, light, ports):
     found = Discovery(ports, (FoundCamera("neuromorphic_evk4", "00051", "EVK4"),) if ports else (), ())
     path = tmp_path / "bench.yaml"
-    path.write_text(draft_station("Cellar: #2", found, stage=stage, light=light))
+    path.write_text(draft_station(found, stage=stage, light=light))
     station = load_station(str(path)).value
-    assert (station.name, station.stage.driver, station.light.driver) == ("Cellar: #2", stage, light)
+    assert (station.stage.driver, station.light.driver) == (stage, light)
     assert station.camera.serial == ("00051" if ports else UNKNOWN_SERIAL)
     if ports:
         assert station.stage.ports[0] == "/dev/serial/by-id/zaber"
@@ -91,7 +91,7 @@ TROUBLED = FoundCamera("metavision", "00051", "EVK4", trouble="access denied")
 )
 def test_a_draft_takes_the_camera_that_is_connected_or_asked_for(tmp_path, cameras, family, driver, named):
     path = tmp_path / "bench.yaml"
-    path.write_text(draft_station("Cellar", Discovery((), cameras, ()), stage="zaber_ascii", camera=family))
+    path.write_text(draft_station(Discovery((), cameras, ()), stage="zaber_ascii", camera=family))
     camera = load_station(str(path)).value.camera
     assert (camera.driver, camera.serial) == (driver, named)
     if driver == "opencv":
@@ -110,7 +110,7 @@ def test_each_camera_is_listed_in_the_words_of_a_station_file(capsys):
 @pytest.mark.parametrize("light", CHOICES["light"])
 def test_a_draft_cannot_be_planned_before_all_of_it_is_filled_in(tmp_path, stage, light):
     path = tmp_path / "bench.yaml"
-    path.write_text(draft_station("Cellar", Discovery((), (), ()), stage=stage, light=light))
+    path.write_text(draft_station(Discovery((), (), ()), stage=stage, light=light))
     told = [str(fault) for fault in make_plan(*load_documents("turntable", str(path))).faults]
     assert len(told) == len(re.findall("ASK-THE|CHOOSE-A|NAME-THE|YOUR-LAB", path.read_text()))
     row = next(n for n, line in enumerate(path.read_text().splitlines(), 1) if UNKNOWN_PORT in line)
@@ -126,7 +126,7 @@ def test_a_draft_cannot_be_planned_before_all_of_it_is_filled_in(tmp_path, stage
 
 @pytest.mark.parametrize("section", Station.model_fields)
 def test_a_draft_and_each_example_have_every_section(section):
-    drafted = draft_station("Cellar", Discovery((), (), ()), stage="grbl")
+    drafted = draft_station(Discovery((), (), ()), stage="grbl")
     examples = [path.read_text(encoding="utf-8") for path in SHIPPED_STATIONS.glob("example_*.yaml")]
     for text in (drafted, *examples):
         assert section in {"operator", "simulation"} or re.search(rf"^(# )?{section}:", text, re.MULTILINE)
@@ -152,7 +152,7 @@ def test_every_family_of_devices_can_be_drafted(name, config, simulated):
 )
 def test_a_station_of_stand_ins_states_what_its_devices_answer_and_can_be_planned(tmp_path, kind, dialect):
     path = tmp_path / "practice.yaml"
-    path.write_text(draft_stand_ins("Practice", kind))
+    path.write_text(draft_stand_ins(kind))
     station = load_station(str(path))
     assert station.value.light.dialect == dialect
     assert station.value.light.serial == "SG0042"
@@ -173,7 +173,7 @@ def test_stage_and_light_are_found_at_whichever_port_they_answer(tmp_path):
     assert [axis.microsteps_per_deg for axis in stage.axes] == [None, None]  # a goniometer does not know it
     found = Discovery((FoundPort(ports[1], ports[1], "", "", ""),), (), ())
     path = tmp_path / "bench.yaml"
-    path.write_text(draft_station("Own", found, stage="zaber_ascii", asked=(stage, light)))
+    path.write_text(draft_station(found, stage="zaber_ascii", asked=(stage, light)))
     text = path.read_text()
     assert "tilt: the controller allows -64000 to 64000 microsteps" in text
     assert load_station(str(path)).value.light.port == ports[0]
@@ -189,7 +189,7 @@ def test_a_stage_that_counts_in_degrees_states_its_limits_and_a_strobe_controlle
     assert (stage.port, light.port) == (ports[1], ports[0])
     path = tmp_path / "bench.yaml"
     found = Discovery((), (), ())
-    path.write_text(draft_station("Own", found, stage="esp30x", light="gardasoft", asked=(stage, light)))
+    path.write_text(draft_station(found, stage="esp30x", light="gardasoft", asked=(stage, light)))
     station = load_station(str(path)).value
     assert {
         name: (axis.number, axis.serial, axis.limits_deg) for name, axis in station.stage.axes.items()

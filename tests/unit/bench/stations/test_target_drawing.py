@@ -139,13 +139,6 @@ def test_what_the_simulated_target_is_good_for():
     assert said["pitch_px"] == pytest.approx(3300 * 144.5 / 36 / 255)
     assert said["stars_in_view"] == 274
     assert said["warnings"] == []
-    plain = CliRunner().invoke(
-        cli,
-        ["target", "-s", "example_evk4", "--focal-length-mm", "4", "--r-mm", "255"],
-        standalone_mode=False,
-    )
-    assert "lens 823 px, collimator 255 mm" in plain.output
-    assert "A segment of a star is 2.0 px wide: some stars are not found." in plain.output
 
 
 @pytest.mark.parametrize(
@@ -166,17 +159,12 @@ def test_what_the_simulated_target_is_good_for():
     ],
 )
 def test_what_speaks_against_a_target_is_said(change, focal_px, said):
-    optics = optics_of(load_station("simulated").value, focal_length_mm=None, r_mm=None, pixel_um=None)
+    optics = optics_of(load_station("simulated").value)
     found = use_of(TargetConfig(**change), replace(optics, focal_px=focal_px))
     assert any(said in warning for warning in found.warnings), found.warnings
 
 
-def test_a_station_without_a_lens_or_a_collimator_must_be_told_of_them():
+def test_a_station_must_state_the_lens():
     station = load_station("simulated").value
-    bare = station.model_copy(update={"expected": None})
-    with pytest.raises(UsageError, match="Give --focal-length-mm"):
-        optics_of(bare, focal_length_mm=None, r_mm=None, pixel_um=None)
-    empty = bare.model_copy(update={"collimator": type(station.collimator)()})
-    with pytest.raises(UsageError, match="Give --r-mm"):
-        optics_of(empty, focal_length_mm=16.0, r_mm=None, pixel_um=None)
-    assert optics_of(empty, focal_length_mm=16.0, r_mm=200.0, pixel_um=5.0).focal_px == pytest.approx(3200.0)
+    with pytest.raises(UsageError, match="Add the section `expected`"):
+        optics_of(station.model_copy(update={"expected": None}))
