@@ -40,7 +40,7 @@ from bench.record.run_index import RunIndex, run_folders
 from bench.record.storage import write_atomic
 from bench.record.summaries import ChartGroupData, drifts, has_limits
 from bench.report.control_chart import render_charts
-from bench.solve.agreement import Agreement, compare_runs, repeats
+from bench.solve.agreement import Agreement, compare_runs
 from bench.wording.numbers import with_uncertainty
 
 _MOST_GROUPS = 12
@@ -267,7 +267,7 @@ def _agreement_lines(runs: Sequence[IndexedRun], compared: Sequence[Agreement]) 
     for parameter in compared:
         mean, expanded = with_uncertainty(parameter.mean, parameter.expanded)
         yield f"{parameter.name}: mean {mean} ± {expanded} (k = {parameter.k:.2f}), Birge ratio {parameter.birge:.2f}"
-        if repeats(parameter.birge, len(runs)):
+        if parameter.repeats:
             yield f"  {REPEATS_TEXT}"
         for run, deviation in zip(runs, parameter.deviations, strict=True):
             found = run.parameters[parameter.name]

@@ -83,25 +83,8 @@ class TotalsData(TypedDict):
     working_hours: float
 
 
-class PointData(TypedDict):
-    """A run with a result, as a point of its camera's trends."""
-
-    item: str
-    begun_utc: str
-    temperature_c: float | None
-    parameters: Mapping[str, EstimateData]
-
-
-class SlopeData(TypedDict):
-    """Change of a parameter per hour or per degree Celsius."""
-
-    value: float
-    sigma: float
-    seen: bool  # Whether it is significant
-
-
-class TrendData(TypedDict):
-    """One parameter of one camera in several runs (`bench.solve.trends.Trend`)."""
+class AgreedData(TypedDict):
+    """One parameter of one camera in several runs (`bench.solve.agreement.Agreement`)."""
 
     name: str
     mean: float
@@ -110,17 +93,16 @@ class TrendData(TypedDict):
     expanded: float
     birge: float
     repeats: bool
-    per_hour: SlopeData | None
-    per_c: SlopeData | None
+    deviations: Sequence[float]
 
 
 class CameraData(TypedDict):
-    """The runs with a result of one camera and model, oldest first, and their trends."""
+    """The runs with a result of one camera and model, and their means."""
 
     camera: str  # Serial number
     model: str
-    runs: Sequence[PointData]
-    parameters: Sequence[TrendData]  # Empty with one run
+    runs: int
+    parameters: Sequence[AgreedData]  # Empty with one run
 
 
 class RequestData(TypedDict):

@@ -1,4 +1,4 @@
-"""The summary of a batch as one HTML page: its runs, failures with their reasons, and each parameter over time.
+"""The summary of a batch as one HTML page: runs, failures with their reasons, means of each camera, control charts.
 
 It needs ``summary.json`` alone; the template escapes every text.
 """
@@ -15,26 +15,19 @@ from zoneinfo import ZoneInfo
 from bench.record.coverage import REPEATS_TEXT, factors_text
 from bench.record.summaries import (
     WITHOUT_END,
+    AgreedData,
     BatchSummary,
     CameraData,
     ItemData,
-    SlopeData,
-    TrendData,
     newest_place,
 )
 from bench.report.control_chart import chart_section, choose_drawn
 from bench.report.html import render_page
-from bench.report.trend_plots import against_temperature, over_time, timeline
+from bench.report.timeline import timeline
 from bench.wording.numbers import NOTHING, duration, fixed, number, with_uncertainty
 
-_K = 2.0
-"""Of a slope."""
 _SCATTER_SIGMAS = 3.0
 """A Birge ratio is significant if it exceeds 1 by more than this number of its own standard deviations."""
-_LEAST_RANGE_C = 0.2
-"""Smallest range of temperatures for which the page shows parameters against temperature, degrees Celsius."""
-_CONTROL_PICTURES = 3
-"""Pictures of one parameter: values, moving ranges, EWMA."""
 
 
 def render_batch(summary: BatchSummary) -> str:
@@ -57,7 +50,7 @@ def render_batch(summary: BatchSummary) -> str:
             for text in [*item.get("causes", ()), *item["goals_missed"]]
         ],
         withdrawn=[item["item"] for item in summary["items"] if item["how"] == "withdrawn"],
-        cameras=[_camera_section(camera, place, zone) for place, camera in enumerate(summary["cameras"])],
+        cameras=[_camera_section(camera) for camera in summary["cameras"]],
         rows=[item for item in summary["items"] if item["begun_utc"]],
         local=partial(_local, zone=zone),
         charts=_chart_sections(summary),
@@ -119,87 +112,52 @@ def _chart_sections(summary: BatchSummary) -> list[dict[str, Any]]:
     """Return the control charts of the cameras with enough runs."""
     groups = [group for group in summary["charts"]["groups"] if group["state"] != "too few"]
     drawn = choose_drawn(groups)
-    sections = [chart_section(group, drawn.get(place, frozenset())) for place, group in enumerate(groups)]
-    for section in sections:
-        for drawn_here in section["pictures"].values():
-            del drawn_here[_CONTROL_PICTURES:]  # the page shows time and temperature already
-    return sections
+    return [chart_section(group, drawn.get(place, frozenset())) for place, group in enumerate(groups)]
 
 
-def _camera_section(camera: CameraData, place: int, zone: tzinfo | None) -> dict[str, Any]:
+def _camera_section(camera: CameraData) -> dict[str, Any]:
     """Return the part of the page about one camera."""
-    runs, trends = camera["runs"], camera["parameters"]
-    temperatures = [t for run in runs if (t := run["temperature_c"]) is not None]
-    warm = len(temperatures) == len(runs) > 1 and max(temperatures) - min(temperatures) >= _LEAST_RANGE_C
+    runs, parameters = camera["runs"], camera["parameters"]
     return {
         "serial": camera["camera"] or NOTHING,
         "model": camera["model"],
-        "runs": len(runs),
-        "range": f"{min(temperatures):.1f} to {max(temperatures):.1f} °C" if warm else "",
-        "trends": [_trend_row(trend, len(runs), warm=warm) for trend in trends],
-        "time_plot": over_time(runs, trends, zone, f"time-{place}") if trends else "",
-        "warm_plot": against_temperature(runs, trends, f"warm-{place}") if trends and warm else "",
-        "factors": factors_text(trend["coverage_factor"] for trend in trends),
-        "verdict": _verdict(trends, len(runs)),
+        "runs": runs,
+        "means": [_mean_row(agreed, runs) for agreed in parameters],
+        "factors": factors_text(agreed["coverage_factor"] for agreed in parameters),
+        "verdict": _verdict(parameters, runs),
     }
 
 
-def _scatters(trend: TrendData, runs: int) -> bool:
+def _scatters(agreed: AgreedData, runs: int) -> bool:
     """Whether the runs scatter significantly more than their uncertainties predict.
 
     A Birge ratio has a standard deviation of about 1 / sqrt(2 (n - 1)) (Birge, Phys. Rev. 40 (1932) 207).
     """
-    return trend["birge"] > 1.0 + _SCATTER_SIGMAS / math.sqrt(2.0 * (runs - 1))
+    return agreed["birge"] > 1.0 + _SCATTER_SIGMAS / math.sqrt(2.0 * (runs - 1))
 
 
-def _trend_row(trend: TrendData, runs: int, *, warm: bool) -> dict[str, str]:
-    name = trend["name"]
-    mean, expanded = with_uncertainty(trend["mean"], trend["expanded"])
-    moves = trend["per_hour"] is not None and trend["per_hour"]["seen"]
-    follows = warm and trend["per_c"] is not None and trend["per_c"]["seen"]
-    scattered = _scatters(trend, runs)
-    if moves or follows:
-        verdict, label = "marginal", "drifts" if moves else "follows temperature"
-    elif scattered:
-        verdict, label = "marginal", "scatters"
-    elif trend["repeats"]:
-        verdict, label = "marginal", "repeats"
-    else:
-        verdict, label = "pass", "steady"
+def _mean_row(agreed: AgreedData, runs: int) -> dict[str, str]:
+    mean, expanded = with_uncertainty(agreed["mean"], agreed["expanded"])
+    label = "scatters" if _scatters(agreed, runs) else "repeats" if agreed["repeats"] else "agrees"
     return {
-        "name": name,
+        "name": agreed["name"],
         "mean": mean,
         "expanded": expanded,
-        "birge": fixed(trend["birge"], 2),
-        "per_hour": _slope_text(trend["per_hour"]),
-        "per_c": _slope_text(trend["per_c"]) if warm else NOTHING,
-        "verdict": verdict,
+        "birge": fixed(agreed["birge"], 2),
+        "verdict": "pass" if label == "agrees" else "marginal",
         "label": label,
     }
 
 
-def _slope_text(found: SlopeData | None) -> str:
-    if found is None:
-        return NOTHING
-    value, expanded = with_uncertainty(found["value"], _K * found["sigma"])
-    return f"{value} ± {expanded}"
-
-
-def _verdict(trends: Sequence[TrendData], runs: int) -> str:
-    """Summarise the trends in one sentence."""
-    if not trends:
+def _verdict(parameters: Sequence[AgreedData], runs: int) -> str:
+    """Summarise in one sentence how the results agree."""
+    if not parameters:
         return "Only one run has a result, so there is no comparison."
-    moving = [t["name"] for t in trends if t["per_hour"] is not None and t["per_hour"]["seen"]]
-    scattered = [t["name"] for t in trends if _scatters(t, runs) and t["name"] not in moving]
     findings = []
-    if moving:
-        findings.append(
-            f"{', '.join(moving)} changed during the batch by more than 3.5 standard uncertainties"
-        )
-    if scattered:
+    if scattered := [one["name"] for one in parameters if _scatters(one, runs)]:
         findings.append(f"{', '.join(scattered)} scattered more than the stated uncertainties predict")
-    if repeating := [t["name"] for t in trends if t["repeats"]]:
+    if repeating := [one["name"] for one in parameters if one["repeats"]]:
         findings.append(f"{', '.join(repeating)}: {REPEATS_TEXT.rstrip('.')}")
     if not findings:
-        return f"All {runs} results agree within their uncertainties; no significant change of a parameter."
+        return f"All {runs} results agree within their uncertainties."
     return f"{'; '.join(findings)}."

@@ -7,13 +7,13 @@ the mean carries it in full.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from bench.base.errors import UsageError
 from bench.record.coverage import Estimate
 from bench.record.run_facts import IndexedRun
+from bench.record.summaries import AgreedData
 
 _LEAST_OWN = 1e-6
 """A run has at least this share of its variance for itself, so that a difference can be judged."""
@@ -38,12 +38,22 @@ class Agreement:
     deviations: Sequence[float]
 
     @property
+    def repeats(self) -> bool:
+        """Whether the runs agree far better than their uncertainties say: their errors are then the same in each.
+
+        1 % of independent runs do: chi^2 quantile by Wilson and Hilferty, PNAS 17 (1931) 684.
+        """
+        freedom = len(self.deviations) - 1
+        step = 2.0 / (9.0 * freedom)
+        return self.birge**2 < max(0.0, 1.0 - step + _LOWEST_PERCENT * math.sqrt(step)) ** 3
+
+    @property
     def expanded(self) -> float:
         """Expanded uncertainty of the mean."""
         return self.k * self.sigma
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return ``name mean sigma coverage_factor expanded birge deviations`` as JSON holds them."""
+    def to_dict(self) -> AgreedData:
+        """Return the parameter as JSON holds it."""
         return {
             "name": self.name,
             "mean": self.mean,
@@ -51,6 +61,7 @@ class Agreement:
             "coverage_factor": self.k,
             "expanded": self.expanded,
             "birge": self.birge,
+            "repeats": self.repeats,
             "deviations": list(self.deviations),
         }
 
@@ -73,6 +84,13 @@ def compare_runs(runs: Sequence[IndexedRun]) -> list[Agreement]:
                 f"Cannot compare runs of different {what}: {', '.join(sorted(kinds))}.",
                 remedy="Select runs of one of them by FOLDER, --serial or --since.",
             )
+    return agreements(runs)
+
+
+def agreements(runs: Sequence[IndexedRun]) -> list[Agreement]:
+    """Return the agreement of every parameter that all runs estimated; none with fewer than two runs."""
+    if len(runs) < 2:
+        return []
     shared = [
         name
         for name in runs[0].parameters
@@ -121,11 +139,10 @@ def agreement(name: str, runs: Sequence[Estimate]) -> Agreement:
     return Agreement(name, mean, sigma, max(one.k for one in runs), birge, deviations)
 
 
-def repeats(birge: float, runs: int) -> bool:
-    """Return whether the runs agree far better than their uncertainties say: their errors are then the same in each.
-
-    1 % of independent runs do: chi^2 quantile by Wilson and Hilferty, PNAS 17 (1931) 684.
-    """
-    freedom = runs - 1
-    step = 2.0 / (9.0 * freedom)
-    return birge**2 < max(0.0, 1.0 - step + _LOWEST_PERCENT * math.sqrt(step)) ** 3
+def by_camera(runs: Iterable[IndexedRun]) -> dict[tuple[str, str], list[IndexedRun]]:
+    """Group the runs that have a calibration by serial number and model, oldest first."""
+    found: dict[tuple[str, str], list[IndexedRun]] = {}
+    for run in sorted(runs, key=lambda run: (run.begun_utc, run.folder)):
+        if run.parameters:
+            found.setdefault((run.camera, str(run.model)), []).append(run)
+    return dict(sorted(found.items()))

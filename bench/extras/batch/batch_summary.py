@@ -28,7 +28,7 @@ from bench.extras.batch.batch_record import (
     look_ahead,
     replay_batch,
 )
-from bench.extras.history.chart_findings import find_charts
+from bench.extras.history.chart_findings import find_charts, needs_attention
 from bench.extras.history.chart_groups import group_runs
 from bench.extras.history.merged_runs import RunPlace
 from bench.record.coverage import REPEATS_TEXT, factors_text, parameters_data
@@ -45,13 +45,12 @@ from bench.record.summaries import (
     BatchSummary,
     CameraData,
     ItemData,
-    PointData,
     RequestData,
     TotalsData,
 )
 from bench.report.batch_page import render_batch
 from bench.run.status import read_plan, read_status
-from bench.solve.trends import by_camera, hours_after, trends_of
+from bench.solve.agreement import agreements, by_camera
 from bench.wording.causes import cause_sentences
 from bench.wording.goals import goals_missed
 from bench.wording.numbers import with_uncertainty
@@ -142,8 +141,8 @@ def summarise(folder: Path, record: BatchRecord) -> BatchSummary:
             {
                 "camera": camera,
                 "model": model,
-                "runs": [_point(run) for run in of_camera],
-                "parameters": [trend.to_dict() for trend in trends_of(of_camera)],
+                "runs": len(of_camera),
+                "parameters": [one.to_dict() for one in agreements(of_camera)],
             }
             for (camera, model), of_camera in by_camera(solved).items()
         ],
@@ -222,15 +221,6 @@ def _outcome(run: RunState, working: str) -> str:
     return "cut off" if run.begun else "not begun"
 
 
-def _point(run: IndexedRun) -> PointData:
-    return {
-        "item": run.id,
-        "begun_utc": run.begun_utc,
-        "temperature_c": run.temperature_c,
-        "parameters": parameters_data(run.parameters),
-    }
-
-
 def _totals(items: Sequence[ItemData]) -> TotalsData:
     begun = [item["begun_utc"] for item in items if item["begun_utc"]]
     ended = [item["ended_utc"] for item in items if item["begun_utc"] and item["ended_utc"]]
@@ -241,9 +231,13 @@ def _totals(items: Sequence[ItemData]) -> TotalsData:
         "poses": sum(item["accepted"] for item in items),
         "recordings": sum(item["recordings"] for item in items),
         "deviations": sum(item["deviations"] for item in items),
-        "hours": round(hours_after(max(ended), begun[0]), 3) if ended else 0.0,
+        "hours": round(_hours_between(begun[0], max(ended)), 3) if ended else 0.0,
         "working_hours": round(sum(item["took_s"] or 0.0 for item in items) / 3600.0, 3),
     }
+
+
+def _hours_between(begin_utc: str, end_utc: str) -> float:
+    return (datetime.fromisoformat(end_utc) - datetime.fromisoformat(begin_utc)).total_seconds() / 3600.0
 
 
 def _request(data: Requested) -> RequestData:
@@ -474,26 +468,26 @@ def summary_lines(summary: BatchSummary) -> Iterator[str]:
         yield f"  {item['item']:<30} {item['how']:<10} {attempts}{verdict}{why}"
         yield from (f"    {sentence}" for sentence in [*item.get("causes", ()), *item["goals_missed"]])
     for camera in summary["cameras"]:
-        yield from _trend_lines(camera)
+        yield from _mean_lines(camera)
+    for group in filter(needs_attention, summary["charts"]["groups"]):
+        yield f"{group['title']}: {group['verdict']}"
 
 
-def _trend_lines(camera: CameraData) -> list[str]:
+def _mean_lines(camera: CameraData) -> list[str]:
     """Return one line per parameter of a camera, if more than one of its runs has a result."""
-    lines = []
-    width = max((len(trend["name"]) for trend in camera["parameters"]), default=0)
-    for trend in camera["parameters"]:
-        mean, expanded = with_uncertainty(trend["mean"], trend["expanded"])
-        unit = unit_text(trend["name"])
-        line = f"  {trend['name']:<{width}} {mean:>12} ± {expanded:<9} {unit:<3} Birge {trend['birge']:.2f}"
-        line += "  REPEATS" if trend["repeats"] else ""
-        if trend["per_hour"] is not None:
-            slope, slope_u = with_uncertainty(trend["per_hour"]["value"], _K * trend["per_hour"]["sigma"])
-            line += f"  {slope:>10} ± {slope_u} per hour{'  CHANGES' if trend['per_hour']['seen'] else ''}"
-        lines.append(line)
-    if lines:
-        factors = factors_text(trend["coverage_factor"] for trend in camera["parameters"])
-        head = f"Camera {camera['camera']}, {camera['model']} model, {len(camera['runs'])} results; U with {factors}:"
-        lines.insert(0, head)
-    if any(trend["repeats"] for trend in camera["parameters"]):
+    parameters = camera["parameters"]
+    if not parameters:
+        return []
+    factors = factors_text(one["coverage_factor"] for one in parameters)
+    lines = [
+        f"Camera {camera['camera']}, {camera['model']} model, {camera['runs']} results; U with {factors}:"
+    ]
+    width = max(len(one["name"]) for one in parameters)
+    for one in parameters:
+        mean, expanded = with_uncertainty(one["mean"], one["expanded"])
+        line = f"  {one['name']:<{width}} {mean:>12} ± {expanded:<9} {unit_text(one['name']):<3}"
+        line += f" Birge {one['birge']:.2f}"
+        lines.append(f"{line}  REPEATS" if one["repeats"] else line)
+    if any(one["repeats"] for one in parameters):
         lines.append(f"  REPEATS: {REPEATS_TEXT}")
     return lines

@@ -1,4 +1,4 @@
-"""The summary of a batch: trends that are there are found, those that are not are not, and the page shows and escapes."""
+"""The summary of a batch: it says how the results of a camera agree, and the page shows and escapes."""
 
 from datetime import UTC, datetime, timedelta
 
@@ -8,7 +8,7 @@ import pytest
 from bench.record.coverage import Estimate, parameters_data
 from bench.record.run_facts import IndexedRun
 from bench.report.batch_page import render_batch
-from bench.solve.trends import by_camera, fit_slope, trends_of
+from bench.solve.agreement import agreements, by_camera
 from tests.unit.bench.report.structure import Structure
 
 EVENING = datetime(2026, 3, 1, 19, tzinfo=UTC)
@@ -24,31 +24,6 @@ def run(number, *, fx=0.0, k1=0.0, sigma=0.5, shared=0.0, temperature_c=40.0, ca
             "fx": Estimate(3300.0 + fx, sigma, 2.2, shared), "k1": Estimate(0.06 + k1, 0.001, 2.3),
         },
     )  # fmt: skip
-
-
-@pytest.mark.parametrize("drift_px_h", [0.0, 0.4])
-def test_a_drift_is_seen_where_there_is_one(drift_px_h):
-    drawn = np.random.default_rng(1)
-    runs = [run(n, fx=drift_px_h * n / 2 + 0.5 * drawn.normal()) for n in range(20)]
-    fx, k1 = trends_of(runs)
-    assert fx.per_hour.significant is (drift_px_h > 0)
-    assert fx.per_hour.value == pytest.approx(drift_px_h, abs=3 * fx.per_hour.sigma)
-    assert k1.agreed.birge == 0
-    assert fx.per_c is None  # one temperature all night
-    assert not k1.per_hour.significant
-
-
-def test_points_that_scatter_more_than_they_say_widen_the_slope():
-    x, y = [0.0, 1.0, 2.0, 3.0], [0.0, 5.0, -5.0, 0.0]
-    assert fit_slope(x, y, [0.1] * 4).sigma > 10 * fit_slope(x, [0.0, 0.05, -0.05, 0.0], [0.1] * 4).sigma
-
-
-def test_the_temperature_is_followed_where_it_varies():
-    runs = [run(n, fx=0.8 * (n % 5), temperature_c=40.0 + n % 5, sigma=0.1) for n in range(20)]
-    fx, _ = trends_of(runs)
-    assert fx.per_c.value == pytest.approx(0.8)
-    assert fx.per_c.significant
-    assert not fx.per_hour.significant
 
 
 def test_cameras_are_kept_apart_and_runs_without_a_result_left_out():
@@ -87,19 +62,10 @@ def summary(*items, cameras=(), **facts):
 
 
 def of_runs(runs):
-    points = [
-        {
-            "item": r.id, "begun_utc": r.begun_utc, "temperature_c": r.temperature_c,
-            "parameters": parameters_data(r.parameters),
-        }
-        for r in runs
-    ]  # fmt: skip
     return {
-        "camera": "1",
-        "model": "spherical",
-        "runs": points,
-        "parameters": [t.to_dict() for t in trends_of(runs)],
-    }
+        "camera": "1", "model": "spherical", "runs": len(runs),
+        "parameters": [one.to_dict() for one in agreements(runs)],
+    }  # fmt: skip
 
 
 def test_nothing_in_a_summary_becomes_markup():
@@ -129,14 +95,14 @@ def test_the_page_tells_failures_and_what_was_not_begun_with_local_times():
     assert "SIMULATED" not in html
 
 
-def test_the_page_says_in_words_what_changed_and_what_did_not():
+def test_the_page_says_in_words_whether_the_results_agree():
     def page(*runs):
         return render_batch(summary(cameras=[of_runs(runs)]))
 
     noise = np.random.default_rng(3).normal(size=(12, 2))
     steady = page(*(run(n, fx=0.5 * a, k1=0.001 * b) for n, (a, b) in enumerate(noise)))
     assert "All 12 results agree within their uncertainties" in steady
-    assert "fx changed during the batch" in page(*(run(n, fx=2.0 * n) for n in range(12)))
+    assert "fx scattered more than" in page(*(run(n, fx=2.0 * n) for n in range(12)))
     assert "there is no comparison" in page(run(0))
 
 
@@ -158,7 +124,7 @@ def test_what_is_not_measured_says_so_at_the_top(flag):
 def test_the_mean_of_many_runs_is_not_better_than_what_they_share():
     drawn = np.random.default_rng(4)
     runs = [run(n, fx=0.3 * drawn.normal(), sigma=0.5, shared=0.4, hours=0.1 * n) for n in range(60)]
-    fx = trends_of(runs)[0].agreed
+    fx = agreements(runs)[0]
     assert 0.4 < fx.sigma < 0.41
     assert fx.expanded == 2.2 * fx.sigma
 
@@ -169,4 +135,4 @@ def test_runs_that_differ_much_less_than_they_say_are_told_and_their_mean_is_not
     assert "the mean of many runs is not better than one run" in page
     assert "agree within" not in page
     assert '<span class="pill marginal">repeats</span>' in page
-    assert trends_of(runs)[0].agreed.sigma == pytest.approx(0.5, rel=0.01)
+    assert agreements(runs)[0].sigma == pytest.approx(0.5, rel=0.01)

@@ -16,7 +16,6 @@ from bench.record.device_end import DeviceEnd
 from bench.record.journal import Journal
 from bench.record.summaries import newest_place
 from bench.solve.agreement import agreement
-from bench.solve.trends import Trend
 from bench.stations.station import load_station
 
 NOW = datetime(2026, 3, 1, 20, tzinfo=UTC)
@@ -101,15 +100,23 @@ def item(key, number=None, head=None):
     }
 
 
-def summary(how, items, cameras=()):
-    return {"queue": "Night", "how": how, "why": "", "rehearsal": False, "items": items, "cameras": cameras}
+def summary(how, items, cameras=(), charts=None):
+    return {
+        "queue": "Night",
+        "how": how,
+        "why": "",
+        "rehearsal": False,
+        "items": items,
+        "cameras": cameras,
+        "charts": charts or {"groups": []},
+    }
 
 
 def test_the_mail_of_a_batch_has_the_means_that_the_terminal_prints(tmp_path, outbox, messages, capsys):
     runs = [Estimate(3346.0 + n, 1.2, 2.2, 1.0) for n in range(3)]
-    trend = Trend("fx", agreement("fx", runs), repeats=False, per_hour=None, per_c=None)
-    parameters = [{**trend.to_dict(), "name": name} for name in ("fx", "radial_4")]
-    camera = {"camera": "00050423", "model": "radial", "runs": runs, "parameters": parameters}
+    agreed = agreement("fx", runs)
+    parameters = [{**agreed.to_dict(), "name": name} for name in ("fx", "radial_4")]
+    camera = {"camera": "00050423", "model": "radial", "runs": 3, "parameters": parameters}
     ended = summary("finished", [item("cam-001")], [camera])
     messages.add_recipients([station(tmp_path)])
     messages.batch_ended(ended, tmp_path, "b" * 64)
@@ -117,9 +124,22 @@ def test_the_mail_of_a_batch_has_the_means_that_the_terminal_prints(tmp_path, ou
     (delivery,) = outbox.deliveries()
     mean, other = (line for line in capsys.readouterr().out.splitlines() if "Birge" in line)
     assert mean.index("±") == other.index("±")
-    assert f"± {trend.agreed.expanded:.1f}" in mean
+    assert f"± {agreed.expanded:.1f}" in mean
     assert mean in delivery.message.text
     assert "U with k = 2.2:" in delivery.message.text
+
+
+def test_the_end_of_a_batch_names_a_drift_as_the_control_charts_judge_it(tmp_path, capsys):
+    def group(title, *, seen):
+        drift = {"per_day": {"seen": seen}, "per_c": None}
+        chart = {"drift": drift}
+        return {"title": title, "state": "in control", "verdict": f"{title} judged.", "parameters": [chart]}
+
+    charts = {"groups": [group("Camera 1", seen=True), group("Camera 2", seen=False)]}
+    show_summary(tmp_path, summary("finished", [item("cam-001")], charts=charts))
+    printed = capsys.readouterr().out
+    assert "Camera 1: Camera 1 judged." in printed
+    assert "Camera 2" not in printed
 
 
 @pytest.mark.parametrize(
