@@ -94,7 +94,7 @@ def not_included(calibration: CalibrationData) -> list[tuple[str, str]]:
 
 def _printed(row: BudgetRowData, words: TargetWords) -> dict[str, Any]:
     """Return a row as printed."""
-    own = words.fitting if row["name"] == _OF_STARS else str  # other sources may be named by the station file
+    of_stars = row["name"] == _OF_STARS  # of the points, if a board is seen
     scale = 1e6 if row["unit"] == "1" else 1.0
     base, _, where = str(row["unit"]).partition(" ")
     unit = _UNITS.get(base, base)
@@ -106,9 +106,9 @@ def _printed(row: BudgetRowData, words: TargetWords) -> dict[str, Any]:
         distribution += f", \N{GREEK SMALL LETTER NU} = {row['degrees_of_freedom']:.0f}"
     contribution, share = row["contribution"], row["share"]
     return {
-        "name": own(str(row["name"])),
+        "name": words.points if of_stars else str(row["name"]),
         "type": str(row["type"]),
-        "source": own(str(row["source"])),
+        "source": f"residuals of the {words.points}" if of_stars and words.is_board else str(row["source"]),
         "value": NOTHING if value is None else _stated(scale * value, unit, where),
         "distribution": distribution,
         "sensitivity": f"{number(float(sensitivity['fx']) / scale, 3)} px / {unit}"

@@ -58,7 +58,7 @@ class ReportData:
 def render_report(data: ReportData, *, draw: bool = True) -> str:
     """Render the report as HTML from ``data`` alone; without plots and images (``draw``) the text is the same."""
     results, words = data.results, words_of(data.results)
-    parts = _result_parts(results, words) | _run_parts(results, words) | _graphics(data, words, draw=draw)
+    parts = _result_parts(results, words) | _run_parts(results) | _graphics(data, words, draw=draw)
     return render_page(
         "report.html.j2",
         run=results["run"],
@@ -103,7 +103,7 @@ def _result_parts(results: Results, words: TargetWords) -> dict[str, Any]:
     }
 
 
-def _run_parts(results: Results, words: TargetWords) -> dict[str, Any]:
+def _run_parts(results: Results) -> dict[str, Any]:
     """Return what the template prints about the run: its devices, poses, gates and files."""
     devices, poses = results.get("devices") or {}, results.get("poses") or []
     return {
@@ -116,7 +116,7 @@ def _run_parts(results: Results, words: TargetWords) -> dict[str, Any]:
         "poses": poses,
         "explained": pose_tables.explained(poses),
         "recordings": [(pose["name"], one) for pose in poses for one in pose.get("attempts") or []],
-        "gates": pose_tables.gates(results.get("gates") or [], words),
+        "gates": pose_tables.gates(results.get("gates") or []),
         "deviations": run_tables.deviations(results),
         "holds": [str(hold) for hold in results.get("holds") or ()],
         "sources": results.get("sources") or [],

@@ -16,7 +16,6 @@ from bench.report.svg_plot import INK, MUTED, WIDE, Axes, Picture, Words, axes_i
 from bench.report.svg_scale import Scale
 from bench.wording.goals import beside_goal, digits_beside, goals_text, meaning_of_goal
 from bench.wording.numbers import NOTHING, fixed, number, value_text
-from bench.wording.target_words import STARS, TargetWords
 
 _VERDICTS = ("pass", "marginal", "fail")
 _COLOURS = ("#0072b2", "#d55e00")
@@ -58,7 +57,7 @@ def explained(found: Sequence[PoseData]) -> set[int]:
     return set(first.values())
 
 
-def gates(found: Sequence[GateData], words: TargetWords = STARS) -> list[GateRow]:
+def gates(found: Sequence[GateData]) -> list[GateRow]:
     """List each gate once, with the range of the values it judged and its worst verdict."""
     kinds: dict[tuple[str, str, str], list[GateData]] = {}
     for gate in found:
@@ -74,7 +73,7 @@ def gates(found: Sequence[GateData], words: TargetWords = STARS) -> list[GateRow
         passed = sum(gate["verdict"] != "fail" for gate in judged)
         rows.append(
             GateRow(
-                words.fitting(name),
+                name,
                 f"{limit} {unit}".strip(),
                 values_text,
                 f"{passed} of {len(judged)}",

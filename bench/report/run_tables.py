@@ -328,7 +328,7 @@ def alerts(results: Results) -> list[str]:
     doubts = [note for note in calibration["notes"] if note not in known]
     details = [
         f"Gate {row.name}: {row.verdict} ({row.values}, limit {row.limit}; {row.count} passed)."
-        for row in gates(results.get("gates") or [], words_of(results))
+        for row in gates(results.get("gates") or [])
         if row.verdict != "pass"
     ]
     missed = goals_missed(results.get("untils") or [])

@@ -16,25 +16,19 @@ from tests.unit.bench.report.structure import cells
 from tests.unit.bench.report.test_batch_page import item, summary
 
 MINUS = "\N{MINUS SIGN}"
-WITH_A_BOARD = {"board": "checkerboard:9x6:25mm"}
 
 
-def printed(**run):
+@pytest.fixture(scope="module")
+def page():
     """The sample with a pose that was not used, one that was refused, and refused recordings."""
     data = sample(size=SMALL)
     results = copy.deepcopy(dict(data.results))
-    results["run"] |= run
     first, second, third = results["poses"]
     first["measured_deg"]["pan"] = 1.70042
     first["attempts"][0] |= {"accepted": False, "reasons": ["few stars", "the target moved"]}
     second |= {"rms_px": None, "named_by": "gimbal"}
     third["attempts"][0]["accepted"], third["rms_px"] = False, None
     return render_report(ReportData(results, data.views), draw=False)
-
-
-@pytest.fixture(scope="module")
-def page():
-    return printed()
 
 
 def test_a_pose_shows_its_state_angles_stars_and_picture(page):
@@ -60,10 +54,6 @@ def test_a_recording_shows_why_it_was_refused(page):
         "[pass] accepted",
         "[fail] refused",
     ]
-
-
-def test_with_a_board_a_recording_is_refused_for_its_points():
-    assert cells(printed(**WITH_A_BOARD), "Recordings")[0][6].endswith("few points; the board moved")
 
 
 def test_the_truth_has_the_digits_of_the_uncertainty(page):
