@@ -41,6 +41,15 @@ def printable(text: str) -> str:
     return "".join(map(_escaped, text))
 
 
+def printable_only(text: str) -> str:
+    r"""Replace each character that is not printable, also an end of line, by a question mark.
+
+    >>> printable_only("a\x1b[2Jb")
+    'a?[2Jb'
+    """
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
 def _escaped(letter: str) -> str:
     if letter in "\n\t" or unicodedata.category(letter) not in {"Cc", "Cf", "Cs"}:
         return letter

@@ -12,6 +12,7 @@ from typing import Any
 
 import click
 
+from bench.base.encoding import printable_only
 from bench.base.errors import BenchError, EvidenceError, StorageError, UsageError
 from bench.base.home import home_folder
 from bench.commands.options import (
@@ -361,5 +362,4 @@ def _part(values: Mapping[str, Any], name: str) -> dict[str, Any]:
 
 
 def _words(values: Mapping[str, Any], names: Sequence[str]) -> str:
-    words = " ".join(str(values[name]) for name in names if values.get(name))
-    return "".join(c if c.isprintable() else "?" for c in words)
+    return printable_only(" ".join(str(values[name]) for name in names if values.get(name)))

@@ -12,10 +12,8 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from bench.base.errors import EvidenceError
 from bench.evidence.keys import NEW_KEY, BenchKey, finish_rotation, private_text
-from bench.evidence.public_half import KEY_FILE
+from bench.evidence.public_half import KEY_FILE, read_public
 from bench.evidence.signers import (
-    PRINCIPAL,
-    read_public_key,
     read_signer,
     replace_lines,
 )
@@ -80,25 +78,3 @@ def _archive(folder: Path, old: bytes, *, keep: bool) -> Path | None:
             os.link(folder / KEY_FILE, path)
         sync_folder(folder / ARCHIVE)
     return path
-
-
-def read_public(path: Path) -> tuple[bytes, str]:
-    """Return the public key of a file ``.pub``, and its principal."""
-    with storage_errors(path):
-        text = path.read_text(encoding="utf-8")
-    try:
-        key = read_public_key(text)
-    except ValueError as error:
-        raise _not_public(path, str(error)) from error
-    principal = ([*text.split(), "", ""])[2]
-    if not PRINCIPAL.fullmatch(principal):
-        raise _not_public(path, "it does not name its signer as name@place")
-    return key, principal
-
-
-def _not_public(path: Path, why: str) -> EvidenceError:
-    return EvidenceError(
-        f"This is not the bench's public key: {why}.",
-        where=str(path),
-        remedy=f"Restore it: ssh-keygen -y -f {path.with_suffix('')}; write name@place at the end.",
-    )

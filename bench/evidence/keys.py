@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 
 from bench.base.errors import EvidenceError
-from bench.evidence.public_half import KEY_FILE, principal_of, read_key_file
+from bench.evidence.public_half import KEY_FILE, read_key_file, read_public
 from bench.evidence.revoked_keys import REVOKED_FILE, read_revoked
 from bench.evidence.signers import NAMESPACE, PRINCIPAL, SIGNERS_FILE, read_public_key, signers_of, trust
 from bench.evidence.ssh_keys import fingerprint, key_text
@@ -184,7 +184,7 @@ def _load(folder: Path, ask_passphrase: Callable[[Path], bytes] | None) -> Bench
         raise EvidenceError(
             "This is not an Ed25519 key.", where=str(path), remedy="Make one: ssh-keygen -t ed25519."
         )
-    return BenchKey(private, principal_of(path.with_suffix(".pub")))
+    return BenchKey(private, read_public(path.with_suffix(".pub"))[1])
 
 
 def _load_private_key(secret: bytes, path: Path, ask_passphrase: Callable[[Path], bytes] | None) -> object:

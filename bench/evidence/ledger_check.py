@@ -12,8 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError
-from bench.evidence.key_rotation import read_public
-from bench.evidence.public_half import KEY_FILE
+from bench.evidence.public_half import KEY_FILE, read_public
 from bench.evidence.signers import NAMESPACE, SIGNERS_FILE, read_signers
 from bench.evidence.sshsig import is_valid, read_signature
 from bench.record.events import Event
@@ -34,7 +33,7 @@ def own_public_keys(home: Path) -> set[bytes]:
     """Return this bench's public keys as SSH encodes them: the present one, and trusted ones of the same name."""
     try:
         own, principal = read_public((home / KEY_FILE).with_suffix(".pub"))
-    except (BenchError, UnicodeDecodeError):
+    except BenchError:
         return set()
     try:
         trusted = read_signers(home / SIGNERS_FILE)

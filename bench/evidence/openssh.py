@@ -15,6 +15,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from bench.base.encoding import printable_only
 from bench.base.errors import EvidenceError
 from bench.evidence.ssh_keys import (
     key_text,
@@ -64,7 +65,7 @@ class OpenSshKey:
                 return signature.read_bytes()
         said = done.stderr.decode(errors="replace").strip().splitlines() or ["it gave no reason"]
         raise EvidenceError(
-            f"ssh-keygen did not sign with this key: {_printable(said[-1])}.",
+            f"ssh-keygen did not sign with this key: {printable_only(said[-1])}.",
             where=str(self.path or self.agent or ""),
             remedy="Check with `ssh-add -l` that the agent holds the key; confirm at the token or enter its PIN if"
             " asked.",
@@ -90,12 +91,12 @@ def agent_lines(agent: str) -> list[str]:
     done = _run("ssh-add", ["-L"], {SOCKET_VARIABLE: agent}, _CHECK_S)
     text = done.stdout.decode(errors="replace")
     if done.returncode == 0:
-        return [_printable(line) for line in text.splitlines()]
+        return [printable_only(line) for line in text.splitlines()]
     if done.returncode == 1 and "no identities" in text:
         return []
     said = done.stderr.decode(errors="replace").strip() or f"status {done.returncode}"
     raise EvidenceError(
-        f"ssh-agent does not answer: {_printable(said)}.",
+        f"ssh-agent does not answer: {printable_only(said)}.",
         where=agent,
         remedy=f"Start it and add the key with ssh-add; {SOCKET_VARIABLE} names its socket.",
     )
@@ -125,7 +126,3 @@ def _run(
             f"{program} gave no answer within {wait_s:.0f} s.",
             remedy="Touch the token if it asks, and try again.",
         ) from error
-
-
-def _printable(text: str) -> str:
-    return "".join(letter if letter.isprintable() else "?" for letter in text)

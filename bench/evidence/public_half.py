@@ -12,7 +12,7 @@ from pathlib import Path
 
 from bench.base.errors import EvidenceError
 from bench.evidence.private_files import refuse_readable_by_others, refuse_writable_by_others
-from bench.evidence.signers import NAMESPACE, PRINCIPAL, Signer
+from bench.evidence.signers import NAMESPACE, PRINCIPAL, Signer, read_public_key
 from bench.evidence.ssh_keys import KEY_TYPE, key_type_of, strings
 from bench.record.storage import (
     read_bounded,
@@ -36,7 +36,7 @@ def load_public_key(folder: Path) -> Signer:
             where=str(path),
             remedy="Restore the file from a copy, or make a new key with `starbench keys rotate`.",
         ) from error
-    return Signer(principal_of(path.with_suffix(".pub")), public_key, (NAMESPACE,))
+    return Signer(read_public(path.with_suffix(".pub"))[1], public_key, (NAMESPACE,))
 
 
 def public_of_private(text: bytes) -> bytes:
@@ -71,14 +71,17 @@ def read_key_file(path: Path) -> bytes:
     return read_bounded(path, _MOST_KEY_BYTES)
 
 
-def principal_of(public_path: Path) -> str:
-    """Return the signer's name (``name@place``) from a file with a public key."""
-    fields = read_bounded(public_path, _MOST_KEY_BYTES).decode("utf-8", "replace").split()
-    principal = fields[2] if len(fields) > 2 else ""
-    if not PRINCIPAL.fullmatch(principal):
-        raise EvidenceError(
-            "The public key does not name its signer.",
-            where=str(public_path),
-            remedy="Write name@place at the end of its line.",
-        )
-    return principal
+def read_public(path: Path) -> tuple[bytes, str]:
+    """Return the public key of a file ``.pub``, and its principal, the signer as ``name@place``."""
+    text = read_bounded(path, _MOST_KEY_BYTES).decode("utf-8", "replace")
+    why, principal = "it does not name its signer as name@place", ([*text.split(), "", ""])[2]
+    try:
+        if PRINCIPAL.fullmatch(principal):
+            return read_public_key(text), principal
+    except ValueError as error:
+        why = str(error)
+    raise EvidenceError(
+        f"This is not the bench's public key: {why}.",
+        where=str(path),
+        remedy=f"Restore it: ssh-keygen -y -f {path.with_suffix('')}; write name@place at the end.",
+    )

@@ -15,6 +15,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bench.base.encoding import printable_only
 from bench.base.errors import EvidenceError
 from bench.evidence.beside_seal import read_beside
 from bench.evidence.der import sequence, sets_in_order
@@ -240,7 +241,7 @@ def _authority_name(response: Any) -> str:
         raise EvidenceError(f"the time stamp holds {len(known)} certificates of its authority, not one")
     found = known[0].subject.get_attributes_for_oid(NameOID.COMMON_NAME)
     name = str(found[0].value) if found else known[0].subject.rfc4514_string()
-    return "".join(c if c.isprintable() else "?" for c in name)
+    return printable_only(name)
 
 
 def _reason(error: Exception) -> str:
