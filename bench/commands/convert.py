@@ -43,8 +43,9 @@ if TYPE_CHECKING:
 @click.option(
     "--as",
     "kind",
-    type=click.Choice(["raw", "metavision", "hdf5", "numpy"]),
-    help="Format of OUTPUT.  [default: by its name: .raw, .hdf5 (Metavision, ECF), .h5 (plain HDF5) or .npz]",
+    type=click.Choice(["raw", "metavision", "hdf5", "numpy", "parquet"]),
+    help="Format of OUTPUT.  [default: by its name: .raw, .hdf5 (Metavision, ECF), .h5 (plain HDF5), .npz or"
+    " .parquet]",
 )
 @click.option(
     "--sensor-size", metavar="WxH", help="Size of the sensor, px, for a SOURCE that does not state it."
@@ -69,7 +70,8 @@ def convert(
     Many SOURCEs are converted into the folder OUTPUT, by all processors of this computer or by the workers of a Dask
     scheduler; say the format with --as. After an interruption, the same command continues.
 
-    Formats: RAW (EVT3), Metavision's HDF5 (ECF), plain HDF5, NumPy's .npz. SOURCE may also be RAW with EVT2 or EVT2.1
+    Formats: RAW (EVT3), Metavision's HDF5 (ECF), plain HDF5, NumPy's .npz, and Parquet, which is only written and needs
+    starbench[table]. SOURCE may also be RAW with EVT2 or EVT2.1
     words, DAT, HDF5 of others (DSEC, e2calib, M3ED, v2e, MVSEC), AEDAT4, or a bag of ROS 1 or ROS 2 (file or folder);
     AEDAT4, bags and some HDF5 need starbench[formats]. The header of a converted RAW file states that it was
     converted, so it cannot be taken for a camera's original file.
@@ -90,7 +92,7 @@ def convert(
             where=str(output),
             remedy="Give --as."
             if many
-            else "Use a name that ends in .raw, .hdf5, .h5 or .npz, or give --as.",
+            else "Use a name that ends in .raw, .hdf5, .h5, .npz or .parquet, or give --as.",
         )
     if many:
         OutputFolder().check(output)

@@ -6,7 +6,7 @@ Every format is read to a source of such pieces; the times of some count from 19
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Any, Final, NamedTuple
 
@@ -118,64 +118,50 @@ class ReadingChoices:
         )
 
 
+@dataclass
+class ReadingState:
+    """How far a file has been read."""
+
+    share: float = 0.0  # Of the file, 0 to 1
+    unknown_words: int = 0  # Number of words left out because EVT3 does not define their type
+
+
 @dataclass(frozen=True)
 class EventSource:
-    """An open file of events."""
+    """An open file of events, which is read once, piece by piece."""
 
-    count: int
-    triggers: Triggers  # All trigger edges, in the order of the file
     # width, height: Size of the sensor, px.
     width: int
     height: int
     header: Mapping[str, str]
-    # Reads the events in the order of the file. It raises as `open_events` does.
-    pieces: Callable[[], Iterator[Events]]
+    # Reads events and edges in the order of the file; an edge may come before the events of its time, not after them.
+    # It raises as `open_events` does.
+    pieces: Callable[[], Iterator[Piece]]
     truncated: bool = False  # Whether the file ends in the middle of a word or an event
-    unknown_words: int = 0  # Number of words left out because EVT3 does not define their type
+    count: int | None = None  # Number of events, if the file states it before they are read
+    state: ReadingState = field(default_factory=ReadingState)
 
 
-def source_of_stream(
-    stream: Callable[[], Iterator[Piece]],
-    size: tuple[int, int],
-    header: Mapping[str, str],
-    *,
-    truncated: bool = False,
-) -> EventSource:
-    """Read a stream once, to count the events and to collect the edges; it is read again for the events.
-
-    ``stream`` begins to read the file anew, in the order of the file; ``size`` is width and height, px. Too many edges
-    raise `NotARecording`.
-    """
-    count, edges, found = 0, 0, []
-    for events, triggers in stream():
-        count += len(events.t)
-        edges += len(triggers.t)
-        if edges > MOST_TRIGGERS:
-            raise too_many_edges()
-        if len(triggers.t):
-            found.append(triggers)
-
-    def pieces() -> Iterator[Events]:
-        for events, _ in stream():
-            yield events
-
-    return EventSource(count, join_triggers(found), *size, header, pieces, truncated)
+def with_edges(pieces: Iterable[Events], edges: Triggers) -> Iterator[Piece]:
+    """Yield pieces of events, the first of them with all edges of the file."""
+    for events in pieces:
+        yield events, edges
+        edges = empty_triggers(0)
+    if len(edges.t):
+        yield empty_events(0), edges
 
 
 def from_zero(source: EventSource) -> EventSource:
     """Return a source whose times begin near 0 if its own lie beyond a day, as those that count from 1970 do."""
-    edges = source.triggers
-    first = next((piece.part(0, 1) for piece in source.pieces() if len(piece.t)), empty_events(0))
-    origin = origin_of(iter([(first, edges.part(0, 1))]))
+    origin = origin_of(source.pieces())
     if origin.us < MAX_TIME_US:
         return source
 
-    def moved() -> Iterator[Events]:
-        for events in source.pieces():
-            yield events._replace(t=events.t - origin.us)
+    def moved() -> Iterator[Piece]:
+        for events, edges in source.pieces():
+            yield events._replace(t=events.t - origin.us), edges._replace(t=edges.t - origin.us)
 
-    header = {**source.header, **origin.header}
-    return replace(source, triggers=edges._replace(t=edges.t - origin.us), header=header, pieces=moved)
+    return replace(source, header={**source.header, **origin.header}, pieces=moved)
 
 
 def too_many_edges() -> NotARecording:

@@ -21,7 +21,13 @@ from bench.record.storage import sha256_of, storage_errors, sync_folder
 from drivers.camera.event_arrays import ReadingChoices
 
 CONVERTED = "converted.jsonl"
-_ENDINGS: Mapping[str, str] = {"raw": ".raw", "metavision": ".hdf5", "hdf5": ".h5", "numpy": ".npz"}
+_ENDINGS: Mapping[str, str] = {
+    "raw": ".raw",
+    "metavision": ".hdf5",
+    "hdf5": ".h5",
+    "numpy": ".npz",
+    "parquet": ".parquet",
+}
 _PART = ".part-"
 
 

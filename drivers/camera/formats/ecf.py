@@ -63,7 +63,7 @@ def encode(events: Events) -> bytes:
     if max(events.x.max(), events.y.max()) > MAX_ADDRESS:
         raise ValueError(f"a column or row above {MAX_ADDRESS}")
     t = rising(events.t, int(events.t[0]))
-    out = np.zeros(_HEAD_BYTES + _WORST_BYTES * n + 64, np.uint8)
+    out = np.empty(_HEAD_BYTES + _WORST_BYTES * n + 64, np.uint8)
     out[4:12] = np.frombuffer(np.int64(t[0]).tobytes(), np.uint8)
     style = _best_style(events.x, events.y, events.p)
     out[:4] = np.frombuffer(np.uint32(n << 2 | style).tobytes(), np.uint8)

@@ -1,4 +1,4 @@
-"""Convert a file of events to another format: RAW, Metavision's HDF5, plain HDF5, NumPy; each to each.
+"""Convert a file of events to another format: RAW, Metavision's HDF5, plain HDF5, NumPy; each to each, and to Parquet.
 
 Files of other programs are read too (`event_files`). A RAW file made here does not hold a camera's own bytes, and its
 header says so; else it states what the source states, and nothing more. All files are read piece by piece; only for a
@@ -29,6 +29,8 @@ from drivers.camera.event_arrays import (
     ReadingChoices,
     Triggers,
     empty_events,
+    empty_triggers,
+    join_triggers,
 )
 from drivers.camera.evt3 import Words
 from drivers.camera.evt3_state import MAX_BACK_STEP_US
@@ -38,6 +40,7 @@ from drivers.camera.formats.event_exports import (
     export_hdf5,
     export_metavision,
     export_numpy,
+    export_parquet,
 )
 from drivers.camera.formats.event_files import open_events
 from drivers.camera.formats.prophesee_words import is_dat
@@ -47,7 +50,7 @@ from drivers.camera.raw_header import MAX_SIDE_PX, encoding_of, header_fields, r
 from drivers.camera.raw_writer import new_file
 from drivers.errors import NotARecording, RecordingFileError
 
-Kind = Literal["raw", "metavision", "hdf5", "numpy"]
+Kind = Literal["raw", "metavision", "hdf5", "numpy", "parquet"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 
 _BY_ENDING: Final[Mapping[str, Kind]] = {
@@ -55,8 +58,14 @@ _BY_ENDING: Final[Mapping[str, Kind]] = {
     ".hdf5": "metavision",
     ".h5": "hdf5",
     ".npz": "numpy",
+    ".parquet": "parquet",
 }
-_EXPORTS: Final = {"metavision": export_metavision, "hdf5": export_hdf5, "numpy": export_numpy}
+_EXPORTS: Final = {
+    "metavision": export_metavision,
+    "hdf5": export_hdf5,
+    "numpy": export_numpy,
+    "parquet": export_parquet,
+}
 
 _OF_LAYOUT: Final = frozenset(
     {"evt", "format", "geometry", "endianness", "width", "height", "version", "converted_from", "end"}
@@ -70,8 +79,8 @@ _MAX_CHANNEL: Final = 15
 def kind_of_name(path: Path) -> Kind | None:
     """Return the kind of file that a name stands for, or None: Metavision writes ``.hdf5``, others ``.h5``.
 
-    >>> [kind_of_name(Path(name)) for name in ("a.raw", "a.hdf5", "a.h5", "a.npz", "a.csv")]
-    ['raw', 'metavision', 'hdf5', 'numpy', None]
+    >>> [kind_of_name(Path(name)) for name in ("a.raw", "a.hdf5", "a.h5", "a.npz", "a.parquet", "a.csv")]
+    ['raw', 'metavision', 'hdf5', 'numpy', 'parquet', None]
     """
     return _BY_ENDING.get(path.suffix.lower())
 
@@ -108,11 +117,15 @@ def _with_size(opened: EventSource, source: Path, path: Path) -> ExportSummary:
         )
     size = opened.width, opened.height
     recording = RawFile.open(source, size)
+    events = triggers = 0
+    for piece, edges in opened.pieces():
+        events += len(piece.t)
+        triggers += len(edges.t)
     with new_file(path) as part, part.open("xb") as file:
         file.write(render_fields({**recording.header, "geometry": "{}x{}".format(*size)}))
         for words in recording.words():
             file.write(words.tobytes())
-    return ExportSummary(opened.count, len(opened.triggers.t), 0, opened.truncated, opened.unknown_words)
+    return ExportSummary(events, triggers, 0, opened.truncated, opened.state.unknown_words)
 
 
 def write_raw(
@@ -129,21 +142,24 @@ def write_raw(
             remedy="Convert it to HDF5 or .npz.",
         )
     encoder = Evt3Encoder()
-    triggers, count = opened.triggers, 0
+    count = triggers = 0
     with new_file(path) as part, part.open("xb") as file:
         file.write(_header(opened, source))
-        done, latest = 0, -1
+        waiting, latest = empty_triggers(0), -1
         try:
-            for piece in opened.pieces():
+            for piece, edges in opened.pieces():
+                triggers += len(edges.t)
+                if len(edges.t):
+                    waiting = join_triggers([waiting, edges])
                 if not len(piece.t):
                     continue
                 count += len(piece.t)
                 latest = max(latest, int(piece.t.max()))
-                until = int(np.searchsorted(triggers.t, latest, "right"))
-                file.write(encoder.words(piece, triggers.part(done, until)).tobytes())
-                done = max(done, until)
-                progress(count / max(1, opened.count))
-            file.write(encoder.words(empty_events(0), triggers.part(done, len(triggers.t))).tobytes())
+                until = int(np.searchsorted(waiting.t, latest, "right"))
+                file.write(encoder.words(piece, waiting.part(0, until)).tobytes())
+                waiting = waiting.part(until, len(waiting.t))
+                progress(opened.state.share)
+            file.write(encoder.words(empty_events(0), waiting).tobytes())
         except ValueError as error:
             raise RecordingFileError(
                 f"EVT3 cannot represent the file: {error}.",
@@ -151,7 +167,7 @@ def write_raw(
                 remedy="Convert it to HDF5 or .npz, or change its values: times from 0 to one day, trigger values 0 or"
                 " 1, trigger ids 0 to 15.",
             ) from error
-    return ExportSummary(count, len(triggers.t), encoder.moved_events, opened.truncated)
+    return ExportSummary(count, triggers, encoder.moved_events, opened.truncated)
 
 
 def is_evt3(path: Path) -> bool:

@@ -16,7 +16,14 @@ from typing import Final
 
 import h5py
 
-from drivers.camera.event_arrays import Events, EventSource, ReadingChoices, join_triggers
+from drivers.camera.event_arrays import (
+    MOST_TRIGGERS,
+    EventSource,
+    Piece,
+    ReadingChoices,
+    ReadingState,
+    too_many_edges,
+)
 from drivers.camera.formats import prophesee_words
 from drivers.camera.formats.hdf5_events import opened_hdf5
 from drivers.camera.formats.library_process import source_of_library
@@ -49,7 +56,7 @@ def open_events(path: Path | str, choices: ReadingChoices | None = None) -> Iter
         with _errors_of(path):
             source = _source(path, choices, opened)
 
-        def pieces() -> Iterator[Events]:
+        def pieces() -> Iterator[Piece]:
             with _errors_of(path):
                 yield from _checked(source.pieces(), source)
 
@@ -80,19 +87,20 @@ def _source(path: Path, choices: ReadingChoices, opened: ExitStack) -> EventSour
 
 
 def _of_recording(recording: RawFile) -> EventSource:
-    decoder = recording.decoder(skip_unknown=True)
-    edges = join_triggers([decoder.tally(words) for words in recording.words()])
-    total = decoder.statistics()
+    state = ReadingState()
+    total_bytes = recording.path.stat().st_size
 
-    def pieces() -> Iterator[Events]:
+    def pieces() -> Iterator[Piece]:
         decoder = recording.decoder(skip_unknown=True)
+        read_bytes = recording.raw_header.size_bytes
         for words in recording.words():
-            for events, _ in decoder.decode(words):
-                yield events
+            yield from decoder.decode(words)
+            read_bytes += words.nbytes
+            state.share = read_bytes / total_bytes
+        state.unknown_words = decoder.statistics().unknown_words
 
     size = recording.width, recording.height
-    about_end = recording.truncated, total.unknown_words
-    return EventSource(total.events, edges, *size, recording.header, pieces, *about_end)
+    return EventSource(*size, recording.header, pieces, recording.truncated, state=state)
 
 
 @contextmanager
@@ -124,10 +132,10 @@ def _errors_of(path: Path) -> Iterator[None]:
         raise unreadable(path, error) from error
 
 
-def _checked(pieces: Iterator[Events], of: EventSource) -> Iterator[Events]:
-    """Check that every event lies on the sensor, and that none is missing."""
-    read = 0
-    for events in pieces:
+def _checked(pieces: Iterator[Piece], of: EventSource) -> Iterator[Piece]:
+    """Check that every event lies on the sensor, that none is missing, and that there are not too many edges."""
+    read = edges = 0
+    for events, triggers in pieces:
         if len(events.t):
             x, y, p = int(events.x.max()), int(events.y.max()), int(events.p.max())
             if x >= of.width or y >= of.height:
@@ -138,6 +146,11 @@ def _checked(pieces: Iterator[Events], of: EventSource) -> Iterator[Events]:
             if p > 1:
                 raise UnreadableEvents(f"an event has the polarity {p}; 0 and 1 are possible.")
         read += len(events.t)
-        yield events
-    if read != of.count:
+        edges += len(triggers.t)
+        if edges > MOST_TRIGGERS:
+            raise too_many_edges()
+        if of.count:
+            of.state.share = read / of.count
+        yield events, triggers
+    if of.count is not None and read != of.count:
         raise UnreadableEvents(f"{of.count - read} of its {of.count} events are missing.")

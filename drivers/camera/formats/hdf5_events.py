@@ -36,6 +36,7 @@ from drivers.camera.event_arrays import (
     from_zero,
     require_one_length,
     require_ratio,
+    with_edges,
 )
 from drivers.camera.formats import ecf
 from drivers.camera.formats.hdf5_reading import (
@@ -94,7 +95,7 @@ def opened_hdf5(file: Any, choices: ReadingChoices, *, by_library: bool = False)
         parts = rows_by_library(array) if by_library else rows(array, _decoded_ecf if is_ecf else None)
         return ((part,) for part in parts)
 
-    def pieces() -> Iterator[Events]:
+    def events() -> Iterator[Events]:
         even = [even_pieces(read(array), PIECE_EVENTS) for array in arrays.values()]
         unit_us = 0.0
         for parts in zip(*even, strict=True):
@@ -111,7 +112,9 @@ def opened_hdf5(file: Any, choices: ReadingChoices, *, by_library: bool = False)
     if offset is not None:
         header |= {"time_origin_us": str(offset), **date_of(offset)}
     size = _size(file, name, header, choices)
-    return from_zero(EventSource(lengths.popitem()[1], _triggers(file), *size, header, pieces))
+    edges = _triggers(file)
+    count = lengths.popitem()[1]
+    return from_zero(EventSource(*size, header, lambda: with_edges(events(), edges), count=count))
 
 
 def _streams(file: Any) -> list[str]:

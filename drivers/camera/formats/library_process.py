@@ -23,15 +23,13 @@ from typing import IO, Any, Final
 import numpy as np
 
 from drivers.camera.event_arrays import (
-    MOST_TRIGGERS,
     Events,
     EventSource,
+    Piece,
     ReadingChoices,
     Triggers,
     empty_events,
     empty_triggers,
-    join_triggers,
-    too_many_edges,
 )
 from drivers.errors import CameraSoftwareMissing, NotARecording, RecordingCorrupt
 
@@ -76,25 +74,19 @@ def source_of_library(path: Path, kind: str, choices: ReadingChoices) -> Iterato
 
 
 def _source(stream: IO[bytes], path: Path) -> EventSource:
-    found: list[Triggers] = []
     text: Mapping[str, Any] = {}
     while "count" not in text:
-        text, _, triggers = _message(stream, path)
-        found.append(triggers)
-        if sum(len(one.t) for one in found) > MOST_TRIGGERS:
-            raise too_many_edges()
+        text, _, _ = _message(stream, path)
     header = {str(key): str(value) for key, value in text["header"].items()}
 
-    def pieces() -> Iterator[Events]:
+    def pieces() -> Iterator[Piece]:
         while True:
-            text, events, _ = _message(stream, path)
+            text, events, triggers = _message(stream, path)
             if text.get("end"):
                 return
-            yield events
+            yield events, triggers
 
-    return EventSource(
-        int(text["count"]), join_triggers(found), int(text["width"]), int(text["height"]), header, pieces
-    )
+    return EventSource(int(text["width"]), int(text["height"]), header, pieces, count=int(text["count"]))
 
 
 def _message(stream: IO[bytes], path: Path) -> tuple[Mapping[str, Any], Events, Triggers]:

@@ -34,6 +34,7 @@ from typing import Any, Final
 import numpy as np
 
 from drivers.camera.event_arrays import (
+    MOST_TRIGGERS,
     Events,
     EventSource,
     Piece,
@@ -45,10 +46,12 @@ from drivers.camera.event_arrays import (
     empty_events,
     empty_triggers,
     from_zero,
+    join_triggers,
     origin_of,
     require_one_length,
     require_ratio,
-    source_of_stream,
+    too_many_edges,
+    with_edges,
 )
 from drivers.camera.formats import library_process
 from drivers.camera.raw_header import agreed_size
@@ -100,13 +103,11 @@ def main(kind: str, path: Path, choices: ReadingChoices) -> None:
     try:
         open_file = {"npz": _from_npz, "hdf5": _from_hdf5, "aedat4": _from_aedat4, "bag": _from_bag}[kind]
         source = open_file(path, choices)
-        for begin in range(0, len(source.triggers.t), _PIECE):
-            _write({}, triggers=source.triggers.part(begin, begin + _PIECE))
         size = {"count": source.count, "width": source.width, "height": source.height}
         _write({**size, "header": dict(source.header)})
-        for events in source.pieces():
-            for begin in range(0, len(events.t), _PIECE):
-                _write({}, events.part(begin, begin + _PIECE))
+        for events, edges in source.pieces():
+            for begin in range(0, max(len(events.t), len(edges.t)), _PIECE):
+                _write({}, events.part(begin, begin + _PIECE), edges.part(begin, begin + _PIECE))
         _write({"end": True})
     except CameraSoftwareMissing as error:
         _write({"kind": "missing", "error": error.what, "remedy": error.remedy})
@@ -170,10 +171,7 @@ def _from_npz(path: Path, choices: ReadingChoices) -> EventSource:
         header = json.loads(str(file["header"])) if "header" in file else {}
     size = agreed_size({"size": (width, height)} if width and height else {}, choices.sensor_size, "")
 
-    def pieces() -> Iterator[Events]:
-        yield events
-
-    return from_zero(EventSource(len(events.t), triggers, *size, header, pieces))
+    return from_zero(EventSource(*size, header, lambda: with_edges([events], triggers), count=len(events.t)))
 
 
 def _array(file: Mapping[str, Any], name: str) -> Any:
@@ -207,7 +205,28 @@ def _from_aedat4(path: Path, choices: ReadingChoices) -> EventSource:
     )
     origin = origin_of(_aedat4_pieces(path, int(name), 0))
     header = {**origin.header, **_camera_of_stream(path, name)}
-    return source_of_stream(lambda: _aedat4_pieces(path, int(name), origin.us), size, header)
+    return _source_of_stream(lambda: _aedat4_pieces(path, int(name), origin.us), size, header)
+
+
+def _source_of_stream(
+    stream: Callable[[], Iterator[Piece]], size: tuple[int, int], header: Mapping[str, str]
+) -> EventSource:
+    """Read a stream once, to count the events and to collect the edges; it is read again for the events.
+
+    In AEDAT4, edges stand behind the events of their time.
+    """
+    count, edges, found = 0, 0, []
+    for events, triggers in stream():
+        count += len(events.t)
+        edges += len(triggers.t)
+        if edges > MOST_TRIGGERS:
+            raise too_many_edges()
+        if len(triggers.t):
+            found.append(triggers)
+    joined = join_triggers(found)
+    return EventSource(
+        *size, header, lambda: with_edges((events for events, _ in stream()), joined), count=count
+    )
 
 
 def _camera_of_stream(path: Path, name: str) -> dict[str, str]:
@@ -286,7 +305,7 @@ def _from_bag(path: Path, choices: ReadingChoices) -> EventSource:
         **origin.header,
         **{key: one for key, one in facts.items() if one},
     }
-    return source_of_stream(lambda: _bag_pieces(path, topic, size, origin.us), size, header)
+    return _source_of_stream(lambda: _bag_pieces(path, topic, size, origin.us), size, header)
 
 
 @contextmanager

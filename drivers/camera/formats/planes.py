@@ -1,80 +1,67 @@
-"""Compress the bytes of events that HDF5's shuffle has put into planes: all lowest bytes, then all second ones.
+"""Put the bytes of events into planes, as HDF5's filter shuffle does: all lowest bytes of a column, then all second.
 
-Most planes of a recording are of one of two kinds: the upper bytes of the clock stay the same for a whole chunk, and
-the lowest byte of a column is as good as random. zlib takes as long for both as for the others, so they are not given
-to it: the one is known by its value, the other is stored as it is. All planes are parts of one stream of zlib.
-
-Source: RFC 1950 (zlib) and RFC 1951 (deflate).
+The upper bytes of the clock stay the same for a whole chunk, so planes compress better than numbers, and faster.
 """
 
 from __future__ import annotations
 
-import zlib
-from functools import lru_cache
-from typing import Final
+from collections.abc import Iterator
+from typing import Any, Final
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-_HEAD: Final = b"\x78\x01"
-_END: Final = b"\x03\x00"
-"""The last block of a stream, which is empty."""
-_ADLER: Final = 65521
-_SAMPLED: Final = 16
-_MOST_REPEATS: Final = 0.6
-"""Share of bytes that repeat the one before below which runs save less than looking for them costs."""
-_RANDOM_BITS: Final = 7.5
-"""Entropy of a byte above which at most a sixteenth could be saved."""
+from drivers.camera.event_arrays import Events
+
+PLANES: Final = 13
+"""Number of bytes of an event: 8 for t, 2 for x, 2 for y, 1 for p."""
 
 
-def zlib_of_planes(planes: NDArray[np.uint8]) -> bytes:
-    """Compress planes, (k, N) uint8, to a stream of zlib that holds one after the other.
+def plane_chunks(pieces: Iterator[Events], size: int) -> Iterator[tuple[int, NDArray[np.uint8]]]:
+    """Yield chunks of ``size`` events as planes, (13, size) uint8, each with its number of events.
 
-    >>> planes = np.array([[7] * 6, [1, 2, 3, 1, 2, 3]], np.uint8)
-    >>> zlib.decompress(zlib_of_planes(planes)) == planes.tobytes()
-    True
+    The last chunk is filled up with zeros.
+
+    >>> events = Events(np.array([258]), np.array([3], "u2"), np.array([5], "u2"), np.array([1], "u1"))
+    >>> [(n, planes)] = plane_chunks(iter([events]), 2)
+    >>> n, planes[:, 0].tolist()
+    (1, [2, 1, 0, 0, 0, 0, 0, 0, 3, 0, 5, 0, 1])
     """
-    parts = [_HEAD]
-    adler = 1
-    for plane in np.ascontiguousarray(planes):
-        value = int(plane[0])
-        if (plane == value).all():
-            parts.append(_constant(value, len(plane)))
-            adler = _adler_of_constant(adler, value, len(plane))
+    planes, filled = np.zeros((PLANES, size), np.uint8), 0
+    for events in pieces:
+        begin = 0
+        while begin < len(events.t):
+            end = begin + min(size - filled, len(events.t) - begin)
+            _put(*events.part(begin, end), planes, filled)
+            filled += end - begin
+            begin = end
+            if filled == size:
+                yield size, planes
+                planes, filled = np.zeros((PLANES, size), np.uint8), 0
+    if filled:
+        yield filled, planes
+
+
+@njit(cache=True, nogil=True)
+def _put(t: Any, x: Any, y: Any, p: Any, planes: Any, at: int) -> None:
+    """Write the bytes of events from a place on. Each plane is one piece of memory, so that LLVM uses vectors."""
+    _put_column(t, planes[:8], at)
+    _put_column(x, planes[8:10], at)
+    _put_column(y, planes[10:12], at)
+    planes[12, at : at + len(p)] = p
+
+
+@njit(cache=True, nogil=True)
+def _put_column(values: Any, planes: Any, at: int) -> None:
+    first: Any = np.int64(values[0])
+    differing: Any = 0  # the bits that are not the same in all values
+    for i in range(len(values)):
+        differing |= values[i] ^ first
+    for k in range(len(planes)):
+        plane = planes[k, at : at + len(values)]
+        if differing >> (8 * k) & 0xFF:
+            for i in range(len(values)):
+                plane[i] = values[i] >> (8 * k) & 0xFF
         else:
-            data = plane.tobytes()
-            parts.append(_deflated(data, *_way_of(plane)))
-            adler = zlib.adler32(data, adler)
-    return b"".join([*parts, _END, adler.to_bytes(4, "big")])
-
-
-@lru_cache(maxsize=512)
-def _constant(value: int, count: int) -> bytes:
-    return _deflated(bytes([value]) * count, 1, zlib.Z_RLE)
-
-
-def _deflated(data: bytes, level: int, strategy: int) -> bytes:
-    """Return data as whole blocks of deflate."""
-    deflate = zlib.compressobj(level, zlib.DEFLATED, -zlib.MAX_WBITS, strategy=strategy)
-    return deflate.compress(data) + deflate.flush(zlib.Z_FULL_FLUSH)
-
-
-def _adler_of_constant(adler: int, value: int, count: int) -> int:
-    """Return zlib's check sum after further bytes of one value."""
-    low, high = adler & 0xFFFF, adler >> 16
-    high += count * low + value * (count * (count + 1) // 2)
-    return (high % _ADLER) << 16 | (low + value * count) % _ADLER
-
-
-def _way_of(plane: NDArray[np.uint8]) -> tuple[int, int]:
-    """Return zlib's level and strategy for a plane, by its runs and a sample of its values.
-
-    Only runs are looked for, and only where most bytes repeat the one before: few values without runs, as polarities
-    and upper bytes of columns have, become as few bytes by their frequencies alone, in two thirds of the time.
-    """
-    if np.count_nonzero(plane[1:] == plane[:-1]) > _MOST_REPEATS * len(plane):
-        return 1, zlib.Z_RLE
-    counts = np.bincount(plane[::_SAMPLED], minlength=256)
-    share = counts[counts > 0] / counts.sum()
-    is_random = -(share * np.log2(share)).sum() > _RANDOM_BITS
-    return 0 if is_random else 1, zlib.Z_HUFFMAN_ONLY
+            plane[:] = first >> (8 * k) & 0xFF

@@ -25,9 +25,9 @@ from drivers.camera.event_arrays import (
     EventSource,
     Piece,
     ReadingChoices,
+    ReadingState,
     empty_events,
     empty_triggers,
-    source_of_stream,
 )
 from drivers.camera.raw_header import RawHeader, header_fields, stated_size
 from drivers.errors import NotARecording
@@ -130,15 +130,16 @@ def _take(heads: Any, columns: Any, state: Any, events: Any, edges: Any) -> None
 
 def from_evt2(path: Path, header: RawHeader) -> EventSource:
     """Open a RAW file of EVT2 or EVT2.1 words."""
+    state = ReadingState()
 
     def pieces() -> Iterator[Piece]:
         decoder = Evt2Decoder(header.encoding)
-        for data in _blocks(path, header.size_bytes):
+        for data in _blocks(path, header.size_bytes, state):
             yield decoder.decode(data)
 
     unit = Evt2Decoder(header.encoding).word_bytes
     truncated = (path.stat().st_size - header.size_bytes) % unit != 0
-    return source_of_stream(pieces, (header.width, header.height), header.fields, truncated=truncated)
+    return EventSource(header.width, header.height, header.fields, pieces, truncated, state=state)
 
 
 def from_dat(path: Path, start: bytes, choices: ReadingChoices) -> EventSource:
@@ -171,22 +172,27 @@ def from_dat(path: Path, start: bytes, choices: ReadingChoices) -> EventSource:
         )
     size = stated_size(fields, "", choices.sensor_size, most_px=_MOST_DAT_PX)
     truncated = (path.stat().st_size - begin - 2) % _DAT_EVENT_BYTES != 0
-    return source_of_stream(
-        lambda: _dat_pieces(path, begin + 2, _DAT_LAYOUTS[version]), size, fields, truncated=truncated
-    )
+    state = ReadingState()
+
+    def pieces() -> Iterator[Piece]:
+        return _dat_pieces(_blocks(path, begin + 2, state), _DAT_LAYOUTS[version])
+
+    return EventSource(*size, fields, pieces, truncated, state=state)
 
 
-def _blocks(path: Path, begin: int) -> Iterator[bytes]:
+def _blocks(path: Path, begin: int, state: ReadingState) -> Iterator[bytes]:
+    total_bytes = path.stat().st_size
     with path.open("rb") as file:
         file.seek(begin)
         while data := file.read(_PIECE_BYTES):
             yield data
+            state.share = file.tell() / total_bytes
 
 
-def _dat_pieces(path: Path, begin: int, layout: tuple[int, int, int]) -> Iterator[Piece]:
+def _dat_pieces(blocks: Iterator[bytes], layout: tuple[int, int, int]) -> Iterator[Piece]:
     last, loops = 0, 0
     x_bits, y_bits, p_bits = layout
-    for block in _blocks(path, begin):
+    for block in blocks:
         numbers = np.frombuffer(block, "<u4", count=len(block) // _DAT_EVENT_BYTES * 2)
         low, data = numbers[0::2].astype(np.int64), numbers[1::2]
         turned = np.cumsum(np.diff(np.concatenate([[last], low])) < -(1 << 31))

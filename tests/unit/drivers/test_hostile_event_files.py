@@ -269,7 +269,7 @@ def test_events_are_read_and_written_piece_by_piece(tmp_path, monkeypatch):
     monkeypatch.setattr(hdf5_events, "PIECE_EVENTS", 700)
     plain(tmp_path / "a.h5").close()
     with open_events(tmp_path / "a.h5") as source:
-        assert [len(piece.t) for piece in source.pieces()] == [700, 700, 700, 700, 200]
+        assert [len(events.t) for events, _ in source.pieces()] == [700, 700, 700, 700, 200]
         assert source.count == N
         written = write_raw(source, tmp_path / "a.raw", source=tmp_path / "a.h5")
         assert (written.events, written.triggers) == (N, 1)

@@ -207,7 +207,7 @@ def test_memory_is_bounded_whatever_the_size(tmp_path):
     path.write_bytes(dat_rows(some_events(3_000_000, step_us=1)))
     tracemalloc.start()
     with open_events(path) as source:
-        count = sum(len(piece.t) for piece in source.pieces())
+        count = sum(len(events.t) for events, _ in source.pieces())
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert count == 3_000_000

@@ -1,48 +1,35 @@
-"""Planes of bytes become one stream of zlib that any reader decompresses, and that is not larger than it need be."""
-
-import zlib
+"""Events become planes of bytes, as HDF5's filter shuffle would make them of the columns."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from drivers.camera.formats.planes import zlib_of_planes
+from drivers.camera.event_arrays import Events
+from drivers.camera.formats.planes import plane_chunks
 
-RNG = np.random.default_rng(5)
-KINDS = {
-    "constant": np.full(65536, 200, np.uint8),
-    "random": RNG.integers(0, 256, 65536).astype(np.uint8),
-    "runs": np.repeat(RNG.integers(0, 256, 1024), 64).astype(np.uint8),
-    "a few values": RNG.integers(0, 5, 65536).astype(np.uint8),
-    "runs of random values": np.repeat(RNG.integers(0, 256, 32768), 2).astype(np.uint8),
-}
+SIZE = 64
 
 
-def old(planes):
-    deflate = zlib.compressobj(1, strategy=zlib.Z_RLE)
-    return deflate.compress(planes.tobytes()) + deflate.flush()
+def shuffled(values):
+    """The bytes of numbers, plane by plane; after the last number zeros."""
+    whole = np.concatenate([values, np.zeros(SIZE - len(values), values.dtype)])
+    return whole.view(np.uint8).reshape(SIZE, -1).T
 
 
 @given(
-    arrays.arrays(np.uint8, st.tuples(st.integers(1, 8), st.integers(1, 300)), elements=st.integers(0, 255))
+    st.lists(st.integers(0, 150), max_size=6),
+    arrays.arrays(np.int64, 150, elements=st.integers(0, 2**40)),
+    st.booleans(),
 )
-def test_what_was_compressed_is_what_comes_out(planes):
-    assert zlib.decompress(zlib_of_planes(planes)) == planes.tobytes()
-
-
-@pytest.mark.parametrize("value", [0, 1, 255])
-@pytest.mark.parametrize("count", [1, 2, 5552, 65536, 100_001])
-def test_constant_planes_of_any_length_have_the_check_sum_of_their_bytes(value, count):
-    planes = np.array([[3] * count, [value] * count], np.uint8)
-    assert zlib.decompress(zlib_of_planes(planes)) == planes.tobytes()
-
-
-@pytest.mark.parametrize("first", KINDS)
-@pytest.mark.parametrize("second", KINDS)
-def test_no_kind_of_plane_takes_much_more_than_if_zlib_had_looked_at_it(first, second):
-    planes = np.array([KINDS[first], KINDS[second]])
-    packed = zlib_of_planes(planes.T.copy().T)  # also where a plane is not one piece of memory
-    assert zlib.decompress(packed) == planes.tobytes()
-    assert len(packed) < 1.02 * len(old(planes)) + 500
+def test_chunks_hold_the_bytes_of_all_events_in_order_however_they_come(lengths, t, is_steady):
+    t = np.full(150, t[0]) if is_steady else t
+    x, y = (t % 1280).astype(np.uint16), (t // 7 % 720).astype(np.uint16)
+    whole = Events(t, x, y, (t % 2).astype(np.uint8))
+    pieces = [whole.part(0, n) for n in lengths]
+    chunks = list(plane_chunks(iter(pieces), SIZE))
+    columns = [np.concatenate([column[:0], *parts]) for column, *parts in zip(whole, *pieces, strict=True)]
+    assert [n for n, _ in chunks] == [min(SIZE, len(columns[0]) - k) for k in range(0, len(columns[0]), SIZE)]
+    for k, (n, planes) in enumerate(chunks):
+        part = slice(k * SIZE, k * SIZE + n)
+        assert np.array_equal(planes, np.concatenate([shuffled(column[part]) for column in columns]))
