@@ -320,13 +320,16 @@ def scaling(base: Path, pieces: int) -> None:
                     cpu[workers.size] += [end[3] for end in ends]
                     busy[workers.size].append(_busy_share(ends))
     share = {n: sum(some) / len(some) for n, some in busy.items()}
-    seconds = {n: sorted(some)[len(some) // 2] for n, some in cpu.items()}
+    took = {n: measured.spread(some) for n, some in cpu.items()}
     print(
-        f"CPU time of a recording, median: {seconds[1]:.3f} s alone, {seconds[2]:.3f} s beside another;",
+        f"CPU time of a recording, median: {took[1].text(3)} alone, {took[2].text(3)} beside another;",
         end=" ",
     )
     print(f"a worker has work for {share[1]:.3f} and {share[2]:.3f} of the time")
-    print(f"scaling from 1 to 2 workers: {2 * share[2] / share[1] * seconds[1] / seconds[2]:.2f}", flush=True)
+    print(
+        f"scaling from 1 to 2 workers: {2 * share[2] / share[1] * took[1].median_s / took[2].median_s:.2f}",
+        flush=True,
+    )
 
 
 def _find_all(workers: Processes, place: Place, captures: list[str], task: Task, pieces: int) -> list:

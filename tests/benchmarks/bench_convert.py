@@ -74,12 +74,12 @@ def main() -> None:
             paths[name] = Path(folder) / f"{name}.raw"
             bench_evt3.write_scene(paths[name], *scene)
         for name, path in paths.items():
-            for kind in KINDS:
+            for kind, shown in KINDS.items():
                 rounds = [
                     {version: in_version(where, path, kind) for version, where in versions.items()}
                     for _ in range(options.rounds)
                 ]
-                show(f"{name}, {KINDS[kind]}", rounds)
+                show(f"{name}, {shown}", rounds)
 
 
 def show(what: str, rounds: list[dict[str, dict[str, float] | None]]) -> None:

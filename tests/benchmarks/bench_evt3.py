@@ -126,8 +126,7 @@ def show(name: str, path: Path) -> None:
     )
     times = times_of(works(path))
     for work, took in times.items():
-        rate = scan.events / took.median_s / 1e6
-        print(f"  {work:40s} {rate:7.0f} Mev per CPU s, 95 %: {scan.events / took.p95_s / 1e6:.0f}")
+        print(f"  {work:40s} Mev per CPU s, median and 95 %: {took.rates(scan.events / 1e6)}")
     for ours, theirs in PEERS.items():
         if theirs in times:
             print(

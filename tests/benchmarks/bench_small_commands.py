@@ -19,7 +19,8 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
-from statistics import median
+
+import measured
 
 ROOT = Path(__file__).resolve().parents[2]
 COMMANDS = (
@@ -69,15 +70,15 @@ class Version:
         return usage.ru_utime + usage.ru_stime
 
 
-def measure(versions: list[Version], words: list[str], rounds: int) -> list[float]:
-    """Run a command in turns; return each version's median CPU time, s."""
+def measure(versions: list[Version], words: list[str], rounds: int) -> list[measured.Spread]:
+    """Run a command in turns; return each version's CPU times."""
     times: list[list[float]] = [[] for _ in versions]
     for number in range(rounds + 1):
         for version, found in zip(versions, times, strict=True):
             spent = version.cpu_s(*(word.format(run=version.run_folder) for word in words))
             if number:  # the first round compiles bytecode
                 found.append(spent)
-    return [median(found) for found in times]
+    return [measured.spread(found) for found in times]
 
 
 def main() -> None:
@@ -98,12 +99,18 @@ def main() -> None:
             (folder / "then").mkdir()
             versions.append(Version(worktree, folder / "then"))
         try:
-            bare = median(versions[0].bare_imports_s() for _ in range(chosen.rounds))
-            print(f"{'command':<18}{'CPU s':>8}{'/ bare':>8}{'then':>8}{'ratio':>8}")
+            bare = measured.spread(versions[0].bare_imports_s() for _ in range(chosen.rounds)).median_s
+            print(f"{'command':<18}{'CPU s':>8}{'95 %':>8}{'/ bare':>8}{'then':>8}{'95 %':>8}{'ratio':>8}")
             for label, words in COMMANDS:
                 now, *then = measure(versions, words, chosen.rounds)
-                beside = "".join(f"{old:>8.3f}{now / old:>8.2f}" for old in then)
-                print(f"{label:<18}{now:>8.3f}{now / bare:>8.1f}{beside}", flush=True)
+                beside = "".join(
+                    f"{old.median_s:>8.3f}{old.p95_s:>8.3f}{now.median_s / old.median_s:>8.2f}"
+                    for old in then
+                )
+                print(
+                    f"{label:<18}{now.median_s:>8.3f}{now.p95_s:>8.3f}{now.median_s / bare:>8.1f}{beside}",
+                    flush=True,
+                )
         finally:
             if chosen.against:
                 subprocess.run(["git", "worktree", "remove", "--force", worktree], cwd=ROOT, check=False)

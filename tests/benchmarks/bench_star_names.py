@@ -112,16 +112,17 @@ def line_of(name: str, poses: Sequence[Pose]) -> str:
     missed, wrong = sum(p["missed"] for p in found), sum(p["wrong"] for p in found)
     share = 100.0 * (1.0 - missed / max(whole, 1))
     z, rms = (sum(p[key] for p in found) / max(stars, 1) for key in ("z_square", "square"))
+    took = measured.spread([p["cpu_s"] for p in found] or [0.0])
     return (
         f"{name:26s} {len(poses):6d} {len(found):6d} {len(poses) - len(found):7d} {whole:7d} {missed:6d} {share:7.2f} "
-        f"{wrong:5d} {z**0.5:5.2f} {(rms / 2) ** 0.5:7.4f} {np.median([p['cpu_s'] for p in found] or [0]):6.2f}"
+        f"{wrong:5d} {z**0.5:5.2f} {(rms / 2) ** 0.5:7.4f} {took.median_s:6.2f} {took.p95_s:5.2f}"
     )
 
 
 def table(poses: Sequence[Pose]) -> str:
     """Return the table by kind of image and noise, and by the visible part of the tag."""
     lines = [
-        "                            poses  found refused   whole missed found %  wrong     z  rms px  CPU s"
+        "                            poses  found refused   whole missed found %  wrong     z  rms px  CPU s  95 %"
     ]
     for kind in KINDS:
         for level in LEVELS:

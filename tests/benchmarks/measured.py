@@ -95,6 +95,14 @@ class Spread(NamedTuple):
         """Return both as two cells of a table."""
         return f"{self.median_s:.{digits}f} s | {self.p95_s:.{digits}f} s"
 
+    def text(self, digits: int) -> str:
+        """Return both in words."""
+        return f"{self.median_s:.{digits}f} s, 95 %: {self.p95_s:.{digits}f} s"
+
+    def rates(self, amount: float) -> str:
+        """Return how much of some work was done in a second: half of the times as much at least, and 95 of 100."""
+        return f"{amount / self.median_s:.0f}, {amount / self.p95_s:.0f}"
+
 
 def spread(times_s: Iterable[float]) -> Spread:
     """Return the spread of some times, s; between two of them it is interpolated."""
