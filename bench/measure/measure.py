@@ -341,7 +341,7 @@ def measure(
         except TargetNotFound as error:
             raise why_no_target(error, facts, whole.image) from error
         if motion:
-            facts["motion_px"] = motion_px(whole.halves(), found, target)
+            facts["motion_px"] = motion_px(whole.halves(), found, target, facts["edge_width_px"])
         return downweight_vignetted(found, target)
 
     return measurement_of(find)
@@ -408,10 +408,14 @@ def edge_angle_deg(grid: NDArray[np.float64]) -> float:
     return round(float(abs((direction + 22.5) % 45.0 - 22.5)), 6)
 
 
-def motion_px(halves: Iterable[NDArray[Any]], view: View, target: StarTarget) -> float | None:
+def motion_px(
+    halves: Iterable[NDArray[Any]], view: View, target: StarTarget, edge_width_px: float | None = None
+) -> float | None:
     """Return how far a view's stars moved between the halves of its recording, (H, W) each, px; None if not shown."""
     try:
         first, second = halves
-        return float(np.hypot(*shift_between_halves(first, second, view, target)))
+        return float(
+            np.hypot(*shift_between_halves(first, second, view, target, edge_width_px=edge_width_px))
+        )
     except (TooFewEvents, TooFewStars):
         return None

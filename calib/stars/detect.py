@@ -157,6 +157,7 @@ def _best_centres(
     if len(nodes) < MIN_FOR_LIKELIHOOD:
         return points, by_symmetry, measure_width
     likely = refine_by_likelihood(levels, points, local_map, target, open_sides(target, nodes))
+    measure_width = partial(measure_width, start_px=likely.blur_px)
     factor = variance_factor(nodes, likely.centres, likely.covariances, typical=1.0)
     by_likelihood = likely.covariances * factor
     by_likelihood += _uneven_light(likely.light_slope)

@@ -83,21 +83,29 @@ class LikelihoodFit(NamedTuple):
     covariances: Array
     # (N,) float64, px per pitch, length of b: how uneven the light is across the star.
     light_slope: Array
+    blur_px: float  # Blur of the printed star with which its pixels told most about the centres
 
 
 def refine_by_likelihood(
-    levels: Bytes, centres: Array, local_map: LocalMap, target: StarTarget, is_open: Bools | None = None
+    levels: Bytes,
+    centres: Array,
+    local_map: LocalMap,
+    target: StarTarget,
+    is_open: Bools | None = None,
+    *,
+    blur_px: float | None = None,
 ) -> LikelihoodFit:
     """Move stars to their most likely centres, in their order.
 
     Fisher scoring: Osborne (1992). Covariances: Cramér-Rao bound (Rao, 1945). The head of the module gives the
     likelihood, which is this project's own. The levels are those of the image before smoothing; the centres are right
     to about 0.1 px. Several dozen stars are needed, because P is learnt from them. ``is_open`` is from
-    `calib.stars.printed_star`; None if all stars lie between stars.
+    `calib.stars.printed_star`; None if all stars lie between stars. ``blur_px`` None stands for the best of `BLURS_PX`.
     """
     pitch = round(local_map.pitch_px, PITCH_DIGITS)
-    information = _information_by_blur(levels, centres, local_map, target, pitch)
-    edge_map = _edge_map(target, pitch, max(BLURS_PX, key=information))
+    if blur_px is None:
+        blur_px = max(BLURS_PX, key=_information_by_blur(levels, centres, local_map, target, pitch))
+    edge_map = _edge_map(target, pitch, blur_px)
     pixels = gather_edge_pixels(levels, centres, local_map, edge_map, is_open)
     unknowns = np.zeros((len(centres), EDGE_UNKNOWNS))
     overdispersion = np.ones(target.segments)
@@ -115,7 +123,7 @@ def refine_by_likelihood(
             overdispersion = overdispersion_of_edges(score, fisher)
     light_slope = np.linalg.norm(unknowns[:, 3:], axis=1)
     covariances = np.linalg.inv(normal)[:, :2, :2]
-    return LikelihoodFit(centres + unknowns[:, :2], covariances, light_slope)
+    return LikelihoodFit(centres + unknowns[:, :2], covariances, light_slope, blur_px)
 
 
 def edge_width_px(

@@ -21,28 +21,35 @@ from calib.view import View
 
 #: Least number of stars that both halves must show: the median of eight bears three wrong ones.
 MIN_COMMON = 8
+#: Most stars that are located in the halves: the median of fifty is right to .005 px, and time grows with their number.
+MOST_STARS = 100
 #: Largest distance of a star in one half from its place in the whole recording, pitches. Further away its neighbour's
 #: cell would take part.
 MAX_SHIFT_PITCHES = 0.25
 
 
-def shift_between_halves(first: AnyArray, second: AnyArray, view: View, target: StarTarget) -> Array:
+def shift_between_halves(
+    first: AnyArray, second: AnyArray, view: View, target: StarTarget, *, edge_width_px: float | None = None
+) -> Array:
     """Return the median shift, (2,) px, of the stars of a view between the images, (H, W), of its recording's halves.
 
     It is right to .01 px for shifts up to 1 px (`tests/validation/test_star_motion.py`). The stars are located by
     symmetry, which bears a start that is off, and then by likelihood: in a half of one period, symmetry alone is a
-    fifth too short. Raises TooFewStars if fewer than `MIN_COMMON` stars are found in both.
+    fifth too short. ``edge_width_px`` is that of the whole recording, if it is known: a half need not look for its own.
+    Raises TooFewStars if fewer than `MIN_COMMON` stars are found in both.
     """
-    nodes = target.node_of(view.ids)
-    grid = nodes.astype(float)
-    local_map = fit_grid_map(grid, view.points_px)[0].local_map(grid)
+    some = slice(None, None, -(-len(view.ids) // MOST_STARS))
+    nodes, points = target.node_of(view.ids), view.points_px[some]
+    grid_map, _ = fit_grid_map(nodes.astype(float), view.points_px)
+    nodes = nodes[some]
+    local_map = grid_map.local_map(nodes.astype(float))
     pitch, sides = local_map.pitch_px, open_sides(target, nodes)
     samples = symmetry_samples(pitch / COARSE_STEP_PX)
     used_to = cell_reach(sides, SYMMETRY_REACH, OPEN_STRIP_PX / pitch)
     images = [np.nan_to_num(np.asarray(half, np.float32)) for half in (first, second)]
     reach_px = MAX_SHIFT_PITCHES * pitch
     near = [
-        refine_by_symmetry(smooth(one, BLUR_PX), view.points_px, local_map, samples, used_to, reach_px)
+        refine_by_symmetry(smooth(one, BLUR_PX), points, local_map, samples, used_to, reach_px)
         for one in images
     ]
     common = near[0].converged & near[1].converged
@@ -56,7 +63,9 @@ def shift_between_halves(first: AnyArray, second: AnyArray, view: View, target: 
     if np.count_nonzero(common) >= MIN_FOR_LIKELIHOOD:
         maps = selected(local_map, common)
         before, after = (
-            refine_by_likelihood(quantise(one), centres, maps, target, sides[common]).centres
+            refine_by_likelihood(
+                quantise(one), centres, maps, target, sides[common], blur_px=edge_width_px
+            ).centres
             for one, centres in zip(images, (before, after), strict=True)
         )
     return np.asarray(np.nanmedian(after - before, axis=0))
