@@ -217,7 +217,7 @@ def _run(index: sqlite3.Connection, folder: str) -> IndexedRun:
     row = (folder, stamp, run.id, run.ledger_number, run.ledger_head, _packed(asdict(run)))
     index.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?, ?)", row)
     index.execute("INSERT OR REPLACE INTO details VALUES (?, ?)", (folder, _packed(details)))
-    return _as_it_is_now(run)
+    return run if run.how else _as_it_is_now(run)
 
 
 def _stamp(folder: str) -> str:

@@ -27,11 +27,13 @@ from bench.extras.many.places import Place
 from bench.extras.many.results_folders import ResultsFolders
 from bench.extras.many.tasks import Task, list_recordings
 from bench.measure.kept_views import pack_view
+from bench.measure.measure import measure
 from bench.record.storage import sha256_of
 from bench.solve.offline import calibrate_sources
 from bench.solve.offline_folder import offline_files
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.view_sources import view_sources
+from calib.target import StarTarget
 from drivers.camera.raw_file import RawFile
 
 POSES_OF_A_NIGHT, RUNS_OF_A_NIGHT = 540, 60
@@ -89,6 +91,10 @@ def main() -> None:
             rounds, lambda: [one.read() for one in sources]
         )
         / poses,
+        "check in a run: stars, motion, edge width, flicker": measured.cpu_times(
+            rounds, lambda: [_check(path) for path in paths]
+        )
+        / poses,
     }
     run = {
         "fit, the run's own model": measured.cpu_times(
@@ -139,6 +145,13 @@ def main() -> None:
 
 def _same(view: Any) -> Any:
     return view
+
+
+def _check(path: Path) -> Any:
+    """Measure a recording as a run does before its gates."""
+    return measure(
+        path, name=path.stem, target=StarTarget(), image="auto", periods=None, expected_hz=None
+    ).view
 
 
 def _decode(path: Path) -> int:
