@@ -142,21 +142,17 @@ class EspStage(OneLineStage[EspAxis, TextLine]):
         for axis in self._axes.values():
             self._program(axis)
 
-    def identify(self) -> Sequence[AxisIdentity]:
-        """See `Stage.identify`; serial numbers are compared with those in the station file."""
-        found = []
-        for axis in self._axes.values():
-            text = self._line.query(f"{axis.number}ID?")
-            model, _, serial = (part.strip() for part in text.partition(","))
-            same = serial.removeprefix("SN") == axis.serial.removeprefix("SN")
-            self._require_serial(
-                axis,
-                axis.serial if same else serial,
-                f"axis {axis.number} answers '{text}'",
-                remedy="Check the port, the axis numbers and the serials in the station file.",
-            )
-            found.append(AxisIdentity(axis.name, "Newport", model, serial, self._line.identity_text))
-        return tuple(found)
+    def _identity_of(self, axis: EspAxis) -> AxisIdentity:
+        text = self._line.query(f"{axis.number}ID?")
+        model, _, serial = (part.strip() for part in text.partition(","))
+        same = serial.removeprefix("SN") == axis.serial.removeprefix("SN")
+        self._require_serial(
+            axis,
+            axis.serial if same else serial,
+            f"axis {axis.number} answers '{text}'",
+            remedy="Check the port, the axis numbers and the serials in the station file.",
+        )
+        return AxisIdentity(axis.name, "Newport", model, serial, self._line.identity_text)
 
     def _has_reference(self) -> bool:
         """Whether this driver has homed all axes, and since then no controller restarted and no motor went off."""

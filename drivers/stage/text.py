@@ -71,8 +71,6 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
         self._serial = serial
         self._awaited: list[tuple[TextAxis, str]] = []
         """Axes whose late reply to ``home`` has not come, with what was sent."""
-        self._rest_deg: dict[str, float] = {}
-        """Where each axis came to rest after a motion of this driver."""
         super().__init__(port, axes, clock=clock, wire_log=wire_log)
 
     def _connected(self, port: Port, wire_log: WireLog | None) -> DescribedLine:
@@ -102,28 +100,14 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
         return tuple(AxisIdentity(name, line.maker, line.model, serial, firmware) for name in self._axes)
 
     def _has_reference(self) -> bool:
-        """Whether the controller says so, or this driver has homed; and nothing has changed since.
-
-        Without a checksum, a query that is disturbed on its way can become a command. So an axis that does not stand
-        where this driver left it counts as not homed.
-        """
+        """Whether the controller says so, or this driver has homed; and nothing has changed since."""
         reference = self._description.reference
         if reference is None and not self._was_homed():
             return False
         for axis in self._axes.values():
             if reference is not None and not self._line.switch(reference, self._of(axis))[0]:
                 return False
-        return not self._changed_settings() and not self._has_wandered()
-
-    def _has_wandered(self) -> bool:
-        """Whether an axis stands elsewhere than this driver left it."""
-        for name, rest_deg in self._rest_deg.items():
-            axis = self._axes[name]
-            counts = self._number(self._description.position, axis, "counts")
-            if abs(axis.to_angle_deg(counts) - rest_deg) > axis.tolerance_deg:
-                self._position_doubt = f"{name} has moved, and this program has not started it"
-                return True
-        return False
+        return not self._changed_settings()
 
     def faults(self) -> Sequence[str]:
         """See `Stage.faults`. Returns what the controller said unasked, and the faults that it reports."""
@@ -176,12 +160,10 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
         return axis.to_angle_deg(float(read["target"]) if read is not None else counts)
 
     def _begin_move(self, axis: TextAxis, angle_deg: float) -> None:
-        self._rest_deg.pop(axis.name, None)
         self._line.query(self._description.move, self._of(axis, target=axis.to_position(angle_deg)), tries=1)
 
     def _start_homing(self, check_not_stopped: StopCheck) -> None:
         self._awaited = []
-        self._rest_deg = {}
         super()._start_homing(check_not_stopped)
 
     def _begin_homing(self, axis: TextAxis) -> None:
@@ -221,7 +203,6 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
             return state._replace(problem="the controller restarted during the move: its position is lost")
         if homing:
             self._line.take_notices()  # a search of the reference may touch the limit switches
-        self._rest_deg[axis.name] = state.position_deg
         faults = self.faults()
         return state._replace(problem=state.problem or "; ".join(faults))
 

@@ -6,7 +6,6 @@ This module decides what a controller's state means for a move. ``drivers.stage.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Final, Literal
 
@@ -87,17 +86,13 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
         for axis in self._axes.values():
             self._program(axis)
 
-    def identify(self) -> Sequence[AxisIdentity]:
-        """See `Stage.identify`; serial numbers are compared with those in the station file."""
-        found = []
-        for axis in self._axes.values():
-            controller = self._lines[axis.name]
-            told = controller.read_information()
-            self._require_serial(
-                axis, told.serial, f"{told.serial} answers", where=controller.name, remedy=CHECK_PORTS
-            )
-            found.append(AxisIdentity(axis.name, "Thorlabs", told.model, told.serial, told.firmware))
-        return tuple(found)
+    def _identity_of(self, axis: ThorlabsAxis) -> AxisIdentity:
+        controller = self._lines[axis.name]
+        stated = controller.read_information()
+        self._require_serial(
+            axis, stated.serial, f"{stated.serial} answers", where=controller.name, remedy=CHECK_PORTS
+        )
+        return AxisIdentity(axis.name, "Thorlabs", stated.model, stated.serial, stated.firmware)
 
     def _has_reference(self) -> bool:
         return self._was_homed() and all(line.read_status().homed for line in self._lines.values())

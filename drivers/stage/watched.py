@@ -76,9 +76,13 @@ class WatchedStage(ABC, Generic[A]):
 
     # ------------------------------------------------------------ what a family implements
 
-    @abstractmethod
     def identify(self) -> Sequence[AxisIdentity]:
-        """See `Stage.identify`."""
+        """See `Stage.identify`; serial numbers are compared with those in the station file."""
+        return tuple(self._identity_of(axis) for axis in self._axes.values())
+
+    def _identity_of(self, axis: A) -> AxisIdentity:
+        """Ask one axis for its identity; a family that asks its controller for all axes has its own ``identify``."""
+        raise NotImplementedError(axis.name)
 
     @abstractmethod
     def _has_reference(self) -> bool:

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, TypeVar
 
@@ -192,16 +191,12 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
         for axis in self._axes.values():
             self._program(axis)
 
-    def identify(self) -> Sequence[AxisIdentity]:
-        """See `Stage.identify`; serial numbers are compared with those in the station file."""
-        found = []
-        for axis in self._axes.values():
-            controller = self._lines[axis.name]
-            serial = controller.read_serial()
-            self._require_serial(axis, serial, f"{serial} answers", where=controller.name, remedy=CHECK_PORTS)
-            maker, model, firmware = controller.read_identity()
-            found.append(AxisIdentity(axis.name, maker, model, serial, firmware))
-        return tuple(found)
+    def _identity_of(self, axis: XimcAxis) -> AxisIdentity:
+        controller = self._lines[axis.name]
+        serial = controller.read_serial()
+        self._require_serial(axis, serial, f"{serial} answers", where=controller.name, remedy=CHECK_PORTS)
+        maker, model, firmware = controller.read_identity()
+        return AxisIdentity(axis.name, maker, model, serial, firmware)
 
     def _has_reference(self) -> bool:
         return self._was_homed() and all(line.read_status().homed for line in self._lines.values())

@@ -195,22 +195,19 @@ class ZaberStage(OneLineStage[ZaberAxis, ZaberChain]):
             name for name, axis in self._axes.items() if self._setting(axis, "encoder.pos") is not None
         }
 
-    def identify(self) -> Sequence[AxisIdentity]:
-        """See `Stage.identify`; serial numbers are compared with those in the station file, then checksums are on."""
-        found = []
-        for axis in self._axes.values():
-            serial = self._line.query(axis.device, 0, "get system.serial", strict=False).data
-            self._require_serial(
-                axis,
-                serial,
-                f"device {axis.device} has {serial}",
-                remedy="Check the port, the order of the chain, and the serial in the station file.",
-            )
-            self._line.switch_checksums_on(axis.device)
-            model = self._line.query(axis.device, 0, "get deviceid").data
-            firmware = self._line.query(axis.device, 0, "get version").data
-            found.append(AxisIdentity(axis.name, "Zaber", f"device id {model}", serial, firmware))
-        return tuple(found)
+    def _identity_of(self, axis: ZaberAxis) -> AxisIdentity:
+        """Ask for the identity; once its serial number is the right one, switch the device's checksums on."""
+        serial = self._line.query(axis.device, 0, "get system.serial", strict=False).data
+        self._require_serial(
+            axis,
+            serial,
+            f"device {axis.device} has {serial}",
+            remedy="Check the port, the order of the chain, and the serial in the station file.",
+        )
+        self._line.switch_checksums_on(axis.device)
+        model = self._line.query(axis.device, 0, "get deviceid").data
+        firmware = self._line.query(axis.device, 0, "get version").data
+        return AxisIdentity(axis.name, "Zaber", f"device id {model}", serial, firmware)
 
     def _has_reference(self) -> bool:
         return self._was_homed() and not any(
