@@ -36,6 +36,7 @@ class Advice(NamedTuple):
 
     sentences: tuple[str, ...] = ()  # The most important first; empty if nothing is to be improved
     ring: RingTurn | None = None  # The turn of the focus ring among them; None if there is none
+    of_flicker: tuple[str, ...] = ()  # Those that only a slice of several flicker periods can give
 
 
 def advice_for(seen: Seen, setting: LiveSetting) -> Advice:
@@ -44,11 +45,12 @@ def advice_for(seen: Seen, setting: LiveSetting) -> Advice:
     dark = list(_light(seen, setting))
     if dark:
         return Advice((*advice, *dark))
-    advice += _signal(seen, setting)
+    of_flicker = tuple(_sync(seen.image.signal, setting))
+    advice += [*of_flicker, *_signal(seen, setting)]
     if seen.other_tag:
-        return Advice((*advice, seen.other_tag))
+        return Advice((*advice, seen.other_tag), None, of_flicker)
     if seen.image.signal is None and (seen.image.saturation or 0.0) > _BLINDED:
-        return Advice(tuple(advice))
+        return Advice(tuple(advice), None, of_flicker)
     focus = flat_advice(seen, setting)
     is_flat = focus is not None
     focus = focus or focus_advice(seen, setting)
@@ -58,7 +60,7 @@ def advice_for(seen: Seen, setting: LiveSetting) -> Advice:
     aim_first = not is_flat and not seen.tag_seen and (bool(seen.count) or seen.beam.share < _LITTLE_LIGHT)
     advice += aim + sharpen if aim_first else sharpen + aim
     rest = [] if is_flat else _pattern(seen, setting)
-    return Advice((*advice, *rest), focus.ring if focus else None)
+    return Advice((*advice, *rest), focus.ring if focus else None, of_flicker)
 
 
 def first_advice(setting: LiveSetting) -> list[str]:
@@ -121,7 +123,7 @@ def _light(seen: Seen, setting: LiveSetting) -> Iterator[str]:
 
 
 def _signal(seen: Seen, setting: LiveSetting) -> Iterator[str]:
-    """Yield what is wrong with frequency, sync edges, rates and pixels."""
+    """Yield what is wrong with rates and pixels."""
     signal, image = seen.image.signal, seen.image
     if signal is None:
         if image.saturation is not None and image.saturation > MOST_SATURATED:
@@ -129,7 +131,6 @@ def _signal(seen: Seen, setting: LiveSetting) -> Iterator[str]:
                 f"{100 * image.saturation:.1f} % of the pixels are saturated: lower the light's level or the exposure."
             )
         return
-    yield from _sync(signal, setting)
     limit = setting.gates.max_event_rate_mev_s
     rate = (signal.events_per_s or 0.0) / 1e6
     if rate > limit:
@@ -160,8 +161,10 @@ def _signal(seen: Seen, setting: LiveSetting) -> Iterator[str]:
         )
 
 
-def _sync(signal: SignalFigures, setting: LiveSetting) -> Iterator[str]:
-    """Yield what is wrong with the sync edges and the frequency."""
+def _sync(signal: SignalFigures | None, setting: LiveSetting) -> Iterator[str]:
+    """Yield what is wrong with the sync edges and the frequency; nothing for a frame camera."""
+    if signal is None:
+        return
     if signal.sync_fault:
         yield f"{signal.sync_fault} Check the sync cable and the light's settings."
     elif not signal.sync_edges and setting.gates.require_triggers:

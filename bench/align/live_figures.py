@@ -77,6 +77,7 @@ class LiveFigures:
     saturation: float | None = None
     turn: TurnFigures = field(default_factory=TurnFigures)  # Where to turn
     advice: Sequence[str] = ()  # What to do, plain sentences, the most important first
+    flicker_advice: Sequence[str] = ()  # Those that only a slice of several flicker periods can give
     ring: RingTurn | None = (
         None  # The turn of the focus ring that the advice asks for; None if it asks for none
     )
@@ -159,6 +160,7 @@ class LiveMeter:
             figures,
             signal=replace(figures.signal, event_hz=event_hz),
             advice=advice.sentences,
+            flicker_advice=advice.of_flicker,
             ring=advice.ring,
             took_ms=watch.lap("advice"),
         )

@@ -24,21 +24,20 @@ from bench.align.live_figures import TURNING, LiveFigures, LiveSetting, LiveSlic
 from bench.align.meter import Meter
 from bench.base.clock import Aborted
 from bench.base.failure import Failure
+from bench.base.memory_folder import temporary_parent
 from bench.stations.devices import Camera
 from drivers.camera import EventCamera, PreviewCamera, RecordingFacts
 from drivers.camera.frames import FrameCamera, FrameFacts
 from drivers.errors import DriverError
 
-MEMORY = Path("/dev/shm")  # noqa: S108 - only a folder of our own in it is used
-_ROOM = 500_000_000
+_ROOM_BYTES = 500_000_000
+"""Least room in memory for slices: the link of an EVK4 brings 200 MB a second, and most slices are far shorter."""
 _NAME = re.compile(r"starbench-align-(\d+)-\w+")
 SHORT_S = 1 / 60
 """Length of most slices, s, rounded to whole flicker periods, at least one. A short slice makes a quick picture."""
 LONGEST_SLICE_S = 4.0
 """Longest slice, s. With a slower flicker, a slice holds no whole period."""
 _OF_LONGER = ("trigger_hz", "event_hz", "jitter_us", "event_jitter_us")
-_OF_THE_FLICKER = ("sync", "flicker is")
-"""Words of advice that only a slice of several periods can give."""
 _LEARNT = 0.3
 """Weight of the newest duration in the expected ones."""
 _RATE_OVER_S = 4.0
@@ -62,9 +61,8 @@ Recorded = RecordingFacts | FrameFacts
 
 
 def make_slice_folder() -> Path:
-    """Make a folder that only this user can read, in memory if half a GB is free; remove those left behind."""
-    in_memory = MEMORY.is_dir() and os.access(MEMORY, os.W_OK) and shutil.disk_usage(MEMORY).free > _ROOM
-    parent = MEMORY if in_memory else Path(tempfile.gettempdir())
+    """Make a folder that only this user can read, in memory if it has room; remove those left behind."""
+    parent = temporary_parent(_ROOM_BYTES)
     _remove_left_behind(parent)
     return Path(tempfile.mkdtemp(prefix=f"starbench-align-{os.getpid()}-", dir=parent))
 
@@ -99,11 +97,7 @@ def slice_periods(setting: LiveSetting) -> int:
 
 def with_signal_of(figures: LiveFigures, signal: LiveFigures) -> LiveFigures:
     """Return the figures of a short slice, completed by those of the last slice of `SIGNAL_PERIODS` or more."""
-    kept = [
-        one
-        for one in signal.advice
-        if any(word in one for word in _OF_THE_FLICKER) and figures.advice != (TURNING,)
-    ]
+    kept = () if figures.advice == (TURNING,) else signal.flicker_advice
     longer = {name: getattr(signal.signal, name) for name in _OF_LONGER}
     return replace(
         figures,

@@ -6,6 +6,7 @@ the end. `canonical_json` is the one form that the program writes.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -38,6 +39,15 @@ def parse_json(data: bytes | str) -> Any:
 def canonical_json(found: Any, *, ascii_only: bool = True) -> bytes:
     """Return JSON as all files of a run, a certificate or of recalculated results hold it; numbers must be finite."""
     return (json.dumps(found, indent=1, allow_nan=False, ensure_ascii=ascii_only) + "\n").encode()
+
+
+def content_key(parts: Mapping[str, Any]) -> str:
+    """Return the hash of all that decides a result: 64 hexadecimal digits.
+
+    >>> content_key({"a": 1, "b": 2}) == content_key({"b": 2, "a": 1})
+    True
+    """
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
 
 def leaves(found: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:

@@ -26,7 +26,7 @@ from typing import Any
 
 import numpy as np
 
-from bench.base.bounded_json import parse_json
+from bench.base.bounded_json import content_key, parse_json
 from bench.base.home import home_folder
 from bench.measure.views_file import arrays_of, view_of
 from bench.record.storage import sha256_of
@@ -195,13 +195,14 @@ class KeptViews:
 
 def view_key(recording_sha256: str, options: Mapping[str, Any]) -> str:
     """Return the key of a view, 64 hexadecimal digits, from the SHA-256 of its recording and the options."""
-    parts = {
-        "format": _KEPT_FORMAT,
-        "recording": recording_sha256,
-        "options": options,
-        "detector": detector_version(),
-    }
-    return hashlib.sha256(json.dumps(parts, sort_keys=True, allow_nan=False).encode()).hexdigest()
+    return content_key(
+        {
+            "format": _KEPT_FORMAT,
+            "recording": recording_sha256,
+            "options": options,
+            "detector": detector_version(),
+        }
+    )
 
 
 @functools.cache

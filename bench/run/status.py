@@ -300,7 +300,7 @@ def _status(run: StoredRun, now: datetime, *, running: bool, sealed: bool) -> St
         simulated=bool(history.started.get("simulated", plan.simulated)),
         running=running,
         sealed=sealed,
-        evidence=_evidence_text(folder, now),
+        evidence=evidence_text(folder, now),
         state=history.states[-1]["state"] if history.states else "idle",
         ended=history.ended,
         why=history.why,
@@ -344,7 +344,8 @@ def _plan_of(folder: Path) -> RunPlan:
     return plan
 
 
-def _evidence_text(folder: Path, now: datetime) -> str:
+def evidence_text(folder: Path, now: datetime) -> str:
+    """Return what the signatures of a run say now, as one line."""
     home = home_folder()
     return shown_state(folder, home_trust(home), now, known_authorisations(home)).text
 

@@ -88,7 +88,7 @@ def view_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
             )
         yield from _run_sources(path, choices)
     elif path.is_dir() and not is_bag_folder(path):
-        files = sorted(filter(_may_be_a_view, path.iterdir()), key=_natural_order)
+        files = sorted(filter(_may_be_a_view, path.iterdir()), key=lambda found: natural_order(found.name))
         if not files:
             raise UsageError(
                 "The folder contains no run, capture, image or point file.",
@@ -376,7 +376,7 @@ def refuse_truncated_jpeg(path: Path) -> None:
         )
 
 
-def _natural_order(path: Path) -> list[tuple[int, int, str]]:
+def natural_order(name: str) -> list[tuple[int, int, str]]:
     """Return a sort key that puts image10 after image9."""
-    words = re.split(r"(\d+)", path.name)
+    words = re.split(r"(\d+)", name)
     return [(0, int(word), "") if word.isdigit() else (1, 0, word) for word in words]

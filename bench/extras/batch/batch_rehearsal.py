@@ -13,19 +13,18 @@ from pathlib import Path
 
 from bench.base.clock import VirtualClock
 from bench.base.errors import BenchError, UsageError
+from bench.base.memory_folder import temporary_parent
 from bench.extras.batch.batch import Batch
 from bench.extras.batch.batch_plan import WORKER_S
-from bench.extras.batch.batch_record import (
-    Item,
-)
+from bench.extras.batch.batch_record import Item
 from bench.extras.batch.supervisor import WorkerEnd
 from bench.record.storage import make_folder, storage_errors
 from bench.record.summaries import BatchSummary
 from sequences.queue import Queue
 from sequences.reader import Located
 
-_IN_MEMORY = "/dev/shm"  # noqa: S108 - a folder in memory, not a predictable file name
 _ROOM_BYTES = 1_000_000_000
+"""Least room in memory for a rehearsed batch; with less, it is written on the disk."""
 
 
 def rehearse_batch(
@@ -43,20 +42,12 @@ def rehearse_batch(
                 where=str(folder),
                 remedy="Choose another --output.",
             )
-    with tempfile.TemporaryDirectory(prefix="starbench-rehearsal-", dir=_memory()) as place:
+    parent = temporary_parent(_ROOM_BYTES)
+    with tempfile.TemporaryDirectory(prefix="starbench-rehearsal-", dir=parent) as place:
         summary = _rehearse(queue, Path(place), VirtualClock(begin), seed, say)
         with storage_errors(folder):
             shutil.copytree(place, folder, dirs_exist_ok=True)
     return summary
-
-
-def _memory() -> str | None:
-    """Return a folder in memory that has enough space; None for the system's usual temporary folder."""
-    try:
-        roomy = shutil.disk_usage(_IN_MEMORY).free > _ROOM_BYTES
-    except OSError:
-        return None
-    return _IN_MEMORY if roomy else None
 
 
 def _rehearse(

@@ -19,6 +19,7 @@ from typing import Any
 from bench.base.errors import BenchError, StorageError, UsageError
 from bench.measure.views_file import VIEWS
 from bench.record.run_folder import JOURNAL, REPORT
+from bench.solve.view_sources import natural_order
 
 _URL = re.compile(r"[a-z][a-z0-9+.-]+://")
 _NOT_COPIED = {REPORT, VIEWS}
@@ -83,7 +84,7 @@ def _local_runs(path: Path) -> list[str]:
     if (path / JOURNAL).is_file():
         return [str(path)]
     runs = [one.name for one in path.iterdir() if (one / JOURNAL).is_file() and not one.name.startswith(".")]
-    return [str(path / name) for name in sorted(runs, key=_natural)] or [str(path)]
+    return [str(path / name) for name in sorted(runs, key=natural_order)] or [str(path)]
 
 
 def _remote_runs(url: str) -> list[str]:
@@ -101,7 +102,7 @@ def _remote_runs(url: str) -> list[str]:
             where=url,
             remedy=f"Give the URL of a folder with {JOURNAL}, or of a folder of such folders; copy other files here.",
         )
-    return [f"{url.rstrip('/')}/{name}" for name in sorted(runs, key=_natural)]
+    return [f"{url.rstrip('/')}/{name}" for name in sorted(runs, key=natural_order)]
 
 
 def _copy(url: str, to: Path, captures: Iterable[str], only: Collection[str] | None) -> None:
@@ -174,9 +175,3 @@ def _remote_errors(url: str) -> Iterator[None]:
             "Check the URL, the endpoint and the network, then repeat the command: what was done is kept."
         )
         raise StorageError(what, where=url, remedy=remedy) from error
-
-
-def _natural(name: str) -> list[tuple[int, int, str]]:
-    """Return a sort key that puts run10 after run9."""
-    words = re.split(r"(\d+)", name)
-    return [(0, int(word), "") if word.isdigit() else (1, 0, word) for word in words]

@@ -6,7 +6,6 @@ The result is that of `bench.solve.offline.calibrate_paths` in one process, to t
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
@@ -14,6 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Literal, TypedDict
 
+from bench.base.bounded_json import content_key
 from bench.base.errors import BenchError
 from bench.base.failure import FORESEEN
 from bench.extras.many.places import Place
@@ -155,8 +155,9 @@ def calibration_key(content: Mapping[str, str], task: Task) -> str:
     choices = task.choices
     passport = None if choices.passport is None else hashlib.sha256(choices.passport.data).hexdigest()
     options = {**options_data(choices), "target": asdict(choices.target), "passport_sha256": passport}
-    parts = {"format": ROW_FORMAT, "content": content, "options": options, "program": task.program}
-    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+    return content_key(
+        {"format": ROW_FORMAT, "content": content, "options": options, "program": task.program}
+    )
 
 
 def find_view(place: Place, number: int, capture: str, task: Task) -> FoundView:

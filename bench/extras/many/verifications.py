@@ -12,11 +12,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from bench.base.bounded_json import content_key
 from bench.evidence.findings import Derivation, Findings, SealFault, Verification
 from bench.evidence.key_trust import Trust
 from bench.evidence.verify import verify_folder
 from bench.extras.many.conversions import content_hash
-from bench.extras.many.work import content_key, require_program_of
+from bench.extras.many.work import require_program_of
 
 VERIFIED = "verified.jsonl"
 

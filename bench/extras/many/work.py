@@ -6,7 +6,6 @@ the disk, by the hash of all that decides them, as synced lines of JSON; half a 
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Mapping
@@ -28,15 +27,6 @@ def require_program_of(program: str) -> None:
             f"This worker has another Starbench ({here}) than the command ({program}).",
             remedy="Install the same version on all computers, and restart the workers.",
         )
-
-
-def content_key(parts: Mapping[str, Any]) -> str:
-    """Return the hash of all that decides a result: 64 hexadecimal digits.
-
-    >>> content_key({"a": 1, "b": 2}) == content_key({"b": 2, "a": 1})
-    True
-    """
-    return hashlib.sha256(json.dumps(parts, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
 
 class Table:

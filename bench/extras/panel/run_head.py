@@ -9,9 +9,6 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from bench.base.errors import BenchError
-from bench.base.home import home_folder
-from bench.evidence.authorisations import known_authorisations
-from bench.evidence.states import home_trust, shown_state
 from bench.extras.panel.run_model import RunModel
 from bench.extras.panel.shown_run import (
     CountsData,
@@ -29,6 +26,7 @@ from bench.record.run_folder import is_sealed
 from bench.run.heartbeat import CONTROL, HEARTBEAT, SLOW_STALL_LIMIT_S, SLOW_STATES
 from bench.run.interlocks import interlock_text
 from bench.run.machine import END_STATES
+from bench.run.status import evidence_text
 from bench.wording.causes import cause_sentences
 
 _QUIET_LIMIT_S = 15.0
@@ -237,7 +235,7 @@ def head_of(model: RunModel, process: ProcessState, now: datetime) -> RunHead:
         **brief_of(model, process, now),
         "camera": dict(history.devices.get("camera", {})),
         "sealed": process.sealed,
-        "evidence": _evidence(model.folder, now) if process.sealed else "",
+        "evidence": evidence_text(model.folder, now) if process.sealed else "",
         "ended": history.ended,
         "remedy": history.failures[-1]["remedy"] if history.ended == "failed" and history.failures else "",
         "faults": faults_of(model, process),
@@ -361,9 +359,3 @@ def _possible(model: RunModel, process: ProcessState) -> dict[str, bool]:
         "abort": takes,
         "answer": takes and bool(history.question) and history.answer is None,
     }
-
-
-def _evidence(folder: Path, now: datetime) -> str:
-    """Return the state of the folder as one line."""
-    home = home_folder()
-    return shown_state(folder, home_trust(home), now, known_authorisations(home)).text

@@ -175,6 +175,7 @@ def test_missing_sync_and_a_wrong_frequency(folder, tmp_path):
     share = seen(bench())
     _, without = figures_of(write_slice(tmp_path / "no_sync.raw", share, triggers=False, periods=2))
     assert without.advice[0].startswith("No sync triggers come")
+    assert without.flicker_advice == without.advice[:1]
     assert len(without.stars) > 200
     _, other = figures_of(write_slice(tmp_path / "fast.raw", share, light=drive(frequency_hz=75.0)))
     assert "The triggers come at 74.999 Hz" in other.advice[0]

@@ -21,6 +21,7 @@ from bench.align.live_image import (
     whole_periods,
 )
 from bench.align.meter import MeterProcess
+from bench.base import memory_folder
 from bench.base.errors import BenchError
 from bench.stations.station import load_station
 from calib.events.event_image import make_images
@@ -66,7 +67,7 @@ def test_the_process_measures_survives_a_kill_and_ends(tmp_path, children):
 
 
 def test_a_folder_is_private_and_those_of_dead_processes_are_removed(tmp_path, monkeypatch):
-    monkeypatch.setattr(slice_folder, "MEMORY", tmp_path)
+    monkeypatch.setattr(memory_folder, "MEMORY", tmp_path)
     ended = subprocess.run(
         [sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True, text=True
     )
@@ -84,8 +85,8 @@ def test_a_folder_is_private_and_those_of_dead_processes_are_removed(tmp_path, m
 
 
 def test_without_room_in_memory_the_folder_is_on_the_disk(tmp_path, monkeypatch):
-    monkeypatch.setattr(slice_folder, "MEMORY", tmp_path / "none")
-    monkeypatch.setattr(slice_folder.tempfile, "gettempdir", lambda: str(tmp_path))
+    monkeypatch.setattr(memory_folder, "MEMORY", tmp_path / "none")
+    monkeypatch.setattr(memory_folder.tempfile, "gettempdir", lambda: str(tmp_path))
     assert slice_folder.make_slice_folder().parent == tmp_path
 
 

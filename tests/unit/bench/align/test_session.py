@@ -339,7 +339,10 @@ def test_a_short_slice_keeps_the_flicker_and_the_advice_about_it_of_the_last_lon
     wrong = "The flicker is 50.00 Hz, but the light is set to 60.00 Hz."
     short = LiveFigures(time_s=2.0, signal=SignalFigures(on_share=0.4), advice=("Turn the focus ring.",))
     longer = LiveFigures(
-        time_s=1.0, signal=SignalFigures(trigger_hz=50.0, jitter_us=0.5), advice=(wrong, "Turn pan.")
+        time_s=1.0,
+        signal=SignalFigures(trigger_hz=50.0, jitter_us=0.5),
+        advice=(wrong, "Turn pan."),
+        flicker_advice=(wrong,),
     )
     shown = with_signal_of(short, longer)
     assert shown.time_s == 2.0
