@@ -20,16 +20,10 @@ from drivers.camera.frames import FrameCamera, FrameSettings, read_frames
 from drivers.camera.raw_file import RawFile
 from drivers.errors import CameraLost, CameraSettingRefused, DriverError, RecordingFailed
 
-_LONG_S = 30.0
-"""Time of a recording that something is to end early, s."""
-_AT_WORK_S = 0.3
+_AT_WORK_S = 0.5
 """After this time a recording is at work, s."""
-_MANY = 5000
-"""Number of frames of a capture that something is to end early."""
-_FRAMES_AT_WORK_S = 0.5
-"""After this time a capture is at work, s."""
 _LONGEST_END_S = 15.0
-"""Longest time until a stopped capture ends, s."""
+"""Longest time until a stopped recording ends, s."""
 
 
 class SimulatedCamera(Protocol):
@@ -80,6 +74,11 @@ class AnyCameraContract:
 
     section: ClassVar[Mapping[str, Any]]
     other_serial: ClassVar[str]
+    _ending: ClassVar[str]
+    _short: ClassVar[float]
+    """How much a test takes that is to be complete: s of a recording, or frames."""
+    _long: ClassVar[float]
+    """How much a test takes that something is to end early."""
 
     def connected(self) -> AbstractContextManager[SimulatedCamera]:
         """Connect a simulated camera, fresh from power-up.
@@ -118,6 +117,21 @@ class AnyCameraContract:
         any_clock: Any = clock
         return open_camera(station, str, any_clock)
 
+    def _prepare(self, camera: Any) -> None:
+        """Do what a run does before it takes something."""
+
+    def _take(self, camera: Any, path: Path, amount: float) -> Any:
+        """Take s of a recording, or frames, into a file; return its facts."""
+        raise NotImplementedError
+
+    def _check_file(self, path: Path, facts: Any) -> None:
+        """Check that a file can be read to its end, and holds what the facts state."""
+        raise NotImplementedError
+
+    def _check_left(self, folder: Path) -> None:
+        """Check what a recording left that was ended by an error."""
+        raise NotImplementedError
+
     def test_it_says_who_it_is(self, camera: Any) -> None:
         """It says who it is, each time alike."""
         who = camera.identify()
@@ -128,6 +142,76 @@ class AnyCameraContract:
     def test_another_serial_number_is_refused(self, simulated: SimulatedCamera, clock: ContractClock) -> None:
         """Another serial number is refused."""
         fails_in_time(lambda: self._opened(simulated, clock, serial=self.other_serial))
+
+    def test_no_file_is_ever_overwritten(self, camera: Any, tmp_path: Path) -> None:
+        """No file is ever overwritten, and a missing folder is an error."""
+        self._prepare(camera)
+        there = tmp_path / f"one{self._ending}"
+        there.write_bytes(b"evidence")
+        for path in (there, tmp_path / "none" / there.name):
+            fails_in_time(lambda path=path: self._take(camera, path, self._short), RecordingFailed)  # type: ignore[misc]
+        assert there.read_bytes() == b"evidence"
+        assert self._take(camera, tmp_path / f"two{self._ending}", self._short).complete
+
+    @pytest.mark.parametrize("amount", [0, -1])
+    def test_nothing_at_all_is_refused(self, camera: Any, tmp_path: Path, amount: int) -> None:
+        """No time and no frame at all are refused, and leave no file."""
+        self._prepare(camera)
+        with pytest.raises((DriverError, ValueError)):
+            self._take(camera, tmp_path / f"one{self._ending}", amount)
+        assert not list(tmp_path.iterdir())
+
+    def test_a_stop_from_another_thread_ends_a_recording(self, camera: Any, tmp_path: Path) -> None:
+        """A stop from another thread ends a recording, whose file can be read; the next one is complete."""
+        self._prepare(camera)
+        path = tmp_path / f"one{self._ending}"
+        stopper = threading.Timer(_AT_WORK_S, camera.stop)
+        stopper.start()
+        began_s = time.monotonic()
+        with suppress(RecordingFailed):
+            facts = self._take(camera, path, self._long)
+            assert not facts.complete
+            self._check_file(path, facts)
+        assert time.monotonic() - began_s < _LONGEST_END_S
+        stopper.join()
+        assert self._take(camera, tmp_path / f"two{self._ending}", self._short).complete
+
+    def test_an_interrupted_recording_leaves_nothing_unreadable(
+        self, camera: Any, clock: InterruptingClock, tmp_path: Path
+    ) -> None:
+        """An interrupted recording leaves a file of events that can be read, or no frames; the camera works."""
+        self._prepare(camera)
+        clock.interrupts_at_s = clock.monotonic() + _AT_WORK_S
+        with pytest.raises(Interrupted):
+            self._take(camera, tmp_path / f"one{self._ending}", self._long)
+        clock.interrupts_at_s = float("inf")
+        self._check_left(tmp_path)
+        assert self._take(camera, tmp_path / f"two{self._ending}", self._short).complete
+
+    def test_a_pulled_cable_is_a_lost_camera(
+        self, camera: Any, simulated: SimulatedCamera, tmp_path: Path
+    ) -> None:
+        """A pulled cable is a lost camera in bounded time, also for the next recording; a stop does no harm."""
+        self._prepare(camera)
+        puller = threading.Timer(_AT_WORK_S, simulated.unplug)
+        puller.start()
+        fails_in_time(lambda: self._take(camera, tmp_path / f"one{self._ending}", self._long), CameraLost)
+        puller.join()
+        self._check_left(tmp_path)
+        camera.stop()
+        fails_in_time(lambda: self._take(camera, tmp_path / f"two{self._ending}", self._short))
+
+    def test_a_closed_camera_is_an_error_and_is_opened_again(
+        self, simulated: SimulatedCamera, clock: ContractClock, tmp_path: Path
+    ) -> None:
+        """A closed camera is an error of the driver, and is opened again."""
+        for name in ("one", "two"):
+            camera = self._opened(simulated, clock)
+            self._prepare(camera)
+            assert self._take(camera, tmp_path / f"{name}{self._ending}", self._short).complete
+            camera.close()
+            camera.close()
+            fails_in_time(lambda camera=camera: self._take(camera, tmp_path / "closed", self._short))  # type: ignore[misc]
 
 
 class CameraContract(AnyCameraContract):
@@ -145,6 +229,21 @@ class CameraContract(AnyCameraContract):
 
     biases: ClassVar[Mapping[str, int]] = {}
     impossible_biases: ClassVar[Mapping[str, int]] = {}
+    _ending, _short, _long = ".raw", 0.05, 30.0
+
+    def _prepare(self, camera: Any) -> None:
+        camera.apply(CameraSettings())
+
+    def _take(self, camera: Any, path: Path, amount: float) -> Any:
+        return camera.record(path, float(amount))
+
+    def _check_file(self, path: Path, facts: Any) -> None:
+        assert RawFile.open(path).scan().events == facts.events
+
+    def _check_left(self, folder: Path) -> None:
+        """What was recorded is kept, under its own name or another, and can be read to its end."""
+        (left,) = folder.iterdir()
+        assert RawFile.open(left).scan().events >= 0
 
     def test_settings_are_read_back_and_all_filters_are_off(self, camera: EventCamera) -> None:
         """Settings are read back, and all filters are off."""
@@ -183,80 +282,6 @@ class CameraContract(AnyCameraContract):
             for bias, value in self.biases.items():
                 assert facts.biases.get(bias, value) == value
 
-    def test_no_file_is_ever_overwritten(self, camera: EventCamera, tmp_path: Path) -> None:
-        """No file is ever overwritten, and a missing folder is an error."""
-        camera.apply(CameraSettings())
-        (tmp_path / "one.raw").write_bytes(b"evidence")
-        fails_in_time(lambda: camera.record(tmp_path / "one.raw", 0.05), RecordingFailed)
-        assert (tmp_path / "one.raw").read_bytes() == b"evidence"
-        fails_in_time(lambda: camera.record(tmp_path / "none" / "one.raw", 0.05), RecordingFailed)
-        assert camera.record(tmp_path / "two.raw", 0.05).complete
-
-    @pytest.mark.parametrize("duration_s", [0.0, -1.0])
-    def test_no_time_at_all_is_refused(self, camera: EventCamera, tmp_path: Path, duration_s: float) -> None:
-        """No time at all is refused."""
-        camera.apply(CameraSettings())
-        with pytest.raises((DriverError, ValueError)):
-            camera.record(tmp_path / "one.raw", duration_s)
-
-    def test_a_stop_from_another_thread_ends_a_recording(self, camera: EventCamera, tmp_path: Path) -> None:
-        """A stop from another thread ends a recording, whose file can be read; the next one is complete."""
-        camera.apply(CameraSettings())
-        stopper = threading.Timer(_AT_WORK_S, camera.stop)
-        stopper.start()
-        began_s = time.monotonic()
-        with suppress(RecordingFailed):
-            assert not camera.record(tmp_path / "one.raw", _LONG_S).complete
-        assert time.monotonic() - began_s < _LONG_S / 2
-        stopper.join()
-        _readable(tmp_path)
-        assert camera.record(tmp_path / "two.raw", 0.05).complete
-
-    def test_an_interrupted_recording_leaves_a_file_that_can_be_read(
-        self, camera: EventCamera, clock: InterruptingClock, tmp_path: Path
-    ) -> None:
-        """An interrupted recording leaves a file that can be read, and the camera works."""
-        camera.apply(CameraSettings())
-        clock.interrupts_at_s = clock.monotonic() + _AT_WORK_S
-        with pytest.raises(Interrupted):
-            camera.record(tmp_path / "one.raw", _LONG_S)
-        clock.interrupts_at_s = float("inf")
-        _readable(tmp_path)
-        assert camera.record(tmp_path / "two.raw", 0.05).complete
-
-    def test_a_pulled_cable_is_a_lost_camera(
-        self, camera: EventCamera, simulated: SimulatedCamera, tmp_path: Path
-    ) -> None:
-        """A pulled cable is a lost camera in bounded time; what was recorded is kept, and a stop does no harm."""
-        camera.apply(CameraSettings())
-        puller = threading.Timer(_AT_WORK_S, simulated.unplug)
-        puller.start()
-        fails_in_time(lambda: camera.record(tmp_path / "one.raw", _LONG_S), CameraLost)
-        puller.join()
-        _readable(tmp_path)
-        camera.stop()
-        fails_in_time(camera.identify)
-        fails_in_time(lambda: camera.apply(CameraSettings()))
-
-    def test_a_closed_camera_is_an_error_and_is_opened_again(
-        self, simulated: SimulatedCamera, clock: ContractClock, tmp_path: Path
-    ) -> None:
-        """A closed camera is an error of the driver, and is opened again."""
-        for name in ("one.raw", "two.raw"):
-            camera = self._opened(simulated, clock)
-            camera.apply(CameraSettings())
-            assert camera.record(tmp_path / name, 0.05).complete
-            camera.close()
-            camera.close()
-            fails_in_time(camera.identify)
-
-
-def _readable(folder: Path) -> None:
-    """Check that what a recording left, under its own name or another, can be read to its end."""
-    (left,) = folder.iterdir()
-    assert RawFile.open(left).scan().events >= 0
-    left.rename(folder.parent / f"kept-{folder.name}")
-
 
 class FrameCameraContract(AnyCameraContract):
     """Derive from this class, name it ``Test...``, and give ``section`` and ``connected``.
@@ -273,6 +298,17 @@ class FrameCameraContract(AnyCameraContract):
 
     settings: ClassVar[Mapping[str, float]] = {}
     impossible_settings: ClassVar[Mapping[str, float]] = {}
+    _ending, _short, _long = ".tif", 1, 5000
+
+    def _take(self, camera: Any, path: Path, amount: float) -> Any:
+        return camera.capture(path, int(amount))
+
+    def _check_file(self, path: Path, facts: Any) -> None:
+        assert len(read_frames(path)) == facts.frames
+
+    def _check_left(self, folder: Path) -> None:
+        """No file: frames are quickly taken again."""
+        assert not list(folder.iterdir())
 
     def test_settings_are_read_back(self, camera: FrameCamera) -> None:
         """Settings are read back, also a second time."""
@@ -311,66 +347,3 @@ class FrameCameraContract(AnyCameraContract):
             camera.capture(tmp_path / name, 3)
         frames = [*read_frames(tmp_path / "one.tif"), *read_frames(tmp_path / "two.tif")]
         assert len({frame.tobytes() for frame in frames}) == len(frames)
-
-    def test_no_file_is_ever_overwritten(self, camera: FrameCamera, tmp_path: Path) -> None:
-        """No file is ever overwritten, and a missing folder is an error."""
-        (tmp_path / "one.tif").write_bytes(b"evidence")
-        fails_in_time(lambda: camera.capture(tmp_path / "one.tif", 1), RecordingFailed)
-        assert (tmp_path / "one.tif").read_bytes() == b"evidence"
-        fails_in_time(lambda: camera.capture(tmp_path / "none" / "one.tif", 1), RecordingFailed)
-        assert camera.capture(tmp_path / "two.tif", 1).complete
-
-    @pytest.mark.parametrize("frames", [0, -1])
-    def test_no_frame_at_all_is_refused(self, camera: FrameCamera, tmp_path: Path, frames: int) -> None:
-        """No frame at all is refused, and leaves no file."""
-        with pytest.raises((DriverError, ValueError)):
-            camera.capture(tmp_path / "one.tif", frames)
-        assert not list(tmp_path.iterdir())
-
-    def test_a_stop_from_another_thread_ends_a_capture(self, camera: FrameCamera, tmp_path: Path) -> None:
-        """A stop from another thread ends a capture, whose file can be read; the next one is complete."""
-        stopper = threading.Timer(_FRAMES_AT_WORK_S, camera.stop)
-        stopper.start()
-        began_s = time.monotonic()
-        with suppress(RecordingFailed):
-            facts = camera.capture(tmp_path / "one.tif", _MANY)
-            assert not facts.complete
-            assert len(read_frames(tmp_path / "one.tif")) == facts.frames
-        assert time.monotonic() - began_s < _LONGEST_END_S
-        stopper.join()
-        assert camera.capture(tmp_path / "two.tif", 1).complete
-
-    def test_an_interrupted_capture_leaves_no_file(
-        self, camera: FrameCamera, clock: InterruptingClock, tmp_path: Path
-    ) -> None:
-        """An interrupted capture leaves no file, because frames are quickly taken again; the camera works."""
-        clock.interrupts_at_s = clock.monotonic() + _FRAMES_AT_WORK_S
-        with pytest.raises(Interrupted):
-            camera.capture(tmp_path / "one.tif", _MANY)
-        clock.interrupts_at_s = float("inf")
-        assert not list(tmp_path.iterdir())
-        assert camera.capture(tmp_path / "one.tif", 1).complete
-
-    def test_a_pulled_cable_is_a_lost_camera(
-        self, camera: FrameCamera, simulated: SimulatedCamera, tmp_path: Path
-    ) -> None:
-        """A pulled cable is a lost camera in bounded time, also for the next capture; a stop does no harm."""
-        puller = threading.Timer(_FRAMES_AT_WORK_S, simulated.unplug)
-        puller.start()
-        fails_in_time(lambda: camera.capture(tmp_path / "one.tif", _MANY), CameraLost)
-        puller.join()
-        camera.stop()
-        fails_in_time(lambda: camera.capture(tmp_path / "two.tif", 1), CameraLost)
-        assert not list(tmp_path.iterdir())
-
-    def test_a_closed_camera_is_an_error_and_is_opened_again(
-        self, simulated: SimulatedCamera, clock: InterruptingClock, tmp_path: Path
-    ) -> None:
-        """A closed camera is an error of the driver, and is opened again."""
-        for name in ("one.tif", "two.tif"):
-            camera = self._opened(simulated, clock)
-            assert camera.capture(tmp_path / name, 1).complete
-            camera.close()
-            camera.close()
-            fails_in_time(camera.identify)
-            fails_in_time(lambda: camera.capture(tmp_path / "closed.tif", 1))  # noqa: B023 - called at once
