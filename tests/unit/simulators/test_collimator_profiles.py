@@ -1,6 +1,6 @@
-"""The collimators by name: what each has in common with "like-real", and how their discs behave on a gimbal."""
+"""The collimators by name: how their discs behave on a gimbal."""
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,54 +9,8 @@ from apparent import apparent_points
 from simulators.optics.collimator_errors import disc_of, radius_fraction
 from simulators.optics.picture import projection_of, true_rotation
 from simulators.world.truth import COLLIMATORS, CollimatorTruth, Truth
-from simulators.world.truth_config import truth_from_config
 
-LIKE_REAL = COLLIMATORS["like-real"]
 POSES = [{"pan": pan, "tilt": tilt} for pan in (-6.0, 0.0, 6.0) for tilt in (-4.0, 0.0, 4.0)]
-
-
-def differences(name):
-    own, real = asdict(COLLIMATORS[name]), asdict(LIKE_REAL)
-    return {key: own[key] for key in own if own[key] != real[key]}
-
-
-def test_like_real_is_as_fitted():
-    assert (
-        CollimatorTruth(
-            half_angle_deg=12.5,
-            disc_y=5.0,
-            disc_walk=(-44.0, -18.0),
-            disc_wander_mm=8.5,
-            disc_breathing=0.06,
-            disc_unevenness=0.07,
-            defocus=0.066,
-            coma=0.084,
-            astigmatism=-0.0105,
-            field_curvature=-0.062,
-            distortion=0.1085,
-            rim_roll_mm=-0.415,
-            irregularity_mm=0.0077,
-            rim_irregularity_mm=0.032,
-        )
-        == LIKE_REAL
-    )
-
-
-@pytest.mark.parametrize(
-    ("name", "expected"),
-    [
-        ("S1", {}),
-        ("S2", {"disc_wander_mm": 0.0, "disc_breathing": 0.0}),
-        ("S3", {"disc_wander_mm": 0.0, "disc_breathing": 0.0, "disc_walk": (0.0, 0.0)}),
-        (
-            "like-bench",
-            {"disc_walk": (-2.0, -2.0), "disc_wander_mm": 0.05, "disc_breathing": 0.0, "glass_change": 0.0},
-        ),
-    ],
-)
-def test_a_profile_is_like_real_but_for_what_it_says(name, expected):
-    assert differences(name) == expected
-    assert truth_from_config({"collimator": name}).collimator == COLLIMATORS[name]
 
 
 def discs(name):
