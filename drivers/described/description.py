@@ -66,11 +66,6 @@ class Template:
     parts: tuple[str | Placeholder, ...]  # Texts and placeholders, in their order
 
     @property
-    def names(self) -> frozenset[str]:
-        """Names of all placeholders."""
-        return frozenset(part.name for part in self.parts if isinstance(part, Placeholder))
-
-    @property
     def read_names(self) -> frozenset[str]:
         """Names of the placeholders that a reply gives values to."""
         return frozenset(part.name for part in self.parts if isinstance(part, Placeholder) and part.kind)

@@ -146,14 +146,6 @@ def test_reports_of_the_family_are_read(line, state) -> None:
     assert (report.state, report.substate, report.machine_position[0]) == (*state, -1.0)
 
 
-def test_a_state_that_is_unknown_is_told_as_unknown_and_nothing_moves() -> None:
-    rig = Rig()
-    stage = rig.homed()
-    rig.line.spoil = lambda reply: reply.replace(b"<Idle|", b"<Waxing|")
-    with pytest.raises(MoveFailed, match=r"in a state that is unknown here \(Waxing\)"):
-        stage.move_to({"pan": 1.0})
-
-
 def test_a_search_that_failed_at_once_is_told_at_once() -> None:
     rig = Rig("grblhal")
     stage = rig.open()

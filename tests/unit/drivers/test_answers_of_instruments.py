@@ -49,14 +49,15 @@ def test_an_identity_has_four_fields_or_more(said, identity) -> None:
     assert bench.open(serial=identity.serial or None).identify() == identity
 
 
-@pytest.mark.parametrize("said", ["+1,2,3,4", "hello", "a,b", ",,1,2"])
+@pytest.mark.parametrize("said", ["+1,2,3,4", "hello", "a,b", ",,1,2", "Agilent Technologies,33220A-SIM,1.0"])
 def test_what_is_no_identity_is_named_and_no_cable_is_blamed(said) -> None:
     bench = Bench()
     bench.answer({"*IDN": said})
-    with pytest.raises(ReplyError) as caught:
+    with pytest.raises(ReplyError, match=r"the four fields of IEEE 488\.2, was expected") as caught:
         bench.open()
-    assert repr(said) in str(caught.value)
+    assert repr(said) in caught.value.what
     assert "cable" not in str(caught.value)
+    assert bench.line.closed
 
 
 # ---------------------------------------------------------------- what surrounds an answer

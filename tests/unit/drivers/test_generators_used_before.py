@@ -42,13 +42,6 @@ def test_the_signal_is_the_plain_one_that_was_asked_for(dialect) -> None:
     assert left == {}
 
 
-def test_a_siglent_is_told_in_its_own_words() -> None:
-    bench = Bench("siglent")
-    bench.open().apply(LightSettings(frequency_hz=60.0))
-    for words in ("C1:BTWV STATE,OFF", "C1:SWWV STATE,OFF", "C1:MDWV STATE,OFF", "C1:OUTP PLRT,NOR"):
-        assert words in bench.sent()
-
-
 def test_a_generator_without_such_modes_is_not_asked_for_them_again() -> None:
     bench = Bench()
     light = bench.open()
