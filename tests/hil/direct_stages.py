@@ -294,3 +294,8 @@ FAMILIES = {
     "thorlabs": Family(kdc101, of_thorlabs(PRM1Z8_COUNTS_PER_DEG)),
     "k10cr1": Family(of_bench("thorlabs_apt", 136_533, "27000123"), of_thorlabs(K10CR1_COUNTS_PER_DEG)),
 }
+
+
+def rig_of(family: str) -> DirectStage:
+    """A stage of a family with its driver, on a clock of its own."""
+    return FAMILIES[family](VirtualClock(), np.random.default_rng(1))

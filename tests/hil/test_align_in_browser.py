@@ -5,8 +5,8 @@ import shutil
 import time
 
 import pytest
-from align_browser import NEEDS_CHROMIUM, Tab, running_chromium
-from align_fakes import fake_session, wait_until
+from align_browser import Tab
+from align_fakes import served_bench, wait_until
 from pages import served
 
 from bench.align.align_app import align_app
@@ -15,14 +15,6 @@ from bench.align.session import Session
 from bench.stations.devices import Devices
 from bench.stations.station import SHIPPED_STATIONS, load_station
 from drivers.errors import CameraLost
-
-pytestmark = NEEDS_CHROMIUM
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with running_chromium() as browser:
-        yield browser
 
 
 class Wire:
@@ -38,13 +30,8 @@ class Wire:
 
 @pytest.fixture
 def bench(tmp_path):
-    path = tmp_path / "bench.yaml"
-    shutil.copy(SHIPPED_STATIONS / "simulated.yaml", path)
-    session, devices = fake_session(station=path)
-    session.open()
-    with served(align_app(session, PageFiles(str(path), tmp_path))) as server:
-        yield server, session, devices
-    session.close()
+    with served_bench(tmp_path) as bench:
+        yield bench
 
 
 def test_a_person_looks_jogs_stops_and_writes_down(chromium, bench, tmp_path):

@@ -5,11 +5,9 @@ from __future__ import annotations
 import json
 import os
 import re
-from pathlib import Path
 
 import httpx
 import pytest
-from align_browser import CHROMIUM, running_chromium
 from pages import served
 from quick_runs import THREE, TWELVE, write_sequence, write_station
 from running import called, journal
@@ -35,14 +33,6 @@ def line(folder, upper=1750, poses=THREE, limits="limits: [{result: fx, lower: 1
     sequence = write_sequence(folder / "s.yaml", poses)
     station = write_station(folder / "b.yaml", more=limits % upper if limits else "")
     return Line(folder / "runs", str(sequence), str(station), "A. Operator")
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    if not Path(CHROMIUM).exists():
-        pytest.skip(f"no Chromium at {CHROMIUM}")
-    with running_chromium() as browser:
-        yield browser
 
 
 def picture(tab, name):

@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 import pytest
-from align_browser import NEEDS_CHROMIUM, running_chromium
 from journals import MadeRun, at_work, made_batch
 from pages import served
 from quick_runs import write_sequence, write_station
@@ -22,14 +21,6 @@ from bench.web.token import PageToken
 from calib.model.cause import Cause
 
 PATIENCE_S = 60.0
-
-pytestmark = NEEDS_CHROMIUM
-
-
-@pytest.fixture(scope="module")
-def chromium():
-    with running_chromium() as browser:
-        yield browser
 
 
 class Tabs:

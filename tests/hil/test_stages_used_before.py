@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from hypothesis import event, given, settings
 from hypothesis import strategies as st
@@ -20,18 +19,13 @@ from drivers.stage.ximc import XimcStage
 from drivers.stage.ximc_protocol import request
 from simulators.stages.ximc import LAYOUTS
 from tests.hil.direct_stages import (
-    FAMILIES,
     LIMITS,
     XIMC,
     DirectStage,
-    VirtualClock,
+    rig_of,
 )
 
 pytestmark = pytest.mark.usefixtures("never_late")
-
-
-def rig_of(family: str) -> DirectStage:
-    return FAMILIES[family](VirtualClock(), np.random.default_rng(1))
 
 
 # ---------------------------------------------------------------- FLIR

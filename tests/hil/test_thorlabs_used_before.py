@@ -5,7 +5,6 @@ from __future__ import annotations
 import struct
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from drivers.errors import DeviceRefused, MoveFailed, MoveTimeout
@@ -14,7 +13,6 @@ from drivers.stage.thorlabs import ThorlabsAxis, ThorlabsStage
 from simulators.stages.axis_motion import AxisModel, Mechanics
 from simulators.stages.thorlabs_apt import AptController
 from tests.hil.direct_stages import (
-    FAMILIES,
     K10CR1_COUNTS_PER_DEG,
     LIMITS,
     PRM1Z8_COUNTS_PER_DEG,
@@ -22,13 +20,10 @@ from tests.hil.direct_stages import (
     DirectStage,
     VirtualClock,
     direct_line,
+    rig_of,
 )
 
 pytestmark = pytest.mark.usefixtures("never_late")
-
-
-def rig_of(family: str) -> DirectStage:
-    return FAMILIES[family](VirtualClock(), np.random.default_rng(1))
 
 
 # ---------------------------------------------------------------- Thorlabs

@@ -1,11 +1,17 @@
 """A bench of fakes for the align page: a stage that takes time, a light, and a camera that records dark slices."""
 
+import shutil
 import threading
 import time
+from contextlib import contextmanager
 
+from pages import served
+
+from bench.align.align_app import align_app
 from bench.align.live_figures import LiveMeter
+from bench.align.page_requests import PageFiles
 from bench.align.session import Session
-from bench.stations.station import load_station
+from bench.stations.station import SHIPPED_STATIONS, load_station
 from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
 from drivers.errors import LightFault, MoveFailed, NotHomed, PortLost
 from drivers.light import LightIdentity, LightSettings
@@ -190,6 +196,18 @@ def fake_session(devices=None, station="simulated", opener=None):
     return Session(
         load_station(str(station)), opener=opener or (lambda *_: devices), make_meter=LiveMeter
     ), devices
+
+
+@contextmanager
+def served_bench(folder):
+    """Serve the align page of fakes; yields the server, the session and the fakes."""
+    path = folder / "bench.yaml"
+    shutil.copy(SHIPPED_STATIONS / "simulated.yaml", path)
+    session, devices = fake_session(station=path)
+    session.open()
+    with served(align_app(session, PageFiles(str(path), folder))) as server:
+        yield server, session, devices
+    session.close()
 
 
 def wait_until(condition, timeout_s=5.0):

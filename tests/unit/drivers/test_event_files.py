@@ -178,13 +178,3 @@ def test_a_group_where_the_events_belong_is_told(tmp_path):
         file.attrs["geometry"] = "1280x720"
     with pytest.raises(NotARecording, match="is a group"):
         import_events(path)
-
-
-def test_more_events_than_the_file_can_hold_are_told(tmp_path):
-    """A few bytes of HDF5 can say that they stand for any number of events."""
-    path = tmp_path / "a.h5"
-    with h5py.File(path, "w") as file:
-        for name in "txyp":
-            file.create_dataset(f"events/{name}", (10**14,), "i8", chunks=(1000,))
-    with pytest.raises(RecordingFileError, match="cannot be compressed so far"):
-        import_events(path)

@@ -1,18 +1,13 @@
 """The requests of the align page: who may ask what, and what a wrong request ends in."""
 
 import json
-import shutil
 import threading
 
 import httpx
 import pytest
-from align_fakes import fake_session, wait_until
-from pages import served
+from align_fakes import served_bench, wait_until
 
-from bench.align.align_app import align_app
 from bench.align.live_figures import LiveMeter
-from bench.align.page_requests import PageFiles
-from bench.stations.station import SHIPPED_STATIONS
 
 ONE, TWO = "page-one", "page-two"
 
@@ -64,13 +59,8 @@ class Page:
 
 @pytest.fixture
 def bench(tmp_path):
-    path = tmp_path / "bench.yaml"
-    shutil.copy(SHIPPED_STATIONS / "simulated.yaml", path)
-    session, devices = fake_session(station=path)
-    session.open()
-    with served(align_app(session, PageFiles(str(path), tmp_path))) as server:
+    with served_bench(tmp_path) as (server, session, devices):
         yield server.url, session, devices
-    session.close()
 
 
 @pytest.fixture

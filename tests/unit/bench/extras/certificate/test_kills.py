@@ -5,27 +5,15 @@ import shutil
 import signal
 import sys
 import traceback
-from unittest import mock
 
 import pytest
-from certificate_lab import FIRST, Lab, quick_files
-
-from bench.extras.certificate import issue as issue_module
+from certificate_lab import FIRST
 
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")]
 
 KILLS = 10
 """Kills of each kind of work, spread over its storage calls."""
 STORES = {"os.rename", "os.remove", "os.mkdir", "os.chmod", "os.link", "os.truncate", "fcntl.flock"}
-
-
-@pytest.fixture
-def lab(tmp_path):
-    with (
-        mock.patch.object(issue_module, "certificate_files", quick_files),
-        mock.patch("bench.extras.certificate.pdf.plots_of_run", return_value={}),
-    ):
-        yield Lab(tmp_path / "lab")
 
 
 def is_store(event, arguments):
