@@ -17,8 +17,6 @@ from simulators.errors import ConfigError
 
 _Kind = TypeVar("_Kind")
 
-COMPUTED = {"computed": True}
-"""Metadata of a field of a section that is no key of the configuration."""
 _NEGATIVE = "{!r} is negative.", "Give a number of at least 0."
 
 
@@ -49,7 +47,7 @@ class Section:
 
 def keys_of(section: type) -> list[str]:
     """Return the keys of a section."""
-    return [one.name for one in fields(section) if not one.metadata.get("computed")]
+    return [one.name for one in fields(section)]
 
 
 def read_section(kind: type[_Kind], given: object, where: str, over: _Kind | None = None) -> _Kind:
@@ -161,11 +159,6 @@ Positive = Annotated[
     float, refused_as_given(lambda value: value <= 0.0, "{!r} is not positive.", "Give a positive number.")
 ]
 NotNegative = Annotated[float, refused_as_given(lambda value: value < 0.0, *_NEGATIVE)]
-Share = Annotated[
-    float,
-    refused_as_given(lambda value: value > 1.0, "{!r} is more than 1.", "Give a share from 0 to 1."),
-    refused_as_given(lambda value: value < 0.0, *_NEGATIVE),
-]
 Pair = Annotated[tuple[float, float], numbers(2)]
 Vector = Annotated[tuple[float, float, float], numbers(3)]
 Whole = Annotated[int, BeforeValidator(_whole)]

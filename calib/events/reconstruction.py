@@ -102,17 +102,16 @@ def reconstruct(
     at_us: Sequence[float],
     *,
     cutoff_hz: float = DEFAULT_CUTOFF_HZ,
-    two_sided: bool = True,
 ) -> Iterator[ReconstructedPicture]:
     """Yield pictures at ascending times, us, from a stream of events. Only one piece of the stream is in memory.
 
     Scheerlinck, Barnes and Mahony (2018); the head of the module gives the equations. Where a time steps back, the
-    event is taken at the latest time before it. The filter as published is not ``two_sided``: it uses no later events.
+    event is taken at the latest time before it.
     """
     if any(later <= earlier for earlier, later in pairwise(at_us)):
         raise InputMismatch("The times of the pictures do not ascend.", where="reconstruction")
     past = HighPassFilter(size, cutoff_hz)
-    reach_us = -math.log(FORGOTTEN) / past.alpha_us if two_sided else 0.0
+    reach_us = -math.log(FORGOTTEN) / past.alpha_us
     # Pictures whose later events are still to come: time, and sums of the events before and after it.
     waiting, begun = deque(at_us), deque[tuple[float, Array, Array]]()
     for events in _ascending(pieces):
@@ -127,20 +126,20 @@ def reconstruct(
             after, last = np.searchsorted(events[0], [time_us, time_us + reach_us], side="right")
             later[:] += _weighted(_part(events, int(after), int(last)), time_us, past.alpha_us, later.shape)
         while begun and begun[0][0] + reach_us <= events[0][-1]:
-            yield _picture(*begun.popleft(), 0.5 if two_sided else 1.0)
+            yield _picture(*begun.popleft())
     begun.extend((time_us, past.sums_at(time_us), np.zeros((2, *size[::-1]))) for time_us in waiting)
     for one in begun:
-        yield _picture(*one, 0.5 if two_sided else 1.0)
+        yield _picture(*one)
 
 
-def _picture(at_us: float, past: Array, later: Array, share: float) -> ReconstructedPicture:
-    """Return a picture from the sums before and after its time, of which it gets a share."""
+def _picture(at_us: float, past: Array, later: Array) -> ReconstructedPicture:
+    """Return a picture from the sums before and after its time."""
     total = np.asarray((past + later).sum(axis=0), np.float32)
     active = float(np.mean(total > FORGOTTEN))
     off, on = past - later
     off_sum, on_sum = (past + later).sum(axis=(1, 2))
     off_weight = float(on_sum / off_sum) if off_sum > 0 else 1.0
-    image = np.asarray((on - off_weight * off) * share, np.float32)
+    image = np.asarray(0.5 * (on - off_weight * off), np.float32)
     hot = total > _HOT_FACTOR * cv2.medianBlur(total, 5) + _HOT_OFFSET
     image[hot] = cv2.medianBlur(image, 5)[hot]
     return ReconstructedPicture(at_us, image, active)

@@ -9,9 +9,9 @@ HOME_FIRST = "Home the stage first."
 TO_WHAT_IT_SUPPORTS = "Change the station file to what the controller supports."
 
 
-def no_reference(axis: Axis, what: str = "the axis has no reference", remedy: str = HOME_FIRST) -> NotHomed:
+def no_reference(axis: Axis, what: str = "the axis has no reference") -> NotHomed:
     """Build the error of an axis without a reference."""
-    return NotHomed(f"{what}. Nothing was moved.", where=axis.name, remedy=remedy)
+    return NotHomed(f"{what}. Nothing was moved.", where=axis.name, remedy=HOME_FIRST)
 
 
 def not_movable(axis: Axis, why: str, remedy: str = "Clear the cause, then home the stage.") -> MoveFailed:

@@ -90,9 +90,9 @@ def camera_of(truth: Truth) -> CameraTruth:
     return replace(truth.camera, fx=truth.camera.fx * stretch, fy=truth.camera.fy * stretch)
 
 
-def blur_px(truth: Truth, vergence_per_m: float | None = None) -> float:
+def blur_px(truth: Truth) -> float:
     """Return the diameter of the disc over which the light of a point is spread; see `signed_blur_px`."""
-    return abs(signed_blur_px(truth, vergence_per_m))
+    return abs(signed_blur_px(truth))
 
 
 def signed_blur_px(truth: Truth, vergence_per_m: float | None = None) -> float:

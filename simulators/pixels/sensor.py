@@ -173,7 +173,7 @@ class Sensor:
     ) -> None:
         self.width, self.height = width, height
         self.settings = settings if settings is not None else PixelSettings()
-        self._noise, self._camera_seed = noise, camera_seed
+        self._noise = noise
         self._pixels = make_pixels(width, height, noise, self.settings, camera_seed)
         self._readout = _make_readout(width, height, noise, self.settings, camera_seed, link or Link())
         self._state = np.zeros(sensor_state.N_STATE)

@@ -106,16 +106,6 @@ def short(text: str, most: int = 80) -> str:
     return joined if len(joined) <= most else joined[: most - 1] + "…"
 
 
-def qualified(name: str) -> str:
-    """Return the name of an element with its prefix, such as ``dcc:name``, as lxml writes it.
-
-    >>> qualified("si:unit")
-    '{https://ptb.de/si}unit'
-    """
-    prefix, _, local = name.partition(":")
-    return f"{{{NAMESPACES[prefix]}}}{local}"
-
-
 def printable(text: str) -> str:
     """Return text that XML 1.0 can hold."""
     return _NOT_XML.sub("\ufffd", text)

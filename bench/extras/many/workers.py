@@ -158,17 +158,6 @@ def rounds(next_work: Callable[[], Work | None], workers: Workers) -> Iterator[l
         yield list(ended.values())
 
 
-def results_of(
-    function: Callable[..., Any], items: Iterable[tuple[Any, ...]], workers: Workers
-) -> Iterator[tuple[int, Any]]:
-    """Call a function for many items, as `map_work`, and yield what it returned; the first call that fails ends it."""
-    for number, end in map_work(function, items, workers):
-        if end.failure is not None:
-            failed = end.failure
-            raise BenchError(failed.what, where=failed.where, remedy=failed.remedy or end.defect)
-        yield number, end.value
-
-
 def _most_handed_out(workers: Workers) -> int:
     """Return how many pieces of work, at least 1, to hand out at once: no worker waits, and memory stays small."""
     return max(1, _AHEAD * workers.size) if workers.size > 1 else 1
