@@ -15,6 +15,8 @@ from bench.base.home import home_folder
 from bench.base.program import forms
 from bench.commands.options import (
     ALLOWED_SIGNERS,
+    MOMENT,
+    MOMENT_FORM,
     TSA_CERTIFICATES,
     OutputFolder,
     RunFolder,
@@ -57,8 +59,8 @@ _WORDS = {"ok": "verified", "incomplete": "not compared completely", "failed": "
 @TSA_CERTIFICATES
 @click.option(
     "--at",
-    metavar="DATE",
-    type=click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M:%S", "%Y-%m-%d %H:%M"]),
+    metavar=MOMENT_FORM,
+    type=MOMENT,
     help="The keys must have been valid at this time (UTC): 2026-03-01 or 2026-03-01T12:00:00.  [default: the time of"
     " the seal, by the bench's own clock]",
 )
