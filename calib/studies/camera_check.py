@@ -18,7 +18,7 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy import stats
+from scipy.special import fdtri
 
 from calib.adjustment.bundle import Bundle, Observations
 from calib.adjustment.initialization import pose_start
@@ -273,7 +273,7 @@ def _judge(
     if covariance is not None:
         allowed += moved @ covariance @ moved.T
     # One variance is estimated: Hotelling's limit by the F distribution.
-    limit = len(along) * float(stats.f.ppf(_COVERAGE, len(along), freedom))
+    limit = len(along) * float(fdtri(len(along), freedom, _COVERAGE))
     field = np.linalg.solve(seen.whitening, (seen.basis @ along).reshape(-1, 2, 1))[..., 0]
     lengths = np.linalg.norm(field, axis=1)
     worst = int(np.argmax(lengths))

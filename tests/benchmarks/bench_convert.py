@@ -1,22 +1,20 @@
 """Speed of `convert`, beside an earlier version in the same minutes: CPU seconds and real seconds.
 
-    python tests/benchmarks/bench_convert.py [--recording FILE]... [--events 20] [--rounds 5] [--old FOLDER] [--write]
+    python tests/benchmarks/bench_convert.py [--recording FILE]... [--events 20] [--rounds 3] [--old FOLDER] [--write]
 
-The recordings are those of `bench_evt3.py`, with more events (millions), and any recordings of a real camera. Each
-conversion is done by a process of its own, which converts once without a clock and then with it; the versions take turns.
-The memory is the largest of the process. An earlier version that cannot write a format has no numbers there.
+The recordings are those of `bench_evt3.py`, with more events (millions), and any recordings of a real camera. The versions
+take turns, each in processes of its own, which convert once without a clock and then some times with it. The memory is the
+largest of a process. An earlier version that cannot write a format has no numbers there.
 """
 
 from __future__ import annotations
 
 import json
-import os
 import resource
-import subprocess
-import sys
 import tempfile
 import time
 from pathlib import Path
+from typing import NamedTuple
 
 import bench_evt3
 import measured
@@ -24,29 +22,49 @@ import measured
 KINDS = {"hdf5": "plain HDF5", "metavision": "Metavision's HDF5", "parquet": "Parquet"}
 
 
-def convert_once(source: Path, kind: str) -> dict[str, float]:
-    """Convert a file twice; return what the second conversion took."""
+TURNS = 2
+"""Number of processes for each version and recording."""
+
+
+class Conversion(NamedTuple):
+    """What a conversion took, and what it made."""
+
+    cpu_s: float
+    real_s: float
+    events: int
+    bytes: int
+    memory_mb: float
+
+
+def convert_again(source: Path, kind: str, rounds: int) -> list[Conversion]:
+    """Convert a file once, and then in rounds with a clock."""
     from drivers.camera.formats.event_conversion import convert
 
+    found = []
     with tempfile.TemporaryDirectory() as folder:
-        convert(source, Path(folder) / "first", kind)
-        cpu, real = time.process_time(), time.perf_counter()
-        summary = convert(source, Path(folder) / "second", kind)
-        return {
-            "cpu_s": time.process_time() - cpu,
-            "real_s": time.perf_counter() - real,
-            "events": summary.events,
-            "bytes": (Path(folder) / "second").stat().st_size,
-            "memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-        }
+        for number in range(rounds + 1):
+            target = Path(folder) / f"{number}"
+            cpu_s, real_s = time.process_time(), time.perf_counter()
+            summary = convert(source, target, kind)
+            took = time.process_time() - cpu_s, time.perf_counter() - real_s
+            memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+            if number:
+                found.append(Conversion(*took, summary.events, target.stat().st_size, memory_mb))
+            target.unlink()
+    return found
 
 
-def in_version(folder: Path, source: Path, kind: str) -> dict[str, float] | None:
-    """Let the packages of a checkout convert a file; None if they cannot."""
-    command = [sys.executable, str(Path(__file__).resolve()), "--one", str(source.resolve()), "--kind", kind]
-    environment = os.environ | {"PYTHONPATH": str(folder)}
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-    return json.loads(done.stdout) if done.returncode == 0 else None
+def convert_all(source: Path, rounds: int) -> dict[str, list[Conversion]]:
+    """Convert a file to each kind that this version can write."""
+    from drivers.camera.formats.event_conversion import KINDS as CAN_BE_WRITTEN
+
+    return {kind: convert_again(source, kind, rounds) for kind in KINDS if kind in CAN_BE_WRITTEN}
+
+
+def in_version(folder: Path, source: Path, rounds: int) -> dict[str, list[Conversion]]:
+    """Let the packages of a checkout convert a file."""
+    text = measured.in_checkout(folder, "--one", str(source.resolve()), "--rounds", str(rounds))
+    return {kind: [Conversion(*one) for one in found] for kind, found in json.loads(text).items()}
 
 
 def main() -> None:
@@ -54,13 +72,12 @@ def main() -> None:
     parser = measured.options(__doc__)
     parser.add_argument("--recording", type=Path, action="append", default=[])
     parser.add_argument("--events", type=float, default=20.0, help="millions of each drawn recording")
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--old", type=Path, help="checkout of an earlier version")
     parser.add_argument("--one", type=Path, help="convert this file only (for this program's own use)")
-    parser.add_argument("--kind", choices=list(KINDS))
     options = parser.parse_args()
     if options.one:
-        print(json.dumps(convert_once(options.one, options.kind)))
+        print(json.dumps(convert_all(options.one, options.rounds)))
         return
     versions = {**({"before": options.old} if options.old else {}), "now": measured.ROOT}
     print(
@@ -74,29 +91,27 @@ def main() -> None:
             paths[name] = Path(folder) / f"{name}.raw"
             bench_evt3.write_scene(paths[name], *scene)
         for name, path in paths.items():
+            taken: dict[str, dict[str, list[Conversion]]] = {version: {} for version in versions}
+            for version, where in [*versions.items()] * TURNS:
+                for kind, found in in_version(where, path, options.rounds).items():
+                    taken[version].setdefault(kind, []).extend(found)
             for kind, shown in KINDS.items():
-                rounds = [
-                    {version: in_version(where, path, kind) for version, where in versions.items()}
-                    for _ in range(options.rounds)
-                ]
-                show(f"{name}, {shown}", rounds)
+                show(f"{name}, {shown}", {version: found.get(kind, []) for version, found in taken.items()})
 
 
-def show(what: str, rounds: list[dict[str, dict[str, float] | None]]) -> None:
+def show(what: str, taken: dict[str, list[Conversion]]) -> None:
     """Print the rows of a recording and a format."""
-    slower = None
-    for version in rounds[0]:
-        done = [one for one in (taken[version] for taken in rounds) if one is not None]
-        if not done:
+    before = None
+    for version, found in taken.items():
+        if not found:
             print(f"| {what} | {version} | cannot | | | | |", flush=True)
             continue
-        cpu, real = (measured.spread(one[key] for one in done) for key in ("cpu_s", "real_s"))
-        slower = slower or cpu
-        events_m = done[0]["events"] / 1e6
+        cpu, real = measured.spread(one.cpu_s for one in found), measured.spread(one.real_s for one in found)
+        ratio = f"{cpu.median_s / before.median_s:.2f}" if before else ""
+        before = before or cpu
         print(
-            f"| {what} | {version} | {cpu.rates(events_m)} | {real.rates(events_m)} |"
-            f" {cpu.median_s / slower.median_s:.2f} | {done[0]['bytes'] / done[0]['events']:.2f} |"
-            f" {max(one['memory_mb'] for one in done):.0f} MB |",
+            f"| {what} | {version} | {cpu.rates(found[0].events / 1e6)} | {real.rates(found[0].events / 1e6)} |"
+            f" {ratio} | {found[0].bytes / found[0].events:.2f} | {max(one.memory_mb for one in found):.0f} MB |",
             flush=True,
         )
 
