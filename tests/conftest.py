@@ -10,7 +10,6 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import pytest
 from hypothesis import settings
-from open_questions import reason_for
 
 from bench.base.kernel_cache import remove_stale_kernels
 from drivers.lateness import Lateness
@@ -29,13 +28,6 @@ def pytest_configure(config: pytest.Config) -> None:
     """Kernels that name a module of an earlier version cannot be loaded: they go, as when a command begins."""
     if not hasattr(config, "workerinput"):
         remove_stale_kernels()
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests that wait for a decision."""
-    for item in items:
-        if why := reason_for(item.nodeid):
-            item.add_marker(pytest.mark.xfail(reason=why, strict=False))
 
 
 @pytest.fixture

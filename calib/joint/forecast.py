@@ -1,13 +1,14 @@
 """The face of the joint adjustment for studies: what predicted views are expected to tell.
 
 Predicted views have no residuals, so they cannot tell how large the errors are. The amplitudes therefore stand at their
-expected values, and are known as well as the Fisher information of the planned views allows.
+expected values, and are known as well as views with such errors are expected to show them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -20,13 +21,15 @@ from calib.joint import amplitudes
 from calib.joint.curvature import expected_curvature
 from calib.joint.effects.camera import DRIFT
 from calib.joint.equations import sines_of, turns_of
+from calib.joint.hypotheses import OTHER_LENGTH
+from calib.joint.knowledge import FOCAL
 from calib.joint.left_out import maps_with_gimbal, normal_of_poses
 from calib.joint.marginal import Marginal, Solution
 from calib.joint.modes import Modes
 from calib.joint.posed import lens_names, posed
 from calib.joint.poses import Poses
 from calib.joint.posterior import Posterior
-from calib.joint.samples import Node
+from calib.joint.samples import Node, nodes_about
 from calib.joint.solve import Optimum
 from calib.joint.summary import Summary, summarised
 from calib.joint.words import require_determined
@@ -35,7 +38,7 @@ from calib.view import View
 
 __all__ = ["PoseInformation", "PredictedViews", "Summary", "amplitudes"]
 
-_PAIRS = 8
+_PAIRS = 12
 #: Robust limit of predicted stars; they have no residuals.
 _LIMIT = 1.0
 
@@ -67,21 +70,23 @@ class PredictedViews:
 
     def _posterior(self, eta: Array) -> Posterior:
         marginal = Marginal(self._problem, self._problem.bench.linearised(self._state, _LIMIT), self._state)
-        bounds = np.array(self.hyper.bounds).T
         try:
             middle = _still(marginal.solve(eta))
             curvature = 0.5 * expected_curvature(middle)
-            spread = np.linalg.inv(curvature)
-            lower = np.linalg.cholesky(spread)
-            deviates = np.random.default_rng(0).standard_normal((_PAIRS, len(eta)))
-            places = [eta, *(eta + lower @ z for z in (*deviates, *-deviates))]
-            solved = [_still(marginal.solve(np.clip(place, *bounds))) for place in places]
+            lower = np.asarray(np.linalg.cholesky(curvature), np.float64)
+            expected = partial(_expected_value, eta)
+            nodes = [
+                node
+                for mode, share in _meanings(middle)
+                for node in nodes_about(mode, lower, _PAIRS, share, expected)
+            ]
         except np.linalg.LinAlgError as error:
             raise DegenerateViews("These poses do not determine the camera.") from error
-        nodes = tuple(Node(solution, 1.0 / len(solved)) for solution in solved)
+        still = tuple(replace(node, solution=_still(node.solution)) for node in nodes)
         largest = Node(middle, 1.0)
         modes = Modes(Optimum(middle, 0, converged=True), curvature, [largest], largest, {}, 0.0)
-        return Posterior(modes, nodes, np.sqrt(np.diag(spread)), {}, largest)
+        spread = np.sqrt(np.diag(np.linalg.inv(curvature)))
+        return Posterior(modes, still, spread, {}, largest)
 
     def information(self, eta: Array) -> PoseInformation:
         """Return what each view tells, as a pose of its own, with (A,) logarithms of the amplitudes."""
@@ -110,6 +115,32 @@ class PoseInformation(NamedTuple):
     prior: Array  # (S, S) information of all that is known beside the poses
     camera: CameraModel
     camera_size: int  # The first so many unknowns are the camera's
+
+
+def _meanings(middle: Solution) -> list[tuple[Node, float]]:
+    """Return what is stated, and each other meaning of it that the views may not decide, with their shares."""
+    others = [
+        ((name, FOCAL),)
+        for name, statement in middle.marginal.problem.knowledge.witnesses.items()
+        if FOCAL in statement.doubts
+    ]
+    share = 1.0 / (1.0 + len(others) * OTHER_LENGTH.odds)
+    meant = [_still(middle.marginal.solve(middle.eta, faults)) for faults in others]
+    return [
+        (Node(middle, 1.0), share),
+        *((Node(solution, 1.0), share * OTHER_LENGTH.odds) for solution in meant),
+    ]
+
+
+def _expected_value(eta: Array, solution: Solution) -> float:
+    """Return -2 log of the likelihood that data with (A,) logarithms ``eta`` are expected to give other amplitudes.
+
+    Without residuals the value is log det S of the data's covariance S. To this come tr S^-1 S', with S' at ``eta``.
+    What an amplitude a scales has the part a^2 times d log det S / d a^2 in it.
+    """
+    hyper = solution.marginal.problem.hyper
+    of_determinant = solution.gradient - 2.0 * hyper.information @ (solution.eta - hyper.mean)
+    return solution.value + 0.5 * float(of_determinant @ np.expm1(2.0 * (eta - solution.eta)))
 
 
 def _still(solution: Solution) -> Solution:

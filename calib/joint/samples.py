@@ -8,6 +8,7 @@ drawn at random, so that the result follows the data without steps.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from statistics import NormalDist
@@ -49,27 +50,38 @@ class Node:
         return self.solution.eta
 
 
-def nodes_about(mode: Node, lower: Array, pairs: int, share: float) -> list[Node]:
-    """Return the nodes about a mode, twice ``pairs``, weights summing to ``share``; lower: L, L L^T the curvature."""
+def value_of(solution: Solution) -> float:
+    """Return -2 log of the likelihood of what was seen."""
+    return solution.value
+
+
+def nodes_about(
+    mode: Node, lower: Array, pairs: int, share: float, values: Callable[[Solution], float] = value_of
+) -> list[Node]:
+    """Return the nodes about a mode, twice ``pairs``, weights summing to ``share``; lower: L, L L^T the curvature.
+
+    ``values`` gives -2 log of the likelihood of a solution.
+    """
     eta, solution = mode.eta, mode.solution
-    found, logs = [solution], [0.0]
+    solutions, logs = [solution], [0.0]
     bounds = np.array(solution.marginal.problem.hyper.bounds).T
     main = _main_directions(solution, lower)
     for along, direction in _design(len(eta), pairs):
-        beside = direction - main @ (main.T @ direction)
-        beside *= np.sqrt(len(eta) - _DIRECTIONS) / np.linalg.norm(beside)
-        at = np.clip(eta + np.linalg.solve(lower.T, _STRETCH * main @ along + beside), *bounds)
+        rest = direction - main @ (main.T @ direction)
+        rest *= np.sqrt(len(eta) - _DIRECTIONS) / np.linalg.norm(rest)
+        at = np.clip(eta + np.linalg.solve(lower.T, _STRETCH * main @ along + rest), *bounds)
         try:
-            one = solution.marginal.solve(at, mode.faults)
+            sample = solution.marginal.solve(at, mode.faults)
         except np.linalg.LinAlgError:
             continue
-        found.append(one)
-        away = float(along @ along) + float(beside @ beside)
-        logs.append(log_odds(one, solution, 0.5 * away))
+        solutions.append(sample)
+        squared = float(along @ along) + float(rest @ rest)
+        gain = 0.5 * (values(solution) - values(sample)) + 0.5 * squared
+        logs.append(as_trusted(gain, trusted(sample, solution)))
     weights = np.exp(np.array(logs) - max(logs))
     weights = np.minimum(weights, _LARGEST_WEIGHT * max(float(np.median(weights)), 1.0 / len(weights) ** 2))
     weights *= share / weights.sum()
-    return [Node(one, float(w)) for w, one in zip(weights, found, strict=True)]
+    return [Node(sample, float(weight)) for weight, sample in zip(weights, solutions, strict=True)]
 
 
 def log_odds(one: Solution, other: Solution, more: float = 0.0) -> float:
@@ -77,9 +89,12 @@ def log_odds(one: Solution, other: Solution, more: float = 0.0) -> float:
 
     Where they do not, other amplitudes may promise any gain, so that it counts the less the farther the solution is.
     """
-    share = trusted(one, other)
-    log = 0.5 * (other.value - one.value) + more
-    return log * (share if log > 0.0 else 1.0) + float(np.log(share))
+    return as_trusted(0.5 * (other.value - one.value) + more, trusted(one, other))
+
+
+def as_trusted(log_odds: float, share: float) -> float:
+    """Return the logarithm of odds as far as the equations hold; ``share``: the weight that is left, 0 to 1."""
+    return log_odds * (share if log_odds > 0.0 else 1.0) + float(np.log(share))
 
 
 def trusted(one: Solution, other: Solution) -> float:
