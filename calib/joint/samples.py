@@ -8,7 +8,6 @@ drawn at random, so that the result follows the data without steps.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from statistics import NormalDist
@@ -27,7 +26,7 @@ _DIRECTIONS = len(_QUANTITIES)
 #: Along these directions, the samples are stretched by this, so that they reach the tails.
 _STRETCH = 1.2
 #: No sample counts more than this many times the median one.
-_LARGEST_WEIGHT = 10.0
+LARGEST_WEIGHT = 10.0
 #: The linear equations hold for steps of this share of focal length and radius; samples beyond lose their weight.
 _HOLDS = 0.02
 
@@ -50,38 +49,27 @@ class Node:
         return self.solution.eta
 
 
-def value_of(solution: Solution) -> float:
-    """Return -2 log of the likelihood of what was seen."""
-    return solution.value
-
-
-def nodes_about(
-    mode: Node, lower: Array, pairs: int, share: float, values: Callable[[Solution], float] = value_of
-) -> list[Node]:
-    """Return the nodes about a mode, twice ``pairs``, weights summing to ``share``; lower: L, L L^T the curvature.
-
-    ``values`` gives -2 log of the likelihood of a solution.
-    """
+def nodes_about(mode: Node, lower: Array, pairs: int, share: float) -> list[Node]:
+    """Return the nodes about a mode, twice ``pairs``, weights summing to ``share``; lower: L, L L^T the curvature."""
     eta, solution = mode.eta, mode.solution
-    solutions, logs = [solution], [0.0]
+    found, logs = [solution], [0.0]
     bounds = np.array(solution.marginal.problem.hyper.bounds).T
     main = _main_directions(solution, lower)
     for along, direction in _design(len(eta), pairs):
-        rest = direction - main @ (main.T @ direction)
-        rest *= np.sqrt(len(eta) - _DIRECTIONS) / np.linalg.norm(rest)
-        at = np.clip(eta + np.linalg.solve(lower.T, _STRETCH * main @ along + rest), *bounds)
+        beside = direction - main @ (main.T @ direction)
+        beside *= np.sqrt(len(eta) - _DIRECTIONS) / np.linalg.norm(beside)
+        at = np.clip(eta + np.linalg.solve(lower.T, _STRETCH * main @ along + beside), *bounds)
         try:
-            sample = solution.marginal.solve(at, mode.faults)
+            one = solution.marginal.solve(at, mode.faults)
         except np.linalg.LinAlgError:
             continue
-        solutions.append(sample)
-        squared = float(along @ along) + float(rest @ rest)
-        gain = 0.5 * (values(solution) - values(sample)) + 0.5 * squared
-        logs.append(as_trusted(gain, trusted(sample, solution)))
+        found.append(one)
+        away = float(along @ along) + float(beside @ beside)
+        logs.append(log_odds(one, solution, 0.5 * away))
     weights = np.exp(np.array(logs) - max(logs))
-    weights = np.minimum(weights, _LARGEST_WEIGHT * max(float(np.median(weights)), 1.0 / len(weights) ** 2))
+    weights = np.minimum(weights, LARGEST_WEIGHT * max(float(np.median(weights)), 1.0 / len(weights) ** 2))
     weights *= share / weights.sum()
-    return [Node(sample, float(weight)) for weight, sample in zip(weights, solutions, strict=True)]
+    return [Node(one, float(w)) for w, one in zip(weights, found, strict=True)]
 
 
 def log_odds(one: Solution, other: Solution, more: float = 0.0) -> float:
@@ -89,12 +77,9 @@ def log_odds(one: Solution, other: Solution, more: float = 0.0) -> float:
 
     Where they do not, other amplitudes may promise any gain, so that it counts the less the farther the solution is.
     """
-    return as_trusted(0.5 * (other.value - one.value) + more, trusted(one, other))
-
-
-def as_trusted(log_odds: float, share: float) -> float:
-    """Return the logarithm of odds as far as the equations hold; ``share``: the weight that is left, 0 to 1."""
-    return log_odds * (share if log_odds > 0.0 else 1.0) + float(np.log(share))
+    share = trusted(one, other)
+    log = 0.5 * (other.value - one.value) + more
+    return log * (share if log > 0.0 else 1.0) + float(np.log(share))
 
 
 def trusted(one: Solution, other: Solution) -> float:
