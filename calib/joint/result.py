@@ -15,7 +15,7 @@ from calib.diagnosis.gross_stars import GrossStars, used_stars
 from calib.joint import amplitudes as amp
 from calib.joint.boresight import boresight
 from calib.joint.effects.collimator import CENTRE, COMMON_PLACES, FIELD, RADIAL
-from calib.joint.effects.gimbal import ENCODER
+from calib.joint.effects.gimbal import ENCODER, PLAY
 from calib.joint.equations import State, ViewStars, robust_weights
 from calib.joint.explanations import posterior_of, shifted_ids, with_doubted_bound
 from calib.joint.fields import FIELD_RADIUS
@@ -247,7 +247,9 @@ def _gimbal(
     if not entered:  # the mean may hold other scales instead
         times, off = float(np.exp(found.optimum.eta[reading])), bench.readings_off(found.optimum.state)
     stated = [
-        (name, u) for name, u in zip(names, unit, strict=True) if entered and not name.startswith(ENCODER)
+        (name, u)
+        for name, u in zip(names, unit, strict=True)
+        if entered and not name.startswith((ENCODER, PLAY))
     ]
     return GimbalEstimate(
         entered=entered,
