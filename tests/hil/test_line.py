@@ -134,7 +134,7 @@ def test_a_panel_without_a_line_has_no_such_page(tmp_path):
         assert (begun.status_code, httpx.get(f"{server.url}line").status_code) == (404, 404)
 
 
-def test_what_a_person_did_stands_below_the_verdict(tmp_path, home, monkeypatch):
+def test_what_a_person_did_takes_the_place_of_a_green_word(tmp_path, home, monkeypatch):
     cause = Cause("computer stood still", 100.0, 60.0, unit="s").to_dict()
     results = {
         "conformity": {"passed": True, "rule": "", "statements": [], "reasons": []},
@@ -154,8 +154,8 @@ def test_what_a_person_did_stands_below_the_verdict(tmp_path, home, monkeypatch)
     monkeypatch.setattr("bench.extras.panel.line.subprocess.Popen", Ended)
     made.begin(SERIAL)
     state = made.state()
-    assert state["word"] == "PASS"
-    assert state["lines"][1].startswith("This computer stood still for 60 s during the run")
+    assert (state["phase"], state["word"]) == ("doubt", "CHECK")
+    assert state["lines"][0].startswith("This computer stood still for 60 s during the run")
 
 
 def test_a_line_without_limits_does_not_begin(tmp_path, home):
@@ -182,3 +182,32 @@ def test_a_text_that_is_no_serial_number_is_one_clear_error_and_nothing_is_writt
     assert said in found.stderr
     assert len(found.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "run").exists()
+
+
+WORDS = {"ready": "READY", "running": "MEASURING", "pass": "PASS", "doubt": "CHECK", "fail": "FAIL"}
+WORDS |= {"refused": "WRONG CAMERA", "stopped": "STOPPED", "broken": "NOT MEASURED"}
+
+
+@pytest.mark.parametrize(("width", "height"), [(1366, 768), (390, 844)])
+def test_no_word_is_wider_than_its_page(chromium, tmp_path, width, height):
+    class Shown:
+        phase = "ready"
+
+        def state(self):
+            word = WORDS[self.phase]
+            return {
+                "phase": self.phase,
+                "word": word,
+                "serial": SERIAL,
+                "lines": [],
+                "run": "",
+                "simulated": True,
+            }
+
+    shown = Shown()
+    with served(panel_app(tmp_path, shown)) as server:
+        tab = chromium.new_page(viewport={"width": width, "height": height})
+        for shown.phase in WORDS:
+            tab.goto(f"{server.url}line")
+            tab.wait_for_selector(f"body[data-phase={shown.phase}]")
+            assert tab.eval_on_selector("#word", "one => one.scrollWidth - one.clientWidth") <= 0, shown.phase

@@ -26,6 +26,8 @@ from bench.wording.conformity import conformity_headline, conformity_sentences
 _WORDS = {0: ("pass", "PASS"), 3: ("stopped", "STOPPED"), 4: ("fail", "FAIL")}
 _WRONG = ("refused", "WRONG CAMERA")
 _BROKEN = ("broken", "NOT MEASURED")
+_IN_DOUBT = ("doubt", "CHECK")
+"""The limits are kept, and something was done to the bench that may have changed the values."""
 
 
 class LineRun(TypedDict):
@@ -124,7 +126,9 @@ class Line:
             phase, word = _WRONG
         if found := results.get("conformity"):
             causes = cause_sentences(results.get("causes", ()))
-            lines = [conformity_headline(found), *causes, *conformity_sentences(found)]
+            lines = [*causes, conformity_headline(found), *conformity_sentences(found)]
+            if causes and phase == "pass":
+                phase, word = _IN_DOUBT
         unsafe = [f"CHECK THE BENCH: {one}" for one in said.get("unsafe") or ()]
         if not said:  # it was killed: nothing is known of the devices
             unsafe = ["CHECK THE BENCH: the process of the run died. The light may be on."]

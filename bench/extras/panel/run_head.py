@@ -20,8 +20,10 @@ from bench.extras.panel.shown_run import (
     StateData,
     TimesData,
 )
+from bench.record.device_end import DeviceEnd
 from bench.record.events import Asked, AttemptChecked, CaptureStored
 from bench.record.folder_lock import is_locked
+from bench.record.history import History
 from bench.record.run_folder import is_sealed
 from bench.run.heartbeat import CONTROL, HEARTBEAT, SLOW_STALL_LIMIT_S, SLOW_STATES
 from bench.run.interlocks import interlock_text
@@ -117,6 +119,8 @@ def _without_process(model: RunModel) -> LeaveData:
     history = model.history
     if model.tail.fault or model.fault:
         return _leave(False, "The journal cannot be read further, so it is not known how the run ended.")
+    if unsafe := _unsafe(history):
+        return _leave(False, f"Check the bench. {' '.join(unsafe)}")
     if history.ended in {"finished", "aborted"}:
         return _leave(True, f"The run has {'finished' if history.ended == 'finished' else 'stopped'}.")
     if history.ended == "failed":
@@ -128,6 +132,12 @@ def _without_process(model: RunModel) -> LeaveData:
         "The run's process was killed or lost its power. Its journal does not say how it left the bench. Look at the"
         " light and the stage, then resume the run.",
     )
+
+
+def _unsafe(history: History) -> list[str]:
+    """Return a sentence for stage and light each if it did not confirm at the run's end that it is safe."""
+    ends = [DeviceEnd.from_dict(one) for one in history.devices_at_end]
+    return [one.text for one in ends if one.state == "not confirmed" and one.device != "camera"]
 
 
 def _needs_a_person(model: RunModel, process: ProcessState) -> LeaveData | None:
@@ -196,11 +206,11 @@ def verdict_of(model: RunModel, process: ProcessState) -> tuple[str, str]:
     if model.tail.fault or model.fault:
         return "not readable", "bad"
     how = history.ended or "interrupted"
-    if how == "finished" and not process.sealed and not history.started.get("rehearsal", False):
+    tone = _TONES[history.verdict["kind"] if how == "finished" and history.verdict else how]
+    needs_seal = how == "finished" and not process.sealed and not history.started.get("rehearsal", False)
+    if needs_seal and tone != "bad":
         return ("being sealed", "busy") if process.running else ("not sealed", "warn")
-    if how == "finished" and history.verdict:
-        return how, _TONES[history.verdict["kind"]]
-    return how, _TONES[how]
+    return how, tone
 
 
 def brief_of(model: RunModel, process: ProcessState, now: datetime) -> RunBrief:
@@ -219,6 +229,8 @@ def brief_of(model: RunModel, process: ProcessState, now: datetime) -> RunBrief:
         "tone": tone,
         "running": process.running,
         "why": history.why,
+        "headline": history.verdict["headline"] if history.verdict else "",
+        "unsafe": [] if process.running else _unsafe(history),
         "deviation_count": len(history.deviations),
         "leave": may_leave(model, process, now),
         **_state(model, process),
@@ -249,7 +261,6 @@ def head_of(model: RunModel, process: ProcessState, now: datetime) -> RunHead:
         "can": _possible(model, process),
         "decisions": history.decisions[-_MOST_DECISIONS:],
         "solved": history.solved or None,
-        "headline": history.verdict["headline"] if history.verdict else "",
         "causes": cause_sentences(history.solved.get("causes", ())),
     }
 

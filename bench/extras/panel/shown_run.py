@@ -107,6 +107,8 @@ class RunBrief(StateData, TimesData, CountsData):
     tone: str
     running: bool
     why: str
+    headline: str  # The verdict of its report; empty while it has none
+    unsafe: Sequence[str]  # Devices that did not confirm at its end that they are safe, a sentence each
     deviation_count: int
     leave: LeaveData
 
@@ -130,7 +132,6 @@ class RunHead(RunBrief):
     can: Mapping[str, bool]  # Which commands make sense now
     decisions: Sequence[UntilDecided]
     solved: Solved | None  # The calibration that stands
-    headline: str  # The verdict of its report; empty while it has none
     causes: Sequence[str]  # What a person did to the bench, as sentences, the most probable first
 
 

@@ -21,10 +21,10 @@ function runState(run) {
   else if (run.holder) lines.push(`Held by ${run.holder}.`);
   else if (run.interlock) lines.push(`Held by the ${run.interlock} interlock.`);
   else if (run.running) lines.push(`${(STATE_WORDS[run.state] || run.state)}${run.pose ? `, pose ${run.pose}` : ""}`);
-  else if (run.why) lines.push(run.why);
+  else lines.push(...[run.headline, run.why].filter(Boolean));
   if (run.running && !run.leave.safe && !run.question && !run.holder && !run.interlock) lines.push(run.leave.text);
   if (run.deviation_count) lines.push(plural(run.deviation_count, "deviation"));
-  return lines.map((line) => el("div", {}, line));
+  return [...run.unsafe.map((line) => el("div", { class: "bad" }, line)), ...lines.map((line) => el("div", {}, line))];
 }
 
 function endCell(one) {

@@ -85,7 +85,7 @@ function drawHead() {
     head.headline || head.causes.length ? el("div", { class: `banner ${head.causes.length && head.tone === "good" ? "warn" : head.tone}`, id: "calibrated" }, head.headline, head.causes.map((text) => el("p", {}, text))) : null,
     head.ended === "failed" || (head.why && !head.running) ? el("div", { class: `banner ${head.tone}` }, head.why, head.remedy ? el("p", {}, head.remedy) : null) : null);
   const leave = at("leave"), safe = head.leave.safe;
-  leave.hidden = !head.running && (head.tone === "good" || head.ended === "finished");
+  leave.hidden = !head.running && safe && (head.tone === "good" || head.ended === "finished");
   leave.className = `banner ${safe ? "good" : head.leave.until_utc ? "warn" : "bad"}`;
   let text = head.leave.text;
   if (head.leave.until_utc) text = `You may leave until about ${clockText(head.leave.until_utc)}: then the run asks a question.`;

@@ -200,6 +200,25 @@ def test_rejected_poses_in_a_row_need_a_person(run):
     assert "last 3 poses were rejected" in _head(run)["leave"]["text"]
 
 
+@pytest.mark.parametrize("how", ["finished", "aborted", "failed"])
+def test_a_device_that_did_not_confirm_that_it_is_safe_is_told_after_the_end(run, how):
+    light = {"device": "light", "state": "not confirmed", "said": "the light does not answer."}
+    camera = {"device": "camera", "state": "not confirmed", "said": "gone"}
+    run.end(how, "why", devices=[light, camera])
+    head = _head(run, ProcessState(sealed=True))
+    assert head["unsafe"] == ["light: not confirmed: the light does not answer. The light may be on."]
+    assert head["leave"]["safe"] is False
+    assert head["leave"]["text"] == f"Check the bench. {head['unsafe'][0]}"
+
+
+def test_a_failed_limit_is_told_in_red_before_the_seal(run):
+    verdict = {"kind": "fail", "headline": "FAIL. Calibrated."}
+    run.record_all().write("written", head="", files={}, wire={}, verdict=verdict)
+    run.end()
+    head = _head(run, ProcessState())
+    assert (head["verdict"], head["tone"], head["headline"]) == ("finished", "bad", "FAIL. Calibrated.")
+
+
 def test_the_time_left_is_scaled_by_what_the_steps_took(tmp_path):
     run = MadeRun(tmp_path / "run", 10).begin()
     for pose in (1, 2, 3, 4):
