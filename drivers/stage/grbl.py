@@ -85,6 +85,14 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
         self._refuse_modes()
         self.identify()
         self._program()
+        report = self._line.query_status()
+        for axis in self._axes.values():
+            self._angle_deg(axis, report)  # now it must be stated
+
+    def _bring_to_rest(self) -> None:
+        """Stop a board that is moving; until it is programmed, its reports may be of work positions."""
+        if self._line.query_status().moving:
+            self.stop()
 
     def _refuse_modes(self) -> None:
         """Refuse a board that is held, asleep or in check mode though it was reset."""

@@ -190,12 +190,14 @@ class GrblController(Link):
     def _query_status_once(self) -> StatusReport:
         def read_reply(reader: ReplyReader) -> StatusReport:
             line = reader.read_line()
-            report = grbl_protocol.parse_report(line, self.name)
+            report = grbl_protocol.parse_report(line)
             if report is None:
                 raise ReplyGarbled(
                     f"{line[:80]!r} came instead of a status report.",
                     where=self.name,
-                    remedy="Check the cable.",
+                    remedy="The firmware must be Grbl 1.1, grblHAL or FluidNC; Grbl 0.9 reports otherwise."
+                    if line.startswith(b"<") and line.rstrip().endswith(b">")
+                    else "Check the cable.",
                 )
             return report
 

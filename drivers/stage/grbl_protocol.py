@@ -159,7 +159,8 @@ class StatusReport:
 
     state: str  # State of the board, such as "Idle"
     substate: int  # Number after the state, as in "Hold:0"; 0 without one
-    machine_position: tuple[float, ...]  # Position of each axis in machine coordinates, in the board's unit
+    # Position of each axis in machine coordinates, in the board's unit; empty if the report has none.
+    machine_position: tuple[float, ...]
 
     @property
     def moving(self) -> bool:
@@ -168,6 +169,12 @@ class StatusReport:
 
     def position(self, place: int, where: str) -> float:
         """Return the machine position, in the board's unit, of the axis at a place: 0 for X, 1 for Y ..."""
+        if not self.machine_position:
+            raise ReplyGarbled(
+                "a status report has no machine position ('MPos:').",
+                where=where,
+                remedy="Set $10=1, so that the board reports it; this needs Grbl 1.1, grblHAL or FluidNC.",
+            )
         if place >= len(self.machine_position):
             raise ReplyGarbled(
                 f"the board reports {len(self.machine_position)} axes only.",
@@ -177,8 +184,8 @@ class StatusReport:
         return self.machine_position[place]
 
 
-def parse_report(line: bytes, where: str = "") -> StatusReport | None:
-    r"""Parse a status report; None for another line. One without machine position is garbled.
+def parse_report(line: bytes) -> StatusReport | None:
+    r"""Parse a status report; None for another line.
 
     >>> parse_report(b"<Idle|MPos:0.000,-1.500,0.000|FS:0,0>\r\n")
     StatusReport(state='Idle', substate=0, machine_position=(0.0, -1.5, 0.0))
@@ -187,13 +194,8 @@ def parse_report(line: bytes, where: str = "") -> StatusReport | None:
     if match is None:
         return None
     place = _MACHINE.search(match[3].decode("latin-1"))
-    if place is None:
-        raise ReplyGarbled(
-            f"a status report without machine position: {line[:80]!r}.",
-            where=where,
-            remedy="Set $10=1, so that the board reports machine positions.",
-        )
-    return StatusReport(match[1].decode(), int(match[2] or 0), tuple(map(float, place[1].split(","))))
+    position = tuple(map(float, place[1].split(","))) if place else ()
+    return StatusReport(match[1].decode(), int(match[2] or 0), position)
 
 
 def parse_response(line: bytes) -> int | None:

@@ -320,6 +320,31 @@ def test_a_board_with_one_thing_wrong_is_refused(bench, name) -> None:
     assert bench.motions() == []
 
 
+@pytest.mark.parametrize("mask", [0.0, 2.0])
+def test_a_board_that_another_program_told_to_report_work_positions_is_told_otherwise(bench, mask) -> None:
+    """Some senders set $10=2."""
+    bench.board.settings[10] = mask
+    bench.change(lambda line: line if int(bench.board.settings[10]) & 1 else line.replace(b"MPos", b"WPos"))
+    stage = bench.homed()
+    assert bench.board.settings[10] == mask + 1
+    assert stage.position_deg()["pan"] == pytest.approx(17.0)
+
+
+@pytest.mark.parametrize(
+    ("report", "said"),
+    [
+        (b"<Idle,MPos:0.000,0.000,0.000,WPos:0.000,0.000,0.000>\r\n", "Grbl 0.9 reports otherwise"),
+        (b"<Idle|M:0.000,0.000,0.000|F:0>\r\n", "no machine position"),
+    ],
+)
+def test_a_firmware_with_another_form_of_report_is_named_and_not_the_cable(bench, report, said) -> None:
+    bench.change(lambda line: report if line.startswith(b"<") else line)
+    with pytest.raises(ReplyGarbled, match=said) as caught:
+        bench.open()
+    assert "cable" not in str(caught.value)
+    assert bench.motions() == []
+
+
 def test_half_a_line_from_before_us_is_never_completed_into_a_motion(bench) -> None:
     bench.board.receive(b"$X\n" + JOG.rstrip())
     bench.open()
