@@ -36,6 +36,7 @@ from bench.record.run_folder import (
 )
 from bench.record.storage import read_bounded
 from bench.record.stored_run import StoredRun
+from bench.solve.causes import kinds_by_earlier_run, kinds_by_run_alone
 from bench.solve.compare_numbers import MOST_SHOWN, add_faults, differences, is_excused, tolerance
 from bench.solve.compare_trees import (
     MadeAgain,
@@ -47,6 +48,7 @@ from bench.solve.result import change_since
 from bench.solve.results_content import other_engine, other_software, results_content, software
 from bench.solve.software import plugins_missing, plugins_of_run, plugins_stated
 from bench.solve.solution import main_numbers, solve_run
+from calib.calibration import Calibration
 from calib.errors import CalibrationError
 from drivers.errors import DriverError
 from sequences.script import RecordStep, SolveStep
@@ -362,6 +364,7 @@ def _made_again(evidence: _Evidence, measured: dict[int, Measurement], found: Fi
         **{k: v for k, v in history.solved.items() if k == "causes"},
     }
     _check_solved(evidence, solution.calibration.sigma, again, found)
+    _check_causes(evidence, solution.calibration, found)
     return MadeAgain(results, solution.views, job.camera_name, job.target, evidence.used, evidence.head)
 
 
@@ -384,3 +387,28 @@ def _check_solved(
     if other_software(evidence.used):
         seen = [one for one in seen if not is_excused(one, sigma)]
     add_faults("journal", JOURNAL, "the recordings do not give what it states: ", seen, found)
+
+
+def _check_causes(evidence: _Evidence, calibration: Calibration, found: Findings) -> None:
+    """Check that the journal names what this run shows of people, and nothing else.
+
+    A computer that stood still while the run calculated may be named, and need not.
+    """
+    if other_software(evidence.used):
+        return
+    job, history = evidence.job, evidence.history
+    lines = evidence.entries[
+        : next(at for at, one in enumerate(evidence.entries) if one.hash == evidence.head)
+    ]
+    solving = [
+        at
+        for at, one in enumerate(lines)
+        if one.event == Event.ENTERING and one.data.get("state") == "solving"
+    ]
+    before = replay(lines[: solving[-1]]) if solving else history
+    stated = {one["kind"] for one in history.solved.get("causes", ())}
+    due, possible = (kinds_by_run_alone(job, one, calibration) for one in (before, history))
+    for kind in sorted(due - stated):
+        found.fault("journal", JOURNAL, f"it does not name what the run shows: {kind}")
+    for kind in sorted(stated - possible - kinds_by_earlier_run(job)):
+        found.fault("journal", JOURNAL, f"it names what the run does not show: {kind}")

@@ -73,6 +73,17 @@ def causes_of_run(
     return sorted(told, key=lambda one: -one.evidence)
 
 
+def kinds_by_run_alone(job: Job, history: History, calibration: Calibration) -> set[str]:
+    """Return the kinds of causes that a run shows without any run before it."""
+    causes = [*calibration.causes, *_other_lens(job, calibration, None), *_stood_still(history)]
+    return {one.kind for one in causes}
+
+
+def kinds_by_earlier_run(job: Job) -> set[str]:
+    """Return the kinds of causes that may rest on an earlier run, whose folder may have gone."""
+    return {kinds.LIGHT, *kinds.WEAK, *([kinds.LENS] if job.station.expected is None else [])}
+
+
 def _seen_in(history: History, calibration: Calibration) -> _Seen:
     accepted = history.accepted().values()
     return _Seen(

@@ -89,8 +89,9 @@ def derivations_of(
     found: list[Derivation] = []
     if kind_of(folder) == "run":
         from bench.solve.recorded_with import check_recorded_with
+        from bench.solve.verdict_check import check_verdict
 
-        found.append(check_recorded_with)
+        found += [check_recorded_with, check_verdict]
     if again:
         from bench.solve.again import check_run_again, nothing_shown
         from bench.solve.recalculated_again import check_recalculated

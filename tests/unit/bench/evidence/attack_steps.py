@@ -13,15 +13,18 @@ from bench.measure.views_file import read_views
 from bench.plan.job import Job
 from bench.solve.again import check_run_again
 from bench.solve.recorded_with import check_recorded_with
+from bench.solve.verdict_check import check_verdict
+from calib.model.cause import Cause
 
 CAPTURE = "captures/pose-00%d-attempt-1.raw"
+SLEPT = Cause("computer stood still", 100.0, 60.0, unit="s").to_dict()
 ADDR_X = 2
 """Type of the EVT3 word of a single event; bit 11 is its polarity."""
 
 
 def checked(folder, trusted, *, again=True):
     """What `verify --again` finds without a ledger, or plain `verify`."""
-    checks = [check_recorded_with, *([check_run_again] if again else [])]
+    checks = [check_recorded_with, check_verdict, *([check_run_again] if again else [])]
     return verify_folder(folder, trusted, derivations={"run": checks}, again=again)
 
 
@@ -225,6 +228,14 @@ def unused_event(f, job):
     (f / (CAPTURE % 1)).write_bytes(data[:start] + words.tobytes())
     in_results(f)
     rederive(f, job)
+
+
+def a_cause(f):
+    """Journal and results name a computer that stood still, and the verdict follows."""
+    f.edit_results(lambda results: results["causes"].append(SLEPT))
+    f.edit_line("solved", lambda data: data["causes"].append(SLEPT))
+    verdict = {"kind": "marginal", "headline": "Calibrated, with reservations."}
+    line("written", lambda data: data.update(verdict=verdict))(f)
 
 
 def half_wire(f):

@@ -11,6 +11,8 @@ import pytest
 
 from tests.unit.bench.evidence.attack_steps import (
     CAPTURE,
+    SLEPT,
+    a_cause,
     checked,
     drop,
     edit,
@@ -78,6 +80,11 @@ ATTACKS = [
     Attack("verdict of a gate", line("attempt_checked", lambda d: d["gates"][1].update(verdict="fail")), "results.json", "results", DIFF),
     Attack("angle of a pose", line("capture_stored", lambda d: d["measured_deg"].update(pan=-6.1)), "results.json", "results", DIFF),
     Attack("numbers of the journal's calibration", line("solved", lambda d: d["values"].update(fx=1670.0)), "journal.jsonl", "journal", DIFF),
+    Attack("verdict of the report", line("written", lambda d: d["verdict"].update(kind="fail")), "journal.jsonl", "journal", DIFF),
+    Attack("headline of the report", line("written", lambda d: d["verdict"].update(headline="Calibrated!")), "journal.jsonl", "journal", DIFF),
+    Attack("no verdict in the journal", line("written", lambda d: d.pop("verdict")), "journal.jsonl", "journal", DIFF),
+    Attack("a cause in the journal", line("solved", lambda d: d["causes"].append(SLEPT)), "journal.jsonl", "journal", DIFF),
+    Attack("a cause in journal and results", a_cause, "journal.jsonl", "journal", DIFF),
     Attack("first line removed", drop("run_started"), "journal.jsonl:1", "journal", "head -n 1 journal.jsonl"),
     Attack("last line removed", drop("run_ended"), "journal.jsonl", "journal", "tail -n 1 journal.jsonl"),
     Attack("run not finished", line("run_ended", lambda d: d.update(how="aborted")), "journal.jsonl", "journal", "tail -n 1 journal.jsonl"),

@@ -1,0 +1,47 @@
+"""Compares verdict and causes in the journal of a sealed run with its results; nothing is measured again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from bench.base.errors import RunFolderError
+from bench.evidence.findings import UNREADABLE, Findings
+from bench.record.run_folder import JOURNAL, RESULTS
+from bench.record.stored_run import StoredRun
+from bench.report.verdict import verdict
+from bench.solve.compare_numbers import differences
+from bench.solve.results_content import other_software
+
+
+def check_verdict(folder: Path) -> Findings:
+    """Compare the verdict that lists of runs and messages show with the one that the results give.
+
+    A verdict by another version of the program is not compared: its rules and its words may have been others.
+    """
+    found, run = Findings(), StoredRun(folder)
+    if not (folder / RESULTS).is_file():
+        return found
+    try:
+        results = run.results_as_written
+        due = verdict(results)
+        made = results["run"]["software"]
+        causes = {"causes": list(results.get("causes", ()))}
+    except RunFolderError as error:
+        found.fault("results", RESULTS, error.what.rstrip("."))
+        return found
+    except UNREADABLE as error:
+        found.fault("results", RESULTS, f"the results give no verdict ({error!r})")
+        return found
+    for one in differences({"causes": list(run.history.solved.get("causes", ()))}, causes):
+        found.fault(
+            "journal", JOURNAL, f"what a person did to the bench is another thing in the results: {one}"
+        )
+    if other_software(made, ["program"]):
+        return found
+    stated = run.history.verdict
+    if stated is None:
+        found.fault("journal", JOURNAL, "it states no verdict, though this version of the program writes one")
+    elif (stated["kind"], stated["headline"]) != (due.kind, due.headline):
+        what = f"its verdict is {stated['headline']!r} ({stated['kind']})"
+        found.fault("journal", JOURNAL, f"{what}; by the results it is {due.headline!r} ({due.kind})")
+    return found
