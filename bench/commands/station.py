@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -222,23 +222,30 @@ def station_new(
 ) -> int:
     """Create a station file at PATH, filled in with the connected devices and with what they answer.
 
-    Zaber and ESP stages are asked for serial number and limits, generators and Gardasoft controllers for their make.
-    Nothing moves and nothing is switched.
+    Stages are asked for serial number, scale and limits as far as they know them, generators and Gardasoft controllers
+    for their make. Nothing moves and nothing is switched. Opening the port of a GRBL board may restart it, so it is
+    asked only if you agree. Standa and Thorlabs controllers are asked at ports that carry their maker's name, and at
+    --port.
     """
     from bench.record.storage import write_atomic
-    from bench.stations.asked_devices import ask_light, ask_stage
+    from bench.stations.asked_devices import RESTARTS, ask_light, ask_stage
     from bench.stations.discovery import discover
     from bench.stations.placeholders import UNKNOWN_SERIAL
     from bench.stations.practice import draft_stand_ins
-    from bench.stations.station_draft import draft_station, free_ports
+    from bench.stations.station_draft import draft_station, free_ports, ports_to_ask
 
     if stand_ins:
         write_atomic(path, draft_stand_ins(stand_ins).encode())
         show({"station": str(path)}, [f"Written: {path}. Check it with: starbench plan three_pose -s {path}"])
         return 0
     found, clock = discover(), BenchClock()
-    asked_ports = [] if no_questions else [*ports] or free_ports(found)
-    asked = ask_stage(stage, asked_ports, clock), ask_light(light, asked_ports, clock)
+    all_ports = [] if no_questions else [*ports] or free_ports(found)
+    if stage in RESTARTS and all_ports and not _may_restart(all_ports):
+        all_ports = []
+    own_ports = [port for port in all_ports if ports or port in ports_to_ask(found, stage)]
+    answered = ask_stage(stage, own_ports, clock)
+    taken = answered.ports if answered else set()
+    asked = answered, ask_light(light, [port for port in all_ports if port not in taken], clock)
     draft = draft_station(found, stage=stage, light=light, camera=camera, asked=asked)
     write_atomic(path, draft.encode())
     for device in asked:
@@ -255,6 +262,16 @@ def station_new(
             "To practise without these devices: starbench station new practice.yaml --stand-ins keysight"
         )
     return 0
+
+
+def _may_restart(ports: Sequence[str]) -> bool:
+    """Ask whether a board may be restarted by the opening of its port; nobody who can be asked means no."""
+    what = "Opening the port of a GRBL board may restart it: it then loses its position. Nothing moves."
+    what += f" Ports: {', '.join(ports)}"
+    if not sys.stdin.isatty():
+        click.echo(f"{what}. The board was not asked, because nobody can agree here.", err=True)
+        return False
+    return click.confirm(f"{what}. Ask the board?", err=True)
 
 
 @command("starbench schema sequence > sequence.schema.json")

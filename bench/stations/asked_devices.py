@@ -1,12 +1,15 @@
 """Asks stage and light for what a new station file must state: serial numbers, scale, limits and dialect.
 
 Only questions are sent: nothing moves, nothing is switched, nothing is set. The driver is the one that the operator
-chose; a port on which no such device answers is tried for the other one.
+chose; a port on which no such device answers is tried for the other one. Controllers whose messages are no text are
+asked only at ports that the system calls by their maker, and a GRBL board, which opening its port may restart, only
+after the operator has agreed (`RESTARTS`).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final
 
@@ -17,6 +20,11 @@ from drivers.light.scpi import ScpiLight
 from drivers.light.scpi_dialects import DialectName
 from drivers.serial_port import SerialPort, closed_on_error
 from drivers.stage.esp import EspStage
+from drivers.stage.grbl import GrblStage
+from drivers.stage.grbl_controller import GrblController
+from drivers.stage.thorlabs import ThorlabsStage
+from drivers.stage.thorlabs_controller import ThorlabsController
+from drivers.stage.ximc import XimcController, XimcStage
 from drivers.stage.zaber import ZaberChain
 from drivers.text_line import ScpiLine
 
@@ -24,7 +32,16 @@ AXES: Final = ("pan", "tilt", "roll")
 """Names of axes in the order in which a new station file gives them to the devices of a chain."""
 WANTED_DEG: Final = 12.0
 """Limit of an axis in a new station file, degrees, if its controller allows it: the field of a usual collimator."""
+GRBL_ZERO_DEG: Final = 15.0
+"""Angle at the switches of a board in a new station file, degrees: its machine positions lie below it."""
+RESTARTS: Final = frozenset({"grbl"})
+"""Drivers whose controller may restart when its port is opened: it then loses its position."""
+NAMED_BY_MAKER: Final[Mapping[str, str]] = {"ximc": "XIMC", "thorlabs_apt": "Thorlabs"}
+"""A word in the system's name of the ports of controllers with messages that are no text."""
 ZABER_BAUDRATE: Final = 115_200
+_SCALE: Final = 100
+_TRAVEL: Final = 130
+"""Numbers of the settings of GRBL's first axis: steps per unit, travel in units."""
 _NUMBERED: Final = ("RIGOL", "335")
 """Beginnings of makers and models that number their channels."""
 
@@ -37,7 +54,9 @@ class AskedAxis:
     device: int  # Address of the device in a chain; or the axis number, where one controller has several axes
     serial: str
     microsteps_per_deg: float | None  # None if the controller does not know it; 1 if it counts in degrees
-    limits_microsteps: tuple[float, float] | None
+    limits_microsteps: tuple[float, float] | None = None
+    port: str = ""  # Of a controller with one axis
+    model: str = ""  # As the controller tells it; may be empty
 
     def limits_deg(self) -> tuple[float, float]:
         """Return limits within those of the controller, degrees; the wanted ones if its scale is not known."""
@@ -63,9 +82,15 @@ class AskedStage:
     axes: Sequence[AskedAxis]
 
     @property
+    def ports(self) -> set[str]:
+        """The ports of its controllers."""
+        return {axis.port or self.port for axis in self.axes}
+
+    @property
     def what(self) -> str:
         """The stage in words, for the operator."""
-        return f"a stage with {' and '.join(f'{axis.name} (serial {axis.serial})' for axis in self.axes)}"
+        axes = [f"{axis.name} (serial {axis.serial})" if axis.serial else axis.name for axis in self.axes]
+        return f"a stage with {' and '.join(axes)}"
 
 
 @dataclass(frozen=True)
@@ -86,7 +111,7 @@ def ask_stage(
 
     ``scale``, microsteps per degree, is that of axes whose controller does not state it.
     """
-    ask = _STAGES.get(driver)
+    ask, alone = _STAGES.get(driver), _CONTROLLERS.get(driver)
     for port in ports if ask else ():
         try:
             axes = ask(port, clock, scale) if ask else []
@@ -94,7 +119,11 @@ def ask_stage(
             continue  # another device, or none
         if axes:
             return AskedStage(port, axes)
-    return None
+    axes = []
+    for port in ports if alone else ():
+        with suppress(DriverError):  # another device, or none
+            axes += [alone(port, name, clock) for name in AXES[len(axes) : len(axes) + 1]] if alone else []
+    return AskedStage(axes[0].port, axes) if axes else None
 
 
 def ask_light(driver: str, ports: Sequence[str], clock: Clock) -> AskedLight | None:
@@ -163,6 +192,45 @@ def _esp_axes(port: str, clock: Clock, _: float | None) -> list[AskedAxis]:
     return axes
 
 
+def _grbl_axes(port: str, clock: Clock, _: float | None) -> list[AskedAxis]:
+    """Return pan and tilt of a board, X and Y, with the scales and the travel that it has stored."""
+    line = SerialPort(port, baudrate=GrblStage.BAUDRATE)
+    with closed_on_error(line):
+        board = GrblController(line, clock=clock)
+    try:
+        name, settings = board.query_build_info()[1], board.query_settings()
+    finally:
+        board.close()
+    axes = []
+    for at, axis in enumerate(AXES[:2]):
+        steps, travel_deg = (settings.get(first + at) for first in (_SCALE, _TRAVEL))
+        if steps and travel_deg:
+            limits = (steps * (GRBL_ZERO_DEG - travel_deg), steps * GRBL_ZERO_DEG)
+            axes.append(AskedAxis(axis, at, name, steps, limits))
+    return axes
+
+
+def _ximc_axis(port: str, name: str, clock: Clock) -> AskedAxis:
+    line = SerialPort(port, **XimcStage.PORT)
+    with closed_on_error(line):
+        controller = XimcController(line, clock=clock)
+    controller.close()
+    return AskedAxis(name, 1, controller.serial, None, port=port)
+
+
+def _thorlabs_axis(port: str, name: str, clock: Clock) -> AskedAxis:
+    line = SerialPort(port, **ThorlabsStage.PORT)
+    with closed_on_error(line):
+        controller = ThorlabsController(line, clock=clock)
+    try:
+        found = controller.read_information()
+    finally:
+        controller.close()
+    return AskedAxis(
+        name, 1, found.serial, controller.family.counts_per_deg or None, port=port, model=found.model
+    )
+
+
 def _generator(port: str, clock: Clock) -> AskedLight:
     line = SerialPort(port, baudrate=ScpiLight.BAUDRATE)
     with closed_on_error(line):
@@ -185,6 +253,11 @@ def _strobe_controller(port: str, clock: Clock) -> AskedLight:
 _STAGES: Final[Mapping[str, Callable[[str, Clock, float | None], list[AskedAxis]]]] = {
     "zaber_ascii": _zaber_axes,
     "esp30x": _esp_axes,
+    "grbl": _grbl_axes,
+}
+_CONTROLLERS: Final[Mapping[str, Callable[[str, str, Clock], AskedAxis]]] = {
+    "ximc": _ximc_axis,
+    "thorlabs_apt": _thorlabs_axis,
 }
 _LIGHTS: Final[Mapping[str, Callable[[str, Clock], AskedLight]]] = {
     "scpi": _generator,

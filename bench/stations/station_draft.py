@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from jinja2 import Template
 
-from bench.stations.asked_devices import AskedLight, AskedStage
+from bench.stations.asked_devices import NAMED_BY_MAKER, AskedLight, AskedStage
 from bench.stations.discovery import DRAFT, Discovery
 from bench.stations.placeholders import UNKNOWN_PORT, UNKNOWN_SOURCE
 
@@ -35,6 +35,13 @@ def free_ports(found: Discovery) -> list[str]:
     return [port.name for port in found.ports if not port.device.startswith("/dev/ttyS")]
 
 
+def ports_to_ask(found: Discovery, stage: str) -> list[str]:
+    """Return the ports at which a stage of this driver may be asked for."""
+    word = NAMED_BY_MAKER.get(stage)
+    named = {port.name for port in found.ports if word and word.lower() in f"{port.name} {port.what}".lower()}
+    return [port for port in free_ports(found) if word is None or port in named]
+
+
 def draft_station(
     found: Discovery,
     *,
@@ -50,7 +57,7 @@ def draft_station(
     for the first connected one in their order.
     """
     asked_stage, asked_light = asked
-    taken = {one.port for one in asked if one is not None}
+    taken = {*(asked_stage.ports if asked_stage else ()), *([asked_light.port] if asked_light else [])}
     ports = iter([*(port for port in free_ports(found) if port not in taken), UNKNOWN_PORT, UNKNOWN_PORT])
     stage_port = asked_stage.port if asked_stage else next(ports)
     light_port = asked_light.port if asked_light else next(ports)

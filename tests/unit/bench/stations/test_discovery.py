@@ -1,12 +1,13 @@
 """What is connected, and the station file drafted from it."""
 
+import contextlib
 import re
 import sys
 import types
 from typing import get_args
 
 import pytest
-from calling import out_of
+from calling import call, out_of
 from filled_stations import filled, filled_example
 
 from bench.base.clock import BenchClock
@@ -20,8 +21,9 @@ from bench.stations.placeholders import UNKNOWN_PORT, UNKNOWN_SERIAL
 from bench.stations.practice import draft_stand_ins
 from bench.stations.stages_and_lights import LightConfig
 from bench.stations.station import SHIPPED_STATIONS, CameraConfig, Station, load_station
-from bench.stations.station_draft import CAMERAS, draft_station
+from bench.stations.station_draft import CAMERAS, draft_station, ports_to_ask
 from drivers.camera import FoundCamera
+from drivers.errors import ReplyTimeout
 
 CHOICES = {one.name: one.type.choices for one in station_new.params if hasattr(one.type, "choices")}
 PORTS = (
@@ -198,6 +200,67 @@ def test_a_stage_that_counts_in_degrees_states_its_limits_and_a_strobe_controlle
         "tilt": (2, "SN2", (-12.0, 12.0)),
     }
     assert light.what == f"Gardasoft {station.light.model}"
+
+
+@pytest.mark.parametrize(
+    ("driver", "scale"), [("ximc", "ASK-THE-DATA-SHEET"), ("thorlabs_apt", "136533.333,")]
+)
+def test_controllers_with_a_port_for_each_axis_are_asked_for_their_serial_numbers(tmp_path, driver, scale):
+    with SimulatedBench({"stage": {"kind": driver}}, 1) as bench:
+        ports = [bench.endpoints[name] for name in ("light", "gimbal-pan", "gimbal-tilt")]
+        stage = ask_stage(driver, ports, BenchClock())
+    assert [(axis.name, axis.port, axis.serial) for axis in stage.axes] == [
+        ("pan", ports[1], "100101"),
+        ("tilt", ports[2], "100102"),
+    ]
+    text = draft_station("Own", Discovery((), (), ()), stage=driver, asked=(stage, None))
+    for axis in stage.axes:
+        assert f"{axis.name}: {{port: {axis.port}, serial: {axis.serial}, " in text
+    assert text.count(f"_deg: {scale}") == 2
+
+
+def test_a_board_is_asked_for_scales_and_travel(tmp_path):
+    """Its tilt axis reaches from 15 degrees down to -6."""
+    with SimulatedBench({"stage": {"kind": "grbl"}}, 1) as bench:
+        stage = ask_stage("grbl", [bench.endpoints["light"], bench.endpoints["gimbal"]], BenchClock())
+        assert stage.ports == {bench.endpoints["gimbal"]}
+    text = draft_station("Own", Discovery((), (), ()), stage="grbl", asked=(stage, None))
+    assert "pan: {letter: X, steps_per_deg: 640, zero_deg: 15, limits_deg: [-12, 12]," in text
+    assert "tilt: {letter: Y, steps_per_deg: 640, zero_deg: 15, limits_deg: [-6, 12]," in text
+
+
+@pytest.mark.parametrize("agrees", [True, False])
+def test_a_board_is_asked_only_if_the_operator_agrees(capsys, tmp_path, monkeypatch, agrees):
+    """Otherwise no port is opened, not even to look for the light."""
+    opened = []
+    monkeypatch.setattr("bench.stations.asked_devices.SerialPort", lambda port, **_: opened.append(port))
+    monkeypatch.setattr("bench.commands.station._may_restart", lambda _: agrees)
+    monkeypatch.setattr("bench.stations.asked_devices.GrblController", refused_link)
+    monkeypatch.setattr("bench.stations.asked_devices.ScpiLine", refused_link)
+    monkeypatch.setattr("bench.stations.asked_devices.closed_on_error", lambda _: contextlib.nullcontext())
+    call(capsys, "station", "new", tmp_path / "a.yaml", "--stage", "grbl", "--port", "/dev/board")
+    assert opened == (["/dev/board", "/dev/board"] if agrees else [])
+
+
+def refused_link(*_, **__):
+    raise ReplyTimeout("no complete reply", where="/dev/board")
+
+
+def test_where_nobody_can_agree_a_board_is_not_asked(capsys, tmp_path):
+    words = ("--stage", "grbl", "--port", "/dev/none")
+    told = call(capsys, "station", "new", tmp_path / "a.yaml", *words).err
+    assert "may restart it: it then loses its position" in told
+    assert "The board was not asked" in told
+
+
+@pytest.mark.parametrize(("stage", "asked"), [("thorlabs_apt", [1]), ("ximc", []), ("zaber_ascii", [0, 1])])
+def test_controllers_without_text_are_asked_only_at_ports_named_by_their_maker(stage, asked):
+    names = (
+        "/dev/serial/by-id/usb-FTDI_A1",
+        "/dev/serial/by-id/usb-Thorlabs_Kinesis_K10CR1_55000123-if00-port0",
+    )
+    ports = [FoundPort(name, f"/dev/ttyUSB{at}", "", "", "") for at, name in enumerate(names)]
+    assert ports_to_ask(Discovery(tuple(ports), (), ()), stage) == [names[at] for at in asked]
 
 
 @pytest.mark.parametrize(
