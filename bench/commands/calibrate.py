@@ -40,7 +40,8 @@ from bench.wording.parameters import unit_text
 from bench.wording.target_words import words_for
 
 if TYPE_CHECKING:
-    from bench.plan.camera_files import CameraFile, LensFamily
+    from bench.plan.camera_files import CameraFile
+    from bench.plan.camera_values import LensFamily
     from bench.record.results import CheckData
     from calib.calibration import Calibration
     from calib.studies.camera_check import CameraCheck

@@ -17,7 +17,8 @@ from bench.wording.target_words import TargetWords, words_for
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from bench.plan.camera_files import CameraFile, LensFamily
+    from bench.plan.camera_files import CameraFile
+    from bench.plan.camera_values import LensFamily
     from bench.record.results import CalibrationData
     from bench.solve.offline import OfflineResult
     from calib.studies.reference_methods import MethodFailure, MethodResult

@@ -28,7 +28,7 @@ from bench.extras.many.workers import Workers
 from bench.record.storage import make_folder, write_atomic
 
 if TYPE_CHECKING:
-    from bench.plan.camera_files import LensFamily
+    from bench.plan.camera_values import LensFamily
     from calib.model.camera import Undistortion
     from drivers.camera.event_arrays import ReadingChoices
 
@@ -124,7 +124,8 @@ def _convert_one(source: Path, output: Path, kind: str, choices: ReadingChoices)
 def _say(source: Path, output: Path, written: Mapping[str, Any]) -> None:
     moved = written["moved_events"]
     late = f", {moved} given the time of the event before" if moved else ""
-    click.echo(f"{output}: {written['events']} events{late}, {written['triggers']} triggers")
+    span = f", {written['span_us'] / 1e6:g} s" if written.get("span_us") else ""
+    click.echo(f"{output}: {written['events']} events{late}, {written['triggers']} triggers{span}")
     if written.get("unknown_words"):
         what = "words whose type EVT3 does not define were left out"
         click.echo(f"{source}: {what}: {written['unknown_words']}.", err=True)

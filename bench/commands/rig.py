@@ -17,7 +17,7 @@ from bench.commands.output import JSON, show
 from bench.wording.numbers import with_uncertainty
 
 if TYPE_CHECKING:
-    from bench.plan.camera_files import LensFamily
+    from bench.plan.camera_values import LensFamily
     from bench.solve.rig import RigFound
     from calib.studies.clock_offset import ClockOffset
     from calib.studies.rig import Rig, RigDifference

@@ -156,6 +156,11 @@ def from_zero(source: EventSource) -> EventSource:
     origin = origin_of(source.pieces())
     if origin.us < MAX_TIME_US:
         return source
+    if origin.us > _YEAR_2100_US:
+        raise NotARecording(
+            f"Its times begin at {origin.us:.3g} us, after the year 2100: they are not in us.",
+            remedy="Write the times in us, as whole numbers, or in s with their fractions.",
+        )
 
     def moved() -> Iterator[Piece]:
         for events, edges in source.pieces():
@@ -169,6 +174,27 @@ def too_many_edges() -> NotARecording:
     return NotARecording(
         f"The file has more than {MOST_TRIGGERS} trigger edges.", remedy="Cut it into shorter files."
     )
+
+
+class Clock32:
+    """Times of a counter of 32 bits, which begins anew at 0 while they go on; given in pieces.
+
+    >>> Clock32().continued(np.array([5, 2**32 - 3, 4, 2**32 - 1, 6])).tolist()
+    [5, 4294967293, 4294967300, 4294967295, 4294967302]
+    """
+
+    def __init__(self, bits: int = 32) -> None:
+        self._bits, self._last, self._turns = bits, np.empty(0, np.int64), 0
+
+    def continued(self, t: NDArray[Any]) -> NDArray[np.int64]:
+        """Return the next times without the turns."""
+        t = t.astype(np.int64)
+        steps, half = np.diff(np.concatenate([self._last, t])), 1 << (self._bits - 1)
+        turns = np.cumsum((steps < -half).astype(np.int64) - (steps > half))
+        turns = self._turns + np.concatenate([np.zeros(len(t) - len(turns), np.int64), turns])
+        if len(t):
+            self._last, self._turns = t[-1:], int(turns[-1])
+        return t + (turns << self._bits)
 
 
 class Origin(NamedTuple):

@@ -13,7 +13,8 @@ sensor's clock, as ``drivers.camera.evt3`` returns them. Each event is a word of
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from enum import IntEnum
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
@@ -26,6 +27,7 @@ from drivers.camera.event_arrays import (
     MAX_TIME_US,
     Events,
     EventSource,
+    Piece,
     ReadingChoices,
     Triggers,
     empty_events,
@@ -100,11 +102,23 @@ def convert(
     if EVT3 cannot represent the contents.
     """
     with open_events(source, choices) as opened:
+        ends: list[int] = []
+
+        def pieces() -> Iterator[Piece]:
+            for events, edges in opened.pieces():
+                if len(events.t):
+                    first = ends[0] if ends else int(events.t[0])
+                    ends[:] = first, int(events.t[-1])
+                yield events, edges
+
+        watched = replace(opened, pieces=pieces)
         if kind != "raw":
-            return _EXPORTS[kind](opened, target, progress)
-        if is_evt3(source):
-            return _with_size(opened, source, target)
-        return write_raw(opened, target, source=source, progress=progress)
+            written = _EXPORTS[kind](watched, target, progress)
+        elif is_evt3(source):
+            written = _with_size(watched, source, target)
+        else:
+            written = write_raw(watched, target, source=source, progress=progress)
+        return replace(written, span_us=ends[-1] - ends[0] if ends else 0)
 
 
 def _with_size(opened: EventSource, source: Path, path: Path) -> ExportSummary:

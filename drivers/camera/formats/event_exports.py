@@ -84,6 +84,8 @@ class ExportSummary:
     cut_off: bool = False
     # Number of words left out because EVT3 does not define their type
     unknown_words: int = 0
+    # Time from the first to the last event, us; 0 if the source's words were copied
+    span_us: int = 0
 
 
 class _Reading:

@@ -15,8 +15,11 @@ from pathlib import Path
 from typing import Final
 
 import h5py
+import numpy as np
+from numpy.typing import NDArray
 
 from drivers.camera.event_arrays import (
+    MAX_TIME_US,
     MOST_TRIGGERS,
     EventSource,
     Piece,
@@ -33,6 +36,8 @@ from drivers.camera.raw_file import RawFile, unreadable
 from drivers.camera.raw_header import parse_header
 from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError, UnreadableEvents
 
+_MOST_BACK_STEP_US: Final = 10_000
+"""Times of one camera may step back by the length of a packet or two, which a computer has mixed up."""
 _EVENT_FILES: Final = "Give a file of events: RAW, HDF5, .npz, DAT, AEDAT4 or a ROS bag."
 _COPY_AGAIN: Final = "Copy it again from its origin, or export it again from the original recording."
 _NO_EVENTS: Final = "The file holds no readable events"
@@ -133,8 +138,8 @@ def _errors_of(path: Path) -> Iterator[None]:
 
 
 def _checked(pieces: Iterator[Piece], of: EventSource) -> Iterator[Piece]:
-    """Check that every event lies on the sensor, that none is missing, and that there are not too many edges."""
-    read = edges = 0
+    """Check that events lie on the sensor and follow each other, that none is missing, and the number of edges."""
+    read, edges, first_us, last_us = 0, 0, None, None
     for events, triggers in pieces:
         if len(events.t):
             x, y, p = int(events.x.max()), int(events.y.max()), int(events.p.max())
@@ -145,6 +150,13 @@ def _checked(pieces: Iterator[Piece], of: EventSource) -> Iterator[Piece]:
                 )
             if p > 1:
                 raise UnreadableEvents(f"an event has the polarity {p}; 0 and 1 are possible.")
+            _require_rising(events.t if last_us is None else np.concatenate([[last_us], events.t]), read)
+            first_us, last_us = events.t[0] if last_us is None else first_us, events.t[-1]
+            if last_us - first_us > MAX_TIME_US:
+                raise NotARecording(
+                    f"Its times span {(last_us - first_us) / MAX_TIME_US:.0f} days: they are not in us.",
+                    remedy="Write the times in us, as whole numbers, or in s with their fractions.",
+                )
         read += len(events.t)
         edges += len(triggers.t)
         if edges > MOST_TRIGGERS:
@@ -154,3 +166,16 @@ def _checked(pieces: Iterator[Piece], of: EventSource) -> Iterator[Piece]:
         yield events, triggers
     if of.count is not None and read != of.count:
         raise UnreadableEvents(f"{of.count - read} of its {of.count} events are missing.")
+
+
+def _require_rising(t: NDArray[np.int64], before: int) -> None:
+    """Refuse (`NotARecording`) times that step back further than a camera's do; ``before`` is the number of events."""
+    back = t[:-1] - t[1:]
+    if not len(back) or back.max() <= _MOST_BACK_STEP_US:
+        return
+    at = int(np.argmax(back > _MOST_BACK_STEP_US))
+    raise NotARecording(
+        f"The times step back from {t[at]} to {t[at + 1]} us, near event {before + at}: the events are not sorted, or"
+        " the camera's clock began anew.",
+        remedy="Sort them by time, or give each recording as a file of its own.",
+    )

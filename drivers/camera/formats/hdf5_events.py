@@ -4,9 +4,9 @@
 - Columns of one length in a group: ``t, x, y, p``, or ``ts, xs, ys, ps``. Our own plain layout, DSEC, e2calib and M3ED
   are such; ``triggers/t, value, id``, ``width`` and ``height`` (attributes), ``calib/resolution`` and ``t_offset`` (us)
   beside them are read if they are there.
-- A table ``events`` of N x 4: of whole numbers t, x, y, p (v2e), of others x, y, t, p (MVSEC).
+- A table ``events`` of N x 4: t, x, y, p (v2e), x, y, t, p (MVSEC) or x, y, p, t; the column that rises has the times.
 
-Times with fractions are in s, all others in us.
+Times with fractions are in s, all others in us. Times of 32 bits begin anew after 71.6 minutes.
 
 Sources: Prophesee, "HDF5 Event File Format", https://docs.prophesee.ai/stable/data/file_formats/hdf5.html; DSEC,
 https://dsec.ifi.uzh.ch/data-format; M3ED, https://m3ed.io/data_overview; MVSEC, https://daniilidis-group.github.io/mvsec.
@@ -14,7 +14,7 @@ https://dsec.ifi.uzh.ch/data-format; M3ED, https://m3ed.io/data_overview; MVSEC,
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from typing import Any, Final
 
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from drivers.camera.event_arrays import (
     MOST_TRIGGERS,
+    Clock32,
     Events,
     EventSource,
     ReadingChoices,
@@ -70,6 +71,10 @@ _COLUMNS: Final = (
     ("p", "ps", "polarity", "polarities"),
 )
 """Names of the columns t, x, y and p."""
+_OF_WHOLE: Final = (0, 1, 2, 3)
+_OF_FRACTIONS: Final = (2, 0, 1, 3)
+_ORDERS: Final = (_OF_WHOLE, _OF_FRACTIONS, (3, 0, 1, 2))
+"""Places of t, x, y and p in the tables of known programs."""
 _MOST_GROUPS: Final = 1000
 _MOST_PX: Final = 1 << 16
 _MOST_MEMBERS: Final = 10_000
@@ -97,13 +102,16 @@ def opened_hdf5(file: Any, choices: ReadingChoices, *, by_library: bool = False)
 
     def events() -> Iterator[Events]:
         even = [even_pieces(read(array), PIECE_EVENTS) for array in arrays.values()]
-        unit_us = 0.0
+        unit_us, clock, order = 0.0, Clock32(), None
         for parts in zip(*even, strict=True):
-            columns = _columns([part for (part,) in parts])
+            own = [part for (part,) in parts]
+            order = order or (_order(own[0]) if own[0].ndim == 2 else None)
+            columns = _columns(own, order)
             unit_us = unit_us or _unit_us(columns[0])
-            yield as_events(
-                *(_whole_of(values, unit) for values, unit in zip(columns, (unit_us, 1, 1, 1), strict=True))
+            t, *others = (
+                _whole_of(values, unit) for values, unit in zip(columns, (unit_us, 1, 1, 1), strict=True)
             )
+            yield as_events(clock.continued(t) if t.dtype == np.uint32 else t, *others)
 
     header = (
         texts(file) if name == _CD else texts(member(file, "header")) if has_member(file, "header") else {}
@@ -161,15 +169,27 @@ def _length(array: Any, path: str) -> int:
     return int(array.shape[0])
 
 
-def _columns(parts: list[NDArray[Any]]) -> list[NDArray[Any]]:
+def _columns(parts: list[NDArray[Any]], order: Sequence[int] | None) -> list[NDArray[Any]]:
     """Return t, x, y and p of rows of a table, or of columns."""
     table = parts[0]
     if len(parts) == 1 and table.ndim == 1:
         return [_column(table, name, "events") for name in Events._fields]
-    if len(parts) == 1:
-        order = (0, 1, 2, 3) if table.dtype.kind in "iu" else (2, 0, 1, 3)
+    if order is not None:
         return [np.ascontiguousarray(table[:, k]) for k in order]
     return parts
+
+
+def _order(table: NDArray[Any]) -> Sequence[int]:
+    """Return the places of t, x, y and p in a table: where times rise, and polarities are; else as usual for its type.
+
+    Raises NotARecording if no column can be that of polarities.
+    """
+    usual = _OF_WHOLE if table.dtype.kind in "iu" else _OF_FRACTIONS
+    fitting = [one for one in (usual, *_ORDERS) if np.isin(table[:, one[3]], (-1, 0, 1)).all()]
+    if not fitting:
+        raise UnreadableEvents("no column of its table holds polarities, which are -1, 0 or 1.")
+    rising = [one for one in fitting if not (table[1:, one[0]] < table[:-1, one[0]]).any()]
+    return (rising or fitting)[0]
 
 
 def _column(table: NDArray[Any], name: str, of: str) -> NDArray[Any]:

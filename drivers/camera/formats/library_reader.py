@@ -35,6 +35,7 @@ import numpy as np
 
 from drivers.camera.event_arrays import (
     MOST_TRIGGERS,
+    Clock32,
     Events,
     EventSource,
     Piece,
@@ -78,6 +79,8 @@ MAGIC_MCAP: Final = b"\x89MCAP0\r\n"
 MAGIC_SQLITE: Final = b"SQLite format 3\x00"
 _OF_EVENTS: Final = ("EventArray", "EventPacket")
 
+_OF_WORDS: Final = ("evt3", "evt21")
+"""Encodings whose words depend on the words before them."""
 _HEADER: Final = "std_msgs/Header header\n"
 _PACKET_TEXT: Final = (
     f"{_HEADER}uint32 height\nuint32 width\nuint64 seq\nuint64 time_base\nstring encoding\n"
@@ -354,9 +357,18 @@ def _bag_pieces(path: Path, topic: str, size: tuple[int, int], origin: int) -> I
     decoders: dict[str, Any] = {}
     with _opened_bag(path) as (reader, decode):
         used = [one for one in reader.connections if one.topic == topic]
+        last = None
         for connection, _, raw in reader.messages(used):
             message = decode(raw, connection.msgtype)
             encoding = getattr(message, "encoding", "structs")
+            number = getattr(message, "seq", None)
+            if encoding in _OF_WORDS and last is not None and number - last > 1:
+                raise NotARecording(
+                    f"{number - last - 1} messages of {topic} are missing after number {last}: ROS lost them, and the"
+                    f" words of {encoding} cannot be read without them.",
+                    remedy="Record again with longer queues or a higher threshold of the camera's driver.",
+                )
+            last = number
             if encoding not in decoders:
                 decoders[encoding] = _decoder_of(encoding, size, str(path))
             for events, edges in decoders[encoding](message):
@@ -413,8 +425,7 @@ def _of_mono(message: Any) -> Events:
 def _of_libcaer(message: Any) -> Events:
     """Read 8 bytes an event: polarity [1], y [16:2], x [31:17], then time since ``time_base`` in us, 31 bits."""
     rows = np.frombuffer(_whole_events(message), [("data", "<u4"), ("t", "<i4")])
-    turned = np.cumsum(np.diff(rows["t"], prepend=rows["t"][:1]) < 0)
-    t = np.int64(message.time_base) // 1000 + rows["t"] + (turned << 31)
+    t = np.int64(message.time_base) // 1000 + Clock32(31).continued(rows["t"])
     data = rows["data"]
     x, y = ((data >> 17) & 0x7FFF).astype(np.uint16), ((data >> 2) & 0x7FFF).astype(np.uint16)
     return Events(t, x, y, (data >> 1 & 1).astype(np.uint8))

@@ -21,6 +21,7 @@ import numpy as np
 from numba import njit
 
 from drivers.camera.event_arrays import (
+    Clock32,
     Events,
     EventSource,
     Piece,
@@ -190,15 +191,11 @@ def _blocks(path: Path, begin: int, state: ReadingState) -> Iterator[bytes]:
 
 
 def _dat_pieces(blocks: Iterator[bytes], layout: tuple[int, int, int]) -> Iterator[Piece]:
-    last, loops = 0, 0
+    clock = Clock32()
     x_bits, y_bits, p_bits = layout
     for block in blocks:
         numbers = np.frombuffer(block, "<u4", count=len(block) // _DAT_EVENT_BYTES * 2)
-        low, data = numbers[0::2].astype(np.int64), numbers[1::2]
-        turned = np.cumsum(np.diff(np.concatenate([[last], low])) < -(1 << 31))
-        t = low + ((loops + turned) << 32)
-        if len(low):
-            last, loops = int(low[-1]), loops + int(turned[-1])
+        t, data = clock.continued(numbers[0::2]), numbers[1::2]
         x, y, p = (
             (data >> shift & (1 << bits) - 1)
             for shift, bits in ((0, x_bits), (x_bits, y_bits), (x_bits + y_bits, p_bits))

@@ -250,9 +250,17 @@ def test_aedat4_written_by_dv_processing(tmp_path):
 
 
 def bag(
-    path, version, rows, kind, *, name="event_camera_msgs/msg/EventPacket", data=None, topics=("/events",)
+    path,
+    version,
+    rows,
+    kind,
+    *,
+    name="event_camera_msgs/msg/EventPacket",
+    data=None,
+    topics=("/events",),
+    numbers=(0,),
 ):
-    """Write a bag with the package rosbags; return the path to read."""
+    """Write a bag with the package rosbags, a message for each of the numbers; return the path to read."""
     pytest.importorskip("rosbags")
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -302,7 +310,8 @@ def bag(
         with Writer(path) as writer:
             for topic in topics:
                 connection = writer.add_connection(topic, name, typestore=store)
-                writer.write(connection, ORIGIN_US * 1000, store.serialize_ros1(message, name))
+                for message.seq in numbers:
+                    writer.write(connection, ORIGIN_US * 1000, store.serialize_ros1(message, name))
         return path
     from rosbags.rosbag2 import Writer
 
@@ -393,6 +402,20 @@ def test_one_of_two_topics_of_a_bag_is_chosen(tmp_path, version):
         found = import_events(path, ReadingChoices(stream=name))
         assert_same(found, rows, int(found.header["time_origin_us"]) - ORIGIN_US)
         assert found.header["ros_topic"].strip("/") == name.strip("/")
+
+
+@pytest.mark.parametrize("numbers", [(4, 5), (4, 4), (9, 0)])
+def test_messages_that_ros_lost_are_told_where_words_depend_on_them(tmp_path, numbers):
+    """A driver that starts again counts from 0; some count nothing."""
+    rows = some_events(60)
+    path = bag(tmp_path / "a.bag", 1, rows, "evt21", data=evt21_words(rows), numbers=(4, 9))
+    with pytest.raises(NotARecording, match=r"4 messages of /events are missing after number 4"):
+        import_events(path)
+    assert len(
+        import_events(
+            bag(tmp_path / "b.bag", 1, rows, "evt21", data=evt21_words(rows), numbers=numbers)
+        ).events.t
+    )
 
 
 def test_the_folder_of_a_ros_2_bag_is_converted(tmp_path):

@@ -1,0 +1,299 @@
+"""One camera from the values of a calibration file, which have names without case and punctuation.
+
+A thing that a file states twice must be the same twice; coefficients have names, or the order of their lens model.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Any, Final, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from bench.plan.camera_text import WRITE_OPENCV, OtherForm, numbers
+from calib.model.camera import PINHOLE, SKEW, CameraModel
+from calib.model.lens import FISHEYE, OPENCV, OPENCV_LENGTHS
+
+Array = NDArray[np.float64]
+LensFamily = Literal["brown", "fisheye"]
+Values = Mapping[str, Any]
+
+LARGEST: Final = 1e15
+"""Of any value: a lens of long focal length has coefficients of 1e9."""
+OF_OTHER_FORM = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError)
+"""What reading a file of another form raises."""
+LONGEST_NAME: Final = 40
+"""Characters of a name that a message shows."""
+_SAME = 1e-6
+"""Two statements of one number may differ by so much: digits that a program left out."""
+_ALIKE_PX = 0.01
+"""Two readings of a file that project so much apart are one: a tenth of what the best calibration states."""
+_LEAST_SKEW_PX = 1e-9
+_LEAST_NAMED = 5
+"""Coefficients of OpenCV that are kept by name although they are zero."""
+_OF_MATRIX = 9
+#: Names without case and punctuation, as programs write them.
+_MATRIX = ("cameramatrix", "k", "mtx", "cameramat", "intrinsicmatrix", "intrinsics", "intrinsic", "m")
+_LENS = (
+    "distortioncoefficients", "distortioncoeffs", "distortionvector", "distortionparams", "distortion", "distcoeffs",
+    "distcoeff", "distcoefs", "dist", "d",
+)  # fmt: skip
+_SIZES = ("imagesize", "resolution", "imagersize", "imageresolution")
+_SIDES = [
+    (f"{of}{width}", f"{of}{height}")
+    for of in ("image", "", "img", "imagesize")
+    for width, height in (("width", "height"), ("w", "h"))
+]
+_MODEL = re.compile(
+    "(distortion|dist|lens|camera|cam|projection|calibration|usefisheye|fisheye)?model(type)?"
+    "|(distortion|dist|lens|camera|projection)type|(use|is)?fisheye"
+)
+_EQUIDISTANT = (
+    "equidistant", "equi", "fisheye", "opencvfisheye", "kannalabrandt", "kannalabrandt4", "kannalabrandt8", "kb4",
+)  # fmt: skip
+#: Coefficients of each lens model, by its name in any program; None: the name says nothing of the distortion.
+_LENSES: Mapping[str, tuple[str, ...] | None] = {
+    **dict.fromkeys(("plumbbob", "radialtangential", "lensmodelopencv5"), OPENCV[:5]),
+    **dict.fromkeys(("radtan", "lensmodelopencv4"), OPENCV[:4]),
+    **dict.fromkeys(("lensmodelopencv8", "pinholeradtan8"), OPENCV[:8]),
+    "lensmodelopencv12": OPENCV[:12],
+    **dict.fromkeys(("rationalpolynomial", "opencv", "brown", "brownconrady"), OPENCV),
+    **dict.fromkeys(_EQUIDISTANT, FISHEYE),
+    **dict.fromkeys(("none", "lensmodelpinhole"), ()),
+    **dict.fromkeys(("pinhole", "perspective"), None),
+    **dict.fromkeys(("0", "false"), OPENCV),  # of a name that asks for a fisheye
+    **dict.fromkeys(("1", "true"), FISHEYE),
+}
+_OPENCV_IN_FILES, _FISHEYE_IN_FILES = tuple(name.lower() for name in OPENCV), ("k1", "k2", "k3", "k4")
+"""Names of single coefficients in files."""
+_ASK = "Give --lens brown or --lens fisheye, or write `fisheye_model: 0` or `fisheye_model: 1` into the file."
+
+
+def camera_of_values(values: Values, family: LensFamily | None) -> CameraModel:
+    """Return the camera of one set of values."""
+    matrix, beside = _matrix(values)
+    model, names = _stated_lens(values)
+    found = _distortion(values, beside, is_fisheye=names is FISHEYE or family == "fisheye")
+    if found is None:
+        if model is None or names or not set(values).isdisjoint(_LENS):
+            raise OtherForm(
+                "it states no distortion coefficients",
+                "Add distortion_coefficients; zeros are without distortion.",
+            )
+        found = []
+    if family is not None:
+        if names is not None and (names is FISHEYE) != (family == "fisheye"):
+            raise OtherForm(f"its lens model is {model}, not {family}", "Leave out --lens.")
+        names = names if names is not None else FISHEYE if family == "fisheye" else OPENCV
+    fx, fy, cx, cy = (float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
+    plain = CameraModel(fx, fy, cx, cy, size_of_values(values))
+    if names is None and len(found) == len(FISHEYE) and any(found):
+        _require_alike(plain, found)
+    coefficients = _coefficients(found, names if names is not None else OPENCV, model or "OpenCV")
+    skew = {SKEW: float(matrix[0, 1])} if abs(matrix[0, 1]) > _LEAST_SKEW_PX else {}
+    return replace(plain, distortion={**coefficients, **skew})
+
+
+def states_a_matrix(values: Values) -> bool:
+    """Return whether values name a camera matrix."""
+    return bool(_listed(values, _MATRIX))
+
+
+def _listed(values: Values, names: Sequence[str]) -> dict[str, Any]:
+    """Return the values of such names that are a list or a matrix, in the order of the names."""
+    stated = {name: values[name] for name in names if name in values}
+    return {
+        name: value
+        for name, value in stated.items()
+        if isinstance(value, str | list | tuple) or (isinstance(value, Mapping) and "data" in value)
+    }
+
+
+def _agreed(what: str, found: Mapping[str, Sequence[float]]) -> Sequence[float]:
+    """Return the first of some statements of one thing. Raises OtherForm if another one has other numbers."""
+    first, *others = found
+    for other in others:
+        same = len(found[first]) == len(found[other])
+        if not same or not np.allclose(found[first], found[other], rtol=_SAME, atol=_SAME):
+            raise OtherForm(
+                f"it states {what} twice, and {first!r} and {other!r} have different numbers",
+                "Keep the right one in a copy of the file.",
+            )
+    return found[first]
+
+
+def _distortion(values: Values, beside: list[float], *, is_fisheye: bool) -> Sequence[float] | None:
+    """Return the coefficients in the order of their lens model, as lists or names state them; None without any.
+
+    Zeros at the end do not count when two statements are compared.
+    """
+    found = {name: numbers_of("the distortion", value) for name, value in _listed(values, _LENS).items()}
+    if beside:
+        found["intrinsics"] = beside
+    if named := _named(values, is_fisheye=is_fisheye):
+        found["k1, k2, ..."] = named
+    if not found:
+        return None
+    longest = max(map(len, found.values()))
+    _agreed("the distortion", {name: [*one, *[0.0] * (longest - len(one))] for name, one in found.items()})
+    return next(iter(found.values()))
+
+
+def _named(values: Values, *, is_fisheye: bool) -> list[float]:
+    """Return coefficients that have a name each, such as ``k1: -0.1``, also below ``distortion``; empty without any."""
+    names = _FISHEYE_IN_FILES if is_fisheye else _OPENCV_IN_FILES
+    inner = [one for one in map(values.get, _LENS) if isinstance(one, Mapping) and "data" not in one]
+    stated = {
+        re.sub(r"[^a-z0-9]", "", str(name).lower()): value
+        for of in (values, *inner)
+        for name, value in of.items()
+    }
+    found = {
+        name: stated[name] for name in _OPENCV_IN_FILES if isinstance(stated.get(name), int | float | str)
+    }
+    if not found:
+        return []
+    coefficients = {name: numbers_of(f"the coefficient {name}", value) for name, value in found.items()}
+    if any(len(one) != 1 for one in coefficients.values()):
+        raise OtherForm(f"one of the coefficients {', '.join(found)} is no number")
+    other = [name for name, (value,) in coefficients.items() if value and name not in names]
+    if other:
+        raise OtherForm(f"a fisheye lens has no coefficient {other[0]}", "Correct the name of the model.")
+    if not is_fisheye and coefficients.get("k4", [0.0]) != [0.0] and not {"k5", "k6", "p1"} & set(found):
+        raise OtherForm("it states k1 to k4 and no lens model, as of a fisheye lens", _ASK)
+    last = max(names.index(name) for name in found if name in names)
+    listed = [coefficients.get(name, [0.0])[0] for name in names[: last + 1]]
+    lengths = (len(FISHEYE),) if is_fisheye else OPENCV_LENGTHS
+    return listed + [0.0] * (next(one for one in lengths if one >= len(listed)) - len(listed))
+
+
+def _stated_lens(values: Values) -> tuple[str | None, tuple[str, ...] | None]:
+    """Return the lens model as a file names it, and the names of its coefficients; None if it states none."""
+    if "k" in values and values.get("type", "pinhole") != "pinhole":
+        raise OtherForm(
+            f"the camera geometry has the type {str(values['type'])[:LONGEST_NAME]!r}; only `pinhole` is known: the"
+            " maker does not publish how a fisheye is written",
+            "Use another file of the same calibration, for example OpenCV's YAML.",
+        )
+    model, names = None, None
+    for value in (value for key, value in values.items() if _MODEL.fullmatch(key)):
+        if value is None or isinstance(value, Mapping):
+            continue
+        word = re.sub(r"[^a-z0-9]", "", str(value).lower())
+        if word not in _LENSES or isinstance(value, list):
+            raise OtherForm(f"the lens model {str(value)[:LONGEST_NAME]!r} is not read", WRITE_OPENCV)
+        own = _LENSES[word]
+        model = str(value) if model is None or own is not None else model
+        if own is None:
+            continue
+        if names is not None and (names is FISHEYE) != (own is FISHEYE):
+            raise OtherForm(
+                f"it states two lens models that contradict each other, one of them {str(value)!r}"
+            )
+        names = own if names is None else min(names, own, key=len)
+    return model, names
+
+
+def _coefficients(found: Sequence[float], names: Sequence[str], model: str) -> dict[str, float]:
+    """Return the coefficients by name: the one rule for their number. Those beyond the model's must be zero."""
+    beyond = [at for at, value in enumerate(found) if value and at >= len(names)]
+    if beyond:
+        raise OtherForm(
+            f"the lens model {model} has {len(names)} coefficients; the file states {len(found)}, and number"
+            f" {beyond[0] + 1} is {found[beyond[0]]:g}",
+            "Correct the name of the model, or the coefficients.",
+        )
+    if names is FISHEYE and not found:
+        return dict.fromkeys(FISHEYE, 0.0)
+    lengths = (len(FISHEYE),) if names is FISHEYE else (0, *OPENCV_LENGTHS)
+    if min(len(found), len(names)) not in lengths:
+        raise OtherForm(
+            f"{len(found)} distortion coefficients are no camera's: there are {', '.join(map(str, lengths))}"
+        )
+    last = max((at + 1 for at, value in enumerate(found) if value), default=0)
+    used = next(
+        length for length in lengths if length >= min(max(last, _LEAST_NAMED), len(found), len(names))
+    )
+    return dict(zip(names[:used], found, strict=False))
+
+
+def _require_alike(camera: CameraModel, found: Sequence[float]) -> None:
+    """Refuse four coefficients without a lens model, unless both readings project alike."""
+    brown, fisheye = (
+        replace(camera, distortion=dict(zip(names, found, strict=False))) for names in (OPENCV, FISHEYE)
+    )
+    width, height = camera.image_size
+    border = np.array([(x, y) for x in np.linspace(0, width - 1, 9) for y in np.linspace(0, height - 1, 9)])
+    apart = np.linalg.norm(fisheye.project(brown.rays(border)) - border, axis=1)
+    if not np.isfinite(apart).all() or apart.max() > _ALIKE_PX:
+        most = f", up to {np.nanmax(apart):.1f} px apart" if np.isfinite(apart).any() else ""
+        raise OtherForm(
+            "it states four coefficients and no lens model: they are k1 k2 p1 p2, or those of a fisheye lens"
+            f" (cv2.fisheye){most}",
+            _ASK,
+        )
+
+
+def _matrix(values: Values) -> tuple[Array, list[float]]:
+    """Return the camera matrix, and the numbers beside it where a program writes both in one list."""
+    stated = {
+        name: numbers_of("the camera matrix", value) for name, value in _listed(values, _MATRIX).items()
+    }
+    if not stated:
+        raise OtherForm("it has no camera matrix")
+    found, *others = stated.values()
+    beside: list[float] = []
+    if len(found) >= len(PINHOLE) and (len(found) != _OF_MATRIX or "lensmodel" in values):
+        found, beside = _of_pinhole(found[:4]), found[4:]
+    if len(found) != _OF_MATRIX:
+        raise OtherForm(f"the camera matrix has {len(found)} numbers; 9 are needed, or fx, fy, cx, cy")
+    alike = [_of_pinhole(one) if len(one) == len(PINHOLE) else one for one in others]
+    matrices = zip(
+        stated, [found, *alike], strict=True
+    )  # others, such as of extrinsics, have another last row
+    _agreed("the camera matrix", {name: one for name, one in matrices if one[6:] == found[6:]})
+    matrix = np.array(found).reshape(3, 3)
+    if not matrix[:2].any():
+        raise OtherForm(
+            "the camera is not calibrated: its camera matrix is zero", "Calibrate the camera first."
+        )
+    if not np.array_equal(matrix[2], [0.0, 0.0, 1.0]) or matrix[1, 0]:
+        raise OtherForm(
+            "the camera matrix is not fx 0 cx, 0 fy cy, 0 0 1, row after row",
+            "MATLAB and Open3D write it column after column; MATLAB counts pixels from 1.",
+        )
+    return matrix, beside
+
+
+def _of_pinhole(found: Sequence[float]) -> list[float]:
+    fx, fy, cx, cy = found
+    return [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+
+
+def size_of_values(values: Values) -> tuple[int, int]:
+    """Return width and height of the image, px."""
+    stated = _listed(values, _SIZES)
+    stated |= {
+        " and ".join(names): [values[name] for name in names] for names in _SIDES if set(names) <= set(values)
+    }
+    if not stated:
+        raise OtherForm("it does not state the size of the image", "Add image_width and image_height, px.")
+    sizes = {name: numbers_of("the size of the image", value) for name, value in stated.items()}
+    sides = _agreed("the size of the image", sizes)
+    if len(sides) != 2 or any(side != int(side) for side in sides):
+        raise OtherForm("the size of the image is not a width and a height")
+    return int(sides[0]), int(sides[1])
+
+
+def numbers_of(what: str, value: Any) -> list[float]:
+    """Return the numbers of ``what``, row after row. Raises OtherForm if there are others than finite numbers."""
+    try:
+        found = numbers(value)
+    except OF_OTHER_FORM:
+        raise OtherForm(f"{what} is no list of numbers") from None
+    if not (np.abs(found) < LARGEST).all():
+        raise OtherForm(f"{what} has a value that is not finite")
+    return found

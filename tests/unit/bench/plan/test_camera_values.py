@@ -1,0 +1,97 @@
+"""Cameras whose values have a name each, are stated twice, or are in another unit than px."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from bench.plan.camera_files import NotACamera, parse_camera
+
+K = [[900.0, 0.0, 640.0], [0.0, 905.0, 360.0], [0.0, 0.0, 1.0]]
+D = [-0.1, 0.01, 0.001, -0.002, 0.3]
+NAMED = dict(zip(("k1", "k2", "p1", "p2", "k3"), D, strict=True))
+SIZE = {"image_width": 1280, "image_height": 720}
+
+
+def camera(**content):
+    return parse_camera(json.dumps(content).encode(), Path("camera.json")).camera
+
+
+def refusal(**content):
+    with pytest.raises(NotACamera) as caught:
+        camera(**content)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("lens", [NAMED, {"distortion": NAMED}, {"distortion_model": "plumb_bob", **NAMED}])
+def test_coefficients_with_a_name_each_are_used(lens):
+    found = camera(K=K, **SIZE, **lens)
+    assert found.distortion == NAMED
+
+
+def test_focal_lengths_and_principal_point_with_a_name_each_are_used():
+    found = camera(fx=900.0, fy=905.0, cx=640.0, cy=360.0, dist=D, **SIZE)
+    assert (found.fx, found.fy, found.cx, found.cy) == (900.0, 905.0, 640.0, 360.0)
+
+
+def test_named_coefficients_of_a_fisheye_have_its_order():
+    lens = {"model": "fisheye", "k1": -0.1, "k2": 0.02, "k3": 0.003, "k4": 0.004}
+    assert list(camera(K=K, **SIZE, **lens).distortion.values()) == [-0.1, 0.02, 0.003, 0.004]
+
+
+def test_k4_without_a_model_is_asked_for():
+    assert "--lens fisheye" in refusal(K=K, **SIZE, k1=-0.1, k2=0.02, k3=0.003, k4=0.004)
+
+
+def test_a_named_coefficient_that_the_model_lacks_is_refused():
+    assert "no coefficient p1" in refusal(K=K, **SIZE, model="fisheye", k1=-0.1, p1=0.02)
+
+
+def test_a_model_without_its_coefficients_is_refused():
+    assert "no distortion coefficients" in refusal(K=K, **SIZE, model="opencv")
+
+
+HALF_K = [[450.0, 0.0, 320.0], [0.0, 452.5, 180.0], [0.0, 0.0, 1.0]]
+
+
+@pytest.mark.parametrize(
+    ("more", "what"),
+    [
+        ({"camera_matrix": HALF_K}, "the camera matrix twice"),
+        ({"dist": [0.0] * 5}, "the distortion twice"),
+        ({"k1": -0.2}, "the distortion twice"),
+        ({"width": 640, "height": 360}, "the size of the image twice"),
+    ],
+)
+def test_what_is_stated_twice_and_differs_is_refused(more, what):
+    assert what in refusal(K=K, distortion_coefficients=D, **SIZE, **more)
+
+
+def test_what_is_stated_twice_and_is_the_same_is_read():
+    """``M`` is a matrix of extrinsics here; the second list of coefficients has more zeros."""
+    pose = [[0.0, 1.0, 0.0, 5.0], [1.0, 0.0, 0.0, 6.0], [0.0, 0.0, 1.0, 7.0], [0.0, 0.0, 0.0, 1.0]]
+    lens = {"distortion_coefficients": D, "dist": [*D, 0.0, 0.0, 0.0], "k1": -0.1, "k2": 0.01, "p1": 0.001}
+    found = camera(K=K, camera_matrix=K, M=pose, **SIZE, resolution=[1280, 720], **lens, p2=-0.002, k3=0.3)
+    assert found.distortion == NAMED
+
+
+def test_the_name_of_a_lens_model_is_found_by_any_usual_key():
+    assert "'fov' is not read" in refusal(K=K, dist=D[:4], DistModel="fov", **SIZE)
+    assert "kb1" in camera(K=K, dist=D[:4], DistModel="equidistant", **SIZE).distortion
+
+
+def test_a_height_before_the_width_is_refused():
+    told = refusal(K=K, dist=D, image_size=[720, 1280])
+    assert "720 x 1280 px" in told
+    assert "Write the width first" in told
+
+
+@pytest.mark.parametrize("factor", [0.005, 1 / 1280])
+def test_a_focal_length_in_mm_or_as_a_share_is_refused(factor):
+    small = [[factor * one for one in row] for row in K[:2]]
+    assert "some programs state them in mm" in refusal(K=[*small, K[2]], dist=D, **SIZE)
+
+
+def test_a_fisheye_of_more_than_a_half_sphere_is_read():
+    matrix = [[333.0, 0.0, 640.0], [0.0, 333.0, 360.0], [0.0, 0.0, 1.0]]
+    assert camera(K=matrix, dist=D[:4], model="fisheye", **SIZE).fx == 333.0

@@ -1,0 +1,93 @@
+"""Times in files of events: sorted, in us, and through the turn of a counter of 32 bits; tables in three orders."""
+
+import h5py
+import numpy as np
+import pytest
+from imported import import_events
+
+from drivers.camera.event_arrays import ReadingChoices
+from drivers.camera.formats import event_conversion
+from drivers.errors import NotARecording
+
+N = 2000
+SIZED = ReadingChoices((640, 480))
+CHANCE = np.random.default_rng(3)
+ROWS = {
+    "t": 5_000_000 + np.sort(CHANCE.integers(0, 1_000_000, N)),
+    "x": CHANCE.integers(0, 640, N),
+    "y": CHANCE.integers(0, 480, N),
+    "p": CHANCE.integers(0, 2, N),
+}
+
+
+def npz(folder, **changed):
+    np.savez(folder / "a.npz", **{**ROWS, **changed})
+    return folder / "a.npz"
+
+
+def hdf5(folder, **changed):
+    with h5py.File(folder / "a.h5", "w") as file:
+        for name, values in {**ROWS, **changed}.items():
+            file[f"events/{name}"] = values
+    return folder / "a.h5"
+
+
+def table(folder, order, unit=1):
+    with h5py.File(folder / "a.h5", "w") as file:
+        columns = {**ROWS, "t": ROWS["t"] * unit}
+        file["events"] = np.stack([columns[name] for name in order], axis=1)
+    return folder / "a.h5"
+
+
+@pytest.mark.parametrize("make", [npz, hdf5])
+def test_events_that_are_not_sorted_are_refused(tmp_path, make):
+    mixed = CHANCE.permutation(N)
+    path = make(tmp_path, **{name: values[mixed] for name, values in ROWS.items()})
+    with pytest.raises(NotARecording, match=r"times step back from \d+ to \d+ us.*Sort them by time"):
+        import_events(path, SIZED)
+
+
+def test_a_clock_that_begins_anew_is_told_with_its_place(tmp_path):
+    t = np.concatenate([ROWS["t"][:1200], ROWS["t"][1200:] - ROWS["t"][1200]])
+    with pytest.raises(
+        NotARecording, match=f"step back from {t[1199]} to 0 us, near event 1199: .*began anew"
+    ):
+        import_events(npz(tmp_path, t=t), SIZED)
+
+
+def test_packets_that_a_computer_has_mixed_up_are_read(tmp_path):
+    """Five events last some 2 ms here."""
+    t = ROWS["t"].copy()
+    t[500:510] = np.roll(t[500:510], 5)
+    assert np.array_equal(import_events(npz(tmp_path, t=t), SIZED).events.t, t)
+
+
+def test_a_counter_of_32_bits_goes_on_where_it_turns_over(tmp_path):
+    begun = 2**32 - 5_400_000
+    found = import_events(hdf5(tmp_path, t=(ROWS["t"] + begun).astype("u4")), SIZED)
+    assert np.array_equal(found.events.t, ROWS["t"] + begun)
+
+
+@pytest.mark.parametrize("order", ["txyp", "xytp", "xypt"])
+@pytest.mark.parametrize("unit", [1, 1e-6])
+def test_the_column_of_a_table_that_rises_holds_the_times(tmp_path, order, unit):
+    found = import_events(table(tmp_path, order, unit), SIZED)
+    assert all(np.array_equal(getattr(found.events, name), ROWS[name]) for name in "txyp")
+
+
+def test_a_table_without_polarities_is_refused(tmp_path):
+    with pytest.raises(NotARecording, match="no column of its table holds polarities"):
+        import_events(table(tmp_path, "xytx"), SIZED)
+
+
+def test_times_that_cannot_be_us_are_refused(tmp_path):
+    with pytest.raises(NotARecording, match="span 12 days: they are not in us"):
+        import_events(hdf5(tmp_path, t=ROWS["t"] + 0.5), SIZED)
+    with pytest.raises(NotARecording, match="after the year 2100: they are not in us"):
+        import_events(npz(tmp_path, t=ROWS["t"] * 1000 + 1_600_000_000_000_000_000), SIZED)
+
+
+def test_a_conversion_tells_how_long_the_recording_is(tmp_path):
+    """Times in ns look like a recording that is a thousand times as long."""
+    written = event_conversion.convert(npz(tmp_path), tmp_path / "b.h5", "hdf5", SIZED)
+    assert written.span_us == ROWS["t"][-1] - ROWS["t"][0]
