@@ -411,7 +411,7 @@ class Calibration:
             **({"boresight": self.boresight.to_dict()} if self.boresight else {}),
             "budget_rows": [asdict(row) for row in self.budget_rows],
             "not_included": list(self.not_included),
-            "witnesses": [asdict(one) for one in self.witnesses],
-            "amplitudes": [asdict(one) for one in self.amplitudes],
+            "witnesses": [asdict(witness) for witness in self.witnesses],
+            "amplitudes": [asdict(amplitude) for amplitude in self.amplitudes],
             "coverage_factors": dict(self.coverage_factors),
         }

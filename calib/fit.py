@@ -93,9 +93,11 @@ def fit_model(
     refined, loss = refine_robustly(bundle, start, options)
     if options.passport is None:
         require_distinct_poses(refined.parameters)
-    found = _constrained(kept, bundle, refined, loss)
-    left_out = leave_one_out(bundle, refined.parameters, loss) if leave_out or found.inconsistent else None
-    return Fit(model, views, bundle, refined, loss, np.concatenate(used), found, left_out)
+    uncertainty = _constrained(kept, bundle, refined, loss)
+    left_out = (
+        leave_one_out(bundle, refined.parameters, loss) if leave_out or uncertainty.inconsistent else None
+    )
+    return Fit(model, views, bundle, refined, loss, np.concatenate(used), uncertainty, left_out)
 
 
 def _constrained(
@@ -105,8 +107,8 @@ def _constrained(
     parameters = refined.parameters
     why = explain_weak_geometry(views, parameters)
     try:
-        found = covariance_at_optimum(bundle, parameters, loss)
-        require_constrained(parameters, found.sigma)
+        uncertainty = covariance_at_optimum(bundle, parameters, loss)
+        require_constrained(parameters, uncertainty.sigma)
     except DegenerateViews as error:
         raise DegenerateViews(f"{error.what} {why}".strip(), remedy=error.remedy) from error
     if not refined.converged:
@@ -114,7 +116,7 @@ def _constrained(
             f"The adjustment did not converge within {refined.iterations} steps. {why}".strip(),
             remedy="Add views from other angles, or estimate fewer distortion coefficients.",
         )
-    return found
+    return uncertainty
 
 
 def refine_robustly(

@@ -371,15 +371,15 @@ class ScpiLine(TextLine):
 
     def read_errors(self) -> list[InstrumentError]:
         """Empty the error queue; return its errors, oldest first. A queue without an end raises `ReplyGarbled`."""
-        found: list[InstrumentError] = []
+        errors: list[InstrumentError] = []
         while self.has_error_queue:
             error = self._next_error()
             if error.code == 0:
                 break
-            found.append(error)
-            if len(found) > _LONGEST_QUEUE:
+            errors.append(error)
+            if len(errors) > _LONGEST_QUEUE:
                 raise self.garbled_reply("the error queue never ends.")
-        return found
+        return errors
 
     def write(self, data: bytes) -> None:
         """See `Link.write`."""

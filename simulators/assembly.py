@@ -74,7 +74,7 @@ def _model(axis: AxisConfig, *, home_deg: float = 0.0, notices_stalls: bool = Tr
 
 
 def _on_one_port(dialect: Dialect, controllers: Mapping[AxisName, AxisController]) -> Stage:
-    named = {str(name): one for name, one in controllers.items()}
+    named = {str(name): controller for name, controller in controllers.items()}
     return Stage({"gimbal": dialect}, named, dict.fromkeys(named, "gimbal"))
 
 

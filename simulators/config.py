@@ -173,7 +173,7 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
             raise ConfigError("Unknown key.", where=str(key), remedy=f"Known are: {', '.join(known)}.")
     optics = given.get("optics", {})
     orders = given.get("faults", [])
-    if not isinstance(orders, list) or not all(isinstance(one, Mapping) for one in orders):
+    if not isinstance(orders, list) or not all(isinstance(order, Mapping) for order in orders):
         raise ConfigError(
             "A list of mappings is expected.", where="faults", remedy="Give one mapping per fault."
         )
@@ -189,7 +189,7 @@ def bench_config(given: Mapping[str, Any]) -> BenchConfig:
         axes=_with_backlash(given.get("stage", {}), axes, truth.gimbal),
         light=light,
         night=_night(given.get("rehearsal", {})),
-        faults=tuple(_order(index, one) for index, one in enumerate(orders)),
+        faults=tuple(_order(index, order) for index, order in enumerate(orders)),
         camera_serial=camera_serial,
         camera_seed=seed,
         mounting_from_seed="mounting_deg" not in optics,

@@ -47,7 +47,7 @@ class Section:
 
 def keys_of(section: type) -> list[str]:
     """Return the keys of a section."""
-    return [one.name for one in fields(section)]
+    return [field.name for field in fields(section)]
 
 
 def read_section(kind: type[_Kind], given: object, where: str, over: _Kind | None = None) -> _Kind:

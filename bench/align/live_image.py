@@ -405,8 +405,8 @@ def _by_counts(raw: RawFile, expected_hz: float) -> LiveImage | None:
     if not counted.periods:
         values = counted.counts.sum(axis=0, dtype=np.float32)
         return LiveImage(np.minimum(values, 1.0), "count", 0.5, signal, None, None)
-    found = make_quick_image(counted.counts, counted.periods)
-    return LiveImage(found.image, found.name, _LEAST_FIRED, signal, found.hot_pixels, None)
+    image = make_quick_image(counted.counts, counted.periods)
+    return LiveImage(image.image, image.name, _LEAST_FIRED, signal, image.hot_pixels, None)
 
 
 def _images(events: Events, size: tuple[int, int], signal: SignalFigures) -> EventImages | None:

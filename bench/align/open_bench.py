@@ -88,8 +88,8 @@ class CameraControl:
     @property
     def biases(self) -> Mapping[str, int]:
         """Offsets of the biases from the factory values, as read back."""
-        found: Mapping[str, int] = self.settings.get("biases", {})
-        return found
+        biases: Mapping[str, int] = self.settings.get("biases", {})
+        return biases
 
     @property
     def frame_settings(self) -> Mapping[str, float | None]:

@@ -124,12 +124,12 @@ class PageRequests:
         on = body.get("on")
         if on is not None and not isinstance(on, bool):
             raise UsageError("`on` must be true or false.", remedy=_AGAIN)
-        found = self._session.light(on=on, **numbers)
+        light = self._session.light(on=on, **numbers)
         if on is not None:
-            self._told(page, f"switched the light {'on' if found['on'] else 'off'}")
+            self._told(page, f"switched the light {'on' if light['on'] else 'off'}")
         if numbers:
-            self._told(page, f"set the light to {_light_text(found)}", "light")
-        return found
+            self._told(page, f"set the light to {_light_text(light)}", "light")
+        return light
 
     def bias(self, page: str, body: Mapping[str, Any]) -> Any:
         """Change one bias."""
@@ -160,9 +160,9 @@ class PageRequests:
         name = body.get("sequence") or ""
         sequence = str(self._files.sequence(str(name))) if name else None
         checks = check_readiness(self._session, sequence=sequence, station_file=self._files.station)
-        bad = sum(one.verdict != "good" for one in checks)
+        bad = sum(check.verdict != "good" for check in checks)
         self._told(page, f"made {len(checks)} checks; {bad} {'is' if bad == 1 else 'are'} not good")
-        return [one.as_data() for one in checks]
+        return [check.as_data() for check in checks]
 
     def propose(self, _page: str, body: Mapping[str, Any]) -> Any:
         """Show the change of a file."""

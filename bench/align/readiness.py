@@ -110,8 +110,8 @@ def _camera(bench: Bench) -> list[Check]:
     control, camera = bench.camera, bench.devices.camera
 
     def identity() -> Found:
-        found = bench.loop.on_camera(camera.identify).result(timeout=ANSWER_S)
-        return "good", f"{found.maker} {found.model}, serial {found.serial}, answers.", ""
+        result = bench.loop.on_camera(camera.identify).result(timeout=ANSWER_S)
+        return "good", f"{result.maker} {result.model}, serial {result.serial}, answers.", ""
 
     def settings() -> Found:
         if control.reasons:

@@ -351,7 +351,9 @@ def _check_by_one(stated: CameraFile, view: View, *, board: bool) -> int:
     return 0 if checked.right else 1
 
 
-def _lines(checked: CameraCheck, stated: CameraFile, found: Calibration, skipped: list[str]) -> Iterator[str]:
+def _lines(
+    checked: CameraCheck, stated: CameraFile, calibration: Calibration, skipped: list[str]
+) -> Iterator[str]:
     for reason in skipped:
         yield f"Left out: {reason}"
     from bench.wording.camera_check import check_sentences
@@ -362,9 +364,9 @@ def _lines(checked: CameraCheck, stated: CameraFile, found: Calibration, skipped
         row = checked.regions[start : start + 3]
         yield "  " + "   ".join(f"{one.name:<13} {one.offset_px:6.2f} ± {one.expanded_px:.2f}" for one in row)
     for name in ("fx", "fy", "cx", "cy"):
-        value, expanded = with_uncertainty(found.values[name], found.U[name])
-        was, k = getattr(stated.camera, name), found.k[name]
+        value, expanded = with_uncertainty(calibration.values[name], calibration.U[name])
+        was, k = getattr(stated.camera, name), calibration.k[name]
         yield f"  {name} was {was:.2f}, is {value} ± {expanded} px (k = {k:.2f})"
     if stated.covariance is None:
         yield f"U is that of the new views alone: {stated.kind} states no uncertainty."
-    yield from (f"Note: {note}" for note in found.notes)
+    yield from (f"Note: {note}" for note in calibration.notes)

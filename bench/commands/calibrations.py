@@ -42,10 +42,10 @@ def stated_camera(file: Path, name: str | None, lens: LensFamily | None) -> Came
     """Read the camera of a calibration file, and print what is remarkable about it."""
     from bench.plan.camera_files import read_camera_file
 
-    found = read_camera_file(file, name, lens)
-    for remark in found.remarks:
+    camera_file = read_camera_file(file, name, lens)
+    for remark in camera_file.remarks:
         click.echo(f"{file}: {remark}", err=True)
-    return found
+    return camera_file
 
 
 def offline_dict(

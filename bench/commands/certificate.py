@@ -289,18 +289,18 @@ def _rows(ledger: Ledger, *, is_known: bool) -> list[dict[str, Any]]:
     trust, now = read_trust(home_folder()), datetime.now(UTC)
     return [
         {
-            "number": one.number,
-            "state": _listed_state(one, trust, now, is_known=is_known),
-            "camera": one.serial,
-            "customer": one.customer,
-            "issued_utc": one.issued_utc,
-            "run": one.run_id,
-            "amends": one.amends,
-            "superseded_by": one.superseded_by,
-            "folder": one.folder,
-            "reason": one.reason,
+            "number": number.number,
+            "state": _listed_state(number, trust, now, is_known=is_known),
+            "camera": number.serial,
+            "customer": number.customer,
+            "issued_utc": number.issued_utc,
+            "run": number.run_id,
+            "amends": number.amends,
+            "superseded_by": number.superseded_by,
+            "folder": number.folder,
+            "reason": number.reason,
         }
-        for one in numbers(ledger.entries()).values()
+        for number in numbers(ledger.entries()).values()
     ]
 
 
@@ -331,7 +331,7 @@ def _summary(certificate: Certificate, state: str) -> list[str]:
         f"Calibrated: {certificate.begun_utc[:10]}; issued {certificate.issued_utc[:10]}; run {certificate.run.id}",
         f"To be authorised by {by.name}, {by.role} ({by.key})",
         "",
-        *(f"  {one.symbol:<4} {one.text}  (k = {one.k:.2f})" for one in certificate.results),
+        *(f"  {result.symbol:<4} {result.text}  (k = {result.k:.2f})" for result in certificate.results),
         *(f"  {one.name}: {one.text}" for one in certificate.further),
     ]
     lines += [
@@ -339,7 +339,10 @@ def _summary(certificate: Certificate, state: str) -> list[str]:
     ]
     if certificate.amends:
         lines.append(f"Replaces {certificate.amends.number}: {certificate.amends.reason}")
-        lines += [f"  {one.field}: {one.before!r} -> {one.after!r}" for one in certificate.amends.changes]
+        lines += [
+            f"  {change.field}: {change.before!r} -> {change.after!r}"
+            for change in certificate.amends.changes
+        ]
     return lines
 
 

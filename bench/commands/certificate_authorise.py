@@ -303,9 +303,9 @@ def _refuse_unverified(folder: Path, trust: Trust) -> None:
     """Refuse a folder in which the verification finds a fault: a person must not sign it."""
     from bench.commands.verify import verify_one
 
-    found = verify_one(folder, trust, again=False)
-    others = [fault for fault in found.faults if fault.kind != "authorisation"]
-    for fault in found.faults:
+    verification = verify_one(folder, trust, again=False)
+    others = [fault for fault in verification.faults if fault.kind != "authorisation"]
+    for fault in verification.faults:
         if fault not in others:  # there is none yet, so the ledger names one that was removed
             click.echo(f"Note: {fault}.", err=True)
     if others:
@@ -315,7 +315,7 @@ def _refuse_unverified(folder: Path, trust: Trust) -> None:
             where=str(folder),
             remedy="See all faults with `starbench verify`.",
         )
-    for what in found.not_compared:
+    for what in verification.not_compared:
         click.echo(f"Not compared: {what}", err=True)
 
 

@@ -157,8 +157,8 @@ def _convert_many(
     with kept_work(workers, folder, CONVERTED, line, "converted") as kept:
         assert kept is not None
         convert_many(pairs, kind, workers, kept, ended, choices)
-    failed = sum(one.failure is not None for one in ends)
-    before = sum(one.before for one in ends)
+    failed = sum(end.failure is not None for end in ends)
+    before = sum(end.before for end in ends)
     parts = [f"{len(ends) - failed - before} of {len(pairs)} files converted"]
     parts += [f"{before} were converted before"] if before else []
     parts += [f"{failed} FAILED"] if failed else []

@@ -178,21 +178,21 @@ def _chart_runs(choice: RunChoice, baseline: int | None, page: Path) -> int:
     facts = RunIndex(home_folder()).details(merged.runs)
     grouped = group_runs(((run, more, merged.places[run.folder]) for run, more in facts))
     _require_groups(grouped)
-    found = find_charts(grouped.groups, baseline=baseline)
+    charts = find_charts(grouped.groups, baseline=baseline)
     notes = [*grouped.left_out, *merged.notes]
-    write_atomic(page, render_charts(found, notes, merged.faults).encode())
+    write_atomic(page, render_charts(charts, notes, merged.faults).encode())
     show(
         lambda: {
-            "schema": found["schema"],
+            "schema": charts["schema"],
             "page": str(page),
-            "groups": [_told(group) for group in found["groups"]],
+            "groups": [_told(group) for group in charts["groups"]],
             "faults": merged.faults,
             "notes": notes,
         },
-        f"{_verdict_text(found['groups'])}\nCharts: {page}",
+        f"{_verdict_text(charts['groups'])}\nCharts: {page}",
     )
     status = print_findings(merged.faults, notes)
-    return status or int(any(map(needs_attention, found["groups"])))
+    return status or int(any(map(needs_attention, charts["groups"])))
 
 
 def _require_page(page: Path) -> None:

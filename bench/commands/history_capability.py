@@ -123,9 +123,11 @@ def _studied(
     name: str, chosen: Sequence[_Run], cameras: Sequence[str], levels: Mapping[str, Sequence[str]]
 ) -> _Studied:
     values = [one.run.parameters[name].value for one in chosen]
-    found = study(values, cameras, levels)
+    gauge_study = study(values, cameras, levels)
     lower, upper = chosen[-1].details["limits"].get(name, (None, None))
-    return _Studied(name, found, capability(lower, upper, fmean(values), found.total, found.gauge))
+    return _Studied(
+        name, gauge_study, capability(lower, upper, fmean(values), gauge_study.total, gauge_study.gauge)
+    )
 
 
 def _as_json(

@@ -64,15 +64,15 @@ def _keys_dict(signers: Sequence[Signer], revoked: Sequence[RevokedKey]) -> dict
     gone = {one.public_key: one for one in revoked}
     rows = [
         {
-            "principal": one.principal,
-            "fingerprint": fingerprint(one.public_key),
-            "purposes": list(one.namespaces),
-            "valid_after": _iso(one.valid_after),
-            "valid_before": _iso(one.valid_before),
-            "revoked": _iso(gone[one.public_key].since) if one.public_key in gone else None,
-            "reason": gone[one.public_key].reason if one.public_key in gone else None,
+            "principal": signer.principal,
+            "fingerprint": fingerprint(signer.public_key),
+            "purposes": list(signer.namespaces),
+            "valid_after": _iso(signer.valid_after),
+            "valid_before": _iso(signer.valid_before),
+            "revoked": _iso(gone[signer.public_key].since) if signer.public_key in gone else None,
+            "reason": gone[signer.public_key].reason if signer.public_key in gone else None,
         }
-        for one in signers
+        for signer in signers
     ]
     return {"schema": "starbench/keys/1", "keys": rows}
 
@@ -83,7 +83,7 @@ def _keys_lines(signers: Sequence[Signer], revoked: Sequence[RevokedKey]) -> Ite
         yield "This bench has no key yet; the first run creates one, and so does `starbench keys create`."
     else:
         own = load_public_key(home)
-        line = next((one.line for one in signers if one.public_key == own.public_key), own.line)
+        line = next((signer.line for signer in signers if signer.public_key == own.public_key), own.line)
         yield f"Key:         {home / KEY_FILE}\nFingerprint: {fingerprint(own.public_key)}"
         yield f"Line for the allowed_signers file of those who verify:\n  {line}"
     if (home / SIGNERS_FILE).exists():
@@ -93,10 +93,10 @@ def _keys_lines(signers: Sequence[Signer], revoked: Sequence[RevokedKey]) -> Ite
 
 def _list_lines(signers: Sequence[Signer], revoked: Sequence[RevokedKey]) -> Iterator[str]:
     dates = {one.public_key: one for one in revoked}
-    for one in signers:
-        mark = f"  REVOKED {dates[one.public_key].text}" if one.public_key in dates else ""
-        yield f"  {one.principal}  {fingerprint(one.public_key)}  {_purpose(one)}{_validity(one)}{mark}"
-    trusted = {one.public_key for one in signers}
+    for signer in signers:
+        mark = f"  REVOKED {dates[signer.public_key].text}" if signer.public_key in dates else ""
+        yield f"  {signer.principal}  {fingerprint(signer.public_key)}  {_purpose(signer)}{_validity(signer)}{mark}"
+    trusted = {signer.public_key for signer in signers}
     for gone in revoked:
         if gone.public_key not in trusted:
             yield f"  not trusted  {fingerprint(gone.public_key)}  REVOKED {gone.text}"
@@ -224,7 +224,9 @@ def keys_revoke(key: str, reason: str, since: datetime | None) -> int:
     """
     home = home_folder()
     signers, _ = _read_lists(home)
-    public_key = next((one.public_key for one in signers if fingerprint(one.public_key) == key), None)
+    public_key = next(
+        (signer.public_key for signer in signers if fingerprint(signer.public_key) == key), None
+    )
     public_key = public_key or _public_key(_text_of(key))
     if public_key is None:
         raise UsageError(

@@ -98,13 +98,15 @@ def _show_plan(planned: Plan, suggest: int) -> int:
     from bench.solve.expectations import expected_uncertainty
     from bench.solve.forecasts import suggest_poses
 
-    found = expected_uncertainty(planned)
+    forecast = expected_uncertainty(planned)
     suggested = suggest_poses(planned, suggest) if suggest else []
-    show(lambda: _plan_dict(planned, found, suggested), _plan_lines(planned, found, suggested))
+    show(lambda: _plan_dict(planned, forecast, suggested), _plan_lines(planned, forecast, suggested))
     return 0
 
 
-def _plan_dict(planned: Plan, found: PlanForecast | None, suggested: Sequence[WeighedPose]) -> dict[str, Any]:
+def _plan_dict(
+    planned: Plan, forecast: PlanForecast | None, suggested: Sequence[WeighedPose]
+) -> dict[str, Any]:
     poses = [
         {
             **pose.angles_deg,
@@ -117,25 +119,27 @@ def _plan_dict(planned: Plan, found: PlanForecast | None, suggested: Sequence[We
     return {
         **planned.to_dict(),
         "missing_software": _missing_software(planned),
-        "expected": _forecast_dict(found),
-        "expected_untils": [course.to_dict() for course in found.courses] if found else [],
+        "expected": _forecast_dict(forecast),
+        "expected_untils": [course.to_dict() for course in forecast.courses] if forecast else [],
         "suggested": poses,
     }
 
 
-def _plan_lines(planned: Plan, found: PlanForecast | None, suggested: Sequence[WeighedPose]) -> Iterator[str]:
+def _plan_lines(
+    planned: Plan, plan_forecast: PlanForecast | None, suggested: Sequence[WeighedPose]
+) -> Iterator[str]:
     from bench.wording.plan_text import render_plan
 
     yield render_plan(planned)
     yield from _missing_software(planned)
-    if found is not None:
+    if plan_forecast is not None:
         yield ""
-        yield from (course.text for course in found.courses)
-        yield from _forecast_lines(found)
+        yield from (course.text for course in plan_forecast.courses)
+        yield from _forecast_lines(plan_forecast)
     if suggested:
         from bench.solve.forecasts import forecasts_with
 
-        before = None if found is None or found.chosen else found.forecast
+        before = None if plan_forecast is None or plan_forecast.chosen else plan_forecast.forecast
         for pose, forecast in zip(suggested, forecasts_with(planned, suggested), strict=True):
             yield _suggestion_text(pose, before, forecast)
             before = forecast
@@ -151,15 +155,15 @@ def _missing_software(planned: Plan) -> list[str]:
     ]
 
 
-def _forecast_dict(found: PlanForecast | None) -> dict[str, Any] | None:
+def _forecast_dict(plan_forecast: PlanForecast | None) -> dict[str, Any] | None:
     """Return a forecast for programs."""
-    if found is None or found.forecast is None:
+    if plan_forecast is None or plan_forecast.forecast is None:
         return None
-    forecast = found.forecast
+    forecast = plan_forecast.forecast
     return {
         "model": "joint",
-        "poses": found.poses,
-        "chosen_in_run": found.chosen,
+        "poses": plan_forecast.poses,
+        "chosen_in_run": plan_forecast.chosen,
         "sigma": dict(forecast.sigma),
         "coverage_factor": forecast.coverage_factor,
         "expanded_fx_px": forecast.limited["expanded_fx"],
@@ -167,27 +171,27 @@ def _forecast_dict(found: PlanForecast | None) -> dict[str, Any] | None:
         "worst_px": forecast.projection_map.worst_px,
         "stars": list(forecast.stars),
         "budget_rows": [asdict(row) for row in forecast.budget_rows],
-        "remarks": list(found.remarks),
+        "remarks": list(plan_forecast.remarks),
     }
 
 
-def _forecast_lines(found: PlanForecast) -> Iterator[str]:
+def _forecast_lines(plan_forecast: PlanForecast) -> Iterator[str]:
     """Yield a forecast for people: expanded uncertainties, the largest terms, and remarks."""
     from calib.uncertainty.projection_uncertainty import URAD_PER_ARCSEC
 
-    forecast = found.forecast
+    forecast = plan_forecast.forecast
     if forecast is None:
         return
     k = forecast.coverage_factor
     fx, corners = forecast.limited["expanded_fx"], forecast.limited[WORST_CORNER]
     direction = angle_text(URAD_PER_ARCSEC * k * forecast.projection_map.worst_arcsec)
-    yield f"Expected with {found.poses_text}, joint model; U with k = {k:.3g}:"
+    yield f"Expected with {plan_forecast.poses_text}, joint model; U with k = {k:.3g}:"
     yield f"  U(fx) {fx:.2g} px, U at the corners {corners:.2g} px, U of a direction at most {direction}"
     yield f"  {'largest parts of U, px':<44}{'fx':>8}{'corners':>10}"
     for row in _largest(forecast.budget_rows):
         parts = [k * row.contribution.get(name, 0.0) for name in ("fx", WORST_CORNER)]
         yield f"  {row.name:<44}{parts[0]:>8.2g}{parts[1]:>10.2g}"
-    yield from found.remarks
+    yield from plan_forecast.remarks
 
 
 def _largest(rows: Sequence[BudgetRow]) -> list[BudgetRow]:
@@ -197,15 +201,15 @@ def _largest(rows: Sequence[BudgetRow]) -> list[BudgetRow]:
     return [row for row in shown if share[row.name] >= _SMALLEST_SHARE]
 
 
-def _suggestion_text(pose: WeighedPose, before: Forecast | None, found: Forecast | None) -> str:
+def _suggestion_text(pose: WeighedPose, before: Forecast | None, forecast: Forecast | None) -> str:
     """Return a suggested pose with the uncertainty that it is expected to give."""
     angles = ", ".join(f"{name}: {round(a, 3):g}" for name, a in pose.angles_deg.items())
-    parts = ["the poses do not determine the camera yet"] if found is None else []
-    if found is not None:
+    parts = ["the poses do not determine the camera yet"] if forecast is None else []
+    if forecast is not None:
         for name, quantity in (("U(fx)", "expanded_fx"), ("U at the corners", WORST_CORNER)):
             instead = f" instead of {before.limited[quantity]:.2g} px" if before is not None else ""
-            parts.append(f"{name} {found.limited[quantity]:.2g} px{instead}")
-        parts[-1] += f" (k = {found.coverage_factor:.3g})"
+            parts.append(f"{name} {forecast.limited[quantity]:.2g} px{instead}")
+        parts[-1] += f" (k = {forecast.coverage_factor:.3g})"
     return f"Suggested: {{{angles}}}: {', '.join(parts)}"
 
 
@@ -229,10 +233,14 @@ def _show_night(queue: Path, begin: datetime | None) -> int:
     night = plan_batch(read.value, begin_utc(read.value, begin), paces(known))
     forecasts = {name: expected_uncertainty(planned) for name, planned in night.plans.items()}
     expected = {
-        name: dict(found.forecast.sigma) if found and found.forecast else None
-        for name, found in forecasts.items()
+        name: dict(forecast.forecast.sigma) if forecast and forecast.forecast else None
+        for name, forecast in forecasts.items()
     }
-    untils = {name: [one.to_dict() for one in found.courses] for name, found in forecasts.items() if found}
+    untils = {
+        name: [course.to_dict() for course in forecast.courses]
+        for name, forecast in forecasts.items()
+        if forecast
+    }
     show(
         lambda: {**night.to_dict(), "expected_sigma": expected, "expected_untils": untils},
         _night_lines(night, forecasts),
@@ -281,16 +289,16 @@ def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None])
     yield f"\n{runs} runs, until {end}, {most}about {size_text(night.size_bytes)} on disk."
 
 
-def _job_lines(name: str, planned: Plan, found: PlanForecast | None) -> Iterator[str]:
+def _job_lines(name: str, planned: Plan, forecast: PlanForecast | None) -> Iterator[str]:
     """Yield what a run of a job takes and reaches; with an ``until``, the most that it takes, and how it will end."""
     from bench.wording.plan_text import duration_text, size_text
 
     most = "at most " if planned.untils else ""
     takes, size = f"{most}{duration_text(planned.duration_s)}", f"{most}{size_text(planned.size_bytes)}"
-    expected = _expected_text(found.forecast) if found and found.forecast else "unknown"
-    expected += f", with {found.poses_text}" if found and found.courses else ""
+    expected = _expected_text(forecast.forecast) if forecast and forecast.forecast else "unknown"
+    expected += f", with {forecast.poses_text}" if forecast and forecast.courses else ""
     yield f"{name:<16} {takes:>20} {size:>15}  {expected}"
-    for course in found.courses if found else ():
+    for course in forecast.courses if forecast else ():
         yield f"{'':<16} {course.text}"
 
 

@@ -169,7 +169,7 @@ def _clock_lines(clocks: Sequence[ClockOffset]) -> Iterator[str]:
             f"  {one.name}: second - first = {offset} ± {expanded} us (k = 2) at {one.at_us / 1e6:.3f} s of the"
             f" first clock, by {one.edges} edges"
         )
-    periods = [one.period_us for one in clocks if one.period_us is not None]
+    periods = [clock.period_us for clock in clocks if clock.period_us is not None]
     if periods:
         yield (
             f"The sync signal repeats every {min(periods):.0f} us: the offsets may differ by whole periods. The values"

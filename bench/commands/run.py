@@ -131,7 +131,7 @@ def _run_dict(end: RunEnd) -> dict[str, Any]:
         "ended": end.how,
         "why": end.why,
         "unsafe": list(end.unsafe),
-        "devices": [one.to_dict() for one in end.devices],
+        "devices": [device.to_dict() for device in end.devices],
         "folder": str(end.folder),
         "report": str(end.outcome.report) if end.outcome else None,
         "error": error_object(end.failure) if end.failure is not None else None,
@@ -185,12 +185,12 @@ def _early_end_lines(end: RunEnd) -> list[str]:
 
 def _device_lines(end: RunEnd) -> list[str]:
     """Return what is known of each device; nothing is said that no device has answered."""
-    if all(one.state == "never opened" for one in end.devices):
+    if all(device.state == "never opened" for device in end.devices):
         return [
             "No device was ready, so none has answered.",
             "Look at the bench: the stage may turn, and the light may be on.",
         ]
-    unsure = [one for one in end.devices if one.state != "confirmed safe"]
+    unsure = [device for device in end.devices if device.state != "confirmed safe"]
     if end.devices and not unsure:
         head = "The bench is safe; each device confirmed it:"
         if not end.opened:  # a resumed run that needed none
@@ -199,7 +199,7 @@ def _device_lines(end: RunEnd) -> list[str]:
         head = "Stage and light confirmed that they are safe:"  # a camera neither moves nor shines
     else:
         head = "CHECK THE BENCH. What is known of each device:"
-    return [head, *(f"  {one.text}" for one in end.devices)]
+    return [head, *(f"  {device.text}" for device in end.devices)]
 
 
 def _recorded_lines(end: RunEnd) -> list[str]:

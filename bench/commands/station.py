@@ -326,18 +326,18 @@ def devices(wiring: bool, station: str | None, yes: bool) -> int:
     return show_devices(discover())
 
 
-def show_devices(found: Discovery) -> int:
+def show_devices(discovery: Discovery) -> int:
     """Print the connected devices and the missing software."""
     plugins = _plugins()
-    show(lambda: {**found.to_dict(), "plugins": plugins}, _device_lines(found, plugins))
+    show(lambda: {**discovery.to_dict(), "plugins": plugins}, _device_lines(discovery, plugins))
     return 0
 
 
-def _device_lines(found: Discovery, plugins: list[dict[str, str]]) -> Iterator[str]:
-    for port in found.ports:
+def _device_lines(discovery: Discovery, plugins: list[dict[str, str]]) -> Iterator[str]:
+    for port in discovery.ports:
         note = f"  ({port.note})" if port.note else ""
         yield f"serial port  {port.name}  {port.what}{note}"
-    for camera in found.cameras:
+    for camera in discovery.cameras:
         trouble = f"  ({camera.trouble})" if camera.trouble else ""
         keys = {"driver": camera.driver, "source": camera.source, "serial": camera.serial}
         entry = "  ".join(f"{name}: {value}" for name, value in keys.items() if value)
@@ -345,7 +345,7 @@ def _device_lines(found: Discovery, plugins: list[dict[str, str]]) -> Iterator[s
     for plugin in plugins:
         trouble = f"  (cannot be used: {plugin['trouble']})" if plugin["trouble"] else ""
         yield f"plug-in      {plugin['driver']}  {plugin['kind']}  # {plugin['package']}{trouble}"
-    for sentence in found.missing:
+    for sentence in discovery.missing:
         yield f"missing      {sentence}"
     yield (
         "simulated    -s simulated, simulated_frames, simulated_ideal, simulated_unaligned: "

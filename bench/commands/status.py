@@ -163,23 +163,23 @@ def messages(send_now: bool) -> int:
 
     outbox = Outbox(home_folder())
     waiting = outbox.deliver(send, BenchClock().utc_now(), all_waiting=True) if send_now else 0
-    found = outbox.deliveries()
+    deliveries = outbox.deliveries()
     show(
-        {"schema": "starbench/messages/1", "messages": [asdict(delivery) for delivery in found]},
-        _lines(found),
+        {"schema": "starbench/messages/1", "messages": [asdict(delivery) for delivery in deliveries]},
+        _lines(deliveries),
     )
     return 1 if waiting else 0
 
 
-def _lines(found: Sequence[Delivery]) -> Iterator[str]:
-    for delivery in found:
+def _lines(deliveries: Sequence[Delivery]) -> Iterator[str]:
+    for delivery in deliveries:
         marks = f", {delivery.tries} tries" if delivery.tries > 1 else ""
         marks += ", perhaps sent twice" if delivery.perhaps_twice else ""
         marks += f"; {delivery.last_error}" if delivery.last_error else ""
         kind = next(iter(json.loads(delivery.channel)))
         written, subject = delivery.message.utc[:16].replace("T", " "), delivery.message.subject
         yield f"{written}  {kind:<7} {delivery.state:<7}  {subject}{marks}"
-    if not found:
+    if not deliveries:
         yield "No messages."
 
 
@@ -272,8 +272,8 @@ def _show_run(folder: Path) -> int:
 def _show_batch(folder: Path) -> int:
     from bench.extras.batch.batch_summary import batch_status_text, read_batch_status
 
-    found = read_batch_status(folder)
-    show(found.to_dict, batch_status_text(found))
+    batch_status = read_batch_status(folder)
+    show(batch_status.to_dict, batch_status_text(batch_status))
     return 0
 
 

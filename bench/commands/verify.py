@@ -113,39 +113,46 @@ def verify_one(
     return verify_folder(folder, trust, at=at, camera_serial=camera_serial, derivations=checks, again=again)
 
 
-def show_verification(found: Verification) -> int:
+def show_verification(verification: Verification) -> int:
     """Print what a verification found; exit status 0 without fault, 1 with one, 4 if not everything was compared."""
-    show(found.to_dict, _valid_lines(found) if found.ok else _fault_lines(found), err=not found.ok)
-    if not found.ok:
+    show(
+        verification.to_dict,
+        _valid_lines(verification) if verification.ok else _fault_lines(verification),
+        err=not verification.ok,
+    )
+    if not verification.ok:
         return 1
-    return 0 if found.complete else NOT_COMPARED
+    return 0 if verification.complete else NOT_COMPARED
 
 
-def _fault_lines(found: Verification) -> Iterator[str]:
+def _fault_lines(verification: Verification) -> Iterator[str]:
     yield "NOT VERIFIED:"
-    for fault in found.faults:
+    for fault in verification.faults:
         yield f"  {fault}"
-    yield from found.statements
-    yield f"State by its signatures alone: {found.state}"
+    yield from verification.statements
+    yield f"State by its signatures alone: {verification.state}"
 
 
-def _valid_lines(found: Verification) -> Iterator[str]:
-    numbers = "" if found.again and not found.complete else _NUMBERS[found.again]
-    signed = f"{found.state}: {found.files} files, sealed by {found.signer} ({found.fingerprint})."
+def _valid_lines(verification: Verification) -> Iterator[str]:
+    numbers = "" if verification.again and not verification.complete else _NUMBERS[verification.again]
+    sealed = f"sealed by {verification.signer} ({verification.fingerprint})"
+    signed = f"{verification.state}: {verification.files} files, {sealed}."
     yield f"{signed} {numbers}".rstrip()
-    if found.stated is not None:
-        yield f"Sealed {found.stated:%Y-%m-%d %H:%M:%S} UTC by the bench's own clock."
-    yield from found.statements
-    if found.run_id is not None:
-        simulated = " SIMULATED devices." if found.simulated else ""
-        camera = found.camera_serial or "without number"
-        what = {"results": "Recalculated results", "certificate": "Certificate of run"}.get(found.kind, "Run")
-        yield f"{what} {found.run_id}, camera {camera}.{simulated}"
-    for remark in found.remarks:
+    if verification.stated is not None:
+        yield f"Sealed {verification.stated:%Y-%m-%d %H:%M:%S} UTC by the bench's own clock."
+    yield from verification.statements
+    if verification.run_id is not None:
+        simulated = " SIMULATED devices." if verification.simulated else ""
+        camera = verification.camera_serial or "without number"
+        what = {"results": "Recalculated results", "certificate": "Certificate of run"}.get(
+            verification.kind, "Run"
+        )
+        yield f"{what} {verification.run_id}, camera {camera}.{simulated}"
+    for remark in verification.remarks:
         yield f"Note: {remark}."
-    if found.not_compared:
+    if verification.not_compared:
         yield "NOT COMPARED. Only the seal protects these parts; whoever holds its key could change them:"
-        for what in found.not_compared:
+        for what in verification.not_compared:
             yield f"  {what}"
 
 
@@ -237,10 +244,10 @@ def _checks_of_this_bench(folder: Path, kind: str, check: Check) -> Findings:
         "certificate": _checks_of_certificate(check.trust, again=check.again),
         "run": [_check_ledger],
     }
-    found = Findings()
-    found.derive(folder, of_kind.get(kind, []))
-    found.add(check_authorisation(folder))
-    return found
+    findings = Findings()
+    findings.derive(folder, of_kind.get(kind, []))
+    findings.add(check_authorisation(folder))
+    return findings
 
 
 def _checks_of_certificate(trust: Trust, *, again: bool) -> list[Derivation]:

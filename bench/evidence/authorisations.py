@@ -76,15 +76,15 @@ def _read(path: Path, _changed_ns: int, _size: int) -> Known:
 
 
 def _authorisations(entries: Sequence[Entry]) -> Known:
-    found: dict[str, list[Authorised]] = {}
+    authorisations: dict[str, list[Authorised]] = {}
     for entry in entries:
         if entry.event == FOLDER_AUTHORISED:
             signature, person, fingerprint, folder = (
                 str(entry.data.get(name, "")) for name in ("signature", "person", "fingerprint", "folder")
             )
             one = Authorised(signature, person, fingerprint, folder, entry.utc)
-            found.setdefault(str(entry.data.get("seal", "")), []).append(one)
-    return found
+            authorisations.setdefault(str(entry.data.get("seal", "")), []).append(one)
+    return authorisations
 
 
 def compare_authorisation(folder: Path, known: Known) -> Findings:
@@ -92,28 +92,28 @@ def compare_authorisation(folder: Path, known: Known) -> Findings:
 
     A fault if it was removed or replaced; a remark if a copy, which is perhaps older, does not have it.
     """
-    found = Findings()
+    findings = Findings()
     manifest, signature = folder / MANIFEST, folder / AUTHORISATION
     with storage_errors(folder):
         if not known or not manifest.is_file():
-            return found
+            return findings
         named = known.get(sha256_of(manifest), ())
         if not named or (signature.is_file() and sha256_of(signature) in {one.signature for one in named}):
-            return found
+            return findings
         is_there, here = signature.exists(), folder.resolve()
     last = named[-1]
     if is_there:
         what = f"the ledger names another authorisation than {AUTHORISATION}: by {last}"
-        found.fault("authorisation", AUTHORISATION, what)
+        findings.fault("authorisation", AUTHORISATION, what)
     elif here not in {Path(one.folder).resolve() for one in named} and Path(last.folder).is_dir():
-        found.remarks.append(
+        findings.remarks.append(
             f"the ledger names an authorisation that this copy does not have: by {last}, in {last.folder}"
         )
     else:
         again = f"Copy {AUTHORISATION} back, or let the person authorise again"
         what = f"the ledger names an authorisation that is missing: by {last}. {again}"
-        found.fault("authorisation", AUTHORISATION, what)
-    return found
+        findings.fault("authorisation", AUTHORISATION, what)
+    return findings
 
 
 def lost_authorisations(known: Known) -> list[str]:
@@ -121,5 +121,7 @@ def lost_authorisations(known: Known) -> list[str]:
     found = []
     for folder in sorted({one.folder for named in known.values() for one in named if one.folder}):
         with suppress(BenchError):
-            found += [f"{folder}: {one.what}." for one in compare_authorisation(Path(folder), known).faults]
+            found += [
+                f"{folder}: {fault.what}." for fault in compare_authorisation(Path(folder), known).faults
+            ]
     return found

@@ -34,7 +34,7 @@ def sets_in_order(reply: bytes) -> bytes:
 
 def _elements(data: bytes, start: int, end: int) -> list[tuple[int, int, int]]:
     """Return the elements between two places: start of each, begin and end of its content (X.690, section 8.1.3)."""
-    found = []
+    elements = []
     while start < end:
         size, begin = data[start + 1], start + 2
         if size & 0x80:
@@ -45,6 +45,6 @@ def _elements(data: bytes, start: int, end: int) -> list[tuple[int, int, int]]:
             size = int.from_bytes(data[begin - count : begin], "big")
         if begin + size > end:
             raise ValueError("incomplete")
-        found.append((start, begin, begin + size))
+        elements.append((start, begin, begin + size))
         start = begin + size
-    return found
+    return elements

@@ -39,52 +39,56 @@ _WRITTEN = {RESULTS: "results", REPORT: "report", "views.h5": "views"}
 _CLOCK_SLACK_S = 0.05
 
 
-def check_journal(folder: Path, manifest: Mapping[str, str], found: Findings) -> Mapping[str, Capture]:
+def check_journal(folder: Path, manifest: Mapping[str, str], findings: Findings) -> Mapping[str, Capture]:
     """Check a run's journal, and the files of the folder and of the seal's list against it."""
     path = folder / JOURNAL
     if path.is_symlink() or not path.is_file():
-        found.fault("journal", JOURNAL, "the file is missing")
+        findings.fault("journal", JOURNAL, "the file is missing")
         return {}
     try:
         run = StoredRun(folder)
         entries, torn, captures, history = run.entries, run.torn, run.captures, run.history
     except RunFolderError as error:
-        found.fault("journal", error.where.removeprefix(f"{folder}/") or JOURNAL, error.what)
+        findings.fault("journal", error.where.removeprefix(f"{folder}/") or JOURNAL, error.what)
         return {}
     if torn:
-        found.fault("journal", JOURNAL, "its last line is incomplete")
+        findings.fault("journal", JOURNAL, "its last line is incomplete")
         return captures
     for number, line in enumerate(path.read_bytes().splitlines(), start=1):
         if json.dumps(parse_json(line), separators=(",", ":")).encode() != line:
-            found.fault("journal", f"{JOURNAL}:{number}", "its JSON is not written as the program writes it")
+            findings.fault(
+                "journal", f"{JOURNAL}:{number}", "its JSON is not written as the program writes it"
+            )
             return captures
-    _begin_and_end(entries, history, found)
-    _clock(entries, found)
-    _documents(manifest, history, found)
-    _recordings(manifest, captures, entries, found)
-    _written(folder, manifest, entries, found)
+    _begin_and_end(entries, history, findings)
+    _clock(entries, findings)
+    _documents(manifest, history, findings)
+    _recordings(manifest, captures, entries, findings)
+    _written(folder, manifest, entries, findings)
     return captures
 
 
-def _begin_and_end(entries: Sequence[Entry], history: History, found: Findings) -> None:
+def _begin_and_end(entries: Sequence[Entry], history: History, findings: Findings) -> None:
     if not entries or entries[0].event != Event.RUN_STARTED:
-        found.fault("journal", f"{JOURNAL}:1", "the first line does not begin a run (run_started)")
+        findings.fault("journal", f"{JOURNAL}:1", "the first line does not begin a run (run_started)")
     again = [entry for entry in entries[1:] if entry.event == Event.RUN_STARTED]
     if again:
-        found.fault("journal", f"{JOURNAL}:{again[0].seq + 1}", "a second line begins the run (run_started)")
+        findings.fault(
+            "journal", f"{JOURNAL}:{again[0].seq + 1}", "a second line begins the run (run_started)"
+        )
     if not entries or entries[-1].event != Event.RUN_ENDED:
-        found.fault(
+        findings.fault(
             "journal",
             JOURNAL,
             "its last line does not end the run (run_ended); a bench seals ended runs only",
         )
     elif history.ended != "finished":
-        found.fault(
+        findings.fault(
             "journal", JOURNAL, f"the run {history.ended or 'did not end'}; a bench seals finished runs only"
         )
 
 
-def _clock(entries: Sequence[Entry], found: Findings) -> None:
+def _clock(entries: Sequence[Entry], findings: Findings) -> None:
     """Compare both clocks from line to line; the journal has a line for each jump of the system's clock."""
     for last, entry in itertools.pairwise(entries):
         try:
@@ -92,7 +96,7 @@ def _clock(entries: Sequence[Entry], found: Findings) -> None:
             jumped_s = passed_s - (entry.mono_s - last.mono_s)
             back = entry.mono_s < last.mono_s
         except (TypeError, ValueError):
-            found.fault("journal", f"{JOURNAL}:{entry.seq + 1}", "its time cannot be read")
+            findings.fault("journal", f"{JOURNAL}:{entry.seq + 1}", "its time cannot be read")
             return
         if entry.event == CLOCK_JUMPED:
             continue
@@ -100,7 +104,7 @@ def _clock(entries: Sequence[Entry], found: Findings) -> None:
         other_process = entry.event == Event.RUN_RESUMED  # its monotonic clock may begin anew
         if passed_s < -bound_s if other_process else back or abs(jumped_s) > bound_s:
             what = "its time does not follow from the line before, and no line states that the clock jumped"
-            found.fault("journal", f"{JOURNAL}:{entry.seq + 1}", what)
+            findings.fault("journal", f"{JOURNAL}:{entry.seq + 1}", what)
             return
 
 
@@ -108,20 +112,20 @@ def _moment(entry: Entry) -> datetime:
     return datetime.fromisoformat(entry.utc)
 
 
-def _documents(manifest: Mapping[str, str], history: History, found: Findings) -> None:
+def _documents(manifest: Mapping[str, str], history: History, findings: Findings) -> None:
     """Compare sequence, station, passport and plan with the hashes in the journal's first line."""
     stated = history.started.get("sha256")
     if not isinstance(stated, dict):
-        found.fault("journal", f"{JOURNAL}:1", "it does not state the hashes of the run's documents")
+        findings.fault("journal", f"{JOURNAL}:1", "it does not state the hashes of the run's documents")
         return
     for name in (SEQUENCE_COPY, STATION_COPY):
         if name not in stated:
-            found.fault("journal", f"{JOURNAL}:1", f"it does not state the hash of {name}")
+            findings.fault("journal", f"{JOURNAL}:1", f"it does not state the hash of {name}")
     for name, sha256 in stated.items():
         if name not in manifest:
-            found.fault("plan", str(name), "the run began with this file; it is missing")
+            findings.fault("plan", str(name), "the run began with this file; it is missing")
         elif manifest[name] != sha256:
-            found.fault(
+            findings.fault(
                 "plan",
                 str(name),
                 "this is not the file that the run began with (hash in the journal's first line)",
@@ -132,13 +136,13 @@ def _documents(manifest: Mapping[str, str], history: History, found: Findings) -
     }
     for name, what in without.items():
         if name in manifest and name not in stated:
-            found.fault("plan", name, f"the run began {what}")
+            findings.fault("plan", name, f"the run began {what}")
     if PLAN not in manifest:
-        found.fault("plan", PLAN, "the file is missing")
+        findings.fault("plan", PLAN, "the file is missing")
 
 
 def _recordings(
-    manifest: Mapping[str, str], captures: Mapping[str, Capture], entries: Sequence[Entry], found: Findings
+    manifest: Mapping[str, str], captures: Mapping[str, Capture], entries: Sequence[Entry], findings: Findings
 ) -> None:
     """Compare the recordings in the folder with those that the journal names."""
     gone = {
@@ -150,43 +154,43 @@ def _recordings(
     for name, capture in captures.items():
         if name not in manifest:
             if name not in gone:
-                found.fault("recording", name, "the journal names this recording; it is missing")
+                findings.fault("recording", name, "the journal names this recording; it is missing")
         elif manifest[name] != capture.sha256:
-            found.fault("recording", name, "the journal names this recording with another hash")
+            findings.fault("recording", name, "the journal names this recording with another hash")
     for name in manifest:
         if name.startswith(f"{CAPTURES}/") and name not in captures:
-            found.fault("recording", name, "the journal does not name this recording")
+            findings.fault("recording", name, "the journal does not name this recording")
 
 
-def _written(folder: Path, manifest: Mapping[str, str], entries: Sequence[Entry], found: Findings) -> None:
+def _written(folder: Path, manifest: Mapping[str, str], entries: Sequence[Entry], findings: Findings) -> None:
     """Compare results, report, views, exports and wire log with the journal's line that they were written."""
     written = [name for name in manifest if name in _WRITTEN or name.startswith(f"{EXPORTS}/")]
     if not _reported(entries):
         for name in written:
-            found.fault("results", name, "the journal has no report step that wrote this file")
+            findings.fault("results", name, "the journal has no report step that wrote this file")
         return
     for name in _WRITTEN:
         if name not in manifest:
-            found.fault("results", name, "the journal's report step wrote this file; it is missing")
+            findings.fault("results", name, "the journal's report step wrote this file; it is missing")
     line = next((entry for entry in reversed(entries) if entry.event == Event.WRITTEN), None)
     if line is None:
         what = "it does not hold the hashes of results, report, views and exports"
-        found.fault("journal", JOURNAL, f"{what}, though this version of the program writes them")
+        findings.fault("journal", JOURNAL, f"{what}, though this version of the program writes them")
         return
     files = line.data.get("files")
     where = f"{JOURNAL}:{line.seq + 1}"
     if not isinstance(files, dict):
-        found.fault("journal", where, "it does not state the files that were written")
+        findings.fault("journal", where, "it does not state the files that were written")
         return
     for name, sha256 in files.items():
         if manifest.get(name) != sha256:
             what = "is missing" if name not in manifest else "is another file than the one that was written"
-            found.fault(_WRITTEN.get(name, "exports"), str(name), f"by the journal, it {what}")
+            findings.fault(_WRITTEN.get(name, "exports"), str(name), f"by the journal, it {what}")
     for name in written:
         if name not in files:
             what = "the journal does not name it among the files that were written"
-            found.fault(_WRITTEN.get(name, "exports"), name, what)
-    _wire(folder, line.data.get("wire"), where, found)
+            findings.fault(_WRITTEN.get(name, "exports"), name, what)
+    _wire(folder, line.data.get("wire"), where, findings)
 
 
 def _reported(entries: Sequence[Entry]) -> bool:
@@ -197,16 +201,16 @@ def _reported(entries: Sequence[Entry]) -> bool:
     )
 
 
-def _wire(folder: Path, stated: Any, where: str, found: Findings) -> None:
+def _wire(folder: Path, stated: Any, where: str, findings: Findings) -> None:
     """Check that no wire log was changed after the results were written. It may only have grown."""
     if not isinstance(stated, dict):
-        found.fault("journal", where, "it does not state the wire log")
+        findings.fault("journal", where, "it does not state the wire log")
         return
     for name, one in stated.items():
         try:
             size, sha256 = int(one["size"]), str(one["sha256"])
         except (KeyError, TypeError, ValueError):
-            found.fault("journal", where, "it does not state the wire log")
+            findings.fault("journal", where, "it does not state the wire log")
             return
         stem, _, number = str(name).partition(".jsonl")
         rotated = (
@@ -215,7 +219,7 @@ def _wire(folder: Path, stated: Any, where: str, found: Findings) -> None:
             else name
         )
         if sha256 not in {_hash_of_begin(folder / one_name, size) for one_name in (name, rotated)}:
-            found.fault(
+            findings.fault(
                 "wire",
                 str(name),
                 "it does not begin with the bytes that it had when the results were written",

@@ -91,11 +91,11 @@ def judge_key(public_key: bytes, namespace: str, trust: Trust, moments: Moments)
             else f"the time stamp is not older ({moments.proven.text})"
         )
         return Judgement(fault=f"the key was revoked {revoked.text}, and {proof}")
-    found = _judge_period(for_it, namespace, moments)
-    if revoked is None or moments.proven is None or found.fault:
-        return found
+    judgement = _judge_period(for_it, namespace, moments)
+    if revoked is None or moments.proven is None or judgement.fault:
+        return judgement
     remark = f"the key was revoked {revoked.text}, but the signature existed before, at {moments.proven.text}"
-    return Judgement(found.principal, remark=remark)
+    return Judgement(judgement.principal, remark=remark)
 
 
 def _judge_period(known: Sequence[Signer], namespace: str, moments: Moments) -> Judgement:

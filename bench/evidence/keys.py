@@ -109,7 +109,7 @@ def private_text(key: BenchKey, passphrase: bytes | None) -> bytes:
 def require_usable(folder: Path, key: BenchKey, when: datetime) -> None:
     """Refuse a key before a run if nobody would accept its seals: not trusted now, revoked, or lists not safe."""
     public = key.public_key
-    known = [one for one in signers_of(folder) if one.public_key == public]
+    known = [signer for signer in signers_of(folder) if signer.public_key == public]
     rejections = [one.rejection(NAMESPACE, when) for one in known]
     revoked = next((one for one in read_revoked(folder / REVOKED_FILE) if one.public_key == public), None)
     if revoked is not None:

@@ -107,7 +107,7 @@ def ledger_faults_of_run(folder: Path, ledger: Ledger) -> list[str]:
 
 
 def _differences(folder: Path, said: _Said, entered: LedgerRun) -> list[str]:
-    found = []
+    differences = []
     stated = {
         "number": (said.place.get("number"), entered.number),
         "name": (said.run_id or entered.run_id, entered.run_id or said.run_id),
@@ -116,34 +116,36 @@ def _differences(folder: Path, said: _Said, entered: LedgerRun) -> list[str]:
     }
     for what, (here, there) in stated.items():
         if here != there:
-            found.append(f"The {what} of this run is {here} in its journal and {there} in the ledger. {_ASK}")
-    found += _dates(said, entered)
+            differences.append(
+                f"The {what} of this run is {here} in its journal and {there} in the ledger. {_ASK}"
+            )
+    differences += _dates(said, entered)
     if is_sealed(folder):
         if entered.seal is None and entered.how != STILL_OPEN:
-            found.append(
+            differences.append(
                 f"This run is sealed, but the ledger says that it {entered.how} without a seal. {_ASK}"
             )
         elif entered.seal not in {None, sha256_of(folder / MANIFEST)}:
-            found.append(
+            differences.append(
                 f"This folder has another seal than the ledger: it was changed and sealed again. {_ASK}"
             )
-    return found
+    return differences
 
 
 def _dates(said: _Said, entered: LedgerRun) -> list[str]:
     """Compare the times of the journal with those at which the ledger took the run and its seal."""
     begun, last = (datetime.fromisoformat(text) for text in (said.begun_utc, said.last_utc))
-    found = []
+    dates = []
     if abs(begun - datetime.fromisoformat(entered.begun_utc)) > _CLOCK_SLACK:
-        found.append(
+        dates.append(
             f"The journal of this run states {said.begun_utc} for its begin, the ledger {entered.begun_utc}. {_ASK}"
         )
     if entered.seal is not None and datetime.fromisoformat(entered.ended_utc) < last - _CLOCK_SLACK:
-        found.append(
+        dates.append(
             f"The ledger took the end and the seal of this run at {entered.ended_utc}, before the last line of its "
             f"journal, {said.last_utc}. {_ASK}"
         )
-    return found
+    return dates
 
 
 def _said_by(folder: Path) -> _Said | None:

@@ -96,13 +96,13 @@ def signers_of(folder: Path) -> list[Signer]:
 
 def read_lines(path: Path, text: str, read: Callable[[str], Line]) -> list[Line]:
     """Read each line with a key; the error names the line."""
-    found = []
+    lines = []
     for number, line in _lines_of_keys(text):
         try:
-            found.append(read(line))
+            lines.append(read(line))
         except EvidenceError as error:
             raise EvidenceError(error.what, where=f"{path}:{number}", remedy=error.remedy) from error
-    return found
+    return lines
 
 
 def _lines_of_keys(text: str) -> Iterator[tuple[int, str]]:

@@ -83,52 +83,54 @@ def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | Non
     ``at`` is the moment at which keys must be valid; None for the seal's by the bench's clock. A trusted stamp goes
     before.
     """
-    found = Verification(folder=str(folder))
+    verification = Verification(folder=str(folder))
     with storage_errors(folder):
-        stamps = check_timestamps(folder, trust.authorities, found)
-        found.stated = stated_time(folder)
-        sealed = found.stated or now
-        seal_key = _seal(found, folder)
+        stamps = check_timestamps(folder, trust.authorities, verification)
+        verification.stated = stated_time(folder)
+        sealed = verification.stated or now
+        seal_key = _seal(verification, folder)
         own = stamps.get(AUTHORISATION_TIMESTAMP)
         check = check_authorisation(folder, trust, Moments(now, own, at, min(sealed, now), now), seal_key)
     if seal_key is not None:
         # An authorisation that is accepted signs the seal: its time stamp proves that the seal existed.
         proofs = [stamps.get(TIMESTAMP), own if check.principal is not None else None]
         proven = min(filter(None, proofs), key=lambda stamp: stamp.utc, default=None)
-        _judge_seal(found, seal_key, trust, Moments(now, proven, at, sealed, sealed))
+        _judge_seal(verification, seal_key, trust, Moments(now, proven, at, sealed, sealed))
     if seal_key is None and not (folder / MANIFEST).exists():
         with storage_errors(folder):
-            check_ended_page(folder, trust, now, sealed, found)
+            check_ended_page(folder, trust, now, sealed, verification)
     if check.unchecked:
-        found.not_compared.append(f"{AUTHORISATION}: {check.unchecked}")
+        verification.not_compared.append(f"{AUTHORISATION}: {check.unchecked}")
     if check.fault:
-        found.fault("authorisation", AUTHORISATION, check.fault)
-    elif check.principal is not None and found.state is State.SEALED:
-        found.state = State.AUTHORISED
-        found.person, found.person_fingerprint = check.principal, check.fingerprint
-        found.statements.append(f"Authorised by {found.person} ({found.person_fingerprint})")
-        found.remarks += [f"{AUTHORISATION}: {check.remark}"] if check.remark else []
-    found.statements += [f"{_STAMPED[stamp.of]} existed at {stamp.text}" for stamp in stamps.values()]
-    _clocks(found, stamps.values(), now)
-    return found
+        verification.fault("authorisation", AUTHORISATION, check.fault)
+    elif check.principal is not None and verification.state is State.SEALED:
+        verification.state = State.AUTHORISED
+        verification.person, verification.person_fingerprint = check.principal, check.fingerprint
+        verification.statements.append(
+            f"Authorised by {verification.person} ({verification.person_fingerprint})"
+        )
+        verification.remarks += [f"{AUTHORISATION}: {check.remark}"] if check.remark else []
+    verification.statements += [f"{_STAMPED[stamp.of]} existed at {stamp.text}" for stamp in stamps.values()]
+    _clocks(verification, stamps.values(), now)
+    return verification
 
 
-def _seal(found: Verification, folder: Path) -> bytes | None:
+def _seal(verification: Verification, folder: Path) -> bytes | None:
     """Check the signature of the list of files; return the key that made it."""
     try:
         for name in (MANIFEST, SIGNATURE):
             if (folder / name).is_symlink() or not (folder / name).is_file():
                 why = "this is a link, not a file" if (folder / name).is_symlink() else "the file is missing"
-                found.fault("unsealed", name, f"{why}; this folder is not sealed")
+                verification.fault("unsealed", name, f"{why}; this folder is not sealed")
                 return None
         if (folder / MANIFEST).stat().st_size > LARGEST_SEAL_BYTES:
-            found.fault("manifest", MANIFEST, f"more than {LARGEST_SEAL_BYTES} bytes")
+            verification.fault("manifest", MANIFEST, f"more than {LARGEST_SEAL_BYTES} bytes")
             return None
         signature = read_signature(read_beside(folder, SIGNATURE) or b"")
     except EvidenceError as error:
-        found.fault("signature", SIGNATURE, error.what)
+        verification.fault("signature", SIGNATURE, error.what)
         return None
-    found.fingerprint = fingerprint(signature.public_key)
+    verification.fingerprint = fingerprint(signature.public_key)
     what = ""
     try:
         if signature.namespace != NAMESPACE:
@@ -138,35 +140,35 @@ def _seal(found: Verification, folder: Path) -> bytes | None:
     except NotInstalled as error:
         what = error.what
     if not what:
-        found.state = State.SEALED
+        verification.state = State.SEALED
     else:
-        found.fault("signature", SIGNATURE, what)
+        verification.fault("signature", SIGNATURE, what)
     return signature.public_key
 
 
-def _judge_seal(found: Verification, public_key: bytes, trust: Trust, moments: Moments) -> None:
+def _judge_seal(verification: Verification, public_key: bytes, trust: Trust, moments: Moments) -> None:
     """Decide whether the bench's key could seal then."""
     judged = judge_key(public_key, NAMESPACE, trust, moments)
-    found.signer = judged.principal
+    verification.signer = judged.principal
     if judged.fault:
-        found.fault("key", SIGNATURE, judged.fault)
+        verification.fault("key", SIGNATURE, judged.fault)
     elif judged.remark:
-        found.remarks.append(f"{SIGNATURE}: {judged.remark}")
+        verification.remarks.append(f"{SIGNATURE}: {judged.remark}")
 
 
-def _clocks(found: Verification, stamps: Iterable[Stamp], now: datetime) -> None:
+def _clocks(verification: Verification, stamps: Iterable[Stamp], now: datetime) -> None:
     """Remark on times that contradict each other."""
-    if found.stated is None:
+    if verification.stated is None:
         return
-    stated = f"{found.stated:%Y-%m-%d %H:%M} UTC"
+    stated = f"{verification.stated:%Y-%m-%d %H:%M} UTC"
     for stamp in stamps:
-        if stamp.utc < found.stated - _CLOCK_SLACK:
-            found.remarks.append(
+        if stamp.utc < verification.stated - _CLOCK_SLACK:
+            verification.remarks.append(
                 f"{stamp.file}: {stamp.of} existed at {stamp.text}, but the bench's own clock stated the later time"
                 f" {stated}. One of both clocks was wrong"
             )
-    if found.stated > now + _CLOCK_SLACK:
-        found.remarks.append(f"the bench's own clock stated a time in the future: {stated}")
+    if verification.stated > now + _CLOCK_SLACK:
+        verification.remarks.append(f"the bench's own clock stated a time in the future: {stated}")
 
 
 @dataclass(frozen=True)
@@ -211,7 +213,7 @@ def _text(standing: Verification) -> str:
 
 
 def check_ended_page(
-    folder: Path, trust: Trust, now: datetime, stated: datetime, found: Verification
+    folder: Path, trust: Trust, now: datetime, stated: datetime, verification: Verification
 ) -> None:
     """Tell what does not hold on the page of a folder without a seal, or what does; nothing without a page."""
     try:
@@ -222,18 +224,18 @@ def check_ended_page(
         page = (folder / REPORT).read_bytes() if (folder / REPORT).is_file() else b""
         holds = signature.namespace == NAMESPACE and is_valid(signature, page)
     except EvidenceError as error:
-        found.fault("signature", PAGE_SIGNATURE, error.what)
+        verification.fault("signature", PAGE_SIGNATURE, error.what)
         return
     judged = judge_key(signature.public_key, NAMESPACE, trust, Moments(now, None, None, stated, stated))
     if not holds:
-        found.fault("signature", PAGE_SIGNATURE, f"the signature does not match this {REPORT}")
+        verification.fault("signature", PAGE_SIGNATURE, f"the signature does not match this {REPORT}")
     elif judged.fault:
-        found.fault("key", PAGE_SIGNATURE, judged.fault)
+        verification.fault("key", PAGE_SIGNATURE, judged.fault)
     elif why := _of_another_journal(folder, page):
-        found.fault("journal", JOURNAL, why)
+        verification.fault("journal", JOURNAL, why)
     else:
         signer = f"{judged.principal} ({fingerprint(signature.public_key)})"
-        found.statements.append(
+        verification.statements.append(
             f"{REPORT} is the page of a run that did not finish, signed by {signer}; its journal is whole"
         )
 

@@ -77,16 +77,16 @@ class Stamp:
         return f"{self.utc:%Y-%m-%d %H:%M:%S} UTC by the {whose}"
 
 
-def check_timestamps(folder: Path, authorities: TrustedAuthorities, found: Findings) -> dict[str, Stamp]:
+def check_timestamps(folder: Path, authorities: TrustedAuthorities, findings: Findings) -> dict[str, Stamp]:
     """Check the time stamps beside a seal; return those that hold, by file. Nothing is asked over a network."""
     stamps: dict[str, Stamp] = {}
     for name in STAMPED:
         try:
             stamp = _check_file(folder, name, authorities)
         except UncheckedError as error:
-            found.not_compared.append(f"{name}: {error.what}")
+            findings.not_compared.append(f"{name}: {error.what}")
         except EvidenceError as error:
-            found.fault("timestamp", name, error.what)
+            findings.fault("timestamp", name, error.what)
         else:
             stamps |= {name: stamp} if stamp is not None else {}
     return stamps

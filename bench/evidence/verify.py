@@ -57,7 +57,7 @@ _CANONICAL = {RESULTS: True, PLAN: True, "sources.json": True, "certificate.json
 _FOLDERS = {"run": "run folder", "results": "folder of recalculated results", "certificate": "certificate"}
 
 
-def check_listed(folder: Path, found: Findings) -> dict[str, str] | None:
+def check_listed(folder: Path, findings: Findings) -> dict[str, str] | None:
     """Check that a sealed folder has exactly its listed files; return SHA-256 by name, None without a list."""
     path = folder / MANIFEST
     if path.is_symlink() or not path.is_file() or path.stat().st_size > LARGEST_SEAL_BYTES:
@@ -65,25 +65,25 @@ def check_listed(folder: Path, found: Findings) -> dict[str, str] | None:
     try:
         manifest = read_manifest(path.read_bytes())
     except EvidenceError as error:
-        found.fault("manifest", error.where, error.what)
+        findings.fault("manifest", error.where, error.what)
         manifest = {}
-    _kind(found, manifest)
-    _files(found, folder, manifest)
+    _kind(findings, manifest)
+    _files(findings, folder, manifest)
     for name in sorted(_CANONICAL.keys() & manifest.keys()):
-        _form(found, folder / name)
+        _form(findings, folder / name)
     return manifest
 
 
-def _kind(found: Findings, manifest: Mapping[str, str]) -> None:
+def _kind(findings: Findings, manifest: Mapping[str, str]) -> None:
     """Refuse a folder whose kind is not certain: its checks could be avoided by a file of another kind."""
     markers = [name for name in KINDS if name in manifest]
     if len(markers) > 1:
-        found.fault("kind", markers[1], f"a folder with {markers[0]} does not have this file")
+        findings.fault("kind", markers[1], f"a folder with {markers[0]} does not have this file")
     elif not markers and _RUN_FILES & set(manifest):
-        found.fault("kind", JOURNAL, "the file is missing, though the folder has other files of a run")
+        findings.fault("kind", JOURNAL, "the file is missing, though the folder has other files of a run")
 
 
-def _form(found: Findings, path: Path) -> None:
+def _form(findings: Findings, path: Path) -> None:
     """Check that a JSON file has the form that the program gives it, so that every reader reads the same."""
     if path.is_symlink() or not path.is_file():
         return  # told already
@@ -92,32 +92,32 @@ def _form(found: Findings, path: Path) -> None:
         content = parse_json(data)
     except (StorageError, ValueError) as error:
         if path.name != RESULTS:  # `verify` reads it too, and tells
-            found.fault("form", path.name, f"the file cannot be read ({error})")
+            findings.fault("form", path.name, f"the file cannot be read ({error})")
         return
     try:
         is_same = canonical_json(content, ascii_only=_CANONICAL[path.name]) == data
     except ValueError:  # a number that is not finite
         is_same = False
     if not is_same:
-        found.fault("form", path.name, "its JSON is not written as the program writes it")
+        findings.fault("form", path.name, "its JSON is not written as the program writes it")
 
 
-def _files(found: Findings, folder: Path, manifest: Mapping[str, str]) -> None:
+def _files(findings: Findings, folder: Path, manifest: Mapping[str, str]) -> None:
     there, of_kind = list_files(folder), FILES.get(kind_of(folder))
     for name, kind in sorted(there.items()):
         if name in NOT_LISTED:  # `standing_of` checks these
             continue
         if kind != "file":
-            found.fault("link" if kind == "link" else "added", name, f"this is a {kind}, not a file")
+            findings.fault("link" if kind == "link" else "added", name, f"this is a {kind}, not a file")
         elif name not in manifest:
-            found.fault("added", name, "the file was added after sealing")
+            findings.fault("added", name, "the file was added after sealing")
         elif of_kind is not None and not of_kind.fullmatch(name):
-            found.fault("kind", name, f"no {_FOLDERS[kind_of(folder)]} has this file")
+            findings.fault("kind", name, f"no {_FOLDERS[kind_of(folder)]} has this file")
     for name, sha256 in manifest.items():
         if name not in there:
-            found.fault("missing", name, "the file is missing")
+            findings.fault("missing", name, "the file is missing")
         elif there[name] == "file" and sha256_of(folder / name) != sha256:
-            found.fault("changed", name, "the file was changed after sealing")
+            findings.fault("changed", name, "the file was changed after sealing")
 
 
 def verify_folder(
@@ -146,17 +146,21 @@ def verify_folder(
     kind = kind_of(folder)
     trusted = trust if isinstance(trust, Trust) else Trust(tuple(trust))
     with storage_errors(folder):
-        found = standing_of(folder, trusted, now or datetime.now(UTC), at=at)
-        found.kind, found.again = kind, again
-        manifest = check_listed(folder, found)
-        found.files = len(manifest or ())
-        captures = check_journal(folder, manifest, found) if kind == "run" and manifest is not None else None
-        _results(folder, manifest, captures, camera_serial, found)
+        verification = standing_of(folder, trusted, now or datetime.now(UTC), at=at)
+        verification.kind, verification.again = kind, again
+        manifest = check_listed(folder, verification)
+        verification.files = len(manifest or ())
+        captures = (
+            check_journal(folder, manifest, verification) if kind == "run" and manifest is not None else None
+        )
+        _results(folder, manifest, captures, camera_serial, verification)
         derive_with = (derivations or {}).get(kind, ())
         if derivations is not None and not derive_with:
-            found.not_compared.append(f"nothing is known of the files of a folder of the kind {kind!r}")
-        found.derive(folder, derive_with)
-    return found
+            verification.not_compared.append(
+                f"nothing is known of the files of a folder of the kind {kind!r}"
+            )
+        verification.derive(folder, derive_with)
+    return verification
 
 
 def _results(
@@ -164,7 +168,7 @@ def _results(
     manifest: Mapping[str, str] | None,
     captures: Mapping[str, Capture] | None,
     camera_serial: str | None,
-    found: Verification,
+    verification: Verification,
 ) -> None:
     """Take run and camera from the results, and check that journal and list of files name the same recordings.
 
@@ -174,12 +178,12 @@ def _results(
     if path.is_symlink() or not path.is_file():
         return  # the journal tells whether a run must have results
     try:
-        recordings = _read_facts(read_json(path), found)
+        recordings = _read_facts(read_json(path), verification)
     except StorageError as error:
-        found.fault("results", RESULTS, f"{error.what[0].lower()}{error.what[1:].rstrip('.')}")
+        verification.fault("results", RESULTS, f"{error.what[0].lower()}{error.what[1:].rstrip('.')}")
         return
     except UNREADABLE as error:
-        found.fault(
+        verification.fault(
             "results",
             RESULTS,
             f"the file cannot be read ({error if type(error) is ValueError else repr(error)})",
@@ -191,13 +195,13 @@ def _results(
         for name, sha256 in recordings:
             for source, hashes in sources.items():
                 if hashes.get(name) != sha256:
-                    found.fault("results", RESULTS, f"{source} does not name {name} with this hash")
-    if camera_serial is not None and found.camera_serial != camera_serial:
-        what = f"the results belong to camera {found.camera_serial}; {camera_serial} was requested"
-        found.fault("item", RESULTS, what)
+                    verification.fault("results", RESULTS, f"{source} does not name {name} with this hash")
+    if camera_serial is not None and verification.camera_serial != camera_serial:
+        what = f"the results belong to camera {verification.camera_serial}; {camera_serial} was requested"
+        verification.fault("item", RESULTS, what)
 
 
-def _read_facts(results: Any, found: Verification) -> list[tuple[str, str]]:
+def _read_facts(results: Any, verification: Verification) -> list[tuple[str, str]]:
     """Take run and camera from results; return name and SHA-256 of each recording, or raise an ``UNREADABLE``."""
     serial = (results["devices"].get("camera") or {}).get("serial")
     run_id, simulated = str(results["run"]["id"]), bool(results["run"]["simulated"])
@@ -207,6 +211,6 @@ def _read_facts(results: Any, found: Verification) -> list[tuple[str, str]]:
         for attempt in pose.get("attempts") or ()
         if attempt["capture"] is not None
     ]
-    found.run_id, found.simulated = run_id, simulated
-    found.camera_serial = None if serial is None else str(serial)
+    verification.run_id, verification.simulated = run_id, simulated
+    verification.camera_serial = None if serial is None else str(serial)
     return recordings

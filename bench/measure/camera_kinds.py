@@ -114,11 +114,11 @@ class EventKind:
         )
 
     def judge(
-        self, facts: RecordedData, step: RecordStep, frequency_hz: float, found: Measurement
+        self, facts: RecordedData, step: RecordStep, frequency_hz: float, measurement: Measurement
     ) -> tuple[list[Gate], list[str]]:
         """Judge a recording by its numbers: stars, event rate, triggers, flicker and motion."""
         recorded = _of_events(facts)
-        gates = recording_gates(recorded, step.gates, frequency_hz, found.facts, found.stars)
+        gates = recording_gates(recorded, step.gates, frequency_hz, measurement.facts, measurement.stars)
         return gates, rejection_reasons(recorded, step.gates, ())
 
     def counts(self, facts: RecordedData) -> RecordingCounts:
@@ -192,13 +192,13 @@ class FrameKind:
         facts: RecordedData,
         step: RecordStep,
         frequency_hz: float,  # noqa: ARG002
-        found: Measurement,
+        measurement: Measurement,
     ) -> tuple[list[Gate], list[str]]:
         """See `EventKind.judge`. Judges stars, saturation and motion."""
         from bench.measure.measure_frames import frame_gates, frame_rejection_reasons
 
         recorded = _of_frames(facts)
-        gates = frame_gates(recorded, step.gates, found)
+        gates = frame_gates(recorded, step.gates, measurement)
         return gates, frame_rejection_reasons(recorded)
 
     def counts(self, facts: RecordedData) -> RecordingCounts:
@@ -213,12 +213,12 @@ class FrameKind:
     def conditions(self, accepted: Sequence[RecordedData]) -> CameraConditions:
         """See `EventKind.conditions`. Frames per pose, bit depth, and the settings asked for."""
         last = _of_frames(accepted[-1])
-        found: CameraConditions = {"pictures": last.frames, "bits": last.bits}
+        conditions: CameraConditions = {"pictures": last.frames, "bits": last.bits}
         if self._settings.exposure is not None:
-            found["exposure"] = self._settings.exposure
+            conditions["exposure"] = self._settings.exposure
         if self._settings.gain is not None:
-            found["gain"] = self._settings.gain
-        return found
+            conditions["gain"] = self._settings.gain
+        return conditions
 
 
 def _of_frames(facts: RecordedData) -> FrameFacts:

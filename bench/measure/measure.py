@@ -337,12 +337,12 @@ def measure(
         if motion:
             seen.keep(whole.image)
         try:
-            found = find_stars(whole.image, target, name, expected_grid, facts, edge_width=motion)
+            view = find_stars(whole.image, target, name, expected_grid, facts, edge_width=motion)
         except TargetNotFound as error:
             raise why_no_target(error, facts, whole.image) from error
         if motion:
-            facts["motion_px"] = motion_px(whole.halves(), found, target, facts["edge_width_px"])
-        return downweight_vignetted(found, target)
+            facts["motion_px"] = motion_px(whole.halves(), view, target, facts["edge_width_px"])
+        return downweight_vignetted(view, target)
 
     return measurement_of(find)
 
@@ -387,9 +387,9 @@ def aligned_poses(facts: Iterable[MeasuredFacts]) -> int:
     Errors of neighbouring stars are then correlated, which no star's covariance can express (docs/stars.md).
     """
     return sum(
-        edge_angle_deg(np.array(one["grid"])) < _ALIGNED_DEG
-        for one in facts
-        if "grid" in one and "image" in one and one["image"]["kind"] in {"fired-per-edge", "last-polarity"}
+        edge_angle_deg(np.array(fact["grid"])) < _ALIGNED_DEG
+        for fact in facts
+        if "grid" in fact and "image" in fact and fact["image"]["kind"] in {"fired-per-edge", "last-polarity"}
     )
 
 

@@ -55,13 +55,13 @@ def mean_frames(path: Path, seen: Observed) -> tuple[NDArray[np.float32], list[N
     return mean, [_mean(part) for part in (frames[:half], frames[-half:])] if half else []
 
 
-def frame_gates(facts: FrameFacts, gates: Gates, found: Measurement) -> list[Gate]:
+def frame_gates(facts: FrameFacts, gates: Gates, measurement: Measurement) -> list[Gate]:
     """Judge the frames of a pose; of the sequence's gates, those about stars apply."""
     judged = [
-        at_least("stars", found.stars, gates.min_stars, ""),
+        at_least("stars", measurement.stars, gates.min_stars, ""),
         at_most("saturated pixels", 100 * facts.saturated_share, 100 * MOST_SATURATED, "%"),
     ]
-    motion_px = found.facts.get("motion_px")
+    motion_px = measurement.facts.get("motion_px")
     if motion_px is not None:
         judged.append(at_most("stars moved", motion_px, gates.limits.get("max_motion_px", MOVING_PX), "px"))
     return judged

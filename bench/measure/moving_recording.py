@@ -36,10 +36,10 @@ class MovingRecording:
         if number < self._next:
             self._next, self._stream = 0, self._reconstructed()
         while True:
-            found = next(self._stream)
+            picture = next(self._stream)
             self._next += 1
             if self._next > number:
-                return found
+                return picture
 
     def _reconstructed(self) -> Iterator[ReconstructedPicture]:
         raw = RawFile.open(self._path)

@@ -189,7 +189,7 @@ def _recognised(data: bytes, name: str | None, lens: LensFamily | None) -> _Foun
     if isinstance(ours, dict) and "camera" in ours:
         camera = camera_of(ours["camera"], ours["image_size"])
         return "the result of a run", camera, camera_covariance(cast("CameraData", ours)), ()
-    found = [_chosen(_cameras(one), name) for one in documents]
+    found = [_chosen(_cameras(document), name) for document in documents]
     cameras = [camera_of_values(one, lens) for one in found]
     if any(one != cameras[0] for one in cameras):
         raise OtherForm(
@@ -219,11 +219,11 @@ def _cameras(content: Values) -> dict[str, Values]:
     if states_a_matrix(values):
         return {"": values}
     shared = {key: value for key, value in values.items() if not isinstance(value, Mapping | list)}
-    found: dict[str, Values] = {}
+    cameras: dict[str, Values] = {}
     for number in ("1", "2"):  # M1, D1, M2 and D2 of OpenCV's stereo calibration
         own = {key[:-1]: value for key, value in values.items() if key.endswith(number)}
         if states_a_matrix(own):
-            found[number] = {**values, **own}
+            cameras[number] = {**values, **own}
     for name, value in content.items():
         parts = (
             {f"{name}{at}": one for at, one in enumerate(value)} if isinstance(value, list) else {name: value}
@@ -232,13 +232,13 @@ def _cameras(content: Values) -> dict[str, Values]:
             if isinstance(part, Mapping):
                 alone = {"": _plain(part)} if re.fullmatch(r"cam\d+", own_name) else {}
                 for inner, camera in (_cameras(part) or alone).items():
-                    known = f"{own_name}.{inner}" if inner in found else inner or own_name
-                    found[known] = {**shared, **camera}
-    return found
+                    known = f"{own_name}.{inner}" if inner in cameras else inner or own_name
+                    cameras[known] = {**shared, **camera}
+    return cameras
 
 
 def _chosen(cameras: Mapping[str, Values], name: str | None) -> Values:
-    listed = ", ".join(one[:LONGEST_NAME] for one in list(cameras)[:_MOST_NAMED])
+    listed = ", ".join(camera[:LONGEST_NAME] for camera in list(cameras)[:_MOST_NAMED])
     if name is not None and name not in cameras:
         if list(cameras) == [""]:
             raise OtherForm("it holds one camera without a name", "Leave out --camera.")

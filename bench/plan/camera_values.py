@@ -157,7 +157,7 @@ def _named(values: Values, *, is_fisheye: bool) -> list[float]:
     if not found:
         return []
     coefficients = {name: numbers_of(f"the coefficient {name}", value) for name, value in found.items()}
-    if any(len(one) != 1 for one in coefficients.values()):
+    if any(len(coefficient) != 1 for coefficient in coefficients.values()):
         raise OtherForm(f"one of the coefficients {', '.join(found)} is no number")
     other = [name for name, (value,) in coefficients.items() if value and name not in names]
     if other:
@@ -167,7 +167,7 @@ def _named(values: Values, *, is_fisheye: bool) -> list[float]:
     last = max(names.index(name) for name in found if name in names)
     listed = [coefficients.get(name, [0.0])[0] for name in names[: last + 1]]
     lengths = (len(FISHEYE),) if is_fisheye else OPENCV_LENGTHS
-    return listed + [0.0] * (next(one for one in lengths if one >= len(listed)) - len(listed))
+    return listed + [0.0] * (next(length for length in lengths if length >= len(listed)) - len(listed))
 
 
 def _stated_lens(values: Values) -> tuple[str | None, tuple[str, ...] | None]:

@@ -160,11 +160,11 @@ class Job:
     def _light_before(self) -> dict[int | None, LightStep | None]:
         """The light step before each step, by the step's number; after the last step, by None."""
         light: LightStep | None = None
-        found: dict[int | None, LightStep | None] = {}
+        light_steps: dict[int | None, LightStep | None] = {}
         for step in self.steps:
-            found[step.number] = light
+            light_steps[step.number] = light
             light = step if isinstance(step, LightStep) else light
-        return {**found, None: light}
+        return {**light_steps, None: light}
 
     def frequency_hz(self, step: RecordStep) -> float:
         """Return the flicker frequency of a recording, Hz; a plan without faults always has one."""
@@ -203,24 +203,26 @@ class Job:
     def _chooses_poses(self) -> bool:
         return any(isinstance(step, ChooseStep) for step in self.steps)
 
-    def judged(self, step: RecordStep, stored: CaptureStored, found: Measurement) -> AttemptChecked:
+    def judged(self, step: RecordStep, stored: CaptureStored, measurement: Measurement) -> AttemptChecked:
         """Return what the journal holds about the measurement of a recording: its verdict, and why."""
         before_deg, after_deg = stored["measured_deg"], stored["measured_after_deg"]
-        gates, other_reasons = self.camera_kind.judge(stored["facts"], step, self.frequency_hz(step), found)
+        gates, other_reasons = self.camera_kind.judge(
+            stored["facts"], step, self.frequency_hz(step), measurement
+        )
         gates += [  # whether the stage stood still
             at_most(f"{axis} moved", abs(after_deg[axis] - before_deg[axis]), MAX_MOTION_DEG, "deg")
             for axis in before_deg
         ]
-        failed = [gate for gate in gates if found.view is not None or gate.name != "stars"]
-        reasons = [*filter(None, [found.fault]), *failed_gate_texts(failed), *other_reasons]
+        failed = [gate for gate in gates if measurement.view is not None or gate.name != "stars"]
+        reasons = [*filter(None, [measurement.fault]), *failed_gate_texts(failed), *other_reasons]
         return {
             "pose": stored["pose"],
             "attempt": stored["attempt"],
             "accepted": not reasons,
             "reasons": reasons,
-            "stars": found.stars,
+            "stars": measurement.stars,
             "gates": [gate.as_data() for gate in gates],
-            "measured": found.facts,
+            "measured": measurement.facts,
         }
 
     def measure_again(self, folder: Path, attempt: Attempt) -> Measurement:

@@ -280,28 +280,28 @@ class PassportInUse:
 
     def cautions(self, collimator: CollimatorConfig, on: date) -> list[str]:
         """Return a sentence for each doubt: unsealed, expired, other temperature or collimator, or none named."""
-        found = []
+        cautions = []
         if self.is_unsealed:
-            found.append(
+            cautions.append(
                 f"The collimator's passport {self.name} is not sealed: nothing shows that its values are as they were "
                 "made."
             )
         if self.valid_until is not None and self.valid_until < on:
-            found.append(f"The collimator's passport expired on {self.valid_until}; the run is of {on}.")
-        found += self._temperature_caution(collimator.temperature_c)
+            cautions.append(f"The collimator's passport expired on {self.valid_until}; the run is of {on}.")
+        cautions += self._temperature_caution(collimator.temperature_c)
         if collimator.serial is None:
-            return found
+            return cautions
         if self.serial is None:
-            found.append(
+            cautions.append(
                 "The collimator's passport does not name its collimator, so nothing shows that it belongs to "
                 f"{collimator.serial}."
             )
         elif self.serial != collimator.serial:
-            found.append(
+            cautions.append(
                 f"The passport belongs to the collimator {self.serial}; the station's is {collimator.serial}. "
                 "The sequence accepts it (other_collimator: accept)."
             )
-        return found
+        return cautions
 
     def _temperature_caution(self, bench_c: float | None) -> list[str]:
         if self.temperature_c is None:

@@ -227,9 +227,9 @@ def _estimated(step: SolveStep) -> set[str]:
 def _limit_faults(document: Located[Sequence], steps: tuple[Step, ...], station: Station) -> Iterator[Fault]:
     """Yield limits of results that this run cannot judge: it would end without PASS or FAIL."""
     stated: list[tuple[DocumentPath, str, str]] = [
-        (("limits", at, "result"), one.result, "") for at, one in enumerate(document.value.limits)
+        (("limits", at, "result"), limit.result, "") for at, limit in enumerate(document.value.limits)
     ]
-    stated += [(("steps",), one.result, f"the station limits {one.result}: ") for one in station.limits]
+    stated += [(("steps",), limit.result, f"the station limits {limit.result}: ") for limit in station.limits]
     if not stated:
         return
     if not any(isinstance(step, ReportStep) for step in steps):

@@ -64,10 +64,10 @@ def choose_stated_camera(
         fault = sequence.fault(other.path, "the check steps name different calibrations; a run checks one.")
         return StatedCameraChoice(faults=(fault,))
     try:
-        found = StatedCamera(name, _read(sequence.file_at(path, name), copy))
+        stated = StatedCamera(name, _read(sequence.file_at(path, name), copy))
         if copy is None and expected is not None:
-            _require_same_sensor(found.file, expected.image_size)
-        return StatedCameraChoice(found)
+            _require_same_sensor(stated.file, expected.image_size)
+        return StatedCameraChoice(stated)
     except BenchError as error:
         return StatedCameraChoice(faults=(sequence.fault(path, str(error)),))
 

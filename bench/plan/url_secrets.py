@@ -34,19 +34,19 @@ _KINDS = {
 
 def find_url_secrets(document: Located[Any]) -> list[Fault]:
     """Find credentials: a fault for each value or line with one, at its place, without the credential itself."""
-    found: dict[int, Fault] = {}
+    faults: dict[int, Fault] = {}
     tree = document.tree
     for path, text in leaves(tree.value):
         if isinstance(text, str) and (kind := _kind_of(text)):
             spot = tree.spot(path)
             fault = Fault(document.file, *spot, path_text(path), f"this is {kind}. {_remedy(path)}")
-            found.setdefault(spot.line, fault)
-    lines = {fault.line for fault in found.values()}
+            faults.setdefault(spot.line, fault)
+    lines = {fault.line for fault in faults.values()}
     for number, line in enumerate(document.text.decode(errors="replace").splitlines(), start=1):
         if number not in lines and (kind := _kind_of(line)):
             what = f"this line contains {kind}, and the file is copied into the run folder. Remove it."
-            found[number] = Fault(document.file, number, 1 + line.index("/"), "", what)
-    return list(found.values())
+            faults[number] = Fault(document.file, number, 1 + line.index("/"), "", what)
+    return list(faults.values())
 
 
 def _kind_of(text: str) -> str:

@@ -52,7 +52,7 @@ def conformity(
         return None
     reasons = [*([] if calibration["converged"] else [NO_CONVERGENCE])]
     reasons += [f"The gate {name} failed." for name in failed_gates]
-    kept = all(one["verdict"] == "pass" for one in statements)
+    kept = all(statement["verdict"] == "pass" for statement in statements)
     return {"passed": kept and not reasons, "rule": RULE, "statements": statements, "reasons": reasons}
 
 

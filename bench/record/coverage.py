@@ -82,8 +82,13 @@ def estimates(solved: Solved) -> dict[str, Estimate]:
 def parameters_data(parameters: Mapping[str, Estimate]) -> dict[str, EstimateData]:
     """Return parameters as JSON carries them, by name."""
     return {
-        name: {"value": one.value, "sigma": one.sigma, "coverage_factor": one.k, "expanded": one.expanded}
-        for name, one in parameters.items()
+        name: {
+            "value": parameter.value,
+            "sigma": parameter.sigma,
+            "coverage_factor": parameter.k,
+            "expanded": parameter.expanded,
+        }
+        for name, parameter in parameters.items()
     }
 
 

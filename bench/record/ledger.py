@@ -285,8 +285,8 @@ class Ledger:
         witnesses = self._ask_anchors(anchor)
         with self._mended(witnesses, strangers) as journal:
             open_breaks = [one for one in breaks_of(journal.entries) if one.reason is None]
-            for one in open_breaks:
-                journal.append(BREAK_EXPLAINED, line=one.line, reason=reason, by=by)
+            for open_break in open_breaks:
+                journal.append(BREAK_EXPLAINED, line=open_break.line, reason=reason, by=by)
         runs = self.faults()
         for fault in runs:
             head, kind = fault.key

@@ -338,19 +338,19 @@ class BreakFindings:
 
 def breaks_of(entries: Iterable[Entry]) -> list[Break]:
     """Return the breaks that a ledger records, first to last, each with its explanation if there is one."""
-    found: dict[int, Break] = {}
+    breaks: dict[int, Break] = {}
     for entry in entries:
         data = entry.data
         if entry.event == LEDGER_BROKEN:
             heads = frozenset(str(known["head"]) for known in data["known"])
             what = tuple(str(sentence) for sentence in data["what"])
-            found[entry.seq + 1] = Break(
+            breaks[entry.seq + 1] = Break(
                 entry.seq + 1, entry.utc, what, heads, data.get("reason"), data.get("by")
             )
         elif entry.event == BREAK_EXPLAINED:
             line = int(data["line"])
-            found[line] = replace(found[line], reason=str(data["reason"]), by=str(data["by"]))
-    return list(found.values())
+            breaks[line] = replace(breaks[line], reason=str(data["reason"]), by=str(data["by"]))
+    return list(breaks.values())
 
 
 def highest_run(entries: Iterable[Entry]) -> int:
@@ -384,48 +384,48 @@ def find_breaks(
     strangers: Strangers = no_strangers,
 ) -> BreakFindings:
     """Compare a ledger with all places that know of it; ``own`` is None without a mark, a text if it cannot be read."""
-    found = BreakFindings()
+    findings = BreakFindings()
     excused = {head for one in breaks_of(entries) for head in one.heads}
-    _ask_own_mark(found, entries, own, excused)
+    _ask_own_mark(findings, entries, own, excused)
     for witness in anchors:
-        _ask_anchor(found, entries, witness, excused)
+        _ask_anchor(findings, entries, witness, excused)
     lost = [run for run in strangers({entry.hash for entry in entries}) if run.head not in excused]
     numbers = {e.data["number"]: e.data["run"] for e in entries if e.event == RUN_BEGUN}
     for run in lost:
         holder = (
             f"; its number {run.number} is that of run {numbers[run.number]}" if run.number in numbers else ""
         )
-        found.what.append(f"The sealed run {run.folder} is not in the ledger{holder}.")
+        findings.what.append(f"The sealed run {run.folder} is not in the ledger{holder}.")
         mark = {"place": run.folder, "lines": 0, "runs": run.number, "head": run.head}
-        found.known.append(mark)
-    if len(found.what) > _MOST_KNOWN:
-        found.what[_MOST_KNOWN:] = [f"And {len(found.what) - _MOST_KNOWN} more."]
-    return found
+        findings.known.append(mark)
+    if len(findings.what) > _MOST_KNOWN:
+        findings.what[_MOST_KNOWN:] = [f"And {len(findings.what) - _MOST_KNOWN} more."]
+    return findings
 
 
 def _ask_own_mark(
-    found: BreakFindings, entries: Sequence[Entry], own: OwnMark | str | None, excused: Collection[str]
+    findings: BreakFindings, entries: Sequence[Entry], own: OwnMark | str | None, excused: Collection[str]
 ) -> None:
     if isinstance(own, str):
-        found.what.append(f"The bench's own mark of the ledger cannot be read: {own}")
+        findings.what.append(f"The bench's own mark of the ledger cannot be read: {own}")
     elif own is None:
         since = max((e.seq for e in entries if e.event == LEDGER_BROKEN), default=-1)
         if len(entries[since + 1 :]) > 1:  # after the first line, the process may have been killed
-            found.what.append("The bench's own mark of the ledger (ledger_high) was deleted.")
+            findings.what.append("The bench's own mark of the ledger (ledger_high) was deleted.")
     elif own.mark.head not in excused and (what := own.mark.disagreement(entries)):
-        found.what.append(f"The ledger {what} (as ledger_high knows).")
-        found.knows("ledger_high", own.mark)
+        findings.what.append(f"The ledger {what} (as ledger_high knows).")
+        findings.knows("ledger_high", own.mark)
 
 
 def _ask_anchor(
-    found: BreakFindings, entries: Sequence[Entry], witness: Witness, excused: Collection[str]
+    findings: BreakFindings, entries: Sequence[Entry], witness: Witness, excused: Collection[str]
 ) -> None:
     if witness.trouble:
-        found.warnings.append(
+        findings.warnings.append(
             f"The second place of the ledger {witness.place} cannot be read: {witness.trouble}"
         )
     elif witness.was_there and not witness.marks:
-        found.warnings.append(f"The second place of the ledger {witness.place} is empty; it had marks.")
+        findings.warnings.append(f"The second place of the ledger {witness.place} is empty; it had marks.")
     elif objecting := witness.objections(entries, excused):
         last = max(objecting, key=lambda mark: mark.lines)
         hint = (
@@ -433,6 +433,6 @@ def _ask_anchor(
             if witness.was_there
             else " Or the file is another bench's: then give this bench a file of its own."
         )
-        found.what.append(f"The ledger {last.disagreement(entries)} (as {witness.place} knows).{hint}")
+        findings.what.append(f"The ledger {last.disagreement(entries)} (as {witness.place} knows).{hint}")
         for mark in dict.fromkeys([last, objecting[-1]]):
-            found.knows(witness.place, mark)
+            findings.knows(witness.place, mark)

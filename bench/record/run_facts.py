@@ -173,8 +173,8 @@ def run_details(history: History, entries: Sequence[Entry], folder: Path) -> Run
         "camera_lens": _text(camera.get("lens")),
         "image_width_px": camera.get("width"),
         "image_height_px": camera.get("height"),
-        "stage_types": [_type_of(one) for one in stages],
-        "stage_serials": [_text(one.get("serial")) or "" for one in stages],
+        "stage_types": [_type_of(stage) for stage in stages],
+        "stage_serials": [_text(stage.get("serial")) or "" for stage in stages],
         "light_type": _type_of(light),
         "light_serial": _text(light.get("serial")),
         "converged": history.solved.get("converged"),
@@ -230,7 +230,7 @@ def _from_results(results: Results) -> ResultFacts:
         "degrees_of_freedom": calibration.get("degrees_of_freedom"),
         "corner_expanded_px": corner.get("expanded_px"),
         "conformity": None if passed is None else "PASS" if passed else "FAIL",
-        "limits": {one["result"]: (one["lower"], one["upper"]) for one in statements},
+        "limits": {statement["result"]: (statement["lower"], statement["upper"]) for statement in statements},
     }
 
 
@@ -275,9 +275,9 @@ def _type_of(device: DeviceData) -> str:
     return " ".join(text for key in ("maker", "model") if (text := _text(device.get(key))))
 
 
-def _part(found: _Part | None) -> _Part:
+def _part(part: _Part | None) -> _Part:
     """Return a part of what a file holds; an empty one where the file has none, or something else there."""
-    return found if isinstance(found, Mapping) else cast("_Part", {})
+    return part if isinstance(part, Mapping) else cast("_Part", {})
 
 
 def _text(value: object) -> str | None:

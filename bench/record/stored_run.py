@@ -142,9 +142,9 @@ def results_of(data: bytes, where: Path) -> Results:
     """Read results.json and check its types; RunFolderError names the first value of another type."""
     from pydantic import ValidationError
 
-    found = object_of(data, where)
+    results = object_of(data, where)
     try:
-        _form().validate_python(found, strict=True)
+        _form().validate_python(results, strict=True)
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         place = ".".join(map(str, first["loc"])) or "the whole file"
@@ -154,7 +154,7 @@ def results_of(data: bytes, where: Path) -> Results:
             where=str(where),
             remedy="Another version of Starbench wrote them, or the file was changed. Read it with that version.",
         ) from error
-    return found
+    return results
 
 
 @cache

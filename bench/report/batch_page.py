@@ -154,9 +154,9 @@ def _verdict(parameters: Sequence[AgreedData], runs: int) -> str:
     if not parameters:
         return "Only one run has a result, so there is no comparison."
     findings = []
-    if scattered := [one["name"] for one in parameters if _scatters(one, runs)]:
+    if scattered := [parameter["name"] for parameter in parameters if _scatters(parameter, runs)]:
         findings.append(f"{', '.join(scattered)} scattered more than the stated uncertainties predict")
-    if repeating := [one["name"] for one in parameters if one["repeats"]]:
+    if repeating := [parameter["name"] for parameter in parameters if parameter["repeats"]]:
         findings.append(f"{', '.join(repeating)}: {REPEATS_TEXT.rstrip('.')}")
     if not findings:
         return f"All {runs} results agree within their uncertainties."

@@ -149,16 +149,16 @@ def amplitude_rows(calibration: CalibrationData) -> list[tuple[str, str]]:
     return [(one["name"], _size(one)) for one in calibration["amplitudes"]]
 
 
-def _row(one: WitnessData) -> dict[str, str]:
-    size = abs(one["innovation"])
-    doubted = one["fault_probability"] >= _DOUBTED or size >= _CONTRADICTION
+def _row(witness: WitnessData) -> dict[str, str]:
+    size = abs(witness["innovation"])
+    doubted = witness["fault_probability"] >= _DOUBTED or size >= _CONTRADICTION
     return {
-        "name": one["name"],
-        "source": one["source"],
-        "stated": _value(one["stated"], one["sigma"], one["unit"]),
-        "expected": _value(one["expected"], one["expected_sigma"], one["unit"]),
-        "innovation": fixed(one["innovation"], 1),
-        "fault": f"{100 * one['fault_probability']:.0f} %",
+        "name": witness["name"],
+        "source": witness["source"],
+        "stated": _value(witness["stated"], witness["sigma"], witness["unit"]),
+        "expected": _value(witness["expected"], witness["expected_sigma"], witness["unit"]),
+        "innovation": fixed(witness["innovation"], 1),
+        "fault": f"{100 * witness['fault_probability']:.0f} %",
         "verdict": "fail" if doubted else "marginal" if size > _UNUSUAL else "pass",
     }
 
@@ -170,10 +170,10 @@ def _value(value: float | None, sigma: float | None, unit: str) -> str:
     return f"{shown} \N{PLUS-MINUS SIGN} {uncertainty} {'' if unit == '1' else unit}".strip()
 
 
-def _size(one: AmplitudeData) -> str:
-    unit = {"urad": " \N{MICRO SIGN}rad", "1": ""}.get(one["unit"], f" {one['unit']}")
-    factor, expected = number(math.exp(one["log_sigma"]), 2), number(one["expected"], 2)
-    return f"{number(one['value'], 2)}{unit}, known to a factor of {factor}; expected {expected}{unit}"
+def _size(amplitude: AmplitudeData) -> str:
+    unit = {"urad": " \N{MICRO SIGN}rad", "1": ""}.get(amplitude["unit"], f" {amplitude['unit']}")
+    factor, expected = number(math.exp(amplitude["log_sigma"]), 2), number(amplitude["expected"], 2)
+    return f"{number(amplitude['value'], 2)}{unit}, known to a factor of {factor}; expected {expected}{unit}"
 
 
 def values(calibration: CalibrationData) -> list[tuple[str, str, str, str, str]]:

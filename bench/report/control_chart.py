@@ -117,7 +117,7 @@ def _drift(
 ) -> str:
     """Draw the values over a quantity, with the fitted line; a line that is no more than chance is grey and dashed."""
     values = [chart["values"][place] for place in places]
-    lows, highs = ([one[place] for place in places] for one in _ends(chart))
+    lows, highs = ([end[place] for place in places] for end in _ends(chart))
     middle_x, middle_y = sum(xs) / len(xs), sum(values) / len(values)
     ends = [min(xs), max(xs)]
     line = [middle_y + slope["value"] * (x - middle_x) for x in ends]
@@ -153,11 +153,11 @@ def _ends(chart: ChartData) -> tuple[list[float], list[float]]:
 def _texts(chart: ChartData, group: ChartGroupData) -> list[str]:
     """Return what is shown for each run under the pointer."""
     unit = f" {chart['unit']}" if chart["unit"] else ""
-    found = []
+    texts = []
     for run, value, expanded in zip(group["runs"], chart["values"], chart["expanded"], strict=True):
         shown = " ± ".join(with_uncertainty(value, expanded))
-        found.append(f"{run['run']}, {run['begun_utc'][:16].replace('T', ' ')} UTC: {shown}{unit}")
-    return found
+        texts.append(f"{run['run']}, {run['begun_utc'][:16].replace('T', ' ')} UTC: {shown}{unit}")
+    return texts
 
 
 def _days(group: ChartGroupData) -> list[float]:

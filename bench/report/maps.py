@@ -123,7 +123,7 @@ def _label_contours(axes: Axes, found: Mapping[float, Sequence[Outline]]) -> Non
     for level, parts in found.items():
         text = f"{level:g}"
         half = text_width(text, _LABEL_SIZE) / 2
-        lines = [axes.at(line) for one in parts for line in one.lines()]
+        lines = [axes.at(line) for part in parts for line in part.lines()]
         for line in sorted(lines, key=_length, reverse=True):
             if place := _free_place(axes, line, half, taken):
                 taken.append((*place, half))

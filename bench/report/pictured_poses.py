@@ -57,11 +57,11 @@ def pictured_poses(results: Results) -> PictureSelection:
 
 def _indices_by_verdict(gates: Sequence[GateData]) -> dict[str, set[int]]:
     """Return the indices of the poses that have a gate with this verdict; gates of the whole run belong to no pose."""
-    found: dict[str, set[int]] = {verdict: set() for verdict in _NOT_PASSED}
+    indices: dict[str, set[int]] = {verdict: set() for verdict in _NOT_PASSED}
     for gate in gates:
-        if "pose" in gate and gate["verdict"] in found:
-            found[gate["verdict"]].add(gate["pose"])
-    return found
+        if "pose" in gate and gate["verdict"] in indices:
+            indices[gate["verdict"]].add(gate["pose"])
+    return indices
 
 
 def _evenly_spread(places: Sequence[int], most: int) -> Sequence[int]:

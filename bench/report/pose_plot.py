@@ -242,7 +242,7 @@ def _on_target(rays: Array, rotation: Array, centre: Array) -> Array:
 def _places(results: Results) -> list[_Place]:
     """Return the poses that have angles."""
     rotations = {v["name"]: v["rotation"] for v in results["calibration"]["views"] if "rotation" in v}
-    found = []
+    places = []
     for pose in results.get("poses") or []:
         angles = pose.get("measured_deg") or pose.get("commanded_deg") or {}
         if not {"pan", "tilt"} & set(angles):
@@ -254,12 +254,12 @@ def _places(results: Results) -> list[_Place]:
         roll = float(angles.get("roll", 0.0))
         if rotation is not None:
             roll = float(np.degrees(np.arctan2(rotation[1][0], rotation[0][0])))
-        found.append(
+        places.append(
             _Place(
                 int(pose["index"]), float(angles.get("pan", 0.0)), float(angles.get("tilt", 0.0)), roll, how
             )
         )
-    return found
+    return places
 
 
 def _limits(places: Sequence[_Place]) -> tuple[Scale, Scale]:

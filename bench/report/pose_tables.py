@@ -51,16 +51,16 @@ def status_of(pose: PoseData) -> str:
     return "not used" if accepted else "refused"
 
 
-def explained(found: Sequence[PoseData]) -> set[int]:
+def explained(pose_data: Sequence[PoseData]) -> set[int]:
     """Return the indices of the poses at which a kind of image is explained: the first ones that have it."""
-    first = {(pose.get("image") or {}).get("kind"): pose["index"] for pose in reversed(found)}
+    first = {(pose.get("image") or {}).get("kind"): pose["index"] for pose in reversed(pose_data)}
     return set(first.values())
 
 
-def gates(found: Sequence[GateData]) -> list[GateRow]:
+def gates(gate_data: Sequence[GateData]) -> list[GateRow]:
     """List each gate once, with the range of the values it judged and its worst verdict."""
     kinds: dict[tuple[str, str, str], list[GateData]] = {}
-    for gate in found:
+    for gate in gate_data:
         name = gate.get("gate", gate["name"])
         limit = str(gate["limit"]).replace(">=", "≥").replace("<=", "≤")
         kinds.setdefault((name, limit, str(gate["unit"])), []).append(gate)
@@ -83,9 +83,9 @@ def gates(found: Sequence[GateData]) -> list[GateRow]:
     return rows
 
 
-def angles(found: Numbers | None, decimals: int) -> str:
+def angles(numbers: Numbers | None, decimals: int) -> str:
     """Return the angle of each axis, degrees."""
-    axes = {axis: angle for axis, angle in (found or {}).items() if not axis.endswith("_encoder")}
+    axes = {axis: angle for axis, angle in (numbers or {}).items() if not axis.endswith("_encoder")}
     return ", ".join(f"{axis} {fixed(angle, decimals)}" for axis, angle in axes.items()) or NOTHING
 
 

@@ -137,7 +137,7 @@ class Axes:
         dash: str = "",
     ) -> None:
         """Fill closed shapes, (N, 2) each in the units of the scales, together, by the even-odd rule."""
-        shape = "".join(shape_of(self.at(one), closed=True) for one in outlines)
+        shape = "".join(shape_of(self.at(outline), closed=True) for outline in outlines)
         clear = f' fill-opacity="{opacity:g}"' if opacity < 1 else ""
         stroke = f' stroke="{edge}" stroke-width="{width:g}"' if edge else ""
         stroke += f' stroke-dasharray="{dash}"' if dash else ""

@@ -102,19 +102,19 @@ def _row(name: str, then: CameraData, now: CameraData) -> dict[str, Any]:
     }
 
 
-def _over_sensor(found: ChangeData | None) -> str:
-    if not found:
+def _over_sensor(change_data: ChangeData | None) -> str:
+    if not change_data:
         return ""
-    column, row = found["at_px"]
+    column, row = change_data["at_px"]
     return (
-        f"Over the sensor, the same direction is projected {number(found['rms_px'], 2)} px (RMS) and at most "
-        f"{number(found['largest_px'], 2)} px apart. Compared with its expanded uncertainty, the change is largest at "
-        f"column {exact(round(column))}, row {exact(round(row))}: {_times_u(found)}."
+        f"Over the sensor, the same direction is projected {number(change_data['rms_px'], 2)} px (RMS) and at most "
+        f"{number(change_data['largest_px'], 2)} px apart. Compared with its expanded uncertainty, the change is "
+        f"largest at column {exact(round(column))}, row {exact(round(row))}: {_times_u(change_data)}."
     )
 
 
-def _times_u(found: ChangeData) -> str:
-    return f"{number(found['px_there'], 2)} px = {number(found['largest_ratio'], 2)} U"
+def _times_u(change_data: ChangeData) -> str:
+    return f"{number(change_data['px_there'], 2)} px = {number(change_data['largest_ratio'], 2)} U"
 
 
 @dataclass(frozen=True)

@@ -42,23 +42,23 @@ class LastView:
     png: bytes
 
 
-def leave_view(folder: Path, pose: int, attempt: int, found: Measurement, target: StarTarget) -> None:
+def leave_view(folder: Path, pose: int, attempt: int, measurement: Measurement, target: StarTarget) -> None:
     """Leave the picture of a recording for others; nothing happens if there is no image or nobody can be told."""
-    if found.image is None or not (folder / CONTROL).is_dir():
+    if measurement.image is None or not (folder / CONTROL).is_dir():
         return
     stars = (
         {"nodes": [], "points_px": []}
-        if found.view is None
+        if measurement.view is None
         else {
-            "nodes": target.node_of(found.view.ids).tolist(),
-            "points_px": found.view.points_px.round(_DIGITS).tolist(),
+            "nodes": target.node_of(measurement.view.ids).tolist(),
+            "points_px": measurement.view.points_px.round(_DIGITS).tolist(),
         }
     )
-    head = json.dumps({"pose": pose, "attempt": attempt, "fault": found.fault, **stars})
+    head = json.dumps({"pose": pose, "attempt": attempt, "fault": measurement.fault, **stars})
     path = folder / CONTROL / LAST_VIEW
     part = path.with_name(f"{LAST_VIEW}{TEMPORARY}")
     with suppress(OSError):
-        part.write_bytes(head.encode() + b"\n" + found.image.png)
+        part.write_bytes(head.encode() + b"\n" + measurement.image.png)
         part.replace(path)
 
 

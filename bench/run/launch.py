@@ -292,7 +292,7 @@ def _devices_left(end: RunEnd) -> str:
     """Return how the devices were left, for a message; empty if all confirmed a safe state, or no step used any."""
     if end.how == "finished" and not end.opened:
         return ""
-    unsure = [one.text for one in end.devices if one.state != "confirmed safe"]
+    unsure = [device.text for device in end.devices if device.state != "confirmed safe"]
     return "".join(f" {text}" for text in unsure)
 
 

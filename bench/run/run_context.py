@@ -27,18 +27,18 @@ from bench.stations.station_fields import InterlocksConfig
 
 def interlocks_of(config: InterlocksConfig, folder: Path, devices: RunDevices) -> list[Interlock]:
     """Create the interlocks that the section ``interlocks`` of a station names. Their order is fixed."""
-    found: list[Interlock] = []
+    interlocks: list[Interlock] = []
     if config.door is not None:
-        found.append(Door(config.door))
+        interlocks.append(Door(config.door))
     if config.disk_space is not None:
-        found.append(DiskSpace(config.disk_space, folder))
+        interlocks.append(DiskSpace(config.disk_space, folder))
     if config.camera_temperature is not None:
-        found.append(CameraTemperature(config.camera_temperature, devices.camera_c))
+        interlocks.append(CameraTemperature(config.camera_temperature, devices.camera_c))
     if config.event_rate is not None:
-        found.append(EventRate(config.event_rate, devices.last_mev_s, devices.dark_mev_s))
+        interlocks.append(EventRate(config.event_rate, devices.last_mev_s, devices.dark_mev_s))
     if config.device_lost is not None:
-        found.append(DeviceLost(config.device_lost, devices.reopen))
-    return found
+        interlocks.append(DeviceLost(config.device_lost, devices.reopen))
+    return interlocks
 
 
 @dataclass(frozen=True)

@@ -249,7 +249,7 @@ class RunPlan:
 
     def name_of(self, pose: int | None, history: History) -> str:
         """Return the name of a pose, also of one that the run chose; empty for None."""
-        chosen = (one["chosen"] for one in history.decisions if "chosen" in one)
+        chosen = (decision["chosen"] for decision in history.decisions if "chosen" in decision)
         names = {one["pose"]: one["pose_name"] for one in chosen}
         names |= {number: planned["name"] for number, planned in self.poses.items()}
         return names.get(pose, "") if pose is not None else ""
@@ -364,7 +364,7 @@ def _result_text(history: History) -> str:
     solved = history.solved
     if not solved or not solved["converged"]:
         return ""
-    found = {name: one for name, one in estimates(solved).items() if name in {"fx", "fy"}}
+    found = {name: estimate for name, estimate in estimates(solved).items() if name in {"fx", "fy"}}
     parts = [
         "{} {} ± {} px".format(name, *with_uncertainty(one.value, one.expanded))
         for name, one in found.items()
@@ -489,7 +489,7 @@ def _busy(status: Status) -> dict[str, str]:
 
 def _unasked(status: Status) -> list[str]:
     """Return what may be the case after a run whose process was killed. Other ends state it in their last line."""
-    ends = [] if status.ended or status.sealed else [DeviceEnd.from_dict(one) for one in status.devices]
+    ends = [] if status.ended or status.sealed else [DeviceEnd.from_dict(device) for device in status.devices]
     advice = [end.advice for end in ends if end.state == "not confirmed" and end.advice]
     if not advice:
         return []

@@ -66,17 +66,17 @@ def nothing_shown(_done: int, _total: int) -> None:
     """Show no progress."""
 
 
-def check_wire_log(folder: Path, entries: Sequence[Entry], job: Job, found: Findings) -> None:
+def check_wire_log(folder: Path, entries: Sequence[Entry], job: Job, findings: Findings) -> None:
     """Check that the wire log, about the last 32 MB, holds bytes at each journaled move, and the stage's serials."""
     entries = _logged(entries)
     moves = list(_moves(entries))
     try:
         times, replies, ports = _read_logs(folder)
     except (StorageError, ValueError, LookupError, TypeError) as error:
-        found.fault("wire", WIRE_LOG, f"the wire log cannot be read ({error!r})")
+        findings.fault("wire", WIRE_LOG, f"the wire log cannot be read ({error!r})")
         return
     if moves and not times:
-        found.fault("wire", WIRE_LOG, "it holds no bytes, though the journal tells of moves of the stage")
+        findings.fault("wire", WIRE_LOG, "it holds no bytes, though the journal tells of moves of the stage")
         return
     for begin_s, end_s, entry in moves:
         if begin_s < times[0]:  # older bytes are not kept
@@ -84,14 +84,14 @@ def check_wire_log(folder: Path, entries: Sequence[Entry], job: Job, found: Find
         at = bisect_left(times, begin_s - _SLACK_S)
         if at == len(times) or times[at] > end_s + _SLACK_S:
             what = f"it holds no bytes of the time in which the journal tells of {entry.data['state']}"
-            found.fault("wire", WIRE_LOG, f"{what} ({JOURNAL}:{entry.seq + 1})")
+            findings.fault("wire", WIRE_LOG, f"{what} ({JOURNAL}:{entry.seq + 1})")
             return
     station = job.station
     stated = {*station.stage.ports, *station.light.ports}
     if times and not station.needs_simulated_bench and not ports & stated:
         what = f"its ports {sorted(ports)} are not those of the station, {sorted(stated)}"
-        found.fault("wire", WIRE_LOG, what)
-    _check_serials(entries, job, replies, found)
+        findings.fault("wire", WIRE_LOG, what)
+    _check_serials(entries, job, replies, findings)
 
 
 def _logged(entries: Sequence[Entry]) -> list[Entry]:
@@ -134,7 +134,7 @@ def _read_logs(folder: Path) -> tuple[list[float], str, set[str]]:
     return sorted(times), "".join(replies), ports
 
 
-def _check_serials(entries: Sequence[Entry], job: Job, replies: str, found: Findings) -> None:
+def _check_serials(entries: Sequence[Entry], job: Job, replies: str, findings: Findings) -> None:
     """Compare the serial numbers of stage and light with the replies of devices that speak in text."""
     station = job.station
     in_text = {"stage": station.stage.driver == "zaber_ascii", "light": station.light.driver == "scpi"}
@@ -149,7 +149,7 @@ def _check_serials(entries: Sequence[Entry], job: Job, replies: str, found: Find
                     what = (
                         f"no device told the serial number {serial}, which the journal states for the {part}"
                     )
-                    found.fault("wire", WIRE_LOG, f"{what} ({JOURNAL}:{entry.seq + 1})")
+                    findings.fault("wire", WIRE_LOG, f"{what} ({JOURNAL}:{entry.seq + 1})")
 
 
 @dataclass(frozen=True)
@@ -188,40 +188,40 @@ def check_run_again(folder: Path, progress: Progress = nothing_shown) -> Finding
 
     ``progress`` is told how many recordings of all have been measured.
     """
-    found = Findings()
-    evidence = _read(folder, found)
+    findings = Findings()
+    evidence = _read(folder, findings)
     if evidence is None:
-        return found
+        return findings
     started = evidence.history.started
-    compare_instructions(folder, started.get("software", {}), found)
-    found.remarks += [
+    compare_instructions(folder, started.get("software", {}), findings)
+    findings.remarks += [
         f"the {drivers} was driven by a plug-in: {package}"
         for package, drivers in plugins_stated(started).items()
     ]
-    _check_first_line(evidence, found)
-    compare_plan(folder, evidence.job.plan.to_dict(), started.get("software", {}), found)
-    _check_steps(evidence, found)
-    check_wire_log(folder, evidence.entries, evidence.job, found)
-    measured = _check_attempts(evidence, found, progress)
+    _check_first_line(evidence, findings)
+    compare_plan(folder, evidence.job.plan.to_dict(), started.get("software", {}), findings)
+    _check_steps(evidence, findings)
+    check_wire_log(folder, evidence.entries, evidence.job, findings)
+    measured = _check_attempts(evidence, findings, progress)
     if not evidence.head:
-        found.remarks.append("this run has no results to calculate again")
-        return found
+        findings.remarks.append("this run has no results to calculate again")
+        return findings
     if other := other_software(evidence.used):
-        found.remarks.append(f"the results were made with {other}")
+        findings.remarks.append(f"the results were made with {other}")
     try:
         why = other_engine(StoredRun(folder).results_as_written)
     except RunFolderError as error:
-        found.fault("results", RESULTS, error.what.rstrip("."))
-        return found
+        findings.fault("results", RESULTS, error.what.rstrip("."))
+        return findings
     if why:
-        found.could_not_compare(f"{RESULTS}, exports and {REPORT}: {why}", "results", "exports", "report")
-    elif (made := _made_again(evidence, measured, found)) is not None:
-        compare_trees(folder, made, found)
-    return found
+        findings.could_not_compare(f"{RESULTS}, exports and {REPORT}: {why}", "results", "exports", "report")
+    elif (made := _made_again(evidence, measured, findings)) is not None:
+        compare_trees(folder, made, findings)
+    return findings
 
 
-def _read(folder: Path, found: Findings) -> _Evidence | None:
-    """Read journal and documents of a run; None if a part cannot be read, which ``found`` then tells."""
+def _read(folder: Path, findings: Findings) -> _Evidence | None:
+    """Read journal and documents of a run; None if a part cannot be read, which ``findings`` then tells."""
     run = StoredRun(folder)
     entries, whole = run.entries, run.history
     try:
@@ -229,7 +229,7 @@ def _read(folder: Path, found: Findings) -> _Evidence | None:
     except (BenchError, DriverError, CalibrationError, *UNREADABLE) as error:
         used = whole.started.get("software", {})
         if missing := plugins_missing(whole.started):
-            found.could_not_compare(
+            findings.could_not_compare(
                 f"{RESULTS}, exports and {REPORT}: the station needs {', '.join(missing)}, which this computer does"
                 " not have; install it and verify again",
                 "results",
@@ -237,9 +237,11 @@ def _read(folder: Path, found: Findings) -> _Evidence | None:
                 "report",
             )
         elif used.get("program") == software()["program"]:
-            found.fault("plan", STATION_COPY, f"the run cannot be planned again from its documents: {error}")
+            findings.fault(
+                "plan", STATION_COPY, f"the run cannot be planned again from its documents: {error}"
+            )
         else:
-            found.could_not_compare(
+            findings.could_not_compare(
                 f"{RESULTS}, exports and {REPORT}: this version cannot read the documents of the run ({error})",
                 "results",
                 "exports",
@@ -251,7 +253,7 @@ def _read(folder: Path, found: Findings) -> _Evidence | None:
     head = _head(entries)
     at = next((number for number, entry in enumerate(entries, start=1) if entry.hash == head), None)
     if at is None:
-        found.fault("report", REPORT, "the report names no line of this journal")
+        findings.fault("report", REPORT, "the report names no line of this journal")
         return None
     return _Evidence(folder, entries, job, replay(entries[:at]), head)
 
@@ -273,7 +275,7 @@ def _head(entries: Sequence[Entry]) -> str:
     )
 
 
-def _check_first_line(evidence: _Evidence, found: Findings) -> None:
+def _check_first_line(evidence: _Evidence, findings: Findings) -> None:
     """Compare what the journal's first line repeats of the documents."""
     job, started = evidence.job, evidence.history.started
     due = {
@@ -282,17 +284,17 @@ def _check_first_line(evidence: _Evidence, found: Findings) -> None:
         "simulated": job.simulated,
         **({"plugins": plugins_of_run(job.station).get("plugins")} if started.get("plugins") else {}),
     }
-    for one in differences({name: started.get(name) for name in due}, due):
-        found.fault("journal", f"{JOURNAL}:1", f"{one}, by the run's documents")
+    for difference in differences({name: started.get(name) for name in due}, due):
+        findings.fault("journal", f"{JOURNAL}:1", f"{difference}, by the run's documents")
 
 
-def _check_steps(evidence: _Evidence, found: Findings) -> None:
+def _check_steps(evidence: _Evidence, findings: Findings) -> None:
     """Check that the run did every step of its sequence; else it has not finished, or lines were removed."""
     history = replay(evidence.entries)
     recorded = history.accepted()
     for step in evidence.job.steps:
         if step.number not in history.done_steps and not history.is_left_out(step.number):
-            found.fault(
+            findings.fault(
                 "journal", JOURNAL, f"it does not tell that step {step.number} of the sequence was done"
             )
             return
@@ -301,10 +303,10 @@ def _check_steps(evidence: _Evidence, found: Findings) -> None:
             told = history.attempts_at(step.pose.index) or history.lost.get(step.pose.index)
             if not told and step.pose.index not in history.skipped:
                 what = f"it tells of no recording at pose {step.pose.index}, and of no reason"
-                found.fault("journal", JOURNAL, what)
+                findings.fault("journal", JOURNAL, what)
 
 
-def _check_attempts(evidence: _Evidence, found: Findings, progress: Progress) -> dict[int, Measurement]:
+def _check_attempts(evidence: _Evidence, findings: Findings, progress: Progress) -> dict[int, Measurement]:
     """Measure every recording again and compare with the journal; return the measurements of the accepted ones."""
     kept: dict[int, Measurement] = {}
     other = other_software(evidence.history.started.get("software", {}))
@@ -313,7 +315,9 @@ def _check_attempts(evidence: _Evidence, found: Findings, progress: Progress) ->
         progress(done, len(attempts))
         name = str(attempt.stored["capture"])
         if not (evidence.folder / name).is_file():
-            found.remarks.append(f"{name} was lost before the run was resumed, so it was not measured again")
+            findings.remarks.append(
+                f"{name} was lost before the run was resumed, so it was not measured again"
+            )
             continue
         again = evidence.job.measure_again(evidence.folder, attempt)
         if attempt.accepted and again.view is not None:
@@ -327,7 +331,7 @@ def _check_attempts(evidence: _Evidence, found: Findings, progress: Progress) ->
         if other and had["accepted"] == due["accepted"]:
             seen = [one for one in seen if not (is_excused(one, {}) or ".reasons[" in one.where)]
         for one in seen[:MOST_SHOWN]:
-            found.fault("journal", JOURNAL, f"the recordings do not give what it states: {one}")
+            findings.fault("journal", JOURNAL, f"the recordings do not give what it states: {one}")
     progress(len(attempts), len(attempts))
     return kept
 
@@ -340,11 +344,13 @@ def _judged(job: Job, attempt: Attempt, again: Measurement) -> dict[str, Any]:
     return {**judged, "measured": {**facts, **({"expected_grid": stated} if stated is not None else {})}}
 
 
-def _made_again(evidence: _Evidence, measured: dict[int, Measurement], found: Findings) -> MadeAgain | None:
-    """Calibrate again, as the run did; None if that fails, which ``found`` then tells."""
+def _made_again(
+    evidence: _Evidence, measured: dict[int, Measurement], findings: Findings
+) -> MadeAgain | None:
+    """Calibrate again, as the run did; None if that fails, which ``findings`` then tells."""
     job, history, step = evidence.job, evidence.history, evidence.solve_step
     if step is None:
-        found.fault("results", RESULTS, "the journal tells of no solve step")
+        findings.fault("results", RESULTS, "the journal tells of no solve step")
         return None
     try:
         solution = solve_run(job, evidence.folder, step, history, measured)
@@ -353,18 +359,18 @@ def _made_again(evidence: _Evidence, measured: dict[int, Measurement], found: Fi
         if stored is not None and evidence.history.ledger:
             results["previous"] = cast("PreviousData", _previous_again(stored, results))
     except (BenchError, CalibrationError, DriverError) as error:
-        found.fault("results", RESULTS, f"the run cannot be calibrated again: {error}")
+        findings.fault("results", RESULTS, f"the run cannot be calibrated again: {error}")
         return None
     except UNREADABLE as error:
-        found.fault("results", RESULTS, f"the results have no calibration to compare ({error!r})")
+        findings.fault("results", RESULTS, f"the results have no calibration to compare ({error!r})")
         return None
     # Some causes rest on earlier runs, whose folders may have gone: as the journal states them.
     again = {
         **main_numbers(solution.calibration),
         **{k: v for k, v in history.solved.items() if k == "causes"},
     }
-    _check_solved(evidence, solution.calibration.sigma, again, found)
-    _check_causes(evidence, solution.calibration, found)
+    _check_solved(evidence, solution.calibration.sigma, again, findings)
+    _check_causes(evidence, solution.calibration, findings)
     return MadeAgain(results, solution.views, job.camera_name, job.target, evidence.used, evidence.head)
 
 
@@ -376,7 +382,7 @@ def _previous_again(stored: Mapping[str, Any], results: Mapping[str, Any]) -> di
 
 
 def _check_solved(
-    evidence: _Evidence, sigma: Mapping[str, float], again: Mapping[str, Any], found: Findings
+    evidence: _Evidence, sigma: Mapping[str, float], again: Mapping[str, Any], findings: Findings
 ) -> None:
     """Compare the main numbers of the calibration in the journal with those that were calculated again."""
     solved = evidence.history.solved
@@ -386,10 +392,10 @@ def _check_solved(
     seen = list(differences(had, must, tolerance(sigma, {})))
     if other_software(evidence.used):
         seen = [one for one in seen if not is_excused(one, sigma)]
-    add_faults("journal", JOURNAL, "the recordings do not give what it states: ", seen, found)
+    add_faults("journal", JOURNAL, "the recordings do not give what it states: ", seen, findings)
 
 
-def _check_causes(evidence: _Evidence, calibration: Calibration, found: Findings) -> None:
+def _check_causes(evidence: _Evidence, calibration: Calibration, findings: Findings) -> None:
     """Check that the journal names what this run shows of people, and nothing else.
 
     A computer that stood still while the run calculated may be named, and need not.
@@ -398,17 +404,17 @@ def _check_causes(evidence: _Evidence, calibration: Calibration, found: Findings
         return
     job, history = evidence.job, evidence.history
     lines = evidence.entries[
-        : next(at for at, one in enumerate(evidence.entries) if one.hash == evidence.head)
+        : next(at for at, entry in enumerate(evidence.entries) if entry.hash == evidence.head)
     ]
     solving = [
         at
-        for at, one in enumerate(lines)
-        if one.event == Event.ENTERING and one.data.get("state") == "solving"
+        for at, line in enumerate(lines)
+        if line.event == Event.ENTERING and line.data.get("state") == "solving"
     ]
     before = replay(lines[: solving[-1]]) if solving else history
     stated = {one["kind"] for one in history.solved.get("causes", ())}
     due, possible = (kinds_by_run_alone(job, one, calibration) for one in (before, history))
     for kind in sorted(due - stated):
-        found.fault("journal", JOURNAL, f"it does not name what the run shows: {kind}")
+        findings.fault("journal", JOURNAL, f"it does not name what the run shows: {kind}")
     for kind in sorted(stated - possible - kinds_by_earlier_run(job)):
-        found.fault("journal", JOURNAL, f"it names what the run does not show: {kind}")
+        findings.fault("journal", JOURNAL, f"it names what the run does not show: {kind}")

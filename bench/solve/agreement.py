@@ -118,25 +118,25 @@ def agreement(name: str, runs: Sequence[Estimate]) -> Agreement:
     >>> round(agreement("fx", shared).sigma ** 2, 4) == round(1.0 / 3.0 + 0.75**2, 4)
     True
     """
-    weights = [1.0 / one.sigma**2 for one in runs]
+    weights = [1.0 / run.sigma**2 for run in runs]
     total = math.fsum(weights)
     weights = [weight / total for weight in weights]
-    mean = math.fsum(w * one.value for w, one in zip(weights, runs, strict=True))
-    own = [max(one.sigma**2 - one.shared**2, _LEAST_OWN * one.sigma**2) for one in runs]
-    chi2 = math.fsum((one.value - mean) ** 2 / variance for one, variance in zip(runs, own, strict=True))
+    mean = math.fsum(w * run.value for w, run in zip(weights, runs, strict=True))
+    own = [max(run.sigma**2 - run.shared**2, _LEAST_OWN * run.sigma**2) for run in runs]
+    chi2 = math.fsum((run.value - mean) ** 2 / variance for run, variance in zip(runs, own, strict=True))
     birge = math.sqrt(chi2 / (len(runs) - 1))
     repeated = max(0.0, 1.0 - birge**2)
     averaged = math.fsum(w**2 * variance for w, variance in zip(weights, own, strict=True))
     carried = math.fsum(
-        w * math.sqrt(one.shared**2 + repeated * variance)
-        for w, one, variance in zip(weights, runs, own, strict=True)
+        w * math.sqrt(run.shared**2 + repeated * variance)
+        for w, run, variance in zip(weights, runs, own, strict=True)
     )
     deviations = [
-        (one.value - mean) / math.sqrt(averaged + (1.0 - 2.0 * w) * variance)
-        for w, one, variance in zip(weights, runs, own, strict=True)
+        (run.value - mean) / math.sqrt(averaged + (1.0 - 2.0 * w) * variance)
+        for w, run, variance in zip(weights, runs, own, strict=True)
     ]
     sigma = math.sqrt((1.0 - repeated) * averaged + carried**2)
-    return Agreement(name, mean, sigma, max(one.k for one in runs), birge, deviations)
+    return Agreement(name, mean, sigma, max(run.k for run in runs), birge, deviations)
 
 
 def by_camera(runs: Iterable[IndexedRun]) -> dict[tuple[str, str], list[IndexedRun]]:

@@ -68,15 +68,15 @@ def causes_of_run(
     causes = [*calibration.causes, *_other_lens(job, calibration, last), *_stood_still(history)]
     causes += _against_last(seen, last) if last is not None else _against_station(job, calibration, seen)
     # Another lens shows another number of stars, and under another light an image is weaker or stronger.
-    explained = any(one.kind in {kinds.LENS, kinds.LIGHT} for one in causes)
-    told = [one for one in causes if not (explained and one.kind in kinds.WEAK)]
+    explained = any(cause.kind in {kinds.LENS, kinds.LIGHT} for cause in causes)
+    told = [cause for cause in causes if not (explained and cause.kind in kinds.WEAK)]
     return sorted(told, key=lambda one: -one.evidence)
 
 
 def kinds_by_run_alone(job: Job, history: History, calibration: Calibration) -> set[str]:
     """Return the kinds of causes that a run shows without any run before it."""
     causes = [*calibration.causes, *_other_lens(job, calibration, None), *_stood_still(history)]
-    return {one.kind for one in causes}
+    return {cause.kind for cause in causes}
 
 
 def kinds_by_earlier_run(job: Job) -> set[str]:
@@ -87,7 +87,7 @@ def kinds_by_earlier_run(job: Job) -> set[str]:
 def _seen_in(history: History, calibration: Calibration) -> _Seen:
     accepted = history.accepted().values()
     return _Seen(
-        {one.name: one.n for one in calibration.views},
+        {view.name: view.n for view in calibration.views},
         _lit({one.pose_name: one.measured.get("image") for one in accepted}),
         _known({one.pose_name: one.measured.get("flicker_duty") for one in accepted}),
         calibration.rms_px,
@@ -154,7 +154,7 @@ def _slept_s(states: tuple[StateEntered, StateEntered]) -> float:
     passed_s = after["mono_s"] - before["mono_s"]
     if after["state"] == "recovering" or passed_s < 0.0:
         return 0.0
-    begun, ended = (datetime.fromisoformat(one["utc"]) for one in states)
+    begun, ended = (datetime.fromisoformat(state["utc"]) for state in states)
     return (ended - begun).total_seconds() - passed_s
 
 
@@ -222,9 +222,9 @@ def expected_stars(job: Job, calibration: Calibration) -> float | None:
     try:
         bench = forecast_bench(job.plan)
         stars = [
-            len(predicted_view(bench, poses[one.name], one.name)[0])
-            for one in calibration.views
-            if one.name in poses
+            len(predicted_view(bench, poses[view.name], view.name)[0])
+            for view in calibration.views
+            if view.name in poses
         ]
     except CalibrationError:
         return None

@@ -146,12 +146,12 @@ def _shown(value: Any) -> str:
 
 
 def check_numbers(
-    stored: Mapping[str, Any], again: Mapping[str, Any], found: Findings, other: str, source: str
+    stored: Mapping[str, Any], again: Mapping[str, Any], findings: Findings, other: str, source: str
 ) -> None:
     """Compare results.json with what follows from ``source``; ``other`` tells how the program differs, or is empty."""
     rounded = list(differences(stored, again))
     if not rounded:
-        found.remarks.append(f"calculated again from the {source}: every number is equal to the last bit")
+        findings.remarks.append(f"calculated again from the {source}: every number is equal to the last bit")
         return
     sigma, planar = again["calibration"]["sigma"], again.get("planar") or {"sigma": {}}
     every = list(differences(stored, again, tolerance(sigma, planar["sigma"])))
@@ -159,28 +159,28 @@ def check_numbers(
     seen = [one for one in every if one not in excused]
     if excused:
         places = described(excused, sigma, MOST_SHOWN)
-        found.could_not_compare(
+        findings.could_not_compare(
             f"{RESULTS} with the {source}: another program calculated it, with differences in {places}",
             "results",
         )
-    add_faults("results", RESULTS, f"the {source} do not give it: ", seen, found)
+    add_faults("results", RESULTS, f"the {source} do not give it: ", seen, findings)
     if seen and other:
-        found.remarks.append(
+        findings.remarks.append(
             f"the results were made with {other}, but the differences are too large to come from that alone"
         )
     rounded = [one for one in rounded if one.kind == "value" and not isinstance(one.stored, str)]
     if not seen and not excused and rounded:
-        found.remarks.append(
+        findings.remarks.append(
             f"calculated again from the {source}: {len(rounded)} numbers differ, by rounding only: {rounded[0]}"
         )
 
 
-def add_faults(kind: str, name: str, what: str, seen: Sequence[Difference], found: Findings) -> None:
+def add_faults(kind: str, name: str, what: str, seen: Sequence[Difference], findings: Findings) -> None:
     """Add the differences of one file to the faults; of many the first ones, and the number of the others."""
     for one in seen[:MOST_SHOWN]:
-        found.fault(kind, name, f"{what}{one}")
+        findings.fault(kind, name, f"{what}{one}")
     if len(seen) > MOST_SHOWN:
-        found.fault(kind, name, f"{len(seen) - MOST_SHOWN} further values differ")
+        findings.fault(kind, name, f"{len(seen) - MOST_SHOWN} further values differ")
 
 
 def tolerance(sigma: Mapping[str, float], planar_sigma: Mapping[str, float]) -> Tolerance:
@@ -206,30 +206,30 @@ def tolerance(sigma: Mapping[str, float], planar_sigma: Mapping[str, float]) -> 
     return equal
 
 
-def is_excused(one: Difference, sigma: Mapping[str, float]) -> bool:
+def is_excused(difference: Difference, sigma: Mapping[str, float]) -> bool:
     """Return whether a difference beyond rounding may come from another program: it is within these limits."""
-    words = any(part in one.where for part in _WORDS)
-    if one.kind != "value" or words or one.where.startswith((*_TABLES, *_TABLES_OF_PLANAR)):
+    words = any(part in difference.where for part in _WORDS)
+    if difference.kind != "value" or words or difference.where.startswith((*_TABLES, *_TABLES_OF_PLANAR)):
         return True
-    if isinstance(one.stored, str) and isinstance(one.derived, str):
-        return _same_words(one.stored, one.derived)
-    return _is_number(one.stored) and _is_number(one.derived) and _is_near(one, sigma)
+    if isinstance(difference.stored, str) and isinstance(difference.derived, str):
+        return _same_words(difference.stored, difference.derived)
+    return _is_number(difference.stored) and _is_number(difference.derived) and _is_near(difference, sigma)
 
 
-def _is_near(one: Difference, sigma: Mapping[str, float]) -> bool:
+def _is_near(difference: Difference, sigma: Mapping[str, float]) -> bool:
     """Return whether two numbers are within the limits."""
-    name = one.where.rpartition(".")[2]
-    apart = abs(one.stored - one.derived)
-    if one.where.startswith(_VALUES) and name in sigma:
+    name = difference.where.rpartition(".")[2]
+    apart = abs(difference.stored - difference.derived)
+    if difference.where.startswith(_VALUES) and name in sigma:
         return bool(apart <= MOST_SIGMAS * sigma[name])
-    if one.where.startswith(_SIGMA):
-        low, high = sorted((abs(one.stored), abs(one.derived)))
+    if difference.where.startswith(_SIGMA):
+        low, high = sorted((abs(difference.stored), abs(difference.derived)))
         return bool(low > 0 and high <= MOST_SIGMA_RATIO * low)
-    if one.where.startswith(_FOLLOWS):
+    if difference.where.startswith(_FOLLOWS):
         return True
     least = _SMALL_PX if name.endswith("_px") or name == "value" else 0.0
-    return one.where.startswith(_MEASURED) and apart <= max(
-        least, MOST_SHARE * max(abs(one.stored), abs(one.derived))
+    return difference.where.startswith(_MEASURED) and apart <= max(
+        least, MOST_SHARE * max(abs(difference.stored), abs(difference.derived))
     )
 
 
@@ -254,9 +254,11 @@ def _place(where: str) -> str:
 
 def _sizes(numbers: Sequence[Difference], sigma: Mapping[str, float]) -> str:
     """Return how far values and standard uncertainties differ at most, in parentheses; empty if none does."""
-    names = {one.where: one.where.rpartition(".")[2] for one in numbers}
-    values = [one for one in numbers if one.where.startswith(_VALUES) and names[one.where] in sigma]
-    sigmas = [one for one in numbers if one.where.startswith(_SIGMA)]
+    names = {number.where: number.where.rpartition(".")[2] for number in numbers}
+    values = [
+        number for number in numbers if number.where.startswith(_VALUES) and names[number.where] in sigma
+    ]
+    sigmas = [number for number in numbers if number.where.startswith(_SIGMA)]
     texts = []
     if values:
         far = max(values, key=lambda one: abs(one.stored - one.derived) / sigma[names[one.where]])

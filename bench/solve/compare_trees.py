@@ -48,7 +48,7 @@ _AROUND = 30
 
 
 def compare_views(
-    path: Path, again: Sequence[StoredView], used: Mapping[str, Any], source: str, found: Findings
+    path: Path, again: Sequence[StoredView], used: Mapping[str, Any], source: str, findings: Findings
 ) -> Sequence[StoredView] | None:
     """Compare a views.h5 with the views found again, roughly those of another program; None if poses differ."""
     try:
@@ -56,11 +56,11 @@ def compare_views(
         rewritten = views_file(held)  # this reads every image
     except (RunFolderError, MemoryError, RuntimeError) as error:
         what = error.what if isinstance(error, RunFolderError) else f"the file cannot be read ({error!r})"
-        found.fault("views", VIEWS, what)
+        findings.fault("views", VIEWS, what)
         return None
     names = [one.view.name for one in held], [one.view.name for one in again]
     if names[0] != names[1]:
-        found.fault("views", VIEWS, f"it holds the poses {names[0]}; the {source} give {names[1]}")
+        findings.fault("views", VIEWS, f"it holds the poses {names[0]}; the {source} give {names[1]}")
         return None
     excused: dict[str, list[str]] = {}
     for had, due in zip(held, again, strict=True):
@@ -69,21 +69,21 @@ def compare_views(
             excused[name] = seen
         else:
             for what in seen:
-                found.fault("views", VIEWS, f"the {source} of {name} give {what}")
+                findings.fault("views", VIEWS, f"the {source} of {name} give {what}")
     if excused:
         parts = ", ".join(dict.fromkeys(part for seen in excused.values() for part in seen))
-        found.could_not_compare(
+        findings.could_not_compare(
             f"{', '.join(excused)} of {VIEWS} with the {source}: another program found the stars, with {parts}",
             "stars and images",
         )
     if path.read_bytes() != rewritten:  # a file with the same bytes holds nothing besides this content
         if by := other_software(used, _BYTES_BY):
-            found.could_not_compare(
+            findings.could_not_compare(
                 f"bytes of {VIEWS} with its content: it was made with {by}", "stars and images"
             )
         else:
             what = "it holds more than stars, residuals and images, or was not written by this program"
-            found.fault("views", VIEWS, what)
+            findings.fault("views", VIEWS, what)
     return held
 
 
@@ -144,28 +144,28 @@ class MadeAgain:
     source: str = "recordings"
 
 
-def compare_trees(folder: Path, made: MadeAgain, found: Findings) -> None:
+def compare_trees(folder: Path, made: MadeAgain, findings: Findings) -> None:
     """Compare results and views of a folder with those made again, then, if these agree, report and exports."""
-    before = len(found.faults)
+    before = len(findings.faults)
     try:
         stored = StoredRun(folder).results_as_written
-        check_numbers(stored, made.results, found, other_software(made.used), made.source)
+        check_numbers(stored, made.results, findings, other_software(made.used), made.source)
     except (StorageError, RunFolderError, *UNREADABLE) as error:
-        found.fault("results", RESULTS, f"the results are incomplete ({error!r})")
+        findings.fault("results", RESULTS, f"the results are incomplete ({error!r})")
         return
-    held = compare_views(folder / VIEWS, made.views, made.used, made.source, found)
-    if held is None or len(found.faults) > before:
+    held = compare_views(folder / VIEWS, made.views, made.used, made.source, findings)
+    if held is None or len(findings.faults) > before:
         return  # report and exports follow from results and views that are wrong
     try:
         calibration = stored_calibration(stored["calibration"])
         due = shown_files(stored, calibration, made.camera_name, made.target, held, made.head)
     except (BenchError, *UNREADABLE, jinja2.TemplateError) as error:
         if other := other_software(made.used):
-            found.could_not_compare(
+            findings.could_not_compare(
                 f"{EXPORTS} and {REPORT} with {RESULTS}: they were made with {other}", "exports", "report"
             )
         else:
-            found.fault("results", RESULTS, f"no report can be made of these results ({error!r})")
+            findings.fault("results", RESULTS, f"no report can be made of these results ({error!r})")
         return
     names = {f"{EXPORTS}/{path.name}" for path in (folder / EXPORTS).glob("*")}
     for name in sorted({*due, *names}):
@@ -176,25 +176,25 @@ def compare_trees(folder: Path, made: MadeAgain, found: Findings) -> None:
             due.get(name),
             "report" if of_report else "exports",
             other_software(made.used, _REPORT_BY if of_report else _EXPORTS_BY),
-            found,
+            findings,
         )
 
 
 def compare_file(
-    path: Path, name: str, due: bytes | None, kind: Part, other: str, found: Findings, of: str = RESULTS
+    path: Path, name: str, due: bytes | None, kind: Part, other: str, findings: Findings, of: str = RESULTS
 ) -> None:
     """Compare one file by bytes with what is due, None for no file; ``other`` tells how the program differs."""
     had = path.read_bytes() if path.is_file() else None
     if had == due:
         return
     if other:
-        found.could_not_compare(f"{name} with {of}: it was made with {other}", kind)
+        findings.could_not_compare(f"{name} with {of}: it was made with {other}", kind)
     elif had is None:
-        found.fault(kind, name, f"the file is missing; it follows from {of}")
+        findings.fault(kind, name, f"the file is missing; it follows from {of}")
     elif due is None:
-        found.fault(kind, name, f"no such file follows from {of}")
+        findings.fault(kind, name, f"no such file follows from {of}")
     else:
-        found.fault(kind, name, _first_difference(had, due, of))
+        findings.fault(kind, name, _first_difference(had, due, of))
 
 
 def _first_difference(had: bytes, due: bytes, of: str) -> str:
@@ -206,38 +206,38 @@ def _first_difference(had: bytes, due: bytes, of: str) -> str:
     return f"from byte {at} on it has {shown[0]!r} where {of} gives {shown[1]!r}"
 
 
-def compare_plan(folder: Path, due: Mapping[str, Any], used: Mapping[str, Any], found: Findings) -> None:
+def compare_plan(folder: Path, due: Mapping[str, Any], used: Mapping[str, Any], findings: Findings) -> None:
     """Compare plan.json with the plan of the run's documents, except the names of files: the copies have others."""
     try:
         stored = read_json(folder / PLAN)
         seen = list(differences(_without_names(stored), _without_names(due), tolerance({}, {})))
     except (StorageError, *UNREADABLE) as error:
-        found.fault("plan", PLAN, f"the file cannot be read ({error!r})")
+        findings.fault("plan", PLAN, f"the file cannot be read ({error!r})")
         return
     if seen and (other := other_software(used)):
-        found.could_not_compare(f"{PLAN} with the documents of the run: it was made with {other}", "plan")
+        findings.could_not_compare(f"{PLAN} with the documents of the run: it was made with {other}", "plan")
     else:
-        add_faults("plan", PLAN, "", seen, found)
+        add_faults("plan", PLAN, "", seen, findings)
 
 
 def _without_names(plan: Mapping[str, Any]) -> dict[str, Any]:
     return {**plan, "remarks": [{**remark, "file": ""} for remark in plan["remarks"]]}
 
 
-def compare_instructions(folder: Path, used: Mapping[str, Any], found: Findings) -> None:
+def compare_instructions(folder: Path, used: Mapping[str, Any], findings: Findings) -> None:
     """Compare VERIFY.txt with the instructions for the key that sealed the folder: a reader types these commands."""
     try:
         had = (folder / INSTRUCTIONS).read_text(encoding="utf-8", errors="replace")
         signature = read_signature((folder / SIGNATURE).read_bytes())
     except (OSError, EvidenceError) as error:
-        found.fault("instructions", INSTRUCTIONS, f"the file cannot be compared: {error}")
+        findings.fault("instructions", INSTRUCTIONS, f"the file cannot be compared: {error}")
         return
     named, key = _PRINCIPAL.search(had), fingerprint(signature.public_key)
     due = instructions(kind_of(folder), principal=named[1] if named else "", fingerprint=key)
     if had == due:
         return
     if other := other_software(used):
-        found.could_not_compare(f"{INSTRUCTIONS}: it was made with {other}", "instructions")
+        findings.could_not_compare(f"{INSTRUCTIONS}: it was made with {other}", "instructions")
     else:
         what = "these are not the instructions for the key that sealed this folder"
-        found.fault("instructions", INSTRUCTIONS, what)
+        findings.fault("instructions", INSTRUCTIONS, what)

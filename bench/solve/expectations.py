@@ -72,11 +72,11 @@ def expected_uncertainty(planned: Plan) -> PlanForecast | None:
         return None
     bench = forecast_bench(planned)
     poses, courses = _poses_at_end(planned, bench)
-    found = forecast_if_enough(bench, poses)
-    if found is None and not courses:
+    forecast = forecast_if_enough(bench, poses)
+    if forecast is None and not courses:
         return None
-    remarks = (*_missed(planned, bench, poses, found), *found.remarks) if found else ()
-    return PlanForecast(found, len(poses), len(poses) - len(planned.poses), tuple(courses), remarks)
+    remarks = (*_missed(planned, bench, poses, forecast), *forecast.remarks) if forecast else ()
+    return PlanForecast(forecast, len(poses), len(poses) - len(planned.poses), tuple(courses), remarks)
 
 
 def _poses_at_end(planned: Plan, bench: ExpectedBench) -> tuple[Poses, list[ExpectedCourse]]:
@@ -134,13 +134,13 @@ def _course(planned: Plan, bench: ExpectedBench, until: Until, poses: Poses) -> 
     return ExpectedCourse(until.first, None, reached, f"Expected: {why}")
 
 
-def _missed(planned: Plan, bench: ExpectedBench, poses: Poses, found: Forecast) -> Iterator[str]:
+def _missed(planned: Plan, bench: ExpectedBench, poses: Poses, forecast: Forecast) -> Iterator[str]:
     """Yield a sentence for each limit that the forecast exceeds; for U, with what more poses would leave."""
     step = last_solve(planned)
     twice: Forecast | None = None
     for name, most in (step.limits if step else {}).items():
         plain = next((name.removesuffix(unit) for unit in _UNITS if name.endswith(unit)), name)
-        expected = found.limited.get(plain)
+        expected = forecast.limited.get(plain)
         if expected is None or expected <= most:
             continue
         unit = name.removeprefix(plain).removeprefix("_")
@@ -151,7 +151,7 @@ def _missed(planned: Plan, bench: ExpectedBench, poses: Poses, found: Forecast) 
             later = (
                 "" if twice is None else f"; twice as many poses would leave {twice.limited[plain]:.2g} px"
             )
-            cause = f" {largest_part(found, QUANTITIES[name])}{later}."
+            cause = f" {largest_part(forecast, QUANTITIES[name])}{later}."
         yield f"{text} will not be met: {beside_goal(expected, most, 2)} expected.{cause}"
 
 

@@ -105,11 +105,11 @@ def further_poses(
 def forecasts_with(planned: Plan, further: Sequence[WeighedPose]) -> list[Forecast | None]:
     """Predict a plan's uncertainties with the first further pose, the first two ...; None where stars are too few."""
     bench, poses = forecast_bench(planned), poses_deg(planned.poses)
-    found: list[Forecast | None] = []
+    forecasts: list[Forecast | None] = []
     for pose in further:
         poses = [*poses, dict(pose.angles_deg)]
-        found.append(forecast_if_enough(bench, poses))
-    return found
+        forecasts.append(forecast_if_enough(bench, poses))
+    return forecasts
 
 
 def forecast_if_enough(bench: ExpectedBench, poses: Sequence[Angles]) -> Forecast | None:

@@ -162,7 +162,7 @@ def _found(station: Station, calibration: Calibration, poses: int) -> ExpectedBe
         collimator,
         expected.half_angle_deg if expected else _seen_half_angle_deg(calibration, poses),
         target=station.target.pattern(),
-        amplitudes={one.name: one.plain for one in calibration.amplitudes} or None,
+        amplitudes={amplitude.name: amplitude.plain for amplitude in calibration.amplitudes} or None,
     )
 
 
@@ -189,28 +189,28 @@ def _ranges(
     reach = bench.half_angle_deg + float(
         np.degrees(np.arctan(np.hypot(width / bench.camera.fx, height / bench.camera.fy) / 2))
     )
-    found = {}
+    ranges = {}
     for axis, config in axes.items():
         name = f"{axis}_deg"
         lowest, highest = config.limits_deg
         middle = float(np.mean([pose.get(name, 0.0) for pose in taken_deg])) if taken_deg else 0.0
         most = LARGEST_ROLL_DEG if axis == "roll" else reach
         lowest, highest = max(lowest, min(middle - most, highest)), min(highest, max(middle + most, lowest))
-        found[name] = np.linspace(lowest, highest, GRID.get(name, GRID["pan_deg"]))
-    return found
+        ranges[name] = np.linspace(lowest, highest, GRID.get(name, GRID["pan_deg"]))
+    return ranges
 
 
 def _visible_part(axes: Mapping[str, Array], visible: Sequence[Angles]) -> dict[str, Array]:
     """Return a finer grid over the poses that show the target, and one step beyond them; empty if there are none."""
     if not visible:
         return {}
-    found = {}
+    visible_part = {}
     for name, angles in axes.items():
         step = float(angles[1] - angles[0])
         seen = [pose[name] for pose in visible]
         lowest, highest = max(angles[0], min(seen) - step), min(angles[-1], max(seen) + step)
-        found[name] = np.linspace(lowest, highest, len(angles))
-    return found
+        visible_part[name] = np.linspace(lowest, highest, len(angles))
+    return visible_part
 
 
 def _around(pose: Angles, axes: Mapping[str, Array], share: float) -> Iterator[dict[str, float]]:

@@ -117,9 +117,9 @@ def calibrate_paths(
     sources = [source for path in paths for source in view_sources(path, choices)]
     if kept is not None:
         sources = [with_kept_views(source, kept) for source in sources]
-    found = calibrate_sources(sources, choices)
+    result = calibrate_sources(sources, choices)
     beside = [sentence for path in paths for sentence in left_beside(path)]
-    return replace(found, paths=tuple(paths), skipped=[*found.skipped, *beside])
+    return replace(result, paths=tuple(paths), skipped=[*result.skipped, *beside])
 
 
 def only_view(paths: Sequence[Path], choices: OfflineOptions) -> View | None:

@@ -41,12 +41,12 @@ def seal_file(path: Path, output: Path, key: BenchKey) -> str:
 
 def seals_of(paths: Sequence[Path]) -> dict[str, str]:
     """Return the SHA-256 of ``SHA256SUMS`` of the sealed runs among a passport's sources: it is bound to them."""
-    found = {}
+    seals = {}
     for path in paths:
         with storage_errors(path):
             if path.is_dir() and is_sealed(path):
-                found[path.resolve().name] = sha256_of(path / MANIFEST)
-    return found
+                seals[path.resolve().name] = sha256_of(path / MANIFEST)
+    return seals
 
 
 def passport_from_calibration(

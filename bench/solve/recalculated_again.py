@@ -43,39 +43,39 @@ from sequences.errors import SequencesError
 
 def check_recalculated(folder: Path) -> Findings:
     """Calibrate the sources of recalculated results again, with the same options, and compare every file."""
-    found = Findings()
+    findings = Findings()
     try:
         described, stored = read_json(folder / SOURCES), StoredRun(folder).results_as_written
         used = stored["run"]["software"]
-        compare_instructions(folder, used, found)
-        _check_station(described, found)
+        compare_instructions(folder, used, findings)
+        _check_station(described, findings)
         if stored["sources"] != described["sources"]:
-            found.fault("results", RESULTS, f"its sources are not those of {SOURCES}")
-            return found
+            findings.fault("results", RESULTS, f"its sources are not those of {SOURCES}")
+            return findings
         if why := other_engine(stored) or _cannot(described):
-            found.could_not_compare(f"{RESULTS} with its sources: {why}", "results")
-            return found
+            findings.could_not_compare(f"{RESULTS} with its sources: {why}", "results")
+            return findings
         again = _calibrated(folder, described)
         pairs = zip(again.sources, again.views, strict=True)
         sources = [source_data(source, view.name) for source, view in pairs]
         if sources != described["sources"]:
-            found.could_not_compare(
+            findings.could_not_compare(
                 f"{RESULTS} with its sources: the paths hold other files now than those that were calculated from",
                 "results",
             )
-            return found
+            return findings
         files = offline_files(again, str(stored["run"]["id"]), _sealer(folder, stored), sources=sources)
         results = parse_json(files[RESULTS])
         results["run"] |= {name: stored["run"][name] for name in ("calibrated_utc", "software")}
     except (BenchError, CalibrationError, DriverError) as error:
-        found.fault("results", RESULTS, f"its sources cannot be calibrated again: {error}")
-        return found
+        findings.fault("results", RESULTS, f"its sources cannot be calibrated again: {error}")
+        return findings
     except (StorageError, *UNREADABLE) as error:
-        found.fault("results", RESULTS, f"it cannot be compared with its sources ({error!r})")
-        return found
+        findings.fault("results", RESULTS, f"it cannot be compared with its sources ({error!r})")
+        return findings
     for name in (SOURCES, PASSPORT_COPY):
         compare_file(
-            folder / name, name, files.get(name), "results", other_software(used), found, "the sources"
+            folder / name, name, files.get(name), "results", other_software(used), findings, "the sources"
         )
     made = MadeAgain(
         results,
@@ -85,31 +85,31 @@ def check_recalculated(folder: Path) -> Findings:
         used,
         source="sources",
     )
-    compare_trees(folder, made, found)
-    return found
+    compare_trees(folder, made, findings)
+    return findings
 
 
-def _check_station(described: Mapping[str, Any], found: Findings) -> None:
+def _check_station(described: Mapping[str, Any], findings: Findings) -> None:
     """Compare the station file of the command line, if it is still there, with its hash and its target."""
     stated = described["station"]
     if stated is None:
         return
     path = Path(str(stated["path"]))
     if not path.is_file():
-        found.remarks.append(f"the station file {path}, whose target was used, is not there any more")
+        findings.remarks.append(f"the station file {path}, whose target was used, is not there any more")
         return
     if sha256_of(path) != stated["sha256"]:
-        found.remarks.append(
+        findings.remarks.append(
             f"{path}: another station file lies there now than the one whose target was used"
         )
         return
     try:
         target = asdict(load_station(str(path)).value.target.pattern())
     except (BenchError, SequencesError) as error:
-        found.remarks.append(f"the target of the station file {path} cannot be read here: {error}")
+        findings.remarks.append(f"the target of the station file {path} cannot be read here: {error}")
         return
-    for one in differences(described["option_target"], target):
-        found.fault("results", SOURCES, f"option_target: {one}, by the station file {path}")
+    for difference in differences(described["option_target"], target):
+        findings.fault("results", SOURCES, f"option_target: {difference}, by the station file {path}")
 
 
 def _sealer(folder: Path, stored: Mapping[str, Any]) -> SealedBy | None:

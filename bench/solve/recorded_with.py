@@ -42,28 +42,28 @@ _BLOCK_WORDS: Final = 1 << 19
 
 def check_recorded_with(folder: Path) -> Findings:
     """Compare each recording with what the journal states of it."""
-    found = Findings()
+    findings = Findings()
     run = StoredRun(folder)
     camera = run.history.devices.get("camera") or {}
     for entry in run.entries:
         if entry.event == Event.CAPTURE_STORED:
-            _check_one(folder / str(entry.data["capture"]), entry, camera, found)
-    return found
+            _check_one(folder / str(entry.data["capture"]), entry, camera, findings)
+    return findings
 
 
-def _check_one(path: Path, entry: Entry, camera: Mapping[str, Any], found: Findings) -> None:
+def _check_one(path: Path, entry: Entry, camera: Mapping[str, Any], findings: Findings) -> None:
     name, facts = str(entry.data["capture"]), entry.data.get("facts") or {}
     stated = {key: facts.get(key) for key in ("serial", "width", "height") if key in facts}
     for key, value in stated.items():
         if key in camera and camera[key] != value:
             what = f"it was recorded with a camera whose {key} is {value}; the journal's camera has {camera[key]}"
-            found.fault("recording", name, what)
+            findings.fault("recording", name, what)
     if not path.is_file():
         return  # the journal tells that it was lost
     size = path.stat().st_size
     if "bytes" in facts and facts["bytes"] != size:
         what = f"it has {size} bytes; the camera had written {facts['bytes']} ({JOURNAL}:{entry.seq + 1})"
-        found.fault("recording", name, what)
+        findings.fault("recording", name, what)
     if path.suffix != _RAW:
         return
     with path.open("rb") as file:
@@ -82,14 +82,14 @@ def _check_one(path: Path, entry: Entry, camera: Mapping[str, Any], found: Findi
             what = (
                 f"its head names the {key} {str(of_file[key])[:_LONGEST_SHOWN]}; the journal states {value}"
             )
-            found.fault("recording", name, what)
-    _check_words_of_head(name, head, entry, found)
+            findings.fault("recording", name, what)
+    _check_words_of_head(name, head, entry, findings)
     if others := _behind_last_event(path, head.size_bytes, size):
         what = f"{others} words follow its last event that hold neither an event nor a time"
-        found.fault("recording", name, what)
+        findings.fault("recording", name, what)
 
 
-def _check_words_of_head(name: str, head: RawHeader, entry: Entry, found: Findings) -> None:
+def _check_words_of_head(name: str, head: RawHeader, entry: Entry, findings: Findings) -> None:
     """Tell what the head states besides the camera: another time than the journal's, and what no camera writes."""
     stated = head.fields.get("date") or head.fields.get("Date") or ""
     try:
@@ -98,7 +98,7 @@ def _check_words_of_head(name: str, head: RawHeader, entry: Entry, found: Findin
     except ValueError:
         at = stored = datetime.min.replace(tzinfo=UTC)
     if abs(at - stored) > _CLOCKS:
-        found.remarks.append(
+        findings.remarks.append(
             f"{name}: its head states the time {stated}, the journal {stored:%Y-%m-%d %H:%M} UTC;"
             " both are by the clock of one computer"
         )
@@ -106,7 +106,7 @@ def _check_words_of_head(name: str, head: RawHeader, entry: Entry, found: Findin
         f"{key} {text}"[:_LONGEST_SHOWN] for key, text in head.fields.items() if key not in _KNOWN_KEYS
     ]
     if unknown:
-        found.remarks.append(f"{name}: its head states what nothing compares: {'; '.join(unknown[:5])}")
+        findings.remarks.append(f"{name}: its head states what nothing compares: {'; '.join(unknown[:5])}")
 
 
 def _behind_last_event(path: Path, begin: int, size: int) -> int:

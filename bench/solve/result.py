@@ -102,7 +102,7 @@ class ResultWriter:
         causes = causes_of_run(
             self._job, history, self._solution.calibration, partial(self._last_results, history)
         )
-        return {**solved, "causes": [cast("CauseData", one.to_dict()) for one in causes]}
+        return {**solved, "causes": [cast("CauseData", cause.to_dict()) for cause in causes]}
 
     def _last_results(self, history: History) -> Results | None:
         """Return the results of the last run of this sequence with this camera on this bench; None without any."""
@@ -153,7 +153,7 @@ def shown_files(
     written = exports(calibration, camera_name=camera_name, target=target)
     files = {f"{EXPORTS}/{name}": data for name, data in written.items()}
     pictured = pictured_poses(results).names
-    pictures = [one.shown(pictured=one.view.name in pictured) for one in views]
+    pictures = [view.shown(pictured=view.view.name in pictured) for view in views]
     return {**files, REPORT: render_report(ReportData(results, pictures, head)).encode()}
 
 

@@ -79,13 +79,16 @@ def projection_facts(
     }
 
 
-def _supported(found: ProjectionMap, points: Array, size: tuple[int, int], k: float) -> SupportedPart:
+def _supported(
+    projection_map: ProjectionMap, points: Array, size: tuple[int, int], k: float
+) -> SupportedPart:
     """Return how much of the sensor the stars support, and the largest uncertainty there."""
     distance, reach = star_distance(points, size), reach_px(size)
-    grid = np.rint(found.grid_px).astype(int)
-    near = (distance[grid[..., 1], grid[..., 0]] <= reach) & np.isfinite(found.sigma_px)
+    grid = np.rint(projection_map.grid_px).astype(int)
+    near = (distance[grid[..., 1], grid[..., 0]] <= reach) & np.isfinite(projection_map.sigma_px)
     inside = [
-        float(np.max(values[near])) if near.any() else None for values in (found.sigma_px, found.sigma_arcsec)
+        float(np.max(values[near])) if near.any() else None
+        for values in (projection_map.sigma_px, projection_map.sigma_arcsec)
     ]
     return {
         "reach_px": reach,
@@ -105,7 +108,7 @@ def results_content(
     """Return the content of results.json of a run, without the comparison with an earlier run."""
     calibration = solution.calibration
     of_journal = journal_content(job, history, calibration.views)
-    views = [one.view for one in solution.views]
+    views = [view.view for view in solution.views]
     numbers = calculated(calibration, solution.planar, solution.passport, solution.readings, views)
     judged = [gate.as_data() for gate in solution.judged]
     gates = [*judged, *of_journal.pop("gates")]

@@ -60,7 +60,7 @@ class RigFound:
         if not self.clocks:
             return told
         rate, sigma = common_rate(self.clocks)
-        every = [asdict(one) for one in self.clocks]
+        every = [asdict(clock) for clock in self.clocks]
         return {**told, "clocks": {"rate_ppm": rate, "sigma_rate_ppm": sigma, "recordings": every}}
 
 
@@ -102,7 +102,7 @@ def _by_views(paths: Pair, choices: OfflineOptions, cameras: Sequence[CameraFile
         return RigFound(
             with_boards(start, results[0].views, results[1].views, results[0].board, free=True), skipped
         )
-    known = [(one.camera, one.covariance) for one in cameras] or (None, None)
+    known = [(camera.camera, camera.covariance) for camera in cameras] or (None, None)
     return RigFound(through_collimator(first, second, known), skipped)
 
 

@@ -215,8 +215,8 @@ def load(run_folder: str | Path) -> Run:
 def _run(folder: Path, results: Results, views: Sequence[StoredView]) -> Run:
     """Put a run together; raise RunFolderError if its results and views do not belong together."""
     try:
-        found = stored_calibration(results["calibration"])
-        return Run(folder, results, found, tuple(_poses(folder, results, views)))
+        calibration = stored_calibration(results["calibration"])
+        return Run(folder, results, calibration, tuple(_poses(folder, results, views)))
     except (KeyError, TypeError, ValueError) as error:
         raise RunFolderError(
             f"The results are incomplete: {type(error).__name__}: {error}.",
@@ -266,31 +266,31 @@ def _solve_again(run: StoredRun) -> tuple[Results, list[StoredView]]:
             "This run was rehearsed: it has no recordings.", where=str(folder), remedy="Load a real run."
         )
     job = Job.from_run_folder(folder)
-    found = calibrate_paths([folder], OfflineOptions())
+    result = calibrate_paths([folder], OfflineOptions())
     accepted = {attempt.pose_name: attempt for _, attempt in sorted(history.accepted().items())}
     results = {
-        "calibration": found.calibration.to_dict(),
+        "calibration": result.calibration.to_dict(),
         "poses": [
             {
                 "index": attempt.pose_index,
                 "name": name,
                 "commanded_deg": attempt.stored["commanded_deg"],
                 "measured_deg": attempt.stored["measured_deg"],
-                "stars": next((len(view) for view in found.views if view.name == name), 0),
+                "stars": next((len(view) for view in result.views if view.name == name), 0),
             }
             for name, attempt in accepted.items()
         ],
     }
     return cast("Results", results), [
-        replace(one, picture=partial(_picture_again, job, folder, accepted[one.view.name]))
-        for one in found.stored_views
+        replace(stored_view, picture=partial(_picture_again, job, folder, accepted[stored_view.view.name]))
+        for stored_view in result.stored_views
     ]
 
 
 def _picture_again(job: Job, folder: Path, attempt: Attempt) -> Picture:
     """Make the image of an accepted recording again; raise RunFolderError if this is not possible."""
-    found = job.measure_again(folder, attempt)
-    if found.image is None:
+    measurement = job.measure_again(folder, attempt)
+    if measurement.image is None:
         where = str(folder / str(attempt.stored["capture"]))
-        raise RunFolderError(f"No image can be made of it: {found.fault}", where=where)
-    return found.image.decoded()
+        raise RunFolderError(f"No image can be made of it: {measurement.fault}", where=where)
+    return measurement.image.decoded()

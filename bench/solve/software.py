@@ -75,10 +75,10 @@ def used_plugins(station: Station) -> Iterator[Plugin]:
 
 def _versions(packages: Iterable[str]) -> dict[str, str]:
     """Return the versions of packages; one that is missing has taken no part."""
-    found = {}
+    versions = {}
     for name in sorted(packages):
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:
             continue
-    return found
+    return versions

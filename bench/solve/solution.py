@@ -106,14 +106,14 @@ def compare_with_truth(calibration: Calibration, truth: Mapping[str, Any]) -> li
 
 def measure_again(job: Job, folder: Path, attempt: Attempt) -> Measurement:
     """Find the stars of an accepted recording again, with the grid that was expected when it was recorded."""
-    found = job.measure_again(folder, attempt)
-    if found.view is None:
+    measurement = job.measure_again(folder, attempt)
+    if measurement.view is None:
         raise BenchError(
-            f"{attempt.stored['capture']} was accepted, but now no stars are found in it: {found.fault}",
+            f"{attempt.stored['capture']} was accepted, but now no stars are found in it: {measurement.fault}",
             where=str(folder),
             remedy="Another version of the program recorded it. Use that version, or `starbench calibrate`.",
         )
-    return found
+    return measurement
 
 
 def accepted_measurements(
@@ -138,7 +138,7 @@ def accepted_measurements(
 
 def views_in(measurements: Iterable[Measurement]) -> list[View]:
     """Return the views of measurements."""
-    return [one.view for one in measurements if one.view is not None]
+    return [measurement.view for measurement in measurements if measurement.view is not None]
 
 
 @dataclass(frozen=True)
@@ -201,14 +201,16 @@ def stated_camera_check(job: Job, step: SolveStep, calibration: Calibration) -> 
     stated = job.plan.checked.in_use
     if stated is None or step.checked is None:
         return None
-    found = compared_with(stated.file, calibration)
-    return cast("CheckData", {**found.to_dict(), "stated": stated.to_dict()})
+    check = compared_with(stated.file, calibration)
+    return cast("CheckData", {**check.to_dict(), "stated": stated.to_dict()})
 
 
-def compared_with(stated: CameraFile, found: Calibration) -> CameraCheck:
+def compared_with(stated: CameraFile, calibration: Calibration) -> CameraCheck:
     """Compare a calibration with the camera that a file states."""
     rng = np.random.default_rng(CHECK_SEED)
-    return check_camera(stated.camera, stated.covariance, found.camera, found.camera_covariance, rng)
+    return check_camera(
+        stated.camera, stated.covariance, calibration.camera, calibration.camera_covariance, rng
+    )
 
 
 def check_gates(check: CheckData | None) -> list[Gate]:

@@ -21,7 +21,9 @@ _BOARD = "board"
 
 def options_data(options: OfflineOptions) -> dict[str, Any]:
     """Return options as JSON holds them; ``passport`` is the name of the file, or None."""
-    plain = {one.name: getattr(options, one.name) for one in fields(options) if one.name not in _ELSEWHERE}
+    plain = {
+        field.name: getattr(options, field.name) for field in fields(options) if field.name not in _ELSEWHERE
+    }
     return {
         **plain,
         _BOARD: None if options.board is None else str(options.board),
@@ -33,7 +35,7 @@ def options_of_data(
     data: Mapping[str, Any], passport: PassportInUse | None, target: StarTarget | None
 ) -> OfflineOptions:
     """Return the options that `options_data` wrote; `ValueError` if one is unknown here: a later version wrote it."""
-    known = {one.name for one in fields(OfflineOptions)}
+    known = {field.name for field in fields(OfflineOptions)}
     if unknown := sorted(set(data) - known):
         raise ValueError(f"unknown options: {', '.join(unknown)}")
     given: dict[str, Any] = {

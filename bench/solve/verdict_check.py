@@ -32,9 +32,11 @@ def check_verdict(folder: Path) -> Findings:
     except UNREADABLE as error:
         found.fault("results", RESULTS, f"the results give no verdict ({error!r})")
         return found
-    for one in differences({"causes": list(run.history.solved.get("causes", ()))}, causes):
+    for difference in differences({"causes": list(run.history.solved.get("causes", ()))}, causes):
         found.fault(
-            "journal", JOURNAL, f"what a person did to the bench is another thing in the results: {one}"
+            "journal",
+            JOURNAL,
+            f"what a person did to the bench is another thing in the results: {difference}",
         )
     if other_software(made, ["program"]):
         return found

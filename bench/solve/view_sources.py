@@ -156,7 +156,9 @@ def decided_by_run(job: Job, step: RecordStep, attempt: Attempt) -> dict[str, An
         "name": step.pose.name,
         "recorded": str(attempt.stored["sha256"]),
         "step": {
-            one.name: repr(getattr(step, one.name)) for one in fields(step) if one.name not in _NOT_FOR_STARS
+            field.name: repr(getattr(step, field.name))
+            for field in fields(step)
+            if field.name not in _NOT_FOR_STARS
         },
         "frequency_hz": job.frequency_hz(step),
         "target": repr(job.target),
@@ -323,10 +325,10 @@ def picture_of(path: Path) -> NDArray[Any]:
     return recorded_image(path)
 
 
-def _view(found: Measurement, path: Path) -> View:
-    if found.view is None:
-        raise TooFewStars(found.fault, where=str(path))
-    return found.view
+def _view(measurement: Measurement, path: Path) -> View:
+    if measurement.view is None:
+        raise TooFewStars(measurement.fault, where=str(path))
+    return measurement.view
 
 
 def _photograph(path: Path) -> NDArray[Any]:

@@ -223,11 +223,16 @@ def _thorlabs_axis(port: str, name: str, clock: Clock) -> AskedAxis:
     with closed_on_error(line):
         controller = ThorlabsController(line, clock=clock)
     try:
-        found = controller.read_information()
+        information = controller.read_information()
     finally:
         controller.close()
     return AskedAxis(
-        name, 1, found.serial, controller.family.counts_per_deg or None, port=port, model=found.model
+        name,
+        1,
+        information.serial,
+        controller.family.counts_per_deg or None,
+        port=port,
+        model=information.model,
     )
 
 

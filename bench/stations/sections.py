@@ -118,7 +118,7 @@ class _Section(StrictModel):
         """Controllers of the device: one for each axis with a port or a serial number of its own, else one."""
         parts = [*getattr(self, "axes", {}).values()] or [self]
         port, serial = (getattr(self, key, None) for key in ("port", "serial"))
-        found = [(getattr(one, "port", port), getattr(one, "serial", serial)) for one in parts]
+        found = [(getattr(part, "port", port), getattr(part, "serial", serial)) for part in parts]
         return list(dict.fromkeys((own, number) for own, number in found if own is not None))
 
     @property

@@ -120,13 +120,13 @@ class OpenCvCameraConfig(FrameCameraConfig):
         if self.source is not None:
             return self.source
         name = str(self.source_env)
-        found = environ.get(name, "")
-        if not found:
+        source = environ.get(name, "")
+        if not source:
             what = f"The environment variable {name} is not set; the station's camera needs it (source_env)."
             raise UsageError(what, remedy=f"Set it to the address of the camera: export {name}=...")
-        if refused_source(found) is not None:
+        if refused_source(source) is not None:
             raise UsageError(f"The environment variable {name} is not a source.", remedy=SOURCE_REMEDY)
-        return found
+        return source
 
     def settings(self) -> FrameSettings:
         """See `FrameCameraConfig.settings`."""

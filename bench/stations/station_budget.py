@@ -348,9 +348,11 @@ class ThermalConfig(StrictModel):
         of_glass, certificate = kind == "collimator_thermal", collimator.certificate
         certificate_c = certificate.temperature_c if isinstance(certificate, CertificateConfig) else None
         references = (self.reference_c, certificate_c if of_glass else None, _REFERENCE_C)
-        reference_c = next(one for one in references if one is not None)
+        reference_c = next(reference for reference in references if reference is not None)
         temperatures = (self.temperature_c, collimator.temperature_c)
-        measured_c = next((one for one in temperatures if one is not None), reference_c)
+        measured_c = next(
+            (temperature for temperature in temperatures if temperature is not None), reference_c
+        )
         return TypeBTerm.thermal(
             kind,
             f"thermal expansion of the {'collimator' if of_glass else 'print'}",

@@ -27,23 +27,25 @@ class StandIns:
     high_v: float  # Voltage of the lamp's full brightness, V
 
 
-def free_ports(found: Discovery) -> list[str]:
+def free_ports(discovery: Discovery) -> list[str]:
     """Return the ports that may belong to stage and light.
 
     A port of the computer itself mostly has nothing behind it: it is listed, and not chosen.
     """
-    return [port.name for port in found.ports if not port.device.startswith("/dev/ttyS")]
+    return [port.name for port in discovery.ports if not port.device.startswith("/dev/ttyS")]
 
 
-def ports_to_ask(found: Discovery, stage: str) -> list[str]:
+def ports_to_ask(discovery: Discovery, stage: str) -> list[str]:
     """Return the ports at which a stage of this driver may be asked for."""
     word = NAMED_BY_MAKER.get(stage)
-    named = {port.name for port in found.ports if word and word.lower() in f"{port.name} {port.what}".lower()}
-    return [port for port in free_ports(found) if word is None or port in named]
+    named = {
+        port.name for port in discovery.ports if word and word.lower() in f"{port.name} {port.what}".lower()
+    }
+    return [port for port in free_ports(discovery) if word is None or port in named]
 
 
 def draft_station(
-    found: Discovery,
+    discovery: Discovery,
     *,
     stage: str,
     light: str = "scpi",
@@ -58,15 +60,15 @@ def draft_station(
     """
     asked_stage, asked_light = asked
     taken = {*(asked_stage.ports if asked_stage else ()), *([asked_light.port] if asked_light else [])}
-    ports = iter([*(port for port in free_ports(found) if port not in taken), UNKNOWN_PORT, UNKNOWN_PORT])
+    ports = iter([*(port for port in free_ports(discovery) if port not in taken), UNKNOWN_PORT, UNKNOWN_PORT])
     stage_port = asked_stage.port if asked_stage else next(ports)
     light_port = asked_light.port if asked_light else next(ports)
-    usable = [one for one in found.cameras if not one.trouble and (one.serial or one.source)]
+    usable = [one for one in discovery.cameras if not one.trouble and (one.serial or one.source)]
     wanted = CAMERAS if camera is None else [camera]
     first = next((one for driver in wanted for one in usable if one.driver == driver), None)
     draft = Template(DRAFT.read_text(encoding="utf-8"), trim_blocks=True, keep_trailing_newline=True)
     return draft.render(
-        ports=found.ports,
+        ports=discovery.ports,
         stage=stage,
         stage_port="sim:gimbal" if stand_ins else stage_port,
         axes=asked_stage.axes if asked_stage else (),

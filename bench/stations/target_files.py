@@ -117,11 +117,11 @@ def _full_deg(pixels: int, optics: Optics) -> float:
 
 def _warnings(found: TargetUse, pattern: StarTarget, optics: Optics) -> list[str]:
     """Return what speaks against a target."""
-    said = []
+    warnings = []
     if found.segment_px < _CLEAR_SEGMENT_PX:
         share = "hardly any star is" if found.segment_px < _LEAST_SEGMENT_PX else "some stars are not"
         wanted = math.ceil(100.0 * pattern.pitch_mm * _CLEAR_SEGMENT_PX / found.segment_px) / 100.0
-        said.append(
+        warnings.append(
             f"A segment of a star is {found.segment_px:.1f} px wide: {share} found. Use a pitch of at least"
             f" {wanted:g} mm, fewer segments, or a longer lens."
         )
@@ -131,29 +131,29 @@ def _warnings(found: TargetUse, pattern: StarTarget, optics: Optics) -> list[str
             if found.stars_in_view < _FEW_STARS
             else "few for poses at the edge"
         )
-        said.append(
+        warnings.append(
             f"{found.stars_in_view} stars in view are {worse}: use a smaller pitch, a shorter lens or a wider beam."
         )
     if found.tag_px < _LEAST_TAG_PX:
-        said.append(
+        warnings.append(
             f"The tag is {found.tag_px:.0f} px wide: too small to be read. Use more squares for it (tag_squares)."
         )
     if found.tag_px > _TAG_SHARE * min(optics.image_size):
-        said.append(
+        warnings.append(
             f"The tag is {found.tag_px:.0f} px wide, more than half of the image's height: the frame cuts it in many"
             " poses. Use fewer squares for it (tag_squares), or a smaller pitch."
         )
     if pattern.tag_family not in _FAMILIES:
-        said.append(
+        warnings.append(
             f"Tags of family {pattern.tag_family} have few bits: stars are misread for a tag more easily. Use 36h11."
         )
     if pattern.segments not in _SEGMENTS:
-        said.append(
+        warnings.append(
             f"With {pattern.segments} segments, stars may not be found while the frame cuts the tag. Use 16."
         )
     if optics.half_angle_deg is not None and min(found.target_deg) < optics.half_angle_deg:
-        said.append(
+        warnings.append(
             f"The target ends {min(found.target_deg):.1f} degrees from the tag, inside the beam of"
             f" {optics.half_angle_deg:g} degrees: poses at the edge of the beam see no stars there."
         )
-    return said
+    return warnings

@@ -30,7 +30,7 @@ _WORDS: Final = {"waveform": {"square", "sine", "steady"}, "sync": {"on", "off"}
 
 def made_of(kind: type[_D], *sections: StrictModel, **others: Any) -> _D:
     """Return a driver's object. Each field that ``others`` does not give comes from the first section that has it."""
-    names = [one.name for one in fields(kind) if one.name not in others]
+    names = [field.name for field in fields(kind) if field.name not in others]
     found = {name: next(getattr(part, name) for part in sections if hasattr(part, name)) for name in names}
     return kind(**{name: _for_driver(value) for name, value in found.items()}, **others)
 
@@ -61,16 +61,16 @@ def _has(found: Template, value: str, where: str) -> None:
 
 def _request(text: str, known: frozenset[str] = NOTHING, value: str = "") -> Template:
     """Read a request, which may carry one value, and then must."""
-    found = template(text, known, frozenset({value} - {""}))
-    _has(found, value, "belongs")
-    return found
+    request = template(text, known, frozenset({value} - {""}))
+    _has(request, value, "belongs")
+    return request
 
 
 def _reply(text: str, known: frozenset[str] = NOTHING, value: str = "") -> Template:
     """Read a reply, which must have one value, or need not have any; ``request`` may stand in it too."""
-    found = template(text, known | {"request"}, None)
-    _has(found, value, "stands")
-    return found
+    reply = template(text, known | {"request"}, None)
+    _has(reply, value, "stands")
+    return reply
 
 
 def _is_request(text: str) -> str:
@@ -219,9 +219,10 @@ class Described(StrictModel):
             clear=self.line.clear.encode("ascii"),
             setup=tuple(map(_request, self.line.setup)),
             refusals=tuple(
-                of.Refusal(_reply(one.reply), one.means or "", dict(one.codes)) for one in self.refusals
+                of.Refusal(_reply(refusal.reply), refusal.means or "", dict(refusal.codes))
+                for refusal in self.refusals
             ),
-            notices=tuple(of.Notice(one.text, one.means or "") for one in self.notices),
+            notices=tuple(of.Notice(notice.text, notice.means or "") for notice in self.notices),
         )
 
 
@@ -296,7 +297,7 @@ class LightProtocol(Described):
 
     @model_validator(mode="after")
     def _needed(self) -> LightProtocol:
-        names = [one.quantity for one in self.settings if one.quantity != "constant"]
+        names = [setting.quantity for setting in self.settings if setting.quantity != "constant"]
         missing = {"frequency_hz", "level_percent"} - set(names)
         if missing:
             listed = " and ".join(sorted(missing))
@@ -308,12 +309,12 @@ class LightProtocol(Described):
     @property
     def has_sync(self) -> bool:
         """Whether the light has a sync output."""
-        return any(one.quantity == "sync" for one in self.settings)
+        return any(setting.quantity == "sync" for setting in self.settings)
 
     @property
     def frequency_range_hz(self) -> tuple[float, float] | None:
         """Range of the flicker frequency, Hz; None if the description states none."""
-        return next((one.range for one in self.settings if one.quantity == "frequency_hz"), None)
+        return next((setting.range for setting in self.settings if setting.quantity == "frequency_hz"), None)
 
     def for_driver(self) -> of.LightDescription:
         """Return the description for the driver."""

@@ -21,7 +21,7 @@ _WEAK = (
 
 def cause_sentences(causes: Iterable[CauseData]) -> list[str]:
     """Return the causes that results or a journal hold, in words and in their order."""
-    return [sentence_of(Cause.from_dict(one)) for one in causes]
+    return [sentence_of(Cause.from_dict(cause)) for cause in causes]
 
 
 def sentence_of(cause: Cause) -> str:

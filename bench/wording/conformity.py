@@ -18,37 +18,36 @@ _KEPT = {
 }
 
 
-def conformity_headline(found: ConformityData) -> str:
+def conformity_headline(conformity: ConformityData) -> str:
     """Return PASS or FAIL, and how many limits are kept.
 
     >>> conformity_headline({"passed": True, "rule": "", "statements": [], "reasons": []})
     'PASS: the checked calibration is right.'
     """
-    if not found["statements"]:  # a check alone
+    if not conformity["statements"]:  # a check alone
         return (
             "PASS: the checked calibration is right."
-            if found["passed"]
+            if conformity["passed"]
             else "FAIL: the checked calibration is not right, or a gate failed."
         )
-    kept = sum(one["verdict"] == "pass" for one in found["statements"])
-    return f"{'PASS' if found['passed'] else 'FAIL'}: {kept} of {len(found['statements'])} limits kept."
+    kept = sum(one["verdict"] == "pass" for one in conformity["statements"])
+    return f"{'PASS' if conformity['passed'] else 'FAIL'}: {kept} of {len(conformity['statements'])} limits kept."
 
 
-def conformity_sentences(found: ConformityData) -> list[str]:
+def conformity_sentences(conformity: ConformityData) -> list[str]:
     """Return a sentence for each limit, those that are not kept first, then the other reasons and the decision rule."""
-    ordered = sorted(found["statements"], key=lambda one: one["verdict"] == "pass")
-    rule = [f"Decision rule: {found['rule']}."] if ordered else []
-    return [*map(_statement_text, ordered), *found["reasons"], *rule]
+    ordered = sorted(conformity["statements"], key=lambda one: one["verdict"] == "pass")
+    rule = [f"Decision rule: {conformity['rule']}."] if ordered else []
+    return [*map(_statement_text, ordered), *conformity["reasons"], *rule]
 
 
-def _statement_text(one: StatementData) -> str:
-    name, unit = one["result"], unit_text(one["result"])
-    bounds = [("at least", one["lower"]), ("at most", one["upper"])]
+def _statement_text(statement: StatementData) -> str:
+    name, unit = statement["result"], unit_text(statement["result"])
+    bounds = [("at least", statement["lower"]), ("at most", statement["upper"])]
     limits = " and ".join(f"{word} {exact(bound)}" for word, bound in bounds if bound is not None)
-    asked = (
-        f"{limits}{' ' if unit else ''}{unit}{' by ' if one['specification'] else ''}{one['specification']}"
-    )
-    if one["value"] is None or one["expanded"] is None:
+    source = f" by {statement['specification']}" if statement["specification"] else ""
+    asked = f"{limits}{' ' if unit else ''}{unit}{source}"
+    if statement["value"] is None or statement["expanded"] is None:
         return f"{name}: this calibration did not estimate it (limit: {asked})."
-    value, expanded = with_uncertainty(one["value"], one["expanded"])
-    return f"{name} {value} ± {expanded}{' ' if unit else ''}{unit} ({asked}): {_KEPT[one['verdict']]}."
+    value, expanded = with_uncertainty(statement["value"], statement["expanded"])
+    return f"{name} {value} ± {expanded}{' ' if unit else ''}{unit} ({asked}): {_KEPT[statement['verdict']]}."

@@ -164,7 +164,7 @@ def mapped(matrices: Array, rows: Array) -> Array:
     matrices: (2, 2, N). rows: (..., 2, N) vectors.
     """
     x, y = rows[..., 0, :], rows[..., 1, :]
-    return np.stack([one[0] * x + one[1] * y for one in matrices], axis=-2)
+    return np.stack([matrix[0] * x + matrix[1] * y for matrix in matrices], axis=-2)
 
 
 def _whitening(covariances: Array) -> Array:

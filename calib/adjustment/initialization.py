@@ -68,7 +68,7 @@ def spherical_starts(
     solutions = [
         linear_solution(homographies, image_size, free_principal_point=free) for free in (True, False)
     ]
-    known = [one for one in solutions if one is not None]
+    known = [solution for solution in solutions if solution is not None]
     cameras = [CameraModel.of_matrix(matrix, image_size, distortion) for matrix, _ in known]
     centres = [collimator for _, collimator in known]
     planar = planar_starts(homographies, image_size, distortion)
@@ -157,7 +157,7 @@ def _refined_starts(
 ) -> list[Refinement[AdjustmentParameters]]:
     """Refine all starts by some steps; return those with finite cost, real cameras first, then by cost."""
     ends = (refine(bundle, start, Loss("l2"), steps, _COMPARISON_TOLERANCE) for start in starts)
-    finite = (one for one in ends if np.isfinite(one.cost))
+    finite = (end for end in ends if np.isfinite(end.cost))
     return sorted(finite, key=lambda one: (not _is_camera(one), one.cost))
 
 
@@ -171,12 +171,12 @@ def _about(
     homographies: Array, collimators: Sequence[Collimator], cameras: Sequence[CameraModel]
 ) -> list[AdjustmentParameters]:
     """Return the parameters of cameras, each with a known centre."""
-    centres = np.array([one.centre for one in collimators])
+    centres = np.array([collimator.centre for collimator in collimators])
     turns = rotations_from_centre(homographies, np.array([one.matrix for one in cameras]), centres)
     offsets = np.zeros((len(homographies), 3))
     return [
-        AdjustmentParameters(camera, Collimator(one.x, one.y, one.r), rotations, offsets)
-        for one, camera, rotations in zip(collimators, cameras, turns, strict=True)
+        AdjustmentParameters(camera, Collimator(collimator.x, collimator.y, collimator.r), rotations, offsets)
+        for collimator, camera, rotations in zip(collimators, cameras, turns, strict=True)
     ]
 
 

@@ -80,13 +80,13 @@ def poses_of(rotations: Array, moved: Bools | None = None) -> tuple[int, ...]:
     if moved is not None:
         same &= ~moved
     firsts: list[int] = []
-    found = []
+    poses = []
     for i, near in enumerate(same):
         pose = next((k for k, first in enumerate(firsts) if near[first]), len(firsts))
         if pose == len(firsts):
             firsts.append(i)
-        found.append(pose)
-    return tuple(found)
+        poses.append(pose)
+    return tuple(poses)
 
 
 def turned_alike(rotations: Array) -> Bools:

@@ -78,7 +78,7 @@ def find_duplicates(views: Sequence[View]) -> list[str]:
     Two recordings of one pose differ by their noise, and are not duplicates. Own rule: the root mean square distance of
     the common stars per axis is below half of sqrt(2) times the noise that neighbouring stars show.
     """
-    found = []
+    duplicates = []
     for one, other in combinations(views, 2):
         _, here, there = np.intersect1d(one.ids, other.ids, assume_unique=True, return_indices=True)
         if len(here) < max(_FEWEST, _COMMON_SHARE * min(len(one), len(other))):
@@ -88,18 +88,18 @@ def find_duplicates(views: Sequence[View]) -> list[str]:
             continue
         both, stars = f"Views {one.name} and {other.name}", f"their {len(here)} common stars"
         if rms <= SAME_PX:
-            found.append(
+            duplicates.append(
                 f"{both} are the same measurement: {stars} have the same points. They count once; leave one of them "
                 "out."
             )
             continue
         noise = float(np.fmin(noise_px(one), noise_px(other)))
         if rms / np.sqrt(2.0) < _TOO_MUCH_ALIKE * np.sqrt(2.0) * noise:
-            found.append(
+            duplicates.append(
                 f"{both} are nearly the same measurement: {stars} differ by {rms:.2g} px rms, less than two recordings "
                 f"would ({1.4142 * noise:.2g} px per axis). Check that one recording was not used twice."
             )
-    return found
+    return duplicates
 
 
 def check_target_units(views: Sequence[View], *, known_r_mm: float | None = None) -> str:

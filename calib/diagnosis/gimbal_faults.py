@@ -155,7 +155,7 @@ class SeenRotations:
 
     def _grid(self, fit: GimbalFit, hypotheses: Sequence[tuple[Fault, ...]]) -> Array:
         """Return (R, K, H) log(likelihood times prior) of each hypothesis, for each shape S and variance s."""
-        faults = list(dict.fromkeys(fault for one in hypotheses for fault in one))
+        faults = list(dict.fromkeys(fault for hypothesis in hypotheses for fault in hypothesis))
         count = len(fit.model.free)
         turns, singular, _ = np.linalg.svd(fit.jacobian[:, :6], full_matrices=False)
         turns = turns[:, singular > 1e-7 * singular[0]]
@@ -167,7 +167,7 @@ class SeenRotations:
         ends = np.cumsum([0, *(fault.size for fault in faults)])
         prior = np.repeat([0.0, 1.0, _SINGULAR, 0.0], [turns.shape[1], count, ends[-1], 1])
         places = {fault: range(ends[k], ends[k + 1]) for k, fault in enumerate(faults)}
-        indices = [[at for fault in one for at in places[fault]] for one in hypotheses]
+        indices = [[at for fault in hypothesis for at in places[fault]] for hypothesis in hypotheses]
         answer = np.empty((len(_SHAPES), len(self._variances), len(hypotheses)))
         steps = np.log(np.append(0.5, np.full(_TRIED, 0.5 / _TRIED)))
         for k, scatter in enumerate(self._scatters):
@@ -185,8 +185,8 @@ class SeenRotations:
 def _gains(rest: Array, hypotheses: Sequence[Sequence[int]]) -> Array:
     """Return (K, H) gains of 2 log(likelihood) by columns, of (K, m, m) their products; the residual is the last."""
     gains = np.zeros((len(rest), len(hypotheses)))
-    for size in {len(one) for one in hypotheses} - {0}:
-        which = [k for k, one in enumerate(hypotheses) if len(one) == size]
+    for size in {len(hypothesis) for hypothesis in hypotheses} - {0}:
+        which = [k for k, hypothesis in enumerate(hypotheses) if len(hypothesis) == size]
         at = np.array([hypotheses[k] for k in which])
         normal, right = rest[:, at[:, :, None], at[:, None, :]], rest[:, at, -1]
         sizes = np.linalg.solve(normal, right[..., None])[..., 0]
@@ -221,7 +221,7 @@ def search_faults(
     for _ in range(_ROUNDS if places else 0):
         known = current.fit.model.faults
         new = [fault for fault in places if fault not in known]
-        tried = [(*known, *one) for count in (1, 2) for one in combinations(new, count)]
+        tried = [(*known, *combination) for count in (1, 2) for combination in combinations(new, count)]
         worth = seen.likelihoods(current.fit, tried) - [_cost(one, cost) for one in tried]
         models = [replace(current.fit.model, faults=tried[k]) for k in np.argsort(-worth)[:_FITTED]]
         found = [current, *(seen.explain(model, current.fit) for model in models)]
@@ -250,17 +250,17 @@ def _cost(faults: Sequence[Fault], cost: Mapping[Fault, float]) -> float:
 
 
 def _described(
-    seen: SeenRotations, found: Explanation, fault: Fault, cost: Mapping[Fault, float]
+    seen: SeenRotations, explanation: Explanation, fault: Fault, cost: Mapping[Fault, float]
 ) -> GimbalFault:
     """Return one of the faults found with its size, its uncertainty and its rival."""
-    model = found.fit.model
-    spread = model.of(fault, model.of(fault, found.covariance[6:, 6:]).T)
-    value = model.of(fault, found.fit.values)
+    model = explanation.fit.model
+    spread = model.of(fault, model.of(fault, explanation.covariance[6:, 6:]).T)
+    value = model.of(fault, explanation.fit.values)
     size = float(value[0] if fault.size == 1 else np.linalg.norm(value))
     others = tuple(one for one in model.faults if one != fault)
     rivals = [(*others, one) for one in cost if one.kind != fault.kind and one not in others]
     tried = [model.faults, others, *rivals]
-    worth = seen.likelihoods(found.fit, tried) - [_cost(one, cost) for one in tried]
+    worth = seen.likelihoods(explanation.fit, tried) - [_cost(one, cost) for one in tried]
     worth[1] -= DECISIVE
     best = int(worth[2:].argmax()) if rivals else 0
     undecided = bool(rivals) and worth[2 + best] > worth[0] - DECISIVE

@@ -57,10 +57,10 @@ def find_gross_stars(views: Sequence[View]) -> tuple[GrossStars, ...]:
     return tuple(_gross_stars(view) for view in views)
 
 
-def without_gross_stars(views: Sequence[View], found: Sequence[GrossStars]) -> list[View]:
+def without_gross_stars(views: Sequence[View], gross: Sequence[GrossStars]) -> list[View]:
     """Return the views without their gross errors; a view that has none is the same object."""
     return [
-        view.part(~one.wrong) if one.wrong.any() else view for view, one in zip(views, found, strict=True)
+        view.part(~one.wrong) if one.wrong.any() else view for view, one in zip(views, gross, strict=True)
     ]
 
 

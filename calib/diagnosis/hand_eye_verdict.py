@@ -111,14 +111,14 @@ class HandEyeCheck:
         return _judged(self)
 
 
-def _judged(found: HandEyeCheck) -> Verdict:
+def _judged(check: HandEyeCheck) -> Verdict:
     """Return the verdict: faults come first, then reasons not to claim a scale, then the scale, then scatter."""
-    judged = [_fault(found, fault) for fault in found.faults]
-    if found.reversed_axes:
-        judged.append(("wrong_sign", _WRONG_SIGN.format(found.reversed_axes)))
-    if found.ambiguous:
+    judged = [_fault(check, fault) for fault in check.faults]
+    if check.reversed_axes:
+        judged.append(("wrong_sign", _WRONG_SIGN.format(check.reversed_axes)))
+    if check.ambiguous:
         judged.append(("ambiguous", _AMBIGUOUS))
-    judged += filter(None, (_scale(found), _scatter(found)))
+    judged += filter(None, (_scale(check), _scatter(check)))
     kinds = sorted((kind for kind, _ in judged), key=lambda kind: kind == "agrees")
     first = [kind for name in _KINDS.values() for kind in kinds if kind == name]
     return Verdict((first or kinds or ["agrees"])[0], tuple(sentence for _, sentence in judged))
@@ -164,25 +164,25 @@ def _name(axis: str) -> str:
     return axis.removesuffix("_deg")
 
 
-def _pose(found: HandEyeCheck, index: int) -> str:
+def _pose(check: HandEyeCheck, index: int) -> str:
     """Return number and name of a pose."""
-    name = found.names[index] if index < len(found.names) else ""
+    name = check.names[index] if index < len(check.names) else ""
     return f"pose {index + 1} ({name})" if name else f"pose {index + 1}"
 
 
-def _fault(found: HandEyeCheck, fault: GimbalFault) -> tuple[VerdictKind, str]:
+def _fault(check: HandEyeCheck, fault: GimbalFault) -> tuple[VerdictKind, str]:
     """Return the kind and the sentence of a fault."""
     size = angle_and_uncertainty(fault.size_deg, fault.sigma_deg)
     if fault.kind == "slip":
-        before, after = _pose(found, fault.pose - 1), _pose(found, fault.pose)
+        before, after = _pose(check, fault.pose - 1), _pose(check, fault.pose)
         more = "more" if fault.size_deg < 0 else "less"
         sentence = f"The {_name(AXES[fault.axis])} axis slipped between {before} and {after}: "
         sentence += f"after that, readings show {size} {more} than the axis turned"
     elif fault.kind == "mount":
-        before, after = _pose(found, fault.pose - 1), _pose(found, fault.pose)
+        before, after = _pose(check, fault.pose - 1), _pose(check, fault.pose)
         sentence = f"The camera turned in its mount between {before} and {after}, by {size}"
     elif fault.kind == "pose":
-        pose = _pose(found, fault.pose)
+        pose = _pose(check, fault.pose)
         sentence = f"{pose[0].upper()}{pose[1:]} does not fit: reading and rotation differ by {size}"
     else:
         sentence = f"The axes of pan and tilt are not at right angles: they differ from it by {size}"
@@ -197,9 +197,9 @@ def _fault(found: HandEyeCheck, fault: GimbalFault) -> tuple[VerdictKind, str]:
     return _KINDS[fault.kind], f"{sentence}."
 
 
-def _of_pairs(found: HandEyeCheck) -> str:
+def _of_pairs(check: HandEyeCheck) -> str:
     """Return what the pairs of poses show, in words."""
-    pairs = found.pairs
+    pairs = check.pairs
     if pairs is None:
         return "No pair of poses turned far enough for a ratio."
     spread = f", spread {_plain(100 * pairs.spread)} %" if pairs.spread >= 1e-6 else ""
@@ -207,44 +207,44 @@ def _of_pairs(found: HandEyeCheck) -> str:
     return f"Median of {what}: {_ratio(pairs.ratio, 0.1 * pairs.spread)}{spread}."
 
 
-def _significant(found: HandEyeCheck, size: float, sigma: float) -> bool:
+def _significant(check: HandEyeCheck, size: float, sigma: float) -> bool:
     """Return whether the likelihood ratio decides for a value; that of Student's distribution if there is scatter."""
-    ratio, freedom = (size / max(sigma, 1e-12)) ** 2, max(found.degrees_of_freedom, 1)
-    return bool((freedom * np.log1p(ratio / freedom) if found.excess_arcsec > 0 else ratio) > DECISIVE)
+    ratio, freedom = (size / max(sigma, 1e-12)) ** 2, max(check.degrees_of_freedom, 1)
+    return bool((freedom * np.log1p(ratio / freedom) if check.excess_arcsec > 0 else ratio) > DECISIVE)
 
 
-def _common_to_pairs(found: HandEyeCheck) -> float:
+def _common_to_pairs(check: HandEyeCheck) -> float:
     """Return how far the ratio of the pairs is from 1; 0 if the pairs differ among themselves.
 
     With large angles the fit can attribute a common ratio to the focal length, because it knows the covariance.
     """
-    if found.pairs is None or found.pairs.count < len(found.scale) + 1:
+    if check.pairs is None or check.pairs.count < len(check.scale) + 1:
         return 0.0
-    off = abs(found.pairs.ratio - 1)
-    return off if off > 3 * found.pairs.spread else 0.0
+    off = abs(check.pairs.ratio - 1)
+    return off if off > 3 * check.pairs.spread else 0.0
 
 
-def _scale(found: HandEyeCheck) -> tuple[VerdictKind, str] | None:
+def _scale(check: HandEyeCheck) -> tuple[VerdictKind, str] | None:
     """Return what the scales show, or what the pairs show if no scale is known."""
-    if not found.scale:
-        return ("agrees", _of_pairs(found)) if found.pairs is not None else None
-    values, own = np.array(list(found.scale.values())), np.maximum(found.own_sigma, 1e-12)
+    if not check.scale:
+        return ("agrees", _of_pairs(check)) if check.pairs is not None else None
+    values, own = np.array(list(check.scale.values())), np.maximum(check.own_sigma, 1e-12)
     common = float(np.average(values, weights=own**-2))
-    common_sigma = min(found.scale_sigma.values())
-    focal = found.focal_uncertainty if found.focal_uncertainty is not None else 2 * common_sigma
-    differ = _significant(found, float(np.ptp(values)), found.difference_sigma)
+    common_sigma = min(check.scale_sigma.values())
+    focal = check.focal_uncertainty if check.focal_uncertainty is not None else 2 * common_sigma
+    differ = _significant(check, float(np.ptp(values)), check.difference_sigma)
     off = float(np.abs(values - 1).max()) if differ else abs(common - 1)
     by_axis = ", ".join(
-        f"{_name(axis)} {_ratio(found.scale[axis], 2 * sigma)} ± {_ratio(2 * sigma, 2 * sigma)}"
-        for axis, sigma in found.scale_sigma.items()
+        f"{_name(axis)} {_ratio(check.scale[axis], 2 * sigma)} ± {_ratio(2 * sigma, 2 * sigma)}"
+        for axis, sigma in check.scale_sigma.items()
     )
-    seen = f"Angle seen over angle read: {by_axis} (k = 2). {_of_pairs(found)}"
-    seen_off = _common_to_pairs(found)
+    seen = f"Angle seen over angle read: {by_axis} (k = 2). {_of_pairs(check)}"
+    seen_off = _common_to_pairs(check)
     by_pairs = off < seen_off <= focal and not differ
-    if by_pairs and found.pairs is not None:
-        off, common = seen_off, found.pairs.ratio
+    if by_pairs and check.pairs is not None:
+        off, common = seen_off, check.pairs.ratio
     own_sigma = 1 / float(np.sqrt((own**-2).sum()))
-    shown = by_pairs or _significant(found, off, own_sigma)
+    shown = by_pairs or _significant(check, off, own_sigma)
     if not differ and not shown:
         return "agrees", seen
     alike = "is not the same along all axes. It differs from 1 by up to" if differ else "differs from 1 by"
@@ -254,7 +254,7 @@ def _scale(found: HandEyeCheck) -> tuple[VerdictKind, str] | None:
         return "agrees", (
             f"{seen} So the two agree. If the gimbal is right, the focal length is {_percent(off)} too {direction}."
         )
-    if off <= focal and found.views_disagree:
+    if off <= focal and check.views_disagree:
         return "views_biased", (
             f"{seen} The views contradict each other, also without the readings. So nothing points to the gimbal."
         )
@@ -268,21 +268,21 @@ def _scale(found: HandEyeCheck) -> tuple[VerdictKind, str] | None:
     )
 
 
-def _scatter(found: HandEyeCheck) -> tuple[VerdictKind, str] | None:
+def _scatter(check: HandEyeCheck) -> tuple[VerdictKind, str] | None:
     """Return what scatter remains, if the stated uncertainties do not explain it."""
-    if found.excess_arcsec <= 0:
+    if check.excess_arcsec <= 0:
         return None
     differ = (
-        f"Rotations and readings differ by {angle(found.excess_arcsec / 3600)} (standard deviation per axis) more than "
+        f"Rotations and readings differ by {angle(check.excess_arcsec / 3600)} (standard deviation per axis) more than "
         "their stated uncertainties explain."
     )
-    if found.views_disagree:
+    if check.views_disagree:
         return "views_biased", (
-            f"{differ} The views also contradict each other, {found.birge_ratio:.1f} times more than the noise of the "
+            f"{differ} The views also contradict each other, {check.birge_ratio:.1f} times more than the noise of the "
             "stars explains, although no reading is involved. Errors of the collimator or of the lens model bias the "
             "rotations. So this scatter does not show an error of the gimbal."
         )
-    few = "" if found.degrees_of_freedom >= 6 else " These poses are too few to tell which."
+    few = "" if check.degrees_of_freedom >= 6 else " These poses are too few to tell which."
     return "scatter", (
         f"{differ} Possible causes: an axis slipped, a reading is wrong, or the gimbal repeats worse than the camera "
         f"resolves.{few}"

@@ -19,16 +19,16 @@ from calib.model.rotation import skew
 _UNDETERMINED = 0.05
 
 
-def boresight(found: Posterior, camera: CameraModel, gimbal: Gimbal | None) -> Boresight | None:
+def boresight(posterior: Posterior, camera: CameraModel, gimbal: Gimbal | None) -> Boresight | None:
     """Return the mounting with its uncertainty.
 
     None if no readings determine it, or if the camera would look backwards: an axis has the wrong sign.
     """
     if gimbal is None:
         return None
-    layout = found.optimum.marginal.problem.bench.layout
+    layout = posterior.optimum.marginal.problem.bench.layout
     at = layout.places(MOUNTING)
-    covariance = found.covariance[np.ix_(at, at)]
+    covariance = posterior.covariance[np.ix_(at, at)]
     rotation = gimbal.camera_from_head
     if np.linalg.eigvalsh(covariance)[-1] > _UNDETERMINED**2 or rotation[2, 2] < 0.0:
         return None
@@ -40,10 +40,10 @@ def boresight(found: Posterior, camera: CameraModel, gimbal: Gimbal | None) -> B
     return Boresight(
         rotation,
         covariance,
-        np.degrees([found.expanded(row) for row in unit[at]]),
+        np.degrees([posterior.expanded(row) for row in unit[at]]),
         rotation.T @ ray,
-        rows @ found.covariance @ rows.T,
-        np.degrees([found.expanded(row) for row in rows]),
+        rows @ posterior.covariance @ rows.T,
+        np.degrees([posterior.expanded(row) for row in rows]),
     )
 
 

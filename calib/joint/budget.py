@@ -64,29 +64,29 @@ def _add_to(found: dict[str, Array], parts: Mapping[str, Array]) -> None:
         found[group] = found.get(group, 0.0) + part
 
 
-def _at_node(found: Solution, gradients: Array) -> dict[str, Array]:
+def _at_node(solution: Solution, gradients: Array) -> dict[str, Array]:
     """Return the variances by group for given amplitudes."""
-    marginal, squares = found.marginal, found.squares
-    x = found.covariance @ gradients.T
-    fields = -np.swapaxes(found.own_root, 1, 2) @ (found.between @ x)
+    marginal, squares = solution.marginal, solution.squares
+    x = solution.covariance @ gradients.T
+    fields = -np.swapaxes(solution.own_root, 1, 2) @ (solution.between @ x)
     stars = (x * (marginal.shared @ x)).sum(axis=0)
     stars = stars + 2.0 * (fields * (marginal.between @ x)).sum(axis=(0, 1))
     stars = stars + (fields * (marginal.own @ fields)).sum(axis=(0, 1))
-    parts = {names.STARS: stars / found.star_variance}
+    parts = {names.STARS: stars / solution.star_variance}
     own = marginal.problem.own_information(squares)
     _add(parts, marginal.problem.bench.layout.own.rows, own[:, None] * (fields**2).sum(axis=0))
     if marginal.uses_readings:
         pulled = marginal.rows @ x + marginal.own_rows @ fields[marginal.problem.bench.poses]
         pulled = marginal.reading_weights(squares)[:, :, None] * pulled
-        loose = found.star_variance * marginal.loose[:, :, None]
+        loose = solution.star_variance * marginal.loose[:, :, None]
         parts[names.STARS] = parts[names.STARS] + (loose * pulled**2).sum(axis=(0, 1))
         parts[names.READINGS] = (marginal.reading_variance(squares)[:, :, None] * pulled**2).sum(axis=(0, 1))
-    stated = marginal.problem.stated(found.faults)
+    stated = marginal.problem.stated(solution.faults)
     seen = stated.rows @ x
     _add(parts, stated.groups, seen * (stated.inside @ seen))
     random = marginal.problem.random
     seen = x[random.places]
-    _add(parts, random.groups, seen * (found.inside @ seen))
+    _add(parts, random.groups, seen * (solution.inside @ seen))
     return parts
 
 
@@ -116,8 +116,8 @@ def budget_rows(posterior: Posterior, gradients: Array, parts: Mapping[str, Arra
     whole = np.asarray(sum(parts.values()))
     statements = posterior.optimum.marginal.problem.knowledge.statements
     stated: dict[str, list[Statement]] = {}
-    for one in statements:
-        stated.setdefault(one.group, []).append(one)
+    for statement in statements:
+        stated.setdefault(statement.group, []).append(statement)
     slopes = posterior.optimum.solution.covariance @ gradients.T
     known, rows = _rows_of(posterior), []
     for group, part in parts.items():
@@ -136,18 +136,18 @@ def _rows_of(posterior: Posterior) -> dict[str, Row]:
     return {row.name: row for row in (*effects, *_ROWS)}
 
 
-def _with_value(row: BudgetRow, one: Statement, slopes: Array) -> BudgetRow:
+def _with_value(row: BudgetRow, statement: Statement, slopes: Array) -> BudgetRow:
     """Return the row of a single stated value, with its sensitivities."""
-    sigma = float(np.sqrt(one.covariance[0, 0]))
-    signs = np.sign((one.rows @ slopes)[0])
+    sigma = float(np.sqrt(statement.covariance[0, 0]))
+    signs = np.sign((statement.rows @ slopes)[0])
     sensitivity = {
         name: float(sign) * row.contribution[name] / sigma if sigma > 0 else 0.0
         for name, sign in zip(ROW_QUANTITIES, signs, strict=True)
     }
     sensitivity[WORST_CORNER] = abs(sensitivity[WORST_CORNER])
-    if one.term is None:
-        return replace(row, value=sigma, unit=one.unit, divisor=1.0, sensitivity=sensitivity)
-    term = one.term
+    if statement.term is None:
+        return replace(row, value=sigma, unit=statement.unit, divisor=1.0, sensitivity=sensitivity)
+    term = statement.term
     freedom = term.degrees_of_freedom
     return replace(
         row,

@@ -56,21 +56,21 @@ _FAULTS = {"slip": kinds.SLIPPED, "mount": kinds.TURNED, "pose": kinds.ONE_POSE}
 
 
 def find_causes(
-    result: Calibration, found: Posterior, views: Sequence[View], stated: CalibrationOptions
+    result: Calibration, posterior: Posterior, views: Sequence[View], stated: CalibrationOptions
 ) -> tuple[Cause, ...]:
     """Return the causes that the data show, the most probable first; ``stated`` are the options with the readings."""
-    steps = _focus_steps(found, views)
-    scale = () if steps else _other_scale(found, stated)
+    steps = _focus_steps(posterior, views)
+    scale = () if steps else _other_scale(posterior, stated)
     causes = (*_of_gimbal(result, stated), *steps, *scale)
     return tuple(sorted(causes, key=lambda one: -one.evidence))
 
 
-def _focus_steps(found: Posterior, views: Sequence[View]) -> tuple[Cause, ...]:
+def _focus_steps(posterior: Posterior, views: Sequence[View]) -> tuple[Cause, ...]:
     """Return the step of the focal length between two views that explains them better than any fault; or none.
 
     A step displaces focal lengths in the bases of all later views; the equations at the optimum say what that gains.
     """
-    optimum, m = found.optimum, len(views)
+    optimum, m = posterior.optimum, len(views)
     if m < 3 or len(set(optimum.marginal.problem.bench.poses.tolist())) < 3:
         return ()
     at = optimum.marginal.problem.bench.layout.places(("fx", "fy"))
@@ -86,7 +86,7 @@ def _focus_steps(found: Posterior, views: Sequence[View]) -> tuple[Cause, ...]:
         cause, there = _stepped(optimum, columns[:, :, place], before, cost)
         if cause.evidence > (best.evidence if best else DECISIVE):
             accused = there.fault_probabilities(there.nodes)
-            explains = [name for name, p in found.faults.items() if p >= DOUBTED > accused.get(name, 0.0)]
+            explains = [name for name, p in posterior.faults.items() if p >= DOUBTED > accused.get(name, 0.0)]
             names = {"before": views[place].name, "pose": views[place + 1].name}
             best = replace(cause, explains=tuple(explains), **names)
     return (best,) if best else ()
@@ -121,30 +121,32 @@ def _two_log_evidence(modes: Modes) -> float:
     return 2.0 * log_evidence(modes, modes.optimum)
 
 
-def _other_scale(found: Posterior, stated: CalibrationOptions) -> tuple[Cause, ...]:
+def _other_scale(posterior: Posterior, stated: CalibrationOptions) -> tuple[Cause, ...]:
     """Return the cause if the certified radius alone contradicts the views: another pitch looks the same."""
     scales = {one.name for one in stated.budget if one.kind in SCALES}
-    witnesses = found.optimum.marginal.problem.knowledge.witnesses
+    witnesses = posterior.optimum.marginal.problem.knowledge.witnesses
     if CERTIFICATE not in witnesses:
         return ()
     length = {CERTIFICATE, *scales}
     share = sum(
-        one.weight for one in found.nodes if length & {name for name, fault in one.faults if fault != FOCAL}
+        node.weight
+        for node in posterior.nodes
+        if length & {name for name, fault in node.faults if fault != FOCAL}
     )
     if share < _MORE_PROBABLE:
         return ()
-    layout, r_mm = found.optimum.marginal.problem.bench.layout, float(witnesses[CERTIFICATE].values[0])
+    layout, r_mm = posterior.optimum.marginal.problem.bench.layout, float(witnesses[CERTIFICATE].values[0])
     row = np.zeros(len(layout.names))
     row[layout.index[CENTRE[2]]] = 1.0
     # A print that is larger than stated looks as one that is nearer.
     row[layout.places([name for name in scales if name in layout.index])] = -r_mm
-    ratio = float(row @ found.mean) / r_mm
+    ratio = float(row @ posterior.mean) / r_mm
     if abs(ratio - 1.0) < _CERTIFIED:
         return ()
-    sigma = math.sqrt(float(row @ found.covariance @ row)) / r_mm
+    sigma = math.sqrt(float(row @ posterior.covariance @ row)) / r_mm
     cause = Cause(kinds.SCALED, _two_log_odds(1.0 - share), value=ratio, expanded=2.0 * sigma, stated=r_mm)
     # Small changes of the scale, parallax can imitate; then both are told together.
-    parallax = (PARALLAX,) if DOUBTED <= found.faults.get(PARALLAX, 0.0) < _MORE_PROBABLE else ()
+    parallax = (PARALLAX,) if DOUBTED <= posterior.faults.get(PARALLAX, 0.0) < _MORE_PROBABLE else ()
     return (replace(cause, beside=(CERTIFICATE, *parallax), explains=(*sorted(length), *parallax)),)
 
 
@@ -184,7 +186,7 @@ def _of_gimbal(result: Calibration, stated: CalibrationOptions) -> tuple[Cause, 
             ),
         )
     if check.faults:
-        return tuple(_of_fault(check, one) for one in check.faults if one.kind in _FAULTS)
+        return tuple(_of_fault(check, fault) for fault in check.faults if fault.kind in _FAULTS)
     return _of_scale(check)
 
 

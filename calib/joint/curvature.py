@@ -26,17 +26,17 @@ _MANY = 2
 _CURVED = 0.3
 
 
-def expected_curvature(found: Solution) -> Array:
+def expected_curvature(solution: Solution) -> Array:
     """Return (A, A) the expected second derivatives of the value by the logarithms of the amplitudes."""
-    marginal, problem, squares = found.marginal, found.marginal.problem, found.squares
+    marginal, problem, squares = solution.marginal, solution.marginal.problem, solution.squares
     n, f, size = marginal.dimensions
     random = problem.random
     at = random.places
     scale = np.sqrt(problem.own_information(squares))
-    fields = scale[:, None] * found.followed
-    alone = np.eye(f) - scale[:, None] * found.own * scale
-    pulled = random.pulled(squares, found.inside)
-    spread = random.times_pulled(found.root.T[at].T, pulled)
+    fields = scale[:, None] * solution.followed
+    alone = np.eye(f) - scale[:, None] * solution.own * scale
+    pulled = random.pulled(squares, solution.inside)
+    spread = random.times_pulled(solution.root.T[at].T, pulled)
     shared = -(spread.T @ spread)
     for rows, columns in random.blocks:
         shapes = random.shapes[rows, columns] * np.sqrt(squares[random.amplitudes[columns]])
@@ -52,9 +52,9 @@ def expected_curvature(found: Solution) -> Array:
     belongs[range(len(parts)), np.concatenate([problem.pose_amplitudes, random.amplitudes])] = 1.0
     whole = 4.0 * (belongs.T @ parts @ belongs + _of_products(flat, np.tile(belongs[:f], (n, 1))))
     star = problem.hyper.at(amp.STAR)
-    whole[star, star] += 4.0 * found.freedom
+    whole[star, star] += 4.0 * solution.freedom
     whole += 2.0 * problem.hyper.information
-    return _with_readings(found, spread, whole) if marginal.uses_readings else whole
+    return _with_readings(solution, spread, whole) if marginal.uses_readings else whole
 
 
 def _of_products(rows: Array, belongs: Array) -> Array:
@@ -67,22 +67,22 @@ def _of_products(rows: Array, belongs: Array) -> Array:
     found = np.zeros((belongs.shape[1], belongs.shape[1]))
     places = np.flatnonzero(belongs.any(axis=0))
     columns = [rows[belongs[:, at] > 0.0] for at in places]
-    products = [one.T @ one for one in columns]
-    found[places[:, None], places] = [[np.vdot(one, other) for other in products] for one in products]
+    products = [column.T @ column for column in columns]
+    found[places[:, None], places] = [[np.vdot(product, other) for other in products] for product in products]
     return found
 
 
-def _with_readings(found: Solution, spread: Array, whole: Array) -> Array:
+def _with_readings(solution: Solution, spread: Array, whole: Array) -> Array:
     """Return the curvature with that by the readings' noise; ``spread`` (S, Q) is that of the columns, times R."""
-    marginal, squares = found.marginal, found.squares
+    marginal, squares = solution.marginal, solution.squares
     problem, poses = marginal.problem, marginal.problem.bench.poses
     n_rows = 3 * len(poses)
     weights = marginal.reading_weights(squares)
     scaled = np.sqrt(marginal.reading_variance(squares)) * weights
-    seen = (scaled[:, :, None] * found.predicted).reshape(n_rows, -1) @ found.root.T
+    seen = (scaled[:, :, None] * solution.predicted).reshape(n_rows, -1) @ solution.root.T
     parts = np.diag((scaled**2 / weights).reshape(-1)) - seen @ seen.T
     own = scaled[:, :, None] * marginal.own_rows
-    local = own @ found.own[poses] @ np.swapaxes(own, 1, 2)
+    local = own @ solution.own[poses] @ np.swapaxes(own, 1, 2)
     for v in range(len(poses)):
         parts[3 * v : 3 * v + 3, 3 * v : 3 * v + 3] -= local[v]
     reading = problem.hyper.at(amp.READING)
@@ -95,7 +95,7 @@ def _with_readings(found: Solution, spread: Array, whole: Array) -> Array:
 
 
 def best_amplitudes(
-    found: Solution,
+    solution: Solution,
     steps: int,
     farthest: float = np.inf,
     enough: float = FINE,
@@ -108,35 +108,35 @@ def best_amplitudes(
     most ``farthest``, and promises at least ``enough``. The (A, A) curvature at the start may be known. The search ends
     where ``until`` is true.
     """
-    bounds = np.array(found.marginal.problem.hyper.bounds).T
-    low, high = np.maximum(bounds[0], found.eta - farthest), np.minimum(bounds[1], found.eta + farthest)
+    bounds = np.array(solution.marginal.problem.hyper.bounds).T
+    low, high = np.maximum(bounds[0], solution.eta - farthest), np.minimum(bounds[1], solution.eta + farthest)
     if curvature is None:
-        curvature = expected_curvature(found)
+        curvature = expected_curvature(solution)
     for _ in range(steps):
-        step = _newton(curvature, found.gradient, found.eta <= low, found.eta >= high)
-        if -float(found.gradient @ step) < enough:
+        step = _newton(curvature, solution.gradient, solution.eta <= low, solution.eta >= high)
+        if -float(solution.gradient @ step) < enough:
             break
         step *= min(1.0, _LONGEST / float(np.abs(step).max()))
         for _ in range(_HALVINGS):
-            tried = _tried(found, np.clip(found.eta + step, low, high))
-            if tried is not None and tried.value < found.value:
+            tried = _tried(solution, np.clip(solution.eta + step, low, high))
+            if tried is not None and tried.value < solution.value:
                 break
             step = 0.5 * step
         else:
             break
         assert tried is not None
-        if float(np.abs(tried.eta - found.eta).max()) > _CURVED:
+        if float(np.abs(tried.eta - solution.eta).max()) > _CURVED:
             curvature = expected_curvature(tried)
-        found = tried
-        if until is not None and until(found):
+        solution = tried
+        if until is not None and until(solution):
             break
-    return found
+    return solution
 
 
-def _tried(found: Solution, eta: Array) -> Solution | None:
+def _tried(solution: Solution, eta: Array) -> Solution | None:
     """Return the solution for other amplitudes; None if the equations cannot be solved."""
     try:
-        return found.marginal.solve(eta, found.faults)
+        return solution.marginal.solve(eta, solution.faults)
     except np.linalg.LinAlgError:
         return None
 

@@ -64,8 +64,8 @@ class Unstated:
         self.eta, self.witnesses = eta, marginal.problem.knowledge.witnesses
         found = marginal.solve(eta, tuple((name, WRONG) for name in self.witnesses))
         statements = list(self.witnesses.values())
-        rows = np.concatenate([one.rows for one in statements])
-        values = np.concatenate([one.values for one in statements])
+        rows = np.concatenate([statement.rows for statement in statements])
+        values = np.concatenate([statement.values for statement in statements])
         self._root = found.root @ rows.T
         mean = marginal.state.shared + found.step
         self.covariance, self.away = self._root.T @ self._root, values - rows @ mean
@@ -73,16 +73,19 @@ class Unstated:
         self._value, self._camera, self._mean = found.value, found.root[:, camera], mean[camera]
         self._values: dict[Faults, float] = {}
         self._logarithms = {
-            name: {doubt: float(np.linalg.slogdet(one.information(doubt))[1]) for doubt in ("", *one.doubts)}
-            for name, one in self.witnesses.items()
+            name: {
+                doubt: float(np.linalg.slogdet(witness.information(doubt))[1])
+                for doubt in ("", *witness.doubts)
+            }
+            for name, witness in self.witnesses.items()
         }
 
     def more(self, doubts: Faults) -> list[Array]:
         """Return by how much the information of each statement is larger than if nobody had stated it."""
         named = dict(doubts)
         return [
-            one.information(named.get(one.name, "")) - one.information(WRONG)
-            for one in self.witnesses.values()
+            witness.information(named.get(witness.name, "")) - witness.information(WRONG)
+            for witness in self.witnesses.values()
         ]
 
     def value(self, doubts: Faults) -> float:
@@ -111,15 +114,17 @@ class Unstated:
         named, more = dict(doubts), self.more(doubts)
         answer, end = [], 0
         for k, witness in enumerate(self.witnesses.values()):
-            one = witness.as_meant(named.get(witness.name, ""))
-            own = slice(end, end := end + len(one.values))
+            statement = witness.as_meant(named.get(witness.name, ""))
+            own = slice(end, end := end + len(statement.values))
             others = block_diagonal([*more[:k], np.zeros_like(more[k]), *more[k + 1 :]])
             right = np.column_stack([self.covariance, self.away])
             follow = np.linalg.solve(np.eye(len(right)) + self.covariance @ others, right)
             spread, off = follow[own, own], follow[own, -1]
-            z = float(np.sqrt(off @ np.linalg.solve(one.covariance + spread, off) / len(off)))
+            z = float(np.sqrt(off @ np.linalg.solve(statement.covariance + spread, off) / len(off)))
             z *= float(np.sign(off[0])) if len(off) == 1 else 1.0
-            answer.append(Innovation(one.name, one, one.values - off, np.sqrt(np.diag(spread)), z))
+            answer.append(
+                Innovation(statement.name, statement, statement.values - off, np.sqrt(np.diag(spread)), z)
+            )
         return answer
 
 
@@ -138,7 +143,7 @@ def prior_odds(witnesses: Mapping[str, Statement], doubts: Faults) -> float:
     alone = {name: witnesses[name].doubts[doubt].odds for name, doubt in doubts}
     odds = math.prod(alone.values())
     for group, share in _TOGETHER.items():
-        own = [name for name, one in witnesses.items() if one.group == group]
+        own = [name for name, witness in witnesses.items() if witness.group == group]
         if len(own) > 1 and {*own} <= {*alone} and len({doubt for name, doubt in doubts if name in own}) == 1:
             others = math.prod(one for name, one in alone.items() if name not in own)
             odds += others * share * alone[own[0]]
@@ -167,9 +172,9 @@ class _Search:
 
     def contradicted(self) -> set[str]:
         """Return the statements that some of the others contradict, and those with another meaning."""
-        away = (one for at in self.at for one in at.innovations(NO_FAULT))
+        away = (innovation for at in self.at for innovation in at.innovations(NO_FAULT))
         found = {one.name for one in away if abs(one.normalised) > _AGREES}
-        return found | {name for name, one in self.witnesses.items() if FOCAL in one.doubts}
+        return found | {name for name, witness in self.witnesses.items() if FOCAL in witness.doubts}
 
     def improve(self, doubts: Faults) -> None:
         """Search the best amplitudes of doubts, if these may make them count."""
@@ -183,22 +188,23 @@ class _Search:
 
     def combinations(self) -> dict[Faults, float]:
         """Return combinations of doubts with the logarithms of their odds: beside none, and beside those that count."""
-        found: dict[Faults, float] = {NO_FAULT: 0.0}
+        combinations: dict[Faults, float] = {NO_FAULT: 0.0}
         open_ones = [NO_FAULT]
         while open_ones:
             for doubts in self._beside(open_ones.pop()):
-                if doubts not in found:
-                    found[doubts] = self.log_odds(doubts)
-                    if found[doubts] > max(found.values()) - _BESIDE:
+                if doubts not in combinations:
+                    combinations[doubts] = self.log_odds(doubts)
+                    if combinations[doubts] > max(combinations.values()) - _BESIDE:
                         open_ones.append(doubts)
-        del found[NO_FAULT]
-        return found
+        del combinations[NO_FAULT]
+        return combinations
 
     def _beside(self, doubts: Faults) -> Iterator[Faults]:
         """Give the combinations that doubt one more statement, or all of one source."""
         named = dict(doubts)
         sources = [
-            [name for name, one in self.witnesses.items() if one.group == group] for group in _TOGETHER
+            [name for name, witness in self.witnesses.items() if witness.group == group]
+            for group in _TOGETHER
         ]
         for names in [*([name] for name in self.witnesses), *(own for own in sources if len(own) > 1)]:
             if not named.keys() & set(names):
@@ -267,14 +273,14 @@ def _chosen(search: _Search, odds: dict[Faults, float], log_mode: float) -> Doub
     return Doubted(nodes, likeliest, same, scale)
 
 
-def share_of_stars(found: Solution) -> float:
+def share_of_stars(solution: Solution) -> float:
     """Return the share of evidence against statements that counts: places of pupils may be the cause of the rest."""
-    problem = found.marginal.problem
+    problem = solution.marginal.problem
     if problem.pupils is None:
         return 1.0
-    places, witnesses = spread_by_fields(found), problem.knowledge.witnesses
-    rows = np.concatenate([witnesses[name].rows for name, _ in found.faults])
-    stars, discs = (float(((rows @ one) * rows).sum()) for one in (found.covariance, places))
+    places, witnesses = spread_by_fields(solution), problem.knowledge.witnesses
+    rows = np.concatenate([witnesses[name].rows for name, _ in solution.faults])
+    stars, discs = (float(((rows @ one) * rows).sum()) for one in (solution.covariance, places))
     return stars / (stars + discs)
 
 

@@ -175,18 +175,20 @@ class Bench:
     @cached_property
     def _rows(self) -> list[slice]:
         """Rows of each view among those of all stars."""
-        ends = np.cumsum([len(one.points_px) for one in self.stars]).tolist()
-        return [slice(end - len(one.points_px), end) for end, one in zip(ends, self.stars, strict=True)]
+        ends = np.cumsum([len(star.points_px) for star in self.stars]).tolist()
+        return [slice(end - len(star.points_px), end) for end, star in zip(ends, self.stars, strict=True)]
 
     @cached_property
     def _points_px(self) -> Array:
         """(N, 2) the stars of all views."""
-        return np.concatenate([one.points_px for one in self.stars])
+        return np.concatenate([star.points_px for star in self.stars])
 
     @cached_property
     def _factors(self) -> Array:
         """(2, 2, N) the whitening of all stars, for `mapped`."""
-        return np.ascontiguousarray(np.concatenate([one.whitening for one in self.stars]).transpose(1, 2, 0))
+        return np.ascontiguousarray(
+            np.concatenate([star.whitening for star in self.stars]).transpose(1, 2, 0)
+        )
 
     def _of_views(self, values: Array) -> list[Array]:
         """Return values (N, ...) of all stars for each view."""
@@ -287,7 +289,7 @@ class Bench:
         lengths = np.where(in_camera[:, 2] > 0.0, np.hypot(*residuals), np.nan)
         of_views = self._of_views(lengths)
         rim = before.rim if before else self._rim_noise(of_views)
-        precisions = tuple(one.precision(rim) for one in self.stars)
+        precisions = tuple(star.precision(rim) for star in self.stars)
         weights = before.weights if before else _weights(of_views, limit, precisions)
         slopes = mapped(self._factors, np.concatenate([by_camera, by_point], axis=2).transpose(2, 1, 0))
         found = [
@@ -336,13 +338,13 @@ class Bench:
         spread = robust_sigma(lengths)
         scaled = (np.concatenate(lengths) / spread) ** 2
         costs, edge_px = [], _RIM_EDGE_PX / spread
-        usual = float(np.median(np.concatenate([one.sigma_px for one in self.stars])))
+        usual = float(np.median(np.concatenate([star.sigma_px for star in self.stars])))
         for size in usual * _RIM_NOISES:
-            own = np.concatenate([one.precision(RimNoise(size, edge_px)) for one in self.stars])
+            own = np.concatenate([star.precision(RimNoise(size, edge_px)) for star in self.stars])
             costs.append(float(np.minimum(own * scaled, _LONGEST**2).sum()) - 2.0 * float(np.log(own).sum()))
         return RimNoise(_RIM_ALIKE * usual * float(_RIM_NOISES[np.argmin(costs)]), edge_px)
 
-    def _shares(self, found: Sequence[_ViewEquations]) -> Array:
+    def _shares(self, view_equations: Sequence[_ViewEquations]) -> Array:
         """Return (m,) the share of each view that is new: 1 / (1 + (n - 1) rho) in a pose of n views.
 
         rho is the correlation of the residuals of one star in the views of a pose: what no smooth field holds, an error
@@ -357,13 +359,15 @@ class Bench:
             members = np.flatnonzero(self.poses == pose).tolist()
             places = np.round(np.concatenate([self.stars[v].target_mm for v in members]), _SAME_STAR)
             star = np.unique(places, axis=0, return_inverse=True)[1].reshape(-1)
-            roots = np.sqrt(np.concatenate([found[v].weights for v in members]))
-            residuals = roots[:, None] * np.concatenate([found[v].residuals for v in members])
+            roots = np.sqrt(np.concatenate([view_equations[v].weights for v in members]))
+            residuals = roots[:, None] * np.concatenate([view_equations[v].residuals for v in members])
             sums = [np.bincount(star, column) for column in (*residuals.T, roots)]
             both += float((sums[0] ** 2 + sums[1] ** 2).sum() - (residuals**2).sum())
             pairs += float((sums[2] ** 2).sum() - (roots**2).sum())
-        squares = sum(float(one.weights @ one.lengths**2) for one in found)
-        alike = both * sum(float(one.weights.sum()) for one in found) / max(pairs * squares, _NOTHING)
+        squares = sum(float(one.weights @ one.lengths**2) for one in view_equations)
+        alike = (
+            both * sum(float(one.weights.sum()) for one in view_equations) / max(pairs * squares, _NOTHING)
+        )
         return np.asarray(1.0 / (1.0 + (views[self.poses] - 1) * min(max(alike, 0.0), 1.0)))
 
     def _view(
@@ -461,7 +465,8 @@ def _by_turn(in_camera: Array, by_point: Array) -> Array:
 def _weights(lengths: Sequence[Array], limit: float, precisions: Sequence[Array]) -> list[Array]:
     """Return for each view (N,) the weights of the stars: robust ones times their precision near the rim."""
     return [
-        own * robust_weights(np.sqrt(own) * one, limit) for own, one in zip(precisions, lengths, strict=True)
+        own * robust_weights(np.sqrt(own) * length, limit)
+        for own, length in zip(precisions, lengths, strict=True)
     ]
 
 

@@ -133,8 +133,8 @@ class Statement:
     @cached_property
     def _informations(self) -> dict[str, Array]:
         """The inverse covariances, by doubt."""
-        covariances = {"": self.covariance} | {name: one.covariance for name, one in self.doubts.items()}
-        return {name: np.asarray(np.linalg.inv(one)) for name, one in covariances.items()}
+        covariances = {"": self.covariance} | {name: doubt.covariance for name, doubt in self.doubts.items()}
+        return {name: np.asarray(np.linalg.inv(covariance)) for name, covariance in covariances.items()}
 
     def information(self, doubt: str = "") -> Array:
         """Return the (k, k) inverse covariance; ``doubt`` is one of `doubts`, or empty if the statement holds."""
@@ -156,7 +156,7 @@ class Knowledge:
     @property
     def witnesses(self) -> dict[str, Statement]:
         """The statements that could be wrong, by name."""
-        return {one.name: one for one in self.statements if one.free is not None}
+        return {statement.name: statement for statement in self.statements if statement.free is not None}
 
 
 class _Source(NamedTuple):
@@ -224,19 +224,19 @@ def _camera(layout: Layout, image_size: tuple[int, int], start: Mapping[str, flo
     f = float(np.sqrt(start["fx"] * start["fy"]))
     square = _Source(layout, rows.PRIORS, "pixels are square")
     still = _Source(layout, rows.PRIORS, "nothing changes while the poses are recorded")
-    found = [
+    camera = [
         square.says(ASPECT, {"fx": 1.0 / f, "fy": -1.0 / f}, (0.0, _ASPECT_SIGMA), _FREE_ASPECT),
         replace(still.says(STEADY, {DRIFT: 1.0}, (0.0, _DRIFT_SIGMA), _FREE_DRIFT), doubt=UNSTEADY.odds),
     ]
     corner, lens = 0.5 * float(np.hypot(*image_size)) / f, _Source(layout, rows.LENS, "expected sizes")
     sigmas = {name: one * corner ** (-2.0 * (int(name[1]) - 3)) for name, one in _DENOMINATOR.items()}
     sigmas["skew"] = _SKEW_PX
-    found += [
+    camera += [
         lens.says(rows.LENS, {name: 1.0}, (0.0, sigmas[name]))
         for name in layout.pose.camera[4:]
         if name in sigmas
     ]
-    return found
+    return camera
 
 
 def _limits(layout: Layout, image_size: tuple[int, int], start: Mapping[str, float]) -> list[Statement]:
@@ -375,17 +375,17 @@ def _gimbal(layout: Layout, readings: GimbalReadings) -> list[Statement]:
     eccentric = max(float(np.radians(readings.eccentricity_deg)), 1e-9)
     shown = _Source(layout, rows.READINGS, "station: reading_sigma_deg")
     play = PLAY_SHARE * float(np.radians(readings.reading_sigma_deg))
-    found = [expected.says(rows.GIMBAL_AXES, {name: 1.0}, (0.0, 1.0)) for name in (*MOUNTING, *STANDING)]
-    found.append(expected.says(ORTHOGONAL, {NON_ORTHOGONALITY: 1.0}, (0.0, square), 0.1))
+    gimbal = [expected.says(rows.GIMBAL_AXES, {name: 1.0}, (0.0, 1.0)) for name in (*MOUNTING, *STANDING)]
+    gimbal.append(expected.says(ORTHOGONAL, {NON_ORTHOGONALITY: 1.0}, (0.0, square), 0.1))
     for name in layout.names_of(GimbalErrors):
         if name in SCALES:
             what = SCALE_OF.format(name.removeprefix("scale_"))
-            found.append(station.says(what, {name: 1.0}, scale, FREE_SCALE, "1"))
+            gimbal.append(station.says(what, {name: 1.0}, scale, FREE_SCALE, "1"))
         elif name.startswith("eccentricity"):
-            found.append(station.says(rows.GIMBAL_SCALE, {name: 1.0}, (0.0, eccentric)))
+            gimbal.append(station.says(rows.GIMBAL_SCALE, {name: 1.0}, (0.0, eccentric)))
         elif name.startswith(PLAY):
-            found.append(shown.says(rows.READINGS, {name: 1.0}, (0.0, play)))
-    return found
+            gimbal.append(shown.says(rows.READINGS, {name: 1.0}, (0.0, play)))
+    return gimbal
 
 
 def term_shapes(terms: Sequence[TypeBTerm], basis: FieldBasis) -> dict[str, Array]:

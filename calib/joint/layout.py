@@ -79,11 +79,11 @@ class Layout:
 
     def maps(self, poses: Turned) -> Array:
         """Return (n, B, S) what the shared unknowns do to the bases of n poses."""
-        found = np.zeros((len(poses.turns), self.pose.size, len(self.names)))
+        maps = np.zeros((len(poses.turns), self.pose.size, len(self.names)))
         ends = np.cumsum([len(effect.names) for effect in self.effects])
         for effect, end in zip(self.effects, ends, strict=True):
-            effect.fill(found[:, :, end - len(effect.names) : end], poses)
-        return found
+            effect.fill(maps[:, :, end - len(effect.names) : end], poses)
+        return maps
 
     @cached_property
     def priors(self) -> tuple[RandomBlock, ...]:

@@ -105,16 +105,16 @@ def maps_with_gimbal(bench: Bench, maps: Array) -> Array:
     return np.concatenate([maps, np.tile(units, (len(maps), 1, 1))], axis=1)
 
 
-def rotation_errors(found: Posterior) -> RotationErrors:
+def rotation_errors(posterior: Posterior) -> RotationErrors:
     """Return how the rotations of all m views follow the shared unknowns, and what each adds."""
-    marginal, optimum = found.optimum.marginal, found.optimum
+    marginal, optimum = posterior.optimum.marginal, posterior.optimum
     stated, random = marginal.problem.stated(), marginal.problem.random
-    prior, pull = stated.information.copy(), stated.off(found.mean)[0].copy()
+    prior, pull = stated.information.copy(), stated.off(posterior.mean)[0].copy()
     prior[np.ix_(random.places, random.places)] += optimum.solution.inside
-    pull[random.places] -= optimum.solution.inside @ found.mean[random.places]
+    pull[random.places] -= optimum.solution.inside @ posterior.mean[random.places]
     by_shared, own = _follow(optimum.solution)
     names = marginal.problem.bench.layout.names
-    return RotationErrors(names, found.mean, found.covariance, prior, pull, by_shared, own)
+    return RotationErrors(names, posterior.mean, posterior.covariance, prior, pull, by_shared, own)
 
 
 def _follow(solution: Solution) -> tuple[Array, Array]:

@@ -367,19 +367,19 @@ class Marginal:
         )
 
     # -- what a solution leaves
-    def star_cost(self, found: Solution) -> float:
+    def star_cost(self, solution: Solution) -> float:
         """Return the weighted square sum of the stars' residuals at the mean of a solution, if all is linear."""
-        step, fields = found.step, found.fields
+        step, fields = solution.step, solution.fields
         cost = (
             self.equations.cost - 2.0 * float(self.pull @ step) - 2.0 * float((self.own_pull * fields).sum())
         )
         cost += float(step @ self.shared @ step) + 2.0 * float((fields * (self.between @ step)).sum())
         return cost + float((fields * (self.own @ fields[:, :, None])[:, :, 0]).sum())
 
-    def readings_left(self, found: Solution) -> Array:
+    def readings_left(self, solution: Solution) -> Array:
         """Return the (m, 3) residuals of the readings at a solution, in the principal axes."""
-        own = (self.own_rows @ found.fields[self._poses][:, :, None])[:, :, 0]
-        return np.asarray(self.off - self.rows @ found.step - own)
+        own = (self.own_rows @ solution.fields[self._poses][:, :, None])[:, :, 0]
+        return np.asarray(self.off - self.rows @ solution.step - own)
 
     def rotation_steps(self, squares: Array, step: Array, fields: Array) -> Array:
         """Return (m, 3) the rotation vectors of the views, rad, that belong to (S,) and (n, F) steps of all else."""

@@ -85,8 +85,8 @@ def _others(optimum: Optimum, curvature: Array) -> list[Node]:
     """Return the other modes that there are."""
     known = [optimum.solution]
 
-    def near(one: Solution) -> bool:
-        away = np.array([one.eta - other.eta for other in known])
+    def near(solution: Solution) -> bool:
+        away = np.array([solution.eta - other.eta for other in known])
         return bool((((away @ curvature) * away).sum(axis=1) < _APART).any())
 
     for start in _starts_of_others(optimum):
@@ -114,7 +114,7 @@ def _starts_of_others(optimum: Optimum) -> list[Array]:
     return [follows, parallax]
 
 
-def _odds_of_mode(one: Solution, other: Solution, curvature: Array) -> float:
+def _odds_of_mode(solution: Solution, other: Solution, curvature: Array) -> float:
     """Return the odds of a mode against another one, which has the (A, A) curvature, by values and widths (Laplace)."""
-    wider = float(np.linalg.slogdet(curvature)[1] - np.linalg.slogdet(0.5 * expected_curvature(one))[1])
-    return float(np.exp(min(log_odds(one, other, 0.5 * wider), LARGEST_LOG)))
+    wider = float(np.linalg.slogdet(curvature)[1] - np.linalg.slogdet(0.5 * expected_curvature(solution))[1])
+    return float(np.exp(min(log_odds(solution, other, 0.5 * wider), LARGEST_LOG)))

@@ -28,121 +28,125 @@ class _Seen(NamedTuple):
     right: Array  # (n, B) right-hand side, after the step of all other unknowns
 
 
-def step_to_places(found: Solution) -> Array:
+def step_to_places(solution: Solution) -> Array:
     """Return the (n, 2) step, in sines, from the present places to the most probable ones."""
-    bench, pupils = found.marginal.problem.bench, _pupils(found)
-    seen, moved = _seen(found), _moved(found)
+    bench, pupils = solution.marginal.problem.bench, _pupils(solution)
+    seen, moved = _seen(solution), _moved(solution)
     pull = (moved.swapaxes(1, 2) @ seen.right[:, :, None])[:, :, 0]
     away = pupils.information @ (bench.pupils - pupils.shown).reshape(-1)
-    gradient, curvature = _of_determinant(found)
-    information = pupils.information + _information(seen, moved, found) + block_diagonal(curvature)
+    gradient, curvature = _of_determinant(solution)
+    information = pupils.information + _information(seen, moved, solution) + block_diagonal(curvature)
     step = np.linalg.solve(information, (pull - gradient).reshape(-1) - away)
     return np.asarray(step.reshape(-1, 2), np.float64)
 
 
-def narrowed(found: Solution) -> float:
+def narrowed(solution: Solution) -> float:
     """Return 2 log of by how much the stars narrow the places that the discs leave open.
 
     With the places integrated out, -2 log of the likelihood is so much larger than at the most probable ones (Laplace).
     """
-    discs = _pupils(found).information
-    with_stars = discs + _information(_seen(found), _moved(found), found)
+    discs = _pupils(solution).information
+    with_stars = discs + _information(_seen(solution), _moved(solution), solution)
     return float(np.linalg.slogdet(with_stars)[1] - np.linalg.slogdet(discs)[1])
 
 
-def spread_of_places(found: Solution) -> Array:
+def spread_of_places(solution: Solution) -> Array:
     """Return the (S, S) covariance of the shared unknowns that comes from errors of the places.
 
     Fields by turn multiply an error of a place, and so do their own errors: the product of two independent errors has
     the product of their variances.
     """
-    columns = found.marginal.problem.bench.layout.by_turn.columns
-    errors = np.linalg.cholesky(found.covariance[columns[:, None], columns])
-    return _spread(found, np.column_stack([_fields(found), errors]))
+    columns = solution.marginal.problem.bench.layout.by_turn.columns
+    errors = np.linalg.cholesky(solution.covariance[columns[:, None], columns])
+    return _spread(solution, np.column_stack([_fields(solution), errors]))
 
 
-def spread_by_fields(found: Solution) -> Array:
+def spread_by_fields(solution: Solution) -> Array:
     """Return the part of `spread_of_places` that comes from the fields found, without their errors."""
-    return _spread(found, _fields(found)[:, None])
+    return _spread(solution, _fields(solution)[:, None])
 
 
-def _spread(found: Solution, fields: Array) -> Array:
+def _spread(solution: Solution, fields: Array) -> Array:
     """Return the (S, S) sum of what errors of the places do, each multiplied by (Q, L) fields by turn."""
-    bench, seen = found.marginal.problem.bench, _seen(found)
-    by_turn, stars = bench.layout.by_turn, _information(seen, _moved(found), found)
-    places = inverse_root(_pupils(found).information + _COUNTED * stars)[0]
+    bench, seen = solution.marginal.problem.bench, _seen(solution)
+    by_turn, stars = bench.layout.by_turn, _information(seen, _moved(solution), solution)
+    places = inverse_root(_pupils(solution).information + _COUNTED * stars)[0]
     slopes = by_turn.slopes(bench.pupils)
     turned = np.einsum("kia,iaq->kiq", places.reshape(len(places), *slopes.shape[:2]), slopes)
     moved = np.einsum("kiq,isq->ksq", turned, seen.shared[:, :, by_turn.rows]) @ fields
-    half = found.covariance @ moved.swapaxes(0, 1).reshape(len(found.covariance), -1)
+    half = solution.covariance @ moved.swapaxes(0, 1).reshape(len(solution.covariance), -1)
     return half @ half.T
 
 
-def _pupils(found: Solution) -> Pupils:
+def _pupils(solution: Solution) -> Pupils:
     """Return the pupils of a mount that is moved by hand; no other mount has places."""
-    pupils = found.marginal.problem.pupils
+    pupils = solution.marginal.problem.pupils
     assert pupils is not None
     return pupils
 
 
-def _fields(found: Solution) -> Array:
+def _fields(solution: Solution) -> Array:
     """Return the (Q,) coefficients of the fields by turn."""
-    marginal = found.marginal
-    return (marginal.state.shared + found.step)[marginal.problem.bench.layout.by_turn.columns]
+    marginal = solution.marginal
+    return (marginal.state.shared + solution.step)[marginal.problem.bench.layout.by_turn.columns]
 
 
-def _moved(found: Solution) -> Array:
+def _moved(solution: Solution) -> Array:
     """Return (n, B, 2) what the places do to the bases."""
-    bench = found.marginal.problem.bench
+    bench = solution.marginal.problem.bench
     by_turn = bench.layout.by_turn
-    slopes = by_turn.slopes(bench.pupils) * _fields(found)
+    slopes = by_turn.slopes(bench.pupils) * _fields(solution)
     return np.asarray((slopes @ np.eye(bench.layout.pose.size)[by_turn.rows]).swapaxes(1, 2))
 
 
-def _information(seen: _Seen, moved: Array, found: Solution) -> Array:
+def _information(seen: _Seen, moved: Array, solution: Solution) -> Array:
     """Return the (2 n, 2 n) information of the places, all else eliminated."""
     shared = np.concatenate(list(seen.shared @ moved), axis=1)
     alone = moved.swapaxes(1, 2) @ seen.information @ moved
-    return np.asarray(block_diagonal(alone) - shared.T @ found.covariance @ shared)
+    return np.asarray(block_diagonal(alone) - shared.T @ solution.covariance @ shared)
 
 
-def _seen(found: Solution) -> _Seen:
-    marginal, bench, equations = found.marginal, found.marginal.problem.bench, found.marginal.equations
+def _seen(solution: Solution) -> _Seen:
+    marginal, bench, equations = (
+        solution.marginal,
+        solution.marginal.problem.bench,
+        solution.marginal.equations,
+    )
     own = bench.layout.own.places
-    information, right = equations.squares / found.star_variance, equations.right / found.star_variance
+    information, right = equations.squares / solution.star_variance, equations.right / solution.star_variance
     shared = equations.maps.swapaxes(1, 2) @ information
     if marginal.uses_readings:  # in the axes of each view's rotation
         rows = marginal.axes @ equations.coupling
-        weighted = marginal.reading_weights(found.squares)[:, :, None] * rows
+        weighted = marginal.reading_weights(solution.squares)[:, :, None] * rows
         information = information + bench.by_pose(rows.swapaxes(1, 2) @ weighted)
         shared = shared + bench.by_pose(marginal.rows.swapaxes(1, 2) @ weighted)
         right = right + bench.by_pose((weighted.swapaxes(1, 2) @ marginal.off[:, :, None])[:, :, 0])
     with_own = information[:, own]
-    right = right - found.step @ shared - (found.fields[:, None] @ with_own)[:, 0]
-    information = information - with_own.swapaxes(1, 2) @ found.own @ with_own
-    return _Seen(information, shared - found.follow.swapaxes(1, 2) @ with_own, right)
+    right = right - solution.step @ shared - (solution.fields[:, None] @ with_own)[:, 0]
+    information = information - with_own.swapaxes(1, 2) @ solution.own @ with_own
+    return _Seen(information, shared - solution.follow.swapaxes(1, 2) @ with_own, right)
 
 
-def _of_determinant(found: Solution) -> tuple[Array, Array]:
+def _of_determinant(solution: Solution) -> tuple[Array, Array]:
     """Return (n, 2), (n, 2, 2) half of gradient and curvature of log det of the shared information by the places.
 
     Without them the places would follow fields that are hardly known. Readings have no part in them. Where a pose alone
     determines the fields, its place changes hardly any determinant: only what others know of it bends.
     """
     marginal, bench, layout = (
-        found.marginal,
-        found.marginal.problem.bench,
-        found.marginal.problem.bench.layout,
+        solution.marginal,
+        solution.marginal.problem.bench,
+        solution.marginal.problem.bench.layout,
     )
-    stars = marginal.equations.squares / found.star_variance
+    stars = marginal.equations.squares / solution.star_variance
     by_turn, own = layout.by_turn, layout.own.places
     slopes = by_turn.slopes(bench.pupils)
-    left = stars - stars[:, :, own] @ found.own @ stars[:, own]
+    left = stars - stars[:, :, own] @ solution.own @ stars[:, own]
     maps = marginal.equations.maps
-    spread = maps @ found.covariance
+    spread = maps @ solution.covariance
     together = left @ spread[:, :, by_turn.columns]
     gradient = (slopes @ together[:, by_turn.rows, range(len(by_turn.rows)), None])[:, :, 0]
-    known = found.covariance[by_turn.columns[:, None], by_turn.columns]
+    known = solution.covariance[by_turn.columns[:, None], by_turn.columns]
     others = left - left @ (spread @ maps.swapaxes(1, 2)) @ left
     curved = others[:, by_turn.rows[:, None], by_turn.rows] * known
     return gradient, slopes @ curved @ slopes.swapaxes(1, 2)

@@ -211,7 +211,9 @@ def _also(
 
     They count by their weights against the ``odds`` of this fault. If these are alike, the result covers both.
     """
-    found = {one.faults: one for one in modes if relative_step(there.marginal, one.solution.step) < _REACHED}
+    found = {
+        mode.faults: mode for mode in modes if relative_step(there.marginal, mode.solution.step) < _REACHED
+    }
     if faults not in found:
         return []
     whole = found[faults].weight / odds

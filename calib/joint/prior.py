@@ -25,7 +25,7 @@ _SMALLEST = 24
 
 def block_diagonal(blocks: Array | Sequence[Array]) -> Array:
     """Return the matrix with square blocks on its diagonal; with that of `scipy.linalg`, `plan` would start slower."""
-    ends = np.cumsum([len(one) for one in blocks])
+    ends = np.cumsum([len(block) for block in blocks])
     whole = np.zeros((ends[-1], ends[-1]))
     for end, own in zip(ends, blocks, strict=True):
         whole[end - len(own) : end, end - len(own) : end] = own
@@ -44,11 +44,11 @@ def _inverse_of_triangle(lower: Array) -> Array:
     half = lower.shape[-1] // 2
     if half < _SMALLEST:
         return np.asarray(np.linalg.inv(lower))
-    found = np.zeros_like(lower)
-    first = found[..., :half, :half] = _inverse_of_triangle(lower[..., :half, :half])
-    last = found[..., half:, half:] = _inverse_of_triangle(lower[..., half:, half:])
-    found[..., half:, :half] = -last @ (lower[..., half:, :half] @ first)
-    return found
+    inverse = np.zeros_like(lower)
+    first = inverse[..., :half, :half] = _inverse_of_triangle(lower[..., :half, :half])
+    last = inverse[..., half:, half:] = _inverse_of_triangle(lower[..., half:, half:])
+    inverse[..., half:, :half] = -last @ (lower[..., half:, :half] @ first)
+    return inverse
 
 
 @dataclass(frozen=True)
@@ -109,13 +109,13 @@ class RandomPrior:
 
         For the (K, K) prior information, and covariance and mean of the unknowns.
         """
-        found = np.zeros(len(self.amplitudes))
+        gradient = np.zeros(len(self.amplitudes))
         for rows, columns in self.blocks:
             own, shape = inside[rows, rows], self.shapes[rows, columns]
             pulled = own @ mean[rows]
             left = own - own @ covariance[rows, rows] @ own - np.outer(pulled, pulled)
-            found[columns] = ((left @ shape) * shape).sum(axis=0)
-        return found
+            gradient[columns] = ((left @ shape) * shape).sum(axis=0)
+        return gradient
 
     def times_pulled(self, values: Array, pulled: Array) -> Array:
         """Return (..., Q) values (..., K) times `pulled`."""
@@ -137,14 +137,14 @@ class Stated:
     def of(cls, statements: Sequence[Statement], faults: Faults = NO_FAULT) -> Stated:
         """Return statements as one; some may be at fault."""
         wrong = dict(faults)
-        informations = [one.information(wrong.get(one.name, "")) for one in statements]
+        informations = [statement.information(wrong.get(statement.name, "")) for statement in statements]
         inside = block_diagonal(informations)
         return cls(
-            np.concatenate([one.rows for one in statements]),
-            np.concatenate([one.values for one in statements]),
+            np.concatenate([statement.rows for statement in statements]),
+            np.concatenate([statement.values for statement in statements]),
             inside,
             -float(np.linalg.slogdet(inside)[1]),
-            tuple(one.group for one in statements for _ in one.values),
+            tuple(statement.group for statement in statements for _ in statement.values),
         )
 
     @cached_property

@@ -41,12 +41,12 @@ class Pupils:
         return replace(self, shown=self.shown + _AS_TURNS / self.r_mm * away)
 
 
-def shown_way(found: Discs) -> Pupil:
+def shown_way(discs: Discs) -> Pupil:
     """Return how the pupil is more probably moved, by the discs alone."""
-    return Pupil.BY_HAND if found.wander > 0.0 and len(found.of_views) > 1 else Pupil.WALKS
+    return Pupil.BY_HAND if discs.wander > 0.0 and len(discs.of_views) > 1 else Pupil.WALKS
 
 
-def lever_of(found: Discs | None, turns: Array, r_mm: float, bound: ParallaxBound | None = None) -> Lever:
+def lever_of(discs: Discs | None, turns: Array, r_mm: float, bound: ParallaxBound | None = None) -> Lever:
     """Return how far the pupil of a gimbal moves across the beam, as stated or as the discs show. turns: (n, 2).
 
     A stated distance from the pivot adds to what is expected. If none is stated, the logarithm of the size is Gaussian
@@ -56,9 +56,9 @@ def lever_of(found: Discs | None, turns: Array, r_mm: float, bound: ParallaxBoun
     if bound is not None:
         off = np.hypot(bound.pupil_off_pivot_mm, bound.pupil_off_pivot_sigma_mm) / r_mm
         return Lever(float(np.hypot(off, LEVER)), 0.0)
-    if found is None or len(turns) < 2:
+    if discs is None or len(turns) < 2:
         return Lever(LEVER, _LEVER_SPREAD)
-    away, differences = _about_their_mean(found)
+    away, differences = _about_their_mean(discs)
     along = _along(turns) / r_mm
     ways, unseen = along @ away.reshape(-1), np.diag(np.where(np.ptp(turns, axis=0) < _NO_TURN, 1.0, 0.0))
     logs = np.log(LEVER) + _LEVERS * _LEVER_SPREAD
@@ -77,17 +77,17 @@ def _along(turns: Array) -> Array:
     return np.einsum("na,ab->anb", turned, np.eye(2)).reshape(2, -1)
 
 
-def _about_their_mean(found: Discs) -> tuple[Array, Array]:
+def _about_their_mean(discs: Discs) -> tuple[Array, Array]:
     """Return the (n, 2) middles of discs about their mean, mm, and their covariance."""
-    middles = np.array([disc.centre_mm for disc in found.of_views])
+    middles = np.array([disc.centre_mm for disc in discs.of_views])
     n = len(middles)
     about = np.kron(np.eye(n) - 1.0 / n, np.eye(2))
-    return middles - middles.mean(axis=0), about @ found.covariance_mm2 @ about
+    return middles - middles.mean(axis=0), about @ discs.covariance_mm2 @ about
 
 
-def pupils_of(found: Discs, r_mm: float) -> Pupils:
+def pupils_of(discs: Discs, r_mm: float) -> Pupils:
     """Return the pupils of a mount that is moved by hand."""
-    away, differences = _about_their_mean(found)
+    away, differences = _about_their_mean(discs)
     n, as_turns = len(away), _AS_TURNS / r_mm
     covariance = as_turns**2 * differences
     covariance += _SAME**2 * np.kron(np.full((n, n), 1.0 / n), np.eye(2))

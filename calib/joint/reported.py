@@ -27,26 +27,26 @@ class Reported:
     rows: Array  # (K, S)
     follows: Array  # (K,) how each follows the term of r^8 that it takes up
 
-    def factors(self, found: Posterior, sigmas: Array) -> list[float]:
+    def factors(self, posterior: Posterior, sigmas: Array) -> list[float]:
         """Return the coverage factors; sigmas: (K,). U of k1 to k3 also covers the coefficients of the whole series."""
-        layout = found.optimum.marginal.problem.bench.layout
+        layout = posterior.optimum.marginal.problem.bench.layout
         units = np.eye(len(layout.names))[layout.places(self.names)]
         taken = (
-            np.abs(self.follows) * abs(float(found.mean[layout.index[R8]]))
+            np.abs(self.follows) * abs(float(posterior.mean[layout.index[R8]]))
             if R8 in layout.index
             else 0.0 * sigmas
         )
         halves = [
-            found.expanded(row) if follow == 0.0 else found.expanded(unit) + more
+            posterior.expanded(row) if follow == 0.0 else posterior.expanded(unit) + more
             for row, unit, follow, more in zip(self.rows, units, self.follows, taken, strict=True)
         ]
         return [float(half / sigma) for half, sigma in zip(halves, sigmas, strict=True)]
 
 
-def reported(found: Posterior, further: tuple[str, ...]) -> Reported:
+def reported(posterior: Posterior, further: tuple[str, ...]) -> Reported:
     """Return the parameters of the camera that a result states, and ``further`` unknowns."""
-    bench = found.optimum.marginal.problem.bench
-    layout, camera = bench.layout, bench.camera(found.mean)
+    bench = posterior.optimum.marginal.problem.bench
+    layout, camera = bench.layout, bench.camera(posterior.mean)
     names = (*(name for name in layout.pose.camera if name != R8), *further)
     shares = _taken_up(camera) if R8 in layout.index else {}
     follows = np.array([shares.get(name, 0.0) for name in names])

@@ -47,41 +47,41 @@ def calibrate_jointly(
     """Return the result; wrong stars take no part, nor do readings of the gimbal that contradict the stars."""
     used, stated = used_stars(views, options.guard_band, wrong), options
     kept = [view if own.all() else view.part(own) for view, own in zip(views, used, strict=True)]
-    found = posterior_of(kept, options)
-    shifted = shifted_ids(found.optimum, kept, options)
-    gimbal = _gimbal(found, parameters := _parameters(found), options)
-    doubted = found
+    posterior = posterior_of(kept, options)
+    shifted = shifted_ids(posterior.optimum, kept, options)
+    gimbal = _gimbal(posterior, parameters := _parameters(posterior), options)
+    doubted = posterior
     if gimbal is not None and gimbal.entered:
-        doubted = with_doubted_bound(found, kept, options, shifted)
-    if doubted is not found:
-        found = doubted
-        shifted = shifted_ids(found.optimum, kept, options)
-        gimbal = _gimbal(found, parameters := _parameters(found), options)
+        doubted = with_doubted_bound(posterior, kept, options, shifted)
+    if doubted is not posterior:
+        posterior = doubted
+        shifted = shifted_ids(posterior.optimum, kept, options)
+        gimbal = _gimbal(posterior, parameters := _parameters(posterior), options)
     if gimbal is not None and not gimbal.entered:
         options = replace(options, gimbal=None)
-        found = posterior_of(kept, options)
-        parameters = _parameters(found)
-        shifted = shifted if shifted.words else shifted_ids(found.optimum, kept, options)
-    require_determined(found, kept, parameters, options, shifted.words)
-    result = _calibration(found, views, used, parameters, gimbal)
+        posterior = posterior_of(kept, options)
+        parameters = _parameters(posterior)
+        shifted = shifted if shifted.words else shifted_ids(posterior.optimum, kept, options)
+    require_determined(posterior, kept, parameters, options, shifted.words)
+    result = _calibration(posterior, views, used, parameters, gimbal)
     from calib.joint.causes import find_causes  # here: it brings scipy, which a forecast does not need
 
-    causes = () if shifted.words else find_causes(result, found, kept, stated)
+    causes = () if shifted.words else find_causes(result, posterior, kept, stated)
     result = replace(result, causes=causes)
-    other = "" if shifted.words else find_other_origins(found.optimum, kept)
-    return replace(result, notes=(*filter(None, (shifted.words, other)), *notes(result, found)))
+    other = "" if shifted.words else find_other_origins(posterior.optimum, kept)
+    return replace(result, notes=(*filter(None, (shifted.words, other)), *notes(result, posterior)))
 
 
-def _parameters(found: Posterior) -> AdjustmentParameters:
+def _parameters(posterior: Posterior) -> AdjustmentParameters:
     """Return the posterior's mean. Rotations and gimbal are those that belong to it."""
-    optimum, bench = found.optimum, found.optimum.marginal.problem.bench
-    named = dict(zip(bench.layout.names, found.mean.tolist(), strict=True))
+    optimum, bench = posterior.optimum, posterior.optimum.marginal.problem.bench
+    named = dict(zip(bench.layout.names, posterior.mean.tolist(), strict=True))
     radial = {name: named[name] for name in RADIAL}
     centre = Collimator(named["x"], named["y"], named["r"], radial, bench.layout.basis.reference)
-    best, step = optimum.solution, found.mean - optimum.state.shared
+    best, step = optimum.solution, posterior.mean - optimum.state.shared
     last = _reached(optimum, step, best.fields - best.follow @ (step - best.step))
     return AdjustmentParameters(
-        bench.camera(found.mean), centre, last.rotations, np.zeros((len(last.rotations), 3)), last.gimbal
+        bench.camera(posterior.mean), centre, last.rotations, np.zeros((len(last.rotations), 3)), last.gimbal
     )
 
 
@@ -92,19 +92,19 @@ def _reached(optimum: Optimum, step: Array, fields: Array) -> State:
 
 
 def _calibration(
-    found: Posterior,
+    posterior: Posterior,
     views: Sequence[View],
     used: Sequence[NDArray[np.bool_]],
     parameters: AdjustmentParameters,
     gimbal: GimbalEstimate | None,
 ) -> Calibration:
-    bench = found.optimum.marginal.problem.bench
-    stated = summarised(found)
-    star = float(np.sqrt(found.optimum.solution.star_variance))
-    residuals, weights = _residuals(found, views, used, star)
+    bench = posterior.optimum.marginal.problem.bench
+    stated = summarised(posterior)
+    star = float(np.sqrt(posterior.optimum.solution.star_variance))
+    residuals, weights = _residuals(posterior, views, used, star)
     lengths = [np.linalg.norm(e[own], axis=1) for e, own in zip(residuals, used, strict=True)]
     rms_px, mean_px = rms_and_mean(np.concatenate(lengths))
-    errors = rotation_errors(found)
+    errors = rotation_errors(posterior)
     return Calibration(
         model="joint",
         camera=without_r8(parameters.camera),
@@ -119,38 +119,38 @@ def _calibration(
         rms_px=rms_px,
         mean_px=mean_px,
         variance_factor=star**2,
-        degrees_of_freedom=max(round(found.optimum.solution.freedom), 1),
+        degrees_of_freedom=max(round(posterior.optimum.solution.freedom), 1),
         views=tuple(
             ViewSummary(view.name, len(own), *rms_and_mean(own))
             for view, own in zip(views, lengths, strict=True)
         ),
-        converged=found.optimum.converged,
-        iterations=found.optimum.iterations,
-        birge_ratio=found.optimum.disagreement,
+        converged=posterior.optimum.converged,
+        iterations=posterior.optimum.iterations,
+        birge_ratio=posterior.optimum.disagreement,
         coverage_factor=stated.coverage_factors["fx"],
-        left_out_rms_px=left_out_rms(found.optimum),
+        left_out_rms_px=left_out_rms(posterior.optimum),
         rotation_covariance=errors.joint_covariance,
         rotation_errors=errors,
         budget=stated.budget,
         gimbal=gimbal,
-        boresight=boresight(found, parameters.camera, parameters.gimbal),
+        boresight=boresight(posterior, parameters.camera, parameters.gimbal),
         poses=tuple(int(pose) for pose in bench.poses),
         budget_rows=stated.rows,
-        witnesses=_witnesses(found),
-        amplitudes=_amplitudes(found),
+        witnesses=_witnesses(posterior),
+        amplitudes=_amplitudes(posterior),
         coverage_factors=stated.coverage_factors,
-        glass=_glass(found, views),
+        glass=_glass(posterior, views),
     )
 
 
 def _residuals(
-    found: Posterior,
+    posterior: Posterior,
     views: Sequence[View],
     used: Sequence[NDArray[np.bool_]],
     star: float,
 ) -> tuple[list[Array], list[Array]]:
     """Return the residuals of all stars at the mode, and their weights; 0 for stars that were not used."""
-    optimum, bench = found.optimum, found.optimum.marginal.problem.bench
+    optimum, bench = posterior.optimum, posterior.optimum.marginal.problem.bench
     discs = bench.discs or [None] * len(views)
     stars = tuple(ViewStars.of(view, bench.layout, disc) for view, disc in zip(views, discs, strict=True))
     whole = replace(bench, stars=stars, readings=None)
@@ -163,39 +163,46 @@ def _residuals(
     return whole.residuals(state), weights
 
 
-def _witnesses(found: Posterior) -> tuple[Witness, ...]:
+def _witnesses(posterior: Posterior) -> tuple[Witness, ...]:
     """Return the statements against what all others say."""
     witnesses = []
-    for one in found.innovations():
-        said, together = one.statement, len(one.statement.values) > 1
-        numbers = (said.values[0], np.sqrt(said.covariance[0, 0]), one.expected[0], one.sigma[0])
+    for innovation in posterior.innovations():
+        said, together = innovation.statement, len(innovation.statement.values) > 1
+        numbers = (
+            said.values[0],
+            np.sqrt(said.covariance[0, 0]),
+            innovation.expected[0],
+            innovation.sigma[0],
+        )
         stated, sigma, expected, spread = (None if together else float(number) for number in numbers)
-        what = one.name, said.source, said.unit
-        witnesses.append(Witness(*what, stated, sigma, expected, spread, one.normalised, one.probability))
-    marginal = found.optimum.marginal
+        what = innovation.name, said.source, said.unit
+        witnesses.append(
+            Witness(*what, stated, sigma, expected, spread, innovation.normalised, innovation.probability)
+        )
+    marginal = posterior.optimum.marginal
     if marginal.uses_readings:
-        witnesses.append(_size(found, READINGS, "station: reading_sigma_deg", amp.READING))
+        witnesses.append(_size(posterior, READINGS, "station: reading_sigma_deg", amp.READING))
     if amp.CHANGE in marginal.problem.hyper.names:
-        witnesses.append(_size(found, CHANGED_FIELD, "expected of another pupil", amp.CHANGE))
+        witnesses.append(_size(posterior, CHANGED_FIELD, "expected of another pupil", amp.CHANGE))
     return tuple(witnesses)
 
 
-def _size(found: Posterior, name: str, source: str, amplitude: str) -> Witness:
+def _size(posterior: Posterior, name: str, source: str, amplitude: str) -> Witness:
     """Return the witness of errors whose size is expected: how many times as large they are."""
-    hyper = found.optimum.marginal.problem.hyper
+    hyper = posterior.optimum.marginal.problem.hyper
     at = hyper.at(amplitude)
-    away, width = float(found.optimum.eta[at] - hyper.mean[at]), float(np.sqrt(hyper.covariance[at, at]))
+    away, width = float(posterior.optimum.eta[at] - hyper.mean[at]), float(np.sqrt(hyper.covariance[at, at]))
     times = float(np.exp(away))
-    spread = times * float(found.spread[at])
+    spread = times * float(posterior.spread[at])
     return Witness(name, source, "times stated", 1.0, width, times, spread, -away / width, 0.0)
 
 
-def _amplitudes(found: Posterior) -> tuple[Amplitude, ...]:
+def _amplitudes(posterior: Posterior) -> tuple[Amplitude, ...]:
     """Return the amplitudes of terms that the adjustment has; fields as directions."""
-    hyper, layout = found.optimum.marginal.problem.hyper, found.optimum.marginal.problem.bench.layout
+    hyper, layout = posterior.optimum.marginal.problem.hyper, posterior.optimum.marginal.problem.bench.layout
     answer = []
     for name, eta, spread, middle in zip(
-        hyper.names, found.optimum.eta, found.spread, hyper.mean, strict=True
+        hyper.names, posterior.optimum.eta, posterior.spread, hyper.mean, strict=True
     ):
         if name == amp.RIM and not layout.pose.about_disc:
             continue
@@ -206,27 +213,27 @@ def _amplitudes(found: Posterior) -> tuple[Amplitude, ...]:
     return tuple(answer)
 
 
-def _glass(found: Posterior, views: Sequence[View]) -> Passport:
+def _glass(posterior: Posterior, views: Sequence[View]) -> Passport:
     """Return what was found out about the collimator: centre, radial terms, common field, jointly."""
-    layout = found.optimum.marginal.problem.bench.layout
+    layout = posterior.optimum.marginal.problem.bench.layout
     names = (*CENTRE, *RADIAL, *(f"{FIELD}{k}" for k in COMMON_PLACES))
     at = layout.places(names)
     return Passport(
         names,
-        found.mean[at],
-        found.covariance[np.ix_(at, at)],
+        posterior.mean[at],
+        posterior.covariance[np.ix_(at, at)],
         layout.basis.reference,
-        found.optimum.disagreement,
+        posterior.optimum.disagreement,
         tuple(view.name for view in views),
         {FIELD_RADIUS: layout.basis.radius_mm},
     )
 
 
 def _gimbal(
-    found: Posterior, parameters: AdjustmentParameters, options: CalibrationOptions
+    posterior: Posterior, parameters: AdjustmentParameters, options: CalibrationOptions
 ) -> GimbalEstimate | None:
     """Return the gimbal's parameters and how its readings agree; None without readings."""
-    marginal = found.optimum.marginal
+    marginal = posterior.optimum.marginal
     bench = marginal.problem.bench
     if bench.readings is None or parameters.gimbal is None or options.gimbal is None:
         return None
@@ -235,17 +242,20 @@ def _gimbal(
     unit = np.where(plain, 1.0, np.rad2deg(1.0))
     turns = parameters.gimbal.to_dict()
     values = {
-        **dict(zip(names, found.mean[at].tolist(), strict=True)),
+        **dict(zip(names, posterior.mean[at].tolist(), strict=True)),
         **{name: turns[name] for name in names if name in turns},
     }
-    sigmas = np.sqrt(np.diag(found.covariance)[at])
+    sigmas = np.sqrt(np.diag(posterior.covariance)[at])
     reading = marginal.problem.hyper.at(amp.READING)
-    times = float(np.exp(found.largest.eta[reading]))
+    times = float(np.exp(posterior.largest.eta[reading]))
     away = max((abs(values[name] - 1.0) for name in names if name in SCALES), default=0.0)
     entered = times < _MOST_SCATTER and away < _FARTHEST_SCALE * max(options.gimbal.scale_sigma, FREE_SCALE)
     off = bench.readings.off(parameters.gimbal, values, parameters.rotations)
     if not entered:  # the mean may hold other scales instead
-        times, off = float(np.exp(found.optimum.eta[reading])), bench.readings_off(found.optimum.state)
+        times, off = (
+            float(np.exp(posterior.optimum.eta[reading])),
+            bench.readings_off(posterior.optimum.state),
+        )
     stated = [
         (name, u)
         for name, u in zip(names, unit, strict=True)

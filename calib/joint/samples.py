@@ -72,45 +72,45 @@ def nodes_about(mode: Node, lower: Array, pairs: int, share: float) -> list[Node
     return [Node(one, float(w)) for w, one in zip(weights, found, strict=True)]
 
 
-def log_odds(one: Solution, other: Solution, more: float = 0.0) -> float:
+def log_odds(solution: Solution, other: Solution, more: float = 0.0) -> float:
     """Return the logarithm of the odds of a solution against another, and ``more``, as far as the equations hold.
 
     Where they do not, other amplitudes may promise any gain, so that it counts the less the farther the solution is.
     """
-    share = trusted(one, other)
-    log = 0.5 * (other.value - one.value) + more
+    share = trusted(solution, other)
+    log = 0.5 * (other.value - solution.value) + more
     return log * (share if log > 0.0 else 1.0) + float(np.log(share))
 
 
-def trusted(one: Solution, other: Solution) -> float:
+def trusted(solution: Solution, other: Solution) -> float:
     """Return the weight, 0 to 1, that a solution keeps so far from another."""
-    return float(1.0 / (1.0 + (relative_step(one.marginal, one.step - other.step) / _HOLDS) ** 4))
+    return float(1.0 / (1.0 + (relative_step(solution.marginal, solution.step - other.step) / _HOLDS) ** 4))
 
 
-def _main_directions(found: Solution, lower: Array) -> Array:
+def _main_directions(solution: Solution, lower: Array) -> Array:
     """Return (A, D) orthonormal standardised directions along which the variances of the camera change."""
-    problem, random, squares = found.marginal.problem, found.marginal.problem.random, found.squares
-    pulled = random.pulled(squares, found.inside)
+    problem, random, squares = solution.marginal.problem, solution.marginal.problem.random, solution.squares
+    pulled = random.pulled(squares, solution.inside)
     scale = np.sqrt(problem.own_information(squares))
     columns = []
     for at in problem.bench.layout.places(_QUANTITIES):
-        row = found.covariance[at] / np.sqrt(found.covariance[at, at])
+        row = solution.covariance[at] / np.sqrt(solution.covariance[at, at])
         change = np.bincount(random.amplitudes, (row[random.places] @ pulled) ** 2, len(squares))
-        own = ((scale * (found.follow @ row)) ** 2).sum(axis=0)
+        own = ((scale * (solution.follow @ row)) ** 2).sum(axis=0)
         change += np.bincount(problem.pose_amplitudes, own, len(squares))
-        change[problem.hyper.at(amp.READING)] += _by_readings(found, row)
+        change[problem.hyper.at(amp.READING)] += _by_readings(solution, row)
         columns.append(change)
     q, upper = np.linalg.qr(np.linalg.solve(lower, np.column_stack(columns)))
     return np.asarray(q * np.where(np.diag(upper) < 0.0, -1.0, 1.0))
 
 
-def _by_readings(found: Solution, row: Array) -> float:
+def _by_readings(solution: Solution, row: Array) -> float:
     """Return the share of a variance that the readings make; row: (S,) covariance with the quantity, over its sigma."""
-    marginal = found.marginal
+    marginal = solution.marginal
     if not marginal.uses_readings:
         return 0.0
-    seen = marginal.reading_weights(found.squares) * (found.predicted @ row)
-    return float((marginal.reading_variance(found.squares) * seen**2).sum())
+    seen = marginal.reading_weights(solution.squares) * (solution.predicted @ row)
+    return float((marginal.reading_variance(solution.squares) * seen**2).sum())
 
 
 @cache

@@ -95,34 +95,34 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
     equations, short_steps, pace = first_equations(problem, start), 0, _Pace(np.zeros(len(eta)))
     for k in range(rounds):
         marginal = Marginal(problem, equations, state)
-        found, pace = _in_round(k, solved(marginal, eta), pace)
+        solution, pace = _in_round(k, solved(marginal, eta), pace)
         share = _SMALL_SHARE if k < _LATE else _LATE_SHARE
-        short_steps += relative_step(marginal, found.step) < _TRUSTED
+        short_steps += relative_step(marginal, solution.step) < _TRUSTED
         placed = problem.pupils is None or short_steps > 1
-        if k > _FIRST_ROUNDS and placed and small(found, share):
+        if k > _FIRST_ROUNDS and placed and small(solution, share):
             if k < _LATE and pace.size == 1.0:
-                found = searched(found, _LONG, enough=FINE)
-            if small(found, share):
-                return Optimum(found, k + 1, converged=True)
-        state, lengths = shortened(found, pace.size)
+                solution = searched(solution, _LONG, enough=FINE)
+            if small(solution, share):
+                return Optimum(solution, k + 1, converged=True)
+        state, lengths = shortened(solution, pace.size)
         if short_steps and problem.pupils is not None:
-            problem, state, lengths = _placed(found, state, pace.size)
-        eta, spread = found.eta, robust_sigma(lengths)
+            problem, state, lengths = _placed(solution, state, pace.size)
+        eta, spread = solution.eta, robust_sigma(lengths)
         limit = spread if k else 3.0 * spread
         if k >= _FIRST_ROUNDS:
-            limit = max(limit, float(np.sqrt(found.star_variance)))
+            limit = max(limit, float(np.sqrt(solution.star_variance)))
         equations = problem.bench.linearised(state, limit, equations if short_steps >= _REWEIGHTED else None)
     return Optimum(marginal.solve(eta), rounds, converged=False)
 
 
-def _placed(found: Solution, state: State, size: float) -> tuple[Problem, State, list[Array]]:
+def _placed(solution: Solution, state: State, size: float) -> tuple[Problem, State, list[Array]]:
     """Return the problem with better places of the pupils, and a state there with the lengths of its residuals.
 
     ``size`` is the share of the step.
     """
-    problem = found.marginal.problem
-    bench = replace(problem.bench, pupils=problem.bench.pupils + size * step_to_places(found))
-    state = bench.aligned(state, found.marginal.equations.weights)
+    problem = solution.marginal.problem
+    bench = replace(problem.bench, pupils=problem.bench.pupils + size * step_to_places(solution))
+    state = bench.aligned(state, solution.marginal.equations.weights)
     return replace(problem, bench=bench), state, bench.whitened(state)
 
 
@@ -139,15 +139,15 @@ class _Pace:
         return _Pace(change, self.size * _SLOWER if swings else min(1.0, self.size * _FASTER))
 
 
-def _in_round(k: int, found: Solution, pace: _Pace) -> tuple[Solution, _Pace]:
-    """Return the solution and the pace of a round; ``found`` has the amplitudes of the last round."""
+def _in_round(k: int, solution: Solution, pace: _Pace) -> tuple[Solution, _Pace]:
+    """Return the solution and the pace of a round; ``solution`` has the amplitudes of the last round."""
     if not _FIRST_ROUNDS <= k < _LATE:
-        return found, pace
-    better = trusted_amplitudes(found)
-    pace = pace.after(better.eta - found.eta)
+        return solution, pace
+    better = trusted_amplitudes(solution)
+    pace = pace.after(better.eta - solution.eta)
     if pace.size == 1.0:
         return better, pace
-    return solved(found.marginal, found.eta + pace.size * pace.change), pace
+    return solved(solution.marginal, solution.eta + pace.size * pace.change), pace
 
 
 def first_equations(problem: Problem, state: State, lengths: Sequence[Array] | None = None) -> Equations:
@@ -160,9 +160,9 @@ def approached(problem: Problem, start: State, equations: Equations, rounds: int
     """Return a state near the optimum: at most ``rounds`` steps at the first amplitudes, with wide robust limits."""
     state = start
     for _ in range(rounds):
-        found = solved(Marginal(problem, equations, state), first_amplitudes(problem, state))
+        solution = solved(Marginal(problem, equations, state), first_amplitudes(problem, state))
         before = state
-        state, lengths = shortened(found)
+        state, lengths = shortened(solution)
         if np.abs(state.shared / np.where(before.shared == 0.0, 1.0, before.shared) - 1.0)[:2].max() < _NEAR:
             break
         equations = first_equations(problem, state, lengths)
@@ -189,8 +189,8 @@ def search_with_fault(
     """
     there = search(replace(problem, faults=faults), start, rounds)
     marginal = Marginal(problem, there.marginal.equations, there.state)
-    found = searched(solved(marginal, there.eta if eta is None else eta), _LONG, enough=FINE)
-    return Optimum(found, there.iterations, there.converged, there.eta)
+    solution = searched(solved(marginal, there.eta if eta is None else eta), _LONG, enough=FINE)
+    return Optimum(solution, there.iterations, there.converged, there.eta)
 
 
 def first_amplitudes(problem: Problem, state: State) -> Array:
@@ -225,34 +225,34 @@ def solved(marginal: Marginal, eta: Array, damped: float = 0.0) -> Solution:
         return marginal.solve(eta, damped=damped)
 
 
-def small(found: Solution, share: float = _SMALL_SHARE) -> bool:
+def small(solution: Solution, share: float = _SMALL_SHARE) -> bool:
     """Tell whether a step no longer matters: of camera and centre, in px or in shares of their sigmas."""
-    layout = found.marginal.problem.bench.layout
+    layout = solution.marginal.problem.bench.layout
     at = layout.places((*layout.pose.camera, "x", "y", "r"))
-    steps, sigmas = np.abs(found.step[at]), np.sqrt(np.diag(found.covariance)[at])
+    steps, sigmas = np.abs(solution.step[at]), np.sqrt(np.diag(solution.covariance)[at])
     return bool((steps < share * sigmas).all() or (steps[:4] < _SMALL_PX).all())
 
 
-def trusted_amplitudes(found: Solution) -> Solution:
+def trusted_amplitudes(solution: Solution) -> Solution:
     """Return the solution for better amplitudes. Its step ends where the equations hold; else they go half way back.
 
     If the step is long with the old amplitudes too, one that is not longer is accepted. Otherwise a bad start would
     keep its amplitudes.
     """
-    marginal = found.marginal
-    farthest = max(_TRUSTED, relative_step(marginal, found.step))
-    better = searched(found, _QUICK, farthest=_FARTHEST)
+    marginal = solution.marginal
+    farthest = max(_TRUSTED, relative_step(marginal, solution.step))
+    better = searched(solution, _QUICK, farthest=_FARTHEST)
     for _ in range(_HALVINGS):
         if relative_step(marginal, better.step) < farthest:
             return better
-        better = solved(marginal, 0.5 * (better.eta + found.eta))
-    return found
+        better = solved(marginal, 0.5 * (better.eta + solution.eta))
+    return solution
 
 
-def searched(found: Solution, steps: int, farthest: float = np.inf, enough: float = ROUGH) -> Solution:
+def searched(solution: Solution, steps: int, farthest: float = np.inf, enough: float = ROUGH) -> Solution:
     """Search the best amplitudes from a solution, and return theirs; `NotConverged` if there is none."""
     with _solvable():
-        return best_amplitudes(found, steps, farthest=farthest, enough=enough)
+        return best_amplitudes(solution, steps, farthest=farthest, enough=enough)
 
 
 def relative_step(marginal: Marginal, step: Array) -> float:
@@ -262,21 +262,21 @@ def relative_step(marginal: Marginal, step: Array) -> float:
     return float(max(focal / abs(b[0]), centre / abs(b[layout.index["r"]])))
 
 
-def shortened(found: Solution, most: float = 1.0) -> tuple[State, list[Array]]:
+def shortened(solution: Solution, most: float = 1.0) -> tuple[State, list[Array]]:
     """Return the state after a step, shorter and shorter while the cost rises, and the lengths of its residuals.
 
     ``most`` is the share of the step that is tried first.
     Centre, rotations and the middles of the discs move along a curve, so a whole step is tried with these behind it.
     """
-    marginal, squares = found.marginal, found.squares
+    marginal, squares = solution.marginal, solution.squares
     bench = marginal.problem.bench
     before = cost(marginal, squares, marginal.state, marginal.equations.lengths)
-    share = relative_step(marginal, found.step)
+    share = relative_step(marginal, solution.step)
     size = min(most, _LONGEST / share) if share > 0 else most
     for k in range(_HALVINGS):
-        state = _moved(marginal, squares, size * found.step, size * found.fields)
+        state = _moved(marginal, squares, size * solution.step, size * solution.fields)
         lengths = bench.whitened(state)
-        enough = before * (1.0 + 1e-9) - _LEAST_GAIN * size * (2.0 - size) * found.gain
+        enough = before * (1.0 + 1e-9) - _LEAST_GAIN * size * (2.0 - size) * solution.gain
         if cost(marginal, squares, state, lengths) <= enough:
             break
         if k in _CORRECTED_AT and share < _CORRECTED:
@@ -285,7 +285,7 @@ def shortened(found: Solution, most: float = 1.0) -> tuple[State, list[Array]]:
                 return corrected, lengths
         size *= 0.5
         if share < _CORRECTED:
-            found = solved(marginal, found.eta, damped=_DAMPING**k)
+            solution = solved(marginal, solution.eta, damped=_DAMPING**k)
     return state, lengths
 
 
@@ -318,9 +318,9 @@ def cost(marginal: Marginal, squares: Array, state: State, lengths: Sequence[Arr
     ``lengths`` are, for each view, (N,) lengths of the residuals over their sigma.
     """
     bench, hyper, weights = marginal.problem.bench, marginal.problem.hyper, marginal.equations.weights
-    if not all(np.isfinite(one).all() for one in lengths):
+    if not all(np.isfinite(length).all() for length in lengths):
         return float("inf")
-    stars = sum(float(w @ one**2) for w, one in zip(weights, lengths, strict=True))
+    stars = sum(float(w @ length**2) for w, length in zip(weights, lengths, strict=True))
     total = stars / squares[hyper.at(amp.STAR)]
     total += marginal.prior_cost(squares, state)
     if marginal.uses_readings and bench.readings is not None:

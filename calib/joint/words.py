@@ -54,7 +54,7 @@ _BINDS = {
 
 
 def require_determined(
-    found: Posterior,
+    posterior: Posterior,
     views: Sequence[View],
     parameters: AdjustmentParameters,
     options: CalibrationOptions,
@@ -66,14 +66,14 @@ def require_determined(
     """
     if options.passport is None:
         require_distinct_poses(parameters)
-    sigmas = np.sqrt(np.diag(found.covariance))
+    sigmas = np.sqrt(np.diag(posterior.covariance))
     weak = explain_weak_geometry(views, parameters)  # then nothing else is determined: no lens, no ids
-    cause = "" if weak else _lens(found) or doubt  # a lens of another family looks like shifted ids, too
+    cause = "" if weak else _lens(posterior) or doubt  # a lens of another family looks like shifted ids, too
     why = weak or cause
     for k, name in enumerate(("fx", "fy")):
-        share = float(sigmas[k] / found.mean[k])
+        share = float(sigmas[k] / posterior.mean[k])
         if not 0.0 <= share <= MAX_FOCAL_SIGMA:
-            free = _free_unknown(found, k)
+            free = _free_unknown(posterior, k)
             raise DegenerateViews(
                 f"These views determine {name} only to ±{200.0 * share:.0f} % (k = 2). {why}".strip(),
                 remedy=""
@@ -81,48 +81,50 @@ def require_determined(
                 else f"Nothing binds {free}: {_BINDS.get(free, 'more poses')} would."
                 " Add views turned about other axes, with the stars elsewhere in the image.",
             )
-    if not found.optimum.converged:
+    if not posterior.optimum.converged:
         raise NotConverged(
-            f"The adjustment did not converge within {found.optimum.iterations} steps. {why}".strip(),
+            f"The adjustment did not converge within {posterior.optimum.iterations} steps. {why}".strip(),
             remedy="" if cause else "Add views from other angles.",
         )
 
 
-def _free_unknown(found: Posterior, at: int) -> str:
+def _free_unknown(posterior: Posterior, at: int) -> str:
     """Return the unknown whose mere limit contributes most to the variance of another."""
-    marginal = found.optimum.marginal
-    layout, slope = marginal.problem.bench.layout, found.optimum.solution.covariance[:, at]
-    limits = [one for one in marginal.problem.knowledge.statements if one.name == rows.PRIORS]
-    parts = [float((one.rows @ slope)[0] ** 2 / one.covariance[0, 0]) for one in limits]
+    marginal = posterior.optimum.marginal
+    layout, slope = marginal.problem.bench.layout, posterior.optimum.solution.covariance[:, at]
+    limits = [
+        statement for statement in marginal.problem.knowledge.statements if statement.name == rows.PRIORS
+    ]
+    parts = [float((limit.rows @ slope)[0] ** 2 / limit.covariance[0, 0]) for limit in limits]
     return layout.names[int(np.argmax(limits[int(np.argmax(parts))].rows[0]))]
 
 
-def notes(result: Calibration, found: Posterior) -> tuple[str, ...]:
+def notes(result: Calibration, posterior: Posterior) -> tuple[str, ...]:
     """Return what a reader must know: weak geometry, statements that others contradict, readings that scatter."""
     explained = {name for cause in result.causes for name in cause.explains}
     named = [
-        one
-        for one in result.witnesses
-        if one.name not in {READINGS, *explained} and one.fault_probability >= DOUBTED
+        witness
+        for witness in result.witnesses
+        if witness.name not in {READINGS, *explained} and witness.fault_probability >= DOUBTED
     ]
     named.sort(key=lambda one: (-one.fault_probability, -abs(one.innovation)))
     together = "" if len(named) < 2 else _TOGETHER
-    sentences = [*map(cause_sentence, result.causes), _lens(found) or _weakness(result, found)]
+    sentences = [*map(cause_sentence, result.causes), _lens(posterior) or _weakness(result, posterior)]
     sentences += [*map(_doubt, named), together]
     if READINGS not in explained:
         sentences += [_readings(result), _contradiction(result)]
     sentences += [
-        _two_optima(found),
-        _length(found),
-        "" if PARALLAX in explained else _denied(found),
-        _expected(result, found),
+        _two_optima(posterior),
+        _length(posterior),
+        "" if PARALLAX in explained else _denied(posterior),
+        _expected(result, posterior),
     ]
     return tuple(filter(None, sentences))
 
 
-def _lens(found: Posterior) -> str:
+def _lens(posterior: Posterior) -> str:
     """Return a note if the other family of lenses explains the views far better; empty if not, as all here."""
-    better = found.better_lens
+    better = posterior.better_lens
     if not better:
         return ""
     return (
@@ -131,23 +133,27 @@ def _lens(found: Posterior) -> str:
     )
 
 
-def _doubt(one: Witness) -> str:
+def _doubt(witness: Witness) -> str:
     """Return the sentence that names a statement."""
-    source = "" if one.source == one.name else f" ({one.source})"
-    what = f"The statement '{one.name}'{source}"
-    probability = f"it is wrong, or its uncertainty too small, with probability {one.fault_probability:.0%}"
-    if one.stated is None:
-        return f"{what} differs by {abs(one.innovation):.1f} sigma from what all others say; {probability}."
-    unit = f" {one.unit}" if one.unit not in ("", "1") else ""
+    source = "" if witness.source == witness.name else f" ({witness.source})"
+    what = f"The statement '{witness.name}'{source}"
+    probability = (
+        f"it is wrong, or its uncertainty too small, with probability {witness.fault_probability:.0%}"
+    )
+    if witness.stated is None:
+        return (
+            f"{what} differs by {abs(witness.innovation):.1f} sigma from what all others say; {probability}."
+        )
+    unit = f" {witness.unit}" if witness.unit not in ("", "1") else ""
     return (
-        f"{what} says {one.stated:.6g} +- {one.sigma:.2g}{unit}; all others say {one.expected:.6g} +- "
-        f"{one.expected_sigma:.2g}{unit}, {abs(one.innovation):.1f} sigma away; {probability}."
+        f"{what} says {witness.stated:.6g} +- {witness.sigma:.2g}{unit}; all others say {witness.expected:.6g} +- "
+        f"{witness.expected_sigma:.2g}{unit}, {abs(witness.innovation):.1f} sigma away; {probability}."
     )
 
 
-def _length(found: Posterior) -> str:
+def _length(posterior: Posterior) -> str:
     """Return a note if the views do not show which length a certificate states."""
-    share = found.share_of((CERTIFICATE, FOCAL))
+    share = posterior.share_of((CERTIFICATE, FOCAL))
     if not _OPEN < share < 1.0 - _OPEN:
         return ""
     return (
@@ -157,11 +163,11 @@ def _length(found: Posterior) -> str:
     )
 
 
-def _two_optima(found: Posterior) -> str:
+def _two_optima(posterior: Posterior) -> str:
     """Return a note if searches from two starts ended at cameras that explain the views nearly as well."""
     optima = [
         (share, float(part.optimum.state.shared[0]))
-        for part, share, hypothesis in found.explanations
+        for part, share, hypothesis in posterior.explanations
         if hypothesis in (None, OTHER_OPTIMUM)
     ]
     if len(optima) == 1 or max(share for share, _ in optima[1:]) < _OPEN:
@@ -173,9 +179,9 @@ def _two_optima(found: Posterior) -> str:
     )
 
 
-def _denied(found: Posterior) -> str:
+def _denied(posterior: Posterior) -> str:
     """Say what to do if the bound of the parallax is probably wrong."""
-    if found.denied is None:
+    if posterior.denied is None:
         return ""
     return (
         "The bound on the place of the entrance pupil is probably wrong: the rim of the beam and the stars contradict "
@@ -184,13 +190,13 @@ def _denied(found: Posterior) -> str:
     )
 
 
-def _weakness(result: Calibration, found: Posterior) -> str:
+def _weakness(result: Calibration, posterior: Posterior) -> str:
     """Return a note if a focal length is poorly determined."""
     relative = {name: result.U[name] / getattr(result.camera, name) for name in ("fx", "fy")}
     name = max(relative, key=lambda one: relative[one])
     if relative[name] < _WEAK_FOCAL:
         return ""
-    free = _free_unknown(found, 0)
+    free = _free_unknown(posterior, 0)
     return (
         f"Weak geometry: {name} is known only to ±{100.0 * relative[name]:.1f} % (95 %). "
         f"{_BINDS[free][0].upper()}{_BINDS[free][1:]} would bind it."
@@ -227,7 +233,7 @@ def _contradiction(result: Calibration) -> str:
     )
 
 
-def _expected(result: Calibration, found: Posterior) -> str:
+def _expected(result: Calibration, posterior: Posterior) -> str:
     """Return a note if the focal length rests on how large errors by turn are expected, which nothing states."""
     shares = {row.name: row.share.get("fx", 0.0) for row in result.budget_rows}
     if (
@@ -239,7 +245,7 @@ def _expected(result: Calibration, found: Posterior) -> str:
         "What is stated of collimator and gimbal does not determine the focal length. So it rests on how large the "
         "parallax, and other errors that follow the turn, are expected to be. The uncertainties include them."
     )
-    problem = found.optimum.marginal.problem
+    problem = posterior.optimum.marginal.problem
     lever, r_mm = problem.hyper.lever, problem.bench.layout.basis.reference[2]
     if lever.spread < _SEEN:
         return note

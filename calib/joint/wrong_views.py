@@ -80,12 +80,12 @@ class _Moved:
 def _moved(first: Optimum, near: Optimum, rounds: int, shifts_mm: Array) -> Optimum:
     """Return the optimum with (m, 2) shifts of the views' stars on the target, from the state of a ``near`` one."""
     problem, stars = first.marginal.problem, []
-    for one, shift in zip(problem.bench.stars, shifts_mm, strict=True):
-        disc = one.disc and replace(one.disc, centre_mm=one.disc.centre_mm + shift)
-        target = one.target_mm + shift
+    for star, shift in zip(problem.bench.stars, shifts_mm, strict=True):
+        disc = star.disc and replace(star.disc, centre_mm=star.disc.centre_mm + shift)
+        target = star.target_mm + shift
         polynomials = problem.bench.layout.basis.polynomials(target)
-        stars.append(replace(one, target_mm=target, polynomials=polynomials, disc=disc))
-    discs = tuple(one.disc for one in stars if one.disc)
+        stars.append(replace(star, target_mm=target, polynomials=polynomials, disc=disc))
+    discs = tuple(star.disc for star in stars if star.disc)
     bench, pupils = replace(problem.bench, stars=tuple(stars), discs=discs), problem.pupils
     if pupils is not None:
         pupils = pupils.moved(bench.by_pose(shifts_mm) / bench.by_pose(np.ones((len(stars), 1))))
@@ -167,15 +167,15 @@ def _shifted(first: Optimum, best: _Moved, pitch: float, rounds: int) -> list[_M
     steps = (hypotheses - best.shifts) * pitch / layout.basis.reference[2]
     gains = _shifts(best.optimum, places).gains(steps.reshape(len(steps), -1))
     gains[~steps.any(axis=(1, 2))] = -np.inf
-    found = []
+    shifted = []
     for k in np.argsort(-gains)[:_ADJUSTED]:
         shifts = hypotheses[k]
         known = bool((best.shifts.any(axis=1) == shifts.any(axis=1)).all())  # only by how much is asked
         with suppress(NotConverged, np.linalg.LinAlgError):
             if known or (gains[k] > _LOOKED_AT and _promised(best.optimum, places, steps[k]) > _PROMISED):
                 there = _moved(first, best.optimum, rounds, pitch * shifts)
-                found.append(_Moved(shifts, _gain(first, there), there))
-    return found
+                shifted.append(_Moved(shifts, _gain(first, there), there))
+    return shifted
 
 
 def _better_again(

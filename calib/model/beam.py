@@ -42,8 +42,8 @@ _OUT_OF_FRAME, _NOT_PRINTED, _ABSENT, _PRESENT = range(4)
 
 def visible_discs(views: Sequence[View]) -> list[Disc]:
     """Return the disc of each view, as `discs_of`; none if the rim is nowhere in view."""
-    found = discs_of(views)
-    return found.of_views if found else []
+    discs = discs_of(views)
+    return discs.of_views if discs else []
 
 
 def discs_of(views: Sequence[View]) -> Discs | None:
@@ -54,8 +54,8 @@ def discs_of(views: Sequence[View]) -> Discs | None:
     if sum(len(rim.points_mm) for rim in rims) < _FEWEST_POINTS:
         return None
     looks = np.array([_look_mm(view) for view in views])
-    found = fit_rims(rims, looks, np.concatenate([view.target_mm for view in views]))
-    return found if any(disc.rim_visible for disc in found.of_views) else None
+    discs = fit_rims(rims, looks, np.concatenate([view.target_mm for view in views]))
+    return discs if any(disc.rim_visible for disc in discs.of_views) else None
 
 
 def _look_mm(view: View) -> Array:

@@ -348,16 +348,16 @@ def nearest_lens(camera: CameraModel, names: Sequence[str]) -> tuple[CameraModel
     seen = np.isfinite(rays).all(axis=1)
     pixels, rays = pixels[seen], rays[seen]
     lens = {name: camera.distortion.get(name, 0.0) for name in names}
-    found = CameraModel(camera.fx, camera.fy, camera.cx, camera.cy, camera.image_size, lens)
+    camera_model = CameraModel(camera.fx, camera.fy, camera.cx, camera.cy, camera.image_size, lens)
     for _ in range(_STEPS):
-        there, _, by_values = found.project_with_jacobians(rays)
+        there, _, by_values = camera_model.project_with_jacobians(rays)
         slope = by_values.reshape(-1, by_values.shape[2])
         scale = np.linalg.norm(slope, axis=0)
         step = np.linalg.lstsq(slope / scale, (pixels - there).ravel(), rcond=None)[0] / scale
-        found = found.with_values(found.values + step)
+        camera_model = camera_model.with_values(camera_model.values + step)
         if np.abs(step * scale).max() < 1e-9:
             break
-    return found, float(np.linalg.norm(found.project(rays) - pixels, axis=1).max())
+    return camera_model, float(np.linalg.norm(camera_model.project(rays) - pixels, axis=1).max())
 
 
 @dataclass(frozen=True)

@@ -58,8 +58,8 @@ def linear_solution(
 def _basis(unknown: Sequence[tuple[int, int]]) -> Array:
     """Return for each unknown entry of a symmetric (3, 3) matrix, then for (2, 2), the matrix with a 1 there."""
     matrices = np.zeros((len(unknown) + 1, 3, 3))
-    for one, (i, j) in zip(matrices, (*unknown, (2, 2)), strict=True):
-        one[i, j] = one[j, i] = 1.0
+    for matrix, (i, j) in zip(matrices, (*unknown, (2, 2)), strict=True):
+        matrix[i, j] = matrix[j, i] = 1.0
     return matrices
 
 

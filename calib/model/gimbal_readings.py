@@ -151,7 +151,7 @@ def angles_of(readings_deg: Sequence[Mapping[str, float]]) -> Array:
     unknown = sorted({axis for reading in readings_deg for axis in reading} - set(AXES))
     if unknown:
         raise InputMismatch(f"Unknown axis {unknown[0]!r}.", remedy=f"Known: {', '.join(AXES)}.")
-    found = np.array([[reading.get(axis, 0.0) for axis in AXES] for reading in readings_deg]).reshape(-1, 3)
-    if not np.isfinite(found).all():
+    angles = np.array([[reading.get(axis, 0.0) for axis in AXES] for reading in readings_deg]).reshape(-1, 3)
+    if not np.isfinite(angles).all():
         raise InputMismatch("An angle is not a finite number.")
-    return found
+    return angles

@@ -325,14 +325,18 @@ def fit_rims(rims: Sequence[RimPoints], looks_mm: Array, stars_mm: Array) -> Dis
     return replace(discs, wander=_wander(every.log_likelihood, tried / reach_mm))
 
 
-def _discs(rims: Sequence[RimPoints], found: _Posterior, share: Array, own: Array, middle_mm: Array) -> Discs:
+def _discs(
+    rims: Sequence[RimPoints], posterior: _Posterior, share: Array, own: Array, middle_mm: Array
+) -> Discs:
     """Return the discs from posteriors with (G,) shares, and from the (V,) sigmas of centres by each view alone."""
-    shared, shared_covariance = _mixed(share, found.shared, found.shared_covariance)
+    shared, shared_covariance = _mixed(share, posterior.shared, posterior.shared_covariance)
     motion = DiscMotion(shared[2:6].reshape(2, 2), shared_covariance[2:6, 2:6])
-    centres, covariance = _mixed(share, found.mean[..., :2].reshape(len(share), -1), found.joint_covariance)
+    centres, covariance = _mixed(
+        share, posterior.mean[..., :2].reshape(len(share), -1), posterior.joint_covariance
+    )
     covariance += np.diag(np.repeat([rim.level_sigma_mm**2 for rim in rims], 2))
     blocks = [covariance[i : i + 2, i : i + 2] for i in range(0, len(covariance), 2)]
-    radii = np.abs(share @ found.mean[..., 2]).tolist()
+    radii = np.abs(share @ posterior.mean[..., 2]).tolist()
     columns = (centres.reshape(-1, 2) + middle_mm, radii, blocks, own.tolist())
     return Discs([Disc(*one) for one in zip(*columns, strict=True)], covariance, motion)
 
@@ -361,8 +365,8 @@ def _start(
     for round_ in range(_ROUNDS):
         design, distance = _linearised(rays, means)
         sites.precision[:, edge] = 1.0 / (weights**2 + neglected**2)
-        found = _posteriors(evidence_of(design, distance, sites), scatters, common, UNKNOWNS)
-        mean, covariance = found.mean[0], found.covariance[0]
+        posterior = _posteriors(evidence_of(design, distance, sites), scatters, common, UNKNOWNS)
+        mean, covariance = posterior.mean[0], posterior.covariance[0]
         variance = _form(design, covariance, design)
         if round_ > 0:
             used = float(np.sum(sites.precision[:, edge] * variance[:, edge]))

@@ -202,11 +202,11 @@ def find_without_tag(image: Array32, target: StarTarget, expected: Array | None)
     size = max(target.columns, target.rows)
     grown, sign = StarGrid(), 1.0
     for tried in starts:
-        found = grow_star_grid(
+        star_grid = grow_star_grid(
             image, tried, target.segments, lambda nodes: np.asarray((np.abs(nodes) < size).all(axis=1))
         )
-        if len(found.points) > len(grown.points):
-            grown, sign = found, tried.sign
+        if len(star_grid.points) > len(grown.points):
+            grown, sign = star_grid, tried.sign
     if len(grown.points) < MIN_STARS:
         return Unlabelled(grown, sign, None)
     try:

@@ -64,11 +64,11 @@ def gather_edge_pixels(
     room = int((2.0 * reach + 4.0).prod(axis=1).sum())
     first, level = np.zeros(len(centres) * edges + 1, np.int64), np.empty(room, np.uint8)
     tau, along_x, along_y, u, v = np.empty((5, room), np.float32)
-    found = EdgePixels(first, tau, along_x, along_y, u, v, level)
+    pixels = EdgePixels(first, tau, along_x, along_y, u, v, level)
     # In the order of rows, as the kernel is compiled once.
     inverse = np.ascontiguousarray(np.linalg.inv(linear), np.float64)
     back = LocalMap(inverse, np.ascontiguousarray(local_map.quadratic))
-    _gather(levels, np.ascontiguousarray(centres), reach, used_to, back, edge_map, found)
+    _gather(levels, np.ascontiguousarray(centres), reach, used_to, back, edge_map, pixels)
     used = slice(int(first[-1]))
     return EdgePixels(first, tau[used], along_x[used], along_y[used], u[used], v[used], level[used])
 

@@ -222,14 +222,17 @@ def find_lattice(image: Array32, segments: int) -> GrowthStart | None:
     is
     relative: node (0, 0) is the star found, and the directions are those of the target up to quarter turns.
     """
-    for found in _candidates_by_pitch(image, segments):
+    for candidate in _candidates_by_pitch(image, segments):
         # Stars respond more strongly than the corners of their cells, but not in all kinds of image.
-        for some in (found.places[found.responses >= STRONG * found.responses[0]], found.places):
+        for some in (
+            candidate.places[candidate.responses >= STRONG * candidate.responses[0]],
+            candidate.places,
+        ):
             for number in range(min(len(some), MAX_TRIED)):
                 steps = _steps_to_neighbours(some, number)
                 if steps is not None:
-                    place = (some[number] + 0.5) / found.scale - 0.5
-                    start = _confirmed_start(image, place, steps / found.scale, segments)
+                    place = (some[number] + 0.5) / candidate.scale - 0.5
+                    start = _confirmed_start(image, place, steps / candidate.scale, segments)
                     if start is not None:
                         return start
     return None
@@ -237,7 +240,7 @@ def find_lattice(image: Array32, segments: int) -> GrowthStart | None:
 
 def _candidates_by_pitch(image: Array32, segments: int) -> list[_Candidates]:
     """Return the candidates of each pitch with five or more, the largest total (`_Candidates`, own) first."""
-    found: list[_Candidates] = []
+    candidates: list[_Candidates] = []
     for pitch in reversed(PITCHES_PX):  # the coarsest first, because it costs least
         scale = SMALL_PITCH_PX / pitch
         if scale * min(image.shape) < 3 * SMALL_PITCH_PX:
@@ -246,11 +249,11 @@ def _candidates_by_pitch(image: Array32, segments: int) -> list[_Candidates]:
         # At the right pitch, candidates respond most strongly in relation to the area that each of them covers.
         total = float((responses**2).sum()) * pitch**2
         if len(places) >= 5:
-            found.append(_Candidates(total, scale, places, responses))
-        best = max((c.total for c in found), default=0.0)
+            candidates.append(_Candidates(total, scale, places, responses))
+        best = max((c.total for c in candidates), default=0.0)
         if best > MIN_SHARE * image.size and total < PAST * best:
             break
-    return sorted(found, key=lambda c: -c.total)
+    return sorted(candidates, key=lambda c: -c.total)
 
 
 def _response(image: Array32, scale: float, segments: int) -> Array32:

@@ -49,8 +49,8 @@ def shift_between_halves(
     images = [np.nan_to_num(np.asarray(half, np.float32)) for half in (first, second)]
     reach_px = MAX_SHIFT_PITCHES * pitch
     near = [
-        refine_by_symmetry(smooth(one, BLUR_PX), points, local_map, samples, used_to, reach_px)
-        for one in images
+        refine_by_symmetry(smooth(image, BLUR_PX), points, local_map, samples, used_to, reach_px)
+        for image in images
     ]
     common = near[0].converged & near[1].converged
     if np.count_nonzero(common) < MIN_COMMON:
@@ -64,8 +64,8 @@ def shift_between_halves(
         maps = selected(local_map, common)
         before, after = (
             refine_by_likelihood(
-                quantise(one), centres, maps, target, sides[common], blur_px=edge_width_px
+                quantise(image), centres, maps, target, sides[common], blur_px=edge_width_px
             ).centres
-            for one, centres in zip(images, (before, after), strict=True)
+            for image, centres in zip(images, (before, after), strict=True)
         )
     return np.asarray(np.nanmedian(after - before, axis=0))

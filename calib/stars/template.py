@@ -88,12 +88,12 @@ class StarTemplate(NamedTuple):
 def values_at(image: Array32, x: NDArray[np.floating], y: NDArray[np.floating]) -> Array32:
     """Return the bilinear values of an image at points, of the shape of ``x`` and ``y``, px; nan outside."""
     across, down = (np.asarray(each, np.float32).reshape(-1, x.shape[-1]) for each in (x, y))
-    found = np.empty(across.shape, np.float32)
+    pixel_sums = np.empty(across.shape, np.float32)
     border = cv2.BORDER_CONSTANT
-    for first in range(0, len(found), ROWS):
+    for first in range(0, len(pixel_sums), ROWS):
         part = slice(first, first + ROWS)
-        cv2.remap(image, across[part], down[part], cv2.INTER_LINEAR, found[part], border, np.nan)
-    return found.reshape(x.shape)
+        cv2.remap(image, across[part], down[part], cv2.INTER_LINEAR, pixel_sums[part], border, np.nan)
+    return pixel_sums.reshape(x.shape)
 
 
 def correlations(seen: Array32, template: StarTemplate) -> Array:

@@ -103,7 +103,7 @@ class CameraCheck:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the content as JSON holds it."""
-        regions = [{**asdict(one), "normalised": one.normalised} for one in self.regions]
+        regions = [{**asdict(region), "normalised": region.normalised} for region in self.regions]
         return {"right": self.right, "cause": self.cause or None, **asdict(self), "regions": regions}
 
 
@@ -148,15 +148,15 @@ def _regions(
 ) -> tuple[RegionCheck, ...]:
     """Return the worst place of each of the nine parts of the sensor; a part without a ray is left out."""
     column, row = np.minimum((places / np.array(image_size) * _REGIONS).astype(int), _REGIONS - 1).T
-    found = []
+    regions = []
     for number, (of_row, of_column) in enumerate(product(_ROWS, _COLUMNS)):
         here = np.flatnonzero(_REGIONS * row + column == number)
         if len(here):
             worst = here[np.argmax(length[here] / expanded[here])]
             x, y = places[worst].tolist()
             name = f"{of_row} {of_column}"
-            found.append(RegionCheck(name, (x, y), float(length[worst]), float(expanded[worst])))
-    return tuple(found)
+            regions.append(RegionCheck(name, (x, y), float(length[worst]), float(expanded[worst])))
+    return tuple(regions)
 
 
 def _shares(camera: CameraModel, slope: Array, offset: Array) -> dict[str, float]:

@@ -80,8 +80,8 @@ def clock_offset(name: str, first_us: Sequence[int] | Array, second_us: Sequence
 
 def common_rate(clocks: Sequence[ClockOffset]) -> tuple[float, float]:
     """Return the weighted mean of the rates and its 1-sigma, ppm. Larger scatter enlarges it (Birge, 1932)."""
-    rates = np.array([one.rate_ppm for one in clocks])
-    weights = np.array([one.sigma_rate_ppm for one in clocks]) ** -2.0
+    rates = np.array([clock.rate_ppm for clock in clocks])
+    weights = np.array([clock.sigma_rate_ppm for clock in clocks]) ** -2.0
     mean = float(weights @ rates / weights.sum())
     birge = weights @ (rates - mean) ** 2 / max(len(rates) - 1, 1)
     return mean, float(np.sqrt(max(birge, 1.0) / weights.sum()))

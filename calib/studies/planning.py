@@ -270,11 +270,11 @@ class PoseWeigher:
 
     def _views(self, poses: Sequence[Angles]) -> dict[int, View]:
         """Return the stars that the poses show, by their places; poses that show too few are left out."""
-        found = {}
+        views = {}
         for i, rotation in enumerate(self._rotations(poses)):
             with suppress(TooFewStars):
-                found[i] = view_at(self._bench, rotation, "possible")
-        return found
+                views[i] = view_at(self._bench, rotation, "possible")
+        return views
 
     def _rotations(self, poses: Sequence[Angles]) -> Array:
         """Return the (n, 3, 3) rotations of the camera at some poses."""

@@ -154,9 +154,9 @@ def _thinned(view: View) -> View:
     return replace(part, covariances_px2=part.covariances_px2 / step)
 
 
-def distance_deg(one: Angles, other: Angles) -> float:
+def distance_deg(angles: Angles, other: Angles) -> float:
     """Return the largest difference, degrees, between the angles of two poses; missing angles are zero."""
-    return max((abs(one.get(axis, 0.0) - other.get(axis, 0.0)) for axis in {*one, *other}), default=0.0)
+    return max((abs(angles.get(axis, 0.0) - other.get(axis, 0.0)) for axis in {*angles, *other}), default=0.0)
 
 
 def share_of_news(pose: Angles, others: Iterable[Angles]) -> float:

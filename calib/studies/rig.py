@@ -280,7 +280,7 @@ def stated_cameras(
 ) -> Rig:
     """Return cameras with known intrinsics and an unknown rig, to start from; covariance None holds the values."""
     blocks = [
-        _exact(camera.values) if one is None else one
-        for camera, one in zip((first, second), covariances, strict=True)
+        _exact(camera.values) if covariance is None else covariance
+        for camera, covariance in zip((first, second), covariances, strict=True)
     ]
     return Rig(first, second, np.eye(3), None, linalg.block_diag(*blocks))

@@ -136,7 +136,7 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
     )
 
 
-def rotation_covariance(bundle: Bundle, parameters: AdjustmentParameters, found: Uncertainty) -> Array:
+def rotation_covariance(bundle: Bundle, parameters: AdjustmentParameters, uncertainty: Uncertainty) -> Array:
     """Return the joint (3 n, 3 n) covariance of the rotation vectors of all views on the camera's side, rad^2.
 
     It holds the star noise of each view, and the shared uncertainty of camera and collimator. Own derivation from the
@@ -146,10 +146,10 @@ def rotation_covariance(bundle: Bundle, parameters: AdjustmentParameters, found:
     """
     equations = bundle.equations(parameters, Loss("l2"))
     inverse = np.linalg.inv(equations.local)
-    answer = -(inverse @ equations.coupling)[:, :3].reshape(-1, len(found.names))
-    joint = answer @ found.covariance @ answer.T
+    answer = -(inverse @ equations.coupling)[:, :3].reshape(-1, len(uncertainty.names))
+    joint = answer @ uncertainty.covariance @ answer.T
     for i, own in enumerate(inverse[:, :3, :3]):
-        joint[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += found.growth * found.variance_factor * own
+        joint[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] += uncertainty.growth * uncertainty.variance_factor * own
     return np.asarray(joint)
 
 

@@ -319,7 +319,7 @@ def capture_frames(
 
 def _saturated_share(frames: Sequence[Frame]) -> float:
     highest = np.iinfo(frames[0].dtype).max
-    return float(np.mean([(one == highest).mean() for one in frames]))
+    return float(np.mean([(frame == highest).mean() for frame in frames]))
 
 
 def _beside(clock: Clock, work: Callable[[], T]) -> T:

@@ -54,19 +54,19 @@ def bias_ranges(device: Any, *, where: str) -> dict[str, tuple[int, int]]:
 
 def read_filters(device: Any, hal: Any, *, where: str) -> dict[str, bool]:
     """Read which of the on-chip filters that the camera has are on."""
-    found = {}
+    filters = {}
     with _refusal("read its filters", where):
         if (antiflicker := device.get_i_antiflicker_module()) is not None:
-            found["afk"] = bool(antiflicker.is_enabled())
+            filters["afk"] = bool(antiflicker.is_enabled())
         if (trail := device.get_i_event_trail_filter_module()) is not None:
             on = bool(trail.is_enabled())
             kind = trail.get_type()
             only_trail = kind == hal.I_EventTrailFilterModule.Type.TRAIL
-            found["stc"] = on and not only_trail
-            found["trail"] = on and kind != hal.I_EventTrailFilterModule.Type.STC_KEEP_TRAIL
+            filters["stc"] = on and not only_trail
+            filters["trail"] = on and kind != hal.I_EventTrailFilterModule.Type.STC_KEEP_TRAIL
         if (controller := device.get_i_erc_module()) is not None:
-            found["erc"] = bool(controller.is_enabled())
-    return found
+            filters["erc"] = bool(controller.is_enabled())
+    return filters
 
 
 def read_monitoring(device: Any, call: str) -> float | None:

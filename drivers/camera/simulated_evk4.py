@@ -101,11 +101,11 @@ class SimulatedEvk4Camera(EventCameraDriver):
         for name in self.filters():
             self._set("set_filter", name=name, enabled=False)
         self._set("set_trigger_in", enabled=settings.trigger_in)
-        found = CameraSettings(self._biases(), self._value(self._ask("get_trigger_in"), "enabled", bool))
+        present = CameraSettings(self._biases(), self._value(self._ask("get_trigger_in"), "enabled", bool))
         wanted = {name: settings.biases.get(name, 0) for name in BIASES}
-        if dict(found.biases) != wanted or found.trigger_in != settings.trigger_in:
+        if dict(present.biases) != wanted or present.trigger_in != settings.trigger_in:
             raise CameraSettingRefused(
-                f"The camera was set to {wanted}, trigger input {settings.trigger_in}, but reads back {found}.",
+                f"The camera was set to {wanted}, trigger input {settings.trigger_in}, but reads back {present}.",
                 where=self._where,
                 remedy="Use values that the camera can represent.",
             )
@@ -115,7 +115,7 @@ class SimulatedEvk4Camera(EventCameraDriver):
                 where=self._where,
                 remedy="Restart the camera; a filter falsifies the recording.",
             )
-        return found
+        return present
 
     def filters(self) -> Mapping[str, bool]:
         """See `EventCamera.filters`."""

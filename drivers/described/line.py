@@ -137,12 +137,12 @@ class DescribedLine(Link):
                     remedy="Check the limits and ranges in the station file and in the device's description.",
                 )
         assert exchange.reply is not None
-        found = exchange.reply.match(text, known)
-        if found is None:
+        match = exchange.reply.match(text, known)
+        if match is None:
             raise self.garbled_reply(
                 f"'{request}' was answered by {text[:_SHOWN]!r}, not as described ({exchange.reply.text})."
             )
-        return found
+        return match
 
     def _encode(self, request: str) -> bytes:
         if self._description.checksum == "xor":

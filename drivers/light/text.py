@@ -84,11 +84,11 @@ class TextLight(WatchedLight):
         return self._agreed(lambda: self._line.switch(self._description.is_on)[0], "the output")
 
     def _reported_faults(self) -> list[str]:
-        found = self._line.take_notices()
+        faults = self._line.take_notices()
         if self._description.faults is not None:
             fine, answer = self._line.switch(self._description.faults)
-            found += [] if fine else [f"the controller reports '{answer}'"]
-        return found
+            faults += [] if fine else [f"the controller reports '{answer}'"]
+        return faults
 
     # ------------------------------------------------------------ inside
 

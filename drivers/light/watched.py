@@ -124,12 +124,12 @@ class WatchedLight(OnOnePort, ABC):
 
     def faults(self) -> Sequence[str]:
         """See `Light.faults`. Returns what the controller reports, and an unexpected darkness."""
-        found = self._reported_faults()
+        faults = self._reported_faults()
         if self._switched_on and not self.is_on():
-            found.append(f"the {self.LAMP} was switched on, but is off")
+            faults.append(f"the {self.LAMP} was switched on, but is off")
         elif self._switched_on:
-            found += filter(None, [self._other_settings()])
-        return found
+            faults += filter(None, [self._other_settings()])
+        return faults
 
     def close(self) -> None:
         """See `Light.close`."""

@@ -238,16 +238,16 @@ class EspStage(OneLineStage[EspAxis, TextLine]):
 
     def _read_errors(self) -> list[EspError]:
         """Empty the error buffer; count a restart when the controller's time has gone back."""
-        found: list[EspError] = []
-        while len(found) < _MOST_ERRORS:
+        errors: list[EspError] = []
+        while len(errors) < _MOST_ERRORS:
             text = self._line.query("TB?")
             error = parse_error(text)
             if error is None:
                 raise self._line.garbled_reply(f"TB? answered {text!r}.")
             if not error.code:
                 self._note_time(error.time_cycles)
-                return found
-            found.append(error)
+                return errors
+            errors.append(error)
         raise self._line.garbled_reply("the error buffer never ends.")
 
     def _relevant_errors(self) -> list[EspError]:

@@ -150,12 +150,12 @@ class HomeParameters:
     speed: int  # In the controller's units
     offset: int  # From the switch to the zero, in counts
 
-    def agrees(self, found: HomeParameters | None) -> bool:
+    def agrees(self, home_parameters: HomeParameters | None) -> bool:
         """Whether a controller has kept them."""
         return (
-            found is not None
-            and replace(self, speed=found.speed) == found
-            and same_speed(self.speed, found.speed)
+            home_parameters is not None
+            and replace(self, speed=home_parameters.speed) == home_parameters
+            and same_speed(self.speed, home_parameters.speed)
         )
 
 

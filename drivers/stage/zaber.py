@@ -218,7 +218,7 @@ class ZaberStage(OneLineStage[ZaberAxis, ZaberChain]):
         """Return the warning flags in words; those that report a past event are left out."""
         flags = self._flags(axis)
         return [
-            zaber_protocol.describe_flag(one) for one in flags if not zaber_protocol.is_informational(one)
+            zaber_protocol.describe_flag(flag) for flag in flags if not zaber_protocol.is_informational(flag)
         ]
 
     # ------------------------------------------------------------ on the wire

@@ -67,8 +67,8 @@ def _at_mount(order: FaultOrder, start: Truth) -> Callable[[CameraSetup], Camera
     return lambda setup: replace(setup, turn_deg=_sum(setup.turn_deg, by_deg))
 
 
-def _sum(one: Vector, other: Vector) -> Vector:
-    (a, b, c), (x, y, z) = one, other
+def _sum(vector: Vector, other: Vector) -> Vector:
+    (a, b, c), (x, y, z) = vector, other
     return a + x, b + y, c + z
 
 

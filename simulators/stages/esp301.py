@@ -120,19 +120,19 @@ class EspController(Controller):
         self._commands: deque[str] = deque()
         self._waiting_for: EspAxis | None = None
         self._errors: deque[int] = deque(maxlen=_QUEUE_LENGTH)
-        for one in self.axes.values():
-            one.motor_on = one.homing = False
-            one.settings = {
-                "VA": one.model.speed_deg_s,
-                "AC": one.model.acceleration_deg_s2,
-                "AG": one.model.acceleration_deg_s2,
+        for axis in self.axes.values():
+            axis.motor_on = axis.homing = False
+            axis.settings = {
+                "VA": axis.model.speed_deg_s,
+                "AC": axis.model.acceleration_deg_s2,
+                "AG": axis.model.acceleration_deg_s2,
                 "OH": _HOME_SPEED_DEG_S,
-                "SL": -one.model.limit_deg,
-                "SR": one.model.limit_deg,
+                "SL": -axis.model.limit_deg,
+                "SR": axis.model.limit_deg,
                 "VU": _MOST_SPEED_DEG_S,
                 "AU": _MOST_ACCELERATION_DEG_S2,
                 "SN": 7.0,
-                "SU": 1.0 / one.model.mechanics.counts_per_deg,
+                "SU": 1.0 / axis.model.mechanics.counts_per_deg,
                 "TJ": 1.0,
                 "SH": 0.0,
                 "BA": 0.0,
@@ -190,8 +190,8 @@ class EspController(Controller):
             number = self._errors.popleft() if self._errors else 0
             return f"{number}, {int(now * 1000) % 10_000_000}, {error_text(number)}"
         if name == "TS":
-            bits = sum(1 << (one.number - 1) for one in self.axes.values() if one.axis.reports_busy(now))
-            return chr(0x40 | bits | (0x10 if any(one.motor_on for one in self.axes.values()) else 0))
+            bits = sum(1 << (axis.number - 1) for axis in self.axes.values() if axis.axis.reports_busy(now))
+            return chr(0x40 | bits | (0x10 if any(axis.motor_on for axis in self.axes.values()) else 0))
         if name == "RS":
             self.restart(now)
             return None
@@ -235,15 +235,15 @@ class EspController(Controller):
             "WS": self._wait,
         }
 
-    def _setting(self, one: EspAxis, name: str, rest: str) -> str | None:
+    def _setting(self, axis: EspAxis, name: str, rest: str) -> str | None:
         if rest in {"", "?"}:
-            return f"{one.settings[name]:g}"
+            return f"{axis.settings[name]:g}"
         value = _number(rest)
         if name in {"VU", "AU"} and value <= 0.0:
             raise EspError(1)
-        if name in {"VA", "OH"} and not 0.0 < value <= one.settings["VU"]:
+        if name in {"VA", "OH"} and not 0.0 < value <= axis.settings["VU"]:
             raise EspError(10)
-        if name in {"AC", "AG"} and not 0.0 < value <= one.settings["AU"]:
+        if name in {"AC", "AG"} and not 0.0 < value <= axis.settings["AU"]:
             raise EspError(11)
         if (
             (name == "SN" and value != 7.0)
@@ -251,87 +251,87 @@ class EspController(Controller):
             or (name == "SR" and value < 0.0)
         ):
             raise EspError(1)
-        one.settings[name] = value
+        axis.settings[name] = value
         return None
 
-    def _motor_on(self, one: EspAxis, rest: str, _now: float) -> str | None:
+    def _motor_on(self, axis: EspAxis, rest: str, _now: float) -> str | None:
         if rest == "?":
-            return str(int(one.motor_on))
+            return str(int(axis.motor_on))
         if self._stop_pressed:
             raise EspError(4)
-        one.motor_on = True
+        axis.motor_on = True
         return None
 
-    def _motor_off(self, one: EspAxis, rest: str, now: float) -> str | None:
+    def _motor_off(self, axis: EspAxis, rest: str, now: float) -> str | None:
         if rest == "?":
-            return str(int(not one.motor_on))
-        if one.axis.busy(now):
-            one.axis.halt(now)
-        one.motor_on = False
+            return str(int(not axis.motor_on))
+        if axis.axis.busy(now):
+            axis.axis.halt(now)
+        axis.motor_on = False
         return None
 
-    def _move_by(self, one: EspAxis, rest: str, now: float) -> str | None:
-        return self._move(one, rest, now, start=one.axis.rest_counter(now) / one.scale)
+    def _move_by(self, axis: EspAxis, rest: str, now: float) -> str | None:
+        return self._move(axis, rest, now, start=axis.axis.rest_counter(now) / axis.scale)
 
-    def _move(self, one: EspAxis, rest: str, now: float, *, start: float) -> str | None:
-        scale = one.scale
+    def _move(self, axis: EspAxis, rest: str, now: float, *, start: float) -> str | None:
+        scale = axis.scale
         if rest == "?":
-            return f"{one.axis.rest_counter(now) / scale:.5f}"
+            return f"{axis.axis.rest_counter(now) / scale:.5f}"
         target = start + _number(rest)
-        self._require_motion_allowed(one)
-        if target > one.settings["SR"]:
+        self._require_motion_allowed(axis)
+        if target > axis.settings["SR"]:
             raise EspError(6)
-        if target < one.settings["SL"]:
+        if target < axis.settings["SL"]:
             raise EspError(7)
-        if one.settings["TJ"] >= _FOLLOWS_ANOTHER:
+        if axis.settings["TJ"] >= _FOLLOWS_ANOTHER:
             return None
-        speed, acceleration = one.settings["VA"] * scale, one.settings["AC"] * scale
-        one.axis.move_to(float(round(target * scale)), now, speed, acceleration)
+        speed, acceleration = axis.settings["VA"] * scale, axis.settings["AC"] * scale
+        axis.axis.move_to(float(round(target * scale)), now, speed, acceleration)
         return None
 
-    def _home(self, one: EspAxis, rest: str, now: float) -> str | None:
+    def _home(self, axis: EspAxis, rest: str, now: float) -> str | None:
         if rest not in {"", "0", "1", "2", "3", "4"}:
             raise EspError(1)
-        self._require_motion_allowed(one)
-        scale = one.scale
-        speed = one.settings["OH"] * scale
-        one.homing = True
-        one.axis.home(now, speed, speed / 10.0, one.settings["AC"] * scale)
+        self._require_motion_allowed(axis)
+        scale = axis.scale
+        speed = axis.settings["OH"] * scale
+        axis.homing = True
+        axis.axis.home(now, speed, speed / 10.0, axis.settings["AC"] * scale)
         return None
 
-    def _require_motion_allowed(self, one: EspAxis) -> None:
-        if not one.motor_on:
+    def _require_motion_allowed(self, axis: EspAxis) -> None:
+        if not axis.motor_on:
             raise EspError(13)
-        if one.homing:
+        if axis.homing:
             raise EspError(30)
 
-    def _define_home(self, one: EspAxis, rest: str, now: float) -> str | None:
+    def _define_home(self, axis: EspAxis, rest: str, now: float) -> str | None:
         if rest == "?":
             return "0.00000"
-        value = (_number(rest) if rest else 0.0) * one.scale
-        one.axis.set_counter(value, now)
-        one.axis.set_encoder(value, now)
+        value = (_number(rest) if rest else 0.0) * axis.scale
+        axis.axis.set_counter(value, now)
+        axis.axis.set_encoder(value, now)
         return None
 
-    def _stop(self, one: EspAxis, now: float) -> None:
-        if one.axis.busy(now):
-            one.axis.stop(now, one.settings["AG"] * one.scale)
-        if one.homing:
-            one.homing = False
-            self._errors.append(one.number * 100 + 20)
+    def _stop(self, axis: EspAxis, now: float) -> None:
+        if axis.axis.busy(now):
+            axis.axis.stop(now, axis.settings["AG"] * axis.scale)
+        if axis.homing:
+            axis.homing = False
+            self._errors.append(axis.number * 100 + 20)
 
-    def _wait(self, one: EspAxis, _rest: str, _now: float) -> None:
-        self._waiting_for = one
+    def _wait(self, axis: EspAxis, _rest: str, _now: float) -> None:
+        self._waiting_for = axis
 
     # ------------------------------------------------------------------ events outside the protocol
     def take_events(self, t_s: float) -> None:
         """See `Unit.take_events`. A homing that has ended is no longer one, and counts from ``SH``."""
-        for one in self.axes.values():
-            if one.homing and not one.axis.busy(t_s):
-                one.homing = False
-                if one.axis.referenced(t_s):
-                    for assign in (one.axis.set_counter, one.axis.set_encoder):
-                        assign(one.settings["SH"] * one.scale, t_s)
+        for axis in self.axes.values():
+            if axis.homing and not axis.axis.busy(t_s):
+                axis.homing = False
+                if axis.axis.referenced(t_s):
+                    for assign in (axis.axis.set_counter, axis.axis.set_encoder):
+                        assign(axis.settings["SH"] * axis.scale, t_s)
         super().take_events(t_s)
 
     def _notice(self, axis: Axis, event: MotionEvent, t_s: float) -> None:
@@ -346,9 +346,9 @@ class EspController(Controller):
         if released:
             return
         self._errors.append(4)
-        for one in self.axes.values():
-            one.axis.halt(t_s)
-            one.motor_on = one.homing = False
+        for axis in self.axes.values():
+            axis.axis.halt(t_s)
+            axis.motor_on = axis.homing = False
 
 
 def _number(text: str) -> float:

@@ -125,8 +125,8 @@ class PtuController(Controller):
         self._echo = self._verbose = True
         self._limits = "factory"
         self._by_speed = self._slaved = False
-        for one in self.axes.values():
-            one.power_up()
+        for axis in self.axes.values():
+            axis.power_up()
 
     # ------------------------------------------------------------------ the line
     def _answer(self, now: float) -> bytes:
@@ -153,13 +153,13 @@ class PtuController(Controller):
         while True:
             if self._resetting is not None:
                 _, axes = self._resetting
-                if any(one.axis.reports_busy(now) for one in axes):
+                if any(axis.axis.reports_busy(now) for axis in axes):
                     break
                 self.before_reset = False
                 for one in axes:
                     if _STEPS[one.chosen] != one.factor:
                         one.count_in(one.chosen)
-                hits = "".join(f"!{one.letter}!{one.letter}" for one in reversed(axes))
+                hits = "".join(f"!{axis.letter}!{axis.letter}" for axis in reversed(axes))
                 said += f"{hits}*\r\n".encode("ascii", "replace")
                 self._resetting = None
             if not self._waiting:
@@ -228,109 +228,109 @@ class PtuController(Controller):
             self._by_speed = command == "CV"
             return "*"
         self._slaved = command == "S" or (command == "A" and self._slaved)
-        for one in self.axes.values():
-            if command in {"I", "A"} and one.waiting is not None:
-                self._move_at_once(one, one.waiting, one.settings["S"], now)
-                one.waiting = None
+        for axis in self.axes.values():
+            if command in {"I", "A"} and axis.waiting is not None:
+                self._move_at_once(axis, axis.waiting, axis.settings["S"], now)
+                axis.waiting = None
         return "*"
 
-    def _axis_command(self, one: PtuAxis, name: str, value: int | None, now: float) -> str:
-        axis_name = _NAMES[one.letter]
+    def _axis_command(self, axis: PtuAxis, name: str, value: int | None, now: float) -> str:
+        axis_name = _NAMES[axis.letter]
         if name in {"P", "O"} and value is not None:
-            return self._move(one, value + (self._position(one, now) if name == "O" else 0), now)
+            return self._move(axis, value + (self._position(axis, now) if name == "O" else 0), now)
         if name == "S" and value is not None and self._by_speed:
-            return self._run_at(one, value, now)
-        if name in one.settings and value is not None:
-            return self._set(one, name, value)
+            return self._run_at(axis, value, now)
+        if name in axis.settings and value is not None:
+            return self._set(axis, name, value)
         if value is not None:
             raise _PtuError("Illegal command argument")
-        speed = one.axis.velocity(now) * one.factor
+        speed = axis.axis.velocity(now) * axis.factor
         read: dict[str, Callable[[], int | str]] = {
-            "P": lambda: self._position(one, now),
-            "O": lambda: round(one.axis.rest_counter(now) * one.factor),
-            "D": lambda: self._speed(one, speed, now),
-            "R": lambda: f"{3600.0 / one.model.mechanics.counts_per_deg / one.factor:.6f}",
+            "P": lambda: self._position(axis, now),
+            "O": lambda: round(axis.axis.rest_counter(now) * axis.factor),
+            "D": lambda: self._speed(axis, speed, now),
+            "R": lambda: f"{3600.0 / axis.model.mechanics.counts_per_deg / axis.factor:.6f}",
         }
         if name not in _TOLD:
             raise _PtuError("Illegal command entered")
         if self.before_reset and name in {"R", "N", "X", "NU", "XU"}:
             return "* 0"
-        value_now = read[name]() if name in read else one.settings[name]
+        value_now = read[name]() if name in read else axis.settings[name]
         if not self._verbose:
             return f"* {value_now}"
         return f"* {_TOLD[name].format(axis_name, value_now)}"
 
-    def _position(self, one: PtuAxis, now: float) -> int:
-        return round(one.axis.counter(now) * one.factor)
+    def _position(self, axis: PtuAxis, now: float) -> int:
+        return round(axis.axis.counter(now) * axis.factor)
 
-    def _run_at(self, one: PtuAxis, speed: int, now: float) -> str:
+    def _run_at(self, axis: PtuAxis, speed: int, now: float) -> str:
         """Run to the end of the travel at a speed; at 0, stop."""
         if speed:
-            end = self._range(one)[speed > 0]
-            self._move_at_once(one, end, abs(speed), now)
-        elif one.axis.busy(now):
-            one.axis.stop(now, one.settings["A"] / one.factor)
+            end = self._range(axis)[speed > 0]
+            self._move_at_once(axis, end, abs(speed), now)
+        elif axis.axis.busy(now):
+            axis.axis.stop(now, axis.settings["A"] / axis.factor)
         return "*"
 
-    def _speed(self, one: PtuAxis, speed: float, now: float) -> int:
+    def _speed(self, axis: PtuAxis, speed: float, now: float) -> int:
         """Return the present speed, which is 0 only at rest."""
-        if not one.axis.reports_busy(now):
+        if not axis.axis.reports_busy(now):
             return 0
-        return round(speed) or one.settings["B"]
+        return round(speed) or axis.settings["B"]
 
-    def _set(self, one: PtuAxis, name: str, value: int) -> str:
+    def _set(self, axis: PtuAxis, name: str, value: int) -> str:
         if name in {"N", "X"}:
             raise _PtuError("Illegal command argument")
-        if name == "S" and value > one.settings["U"]:
-            raise _PtuError(f"{_NAMES[one.letter]} speed cannot exceed {one.settings['U']} pos/sec")
+        if name == "S" and value > axis.settings["U"]:
+            raise _PtuError(f"{_NAMES[axis.letter]} speed cannot exceed {axis.settings['U']} pos/sec")
         if name in {"S", "A", "B", "U"} and value <= 0:
             raise _PtuError("Illegal command argument")
         if self.before_reset and name in {"NU", "XU"}:
             raise _PtuError("Axis is not calibrated")
-        if (name == "NU" and not one.settings["N"] <= value <= 0) or (
-            name == "XU" and not 0 <= value <= one.settings["X"]
+        if (name == "NU" and not axis.settings["N"] <= value <= 0) or (
+            name == "XU" and not 0 <= value <= axis.settings["X"]
         ):
             raise _PtuError("User limit is outside of the factory limits")
-        one.settings[name] = value
+        axis.settings[name] = value
         return "*"
 
-    def _range(self, one: PtuAxis) -> tuple[int, int]:
+    def _range(self, axis: PtuAxis) -> tuple[int, int]:
         """Return the positions between which the unit moves."""
         return {
-            "factory": (one.settings["N"], one.settings["X"]),
-            "user": (one.settings["NU"], one.settings["XU"]),
+            "factory": (axis.settings["N"], axis.settings["X"]),
+            "user": (axis.settings["NU"], axis.settings["XU"]),
             "off": (-_LARGEST, _LARGEST),
         }[self._limits]
 
-    def _move(self, one: PtuAxis, target: int, now: float) -> str:
-        name = _NAMES[one.letter]
-        lowest, highest = self._range(one)
+    def _move(self, axis: PtuAxis, target: int, now: float) -> str:
+        name = _NAMES[axis.letter]
+        lowest, highest = self._range(axis)
         if target > highest:
             raise _PtuError(f"Maximum allowable {name} position is {highest}")
         if target < lowest:
             raise _PtuError(f"Minimum allowable {name} position is {lowest}")
         if self._slaved:
-            one.waiting = target
+            axis.waiting = target
         elif not self._by_speed:
-            self._move_at_once(one, target, one.settings["S"], now)
+            self._move_at_once(axis, target, axis.settings["S"], now)
         return "*"
 
-    def _move_at_once(self, one: PtuAxis, target: int, speed: int, now: float) -> None:
-        one.axis.move_to(target / one.factor, now, speed / one.factor, one.settings["A"] / one.factor)
+    def _move_at_once(self, axis: PtuAxis, target: int, speed: int, now: float) -> None:
+        axis.axis.move_to(target / axis.factor, now, speed / axis.factor, axis.settings["A"] / axis.factor)
 
     def _reset(self, command: str, now: float) -> str:
-        axes = [one for letter, one in self.axes.items() if command in {"R", f"R{letter}"}]
-        for one in axes:
-            speed = 20.0 * one.model.mechanics.counts_per_deg
-            one.waiting = None
-            one.axis.home(now, speed, speed / 10.0, one.settings["A"] / one.factor)
+        axes = [axis for letter, axis in self.axes.items() if command in {"R", f"R{letter}"}]
+        for axis in axes:
+            speed = 20.0 * axis.model.mechanics.counts_per_deg
+            axis.waiting = None
+            axis.axis.home(now, speed, speed / 10.0, axis.settings["A"] / axis.factor)
         self._resetting = command, axes
         return ""
 
     def _halt(self, command: str, now: float) -> str:
-        for letter, one in self.axes.items():
-            if command in {"H", f"H{letter}"} and one.axis.busy(now):
-                one.axis.stop(now, one.settings["A"] / one.factor)
+        for letter, axis in self.axes.items():
+            if command in {"H", f"H{letter}"} and axis.axis.busy(now):
+                axis.axis.stop(now, axis.settings["A"] / axis.factor)
         return "*"
 
     # ------------------------------------------------------------------ events outside the protocol

@@ -31,3 +31,21 @@ def dat_rows(rows):
     table[:, 0] = rows["t"].astype(np.uint64) & 0xFFFFFFFF
     table[:, 1] = rows["x"] | (rows["y"].astype(np.uint32) << 14) | (rows["on"].astype(np.uint32) << 28)
     return DAT_HEAD + bytes([0x0C, 8]) + table.tobytes()
+
+
+def evt21_words(rows, *, legacy=False):
+    """Encode events as EVT2.1: a word for the events of one row, time and polarity within 32 columns."""
+    words, high = [], -1
+    for row in rows:
+        t, x, y, on = (int(row[name]) for name in ("t", "x", "y", "on"))
+        if t >> 6 != high:
+            high = t >> 6
+            words.append([0, 0x8000_0000 | high & 0x0FFF_FFFF])
+        head = on << 28 | (t & 63) << 22 | (x & ~31) << 11 | y
+        same = len(words) and words[-1][1] == head and words[-1][0] >> (x & 31) == 0
+        if same:
+            words[-1][0] |= 1 << (x & 31)
+        else:
+            words.append([1 << (x & 31), head])
+    halves = np.array(words, "<u4")
+    return (halves[:, ::-1] if legacy else halves).astype("<u4").tobytes()

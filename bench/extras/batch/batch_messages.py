@@ -43,7 +43,7 @@ class BatchMessages:
         what = f"{end.how}{': ' if end.why else ''}{end.why}"
         text, place = _status_of(run, asked=bool(end.devices))
         if end.how != "failed":
-            answers = [one.text for one in end.devices] or ["No device was asked after that."]
+            answers = [device.text for device in end.devices] or ["No device was asked after that."]
             text = "\n".join([f"Its process {what}", *answers, "", text])
         subject = f"Starbench: run {key} {what}"
         own_message = _journal_head(run) if end.how == "failed" else ""

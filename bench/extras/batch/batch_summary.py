@@ -142,7 +142,7 @@ def summarise(folder: Path, record: BatchRecord) -> BatchSummary:
                 "camera": camera,
                 "model": model,
                 "runs": len(of_camera),
-                "parameters": [one.to_dict() for one in agreements(of_camera)],
+                "parameters": [agreement.to_dict() for agreement in agreements(of_camera)],
             }
             for (camera, model), of_camera in by_camera(solved).items()
         ],
@@ -186,10 +186,14 @@ def _item(
         "attempts": len(state.begun),
         "begun_utc": _iso(state.begun[0]) if state.begun else None,
         "ended_utc": _iso(attempts[-1].ended) if attempts else None,
-        "took_s": round(sum(one.duration_s for one in attempts), 1) if attempts else None,
+        "took_s": round(sum(attempt.duration_s for attempt in attempts), 1) if attempts else None,
         "tries": [
-            {"begun_utc": one.begun.isoformat(), "ended_utc": one.ended.isoformat(), "how": one.how}
-            for one in attempts
+            {
+                "begun_utc": attempt.begun.isoformat(),
+                "ended_utc": attempt.ended.isoformat(),
+                "how": attempt.how,
+            }
+            for attempt in attempts
         ],
         "report": f"{path}/{REPORT}" if (folder / path / REPORT).is_file() else None,
         "camera": stated.camera,
@@ -478,16 +482,16 @@ def _mean_lines(camera: CameraData) -> list[str]:
     parameters = camera["parameters"]
     if not parameters:
         return []
-    factors = factors_text(one["coverage_factor"] for one in parameters)
+    factors = factors_text(parameter["coverage_factor"] for parameter in parameters)
     lines = [
         f"Camera {camera['camera']}, {camera['model']} model, {camera['runs']} results; U with {factors}:"
     ]
-    width = max(len(one["name"]) for one in parameters)
+    width = max(len(parameter["name"]) for parameter in parameters)
     for one in parameters:
         mean, expanded = with_uncertainty(one["mean"], one["expanded"])
         line = f"  {one['name']:<{width}} {mean:>12} ± {expanded:<9} {unit_text(one['name']):<3}"
         line += f" Birge {one['birge']:.2f}"
         lines.append(f"{line}  REPEATS" if one["repeats"] else line)
-    if any(one["repeats"] for one in parameters):
+    if any(parameter["repeats"] for parameter in parameters):
         lines.append(f"  REPEATS: {REPEATS_TEXT}")
     return lines

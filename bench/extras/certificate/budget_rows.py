@@ -303,9 +303,9 @@ def _variances(calibration: CalibrationData, symbol: str) -> tuple[float, float,
 def _common_freedom(calibration: CalibrationData, k: float) -> float:
     """Return the degrees of freedom that belong to the common coverage factor; infinite for k = 2."""
     stated = [row.get("degrees_of_freedom") for row in calibration["budget_rows"] if row["type"] == "A"]
-    found = float(stated[0]) if stated and stated[0] else math.inf
-    if abs(coverage_factor(found) - k) < _SAME:
-        return found
+    common_freedom = float(stated[0]) if stated and stated[0] else math.inf
+    if abs(coverage_factor(common_freedom) - k) < _SAME:
+        return common_freedom
     low, high = 0.0, 20.0  # k falls with the degrees of freedom: bisection on their logarithm
     for _ in range(60):
         middle = (low + high) / 2

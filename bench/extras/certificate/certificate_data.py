@@ -403,7 +403,7 @@ class Certificate(_Strict):
 
     def statement(self, id: str) -> str:  # noqa: A002 - the field's name
         """Return a fixed text; empty if the certificate does not have it."""
-        return next((one.text for one in self.statements if one.id == id), "")
+        return next((statement.text for statement in self.statements if statement.id == id), "")
 
 
 @cache
@@ -411,9 +411,9 @@ def _form() -> TypeAdapter[Certificate]:
     return TypeAdapter(Certificate)
 
 
-def _fault(found: ErrorDetails) -> str:
+def _fault(error_details: ErrorDetails) -> str:
     """Return what pydantic found as people read it, with its place in the certificate."""
-    kind, place, more = found["type"], found["loc"], found.get("ctx", {})
+    kind, place, more = error_details["type"], error_details["loc"], error_details.get("ctx", {})
     path = path_text(place) or "the whole"
     if kind == "missing":
         return f"{path} is missing"
@@ -424,7 +424,7 @@ def _fault(found: ErrorDetails) -> str:
         return f"{path} must be one of {wanted}"
     if kind in _FORMS:
         return f"{path} must be {_FORMS[kind]}"
-    return f"{path} {MESSAGES.get(kind, found['msg']).format(**more)}".removesuffix(".")
+    return f"{path} {MESSAGES.get(kind, error_details['msg']).format(**more)}".removesuffix(".")
 
 
 def sha256(data: bytes) -> str:

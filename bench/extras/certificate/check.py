@@ -49,56 +49,56 @@ _IN_EVERY_VERSION = (
 
 def check_certificate(folder: Path, ledger: Ledger | None = None) -> Findings:
     """Derive the files again and compare every byte; compare number and run with the ledger, if it has the number."""
-    found = Findings()
+    findings = Findings()
     names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
     for name in sorted(_FILES - names):
-        found.fault("missing", name, "a certificate has this file")
-    if found.faults:
-        return found
+        findings.fault("missing", name, "a certificate has this file")
+    if findings.faults:
+        return findings
     try:
         certificate = Certificate.from_json(read_bounded(folder / CERTIFICATE))
-        _derive(folder, certificate, found)
+        _derive(folder, certificate, findings)
     except BenchError as error:
-        found.fault(_KIND, error.where or CERTIFICATE, error.what.rstrip("."))
-        return found
+        findings.fault(_KIND, error.where or CERTIFICATE, error.what.rstrip("."))
+        return findings
     except UNREADABLE as error:
-        found.fault(_KIND, RESULTS, f"the certificate cannot be derived from it ({error!r})")
-        return found
+        findings.fault(_KIND, RESULTS, f"the certificate cannot be derived from it ({error!r})")
+        return findings
     if ledger is not None:
-        _compare_with_ledger(folder, certificate, ledger, found)
-    return found
+        _compare_with_ledger(folder, certificate, ledger, findings)
+    return findings
 
 
-def _derive(folder: Path, certificate: Certificate, found: Findings) -> None:
+def _derive(folder: Path, certificate: Certificate, findings: Findings) -> None:
     """Compose the certificate again, and render PDF and DCC."""
     results = read_bounded(folder / RESULTS)
     if sha256(results) != certificate.run.results_sha256:
-        found.fault(_KIND, RESULTS, "these are not the results that the certificate names")
+        findings.fault(_KIND, RESULTS, "these are not the results that the certificate names")
     content = parse_json(results)
     try:
         lab = lab_of(read_bounded(folder / LAB), LAB)
     except DocumentFaults as error:
-        found.fault(_KIND, LAB, "; ".join(str(fault) for fault in error.faults[:5]))
+        findings.fault(_KIND, LAB, "; ".join(str(fault) for fault in error.faults[:5]))
         return
     for fault in faults_of_lab(lab, content, certificate.run.sequence_sha256)[:5]:
-        found.fault(_KIND, LAB, str(fault))
-    _check_number(certificate, lab.value, found)
+        findings.fault(_KIND, LAB, str(fault))
+    _check_number(certificate, lab.value, findings)
     if certificate.issued_utc < certificate.ended_utc:
         what = f"it was issued on {certificate.issued_utc}, before its calibration ended on {certificate.ended_utc}"
-        found.fault(_KIND, CERTIFICATE, what)
+        findings.fault(_KIND, CERTIFICATE, what)
     other = other_writer(certificate.run.software)
     stated = certificate.statement("verification")
     if not other and not is_statement(stated):
-        found.fault(
+        findings.fault(
             _KIND, CERTIFICATE, "it does not state what was verified before the issue as issuing does"
         )
-    if found.faults:
+    if findings.faults:
         return
     written = certificate.run.software[len(content["run"]["software"]) :]
     run = replace(certificate.run, **stated_run(content, results, written))
     also = certificate.statement("also")
     if not other and also and not also.startswith(FURTHER):
-        found.fault(
+        findings.fault(
             _KIND, CERTIFICATE, "it does not state as issuing does why the run has a further certificate"
         )
     despite = certificate.statement("limits_reason")
@@ -107,16 +107,16 @@ def _derive(folder: Path, certificate: Certificate, found: Findings) -> None:
     )
     again = compose(content, lab.value, identity)
     if bool(passes_over_fail(content, lab.value, again.conformity)) != bool(despite):
-        tell = found.remarks.append if other else partial(found.fault, _KIND, CERTIFICATE)
+        tell = findings.remarks.append if other else partial(findings.fault, _KIND, CERTIFICATE)
         tell("it does not state as issuing does that limits of the laboratory pass over a FAIL of the run")
     if again.to_json() != (folder / CERTIFICATE).read_bytes():
         where = _first_difference(certificate, again)
         if other and _same_numbers(certificate, again):
-            found.not_compared.append(f"{CERTIFICATE}, {PDF} and {DCC}: they were written with {other}")
+            findings.not_compared.append(f"{CERTIFICATE}, {PDF} and {DCC}: they were written with {other}")
         else:
-            found.fault(_KIND, CERTIFICATE, f"it does not follow from {RESULTS} and {LAB}: {where}")
+            findings.fault(_KIND, CERTIFICATE, f"it does not follow from {RESULTS} and {LAB}: {where}")
         return
-    _compare_documents(folder, again, lab, results, other, found)
+    _compare_documents(folder, again, lab, results, other, findings)
 
 
 def _same_numbers(stated: Certificate, derived: Certificate) -> bool:
@@ -124,7 +124,7 @@ def _same_numbers(stated: Certificate, derived: Certificate) -> bool:
     if any(getattr(stated, name) != getattr(derived, name) for name in _IN_EVERY_VERSION):
         return False
     numbers_of = [
-        [(one.symbol, one.unit, one.value, one.u, one.U, one.k) for one in each.results]
+        [(result.symbol, result.unit, result.value, result.u, result.U, result.k) for result in each.results]
         for each in (stated, derived)
     ]
     verdicts = [
@@ -132,7 +132,7 @@ def _same_numbers(stated: Certificate, derived: Certificate) -> bool:
         for each in (stated, derived)
     ]
     # An earlier version left the limits of the run out if the laboratory stated some.
-    return numbers_of[0] == numbers_of[1] and all(one in verdicts[1] for one in verdicts[0])
+    return numbers_of[0] == numbers_of[1] and all(verdict in verdicts[1] for verdict in verdicts[0])
 
 
 def _compare_documents(
@@ -141,20 +141,20 @@ def _compare_documents(
     lab: Located[LabConfig],
     results: bytes,
     other: str,
-    found: Findings,
+    findings: Findings,
 ) -> None:
     """Render PDF and DCC again. Another program may give other bytes; it is then named."""
     try:
         require_libraries()
     except UsageError as error:
-        found.not_compared.append(f"{PDF} and {DCC}: {error.what} {error.remedy}".rstrip("."))
+        findings.not_compared.append(f"{PDF} and {DCC}: {error.what} {error.remedy}".rstrip("."))
         return
     from bench.extras.certificate.dcc_signature import verify_signature, without_signature
 
     stored = (folder / DCC).read_bytes()
     signature = verify_signature(stored, DCC)
     if signature is not None:
-        found.remarks.append(
+        findings.remarks.append(
             f"{DCC} has a valid signature of {signature.signer}; whether you trust its certificate was not checked:"
             f" xmlsec1 --verify --trusted-pem AUTHORITY.pem {DCC}"
         )
@@ -168,17 +168,17 @@ def _compare_documents(
         if files[name] == (folder / name).read_bytes():
             continue
         if other:
-            found.not_compared.append(f"{name}: it was written with {other}")
+            findings.not_compared.append(f"{name}: it was written with {other}")
         else:
-            found.fault(_KIND, name, f"it is not what follows from {CERTIFICATE}")
+            findings.fault(_KIND, name, f"it is not what follows from {CERTIFICATE}")
 
 
-def _check_number(certificate: Certificate, lab: LabConfig, found: Findings) -> None:
+def _check_number(certificate: Certificate, lab: LabConfig, findings: Findings) -> None:
     wanted = (SIMULATED if certificate.simulated else "") + lab.numbers.format
     if certificate.series != wanted or not is_number_format(wanted):
-        found.fault(_KIND, CERTIFICATE, f"its series is {certificate.series!r}, not that of {LAB}")
+        findings.fault(_KIND, CERTIFICATE, f"its series is {certificate.series!r}, not that of {LAB}")
     elif not number_pattern(wanted).fullmatch(certificate.number):
-        found.fault(_KIND, CERTIFICATE, f"{certificate.number} is not a number of its series {wanted}")
+        findings.fault(_KIND, CERTIFICATE, f"{certificate.number} is not a number of its series {wanted}")
 
 
 def _first_difference(stated: Certificate, derived: Certificate) -> str:
@@ -192,67 +192,69 @@ def _first_difference(stated: Certificate, derived: Certificate) -> str:
     return f"{first.field} is {first.after!r}, derived {first.before!r}{more}"
 
 
-def _compare_with_ledger(folder: Path, certificate: Certificate, ledger: Ledger, found: Findings) -> None:
+def _compare_with_ledger(folder: Path, certificate: Certificate, ledger: Ledger, findings: Findings) -> None:
     try:
         known = numbers(ledger.entries())
         runs = ledger.runs()
     except BenchError as error:
-        found.not_compared.append(f"the ledger of this bench cannot be read: {error.what.rstrip('.')}")
+        findings.not_compared.append(f"the ledger of this bench cannot be read: {error.what.rstrip('.')}")
         return
     is_own = is_sealed_by(folder, own_public_keys(ledger.home))
     if is_own:
-        _compare_with_breaks(ledger, found)
+        _compare_with_breaks(ledger, findings)
     one = known.get(certificate.number)
     if one is None and is_own:
         what = f"this bench has sealed {certificate.number}, but its ledger does not contain it; lines were removed"
-        found.fault("ledger", LEDGER, f"{what}, so nothing tells whether it was replaced or declared void")
+        findings.fault("ledger", LEDGER, f"{what}, so nothing tells whether it was replaced or declared void")
     elif one is None:
-        found.remarks.append(
+        findings.remarks.append(
             f"{certificate.number} is not in the ledger of this bench, so nothing here tells whether it was replaced"
         )
     elif one.how == "void":
-        found.fault(_KIND, CERTIFICATE, f"{one.number} was declared void: {one.reason}")
+        findings.fault(_KIND, CERTIFICATE, f"{one.number} was declared void: {one.reason}")
     elif one.how == "issued" and one.seal != sha256_of(folder / MANIFEST):
-        found.fault(_KIND, MANIFEST, f"the ledger has another seal for {one.number}")
+        findings.fault(_KIND, MANIFEST, f"the ledger has another seal for {one.number}")
     elif one.superseded_by:
-        found.remarks.append(f"SUPERSEDED: {one.superseded_by} replaces this certificate")
+        findings.remarks.append(f"SUPERSEDED: {one.superseded_by} replaces this certificate")
     elif one.how != "issued":
-        found.remarks.append(f"{one.number} is {one.how} in the ledger of this bench, not issued")
+        findings.remarks.append(f"{one.number} is {one.how} in the ledger of this bench, not issued")
     old = known.get(certificate.amends.number) if certificate.amends else None
     if old is not None and certificate.amends is not None:
         says = (old.seal, old.superseded_by)
         if says != (certificate.amends.sha256, certificate.number):
-            found.fault(
+            findings.fault(
                 _KIND, CERTIFICATE, f"the ledger does not say that it replaces {old.number} with this seal"
             )
     for run in runs:
         if run.seal == certificate.run.seal_sha256:
-            _compare_with_run(folder, Path(run.folder), certificate, found)
+            _compare_with_run(folder, Path(run.folder), certificate, findings)
 
 
-def _compare_with_breaks(ledger: Ledger, found: Findings) -> None:
+def _compare_with_breaks(ledger: Ledger, findings: Findings) -> None:
     """Tell what is missing in the ledger: a lost line may have replaced the certificate, or declared it void."""
     faults, explained = ledger.breaks(None, sealed_strangers(ledger.home))
     for what in faults:
-        found.fault(
+        findings.fault(
             "ledger",
             LEDGER,
             f"{what.rstrip('.')}; a lost line may have replaced this certificate or made it void",
         )
-    found.not_compared += [
+    findings.not_compared += [
         f"whether it was replaced or declared void: {str(one).rstrip('.')} ({one.by}: {one.reason})"
         for one in explained
     ]
 
 
-def _compare_with_run(folder: Path, run: Path, certificate: Certificate, found: Findings) -> None:
+def _compare_with_run(folder: Path, run: Path, certificate: Certificate, findings: Findings) -> None:
     """Compare with the sealed run, if it still lies where the ledger says."""
     if not (run / MANIFEST).is_file() or sha256_of(run / MANIFEST) != certificate.run.seal_sha256:
-        found.remarks.append(f"the run {certificate.run.id} is not in {run}, so its plots were not compared")
+        findings.remarks.append(
+            f"the run {certificate.run.id} is not in {run}, so its plots were not compared"
+        )
         return
     results = read_bounded(folder / RESULTS)
     if read_bounded(run / RESULTS) != results:
-        found.fault(_KIND, RESULTS, f"the results are not those of the run {run}")
+        findings.fault(_KIND, RESULTS, f"the results are not those of the run {run}")
         return
     hashes = {
         SEQUENCE_COPY: certificate.run.sequence_sha256,
@@ -260,10 +262,10 @@ def _compare_with_run(folder: Path, run: Path, certificate: Certificate, found: 
     }
     for name, stated in hashes.items():
         if stated and sha256_of(run / name) != stated:
-            found.fault(_KIND, CERTIFICATE, f"it names another {name} than that of the run {run}")
+            findings.fault(_KIND, CERTIFICATE, f"it names another {name} than that of the run {run}")
     from bench.extras.certificate.pdf import plots_of_run
 
     if plots_of_run(run, parse_json(results)) != plots_in(folder):
-        found.not_compared.append(
+        findings.not_compared.append(
             "the plots are not drawn alike from the run here: another version of Starbench, or changed plots"
         )

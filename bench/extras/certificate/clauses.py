@@ -87,7 +87,7 @@ def _item(lab: LabConfig, results: Results) -> Sequence[str]:
 def _conditions(lab: LabConfig, _results: Results) -> Sequence[str]:
     if lab.conditions is None:
         return ["conditions"]
-    names = " ".join(one.name.lower() for one in lab.conditions)
+    names = " ".join(condition.name.lower() for condition in lab.conditions)
     return [f"conditions.{word}" for word in ("temperature", "humidity") if word not in names]
 
 
@@ -96,9 +96,9 @@ def _traceability(lab: LabConfig, results: Results) -> Sequence[str]:
     missing = [] if lab.traceability is not None else ["traceability"]
     in_run = results.get("passport")
     if in_run is None:
-        known = any(one.number and one.issuer and one.date for one in lab.sources)
+        known = any(source.number and source.issuer and source.date for source in lab.sources)
         return missing if known else [*missing, "sources"]
-    stated = next((one for one in lab.sources if one.row == PASSPORT), None)
+    stated = next((source for source in lab.sources if source.row == PASSPORT), None)
     needed = [name for name in ("number", "date") if not in_run.get(name)] + ["issuer"]
     return [*missing, *(f"sources.{name}" for name in needed if not getattr(stated, name, None))]
 
@@ -132,33 +132,33 @@ def unanswered(lab: LabConfig, results: Results) -> list[tuple[Clause, str]]:
     return [(clause, key) for clause in CLAUSES for key in clause.missing(lab, results)]
 
 
-def faults_of_lab(lab: Located[LabConfig], found: Results, sequence_sha256: str) -> list[Fault]:
+def faults_of_lab(lab: Located[LabConfig], results: Results, sequence_sha256: str) -> list[Fault]:
     """Return what prevents a certificate: contradictions first, then clauses without an answer, in their order.
 
     ``sequence_sha256`` is that of the run's sequence.yaml; empty if it is not known.
     """
-    faults = [lab.fault(path, message) for path, message in _contradictions(lab.value, found)]
+    faults = [lab.fault(path, message) for path, message in _contradictions(lab.value, results)]
     allowed = lab.value.method.sequence_sha256 if lab.value.method else ""
     if allowed and allowed != sequence_sha256:
         what = f"the run used another sequence.yaml: SHA-256 {sequence_sha256 or 'not known'}."
         faults.append(lab.fault(("method", "sequence_sha256"), what))
-    for clause, key in unanswered(lab.value, found):
+    for clause, key in unanswered(lab.value, results):
         spot = lab.position(tuple(key.split(".")[:-1]))
         faults.append(Fault(lab.file, spot.line, spot.column, key, clause.message(key)))
     return faults
 
 
-def _contradictions(lab: LabConfig, found: Results) -> Iterator[tuple[DocumentPath, str]]:
-    if not is_unnamed(found):
-        serial = str(found["devices"]["camera"]["serial"])
+def _contradictions(lab: LabConfig, results: Results) -> Iterator[tuple[DocumentPath, str]]:
+    if not is_unnamed(results):
+        serial = str(results["devices"]["camera"]["serial"])
         if lab.item.serial is not None and lab.item.serial != serial:
             yield ("item", "serial"), f"the run calibrated camera {serial}, not {lab.item.serial}."
         for name in ("maker", "model"):
             if getattr(lab.item, name) is not None:
                 yield ("item", name), f"the camera {serial} identified itself in the run; leave it out."
     yield from _names(lab)
-    yield from _dates(lab, found)
-    symbols = list(found["calibration"]["camera"])
+    yield from _dates(lab, results)
+    symbols = list(results["calibration"]["camera"])
     for at, rule in enumerate(lab.decision_rules or ()):
         if rule.result not in symbols:
             path: DocumentPath = ("decision_rules", at, "result")
@@ -171,7 +171,7 @@ def _contradictions(lab: LabConfig, found: Results) -> Iterator[tuple[DocumentPa
     for at, condition in enumerate(lab.conditions or ()):
         if condition.name.lower() in _OF_THE_RUN:
             yield ("conditions", at, "name"), "the run itself recorded this condition; leave it out."
-    yield from _sources(lab, found)
+    yield from _sources(lab, results)
 
 
 def _names(lab: LabConfig) -> Iterator[tuple[DocumentPath, str]]:
@@ -191,8 +191,8 @@ def _names(lab: LabConfig) -> Iterator[tuple[DocumentPath, str]]:
             )
 
 
-def _dates(lab: LabConfig, found: Results) -> Iterator[tuple[DocumentPath, str]]:
-    begun = datetime.fromisoformat(found["run"]["started_utc"]).date()
+def _dates(lab: LabConfig, results: Results) -> Iterator[tuple[DocumentPath, str]]:
+    begun = datetime.fromisoformat(results["run"]["started_utc"]).date()
     when = f"the calibration began on {begun.isoformat()}"
     if lab.item.received is not None and lab.item.received > begun:
         yield ("item", "received"), f"{when}, before this date of receipt."
@@ -204,9 +204,9 @@ def _dates(lab: LabConfig, found: Results) -> Iterator[tuple[DocumentPath, str]]
             yield ("sources", at, "date"), f"{when}, before the date of this certificate."
 
 
-def _sources(lab: LabConfig, found: Results) -> Iterator[tuple[DocumentPath, str]]:
-    names, seen = row_names(found["calibration"]), set()
-    in_run = found.get("passport")
+def _sources(lab: LabConfig, results: Results) -> Iterator[tuple[DocumentPath, str]]:
+    names, seen = row_names(results["calibration"]), set()
+    in_run = results.get("passport")
     for at, source in enumerate(lab.sources):
         if source.row is None:
             continue

@@ -107,19 +107,19 @@ def further_statement(reason: str) -> str:
     return f"{FURTHER}{reason}" if reason else ""
 
 
-def statements_of(found: Results, lab: LabConfig, identity: Identity) -> tuple[Statement, ...]:
+def statements_of(results: Results, lab: LabConfig, identity: Identity) -> tuple[Statement, ...]:
     """Return the fixed texts in printed order."""
-    calibration = found["calibration"]
+    calibration = results["calibration"]
     notes = " ".join(str(note) for note in calibration["notes"])
     left_out = "; ".join(str(line) for line in calibration["not_included"])
     pairs = [
-        ("simulated", _SIMULATED if found["run"]["simulated"] else ""),
-        ("limits", despite_fail(found) if identity.despite else ""),
+        ("simulated", _SIMULATED if results["run"]["simulated"] else ""),
+        ("limits", despite_fail(results) if identity.despite else ""),
         ("limits_reason", identity.despite),
         ("authorisation", _AUTHORISATION),
         ("accreditation", _NOT_ACCREDITED if lab.laboratory.accreditation == NONE else ""),
         ("items", _ITEMS),
-        ("identity", _READ_FROM_THE_ITEM if is_unnamed(found) else ""),
+        ("identity", _READ_FROM_THE_ITEM if is_unnamed(results) else ""),
         ("reproduction", _REPRODUCTION),
         ("model", _model_of(calibration["camera"])),
         ("uncertainty", _UNCERTAINTY),
@@ -127,7 +127,7 @@ def statements_of(found: Results, lab: LabConfig, identity: Identity) -> tuple[S
         ("not_included", f"Not known and not included in the uncertainty: {left_out}." if left_out else ""),
         ("traceability", lab.traceability or ""),
         ("verification", identity.verified),
-        ("earlier_runs", _earlier_runs(found)),
+        ("earlier_runs", _earlier_runs(results)),
         ("adjustment", _ADJUSTMENT),
         ("customer_data", _CUSTOMER_DATA if lab.customer_supplied else ""),
         ("recalibration", f"Recalibration: {lab.recalibration}" if lab.recalibration else ""),
@@ -136,9 +136,9 @@ def statements_of(found: Results, lab: LabConfig, identity: Identity) -> tuple[S
     return tuple(Statement(name, text) for name, text in pairs if text)
 
 
-def _earlier_runs(found: Results) -> str:
+def _earlier_runs(results: Results) -> str:
     """Return how often the camera was calibrated on this bench before, by the bench's ledger."""
-    ledger = found["run"].get("ledger")
+    ledger = results["run"].get("ledger")
     if not ledger:
         return ""
     broken = " The ledger had a break that nobody had explained." if ledger.get("faults") else ""
@@ -210,8 +210,8 @@ def compose(found: Results, lab: LabConfig, identity: Identity) -> Certificate:
         covariance=facts_of_run.covariance_of(found),
         further=facts_of_run.further_of(found),
         budgets=tuple(
-            budget_of(found["calibration"], one.symbol, one.unit, rows, one.U, words_of(found))
-            for one in results
+            budget_of(found["calibration"], result.symbol, result.unit, rows, result.U, words_of(found))
+            for result in results
         ),
         before_adjustment=_before(found, lab),
         conformity=tuple(conformity_of(rule, _named(results, rule.result)) for rule in rules_of(found, lab)),
@@ -225,11 +225,11 @@ def compose(found: Results, lab: LabConfig, identity: Identity) -> Certificate:
     )
 
 
-def row_sources(found: Results, lab: LabConfig) -> dict[str, RowSource]:
+def row_sources(results: Results, lab: LabConfig) -> dict[str, RowSource]:
     """Return the certificates behind the rows of the budget: what the run states, then what lab.yaml adds."""
     sources = {}
-    if in_run := found.get("passport"):
-        value, divisor = _radius_uncertainty(found, in_run)
+    if in_run := results.get("passport"):
+        value, divisor = _radius_uncertainty(results, in_run)
         sources[PASSPORT] = RowSource(
             in_run["number"] or "",
             in_run["date"] or "",
@@ -238,15 +238,15 @@ def row_sources(found: Results, lab: LabConfig) -> dict[str, RowSource]:
             divisor,
             "mm",
         )
-    for one in lab.sources:
-        if one.row is None:
+    for source in lab.sources:
+        if source.row is None:
             continue
-        known = sources.get(one.row, RowSource())
-        sources[one.row] = replace(
+        known = sources.get(source.row, RowSource())
+        sources[source.row] = replace(
             known,
-            number=one.number or known.number,
-            date=_day(one.date) or known.date,
-            sha256=one.sha256 or known.sha256,
+            number=source.number or known.number,
+            date=_day(source.date) or known.date,
+            sha256=source.sha256 or known.sha256,
         )
     return sources
 
@@ -273,56 +273,67 @@ def _day(date: dt.date | None) -> str:
     return date.isoformat() if date else ""
 
 
-def _item(found: Results, lab: LabConfig) -> Item:
+def _item(results: Results, lab: LabConfig) -> Item:
     lens = lab.item.lens
     return Item(
-        camera=facts_of_run.camera_identity(found, lab.item),
+        camera=facts_of_run.camera_identity(results, lab.item),
         lens=lens.model_copy(update={"serial": ""}) if lens.serial == NONE else lens,
         customer_id=lab.item.customer_id,
         condition=lab.item.condition,
     )
 
 
-def _condition(one: ConditionConfig) -> Condition:
-    if one.value is None:
-        return Condition(one.name, None, "1", None, None, one.text, one.instrument or "laboratory")
-    certificate = f", certificate {one.certificate}" if one.certificate else ""
+def _condition(condition: ConditionConfig) -> Condition:
+    if condition.value is None:
+        return Condition(
+            condition.name, None, "1", None, None, condition.text, condition.instrument or "laboratory"
+        )
+    certificate = f", certificate {condition.certificate}" if condition.certificate else ""
     return Condition(
-        one.name,
-        one.value,
-        one.unit,
-        one.uncertainty,
-        one.k if one.uncertainty is not None else None,
+        condition.name,
+        condition.value,
+        condition.unit,
+        condition.uncertainty,
+        condition.k if condition.uncertainty is not None else None,
         "",
-        f"{one.instrument}{certificate}",
+        f"{condition.instrument}{certificate}",
     )
 
 
-def _traceability(found: Results, lab: LabConfig) -> tuple[Traceability, ...]:
+def _traceability(results: Results, lab: LabConfig) -> tuple[Traceability, ...]:
     """Return the collimator's certificate or passport, then the other references of lab.yaml."""
-    by_row = {one.row: one for one in lab.sources}
+    by_row = {source.row: source for source in lab.sources}
     rows = []
-    if in_run := found.get("passport"):
-        rows.append(_collimator(found, in_run, by_row.get(PASSPORT)))
+    if in_run := results.get("passport"):
+        rows.append(_collimator(results, in_run, by_row.get(PASSPORT)))
     rows += [
-        _reference(one, one.what or one.row or "")
-        for one in lab.sources
-        if not (in_run and one.row == PASSPORT)
+        _reference(source, source.what or source.row or "")
+        for source in lab.sources
+        if not (in_run and source.row == PASSPORT)
     ]
     return tuple(rows)
 
 
-def _reference(one: SourceConfig, what: str) -> Traceability:
+def _reference(source: SourceConfig, what: str) -> Traceability:
     """Return the certificate of a reference as lab.yaml states it, without a value."""
     return Traceability(
-        what, None, None, None, "1", one.number, one.issuer, _day(one.date), one.sha256, one.statement
+        what,
+        None,
+        None,
+        None,
+        "1",
+        source.number,
+        source.issuer,
+        _day(source.date),
+        source.sha256,
+        source.statement,
     )
 
 
-def _collimator(found: Results, in_run: PassportData, stated: SourceConfig | None) -> Traceability:
+def _collimator(results: Results, in_run: PassportData, stated: SourceConfig | None) -> Traceability:
     """Return the certificate or passport of the collimator, of the run before that of lab.yaml."""
     radius = in_run["values"].get("r")
-    expanded, k = _radius_uncertainty(found, in_run)
+    expanded, k = _radius_uncertainty(results, in_run)
     known = _reference(stated or SourceConfig(row=PASSPORT), "focal length of the collimator")
     return replace(
         known,
@@ -337,18 +348,18 @@ def _collimator(found: Results, in_run: PassportData, stated: SourceConfig | Non
     )
 
 
-def _radius_uncertainty(found: Results, in_run: PassportData) -> tuple[float | None, float | None]:
+def _radius_uncertainty(results: Results, in_run: PassportData) -> tuple[float | None, float | None]:
     """Return the uncertainty of the collimator's focal length as it is stated, mm, and its coverage factor."""
-    certificate = (found["run"].get("collimator") or {}).get("certificate")
+    certificate = (results["run"].get("collimator") or {}).get("certificate")
     if isinstance(certificate, Mapping) and in_run["source"] == "station certificate":
         return float(certificate["uncertainty_mm"]), float(certificate.get("k", 2.0))
     sigma = in_run["sigma"].get("r")
     return (None, None) if sigma is None else (float(sigma), 1.0)
 
 
-def _before(found: Results, lab: LabConfig) -> BeforeAdjustment | None:
+def _before(results: Results, lab: LabConfig) -> BeforeAdjustment | None:
     """Return the calibration before this one: the certificate of lab.yaml, and the last run on this bench."""
-    earlier, stated = found.get("previous"), lab.previous_certificate
+    earlier, stated = results.get("previous"), lab.previous_certificate
     if earlier is None or not earlier["run"]:
         earlier = None
     if earlier is None and not isinstance(stated, PreviousConfig):
@@ -383,4 +394,4 @@ def _before(found: Results, lab: LabConfig) -> BeforeAdjustment | None:
 
 
 def _named(results: Sequence[Result], symbol: str) -> Result:
-    return next(one for one in results if one.symbol == symbol)
+    return next(result for result in results if result.symbol == symbol)

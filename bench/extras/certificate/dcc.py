@@ -88,8 +88,8 @@ def render_dcc(certificate: Certificate) -> bytes:
         version=DCC_VERSION,
         writers=[*(one for one in used if one.name == "starbench"), *writers] or used,
         programs=used,
-        fixed={one.id: one.text for one in certificate.statements},
-        changed="; ".join(f"{one.field}: {one.before} -> {one.after}" for one in changes),
+        fixed={statement.id: statement.text for statement in certificate.statements},
+        changed="; ".join(f"{change.field}: {change.before} -> {change.after}" for change in changes),
         joint=_joint(certificate) if certificate.covariance.names else None,
         provenance=_provenance(certificate),
     )
@@ -148,15 +148,19 @@ def _software_of(certificate: Certificate) -> tuple[list[Software], list[Softwar
     return listed[:at], listed[at:]
 
 
-def _reference_words(one: Traceability) -> str:
-    words = [one.statement]
-    if one.number:
+def _reference_words(traceability: Traceability) -> str:
+    words = [traceability.statement]
+    if traceability.number:
         words.append(
-            f"Certificate {one.number}"
-            + (f" of {one.issuer}" if one.issuer else "")
-            + (f", {one.date}" if one.date else "")
+            f"Certificate {traceability.number}"
+            + (f" of {traceability.issuer}" if traceability.issuer else "")
+            + (f", {traceability.date}" if traceability.date else "")
         )
-        words += [] if one.sha256 else ["The file of the certificate is not at hand, so it has no hash here"]
+        words += (
+            []
+            if traceability.sha256
+            else ["The file of the certificate is not at hand, so it has no hash here"]
+        )
     return joined(*words)
 
 
@@ -220,10 +224,10 @@ def _joint(certificate: Certificate) -> Mapping[str, Any]:
     Where a result's k is larger than that of a normal distribution, the ellipsoid's is larger by the same factor.
     """
     covariance = certificate.covariance
-    by_symbol = {one.symbol: one for one in certificate.results}
+    by_symbol = {result.symbol: result for result in certificate.results}
     members = [by_symbol[name] for name in covariance.names]
-    p = min(one.p for one in members)
-    nu = min((one.nu_eff for one in members if one.nu_eff is not None), default=None)
+    p = min(member.p for member in members)
+    nu = min((member.nu_eff for member in members if member.nu_eff is not None), default=None)
     factor = ellipsoid_factor(len(covariance.units), p, nu)
     if nu is not None:
         distribution = f"multivariate t, {nu:.4g} degrees of freedom"
@@ -231,9 +235,9 @@ def _joint(certificate: Certificate) -> Mapping[str, Any]:
         distribution = "normal"
     else:
         distribution = _POSTERIOR
-        factor *= max(1.0, *(one.k / ellipsoid_factor(1, one.p, None) for one in members))
+        factor *= max(1.0, *(member.k / ellipsoid_factor(1, member.p, None) for member in members))
     return {
-        "numbers": " ".join(number_text(one.value) for one in members),
+        "numbers": " ".join(number_text(member.value) for member in members),
         "units": [unit_of(unit) for unit in covariance.units],
         "k": plain_number(factor, _K_DIGITS),
         "p": plain_number(p, _K_DIGITS),

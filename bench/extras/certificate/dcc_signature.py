@@ -85,20 +85,20 @@ def load_certificates(path: Path) -> tuple[x509.Certificate, ...]:
     with storage_errors(path):
         data = path.read_bytes()
     try:
-        found = tuple(x509.load_pem_x509_certificates(data))
+        certificates = tuple(x509.load_pem_x509_certificates(data))
     except ValueError as error:
         raise EvidenceError(
             "The file has no certificates in PEM.",
             where=str(path),
             remedy="Name a file with `-----BEGIN CERTIFICATE-----`.",
         ) from error
-    if len(found) > MOST_CERTIFICATES:
+    if len(certificates) > MOST_CERTIFICATES:
         raise EvidenceError(
-            f"The file has {len(found)} certificates; a chain has at most {MOST_CERTIFICATES}.",
+            f"The file has {len(certificates)} certificates; a chain has at most {MOST_CERTIFICATES}.",
             where=str(path),
             remedy="Name a file with the chain alone.",
         )
-    return found
+    return certificates
 
 
 def in_order(chain: Sequence[x509.Certificate], key: PrivateKey) -> list[x509.Certificate]:

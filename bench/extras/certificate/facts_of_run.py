@@ -53,9 +53,9 @@ _SUFFIXES = {
 """Units by the end of a setting's name."""
 
 
-def results_of(found: Results, customer_supplied: frozenset[str] = frozenset()) -> tuple[Result, ...]:
+def results_of(results: Results, customer_supplied: frozenset[str] = frozenset()) -> tuple[Result, ...]:
     """Return the camera's values, each with its expanded uncertainty, in the order of results.json."""
-    calibration = found["calibration"]
+    calibration = results["calibration"]
     return tuple(
         _result(calibration, symbol, float(value), supplied=symbol in customer_supplied)
         for symbol, value in calibration["camera"].items()
@@ -82,9 +82,9 @@ def _result(calibration: CalibrationData, symbol: str, value: float, *, supplied
     )
 
 
-def covariance_of(found: Results) -> Covariance:
+def covariance_of(results: Results) -> Covariance:
     """Return the joint covariance of results.json, without its enlargement where there are few degrees of freedom."""
-    calibration = found["calibration"]
+    calibration = results["calibration"]
     symbols = tuple(calibration["camera"])
     names, matrix = calibration["covariance"]["names"], calibration["covariance"]["matrix"]
     growth = {symbol: expanded(calibration, symbol).growth for symbol in symbols}
@@ -99,10 +99,10 @@ def covariance_of(found: Results) -> Covariance:
     )
 
 
-def further_of(found: Results) -> tuple[FurtherResult, ...]:
+def further_of(results: Results) -> tuple[FurtherResult, ...]:
     """Return the numbers about the calibration: uncertainty of the projection, residuals, number of views."""
-    calibration = found["calibration"]
-    projection, rows = found.get("projection"), _at_centre(calibration)
+    calibration = results["calibration"]
+    projection, rows = results.get("projection"), _at_centre(calibration)
     if projection is not None:
         worst, name = projection["worst_corner"], "expanded uncertainty of the projection"
         rows += _projection("projection_median", f"{name}, median over the image", projection["median"])
@@ -124,28 +124,30 @@ def _at_centre(calibration: CalibrationData) -> list[FurtherResult]:
     covariance = camera_covariance(calibration)
     if covariance is None:
         return []
-    found = projection_uncertainty(camera_of(calibration["camera"], calibration["image_size"]), covariance)
-    row, column = (size // 2 for size in found.sigma_px.shape)
+    projection_map = projection_uncertainty(
+        camera_of(calibration["camera"], calibration["image_size"]), covariance
+    )
+    row, column = (size // 2 for size in projection_map.sigma_px.shape)
     k = float(calibration["coverage_factor"])
     centre: KnownDirection = {
-        "expanded_px": k * float(found.sigma_px[row, column]),
-        "expanded_urad": k * float(found.sigma_arcsec[row, column]) * URAD_PER_ARCSEC,
+        "expanded_px": k * float(projection_map.sigma_px[row, column]),
+        "expanded_urad": k * float(projection_map.sigma_arcsec[row, column]) * URAD_PER_ARCSEC,
     }
     return _projection(
         "projection_centre", "expanded uncertainty of the projection in the centre of the image", centre
     )
 
 
-def _boresight(found: BoresightData | None) -> Iterator[FurtherResult]:
+def _boresight(boresight: BoresightData | None) -> Iterator[FurtherResult]:
     """Yield the rotation of the camera against the stage's flange, each angle followed by its U."""
-    if found is None:
+    if boresight is None:
         return
     turned = [(f"rotation vector from flange to camera, {axis}", axis) for axis in "xyz"]
     looks = [(f"middle of the image, {where} of the flange's axis", where) for where in ("right", "down")]
     angles = zip(
         (*turned, *looks),
-        (*found["vector_deg"], *found["right_down_deg"]),
-        (*found["expanded_deg"], *found["sight_expanded_deg"]),
+        (*boresight["vector_deg"], *boresight["right_down_deg"]),
+        (*boresight["expanded_deg"], *boresight["sight_expanded_deg"]),
         strict=True,
     )
     for (name, short), value, own_u in angles:
@@ -173,49 +175,51 @@ def _further(id_: str, name: str, value: float, unit: str) -> FurtherResult:
     return FurtherResult(id_, name, nine_digits(value), unit, with_unit(print_plain(value), unit))
 
 
-def is_unnamed(found: Results) -> bool:
+def is_unnamed(results: Results) -> bool:
     """Return whether the camera did not report a serial number. The laboratory then identifies it."""
-    return not found["devices"]["camera"].get("serial")
+    return not results["devices"]["camera"].get("serial")
 
 
-def _light_and_camera(found: Results) -> tuple[LightSettingsData, CameraConditions]:
+def _light_and_camera(results: Results) -> tuple[LightSettingsData, CameraConditions]:
     """Return the settings of light and camera as the run read them back; empty if it did not."""
-    conditions = found.get("conditions")
+    conditions = results.get("conditions")
     return (conditions["light"], conditions["camera"]) if conditions else ({}, {})
 
 
-def camera_identity(found: Results, item: ItemConfig) -> Camera:
+def camera_identity(results: Results, item: ItemConfig) -> Camera:
     """Return the camera as it identified itself in the run, or else as section ``item`` of lab.yaml does."""
-    camera = dict(found["devices"]["camera"])
-    if is_unnamed(found):
+    camera = dict(results["devices"]["camera"])
+    if is_unnamed(results):
         camera |= {"maker": item.maker, "model": item.model, "serial": item.serial or ""}
-    _, settings = _light_and_camera(found)
+    _, settings = _light_and_camera(results)
     biases = settings.get("biases") or {}
     stated = json.dumps(biases, sort_keys=True, separators=(",", ":")).encode()
     return Camera(
         **{name: str(camera.get(name) or "") for name in ("maker", "model", "sensor", "serial", "firmware")},
-        image_size=tuple(int(size) for size in found["calibration"]["image_size"]),
+        image_size=tuple(int(size) for size in results["calibration"]["image_size"]),
         biases=tuple(f"{name} = {biases[name]}" for name in sorted(biases)),
         biases_sha256=sha256(stated) if biases else "",
     )
 
 
-def conditions_of(found: Results) -> tuple[Condition, ...]:
+def conditions_of(results: Results) -> tuple[Condition, ...]:
     """Return the recorded conditions: temperatures, light, event rate, the board if one was seen, camera settings."""
-    light, camera = _light_and_camera(found)
-    attempts = [one for pose in found["poses"] for one in pose["attempts"] if one["accepted"]]
+    light, camera = _light_and_camera(results)
+    attempts = [one for pose in results["poses"] for one in pose["attempts"] if one["accepted"]]
     rows = [
-        _range("camera temperature", [one.get("temperature_c") for one in attempts], _DEGREE),
+        _range("camera temperature", [attempt.get("temperature_c") for attempt in attempts], _DEGREE),
         _value(
             "collimator temperature (station)",
-            (found["run"].get("collimator") or {}).get("temperature_c"),
+            (results["run"].get("collimator") or {}).get("temperature_c"),
             _DEGREE,
         ),
-        _range("measured frequency of the light", [pose.get("flicker_hz") for pose in found["poses"]], "Hz"),
+        _range(
+            "measured frequency of the light", [pose.get("flicker_hz") for pose in results["poses"]], "Hz"
+        ),
         _text("light", [_setting(name, value) for name, value in sorted(light.items())]),
-        _range("event rate", [one.get("event_rate_mev_s") for one in attempts], "Mev/s"),
+        _range("event rate", [attempt.get("event_rate_mev_s") for attempt in attempts], "Mev/s"),
         _value("illumination", camera.get("illumination_lux"), "lx"),
-        _text("board", [str(board)] if (board := found["run"].get("board")) else []),
+        _text("board", [str(board)] if (board := results["run"].get("board")) else []),
         _text(
             "settings of the camera",
             [
@@ -252,7 +256,7 @@ def _text(name: str, parts: list[str]) -> Condition | None:
 
 def _range(name: str, values: list[float | None], unit: str) -> Condition | None:
     """Return one value if all are printed alike, else the range in words."""
-    known = sorted(float(one) for one in values if one is not None)
+    known = sorted(float(value) for value in values if value is not None)
     if not known:
         return None
     low, high = (f"{one:.6g}" for one in (known[0], known[-1]))
@@ -261,32 +265,32 @@ def _range(name: str, values: list[float | None], unit: str) -> Condition | None
     return Condition(name, None, unit, None, None, f"{low} to {high} {unit}", "run")
 
 
-def deviations_of(found: Results) -> tuple[Deviation, ...]:
+def deviations_of(results: Results) -> tuple[Deviation, ...]:
     """Return what in the run differed from its sequence: deviations, failures, poses without result, failed gates."""
-    texts = [str(one) for one in (*(found.get("deviations") or ()), *(found.get("holds") or ()))]
-    texts += [f"The run was interrupted: {one.get('what') or one}" for one in found.get("failures") or []]
-    if resumed := int(found["run"].get("resumed") or 0):
+    texts = [str(one) for one in (*(results.get("deviations") or ()), *(results.get("holds") or ()))]
+    texts += [f"The run was interrupted: {one.get('what') or one}" for one in results.get("failures") or []]
+    if resumed := int(results["run"].get("resumed") or 0):
         texts.append(f"The run was resumed {resumed} time{'s' if resumed > 1 else ''}.")
     texts += [
         f"Pose {pose['index']} ({pose['name']}) has no accepted recording and does not enter the result."
-        for pose in found["poses"]
+        for pose in results["poses"]
         if not any(one["accepted"] for one in pose["attempts"])
     ]
     texts += [
-        f"Limit not met: {_gate_name(gate, found)} is {gate['value']} {gate['unit']}".rstrip()
+        f"Limit not met: {_gate_name(gate, results)} is {gate['value']} {gate['unit']}".rstrip()
         + f", limit {gate['limit']}."
-        for gate in found.get("gates") or []
+        for gate in results.get("gates") or []
         if gate["verdict"] == "fail"
     ]
-    texts += limits_of_others(found)
+    texts += limits_of_others(results)
     return tuple(Deviation(text, "run") for text in dict.fromkeys(texts))
 
 
-def _gate_name(gate: GateData, found: Results) -> str:
+def _gate_name(gate: GateData, results: Results) -> str:
     """Return the name of a gate, with its pose."""
     if "pose" not in gate:
         return str(gate["name"])
-    return f"pose {gate['pose']}: {words_of(found).fitting(gate['gate'])}"
+    return f"pose {gate['pose']}: {words_of(results).fitting(gate['gate'])}"
 
 
 def utc_seconds(moment: str) -> str:

@@ -15,26 +15,29 @@ Limits = tuple[str, float | None, float | None]
 """A result, its lower and its upper limit."""
 
 
-def rules_of(found: Results, lab: LabConfig) -> list[LabRuleConfig]:
+def rules_of(results: Results, lab: LabConfig) -> list[LabRuleConfig]:
     """Return the laboratory's limits for conformity, then those of the run that it does not state itself."""
     own = list(lab.decision_rules or ())
     stated = {_limits_of(one) for one in own}
-    return own + [rule for rule in _rules_of_run(found) if _limits_of(rule) not in stated]
+    return own + [rule for rule in _rules_of_run(results) if _limits_of(rule) not in stated]
 
 
-def _rules_of_run(found: Results) -> Iterator[LabRuleConfig]:
-    for one in _statements(found):
-        if one["result"] in found["calibration"]["camera"]:
-            by = f"limits of the run's {one['stated_by']}"
-            text = f"{one['specification']} ({by})" if one["specification"] else by
+def _rules_of_run(results: Results) -> Iterator[LabRuleConfig]:
+    for statement in _statements(results):
+        if statement["result"] in results["calibration"]["camera"]:
+            by = f"limits of the run's {statement['stated_by']}"
+            text = f"{statement['specification']} ({by})" if statement["specification"] else by
             # The run's own check of its text holds.
             yield LabRuleConfig.model_construct(
-                result=one["result"], specification=text, lower=one["lower"], upper=one["upper"]
+                result=statement["result"],
+                specification=text,
+                lower=statement["lower"],
+                upper=statement["upper"],
             )
 
 
-def _statements(found: Results) -> list[StatementData]:
-    judged = found.get("conformity")
+def _statements(results: Results) -> list[StatementData]:
+    judged = results.get("conformity")
     return list(judged["statements"]) if judged else []
 
 
@@ -42,41 +45,45 @@ def _limits_of(rule: LabRuleConfig) -> Limits:
     return rule.result, rule.lower, rule.upper
 
 
-def limits_of_others(found: Results) -> list[str]:
+def limits_of_others(results: Results) -> list[str]:
     """Return a sentence for each limit of the run that is not kept, and whose result is none of the certificate."""
-    judged = found.get("conformity")
+    judged = results.get("conformity")
     if judged is None:
         return []
-    camera = found["calibration"]["camera"]
-    others = [one for one in _statements(found) if one["result"] not in camera and one["verdict"] != "pass"]
+    camera = results["calibration"]["camera"]
+    others = [
+        statement
+        for statement in _statements(results)
+        if statement["result"] not in camera and statement["verdict"] != "pass"
+    ]
     return conformity_sentences({**judged, "statements": others, "reasons": [], "rule": ""})[: len(others)]
 
 
-def despite_fail(found: Results) -> str:
+def despite_fail(results: Results) -> str:
     """Return the statement of a certificate with limits of the laboratory over a run that says FAIL."""
-    judged = found.get("conformity")
+    judged = results.get("conformity")
     headline = conformity_headline(judged) if judged else ""
     return f"The sealed run says {headline} The laboratory states limits of its own beside them, for this reason:"
 
 
-def passes_over_fail(found: Results, lab: LabConfig, conformity: tuple[Conformity, ...]) -> list[str]:
+def passes_over_fail(results: Results, lab: LabConfig, conformity: tuple[Conformity, ...]) -> list[str]:
     """Return the results that pass by other limits than the run's although the run says FAIL; usually none."""
-    judged = found.get("conformity")
+    judged = results.get("conformity")
     if judged is None or judged["passed"]:
         return []
-    of_run = {_limits_of(rule) for rule in _rules_of_run(found)}
+    of_run = {_limits_of(rule) for rule in _rules_of_run(results)}
     own = zip(lab.decision_rules or (), conformity, strict=False)  # those of the run follow
     return [one.symbol for rule, one in own if one.verdict in _PASSES and _limits_of(rule) not in of_run]
 
 
-def needed_reason(found: Results, lab: LabConfig, conformity: tuple[Conformity, ...], reason: str) -> str:
+def needed_reason(results: Results, lab: LabConfig, conformity: tuple[Conformity, ...], reason: str) -> str:
     """Return the reason for a pass over a FAIL, empty where there is none; `EvidenceError` where it is missing."""
-    passes = passes_over_fail(found, lab, conformity)
+    passes = passes_over_fail(results, lab, conformity)
     if not passes:
         return ""
     if not reason:
-        failed = [one for one in _statements(found) if one["verdict"] != "pass"]
-        judged = found["conformity"]
+        failed = [statement for statement in _statements(results) if statement["verdict"] != "pass"]
+        judged = results["conformity"]
         what = conformity_sentences({**judged, "statements": failed})[: len(failed) + len(judged["reasons"])]
         raise EvidenceError(
             f"The sealed run says FAIL: {' '.join(what)} By the limits of lab.yaml {', '.join(passes)} would pass.",

@@ -150,8 +150,10 @@ def refuse_missing(certificate: Mapping[str, Any]) -> None:
 
 def _named(characters: Sequence[str]) -> str:
     shown = [
-        f"{one} (U+{ord(one):04X})" if unicodedata.category(one) not in _UNPRINTABLE else f"U+{ord(one):04X}"
-        for one in characters[:_MOST_SHOWN]
+        f"{character} (U+{ord(character):04X})"
+        if unicodedata.category(character) not in _UNPRINTABLE
+        else f"U+{ord(character):04X}"
+        for character in characters[:_MOST_SHOWN]
     ]
     more = len(characters) - _MOST_SHOWN
     return ", ".join(shown) + (f" and {more} more" if more > 0 else "")
@@ -197,7 +199,7 @@ def document(
             "ended": moment(certificate.ended_utc),
             "issued": moment(certificate.issued_utc),
             "state": _state(certificate),
-            "statements": {one.id: one.text for one in reversed(certificate.statements)},
+            "statements": {statement.id: statement.text for statement in reversed(certificate.statements)},
             "covariance": _printed_covariance(certificate.covariance),
             "pictures": list(shown),
             "attachments": [_attachment(name, data) for name, data in sorted(attachments.items())],
@@ -248,18 +250,18 @@ def _state(certificate: Certificate) -> str:
     )
 
 
-def _printed_covariance(found: Covariance) -> list[Any]:
+def _printed_covariance(covariance: Covariance) -> list[Any]:
     """Return names, units, and the printed matrices of covariance and correlation."""
-    sigma = [math.sqrt(max(row[at], 0.0)) for at, row in enumerate(found.matrix)]
-    covariances = [[_short_exponent(f"{value:.5e}") for value in row] for row in found.matrix]
+    sigma = [math.sqrt(max(row[at], 0.0)) for at, row in enumerate(covariance.matrix)]
+    covariances = [[_short_exponent(f"{value:.5e}") for value in row] for row in covariance.matrix]
     correlations = [
         [
             _printed(f"{value / (sigma[i] * sigma[j]) + 0.0:.4f}") if sigma[i] and sigma[j] else NOTHING
             for j, value in enumerate(row)
         ]
-        for i, row in enumerate(found.matrix)
+        for i, row in enumerate(covariance.matrix)
     ]
-    return [found.names, found.units, covariances, correlations]
+    return [covariance.names, covariance.units, covariances, correlations]
 
 
 def _short_exponent(text: str) -> str:
@@ -316,11 +318,11 @@ def _pdf_of(files: dict[str, bytes]) -> bytes:
     """Return what typst makes of ``main.typ``, with the fonts that it carries; RuntimeError if it cannot."""
     make = library("typst").Compiler
     with TemporaryDirectory() as empty:  # without a root, a plot could name a file of the working directory
-        found = make(files, root=empty, ignore_system_fonts=True).compile(
+        pdf = make(files, root=empty, ignore_system_fonts=True).compile(
             format="pdf", pdf_standards=list(STANDARDS)
         )
-    assert isinstance(found, bytes)
-    return found
+    assert isinstance(pdf, bytes)
+    return pdf
 
 
 def _printed(text: str) -> str:

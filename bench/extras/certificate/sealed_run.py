@@ -103,28 +103,28 @@ def check_run_of_certificate(
     folder: Path, ledger: Ledger, verify_run: Callable[[Path], Verification]
 ) -> Findings:
     """Make the results of a certificate's run again from its recordings, if it lies where the ledger says."""
-    found = Findings()
+    findings = Findings()
     certificate = Certificate.from_json(read_bounded(folder / CERTIFICATE))
     seal = certificate.run.seal_sha256
     try:
         places = [Path(run.folder) for run in ledger.runs() if run.seal == seal]
     except BenchError as error:
-        found.not_compared.append(f"the ledger of this bench cannot be read: {error.what.rstrip('.')}")
-        return found
+        findings.not_compared.append(f"the ledger of this bench cannot be read: {error.what.rstrip('.')}")
+        return findings
     here = [path for path in places if (path / MANIFEST).is_file() and sha256_of(path / MANIFEST) == seal]
     if not here:
         where = f"not in {places[0]} any more" if places else "not in the ledger of this bench"
-        found.not_compared.append(
+        findings.not_compared.append(
             f"{RESULTS} with the recordings: the run {certificate.run.id} is {where}, so they were not made again"
         )
-        return found
+        return findings
     run = verify_run(here[0])
     for fault in run.faults:
-        found.fault(fault.kind, f"{here[0]}/{fault.where}", fault.what)
-    found.not_compared += run.not_compared
+        findings.fault(fault.kind, f"{here[0]}/{fault.where}", fault.what)
+    findings.not_compared += run.not_compared
     if run.ok:
-        found.remarks.append(f"the results of the run in {here[0]} were made again from its recordings")
-    return found
+        findings.remarks.append(f"the results of the run in {here[0]} were made again from its recordings")
+    return findings
 
 
 @dataclass(frozen=True)

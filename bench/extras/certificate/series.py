@@ -272,18 +272,20 @@ def _enter(journal: Journal, wanted: Wanted, now: datetime, number: str, series:
 
 def _own_open_number(found: Mapping[str, Numbered], wanted: Wanted) -> Numbered | None:
     """Return the open number of the same run and purpose; refuse while another one is open."""
-    for one in open_numbers(found):
-        if (one.run_seal, one.amends) == (wanted.run_seal, wanted.amends):
-            year = int(one.issued_utc[:4])
-            if one.series == series_of(wanted.number_format, year=year, simulated=wanted.simulated):
-                return one
+    for own_open_number in open_numbers(found):
+        if (own_open_number.run_seal, own_open_number.amends) == (wanted.run_seal, wanted.amends):
+            year = int(own_open_number.issued_utc[:4])
+            if own_open_number.series == series_of(
+                wanted.number_format, year=year, simulated=wanted.simulated
+            ):
+                return own_open_number
         raise EvidenceError(
-            f"The certificate number {one.number} was reserved for the run {one.run_id} on"
-            f" {one.issued_utc[:16]}, and was not issued: that command was stopped or failed.",
-            where=one.folder,
+            f"The certificate number {own_open_number.number} was reserved for the run {own_open_number.run_id} on"
+            f" {own_open_number.issued_utc[:16]}, and was not issued: that command was stopped or failed.",
+            where=own_open_number.folder,
             remedy="Issue the certificate of that run with the same numbers.format, which takes this number, or"
             f" declare it void:"
-            f" `starbench certificate void {one.number} --reason TEXT`.",
+            f" `starbench certificate void {own_open_number.number} --reason TEXT`.",
         )
     return None
 

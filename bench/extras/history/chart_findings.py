@@ -225,7 +225,7 @@ def find_charts(groups: Iterable[ChartGroup], *, baseline: int | None = None) ->
     Limits come from each group's first ``baseline`` runs, all where None.
     """
     found = [(group, [_computed(name, group, baseline) for name in group.key.parameters]) for group in groups]
-    every = [one for _, charts in found for one in charts]
+    every = [chart for _, charts in found for chart in charts]
     chances = [slope["p"] for one in every for slope in one.slopes]
     judge = _Judge(
         limited=sum(one.control is not None for one in every),

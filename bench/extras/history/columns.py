@@ -198,12 +198,12 @@ def table_row(run: IndexedRun, details: RunDetails, place: RunPlace, state: Show
 def _parameters(run: IndexedRun) -> Row:
     row: dict[str, Cell] = {}
     other = {}
-    for name, one in run.parameters.items():
+    for name, parameter in run.parameters.items():
         if name not in PARAMETERS:
-            other[name] = {"value": _finite(one.value), "sigma": _finite(one.sigma)}
+            other[name] = {"value": _finite(parameter.value), "sigma": _finite(parameter.sigma)}
             continue
-        expanded = one.expanded if run.coverage_factor is not None else None
-        row |= dict(zip(parameter_columns(name), (one.value, one.sigma, expanded), strict=True))
+        expanded = parameter.expanded if run.coverage_factor is not None else None
+        row |= dict(zip(parameter_columns(name), (parameter.value, parameter.sigma, expanded), strict=True))
     row["other_parameters"] = json.dumps(other) if other else None
     return row
 

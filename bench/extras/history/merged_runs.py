@@ -245,11 +245,11 @@ def _name_missing(
     merged: MergedRuns,
     entered: Mapping[str, EnteredRun],
     by_head: Mapping[str, Sequence[IndexedRun]],
-    found: Sequence[IndexedRun],
+    runs: Sequence[IndexedRun],
     unread: set[str],
 ) -> None:
     """Name the runs of the ledgers that no folder holds."""
-    at_path = {run.folder: run for run in found}
+    at_path = {run.folder: run for run in runs}
     for head, one in entered.items():
         resolved = str(Path(one.run.folder).resolve())
         if head in by_head or resolved in unread:  # a folder that cannot be read is named already

@@ -380,16 +380,16 @@ def _analysis(y: Array, columns: Mapping[str, Array]) -> tuple[tuple[Term, ...],
 def _spaces(columns: Mapping[str, Array], count: int) -> dict[str, Array]:
     """Return an orthonormal basis (N, df) of what each term adds to the mean and to the terms before it."""
     held = np.full((count, 1), 1.0 / math.sqrt(count))
-    found = {}
+    spaces = {}
     for name, column in columns.items():
         left = column - held @ (held.T @ column)
         left -= held @ (held.T @ left)  # twice: rounding
         basis, sizes, _ = np.linalg.svd(left, full_matrices=False)
         basis = basis[:, sizes > 1e-9 * math.sqrt(count)]
         if basis.shape[1]:
-            found[name] = basis
+            spaces[name] = basis
             held = np.hstack([held, basis])
-    return found
+    return spaces
 
 
 def _term(name: str, squares: float, degrees: int, error: float, free: int) -> Term:

@@ -129,7 +129,7 @@ def content_hash(path: Path) -> str:
     if not path.is_dir():
         return sha256_of(path)
     files = sorted(one for one in path.rglob("*") if one.is_file())
-    listed = "\n".join(f"{sha256_of(one)}  {one.relative_to(path).as_posix()}" for one in files)
+    listed = "\n".join(f"{sha256_of(file)}  {file.relative_to(path).as_posix()}" for file in files)
     return hashlib.sha256(listed.encode()).hexdigest()
 
 

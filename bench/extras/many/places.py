@@ -67,14 +67,14 @@ class Place:
 
 def find_places(names: Sequence[str]) -> list[Place]:
     """Return the folders that hold runs or recordings: each once, in order; the runs of one in natural order."""
-    found: dict[str, Place] = {}
+    places: dict[str, Place] = {}
     for name in names:
         place = Place(name)
         inner = _remote_runs(name) if place.is_remote else _local_runs(Path(name))
         for one in inner:
             same = one.rstrip("/") if place.is_remote else str(Path(one).resolve())
-            found.setdefault(same, Place(one if place.is_remote else str(Path(one).absolute())))
-    return list(found.values())
+            places.setdefault(same, Place(one if place.is_remote else str(Path(one).absolute())))
+    return list(places.values())
 
 
 def _local_runs(path: Path) -> list[str]:

@@ -60,7 +60,9 @@ def _started(memory_bytes: int | None) -> _Worker:
     before = multiprocessing.active_children()
     with _one_thread():
         pool.submit(os.getpid)  # the first work starts the process
-    (process,) = (one for one in multiprocessing.active_children() if one not in before)
+    (process,) = (
+        active_child for active_child in multiprocessing.active_children() if active_child not in before
+    )
     return _Worker(pool, process)
 
 

@@ -55,7 +55,7 @@ def check_one(folder: Path, check: Check, known: Mapping[str, Any] | None) -> Ch
             faults, [*derived["not_compared"]], [*derived["parts_not_compared"]], [*derived["remarks"]]
         )
 
-    found = verify_folder(
+    verification = verify_folder(
         folder,
         check.trust,
         at=check.at,
@@ -64,7 +64,7 @@ def check_one(folder: Path, check: Check, known: Mapping[str, Any] | None) -> Ch
         again=check.again,
     )
     row = rows[0] if rows else None
-    return Checked(found, row, before=row is not None and row is known)
+    return Checked(verification, row, before=row is not None and row is known)
 
 
 def _derived(folder: Path, check: Check, known: Mapping[str, Any] | None) -> Mapping[str, Any]:
@@ -72,9 +72,9 @@ def _derived(folder: Path, check: Check, known: Mapping[str, Any] | None) -> Map
     key = content_key({"folder": content_hash(folder), "again": check.again, "program": check.program})
     if known is not None and known["key"] == key:
         return known
-    found = Findings()
-    found.derive(folder, derivations_of(folder, again=check.again))
-    return {"key": key, "derived": asdict(found)}
+    findings = Findings()
+    findings.derive(folder, derivations_of(folder, again=check.again))
+    return {"key": key, "derived": asdict(findings)}
 
 
 def derivations_of(
@@ -86,16 +86,16 @@ def derivations_of(
     """
     from bench.evidence.seal import kind_of
 
-    found: list[Derivation] = []
+    derivations: list[Derivation] = []
     if kind_of(folder) == "run":
         from bench.solve.recorded_with import check_recorded_with
         from bench.solve.verdict_check import check_verdict
 
-        found += [check_recorded_with, check_verdict]
+        derivations += [check_recorded_with, check_verdict]
     if again:
         from bench.solve.again import check_run_again, nothing_shown
         from bench.solve.recalculated_again import check_recalculated
 
         of_run = partial(check_run_again, progress=progress or nothing_shown)
-        found.append(of_run if kind_of(folder) == "run" else check_recalculated)
-    return found
+        derivations.append(of_run if kind_of(folder) == "run" else check_recalculated)
+    return derivations

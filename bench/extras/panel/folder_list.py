@@ -61,7 +61,7 @@ class FolderList:
 
     def look(self) -> FolderContent:
         """Look at the folder; what cannot be read is a fault."""
-        found: FolderContent = {
+        content: FolderContent = {
             "root": str(self.root),
             "exists": True,
             "unread": 0,
@@ -71,38 +71,38 @@ class FolderList:
         }
         with self._lock:
             try:
-                found["exists"] = self.root.is_dir()
-                folders = dict(self._folders(found["faults"]))
+                content["exists"] = self.root.is_dir()
+                folders = dict(self._folders(content["faults"]))
             except Exception as error:  # noqa: BLE001 - the pages must show it; the next look may succeed
-                found["faults"].append(Failure.of(error).message)
-                return found
+                content["faults"].append(Failure.of(error).message)
+                return content
             new = 0
             for folder, stamp in folders.items():
                 known = self._runs.get(folder)
                 new += known is None and folder not in self._batches
                 if known is not None and known.is_over and known.stamp == stamp:
-                    found["runs"].append(known.row)
+                    content["runs"].append(known.row)
                 elif known is None and new > MOST_NEW:
-                    found["unread"] += 1
+                    content["unread"] += 1
                 else:
-                    self._look_at(Path(folder), stamp, found)
+                    self._look_at(Path(folder), stamp, content)
             for kept in (self._runs, self._batches):
                 for gone in kept.keys() - folders.keys():
                     kept.pop(gone)
-        found["runs"].sort(key=_begin, reverse=True)
-        found["batches"].sort(key=_begin, reverse=True)
-        return found
+        content["runs"].sort(key=_begin, reverse=True)
+        content["batches"].sort(key=_begin, reverse=True)
+        return content
 
-    def _look_at(self, folder: Path, stamp: Stamp, found: FolderContent) -> None:
+    def _look_at(self, folder: Path, stamp: Stamp, content: FolderContent) -> None:
         try:
             self.inside(folder / JOURNAL)
             if (folder / QUEUE_COPY).is_file():
-                found["batches"].append(self._batch(folder, stamp))
+                content["batches"].append(self._batch(folder, stamp))
             else:
-                found["runs"].append(self._run(folder, stamp))
+                content["runs"].append(self._run(folder, stamp))
         except Exception as error:  # noqa: BLE001 - one folder must not hide the others
             message = Failure.of(error).message
-            found["faults"].append(message if str(folder) in message else f"{folder}: {message}")
+            content["faults"].append(message if str(folder) in message else f"{folder}: {message}")
 
     def folder_of(self, key: str) -> Path:
         """Return the folder that a page names by its path relative to the root, with slashes; ``.`` for the root."""
@@ -112,8 +112,8 @@ class FolderList:
         folder = self.root.joinpath(*parts)
         self.inside(folder / JOURNAL)
         with storage_errors(folder):
-            found = _journal_stamp(str(folder))
-        if found is None:
+            stamp = _journal_stamp(str(folder))
+        if stamp is None:
             raise _no_such_run(key, self.root)
         return folder
 

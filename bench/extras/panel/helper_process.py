@@ -125,9 +125,9 @@ class PictureRequest:
         from bench.measure.views_file import VIEWS
 
         if self.accepted and (self.folder / VIEWS).is_file():
-            found = _solved_picture(self.folder / VIEWS, self.pose_name)
-            if found is not None:
-                return found
+            answer = _solved_picture(self.folder / VIEWS, self.pose_name)
+            if answer is not None:
+                return answer
         if not self.measure:
             return {"absent": True, "fault": ""}, b""
         return _measured_picture(self)
@@ -206,7 +206,7 @@ def _solved_picture(path: Path, name: str) -> tuple[PictureAnswer, bytes] | None
 
     try:
         views = read_views(path)
-        number = next((i for i, one in enumerate(views, 1) if one.view.name == name), None)
+        number = next((i for i, view in enumerate(views, 1) if view.view.name == name), None)
         if number is None:
             return None
         picture = read_picture(path, number)

@@ -117,12 +117,12 @@ def read_final(folder: Path) -> Uncertainties:
         results = StoredRun(folder).results_as_written
         calibration = results["calibration"]
         k = coverage_factor(calibration, "fx")
-        found: Uncertainties = {
+        uncertainties: Uncertainties = {
             "coverage_factor": k,
             "expanded_fx_px": k * float(calibration["sigma"]["fx"]),
         }
         projection = results.get("projection")
         corner = projection["worst_corner"]["expanded_px"] if projection else None
-        return found if corner is None else {**found, "worst_corner_px": float(corner)}
+        return uncertainties if corner is None else {**uncertainties, "worst_corner_px": float(corner)}
     except (BenchError, ValueError, KeyError, TypeError, AttributeError):
         return {}

@@ -137,7 +137,7 @@ def _without_process(model: RunModel) -> LeaveData:
 def _unsafe(history: History) -> list[str]:
     """Return a sentence for stage and light each if it did not confirm at the run's end that it is safe."""
     ends = [DeviceEnd.from_dict(one) for one in history.devices_at_end]
-    return [one.text for one in ends if one.state == "not confirmed" and one.device != "camera"]
+    return [end.text for end in ends if end.state == "not confirmed" and end.device != "camera"]
 
 
 def _needs_a_person(model: RunModel, process: ProcessState) -> LeaveData | None:

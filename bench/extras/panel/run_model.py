@@ -64,12 +64,15 @@ class RunModel:
     @property
     def last_checked(self) -> AttemptChecked | None:
         """What the journal holds of the last recording that was measured."""
-        return next((one.checked for one in reversed(self.history.attempts) if one.checked is not None), None)
+        return next(
+            (attempt.checked for attempt in reversed(self.history.attempts) if attempt.checked is not None),
+            None,
+        )
 
     @property
     def gate_failures(self) -> Mapping[str, int]:
         """How many recordings each gate has rejected."""
-        judged = (gate for one in self.history.attempts for gate in one.gates)
+        judged = (gate for attempt in self.history.attempts for gate in attempt.gates)
         return Counter(gate["name"] for gate in judged if gate["verdict"] == "fail")
 
     def refresh(self) -> bool:

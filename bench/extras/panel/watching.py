@@ -160,9 +160,9 @@ class RunWatch:
     def _look_at_process(self, now_s: float) -> bool:
         self._process_at_s = now_s
         states = self.model.history.states
-        found = look_at_process(self.model.folder, states[-1]["state"] if states else "idle")
-        before, self.process = self.process, found
-        return _told_of(before) != _told_of(found)
+        state = look_at_process(self.model.folder, states[-1]["state"] if states else "idle")
+        before, self.process = self.process, state
+        return _told_of(before) != _told_of(state)
 
 
 def _told_of(process: ProcessState) -> tuple[Any, ...]:

@@ -270,14 +270,14 @@ class CameraContract(AnyCameraContract):
         for name in ("one.raw", "two.raw"):
             facts = camera.record(tmp_path / name, 0.1)
             file = RawFile.open(tmp_path / name)
-            found = file.scan()
+            statistics = file.scan()
             assert facts.complete
             assert (facts.serial, facts.width, facts.height) == (who.serial, who.width, who.height)
-            assert (facts.events, facts.triggers) == (found.events, found.triggers)
+            assert (facts.events, facts.triggers) == (statistics.events, statistics.triggers)
             assert facts.bytes == (tmp_path / name).stat().st_size
-            assert found.triggers > 0, "the simulated camera needs edges at its trigger input"
+            assert statistics.triggers > 0, "the simulated camera needs edges at its trigger input"
             assert 0.1 <= facts.duration_s < 1.0
-            assert facts.duration_s == pytest.approx(found.duration_s, abs=1e-3)
+            assert facts.duration_s == pytest.approx(statistics.duration_s, abs=1e-3)
             assert not any(facts.filters.values())
             for bias, value in self.biases.items():
                 assert facts.biases.get(bias, value) == value

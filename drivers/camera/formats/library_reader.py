@@ -201,7 +201,7 @@ def _from_hdf5(path: Path, choices: ReadingChoices) -> EventSource:
 def _from_aedat4(path: Path, choices: ReadingChoices) -> EventSource:
     """Open a stream of events of an AEDAT4 file, named by its number, with the edges at the camera's signal input."""
     streams = {str(number): one for number, one in _decoder(path).id_to_stream().items()}
-    name = choices.chosen(number for number, one in streams.items() if one.get("type") == "events")
+    name = choices.chosen(number for number, stream in streams.items() if stream.get("type") == "events")
     width, height = (streams[name].get(side) for side in ("width", "height"))
     size = agreed_size(
         {"the stream": (int(width), int(height))} if width and height else {}, choices.sensor_size, ""
@@ -237,8 +237,8 @@ def _camera_of_stream(path: Path, name: str) -> dict[str, str]:
     with path.open("rb") as file:
         _, *nodes = _STREAM.split(file.read(_HEAD_BYTES))
     of_number = dict(zip(nodes[::2], nodes[1::2], strict=True))
-    found = _SOURCE.search(of_number.get(name.encode(), b""))
-    return {"camera": found[1].decode("ascii")} if found else {}
+    optimum = _SOURCE.search(of_number.get(name.encode(), b""))
+    return {"camera": optimum[1].decode("ascii")} if optimum else {}
 
 
 def _decoder(path: Path) -> Any:
@@ -306,7 +306,7 @@ def _from_bag(path: Path, choices: ReadingChoices) -> EventSource:
     header = {
         **date_of(stamp.sec * 1_000_000),
         **origin.header,
-        **{key: one for key, one in facts.items() if one},
+        **{key: fact for key, fact in facts.items() if fact},
     }
     return _source_of_stream(lambda: _bag_pieces(path, topic, size, origin.us), size, header)
 
@@ -408,9 +408,9 @@ def _copied(piece: Piece) -> Piece:
 
 def _of_structs(message: Any) -> Events:
     events = empty_events(len(message.events))
-    for k, one in enumerate(message.events):
-        events.t[k] = one.ts.sec * 1_000_000 + one.ts.nanosec // 1000
-        events.x[k], events.y[k], events.p[k] = one.x, one.y, one.polarity
+    for k, event in enumerate(message.events):
+        events.t[k] = event.ts.sec * 1_000_000 + event.ts.nanosec // 1000
+        events.x[k], events.y[k], events.p[k] = event.x, event.y, event.polarity
     return events
 
 

@@ -1,0 +1,192 @@
+"""EVT2 and DAT files, those written by programs nobody here wrote among them."""
+
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from imported import import_events
+from made_event_files import DAT_HEAD, EVT2_HEAD, assert_same, dat_rows, evt2_words, evt21_words, some_events
+
+from drivers.camera.event_arrays import ReadingChoices
+from drivers.camera.formats.event_conversion import convert
+from drivers.camera.formats.event_files import open_events
+from drivers.camera.formats.prophesee_words import Evt2Decoder
+from drivers.camera.raw_file import RawFile
+from drivers.errors import NotARecording
+
+ORIGIN_US = 1_700_000_000_000_000
+
+
+def test_evt2_by_hand(tmp_path):
+    path = tmp_path / "a.raw"
+    path.write_bytes(
+        evt2_words(
+            0x8000_0002,  # 128 us
+            0x1000_0000 | 5 << 22 | 3 << 11 | 7,
+            0xA000_0000 | 6 << 22 | 1 << 8 | 1,
+            0x8FFF_FFFF,
+            0x0000_0000 | 63 << 22 | 1279 << 11 | 719,
+            0x8000_0000,  # the counter turns over
+            0x1000_0000,
+        )
+    )
+    found = import_events(path)
+    assert found.events.t.tolist() == [133, (1 << 34) - 1, 1 << 34]
+    assert (found.events.x.tolist(), found.events.y.tolist()) == ([3, 1279, 0], [7, 719, 0])
+    assert found.events.p.tolist() == [1, 0, 1]
+    edges = found.triggers
+    assert (edges.t.tolist(), edges.value.tolist(), edges.id.tolist()) == ([134], [1], [1])
+
+
+@pytest.mark.parametrize("version", ["evt2", "dat2"])
+def test_files_written_by_faery(tmp_path, version):
+    faery = pytest.importorskip("faery")
+    rows = some_events()
+    stream = faery.events_stream_from_array(rows.astype(faery.EVENTS_DTYPE), dimensions=(640, 480))
+    path = tmp_path / ("a.raw" if version == "evt2" else "a.dat")
+    stream.to_file(path, version=version)
+    found = import_events(path)
+    assert (found.width, found.height) == (640, 480)
+    assert_same(found, rows, origin_us=int(rows["t"][0]) - int(found.events.t[0]))
+
+
+@pytest.mark.parametrize("kind", ["evt2", "dat"])
+def test_another_reader_finds_the_same_events(tmp_path, kind):
+    expelliarmus = pytest.importorskip("expelliarmus", reason="pip install expelliarmus")
+    rows = some_events(step_us=11)
+    path = tmp_path / ("a.raw" if kind == "evt2" else "a.dat")
+    if kind == "dat":
+        path.write_bytes(dat_rows(rows))
+    else:
+        highs = 0x8000_0000 | (rows["t"] >> 6)
+        words = rows["on"] * np.uint64(1) << 28 | (rows["t"] & 63) << 22
+        words |= rows["x"].astype(np.uint64) << 11 | rows["y"]
+        path.write_bytes(EVT2_HEAD + np.column_stack((highs, words)).astype("<u4").tobytes())
+    theirs = expelliarmus.Wizard(encoding=kind).read(path)
+    found = import_events(path)
+    assert_same(found, rows)
+    for name in "txyp":
+        assert np.array_equal(theirs[name], getattr(found.events, name))
+
+
+def test_events_before_the_first_time_of_evt2_are_dropped(tmp_path):
+    """A stream may be joined in its middle."""
+    path = tmp_path / "a.raw"
+    path.write_bytes(evt2_words(0x1000_0000 | 9 << 11, 0xA000_0001, 0x8000_0002, 0x1000_0000 | 3 << 11 | 7))
+    found = import_events(path)
+    assert (found.events.t.tolist(), found.events.x.tolist(), len(found.triggers.t)) == ([128], [3], 0)
+
+
+@pytest.mark.parametrize("order", ["little", "legacy"])
+def test_vectors_of_evt21_are_read_in_both_orders_of_their_halves(tmp_path, order):
+    rows = some_events(4000, step_us=2)
+    rows["t"][1::2] = rows["t"][::2]  # two events at a time, some of them in one vector
+    rows["y"][1::2], rows["on"][1::2] = rows["y"][::2], rows["on"][::2]
+    rows["x"][1::2] = np.minimum(rows["x"][::2] | 31, 639)
+    head = f"% evt 2.1\n% format EVT21;endianness={order};height=480;width=640\n% end\n".encode()
+    path = tmp_path / "a.raw"
+    path.write_bytes(head + evt21_words(rows, legacy=order == "legacy") + b"\0\0\0")
+    found = import_events(path)
+    assert (found.width, found.height) == (640, 480)
+    assert_same(found, rows)
+
+
+@given(st.binary(max_size=600), st.sampled_from(["EVT2", "EVT21", "EVT21-legacy"]), st.integers(0, 600))
+def test_any_words_are_decoded_the_same_in_pieces_of_any_length(data, encoding, cut):
+    whole, parts = Evt2Decoder(encoding), Evt2Decoder(encoding)
+    cut -= cut % whole.word_bytes
+    events, edges = whole.decode(data)
+    pieces = [parts.decode(data[:cut]), parts.decode(data[cut:])]
+    for own, columns in ((events, [piece[0] for piece in pieces]), (edges, [piece[1] for piece in pieces])):
+        for name in own._fields:
+            joined = np.concatenate([getattr(one, name) for one in columns])
+            assert np.array_equal(getattr(own, name), joined)
+
+
+def test_evt21_by_hand(tmp_path):
+    path = tmp_path / "a.raw"
+    words = [0, 0x8FFF_FFFF, 1 << 31 | 1, 0x1000_0000 | 63 << 22 | 32 << 11 | 7, 0, 0x8000_0000]
+    words += [0, 0xA000_0000 | 6 << 22 | 1 << 8 | 1, 2, 0, 0xF000_1234, 0xE000_0014]
+    path.write_bytes(b"% format EVT21;height=320;width=320\n% end\n" + np.array(words, "<u4").tobytes())
+    found = import_events(path)
+    assert found.events.t.tolist() == [(1 << 34) - 1, (1 << 34) - 1, 1 << 34]
+    assert (found.events.x.tolist(), found.events.y.tolist()) == ([32, 63, 1], [7, 7, 0])
+    assert found.events.p.tolist() == [1, 1, 0]
+    assert (found.triggers.t.tolist(), found.triggers.id.tolist()) == ([(1 << 34) + 6], [1])
+
+
+def dat_head(version, kind=0x0C, size=True):
+    lines = "% Data file containing CD events.\n" + (f"% Version {version}\n" if version else "")
+    return (lines + ("% Height 240\n% Width 304\n" if size else "")).encode() + bytes([kind, 8])
+
+
+@pytest.mark.parametrize("version", ["1", ""])
+def test_version_1_of_dat_has_another_layout(tmp_path, version):
+    rows = some_events(600)
+    rows["x"], rows["y"] = rows["x"] % 304, rows["y"] % 240
+    table = np.zeros((len(rows), 2), "<u4")
+    table[:, 0] = rows["t"]
+    table[:, 1] = rows["x"] | rows["y"].astype("u4") << 9 | rows["on"].astype("u4") << 17
+    path = tmp_path / "a.dat"
+    path.write_bytes(dat_head(version) + table.tobytes())
+    assert_same(import_events(path), rows)
+
+
+def test_version_1_of_dat_written_by_faery(tmp_path):
+    faery = pytest.importorskip("faery")
+    rows = some_events(600)
+    rows["x"], rows["y"] = rows["x"] % 304, rows["y"] % 240
+    stream = faery.events_stream_from_array(rows.astype(faery.EVENTS_DTYPE), dimensions=(304, 240))
+    stream.to_file(tmp_path / "a.dat", version="dat1")
+    assert_same(import_events(tmp_path / "a.dat"), rows, origin_us=64)
+
+
+def test_a_dat_file_without_a_size_is_read_with_one_that_is_given(tmp_path):
+    rows, path = some_events(50), tmp_path / "a.dat"
+    path.write_bytes(dat_head(2, size=False) + dat_rows(rows)[len(DAT_HEAD) + 2 :])
+    with pytest.raises(NotARecording, match="--sensor-size"):
+        import_events(path)
+    assert_same(import_events(path, ReadingChoices((640, 480))), rows)
+    with pytest.raises(NotARecording, match="lies outside the sensor of 30 x 30 px"):
+        import_events(path, ReadingChoices((30, 30)))
+
+
+def test_a_dat_file_of_edges_and_one_of_an_unknown_version_are_named(tmp_path):
+    path = tmp_path / "a.dat"
+    path.write_bytes(dat_head(2, kind=0x0E) + bytes(16))
+    with pytest.raises(NotARecording, match="holds trigger edges only"):
+        import_events(path)
+    path.write_bytes(dat_head(7) + bytes(16))
+    with pytest.raises(NotARecording, match="has version 7"):
+        import_events(path)
+
+
+def test_dat_times_go_on_where_their_counter_turns_over(tmp_path):
+    rows = some_events(4)
+    rows["t"] = [0xFFFF_FFF0, 0xFFFF_FFFF, 0x1_0000_0001, 0x1_0000_0002]
+    path = tmp_path / "a.dat"
+    path.write_bytes(dat_rows(rows))
+    assert_same(import_events(path), rows)
+
+
+def test_evt2_is_converted_and_read_as_evt3(tmp_path):
+    path, raw = tmp_path / "a.raw", tmp_path / "b.raw"
+    path.write_bytes(evt2_words(0x8000_0002, 0x1000_0000 | 3 << 11 | 7, 0xA000_0001))
+    written = convert(path, raw, "raw")
+    assert (written.events, written.triggers) == (1, 1)
+    events, triggers = RawFile.open(raw).read()
+    assert (events.t.tolist(), events.x.tolist(), triggers.t.tolist()) == ([128], [3], [128])
+
+
+def test_memory_is_bounded_whatever_the_size(tmp_path):
+    path = tmp_path / "a.dat"
+    path.write_bytes(dat_rows(some_events(3_000_000, step_us=1)))
+    tracemalloc.start()
+    with open_events(path) as source:
+        count = sum(len(events.t) for events, _ in source.pieces())
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert count == 3_000_000
+    assert peak < 40e6
