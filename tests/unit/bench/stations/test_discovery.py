@@ -213,7 +213,7 @@ def test_controllers_with_a_port_for_each_axis_are_asked_for_their_serial_number
         ("pan", ports[1], "100101"),
         ("tilt", ports[2], "100102"),
     ]
-    text = draft_station("Own", Discovery((), (), ()), stage=driver, asked=(stage, None))
+    text = draft_station(Discovery((), (), ()), stage=driver, asked=(stage, None))
     for axis in stage.axes:
         assert f"{axis.name}: {{port: {axis.port}, serial: {axis.serial}, " in text
     assert text.count(f"_deg: {scale}") == 2
@@ -224,7 +224,7 @@ def test_a_board_is_asked_for_scales_and_travel(tmp_path):
     with SimulatedBench({"stage": {"kind": "grbl"}}, 1) as bench:
         stage = ask_stage("grbl", [bench.endpoints["light"], bench.endpoints["gimbal"]], BenchClock())
         assert stage.ports == {bench.endpoints["gimbal"]}
-    text = draft_station("Own", Discovery((), (), ()), stage="grbl", asked=(stage, None))
+    text = draft_station(Discovery((), (), ()), stage="grbl", asked=(stage, None))
     assert "pan: {letter: X, steps_per_deg: 640, zero_deg: 15, limits_deg: [-12, 12]," in text
     assert "tilt: {letter: Y, steps_per_deg: 640, zero_deg: 15, limits_deg: [-6, 12]," in text
 
