@@ -28,14 +28,14 @@ from calib.joint.effects.collimator import (
     RADIAL_RATIO,
     SHIFTED_SIZES,
 )
-from calib.joint.effects.gimbal import PLAY, GimbalErrors
+from calib.joint.effects.gimbal import GimbalErrors
 from calib.joint.fields import FieldBasis
 from calib.joint.hypotheses import ANOTHER_THING, LARGER_ERRORS, OTHER_LENGTH, UNSTEADY
 from calib.joint.layout import Layout
 from calib.model import result_parts as rows
 from calib.model.cause import PARALLAX
 from calib.model.gimbal import MOUNTING, NON_ORTHOGONALITY, SCALES, STANDING
-from calib.model.gimbal_readings import PLAY_SHARE, GimbalReadings, ParallaxBound
+from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
 from calib.model.target_focus import CertifiedLength, TargetFocus
 from calib.model.type_b_terms import RADII, TypeBTerm
@@ -373,8 +373,6 @@ def _gimbal(layout: Layout, readings: GimbalReadings) -> list[Statement]:
     )
     square, scale = float(np.radians(_SKEW_DEG)), (1.0, max(readings.scale_sigma, _EXACT))
     eccentric = max(float(np.radians(readings.eccentricity_deg)), 1e-9)
-    shown = _Source(layout, rows.READINGS, "station: reading_sigma_deg")
-    play = PLAY_SHARE * float(np.radians(readings.reading_sigma_deg))
     gimbal = [expected.says(rows.GIMBAL_AXES, {name: 1.0}, (0.0, 1.0)) for name in (*MOUNTING, *STANDING)]
     gimbal.append(expected.says(ORTHOGONAL, {NON_ORTHOGONALITY: 1.0}, (0.0, square), 0.1))
     for name in layout.names_of(GimbalErrors):
@@ -383,8 +381,6 @@ def _gimbal(layout: Layout, readings: GimbalReadings) -> list[Statement]:
             gimbal.append(station.says(what, {name: 1.0}, scale, FREE_SCALE, "1"))
         elif name.startswith("eccentricity"):
             gimbal.append(station.says(rows.GIMBAL_SCALE, {name: 1.0}, (0.0, eccentric)))
-        elif name.startswith(PLAY):
-            gimbal.append(shown.says(rows.READINGS, {name: 1.0}, (0.0, play)))
     return gimbal
 
 

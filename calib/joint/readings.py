@@ -1,9 +1,8 @@
 """The gimbal's readings as observations of the views' rotations.
 
 A reading predicts the rotation M = A Rz(roll) Rx(tilt) Rz(delta) Ry(pan) B (`calib.model.gimbal`). Each angle is its
-reading times the scale of its axis, plus three errors: e_s sin(a) + e_c (cos(a) - 1) of one period, a smooth one, and
-half of the play, with the sign of the last move. Poses at neighbouring angles, and poses that were reached from the
-same side, share them, so they do not count as independent readings.
+reading times the scale of its axis, plus two errors of the encoder: e_s sin(a) + e_c (cos(a) - 1) of one period, and a
+smooth one. Poses at neighbouring angles share it, so they do not count as independent readings.
 """
 
 from __future__ import annotations
@@ -15,9 +14,9 @@ from functools import cached_property
 import numpy as np
 
 from calib.arrays import Array
-from calib.joint.effects.gimbal import ECCENTRICITY, ENCODER, PLAY
+from calib.joint.effects.gimbal import ECCENTRICITY, ENCODER
 from calib.model.gimbal import GIMBAL, MOUNTING, NON_ORTHOGONALITY, STANDING, Gimbal, aligned_gimbal
-from calib.model.gimbal_readings import AXES, GimbalReadings, alike_errors, came_from
+from calib.model.gimbal_readings import AXES, GimbalReadings, alike_errors
 from calib.model.rotation import log_map
 
 #: Readings that scatter this many times more than stated are looked at.
@@ -48,7 +47,7 @@ class Readings:
         turned = [f"scale_{axis}" for axis in axes] + [
             name for name in ECCENTRICITY if name.split("_")[1] in axes
         ]
-        return (*MOUNTING, *STANDING, *turned, *self.smooth, *self.play, NON_ORTHOGONALITY)
+        return (*MOUNTING, *STANDING, *turned, *self.smooth, NON_ORTHOGONALITY)
 
     @cached_property
     def smooth(self) -> Mapping[str, tuple[int, Array]]:
@@ -63,14 +62,6 @@ class Readings:
         return found
 
     @cached_property
-    def play(self) -> Mapping[str, tuple[int, Array]]:
-        """By the name of an unknown: the axis, and (m,) the sign with which it shifts each reading."""
-        signs = came_from(self.angles_deg, float(np.degrees(self.sigma_rad)))
-        return {
-            f"{PLAY}_{AXES[k].removesuffix('_deg')}": (k, row) for k, row in enumerate(signs) if row.any()
-        }
-
-    @cached_property
     def errors(self) -> Mapping[str, tuple[int, Array]]:
         """By the name of an error of an encoder: its axis, and (m,) the error of each reading for a unit of it."""
         found: dict[str, tuple[int, Array]] = {}
@@ -79,14 +70,14 @@ class Readings:
             axis, part = name.split("_")[1:]
             k = AXES.index(f"{axis}_deg")
             found[name] = k, np.sin(angles[:, k]) if part == "sin" else np.cos(angles[:, k]) - 1.0
-        return {**found, **self.smooth, **self.play}
+        return {**found, **self.smooth}
 
     def start(self, rotations: Array) -> Gimbal:
         """Return the gimbal that fits given rotations with unit scales."""
         return aligned_gimbal(rotations, self.angles_deg)
 
     def true_angles_deg(self, shared: Mapping[str, float]) -> Array:
-        """Return (m, 3) the readings with the errors of encoders and axes, before the scales."""
+        """Return (m, 3) the readings with the encoders' errors of one period, before the scales."""
         errors = np.zeros_like(self.angles_deg)
         for name, (k, error) in self.errors.items():
             errors[:, k] += shared.get(name, 0.0) * error

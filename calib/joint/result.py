@@ -15,7 +15,7 @@ from calib.diagnosis.gross_stars import GrossStars, used_stars
 from calib.joint import amplitudes as amp
 from calib.joint.boresight import boresight
 from calib.joint.effects.collimator import CENTRE, COMMON_PLACES, FIELD, RADIAL
-from calib.joint.effects.gimbal import ENCODER, PLAY
+from calib.joint.effects.gimbal import ENCODER
 from calib.joint.equations import State, ViewStars, robust_weights
 from calib.joint.explanations import posterior_of, shifted_ids, with_doubted_bound
 from calib.joint.fields import FIELD_RADIUS
@@ -257,9 +257,7 @@ def _gimbal(
             bench.readings_off(posterior.optimum.state),
         )
     stated = [
-        (name, u)
-        for name, u in zip(names, unit, strict=True)
-        if entered and not name.startswith((ENCODER, PLAY))
+        (name, u) for name, u in zip(names, unit, strict=True) if entered and not name.startswith(ENCODER)
     ]
     return GimbalEstimate(
         entered=entered,

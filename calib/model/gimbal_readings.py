@@ -29,10 +29,6 @@ ALIKE_DEG = 2.0 / (2.0 * np.pi)
 _APART = 3.0
 #: What neighbours share is expected to be so large, over the 1-sigma of what each reading has for itself.
 ENCODER_SHARE = 0.7
-#: Half of the play of an axis is expected to be so large, 1-sigma, over the same. ISO 230-2 divides its error into what
-#: is systematic along the axis, chance, and what is reversed with the direction. Half of the variance is the first; of
-#: the rest, as much is expected of the direction as of chance. A station states one sigma for all three.
-PLAY_SHARE = 0.5
 
 
 @dataclass(frozen=True)
@@ -127,23 +123,6 @@ def alike_errors(angles_deg: Array) -> Array:
     away = np.moveaxis(apart, 2, 0) / ALIKE_DEG
     shared = ((away < _APART) & other_pose).any(axis=2)
     return np.asarray(np.exp(-0.5 * away**2) * shared[:, :, None] * shared[:, None, :])
-
-
-def came_from(angles_deg: Array, least_deg: float) -> Array:
-    """Return (k, n) whence k axes came to n angles, in the order of the readings: 1 from below, -1 from above.
-
-    The first angle is reached from 0, where axes are homed. A move up to ``least_deg`` is none. An axis that never
-    turned round has a row of zeros: its play shifts all readings alike.
-    """
-    found = np.zeros(angles_deg.T.shape)
-    for axis, angles in zip(found, angles_deg.T, strict=True):
-        at, sign = 0.0, 0.0
-        for n, angle in enumerate(angles):
-            if abs(angle - at) > least_deg:
-                at, sign = angle, np.sign(angle - at)
-            axis[n] = sign
-    turned_round = (found.min(axis=1) < 0.0) & (found.max(axis=1) > 0.0)
-    return np.asarray(found * turned_round[:, None])
 
 
 def angles_of(readings_deg: Sequence[Mapping[str, float]]) -> Array:

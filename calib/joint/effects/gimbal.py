@@ -15,8 +15,6 @@ ECCENTRICITY = tuple(
 )
 #: Begin of the names of the smooth errors of an encoder.
 ENCODER = "encoder"
-#: Begin of the names of half of the play of an axis: its angle differs by that where it came from below or above.
-PLAY = "play"
 
 
 class GimbalErrors(Effect):

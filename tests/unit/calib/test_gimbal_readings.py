@@ -6,7 +6,7 @@ import pytest
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import InputMismatch
 from calib.model.gimbal import Gimbal, aligned_gimbal
-from calib.model.gimbal_readings import GimbalReadings, ParallaxBound, came_from
+from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
 from calib.model.rotation import exp_map
 from tests.support.drawn_benches import NINE, THREE, GimbalErrors, draw_bench
@@ -63,40 +63,6 @@ def test_poses_at_neighbouring_angles_of_an_axis_share_what_its_encoder_is_off()
     assert same > 1.25 * far
     assert close == pytest.approx(same, rel=0.1)
     assert near == pytest.approx(close, rel=0.1)
-
-
-def lagging(half_play_deg):
-    """Each axis lags behind its reading by half of its play, in the direction of its last move; it begins at 0."""
-
-    def change(poses):
-        found, at, sign = [], dict.fromkeys(poses[0], 0.0), dict.fromkeys(poses[0], 0.0)
-        for pose in poses:
-            sign = {axis: np.sign(pose[axis] - at[axis]) or sign[axis] for axis in pose}
-            found.append({axis: pose[axis] + half_play_deg * sign[axis] for axis in pose})
-            at = pose
-        return found
-
-    return change
-
-
-def test_play_of_the_axes_does_not_pass_for_another_focal_length():
-    """In a grid the smallest angles are reached from the one side, all others from the other: play imitates a scale."""
-    bench = draw_bench("ideal", THREE, 11, errors=GimbalErrors(reading_sigma_deg=0.0))
-    result = solved(bench, readings(bench, change=lagging(0.0025)))
-    assert abs(result.camera.fx - bench.truth.camera.fx) < result.U["fx"]
-
-
-@pytest.mark.parametrize(
-    ("angles_deg", "expected"),
-    [
-        ([-3.0, 2.0, 2.001, -1.0, -1.0, 3.0], [-1.0, 1.0, 1.0, -1.0, -1.0, 1.0]),
-        ([1.0, 2.0, 3.0], [0.0, 0.0, 0.0]),
-        ([-1.0, 2.0, 3.0], [-1.0, 1.0, 1.0]),
-    ],
-    ids=["to and fro", "an axis that never turns round", "from zero to the other side first"],
-)
-def test_whence_an_axis_came_is_what_its_last_move_says(angles_deg, expected):
-    assert came_from(np.array(angles_deg)[:, None], 0.002).tolist() == [expected]
 
 
 def test_the_scale_of_the_encoders_enters_as_stated():

@@ -75,7 +75,7 @@ def test_a_limit_that_cannot_be_met_is_named_with_its_term(solved):
 
 def test_a_limit_that_more_poses_can_meet_says_so(solved):
     (fx, *_) = expected_uncertainty(solved("{limits: {expanded_fx_px: 1.5}}")).remarks
-    assert fx.startswith("U(fx) of at most 1.5 px will not be met: 2.1 expected")
+    assert fx.startswith("U(fx) of at most 1.5 px will not be met: 2 expected")
     assert re.search(r"twice as many poses would leave 1\.[4-7] px\.$", fx)
 
 
@@ -140,7 +140,7 @@ def test_on_an_ideal_bench_the_first_poses_suffice():
 
 @pytest.mark.usefixtures("coarse")
 def test_a_smaller_goal_takes_more_poses_and_one_that_cannot_be_reached_is_said():
-    found = expected(expanded_fx_px=2.0)
+    found = expected(expanded_fx_px=1.8)
     (course,) = found.courses
     assert 4 <= course.poses <= 15
     assert course.to_dict()["poses"] == course.poses
@@ -158,7 +158,7 @@ def test_a_smaller_goal_takes_more_poses_and_one_that_cannot_be_reached_is_said(
 
 @pytest.mark.usefixtures("coarse")
 def test_one_forecast_is_behind_all_that_a_plan_says_of_an_until():
-    for goal in (2.0, 0.5):
+    for goal in (1.8, 0.5):
         found = expected(expanded_fx_px=goal)
         (course,) = found.courses
         assert course.reached["expanded_fx_px"] == found.forecast.limited["expanded_fx"]
@@ -169,17 +169,17 @@ def test_one_forecast_is_behind_all_that_a_plan_says_of_an_until():
 @pytest.mark.usefixtures("coarse")
 def test_a_second_until_goes_on_from_the_poses_of_the_first(tmp_path):
     text = (SHIPPED_SEQUENCES / "until_good.yaml").read_text()
-    second = "  - until: {expanded_fx_px: 2.0, at_most: 10}\n  - light: off\n"
-    (tmp_path / "two.yaml").write_text(text.replace("2.5", "2.2").replace("  - light: off\n", second))
+    second = "  - until: {expanded_fx_px: 1.8, at_most: 10}\n  - light: off\n"
+    (tmp_path / "two.yaml").write_text(text.replace("2.5", "1.9").replace("  - light: off\n", second))
     first, then = expected_uncertainty(plan(str(tmp_path / "two.yaml"))).courses
-    (alone,) = expected(expanded_fx_px=2.0).courses
+    (alone,) = expected(expanded_fx_px=1.8).courses
     assert first.poses + then.poses == alone.poses
 
 
 @pytest.mark.usefixtures("coarse")
 def test_the_plan_of_a_night_says_when_an_until_ends_and_that_its_time_is_the_most(tmp_path, capsys):
     (tmp_path / "until.yaml").write_text(
-        (SHIPPED_SEQUENCES / "until_good.yaml").read_text().replace("2.5, ", "2.0, ")
+        (SHIPPED_SEQUENCES / "until_good.yaml").read_text().replace("2.5, ", "1.8, ")
     )
     jobs = [
         "{name: a, sequence: until.yaml, station: simulated}",
