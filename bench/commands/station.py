@@ -240,7 +240,7 @@ def station_new(
         return 0
     found, clock = discover(), BenchClock()
     all_ports = [] if no_questions else [*ports] or free_ports(found)
-    if stage in RESTARTS and all_ports and not _may_restart(all_ports):
+    if stage in RESTARTS and all_ports and not may_restart(all_ports):
         all_ports = []
     own_ports = [port for port in all_ports if ports or port in ports_to_ask(found, stage)]
     answered = ask_stage(stage, own_ports, clock)
@@ -264,7 +264,7 @@ def station_new(
     return 0
 
 
-def _may_restart(ports: Sequence[str]) -> bool:
+def may_restart(ports: Sequence[str]) -> bool:
     """Ask whether a board may be restarted by the opening of its port; nobody who can be asked means no."""
     what = "Opening the port of a GRBL board may restart it: it then loses its position. Nothing moves."
     what += f" Ports: {', '.join(ports)}"

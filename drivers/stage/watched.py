@@ -77,7 +77,7 @@ class WatchedStage(ABC, Generic[A]):
     # ------------------------------------------------------------ what a family implements
 
     def identify(self) -> Sequence[AxisIdentity]:
-        """See `Stage.identify`; serial numbers are compared with those in the station file."""
+        """See `Stage.identify`."""
         return tuple(self._identity_of(axis) for axis in self._axes.values())
 
     def _identity_of(self, axis: A) -> AxisIdentity:

@@ -18,7 +18,7 @@ from drivers.errors import CameraSoftwareMissing, RecordingFileError
 
 GROUP_EVENTS: Final = 1 << 20
 """Number of events in a row group; DuckDB and Polars read groups of this size on all processors."""
-_MOST_EDGES: Final = 100_000
+MOST_EDGES: Final = 100_000
 """Most edges: they are 2 MB of the metadata, which every reader loads first."""
 _ENCODINGS: Final = {
     "t": "DELTA_BINARY_PACKED",
@@ -69,9 +69,9 @@ def write_parquet(
 
 
 def _metadata(source: EventSource, edges: Triggers, path: Path) -> Mapping[str, str]:
-    if len(edges.t) > _MOST_EDGES:
+    if len(edges.t) > MOST_EDGES:
         raise RecordingFileError(
-            f"A Parquet file of events holds at most {_MOST_EDGES} trigger edges; here are {len(edges.t)}.",
+            f"A Parquet file of events holds at most {MOST_EDGES} trigger edges; here are {len(edges.t)}.",
             where=str(path),
             remedy="Write HDF5 (.h5) or .npz.",
         )

@@ -59,7 +59,7 @@ def test_pandas_reads_the_file(raw, tmp_path):
 
 
 def test_more_edges_than_metadata_should_hold_are_refused(raw, tmp_path, monkeypatch):
-    monkeypatch.setattr(parquet_export, "_MOST_EDGES", 39)
+    monkeypatch.setattr(parquet_export, "MOST_EDGES", 39)
     with pytest.raises(RecordingFileError, match="39 trigger edges; here are 40"):
         convert(raw, tmp_path / "pose.parquet", "parquet")
     assert [path.name for path in tmp_path.iterdir()] == ["pose.raw"]
