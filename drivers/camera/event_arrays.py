@@ -179,8 +179,8 @@ def too_many_edges() -> NotARecording:
 class Clock32:
     """Times of a counter of 32 bits, which begins anew at 0 while they go on; given in pieces.
 
-    >>> Clock32().continued(np.array([5, 2**32 - 3, 4, 2**32 - 1, 6])).tolist()
-    [5, 4294967293, 4294967300, 4294967295, 4294967302]
+    >>> Clock32().continued(np.array([2**32 - 5, 2**32 - 3, 4, 2**32 - 1, 6])).tolist()
+    [4294967291, 4294967293, 4294967300, 4294967295, 4294967302]
     """
 
     def __init__(self, bits: int = 32) -> None:
