@@ -14,10 +14,10 @@ from itertools import pairwise
 
 from bench.measure.expected_grid import engine_angles_deg
 from bench.plan.job import Job
-from bench.record.events import LightSettingsData, StateEntered
+from bench.record.events import LightSettingsData, RecordedData, StateEntered
 from bench.record.history import History
 from bench.record.measured_facts import ImageFacts
-from bench.record.results import Results
+from bench.record.results import CameraConditions, Results
 from bench.solve.forecasts import forecast_bench
 from bench.wording import causes as kinds
 from calib.calibration import Calibration
@@ -29,9 +29,10 @@ from calib.studies.predicted_views import predicted_view
 #: A lens has the focal length that its station expects to this share (1 sigma): makers state it to 5 %, and a station
 #: may round it.
 _FOCAL_SHARE = 0.05
-#: From run to run of one bench, the number of stars and the residuals vary by these shares (1 sigma), and the pixels
-#: that light up by the third. Simulated, f/11 instead of f/2.8 makes them 0.6 times as many, a tenth of the light 0.7.
-_STARS_SHARE, _RESIDUAL_SHARE, _LIT_SHARE = 0.05, 0.15, 0.08
+#: From run to run of one bench, the number of stars and the residuals vary by these shares (1 sigma), and the events of
+#: a falling edge by the third. Pixels are slow in weak light, so that such an edge ends before they have sent all: in
+#: simulations, half the light leaves 0.9 of the events, a quarter 0.69, a tenth 0.35; mountings change them by 3 %.
+_STARS_SHARE, _RESIDUAL_SHARE, _EVENTS_SHARE = 0.05, 0.15, 0.1
 #: What a station expects is known less well than what a run had: the share of stars, and of their noise (1 sigma).
 _EXPECTED_STARS, _EXPECTED_NOISE = 0.12, 0.4
 #: Settings of a light are others if they differ by more than this share; a duty is measured to parts in a thousand.
@@ -46,10 +47,11 @@ class _Seen:
     """What the accepted recordings of a run showed, by name of the pose."""
 
     stars: Mapping[str, int]
-    lit_pixels: Mapping[str, float]
+    off_events: Mapping[str, float]  # Of a falling edge of the light, by the pixels that follow it
     duty: Mapping[str, float]  # By the edges of the sync signal, as a share of the period
     rms_px: float
     light: LightSettingsData
+    camera: Mapping[str, int | bool]  # Biases and filters, as read back
 
     def of_poses(self, number: Mapping[str, float], other: Mapping[str, float]) -> tuple[float, float] | None:
         """Return the medians of a number and of another one over the poses that both have; None without any."""
@@ -67,8 +69,8 @@ def causes_of_run(
     last = earlier()
     causes = [*calibration.causes, *_other_lens(job, calibration, last), *_stood_still(history)]
     causes += _against_last(seen, last) if last is not None else _against_station(job, calibration, seen)
-    # Another lens shows another number of stars, and under another light an image is weaker or stronger.
-    explained = any(cause.kind in {kinds.LENS, kinds.LIGHT} for cause in causes)
+    # Another lens shows another number of stars; other light or other biases make an image weaker or stronger.
+    explained = any(cause.kind in {kinds.LENS, kinds.LIGHT, kinds.CAMERA} for cause in causes)
     told = [cause for cause in causes if not (explained and cause.kind in kinds.WEAK)]
     return sorted(told, key=lambda one: -one.evidence)
 
@@ -81,17 +83,19 @@ def kinds_by_run_alone(job: Job, history: History, calibration: Calibration) -> 
 
 def kinds_by_earlier_run(job: Job) -> set[str]:
     """Return the kinds of causes that may rest on an earlier run, whose folder may have gone."""
-    return {kinds.LIGHT, *kinds.WEAK, *([kinds.LENS] if job.station.expected is None else [])}
+    return {kinds.LIGHT, kinds.CAMERA, *kinds.WEAK, *([kinds.LENS] if job.station.expected is None else [])}
 
 
 def _seen_in(history: History, calibration: Calibration) -> _Seen:
     accepted = history.accepted().values()
+    stored = next((one.stored for one in reversed(list(accepted))), None)
     return _Seen(
         {view.name: view.n for view in calibration.views},
-        _lit({one.pose_name: one.measured.get("image") for one in accepted}),
+        _off_events({one.pose_name: one.measured.get("image") for one in accepted}),
         _known({one.pose_name: one.measured.get("flicker_duty") for one in accepted}),
         calibration.rms_px,
-        next((one.stored["light"] for one in reversed(list(accepted))), LightSettingsData()),
+        stored["light"] if stored else LightSettingsData(),
+        _camera_settings(stored["facts"]) if stored else {},
     )
 
 
@@ -100,16 +104,26 @@ def _seen_before(results: Results) -> _Seen:
     conditions = results.get("conditions")
     return _Seen(
         {pose["name"]: pose["stars"] for pose in poses},
-        _lit({pose["name"]: pose["image"] for pose in poses}),
+        _off_events({pose["name"]: pose["image"] for pose in poses}),
         _known({pose["name"]: pose.get("flicker_duty") for pose in poses}),
         float(results["calibration"]["rms_px"]),
         conditions["light"] if conditions else LightSettingsData(),
+        _camera_settings(conditions["camera"]) if conditions else {},
     )
 
 
-def _lit(images: Mapping[str, ImageFacts | None]) -> dict[str, float]:
-    """Return how many pixels light up by pose, as far as they were counted."""
-    return _known({name: image.get("lit_pixels") if image else None for name, image in images.items()})
+def _off_events(images: Mapping[str, ImageFacts | None]) -> dict[str, float]:
+    """Return how many events a falling edge makes by pose, as far as they were counted."""
+    return _known(
+        {
+            name: image.get("lit_pixels", 0) * (image.get("events_per_edge_off") or 0.0) if image else None
+            for name, image in images.items()
+        }
+    )
+
+
+def _camera_settings(facts: RecordedData | CameraConditions) -> dict[str, int | bool]:
+    return {**(facts.get("biases") or {}), **(facts.get("filters") or {})}
 
 
 def _known(numbers: Mapping[str, float | None]) -> dict[str, float]:
@@ -159,13 +173,14 @@ def _slept_s(states: tuple[StateEntered, StateEntered]) -> float:
 
 
 def _against_last(seen: _Seen, results: Results) -> Iterator[Cause]:
-    """Yield what differs from the last run: settings of the light, and the sign of a weak image that is known best."""
+    """Yield what differs from the last run: settings, and the sign of a weak image that is known best."""
     last, run = _seen_before(results), str(results["run"]["id"])
     yield from _other_light(seen, last, run)
+    yield from _other_camera(seen, last, run)
     weak = [
         *_weak(kinds.FEWER, seen.of_poses(seen.stars, last.stars), _STARS_SHARE, "stars", run),
         *_weak(kinds.NOISIER, (seen.rms_px, last.rms_px), _RESIDUAL_SHARE, "px", run),
-        *_weak(kinds.DIMMER, seen.of_poses(seen.lit_pixels, last.lit_pixels), _LIT_SHARE, "pixels", run),
+        *_weak(kinds.DIMMER, seen.of_poses(seen.off_events, last.off_events), _EVENTS_SHARE, "events", run),
     ]
     yield from weak[:1]
 
@@ -197,6 +212,24 @@ def _other_light(seen: _Seen, last: _Seen, run: str) -> Iterator[Cause]:
         if own is not None and other and abs(own / other - 1.0) > _SAME_SETTING:
             yield Cause(
                 kinds.LIGHT, 2.0 * DECISIVE, float(own), unit=unit, stated=float(other), axis=name, before=run
+            )
+            return
+
+
+def _other_camera(seen: _Seen, last: _Seen, run: str) -> Iterator[Cause]:
+    """Yield the first bias or filter of the camera that is not that of the last run."""
+    for name, own in seen.camera.items():
+        other = last.camera.get(name, own)
+        if own != other:
+            unit = kinds.SWITCH if isinstance(own, bool) else ""
+            yield Cause(
+                kinds.CAMERA,
+                2.0 * DECISIVE,
+                float(own),
+                unit=unit,
+                stated=float(other),
+                axis=name,
+                before=run,
             )
             return
 

@@ -10,7 +10,10 @@ from calib.model.cause import Cause, cause_sentence
 if TYPE_CHECKING:
     from bench.record.events import CauseData
 
-LENS, ASLEEP, LIGHT = "another lens", "computer stood still", "light set otherwise"
+LENS, ASLEEP = "another lens", "computer stood still"
+LIGHT, CAMERA = "light set otherwise", "camera set otherwise"
+#: Unit of a setting that is on, 1, or off, 0.
+SWITCH = "switch"
 WEAK = FEWER, NOISIER, DIMMER = "fewer stars", "noisier stars", "weaker light"
 
 _WEAK = (
@@ -56,6 +59,16 @@ def _light(cause: Cause) -> str:
     )
 
 
+def _camera(cause: Cause) -> str:
+    own, other = (
+        ("on" if v else "off") if cause.unit == SWITCH else f"{v:.4g}" for v in (cause.value, cause.stated)
+    )
+    return (
+        f"The camera's {cause.axis} was {own}, and {other} in run {cause.before}. If nobody meant to change it, "
+        "compare the camera's settings in both station files."
+    )
+
+
 def _fewer(cause: Cause) -> str:
     return f"The image is weak: {cause.value:.0f} stars a pose {_instead(cause, '.0f')}. {_WEAK}"
 
@@ -66,8 +79,8 @@ def _noisier(cause: Cause) -> str:
 
 def _dimmer(cause: Cause) -> str:
     return (
-        f"The light is weak: {cause.value:.0f} pixels light up {_instead(cause, '.0f')}. The level of the lamp, the "
-        "aperture and dust look the same. Check them in this order."
+        f"The light is weak: a falling edge makes {cause.value:.0f} events {_instead(cause, '.0f')}. The level of the "
+        "lamp, the aperture and dust look the same. Check them in this order."
     )
 
 
@@ -81,6 +94,7 @@ _SENTENCES = {
     LENS: _lens,
     ASLEEP: _asleep,
     LIGHT: _light,
+    CAMERA: _camera,
     FEWER: _fewer,
     NOISIER: _noisier,
     DIMMER: _dimmer,

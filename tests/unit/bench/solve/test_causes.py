@@ -13,6 +13,11 @@ from bench.wording import causes as kinds
 from bench.wording.causes import sentence_of
 
 LIGHT = {"waveform": "square", "frequency_hz": 60.0, "duty_percent": 50.0, "low_v": 0.0, "high_v": 5.0}
+CAMERA = {"biases": {"bias_diff_off": 0, "bias_fo": 0}, "filters": {"trail": False}}
+
+
+def _image(run: dict[str, Any]) -> dict[str, Any]:
+    return {"lit_pixels": run["lit"], "events_per_edge_off": run["off"]}
 
 
 def causes(
@@ -24,8 +29,9 @@ def causes(
     states: tuple[tuple[str, str, float], ...] = (),
     **seen: Any,
 ):
-    """Causes of a run with fx 3345 px, 600 stars a pose, 0.04 px of residuals, 700 000 lit pixels and a duty of 50 %."""
-    now = {"stars": 600, "rms_px": 0.04, "lit": 700_000, "duty": 0.5, "light": LIGHT, **seen}
+    """Causes of a run with fx 3345 px, 600 stars a pose, 0.04 px of residuals, 700 000 lit pixels with 2 OFF events an edge."""
+    now = {"stars": 600, "rms_px": 0.04, "lit": 700_000, "off": 2.0, "duty": 0.5, "light": LIGHT, **CAMERA}
+    now |= seen
     names = ("left", "right")
     history = History()
     history.lateness = {"longest_s": longest_s}
@@ -33,8 +39,8 @@ def causes(
     accepted = {
         k: SimpleNamespace(
             pose_name=name,
-            measured={"image": {"lit_pixels": now["lit"]}, "flicker_duty": now["duty"]},
-            stored={"light": now["light"]},
+            measured={"image": _image(now), "flicker_duty": now["duty"]},
+            stored={"light": now["light"], "facts": {name: now[name] for name in CAMERA}},
         )
         for k, name in enumerate(names)
     }
@@ -63,16 +69,18 @@ def earlier(**changed: Any) -> dict[str, Any]:
         "stars": 600,
         "rms_px": 0.04,
         "lit": 700_000,
+        "off": 2.0,
         "duty": 0.5,
         "light": LIGHT,
         "fx": 3345.0,
+        **CAMERA,
         **changed,
     }
     poses = [
         {
             "name": name,
             "stars": then["stars"],
-            "image": {"lit_pixels": then["lit"]},
+            "image": _image(then),
             "flicker_duty": then["duty"],
         }
         for name in ("left", "right")
@@ -80,13 +88,16 @@ def earlier(**changed: Any) -> dict[str, Any]:
     return {
         "run": {"id": "run-7"},
         "poses": poses,
-        "conditions": {"light": then["light"]},
+        "conditions": {"light": then["light"], "camera": {name: then[name] for name in CAMERA}},
         "calibration": {"rms_px": then["rms_px"], "camera": {"fx": then["fx"], "fy": then["fx"]}},
     }
 
 
 def test_a_run_as_the_last_one_has_no_cause():
-    assert causes(stars=585, rms_px=0.043, lit=640_000, duty=0.503, longest_s=0.8, focal_px=3200.0) == []
+    assert (
+        causes(stars=585, rms_px=0.043, lit=680_000, off=1.9, duty=0.503, longest_s=0.8, focal_px=3200.0)
+        == []
+    )
 
 
 @pytest.mark.parametrize(
@@ -95,7 +106,9 @@ def test_a_run_as_the_last_one_has_no_cause():
         ({"focal_px": 10300.0}, kinds.LENS, "The focal length is 3345 px, and the station expects 10300 px"),
         ({"stars": 379, "rms_px": 0.154}, kinds.FEWER, "379 stars a pose instead of 600 as in run run-7"),
         ({"rms_px": 0.154}, kinds.NOISIER, "the stars scatter by 0.15 px instead of 0.04"),
-        ({"lit": 400_000}, kinds.DIMMER, "400000 pixels light up instead of 700000 as in run run-7"),
+        ({"lit": 400_000}, kinds.DIMMER, "makes 800000 events instead of 1400000 as in run run-7"),
+        # As measured in simulations of a quarter of the light: the stars are as many, and as good.
+        ({"lit": 600_000, "off": 1.62}, kinds.DIMMER, "makes 972000 events instead of 1400000"),
         ({"duty": 0.15}, kinds.LIGHT, "duty by the sync signal was 15 %, and 50 % in run run-7"),
         (
             {"light": {**LIGHT, "duty_percent": 15.0}},
@@ -103,6 +116,12 @@ def test_a_run_as_the_last_one_has_no_cause():
             "duty was 15 %, and 50 % in run run-7",
         ),
         ({"light": {**LIGHT, "high_v": 2.0}}, kinds.LIGHT, "level was 2 V, and 5 V"),
+        (
+            {"biases": {"bias_diff_off": 60, "bias_fo": 0}, "lit": 400_000},
+            kinds.CAMERA,
+            "bias_diff_off was 60, and 0 in run run-7",
+        ),
+        ({"filters": {"trail": True}}, kinds.CAMERA, "trail was on, and off in run run-7"),
         ({"longest_s": 60.0}, kinds.ASLEEP, "This computer stood still for 60 s"),
     ],
 )
