@@ -30,7 +30,12 @@ from bench.record.storage import make_folder, write_atomic
 if TYPE_CHECKING:
     from bench.plan.camera_values import LensFamily
     from calib.model.camera import Undistortion
-    from drivers.camera.event_arrays import ReadingChoices
+    from drivers.camera.event_arrays import ReadingChoices, TimeUnit
+
+_ASSUMED = {
+    "time_unit": "the file does not state the unit of its times; they were read as {}. --time-unit says another one.",
+    "columns": "the file does not name its columns; they were read as {}.",
+}
 
 
 @command(
@@ -56,6 +61,11 @@ if TYPE_CHECKING:
     metavar="NAME",
     help="Which events of a SOURCE with several: topic of a bag, stream of AEDAT4, group of HDF5.",
 )
+@click.option(
+    "--time-unit",
+    type=click.Choice(["s", "ms", "us", "ns"]),
+    help="Unit of the times of a SOURCE that does not state it.  [default: s if they have fractions, else us]",
+)
 @WORKERS
 def convert(
     sources: tuple[Path, ...],
@@ -63,6 +73,7 @@ def convert(
     kind: str | None,
     sensor_size: str | None,
     stream: str | None,
+    time_unit: TimeUnit | None,
     workers: int | str | None,
 ) -> int:
     """Convert an event file SOURCE to a new file OUTPUT of another format. The format of SOURCE is detected.
@@ -70,17 +81,17 @@ def convert(
     Many SOURCEs are converted into the folder OUTPUT, by all processors of this computer or by the workers of a Dask
     scheduler; say the format with --as. After an interruption, the same command continues.
 
-    Formats: RAW (EVT3), Metavision's HDF5 (ECF), plain HDF5, NumPy's .npz, and Parquet, which is only written and needs
-    starbench[table]. SOURCE may also be RAW with EVT2 or EVT2.1
-    words, DAT, HDF5 of others (DSEC, e2calib, M3ED, v2e, MVSEC), AEDAT4, or a bag of ROS 1 or ROS 2 (file or folder);
-    AEDAT4, bags and some HDF5 need starbench[formats]. The header of a converted RAW file states that it was
-    converted, so it cannot be taken for a camera's original file.
+    Formats: RAW (EVT3), Metavision's HDF5 (ECF), plain HDF5, NumPy's .npz, and Parquet (needs starbench[table]). SOURCE
+    may also be RAW with EVT2 or EVT2.1 words, DAT, HDF5 of others (DSEC, e2calib, M3ED, v2e, MVSEC), NumPy's .npy, text
+    (.txt, .csv), AEDAT4, or a bag of ROS 1 or ROS 2 (file or folder); AEDAT4, bags and some HDF5 need
+    starbench[formats]. What a SOURCE does not state and was assumed is printed. The header of a converted RAW file
+    states that it was converted, so it cannot be taken for a camera's original file.
     """
     from bench.solve.offline_options import parse_image_size
     from drivers.camera.event_arrays import ReadingChoices
     from drivers.camera.formats import event_conversion
 
-    choices = ReadingChoices(parse_image_size(sensor_size, "--sensor-size"), stream)
+    choices = ReadingChoices(parse_image_size(sensor_size, "--sensor-size"), stream, time_unit)
     many = len(sources) > 1 or output.is_dir() or isinstance(workers, str)
     kind = kind or (None if many else event_conversion.kind_of_name(output))
     if kind is None:
@@ -126,6 +137,8 @@ def _say(source: Path, output: Path, written: Mapping[str, Any]) -> None:
     late = f", {moved} given the time of the event before" if moved else ""
     span = f", {written['span_us'] / 1e6:g} s" if written.get("span_us") else ""
     click.echo(f"{output}: {written['events']} events{late}, {written['triggers']} triggers{span}")
+    for fact, assumed in written.get("assumed", {}).items():
+        click.echo(f"{source}: {_ASSUMED[fact].format(assumed)}", err=True)
     if written.get("unknown_words"):
         what = "words whose type EVT3 does not define were left out"
         click.echo(f"{source}: {what}: {written['unknown_words']}.", err=True)

@@ -35,7 +35,7 @@ if TYPE_CHECKING:  # what finds stars is loaded where stars are found: views may
 RECORDINGS = {".raw"}
 PHOTOGRAPHS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
 POINTS = {".txt", ".csv"}
-OTHER_RECORDINGS = {".dat", ".aedat4", ".bag", ".db3", ".mcap", ".hdf5", ".h5", ".npz"}
+OTHER_RECORDINGS = {".dat", ".aedat4", ".bag", ".db3", ".mcap", ".hdf5", ".h5", ".npz", ".npy", ".parquet"}
 _MOST_NAMED = 5
 _KNOWN = RECORDINGS | OTHER_RECORDINGS | PHOTOGRAPHS | POINTS
 _READ_BY_OTHERS = {".aedat4", ".bag", ".db3", ".mcap"}

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,6 +84,7 @@ def join_triggers(pieces: list[Triggers]) -> Triggers:
 
 
 Piece = tuple[Events, Triggers]
+TimeUnit = Literal["s", "ms", "us", "ns"]
 
 
 @dataclass(frozen=True)
@@ -94,11 +95,20 @@ class ReadingChoices:
     sensor_size: tuple[int, int] | None = None
     # A topic of a bag, a stream of an AEDAT4 file, a group of an HDF5 file
     stream: str | None = None
+    # Unit of the times of a file that does not state it
+    time_unit: TimeUnit | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return the choices as values that JSON can hold."""
-        size = {"sensor_size": list(self.sensor_size)} if self.sensor_size else {}
-        return {**size, **({"stream": self.stream} if self.stream is not None else {})}
+        size = list(self.sensor_size) if self.sensor_size else None
+        stated = {"sensor_size": size, "stream": self.stream, "time_unit": self.time_unit}
+        return {name: value for name, value in stated.items() if value is not None}
+
+    @classmethod
+    def from_json(cls, stated: Mapping[str, Any]) -> ReadingChoices:
+        """Return the choices that `as_json` wrote."""
+        size = stated.get("sensor_size")
+        return cls(tuple(size) if size else None, stated.get("stream"), stated.get("time_unit"))
 
     def chosen(self, streams: Iterable[str]) -> str:
         """Return the stream to read. Raises NotARecording if it is not there, or none of several is named."""
@@ -140,6 +150,8 @@ class EventSource:
     truncated: bool = False  # Whether the file ends in the middle of a word or an event
     count: int | None = None  # Number of events, if the file states it before they are read
     state: ReadingState = field(default_factory=ReadingState)
+    # What the file does not state and was assumed: "time_unit" (a `TimeUnit`), "columns" (their order in a table)
+    assumed: Mapping[str, str] = field(default_factory=dict)
 
 
 def with_edges(pieces: Iterable[Events], edges: Triggers) -> Iterator[Piece]:

@@ -118,7 +118,8 @@ def convert(
             written = _with_size(watched, source, target)
         else:
             written = write_raw(watched, target, source=source, progress=progress)
-        return replace(written, span_us=ends[-1] - ends[0] if ends else 0)
+        span_us = ends[-1] - ends[0] if ends else 0
+        return replace(written, span_us=span_us, assumed=dict(opened.assumed))
 
 
 def _with_size(opened: EventSource, source: Path, path: Path) -> ExportSummary:

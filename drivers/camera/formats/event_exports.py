@@ -23,7 +23,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -86,6 +86,8 @@ class ExportSummary:
     unknown_words: int = 0
     # Time from the first to the last event, us; 0 if the source's words were copied
     span_us: int = 0
+    # As `EventSource.assumed`
+    assumed: Mapping[str, str] = field(default_factory=dict)
 
 
 class _Reading:

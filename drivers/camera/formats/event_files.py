@@ -1,8 +1,8 @@
 """Open any program's file of events; its contents decide the format, not its name.
 
-HDF5 is read by `hdf5_events`, RAW with EVT2 words and DAT by `prophesee_words`; NumPy's files, AEDAT4, ROS bags, and
-HDF5 that only its library can read, by their libraries in another process (`library_process`): piece by piece, with
-bounded memory.
+HDF5 is read by `hdf5_events`, RAW with EVT2 words and DAT by `prophesee_words`; tables of NumPy, Parquet and text,
+AEDAT4, ROS bags, and HDF5 that only its library can read, by their libraries in another process (`library_process`):
+piece by piece, with bounded memory.
 """
 
 from __future__ import annotations
@@ -28,9 +28,11 @@ from drivers.camera.event_arrays import (
     too_many_edges,
 )
 from drivers.camera.formats import prophesee_words
+from drivers.camera.formats.event_columns import UnitCheck
 from drivers.camera.formats.hdf5_events import opened_hdf5
 from drivers.camera.formats.library_process import source_of_library
 from drivers.camera.formats.library_reader import AEDAT4_MAGIC, is_bag
+from drivers.camera.formats.table_files import NPY_MAGIC, PARQUET_MAGIC, is_table_of_text
 from drivers.camera.raw_check import read_start, require_whole
 from drivers.camera.raw_file import RawFile, unreadable
 from drivers.camera.raw_header import parse_header
@@ -38,7 +40,7 @@ from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError, 
 
 _MOST_BACK_STEP_US: Final = 10_000
 """Times of one camera may step back by the length of a packet or two, which a computer has mixed up."""
-_EVENT_FILES: Final = "Give a file of events: RAW, HDF5, .npz, DAT, AEDAT4 or a ROS bag."
+_EVENT_FILES: Final = "Give a file of events: RAW, HDF5, .npz, .npy, Parquet, text, DAT, AEDAT4 or a ROS bag."
 _COPY_AGAIN: Final = "Copy it again from its origin, or export it again from the original recording."
 _NO_EVENTS: Final = "The file holds no readable events"
 _HDF5: Final = b"\x89HDF\r\n\x1a\n"
@@ -75,20 +77,35 @@ def _source(path: Path, choices: ReadingChoices, opened: ExitStack) -> EventSour
     if start.startswith(_HDF5):
         source = opened_hdf5(opened.enter_context(h5py.File(path, "r")), choices)
         return source or opened.enter_context(source_of_library(path, "hdf5", choices))
-    by_library = {
-        "bag": is_bag(path, start),
-        "npz": start[:4] == b"PK\x03\x04",
-        "aedat4": start[:12] == AEDAT4_MAGIC,
-    }
-    for kind, is_of_kind in by_library.items():
+    for kind, is_of_kind in _of_library(path, start).items():
         if is_of_kind:
+            _require_no_unit(choices, of_times=kind in {"bag", "aedat4"})
             return opened.enter_context(source_of_library(path, kind, choices))
+    _require_no_unit(choices)
     if prophesee_words.is_dat(start):
         return prophesee_words.from_dat(path, start, choices)
     header = parse_header(start, where=str(path), sensor_size=choices.sensor_size, evt3_only=False)
     if header.encoding == "EVT3":
         return _of_recording(RawFile(path, header))
     return prophesee_words.from_evt2(path, header)
+
+
+def _of_library(path: Path, start: bytes) -> dict[str, bool]:
+    """Return by kind whether a file is to be read by its library."""
+    return {
+        "bag": is_bag(path, start),
+        "npz": start[:4] == b"PK\x03\x04",
+        "npy": start.startswith(NPY_MAGIC),
+        "aedat4": start[:12] == AEDAT4_MAGIC,
+        "parquet": start.startswith(PARQUET_MAGIC),
+        "text": is_table_of_text(start),
+    }
+
+
+def _require_no_unit(choices: ReadingChoices, *, of_times: bool = True) -> None:
+    """Refuse (`NotARecording`) a unit for a file whose format states the unit ``of_times``."""
+    if of_times and choices.time_unit is not None:
+        raise NotARecording("The format of this file states the unit.", remedy="Leave out --time-unit.")
 
 
 def _of_recording(recording: RawFile) -> EventSource:
@@ -140,17 +157,16 @@ def _errors_of(path: Path) -> Iterator[None]:
 def _checked(pieces: Iterator[Piece], of: EventSource) -> Iterator[Piece]:
     """Check that events lie on the sensor and follow each other, that none is missing, and the number of edges."""
     read, edges, first_us, last_us = 0, 0, None, None
+    unit = UnitCheck(of)
     for events, triggers in pieces:
         if len(events.t):
             x, y, p = int(events.x.max()), int(events.y.max()), int(events.p.max())
             if x >= of.width or y >= of.height:
-                raise NotARecording(
-                    f"An event at column {x} or row {y} lies outside the sensor of {of.width} x {of.height} px.",
-                    remedy="Check the size of the sensor that the file, or --sensor-size, states.",
-                )
+                raise _outside(x, y, of)
             if p > 1:
                 raise UnreadableEvents(f"an event has the polarity {p}; 0 and 1 are possible.")
             _require_rising(events.t if last_us is None else np.concatenate([[last_us], events.t]), read)
+            unit.add(events.t)
             first_us, last_us = events.t[0] if last_us is None else first_us, events.t[-1]
             if last_us - first_us > MAX_TIME_US:
                 raise NotARecording(
@@ -164,8 +180,24 @@ def _checked(pieces: Iterator[Piece], of: EventSource) -> Iterator[Piece]:
         if of.count:
             of.state.share = read / of.count
         yield events, triggers
+    unit.end()
     if of.count is not None and read != of.count:
         raise UnreadableEvents(f"{of.count - read} of its {of.count} events are missing.")
+
+
+def _outside(x: int, y: int, of: EventSource) -> NotARecording:
+    """Build the error of events up to a column or a row that the sensor has not."""
+    size = f"the sensor of {of.width} x {of.height} px"
+    if x < of.height and y < of.width:
+        return NotARecording(
+            f"An event at column {x} or row {y} lies outside {size}, and within {of.height} x {of.width}: the height"
+            " stands before the width, or y before x.",
+            remedy=f"Say --sensor-size {of.height}x{of.width}, or write x, the column, and y in a copy of the file.",
+        )
+    return NotARecording(
+        f"An event at column {x} or row {y} lies outside {size}.",
+        remedy="Check the size of the sensor that the file, or --sensor-size, states.",
+    )
 
 
 def _require_rising(t: NDArray[np.int64], before: int) -> None:

@@ -1,12 +1,12 @@
 """Find the events in an HDF5 file, whoever wrote it, and read them piece by piece.
 
 - Metavision: ``/CD/events`` (x, y, p, t), ``/EXT_TRIGGER/events`` (p, t, id), the header's keys as attributes.
-- Columns of one length in a group: ``t, x, y, p``, or ``ts, xs, ys, ps``. Our own plain layout, DSEC, e2calib and M3ED
-  are such; ``triggers/t, value, id``, ``width`` and ``height`` (attributes), ``calib/resolution`` and ``t_offset`` (us)
-  beside them are read if they are there.
+- Columns of one length in a group, or a table with names: ``t, x, y, p``, or ``ts, xs, ys, ps``. Our own plain layout,
+  DSEC, e2calib and M3ED are such; ``triggers/t, value, id``, ``width`` and ``height``, ``calib/resolution``,
+  ``sensor_resolution`` (height, width) and ``t_offset`` (us) beside them are read if they are there.
 - A table ``events`` of N x 4: t, x, y, p (v2e), x, y, t, p (MVSEC) or x, y, p, t; the column that rises has the times.
 
-Times with fractions are in s, all others in us. Times of 32 bits begin anew after 71.6 minutes.
+`event_columns` has the unit of times. Times of 32 bits begin anew after 71.6 minutes.
 
 Sources: Prophesee, "HDF5 Event File Format", https://docs.prophesee.ai/stable/data/file_formats/hdf5.html; DSEC,
 https://dsec.ifi.uzh.ch/data-format; M3ED, https://m3ed.io/data_overview; MVSEC, https://daniilidis-group.github.io/mvsec.
@@ -14,7 +14,8 @@ https://dsec.ifi.uzh.ch/data-format; M3ED, https://m3ed.io/data_overview; MVSEC,
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from itertools import islice
 from typing import Any, Final
 
@@ -24,22 +25,18 @@ from numpy.typing import NDArray
 
 from drivers.camera.event_arrays import (
     MOST_TRIGGERS,
-    Clock32,
-    Events,
     EventSource,
     ReadingChoices,
     Triggers,
-    as_events,
     as_triggers,
     date_of,
     empty_triggers,
     even_pieces,
-    from_zero,
     require_one_length,
     require_ratio,
-    with_edges,
 )
 from drivers.camera.formats import ecf
+from drivers.camera.formats.event_columns import Columns, Parts, is_table, named, unit_of_name
 from drivers.camera.formats.hdf5_reading import (
     dataset,
     filters,
@@ -64,17 +61,8 @@ CD_TYPE: Final = np.dtype(
 )
 PIECE_EVENTS: Final = 500_000
 _CD: Final = "CD/events"
-_COLUMNS: Final = (
-    ("t", "ts", "timestamp", "timestamps"),
-    ("x", "xs"),
-    ("y", "ys"),
-    ("p", "ps", "polarity", "polarities"),
-)
-"""Names of the columns t, x, y and p."""
-_OF_WHOLE: Final = (0, 1, 2, 3)
-_OF_FRACTIONS: Final = (2, 0, 1, 3)
-_ORDERS: Final = (_OF_WHOLE, _OF_FRACTIONS, (3, 0, 1, 2))
-"""Places of t, x, y and p in the tables of known programs."""
+_OF_US: Final = ("header", "t_offset", "ms_to_idx")
+"""Members of files of Starbench and DSEC, whose times are in us."""
 _MOST_GROUPS: Final = 1000
 _MOST_PX: Final = 1 << 16
 _MOST_MEMBERS: Final = 10_000
@@ -100,18 +88,9 @@ def opened_hdf5(file: Any, choices: ReadingChoices, *, by_library: bool = False)
         parts = rows_by_library(array) if by_library else rows(array, _decoded_ecf if is_ecf else None)
         return ((part,) for part in parts)
 
-    def events() -> Iterator[Events]:
+    def parts() -> Iterator[Parts]:
         even = [even_pieces(read(array), PIECE_EVENTS) for array in arrays.values()]
-        unit_us, clock, order = 0.0, Clock32(), None
-        for parts in zip(*even, strict=True):
-            own = [part for (part,) in parts]
-            order = order or (_order(own[0]) if own[0].ndim == 2 else None)
-            columns = _columns(own, order)
-            unit_us = unit_us or _unit_us(columns[0])
-            t, *others = (
-                _whole_of(values, unit) for values, unit in zip(columns, (unit_us, 1, 1, 1), strict=True)
-            )
-            yield as_events(clock.continued(t) if t.dtype == np.uint32 else t, *others)
+        return ([part for (part,) in columns] for columns in zip(*even, strict=True))
 
     header = (
         texts(file) if name == _CD else texts(member(file, "header")) if has_member(file, "header") else {}
@@ -120,9 +99,11 @@ def opened_hdf5(file: Any, choices: ReadingChoices, *, by_library: bool = False)
     if offset is not None:
         header |= {"time_origin_us": str(offset), **date_of(offset)}
     size = _size(file, name, header, choices)
-    edges = _triggers(file)
-    count = lengths.popitem()[1]
-    return from_zero(EventSource(*size, header, lambda: with_edges(events(), edges), count=count))
+    path, times = next(iter(arrays.items()))
+    is_of_us = times.dtype.kind != "f" and any(has_member(file, one) for one in (*_OF_US, "CD"))
+    unit = "us" if is_of_us else unit_of_name(path.rpartition("/")[2])
+    columns = Columns(parts, lengths.popitem()[1], {"the file": size}, header, _triggers(file), unit)
+    return columns.source(replace(choices, sensor_size=None))
 
 
 def _streams(file: Any) -> list[str]:
@@ -133,7 +114,7 @@ def _streams(file: Any) -> list[str]:
     waiting = [("", file)]
     for name, group in waiting:
         members = {key: group.get(key, getlink=True) for key in islice(group, _MOST_MEMBERS)}
-        missing = sum(not any(name in members for name in names) for names in _COLUMNS)
+        missing = named(members).count(None)
         if missing <= 1:
             (incomplete if missing else complete).append(name)
         for key, link in members.items():
@@ -142,7 +123,7 @@ def _streams(file: Any) -> list[str]:
                 links.append(path)
             elif isinstance(child := group[key], h5py.Group) and len(waiting) < _MOST_GROUPS:
                 waiting.append((path, child))
-            elif key == "events" and isinstance(child, h5py.Dataset):
+            elif isinstance(child, h5py.Dataset) and (key == "events" or _has_names(child)):
                 complete.append(path)
     if not complete and not incomplete:
         held = (
@@ -152,12 +133,16 @@ def _streams(file: Any) -> list[str]:
     return complete or incomplete
 
 
+def _has_names(table: Any) -> bool:
+    return table.dtype.names is not None and is_table(table.shape or (), table.dtype)
+
+
 def _arrays(file: Any, name: str) -> dict[str, Any]:
     """Return the arrays of a stream: one table, or its columns t, x, y, p."""
     group = member(file, name) if name else file
     if name == _CD or isinstance(group, h5py.Dataset):
         return {name: dataset(file, name)}
-    own = [next((column for column in names if has_member(group, column)), names[0]) for names in _COLUMNS]
+    own = [column or missing for column, missing in zip(named(group), "txyp", strict=True)]
     paths = [f"{name}/{column}".lstrip("/") for column in own]
     return {path: dataset(file, path) for path in paths}
 
@@ -169,49 +154,11 @@ def _length(array: Any, path: str) -> int:
     return int(array.shape[0])
 
 
-def _columns(parts: list[NDArray[Any]], order: Sequence[int] | None) -> list[NDArray[Any]]:
-    """Return t, x, y and p of rows of a table, or of columns."""
-    table = parts[0]
-    if len(parts) == 1 and table.ndim == 1:
-        return [_column(table, name, "events") for name in Events._fields]
-    if order is not None:
-        return [np.ascontiguousarray(table[:, k]) for k in order]
-    return parts
-
-
-def _order(table: NDArray[Any]) -> Sequence[int]:
-    """Return the places of t, x, y and p in a table: where times rise, and polarities are; else as usual for its type.
-
-    Raises NotARecording if no column can be that of polarities.
-    """
-    usual = _OF_WHOLE if table.dtype.kind in "iu" else _OF_FRACTIONS
-    fitting = [one for one in (usual, *_ORDERS) if np.isin(table[:, one[3]], (-1, 0, 1)).all()]
-    if not fitting:
-        raise UnreadableEvents("no column of its table holds polarities, which are -1, 0 or 1.")
-    rising = [one for one in fitting if not (table[1:, one[0]] < table[:-1, one[0]]).any()]
-    return (rising or fitting)[0]
-
-
 def _column(table: NDArray[Any], name: str, of: str) -> NDArray[Any]:
     if name not in (table.dtype.names or ()):
         raise UnreadableEvents(f"the table of {of} has no column {name}.")
     column: NDArray[Any] = table[name]
     return column
-
-
-def _unit_us(t: NDArray[Any]) -> float:
-    """Return the unit of times: 1e6 us if they have fractions, for those of microseconds are whole."""
-    return 1e6 if t.dtype.kind == "f" and not np.array_equal(t, np.rint(t)) else 1.0
-
-
-def _whole_of(values: NDArray[Any], unit: float) -> NDArray[Any]:
-    """Return floating-point numbers of a unit as whole numbers; others as they are."""
-    if values.dtype.kind != "f":
-        return values
-    cast = np.rint(values * unit).astype(np.int64)
-    if unit == 1 and not np.array_equal(cast, values):
-        raise UnreadableEvents("some of its columns, rows or polarities are no whole numbers.")
-    return cast
 
 
 def _decoded_ecf(chunk: bytes) -> NDArray[Any]:
@@ -249,6 +196,12 @@ def _size(file: Any, name: str, header: Mapping[str, str], choices: ReadingChoic
     sizes = {}
     if {"width", "height"} <= set(file.attrs):
         sizes["the attributes"] = (_number(file.attrs["width"]), _number(file.attrs["height"]))
+    if "sensor_resolution" in file.attrs:  # of event_utils, in the order of an array's shape
+        height, width = np.ravel(file.attrs["sensor_resolution"])[:2]
+        sizes["sensor_resolution"] = (_number(width), _number(height))
+    if has_member(file, "width") and has_member(file, "height"):
+        width, height = (whole(dataset(file, side), 64) for side in ("width", "height"))
+        sizes["width and height"] = (_number(width), _number(height))
     resolution = f"{name}/calib/resolution"
     if name and name != _CD and resolution in file:
         width, height = whole(dataset(file, resolution), 64)

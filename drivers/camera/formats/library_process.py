@@ -53,7 +53,7 @@ _DAMAGED: Final = (
 
 @contextmanager
 def source_of_library(path: Path, kind: str, choices: ReadingChoices) -> Iterator[EventSource]:
-    """Open a file of kind "npz", "hdf5", "aedat4" or "bag" in a process of its own, until the end of the block.
+    """Open a file of a kind (`library_reader`) in a process of its own, until the end of the block.
 
     Its events can be read once. Raises `NotARecording` if it cannot be read, or needs too much memory or time.
     """
@@ -75,7 +75,7 @@ def source_of_library(path: Path, kind: str, choices: ReadingChoices) -> Iterato
 
 def _source(stream: IO[bytes], path: Path) -> EventSource:
     text: Mapping[str, Any] = {}
-    while "count" not in text:
+    while "width" not in text:
         text, _, _ = _message(stream, path)
     header = {str(key): str(value) for key, value in text["header"].items()}
 
@@ -86,7 +86,10 @@ def _source(stream: IO[bytes], path: Path) -> EventSource:
                 return
             yield events, triggers
 
-    return EventSource(int(text["width"]), int(text["height"]), header, pieces, count=int(text["count"]))
+    size = int(text["width"]), int(text["height"])
+    count = None if text["count"] is None else int(text["count"])
+    assumed = {str(key): str(value) for key, value in text["assumed"].items()}
+    return EventSource(*size, header, pieces, count=count, assumed=assumed)
 
 
 def _message(stream: IO[bytes], path: Path) -> tuple[Mapping[str, Any], Events, Triggers]:

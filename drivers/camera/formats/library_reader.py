@@ -5,7 +5,7 @@
 It limits its own memory first. The file is read twice: once to count the events and to collect the edges; and its
 events are written as messages.
 
-- NumPy's ``.npz``, as `event_exports` writes it; edges, size and header may be missing.
+- Tables of NumPy, of Parquet and of text (`table_files`).
 - HDF5 that only its library can read, with the filters of the package ``hdf5plugin``.
 - iniVation's AEDAT4, through the package ``aedat``.
 - ROS bags, of ROS 1 and ROS 2, through the package ``rosbags``; no ROS is needed. Messages: ``EventArray`` of
@@ -25,7 +25,6 @@ from __future__ import annotations
 import json
 import re
 import sys
-import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -41,20 +40,16 @@ from drivers.camera.event_arrays import (
     Piece,
     ReadingChoices,
     Triggers,
-    as_events,
-    as_triggers,
     date_of,
     empty_events,
     empty_triggers,
-    from_zero,
     join_triggers,
     origin_of,
-    require_one_length,
-    require_ratio,
     too_many_edges,
     with_edges,
 )
 from drivers.camera.formats import library_process
+from drivers.camera.formats.table_files import from_npy, from_npz, from_parquet, from_text
 from drivers.camera.raw_header import agreed_size
 from drivers.errors import (
     CameraSoftwareMissing,
@@ -104,10 +99,11 @@ def main(kind: str, path: Path, choices: ReadingChoices) -> None:
     """Read a file and write the messages; the last one says that it is the end, or what is wrong."""
     _limit_memory()
     try:
-        open_file = {"npz": _from_npz, "hdf5": _from_hdf5, "aedat4": _from_aedat4, "bag": _from_bag}[kind]
+        of_tables = {"npz": from_npz, "npy": from_npy, "parquet": from_parquet, "text": from_text}
+        open_file = {**of_tables, "hdf5": _from_hdf5, "aedat4": _from_aedat4, "bag": _from_bag}[kind]
         source = open_file(path, choices)
         size = {"count": source.count, "width": source.width, "height": source.height}
-        _write({**size, "header": dict(source.header)})
+        _write({**size, "header": dict(source.header), "assumed": dict(source.assumed)})
         for events, edges in source.pieces():
             for begin in range(0, max(len(events.t), len(edges.t)), _PIECE):
                 _write({}, events.part(begin, begin + _PIECE), edges.part(begin, begin + _PIECE))
@@ -151,39 +147,6 @@ def _write(text: Mapping[str, Any], events: Events | None = None, triggers: Trig
     for array in (*events, *triggers):
         out.write(np.ascontiguousarray(array).tobytes())
     out.flush()
-
-
-def _from_npz(path: Path, choices: ReadingChoices) -> EventSource:
-    """Open NumPy's ``.npz``. Only plain numbers, and the header's text, are read."""
-    with zipfile.ZipFile(path) as archive:
-        if not any(name.endswith(".npy") for name in archive.namelist()):
-            raise NotARecording("This is a zip archive without NumPy's arrays.", remedy="Unpack it first.")
-        require_ratio(sum(member.file_size for member in archive.infolist()), path.stat().st_size, "it")
-    with np.load(path, allow_pickle=False) as file:
-        columns = {name: _array(file, name) for name in Events._fields}
-        require_one_length({name: len(column) for name, column in columns.items()})
-        events = as_events(**columns)
-        edges = {name: f"trigger_{name}" for name in Triggers._fields}
-        has_edges = any(stored in file for stored in edges.values())
-        triggers = (
-            as_triggers({name: _array(file, stored) for name, stored in edges.items()})
-            if has_edges
-            else empty_triggers(0)
-        )
-        width, height = map(int, file["size"]) if "size" in file else (0, 0)
-        header = json.loads(str(file["header"])) if "header" in file else {}
-    size = agreed_size({"size": (width, height)} if width and height else {}, choices.sensor_size, "")
-
-    return from_zero(EventSource(*size, header, lambda: with_edges([events], triggers), count=len(events.t)))
-
-
-def _array(file: Mapping[str, Any], name: str) -> Any:
-    if name not in file:
-        raise UnreadableEvents(f"{name} is missing in this .npz file.")
-    try:
-        return file[name]
-    except ValueError as error:  # pickled, or cut off
-        raise UnreadableEvents(f"{name} of this .npz file is no whole array of numbers.") from error
 
 
 def _from_hdf5(path: Path, choices: ReadingChoices) -> EventSource:
@@ -438,6 +401,4 @@ def _whole_events(message: Any) -> bytes:
 
 
 if __name__ == "__main__":
-    stated = json.loads(sys.argv[3]) if len(sys.argv) > 3 else {}
-    size = stated.get("sensor_size")
-    main(sys.argv[1], Path(sys.argv[2]), ReadingChoices(tuple(size) if size else None, stated.get("stream")))
+    main(sys.argv[1], Path(sys.argv[2]), ReadingChoices.from_json(json.loads(sys.argv[3])))

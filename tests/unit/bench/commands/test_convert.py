@@ -79,6 +79,18 @@ def test_one_of_several_streams_is_chosen(stereo, tmp_path, option):
     assert (status, out) == (0, f"{tmp_path / 'a.npz'}: 4 events, 0 triggers\n")
 
 
+def test_what_was_assumed_is_printed_and_the_unit_can_be_said(tmp_path):
+    table = np.stack([*np.zeros((2, 2000), int), np.arange(2000) * 1000, np.zeros(2000, int)], axis=1)
+    np.save(tmp_path / "a.npy", table)
+    words = (tmp_path / "a.npy", tmp_path / "b.npz", "--sensor-size", "8x8")
+    status, _, err = run(*words, home=tmp_path)
+    assert (status, "--time-unit ns" in err) == (2, True)
+    status, out, err = run(*words, "--time-unit", "ns", home=tmp_path)
+    assert (status, out) == (0, f"{tmp_path / 'b.npz'}: 2000 events, 0 triggers, 0.001999 s\n")
+    assert "does not name its columns; they were read as x, y, t, p." in err
+    assert "unit" not in err
+
+
 def test_many_files_take_the_same_choices(stereo, tmp_path):
     (tmp_path / "other.h5").write_bytes(stereo.read_bytes())
     words = [

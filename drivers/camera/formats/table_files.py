@@ -1,0 +1,233 @@
+"""Read tables of events from files of NumPy, of Parquet and of text, in the process of `library_reader`.
+
+- ``.npz`` as `event_exports` writes it; edges, size and header may be missing. Else, as ``.npy``, one array with named
+  columns (tonic, expelliarmus, N-ImageNet) or of N x 4 (EV-IMO, esim_py).
+- Parquet, as `parquet_export` and evlib write it; metadata may be missing.
+- Text: a line for each event, with names above it or without; above them may stand comments and the sensor's size:
+  ``%geometry:1280,720`` (Prophesee's CSV), or two numbers (E2VID).
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import zipfile
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
+from itertools import chain
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from drivers.camera.event_arrays import (
+    Events,
+    EventSource,
+    ReadingChoices,
+    TimeUnit,
+    Triggers,
+    as_triggers,
+    empty_triggers,
+    require_one_length,
+    require_ratio,
+)
+from drivers.camera.formats.event_columns import (
+    COLUMNS,
+    Columns,
+    Parts,
+    is_table,
+    named,
+    required,
+    unit_of_name,
+)
+from drivers.camera.formats.parquet_export import require_pyarrow
+from drivers.errors import NotARecording, UnreadableEvents
+
+NPY_MAGIC: Final = b"\x93NUMPY"
+PARQUET_MAGIC: Final = b"PAR1"
+_PIECE: Final = 500_000
+_MOST_ARRAYS: Final = 32
+"""An archive with more arrays is none of events."""
+_HEAD_BYTES: Final = 4096
+_GEOMETRY: Final = re.compile(r"[%# ]*geometry *[:=]? *(\d{1,5}) *[,x ] *(\d{1,5}) *", re.IGNORECASE)
+_SIZE: Final = 2
+"""Numbers of a line that states the size."""
+_NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
+
+
+def from_npz(path: Path, choices: ReadingChoices) -> EventSource:
+    """Open NumPy's ``.npz``. Only plain numbers, and the header's text, are read."""
+    with zipfile.ZipFile(path) as archive:
+        if not any(name.endswith(".npy") for name in archive.namelist()):
+            raise NotARecording("This is a zip archive without NumPy's arrays.", remedy="Unpack it first.")
+        require_ratio(sum(member.file_size for member in archive.infolist()), path.stat().st_size, "it")
+    with np.load(path, allow_pickle=False) as file:
+        arrays, unit = _events_of(file, choices)
+        edges = {name: f"trigger_{name}" for name in Triggers._fields}
+        has_edges = any(stored in file for stored in edges.values())
+        triggers = (
+            as_triggers({name: _array(file, stored) for name, stored in edges.items()})
+            if has_edges
+            else empty_triggers(0)
+        )
+        sides = [file[name] for name in ("size", "width", "height") if name in file]
+        width, height = (
+            map(int, np.concatenate([np.ravel(one) for one in sides])[:_SIZE]) if sides else (0, 0)
+        )
+        is_ours = "header" in file
+        header = json.loads(str(file["header"])) if is_ours else {}
+    sizes = {"the file": (width, height)} if width and height else {}
+    return Columns(
+        lambda: iter([arrays]), len(arrays[0]), sizes, header, triggers, "us" if is_ours else unit
+    ).source(choices)
+
+
+def _events_of(file: Mapping[str, Any], choices: ReadingChoices) -> tuple[Parts, TimeUnit | None]:
+    """Return the columns of an archive, or its one table, and the unit that the name of the times states."""
+    names = named(file)
+    if None in names and len(file) <= _MOST_ARRAYS:
+        tables = {name: table for name in file if is_table((table := _array(file, name)).shape, table.dtype)}
+        if tables:
+            return [tables[choices.chosen(tables)]], None
+    own = [name or missing for name, missing in zip(names, Events._fields, strict=True)]
+    arrays = [_array(file, name) for name in own]
+    require_one_length({name: len(column) for name, column in zip(own, arrays, strict=True)})
+    return arrays, unit_of_name(own[0])
+
+
+def _array(file: Mapping[str, Any], name: str) -> Any:
+    if name not in file:
+        raise UnreadableEvents(f"{name} is missing in this .npz file.")
+    try:
+        return file[name]
+    except ValueError as error:  # pickled, or cut off
+        raise UnreadableEvents(f"{name} of this .npz file is no whole array of numbers.") from error
+
+
+def from_npy(path: Path, choices: ReadingChoices) -> EventSource:
+    """Open NumPy's ``.npy``: an array with named columns, or of four."""
+    try:
+        table = np.load(path, allow_pickle=False)
+    except ValueError as error:
+        raise UnreadableEvents("this .npy file is no whole array of numbers.") from error
+    if not is_table(table.shape, table.dtype):
+        shape = " x ".join(map(str, table.shape))
+        raise UnreadableEvents(f"this array of {shape} has no columns t, x, y and p, and not four columns.")
+    return Columns(lambda: iter([[table]]), len(table)).source(choices)
+
+
+def from_parquet(path: Path, choices: ReadingChoices) -> EventSource:
+    """Open a Parquet file with the columns of events; those of a duration state their unit."""
+    pa = require_pyarrow()
+    opened = ExitStack()
+    try:
+        file = opened.enter_context(pa.parquet.ParquetFile(path))
+    except pa.ArrowException as error:
+        raise UnreadableEvents("this Parquet file is damaged or incomplete.") from error
+    names = required(file.schema_arrow.names)
+    kind = file.schema_arrow.field(names[0]).type
+    is_time = pa.types.is_duration(kind) or pa.types.is_timestamp(kind)
+    stated = {key.decode(): value.decode() for key, value in (file.metadata.metadata or {}).items()}
+    sizes = (
+        {"the file": (int(stated["width"]), int(stated["height"]))}
+        if {"width", "height"} <= stated.keys()
+        else {}
+    )
+    edges = json.loads(stated.get("triggers", "{}"))
+    triggers = (
+        as_triggers({name: np.array(edges[name], np.int64) for name in Triggers._fields}) if edges else None
+    )
+
+    def parts() -> Iterator[Parts]:
+        for batch in file.iter_batches(_PIECE, columns=names):
+            columns = [batch.column(name) for name in names]
+            if is_time:
+                columns[0] = columns[0].cast(pa.int64())
+            yield [column.to_numpy(zero_copy_only=False) for column in columns]
+
+    unit = "us" if "header" in stated else kind.unit if is_time else unit_of_name(names[0])
+    header = json.loads(stated.get("header", "{}"))
+    columns = Columns(parts, file.metadata.num_rows, sizes, header, triggers or empty_triggers(0), unit)
+    return columns.source(choices)
+
+
+class _TextLayout(NamedTuple):
+    """What the first lines of a text file say of its events."""
+
+    skipped: int  # Lines above the first event
+    delimiter: str | None
+    names: list[str | None]  # Of t, x, y and p; empty without names
+    places: list[int]  # Of t, x, y and p; empty without names
+    sizes: dict[str, tuple[int, int]]
+
+
+def is_table_of_text(start: bytes) -> bool:
+    """Return whether a file that starts with these bytes is text with a line of four or more numbers an event."""
+    return not start.startswith(b"% ") and _text_layout(start) is not None
+
+
+def _text_layout(start: bytes) -> _TextLayout | None:
+    sizes, names, delimiter = dict[str, tuple[int, int]](), list[str](), None
+    try:
+        lines = start[:_HEAD_BYTES].decode("utf-8-sig").splitlines()
+    except UnicodeDecodeError:
+        return None
+    for number, line in enumerate(lines):
+        delimiter = next((one for one in ",;\t" if one in line), None)
+        words = [word.strip() for word in line.strip("# \t").split(delimiter)]
+        are_numbers = bool(words[0]) and all(_NUMBER.fullmatch(word) for word in words if word)
+        if geometry := _GEOMETRY.fullmatch(line.strip()):
+            sizes["geometry"] = (int(geometry[1]), int(geometry[2]))
+        elif are_numbers and len(words) == _SIZE and not number:
+            sizes["the first line"] = (int(float(words[0])), int(float(words[1])))
+        elif are_numbers and not line.startswith("#"):
+            own = named(names)
+            if None in own and len(words) != COLUMNS:
+                return None
+            places = [] if None in own else [names.index(name or "") for name in own]
+            return _TextLayout(number, delimiter, own if places else [], places, sizes)
+        else:
+            names = words
+    return None
+
+
+def from_text(path: Path, choices: ReadingChoices) -> EventSource:
+    """Open text with a line for each event."""
+    with path.open("rb") as file:
+        layout = _text_layout(file.read(_HEAD_BYTES))
+    assert layout is not None
+    if not layout.sizes and choices.sensor_size is None:
+        raise NotARecording(
+            "This is a text file of events, which does not state the sensor's size.",
+            remedy="Say the size: starbench convert --sensor-size WIDTHxHEIGHT, in px.",
+        )
+
+    def parts() -> Iterator[Parts]:
+        with path.open(encoding="utf-8-sig") as file:
+            lines = (line for number, line in enumerate(file) if number >= layout.skipped)
+            read = 0
+            for first in lines:
+                table = _rows(chain([first], lines), layout, read)
+                read += len(table)
+                yield [table[:, k] for k in range(COLUMNS)] if layout.places else [table]
+
+    unit = unit_of_name(layout.names[0] or "") if layout.names else None
+    return Columns(parts, None, layout.sizes, unit=unit).source(choices)
+
+
+def _rows(lines: Iterator[str], layout: _TextLayout, before: int) -> Any:
+    """Return the next rows. Raises NotARecording if a line does not hold the numbers of an event."""
+    try:
+        return np.loadtxt(
+            lines,
+            delimiter=layout.delimiter,
+            usecols=layout.places or None,
+            comments="#",
+            max_rows=_PIECE,
+            ndmin=2,
+        )
+    except ValueError as error:
+        last = before + _PIECE
+        raise UnreadableEvents(
+            f"a line of events {before} to {last} does not hold the numbers of an event."
+        ) from error

@@ -1,0 +1,159 @@
+"""Tables of events in files of NumPy, Parquet and text: named columns, or four in the orders of known programs."""
+
+import numpy as np
+import pytest
+from imported import import_events
+
+from drivers.camera.event_arrays import ReadingChoices
+from drivers.camera.formats.event_conversion import convert
+from drivers.errors import NotARecording
+
+N = 3000
+WIDTH, HEIGHT = 640, 480
+SIZED = ReadingChoices((WIDTH, HEIGHT))
+CHANCE = np.random.default_rng(11)
+ROWS = {
+    "t": 700 + np.sort(CHANCE.integers(0, 40_000, N)),
+    "x": CHANCE.integers(0, WIDTH, N),
+    "y": CHANCE.integers(0, HEIGHT, N),
+    "p": CHANCE.integers(0, 2, N),
+}
+
+
+def assert_same(found):
+    assert all(np.array_equal(getattr(found.events, name), ROWS[name]) for name in "txyp")
+    assert (found.width, found.height) == (WIDTH, HEIGHT)
+
+
+def named_table(*names):
+    """One array whose columns have these names, in the order t, x, y, p."""
+    table = np.zeros(N, list(zip(names, ("<i8", "<i2", "<i2", "?"), strict=True)))
+    for name, own in zip(names, "txyp", strict=True):
+        table[name] = ROWS[own]
+    return table
+
+
+def plain_table(order, unit=1.0, off=0):
+    columns = {**ROWS, "t": ROWS["t"] * unit, "p": np.where(ROWS["p"], 1, off)}
+    return np.stack([columns[name] for name in order], axis=1)
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        named_table("t", "x", "y", "p"),  # tonic, expelliarmus
+        named_table("timestamp", "x", "y", "polarity"),
+        plain_table("xytp", 1e-6, -1),  # esim_py
+        plain_table("txyp", 1e-6),  # EV-IMO
+        plain_table("txyp").astype("u4"),
+        plain_table("xypt").astype("i8"),
+    ],
+)
+@pytest.mark.parametrize("ending", ["npy", "npz"])
+def test_one_array_holds_the_events(tmp_path, table, ending):
+    path = tmp_path / f"a.{ending}"
+    if ending == "npy":
+        np.save(path, table)
+    else:
+        np.savez(path, events=table, K=np.eye(3))
+    assert_same(import_events(path, SIZED))
+
+
+def test_columns_of_an_archive_may_have_long_names_and_times_in_seconds(tmp_path):
+    np.savez(tmp_path / "a.npz", timestamp=ROWS["t"], x=ROWS["x"], y=ROWS["y"], polarity=ROWS["p"])  # BS-ERGB
+    assert_same(import_events(tmp_path / "a.npz", SIZED))
+    floats = {name: values.astype("f8") for name, values in ROWS.items()}
+    np.savez(tmp_path / "b.npz", **{**floats, "t": floats["t"] * 1e-6})
+    assert_same(import_events(tmp_path / "b.npz", SIZED))
+
+
+def test_one_of_several_arrays_is_chosen(tmp_path):
+    np.savez(tmp_path / "a.npz", left=plain_table("txyp"), right=plain_table("txyp")[:5])
+    with pytest.raises(NotARecording, match="2 streams of events: left, right"):
+        import_events(tmp_path / "a.npz", SIZED)
+    assert_same(import_events(tmp_path / "a.npz", ReadingChoices((WIDTH, HEIGHT), "left")))
+
+
+def test_an_array_of_other_things_is_refused(tmp_path):
+    np.save(tmp_path / "a.npy", np.zeros((4, 7)))
+    with pytest.raises(NotARecording, match="array of 4 x 7 has no columns t, x, y and p"):
+        import_events(tmp_path / "a.npy", SIZED)
+
+
+# ------------------------------------------------------------ text
+
+
+def text(path, head, order, separator, unit=1):
+    kinds = {"t": "{:.6f}" if unit != 1 else "{:.0f}"}
+    table = plain_table(order, unit)
+    lines = [
+        separator.join(
+            kinds.get(name, "{:.0f}").format(value) for name, value in zip(order, row, strict=True)
+        )
+        for row in table
+    ]
+    path.write_text(head + "\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    ("head", "order", "separator", "unit"),
+    [
+        ("", "txyp", " ", 1e-6),  # Event Camera Dataset
+        ("# timestamp x y polarity\n", "txyp", " ", 1e-6),  # evlib
+        ("timestamp,x,y,polarity\n", "txyp", ",", 1),  # DV
+        ("", "xypt", ",", 1),  # Metavision
+        ("", "xypt", ";", 1),  # Metavision's decoder of EVT3
+        ("x,y,polarity,timestamp_us\n", "xypt", ",", 1),
+        ("p\tt\tx\ty\n", "ptxy", "\t", 1),
+    ],
+)
+def test_a_line_holds_an_event(tmp_path, head, order, separator, unit):
+    assert_same(import_events(text(tmp_path / "a.txt", head, order, separator, unit), SIZED))
+
+
+@pytest.mark.parametrize("head", [f"%geometry:{WIDTH},{HEIGHT}\n", f"{WIDTH} {HEIGHT}\n"])
+def test_the_first_line_of_text_may_state_the_size(tmp_path, head):
+    assert_same(import_events(text(tmp_path / "a.txt", head, "txyp", " ", 1e-6)))
+
+
+def test_text_without_a_size_or_with_a_torn_line_is_refused(tmp_path):
+    path = text(tmp_path / "a.txt", "", "txyp", " ")
+    with pytest.raises(NotARecording, match=r"text file of events, which does not state.*--sensor-size"):
+        import_events(path)
+    path.write_text(path.read_text() + "45000 3")
+    with pytest.raises(NotARecording, match="a line of events 0 to 500000 does not hold the numbers"):
+        import_events(path, SIZED)
+
+
+# ------------------------------------------------------------ Parquet
+
+
+def test_parquet_of_evlib_states_its_unit(tmp_path):
+    pa, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    columns = {"x": ROWS["x"].astype("i2"), "y": ROWS["y"].astype("i2"), "polarity": ROWS["p"].astype("i1")}
+    for unit, per_us in (("us", 1), ("ns", 1000)):
+        t = pa.array(ROWS["t"] * per_us).cast(pa.duration(unit))
+        parquet.write_table(pa.table({"t": t, **columns}), tmp_path / "a.parquet")
+        assert_same(import_events(tmp_path / "a.parquet", SIZED))
+
+
+def test_what_is_written_as_parquet_is_read_again_with_its_edges(tmp_path):
+    pytest.importorskip("pyarrow")
+    edges = {"t": np.array([800, 900]), "value": np.array([1, 0]), "id": np.array([0, 0])}
+    own = {f"trigger_{name}": values for name, values in edges.items()}
+    np.savez(tmp_path / "a.npz", **ROWS, **own, size=np.array([WIDTH, HEIGHT]))
+    convert(tmp_path / "a.npz", tmp_path / "a.parquet", "parquet")
+    found = import_events(tmp_path / "a.parquet")
+    assert_same(found)
+    assert found.triggers.t.tolist() == [800, 900]
+
+
+def test_parquet_without_polarities_is_refused(tmp_path):
+    pa, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    parquet.write_table(pa.table({name: ROWS[name] for name in "txy"}), tmp_path / "a.parquet")
+    with pytest.raises(NotARecording, match="no column p"):
+        import_events(tmp_path / "a.parquet", SIZED)
+    (tmp_path / "b.parquet").write_bytes((tmp_path / "a.parquet").read_bytes()[:500])
+    with pytest.raises(NotARecording, match="Parquet file is damaged or incomplete"):
+        import_events(tmp_path / "b.parquet", SIZED)

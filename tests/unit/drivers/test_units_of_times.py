@@ -1,0 +1,125 @@
+"""Times whose unit a file does not state: what no camera sends is refused, and the unit can be said."""
+
+import h5py
+import numpy as np
+import pytest
+from imported import import_events
+
+from drivers.camera.event_arrays import ReadingChoices
+from drivers.camera.formats.event_conversion import convert
+from drivers.camera.formats.event_files import open_events
+from drivers.errors import NotARecording
+
+N = 20_000
+SIZE = (640, 480)
+CHANCE = np.random.default_rng(4)
+T_US = 1000 + np.sort(CHANCE.integers(0, 200_000, N))
+OTHERS = {
+    "x": CHANCE.integers(0, 640, N),
+    "y": CHANCE.integers(0, 480, N),
+    "p": CHANCE.integers(0, 2, N),
+}
+FRACTIONS = CHANCE.integers(0, 1000, N)
+
+
+def npz(folder, t, **other):
+    np.savez(folder / "a.npz", t=t, **{**OTHERS, **other})
+    return folder / "a.npz"
+
+
+def hdf5(folder, t, **other):
+    with h5py.File(folder / "a.h5", "w") as file:
+        for name, values in {"t": t, **OTHERS}.items():
+            file[f"events/{name}"] = values
+        for name, values in other.items():
+            file[name] = values
+    return folder / "a.h5"
+
+
+@pytest.mark.parametrize("make", [npz, hdf5])
+@pytest.mark.parametrize(
+    ("unit", "t"),
+    [
+        ("ns", T_US * 1000),
+        ("ns", T_US * 1000 + FRACTIONS),  # vid2e
+        ("ms", T_US * 1e-3),
+        ("ms", T_US * 1e-3 + 1e-7 * FRACTIONS),
+        ("ms", T_US // 1000),  # EventNeRF
+    ],
+)
+def test_times_in_another_unit_are_refused_and_read_once_it_is_said(tmp_path, make, unit, t):
+    path = make(tmp_path, t)
+    with pytest.raises(NotARecording, match=f"are probably in {unit}.*--time-unit {unit}"):
+        import_events(path, ReadingChoices(SIZE))
+    found = import_events(path, ReadingChoices(SIZE, time_unit=unit)).events.t
+    assert np.abs(found - T_US).max() <= (999 if t.max() == 200 else 1)
+
+
+@pytest.mark.parametrize("t", [T_US, T_US * 1e-6, T_US.astype("f8")])
+def test_us_and_s_are_read_and_told_as_assumed(tmp_path, t):
+    with open_events(npz(tmp_path, t), ReadingChoices(SIZE)) as source:
+        found = np.concatenate([events.t for events, _ in source.pieces()])
+        assert source.assumed == {"time_unit": "s" if t.max() < 1000 else "us"}
+    assert np.array_equal(found, T_US)
+
+
+def test_the_order_of_a_table_is_told_as_assumed(tmp_path):
+    np.save(tmp_path / "a.npy", np.stack([OTHERS["x"], OTHERS["y"], T_US, OTHERS["p"]], axis=1))
+    written = convert(tmp_path / "a.npy", tmp_path / "b.raw", "raw", ReadingChoices(SIZE))
+    assert written.assumed == {"time_unit": "us", "columns": "x, y, t, p"}
+
+
+@pytest.mark.parametrize("rate", [0.006, 150.0])
+def test_rates_between_rest_and_flicker_are_read(tmp_path, rate):
+    span_us = 1e6 * N / (SIZE[0] * SIZE[1] * rate)
+    t = np.linspace(0, span_us, N).astype(int)
+    assert np.array_equal(import_events(npz(tmp_path, t), ReadingChoices(SIZE)).events.t, t)
+
+
+def test_a_camera_at_rest_is_read_once_the_unit_is_said(tmp_path):
+    t = T_US * 1000 + FRACTIONS
+    assert np.array_equal(import_events(npz(tmp_path, t), ReadingChoices(SIZE, time_unit="us")).events.t, t)
+
+
+def test_a_layout_whose_times_are_in_us_needs_no_guess(tmp_path):
+    """DSEC, and Starbench's own files, at any rate."""
+    t = T_US * 1000
+    path = hdf5(tmp_path, t, ms_to_idx=np.zeros(3))
+    assert np.array_equal(import_events(path, ReadingChoices(SIZE)).events.t, t)
+    convert(path, tmp_path / "b.npz", "numpy", ReadingChoices(SIZE, time_unit="us"))
+    convert(tmp_path / "b.npz", tmp_path / "c.h5", "hdf5", ReadingChoices())
+    assert np.array_equal(import_events(tmp_path / "c.h5").events.t, t)
+
+
+def test_the_name_of_a_column_states_the_unit(tmp_path):
+    np.savez(tmp_path / "a.npz", timestamp_ns=T_US * 1000, **OTHERS)
+    assert np.array_equal(import_events(tmp_path / "a.npz", ReadingChoices(SIZE)).events.t, T_US)
+
+
+def test_a_unit_that_contradicts_the_file_is_refused(tmp_path):
+    with pytest.raises(NotARecording, match=r"states its times in us\. Leave out --time-unit"):
+        import_events(hdf5(tmp_path, T_US, ms_to_idx=np.zeros(3)), ReadingChoices(SIZE, time_unit="ns"))
+    (tmp_path / "a.raw").write_bytes(b"% evt 3.0\n% geometry 640x480\n% end\n")
+    with pytest.raises(NotARecording, match="Leave out --time-unit"):
+        import_events(tmp_path / "a.raw", ReadingChoices(time_unit="ns"))
+
+
+def test_height_before_width_is_told_as_the_cause(tmp_path):
+    path = npz(tmp_path, T_US)
+    with pytest.raises(NotARecording, match=r"the height stands before the width, or y before x.*640x480"):
+        import_events(path, ReadingChoices((480, 640)))
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        lambda file: file.attrs.__setitem__("sensor_resolution", (480, 640)),  # event_utils
+        lambda file: file.update({"height": 480, "width": 640}),
+    ],
+)
+def test_the_size_is_read_where_others_write_it(tmp_path, state):
+    path = hdf5(tmp_path, T_US)
+    with h5py.File(path, "a") as file:
+        state(file)
+    found = import_events(path)
+    assert (found.width, found.height) == SIZE
