@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from bench.base.pasteable import pasteable
 from bench.commands.calibrations import calibration_text
 from bench.commands.options import (
     RUN,
@@ -219,6 +220,6 @@ def _recorded_lines(end: RunEnd) -> list[str]:
     lines.append("To check the seal, and to calibrate from the recordings:")
     return [
         *lines,
-        f"  starbench verify {end.folder}",
-        f"  starbench calibrate {end.folder} --output NEW_FOLDER",
+        f"  {pasteable('verify', end.folder)}",
+        f"  {pasteable('calibrate', end.folder, '--output', f'{end.folder}-calibrated')}",
     ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import NamedTuple, ParamSpec, cast
 
 import calib.errors
 from bench.base.errors import JournalBroken
+from bench.base.pasteable import pasteable
 from bench.record.events import (
     AttemptChecked,
     CaptureStored,
@@ -334,15 +334,17 @@ def way_on(history: History, folder: Path) -> tuple[str, str]:
     if kind and issubclass(getattr(calib.errors, kind, type(None)), calib.errors.CalibrationError):
         return (
             "All recordings are kept. With the same model they are refused again. With the joint adjustment:",
-            f"starbench calibrate {folder} --model joint",
+            pasteable("calibrate", folder, "--model", "joint"),
         )
     if kind and (not history.attempts or (kind == "PoseFailed" and not history.accepted())):
         nothing = "accepted" if history.attempts else "recorded"
         begun = history.started.get("begun_with")  # which earlier versions did not write
         files = begun or (str(folder / "sequence.yaml"), "--station", str(folder / "station.yaml"))
+        look = f" See what the camera sees ({pasteable('align', *files[1:3])})." if history.attempts else ""
         known = (
-            f"Nothing was {nothing}. A resumed run (starbench resume {shlex.quote(str(folder))}) uses its own copies "
-            "of the files: it helps if the cause is on the bench. If a file was wrong, correct it, and begin again:"
+            f"Nothing was {nothing}.{look} A resumed run ({pasteable('resume', folder)}) uses its own "
+            "copies of the files: it helps if the cause is on the bench. If a file was wrong, correct it, and begin "
+            "again:"
         )
-        return known, shlex.join(["starbench", "run", *files])
-    return "All recordings are kept. To continue:", f"starbench resume {folder}"
+        return known, pasteable("run", *files)
+    return "All recordings are kept. To continue:", pasteable("resume", folder)

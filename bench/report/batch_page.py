@@ -52,6 +52,7 @@ def render_batch(summary: BatchSummary) -> str:
         withdrawn=[item["item"] for item in summary["items"] if item["how"] == "withdrawn"],
         cameras=[_camera_section(camera) for camera in summary["cameras"]],
         rows=[item for item in summary["items"] if item["begun_utc"]],
+        outcome_of=_outcome,
         local=partial(_local, zone=zone),
         charts=_chart_sections(summary),
         requests=summary["requests"],
@@ -106,6 +107,18 @@ def _newest_line(items: Sequence[ItemData]) -> str:
     """Return the place of the newest run in the ledger as text; empty if no run is in a ledger."""
     place = newest_place(items)
     return f"run {place[0]} of this bench, line {place[1]}" if place else ""
+
+
+def _outcome(item: ItemData) -> tuple[str, str]:
+    """Return the colour and the words of how a run ended: as its report, green only without any reservation."""
+    if item["how"] != "finished":
+        colours = {"in progress": "", "aborted": "marginal", "cut off": "marginal"}
+        return colours.get(item["how"], "fail"), item["how"]
+    if item["conformity"] == "FAIL":
+        return "fail", "FAIL"
+    if item.get("causes") or item["goals_missed"]:
+        return "marginal", "reservations"
+    return "pass", "finished"
 
 
 def _chart_sections(summary: BatchSummary) -> list[dict[str, Any]]:

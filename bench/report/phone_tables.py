@@ -26,10 +26,10 @@ def _labelled(table: str) -> str:
 
 
 def _names(head: str) -> Iterator[str]:
-    """Yield the head of each column as text, once for each column that it spans."""
+    """Yield the head of each column as text; one that spans columns names the first of them."""
     for _, attributes, content in _CELL.findall(head):
         text = _TAG.sub("", content).strip().replace('"', "&quot;")
-        yield from [text] * _columns(attributes)
+        yield from [text] + [""] * (_columns(attributes) - 1)
 
 
 def _labelled_row(row: str, names: list[str]) -> str:

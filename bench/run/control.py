@@ -19,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from bench.base.clock import BenchClock
 from bench.base.errors import RunFolderError, StorageError
+from bench.base.pasteable import pasteable
 from bench.record import events
 from bench.record.events import Commanded, Event
 from bench.record.folder_lock import is_locked
@@ -222,12 +223,12 @@ def _nothing_to_tell(folder: Path) -> RunFolderError:
         return RunFolderError(
             "The run has finished, so it takes no more commands.",
             where=str(folder),
-            remedy=f"See its result: starbench status {folder}",
+            remedy=f"See its result: {pasteable('status', folder)}",
         )
     return RunFolderError(
         "No process works on this run.",
         where=str(folder),
-        remedy=f"To see where it stands: starbench status {folder}. To continue it: starbench resume {folder}",
+        remedy=f"To see where it stands: {pasteable('status', folder)}. To continue it: {pasteable('resume', folder)}",
     )
 
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from bench.base.encoding import clock_text, counted, times
 from bench.base.errors import RunFolderError, StorageError
 from bench.base.home import home_folder
+from bench.base.pasteable import pasteable
 from bench.evidence.authorisations import known_authorisations
 from bench.evidence.states import home_trust, shown_state
 from bench.record.coverage import estimates, factors_text
@@ -391,9 +392,9 @@ def _advice(folder: Path, history: History, *, running: bool, sealed: bool) -> s
         return _advice_while_running(folder, history)
     if sealed:
         found = "Finished and sealed." if history.ended else "The journal was changed after the seal."
-        return f"{found} To check the seal: starbench verify {folder}"
+        return f"{found} To check the seal: {pasteable('verify', folder)}"
     if history.ended == "finished":
-        return f"The run has finished, but it is not sealed. To seal it: starbench resume {folder}"
+        return f"The run has finished, but it is not sealed. To seal it: {pasteable('resume', folder)}"
     return "No process works on this run. {} {}".format(*way_on(history, folder))
 
 
@@ -406,10 +407,10 @@ def _advice_while_running(folder: Path, history: History) -> str:
             " long."
         )
     if history.question:
-        return f"The run asks: {history.question} To answer: starbench tell {folder} yes (or no)"
+        return f"The run asks: {history.question} To answer: {pasteable('tell', folder, 'yes')} (or no)"
     if history.holder:
-        return f"Held by {history.holder}. To continue: starbench tell {folder} release"
-    return f"No action is needed. To stop the run safely: starbench tell {folder} abort"
+        return f"Held by {history.holder}. To continue: {pasteable('tell', folder, 'release')}"
+    return f"No action is needed. To stop the run safely: {pasteable('tell', folder, 'abort')}"
 
 
 def _is_over(history: History) -> bool:

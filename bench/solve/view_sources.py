@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, cast
 from numpy.typing import NDArray
 
 from bench.base.errors import BenchError, StorageError, UsageError
+from bench.base.pasteable import pasteable
 from bench.measure.expected_grid import grid_from_journal
 from bench.plan.job import Job
 from bench.record.events import RunStarted
@@ -214,7 +215,7 @@ def _file_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
         raise UsageError(
             "Pictures are reconstructed from RAW files with EVT3 words only.",
             where=str(path),
-            remedy=f"Convert it first: starbench convert {path.name} {path.stem}-evt3.raw",
+            remedy=f"Convert it first: {pasteable('convert', path, path.with_name(path.stem + '-evt3.raw'))}",
         )
     refuse_truncated(path)
     moving = MovingRecording(path, choices.reconstruct_hz)

@@ -115,6 +115,22 @@ def test_the_page_holds_the_number_of_each_run_and_the_newest_line_of_the_ledger
     assert "in the ledger" not in render_batch(summary(item("a-001")))
 
 
+@pytest.mark.parametrize(
+    ("facts", "pill"),
+    [
+        ({}, '<span class="pill pass">finished</span>'),
+        ({"causes": ["The light is weak."]}, '<span class="pill marginal">reservations</span>'),
+        ({"goals_missed": ["U(fx) was not reached."]}, '<span class="pill marginal">reservations</span>'),
+        ({"conformity": "FAIL", "causes": ["The light is weak."]}, '<span class="pill fail">FAIL</span>'),
+        ({"how": "cut off"}, '<span class="pill marginal">cut off</span>'),
+        ({"how": "hung"}, '<span class="pill fail">hung</span>'),
+    ],
+)
+def test_a_run_is_green_only_without_any_reservation(facts, pill):
+    html = render_batch(summary(item("a-001", **facts)))
+    assert pill in html[html.index("All runs") :]
+
+
 @pytest.mark.parametrize("flag", ["rehearsal", "simulated"])
 def test_what_is_not_measured_says_so_at_the_top(flag):
     html = render_batch(summary(item("a-001"), **{flag: True}))
