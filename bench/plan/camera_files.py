@@ -222,6 +222,8 @@ def _cameras(content: Values) -> dict[str, Values]:
     cameras: dict[str, Values] = {}
     for number in ("1", "2"):  # M1, D1, M2 and D2 of OpenCV's stereo calibration
         own = {key[:-1]: value for key, value in values.items() if key.endswith(number)}
+        if f"k{number}" in values and isinstance(own["k"], str) and len(own["k"].split()) == 1:
+            del own["k"]  # a coefficient, no camera matrix
         if states_a_matrix(own):
             cameras[number] = {**values, **own}
     for name, value in content.items():

@@ -41,12 +41,14 @@ _LENS = (
     "distortioncoefficients", "distortioncoeffs", "distortionvector", "distortionparams", "distortion", "distcoeffs",
     "distcoeff", "distcoefs", "dist", "d",
 )  # fmt: skip
-_SIZES = ("imagesize", "resolution", "imagersize", "imageresolution")
+_SIZES = ("imagesize", "imgsize", "resolution", "imagersize", "imageresolution")
+_SIZES_OF_ANYTHING = ("size", "dimensions")
+"""Names that may be those of a board too: asked if there is no other."""
 _SIDES = [
     (f"{of}{width}", f"{of}{height}")
     for of in ("image", "", "img", "imagesize")
     for width, height in (("width", "height"), ("w", "h"))
-]
+] + [("resx", "resy")]
 _MODEL = re.compile(
     "(distortion|dist|lens|camera|cam|projection|calibration|usefisheye|fisheye)?model(type)?"
     "|(distortion|dist|lens|camera|projection)type|(use|is)?fisheye"
@@ -279,6 +281,7 @@ def size_of_values(values: Values) -> tuple[int, int]:
     stated |= {
         " and ".join(names): [values[name] for name in names] for names in _SIDES if set(names) <= set(values)
     }
+    stated = stated or _listed(values, _SIZES_OF_ANYTHING)
     if not stated:
         raise OtherForm("it does not state the size of the image", "Add image_width and image_height, px.")
     sizes = {name: numbers_of("the size of the image", value) for name, value in stated.items()}

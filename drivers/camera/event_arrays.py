@@ -27,6 +27,7 @@ _SECOND_US: Final = 1_000_000
 _YEAR_2000_US: Final = 946_684_800_000_000
 _YEAR_2100_US: Final = 4_102_444_800_000_000
 _MOST_NAMED: Final = 8
+SAY_UNIT: Final = "Say their unit, for example: starbench convert --time-unit ns"
 
 _TYPES: Final[tuple[type[np.generic], ...]] = (np.int64, np.uint16, np.uint16, np.uint8)
 
@@ -150,7 +151,8 @@ class EventSource:
     truncated: bool = False  # Whether the file ends in the middle of a word or an event
     count: int | None = None  # Number of events, if the file states it before they are read
     state: ReadingState = field(default_factory=ReadingState)
-    # What the file does not state and was assumed: "time_unit" (a `TimeUnit`), "columns" (their order in a table)
+    # What the file does not state and was assumed: "time_unit" (a `TimeUnit`), "columns" (their order in a table); and
+    # "time_step_us", if its numbers are too coarse for its times
     assumed: Mapping[str, str] = field(default_factory=dict)
 
 
@@ -171,7 +173,7 @@ def from_zero(source: EventSource) -> EventSource:
     if origin.us > _YEAR_2100_US:
         raise NotARecording(
             f"Its times begin at {origin.us:.3g} us, after the year 2100: they are not in us.",
-            remedy="Write the times in us, as whole numbers, or in s with their fractions.",
+            remedy=SAY_UNIT,
         )
 
     def moved() -> Iterator[Piece]:

@@ -45,6 +45,8 @@ _ORDERS: Final = (_OF_WHOLE, _OF_FRACTIONS, (3, 0, 1, 2))
 """Places of t, x, y and p in the tables of known programs."""
 _NS: Final[Mapping[TimeUnit, int]] = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
 _US_NS: Final = 1000
+_MOST_STEP_US: Final = 1.0
+"""Steps of the clock of a camera. Those of seconds in 32 bits are larger from 16 s on."""
 _COARSE_US: Final = 1000
 _LEAST_TIMES: Final = 8
 """So many different times that are all whole thousands of us are no chance: 1e-24 with a clock of 1 us."""
@@ -121,12 +123,15 @@ class ColumnReader:
             stated = stated or unit_of_name(required(first[0].dtype.names)[0])
         if given and stated and given != stated:
             raise NotARecording(f"The file states its times in {stated}.", remedy="Leave out --time-unit.")
-        has_fractions = bool(first) and _has_fractions(self._columns(first)[0])
+        times = self._columns(first)[0] if first else np.empty(0)
+        has_fractions = _has_fractions(times)
         unit = given or stated
         if unit is None:
             unit = "s" if has_fractions else "us"
             self.assumed = {"time_unit": unit, **self.assumed}
         self._ns = _NS[unit]
+        if (step_us := _step_of(times) * self._ns / _US_NS) > _MOST_STEP_US:
+            self.assumed["time_step_us"] = f"{step_us:.3g}"
         self._clock = Clock32()
 
     def events(self, parts: Parts) -> Events:
@@ -146,9 +151,11 @@ class ColumnReader:
     def _times(self, t: NDArray[Any]) -> NDArray[Any]:
         """Return times in us, as whole numbers."""
         if t.dtype.kind == "f":
+            if not np.isfinite(t).all():
+                raise UnreadableEvents("some of its times are no numbers (NaN or infinite).")
             if self.assumed.get("time_unit") == "us":
                 return _whole_of(t)
-            return np.rint(t * (self._ns / _US_NS)).astype(np.int64)
+            return np.rint(t.astype(np.float64) * (self._ns / _US_NS)).astype(np.int64)
         if t.dtype == np.uint32:
             t = self._clock.continued(t)
         if self._ns == _US_NS or t.dtype.kind not in "iu":
@@ -172,6 +179,11 @@ def _order(table: NDArray[Any]) -> Sequence[int]:
 
 def _rises(column: NDArray[Any]) -> bool:
     return not (column[1:] < column[:-1]).any() and bool((column[-1:] > column[:1]).all())
+
+
+def _step_of(times: NDArray[Any]) -> float:
+    """Return the distance of neighbouring numbers of the type of times, at the largest of them."""
+    return float(np.spacing(np.abs(times).max())) if times.dtype.kind == "f" and len(times) else 0.0
 
 
 def _has_fractions(t: NDArray[Any]) -> bool:

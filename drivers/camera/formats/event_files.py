@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from drivers.camera.event_arrays import (
     MAX_TIME_US,
     MOST_TRIGGERS,
+    SAY_UNIT,
     EventSource,
     Piece,
     ReadingChoices,
@@ -171,7 +172,7 @@ def _checked(pieces: Iterator[Piece], of: EventSource) -> Iterator[Piece]:
             if last_us - first_us > MAX_TIME_US:
                 raise NotARecording(
                     f"Its times span {(last_us - first_us) / MAX_TIME_US:.0f} days: they are not in us.",
-                    remedy="Write the times in us, as whole numbers, or in s with their fractions.",
+                    remedy=SAY_UNIT,
                 )
         read += len(events.t)
         edges += len(triggers.t)
@@ -194,8 +195,9 @@ def _outside(x: int, y: int, of: EventSource) -> NotARecording:
             " stands before the width, or y before x.",
             remedy=f"Say --sensor-size {of.height}x{of.width}, or write x, the column, and y in a copy of the file.",
         )
+    counted = ", as if columns and rows were counted from 1" if x <= of.width and y <= of.height else ""
     return NotARecording(
-        f"An event at column {x} or row {y} lies outside {size}.",
+        f"An event at column {x} or row {y} lies outside {size}{counted}.",
         remedy="Check the size of the sensor that the file, or --sensor-size, states.",
     )
 

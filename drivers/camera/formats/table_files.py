@@ -14,7 +14,7 @@ import re
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -52,7 +52,10 @@ _HEAD_BYTES: Final = 4096
 _GEOMETRY: Final = re.compile(r"[%# ]*geometry *[:=]? *(\d{1,5}) *[,x ] *(\d{1,5}) *", re.IGNORECASE)
 _SIZE: Final = 2
 """Numbers of a line that states the size."""
-_NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?", re.IGNORECASE)
+_NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|true|false", re.IGNORECASE)
+_TRUTH: Final = {"true": "1", "false": "0"}
+"""Polarities as pandas writes them."""
+_TRUTHS: Final = re.compile("true|false", re.IGNORECASE)
 
 
 def from_npz(path: Path, choices: ReadingChoices) -> EventSource:
@@ -159,6 +162,7 @@ class _TextLayout(NamedTuple):
     names: list[str | None]  # Of t, x, y and p; empty without names
     places: list[int]  # Of t, x, y and p; empty without names
     sizes: dict[str, tuple[int, int]]
+    has_truths: bool  # Whether polarities are the words true and false
 
 
 def is_table_of_text(start: bytes) -> bool:
@@ -174,7 +178,7 @@ def _text_layout(start: bytes) -> _TextLayout | None:
         return None
     for number, line in enumerate(lines):
         delimiter = next((one for one in ",;\t" if one in line), None)
-        words = [word.strip() for word in line.strip("# \t").split(delimiter)]
+        words = [word.strip(' "') for word in line.strip("# \t").split(delimiter)]
         are_numbers = bool(words[0]) and all(_NUMBER.fullmatch(word) for word in words if word)
         if geometry := _GEOMETRY.fullmatch(line.strip()):
             sizes["geometry"] = (int(geometry[1]), int(geometry[2]))
@@ -185,7 +189,9 @@ def _text_layout(start: bytes) -> _TextLayout | None:
             if None in own and len(words) != COLUMNS:
                 return None
             places = [] if None in own else [names.index(name or "") for name in own]
-            return _TextLayout(number, delimiter, own if places else [], places, sizes)
+            return _TextLayout(
+                number, delimiter, own if places else [], places, sizes, bool(_TRUTHS.search(line))
+            )
         else:
             names = words
     return None
@@ -204,7 +210,9 @@ def from_text(path: Path, choices: ReadingChoices) -> EventSource:
 
     def parts() -> Iterator[Parts]:
         with path.open(encoding="utf-8-sig") as file:
-            lines = (line for number, line in enumerate(file) if number >= layout.skipped)
+            lines: Iterator[str] = islice(file, layout.skipped, None)
+            if layout.has_truths:
+                lines = (_TRUTHS.sub(lambda word: _TRUTH[word[0].lower()], line) for line in lines)
             read = 0
             for first in lines:
                 table = _rows(chain([first], lines), layout, read)

@@ -112,6 +112,13 @@ def test_a_line_holds_an_event(tmp_path, head, order, separator, unit):
     assert_same(import_events(text(tmp_path / "a.txt", head, order, separator, unit), SIZED))
 
 
+def test_text_of_pandas_has_an_index_and_words_for_polarities(tmp_path):
+    rows = zip(*(ROWS[name] for name in "txyp"), strict=True)
+    lines = [f"{k},{t},{x},{y},{bool(p)}" for k, (t, x, y, p) in enumerate(rows)]
+    (tmp_path / "a.csv").write_text("\n".join([",t,x,y,p", *lines]))
+    assert_same(import_events(tmp_path / "a.csv", SIZED))
+
+
 @pytest.mark.parametrize("head", [f"%geometry:{WIDTH},{HEIGHT}\n", f"{WIDTH} {HEIGHT}\n"])
 def test_the_first_line_of_text_may_state_the_size(tmp_path, head):
     assert_same(import_events(text(tmp_path / "a.txt", head, "txyp", " ", 1e-6)))

@@ -123,3 +123,34 @@ def test_the_size_is_read_where_others_write_it(tmp_path, state):
         state(file)
     found = import_events(path)
     assert (found.width, found.height) == SIZE
+
+
+@pytest.mark.parametrize("unit", ["ns", "ms"])
+def test_times_since_1970_in_another_unit_are_read_once_it_is_said(tmp_path, unit):
+    since = 1_600_000_000_000_000 + T_US
+    path = npz(tmp_path, since * 1000 if unit == "ns" else since * 1e-3)
+    with pytest.raises(NotARecording, match="after the year 2100: they are not in us"):
+        import_events(path, ReadingChoices(SIZE))
+    found = import_events(path, ReadingChoices(SIZE, time_unit=unit))
+    assert np.abs(found.events.t - found.events.t[0] - (T_US - T_US[0])).max() <= 1
+    assert found.header["date"] == "2020-09-13 12:26:40"
+
+
+def test_times_with_too_few_digits_are_told(tmp_path):
+    """Seconds in 32 bits, as many files of NumPy have them."""
+    path = npz(tmp_path, (100 + T_US * 1e-6).astype("f4"))
+    written = convert(path, tmp_path / "b.npz", "numpy", ReadingChoices(SIZE))
+    assert written.assumed["time_step_us"] == "7.63"
+
+
+def test_times_that_are_no_numbers_are_told(tmp_path):
+    t = T_US * 1e-6
+    t[7] = np.nan
+    with pytest.raises(NotARecording, match="some of its times are no numbers"):
+        import_events(npz(tmp_path, t), ReadingChoices(SIZE))
+
+
+def test_columns_counted_from_1_are_told_as_the_cause(tmp_path):
+    path = npz(tmp_path, T_US, x=OTHERS["x"] + 1, y=OTHERS["y"] + 1)
+    with pytest.raises(NotARecording, match="as if columns and rows were counted from 1"):
+        import_events(path, ReadingChoices(SIZE))

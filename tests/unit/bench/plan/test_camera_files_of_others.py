@@ -425,3 +425,26 @@ def test_a_principal_point_far_from_the_middle_is_remarked(tmp_path):
     )
     (remark,) = read_camera_file(tmp_path / "ci.yaml").remarks
     assert "13 % of the width" in remark
+
+
+@pytest.mark.parametrize(
+    "size",
+    [
+        {"img_size": SIZE},
+        {"size": SIZE},  # aniposelib
+        {"dimensions": SIZE},
+        {"res_x": SIZE[0], "res_y": SIZE[1]},  # EV-IMO
+        {"image_size": SIZE, "size": [9, 6]},  # of a board
+    ],
+)
+def test_the_size_of_the_image_has_the_names_of_programs(size):
+    camera = parse_camera(json.dumps({"K": K, "dist": D5, **size}).encode(), Path("a.json")).camera
+    assert camera.image_size == SIZE
+    assert off_px(camera, D5) < 1e-3
+
+
+def test_the_coefficients_k1_and_k2_are_no_cameras():
+    values = {"f": 900, "cx": 640, "cy": 360, "k1": -0.1, "k2": 0.02, "width": 1280, "height": 720}
+    text = "".join(f"{name}: {value}\n" for name, value in values.items())
+    with pytest.raises(NotACamera, match="it has no camera matrix"):
+        parse_camera(text.encode(), Path("a.yaml"))
