@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from enum import IntEnum
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, Final
 
@@ -46,12 +47,13 @@ _DAT_LAYOUTS: Final = {"1": (9, 8, 1), "2": (14, 14, 4)}
 def is_dat(start: bytes) -> bool:
     """Return whether a file that starts with these bytes is a DAT file of events.
 
-    It is, by the first line that Prophesee's writers give to these files, or by a header that states a version and a
-    size but no encoding of RAW, as faery writes it.
+    It is, by the line that Prophesee's writers give to these files as their first, or by a header that states a version
+    and a size but no encoding of RAW, as faery writes it.
     """
-    if start.startswith(b"% Data file containing"):
-        return True
     lines = start[:_HEAD_BYTES].split(b"\n")
+    head = takewhile(lambda line: line.startswith(b"% "), lines)
+    if any(line.startswith(b"% Data file containing") for line in head):
+        return True
     keys = {line.split()[1].lower() for line in lines if line.startswith(b"% ") and len(line.split()) > 1}
     return {b"version", b"width", b"height"} <= keys and not keys & {b"evt", b"format"}
 

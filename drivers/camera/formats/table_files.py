@@ -4,7 +4,7 @@
   columns (tonic, expelliarmus, N-ImageNet) or of N x 4 (EV-IMO, esim_py).
 - Parquet, as `parquet_export` and evlib write it; metadata may be missing.
 - Text: a line for each event, with names above it or without; above them may stand comments and the sensor's size:
-  ``%geometry:1280,720`` (Prophesee's CSV), or two numbers (E2VID).
+  ``%geometry:1280,720`` (Prophesee's CSV), two numbers (E2VID), or names ``x@1280`` and ``y@720`` (faery).
 """
 
 from __future__ import annotations
@@ -193,7 +193,12 @@ def _text_layout(start: bytes) -> _TextLayout | None:
                 number, delimiter, own if places else [], places, sizes, bool(_TRUTHS.search(line))
             )
         else:
-            names = words
+            names = [word.partition("@")[0] for word in words]
+            sides = [
+                word.partition("@")[2] for name in ("x", "y") for word in words if word.startswith(f"{name}@")
+            ]
+            if len(sides) == _SIZE and all(map(str.isdecimal, sides)):
+                sizes["the names of columns"] = (int(sides[0]), int(sides[1]))
     return None
 
 

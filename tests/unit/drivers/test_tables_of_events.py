@@ -124,6 +124,12 @@ def test_the_first_line_of_text_may_state_the_size(tmp_path, head):
     assert_same(import_events(text(tmp_path / "a.txt", head, "txyp", " ", 1e-6)))
 
 
+def test_the_names_of_columns_may_state_the_size(tmp_path):
+    """In files of faery."""
+    head = f"t,x@{WIDTH},y@{HEIGHT},on\n"
+    assert_same(import_events(text(tmp_path / "a.csv", head, "txyp", ",")))
+
+
 def test_text_without_a_size_or_with_a_torn_line_is_refused(tmp_path):
     path = text(tmp_path / "a.txt", "", "txyp", " ")
     with pytest.raises(NotARecording, match=r"text file of events, which does not state.*--sensor-size"):
