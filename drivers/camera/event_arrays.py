@@ -32,6 +32,7 @@ SAY_UNIT: Final = "Say their unit, for example: starbench convert --time-unit ns
 _TYPES: Final[tuple[type[np.generic], ...]] = (np.int64, np.uint16, np.uint16, np.uint8)
 
 _Columns = tuple[NDArray[Any], ...]
+TimeUnit = Literal["s", "ms", "us", "ns"]
 
 
 class Events(NamedTuple):
@@ -85,7 +86,6 @@ def join_triggers(pieces: list[Triggers]) -> Triggers:
 
 
 Piece = tuple[Events, Triggers]
-TimeUnit = Literal["s", "ms", "us", "ns"]
 
 
 @dataclass(frozen=True)
