@@ -43,6 +43,8 @@ SYSTEM = os.name
 _SLICE_S = 0.05
 """Longest single read of the port, in seconds. A new value for an open port would write its line settings again."""
 _WRITE_S = 2.0
+_STOOD_STILL_S = 1.0
+"""A write that ends later than its time limit by more than this ended late because the computer stood still."""
 _MOST_BYTES = 4096
 """Most bytes of one read, so that a device that sends without pause does not keep the reader forever."""
 
@@ -124,11 +126,15 @@ class SerialPort:
 
     def write(self, data: bytes) -> None:
         """See `Port.write`. The bytes are handed to the system; those that the device does not take are not kept."""
+        begun_s = time.monotonic()
         try:
             self._try(self._serial.write, data)
         except PortLost as error:
             if not isinstance(error.__cause__, serial.SerialTimeoutException):
                 raise
+            if time.monotonic() - begun_s > _WRITE_S + _STOOD_STILL_S and self._has_sent_all():
+                self._lost = False
+                return
             with contextlib.suppress(*_LOST):
                 self._serial.reset_output_buffer()  # a command that is sent late would be a motion
             if not self._rtscts:
@@ -154,6 +160,13 @@ class SerialPort:
             self._lost = True
         if line is not None:  # pyserial does not close a socket whose other end has closed it
             line.close()
+
+    def _has_sent_all(self) -> bool:
+        """Return whether no byte waits in the system: pyserial looks at the time only after it has handed them over."""
+        try:
+            return not self._serial.out_waiting
+        except _LOST:
+            return False
 
     def _read_slice(self, may_wait: bool) -> bytes:
         data = b""

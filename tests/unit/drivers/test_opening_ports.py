@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 import pty
+import time
 import tty
 from collections.abc import Iterator
 from pathlib import Path
@@ -125,6 +126,22 @@ def test_a_device_that_holds_the_line_is_told_and_gets_nothing_later(
         port.write(b"1PA5\r")
     assert thrown
     assert ("rtscts: false" in caught.value.remedy) == rtscts
+    port.close()
+
+
+def test_a_computer_that_slept_while_it_sent_has_lost_no_port(terminal, monkeypatch) -> None:
+    send, now = serial.Serial.write, time.monotonic
+
+    def sleep_in_between(self: serial.Serial, data: bytes) -> int:
+        send(self, data)
+        monkeypatch.setattr(time, "monotonic", lambda: now() + 14.0)
+        raise serial.SerialTimeoutException("Write timeout")
+
+    port = SerialPort(terminal, baudrate=19_200)
+    with monkeypatch.context() as meanwhile:
+        meanwhile.setattr(serial.Serial, "write", sleep_in_between)
+        port.write(b"1PA5\r")
+    port.write(b"1TS\r")
     port.close()
 
 
