@@ -15,6 +15,7 @@ import click
 from bench.base.encoding import printable_only
 from bench.base.errors import BenchError, EvidenceError, StorageError, UsageError
 from bench.base.home import home_folder
+from bench.base.pasteable import pasteable
 from bench.commands.options import (
     ALLOWED_SIGNERS,
     TSA_CERTIFICATES,
@@ -178,7 +179,7 @@ def _free_names(folder: Path, what: str | None) -> list[str]:
         raise EvidenceError(
             "This folder is not authorised.",
             where=str(folder),
-            remedy="Use `starbench certificate authorise`.",
+            remedy=f"Authorise it: {pasteable('certificate', 'authorise', folder)}",
         )
     names = [_NAMES[what]] if what else [*([AUTHORISATION_TIMESTAMP] if is_authorised else []), TIMESTAMP]
     free = [name for name in names if not (folder / name).exists()]
@@ -186,7 +187,7 @@ def _free_names(folder: Path, what: str | None) -> list[str]:
         raise EvidenceError(
             f"There is a time stamp already ({' and '.join(names)}); it is never replaced.",
             where=str(folder),
-            remedy="Check it with `starbench verify`.",
+            remedy=f"Check it: {pasteable('verify', folder)}",
         )
     return free
 
@@ -201,7 +202,7 @@ def _signed(folder: Path, name: str) -> bytes:
         raise EvidenceError(
             f"{of} is not a valid signature, so it is not stamped.",
             where=str(folder),
-            remedy="See all faults with `starbench verify`.",
+            remedy=f"See all faults: {pasteable('verify', folder)}",
         )
     return data
 
@@ -313,7 +314,7 @@ def _refuse_unverified(folder: Path, trust: Trust) -> None:
         raise EvidenceError(
             f"This folder is not valid, so it is not authorised: {faults}.",
             where=str(folder),
-            remedy="See all faults with `starbench verify`.",
+            remedy=f"See all faults: {pasteable('verify', folder)}",
         )
     for what in verification.not_compared:
         click.echo(f"Not compared: {what}", err=True)

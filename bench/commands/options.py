@@ -17,6 +17,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from bench.base.errors import UsageError
+from bench.base.pasteable import pasteable
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -242,7 +243,7 @@ class RunFolder(_Path):
         """Check that the folder is a run, or a batch if that is accepted."""
         from bench.record.folder_lock import is_locked
         from bench.record.run_folder import JOURNAL
-        from bench.record.run_index import is_batch
+        from bench.record.run_index import is_batch, run_folders
 
         where = str(path)
         if not path.exists():
@@ -256,7 +257,7 @@ class RunFolder(_Path):
         if is_batch(path):
             if not self._batch:
                 raise UsageError("This is a batch, not a run.", where=where, remedy=_batch_remedy(path))
-        elif self._journal and not (path / JOURNAL).is_file() and not is_locked(path):
+        elif not (path / JOURNAL).is_file() and not is_locked(path) and (self._journal or run_folders(path)):
             raise UsageError(
                 "This is not a run folder: it has no journal.jsonl.", where=where, remedy=_inside(path)
             )
@@ -274,7 +275,7 @@ def _batch_remedy(path: Path) -> str:
     """Return how to continue a batch if that is possible, and where its runs are."""
     from bench.record.run_index import is_rehearsal
 
-    shown = f"`starbench status {path}` shows its runs; name one of them: {path / 'runs'}/..."
+    shown = f"`{pasteable('status', path)}` shows its runs; name one of them: {path / 'runs'}/..."
     if is_rehearsal(path):
         return f"This is a rehearsal. It cannot be continued. {shown}"
     return (

@@ -11,6 +11,7 @@ from datetime import datetime
 from pathlib import Path
 
 from bench.base.errors import EvidenceError, StorageError
+from bench.base.pasteable import pasteable
 from bench.evidence.beside_seal import add_beside, read_beside
 from bench.evidence.key_trust import Judgement, Moments, Trust, judge_key
 from bench.evidence.openssh import NotInstalled
@@ -113,8 +114,8 @@ def require_unauthorised(folder: Path) -> None:
         raise EvidenceError(
             "This folder is authorised already; an authorisation is never replaced.",
             where=str(folder),
-            remedy="Check it with `starbench verify`. To amend a certificate, use `starbench certificate issue` with"
-            " its folder.",
+            remedy="To amend a certificate, use `starbench certificate issue` with its folder. To check it: "
+            f"{pasteable('verify', folder)}",
         )
 
 

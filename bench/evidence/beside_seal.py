@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from bench.base.errors import EvidenceError
+from bench.base.pasteable import pasteable
 from bench.evidence.seal import RESERVED
 from bench.record.storage import (
     TEMPORARY,
@@ -59,7 +60,7 @@ def add_beside(folder: Path, name: str, data: bytes) -> None:
                 raise EvidenceError(
                     f"There is a file {name} already; it is never replaced.",
                     where=str(folder),
-                    remedy="Check it with `starbench verify`.",
+                    remedy=f"Check it: {pasteable('verify', folder)}",
                 ) from error
         sync_folder(folder)
 

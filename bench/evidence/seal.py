@@ -15,6 +15,7 @@ import stat
 from pathlib import Path
 
 from bench.base.errors import EvidenceError
+from bench.base.pasteable import pasteable
 from bench.evidence.keys import BenchKey
 from bench.evidence.signers import NAMESPACE
 from bench.record.journal import CAPTURES
@@ -156,7 +157,7 @@ def _refuse_sealed(path: Path) -> None:
         raise EvidenceError(
             "This folder is sealed already; a sealed folder is never changed.",
             where=str(path),
-            remedy="Check it with `starbench verify`.",
+            remedy=f"Check it: {pasteable('verify', path)}",
         )
     early = next((name for name in RESERVED if (path / name).exists()), None)
     if early is not None:

@@ -15,6 +15,7 @@ from pathlib import Path, PurePosixPath
 from typing import Self
 
 from bench.base.errors import RunFolderError, StorageError, UsageError
+from bench.base.pasteable import pasteable
 from bench.record.folder_lock import lock_folder
 from bench.record.journal import CAPTURES, Capture
 from bench.record.storage import (
@@ -201,7 +202,7 @@ def require_resumable(path: Path) -> None:
         raise RunFolderError(
             "This run is finished and sealed.",
             where=str(path),
-            remedy="A sealed run is never changed. Start a new run, or check this one with `starbench verify`.",
+            remedy=f"A sealed run is never changed. Start a new run. To check this one: {pasteable('verify', path)}",
         )
 
 
@@ -225,12 +226,12 @@ def _refuse_occupied(path: Path) -> None:
     files = (p for p in path.rglob("*") if not p.is_dir() and p.name != _RESERVE and not is_temporary(p))
     found = next(files, None)
     if found is not None:
-        begun = (path / JOURNAL).exists()
+        begun = (path / JOURNAL).exists() and not is_sealed(path)
         raise UsageError(
             f"The folder is not empty: it contains {found.relative_to(path)}.",
             where=str(path),
             remedy="Choose another --output"
-            + (", or continue its run with `starbench resume`." if begun else "."),
+            + (f", or continue its run: {pasteable('resume', path)}" if begun else "."),
         )
 
 

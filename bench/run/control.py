@@ -196,7 +196,7 @@ def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> 
         raise RunFolderError(
             "The run is ending and accepts no more commands.",
             where=str(folder),
-            remedy="See `starbench status`.",
+            remedy=f"See what it does: {pasteable('status', folder)}",
         ) from error
     deadline = time.monotonic() + patience_s
     while time.monotonic() < deadline:
@@ -213,7 +213,8 @@ def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> 
     raise RunFolderError(
         f"The run did not answer within {patience_s:g} s; the command was withdrawn.",
         where=str(folder),
-        remedy="See `starbench status`. If the process does not respond at all, end it by the signal SIGTERM.",
+        remedy=f"If the process does not respond at all, end it by the signal SIGTERM. See what it does: "
+        f"{pasteable('status', folder)}",
     )
 
 

@@ -190,6 +190,22 @@ def test_a_batch_and_a_run_show_what_a_person_did_and_are_not_green(tmp_path, ta
         assert not tab.is_visible("#leave")
 
 
+def test_a_batch_with_two_results_shows_how_they_agree_and_lists_both(tmp_path, tabs):
+    batch = made_batch(tmp_path / "night", jobs=("left", "right"))
+    for job, fx_px in (("left", 3345.0), ("right", 3345.4)):
+        run = MadeRun(batch.folder / "runs" / f"{job}-001").begin().record_all()
+        batch.write("item_begun", item=f"{job}-001", again=False, attempt=1, recorded=0)
+        numbers = {"values": {"fx": fx_px}, "sigma": {"fx": 0.6}}
+        run.write("solved", model="spherical", converged=True, rms_px=0.08, **numbers)
+        run.end()
+        batch.write("item_ended", item=f"{job}-001", how="finished", why="", noticed_s=0.0, unsafe=[])
+    with served(panel_app(tmp_path)) as server:
+        tab = tabs.open(f"{server.url}batch/night")
+        wait_text(tab, "#cameras", "agrees within its U")
+        wait_text(tab, "#done", "left-001")
+        wait_text(tab, "#done", "right-001")
+
+
 @pytest.mark.parametrize("page", ["", "run/run7", "batch/night"])
 def test_nothing_is_cut_on_a_phone(run, chromium, page):
     root = run.folder.parent

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from bench.base.bounded_json import leaves, parse_json
 from bench.base.errors import EvidenceError
+from bench.base.pasteable import pasteable
 from bench.evidence.findings import Verification
 from bench.extras.certificate.certificate_data import CERTIFICATE, Amends, Certificate, Change
 from bench.extras.certificate.certificate_folder import (
@@ -117,7 +118,7 @@ def _read_certificate(folder: Path, verification: Verification) -> tuple[Certifi
         raise EvidenceError(
             f"The certificate does not verify: {what}.",
             where=str(folder),
-            remedy="Check it with `starbench verify`. Amend the copy that the laboratory keeps.",
+            remedy=f"Amend the copy that the laboratory keeps. See all faults: {pasteable('verify', folder)}",
         )
     with storage_errors(folder):
         certificate = Certificate.from_json(read_bounded(folder / CERTIFICATE), str(folder / CERTIFICATE))

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError, EvidenceError
+from bench.base.pasteable import pasteable
 from bench.base.program import differing_software, hash_of_files
 from bench.evidence.findings import PARTS, Findings, Part, Verification
 from bench.extras.certificate.certificate_data import CERTIFICATE, Certificate, Run, Software, sha256
@@ -147,7 +148,7 @@ def read_sealed_run(folder: Path, verify: Verify, *, accept_not_compared: bool =
         raise EvidenceError(
             "This run is not sealed: a certificate is made from a sealed run only.",
             where=str(folder),
-            remedy="Let the run end: `starbench resume`.",
+            remedy=f"Let the run end: {pasteable('resume', folder)}",
         )
     verification = verify(folder)
     _refuse_unverified(folder, verification)
@@ -213,7 +214,7 @@ def _refuse_unverified(folder: Path, verification: Verification) -> None:
         raise EvidenceError(
             f"The run does not verify: {'; '.join(what[:_MOST_NAMED])}{more}.",
             where=str(folder),
-            remedy="Check it with `starbench verify`.",
+            remedy=f"See all faults: {pasteable('verify', folder)}",
         )
 
 
@@ -226,5 +227,5 @@ def _refuse_other_than_finished(run: StoredRun) -> None:
         raise EvidenceError(
             f"This run did not finish: it {run.history.ended or 'has no end'}.",
             where=str(run.folder),
-            remedy="Continue it with `starbench resume`, or run it again.",
+            remedy=f"Run it again, or continue it: {pasteable('resume', run.folder)}",
         )

@@ -242,6 +242,7 @@ def brief_of(model: RunModel, process: ProcessState, now: datetime) -> RunBrief:
 def head_of(model: RunModel, process: ProcessState, now: datetime) -> RunHead:
     """Return the upper part of a run's page."""
     history = model.history
+    failure = history.failures[-1] if history.ended == "failed" and history.failures else None
     left_s = _left_s(model, process, now)
     return {
         **brief_of(model, process, now),
@@ -249,7 +250,8 @@ def head_of(model: RunModel, process: ProcessState, now: datetime) -> RunHead:
         "sealed": process.sealed,
         "evidence": evidence_text(model.folder, now) if process.sealed else "",
         "ended": history.ended,
-        "remedy": history.failures[-1]["remedy"] if history.ended == "failed" and history.failures else "",
+        "why": failure["what"] if failure else history.why,
+        "remedy": failure["remedy"] if failure else "",
         "faults": faults_of(model, process),
         "incomplete": model.tail.incomplete and not process.running,
         "read_share": round(model.tail.read_share, 3) if model.tail.more else 1.0,

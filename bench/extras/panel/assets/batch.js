@@ -35,7 +35,7 @@ function take(batch) {
   at("queue-card").hidden = !coming.length && !status.withdrawn.length;
   fill(at("queue"), coming.slice(0, MOST_COMING).map((run) => el("tr", {}, el("td", { class: "name" }, run.item), el("td", { "data-label": "Begins" }, run.begin_utc ? clockText(run.begin_utc) : el("span", { class: "bad" }, "no time left for it")), el("td", { "data-label": "Ends" }, run.end_utc ? clockText(run.end_utc) : ""))));
   setText(at("queue-note"), [coming.length > MOST_COMING ? `the first ${MOST_COMING} of ${coming.length}` : "", status.withdrawn.length ? `withdrawn: ${status.withdrawn.join(", ")}` : ""].filter(Boolean).join("; "));
-  drawCameras(batch.cameras);
+  drawCameras(batch.cameras, done);
   const others = items.filter((item) => item.begun_utc && !failed.includes(item) && !NOT_ENDED.has(item.how)).reverse();
   fill(at("done"), others.slice(0, MOST_DONE).map(doneRow));
   setText(at("done-note"), others.length > MOST_DONE ? `The newest ${MOST_DONE} of ${others.length}.` : done.length ? "The newest first. ± U, k = 2." : "No run has ended yet.");
@@ -90,18 +90,18 @@ function timeTicks(first, last) {
   return found;
 }
 
-function drawCameras(cameras) {
+function drawCameras(cameras, done) {
   fill(at("cameras"), cameras.map((camera) => {
-    if (!camera.parameters.length) return null;
-    const begin = Date.parse(camera.runs[0].begun_utc);
-    return el("section", { class: "card" }, el("header", {}, el("h2", {}, `Camera ${camera.camera || "without a number"}, ${camera.model}`), el("span", { class: "note" }, `${plural(camera.runs.length, "run")}; each ± U (k = 2); band: weighted mean ± U; hours since the first run`)),
+    const runs = done.filter((run) => (run.camera || "") === camera.camera && run.model === camera.model);
+    if (!camera.parameters.length || !runs.length) return null;
+    const begin = Math.min(...runs.map((run) => Date.parse(run.begun_utc)));
+    return el("section", { class: "card" }, el("header", {}, el("h2", {}, `Camera ${camera.camera || "without a number"}, ${camera.model}`), el("span", { class: "note" }, `${plural(camera.runs, "run")}; each ± its U; band: weighted mean ± U; hours since the first run`)),
       el("div", { class: "trends" }, camera.parameters.map((trend) => {
-        const points = camera.runs.filter((run) => run.parameters[trend.name]).map((run) => [(Date.parse(run.begun_utc) - begin) / 3_600_000, run.parameters[trend.name].value, run.parameters[trend.name].expanded]);
-        const drifts = trend.per_hour?.seen, warm = trend.per_c?.seen;
-        const scatters = camera.runs.length > 1 && trend.birge > 1 + 3 / Math.sqrt(2 * (camera.runs.length - 1));
-        const verdict = drifts ? `changes by ${number(trend.per_hour.value)} per hour` : warm ? `follows the temperature, ${number(trend.per_c.value)} per °C` : scatters ? "scatters more than its U" : "steady";
-        return el("div", {}, el("h3", {}, trend.name, " ", el("span", { class: `pill ${drifts || warm || scatters ? "warn" : "good"}` }, verdict)), el("p", { class: "note" }, `mean ${withUncertainty(trend.mean, trend.sigma)}`),
-          plot([{ kind: "dots", colour: "var(--plot-1)", points }], { width: 340, height: 150, bands: [[trend.mean - 2 * trend.sigma, trend.mean + 2 * trend.sigma]], levels: [{ y: trend.mean, colour: "var(--muted)" }], xticks: (a, b) => ticks(a, b, 5).map((h) => [h, `${number(h)} h`]), label: `${trend.name} of each run` }));
+        const points = runs.filter((run) => run.parameters[trend.name]).map((run) => [(Date.parse(run.begun_utc) - begin) / 3_600_000, run.parameters[trend.name].value, run.parameters[trend.name].expanded]);
+        const scatters = camera.runs > 1 && trend.birge > 1 + 3 / Math.sqrt(2 * (camera.runs - 1));
+        const verdict = scatters ? "scatters more than its U" : "agrees within its U";
+        return el("div", {}, el("h3", {}, trend.name, " ", el("span", { class: `pill ${scatters ? "warn" : "good"}` }, verdict)), el("p", { class: "note" }, `mean ${withUncertainty(trend.mean, trend.sigma, trend.coverage_factor)}`),
+          plot([{ kind: "dots", colour: "var(--plot-1)", points }], { width: 340, height: 150, bands: [[trend.mean - trend.expanded, trend.mean + trend.expanded]], levels: [{ y: trend.mean, colour: "var(--muted)" }], xticks: (a, b) => ticks(a, b, 5).map((h) => [h, `${number(h)} h`]), label: `${trend.name} of each run` }));
       })));
   }));
 }

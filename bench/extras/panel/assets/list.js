@@ -55,7 +55,7 @@ function batchRow(batch) {
     endCell(batch),
     el("td", { class: "why" }, batch.current_run ? el("div", {}, batch.current_run) : null,
       batch.failed.length ? el("div", { class: "bad" }, `Without a result: ${batch.failed.slice(0, 6).join(", ")}${batch.failed.length > 6 ? " …" : ""}`) : null,
-      !batch.running && batch.why ? el("div", {}, batch.why) : null));
+      !batch.running && batch.why && !batch.failed.length ? el("div", {}, batch.why) : null));
 }
 
 function group(name, title, rows, tone, most) {

@@ -159,7 +159,7 @@ def test_a_missing_run_folder_is_an_invalid_argument(say, words):
     assert "nowhere: There is no such run folder." in said
 
 
-@pytest.mark.parametrize("words", RUN_COMMANDS, ids=" ".join)
+@pytest.mark.parametrize("words", [*RUN_COMMANDS, ("verify",)], ids=" ".join)
 def test_a_folder_of_runs_is_refused_and_its_runs_are_named(say, words, tmp_path):
     run = tmp_path / "runs" / "cam7"
     run.mkdir(parents=True)

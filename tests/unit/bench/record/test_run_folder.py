@@ -130,6 +130,19 @@ def test_what_cannot_be_gone_on_with_is_refused(tmp_path, what, says):
         RunFolder.open(path)
 
 
+@pytest.mark.parametrize("sealed", [False, True])
+def test_a_new_run_in_the_folder_of_another_offers_resume_only_if_that_can_work(tmp_path, sealed):
+    path = tmp_path / "cam 7"
+    with RunFolder.create(path) as folder:
+        with begin_journal(folder) as journal:
+            journal.append(CAPTURE_STORED, capture="captures/x.raw")
+        if sealed:
+            folder.write_atomic("SHA256SUMS.sig", b"signature")
+    with pytest.raises(UsageError, match="not empty") as refused:
+        RunFolder.create(path)
+    assert (f"starbench resume '{path}'" in refused.value.remedy) == (not sealed)
+
+
 def test_a_refusal_leaves_no_file_open(run, journal):
     before = len(list(Path("/proc/self/fd").iterdir()))
     with pytest.raises(RunFolderError, match="Another process"):
