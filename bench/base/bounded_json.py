@@ -20,8 +20,9 @@ MOST_VALUES: Final = 5_000_000
 
 def parse_json(data: bytes | str) -> Any:
     """Parse JSON of bounded depth and size that all readers read alike, else `ValueError`, never RecursionError."""
-    marks: tuple[Any, ...] = (b",", b"[", b"{") if isinstance(data, bytes) else (",", "[", "{")
-    if sum(data.count(mark) for mark in marks) > MOST_VALUES:
+    marks: tuple[Any, ...] = (b"[", b"{", b",") if isinstance(data, bytes) else ("[", "{", ",")
+    lists, objects, more = (data.count(mark) for mark in marks)
+    if lists + objects + more > MOST_VALUES:
         raise ValueError(f"it has more than {MOST_VALUES} values")
     text = data.decode("utf-8") if isinstance(data, bytes) else data
     if text.removesuffix("\n")[-1:].isspace():
@@ -32,7 +33,8 @@ def parse_json(data: bytes | str) -> Any:
         found = _DECODER.decode(text)
     except RecursionError:
         raise _too_deep() from None
-    _refuse_deep(found)
+    if lists + objects > MOST_LEVELS:  # else it cannot have so many levels
+        _refuse_deep(found)
     return found
 
 

@@ -18,7 +18,7 @@ from bench.commands.output import JSON, print_findings, show
 from bench.commands.workers import CountLine
 from bench.evidence.authorisations import known_authorisations, lost_authorisations
 from bench.evidence.findings import State
-from bench.evidence.states import home_trust, shown_state
+from bench.evidence.listed_states import listed_states
 from bench.record.ledger import Ledger, bench_ledger
 from bench.record.run_facts import IndexedRun
 from bench.record.run_folder import JOURNAL
@@ -42,7 +42,8 @@ from bench.record.run_index import RunIndex, run_folders
 def runs(**given: Any) -> int:
     """List the runs in FOLDER; without FOLDER, all runs in the ledger of this bench.
 
-    The command names runs that occur twice, are missing or were changed.
+    The command names runs that occur twice, are missing or were changed. A seal that held is verified again when its
+    files change; verify checks all files.
     """
     choice = RunChoice.of(given)
     if choice.ledgers:
@@ -105,10 +106,10 @@ def _runs_lines(runs: Sequence[IndexedRun]) -> Iterator[str]:
         yield f"{begun:<17} {run.camera:<10} {run.how:<9} {run.accepted:>5}  {rms:>7}  {run.folder}{marks}"
 
 
-def _states(runs: Sequence[IndexedRun]) -> dict[str, str]:
+def _states(runs: Sequence[IndexedRun]) -> dict[str, State]:
     """Return DRAFT, SEALED or AUTHORISED by folder, from the signatures beside each run."""
-    trust, now = home_trust(home_folder()), datetime.now(UTC)
-    return {
-        run.folder: str(shown_state(Path(run.folder), trust, now).state if run.sealed else State.DRAFT)
-        for run in runs
-    }
+    sealed = [run.folder for run in runs if run.sealed]
+    line = CountLine(len(sealed), "seals verified")
+    states = listed_states(sealed, home_folder(), datetime.now(UTC), line.count)
+    line.clear()
+    return {run.folder: states.get(run.folder, State.DRAFT) for run in runs}

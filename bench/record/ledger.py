@@ -56,7 +56,7 @@ _SAY_WHAT = "state what became of it: `starbench ledger --explain TEXT`."
 
 
 class Ledger:
-    """The ledger of a bench. Every method reads the file anew, because other processes write to it too.
+    """The ledger of a bench. Every method asks the file anew, because other processes write to it too.
 
     ``warnings`` are second places that could not be read or written by the last call; nothing was stopped by them.
     """
@@ -68,10 +68,18 @@ class Ledger:
         self.path = home / LEDGER
         self.warnings: list[str] = []
         self._clocks: dict[str, Any] = {"utc_now": utc_now, "monotonic": monotonic}
+        self._kept: tuple[tuple[int, ...], list[Entry]] | None = None
 
     def entries(self) -> list[Entry]:
-        """Read and verify every line, of any event, first to last; empty while there is no ledger."""
-        return read_journal(self.path)[0] if self.path.exists() else []
+        """Read and verify every line, first to last, once for each state of the file; empty while there is none."""
+        if not self.path.exists():
+            return []
+        with storage_errors(self.path):
+            status = self.path.stat()
+        state = (status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
+        if self._kept is None or self._kept[0] != state:
+            self._kept = state, read_journal(self.path)[0]
+        return list(self._kept[1])
 
     def append(self, event: str, **facts: Any) -> Entry:
         """Enter one line of any event in the past tense; use ``locked`` where it depends on the lines before."""

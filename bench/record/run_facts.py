@@ -113,7 +113,7 @@ class RunConditions(TypedDict):
 
 
 class ResultFacts(TypedDict):
-    """What of a run only ``results.json`` states; None if not known."""
+    """What of a run only ``results.json`` states, and what is wrong with that file; None if not known."""
 
     laboratory: str | None
     collimator_serial: str | None
@@ -123,10 +123,11 @@ class ResultFacts(TypedDict):
     corner_expanded_px: float | None
     conformity: Literal["PASS", "FAIL"] | None
     limits: Mapping[str, tuple[float | None, float | None]]  # Lower and upper, by result
+    results_fault: str | None
 
 
-class RunDetails(RunConditions, ResultFacts):
-    """What the table of runs has beyond the row of the index; None if not known."""
+class JournalDetails(RunConditions):
+    """What the journal states beyond the row of the index; None if not known."""
 
     ended_utc: str | None
     camera_type: str  # Maker and model, also of stages and light; may be empty
@@ -155,13 +156,15 @@ class RunDetails(RunConditions, ResultFacts):
     # What a person did to the bench, the most probable first; an earlier version kept none.
     causes: NotRequired[Sequence[CauseData]]
     results_sha256: str | None  # As the journal states it
-    results_fault: str | None
     warnings: Sequence[str]
 
 
-def run_details(history: History, entries: Sequence[Entry], folder: Path) -> RunDetails:
-    """Return the details of a run by its journal and ``results.json``."""
-    results, fault = _results(entries, folder)
+class RunDetails(JournalDetails, ResultFacts):
+    """What the table of runs has beyond the row of the index; None if not known."""
+
+
+def journal_details(history: History, entries: Sequence[Entry]) -> JournalDetails:
+    """Return the details of a run that its journal states."""
     camera, light = history.devices.get("camera", {}), history.devices.get("light", {})
     stages = [one for one in history.devices.get("stage", ()) if isinstance(one, Mapping)]
     hashes = history.started.get("sha256", {})
@@ -192,11 +195,23 @@ def run_details(history: History, entries: Sequence[Entry], folder: Path) -> Run
         "untils": list(history.decisions),
         "causes": list(history.solved.get("causes", ())),
         **_conditions(history),
-        **_from_results(results),
         "results_sha256": _named_hash(entries),
-        "results_fault": fault,
-        "warnings": _warnings(history, results, fault),
+        "warnings": _warnings(history),
     }
+
+
+def with_results(details: JournalDetails, folder: Path) -> RunDetails:
+    """Return the details of a run with those of its ``results.json``, if that is the file which the journal names."""
+    results, fault = _results(details["results_sha256"], folder)
+    try:
+        facts = _from_results(results, fault)
+    except (AttributeError, LookupError, TypeError, ValueError):
+        results, fault = cast("Results", {}), f"{RESULTS} has another form: another program wrote it."
+        facts = _from_results(results, fault)
+    notes = _part(results.get("calibration")).get("notes", [])
+    warnings = [str(note) for note in notes] if isinstance(notes, list) else []
+    warnings += [*details["warnings"], *([fault] if fault else [])]
+    return {**details, **facts, "warnings": warnings}
 
 
 def _conditions(history: History) -> RunConditions:
@@ -216,7 +231,7 @@ def _conditions(history: History) -> RunConditions:
     }
 
 
-def _from_results(results: Results) -> ResultFacts:
+def _from_results(results: Results, fault: str | None) -> ResultFacts:
     run, calibration = _part(results.get("run")), _part(results.get("calibration"))
     corner = _part(_part(results.get("projection")).get("worst_corner"))
     conformity = _part(results.get("conformity"))
@@ -231,18 +246,16 @@ def _from_results(results: Results) -> ResultFacts:
         "corner_expanded_px": corner.get("expanded_px"),
         "conformity": None if passed is None else "PASS" if passed else "FAIL",
         "limits": {statement["result"]: (statement["lower"], statement["upper"]) for statement in statements},
+        "results_fault": fault,
     }
 
 
-def _warnings(history: History, results: Results, fault: str | None) -> list[str]:
-    notes = _part(results.get("calibration")).get("notes", [])
-    found = [str(note) for note in notes] if isinstance(notes, list) else []
-    found += [f"The ledger had a break: {one}" for one in history.ledger.get("faults", ())]
+def _warnings(history: History) -> list[str]:
+    found = [f"The ledger had a break: {one}" for one in history.ledger.get("faults", ())]
     found += [f"The computer was too busy: {history.busy}."] if history.busy else []
     parameters = estimates(history.solved).items()
     unusable = [name for name, one in parameters if not (math.isfinite(one.value) and one.sigma > 0)]
-    found += [f"{name} has no usable value or uncertainty." for name in unusable]
-    return [*found, *([fault] if fault else [])]
+    return [*found, *(f"{name} has no usable value or uncertainty." for name in unusable)]
 
 
 def _named_hash(entries: Sequence[Entry]) -> str | None:
@@ -253,9 +266,9 @@ def _named_hash(entries: Sequence[Entry]) -> str | None:
     return None
 
 
-def _results(entries: Sequence[Entry], folder: Path) -> tuple[Results, str | None]:
-    """Return results.json, empty where it cannot be used, and what is wrong with it as a sentence."""
-    named, nothing = _named_hash(entries), cast("Results", {})
+def _results(named: str | None, folder: Path) -> tuple[Results, str | None]:
+    """Return results.json of a hash, empty where it cannot be used, and what is wrong with it as a sentence."""
+    nothing = cast("Results", {})
     if named is None:
         return nothing, None
     try:

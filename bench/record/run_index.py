@@ -9,17 +9,26 @@ from __future__ import annotations
 import json
 import os
 import sqlite3
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import asdict, replace
 from datetime import datetime
+from itertools import islice
 from pathlib import Path
+from typing import Any
 
 from bench.base.errors import BenchError, JournalBroken, StorageError
 from bench.record.coverage import Estimate
 from bench.record.folder_lock import is_locked
 from bench.record.ledger_marks import KnownRun
-from bench.record.run_facts import IndexedRun, RunDetails, run_details, run_facts
+from bench.record.run_facts import (
+    IndexedRun,
+    JournalDetails,
+    RunDetails,
+    journal_details,
+    run_facts,
+    with_results,
+)
 from bench.record.run_folder import JOURNAL, RESULTS, is_sealed
 from bench.record.storage import make_folder, storage_errors
 from bench.record.stored_run import StoredRun
@@ -27,16 +36,20 @@ from bench.record.stored_run import StoredRun
 INDEX = "runs.sqlite3"
 QUEUE_COPY = "queue.yaml"
 """A file that the folder of a batch has and a run folder has not."""
-VERSION = 12
+VERSION = 13
 COMMIT_EVERY = 100
 """Rows between two commits, so that another process that starts a run does not wait for a long list."""
+_ASKED_AT_ONCE = 500
+"""Folders in one question to the index: any SQLite takes 999 values."""
 _SCHEMA = f"""
 CREATE TABLE runs (folder TEXT PRIMARY KEY, stamp TEXT, id TEXT, ledger_number INTEGER, ledger_head TEXT, found TEXT)
     WITHOUT ROWID;
-CREATE TABLE details (folder TEXT PRIMARY KEY, found TEXT) WITHOUT ROWID;
+CREATE TABLE details (folder TEXT PRIMARY KEY, journal TEXT, whole TEXT) WITHOUT ROWID;
+CREATE TABLE states (folder TEXT PRIMARY KEY, stamp TEXT, state TEXT) WITHOUT ROWID;
 PRAGMA user_version = {VERSION};
 """
-"""``found`` holds `run_facts` and `run_details` as JSON; ``stamp`` tells which files they were read from."""
+"""``found`` holds `run_facts` as JSON, ``journal`` the `journal_details`, and ``whole`` these with the results, once
+somebody has asked for them; ``stamp`` tells which files they were read from. States have a stamp of their own."""
 
 
 # Paths as text: a list has ten thousand of them, and the methods of ``Path`` take several times as long.
@@ -100,9 +113,10 @@ class RunIndex:
         found, faults = [], []
         wanted = _resolved(folders)
         with self._open() as index:
+            kept = {row[0]: row[1:] for row in _rows(index, "runs", wanted)}
             for place, folder in enumerate(wanted):
                 try:
-                    found.append(_run(index, folder))
+                    found.append(_run(index, folder, kept.get(folder)))
                 except BenchError as error:
                     faults.append(str(error))
                 if place % COMMIT_EVERY == 0:
@@ -119,12 +133,31 @@ class RunIndex:
         return sorted(chosen, key=lambda run: (run.begun_utc, run.folder)), faults
 
     def details(self, runs: Iterable[IndexedRun]) -> Iterator[tuple[IndexedRun, RunDetails]]:
-        """Yield runs that ``runs`` has listed, in the same order, with their `run_details`."""
+        """Yield runs that ``runs`` has listed, in the same order, with their details."""
         with self._open() as index:
             for run in runs:
-                row = index.execute("SELECT found FROM details WHERE folder = ?", (run.folder,)).fetchone()
+                folder = Path(run.folder)
+                row = index.execute(
+                    "SELECT journal, whole FROM details WHERE folder = ?", (run.folder,)
+                ).fetchone()
+                if row and row[1]:
+                    yield run, json.loads(row[1])
+                    continue
                 # Without a row, the index was deleted since.
-                yield run, json.loads(row[0]) if row else _read(Path(run.folder))[1]
+                whole = with_results(json.loads(row[0]) if row else _read(folder)[1], folder)
+                index.execute("UPDATE details SET whole = ? WHERE folder = ?", (_packed(whole), run.folder))
+                yield run, whole
+
+    def states(self, folders: Iterable[str]) -> dict[str, tuple[str, str]]:
+        """Return the stamp and the state that `keep_states` kept of folders, where it did."""
+        with self._open() as index:
+            return {folder: (stamp, state) for folder, stamp, state in _rows(index, "states", folders)}
+
+    def keep_states(self, states: Mapping[str, tuple[str, str]]) -> None:
+        """Keep the states of folders as evidence, each with a stamp of what it follows from."""
+        with self._open() as index:
+            rows = ((folder, *kept) for folder, kept in states.items())
+            index.executemany("INSERT OR REPLACE INTO states VALUES (?, ?, ?)", rows)
 
     def entered(self) -> list[KnownRun]:
         """List the runs of the index that name their line in a ledger. No run folder is read."""
@@ -180,7 +213,7 @@ def _connect(path: Path) -> sqlite3.Connection:
         if index.execute("PRAGMA user_version").fetchone()[0] != VERSION:
             index.executescript(
                 f"BEGIN IMMEDIATE; DROP TABLE IF EXISTS runs; DROP TABLE IF EXISTS parameters;"
-                f" DROP TABLE IF EXISTS details; {_SCHEMA} COMMIT;"
+                f" DROP TABLE IF EXISTS details; DROP TABLE IF EXISTS states; {_SCHEMA} COMMIT;"
             )
     except sqlite3.Error:
         index.close()
@@ -203,12 +236,19 @@ def _resolved(folders: Iterable[Path]) -> list[str]:
     return list(found)
 
 
-def _run(index: sqlite3.Connection, folder: str) -> IndexedRun:
+def _rows(index: sqlite3.Connection, table: str, folders: Iterable[str]) -> Iterator[Sequence[Any]]:
+    """Yield the rows of a table that folders have, many with each question."""
+    left = iter(folders)
+    while some := list(islice(left, _ASKED_AT_ONCE)):
+        marks = ",".join("?" * len(some))
+        yield from index.execute(f"SELECT * FROM {table} WHERE folder IN ({marks})", some)  # noqa: S608 - our own names
+
+
+def _run(index: sqlite3.Connection, folder: str, kept: Sequence[Any] | None) -> IndexedRun:
     """Return the row of a run; it is made anew if the journal, the results or the folder have changed."""
     stamp = _stamp(folder)
-    kept = index.execute("SELECT stamp, found FROM runs WHERE folder = ?", (folder,)).fetchone()
     if kept is not None and kept[0] == stamp:
-        facts = json.loads(kept[1])
+        facts = json.loads(kept[-1])
         parameters = {name: Estimate(*numbers) for name, numbers in facts["parameters"].items()}
         run = IndexedRun(**{**facts, "parameters": parameters})
         return run if run.how else _as_it_is_now(run)
@@ -216,7 +256,7 @@ def _run(index: sqlite3.Connection, folder: str) -> IndexedRun:
     run = replace(run, sealed=is_sealed(Path(folder)))
     row = (folder, stamp, run.id, run.ledger_number, run.ledger_head, _packed(asdict(run)))
     index.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?, ?)", row)
-    index.execute("INSERT OR REPLACE INTO details VALUES (?, ?)", (folder, _packed(details)))
+    index.execute("INSERT OR REPLACE INTO details VALUES (?, ?, NULL)", (folder, _packed(details)))
     return run if run.how else _as_it_is_now(run)
 
 
@@ -246,16 +286,16 @@ def _as_it_is_now(run: IndexedRun) -> IndexedRun:
 
 
 def read_run_and_details(folder: Path) -> tuple[IndexedRun, RunDetails]:
-    """Read one run and its details (`bench.record.run_facts.run_details`) from its folder, without an index."""
+    """Read one run and its details from its folder, without an index."""
     run, details = _read(folder)
-    return _as_it_is_now(run), details
+    return _as_it_is_now(run), with_results(details, folder)
 
 
-def _read(folder: Path) -> tuple[IndexedRun, RunDetails]:
-    """Return what the index keeps of a run: its `run_facts`, and its details."""
+def _read(folder: Path) -> tuple[IndexedRun, JournalDetails]:
+    """Return what the index keeps of a run: its `run_facts`, and what else its journal states."""
     run = StoredRun(folder)
     try:
-        return run_facts(run.history, folder), run_details(run.history, run.entries, folder)
+        return run_facts(run.history, folder), journal_details(run.history, run.entries)
     except (AttributeError, LookupError, TypeError, ValueError) as error:
         raise JournalBroken(
             f"A line of the journal cannot be read: {error}.",

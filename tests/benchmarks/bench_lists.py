@@ -1,0 +1,132 @@
+"""CPU time of the lists of many runs: the first time, again, and after one run changed.
+
+    python tests/benchmarks/bench_lists.py RUN [--runs 10000] [--rounds 5] [--old FOLDER] [--write]
+
+RUN is a sealed run of this bench (STARBENCH_HOME has its key). Its files are linked into many folders, and a ledger
+enters each of them. Every version of the program has a home of its own, whose index is empty at first, and takes turns
+with the other. A command is a process of its own; the panel looks at its folder within one process.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from pathlib import Path
+
+import measured
+
+from bench.base.home import home_folder
+from bench.record.ledger_marks import RUN_BEGUN, RUN_ENDED, LedgerMark, OwnMark, highest_run, write_own_mark
+from bench.record.storage import sha256_of
+from bench.record.unsynced_journal import UnsyncedJournal
+
+LINKED = ("journal.jsonl", "results.json", "SHA256SUMS", "SHA256SUMS.sig")
+
+
+def make_runs(run: Path, folder: Path, number: int) -> list[Path]:
+    """Make many runs of one: folders whose files are links to its own."""
+    made = [folder / f"run-{n:05}" for n in range(1, number + 1)]
+    for one in made:
+        one.mkdir(parents=True)
+        for name in LINKED:
+            os.link(run / name, one / name)
+    return made
+
+
+def make_home(home: Path, runs: list[Path]) -> None:
+    """Make a configuration folder with the keys and the ledger of this bench, which then has the runs, too."""
+    shutil.copytree(home_folder(), home, ignore=shutil.ignore_patterns("runs.sqlite3*", "kept-views"))
+    seal = sha256_of(runs[0] / "SHA256SUMS")
+    with UnsyncedJournal.open(
+        home / "ledger.jsonl", utc_now=lambda: datetime.now(UTC), monotonic=time.monotonic
+    ) as ledger:
+        before = highest_run(ledger.entries)
+        for number, run in enumerate(runs, 1 + before):
+            facts = {"run": run.name, "folder": str(run), "camera": "1", "simulated": True}
+            ledger.append(RUN_BEGUN, number=number, **facts)
+            ledger.append(RUN_ENDED, number=number, how="finished", seal=seal)
+        lines, last = len(ledger.entries), ledger.entries[-1]
+    write_own_mark(home, OwnMark(LedgerMark(lines, before + len(runs), last.hash, last.utc)))
+
+
+def command_s(source: Path, home: Path, *words: str) -> float:
+    """Return the CPU time of a command of a version."""
+    environment = os.environ | {"STARBENCH_HOME": str(home), "PYTHONPATH": str(source)}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "bench", *words], env=environment, cwd=source, stdout=subprocess.DEVNULL
+    )
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise SystemExit(f"{' '.join(words)}: status {process.returncode}")
+    return usage.ru_utime + usage.ru_stime
+
+
+def looks_s(folder: Path, rounds: int) -> list[float]:
+    """Return the CPU times of the panel's looks at a folder: until all is listed, then again and again."""
+    from bench.extras.panel.folder_list import FolderList
+
+    listed, times, begun = FolderList(folder), [], time.process_time()
+    while listed.look()["unread"]:
+        pass
+    for _ in range(rounds + 1):
+        times.append(time.process_time() - begun)
+        begun = time.process_time()
+        listed.look()
+    return times
+
+
+def one_version(source: Path, home: Path, runs: list[Path], rounds: int) -> Iterator[tuple[str, float]]:
+    """Yield what was measured, and its CPU time."""
+    folder = runs[0].parent
+    words = {"runs FOLDER": ("runs", str(folder)), "runs of the ledger": ("runs",)}
+    yield "runs FOLDER, first time", command_s(source, home, *words["runs FOLDER"])
+    for _ in range(rounds):
+        for name, called in words.items():
+            yield name, command_s(source, home, *called)
+        os.utime(runs[-1])
+        yield "runs FOLDER, one run changed", command_s(source, home, *words["runs FOLDER"])
+    first, *again = json.loads(measured.in_checkout(source, str(folder), "--looks", "--rounds", str(rounds)))
+    yield "panel, first time", first
+    yield from (("panel, a look", took) for took in again)
+
+
+def main() -> None:
+    """Print a table: a row for each list."""
+    parser = measured.options(__doc__)
+    parser.add_argument("run", type=Path, metavar="RUN")
+    parser.add_argument("--runs", type=int, default=10_000)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--old", type=Path, help="checkout of an earlier version")
+    parser.add_argument(
+        "--looks", action="store_true", help="look at RUN as the panel (for this program's own use)"
+    )
+    options = parser.parse_args()
+    if options.looks:
+        print(json.dumps(looks_s(options.run, options.rounds)))
+        return
+    versions = {"now": measured.ROOT, **({"before": options.old.resolve()} if options.old else {})}
+    took: dict[str, dict[str, list[float]]] = {}
+    with tempfile.TemporaryDirectory(dir=options.run.resolve().parent) as name:
+        runs = make_runs(options.run, Path(name) / "runs", options.runs)
+        for version, source in versions.items():
+            make_home(Path(name) / version, runs)
+            for what, cpu_s in one_version(source, Path(name) / version, runs, options.rounds):
+                took.setdefault(what, {}).setdefault(version, []).append(cpu_s)
+    print(f"| {options.runs:,} runs | now | 95 % |" + (" before | 95 % | ratio |" if options.old else ""))
+    print("| --- |" + " ---: |" * (5 if options.old else 2))
+    for what, found in took.items():
+        now, *before = (measured.spread(found[version]) for version in versions)
+        beside = "".join(f" {old.cells(2)} | {now.median_s / old.median_s:.2f} |" for old in before)
+        print(f"| {what} | {now.cells(2)} |{beside}")
+
+
+if __name__ == "__main__":
+    main()
