@@ -215,9 +215,10 @@ class Columns:
     def source(self, choices: ReadingChoices) -> EventSource:
         """Return the events; ``choices`` say what the file does not state."""
         size = agreed_size(self.sizes, choices.sensor_size, "")
+        first = next(self.parts(), ())
 
         def reader() -> ColumnReader:
-            return ColumnReader(next(self.parts(), ()), choices.time_unit, self.unit)
+            return ColumnReader(first, choices.time_unit, self.unit)
 
         def events() -> Iterator[Events]:
             return map(reader().events, self.parts())

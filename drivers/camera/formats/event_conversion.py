@@ -74,6 +74,8 @@ _OF_LAYOUT: Final = frozenset(
 )
 """Keys, in small letters, that describe how the source is laid out."""
 
+_LEAST_SHARE: Final = 0.75
+"""Events that fill less of both sides of a given size are of a smaller sensor or a region: 640 x 480 of 1280 x 720."""
 _MAX_ADDRESS: Final = 2047
 _MAX_CHANNEL: Final = 15
 
@@ -103,10 +105,13 @@ def convert(
     """
     with open_events(source, choices) as opened:
         ends: list[int] = []
+        sides = 0, 0
 
         def pieces() -> Iterator[Piece]:
+            nonlocal sides
             for events, edges in opened.pieces():
                 if len(events.t):
+                    sides = max(sides[0], int(events.x.max()) + 1), max(sides[1], int(events.y.max()) + 1)
                     first = ends[0] if ends else int(events.t[0])
                     ends[:] = first, int(events.t[-1])
                 yield events, edges
@@ -119,7 +124,14 @@ def convert(
         else:
             written = write_raw(watched, target, source=source, progress=progress)
         span_us = ends[-1] - ends[0] if ends else 0
-        return replace(written, span_us=span_us, assumed=dict(opened.assumed))
+        return replace(written, span_us=span_us, assumed={**opened.assumed, **_too_large(choices, sides)})
+
+
+def _too_large(choices: ReadingChoices | None, sides: tuple[int, int]) -> dict[str, str]:
+    """Return what the events fill of the size that the user gave, if that seems too large."""
+    width, height = (choices and choices.sensor_size) or (0, 0)
+    is_filled = sides[0] >= _LEAST_SHARE * width or sides[1] >= _LEAST_SHARE * height
+    return {} if is_filled else {"sensor_size": f"{sides[0]} x {sides[1]}"}
 
 
 def _with_size(opened: EventSource, source: Path, path: Path) -> ExportSummary:

@@ -86,7 +86,7 @@ class ExportSummary:
     unknown_words: int = 0
     # Time from the first to the last event, us; 0 if the source's words were copied
     span_us: int = 0
-    # As `EventSource.assumed`
+    # As `EventSource.assumed`; and "sensor_size" (what the events fill) if the one given seems too large
     assumed: Mapping[str, str] = field(default_factory=dict)
 
 

@@ -154,3 +154,9 @@ def test_columns_counted_from_1_are_told_as_the_cause(tmp_path):
     path = npz(tmp_path, T_US, x=OTHERS["x"] + 1, y=OTHERS["y"] + 1)
     with pytest.raises(NotARecording, match="as if columns and rows were counted from 1"):
         import_events(path, ReadingChoices(SIZE))
+
+
+@pytest.mark.parametrize(("size", "is_told"), [((1280, 720), True), ((640, 480), False), ((640, 720), False)])
+def test_a_given_size_that_the_events_do_not_fill_is_told(tmp_path, size, is_told):
+    written = convert(npz(tmp_path, T_US), tmp_path / "b.npz", "numpy", ReadingChoices(size))
+    assert written.assumed.get("sensor_size") == ("640 x 480" if is_told else None)
