@@ -115,7 +115,7 @@ _GONE = {
         ("calibrate --guard-band", "calibrate --readings"),
         "A calibration of a run takes this from the step `solve` of its sequence (docs/sequences.md).",
     ),
-    "calibrate --image": "The kind of event image is that of the run's sequence, and auto for other files.",
+    "calibrate --image": "The sequence of a run says which kind of event image is made. For other files it is `auto`.",
     "calibrate --no-seal": "Results that are written are sealed; without --output they are only printed.",
     "rig --passport": "Calibrate each camera alone with it, from other views, and name the results: "
     "`starbench rig FIRST SECOND --calibration`.",

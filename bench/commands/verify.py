@@ -134,7 +134,8 @@ def _fault_lines(verification: Verification) -> Iterator[str]:
 
 
 def _valid_lines(verification: Verification) -> Iterator[str]:
-    numbers = "" if verification.again and not verification.complete else _NUMBERS[verification.again]
+    recalculated_in_part = verification.again and not verification.complete
+    numbers = "" if recalculated_in_part else _NUMBERS[verification.again]
     sealed = f"sealed by {verification.signer} ({verification.fingerprint})"
     signed = f"{verification.state}: {verification.files} files, {sealed}."
     yield f"{signed} {numbers}".rstrip()

@@ -18,7 +18,6 @@ import numpy as np
 from bench.base.errors import UsageError
 from bench.plan.camera_text import WRITE_OPENCV, OtherForm, values_of
 from bench.plan.camera_values import (
-    LARGEST,
     LONGEST_NAME,
     OF_OTHER_FORM,
     Array,
@@ -29,20 +28,15 @@ from bench.plan.camera_values import (
     size_of_values,
     states_a_matrix,
 )
+from bench.plan.possible_camera import LARGEST, is_far_from_middle, require_possible_camera
 from bench.record.results import CameraData
 from bench.record.storage import read_bounded
 from bench.record.stored_calibration import camera_covariance, camera_of
-from calib.model.camera import SKEW, CameraModel
-from calib.model.lens import FISHEYE, OPENCV
+from calib.model.camera import CameraModel
 
 _MOST_BYTES = 20_000_000
-_MOST_PX = 200_000_000
 _NEGATIVE = 1e-6
 """Least eigenvalue of a covariance, as a share of the largest: rounding."""
-_FAR_FROM_MIDDLE = 0.15
-"""Of the width or height: farther from the middle, a principal point is remarkable; `calibrate` has the same share."""
-_LEAST_FOCAL_SHARE = 0.02
-"""Of the longer side: a fisheye of 220 degrees has 0.26. A shorter focal length is in mm, or is a share itself."""
 _MOST_NAMED = 10
 """Names that a message shows."""
 _REGION = ("x_offset", "y_offset", "width", "height")
@@ -138,25 +132,8 @@ def form_text(error: Exception) -> str:
 
 
 def _require_possible(camera: CameraModel, covariance: Array | None) -> None:
-    """Raise OtherForm: If a value is not finite, a length is not positive, or the covariance is none."""
-    sides = camera.image_size
-    if not (np.abs(camera.values) < LARGEST).all():
-        raise OtherForm("a value of the camera is not finite")
-    if not set(camera.distortion) <= {*OPENCV, SKEW} and not set(camera.distortion) <= {*FISHEYE, SKEW}:
-        raise OtherForm(f"no lens has the coefficients {' '.join(camera.distortion)}")
-    if min(sides) < 1 or sides[0] * sides[1] > _MOST_PX:
-        raise OtherForm(f"an image of {sides[0]} x {sides[1]} px is not possible")
-    if min(camera.fx, camera.fy) < _LEAST_FOCAL_SHARE * max(sides):
-        raise OtherForm(
-            f"focal lengths of {camera.fx:g} and {camera.fy:g} px are not possible with {sides[0]} x {sides[1]} px",
-            "Write focal lengths and principal point in px; some programs state them in mm, or as shares of the image.",
-        )
-    if _is_far_from_middle(camera, sides) and not _is_far_from_middle(camera, sides[::-1]):
-        raise OtherForm(
-            f"its image has {sides[0]} x {sides[1]} px, and the principal point ({camera.cx:g}, {camera.cy:g}) is the"
-            f" middle of {sides[1]} x {sides[0]} px: the height seems to stand before the width",
-            "Write the width first. numpy and MATLAB have the height first.",
-        )
+    """Raise OtherForm if camera or covariance are not possible."""
+    require_possible_camera(camera)
     if covariance is None:
         return
     scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
@@ -170,17 +147,12 @@ def _remarks_about(camera: CameraModel) -> Iterator[str]:
     """Yield what is remarkable about a camera."""
     if camera.skew:
         yield f"The skew K[0,1] = {camera.skew:g} px is used; OpenCV and ROS ignore it."
-    if _is_far_from_middle(camera, camera.image_size):
+    if is_far_from_middle(camera, camera.image_size):
         x, y = (100.0 * np.array([camera.cx, camera.cy]) / camera.image_size).tolist()
         yield (
             f"The principal point ({camera.cx:.0f}, {camera.cy:.0f}) lies at {x:.0f} % of the width and {y:.0f} % of"
             " the height. Does the camera matrix belong to an image of this size, without binning and cropping?"
         )
-
-
-def _is_far_from_middle(camera: CameraModel, sides: tuple[int, int]) -> bool:
-    shares = np.array([camera.cx, camera.cy]) / sides
-    return bool((np.abs(shares - 0.5) > _FAR_FROM_MIDDLE).any())
 
 
 def _recognised(data: bytes, name: str | None, lens: LensFamily | None) -> _Found:

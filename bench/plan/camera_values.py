@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.plan.camera_text import WRITE_OPENCV, OtherForm, numbers
+from bench.plan.possible_camera import LARGEST, require_possible_camera
 from calib.model.camera import PINHOLE, SKEW, CameraModel
 from calib.model.lens import FISHEYE, OPENCV, OPENCV_LENGTHS
 
@@ -21,8 +22,6 @@ Array = NDArray[np.float64]
 LensFamily = Literal["brown", "fisheye"]
 Values = Mapping[str, Any]
 
-LARGEST: Final = 1e15
-"""Of any value: a lens of long focal length has coefficients of 1e9."""
 OF_OTHER_FORM = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError)
 """What reading a file of another form raises."""
 LONGEST_NAME: Final = 40
@@ -92,6 +91,7 @@ def camera_of_values(values: Values, family: LensFamily | None) -> CameraModel:
         names = names if names is not None else FISHEYE if family == "fisheye" else OPENCV
     fx, fy, cx, cy = (float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
     plain = CameraModel(fx, fy, cx, cy, size_of_values(values))
+    require_possible_camera(plain)
     if names is None and len(found) == len(FISHEYE) and any(found):
         _require_alike(plain, found)
     coefficients = _coefficients(found, names if names is not None else OPENCV, model or "OpenCV")
@@ -173,7 +173,7 @@ def _named(values: Values, *, is_fisheye: bool) -> list[float]:
 
 
 def _stated_lens(values: Values) -> tuple[str | None, tuple[str, ...] | None]:
-    """Return the lens model as a file names it, and the names of its coefficients; None if it states none."""
+    """Return the name of the lens model in the file, and the names of its coefficients; None for what is not stated."""
     if "k" in values and values.get("type", "pinhole") != "pinhole":
         raise OtherForm(
             f"the camera geometry has the type {str(values['type'])[:LONGEST_NAME]!r}; only `pinhole` is known: the"
@@ -199,27 +199,27 @@ def _stated_lens(values: Values) -> tuple[str | None, tuple[str, ...] | None]:
     return model, names
 
 
-def _coefficients(found: Sequence[float], names: Sequence[str], model: str) -> dict[str, float]:
+def _coefficients(stated: Sequence[float], names: Sequence[str], model: str) -> dict[str, float]:
     """Return the coefficients by name: the one rule for their number. Those beyond the model's must be zero."""
-    beyond = [at for at, value in enumerate(found) if value and at >= len(names)]
+    beyond = [at for at, value in enumerate(stated) if value and at >= len(names)]
     if beyond:
         raise OtherForm(
-            f"the lens model {model} has {len(names)} coefficients; the file states {len(found)}, and number"
-            f" {beyond[0] + 1} is {found[beyond[0]]:g}",
+            f"the lens model {model} has {len(names)} coefficients, but the file states {len(stated)}:"
+            f" coefficient {beyond[0] + 1} is {stated[beyond[0]]:g}, not 0",
             "Correct the name of the model, or the coefficients.",
         )
-    if names is FISHEYE and not found:
+    if names is FISHEYE and not stated:
         return dict.fromkeys(FISHEYE, 0.0)
     lengths = (len(FISHEYE),) if names is FISHEYE else (0, *OPENCV_LENGTHS)
-    if min(len(found), len(names)) not in lengths:
+    if min(len(stated), len(names)) not in lengths:
         raise OtherForm(
-            f"{len(found)} distortion coefficients are no camera's: there are {', '.join(map(str, lengths))}"
+            f"{len(stated)} distortion coefficients are no camera's: there are {', '.join(map(str, lengths))}"
         )
-    last = max((at + 1 for at, value in enumerate(found) if value), default=0)
+    last = max((at + 1 for at, value in enumerate(stated) if value), default=0)
     used = next(
-        length for length in lengths if length >= min(max(last, _LEAST_NAMED), len(found), len(names))
+        length for length in lengths if length >= min(max(last, _LEAST_NAMED), len(stated), len(names))
     )
-    return dict(zip(names[:used], found, strict=False))
+    return dict(zip(names[:used], stated, strict=False))
 
 
 def _require_alike(camera: CameraModel, found: Sequence[float]) -> None:

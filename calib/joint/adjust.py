@@ -232,7 +232,7 @@ def _more_probable_place(optimum: Optimum, near: State, name: str, rounds: int) 
 
 
 def _approached(problem: Problem, start: State, task: Task) -> State:
-    """Return a state near the optimum. The certificate takes no part, unless the views need it.
+    """Return a state near the optimum. The certificate is used only if nothing can be solved without it.
 
     One whose radius is far from what the views alone show is another collimator's, and is refused: camera, lens and
     fields would take up even twice the radius.

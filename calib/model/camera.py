@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.arrays import Array, Array32, Ints
+from calib.arrays import Array, Array32
 from calib.errors import InputMismatch
 from calib.model.lens import BROWN, FISHEYE, OPENCV, OPENCV_LENGTHS, distort_with_jacobians, is_fisheye
 
@@ -429,13 +429,3 @@ def _rectified(plane: Array, keep: float, image_size: tuple[int, int]) -> Camera
         found += share * np.array([fx, fy, -fx * first_x, -fy * first_y])
     fx, fy, cx, cy = found.tolist()
     return CameraModel(fx, fy, cx, cy, image_size)
-
-
-def straightness_px(points: Array, lines: Sequence[Ints]) -> float:
-    """Return the RMS distance, px, of (N, 2) points from their straight lines; lines of two points say nothing.
-
-    Total least squares: the smallest singular value of each line's points about their mean.
-    """
-    used = [points[line] for line in lines if len(line) > 2]
-    squares = [float(np.linalg.svd(one - one.mean(axis=0), compute_uv=False)[-1] ** 2) for one in used]
-    return float(np.sqrt(sum(squares) / max(sum(len(one) for one in used), 1)))

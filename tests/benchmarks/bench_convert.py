@@ -37,7 +37,7 @@ class Conversion(NamedTuple):
 
 
 def convert_again(source: Path, kind: str, rounds: int) -> list[Conversion]:
-    """Convert a file once, and then in rounds with a clock."""
+    """Convert a file once without a clock, which warms up, and then so many rounds with one."""
     from drivers.camera.formats.event_conversion import convert
 
     found = []

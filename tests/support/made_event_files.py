@@ -15,6 +15,10 @@ def some_events(n=5000, *, step_us=7):
     return rows
 
 
+def same(ours, theirs):
+    return all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))
+
+
 def assert_same(found, rows, origin_us=0):
     assert np.array_equal(found.events.t + origin_us, rows["t"].astype(np.int64))
     assert np.array_equal(found.events.x, rows["x"])

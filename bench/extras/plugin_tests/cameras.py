@@ -78,7 +78,7 @@ class AnyCameraContract:
     _short: ClassVar[float]
     """How much a test takes that is to be complete: s of a recording, or frames."""
     _long: ClassVar[float]
-    """How much a test takes that something is to end early."""
+    """How much a test asks for where something ends the recording early."""
 
     def connected(self) -> AbstractContextManager[SimulatedCamera]:
         """Connect a simulated camera, fresh from power-up.

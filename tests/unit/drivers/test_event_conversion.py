@@ -19,6 +19,7 @@ from drivers.camera.formats.event_conversion import KINDS, Evt3Encoder, convert
 from drivers.camera.raw_file import RawFile
 from drivers.camera.raw_writer import new_file
 from drivers.errors import NotARecording, RecordingFileError
+from tests.support.made_event_files import same
 
 NOW = datetime(2026, 11, 20, 4, 5, 6, tzinfo=UTC)
 HEADER = (
@@ -40,10 +41,6 @@ def stream(n=5000, seed=3):
     )
     edges = np.sort(rng.integers(8_990_000, 54_200_000, 40)).astype(np.int64)
     return events, Triggers(edges, (np.arange(40) % 2).astype(np.uint8), np.zeros(40, np.uint8))
-
-
-def same(ours, theirs):
-    return all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))
 
 
 @pytest.fixture

@@ -10,6 +10,7 @@ from drivers.camera.event_arrays import Events, Triggers
 from drivers.camera.formats import parquet_export
 from drivers.camera.formats.event_conversion import Evt3Encoder, convert
 from drivers.errors import CameraSoftwareMissing, RecordingFileError
+from tests.support.made_event_files import same
 
 parquet = pytest.importorskip("pyarrow.parquet")
 HEADER = b"% format EVT3;height=720;width=1280\n% serial_number 00051234\n% end\n"
@@ -21,10 +22,6 @@ def stream(n=5000):
     t, edges = (np.sort(rng.integers(0, 1_000_000, count)).astype(np.int64) for count in (n, 40))
     x, y, p = (rng.integers(0, end, n).astype(kind) for end, kind in ((1280, "u2"), (720, "u2"), (2, "u1")))
     return Events(t, x, y, p), Triggers(edges, (np.arange(40) % 2).astype(np.uint8), np.zeros(40, np.uint8))
-
-
-def same(ours, theirs):
-    return all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))
 
 
 @pytest.fixture

@@ -307,7 +307,7 @@ def test_the_cameras_of_opencvs_stereo_file_are_named_by_number(tmp_path):
 
 
 REFUSED = {
-    "plumb_bob with 8": (ros_yaml(D14[:8]), "plumb_bob has 5 coefficients; the file states 8, and number 6 is 0.01"),
+    "plumb_bob with 8": (ros_yaml(D14[:8]), "plumb_bob has 5 coefficients, but the file states 8: coefficient 6 is 0.01, not 0"),
     "radtan with 5": (CHAIN["Kalibr"].replace(str(D5[:4]), str(D5)).partition("cam1")[0], "radtan has 4 coefficients"),
     "six coefficients": (opencv_yaml(D14[:6]), "6 distortion coefficients are no camera's"),
     "fisheye with 3": (ros_yaml(FISHEYE[:3], "equidistant"), "3 distortion coefficients are no camera's"),
@@ -331,6 +331,10 @@ REFUSED = {
     "torn mrcal": (mrcal(D5)[:200], "no complete dictionary"),
     "not finite": (opencv_yaml([-0.1, float("nan"), 0.0, 0.0, 0.0]), "the distortion"),
     "text in place of a number": (json.dumps({**JSON_LISTS, "dist_coeff": ["a"]}), "the distortion is no list of numbers"),
+    "no focal length beside four coefficients": (
+        json.dumps({**JSON_LISTS, "camera_matrix": [[0.0, *K[0][1:]], *K[1:]], "dist_coeff": D5[:4]}),
+        "focal lengths of 0 and 1049.1 px",
+    ),
     "no distortion": (json.dumps({"K": K, "image_size": SIZE}), "no distortion coefficients"),
     "two cameras one after the other": (ros_echo(2) + ros_echo(2).replace("1050.3", "900.0"), "different cameras"),
     "models that contradict": (opencv_yaml(FISHEYE, more="fisheye_model: 0\ncamera_model: fisheye\n"), "contradict"),

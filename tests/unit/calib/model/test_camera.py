@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from calib.errors import InputMismatch
-from calib.model.camera import CameraModel, distortion_names, straightness_px, undistort
+from calib.model.camera import CameraModel, distortion_names, undistort
 from calib.model.lens import BROWN, OPENCV
 
 RNG = np.random.default_rng(4)
@@ -218,12 +218,3 @@ def test_a_lens_that_folds_back_has_pixels_without_a_ray_and_no_ghosts():
 def test_a_lens_without_rays_along_a_side_is_refused():
     with pytest.raises(InputMismatch, match="along a side of the image have no ray"):
         undistort(CameraModel(60.0, 60.0, 160.0, 90.0, SMALL, {"k1": -0.3}))
-
-
-def test_straightness_is_the_rms_distance_from_the_lines():
-    x = np.arange(8.0)
-    bent = np.column_stack([x, 0.25 * (-1.0) ** x])
-    assert straightness_px(bent, [np.arange(8)]) == pytest.approx(0.25, rel=0.05)
-    assert straightness_px(np.column_stack([x, 3 * x]), [np.arange(8), np.arange(2)]) == pytest.approx(
-        0, abs=1e-9
-    )

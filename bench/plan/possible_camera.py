@@ -1,0 +1,47 @@
+"""What a camera of a calibration file must be, whoever wrote it."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import numpy as np
+
+from bench.plan.camera_text import OtherForm
+from calib.model.camera import SKEW, CameraModel
+from calib.model.lens import FISHEYE, OPENCV
+
+LARGEST: Final = 1e15
+"""Of any value: a lens of long focal length has coefficients of 1e9."""
+_MOST_PX = 200_000_000
+_FAR_FROM_MIDDLE = 0.15
+"""Of the width or height: farther from the middle, a principal point is remarkable; `calibrate` has the same share."""
+_LEAST_FOCAL_SHARE = 0.02
+"""Of the longer side: a fisheye of 220 degrees has 0.26. A shorter focal length is in mm, or is a share itself."""
+
+
+def require_possible_camera(camera: CameraModel) -> None:
+    """Raise OtherForm if a value is not finite, or a length is not possible in the image."""
+    sides = camera.image_size
+    if not (np.abs(camera.values) < LARGEST).all():
+        raise OtherForm("a value of the camera is not finite")
+    if not set(camera.distortion) <= {*OPENCV, SKEW} and not set(camera.distortion) <= {*FISHEYE, SKEW}:
+        raise OtherForm(f"no lens has the coefficients {' '.join(camera.distortion)}")
+    if min(sides) < 1 or sides[0] * sides[1] > _MOST_PX:
+        raise OtherForm(f"an image of {sides[0]} x {sides[1]} px is not possible")
+    if min(camera.fx, camera.fy) < _LEAST_FOCAL_SHARE * max(sides):
+        raise OtherForm(
+            f"focal lengths of {camera.fx:g} and {camera.fy:g} px are not possible with {sides[0]} x {sides[1]} px",
+            "Write focal lengths and principal point in px; some programs state them in mm, or as shares of the image.",
+        )
+    if is_far_from_middle(camera, sides) and not is_far_from_middle(camera, sides[::-1]):
+        raise OtherForm(
+            f"its image has {sides[0]} x {sides[1]} px, and the principal point ({camera.cx:g}, {camera.cy:g}) is the"
+            f" middle of {sides[1]} x {sides[0]} px: the height seems to stand before the width",
+            "Write the width first. numpy and MATLAB have the height first.",
+        )
+
+
+def is_far_from_middle(camera: CameraModel, sides: tuple[int, int]) -> bool:
+    """Return whether the principal point is remarkably far from the middle of an image with these sides, px."""
+    shares = np.array([camera.cx, camera.cy]) / sides
+    return bool((np.abs(shares - 0.5) > _FAR_FROM_MIDDLE).any())
