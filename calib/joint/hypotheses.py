@@ -33,6 +33,11 @@ ANOTHER_THING = Hypothesis(
     1e-3,
     "however precise it is, a label may be of another sheet, an axis of another gimbal",
 )
+NOT_SQUARE = Hypothesis(
+    "an image is stretched, so that its pixels are not square",
+    1e-3,
+    "nobody measured it: lithography makes pixels square to 1e-5, so it takes another lens, or images made larger",
+)
 OTHER_LENGTH = Hypothesis(
     "a certificate that does not say so states the focal length",
     1.0,
@@ -86,6 +91,7 @@ FOCUS_STEP = Hypothesis(
 HYPOTHESES = (
     LARGER_ERRORS,
     ANOTHER_THING,
+    NOT_SQUARE,
     OTHER_LENGTH,
     UNSTEADY,
     WHOLE_GIMBAL,

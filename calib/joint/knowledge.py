@@ -30,7 +30,7 @@ from calib.joint.effects.collimator import (
 )
 from calib.joint.effects.gimbal import GimbalErrors
 from calib.joint.fields import FieldBasis
-from calib.joint.hypotheses import ANOTHER_THING, LARGER_ERRORS, OTHER_LENGTH, UNSTEADY
+from calib.joint.hypotheses import ANOTHER_THING, LARGER_ERRORS, NOT_SQUARE, OTHER_LENGTH, UNSTEADY
 from calib.joint.layout import Layout
 from calib.model import result_parts as rows
 from calib.model.cause import PARALLAX
@@ -225,7 +225,10 @@ def _camera(layout: Layout, image_size: tuple[int, int], start: Mapping[str, flo
     square = _Source(layout, rows.PRIORS, "pixels are square")
     still = _Source(layout, rows.PRIORS, "nothing changes while the poses are recorded")
     camera = [
-        square.says(ASPECT, {"fx": 1.0 / f, "fy": -1.0 / f}, (0.0, _ASPECT_SIGMA), _FREE_ASPECT),
+        replace(
+            square.says(ASPECT, {"fx": 1.0 / f, "fy": -1.0 / f}, (0.0, _ASPECT_SIGMA), _FREE_ASPECT),
+            doubt=NOT_SQUARE.odds,
+        ),
         replace(still.says(STEADY, {DRIFT: 1.0}, (0.0, _DRIFT_SIGMA), _FREE_DRIFT), doubt=UNSTEADY.odds),
     ]
     corner, lens = 0.5 * float(np.hypot(*image_size)) / f, _Source(layout, rows.LENS, "expected sizes")

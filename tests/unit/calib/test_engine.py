@@ -210,7 +210,11 @@ WIDE = {"fx": 420.0, "fy": 420.4, "poses": tuple((p, t) for t in (-20, 20) for p
 
 @pytest.mark.parametrize(
     ("lens", "told", "named"),
-    [(FisheyeBench, "k1k2", "fisheye"), (FisheyeBench, "fisheye", ""), (Bench, "k1k2", "")],
+    [
+        (FisheyeBench, "k1k2", "fisheye"),
+        pytest.param(FisheyeBench, "fisheye", "", marks=pytest.mark.slow),
+        (Bench, "k1k2", ""),
+    ],
 )
 def test_in_a_wide_field_the_other_family_of_lenses_is_named_if_it_is_the_right_one(lens, told, named):
     views = thinned(lens(**WIDE, k=(-0.05, 0.01)).views(np.random.default_rng(9), 0.03), 3)

@@ -112,7 +112,10 @@ def test_shifted_ids_of_a_view_do_not_deny_the_bound():
 
 @pytest.mark.parametrize(
     ("world", "seed"),
-    [("S1", 406), ("S1", 407), ("product-S1", 404)],
+    [
+        ("S1", 406),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in (("S1", 407), ("product-S1", 404))),
+    ],
 )
 def test_three_poses_of_a_mount_moved_by_hand_are_covered_with_nothing_stated(world, seed):
     """Each is 1.7 to 2.7 U wrong in one of both ways."""
