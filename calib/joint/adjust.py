@@ -59,6 +59,14 @@ _COMPARISON_STARS = 50
 _WIDE = 1e3
 
 
+class _DeniedError(Exception):
+    """The views deny the certificate from one start; another start may show that they do not."""
+
+    def __init__(self, alone: Optimum) -> None:
+        super().__init__("The views deny the certificate.")
+        self.alone = alone
+
+
 class _End(NamedTuple):
     """The end of a search."""
 
@@ -111,25 +119,31 @@ def _searched_ends(task: Task, start: AdjustmentParameters) -> list[_End]:
 
     A closed form follows the errors of a collimator along what the views hardly determine, focal length and radius in
     proportion, and can end at eight times the camera. If its end leaves the stars or the readings unexplained, the best
-    start with a held radius is followed, too. Nothing is blamed or left out before.
+    start with a held radius is followed, too. Nothing is blamed, refused or left out before.
     """
-    failed: Exception | None = None
-    ends: list[_End] = []
-    try:
-        ends = [_searched(task, start)]
-        if _explains(ends[0].optimum, task.views):
-            return ends
-    except (NotConverged, np.linalg.LinAlgError) as error:
-        failed = error
+    ends, denied, failed = list[_End](), list[Optimum](), list[Exception]()
+
+    def follow(begin: AdjustmentParameters) -> None:
+        try:
+            ends.append(_searched(task, begin))
+        except _DeniedError as error:
+            denied.append(error.alone)
+        except (NotConverged, np.linalg.LinAlgError) as error:
+            failed.append(error)
+
+    follow(start)
+    if ends and _explains(ends[0].optimum, task.views):
+        return ends
     few = task._replace(views=[_thinned(view) for view in task.views])
     held = _held_starts(few, start)
     if held:
-        likeliest = min(held, key=lambda other: _value_at(few.posed(other)))
-        with suppress(NotConverged, np.linalg.LinAlgError):
-            ends.append(_searched(task, likeliest))
+        follow(min(held, key=lambda other: _value_at(few.posed(other))))
+    if denied:
+        alone = min(denied, key=lambda optimum: optimum.solution.value)
+        if all(_is_less_probable(end.optimum, alone) for end in ends):
+            raise _of_another_collimator(alone, task)
     if not ends:
-        assert failed is not None
-        raise failed
+        raise failed[0]
     first = ends[0].optimum
     return sorted(ends, key=lambda end: value_as_weighed(end.optimum, first))
 
@@ -182,7 +196,8 @@ def _explains(optimum: Optimum, views: Sequence[View]) -> bool:
 def _searched(task: Task, start: AdjustmentParameters) -> _End:
     """Return the end of a search.
 
-    Fields that grew far from the optimum may keep the search from it. Then it begins again where it ended.
+    Fields that grew far from the optimum may keep the search from it. Then it begins again where it ended, and the more
+    probable end is taken.
     """
     problem, state = task.posed(start)
     near, rounds = _approached(problem, state, task), task.options.max_iterations
@@ -192,7 +207,10 @@ def _searched(task: Task, start: AdjustmentParameters) -> _End:
         there = task.posed_at(optimum.state, optimum.marginal.problem, start)
         with suppress(NotConverged):  # the first end stands
             again = search(*there, rounds)
-            optimum = replace(again, iterations=optimum.iterations + again.iterations)
+            rounds_done = optimum.iterations + again.iterations
+            if value_as_weighed(again, optimum) < optimum.solution.value:
+                optimum = again
+            optimum = replace(optimum, iterations=rounds_done)
     return _End(optimum, near)
 
 
@@ -254,7 +272,7 @@ def _approached(problem: Problem, start: State, task: Task) -> State:
                 alone = search(free, near, rounds)
                 near = alone.state
                 if _is_far(free, near, stated_mm) and _is_denied(problem, start, alone, rounds):
-                    raise _of_another_collimator(alone, stated_mm, task)
+                    raise _DeniedError(alone)
     except (NotConverged, np.linalg.LinAlgError):
         return approached(problem, start, equations, rounds)
     return near
@@ -278,11 +296,18 @@ def _is_denied(problem: Problem, start: State, alone: Optimum, rounds: int) -> b
         held = search(problem, near, rounds)
     except (NotConverged, np.linalg.LinAlgError):
         return True
+    return _is_less_probable(held, alone)
+
+
+def _is_less_probable(held: Optimum, alone: Optimum) -> bool:
+    """Tell whether the views are clearly less probable with the certificate than without it."""
     return held.solution.value - alone.solution.value > _CLEARLY**2
 
 
-def _of_another_collimator(alone: Optimum, stated_mm: float, task: Task) -> InputMismatch:
+def _of_another_collimator(alone: Optimum, task: Task) -> InputMismatch:
     """Return the error for a certificate that is not of this collimator, or of views whose ids are shifted."""
+    assert task.options.passport is not None
+    stated_mm = float(task.options.passport.values_by_name["r"])
     layout = alone.marginal.problem.bench.layout
     again = partial(adjust, options=replace(task.options, passport=None), pupil=layout.bench.pupil)
     shifted = find_shifted_ids(alone, task.views, task.options.max_iterations, again).words
