@@ -19,7 +19,7 @@ from drivers.stage import Stage
 LARGEST_STEP_DEG = 5.0
 """Largest step of one axis, degrees. A person looks at the picture while the camera turns; long ways are for runs."""
 _SAME_DEG = 0.01
-"""Distance between counter and goal below which a further step begins at the goal, degrees: no rounding adds up."""
+"""If counter and goal are nearer than this, the next step begins at the goal, so that rounding does not add up."""
 _STOP_AGAIN_S = 0.03
 _STOP_WAIT_S = 2.0
 

@@ -52,9 +52,9 @@ def panel(
     """Show the runs and batches in FOLDER in a browser; without FOLDER, those in runs/.
 
     The first line of the output is the address of the page, with a token: keep it to yourself. The pages show each run
-    as it is, also one that began before the panel. Their buttons hold, release, skip, abort and answer, as `starbench
-    tell` does. The panel uses no device: if it ends, or is killed, every run continues. With --line, its first page
-    begins runs, one camera after the other.
+    as it is, also one that began before the panel. Their buttons do what `starbench tell` does: hold, release, skip,
+    abort and answer. The panel uses no device: if it ends, or is killed, every run continues. With --line, its first
+    page begins runs, one camera after the other.
     """
     from bench.base.errors import UsageError
     from bench.extras.panel.line import Line

@@ -29,7 +29,7 @@ LONGEST_NAME: Final = 40
 _SAME = 1e-6
 """Two statements of one number may differ by so much: digits that a program left out."""
 _ALIKE_PX = 0.01
-"""Two readings of a file that project so much apart are one: a tenth of what the best calibration states."""
+"""Two readings of a file are one if they project less apart than this: a tenth of what the best calibration states."""
 _LEAST_SKEW_PX = 1e-9
 _LEAST_NAMED = 5
 """Coefficients of OpenCV that are kept by name although they are zero."""

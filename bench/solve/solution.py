@@ -38,7 +38,7 @@ CHECK_SEED = 20_260_101
 """Of the drawn changes of a check: the same files give the same numbers."""
 _COMPARED = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3", "x", "y", "r")
 _MOVE_THE_CENTRE = ("defocus", "coma", "astigmatism", "field_curvature")
-"""Errors of a collimator that displace the apparent centre across the beam, as its place depends on the pupil's."""
+"""Errors of a collimator by which the apparent centre moves across the beam when the pupil does."""
 
 
 @contextmanager

@@ -273,8 +273,8 @@ def _scatter(check: HandEyeCheck) -> tuple[VerdictKind, str] | None:
     if check.excess_arcsec <= 0:
         return None
     differ = (
-        f"Rotations and readings differ by {angle(check.excess_arcsec / 3600)} (standard deviation per axis) more than "
-        "their stated uncertainties explain."
+        f"Rotations and readings differ more than their stated uncertainties explain, by "
+        f"{angle(check.excess_arcsec / 3600)} (standard deviation per axis)."
     )
     if check.views_disagree:
         return "views_biased", (

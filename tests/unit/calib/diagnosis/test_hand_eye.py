@@ -166,7 +166,7 @@ def test_scatter_below_what_is_stated_of_the_readings_is_no_fault_and_scatter_ab
     assert "slipped" not in text_of(said(reading_sigma_deg=0.006))
     for stated in ({}, {"reading_sigma_deg": 0.001}):
         assert said(**stated).verdict.kind == "scatter"
-        assert "more than their stated uncertainties explain" in text_of(said(**stated))
+        assert "differ more than their stated uncertainties explain, by" in text_of(said(**stated))
 
 
 def test_an_error_of_the_encoder_that_a_row_of_a_raster_shares_is_no_slip():
