@@ -206,7 +206,7 @@ def with_results(details: JournalDetails, folder: Path) -> RunDetails:
     try:
         facts = _from_results(results, fault)
     except (AttributeError, LookupError, TypeError, ValueError):
-        results, fault = cast("Results", {}), f"{RESULTS} has another form: another program wrote it."
+        results, fault = cast("Results", {}), f"{RESULTS} was written by another program."
         facts = _from_results(results, fault)
     notes = _part(results.get("calibration")).get("notes", [])
     warnings = [str(note) for note in notes] if isinstance(notes, list) else []
