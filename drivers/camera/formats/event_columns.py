@@ -54,7 +54,7 @@ _LEAST_RATE: Final = 0.005
 """Events a second and pixel: a twentieth of the background of a sensor at rest (0.1, Nozaki and Delbruck 2017)."""
 _LARGEST_RATE: Final = 200.0
 """Three times that of the busiest known recordings (69: boxes_translation of the Event Camera Dataset)."""
-_LEAST_EVENTS: Final = 1000
+_LEAST_EVENTS: Final = 100
 """Fewer events say nothing about their rate."""
 
 

@@ -131,7 +131,7 @@ def _too_large(choices: ReadingChoices | None, sides: tuple[int, int]) -> dict[s
     """Return what the events fill of the size that the user gave, if that seems too large."""
     width, height = (choices and choices.sensor_size) or (0, 0)
     is_filled = sides[0] >= _LEAST_SHARE * width or sides[1] >= _LEAST_SHARE * height
-    return {} if is_filled else {"sensor_size": f"{sides[0]} x {sides[1]}"}
+    return {} if is_filled or not any(sides) else {"sensor_size": f"{sides[0]} x {sides[1]}"}
 
 
 def _with_size(opened: EventSource, source: Path, path: Path) -> ExportSummary:

@@ -55,6 +55,14 @@ def test_times_in_another_unit_are_refused_and_read_once_it_is_said(tmp_path, ma
     assert np.abs(found - T_US).max() <= (999 if t.max() == 200 else 1)
 
 
+@pytest.mark.parametrize("scale", [1000, 1e-3])
+def test_few_events_in_another_unit_are_refused_too(tmp_path, scale):
+    few = {name: values[::100] for name, values in OTHERS.items()}
+    np.savez(tmp_path / "a.npz", t=T_US[::100] * scale, **few)
+    with pytest.raises(NotARecording, match="The file does not state their unit"):
+        import_events(tmp_path / "a.npz", ReadingChoices(SIZE))
+
+
 @pytest.mark.parametrize("t", [T_US, T_US * 1e-6, T_US.astype("f8")])
 def test_us_and_s_are_read_and_told_as_assumed(tmp_path, t):
     with open_events(npz(tmp_path, t), ReadingChoices(SIZE)) as source:
