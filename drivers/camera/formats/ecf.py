@@ -38,13 +38,20 @@ MAX_ADDRESS: Final = 2047
 """Largest column and row, px."""
 
 _HEAD_BYTES: Final = 12
-_WORST_BYTES: Final = 24
-"""Largest size of an event: 17 bytes for its time, 2 for its row, 2 for its column, 1 for its polarity, rounded up."""
+_WORST_TIME_BYTES: Final = 19
+"""Largest size of the time of an event: 16 bytes for a step of 64 bits, one for its end, and a count."""
 _STYLE_A: Final = 2
 _STYLE_B: Final = 1
 _STYLE_C: Final = 0
 _ROW_COUNT_BITS: Final = 5  # of 16
 _POLARITY_COUNT_BITS: Final = 7  # of 8
+_MOST_ROWS: Final = (1 << _ROW_COUNT_BITS) - 1
+_MOST_POLARITIES: Final = (1 << _POLARITY_COUNT_BITS) - 1
+_COUNTED: Final = 2048
+"""Events of a chunk, in eight stretches, by which style C is tried or not; counting all would cost a quarter more."""
+_STRETCHES: Final = 8
+_NEAR: Final = 1.2
+"""A style that is estimated at so many times the bytes of another is not tried."""
 _BAD: Final = -1
 
 
@@ -63,19 +70,28 @@ def encode(events: Events) -> bytes:
     if max(events.x.max(), events.y.max()) > MAX_ADDRESS:
         raise ValueError(f"a column or row above {MAX_ADDRESS}")
     t = rising(events.t, int(events.t[0]))
-    out = np.empty(_HEAD_BYTES + _WORST_BYTES * n + 64, np.uint8)
-    out[4:12] = np.frombuffer(np.int64(t[0]).tobytes(), np.uint8)
-    style = _best_style(events.x, events.y, events.p)
-    out[:4] = np.frombuffer(np.uint32(n << 2 | style).tobytes(), np.uint8)
-    at = _put_times(out, _HEAD_BYTES, t)
+    times = np.empty(_WORST_TIME_BYTES * n, np.uint8)
+    times = times[: _put_times(times, 0, t)]
+    rows = np.empty(n + 2, np.uint16)
+    row_end, row_runs = _put_rows(rows, events.y)
+    fours = (n + 3) // 4
+    by_rows = 2 * row_runs + 6 * fours
+    least = min(12 * fours, by_rows)
+    style = _STYLE_B if by_rows < 12 * fours else _STYLE_A
+    if 2 * row_runs + _bytes_of_runs(events.x, events.p) < _NEAR * least:
+        columns, polarities = np.empty(n, np.uint16), np.empty(n + 3, np.uint8)
+        column_end, polarity_end, polarity_runs = _put_runs(columns, polarities, events.x, events.p)
+        style = _STYLE_C if 2 * (row_runs + column_end) + polarity_runs <= least else style
+    parts = [np.uint32(n << 2 | style).tobytes(), np.int64(t[0]).tobytes(), times.tobytes()]
     if style != _STYLE_A:
-        at = _put_runs(out, at, events.y, _ROW_COUNT_BITS)
+        parts.append(rows[:row_end].tobytes())
     if style == _STYLE_C:
-        at = _put_columns(out, at, events.x)
-        at = _put_runs(out, at, events.p, _POLARITY_COUNT_BITS)
+        parts += [columns[:column_end].tobytes(), polarities[:polarity_end].tobytes()]
+    elif style == _STYLE_B:
+        parts.append(_packed_12(events.x, events.p).tobytes())
     else:
-        at = _put_packed(out, at, events.x, events.y, events.p, style)
-    return out[:at].tobytes()
+        parts.append(_packed_24(events.x, events.y, events.p).tobytes())
+    return b"".join(parts)
 
 
 def decode(chunk: bytes) -> Events:
@@ -104,23 +120,23 @@ def decode(chunk: bytes) -> Events:
 
 
 @njit(cache=True, nogil=True)
-def _best_style(x: Any, y: Any, p: Any) -> int:
-    """Return the style that takes the fewest bytes, by counting the runs."""
-    rows = columns = polarities = 1
-    base = x[0]
-    for i in range(1, len(x)):
-        rows += y[i] != y[i - 1]
-        polarities += p[i] != p[i - 1]
-        if not (x[i] > x[i - 1] and x[i] <= base + 5):
-            columns += 1
-            base = x[i]
-    fours = (len(x) + 3) // 4
-    packed = 12 * fours
-    by_rows = 2 * rows + 6 * fours
-    by_runs = 2 * rows + 2 * columns + polarities
-    if by_runs <= min(packed, by_rows):
-        return _STYLE_C
-    return _STYLE_B if by_rows < packed else _STYLE_A
+def _bytes_of_runs(x: Any, p: Any) -> float:
+    """Estimate the bytes of columns and polarities in style C, by stretches of the events; all of them if few."""
+    n = len(x)
+    stretch = n if n <= _COUNTED else _COUNTED // _STRETCHES
+    columns = polarities = seen = 0
+    for begin in range(0, n, max(stretch, n // _STRETCHES)):
+        end = min(n, begin + stretch)
+        base = x[begin]
+        columns += 1
+        polarities += 1
+        seen += end - begin
+        for i in range(begin + 1, end):
+            polarities += p[i] != p[i - 1]
+            if not (x[i] > x[i - 1] and x[i] <= base + 5):
+                columns += 1
+                base = x[i]
+    return (2 * columns + polarities) * (n / seen)
 
 
 @njit(cache=True, nogil=True)
@@ -161,57 +177,90 @@ def _put_times(out: Any, at: int, t: Any) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _put_runs(out: Any, at: int, values: Any, count_bits: int) -> int:
-    """Write runs of equal values: value << count_bits | count; the largest count is followed by the true one."""
-    most = (1 << count_bits) - 1
-    i = 0
-    while i < len(values):
-        count = _run_length(values, i)
-        unit: Any = np.int64(values[i]) << count_bits | min(count, most)
-        out[at] = unit & 0xFF
-        at += 1
-        if count_bits == _ROW_COUNT_BITS:
-            out[at] = unit >> 8
-            at += 1
-        if count >= most:
-            at = _put_16(out, at, count)
-        i += count
-    return at
+def _put_rows(rows: Any, y: Any) -> Any:
+    """Write the runs of rows; return where they end, and their number.
+
+    Without branches, which at every event would cost more than all the rest: each event writes the unit of its run
+    anew, and the true count behind it, over which the next run writes if that count is not needed.
+    """
+    at, runs, count = 0, 1, 0
+    row = np.int64(y[0])
+    for i in range(len(y)):
+        here = np.int64(y[i])
+        new = np.int64(here != row)
+        at += new * (1 + np.int64(count >= _MOST_ROWS))
+        count = count * (1 - new) + 1
+        runs += new
+        row = here
+        rows[at] = row << _ROW_COUNT_BITS | min(count, _MOST_ROWS)
+        rows[at + 1] = count
+    return at + 1 + np.int64(count >= _MOST_ROWS), runs
 
 
 @njit(cache=True, nogil=True)
-def _put_columns(out: Any, at: int, x: Any) -> int:
-    i = 0
-    while i < len(x):
-        base: Any = np.int64(x[i])
-        mask: Any = 0
-        i += 1
-        while i < len(x) and x[i] > x[i - 1] and x[i] <= base + 5:
-            mask |= 1 << (5 - (np.int64(x[i]) - base))
-            i += 1
-        at = _put_16(out, at, base << 5 | mask)
-    return at
+def _put_runs(columns: Any, polarities: Any, x: Any, p: Any) -> Any:
+    """Write the runs of columns and of polarities, as `_put_rows`; return both ends, and the runs of polarities."""
+    column_at = at = count = 0
+    runs = 1
+    base, last, polarity = np.int64(x[0]), np.int64(x[0]) - 1, np.int64(p[0])
+    mask = np.int64(0)
+    for i in range(len(x)):
+        here = np.int64(x[i])
+        new = np.int64((here <= last) | (here > base + 5))
+        base += new * (here - base)
+        # The first of a run has the bit 5, which is cut off: it is the base itself.
+        mask = mask * (1 - new) | 1 << (5 - (here - base))
+        column_at += new
+        last = here
+        columns[column_at] = base << 5 | mask & 0x1F
+
+        here = np.int64(p[i])
+        new = np.int64(here != polarity)
+        at += new * (1 + 2 * np.int64(count >= _MOST_POLARITIES))
+        count = count * (1 - new) + 1
+        runs += new
+        polarity = here
+        polarities[at] = polarity << _POLARITY_COUNT_BITS | min(count, _MOST_POLARITIES)
+        polarities[at + 1] = count & 0xFF
+        polarities[at + 2] = count >> 8
+    return column_at + 1, at + 1 + 2 * np.int64(count >= _MOST_POLARITIES), runs
 
 
 @njit(cache=True, nogil=True)
-def _put_packed(out: Any, at: int, x: Any, y: Any, p: Any, style: int) -> int:
-    """Write four values of three parts as three units of four parts: each holds the rest of one value and the next."""
-    unit_bytes = 4 if style == _STYLE_A else 2
-    part = 2 * unit_bytes
+def _packed_12(x: Any, p: Any) -> Any:
+    """Return style B: four values of 12 bits in three units of 16; each holds the rest of one value and of the next."""
+    fours, whole = (len(x) + 3) // 4, len(x) // 4
+    units = np.empty(3 * fours, np.uint16)
+    end = np.zeros(4, np.int64)
+    for k in range(len(x) - 4 * whole):
+        end[k] = np.int64(x[4 * whole + k]) << 1 | p[4 * whole + k]
+    for four in range(fours):
+        i = 4 * four
+        if four < whole:
+            a, b = np.int64(x[i]) << 1 | p[i], np.int64(x[i + 1]) << 1 | p[i + 1]
+            c, d = np.int64(x[i + 2]) << 1 | p[i + 2], np.int64(x[i + 3]) << 1 | p[i + 3]
+        else:
+            a, b, c, d = end
+        units[3 * four] = a << 4 | b & 0xF
+        units[3 * four + 1] = b >> 4 << 8 | c & 0xFF
+        units[3 * four + 2] = c >> 8 << 12 | d & 0xFFF
+    return units
+
+
+@njit(cache=True, nogil=True)
+def _packed_24(x: Any, y: Any, p: Any) -> Any:
+    """Return style A: the same with values of 24 bits, which have the row, in units of 32."""
+    units = np.empty(3 * ((len(x) + 3) // 4), np.uint32)
     value = np.zeros(4, np.int64)
     for first in range(0, len(x), 4):
         value[:] = 0
         for k in range(min(4, len(x) - first)):
-            value[k] = np.int64(x[first + k]) << 1 | p[first + k]
-            if style == _STYLE_A:
-                value[k] |= np.int64(y[first + k]) << 12
-        for k in range(3):
-            low = part * (k + 1)
-            word = value[k] >> (part * k) << low | value[k + 1] & ((1 << low) - 1)
-            for b in range(unit_bytes):
-                out[at] = (word >> (8 * b)) & 0xFF
-                at += 1
-    return at
+            value[k] = np.int64(y[first + k]) << 12 | np.int64(x[first + k]) << 1 | p[first + k]
+        at = 3 * (first // 4)
+        units[at] = value[0] << 8 | value[1] & 0xFF
+        units[at + 1] = value[1] >> 8 << 16 | value[2] & 0xFFFF
+        units[at + 2] = value[2] >> 16 << 24 | value[3] & 0xFFFFFF
+    return units
 
 
 @njit(cache=True, nogil=True)
@@ -255,7 +304,7 @@ def _get_times(data: Any, at: int, first: int, t: Any) -> int:
 
 @njit(cache=True, nogil=True)
 def _get_runs(data: Any, at: int, values: Any, count_bits: int) -> int:
-    """Read what `_put_runs` writes."""
+    """Read runs of equal values: value << count_bits | count; the largest count is followed by the true one."""
     most = (1 << count_bits) - 1
     unit_bytes = 2 if count_bits == _ROW_COUNT_BITS else 1
     i = 0
