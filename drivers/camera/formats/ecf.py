@@ -183,7 +183,9 @@ def _put_rows(rows: Any, y: Any) -> Any:
     Without branches, which at every event would cost more than all the rest: each event writes the unit of its run
     anew, and the true count behind it, over which the next run writes if that count is not needed.
     """
-    at, runs, count = 0, 1, 0
+    at: Any = 0
+    runs: Any = 1
+    count: Any = 0
     row = np.int64(y[0])
     for i in range(len(y)):
         here = np.int64(y[i])
@@ -200,8 +202,10 @@ def _put_rows(rows: Any, y: Any) -> Any:
 @njit(cache=True, nogil=True)
 def _put_runs(columns: Any, polarities: Any, x: Any, p: Any) -> Any:
     """Write the runs of columns and of polarities, as `_put_rows`; return both ends, and the runs of polarities."""
-    column_at = at = count = 0
-    runs = 1
+    column_at: Any = 0
+    at: Any = 0
+    count: Any = 0
+    runs: Any = 1
     base, last, polarity = np.int64(x[0]), np.int64(x[0]) - 1, np.int64(p[0])
     mask = np.int64(0)
     for i in range(len(x)):
