@@ -13,3 +13,10 @@ def test_a_closed_form_at_another_camera_does_not_mislead_and_right_readings_ent
     line = drawn_result("stranger", 0, seed, known)
     assert abs(line["error"]["fx"]) < 1.3 * line["U"]["fx"] < 100.0
     assert not [note for note in line["notes"] if "did not enter" in note]
+
+
+def test_a_right_certificate_is_not_refused_because_another_start_denies_it():
+    """Three rolled poses before an eyepiece: from another start, the views alone show 319 mm; 577 mm is right."""
+    line = drawn_result("stranger", 0, 511, "c")
+    assert "refused" not in line
+    assert abs(line["error"]["fx"]) < line["U"]["fx"] < 300.0
