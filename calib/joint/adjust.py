@@ -196,8 +196,9 @@ def _explains(optimum: Optimum, views: Sequence[View]) -> bool:
 def _searched(task: Task, start: AdjustmentParameters) -> _End:
     """Return the end of a search.
 
-    Fields that grew far from the optimum may keep the search from it. Then it begins again where it ended, and the more
-    probable end is taken.
+    Fields that grew far from the optimum may keep the search from it. Then it begins again where it ended: there the
+    fields and what is expected of them are stated for the right radius. The first end stands only if it is clearly more
+    probable.
     """
     problem, state = task.posed(start)
     near, rounds = _approached(problem, state, task), task.options.max_iterations
@@ -208,10 +209,22 @@ def _searched(task: Task, start: AdjustmentParameters) -> _End:
         with suppress(NotConverged):  # the first end stands
             again = search(*there, rounds)
             rounds_done = optimum.iterations + again.iterations
-            if value_as_weighed(again, optimum) < optimum.solution.value:
+            if not _is_clearly_more_probable(optimum, again):
                 optimum = again
             optimum = replace(optimum, iterations=rounds_done)
     return _End(optimum, near)
+
+
+def _is_clearly_more_probable(end: Optimum, other: Optimum) -> bool:
+    """Tell whether the views make an end clearly more probable than another, with the star weights of both.
+
+    Each end weighs the stars so that its own outliers count little. With heavy tails -2 log L is concave in each
+    squared residual, so that the difference lies between those with the weights of the one and of the other; their mean
+    is taken.
+    """
+    with_own = value_as_weighed(other, end) - end.solution.value
+    with_others = other.solution.value - value_as_weighed(end, other)
+    return 0.5 * (with_own + with_others) > _CLEARLY**2
 
 
 def _square_or_stretched(problem: Problem, near: State, rounds: int) -> Optimum:

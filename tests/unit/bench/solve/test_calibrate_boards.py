@@ -246,10 +246,9 @@ def test_what_does_not_fit_is_refused(moving_folder, capsys, words, said):
 
 
 def test_the_events_of_another_program_are_converted_first(moving_folder, capsys):
-    said = call(
-        capsys, "calibrate", moving_folder / "events.npz", "--board", PATTERN, "--reconstruct", status=2
-    )
-    assert "starbench convert events.npz" in said.err
+    events = moving_folder / "events.npz"
+    refusal = call(capsys, "calibrate", events, "--board", PATTERN, "--reconstruct", status=2)
+    assert f"starbench convert {events} " in refusal.err
 
 
 def test_a_board_that_moves_along_its_edges_or_too_little_is_named_with_what_to_do(moving_folder, capsys):
