@@ -44,7 +44,7 @@ _LIMIT_ROUNDS = 3
 #: Views are reported as weak if the 1-sigma of a focal length, as a share of it, reaches this.
 _WEAK_FOCAL_SIGMA = 0.01
 _SOURCES = {
-    names.STARS: "residuals of the stars",
+    names.STARS: "residuals of the points",
     names.POSE_FIELDS: "differences between the views",
 }
 #: What describes views that differ by more than noise.
@@ -210,10 +210,10 @@ def _notes(fitted: Fit) -> tuple[str, ...]:
     if not relative[name] < _WEAK_FOCAL_SIGMA:
         why = explain_weak_geometry(fitted.views, fitted.parameters)
         text = f"Weak geometry: {name} is known only to ±{200 * relative[name]:.1f} % (k = 2). {why}".strip()
-        notes.append(f"{text} Add views turned about other axes, with the stars elsewhere in the image.")
+        notes.append(f"{text} Add views turned about other axes, with the points elsewhere in the image.")
     if fitted.uncertainty.inconsistent:
         notes.append(
-            f"Views differ {fitted.uncertainty.birge_ratio:.1f} times more than star noise explains. The uncertainties "
+            f"Views differ {fitted.uncertainty.birge_ratio:.1f} times more than noise explains. The uncertainties "
             f"are enlarged by this ratio. {_OTHERWISE[fitted.model]}"
         )
     return tuple(notes)

@@ -88,7 +88,7 @@ class View:
                 f"The view has {n} ids, but its arrays have shapes {shapes}.", where=f"view {self.name}"
             )
         if len(set(self.ids.tolist())) != n:  # np.unique would load NumPy's masked arrays
-            raise InputMismatch("The view holds a star twice.", where=f"view {self.name}")
+            raise InputMismatch("The view holds a point twice.", where=f"view {self.name}")
         if not all(np.isfinite(a).all() for a in (self.points_px, self.target_mm, self.covariances_px2)):
             raise InputMismatch("The view holds numbers that are not finite.", where=f"view {self.name}")
         self._require_covariances()
@@ -105,7 +105,7 @@ class View:
                 raise InputMismatch(
                     f"The id {wrong.flat[0]:g} is not a whole number.",
                     where=where,
-                    remedy="Give each star the whole number that names it on the target.",
+                    remedy="Give each point the whole number that names it on the target.",
                 )
         return given
 
@@ -116,9 +116,9 @@ class View:
         wrong = np.flatnonzero(~(symmetric & (xx > 0) & (yy > 0) & (xx * yy > xy * yx)))
         if wrong.size:
             raise InputMismatch(
-                f"The covariance of star {self.ids[wrong[0]]} is not symmetric with positive variances.",
+                f"The covariance of point {self.ids[wrong[0]]} is not symmetric with positive variances.",
                 where=f"view {self.name}",
-                remedy="If you do not know it, give every star the same, such as 0.02^2 px^2 for x and for y.",
+                remedy="If you do not know it, give every point the same, such as 0.02^2 px^2 for x and for y.",
             )
 
     def __repr__(self) -> str:

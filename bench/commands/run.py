@@ -31,7 +31,7 @@ from bench.wording.conformity import conformity_headline, conformity_sentences
 from bench.wording.goals import goals_missed
 from bench.wording.numbers import fixed, with_uncertainty
 from bench.wording.parameters import unit_text
-from bench.wording.target_words import words_of
+from bench.wording.target_words import STARS
 
 if TYPE_CHECKING:
     from bench.run.runner import RunEnd
@@ -157,7 +157,7 @@ def _ended_lines(end: RunEnd) -> Iterator[str]:
         yield ""
     calibration = results["calibration"]
     notes = [note for note in calibration["notes"] if note not in causes]
-    yield calibration_text({**calibration, "notes": notes}, words_of(results))
+    yield calibration_text({**calibration, "notes": notes}, STARS)
     if results["comparison"]:
         yield "\nSIMULATED devices. Distance from the simulated truth:"
         yield from map(_distance_text, results["comparison"])

@@ -108,7 +108,7 @@ def _printed(row: BudgetRowData, words: TargetWords) -> dict[str, Any]:
     return {
         "name": words.points if of_stars else str(row["name"]),
         "type": str(row["type"]),
-        "source": f"residuals of the {words.points}" if of_stars and words.is_board else str(row["source"]),
+        "source": str(row["source"]),
         "value": NOTHING if value is None else _stated(scale * value, unit, where),
         "distribution": distribution,
         "sensitivity": f"{number(float(sensitivity['fx']) / scale, 3)} px / {unit}"

@@ -20,7 +20,6 @@ from bench.solve.solution import calibrated
 from bench.solve.solve_options import readings_result
 from bench.solve.view_sources import ViewSource, jobs_of, left_beside, view_sources
 from bench.stations.station_budget import CollimatorConfig
-from bench.wording.target_words import words_for
 from calib.boards.board import Board
 from calib.calibration import CalibrationOptions
 from calib.engine import Calibration
@@ -148,8 +147,7 @@ def calibrate_sources(sources: Sequence[ViewSource], choices: OfflineOptions) ->
     chosen = [sources[n - 1] for n in choices.view_numbers] if choices.view_numbers else sources
     views, used, skipped = read_views(chosen)
     options, passport, cautions = _engine_options(used, choices)
-    words = words_for(choices.board)
-    calibration, planar = calibrated(views, options, words, cautions)
+    calibration, planar = calibrated(views, options, cautions, board=choices.board is not None)
     targets = [source.job.target if source.job else choices.target for source in used]
     target = targets[0] if all(one == targets[0] for one in targets) else None
     return OfflineResult(

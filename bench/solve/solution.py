@@ -6,8 +6,7 @@ It follows from the run folder alone; a run, and a verification that calculates 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, MutableMapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -27,7 +26,6 @@ from bench.record.history import Attempt, History
 from bench.record.results import CheckData, ComparisonRow, GimbalReadingsData
 from bench.solve.checks import gimbal_check, mount_faces, parallax_check, split_half_check
 from bench.solve.solve_options import limited_numbers, readings_result, require_enough_views, solve_options
-from bench.wording.target_words import STARS, TargetWords
 from calib.engine import Calibration, CalibrationOptions, calibrate
 from calib.errors import CalibrationError
 from calib.studies.camera_check import CameraCheck, check_camera
@@ -41,33 +39,20 @@ _MOVE_THE_CENTRE = ("defocus", "coma", "astigmatism", "field_curvature")
 """Errors of a collimator by which the apparent centre moves across the beam when the pupil does."""
 
 
-@contextmanager
-def errors_in(words: TargetWords) -> Iterator[None]:
-    """Raise the engine's errors in the words of the target, of the same class and with the same place."""
-    try:
-        yield
-    except CalibrationError as error:
-        if not words.is_board:
-            raise
-        said = type(error)(words.fitting(error.what), where=error.where, remedy=words.fitting(error.remedy))
-        raise said from error
-
-
 def calibrated(
     views: Sequence[View],
     options: CalibrationOptions,
-    words: TargetWords,
     notes: Sequence[str],
     check: Callable[[], None] = lambda: None,
+    *,
+    board: bool = False,
 ) -> tuple[Calibration, Calibration | None]:
-    """Calibrate, with further notes and in the words of the target; then, if that is another model, as planar."""
-    require_enough_views(views, options, board=words.is_board)
-    with errors_in(words):
-        found = calibrate(views, options)
+    """Calibrate, with further notes; then, if that is another model, as planar. ``board``: the views show a board."""
+    require_enough_views(views, options, board=board)
+    calibration = calibrate(views, options)
     check()
-    fitting = tuple(map(words.fitting, (*found.notes, *notes)))
-    found = replace(found, notes=fitting, remarks=tuple(map(words.fitting, found.remarks)))
-    return found, planar_calibration(views, options) if found.model != "planar" else None
+    calibration = replace(calibration, notes=(*calibration.notes, *notes))
+    return calibration, planar_calibration(views, options) if calibration.model != "planar" else None
 
 
 def planar_calibration(views: Sequence[View], options: CalibrationOptions) -> Calibration | None:
@@ -170,7 +155,7 @@ def solve_run(
     views = views_in(measurements)
     options = solve_options(job, step, readings)
     notes = _notes(job, step, history, measurements)
-    calibration, planar = calibrated(views, options, STARS, notes, check)
+    calibration, planar = calibrated(views, options, notes, check)
     checks: dict[str, Any] = {
         "halves": split_half_check(views, options),
         "gimbal": gimbal_check(calibration, readings, job.station.gimbal),

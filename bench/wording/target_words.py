@@ -2,23 +2,10 @@
 
 from __future__ import annotations
 
-import re
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from bench.record.results import Results
-
-
-_BOARD_WORDS = {
-    "star": "point",
-    "stars": "points",
-    "Star": "Point",
-    "Stars": "Points",
-    "reticle": "board",
-    "target": "board",
-    "target's": "board's",
-}
-_WORD = re.compile(r"\b(?:target's|[Ss]tars?|reticle|target)\b")
 
 
 class TargetWords(NamedTuple):
@@ -37,14 +24,6 @@ class TargetWords(NamedTuple):
     def is_board(self) -> bool:
         """Whether they are words for a board."""
         return self == BOARD
-
-    def fitting(self, text: str) -> str:
-        """Return a sentence of this program, never a person's, which speaks of stars, in these words.
-
-        >>> BOARD.fitting("as a bow of the reticle: the star noise, the stars' edges")
-        "as a bow of the board: the point noise, the points' edges"
-        """
-        return _WORD.sub(lambda found: _BOARD_WORDS[found[0]], text) if self.is_board else text
 
 
 STARS = TargetWords("star", "stars", "target")

@@ -173,7 +173,7 @@ def _whitening(covariances: Array) -> Array:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(covariances)))
     except np.linalg.LinAlgError as error:
         raise InputMismatch(
-            "A star's covariance is not positive definite.",
+            "A point's covariance is not positive definite.",
             remedy="Use unit covariances if they are unknown.",
         ) from error
 

@@ -147,7 +147,7 @@ def best_start(bundle: Bundle, starts: Sequence[AdjustmentParameters]) -> Adjust
     if not last or not _is_camera(last[0]):
         raise DegenerateViews(
             "No camera fits these views.",
-            remedy="Check that the star ids belong to this target, and add views that see it at an angle.",
+            remedy="Check that the ids belong to this target, and add views that see it at an angle.",
         )
     return last[0].parameters
 

@@ -123,7 +123,7 @@ def require_constrained(parameters: AdjustmentParameters, sigmas: Mapping[str, f
             share = 200.0 * sigmas[name] / value
             raise DegenerateViews(
                 f"These views determine {name} only to ±{share:.0f} % (k = 2).",
-                remedy="Add views turned about other axes, with the stars elsewhere in the image.",
+                remedy="Add views turned about other axes, with the points elsewhere in the image.",
             )
 
 
@@ -142,7 +142,7 @@ def explain_weak_geometry(views: Sequence[View], parameters: AdjustmentParameter
         return "All views are turned about one axis."
     beam = beam_half_angle_deg(parameters, views)
     if beam < _NARROW_DEG:
-        return f"The stars span only +-{beam:.1f} degrees: the beam is too narrow."
+        return f"The points span only +-{beam:.1f} degrees: the beam is too narrow."
     return ""
 
 

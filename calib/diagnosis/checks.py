@@ -86,18 +86,18 @@ def find_duplicates(views: Sequence[View]) -> list[str]:
         rms = rms_length(one.points_px[here] - other.points_px[there])
         if rms > _NEAR_PX:
             continue
-        both, stars = f"Views {one.name} and {other.name}", f"their {len(here)} common stars"
+        both, points = f"Views {one.name} and {other.name}", f"their {len(here)} common points"
         if rms <= SAME_PX:
             duplicates.append(
-                f"{both} are the same measurement: {stars} have the same points. They count once; leave one of them "
+                f"{both} are the same measurement: {points} have the same places. They count once; leave one of them "
                 "out."
             )
             continue
         noise = float(np.fmin(noise_px(one), noise_px(other)))
         if rms / np.sqrt(2.0) < _TOO_MUCH_ALIKE * np.sqrt(2.0) * noise:
             duplicates.append(
-                f"{both} are nearly the same measurement: {stars} differ by {rms:.2g} px rms, less than two recordings "
-                f"would ({1.4142 * noise:.2g} px per axis). Check that one recording was not used twice."
+                f"{both} are nearly the same measurement: {points} differ by {rms:.2g} px rms, less than two "
+                f"recordings would ({1.4142 * noise:.2g} px per axis). Check that one recording was not used twice."
             )
     return duplicates
 
@@ -130,7 +130,7 @@ def _doubt_of_unit(views: Sequence[View], known_r_mm: float | None) -> tuple[str
             return why, _TARGET, unit
     pitch = min(neighbours_of(view).spacing for view in views)
     if not PLAUSIBLE_PITCH_MM[0] <= pitch <= PLAUSIBLE_PITCH_MM[1]:
-        why = f"Neighbouring stars of the target are {pitch:.3g} mm apart, which is implausible."
+        why = f"Neighbouring points of the target are {pitch:.3g} mm apart, which is implausible."
         return why, _TARGET, "metres" if pitch < 1.0 else "micrometres"
     if r_mm is not None and not plausible:
         why = f"The views give a collimator radius of {r_mm:.3g} mm, which is implausible."
@@ -169,7 +169,7 @@ def require_points_inside(views: Sequence[View]) -> None:
         size = None if before else _known_size(_reached(views), 2.0 * _NEAR_BORDER)
         hint = f" The points fit into {size[0]} x {size[1]}." if size else ""
         raise InputMismatch(
-            f"{np.count_nonzero(outside)} of {len(view)} stars lie outside of the stated image size "
+            f"{np.count_nonzero(outside)} of {len(view)} points lie outside of the stated image size "
             f"{view.image_size[0]} x {view.image_size[1]}, the outermost at ({x:.1f}, {y:.1f}).{hint}",
             where=f"view {view.name}",
             remedy="Give the image size of the camera, width first.",

@@ -44,7 +44,7 @@ class GrossStars:
         lie, they = ("lies", "it was") if count == 1 else ("lie", "they were")
         which = f"{least}" if least == most else f"{least} to {most}"
         return (
-            f"{count} of {len(self.wrong)} stars in view {self.view} {lie} {which} px from where the neighbours "
+            f"{count} of {len(self.wrong)} points in view {self.view} {lie} {which} px from where the neighbours "
             f"predict {'it' if count == 1 else 'them'}; {they} left out."
         )
 
@@ -70,7 +70,7 @@ def _gross_stars(view: View) -> GrossStars:
     count = int(np.count_nonzero(wrong))
     if count > MAX_SHARE * len(view):
         raise InputMismatch(
-            f"{count} of {len(view)} stars do not lie where their neighbours predict them.",
+            f"{count} of {len(view)} points do not lie where their neighbours predict them.",
             where=f"view {view.name}",
             remedy="Check the ids, the points and the target positions of this view, or leave it out.",
         )

@@ -28,8 +28,8 @@ def fit_homography(grid: Array, points: Array) -> Array:
     h = cv2.findHomography(grid, points, 0)[0] if len(grid) >= MIN_STARS else None
     if h is None or not np.isfinite(h).all():
         raise TooFewStars(
-            f"Cannot fit a homography: {len(grid)} stars; at least {MIN_STARS} that are not collinear are needed.",
-            remedy="Turn the camera so that more stars are in view.",
+            f"Cannot fit a homography: {len(grid)} points; at least {MIN_STARS} that are not collinear are needed.",
+            remedy="Turn the camera so that more of the target is in view.",
         )
     return np.asarray(h, np.float64)
 
@@ -86,7 +86,7 @@ def _fit_without_gross_errors(view: View) -> tuple[Array, Bools]:
     with placed(f"view {view.name}"):
         if len(view) < MIN_STARS:
             raise TooFewStars(
-                f"{len(view)} stars; at least {MIN_STARS} are needed.", remedy="Leave this view out."
+                f"{len(view)} points; at least {MIN_STARS} are needed.", remedy="Leave this view out."
             )
         h = _reweighted_homography(view.target_mm, view.points_px)
         wrong = _wrong_about(h, view)
@@ -163,7 +163,7 @@ def _normalised(points: Array) -> tuple[Array, Array]:
     away = points - mean
     narrow, wide = np.linalg.eigvalsh(away.T @ away)
     if not narrow > 1e-6 * wide:
-        raise DegenerateViews("All its stars lie on one line.", remedy="Leave this view out.")
+        raise DegenerateViews("All its points lie on one line.", remedy="Leave this view out.")
     scale = np.sqrt(2.0) / np.hypot(away[:, 0], away[:, 1]).mean()
     similarity = np.array([[scale, 0.0, -scale * mean[0]], [0.0, scale, -scale * mean[1]], [0.0, 0.0, 1.0]])
     return away * scale, similarity
@@ -190,7 +190,7 @@ def _oriented(h: Array, view: View) -> Array:
     h = h * np.sign(median(depth))
     determinant = np.linalg.det(h)
     if not abs(determinant) > 0.0:
-        raise DegenerateViews("All its stars lie on one line in the image.", remedy="Leave this view out.")
+        raise DegenerateViews("All its points lie on one line in the image.", remedy="Leave this view out.")
     if determinant < 0.0:
         raise InputMismatch(
             "The target appears mirrored.",

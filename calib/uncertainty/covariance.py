@@ -115,7 +115,7 @@ def covariance_at_optimum(bundle: Bundle, parameters: AdjustmentParameters, loss
     if freedom <= 0:
         raise DegenerateViews(
             f"{2 * len(lengths)} measurements cannot determine {count} parameters.",
-            remedy="Add views, or views with more stars.",
+            remedy="Add views, or views with more points.",
         )
     influence = loss.weights(lengths) * lengths
     # Mean second derivative of rho over all directions in the plane: half its trace.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN, Decimal
 from typing import Any, Literal
 
@@ -17,8 +17,6 @@ from bench.extras.certificate.certificate_data import Budget, BudgetRow
 from bench.record.results import BudgetRowData, CalibrationData
 from bench.report.calibration_tables import overlap
 from bench.wording.numbers import round_expanded
-from bench.wording.target_words import STARS as STAR_WORDS
-from bench.wording.target_words import TargetWords
 from calib.model.result_parts import COMMON_FIELD, PASSPORT, POSE_FIELDS, PRIORS, READINGS, STARS
 from calib.uncertainty.covariance import coverage_factor
 
@@ -151,7 +149,6 @@ def budget_of(
     unit: str,
     sources: Mapping[str, RowSource],
     rounded: float,
-    words: TargetWords = STAR_WORDS,
 ) -> Budget:
     """Return the uncertainty budget of a result; `EvidenceError` if it is missing or its rows do not add up."""
     stated = expanded(calibration, symbol)
@@ -186,7 +183,7 @@ def budget_of(
     return Budget(
         symbol,
         unit,
-        tuple(_in_words(row, words) for row in rows if row.u > 0),
+        tuple(row for row in rows if row.u > 0),
         u=nine_digits(stated.u),
         nu_eff=None if stated.nu_eff is None else nine_digits(stated.nu_eff),
         k=nine_digits(stated.k),
@@ -250,13 +247,6 @@ class _Split:
             date=source.date,
             sha256=source.sha256,
         )
-
-
-def _in_words(row: BudgetRow, words: TargetWords) -> BudgetRow:
-    """Return the row of the stars in the words of the target; the station may have named the other sources."""
-    if row.name != STARS:
-        return row
-    return replace(row, name=words.fitting(row.name), source=words.fitting(row.source))
 
 
 def _stated_value(row: Mapping[str, Any], source: RowSource) -> tuple[float | None, float | None, str]:

@@ -45,7 +45,6 @@ from bench.record.conformity import verdict_of
 from bench.record.results import PassportData, Results
 from bench.wording.earlier_runs import earlier_runs
 from bench.wording.parameters import unit_of
-from bench.wording.target_words import words_of
 from calib.model.lens import is_fisheye
 from calib.model.result_parts import PASSPORT
 
@@ -210,8 +209,7 @@ def compose(found: Results, lab: LabConfig, identity: Identity) -> Certificate:
         covariance=facts_of_run.covariance_of(found),
         further=facts_of_run.further_of(found),
         budgets=tuple(
-            budget_of(found["calibration"], result.symbol, result.unit, rows, result.U, words_of(found))
-            for result in results
+            budget_of(found["calibration"], result.symbol, result.unit, rows, result.U) for result in results
         ),
         before_adjustment=_before(found, lab),
         conformity=tuple(conformity_of(rule, _named(results, rule.result)) for rule in rules_of(found, lab)),

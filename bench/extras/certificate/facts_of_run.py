@@ -27,7 +27,6 @@ from bench.record.measured_facts import GateData
 from bench.record.results import BoresightData, CalibrationData, CameraConditions, KnownDirection, Results
 from bench.record.stored_calibration import camera_covariance, camera_of
 from bench.wording.parameters import unit_of
-from bench.wording.target_words import words_of
 from calib.uncertainty.projection_uncertainty import URAD_PER_ARCSEC, projection_uncertainty
 
 PROBABILITY = 0.9545
@@ -203,7 +202,7 @@ def camera_identity(results: Results, item: ItemConfig) -> Camera:
 
 
 def conditions_of(results: Results) -> tuple[Condition, ...]:
-    """Return the recorded conditions: temperatures, light, event rate, the board if one was seen, camera settings."""
+    """Return the recorded conditions: temperatures, light, event rate, camera settings."""
     light, camera = _light_and_camera(results)
     attempts = [one for pose in results["poses"] for one in pose["attempts"] if one["accepted"]]
     rows = [
@@ -219,7 +218,6 @@ def conditions_of(results: Results) -> tuple[Condition, ...]:
         _text("light", [_setting(name, value) for name, value in sorted(light.items())]),
         _range("event rate", [attempt.get("event_rate_mev_s") for attempt in attempts], "Mev/s"),
         _value("illumination", camera.get("illumination_lux"), "lx"),
-        _text("board", [str(board)] if (board := results["run"].get("board")) else []),
         _text(
             "settings of the camera",
             [
@@ -277,7 +275,7 @@ def deviations_of(results: Results) -> tuple[Deviation, ...]:
         if not any(one["accepted"] for one in pose["attempts"])
     ]
     texts += [
-        f"Limit not met: {_gate_name(gate, results)} is {gate['value']} {gate['unit']}".rstrip()
+        f"Limit not met: {_gate_name(gate)} is {gate['value']} {gate['unit']}".rstrip()
         + f", limit {gate['limit']}."
         for gate in results.get("gates") or []
         if gate["verdict"] == "fail"
@@ -286,11 +284,11 @@ def deviations_of(results: Results) -> tuple[Deviation, ...]:
     return tuple(Deviation(text, "run") for text in dict.fromkeys(texts))
 
 
-def _gate_name(gate: GateData, results: Results) -> str:
+def _gate_name(gate: GateData) -> str:
     """Return the name of a gate, with its pose."""
     if "pose" not in gate:
         return str(gate["name"])
-    return f"pose {gate['pose']}: {words_of(results).fitting(gate['gate'])}"
+    return f"pose {gate['pose']}: {gate['gate']}"
 
 
 def utc_seconds(moment: str) -> str:

@@ -30,7 +30,6 @@ from bench.extras.certificate.dcc_xml import library
 from bench.record.coverage import coverage_factor
 from bench.record.results import Results
 from bench.wording.numbers import MINUS, NOTHING, exact, moment, number
-from bench.wording.target_words import STARS, TargetWords, words_of
 from sequences.tree import path_text
 
 if TYPE_CHECKING:
@@ -169,7 +168,7 @@ def render_pdf(
     library("typst")
     refuse_missing(json.loads(certificate.to_json()))
     drawn = draw_plots(results) if plots is None else plots
-    shown = pictures(certificate, drawn, words_of(results))
+    shown = pictures(certificate, drawn)
     files = {one["file"]: drawn[one["name"]] for one in shown}
     return _compiled(document(certificate, shown, attachments), files, attachments)
 
@@ -391,9 +390,7 @@ def draw_plots(results: Results, views: Sequence[ViewPicture] = ()) -> dict[str,
     return {name: drawn[name] for name in PLOTS if name in drawn}
 
 
-def pictures(
-    certificate: Certificate, plots: Mapping[str, str], words: TargetWords = STARS
-) -> list[dict[str, Any]]:
+def pictures(certificate: Certificate, plots: Mapping[str, str]) -> list[dict[str, Any]]:
     """Return the plots for the layout, in the order of `PLOTS`; ``alt`` describes one to who does not see it."""
     numbers = "; ".join(f"{one.name}: {one.text}" for one in certificate.further)
     return [
@@ -404,6 +401,6 @@ def pictures(
             "caption": caption,
             "wide": name in _WIDE,  # it takes the width of the page
         }
-        for name, caption in ((name, words.fitting(caption)) for name, caption in _CAPTIONS.items())
+        for name, caption in _CAPTIONS.items()
         if name in plots
     ]

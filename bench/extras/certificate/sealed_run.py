@@ -165,6 +165,12 @@ def read_sealed_run(folder: Path, verify: Verify, *, accept_not_compared: bool =
         if not stored.has_results:
             raise EvidenceError("This run has no results.", where=str(folder), remedy="Add a solve step.")
         found, results, seal = stored.results, stored.results_bytes, stored.seal
+    if found["run"].get("board"):
+        raise EvidenceError(
+            "This run recorded a board: a certificate is made from runs with the star target only.",
+            where=str(folder),
+            remedy="Run a sequence on the collimator bench.",
+        )
     if not found["calibration"]["converged"]:
         raise EvidenceError(
             "The calibration of this run did not converge.", where=str(folder), remedy="Run it again."

@@ -79,7 +79,7 @@ def test_views_are_compared_by_identity_and_own_their_arrays():
         ({"ids": np.full(N, np.nan)}, "The id nan is not a whole number"),
         ({"ids": [str(i) for i in range(N)]}, "ids are not numbers"),
         ({"ids": np.arange(N).reshape(N, 1)}, "arrays have shapes"),
-        ({"covariances_px2": np.zeros((N, 2, 2))}, "covariance of star 0 is not symmetric with positive"),
+        ({"covariances_px2": np.zeros((N, 2, 2))}, "covariance of point 0 is not symmetric with positive"),
         ({"covariances_px2": np.tile([[1.0, 0.5], [0.0, 1.0]], (N, 1, 1))}, "not symmetric"),
         ({"covariances_px2": np.tile([[1.0, 2.0], [2.0, 1.0]], (N, 1, 1))}, "positive variances"),
         ({"points_px": np.full((N, 2), "a")}, "points_px are not numbers"),

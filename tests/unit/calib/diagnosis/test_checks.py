@@ -129,7 +129,7 @@ def test_a_recording_under_another_name_or_a_part_of_it_in_another_order_is_name
     ):
         (found,) = find_duplicates([*views, again])
         assert found.startswith(
-            f"Views pose-002 and {name} are the same measurement: their {stars} common stars"
+            f"Views pose-002 and {name} are the same measurement: their {stars} common points"
         )
 
 

@@ -45,7 +45,7 @@ def test_the_sentence_names_the_view_the_number_and_the_distances():
     points[[20, 70, 110]] += [[30.0, 0.0], [0.0, 300.0], [100.0, 0.0]]
     (found,) = find_gross_stars([replace(clean, points_px=points)])
     assert found.sentence == (
-        f"3 of {len(clean)} stars in view pose-001 lie 30 to 300 px from where the neighbours predict them; "
+        f"3 of {len(clean)} points in view pose-001 lie 30 to 300 px from where the neighbours predict them; "
         "they were left out."
     )
     points[[20, 70]] = clean.points_px[[20, 70]]
@@ -65,7 +65,7 @@ def test_a_view_of_mostly_wrong_stars_is_refused_by_name():
     views, rng = Bench().views(np.random.default_rng(3), 0.05), np.random.default_rng(3)
     stars = rng.choice(len(views[1]), int(0.25 * len(views[1])), replace=False)
     views[1], _ = spoilt(views[1], stars, rng)
-    with pytest.raises(InputMismatch, match=r"view pose-002: \d+ of \d+ stars do not lie where"):
+    with pytest.raises(InputMismatch, match=r"view pose-002: \d+ of \d+ points do not lie where"):
         find_gross_stars(views)
 
 

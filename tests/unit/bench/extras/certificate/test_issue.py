@@ -209,10 +209,15 @@ ENDED_LATER = {**sample_results()["run"], "finished_utc": (NOW + timedelta(days=
     [
         (unsealed, EvidenceError, "is not sealed"),
         (lambda lab: (lab.path / "certificate").mkdir(), UsageError, "already exists"),
+        (
+            of_results(run={**sample_results()["run"], "board": "checkerboard:11x7:20mm"}),
+            EvidenceError,
+            "a board",
+        ),
         (of_results(poses=None), RunFolderError, "have another form: poses is of another type"),
         (of_results(run=ENDED_LATER), EvidenceError, "but the calibration ended on 2026-11-22"),
     ],
-    ids=["not sealed", "folder exists", "another form", "ends after its issue"],
+    ids=["not sealed", "folder exists", "board", "another form", "ends after its issue"],
 )
 def test_what_cannot_become_a_certificate_is_refused_and_takes_no_number(lab, change, error, named):
     change(lab)

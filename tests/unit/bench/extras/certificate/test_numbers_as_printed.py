@@ -1,10 +1,8 @@
-"""A certificate's numbers and words: what a reader can calculate again, its JSON, and planar calibrations."""
+"""A certificate's numbers and words: what a reader can calculate again, and its JSON."""
 
-import copy
 import dataclasses
 import json
 import math
-import re
 from decimal import Decimal
 
 import pytest
@@ -17,13 +15,10 @@ from bench.base.errors import EvidenceError
 from bench.extras.certificate.budget_rows import budget_of, expanded, print_result
 from bench.extras.certificate.certificate_data import Certificate
 from bench.extras.certificate.compose import compose
-from bench.extras.certificate.dcc import render_dcc
 from bench.extras.certificate.lab_config import LabRuleConfig
 from bench.extras.certificate.limits import passes_over_fail
-from bench.extras.certificate.pdf import draw_plots, pictures
 from bench.record.conformity import conformity, verdict_of
 from bench.wording.numbers import round_expanded, with_uncertainty
-from bench.wording.target_words import BOARD, STARS
 from sequences.schema import ResultLimitConfig
 
 EXPANDED = st.floats(min_value=1e-9, max_value=1e9)
@@ -304,65 +299,3 @@ def test_refuses_numbers_that_are_not_finite():
     broken = dataclasses.replace(one, results=(dataclasses.replace(one.results[0], value=float("inf")),))
     with pytest.raises(ValueError, match="Out of range"):
         broken.to_json()
-
-
-# ---------------------------------------------------------------- a planar calibration speaks of points
-
-STAR = re.compile(r"(?<![\w-])[Ss]tars?\b")
-
-WRITTEN_BY_THE_LABORATORY = ("Camera before a collimator with a star target", "coordinates of the stars")
-
-
-def of_board():
-    found = copy.deepcopy(sample_results())
-    found["run"] |= {"board": "checkerboard:11x7:20mm"}
-    calibration = found["calibration"]
-    calibration["budget"] = {"stars": calibration["sigma"]}  # a planar calibration knows no other source
-    calibration["budget_rows"] = [row for row in calibration["budget_rows"] if row["name"] == "stars"]
-    calibration["notes"] = []
-    found["passport"] = None
-    found["gates"] = [
-        {
-            "name": "pose 1: stars",
-            "gate": "stars",
-            "pose": 1,
-            "value": 7,
-            "unit": "",
-            "limit": ">= 39",
-            "verdict": "fail",
-        }
-    ]
-    return found
-
-
-def with_stars(found):
-    said = compose(found, sample_lab().value, identity()).to_json().decode()
-    by_others = "|".join(WRITTEN_BY_THE_LABORATORY)
-    return [line for line in said.splitlines() if STAR.search(re.sub(by_others, "", line))]
-
-
-def test_a_certificate_of_a_board_says_points_and_names_the_board():
-    assert with_stars(sample_results())  # else the pattern is of no use
-    assert with_stars(of_board()) == []
-    made = compose(of_board(), sample_lab().value, identity())
-    assert {row.name for budget in made.budgets for row in budget.rows} >= {"points"}
-    assert "Limit not met: pose 1: points is 7, limit >= 39." in [one.text for one in made.deviations]
-    assert ("board", "checkerboard:11x7:20mm") in [(one.name, one.text) for one in made.conditions]
-
-
-def test_the_digital_certificate_says_the_same():
-    dcc = render_dcc(compose(of_board(), sample_lab().value, identity())).decode()
-    for text in WRITTEN_BY_THE_LABORATORY:
-        dcc = dcc.replace(text, "")
-    assert not [line for line in dcc.splitlines() if STAR.search(line)]
-    assert "checkerboard:11x7:20mm" in dcc
-
-
-def test_captions_of_the_plots_fit_the_target():
-    made = compose(of_board(), sample_lab().value, identity())
-    plots = dict.fromkeys(("coverage", "vectors", "regions"), "<svg/>")
-    assert [one["name"] for one in pictures(made, plots, STARS) if STAR.search(one["caption"])] == list(plots)
-    assert [
-        one["name"] for one in pictures(made, plots, BOARD) if STAR.search(one["caption"] + one["alt"])
-    ] == []
-    assert set(draw_plots(of_board())) == set(draw_plots(sample_results()))
