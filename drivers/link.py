@@ -239,7 +239,7 @@ class Link(ABC):
         return False
 
     def is_filler(self, data: bytes) -> bool:
-        """Whether bytes after a reply say nothing, such as a prompt."""
+        """Whether bytes that answer no request say nothing, such as a prompt."""
         return not data
 
     @property
@@ -357,10 +357,19 @@ class Link(ABC):
         return ReplyGarbled(what, where=self.name, remedy=remedy or self.GARBLED_REMEDY)
 
     def drain(self) -> bytes:
-        """Throw away what arrives until the line is silent; `ReplyGarbled` if the device does not fall silent."""
+        """Throw away what arrives until the line is silent, but for fillers; `ReplyGarbled` if it never is."""
         with self.lock:
             end = time.monotonic() + self.longest_drain_s
+            heard_s, heard = self._clock.monotonic(), 0
             while self.receive(self.quiet_s):
+                now_s = self._clock.monotonic()
+                end_of_lines = self._buffer.rfind(self.terminator)
+                whole = end_of_lines + len(self.terminator) if end_of_lines >= heard else heard
+                if not self.is_filler(bytes(self._buffer[heard:whole])):
+                    heard_s = now_s
+                heard = whole
+                if heard == len(self._buffer) and now_s - heard_s >= self.quiet_s:
+                    break  # a device that tells its state all the time says nothing else
                 if time.monotonic() > end:
                     self._buffer.clear()
                     raise ReplyGarbled(

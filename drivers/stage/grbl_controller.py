@@ -63,6 +63,9 @@ class GrblController(Link):
         self.alarms: list[int] = []
         self.needs_reset = False
         self.firmware = grbl_protocol.UNKNOWN
+        self._reports_axes = 0
+        """How many axes its reports tell; 0 until one has told a machine position."""
+        self._awaits_report = False
         super().__init__(port, clock=clock, wire_log=wire_log)
         self._wait_for_boot()
 
@@ -189,7 +192,12 @@ class GrblController(Link):
 
     def _query_status_once(self) -> StatusReport:
         def read_reply(reader: ReplyReader) -> StatusReport:
-            line = reader.read_line()
+            self._awaits_report = True
+            try:
+                while (line := reader.read_line()).startswith(b"["):
+                    pass  # some descendants push more than messages
+            finally:
+                self._awaits_report = False
             report = grbl_protocol.parse_report(line)
             if report is None:
                 raise ReplyGarbled(
@@ -199,6 +207,9 @@ class GrblController(Link):
                     if line.startswith(b"<") and line.rstrip().endswith(b">")
                     else "Check the cable.",
                 )
+            if self._reports_axes and len(report.machine_position) != self._reports_axes:
+                raise grbl_protocol.no_position(self.name)  # a letter or a comma got lost
+            self._reports_axes = len(report.machine_position)
             return report
 
         return self._exchange(STATUS, read_reply)
@@ -230,12 +241,12 @@ class GrblController(Link):
         self._raise_if_error(sent, line)
         return lines
 
-    def _raise_if_error(self, sent: str, response: bytes) -> None:
-        code = grbl_protocol.parse_response(response)
-        if code:
-            refused = SettingReadOnly if code == grbl_protocol.READ_ONLY else DeviceRefused
+    def _raise_if_error(self, sent: str, line: bytes) -> None:
+        response = grbl_protocol.parse_response(line)
+        if response is not None and response.code:
+            refused = SettingReadOnly if response.code == grbl_protocol.READ_ONLY else DeviceRefused
             raise refused(
-                f"the board refuses '{sent}': {self.firmware.error(code)}.",
+                f"the board refuses '{sent}': {self.firmware.error(response)}.",
                 where=self.name,
                 remedy="Look the error up in the firmware's list of errors.",
             )
@@ -245,11 +256,21 @@ class GrblController(Link):
         with self.lock:
             self.receive(0.0)
             while (line := self.take_line()) is not None:
-                if not self.take_unsolicited(line):
+                if not self._take_push_message(line):
                     return line
         return None
 
     def take_unsolicited(self, line: bytes) -> bool:
+        """Take a push message, or a report that nobody asked for: boards can send those all the time."""
+        is_report = not self._awaits_report and grbl_protocol.parse_report(line) is not None
+        return is_report or self._take_push_message(line)
+
+    def is_filler(self, data: bytes) -> bool:
+        """See `Link.is_filler`. Restarts and alarms are noted."""
+        lines = data.splitlines(keepends=True)
+        return not data or (data.endswith(b"\n") and all(map(self.take_unsolicited, lines)))
+
+    def _take_push_message(self, line: bytes) -> bool:
         """Take a push message: note restarts and alarms."""
         if grbl_protocol.is_greeting(line):
             self.restarts += 1
@@ -290,12 +311,13 @@ class GrblController(Link):
 
     def _read_to_error(self, reader: ReplyReader) -> None:
         """Read until an error comes: the answers to older lines come first."""
-        while not grbl_protocol.parse_response(reader.read_line()):
-            pass
+        response = None
+        while response is None or not response.code:
+            response = grbl_protocol.parse_response(reader.read_line())
 
     def _read_single_ok(self, reader: ReplyReader) -> None:
         line = reader.read_line()
-        if grbl_protocol.parse_response(line) != 0:
+        if grbl_protocol.parse_response(line) != grbl_protocol.OK:
             raise ReplyGarbled(
                 f"{line[:80]!r} answers an empty line.", where=self.name, remedy="Check the port."
             )

@@ -13,6 +13,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 from drivers.errors import ReplyGarbled
 
@@ -64,7 +65,11 @@ _ERRORS = {
 
 READ_ONLY = 162
 """Error of FluidNC for a setting that its configuration file holds."""
-_REPORT = re.compile(rb"<([A-Z][A-Za-z]+)(?::(\d{1,3}))?((?:\|[A-Za-z]+(?::[^|<>]*)?)+)>\r*\n")
+_UNNUMBERED = -1
+"""Code of an error that a firmware tells in words only."""
+_NUMBERED = {"Read-only setting": READ_ONLY}
+"""Codes of the errors in words that the driver must know."""
+_REPORT = re.compile(rb"<([A-Z][A-Za-z]+)(?::(\d{1,3}))?((?:\|[^|:<>]+(?::[^|<>]*)?)+)>\r*\n")
 _NUMBER = r"-?\d+\.\d+"
 _MACHINE = re.compile(rf"\|MPos:({_NUMBER}(?:,{_NUMBER})*)(?:\||$)")
 _SETTING = re.compile(rb"\$(\d+)=(-?\d+(?:\.\d*)?)(?: *\(.*\))?\r*\n")
@@ -74,6 +79,16 @@ _AXIS_WORD = re.compile(r"[ABCUVWXYZ][-+.\d#\[]", re.IGNORECASE)
 _GREETING = re.compile(rb"grbl|fluidnc|for help\]|rst:0x|brownout", re.IGNORECASE)
 _MESSAGE_AT_START = re.compile(rb"\[MSG:INFO: FluidNC v\d")
 _ALARM = re.compile(rb"ALARM:? *(\d{1,3})?")
+
+
+class Response(NamedTuple):
+    """The last line of a reply."""
+
+    code: int  # 0 for ``ok``, else the number of an error; negative for one that has words only
+    words: str = ""  # The firmware's own words, if it tells its errors in words
+
+
+OK = Response(0)
 
 
 @dataclass(frozen=True)
@@ -92,10 +107,12 @@ class Firmware:
         meaning = _ALARMS.get(number) or self.alarms.get(number)
         return f"{meaning or f'an alarm that is unknown for {self.name}'} (ALARM:{number})"
 
-    def error(self, number: int) -> str:
-        """Return number and meaning of an error."""
-        meaning = self.errors.get(number) or _ERRORS.get(number)
-        return f"{meaning or f'an error that is unknown for {self.name}'} (error:{number})"
+    def error(self, response: Response) -> str:
+        """Return what an error says: its own words, or the meaning of its number."""
+        if response.words:
+            return f"'{response.words}'"
+        meaning = self.errors.get(response.code) or _ERRORS.get(response.code)
+        return f"{meaning or f'an error that is unknown for {self.name}'} (error:{response.code})"
 
 
 GRBL = Firmware("Grbl 1.1", {10: "homing did not find the second limit switch"})
@@ -170,11 +187,7 @@ class StatusReport:
     def position(self, place: int, where: str) -> float:
         """Return the machine position, in the board's unit, of the axis at a place: 0 for X, 1 for Y ..."""
         if not self.machine_position:
-            raise ReplyGarbled(
-                "a status report has no machine position ('MPos:').",
-                where=where,
-                remedy="Set $10=1, so that the board reports it; this needs Grbl 1.1, grblHAL or FluidNC.",
-            )
+            raise no_position(where)
         if place >= len(self.machine_position):
             raise ReplyGarbled(
                 f"the board reports {len(self.machine_position)} axes only.",
@@ -182,6 +195,15 @@ class StatusReport:
                 remedy="Check the axis letters in the station file.",
             )
         return self.machine_position[place]
+
+
+def no_position(where: str) -> ReplyGarbled:
+    """Return the error of a report that tells no machine position."""
+    return ReplyGarbled(
+        "a status report has no machine position ('MPos:').",
+        where=where,
+        remedy="Set $10=1, so that the board reports it; this needs Grbl 1.1, grblHAL or FluidNC.",
+    )
 
 
 def parse_report(line: bytes) -> StatusReport | None:
@@ -198,14 +220,19 @@ def parse_report(line: bytes) -> StatusReport | None:
     return StatusReport(match[1].decode(), int(match[2] or 0), position)
 
 
-def parse_response(line: bytes) -> int | None:
-    r"""Parse the last line of a reply: 0 for ``ok``, the code of an ``error``; None for any other line.
+def parse_response(line: bytes) -> Response | None:
+    r"""Parse the last line of a reply, an ``ok`` or an ``error``; None for any other line.
 
-    >>> parse_response(b"error:15\r\n")
-    15
+    FluidNC and Grbl_Esp32 tell their errors in words if their owner has chosen that.
+
+    >>> parse_response(b"error:15\r\n"), parse_response(b"error: Bad number format\r\n")
+    (Response(code=15, words=''), Response(code=-1, words='Bad number format'))
     """
-    match = re.fullmatch(rb"ok|error: ?(\d{1,3})", line.rstrip(b"\r\n"))
-    return int(match[1] or 0) if match else None
+    match = re.fullmatch(rb"ok|error: *(?:(\d{1,3})|([ -~]+))", line.rstrip(b"\r\n"))
+    if match is None:
+        return None
+    words = (match[2] or b"").decode("ascii")
+    return Response(_NUMBERED.get(words, _UNNUMBERED) if words else int(match[1] or 0), words)
 
 
 def parse_alarm(line: bytes) -> int | None:
@@ -235,12 +262,12 @@ def is_greeting(line: bytes) -> bool:
 
 
 def is_message(line: bytes) -> bool:
-    r"""Return whether a line is a push message that says nothing about the position, or the echo of a start-up line.
+    r"""Return whether a line is a push message that says nothing about the position, or the echo of a line.
 
     >>> is_message(b"[MSG:Caution: Unlocked]\r\n")
     True
     """
-    return not line.strip() or line.startswith((b"[MSG:", b">"))
+    return not line.strip() or line.startswith((b"[MSG:", b"[echo:", b">"))
 
 
 def parse_settings(lines: Iterable[bytes]) -> dict[int, float]:

@@ -62,7 +62,9 @@ def record_moving(
         frame_us=1e6 * _STEP_PX / motion.speed_px_s,
     )
     times_us = seen.events[0]
-    earlier = tuple(column[times_us <= middle_us] for column in seen.events)  # The filter as published knows no later ones
+    earlier = tuple(
+        column[times_us <= middle_us] for column in seen.events
+    )  # The filter as published knows no later ones
     pictures = {}
     for two_sided, events in ((True, seen.events), (False, earlier)):
         (picture,) = reconstruct([events], seen.image_size, [middle_us], cutoff_hz=motion.cutoff_hz)

@@ -5,8 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import pytest
 
 from drivers.errors import (
@@ -21,69 +19,13 @@ from drivers.errors import (
     ReplyTimeout,
     WrongDevice,
 )
-from drivers.stage import AxisLimits, grbl_controller
-from drivers.stage.grbl import GrblAxis, GrblStage
+from drivers.stage import grbl_controller
 from drivers.stage.grbl_protocol import parse_report
-from simulators.stages.axis_motion import AxisModel, Mechanics, MotionFault
-from simulators.stages.grbl import GrblController
+from simulators.stages.axis_motion import MotionFault
 from simulators.stages.grbl_planner import Planner
-from tests.hil.direct_stages import VirtualClock, direct_line
+from tests.unit.drivers.grbl_bench import CANCEL, JOG, RESET, Bench
 
 pytestmark = pytest.mark.usefixtures("never_late")
-
-LIMITS = AxisLimits(-15.0, 15.0, 10.0, 50.0)
-RESET, CANCEL = b"\x18", b"\x85"
-JOG = b"$J=G21G53X-20.0Y-20.0F600.0\n"
-
-
-def axes(letters: str = "XY") -> list[GrblAxis]:
-    return [
-        GrblAxis(name=name, letter=letter, steps_per_deg=100.0, zero_deg=18.0, limits=LIMITS)
-        for name, letter in zip(("pan", "tilt"), letters, strict=False)
-    ]
-
-
-class Bench:
-    """A board of two axes on a line, and the driver for it."""
-
-    def __init__(self) -> None:
-        self.clock = VirtualClock()
-        mechanics = Mechanics(100.0, -23.0, 19.0, home_deg=17.0, start_deg=10.0, stall_detection=False)
-        models = dict.fromkeys("XY", AxisModel(mechanics, limit_deg=19.5))
-        self.board = GrblController(models, self.clock.monotonic)
-        self.board.name = "gimbal-7"
-        self.line = direct_line(self.board, self.clock)
-
-    def open(self, letters: str = "XY", serial: str = "") -> GrblStage:
-        return GrblStage(self.line, axes(letters), serial=serial, clock=self.clock)
-
-    def homed(self) -> GrblStage:
-        stage = self.open()
-        stage.home()
-        self.line.sent.clear()
-        return stage
-
-    def somebody_says(self, data: bytes) -> None:
-        """Bytes that somebody else sends; the driver hears what is said to them."""
-        self.line.ready += self.board.receive(data)
-
-    def wrote_settings(self) -> bool:
-        return any(b"=" in data and not data.startswith(b"$J") for data in self.line.sent)
-
-    def motions(self) -> list[bytes]:
-        return [data for data in self.line.sent if data.startswith((b"$J", b"$H", b"G"))]
-
-    def at_rest(self) -> bool:
-        return not any(axis.busy(self.clock.now_s) for axis in self.board.axes.values())
-
-    def change(self, line: Callable[[bytes], bytes]) -> None:
-        """Change each line that the board says."""
-        self.line.spoil = lambda reply: b"".join(map(line, reply.splitlines(keepends=True)))
-
-    def report_as(self, state: str) -> None:
-        self.change(
-            lambda line: b"<%s|" % state.encode() + line.split(b"|", 1)[1] if b"|MPos" in line else line
-        )
 
 
 @pytest.fixture
@@ -304,7 +246,6 @@ MUTATIONS = {
     "no ok": lambda line: b"" if line == b"ok\r\n" else line,
     "ok twice": lambda line: line + line if line == b"ok\r\n" else line,
     "OK in capitals": lambda line: line.upper(),
-    "report twice": lambda line: line + line if line.startswith(b"<") else line,
     "work positions": lambda line: line.replace(b"MPos", b"WPos"),
     "no version": lambda line: line.replace(b"[VER:", b"[NOT:"),
     "no end": lambda line: 600 * b"$0=1\r\n" if line.startswith(b"[VER:") else line,

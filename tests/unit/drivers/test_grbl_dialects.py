@@ -1,0 +1,160 @@
+"""What Grbl's descendants say on the line, as people have published it."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from drivers.errors import DeviceRefused, ReplyError
+from simulators.stages.grbl import FIRMWARES
+from tests.unit.drivers.grbl_bench import LIMITS, Bench
+
+pytestmark = pytest.mark.usefixtures("never_late")
+
+TARGET = {"pan": 7.0, "tilt": 12.0}
+
+
+@pytest.fixture
+def bench() -> Bench:
+    return Bench()
+
+
+def runs(bench: Bench) -> None:
+    """Open, home and move; the board is at the angle that it is asked for, and its stage says so."""
+    stage = bench.open()
+    assert bench.motions() == []
+    stage.home()
+    stage.move_to(TARGET)
+    assert stage.position_deg() == TARGET
+    assert stage.is_homed()
+    assert stage.faults() == []
+    bench.clock.sleep(1.0)  # until the load has settled
+    for letter, angle_deg in zip("XY", TARGET.values(), strict=True):
+        assert bench.board.axes[letter].pointing.angle_deg(bench.clock.now_s) == pytest.approx(
+            angle_deg, abs=1e-3
+        )
+
+
+def reports_by_itself(bench: Bench, every_s: float) -> None:
+    """Let the board send a report in each interval, without a question."""
+    unsolicited, latest_s = bench.line.device.unsolicited, [bench.clock.now_s]
+
+    def heard() -> bytes:
+        if bench.clock.now_s - latest_s[0] < every_s:
+            return unsolicited()
+        latest_s[0] = bench.clock.now_s
+        return unsolicited() + bench.board.receive(b"?")
+
+    bench.line.device.unsolicited = heard
+
+
+def in_words(line: bytes) -> bytes:
+    """Return an error in FluidNC's words, any other line as it is."""
+    words = {b"3": b"Invalid $ statement", b"162": b"Read-only setting"}
+    return re.sub(
+        rb"^error:(\d+)", lambda match: b"error:" + words.get(match[1], b"Bad GCode number format"), line
+    )
+
+
+DIALECTS = {
+    # FluidNC's Report.cpp up to 3.7, with verbose_errors: true; Grbl_Esp32 with $Errors/Verbose=On has a blank more.
+    "errors in words": in_words,
+    "errors in words after a blank": lambda line: re.sub(rb"^error:\d+", b"error: Bad number format", line),
+    # FluidNC's Channel.cpp since 3.9: the words follow in a message.
+    "errors with words": lambda line: line + b"[MSG:ERR: Bad number]\r\n" if line[:6] == b"error:" else line,
+    # grblHAL's report.c: more than one spindle, and a message that has not been acknowledged yet.
+    "a field with a digit": lambda line: line.replace(b"|FS:", b"|SP1:0,,|FS:"),
+    "a field with a dollar sign": lambda line: line.replace(b">\r\n", b"|FW:grblHAL|$C:1>\r\n"),
+    # Wiki page "Report extensions" of grblHAL: [MOTORFAULT:...] and the like come between reports.
+    "a fault of a motor before reports": lambda line: (
+        b"[MOTORFAULT:Z]\r\n" + line if line.startswith(b"<") else line
+    ),
+    "each report twice": lambda line: line + line if line.startswith(b"<") else line,
+}
+
+
+@pytest.mark.parametrize("name", DIALECTS)
+def test_a_board_is_driven_in_the_dialect_with(bench, name) -> None:
+    bench.change(DIALECTS[name])
+    runs(bench)
+
+
+@pytest.mark.parametrize("every_s", [0.05, 0.1, 0.2, 1.0])
+def test_a_board_that_reports_by_itself_is_driven(bench, every_s) -> None:
+    """FluidNC issue 725: another program had sent ``$ri=50``; grblHAL issue 281: ``$481`` survives a restart."""
+    reports_by_itself(bench, every_s)
+    runs(bench)
+
+
+def test_a_board_that_reports_by_itself_is_stopped_and_a_lost_reply_does_no_harm(bench) -> None:
+    reports_by_itself(bench, 0.05)
+    stage = bench.homed()
+    bench.line.lose_next(b"$J")
+    with pytest.raises(ReplyError, match="no complete reply"):
+        stage.move_to(TARGET)
+    assert bench.at_rest()
+    stage.move_to(TARGET)
+    assert stage.position_deg() == TARGET
+
+
+def test_a_board_that_restarts_among_its_reports_has_no_reference(bench) -> None:
+    reports_by_itself(bench, 0.05)
+    stage = bench.homed()
+    bench.board.restart(bench.clock.now_s)
+    assert not stage.is_homed()
+
+
+@pytest.mark.parametrize("echo", [b"[echo: %s]\r\n", b"%s\r\n"])
+def test_a_board_that_echoes_its_lines_is_driven(bench, echo) -> None:
+    """Grbl's config.h, REPORT_ECHO_LINE_RECEIVED; FluidNC's lineedit.cpp once a terminal has edited a line."""
+    receive = bench.line.device.receive
+
+    def answer(data: bytes) -> bytes:
+        return (echo % data.strip() if data.endswith(b"\n") else b"") + receive(data)
+
+    bench.line.device.receive = answer
+    runs(bench)
+
+
+@pytest.mark.parametrize("asked", [{}, {110: 900.0}])
+def test_settings_that_are_read_only_in_words_are_so_too(bench, asked) -> None:
+    """FluidNC's Error.cpp: error 162 is "Read-only setting"."""
+    bench.board.firmware = FIRMWARES["fluidnc"]
+    travel = 18.0 - LIMITS.lowest_deg
+    bench.board.settings.update({110: 600.0, 111: 600.0, 120: 50.0, 121: 50.0, 130: travel, 131: travel})
+    bench.board.settings.update(asked)
+    bench.change(in_words)
+    runs(bench)
+
+
+def test_a_refusal_in_words_is_told_in_these_words(bench) -> None:
+    bench.change(lambda line: line.replace(b"error:5", b"error:Setting disabled"))
+    stage = bench.open()
+    bench.board.settings[22] = 0
+    with pytest.raises(DeviceRefused, match="refuses '\\$H': 'Setting disabled'"):
+        stage.home()
+
+
+DAMAGES = {
+    "a letter of the label": lambda line: line.replace(b"MPos", b"MPo"),
+    "the colon": lambda line: line.replace(b"MPos:", b"MPos"),
+    "a point": lambda line: re.sub(rb"(MPos:-?\d+)\.", rb"\1", line),
+    "a comma": lambda line: re.sub(rb"(MPos:-?\d+\.\d+),", rb"\1", line),
+    "the last position": lambda line: re.sub(rb"(MPos:[-\d.]+,[-\d.]+),[-\d.]+", rb"\1", line),
+}
+
+
+@pytest.mark.parametrize("lost", DAMAGES)
+def test_a_report_that_lost_a_byte_does_no_harm_though_it_can_be_read_without(bench, lost) -> None:
+    """Universal G-Code Sender issue 1527 and grbl issue 1825: boards whose reports lose a byte now and then."""
+    stage = bench.homed()
+    reports = [0]
+
+    def damaged(line: bytes) -> bytes:
+        reports[0] += line.startswith(b"<")
+        return DAMAGES[lost](line) if line.startswith(b"<") and reports[0] % 3 == 0 else line
+
+    bench.change(damaged)
+    stage.move_to(TARGET)
+    assert stage.position_deg() == TARGET
