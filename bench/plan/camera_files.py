@@ -7,18 +7,17 @@ state, such as a covariance, stays unknown.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 
 from bench.base.errors import UsageError
-from bench.plan.camera_text import WRITE_OPENCV, OtherForm, values_of
+from bench.plan.camera_layouts import cameras_of, chosen
+from bench.plan.camera_text import OtherForm, values_of
 from bench.plan.camera_values import (
-    LONGEST_NAME,
     OF_OTHER_FORM,
     Array,
     LensFamily,
@@ -26,7 +25,6 @@ from bench.plan.camera_values import (
     camera_of_values,
     numbers_of,
     size_of_values,
-    states_a_matrix,
 )
 from bench.plan.possible_camera import LARGEST, is_far_from_middle, require_possible_camera
 from bench.record.results import CameraData
@@ -37,34 +35,19 @@ from calib.model.camera import CameraModel
 _MOST_BYTES = 20_000_000
 _NEGATIVE = 1e-6
 """Least eigenvalue of a covariance, as a share of the largest: rounding."""
-_MOST_NAMED = 10
-"""Names that a message shows."""
 _REGION = ("x_offset", "y_offset", "width", "height")
 _RESULTS = "results.json"
 _KNOWN = (
     "Known are results.json of a run, and files of OpenCV (YAML, XML, JSON), ROS (camera_info, ost.txt), Kalibr, mrcal,"
-    " COLMAP and Metavision."
+    " COLMAP, Metavision, DV, Basalt, ORB-SLAM, VINS, MATLAB, Metashape and others (docs/check.md)."
 )
 
-#: Names that only a program has whose cameras are not read.
-_FOREIGN = {
-    "value0": "Basalt or openMVG (cereal)",
-    "projectionparameters": "camodocal",
-    "flx": "nerfstudio or instant-ngp",
-    "camerafx": "ORB-SLAM",
-    "camera1fx": "ORB-SLAM",
-    "xi": "OpenCV's omnidirectional camera",
-    "radialdistortion": "MATLAB",
-    "ppx": "RealSense",
-    "cameradata": "Luxonis",
-    "polymorphicname": "calib.io or openMVG",
-    "sfmdataversion": "openMVG",
-}
 #: What a file is, in words, by its syntax or by a name that only one program has.
 _KINDS = {
     "XML": "OpenCV's XML",
     "COLMAP": "COLMAP's cameras.txt",
     "INI": "ROS's ost.txt",
+    "TOML": "TOML",
     "lensmodel": "mrcal's cameramodel",
     "sensortype": "EuRoC's sensor.yaml",
     "distortioncoeffs": "Kalibr's camchain",
@@ -161,7 +144,7 @@ def _recognised(data: bytes, name: str | None, lens: LensFamily | None) -> _Foun
     if isinstance(ours, dict) and "camera" in ours:
         camera = camera_of(ours["camera"], ours["image_size"])
         return "the result of a run", camera, camera_covariance(cast("CameraData", ours)), ()
-    found = [_chosen(_cameras(document), name) for document in documents]
+    found = [chosen(cameras_of(document), name) for document in documents]
     cameras = [camera_of_values(one, lens) for one in found]
     if any(one != cameras[0] for one in cameras):
         raise OtherForm(
@@ -169,61 +152,9 @@ def _recognised(data: bytes, name: str | None, lens: LensFamily | None) -> _Foun
         )
     values = found[0]
     kind = next((words for key, words in _KINDS.items() if key in (syntax, *values)), f"OpenCV's {syntax}")
+    kind = f"the file of {values['program']}" if "program" in values else kind
     camera, covariance = _with_covariance(cameras[0], values)
     return kind, camera, covariance, tuple(_remarks_on_region(values))
-
-
-def _plain(content: Values) -> dict[str, Any]:
-    """Return values by their names without case and punctuation."""
-    return {re.sub(r"[^a-z0-9]", "", str(name).lower()): value for name, value in content.items()}
-
-
-def _cameras(content: Values) -> dict[str, Values]:
-    """Return the cameras of a file by name, each as values by plain names; a camera that is alone may have no name."""
-    values = _plain(content)
-    for key, program in _FOREIGN.items():
-        if key in values:
-            raise OtherForm(f"it is a file of {program}, which is not read", WRITE_OPENCV)
-    if {"fx", "fy", "cx", "cy"} <= set(values):
-        values["intrinsics"] = [values[name] for name in ("fx", "fy", "cx", "cy")]
-    if "focallength" in values and "principalpoint" in values:
-        values["cameramatrix"] = [values["focallength"], values["principalpoint"]]
-    if states_a_matrix(values):
-        return {"": values}
-    shared = {key: value for key, value in values.items() if not isinstance(value, Mapping | list)}
-    cameras: dict[str, Values] = {}
-    for number in ("1", "2"):  # M1, D1, M2 and D2 of OpenCV's stereo calibration
-        own = {key[:-1]: value for key, value in values.items() if key.endswith(number)}
-        if f"k{number}" in values and isinstance(own["k"], str) and len(own["k"].split()) == 1:
-            del own["k"]  # a coefficient, no camera matrix
-        if states_a_matrix(own):
-            cameras[number] = {**values, **own}
-    for name, value in content.items():
-        parts = (
-            {f"{name}{at}": one for at, one in enumerate(value)} if isinstance(value, list) else {name: value}
-        )
-        for own_name, part in parts.items():
-            if isinstance(part, Mapping):
-                alone = {"": _plain(part)} if re.fullmatch(r"cam\d+", own_name) else {}
-                for inner, camera in (_cameras(part) or alone).items():
-                    known = f"{own_name}.{inner}" if inner in cameras else inner or own_name
-                    cameras[known] = {**shared, **camera}
-    return cameras
-
-
-def _chosen(cameras: Mapping[str, Values], name: str | None) -> Values:
-    listed = ", ".join(camera[:LONGEST_NAME] for camera in list(cameras)[:_MOST_NAMED])
-    if name is not None and name not in cameras:
-        if list(cameras) == [""]:
-            raise OtherForm("it holds one camera without a name", "Leave out --camera.")
-        raise OtherForm(f"it has no camera {name!r}", f"It holds {listed or 'none'}.")
-    if name is None and len(cameras) > 1:
-        raise OtherForm(
-            f"it holds {len(cameras)} cameras",
-            "Name one with --camera, or copy it to a file of its own.",
-            what=f"The file holds {len(cameras)} cameras: {listed}.",
-        )
-    return cameras[name] if name is not None else next(iter(cameras.values()), {})
 
 
 def _remarks_on_region(values: Values) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""The text of a calibration file of any program as nested values: YAML, JSON, XML, mrcal, COLMAP, or ROS's INI.
+"""The text of a calibration file of any program as nested values: YAML, JSON, TOML, XML, Python, COLMAP, INI, MATLAB.
 
 Files come from strangers: sizes and nesting are bounded, and no reader of another program runs on them.
 """
@@ -9,7 +9,8 @@ import ast
 import codecs
 import json
 import re
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 from xml.etree import ElementTree as ET
 
@@ -39,8 +40,37 @@ _BINARY = {
     b"SQLite": "a ROS 2 bag (SQLite)",
     b"\x89MCAP": "a ROS 2 bag (MCAP)",
 }
+WRITE_OPENCV = (
+    "Write the camera by cv2.FileStorage: camera_matrix, distortion_coefficients, image_width, image_height."
+)
+_AS_TEXT = {
+    b"MATLAB": 'In MATLAB write it as text: writelines(jsonencode(toStruct(cameraParams)), "camera.json").',
+    b"% ": "",
+    b"#ROSBAG": "Give what `rostopic echo -n 1` prints of its camera_info.",
+    b"SQLite": "Give what `ros2 topic echo --once` prints of its camera_info.",
+    b"\x89MCAP": "Give what `ros2 topic echo --once` prints of its camera_info.",
+}
+"""How a camera in such a file is written as text, if not by OpenCV."""
+_COLMAP_BINARY = re.compile(rb".{2}\0{6}.{2}\0{2}[\0-\x11]\0{3}(?:.{3}\0{5}){2}", re.DOTALL)
+"""COLMAP's cameras.bin: number of cameras, number and model of the first one, its width and height."""
+_TOOLBOX = re.compile(r"^(\w+)\s*=\s*\[?([-+.\deE;\s]+)\]?;", re.MULTILINE)
+"""A line of numbers of Calib_Results.m."""
+_TOML = re.compile(r"\A(?:\s|#.*\n)*(?:\[[\w. \"'-]+\]\s*$|\w+\s*=)", re.MULTILINE)
+_ONLY_NUMBERS = re.compile(r"[-+]?\d[-+.\deE]*(?:[,\s]+[-+]?\d[-+.\deE]*)+")
+_OTHER_TEXTS = {
+    "Camera-system parameters": (
+        "it is a report of Kalibr (results-cam.txt)",
+        "Give the camchain.yaml that Kalibr writes beside it.",
+    ),
+    "\nK_00:": ("it is a file of KITTI", WRITE_OPENCV),
+}
+"""Words that only the texts of a program have, what they are, and what to do."""
+_OTHER_ROOTS = {
+    "document": "In Metashape save the adjusted calibration alone: Tools, Camera Calibration, Save.",
+}
 _NUMBERS = re.compile(r"\[([-+.\deE,\s]*)\]")
 _NOT_A_NUMBER = re.compile(r"\.(nan|inf)", re.IGNORECASE)  # as YAML writes it
+_BETWEEN = re.compile(r"[][,]")  # as numpy prints an array
 _SEPARATOR = re.compile(r"^(?:---|\.\.\.)(?:[ \t].*)?$", re.MULTILINE)
 #: Lines of a message of ROS that differ although the camera is the same.
 _TIMES = re.compile(r"^ *(?:seq|secs|nsecs|sec|nanosec): *\d+[ \t]*$", re.MULTILINE)
@@ -48,9 +78,6 @@ _COLMAP = re.compile(
     r"^(\d+)[ \t]+([A-Z_]+)[ \t]+(\d+)[ \t]+(\d+)((?:[ \t]+[-+.\deE]+)+)[ \t]*$", re.MULTILINE
 )
 _INI_MATRIX = re.compile(r"^camera matrix\s*$", re.MULTILINE)
-WRITE_OPENCV = (
-    "Write the camera by cv2.FileStorage: camera_matrix, distortion_coefficients, image_width, image_height."
-)
 #: Numbers of focal lengths and of coefficients of COLMAP's models; the coefficients are in OpenCV's order.
 _COLMAP_MODELS = {
     "SIMPLE_PINHOLE": (1, 0), "PINHOLE": (2, 0), "SIMPLE_RADIAL": (1, 1), "RADIAL": (1, 2), "OPENCV": (2, 4),
@@ -71,23 +98,44 @@ def values_of(data: bytes) -> tuple[str, list[dict[str, Any]]]:
     text = _text(data)
     if not text:
         raise OtherForm("it is empty")
-    if text.startswith("<"):
-        return "XML", [_xml(text)]
-    if text.startswith("{"):
-        return "JSON", [_json(text)]
-    if "'lensmodel'" in text:
-        return "Python", [_python(text)]
-    if _COLMAP.search(text):
-        return "COLMAP", [_colmap(text)]
-    if _INI_MATRIX.search(text):
-        return "INI", [_ini(text)]
+    for is_syntax, syntax, read in _SYNTAXES:
+        if is_syntax(text):
+            return syntax, [read(text)]
+    for words, (what, remedy) in _OTHER_TEXTS.items():
+        if words in text:
+            raise OtherForm(what, remedy)
+    if _ONLY_NUMBERS.fullmatch(text):
+        raise OtherForm(
+            "it holds numbers without names, as calib.txt of the RPG data sets does: fx fy cx cy k1 k2 p1 p2 k3",
+            WRITE_OPENCV,
+        )
     return "YAML", _yaml(text)
+
+
+def _toolbox(text: str) -> dict[str, Any]:
+    """Read Calib_Results.m of the Camera Calibration Toolbox for MATLAB: lines of numbers with a name."""
+    return {name: value.replace(";", " ") for name, value in _TOOLBOX.findall(text[:_LONGEST_LIST])}
+
+
+def _toml(text: str) -> dict[str, Any]:
+    """Read TOML, and INI whose values are numbers."""
+    if len(text) > MOST_BYTES:
+        raise OtherForm("it is too large for a camera")
+    try:
+        return tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise OtherForm(f"it is no complete TOML: {str(error)[:80]}", WRITE_OPENCV) from None
 
 
 def _text(data: bytes) -> str:
     for begin, what in _BINARY.items():
-        if data.startswith(begin):
-            raise OtherForm(f"it is {what}, which is not read as a camera")
+        if data.startswith(begin) and not (begin == b"% " and b"\nfc = [" in data):
+            raise OtherForm(f"it is {what}, which is not read as a camera", _AS_TEXT.get(begin, WRITE_OPENCV))
+    if _COLMAP_BINARY.match(data):
+        raise OtherForm(
+            "it is COLMAP's cameras.bin, which is not read",
+            "Convert it: colmap model_converter --output_type TXT. Then give cameras.txt.",
+        )
     codec = next((codec for mark, codec in _MARKS.items() if data.startswith(mark)), "utf-8")
     try:
         text = data.decode(codec)
@@ -163,8 +211,9 @@ def _xml(text: str) -> dict[str, Any]:
         root = ET.fromstring(text)  # noqa: S314 - it fetches nothing, and expat bounds what entities grow to
     except ET.ParseError as error:
         raise OtherForm(f"it is no complete XML: line {error.position[0]}") from None
-    if root.tag != "opencv_storage":
-        raise OtherForm(f"it is XML of another program ({root.tag[:40]})", WRITE_OPENCV)
+    if root.tag not in {"opencv_storage", "calibration"}:  # OpenCV's, and Metashape's
+        remedy = _OTHER_ROOTS.get(root.tag, WRITE_OPENCV)
+        raise OtherForm(f"it is XML of another program ({root.tag[:40]})", remedy)
     return _mapping(_element(root, _MOST_LEVELS))
 
 
@@ -216,12 +265,24 @@ def _colmap(text: str) -> dict[str, Any]:
     return cameras
 
 
+_SYNTAXES: Sequence[tuple[Callable[[str], Any], str, Callable[[str], dict[str, Any]]]] = (
+    (lambda text: text.startswith("<"), "XML", _xml),
+    (lambda text: text.startswith("{"), "JSON", _json),
+    (lambda text: "'lensmodel'" in text, "Python", _python),
+    (_COLMAP.search, "COLMAP", _colmap),
+    (_INI_MATRIX.search, "INI", _ini),
+    (lambda text: {"fc", "cc", "kc"} <= set(_toolbox(text)), "MATLAB", _toolbox),
+    (_TOML.match, "TOML", _toml),
+)
+"""How a text is recognised, its name, and its reader; any other text is YAML."""
+
+
 def numbers(value: Any) -> list[float]:
     """Return the numbers of a matrix or a list in any form, row after row. Raises ValueError, TypeError, KeyError."""
     if isinstance(value, Mapping):
         return numbers(value["data"])
     if isinstance(value, str):
-        return [float(word) for word in _NOT_A_NUMBER.sub(r"\1", value).replace(",", " ").split()]
+        return [float(word) for word in _BETWEEN.sub(" ", _NOT_A_NUMBER.sub(r"\1", value)).split()]
     if isinstance(value, list | tuple):
         return [number for one in value for number in numbers(one)]
     return [float(value)]

@@ -6,14 +6,14 @@ A thing that a file states twice must be the same twice; coefficients have names
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.plan.camera_text import WRITE_OPENCV, OtherForm, numbers
+from bench.plan.camera_text import OtherForm, numbers
 from bench.plan.possible_camera import LARGEST, require_possible_camera
 from calib.model.camera import PINHOLE, SKEW, CameraModel
 from calib.model.lens import FISHEYE, OPENCV, OPENCV_LENGTHS
@@ -36,10 +36,12 @@ _LEAST_NAMED = 5
 _OF_MATRIX = 9
 #: Names without case and punctuation, as programs write them.
 _MATRIX = ("cameramatrix", "k", "mtx", "cameramat", "intrinsicmatrix", "intrinsics", "intrinsic", "m")
-_LENS = (
-    "distortioncoefficients", "distortioncoeffs", "distortionvector", "distortionparams", "distortion", "distcoeffs",
-    "distcoeff", "distcoefs", "dist", "d",
-)  # fmt: skip
+LENS = re.compile(
+    "(lens|camera|cam)?(d|dist|distortions?)(coef|coefs|coeffs?|coefficients?|params?|parameters?|vect?|vector)?|kc|coeffs"
+)
+"""Names of the coefficients of a lens."""
+_LIKE_A_LENS = re.compile(".*(dist(?!an)|coef|radial|tangential|lens)")
+"""Names that may be those of coefficients."""
 _SIZES = ("imagesize", "imgsize", "resolution", "imagersize", "imageresolution")
 _SIZES_OF_ANYTHING = ("size", "dimensions")
 """Names that may be those of a board too: asked if there is no other."""
@@ -57,20 +59,31 @@ _EQUIDISTANT = (
 )  # fmt: skip
 #: Coefficients of each lens model, by its name in any program; None: the name says nothing of the distortion.
 _LENSES: Mapping[str, tuple[str, ...] | None] = {
-    **dict.fromkeys(("plumbbob", "radialtangential", "lensmodelopencv5"), OPENCV[:5]),
+    **dict.fromkeys(
+        ("plumbbob", "radialtangential", "lensmodelopencv5", "rectilinear", "standard"), OPENCV[:5]
+    ),
     **dict.fromkeys(("radtan", "lensmodelopencv4"), OPENCV[:4]),
-    **dict.fromkeys(("lensmodelopencv8", "pinholeradtan8"), OPENCV[:8]),
+    **dict.fromkeys(("lensmodelopencv8", "pinholeradtan8", "pinholefull", "rational"), OPENCV[:8]),
     "lensmodelopencv12": OPENCV[:12],
     **dict.fromkeys(("rationalpolynomial", "opencv", "brown", "brownconrady"), OPENCV),
     **dict.fromkeys(_EQUIDISTANT, FISHEYE),
-    **dict.fromkeys(("none", "lensmodelpinhole"), ()),
-    **dict.fromkeys(("pinhole", "perspective"), None),
+    **dict.fromkeys(("none", "lensmodelpinhole", "inversebrownconrady", "modifiedbrownconrady"), ()),
+    **dict.fromkeys(("pinhole", "simplepinhole", "perspective", "rectified"), None),
     **dict.fromkeys(("0", "false"), OPENCV),  # of a name that asks for a fisheye
     **dict.fromkeys(("1", "true"), FISHEYE),
 }
+_IN_ANY_ORDER = "brown"
+"""A model whose list of coefficients is k1 k2 p1 p2 k3 in some programs, and k1 k2 k3 p1 p2 in cuVSLAM and openMVG."""
+_RADIAL_FIRST = ("k1", "k2", "k3", "p1", "p2")
 _OPENCV_IN_FILES, _FISHEYE_IN_FILES = tuple(name.lower() for name in OPENCV), ("k1", "k2", "k3", "k4")
 """Names of single coefficients in files."""
+_ALIKE_A_COEFFICIENT = re.compile("[bdkprst][0-9]+|tau[xy]")
+CALIBRATE_ANEW = (
+    "Only OpenCV's lenses are read, Brown and fisheye. Calibrate with one of them, such as pinhole-radtan or"
+    " pinhole-equi of Kalibr."
+)
 _ASK = "Give --lens brown or --lens fisheye, or write `fisheye_model: 0` or `fisheye_model: 1` into the file."
+_ASK_ORDER = "Give --lens brown for the first order. For the other, give each its name in the file, such as `k1: -0.1`."
 
 
 def camera_of_values(values: Values, family: LensFamily | None) -> CameraModel:
@@ -79,11 +92,7 @@ def camera_of_values(values: Values, family: LensFamily | None) -> CameraModel:
     model, names = _stated_lens(values)
     found = _distortion(values, beside, is_fisheye=names is FISHEYE or family == "fisheye")
     if found is None:
-        if model is None or names or not set(values).isdisjoint(_LENS):
-            raise OtherForm(
-                "it states no distortion coefficients",
-                "Add distortion_coefficients; zeros are without distortion.",
-            )
+        _require_no_coefficients(values, may_be_without="program" in values or names == ())
         found = []
     if family is not None:
         if names is not None and (names is FISHEYE) != (family == "fisheye"):
@@ -92,11 +101,58 @@ def camera_of_values(values: Values, family: LensFamily | None) -> CameraModel:
     fx, fy, cx, cy = (float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
     plain = CameraModel(fx, fy, cx, cy, size_of_values(values))
     require_possible_camera(plain)
-    if names is None and len(found) == len(FISHEYE) and any(found):
-        _require_alike(plain, found)
+    if names is None and len(found) == len(FISHEYE) and any(found) and "p1" not in _single(values):
+        why = (
+            "it states four coefficients and no lens model: they are k1 k2 p1 p2, or those of a fisheye lens"
+        )
+        _require_alike(plain, found, (OPENCV, FISHEYE), f"{why} (cv2.fisheye)", _ASK)
+    if family is None and plain_name(model or "") == _IN_ANY_ORDER and "k1" not in _single(values):
+        why = "the lens model brown has no one order: they are k1 k2 p1 p2 k3, or k1 k2 k3 p1 p2"
+        _require_alike(plain, found, (OPENCV, _RADIAL_FIRST), why, _ASK_ORDER)
     coefficients = _coefficients(found, names if names is not None else OPENCV, model or "OpenCV")
-    skew = {SKEW: float(matrix[0, 1])} if abs(matrix[0, 1]) > _LEAST_SKEW_PX else {}
+    skew_px = _skew_px(values, float(matrix[0, 1]))
+    skew = {SKEW: skew_px} if abs(skew_px) > _LEAST_SKEW_PX else {}
     return replace(plain, distortion={**coefficients, **skew})
+
+
+def plain_name(name: Any) -> str:
+    """Return a name without case and punctuation."""
+    return re.sub(r"[^a-z0-9]", "", str(name).lower())
+
+
+def _skew_px(values: Values, of_matrix_px: float) -> float:
+    """Return the skew in the matrix or beside it, px."""
+    beside = numbers_of("the skew", values.get("skew") or 0.0)
+    if len(beside) != 1 or (of_matrix_px and beside[0] not in {0.0, of_matrix_px}):
+        raise OtherForm("it states two different skews", "Keep the right one in a copy of the file.")
+    return of_matrix_px or beside[0]
+
+
+def _require_no_coefficients(values: Values, *, may_be_without: bool) -> None:
+    """Raise OtherForm if a file must state coefficients, or has some under a name that is not known."""
+    for name, value in values.items():
+        if (LENS.fullmatch(name) or _LIKE_A_LENS.match(name)) and _holds_numbers(value):
+            raise OtherForm(
+                f"{name[:LONGEST_NAME]!r} may be distortion coefficients, but is no name or form of theirs",
+                "Write them as distortion_coefficients, in the order k1 k2 p1 p2 k3.",
+            )
+    if not may_be_without:
+        raise OtherForm(
+            "it states no distortion coefficients",
+            "Add distortion_coefficients; zeros are without distortion.",
+        )
+
+
+def _holds_numbers(value: Any) -> bool:
+    """Return whether a list, a text or a mapping holds a number that is not zero."""
+    if isinstance(value, Mapping):
+        return any(_holds_numbers([one]) for one in value.values())
+    if not isinstance(value, str | list):
+        return False
+    try:
+        return any(numbers(value))
+    except OF_OTHER_FORM:
+        return False
 
 
 def states_a_matrix(values: Values) -> bool:
@@ -104,7 +160,7 @@ def states_a_matrix(values: Values) -> bool:
     return bool(_listed(values, _MATRIX))
 
 
-def _listed(values: Values, names: Sequence[str]) -> dict[str, Any]:
+def _listed(values: Values, names: Iterable[str]) -> dict[str, Any]:
     """Return the values of such names that are a list or a matrix, in the order of the names."""
     stated = {name: values[name] for name in names if name in values}
     return {
@@ -132,7 +188,10 @@ def _distortion(values: Values, beside: list[float], *, is_fisheye: bool) -> Seq
 
     Zeros at the end do not count when two statements are compared.
     """
-    found = {name: numbers_of("the distortion", value) for name, value in _listed(values, _LENS).items()}
+    found = {
+        name: numbers_of("the distortion", value)
+        for name, value in _listed(values, filter(LENS.fullmatch, values)).items()
+    }
     if beside:
         found["intrinsics"] = beside
     if named := _named(values, is_fisheye=is_fisheye):
@@ -147,29 +206,52 @@ def _distortion(values: Values, beside: list[float], *, is_fisheye: bool) -> Seq
 def _named(values: Values, *, is_fisheye: bool) -> list[float]:
     """Return coefficients that have a name each, such as ``k1: -0.1``, also below ``distortion``; empty without any."""
     names = _FISHEYE_IN_FILES if is_fisheye else _OPENCV_IN_FILES
-    inner = [one for one in map(values.get, _LENS) if isinstance(one, Mapping) and "data" not in one]
-    stated = {
-        re.sub(r"[^a-z0-9]", "", str(name).lower()): value
-        for of in (values, *inner)
-        for name, value in of.items()
-    }
-    found = {
-        name: stated[name] for name in _OPENCV_IN_FILES if isinstance(stated.get(name), int | float | str)
-    }
+    single = _single(values)
+    found = {name: single[name] for name in _OPENCV_IN_FILES if name in single}
     if not found:
         return []
+    _require_known(single, found)
     coefficients = {name: numbers_of(f"the coefficient {name}", value) for name, value in found.items()}
     if any(len(coefficient) != 1 for coefficient in coefficients.values()):
         raise OtherForm(f"one of the coefficients {', '.join(found)} is no number")
     other = [name for name, (value,) in coefficients.items() if value and name not in names]
     if other:
         raise OtherForm(f"a fisheye lens has no coefficient {other[0]}", "Correct the name of the model.")
-    if not is_fisheye and coefficients.get("k4", [0.0]) != [0.0] and not {"k5", "k6", "p1"} & set(found):
-        raise OtherForm("it states k1 to k4 and no lens model, as of a fisheye lens", _ASK)
+    if not is_fisheye and coefficients.get("k4", [0.0]) != [0.0] and not {"k5", "k6"} & set(found):
+        if "p1" not in found:
+            raise OtherForm("it states k1 to k4 and no lens model, as of a fisheye lens", _ASK)
+        raise OtherForm(
+            "it states k4, but neither k5 nor k6: in some programs k4 is the term of r^8, which OpenCV has not",
+            "If k4 is OpenCV's, add k5: 0 and k6: 0.",
+        )
     last = max(names.index(name) for name in found if name in names)
     listed = [coefficients.get(name, [0.0])[0] for name in names[: last + 1]]
     lengths = (len(FISHEYE),) if is_fisheye else OPENCV_LENGTHS
     return listed + [0.0] * (next(length for length in lengths if length >= len(listed)) - len(listed))
+
+
+def _single(values: Values) -> dict[str, int | float | str]:
+    """Return the numbers whose names are like those of coefficients; a matrix, such as P1, has more numbers."""
+    return {
+        name: value
+        for name, value in values.items()
+        if _ALIKE_A_COEFFICIENT.fullmatch(name)
+        and (
+            isinstance(value, int | float)
+            or (isinstance(value, str) and len(value.replace(",", " ").split()) < 4)
+        )
+    }
+
+
+def _require_known(single: Values, found: Values) -> None:
+    """Raise OtherForm if a number that is not zero stands beside the coefficients, with another such name."""
+    for name in sorted(single.keys() - found.keys()):
+        if _holds_numbers([single[name]]):
+            raise OtherForm(
+                f"{name} = {str(single[name])[:LONGEST_NAME]} is no coefficient of OpenCV",
+                "If it is one under another name, such as t1 for p1, give it OpenCV's name; else see if it can be left"
+                " out.",
+            )
 
 
 def _stated_lens(values: Values) -> tuple[str | None, tuple[str, ...] | None]:
@@ -184,9 +266,9 @@ def _stated_lens(values: Values) -> tuple[str | None, tuple[str, ...] | None]:
     for value in (value for key, value in values.items() if _MODEL.fullmatch(key)):
         if value is None or isinstance(value, Mapping):
             continue
-        word = re.sub(r"[^a-z0-9]", "", str(value).lower())
+        word = plain_name(value).removeprefix("distortion")  # as RealSense writes it
         if word not in _LENSES or isinstance(value, list):
-            raise OtherForm(f"the lens model {str(value)[:LONGEST_NAME]!r} is not read", WRITE_OPENCV)
+            raise OtherForm(f"the lens model {str(value)[:LONGEST_NAME]!r} is not read", CALIBRATE_ANEW)
         own = _LENSES[word]
         model = str(value) if model is None or own is not None else model
         if own is None:
@@ -202,6 +284,12 @@ def _stated_lens(values: Values) -> tuple[str | None, tuple[str, ...] | None]:
 def _coefficients(stated: Sequence[float], names: Sequence[str], model: str) -> dict[str, float]:
     """Return the coefficients by name: the one rule for their number. Those beyond the model's must be zero."""
     beyond = [at for at, value in enumerate(stated) if value and at >= len(names)]
+    if beyond and not names:
+        raise OtherForm(
+            f"the lens model {model!r} is read only without distortion, but coefficient {beyond[0] + 1} is"
+            f" {stated[beyond[0]]:g}",
+            CALIBRATE_ANEW,
+        )
     if beyond:
         raise OtherForm(
             f"the lens model {model} has {len(names)} coefficients, but the file states {len(stated)}:"
@@ -213,7 +301,8 @@ def _coefficients(stated: Sequence[float], names: Sequence[str], model: str) -> 
     lengths = (len(FISHEYE),) if names is FISHEYE else (0, *OPENCV_LENGTHS)
     if min(len(stated), len(names)) not in lengths:
         raise OtherForm(
-            f"{len(stated)} distortion coefficients are no camera's: there are {', '.join(map(str, lengths))}"
+            f"{len(stated)} distortion coefficients are no camera's: there are {', '.join(map(str, lengths))}",
+            "OpenCV's order is k1 k2 p1 p2 k3; write zeros for those that are not estimated.",
         )
     last = max((at + 1 for at, value in enumerate(stated) if value), default=0)
     used = next(
@@ -222,21 +311,17 @@ def _coefficients(stated: Sequence[float], names: Sequence[str], model: str) -> 
     return dict(zip(names[:used], stated, strict=False))
 
 
-def _require_alike(camera: CameraModel, found: Sequence[float]) -> None:
-    """Refuse four coefficients without a lens model, unless both readings project alike."""
-    brown, fisheye = (
-        replace(camera, distortion=dict(zip(names, found, strict=False))) for names in (OPENCV, FISHEYE)
-    )
+def _require_alike(
+    camera: CameraModel, found: Sequence[float], orders: Sequence[Sequence[str]], why: str, remedy: str
+) -> None:
+    """Refuse coefficients that are read in two ways, unless both project alike."""
+    one, other = (replace(camera, distortion=dict(zip(names, found, strict=False))) for names in orders)
     width, height = camera.image_size
     border = np.array([(x, y) for x in np.linspace(0, width - 1, 9) for y in np.linspace(0, height - 1, 9)])
-    apart = np.linalg.norm(fisheye.project(brown.rays(border)) - border, axis=1)
+    apart = np.linalg.norm(other.project(one.rays(border)) - border, axis=1)
     if not np.isfinite(apart).all() or apart.max() > _ALIKE_PX:
         most = f", up to {np.nanmax(apart):.1f} px apart" if np.isfinite(apart).any() else ""
-        raise OtherForm(
-            "it states four coefficients and no lens model: they are k1 k2 p1 p2, or those of a fisheye lens"
-            f" (cv2.fisheye){most}",
-            _ASK,
-        )
+        raise OtherForm(f"{why}{most}", remedy)
 
 
 def _matrix(values: Values) -> tuple[Array, list[float]]:
@@ -248,7 +333,8 @@ def _matrix(values: Values) -> tuple[Array, list[float]]:
         raise OtherForm("it has no camera matrix")
     found, *others = stated.values()
     beside: list[float] = []
-    if len(found) >= len(PINHOLE) and (len(found) != _OF_MATRIX or "lensmodel" in values):
+    five_beside = len(found) == _OF_MATRIX and found[1] and found[3] and found[6:] != [0.0, 0.0, 1.0]
+    if len(found) >= len(PINHOLE) and (len(found) != _OF_MATRIX or "lensmodel" in values or five_beside):
         found, beside = _of_pinhole(found[:4]), found[4:]
     if len(found) != _OF_MATRIX:
         raise OtherForm(f"the camera matrix has {len(found)} numbers; 9 are needed, or fx, fy, cx, cy")
@@ -281,6 +367,11 @@ def size_of_values(values: Values) -> tuple[int, int]:
     stated |= {
         " and ".join(names): [values[name] for name in names] for names in _SIDES if set(names) <= set(values)
     }
+    stated |= {
+        name: [values[name]["width"], values[name]["height"]]
+        for name in _SIZES
+        if isinstance(values.get(name), Mapping) and {"width", "height"} <= set(values[name])
+    }
     stated = stated or _listed(values, _SIZES_OF_ANYTHING)
     if not stated:
         raise OtherForm("it does not state the size of the image", "Add image_width and image_height, px.")
@@ -296,7 +387,9 @@ def numbers_of(what: str, value: Any) -> list[float]:
     try:
         found = numbers(value)
     except OF_OTHER_FORM:
-        raise OtherForm(f"{what} is no list of numbers") from None
+        raise OtherForm(
+            f"{what} is no list of numbers", "Write plain numbers, neither text nor base64."
+        ) from None
     if not (np.abs(found) < LARGEST).all():
         raise OtherForm(f"{what} has a value that is not finite")
     return found

@@ -15,8 +15,16 @@ LARGEST: Final = 1e15
 _MOST_PX = 200_000_000
 _FAR_FROM_MIDDLE = 0.15
 """Of the width or height: farther from the middle, a principal point is remarkable; `calibrate` has the same share."""
-_LEAST_FOCAL_SHARE = 0.02
-"""Of the longer side: a fisheye of 220 degrees has 0.26. A shorter focal length is in mm, or is a share itself."""
+_LEAST_FOCAL_SHARE = 0.08
+"""Of the longer side: a fisheye of 220 degrees has 0.26, and this if its image fills a third of the side. A shorter
+focal length is in mm, or is a share itself."""
+_AT_CORNER = 0.05
+"""Of the width and height: a principal point so near the first pixel is an offset from the middle."""
+_MOST_SQUEEZED = 1.25
+"""Ratio of fx and fy; event and frame cameras have square pixels."""
+_SWAPPED_FROM, _SWAPPED_TO = 0.05, 1 / 3
+"""The sides are swapped if the principal point is this share of a side from the middle, and the swapped sides put it
+this many times nearer."""
 
 
 def require_possible_camera(camera: CameraModel) -> None:
@@ -33,7 +41,21 @@ def require_possible_camera(camera: CameraModel) -> None:
             f"focal lengths of {camera.fx:g} and {camera.fy:g} px are not possible with {sides[0]} x {sides[1]} px",
             "Write focal lengths and principal point in px; some programs state them in mm, or as shares of the image.",
         )
-    if is_far_from_middle(camera, sides) and not is_far_from_middle(camera, sides[::-1]):
+    from_middle, from_swapped = (_from_middle(camera, one) for one in (sides, sides[::-1]))
+    if is_far_from_middle(camera, sides) and max(np.abs([camera.cx, camera.cy]) / sides) < _AT_CORNER:
+        raise OtherForm(
+            f"the principal point ({camera.cx:g}, {camera.cy:g}) lies at the first pixel: some programs state it"
+            " from the middle of the image",
+            "Write it in px from the centre of the first pixel.",
+        )
+    squeeze = max(camera.fx / camera.fy, camera.fy / camera.fx)
+    if is_far_from_middle(camera, sides) and squeeze > _MOST_SQUEEZED:
+        raise OtherForm(
+            f"fx {camera.fx:g}, fy {camera.fy:g}, cx {camera.cx:g} and cy {camera.cy:g} are not possible together in an"
+            f" image of {sides[0]} x {sides[1]} px",
+            "Write them in the order fx fy cx cy; some programs have fx cx fy cy.",
+        )
+    if from_middle > _SWAPPED_FROM and from_swapped < _SWAPPED_TO * from_middle:
         raise OtherForm(
             f"its image has {sides[0]} x {sides[1]} px, and the principal point ({camera.cx:g}, {camera.cy:g}) is the"
             f" middle of {sides[1]} x {sides[0]} px: the height seems to stand before the width",
@@ -43,5 +65,9 @@ def require_possible_camera(camera: CameraModel) -> None:
 
 def is_far_from_middle(camera: CameraModel, sides: tuple[int, int]) -> bool:
     """Return whether the principal point is remarkably far from the middle of an image with these sides, px."""
-    shares = np.array([camera.cx, camera.cy]) / sides
-    return bool((np.abs(shares - 0.5) > _FAR_FROM_MIDDLE).any())
+    return _from_middle(camera, sides) > _FAR_FROM_MIDDLE
+
+
+def _from_middle(camera: CameraModel, sides: tuple[int, int]) -> float:
+    """Return how far the principal point is from the middle of an image with these sides, as a share of a side."""
+    return float(np.abs(np.array([camera.cx, camera.cy]) / sides - 0.5).max())

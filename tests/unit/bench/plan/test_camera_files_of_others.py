@@ -8,32 +8,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from camera_oracle import D5, D14, FISHEYE, FLAT_K, FOCAL_AND_CENTRE, SIZE, K, off_px
 from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.plan.camera_files import NotACamera, parse_camera, read_camera_file
-
-SIZE = (1280, 720)
-K = [[1050.3, 0.0, 644.2], [0.0, 1049.1, 357.9], [0.0, 0.0, 1.0]]
-FLAT_K = [number for row in K for number in row]
-FOCAL_AND_CENTRE = [1050.3, 1049.1, 644.2, 357.9]
-D14 = [-0.12, 0.08, 5e-4, -7e-4, -0.02, 0.01, -0.02, 0.005, 0.004, -0.003, 0.006, 0.002, 0.02, -0.015]
-D5, FISHEYE = D14[:5], [-0.03, 0.011, -0.006, 0.002]
-POINTS = np.array([(x, y) for x in np.linspace(0, 1279, 9) for y in np.linspace(0, 719, 7)])
-
-
-def off_px(camera, coefficients, *, fisheye=False, matrix=K, skew_px=0.0):
-    """Return how far from the pixels OpenCV projects the rays of a camera, px."""
-    rays = camera.rays(POINTS)
-    matrix, still = np.array(matrix), np.zeros(3)
-    if fisheye:
-        alpha = skew_px / matrix[0, 0]
-        seen = cv2.fisheye.projectPoints(
-            rays[:, None], still, still, matrix, np.array(coefficients), alpha=alpha
-        )[0]
-    else:
-        seen = cv2.projectPoints(rays, still, still, matrix, np.array(coefficients))[0]
-    return np.abs(seen.reshape(-1, 2) - POINTS).max()
 
 
 def opencv_yaml(
@@ -317,12 +296,12 @@ REFUSED = {
     "columns of MATLAB": (json.dumps({**JSON_LISTS, "camera_matrix": np.array(K).T.tolist()}), "row after row"),
     "inverse model of RealSense": (ros_yaml(D5, "inverse_brown_conrady"), "'inverse_brown_conrady'"),
     "omnidirectional": (json.dumps({**JSON_LISTS, "xi": 0.8}), "omnidirectional"),
+    "camodocal's omnidirectional": (
+        "%YAML:1.0\n---\nmodel_type: MEI\nmirror_parameters:\n   xi: 1.5\n", "omnidirectional",
+    ),
     "Basalt": (json.dumps({"value0": {"intrinsics": [], "resolution": []}}), "Basalt"),
-    "camodocal": ("%YAML:1.0\n---\nmodel_type: PINHOLE\nprojection_parameters:\n   fx: 1.0\n", "camodocal"),
-    "nerfstudio": (json.dumps({"fl_x": 1000.0, "cx": 640.0}), "nerfstudio"),
-    "ORB-SLAM": ("%YAML:1.0\nCamera.fx: 1000.0\n", "ORB-SLAM"),
     "numpy in YAML": ("K: !!python/object/apply:numpy.core.multiarray._reconstruct\n  args: [1]\n", "numpy"),
-    "XML of Agisoft": ("<?xml version='1.0'?><calibration><fx>1000</fx></calibration>", "XML of another program"),
+    "XML of a whole project of Metashape": ("<?xml version='1.0'?><document version='1.5.0'/>", "XML of another program"),
     "torn XML": (opencv_file("xml", D5)[:300], "no complete XML"),
     "torn JSON": (json.dumps(JSON_LISTS)[:60], "no complete JSON"),
     "torn YAML": (opencv_yaml(D5)[:-4], "line 14: this is no YAML"),

@@ -1,0 +1,264 @@
+"""How programs lay out a camera in a file: each layout becomes values with OpenCV's names, units and pixel centres.
+
+Names are compared without case and punctuation. A layout differs from OpenCV's in names, in the coordinate of the
+centre of the first pixel, or in order; a program whose cameras cannot be read is named.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from bench.plan.camera_text import WRITE_OPENCV, OtherForm
+from bench.plan.camera_values import (
+    CALIBRATE_ANEW,
+    LENS,
+    LONGEST_NAME,
+    Values,
+    numbers_of,
+    plain_name,
+    states_a_matrix,
+)
+
+_MOST_NAMED = 10
+"""Names that a message shows."""
+_FOUR: Final = ("fx", "fy", "cx", "cy")
+_HALF_PX, _ONE_PX = 0.5, 1.0
+"""Coordinate of the centre of the first pixel: with an origin at its corner, and where counting begins at 1."""
+_PREFIXES = {"camera": "ORB-SLAM", "camera1": "ORB-SLAM", "camera2": "ORB-SLAM", "cam": "vikit"}
+"""Before each name of a camera, such as ``Camera1.fx`` and ``cam_fx``, and whose they are."""
+_OF_VIKIT = {"d0": "k1", "d1": "k2", "d2": "p1", "d3": "p2"}
+_MATRICES = re.compile("(camera)?(intrinsics?|matrix|parameters|params)|projectionparameters|k")
+_WORDS = re.compile(r"[A-Za-z][A-Za-z _.-]{3,}\d?")  # no list of numbers, nor one of NaN
+_FOUR_ELSEWHERE = (set(_FOUR), {"mu", "mv", "u0", "v0"}, {"fx", "fy", "ppx", "ppy"})
+_NAMES_OF_COEFFICIENTS = ("parameters", "params", "coefficients", "coeffs")
+
+#: Names that only a program has whose cameras are not read.
+_FOREIGN = {
+    "cameradata": "Luxonis",
+    "polymorphicname": "calib.io or openMVG",
+    "sfmdataversion": "openMVG",
+    "value0": "Basalt or openMVG (cereal)",
+    "projectiontype": "OpenSfM",
+    "calibrationinformation": "Azure Kinect",
+    "cameraanglex": "Blender",
+    "radialdistortion": "a program that writes radial and tangential coefficients apart",
+}
+#: Names of coefficients of a lens that OpenCV's two models are not.
+_OTHER_LENSES = {
+    "xi": "an omnidirectional camera (Mei)",
+    "mappingcoefficients": "MATLAB's fisheye (Scaramuzza)",
+}
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """How one program writes a camera."""
+
+    program: str  # in words
+    marks: frozenset[str]  # Plain names that the program has, and no other
+    names: Mapping[str, str] = field(default_factory=dict)  # A plain name there: the name here
+    first_pixel: float = 0.0  # Coordinate of the centre of the first pixel there, px
+    change: Callable[[dict[str, Any]], dict[str, Any]] = dict
+
+
+def _of_matlab(values: dict[str, Any]) -> dict[str, Any]:
+    """Return MATLAB's cameraParameters: height before width, matrix in either order, 2 or 3 radial coefficients."""
+    matrix = numbers_of("the camera matrix", values.pop("k", values.pop("intrinsicmatrix", [])))
+    if "focallength" in values:
+        focal, middle = values.pop("focallength"), values.pop("principalpoint")
+        fx, fy, cx, cy = [*numbers_of("FocalLength", focal), *numbers_of("PrincipalPoint", middle)]
+    elif any(matrix[6:8]):  # column after column, as IntrinsicMatrix is
+        fx, _, _, skew, fy, _, cx, cy, _ = matrix
+        values.setdefault("skew", skew)
+    else:
+        fx, skew, cx, _, fy, cy, *_ = matrix
+        values.setdefault("skew", skew)
+    radial = numbers_of("RadialDistortion", values["radialdistortion"])
+    tangential = numbers_of("TangentialDistortion", values.get("tangentialdistortion", [0.0, 0.0]))
+    return values | {
+        **dict(zip(_FOUR, (fx, fy, cx, cy), strict=True)),
+        "distortioncoefficients": [*radial[:2], *tangential, *radial[2:]],
+        "imagesize": numbers_of("the size of the image", values["imagesize"])[::-1],
+        "distortionmodel": "plumb_bob",
+    }
+
+
+def _of_metashape(values: dict[str, Any]) -> dict[str, Any]:
+    """Return Metashape's camera: p1 and p2 interchanged, principal point from the middle, affinity b1 and b2."""
+    if values["projection"] != "frame":
+        raise OtherForm(
+            f"the lens model {str(values['projection'])[:LONGEST_NAME]!r} is not read", CALIBRATE_ANEW
+        )
+    names = ("f", "width", "height", "cx", "cy", "b1", "b2", "p1", "p2")
+    f, width, height, cx, cy, b1, b2, p1, p2 = (numbers_of(name, values.pop(name, 0.0))[0] for name in names)
+    return values | {
+        "fx": f + b1, "fy": f, "cx": width / 2 + cx, "cy": height / 2 + cy, "skew": b2, "p1": p2, "p2": p1,
+        "imagesize": [width, height],
+    }  # fmt: skip
+
+
+def _of_toolbox(values: dict[str, Any]) -> dict[str, Any]:
+    """Return the camera of the Camera Calibration Toolbox for MATLAB, whose skew is a share of fx."""
+    fx, fy, cx, cy = [*numbers_of("fc", values["fc"]), *numbers_of("cc", values["cc"])]
+    skew = fx * numbers_of("alpha_c", values.get("alphac", 0.0))[0]
+    return values | {**dict(zip(_FOUR, (fx, fy, cx, cy), strict=True)), "skew": skew}
+
+
+#: In the order in which they are tried.
+_LAYOUTS = (
+    _Layout("RealSense", frozenset({"ppx", "ppy"}), {"ppx": "cx", "ppy": "cy", "coeffs": "distcoeffs"}),
+    _Layout(
+        "camodocal",
+        frozenset({"mu", "mv", "u0", "v0"}),
+        {"mu": "fx", "mv": "fy", "u0": "cx", "v0": "cy"}
+        | {f"k{power}": f"k{power - 1}" for power in range(2, 6)},
+    ),
+    _Layout(
+        "nerfstudio",
+        frozenset({"flx"}),
+        {"flx": "fx", "fly": "fy"},
+        _HALF_PX,
+        lambda values: {"fy": values["fx"], **values},
+    ),
+    _Layout("aniposelib", frozenset({"matrix", "distortions", "size"}), {"matrix": "cameramatrix"}),
+    _Layout("MATLAB", frozenset({"RadialDistortion", "ImageSize"}), {}, _ONE_PX, _of_matlab),
+    _Layout("Metashape", frozenset({"projection", "f", "width"}), {}, _HALF_PX, _of_metashape),
+    _Layout(
+        "the Camera Calibration Toolbox for MATLAB",
+        frozenset({"fc", "cc", "kc"}),
+        {"nx": "width", "ny": "height"},
+        change=_of_toolbox,
+    ),
+)
+
+
+def plain(content: Values) -> dict[str, Any]:
+    """Return values by their names without case and punctuation."""
+    return {plain_name(name): value for name, value in content.items()}
+
+
+def cameras_of(content: Values) -> dict[str, Values]:
+    """Return the cameras of a file by name, each as values by plain names; a camera that is alone may have no name."""
+    values = _laid_out(content)
+    if states_a_matrix(values):
+        return {"": values}
+    cameras = _numbered(values) | _of_basalt(values)
+    shared = {key: value for key, value in values.items() if not isinstance(value, Mapping | list)}
+    for name, value in content.items() if not cameras else ():
+        parts = (
+            {f"{name}{at}": one for at, one in enumerate(value)} if isinstance(value, list) else {name: value}
+        )
+        for own_name, part in parts.items():
+            if isinstance(part, Mapping):
+                alone = {"": plain(part)} if re.fullmatch(r"cam\d+", own_name) else {}
+                for inner, camera in (cameras_of(part) or alone).items():
+                    known = f"{own_name}.{inner}" if inner in cameras else inner or own_name
+                    cameras[known] = {**shared, **camera}
+    return cameras
+
+
+def chosen(cameras: Mapping[str, Values], name: str | None) -> Values:
+    """Return the camera of a name, or the only one; no values if there is none. Raises OtherForm if it is not clear."""
+    listed = ", ".join(camera[:LONGEST_NAME] for camera in list(cameras)[:_MOST_NAMED])
+    if name is not None and name not in cameras:
+        if list(cameras) == [""]:
+            raise OtherForm("it holds one camera without a name", "Leave out --camera.")
+        raise OtherForm(f"it has no camera {name!r}", f"It holds {listed or 'none'}.")
+    if name is None and len(cameras) > 1:
+        raise OtherForm(
+            f"it holds {len(cameras)} cameras",
+            "Name one with --camera, or copy it to a file of its own.",
+            what=f"The file holds {len(cameras)} cameras: {listed}.",
+        )
+    return cameras[name] if name is not None else next(iter(cameras.values()), {})
+
+
+def _laid_out(content: Values) -> dict[str, Any]:
+    """Return values by OpenCV's names, in its units; those that the layout changes are changed."""
+    values = _flat(plain(content))
+    for key, lens in _OTHER_LENSES.items():
+        if key in values:
+            raise OtherForm(f"its lens is that of {lens}, which is not read", CALIBRATE_ANEW)
+    exact = set(map(str, content))
+    for layout in _LAYOUTS:
+        if layout.marks <= set(values) or layout.marks <= exact:
+            # A new name must not meet an old one: k2 becomes k1, and k3 becomes k2.
+            kept = {name: value for name, value in values.items() if name not in layout.names}
+            moved = {layout.names[name]: value for name, value in values.items() if name in layout.names}
+            values = layout.change(kept | moved) | {"program": layout.program}
+            for name in ("cx", "cy") if layout.first_pixel else ():
+                values[name] = numbers_of(name, values.get(name))[0] - layout.first_pixel
+            break
+    else:
+        for key, program in _FOREIGN.items():
+            if key in values and not (key == "value0" and _of_basalt(values)):
+                raise OtherForm(f"it is a file of {program}, which is not read", WRITE_OPENCV)
+    if set(_FOUR) <= set(values):
+        values["intrinsics"] = [values[name] for name in _FOUR]
+    if "focallength" in values and "principalpoint" in values:
+        values["cameramatrix"] = [values["focallength"], values["principalpoint"]]
+    return values
+
+
+def _flat(values: dict[str, Any]) -> dict[str, Any]:
+    """Return values with those of a matrix or of a lens that stand one level below among them."""
+    flat = dict(values)
+    for name, part in values.items():
+        if LENS.fullmatch(name) and isinstance(part, str) and _WORDS.fullmatch(part):
+            del flat[name]
+            flat.setdefault("distortionmodel", part)
+        if not isinstance(part, Mapping) or "data" in part:
+            continue
+        inner = plain(part)
+        if LENS.fullmatch(name):
+            del flat[name]
+            coefficients = next((inner.pop(one) for one in _NAMES_OF_COEFFICIENTS if one in inner), None)
+            model = inner.pop("type", inner.pop("model", None))
+            found = {"distortioncoefficients": coefficients, "distortionmodel": model, **inner}
+        elif _MATRICES.fullmatch(name) and any(four <= set(inner) for four in _FOUR_ELSEWHERE):
+            del flat[name]
+            found = inner
+        else:
+            continue
+        for key, value in found.items():
+            if value is not None and flat.setdefault(key, value) != value:
+                raise OtherForm(f"it states {key[:LONGEST_NAME]!r} twice, with different values")
+    return flat
+
+
+def _numbered(values: dict[str, Any]) -> dict[str, Values]:
+    """Return cameras whose names have a prefix or a number: ORB-SLAM's and vikit's, M1 and D2 of OpenCV's stereo."""
+    cameras: dict[str, Values] = {}
+    prefixes = [prefix for prefix in _PREFIXES if all(f"{prefix}{name}" in values for name in _FOUR)]
+    for prefix in prefixes:
+        own = _without(prefix.rstrip("12"), values) | _without(prefix, values)
+        named = {_OF_VIKIT.get(name, name): value for name, value in own.items()}
+        one = _laid_out(values | named) | {"program": _PREFIXES[prefix]}
+        cameras[prefix if len(prefixes) > 1 else ""] = one
+    for number in ("1", "2"):
+        own = {key[:-1]: value for key, value in values.items() if key.endswith(number)}
+        if f"k{number}" in values and isinstance(own["k"], str) and len(own["k"].split()) == 1:
+            del own["k"]  # a coefficient, no camera matrix
+        if states_a_matrix(own):
+            cameras[number] = {**values, **own}
+    return cameras
+
+
+def _without(prefix: str, values: Values) -> dict[str, Any]:
+    return {name.removeprefix(prefix): value for name, value in values.items() if name.startswith(prefix)}
+
+
+def _of_basalt(values: Values) -> dict[str, Values]:
+    """Return the cameras of Basalt's calibration.json: intrinsics and resolutions in two lists."""
+    inner = plain(values["value0"]) if isinstance(values.get("value0"), Mapping) else {}
+    listed, sizes = inner.get("intrinsics"), inner.get("resolution")
+    if not isinstance(listed, list) or not isinstance(sizes, list) or len(listed) != len(sizes):
+        return {}
+    return {
+        f"cam{at}": _laid_out({**one, "resolution": size}) | {"program": "Basalt"}
+        for at, (one, size) in enumerate(zip(listed, sizes, strict=True))
+        if isinstance(one, Mapping)
+    }

@@ -1,0 +1,254 @@
+"""Cameras as programs lay them out: the rays are those of the program's own formula, or the doubt is named.
+
+Each text is written here, as the program's documentation or source has it.
+"""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from camera_oracle import D5, FISHEYE, FLAT_K, FOCAL_AND_CENTRE, POINTS, SIZE, K, off_px
+
+from bench.plan.camera_files import NotACamera, parse_camera
+
+FX, FY, CX, CY = FOCAL_AND_CENTRE
+K1, K2, P1, P2, K3 = D5
+NAMED = {"k1": K1, "k2": K2, "p1": P1, "p2": P2, "k3": K3}
+FOUR = {"fx": FX, "fy": FY, "cx": CX, "cy": CY}
+LISTS = {"camera_matrix": K, "image_size": SIZE}
+YAML = "%YAML:1.0\n---\n"
+
+
+def parse(text, name=None, lens=None):
+    return parse_camera(
+        text.encode() if isinstance(text, str) else json.dumps(text).encode(), Path("f"), name, lens
+    )
+
+
+def lines(values, before="", sign=":"):
+    return "".join(f"{before}{name}{sign} {value}\n" for name, value in values.items())
+
+
+def basalt(camera_type, intrinsics):
+    """Basalt's calibration.json (basalt-headers, cereal), as TUM-VIE publishes it."""
+    one = {"camera_type": camera_type, "intrinsics": {**FOUR, **intrinsics}}
+    return {"value0": {"T_imu_cam": [{"px": 0.0, "qw": 1.0}], "intrinsics": [one], "resolution": [SIZE]}}
+
+
+#: ORB-SLAM3, Examples/Monocular/EuRoC.yaml; with `Camera.` of ORB-SLAM2.
+ORB_SLAM = {**FOUR, **NAMED}
+SIDES = {"width": SIZE[0], "height": SIZE[1]}
+#: camodocal and VINS-Fusion, config/euroc/cam0_pinhole.yaml.
+VINS = (
+    f"{YAML}model_type: PINHOLE\ncamera_name: camera\nimage_width: 1280\nimage_height: 720\n"
+    f"distortion_parameters:\n{lines({'k1': K1, 'k2': K2, 'p1': P1, 'p2': P2}, '   ')}"
+    f"projection_parameters:\n{lines(FOUR, '   ')}"
+)
+#: vikit_common, camera_loader.h; used by FAST-LIVO and SVO.
+VIKIT = lines({"model": "Pinhole", **SIDES, **FOUR, "d0": K1, "d1": K2, "d2": P1, "d3": P2}, "cam_")
+#: librealsense's rs2_intrinsics, as scripts dump it.
+REALSENSE = {
+    **SIDES, "ppx": CX, "ppy": CY, "fx": FX, "fy": FY, "model": "distortion.brown_conrady", "coeffs": D5,
+}  # fmt: skip
+#: nerfstudio, transforms.json: the centre of the first pixel is (0.5, 0.5) there (nerfstudio#3048).
+NERFSTUDIO = {
+    "fl_x": FX, "fl_y": FY, "cx": CX + 0.5, "cy": CY + 0.5, "w": 1280, "h": 720, "camera_model": "OPENCV",
+    **NAMED, "k4": 0.0, "frames": [{"file_path": "a.png", "transform_matrix": np.eye(4).tolist()}],
+}  # fmt: skip
+#: MATLAB, jsonencode(toStruct(cameraParameters)): the centre of the first pixel is (1, 1), the height comes first.
+MATLAB_K = [[FX, 0.0, CX + 1], [0.0, FY, CY + 1], [0.0, 0.0, 1.0]]
+MATLAB = {
+    "RadialDistortion": [K1, K2, K3], "TangentialDistortion": [P1, P2], "ImageSize": [720, 1280], "Skew": 0,
+    "NumRadialDistortionCoefficients": 3, "EstimateSkew": False, "WorldUnits": "mm",
+}  # fmt: skip
+#: Camera Calibration Toolbox for MATLAB, Calib_Results.m.
+TOOLBOX = (
+    f"% Intrinsic and Extrinsic Camera Parameters\n\n%-- Focal length:\nfc = [ {FX} ; {FY} ];\n\n"
+    f"%-- Principal point:\ncc = [ {CX} ; {CY} ];\n\n%-- Skew coefficient:\nalpha_c = 0.000000000000000;\n\n"
+    f"%-- Distortion coefficients:\nkc = [ {' ; '.join(map(str, D5))} ];\n\n"
+    "%-- Focal length uncertainty:\nfc_error = [ 0.5 ; 0.6 ];\n\n%-- Image size:\nnx = 1280;\nny = 720;\n"
+)
+#: aniposelib, calibration.toml.
+ANIPOSE = (
+    f'[cam_0]\nname = "A"\nsize = [ 1280, 720,]\nmatrix = {K}\ndistortions = {D5}\nrotation = [ 0.0, 0.0, 0.0,]\n\n'
+    "[metadata]\nadjusted = false\n"
+)
+#: rpg_svo_pro and ze_oss, calibration of a rig.
+RPG = (
+    "cameras:\n- camera:\n    distortion:\n      parameters:\n        cols: 1\n        rows: 4\n"
+    f"        data: {D5[:4]}\n      type: radial-tangential\n    image_height: 720\n    image_width: 1280\n"
+    f"    intrinsics:\n      cols: 1\n      rows: 4\n      data: {FOCAL_AND_CENTRE}\n    label: cam0\n"
+    "    line-delay-nanoseconds: 0\n    type: pinhole\n  T_B_C:\n    cols: 4\n    rows: 4\n    data: [1.0, 0.0]\nlabel: rig\n"
+)
+#: dv-processing, CameraCalibration.
+DV = {
+    "name": "DVXplorer", "position": "left", "resolution": SIZE, "focalLength": [FX, FY], "principalPoint": [CX, CY],
+    "distortion": D5, "distortionModel": "radialTangential", "transformationToC0": [1.0, 0.0],
+}  # fmt: skip
+
+BROWN = {
+    "ORB-SLAM2": (YAML + lines({**ORB_SLAM, **SIDES, "fps": 20.0}, "Camera."), D5),
+    "ORB-SLAM3": (
+        f'{YAML}File.version: "1.0"\nCamera.type: "PinHole"\n{lines(SIDES, "Camera.")}{lines(ORB_SLAM, "Camera1.")}',
+        D5,
+    ),
+    "VINS": (VINS, D5[:4]),
+    "vikit": (VIKIT, D5[:4]),
+    "rpg_svo_pro": (RPG, D5[:4]),
+    "Basalt radtan8": (basalt("pinhole-radtan8", {**NAMED, "k4": 0.0, "k5": 0.0, "k6": 0.0, "rpmax": 2.7}), D5),
+    "Basalt pinhole": (basalt("pinhole", {}), []),
+    "RealSense": (REALSENSE, D5),
+    "RealSense, the model as distortion": (
+        {**{name: value for name, value in REALSENSE.items() if name != "model"}, "distortion": REALSENSE["model"]}, D5,
+    ),
+    "RealSense, inverse model of zeros": (
+        {**REALSENSE, "model": "distortion.inverse_brown_conrady", "coeffs": [0.0] * 5}, [],
+    ),
+    "nerfstudio": (NERFSTUDIO, D5),
+    "MATLAB": ({**MATLAB, "FocalLength": [FX, FY], "PrincipalPoint": [CX + 1, CY + 1], "K": MATLAB_K}, D5),
+    "MATLAB, K alone": ({**MATLAB, "K": MATLAB_K}, D5),
+    "MATLAB, IntrinsicMatrix": ({**MATLAB, "IntrinsicMatrix": np.array(MATLAB_K).T.tolist()}, D5),
+    "MATLAB, two coefficients": ({**MATLAB, "RadialDistortion": [K1, K2], "K": MATLAB_K}, D5[:4]),
+    "toolbox for MATLAB": (TOOLBOX, D5),
+    "aniposelib": (ANIPOSE, D5),
+    "CalibDB": ({**LISTS, "distortion_coefficients": D5, "distortion_model": "rectilinear"}, D5),
+    "multical": ({"cameras": {"cam1": {"model": "standard", "image_size": SIZE, "K": K, "dist": [D5]}}}, D5),
+    "DV": ({"cameras": [DV], "version": "2.0"}, D5),
+    "RPG's four and five in one list": ({"intrinsics": [*FOCAL_AND_CENTRE, *D5], "resolution": SIZE}, D5),
+    "names in groups": ({"intrinsic": FOUR, "distortion": NAMED, "image_size": {"width": 1280, "height": 720}}, D5),
+    "numpy's print of an array": ({**LISTS, "dist": "[[-1.2e-01  8.0e-02  5.0e-04 -7.0e-04 -2.0e-02]]"}, D5),
+    "P1 of OpenCV's stereo beside": (
+        f"image_size: [1280, 720]\nM1: {FLAT_K}\nD1: {D5}\nP1: {[*FLAT_K, 0.0, 0.0, 0.0]}\n", D5,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "coefficients"), BROWN.values(), ids=BROWN)
+def test_the_rays_of_a_layout_are_those_of_opencv(text, coefficients):
+    camera = parse(text).camera
+    assert camera.image_size == SIZE
+    assert off_px(camera, coefficients) < 1e-6
+
+
+KANNALA_BRANDT = dict(zip(("k1", "k2", "k3", "k4"), FISHEYE, strict=True))
+FISHEYES = {
+    "ORB-SLAM3": f'{YAML}Camera.type: "KannalaBrandt8"\n{lines({**FOUR, **KANNALA_BRANDT, **SIDES}, "Camera.")}',
+    "VINS: names one power higher": (
+        f"{YAML}model_type: KANNALA_BRANDT\nimage_width: 1280\nimage_height: 720\nprojection_parameters:\n"
+        + lines({f"k{at}": value for at, value in enumerate(FISHEYE, 2)} | dict(zip(("mu", "mv", "u0", "v0"), FOCAL_AND_CENTRE, strict=True)), "   ")
+    ),
+    "rpg_svo_pro": RPG.replace("radial-tangential", "equidistant").replace(str(D5[:4]), str(FISHEYE)),
+    "Basalt": basalt("kb4", KANNALA_BRANDT),
+    "nerfstudio": {**{name: value for name, value in NERFSTUDIO.items() if name not in NAMED}, **KANNALA_BRANDT, "camera_model": "OPENCV_FISHEYE"},
+    "aniposelib": ANIPOSE.replace(str(D5), str(FISHEYE)).replace("rotation", "fisheye = true\nrotation"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text", FISHEYES.values(), ids=FISHEYES)
+def test_the_rays_of_a_fisheye_layout_are_those_of_opencv(text):
+    assert off_px(parse(text).camera, FISHEYE, fisheye=True) < 1e-6
+
+
+def test_the_rays_of_metashape_are_those_of_its_manual():
+    """Metashape Professional manual, appendix C: p1 along x, u = w / 2 + cx + x' f + x' b1 + y' b2; first pixel at 0.5."""
+    f, cx, cy, b1, b2 = 1049.1, 4.7, -1.6, 1.2, -0.8
+    stated = {
+        "projection": "frame", **SIDES, "f": f, "cx": cx, "cy": cy, "b1": b1, "b2": b2, "k1": K1, "k2": K2, "k3": K3,
+        "p1": 3e-4, "p2": -9e-4, "date": "2026-01-01T00:00:00Z",
+    }  # fmt: skip
+    text = "".join(f"  <{name}>{value}</{name}>\n" for name, value in stated.items())
+    found = parse(f'<?xml version="1.0" encoding="UTF-8"?>\n<calibration>\n{text}</calibration>\n')
+    x, y = (found.camera.rays(POINTS)[:, :2] / found.camera.rays(POINTS)[:, 2:]).T
+    r2 = x**2 + y**2
+    radial = 1 + K1 * r2 + K2 * r2**2 + K3 * r2**3
+    bent_x = x * radial + 3e-4 * (r2 + 2 * x**2) + 2 * -9e-4 * x * y
+    bent_y = y * radial + -9e-4 * (r2 + 2 * y**2) + 2 * 3e-4 * x * y
+    u, v = 640 + cx + bent_x * f + bent_x * b1 + bent_y * b2, 360 + cy + bent_y * f
+    assert np.abs(np.column_stack([u, v]) - 0.5 - POINTS).max() < 1e-6
+    assert "Metashape" in found.kind
+
+
+def test_the_cameras_of_an_orb_slam_stereo_file_are_named():
+    text = (
+        YAML
+        + lines(SIDES, "Camera.")
+        + lines(ORB_SLAM, "Camera1.")
+        + lines({**ORB_SLAM, "fx": 900.0}, "Camera2.")
+    )
+    assert off_px(parse(text, "camera1").camera, D5) < 1e-6
+    assert parse(text, "camera2").camera.fx == 900.0
+    with pytest.raises(NotACamera, match="2 cameras: camera1, camera2"):
+        parse(text)
+
+
+def test_a_list_of_the_model_brown_is_not_guessed():
+    """cuVSLAM and openMVG write k1 k2 k3 p1 p2 (nvidia-isaac/cuVSLAM#151), RealSense and OpenCV k1 k2 p1 p2 k3."""
+    text = {**LISTS, "distortion_model": "brown", "distortion_coefficients": D5}
+    with pytest.raises(NotACamera, match="no one order") as error:
+        parse(text)
+    assert "--lens brown" in error.value.remedy
+    assert off_px(parse(text, lens="brown").camera, D5) < 1e-6
+    assert off_px(parse({**LISTS, "distortion_model": "brown", **NAMED}).camera, D5) < 1e-6
+    alike = parse({**text, "distortion_coefficients": [K1, K2, 0.0, 0.0, 0.0]})
+    assert off_px(alike.camera, [K1, K2, 0.0, 0.0]) < 1e-6
+
+
+DOUBTFUL = {
+    "a pinhole with coefficients of an unknown name": ({**LISTS, "camera_model": "pinhole", "distortion_coefficents": D5}, "distortioncoefficents"),
+    "a pinhole with radial coefficients": ({**LISTS, "camera_model": "pinhole", "radial": [K1, K2]}, "'radial'"),
+    "a pinhole with a lens below": ({**LISTS, "camera_model": "pinhole", "lens": {"k1": K1}}, "'lens'"),
+    "a pinhole without any coefficients": ({**LISTS, "camera_model": "pinhole"}, "states no distortion"),
+    "t1 and t2": ({**FOUR, **SIDES, "k1": K1, "k2": K2, "t1": P1, "t2": P2}, "t1 = 0.0005"),
+    "b1 of Metashape": ({**FOUR, **SIDES, **NAMED, "b1": 1.5}, "b1 = 1.5"),
+    "k4 without k5 and k6": ({**FOUR, **SIDES, **NAMED, "k4": 0.01}, "r^8"),
+    "another skew beside the matrix": ({**LISTS, "camera_matrix": [[FX, 0.5, CX], *K[1:]], "dist": D5, "skew": 2.0}, "two different skews"),
+    "principal point from the middle": ({**FOUR, **SIDES, **NAMED, "cx": 4.2, "cy": -2.1}, "middle of the image"),
+    "focal lengths of 50 mm": ({**FOUR, **SIDES, **NAMED, "fx": 50.0, "fy": 50.0}, "50 and 50 px are not possible"),
+    "fx cx fy cy": ({"intrinsics": [FX, CX, FY, CY], "dist": D5, "image_size": SIZE}, "not possible together"),
+    "height of 5:4 first": ({"camera_matrix": [[3000, 0, 1220], [0, 3000, 1030], K[2]], "dist": D5, "image_size": [2048, 2448]}, "height seems to stand before"),
+    "inverse model of RealSense": ({**REALSENSE, "model": "distortion.inverse_brown_conrady"}, "only without distortion"),
+    "double sphere of Basalt": (basalt("ds", {"xi": -0.2, "alpha": 0.6}), "omnidirectional"),
+    "unified model of Basalt": (basalt("eucm", {"alpha": 0.6, "beta": 1.0}), "'eucm'"),
+    "fisheye of MATLAB": ({"MappingCoefficients": [700.0, 0.0, 0.0, 0.0], "ImageSize": [720, 1280]}, "Scaramuzza"),
+    "radial and tangential apart, of nobody known": ({**LISTS, "radial_distortion": [K1, K2], "tangential_distortion": [P1, P2]}, "apart"),
+    "calib.txt of RPG": (" ".join(map(str, [*FOCAL_AND_CENTRE, *D5])) + "\n", "numbers without names"),
+    "Kalibr's report": ("Calibration results\n===\nCamera-system parameters:\n\tcam0 (/cam0):\n", "results-cam.txt"),
+    "ZED's two cameras": ("[LEFT_CAM_HD]\nfx=700.5\n\n[RIGHT_CAM_HD]\nfx=701\n", "no camera matrix"),
+    "torn TOML": ("[cam_0]\nsize = [ 1280,", "no complete TOML"),
+    "two values of one name": ({"intrinsics": {**FOUR, "k1": 0.1}, "distortion": {"k1": 0.2}, "image_size": SIZE}, "'k1' twice"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "why"), DOUBTFUL.values(), ids=DOUBTFUL)
+def test_what_can_be_read_in_two_ways_or_in_none_is_refused(text, why):
+    with pytest.raises(NotACamera) as error:
+        parse(text)
+    assert why in error.value.what
+    assert error.value.remedy
+
+
+def test_a_stated_skew_is_used():
+    found = parse({**FOUR, **SIDES, **NAMED, "skew": 2.0})
+    assert found.camera.skew == 2.0
+    assert "skew" in found.remarks[0]
+
+
+@pytest.mark.parametrize(
+    ("data", "way"),
+    [
+        (b"MATLAB 5.0 MAT-file" + bytes(90), "jsonencode"),
+        (b"PK\x03\x04\x14\x00", "FileStorage"),
+        (b"\x89HDF\r\n", "FileStorage"),
+        (b"#ROSBAG V2.0\n", "rostopic echo"),
+        (
+            np.array([1], "<u8").tobytes() + np.array([1, 4], "<i4").tobytes()
+            + np.array([1280, 720], "<u8").tobytes() + np.array([*FOCAL_AND_CENTRE, *D5[:4]]).tobytes(),
+            "model_converter --output_type TXT",  # COLMAP, src/colmap/scene/reconstruction_io.cc
+        ),
+    ],
+)  # fmt: skip
+def test_a_binary_file_is_refused_with_the_way_to_its_camera(data, way):
+    with pytest.raises(NotACamera) as error:
+        parse_camera(data, Path("f"))
+    assert way in error.value.remedy
