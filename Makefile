@@ -59,7 +59,7 @@ night: $(VENV)/installed ## rehearse a night of sixty runs on a virtual clock; o
 	@$(BIN)/starbench rehearse sequences/night/queue.yaml --begin 2026-03-01T19:30 --output "runs/night-$$(date -u +%Y%m%d-%H%M%S)"; test $$? -le 1
 
 test: $(VENV)/installed-dev lint types ## every check that CI runs
-	$(BIN)/pytest -n 3 --dist worksteal -m "not slow" --durations=40
+	$(BIN)/pytest -n 4 --dist worksteal -m "not slow" --durations=100
 
 test-slow: $(VENV)/installed-dev ## the long ones: kills, seeds, Monte Carlo
 	$(BIN)/pytest -m slow

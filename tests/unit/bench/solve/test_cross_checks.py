@@ -19,6 +19,7 @@ def views():
     return expected_views([(f"{pan} {tilt}", pan, tilt) for pan, tilt in POSES], sigma_px=0.02, seed=3)
 
 
+@pytest.mark.slow
 def test_halves_differ_by_no_more_than_their_uncertainties_say(views):
     """By less, where what is not known is the same in both: the glass, here of two views each."""
     told = split_half_check(views, CalibrationOptions())

@@ -47,6 +47,7 @@ def test_every_doubt_before_the_adjustment_is_a_note(views):
     assert "look like metres" in notes[1]
 
 
+@pytest.mark.slow
 def test_every_doubt_after_the_adjustment_is_a_note():
     poses = [(pan, tilt, 20 * pan) for tilt in (-2, 0, 2) for pan in (-5, 1, 5)]
     views = Bench().views(np.random.default_rng(1), 0.02, poses)

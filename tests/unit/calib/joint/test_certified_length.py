@@ -56,6 +56,7 @@ def test_if_views_cannot_tell_the_uncertainty_covers_both_lengths_and_a_note_say
     assert [note for note in result.notes if "does not say which length it states" in note]
 
 
+@pytest.mark.slow
 def test_a_certificate_of_the_seen_length_is_doubted_if_the_camera_sees_another():
     assert at_fault(solved(FOCAL_MM, "seen")) > 0.5
     assert at_fault(solved(FOCAL_MM, "focal_length")) < 0.1

@@ -337,6 +337,7 @@ def test_passport_of_another_glass_is_named_and_its_uncertainty_covers_the_camer
     assert max(map(abs, [*over, line["lens_over"]["k1"]])) < 1.3
 
 
+@pytest.mark.slow
 def test_proof_that_a_glass_is_another_one_frees_its_radius_too():
     """Axis and radial terms of this glass are others; with its passport's radius, fx was 3.3 U wrong."""
     first, other = polynomial.draw_world(5), polynomial.draw_world(5, other_camera=1)

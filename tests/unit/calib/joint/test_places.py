@@ -69,6 +69,7 @@ def test_prior_information_is_the_inverse_of_the_covariance(optimum):
     assert logarithm == pytest.approx(np.linalg.slogdet(covariance)[1], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_search_that_begins_badly_ends_where_the_camera_is():
     """Its first steps are long with any amplitudes. If it kept those of the start, fx would be 5 U wrong."""
     bench = WORLDS["S1"](76, 9, 1, 0)

@@ -176,6 +176,7 @@ def test_another_size_and_too_few_points_are_refused():
 POSES = ((-5, 2), (0.5, -2.5, 10), (5, 2.5, -20), (-3, -2, 60), (3, 0, 130), (-1, 1, 200))
 
 
+@pytest.mark.slow
 def test_halves_of_drawn_benches_differ_by_no_more_than_expected():
     """The ratio is .25 on these benches: both halves see the same collimator, so its errors do not show."""
     ratios = [split_half(draw_bench("like-bench", NINE, seed).views).ratio for seed in range(2)]
