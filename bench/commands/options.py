@@ -99,12 +99,12 @@ class Family(click.Group):
 
 
 class Number(click.ParamType):
-    """Finite number between ``least`` and ``most`` if these are given; ``above`` refuses ``least`` itself."""
+    """Finite number between ``least`` and ``most`` if these are given."""
 
     name = "number"
 
-    def __init__(self, *, least: float | None = None, above: bool = False, most: float | None = None) -> None:
-        self._least, self._above, self._most = least, above, most
+    def __init__(self, *, least: float | None = None, most: float | None = None) -> None:
+        self._least, self._most = least, most
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """See `click.ParamType.convert`."""
@@ -114,8 +114,8 @@ class Number(click.ParamType):
             number = math.nan
         if not math.isfinite(number):
             self.fail(f"{value!r} is not a number.", param, ctx)
-        if self._least is not None and (number < self._least or (self._above and number == self._least)):
-            self.fail(f"{value} is not {'above' if self._above else 'at least'} {self._least:g}.", param, ctx)
+        if self._least is not None and number < self._least:
+            self.fail(f"{value} is not at least {self._least:g}.", param, ctx)
         if self._most is not None and number > self._most:
             self.fail(f"{value} is more than {self._most:g}.", param, ctx)
         if number and not _SMALLEST <= abs(number) <= _LARGEST:

@@ -37,8 +37,8 @@ QUANTITIES = {"expanded_fx_px": "fx", "expanded_fy_px": "fy", "worst_corner_px":
 """Column of the budget for each limit that the budget explains."""
 
 
-def expected_bench(station: Located[Station], *, noise_px: float | None = None) -> ExpectedBench:
-    """Return the bench that a station expects, without errors; ``noise_px`` of a star and axis, None for its value."""
+def expected_bench(station: Located[Station]) -> ExpectedBench:
+    """Return the bench that a station expects, without errors."""
     expected = station.value.expected
     if expected is None:
         raise UsageError(
@@ -61,7 +61,7 @@ def expected_bench(station: Located[Station], *, noise_px: float | None = None) 
         camera,
         Collimator(x, y, expected.r_mm),
         expected.half_angle_deg,
-        star_sigma_px=noise_px or expected.star_sigma_px,
+        star_sigma_px=expected.star_sigma_px,
         target=target,
     )
 

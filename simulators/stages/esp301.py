@@ -101,12 +101,11 @@ class EspController(Controller):
         models: list[AxisModel],
         clock: Callable[[], float],
         publish: Callable[[int, LoadTrajectory], None] = lambda _number, _pointing: None,
-        baud: int = 19_200,
     ) -> None:
         moved = {
             n: Axis(model.mechanics, clock(), partial(publish, n)) for n, model in enumerate(models, start=1)
         }
-        super().__init__(moved.values(), clock, baud=baud, boot_s=_BOOT_S)
+        super().__init__(moved.values(), clock, baud=19_200, boot_s=_BOOT_S)
         self.axes = {
             number: EspAxis(self, moved[number], number, model)
             for number, model in enumerate(models, start=1)

@@ -102,17 +102,14 @@ class PtuController(Controller):
         serial: str,
         clock: Callable[[], float],
         publish: Callable[[str, LoadTrajectory], None] = lambda _letter, _pointing: None,
-        baud: int = 9600,
-        *,
-        before_reset: bool = False,
     ) -> None:
         moved = {
             letter: Axis(one.mechanics, clock(), partial(publish, letter)) for letter, one in models.items()
         }
-        super().__init__(moved.values(), clock, baud=baud, boot_s=_BOOT_S)
+        super().__init__(moved.values(), clock, baud=9600, boot_s=_BOOT_S)
         self.serial = serial
         self.axes = {letter: PtuAxis(self, moved[letter], letter, model) for letter, model in models.items()}
-        self.before_reset = before_reset
+        self.before_reset = False
         self._power_up()
         self._banner = b""
 

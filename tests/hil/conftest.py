@@ -1,4 +1,4 @@
-"""A headless Chromium."""
+"""A headless Chromium, and the configuration folder of a module's runs."""
 
 import pytest
 from align_browser import running_chromium
@@ -8,3 +8,8 @@ from align_browser import running_chromium
 def chromium():
     with running_chromium() as browser:
         yield browser
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory):
+    return tmp_path_factory.mktemp("home")

@@ -4,9 +4,8 @@ import shutil
 from pathlib import Path
 
 import pytest
+from calling import ended
 from station_texts import PLAIN
-
-from bench.commands.cli import main
 
 SEQUENCE = (Path(__file__).parents[2] / "sequences" / "three_pose.yaml").read_text()
 
@@ -15,15 +14,6 @@ SEQUENCE = (Path(__file__).parents[2] / "sequences" / "three_pose.yaml").read_te
 def _home(tmp_path, monkeypatch):
     monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "home"))
     monkeypatch.chdir(tmp_path)
-
-
-def say(capsys, *words):
-    """Run a command; return its exit status and what it said on standard error."""
-    with pytest.raises(SystemExit) as end:
-        main([str(word) for word in words])
-    said = capsys.readouterr().err
-    assert "Traceback" not in said
-    return end.value.code, said
 
 
 def write(name, text):
@@ -41,7 +31,7 @@ FILES = [
 def test_faults_of_files_are_placed_and_nothing_is_made(capsys, in_sequence, in_station, place, words):
     sequence = write("sequence.yaml", SEQUENCE.replace(*in_sequence) if in_sequence else SEQUENCE)
     station = write("station.yaml", PLAIN.replace(*in_station) if in_station else PLAIN)
-    status, said = say(capsys, "run", sequence, "--station", station, "--output", "out")
+    status, (_, said) = ended(capsys, "run", sequence, "--station", station, "--output", "out")
     assert status == 2
     assert place in said
     assert words in said
@@ -50,7 +40,7 @@ def test_faults_of_files_are_placed_and_nothing_is_made(capsys, in_sequence, in_
 
 def test_another_serial_number_on_the_port_is_refused_before_anything_moves(capsys):
     station = write("station.yaml", PLAIN.replace("serial: 100102", "serial: 999999"))
-    status, said = say(capsys, "run", "three_pose", "--station", station, "--output", "out")
+    status, (_, said) = ended(capsys, "run", "three_pose", "--station", station, "--output", "out")
     assert status == 1
     assert "999999" in said
     assert "100102" in said
@@ -63,7 +53,7 @@ def test_recordings_that_are_none_or_cut_short_are_named(capsys, evk4_recording)
     whole = evk4_recording.read_bytes()
     Path("half.raw").write_bytes(whole[:-100_001])  # words have two bytes
     for name, words in (("text.raw", "not a"), ("half.raw", "is incomplete")):
-        status, said = say(capsys, "calibrate", name)
+        status, (_, said) = ended(capsys, "calibrate", name)
         assert status == 2
         assert name in said
         assert words in said.lower()
@@ -71,9 +61,9 @@ def test_recordings_that_are_none_or_cut_short_are_named(capsys, evk4_recording)
 
 def test_a_changed_sequence_is_not_resumed(capsys):
     station = write("station.yaml", PLAIN.replace("serial: SG0042", "serial: SG9999"))
-    assert say(capsys, "run", "three_pose", "--station", station, "--output", "out")[0] == 1
+    assert ended(capsys, "run", "three_pose", "--station", station, "--output", "out")[0] == 1
     shutil.copy("out/sequence.yaml", "keep")
     Path("out/sequence.yaml").write_text(SEQUENCE.replace("window_ms: 33", "window_ms: 50"))
-    status, said = say(capsys, "resume", "out")
+    status, (_, said) = ended(capsys, "resume", "out")
     assert status == 1
     assert "was changed after this run began" in said

@@ -27,11 +27,6 @@ STEADY = LightState(low_v=5.0, high_v=5.0, output=True)
 
 
 @pytest.fixture(scope="module")
-def home(tmp_path_factory):
-    return tmp_path_factory.mktemp("home")
-
-
-@pytest.fixture(scope="module")
 def finished(tmp_path_factory, home):
     folder = tmp_path_factory.mktemp("runs") / "frames"
     said = called(

@@ -3,16 +3,10 @@
 import json
 import re
 
-import pytest
 from quick_runs import THREE, write_sequence, write_station
 from running import called, results
 
 KEPT, MISSED = "{result: fx, lower: 1600, upper: 1750}", "{result: cx, upper: 300, specification: drawing 7}"
-
-
-@pytest.fixture(scope="module")
-def home(tmp_path_factory):
-    return tmp_path_factory.mktemp("home")
 
 
 def run(home, folder, station_limits, sequence_limits):

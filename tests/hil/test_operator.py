@@ -16,11 +16,6 @@ NAMED = (
 )
 
 
-@pytest.fixture(scope="module")
-def home(tmp_path_factory):
-    return tmp_path_factory.mktemp("home")
-
-
 @pytest.fixture
 def process(home, tmp_path):
     """A run under way, which a test commands; it stands still long enough before each recording to be met there."""

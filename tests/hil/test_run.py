@@ -18,11 +18,6 @@ SEED = 7
 
 
 @pytest.fixture(scope="module")
-def home(tmp_path_factory):
-    return tmp_path_factory.mktemp("home")
-
-
-@pytest.fixture(scope="module")
 def finished(tmp_path_factory, home):
     """A run that nobody disturbed: what the command said, and its folder."""
     folder = tmp_path_factory.mktemp("runs") / "undisturbed"

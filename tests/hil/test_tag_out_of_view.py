@@ -48,11 +48,6 @@ def test_photographs_without_the_tag_are_named_the_same_way(tmp_path):
     assert unnamed.fault.endswith("No earlier view tells where the stars are.")
 
 
-@pytest.fixture(scope="module")
-def home(tmp_path_factory):
-    return tmp_path_factory.mktemp("home")
-
-
 def run(folder, home, poses):
     lines = "\n".join(f"    - {{pan_deg: {pan}, tilt_deg: {tilt}}}" for pan, tilt in poses)
     sequence = folder / "poses.yaml"

@@ -5,13 +5,19 @@ import pytest
 from bench.commands.cli import main
 
 
-def call(capsys, *words, status=0):
-    """Call a command, which must end with a status, without a traceback; return what it said, `out` and `err`."""
+def ended(capsys, *words):
+    """Call a command, which must end without a traceback; return its exit status and what it said, `out` and `err`."""
     with pytest.raises(SystemExit) as end:
         main([str(word) for word in words])
     said = capsys.readouterr()
-    assert (end.value.code or 0) == status, said.err
     assert "Traceback" not in said.err
+    return end.value.code or 0, said
+
+
+def call(capsys, *words, status=0):
+    """Call a command, which must end with a status; return what it said, `out` and `err`."""
+    code, said = ended(capsys, *words)
+    assert code == status, said.err
     return said
 
 

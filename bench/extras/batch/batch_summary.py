@@ -373,9 +373,7 @@ def missed_goals(run: Path) -> tuple[str, ...]:
         return ()
 
 
-def follow_batch(
-    folder: Path, sleep: Callable[[float], None] = time.sleep, *, ticks: bool = False
-) -> Iterator[BatchStatus]:
+def follow_batch(folder: Path, *, ticks: bool) -> Iterator[BatchStatus]:
     """Read the status at each begin and end, with ``ticks`` also in between, until no process works on the batch."""
     seen, waits = -1, 0
     while True:
@@ -388,7 +386,7 @@ def follow_batch(
             yield read_batch_status(folder)
         if not running:
             return
-        sleep(FOLLOW_S)
+        time.sleep(FOLLOW_S)
 
 
 def _upcoming(record: BatchRecord, now: datetime, *, under_way: bool) -> tuple[UpcomingRun, ...]:

@@ -11,7 +11,7 @@ import os
 import select
 import signal
 import subprocess
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -76,7 +76,6 @@ def supervise(
     log: Path,
     clock: BenchClock,
     say: Callable[[str], None],
-    environ: Mapping[str, str] = os.environ,
 ) -> WorkerEnd:
     """Run a worker to its end. A stop requested from the clock ends it safely, then is raised again as `Aborted`."""
     killed_for_memory = out_of_memory_kills()
@@ -89,7 +88,7 @@ def supervise(
                     stdout=sink,
                     stderr=sink,
                     start_new_session=True,
-                    env={**environ, SUPERVISOR: str(os.getpid())},
+                    env={**os.environ, SUPERVISOR: str(os.getpid())},
                 )
             )
     except OSError as error:  # no memory, no room, too many processes: the next one may begin

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import click
 import pytest
-from calling import out_of, refusal
+from calling import ended, out_of, refusal
 from journals import MadeRun
 
 from bench.base.errors import StorageError
-from bench.commands.cli import cli, main
+from bench.commands.cli import cli
 from bench.commands.history import signed
 from bench.commands.output import print_error
 from bench.commands.verify import MeasuredLine
@@ -71,11 +71,8 @@ def _here(tmp_path, monkeypatch):
 @pytest.fixture
 def say(capsys):
     def called(*words):
-        with pytest.raises(SystemExit) as end:
-            main([str(word) for word in words])
-        said = capsys.readouterr()
-        assert "Traceback" not in said.err
-        return end.value.code, said.out, said.err
+        status, said = ended(capsys, *words)
+        return status, said.out, said.err
 
     return called
 

@@ -11,10 +11,10 @@ from calling import out_of, refusal
 from drawn_rig import BOARD as CORNERS_MM
 from drawn_rig import Drawn
 
-from bench.commands.cli import main
 from bench.solve.exports import camera_info
 from calib.model.rotation import exp_map, log_map
 from calib.target import StarTarget
+from drivers.camera.formats.event_conversion import convert
 
 pytestmark = pytest.mark.usefixtures("calibrated_once")
 
@@ -322,9 +322,7 @@ def flickering(view, clock, edges_us, path):
         trigger_id=np.zeros(len(edges), np.uint8),
         size=np.array(SENSOR),
     )
-    with pytest.raises(SystemExit) as end:
-        main(["convert", str(path.with_suffix(".npz")), str(path)])
-    assert end.value.code == 0
+    convert(path.with_suffix(".npz"), path, "raw")
     path.with_suffix(".npz").unlink()
 
 

@@ -10,10 +10,10 @@ from board_photographs import photograph
 from calling import call
 
 from bench.commands.calibrate import run_text
-from bench.commands.cli import main
 from bench.measure.moving_recording import MovingRecording
 from calib.model.camera import CameraModel
 from calib.model.rotation import exp_map
+from drivers.camera.formats.event_conversion import convert
 from tests.support.printed_text import printed_text
 
 # ---------------------------------------------------------------- photographs of a checkerboard
@@ -196,9 +196,7 @@ def moving_folder(tmp_path_factory):
         f"trigger_{name}": np.zeros(0, np.uint8) for name in ("value", "id")
     }
     np.savez(moving_folder / "events.npz", t=t, **pixels, **triggers)
-    with pytest.raises(SystemExit) as end:
-        main(["convert", str(moving_folder / "events.npz"), str(moving_folder / "moving.raw")])
-    assert end.value.code == 0
+    convert(moving_folder / "events.npz", moving_folder / "moving.raw", "raw")
     return moving_folder
 
 

@@ -6,9 +6,8 @@ from itertools import product
 
 import numpy as np
 import pytest
+from calling import ended
 from many_runs import BEGIN, VALUES, BenchOfRuns, write_run
-
-from bench.commands.cli import main
 
 CHARTS, CAPABILITY, TABLE = (("history", what) for what in ("charts", "capability", "table"))
 
@@ -18,14 +17,6 @@ def home(tmp_path, monkeypatch):
     monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "here"))
     monkeypatch.chdir(tmp_path)
     return tmp_path / "here"
-
-
-def call(capsys, *words):
-    """Exit status, what was printed, and what was said beside it."""
-    with pytest.raises(SystemExit) as ended:
-        main([*map(str, words)])
-    told = capsys.readouterr()
-    return ended.value.code or 0, told.out, told.err
 
 
 def bench(folder, count=8, **facts):
@@ -39,40 +30,40 @@ def bench(folder, count=8, **facts):
 def test_the_runs_of_two_benches_are_listed_and_exported(tmp_path, capsys, home):
     homes = [bench(tmp_path / "a", 2), bench(tmp_path / "b", 3)]
     ledgers = [word for one in homes for word in ("--ledger", one)]
-    status, out, err = call(capsys, "runs", *ledgers)
+    status, (out, err) = ended(capsys, "runs", *ledgers)
     assert (status, len(out.splitlines()), err) == (0, 6, "")
-    status, out, _ = call(capsys, *TABLE, *ledgers, "--output", "runs.csv", "--serial", "00050001")
+    status, (out, _) = ended(capsys, *TABLE, *ledgers, "--output", "runs.csv", "--serial", "00050001")
     assert (status, out) == (0, "runs.csv: 5 runs, schema starbench/runs-table/1.\n")
     assert (tmp_path / "runs.csv").read_text().count("starbench/runs-table/1") == 5
 
 
 def test_the_runs_of_a_folder_are_compared(tmp_path, capsys, home):
     bench(tmp_path / "a", 2)
-    status, out, _ = call(capsys, "history", "agreement", tmp_path / "a" / "runs")
+    status, (out, _) = ended(capsys, "history", "agreement", tmp_path / "a" / "runs")
     assert (status, "2 runs of camera 00050001" in out, "Birge ratio" in out) == (0, True, True)
 
 
 def test_a_fault_is_printed_and_the_table_is_written_all_the_same(tmp_path, capsys, home):
     ledger = bench(tmp_path / "a", 2)
     (tmp_path / "a" / "runs" / "run-00002").rename(tmp_path / "elsewhere")
-    status, out, err = call(capsys, *TABLE, "--ledger", ledger, "--output", "runs.csv")
+    status, (out, err) = ended(capsys, *TABLE, "--ledger", ledger, "--output", "runs.csv")
     assert (status, out.split(":")[1]) == (1, " 1 run, schema starbench/runs-table/1.\n")
     assert err.startswith("FAULT: run 2 of home (run-00002, finished): its folder ")
-    status, out, _ = call(capsys, *TABLE, "--ledger", ledger, "--output", "runs.csv", "--json")
+    status, (out, _) = ended(capsys, *TABLE, "--ledger", ledger, "--output", "runs.csv", "--json")
     assert (status, json.loads(out)["rows"], len(json.loads(out)["faults"])) == (1, 1, 1)
 
 
 def test_the_charts_and_their_verdict(tmp_path, capsys, home):
     steady, drifting = bench(tmp_path / "a"), bench(tmp_path / "b", 30, step=0.5)
-    status, out, _ = call(capsys, *CHARTS, "--ledger", steady)
+    status, (out, _) = ended(capsys, *CHARTS, "--ledger", steady)
     assert status == 0
     assert "In control. No significant drift." in out
     assert out.endswith("Charts: runs-charts.html\n")
     assert (tmp_path / "runs-charts.html").read_text().startswith("<!DOCTYPE html>")
-    status, out, _ = call(capsys, *CHARTS, "--ledger", drifting, "--output", "drifting.html")
+    status, (out, _) = ended(capsys, *CHARTS, "--ledger", drifting, "--output", "drifting.html")
     assert status == 1
     assert "It drifts with time: +0.4993 ± 0.0059 px per hour" in out
-    status, out, _ = call(capsys, *CHARTS, "--ledger", drifting, "--baseline", "20", "--json")
+    status, (out, _) = ended(capsys, *CHARTS, "--ledger", drifting, "--baseline", "20", "--json")
     (group,) = json.loads(out)["groups"]
     assert group["parameters"][0]["baseline"] == 20
     assert group["parameters"][0]["drift"]["per_day"]["seen"]
@@ -80,7 +71,7 @@ def test_the_charts_and_their_verdict(tmp_path, capsys, home):
 
 def test_a_single_run_is_too_few(tmp_path, capsys, home):
     write_run(tmp_path / "runs" / "one")
-    status, out, _ = call(capsys, *CHARTS, "runs")
+    status, (out, _) = ended(capsys, *CHARTS, "runs")
     assert status == 0
     assert "1 run: too few for a verdict" in out
 
@@ -104,7 +95,7 @@ def test_a_single_run_is_too_few(tmp_path, capsys, home):
 def test_what_cannot_be_done_is_said_with_what_to_do(tmp_path, capsys, home, words, what):
     write_run(tmp_path / "runs" / "one")
     (tmp_path / "empty").mkdir()
-    status, _, err = call(capsys, *words)
+    status, (_, err) = ended(capsys, *words)
     assert status == 2
     assert what in err
 
@@ -134,14 +125,14 @@ def benches(folder, operators=("ada", "bob"), cameras=5, repeats=2, days=2, **fa
 
 def test_the_study_tells_the_share_of_the_bench_and_the_capability(tmp_path, capsys, home):
     ledgers = benches(tmp_path)
-    status, out, err = call(capsys, *CAPABILITY, *ledgers)
+    status, (out, err) = ended(capsys, *CAPABILITY, *ledgers)
     assert (status, err) == (0, "")
     lines = out.splitlines()
     assert lines[0] == "40 runs, 5 cameras, 2 operators; standard deviations:"
     assert lines[2].startswith("fx  px")
     assert lines[2].endswith("good")
     assert not any(line.startswith("r ") for line in lines)  # the collimator is no camera
-    _, out, _ = call(capsys, *CAPABILITY, "--factors", "operator,bench,day", *ledgers, "--json")
+    _, (out, _) = ended(capsys, *CAPABILITY, "--factors", "operator,bench,day", *ledgers, "--json")
     fx = next(one for one in json.loads(out)["parameters"] if one["name"] == "fx")
     assert set(json.loads(out)["factors"]) == {"operator", "bench", "day"}
     assert fx["repeatability"] == pytest.approx(0.5, rel=0.4)
@@ -171,7 +162,7 @@ def test_the_study_tells_the_share_of_the_bench_and_the_capability(tmp_path, cap
     ],
 )
 def test_what_a_study_cannot_use_is_one_clear_error(tmp_path, capsys, home, words, facts, message):
-    status, out, err = call(capsys, *CAPABILITY, *words, *benches(tmp_path, **facts))
+    status, (out, err) = ended(capsys, *CAPABILITY, *words, *benches(tmp_path, **facts))
     assert (status, out) == (2, "")
     assert message in err
     assert len(err.strip().splitlines()) == 1
@@ -179,6 +170,6 @@ def test_what_a_study_cannot_use_is_one_clear_error(tmp_path, capsys, home, word
 
 def test_measured_and_simulated_runs_are_never_mixed(tmp_path, capsys, home):
     ledgers = [*benches(tmp_path / "one"), *benches(tmp_path / "two", simulated=True)]
-    status, _, err = call(capsys, *CAPABILITY, *ledgers)
+    status, (_, err) = ended(capsys, *CAPABILITY, *ledgers)
     assert status == 2
     assert "The runs are of 2 kinds, which a study never mixes: measured / " in err
