@@ -205,10 +205,10 @@ _OPTIONS = {
     "views": click.option("--views", metavar="1,5,9", help="Use only these views. The first one is 1."),
     "origin": click.option(
         "--origin",
-        type=click.Choice(["corner", "centre"]),
+        type=click.Choice(["corner", "centre", "matlab"]),
         default="corner",
         show_default=True,
-        help="Position of (0, 0) in point files: corner or centre of the first pixel.",
+        help="Position of (0, 0) in point files: corner or centre of the first pixel; with matlab, that is (1, 1).",
     ),
     "station": click.option(
         "--station",

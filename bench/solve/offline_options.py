@@ -80,8 +80,9 @@ class OfflineOptions:
     ) -> Self:
         """Parse the options as the command line writes them; None stands for those of the run, or the defaults.
 
-        ``image_size`` as ``1280x720``, ``views`` as ``1,5,9``, ``origin`` ``corner`` or ``centre``, ``passport`` a file
-        or ``none``, ``board`` as `calib.boards.board.Board.parse` reads it, ``reconstruct_hz`` in Hz.
+        ``image_size`` as ``1280x720``, ``views`` as ``1,5,9``, ``origin`` ``corner``, ``centre`` or ``matlab``,
+        ``passport`` a file or ``none``, ``board`` as `calib.boards.board.Board.parse` reads it, and
+        ``reconstruct_hz`` in Hz.
         """
         shown = parse_board(board, model, passport)
         if reconstruct_hz is not None and shown is None:
@@ -100,7 +101,7 @@ class OfflineOptions:
             without_passport=passport == NO_PASSPORT,
             image_size=parse_image_size(image_size),
             view_numbers=_parse_view_numbers(views),
-            origin="centre" if origin == "centre" else "corner",
+            origin=cast("Origin", origin),
             target=target,
             board=shown,
             reconstruct_hz=reconstruct_hz,

@@ -113,7 +113,7 @@ def test_corner_coordinates_become_opencv_ones(tmp_path, begin):
         ("1 2 x 4 5\n", r"image1\.txt:1: Not a number"),
         ("1 2 nan 4 5\n", r"image1\.txt:1: A number is not finite"),
         ("1 2 3 4 5.5\n", r"image1\.txt:1: .*integer"),
-        ("1 2 3 4 5\n6 7 8 9 5\n", "a star twice"),
+        ("1 2 3 4 5\n6 7 8 9 5\n", "a point twice"),
         ("\n# nothing\n", "has no points"),
         ("1 2 3 4 1e300\n", r"image1\.txt:1: .*integer"),
         ("5 5 3 4 1\n-1.5 2 3 4 5\n", r"1 of 2 points are outside .* at \(-1\.5, 2\)"),
@@ -132,7 +132,7 @@ def test_points_beside_the_image_are_refused_as_of_sides_told_in_the_other_order
 
 
 def test_a_file_that_is_not_text_or_not_there_is_refused(tmp_path):
-    (tmp_path / "b.txt").write_bytes(b"\xff\xfe\x00\x01")
+    (tmp_path / "b.txt").write_bytes(b"\xff\x00\x00\x01")
     with pytest.raises(BenchError, match="not UTF-8 text"):
         read_point_file(tmp_path / "b.txt", image_size=None)
     with pytest.raises(StorageError, match="cannot be read"):
