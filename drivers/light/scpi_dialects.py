@@ -13,7 +13,7 @@ Guide".
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, NamedTuple
 
@@ -48,6 +48,7 @@ _LONG_HEADERS: Final[Mapping[str, str]] = {
     "SWWV": "SWEEPWAVE",
     "BTWV": "BURSTWAVE",
     "CMBN": "COMBINE",
+    "INVT": "INVERT",
     "COUP": "COUPLING",
 }
 _FIELDS: Final[Mapping[str, str]] = {
@@ -147,6 +148,7 @@ class HeaderDialect:
             yield Mode("coupling of the channels", f"{self.source}{coupled}:STAT")
         yield Mode("coupling of the channels", "COUP:STAT")
         yield Mode("sync output's mode", f"{self.output_header}:SYNC:MODE", ("NORM",))
+        yield Mode("sync output's delay", f"{self.output_header}:SYNC:DEL", ("0",))
         yield Mode("sync output's channel", "OUTP:SYNC:SOUR", ("CH1",))
 
     def sync_polarity(self) -> Mode | None:
@@ -233,6 +235,7 @@ class SiglentDialect:
         for name, header in {"modulation": "MDWV", "sweep": "SWWV", "burst": "BTWV"}.items():
             yield Mode(f"{name}", f"C1:{header}", ("STATE,OFF",))
         yield Mode("output's polarity", "C1:OUTP", ("PLRT,NOR",))
+        yield Mode("inversion", "C1:INVT")
         yield Mode("sum of both channels", "C1:CMBN")
         for coupled in ("TRACE", "FCOUP", "PCOUP", "ACOUP", "STATE"):
             yield Mode("coupling of the channels", "COUP", (f"{coupled},OFF",))
@@ -248,26 +251,26 @@ class SiglentDialect:
         return f",{mode.words[0]}," in words or (bool(comma) and f",{name}," not in words)
 
     def settings(self, wanted: LightSettings, present_low_v: float) -> list[Setting]:
-        """See `HeaderDialect.settings`.
+        """See `HeaderDialect.settings`. Each is a command of its own.
 
-        The waveform has a command of its own: an SDG1032X loses the command after one that has the waveform and more.
+        An SDG1032X loses the command after one that has the waveform and more; a BK 4055B hangs at 52 bytes by USB.
         """
-        waveform = ("waveform", f"C1:BSWV WVTP,{_LONG[wanted.waveform]}")
+        basic = [("waveform", f"WVTP,{_LONG[wanted.waveform]}")]
         if wanted.waveform == "steady":
-            return [waveform, ("steady level", f"C1:BSWV OFST,{wanted.high_v:.6g}")]
-        high, low = f"HLEV,{wanted.high_v:.6g}", f"LLEV,{wanted.low_v:.6g}"
-        words = [f"FRQ,{wanted.frequency_hz:.12g}"]
-        words += [high, low] if wanted.high_v > present_low_v else [low, high]
+            basic.append(("steady level", f"OFST,{wanted.high_v:.6g}"))
+            return _basic_wave(basic)
+        high, low = ("high level", f"HLEV,{wanted.high_v:.6g}"), ("low level", f"LLEV,{wanted.low_v:.6g}")
+        basic.append(("frequency", f"FRQ,{wanted.frequency_hz:.12g}"))
+        basic += [high, low] if wanted.high_v > present_low_v else [low, high]
         if wanted.waveform == "square":
-            words.append(f"DUTY,{wanted.duty_percent:.6g}")
-        found = [waveform, ("flicker", f"C1:BSWV {','.join(words)},PHSE,0")]
+            basic.append(("duty", f"DUTY,{wanted.duty_percent:.6g}"))
+        found = _basic_wave([*basic, ("phase", "PHSE,0")])
         if wanted.waveform == "sine":
             found.append(("harmonics", "C1:HARM HARMSTATE,OFF"))
-        if (
-            wanted.sync_output
-        ):  # its channel alone, because a generator without this choice may ignore the whole
-            return [*found, ("sync channel", "C1:SYNC ON,TYPE,CH1"), ("sync", "C1:SYNC ON")]
-        return [*found, ("sync", "C1:SYNC OFF")]
+        if not wanted.sync_output:
+            return [*found, ("sync", "C1:SYNC OFF")]
+        # The channel stands alone, because a generator without this choice may ignore the whole.
+        return [*found, ("sync channel", "C1:SYNC ON,TYPE,CH1"), ("sync", "C1:SYNC ON")]
 
     def output(self, on: bool) -> Setting:
         """See `HeaderDialect.output`."""
@@ -311,6 +314,10 @@ class SiglentDialect:
         if quantity is None:
             raise line.garbled_reply(f"no number {name} in {text!r}.", READABLE_REMEDY)
         return quantity
+
+
+def _basic_wave(words: Sequence[Setting]) -> list[Setting]:
+    return [(name, f"C1:BSWV {word}") for name, word in words]
 
 
 def _without_header(answer: str, header: str) -> str:

@@ -10,7 +10,7 @@ from typing import Final
 from simulators.lights.generators import Generator, Setting, Shape
 from simulators.world.world import LightState
 
-_HEADER: Final = re.compile(r"C1:(BSWV|OUTP|SYNC|MDWV|SWWV|BTWV|CMBN)(\?)?(?:\s+(.*))?", re.IGNORECASE)
+_HEADER: Final = re.compile(r"C1:(BSWV|OUTP|SYNC|MDWV|SWWV|BTWV|CMBN|INVT)(\?)?(?:\s+(.*))?", re.IGNORECASE)
 _LONG: Final[Mapping[str, str]] = {
     "BSWV": "BASIC_WAVE",
     "OUTP": "OUTPUT",
@@ -18,6 +18,7 @@ _LONG: Final[Mapping[str, str]] = {
     "SWWV": "SWEEPWAVE",
     "BTWV": "BURSTWAVE",
     "CMBN": "COMBINE",
+    "INVT": "INVERT",
 }
 _SIGLENT_NUMBER: Final = re.compile(
     r"([+-]?[0-9.]+(?:E[+-]?[0-9]+)?)(UHZ|MHZ|KHZ|HZ|MV|V|VPP|%|OHM)?", re.IGNORECASE
@@ -41,7 +42,7 @@ class SiglentGenerator(Generator):
     1.01.01.33R1 does.
     """
 
-    LEFT = ("CHDR-LONG", "CHDR-OFF", "MDWV", "SWWV", "BTWV", "CMBN", "PLRT")
+    LEFT = ("CHDR-LONG", "CHDR-OFF", "MDWV", "SWWV", "BTWV", "CMBN", "PLRT", "INVT")
 
     def __init__(
         self,
@@ -102,7 +103,7 @@ class SiglentGenerator(Generator):
         return ""
 
     def _mode(self, name: str) -> str:
-        return f"{'' if name == 'CMBN' else 'STATE,'}{'ON' if name in self.modulations else 'OFF'}"
+        return f"{'' if name in {'CMBN', 'INVT'} else 'STATE,'}{'ON' if name in self.modulations else 'OFF'}"
 
     def _set_wave(self, words: list[str]) -> None:
         self._loses_next = self._may_lose and "WVTP" in words and len(words) > 2

@@ -25,8 +25,8 @@ STEADY = LightSettings("steady", high_v=3.0)
 LEFT = [
     ("keysight", "AM FM FSKey SWEep BURSt"),
     ("rigol", "MOD AM FM PM ASK FSKey PSK PWM SWEep BURSt SYNC2"),
-    ("siglent", "MDWV SWWV BTWV CMBN PLRT"),
-    ("siglent", "CHDR-LONG MDWV PLRT"),
+    ("siglent", "MDWV SWWV BTWV CMBN PLRT INVT"),
+    ("siglent", "CHDR-LONG MDWV PLRT INVT"),
     ("siglent", "CHDR-OFF BTWV CMBN"),
     ("gardasoft", "echo events"),
     ("gardasoft", "switched"),

@@ -64,3 +64,32 @@ def test_a_generator_without_a_polarity_of_sync_is_not_said_to_have_it(dialect) 
     bench = Bench(dialect)
     bench.turn("OUTP1:SYNC:POL", "OUTP1:SYNC:POX")
     assert bench.open().sync_polarity() == "not stated by the device"
+
+
+SHIFTED = [("numbered", "OUTP1:SYNC:DEL", "4.000000E-03", "0"), ("siglent", "C1:INVT", "C1:INVT ON", "OFF")]
+
+
+@pytest.mark.parametrize(("dialect", "header", "answer", "undone"), SHIFTED)
+@pytest.mark.parametrize("stays", [False, True])
+def test_what_shifts_or_inverts_the_signal_against_its_sync_is_undone(
+    dialect, header, answer, undone, stays
+) -> None:
+    """Rigol's DG series has OUTP1:SYNC:DEL, up to one period; Siglent's SDG programming guide has INVERT beside PLRT."""
+    bench = Bench(dialect)
+    receive, left = bench.line.device.receive, [True]
+
+    def reply(data: bytes) -> bytes:
+        if left[0] and data == f"{header} {undone}\n".encode():
+            left[0] = stays
+            return b""
+        return f"{answer}\n".encode() if left[0] and data == f"{header}?\n".encode() else receive(data)
+
+    bench.line.device.receive = reply
+    light = bench.open()
+    assert left == [True]  # opening sets nothing
+    if stays:
+        with pytest.raises(SettingRefused, match=f"after '{header} {undone}', '{header}\\?' is answered by"):
+            light.apply(LightSettings(frequency_hz=60.0))
+    else:
+        light.apply(LightSettings(frequency_hz=60.0))
+        assert left == [False]
