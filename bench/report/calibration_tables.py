@@ -68,8 +68,8 @@ def combined(calibration: CalibrationData) -> tuple[tuple[str, str], tuple[str, 
         return None
     sums = [math.sqrt(sum(row["contribution"][name] ** 2 for row in rows)) for name in _SHOWN]
     factors = [coverage_factor(calibration, name) for name in _SHOWN]
-    standard = [number(one, 2) for one in sums]
-    expanded = [number(k * one, 2) for k, one in zip(factors, sums, strict=True)]
+    standard = [number(u, 2) for u in sums]
+    expanded = [number(k * u, 2) for k, u in zip(factors, sums, strict=True)]
     return (standard[0], standard[1]), (expanded[0], expanded[1])
 
 
@@ -137,16 +137,16 @@ def _length(value: float) -> str:
 
 def witness_rows(calibration: CalibrationData) -> list[dict[str, str]]:
     """List the statements, those that are most at odds with the others first."""
-    found = sorted(
+    by_doubt = sorted(
         calibration["witnesses"],
-        key=lambda one: (-one["fault_probability"], -abs(one["innovation"])),
+        key=lambda witness: (-witness["fault_probability"], -abs(witness["innovation"])),
     )
-    return [_row(one) for one in found]
+    return [_row(witness) for witness in by_doubt]
 
 
 def amplitude_rows(calibration: CalibrationData) -> list[tuple[str, str]]:
     """List the sizes of the errors that the adjustment estimated, with their uncertainty and what was expected."""
-    return [(one["name"], _size(one)) for one in calibration["amplitudes"]]
+    return [(amplitude["name"], _size(amplitude)) for amplitude in calibration["amplitudes"]]
 
 
 def _row(witness: WitnessData) -> dict[str, str]:
@@ -178,15 +178,15 @@ def _size(amplitude: AmplitudeData) -> str:
 
 def values(calibration: CalibrationData) -> list[tuple[str, str, str, str, str]]:
     """Return name, value, U = k u (JCGM 100, 6.2.1), the relative U if it is below 100 %, and k."""
-    found = {**calibration["camera"], **(calibration["collimator"] or {})}
+    parameters = {**calibration["camera"], **(calibration["collimator"] or {})}
     rows = []
     for name, sigma in calibration["sigma"].items():
-        if name not in found:
+        if name not in parameters:
             continue
         k = coverage_factor(calibration, name)
-        share = k * sigma / abs(found[name]) if found[name] else float("inf")
+        share = k * sigma / abs(parameters[name]) if parameters[name] else float("inf")
         relative = f"{number(100 * share, 2)} %" if share < 1 else NOTHING
-        rows.append((name, *with_uncertainty(found[name], k * sigma), relative, fixed(k, 2)))
+        rows.append((name, *with_uncertainty(parameters[name], k * sigma), relative, fixed(k, 2)))
     return rows
 
 

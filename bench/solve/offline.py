@@ -86,7 +86,7 @@ class OfflineResult:
         stated = [
             source.job.station.collimator if source.job else CollimatorConfig() for source in self.sources
         ]
-        alike = bool(stated) and all(one == stated[0] for one in stated)
+        alike = bool(stated) and all(section == stated[0] for section in stated)
         return stated[0] if alike else CollimatorConfig()
 
     @property
@@ -102,7 +102,7 @@ class OfflineResult:
             "passport": self.passport.to_dict() if self.passport else None,
             "gimbal_readings": self.readings,
             "skipped": list(self.skipped),
-            **({"conformity": told} if (told := self.conformity) else {}),
+            **({"conformity": judged} if (judged := self.conformity) else {}),
         }
 
 
@@ -149,7 +149,7 @@ def calibrate_sources(sources: Sequence[ViewSource], choices: OfflineOptions) ->
     options, passport, cautions = _engine_options(used, choices)
     calibration, planar = calibrated(views, options, cautions, board=choices.board is not None)
     targets = [source.job.target if source.job else choices.target for source in used]
-    target = targets[0] if all(one == targets[0] for one in targets) else None
+    target = targets[0] if all(other == targets[0] for other in targets) else None
     return OfflineResult(
         calibration, planar, skipped, views, options, used, passport, target, choices=choices
     )
@@ -182,14 +182,14 @@ def _engine_options(
     jobs = jobs_of(sources)
     job = jobs[0] if len(jobs) == 1 else None
     steps = [step for step in job.steps if isinstance(step, SolveStep)] if job is not None else []
-    found = [None if one is None else one.plan.passport.in_use for one in jobs]
-    passports = {one.data: one for one in found if one is not None}
+    of_runs = [None if run is None else run.plan.passport.in_use for run in jobs]
+    passports = {passport.data: passport for passport in of_runs if passport is not None}
     cautions: list[str] = []
     if job is not None and steps:
         angles = [source.attempt.stored["measured_deg"] for source in sources if source.attempt]
         options = choices.of_run(job, steps[-1], angles)
     else:
-        common = next(iter(passports.values())) if len(passports) == 1 and None not in found else None
+        common = next(iter(passports.values())) if len(passports) == 1 and None not in of_runs else None
         options = choices.without_run(common)
         if passports and not (common or choices.passport or choices.without_passport):
             cautions.append(

@@ -170,7 +170,7 @@ def solve_run(
         planar,
         _stored_views(measurements, calibration),
         [*solution_gates(step.limits, limited_numbers(calibration)), *check_gates(compared)],
-        {name: found for name, found in checks.items() if found is not None},
+        {name: outcome for name, outcome in checks.items() if outcome is not None},
         readings_result(
             calibration,
             options,
@@ -202,7 +202,7 @@ def check_gates(check: CheckData | None) -> list[Gate]:
     """Return the gate of a check: its largest E_n is at most 1."""
     if check is None:
         return []
-    largest = max(one["normalised"] for one in check["regions"])
+    largest = max(region["normalised"] for region in check["regions"])
     return [at_most("largest E_n of the check", largest, 1.0, "")]
 
 

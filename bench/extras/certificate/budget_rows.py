@@ -314,13 +314,13 @@ def _freedom_of_views(calibration: CalibrationData, common: float) -> float:
     """Return the degrees of freedom of what the views give: those that explain the common ones of the focal lengths."""
     if not math.isfinite(common):
         return math.inf
-    found = []
+    freedoms = []
     for symbol in ("fx", "fy"):
         whole, views, stated = _variances(calibration, symbol)
         rest = whole**2 / common - stated
         if rest > 0 and views > 0:
-            found.append(views**2 / rest)
-    return max(found, default=common)
+            freedoms.append(views**2 / rest)
+    return max(freedoms, default=common)
 
 
 def _welch_satterthwaite(calibration: CalibrationData, symbol: str, nu_views: float) -> float:

@@ -178,12 +178,12 @@ class Identity:
     verified: str = ""  # What was verified before the issue, in words
 
 
-def compose(found: Results, lab: LabConfig, identity: Identity) -> Certificate:
+def compose(sealed: Results, lab: LabConfig, identity: Identity) -> Certificate:
     """Return a run's certificate, its clauses checked before; `EvidenceError` if the budget does not add up."""
-    simulated = bool(found["run"]["simulated"])
+    simulated = bool(sealed["run"]["simulated"])
     supplied = frozenset(symbol for one in lab.customer_supplied or () for symbol in one.results)
-    results = facts_of_run.results_of(found, supplied)
-    rows = row_sources(found, lab)
+    results = facts_of_run.results_of(sealed, supplied)
+    rows = row_sources(sealed, lab)
     return Certificate(
         format=FORMAT,
         language="en",
@@ -193,33 +193,33 @@ def compose(found: Results, lab: LabConfig, identity: Identity) -> Certificate:
         simulated=simulated,
         laboratory=_laboratory(lab),
         customer=lab.customer,
-        item=_item(found, lab),
+        item=_item(sealed, lab),
         received=_day(lab.item.received),
-        begun_utc=facts_of_run.utc_seconds(found["run"]["started_utc"]),
-        ended_utc=facts_of_run.utc_seconds(found["run"]["finished_utc"]),
+        begun_utc=facts_of_run.utc_seconds(sealed["run"]["started_utc"]),
+        ended_utc=facts_of_run.utc_seconds(sealed["run"]["finished_utc"]),
         issued_utc=identity.issued_utc,
         method=_needed(lab.method),
         deviations=(
-            *facts_of_run.deviations_of(found),
+            *facts_of_run.deviations_of(sealed),
             *(Deviation(text, "laboratory") for text in lab.deviations or ()),
         ),
-        conditions=(*facts_of_run.conditions_of(found), *(_condition(one) for one in lab.conditions or ())),
-        traceability=_traceability(found, lab),
+        conditions=(*facts_of_run.conditions_of(sealed), *(_condition(one) for one in lab.conditions or ())),
+        traceability=_traceability(sealed, lab),
         results=results,
-        covariance=facts_of_run.covariance_of(found),
-        further=facts_of_run.further_of(found),
+        covariance=facts_of_run.covariance_of(sealed),
+        further=facts_of_run.further_of(sealed),
         budgets=tuple(
-            budget_of(found["calibration"], result.symbol, result.unit, rows, result.U) for result in results
+            budget_of(sealed["calibration"], result.symbol, result.unit, rows, result.U) for result in results
         ),
-        before_adjustment=_before(found, lab),
-        conformity=tuple(conformity_of(rule, _named(results, rule.result)) for rule in rules_of(found, lab)),
+        before_adjustment=_before(sealed, lab),
+        conformity=tuple(conformity_of(rule, _named(results, rule.result)) for rule in rules_of(sealed, lab)),
         customer_supplied=tuple(one.text for one in lab.customer_supplied or ()),
         external=lab.external or (),
         opinions=lab.opinions,
         authorised_by=_needed(lab.authorised_by),
         run=identity.run,
         amends=identity.amends,
-        statements=statements_of(found, lab, identity),
+        statements=statements_of(sealed, lab, identity),
     )
 
 

@@ -163,10 +163,10 @@ def _boresight(boresight: BoresightData | None) -> Iterator[FurtherResult]:
         )
 
 
-def _projection(id_: str, name: str, one: KnownDirection) -> list[FurtherResult]:
+def _projection(id_: str, name: str, direction: KnownDirection) -> list[FurtherResult]:
     return [
-        _further(id_, name, float(one["expanded_px"]), "px"),
-        _further(id_, name, float(one["expanded_urad"]) / URAD_PER_ARCSEC, "arcsec"),
+        _further(id_, name, float(direction["expanded_px"]), "px"),
+        _further(id_, name, float(direction["expanded_urad"]) / URAD_PER_ARCSEC, "arcsec"),
     ]
 
 

@@ -127,16 +127,16 @@ def make_certificate(
     """
     folder = folder.absolute()
     try:
-        if faults := faults_of_lab(lab, source.found, source.run.sequence_sha256):
+        if faults := faults_of_lab(lab, source.results, source.run.sequence_sha256):
             raise DocumentFaults(faults, lab.tree)
         trial_identity = Identity(
             "0", "1970-01-01T00:00:00Z", source.run, None, further, despite, source.verified
         )
-        trial = compose(source.found, lab.value, trial_identity)
-        reason = needed_reason(source.found, lab.value, trial.conformity, despite)
+        trial = compose(source.results, lab.value, trial_identity)
+        reason = needed_reason(source.results, lab.value, trial.conformity, despite)
         if reason != despite:  # an amended one may not need it any more
             trial_identity = replace(trial_identity, despite=reason)
-            trial = compose(source.found, lab.value, trial_identity)
+            trial = compose(source.results, lab.value, trial_identity)
     except (LookupError, TypeError, AttributeError, ArithmeticError) as error:
         raise EvidenceError(
             f"The results are not of the form that this version reads ({error!r}).",
@@ -158,10 +158,10 @@ def make_certificate(
         identity = replace(
             trial_identity, number=number.number, issued_utc=number.issued_utc, amends=replaced
         )
-        certificate = compose(source.found, lab.value, identity)
+        certificate = compose(source.results, lab.value, identity)
         sign = _signer(laboratory, number.issued_utc)
         files = certificate_files(
-            certificate, source.found, source.results, lab.text, source.plots, sign=sign
+            certificate, source.results, source.results_bytes, lab.text, source.plots, sign=sign
         )
         seal = write_sealed(folder, files, key)
         _enter(laboratory.ledger, certificate, seal)
@@ -238,13 +238,13 @@ def _signer(laboratory: Issuer, utc: str) -> Callable[[bytes], bytes] | None:
 def _wanted(source: Source, lab: LabConfig, folder: Path, amends: str, further: str) -> Wanted:
     return Wanted(
         number_format=lab.numbers.format,
-        simulated=bool(source.found["run"]["simulated"]),
+        simulated=bool(source.results["run"]["simulated"]),
         run_seal=source.run.seal_sha256,
         run_id=source.run.id,
         folder=str(folder),
         amends=amends,
         also=further,
-        ended_utc=facts_of_run.utc_seconds(source.found["run"]["finished_utc"]),
+        ended_utc=facts_of_run.utc_seconds(source.results["run"]["finished_utc"]),
     )
 
 

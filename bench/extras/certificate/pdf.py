@@ -85,13 +85,16 @@ _CAPTIONS = {
 
 
 @cache
-def _has_glyph(one: str) -> bool:
+def _has_glyph(letter: str) -> bool:
     """Return whether the fonts have a character, regular and bold: without it typst makes no PDF/A."""
     page = (
         '#let d = json("letter.json")\n#set document(title: "-")\n'
         "#set text(font: d.fonts, fallback: false)\n#d.letter *#d.letter*"
     )
-    files = {"main.typ": page.encode(), "letter.json": json.dumps({"fonts": _FONTS, "letter": one}).encode()}
+    files = {
+        "main.typ": page.encode(),
+        "letter.json": json.dumps({"fonts": _FONTS, "letter": letter}).encode(),
+    }
     try:
         _pdf_of(files)
     except RuntimeError:
@@ -101,13 +104,13 @@ def _has_glyph(one: str) -> bool:
 
 def missing(text: str) -> list[str]:
     """Return the characters of a text that cannot be printed, each once, in the order of the text."""
-    return list(dict.fromkeys(one for one in text if not _is_printable(one)))
+    return list(dict.fromkeys(letter for letter in text if not _is_printable(letter)))
 
 
-def _is_printable(one: str) -> bool:
-    if one == "\n" or one in _JOINERS:
+def _is_printable(letter: str) -> bool:
+    if letter == "\n" or letter in _JOINERS:
         return True
-    return unicodedata.category(one) not in _UNPRINTABLE and (one.isascii() or _has_glyph(one))
+    return unicodedata.category(letter) not in _UNPRINTABLE and (letter.isascii() or _has_glyph(letter))
 
 
 def with_codes(text: str) -> str:
@@ -116,32 +119,32 @@ def with_codes(text: str) -> str:
     >>> with_codes("pose 山 1")
     'pose [U+5C71] 1'
     """
-    return "".join(one if _is_printable(one) else f"[U+{ord(one):04X}]" for one in text)
+    return "".join(letter if _is_printable(letter) else f"[U+{ord(letter):04X}]" for letter in text)
 
 
 def faults(certificate: Mapping[str, Any]) -> list[str]:
     """Return a line for each field with letters that cannot be printed, as ``customer.name has 山 (U+5C71)``."""
     return [
-        f"{path} has {_named(found)}"
+        f"{path} has {_named(letters)}"
         for place, text in leaves(certificate)
         if isinstance(text, str)
         and not _is_from_run(certificate, path := path_text(place))
-        and (found := missing(text))
+        and (letters := missing(text))
     ]
 
 
 def _is_from_run(certificate: Mapping[str, Any], path: str) -> bool:
     if entry := _ENTRY.match(path):  # both the run and the laboratory write these
-        found = certificate[entry[1]][int(entry[2])]
-        return bool(found["id"] not in _OF_LABORATORY if "id" in found else found["source"] == "run")
+        part = certificate[entry[1]][int(entry[2])]
+        return bool(part["id"] not in _OF_LABORATORY if "id" in part else part["source"] == "run")
     return bool(_FROM_RUN.match(path))
 
 
 def refuse_missing(certificate: Mapping[str, Any]) -> None:
     """Refuse a certificate in which the laboratory wrote characters that cannot be printed."""
-    if found := faults(certificate):
+    if unprintable := faults(certificate):
         raise UsageError(
-            f"The fonts of the certificate cannot print these characters: {'; '.join(found)}.",
+            f"The fonts of the certificate cannot print these characters: {'; '.join(unprintable)}.",
             remedy="Write the text in Latin, Greek, Cyrillic, Armenian, Georgian, Hebrew or Arabic letters, without"
             " control characters.",
         )
@@ -169,7 +172,7 @@ def render_pdf(
     refuse_missing(json.loads(certificate.to_json()))
     drawn = draw_plots(results) if plots is None else plots
     shown = pictures(certificate, drawn)
-    files = {one["file"]: drawn[one["name"]] for one in shown}
+    files = {picture["file"]: drawn[picture["name"]] for picture in shown}
     return _compiled(document(certificate, shown, attachments), files, attachments)
 
 
@@ -180,7 +183,7 @@ def document(
     issued = datetime.fromisoformat(certificate.issued_utc)
     content = json.loads(certificate.to_json())
     del content["covariance"]  # its digits are others
-    found = mapped(
+    layout = mapped(
         {
             "title": f"{certificate.title} {certificate.number}",
             "subject": _subject(certificate),
@@ -206,14 +209,14 @@ def document(
         },
         _printable,
     )
-    return {**found, "note": CODE_NOTE if "[U+" in json.dumps(found) else ""}
+    return {**layout, "note": CODE_NOTE if "[U+" in json.dumps(layout) else ""}
 
 
-def _printable(found: Any) -> Any:
+def _printable(value: Any) -> Any:
     """Replace characters that cannot be printed by their codes, and a number by its printed forms."""
-    if isinstance(found, str):
-        return with_codes(found)
-    return _forms(found) if isinstance(found, float) else found
+    if isinstance(value, str):
+        return with_codes(value)
+    return _forms(value) if isinstance(value, float) else value
 
 
 def _forms(value: float) -> dict[str, str]:
@@ -295,7 +298,11 @@ def _compiled(content: Mapping[str, Any], svg: Mapping[str, str], attachments: M
     folder = resources.files("bench.extras.certificate")
     files: dict[str, bytes] = {
         "main.typ": b'#include "certificate.typ"',
-        **{one.name: one.read_bytes() for one in folder.iterdir() if one.name.endswith(".typ")},
+        **{
+            template.name: template.read_bytes()
+            for template in folder.iterdir()
+            if template.name.endswith(".typ")
+        },
         "document.json": json.dumps(content, ensure_ascii=False).encode(),
         **{name: with_codes(text).encode() for name, text in svg.items()},
         **{
@@ -392,7 +399,7 @@ def draw_plots(results: Results, views: Sequence[ViewPicture] = ()) -> dict[str,
 
 def pictures(certificate: Certificate, plots: Mapping[str, str]) -> list[dict[str, Any]]:
     """Return the plots for the layout, in the order of `PLOTS`; ``alt`` describes one to who does not see it."""
-    numbers = "; ".join(f"{one.name}: {one.text}" for one in certificate.further)
+    numbers = "; ".join(f"{result.name}: {result.text}" for result in certificate.further)
     return [
         {
             "name": name,

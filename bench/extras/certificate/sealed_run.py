@@ -66,18 +66,20 @@ def written_with() -> tuple[Software, ...]:
 
 
 def _installed() -> list[Software]:
-    found = []
+    libraries = []
     for name in _LIBRARIES:
         try:
-            found.append(Software(name, version(name)))
+            libraries.append(Software(name, version(name)))
         except PackageNotFoundError:
             continue
-    return found
+    return libraries
 
 
 def other_writer(software: tuple[Software, ...]) -> str:
     """Return how the program that wrote a certificate differs, as ``typst 0.14 (here 0.15)``; empty if it does not."""
-    stated, here = ({one.name: one.version for one in every} for every in (software, written_with()))
+    stated, here = (
+        {program.name: program.version for program in every} for every in (software, written_with())
+    )
     return differing_software(stated, here)
 
 
@@ -132,8 +134,8 @@ def check_run_of_certificate(
 class Source:
     """What a certificate is made from."""
 
-    found: Results
-    results: bytes
+    results: Results
+    results_bytes: bytes
     run: Run
     plots: Mapping[str, str]
     verified: str
@@ -164,14 +166,14 @@ def read_sealed_run(folder: Path, verify: Verify, *, accept_not_compared: bool =
         _refuse_other_than_finished(stored)
         if not stored.has_results:
             raise EvidenceError("This run has no results.", where=str(folder), remedy="Add a solve step.")
-        found, results, seal = stored.results, stored.results_bytes, stored.seal
-    if found["run"].get("board"):
+        results, results_bytes, seal = stored.results, stored.results_bytes, stored.seal
+    if results["run"].get("board"):
         raise EvidenceError(
             "This run recorded a board: a certificate is made from runs with the star target only.",
             where=str(folder),
             remedy="Run a sequence on the collimator bench.",
         )
-    if not found["calibration"]["converged"]:
+    if not results["calibration"]["converged"]:
         raise EvidenceError(
             "The calibration of this run did not converge.", where=str(folder), remedy="Run it again."
         )
@@ -179,7 +181,7 @@ def read_sealed_run(folder: Path, verify: Verify, *, accept_not_compared: bool =
 
     hashes = stored.history.started.get("sha256", {})
     run = Run(
-        **stated_run(found, results, written_with()),
+        **stated_run(results, results_bytes, written_with()),
         journal_head=stored.head,
         sequence_sha256=hashes.get(SEQUENCE_COPY, ""),
         station_sha256=hashes.get(STATION_COPY, ""),
@@ -187,12 +189,12 @@ def read_sealed_run(folder: Path, verify: Verify, *, accept_not_compared: bool =
         signer=verification.signer or "",
         signer_fingerprint=verification.fingerprint or "",
     )
-    return Source(found, results, run, plots_of_run(folder, found), statement_of(verification))
+    return Source(results, results_bytes, run, plots_of_run(folder, results), statement_of(verification))
 
 
-def stated_run(found: Results, results: bytes, written: tuple[Software, ...]) -> dict[str, Any]:
+def stated_run(results: Results, results_bytes: bytes, written: tuple[Software, ...]) -> dict[str, Any]:
     """Return the fields of a `Run` that results.json states; only the sealed folder can give the others."""
-    run = found["run"]
+    run = results["run"]
     place: Mapping[str, Any] = run.get("ledger") or {}
     used = (Software(str(name), str(version)) for name, version in run["software"].items())
     return {
@@ -201,7 +203,7 @@ def stated_run(found: Results, results: bytes, written: tuple[Software, ...]) ->
         "station": str(run["station"]),
         "ledger_number": int(place["number"]) if "number" in place else None,
         "ledger_head": str(place.get("head") or ""),
-        "results_sha256": sha256(results),
+        "results_sha256": sha256(results_bytes),
         "software": (*used, *written),
     }
 
