@@ -29,6 +29,11 @@ _REPORT_MACHINE = 1
 _SOFT_LIMITS, _HOMING, _HOMES_DOWN, _REPORT_MASK, _INCHES = 20, 22, 23, 10, 13
 _HOMING_PASSES = range(44, 50)
 """Settings of grblHAL, each with the axes that one pass of homing searches, as bits."""
+_LOCATE, _SEEK, _PULL_OFF = 24, 25, 27
+_SEARCHED_TRAVELS = 1.5
+"""How far the firmware searches a switch, in travels; the descendants search no farther."""
+_LOCATED_PULL_OFFS = 20.0
+"""How far it goes at most while it locates the switch, in ways of pulling off."""
 _STEPS, _RATE, _ACCELERATION, _TRAVEL = 100, 110, 120, 130
 """Numbers of settings; those of the last line belong to the first axis, and the other axes follow."""
 _PRINTED = 0.0011
@@ -204,9 +209,20 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
 
     def _start_homing(self, check_not_stopped: StopCheck) -> None:
         self._homing = False
+        allowed_s = self._longest_homing_s()
         super()._start_homing(check_not_stopped)
-        self._line.wait_for_homing()
+        self._line.wait_for_homing(allowed_s)
         self._homing = False
+
+    def _longest_homing_s(self) -> float:
+        """Return the longest time of a homing, s: a pass an axis, at the board's speeds in degrees a minute."""
+        settings = self._line.query_settings()
+        seek, locate = settings.get(_SEEK, 0.0), settings.get(_LOCATE, 0.0)
+        if seek <= 0 or locate <= 0:
+            return motion.LONGEST_HOMING_S
+        searched = sum(settings.get(_TRAVEL + place, 0.0) for place in self._places.values())
+        located = _LOCATED_PULL_OFFS * settings.get(_PULL_OFF, 0.0) * len(self._places)
+        return motion.LONGEST_HOMING_S + 60.0 * (_SEARCHED_TRAVELS * searched / seek + located / locate)
 
     def _begin_homing(self, axis: GrblAxis) -> None:  # noqa: ARG002 - one search finds all references
         if not self._homing:

@@ -134,9 +134,9 @@ class GrblController(Link):
             self.write(b"$H\n")
             self.mark_out_of_step()
 
-    def wait_for_homing(self) -> None:
+    def wait_for_homing(self, allowed_s: float) -> None:
         """Wait for the ``ok`` at the end of homing, a restart or an alarm; `MoveTimeout` at the deadline."""
-        end_s = self._clock.monotonic() + motion.LONGEST_HOMING_S
+        end_s = self._clock.monotonic() + allowed_s
         restarts, alarms, failed = self.restarts, len(self.alarms), False
         while (now_s := self._clock.monotonic()) < end_s:
             self._clock.sleep(motion.POLL_S)
@@ -153,7 +153,7 @@ class GrblController(Link):
         if failed:
             return
         raise MoveTimeout(
-            f"homing has not ended after {motion.LONGEST_HOMING_S:g} s.",
+            f"homing has not ended after {allowed_s:.0f} s.",
             where=self.name,
             remedy="Find what blocks the axes.",
         )

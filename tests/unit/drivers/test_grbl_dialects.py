@@ -158,3 +158,13 @@ def test_a_report_that_lost_a_byte_does_no_harm_though_it_can_be_read_without(be
     bench.change(damaged)
     stage.move_to(TARGET)
     assert stage.position_deg() == TARGET
+
+
+def test_a_board_that_searches_its_switches_slowly_is_waited_for(bench) -> None:
+    """usbcnc/grbl issue 22 shows ``$24=25.000``, 0.4 degrees a second on a gimbal; ``$25`` may be as slow."""
+    bench.board.settings.update({24: 1.0, 25: 1.5})
+    stage = bench.open()
+    began_s = bench.clock.now_s
+    stage.home()
+    assert bench.clock.now_s - began_s > 250.0
+    assert stage.is_homed()
