@@ -49,6 +49,7 @@ _LONG_HEADERS: Final[Mapping[str, str]] = {
     "BTWV": "BURSTWAVE",
     "CMBN": "COMBINE",
     "INVT": "INVERT",
+    "NOISE_ADD": "NOISE_ADD",
     "COUP": "COUPLING",
 }
 _FIELDS: Final[Mapping[str, str]] = {
@@ -149,6 +150,7 @@ class HeaderDialect:
         yield Mode("coupling of the channels", "COUP:STAT")
         yield Mode("sync output's mode", f"{self.output_header}:SYNC:MODE", ("NORM",))
         yield Mode("sync output's delay", f"{self.output_header}:SYNC:DEL", ("0",))
+        yield Mode("noise on the output", f"{self.output_header}:NOIS:STAT")
         yield Mode("sync output's channel", "OUTP:SYNC:SOUR", ("CH1",))
 
     def sync_polarity(self) -> Mode | None:
@@ -236,6 +238,7 @@ class SiglentDialect:
             yield Mode(f"{name}", f"C1:{header}", ("STATE,OFF",))
         yield Mode("output's polarity", "C1:OUTP", ("PLRT,NOR",))
         yield Mode("inversion", "C1:INVT")
+        yield Mode("noise on the output", "C1:NOISE_ADD", ("STATE,OFF",))
         yield Mode("sum of both channels", "C1:CMBN")
         for coupled in ("TRACE", "FCOUP", "PCOUP", "ACOUP", "STATE"):
             yield Mode("coupling of the channels", "COUP", (f"{coupled},OFF",))

@@ -66,15 +66,18 @@ def test_a_generator_without_a_polarity_of_sync_is_not_said_to_have_it(dialect) 
     assert bench.open().sync_polarity() == "not stated by the device"
 
 
-SHIFTED = [("numbered", "OUTP1:SYNC:DEL", "4.000000E-03", "0"), ("siglent", "C1:INVT", "C1:INVT ON", "OFF")]
+SPOILT = [
+    ("numbered", "OUTP1:SYNC:DEL", "4.000000E-03", "0"),  # Rigol DG1000Z and DG4000, up to one period
+    ("numbered", "OUTP1:NOIS:STAT", "ON", "OFF"),  # Rigol DG4000
+    ("siglent", "C1:INVT", "C1:INVT ON", "OFF"),  # beside PLRT
+    ("siglent", "C1:NOISE_ADD", "C1:NOISE_ADD STATE,ON,RATIO,100,RATIO_DB,20dB", "STATE,OFF"),
+]
 
 
-@pytest.mark.parametrize(("dialect", "header", "answer", "undone"), SHIFTED)
+@pytest.mark.parametrize(("dialect", "header", "answer", "undone"), SPOILT)
 @pytest.mark.parametrize("stays", [False, True])
-def test_what_shifts_or_inverts_the_signal_against_its_sync_is_undone(
-    dialect, header, answer, undone, stays
-) -> None:
-    """Rigol's DG series has OUTP1:SYNC:DEL, up to one period; Siglent's SDG programming guide has INVERT beside PLRT."""
+def test_what_shifts_inverts_or_blurs_the_signal_is_undone(dialect, header, answer, undone, stays) -> None:
+    """Commands and answers: Rigol's programming guides; Siglent's "SDG Series Programming Guide"."""
     bench = Bench(dialect)
     receive, left = bench.line.device.receive, [True]
 
