@@ -105,6 +105,12 @@ class ZaberAxisConfig(AxisConfig):
     resolution: Annotated[
         int, Field(ge=1, le=256, description="Microsteps a step for which microsteps_per_deg holds.")
     ] = 64
+    settings: Annotated[
+        dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9.]{1,60}$")], float],
+        Field(
+            max_length=40, description="Settings that change angles, such as driver.dir, and their values."
+        ),
+    ] = Field(default_factory=dict)
     encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
 
     @property
@@ -207,6 +213,10 @@ class GrblStageConfig(SerialLine, AnyStage):
         Serial | None,
         Field(description="Name given to the board with $I=.... Without it, any board is accepted."),
     ] = None
+    settings: Annotated[
+        dict[Annotated[str, Field(pattern=r"^\$[0-9]{1,4}$")], float],
+        Field(max_length=40, description="Settings that change angles, such as $3, and their values."),
+    ] = Field(default_factory=dict)
     axes: Annotated[dict[Axis, GrblAxisConfig], Field(min_length=1), differing("letter")]
 
     def open_device(self, port: PortName, *, clock: Clock, wire_log: WireLog | None) -> Stage:
@@ -217,6 +227,7 @@ class GrblStageConfig(SerialLine, AnyStage):
             port(self.port),
             driver_axes(GrblAxis, self.axes, port),
             serial=self.serial or "",
+            settings=self.settings,
             baudrate=self.baudrate,
             rtscts=self.rtscts,
             clock=clock,

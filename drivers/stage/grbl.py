@@ -20,7 +20,7 @@ from drivers.stage import AxisIdentity, motion
 from drivers.stage.grbl_controller import GrblController, SettingReadOnly
 from drivers.stage.grbl_protocol import BLOCKING_STATES, GRBL, READY_STATES, UNKNOWN, StatusReport
 from drivers.stage.motion import Axis
-from drivers.stage.refusals import no_reference, not_movable
+from drivers.stage.refusals import no_reference, not_as_stated, not_movable
 from drivers.stage.watched import AxisState, OneLineStage, StopCheck
 from drivers.wire_log import WireLog
 
@@ -62,8 +62,8 @@ class GrblAxis(Axis):
 class GrblStage(OneLineStage[GrblAxis, GrblController]):
     """A stage of one to three axes on a GRBL board. Implements ``drivers.stage.Stage``.
 
-    ``serial`` is the name that was given to the board with ``$I=...``; empty when it is not checked. Scale or travel
-    that do not fit the board's raise `OutsideLimits`.
+    ``serial`` is the name that was given to the board with ``$I=...``; empty when it is not checked. ``settings`` are
+    values that the board must have, such as ``$3``. These, scale or travel that do not fit raise `OutsideLimits`.
     """
 
     BAUDRATE = 115200
@@ -74,10 +74,12 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
         axes: Sequence[GrblAxis],
         *,
         serial: str = "",
+        settings: Mapping[str, float] | None = None,
         clock: Clock,
         wire_log: WireLog | None = None,
     ) -> None:
         self._serial = serial
+        self._stated = dict(settings or {})
         self._places = {axis.name: _LETTERS.index(axis.letter) for axis in axes}
         self._homing = False
         super().__init__(port, axes, clock=clock, wire_log=wire_log)
@@ -315,6 +317,10 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
                 where=self._where,
                 remedy="Delete the line with $N0= and $N1=.",
             )
+        for name, stated in self._stated.items():
+            value = present.get(int(name.removeprefix("$")))
+            if not _same(value, stated):
+                raise not_as_stated(self._where, name, stated, value, f"{name}={stated:g}")
         if present.get(_INCHES):
             wanted[_INCHES] = 0
         for axis in self._axes.values():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from drivers.errors import DeviceRefused, MoveFailed, NotHomed
+from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits
 from drivers.stage.motion import Axis
 
 HOME_FIRST = "Home the stage first."
@@ -32,4 +32,18 @@ def read_back_otherwise(where: str, what: str, wanted: object, got: object) -> D
         f"{what} read back differently from what was set: {got} instead of {wanted}.",
         where=where,
         remedy=TO_WHAT_IT_SUPPORTS,
+    )
+
+
+def not_as_stated(where: str, name: str, stated: float, present: float | None, send: str) -> OutsideLimits:
+    """Build the error of a setting that changes every angle, and is not the one that the station file states."""
+    if present is None:
+        has, remedy = "no such setting", f"Take {name} out of `settings` in the station file."
+    else:
+        has = f"{present:g}"
+        remedy = f"Send '{send}', or write {name}: {has} under `settings` in the station file and find zero_deg anew."
+    return OutsideLimits(
+        f"the station has {name} {stated:g}, the controller has {has}. Nothing was set.",
+        where=where,
+        remedy=remedy,
     )

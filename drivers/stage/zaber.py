@@ -11,8 +11,8 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyGarbled
@@ -20,7 +20,7 @@ from drivers.link import Link, ReplyReader, repeat
 from drivers.serial_port import Port
 from drivers.stage import AxisIdentity, motion, zaber_protocol
 from drivers.stage.motion import Axis
-from drivers.stage.refusals import no_reference, not_movable, reads_otherwise
+from drivers.stage.refusals import no_reference, not_as_stated, not_movable, reads_otherwise
 from drivers.stage.watched import AxisState, OneLineStage
 from drivers.stage.zaber_protocol import Reply
 from drivers.wire_log import WireLog
@@ -31,6 +31,8 @@ SPEED_UNITS = 1.6384
 ACCELERATION_UNITS = 1.6384e-4
 """accel = 1.6384 / 10000 x microsteps/s^2 (ASCII Protocol Manual, setting accel)."""
 _SCALE_AGREES = 1e-6
+_HOME_PRESET = "limit.home.preset"
+"""Setting of the position that homing sets."""
 
 
 class ZaberChain(Link):
@@ -165,6 +167,8 @@ class ZaberAxis(Axis):
     axis: int = 1
     # Microsteps a step for which that scale holds: the controller's setting ``resolution``.
     resolution: int = 64
+    # Other settings that change every angle, such as ``driver.dir``; the controller must have these values.
+    settings: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def scale(self) -> float:
@@ -285,7 +289,7 @@ class ZaberStage(OneLineStage[ZaberAxis, ZaberChain]):
     # ------------------------------------------------------------ settings
 
     def _check_scale(self, axis: ZaberAxis) -> None:
-        """Check that scale and limits agree with the controller's microsteps a turn or a step, and its travel."""
+        """Check scale and limits by the controller's microsteps and travel, and the stated settings."""
         turn = self._setting(axis, "limit.cycle.dist")
         resolution = self._setting(axis, "resolution")
         expected = abs(axis.microsteps_per_deg) * 360.0
@@ -303,6 +307,10 @@ class ZaberStage(OneLineStage[ZaberAxis, ZaberChain]):
                 remedy=f"Send 'set resolution {axis.resolution}', or state resolution: {resolution} and the scale for"
                 " it in the station file.",
             )
+        for name, stated in {_HOME_PRESET: 0.0, **axis.settings}.items():
+            value = self._setting(axis, name)
+            if value != stated and (value is not None or name in axis.settings):
+                raise not_as_stated(axis.name, name, stated, value, f"set {name} {stated:g}")
         present = self._setting(axis, "limit.min"), self._setting(axis, "limit.max")
         motion.check_travel(axis.name, _travel(axis), present, "microsteps", to_deg=axis.to_angle_deg)
 

@@ -33,8 +33,8 @@ class Bench:
         self.board.name = "gimbal-7"
         self.line = direct_line(self.board, self.clock)
 
-    def open(self, letters: str = "XY", serial: str = "") -> GrblStage:
-        return GrblStage(self.line, axes(letters), serial=serial, clock=self.clock)
+    def open(self, letters: str = "XY", **more) -> GrblStage:
+        return GrblStage(self.line, axes(letters), clock=self.clock, **more)
 
     def homed(self) -> GrblStage:
         stage = self.open()

@@ -6,7 +6,7 @@ import re
 
 import pytest
 
-from drivers.errors import DeviceRefused, ReplyError
+from drivers.errors import DeviceRefused, OutsideLimits, ReplyError
 from simulators.stages.grbl import FIRMWARES
 from tests.unit.drivers.grbl_bench import LIMITS, Bench
 
@@ -168,3 +168,22 @@ def test_a_board_that_searches_its_switches_slowly_is_waited_for(bench) -> None:
     stage.home()
     assert bench.clock.now_s - began_s > 250.0
     assert stage.is_homed()
+
+
+@pytest.mark.parametrize(("name", "value"), [("$3", 2.0), ("$22", 9.0), ("$27", 2.0), ("$150", 16.0)])
+def test_a_setting_that_changes_every_angle_is_refused_unless_it_is_the_stated_one(
+    bench, name, value
+) -> None:
+    """grblHAL issue 289 tells people to set ``$22=9``: then homing sets another position; ``$15x`` are microsteps."""
+    bench.board.settings[int(name[1:])] = value
+    with pytest.raises(
+        OutsideLimits, match=rf"has \{name} 1, the controller has {value:g}\. Nothing was set"
+    ):
+        bench.open(settings={name: 1.0})
+    assert not bench.wrote_settings()
+    bench.open(settings={name: value})
+
+
+def test_a_stated_setting_that_the_board_does_not_have_is_named(bench) -> None:
+    with pytest.raises(OutsideLimits, match="the controller has no such setting"):
+        bench.open(settings={"$150": 16.0})

@@ -12,6 +12,7 @@ import pytest
 
 from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, ReplyError, WrongDevice
 from drivers.stage import AxisLimits
+from drivers.stage.zaber_protocol import checksum
 from tests.hil.mutated import zaber_line
 from tests.unit.drivers.zaber_bench import SCALE, Bench
 
@@ -135,6 +136,35 @@ def test_another_resolution_is_refused_unless_the_station_states_it(bench, resol
     ):
         bench.open(limits=limits)
     bench.open(limits=limits, resolution=resolution)
+
+
+def with_setting(bench, name: str, value: int) -> None:
+    """Give both controllers a setting more."""
+    receive = bench.line.device.receive
+
+    def answer(data: bytes) -> bytes:
+        asked = re.match(rf"/(\d) (\d) (\d\d) get {re.escape(name)}:".encode(), data)
+        if asked is None:
+            return receive(data)
+        body = b"%02d %s %s OK IDLE WR %d" % (int(asked[1]), asked[2], asked[3], value)
+        return b"@%s:%02X\r\n" % (body, checksum(body))
+
+    bench.line.device.receive = answer
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "stated"),
+    [("limit.home.preset", 25_600, {}), ("driver.dir", 1, {"driver.dir": 0}), ("nonsense", 1, {"other": 1})],
+)
+def test_a_setting_that_changes_every_angle_is_refused_unless_it_is_the_stated_one(
+    bench, name, value, stated
+) -> None:
+    """Zaber ASCII Protocol Manual, command home: the position is then reset to ``limit.home.preset``."""
+    with_setting(bench, name, value)
+    with pytest.raises(OutsideLimits, match=r"the station has .* Nothing was set\."):
+        bench.open(settings=stated)
+    assert bench.motions() == []
+    bench.open(settings={name: value})
 
 
 def test_a_deceleration_of_its_own_is_set_to_the_acceleration(bench) -> None:

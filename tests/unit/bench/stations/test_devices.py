@@ -57,10 +57,10 @@ DEVICES = [
         {"baudrate": 19_200, "rtscts": None},
     ),
     (
-        f"stage: {{driver: grbl, port: /dev/d, serial: gimbal, axes: {{pan: {{letter: A, steps_per_deg: 80, zero_deg: 10, {MOTION}}}}}}}",
+        f"stage: {{driver: grbl, port: /dev/d, serial: gimbal, settings: {{$3: 2, $150: 16}}, axes: {{pan: {{letter: A, steps_per_deg: 80, zero_deg: 10, {MOTION}}}}}}}",
         GrblStage,
         ("/dev/d", [GrblAxis(name="pan", letter="A", steps_per_deg=80, zero_deg=10, limits=LIMITS, tolerance_deg=0.01)]),
-        {"serial": "gimbal", "baudrate": 115_200, "rtscts": None},
+        {"serial": "gimbal", "settings": {"$3": 2, "$150": 16}, "baudrate": 115_200, "rtscts": None},
     ),
     (
         "light: {driver: scpi, port: /dev/e, dialect: siglent, load: 50-ohm, serial: 09}",
