@@ -29,7 +29,7 @@ PARALLAX = "pupil|defocus|parallax"
 PRINT = "print|target|reticle|pitch|anisotrop|unit"
 READINGS = "reading|axis|axes|slip"
 POSE = r"pose [#5]|view [#5]"
-STARS = "star|outlier|gross"
+STARS = "star|neighbour|outlier|gross"
 DRIFT = "drift|changed|temperature|focal length"
 
 
