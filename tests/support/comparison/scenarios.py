@@ -46,7 +46,7 @@ def _run(shipped: str, at: str = "simulated") -> Callable[[Side, Path], None]:
 def _shipped(side: Side, _old: Path) -> None:
     """The first command of the README, with the sensor in its full size and the files of the checkout itself."""
     side.say("run", "three_pose", "-s", "simulated", "--seed", SEED, "-o", "run")
-    for words in ("status run --json", "runs --json", "ledger check --json", "verify run"):
+    for words in ("status run --json", "runs --json", "ledger --json", "verify run"):
         side.say(*words.split())
 
 
@@ -99,7 +99,7 @@ def _recalculated(side: Side, old: Path) -> None:
     side.say("calibrate", *captures, "--model", "joint", "--json")
     side.say("passport", "make", "run", "-o", "passport.json", "--json")
     side.say("calibrate", "run", "--views", "2,5", "--passport", "passport.json", "--json")
-    side.say("recalibrate", "run", "-o", "again", "--workers", "1", "--json")
+    side.say("calibrate", "--each", "run", "-o", "again", "--workers", "1", "--json")
     side.say("verify", "run", "--again", "--json")
     for name in ("pose.hdf5", "pose.h5", "pose.npz"):
         side.say("convert", captures[0], name)
@@ -117,18 +117,9 @@ def _certificate(side: Side, old: Path) -> None:
     side.write("lab.yaml", replaced(sample["LAB"], *changes))
     side.say("certificate", "issue", "run", "-c", "lab.yaml", "-o", "first", "--json")
     side.write("corrected.yaml", replaced(sample["LAB"], *changes, ("Mill Lane 3", "Mill Lane 4")))
-    side.say(
-        "certificate",
-        "amend",
-        "first",
-        "-c",
-        "corrected.yaml",
-        "-o",
-        "second",
-        "--reason",
-        "A wrong address.",
-    )
-    for words in ("show first", "list --json", "check first --json"):
+    corrected = ("-c", "corrected.yaml", "-o", "second", "--reason", "A wrong address.")
+    side.say("certificate", "issue", "first", *corrected)
+    for words in ("show first", "show --json"):
         side.say("certificate", *words.split())
     side.say("verify", "second", "--json")
 

@@ -12,8 +12,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from comparison.words import words_for
-
 PATIENCE_S = 3600.0
 #: Calls `python -m bench` once for each command of a list, each in a fork of one process that has loaded all of it.
 _MANY = """
@@ -98,7 +96,7 @@ class Side:
     def start(self, *words: object) -> subprocess.Popen[str]:
         self.folder.mkdir(parents=True, exist_ok=True)
         return subprocess.Popen(
-            [sys.executable, "-m", "bench", *words_for(self.checkout, [str(word) for word in words])],
+            [sys.executable, "-m", "bench", *map(str, words)],
             env=self.environment(), cwd=self.folder, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
             stderr=subprocess.PIPE, text=True, start_new_session=True,
         )  # fmt: skip
@@ -126,7 +124,7 @@ class Side:
         """Run short commands, each in a fork of one process; the dictionary names them."""
         said = self.folder / "said"
         said.mkdir(exist_ok=True)
-        listed = [[str(said / name), words_for(self.checkout, words)] for name, words in commands.items()]
+        listed = [[str(said / name), words] for name, words in commands.items()]
         self.write("tmp/commands.json", json.dumps(listed))
         subprocess.run(
             [sys.executable, "-c", _MANY, str(self.folder / "tmp" / "commands.json")],
