@@ -216,15 +216,13 @@ def _searched(task: Task, start: AdjustmentParameters) -> _End:
 
 
 def _is_clearly_more_probable(end: Optimum, other: Optimum) -> bool:
-    """Tell whether the views make an end clearly more probable than another, with the star weights of both.
+    """Tell whether the views make an end more probable than another with the star weights of either, and clearly so.
 
-    Each end weighs the stars so that its own outliers count little. With heavy tails -2 log L is concave in each
-    squared residual, so that the difference lies between those with the weights of the one and of the other; their mean
-    is taken.
+    Each end weighs the stars so that its own outliers count little, and far from its state its equations do not hold.
     """
     with_own = value_as_weighed(other, end) - end.solution.value
     with_others = other.solution.value - value_as_weighed(end, other)
-    return 0.5 * (with_own + with_others) > _CLEARLY**2
+    return min(with_own, with_others) > 0.0 and 0.5 * (with_own + with_others) > _CLEARLY**2
 
 
 def _square_or_stretched(problem: Problem, near: State, rounds: int) -> Optimum:
