@@ -214,7 +214,7 @@ class GrblStageConfig(SerialLine, AnyStage):
         Field(description="Name given to the board with $I=.... Without it, any board is accepted."),
     ] = None
     settings: Annotated[
-        dict[Annotated[str, Field(pattern=r"^\$[0-9]{1,4}$")], float],
+        dict[Annotated[str, Field(pattern=r"^\$([0-9]{1,4}|/[a-z0-9_/]{1,80})$")], float],
         Field(max_length=40, description="Settings that change angles, such as $3, and their values."),
     ] = Field(default_factory=dict)
     axes: Annotated[dict[Axis, GrblAxisConfig], Field(min_length=1), differing("letter")]

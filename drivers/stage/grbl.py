@@ -18,7 +18,14 @@ from drivers.errors import DeviceRefused, MoveFailed, OutsideLimits, WrongDevice
 from drivers.serial_port import Port
 from drivers.stage import AxisIdentity, motion
 from drivers.stage.grbl_controller import GrblController, SettingReadOnly
-from drivers.stage.grbl_protocol import BLOCKING_STATES, GRBL, READY_STATES, UNKNOWN, StatusReport
+from drivers.stage.grbl_protocol import (
+    BLOCKING_STATES,
+    FLUIDNC,
+    GRBL,
+    READY_STATES,
+    UNKNOWN,
+    StatusReport,
+)
 from drivers.stage.motion import Axis
 from drivers.stage.refusals import no_reference, not_as_stated, not_movable
 from drivers.stage.watched import AxisState, OneLineStage, StopCheck
@@ -231,6 +238,17 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
             self._homing = True
             self._line.start_homing()
 
+    def _finish_homing(self, axis: GrblAxis) -> None:
+        """Refuse a position at the reference with which the moves to come would leave the travel."""
+        position_deg = self._angle_deg(axis, self._line.query_status())
+        if not self._lowest_deg[axis.name] - _PRINTED <= position_deg <= axis.zero_deg + _PRINTED:
+            raise OutsideLimits(
+                f"homing sets the machine position {position_deg - axis.zero_deg:.3f}, which must lie between"
+                f" {self._lowest_deg[axis.name] - axis.zero_deg:.3f} (the end of the travel) and 0.",
+                where=axis.name,
+                remedy="Let homing set the position 0 at the switch (mpos_mm: 0 in the configuration file of FluidNC).",
+            )
+
     def _read_state(self, axis: GrblAxis, *, homing: bool = False) -> AxisState:
         """Read state and position from one report."""
         report = self._line.query_status()
@@ -305,20 +323,9 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
             _SOFT_LIMITS: 1,
             _REPORT_MASK: int(present.get(_REPORT_MASK, 0)) | _REPORT_MACHINE,
         }
-        if not int(present.get(_HOMING, 0)) & 1:  # the other bits of grblHAL say how it homes
-            raise DeviceRefused(
-                f"homing is switched off ($22={present.get(_HOMING, 0):g}); without homing, no position is known.",
-                where=self._where,
-                remedy="Fit limit switches and set $22=1.",
-            )
-        if moving := self._line.query_moving_start_up_line():
-            raise DeviceRefused(
-                f"the board stores the start-up line '{moving}', which moves axes whenever it was homed.",
-                where=self._where,
-                remedy="Delete the line with $N0= and $N1=.",
-            )
+        self._check_homing(present)
         for name, stated in self._stated.items():
-            value = present.get(int(name.removeprefix("$")))
+            value = self._line.query_configured(name) if "/" in name else present.get(int(name[1:]))
             if not _same(value, stated):
                 raise not_as_stated(self._where, name, stated, value, f"{name}={stated:g}")
         if present.get(_INCHES):
@@ -330,6 +337,55 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
             wanted[_ACCELERATION + place] = axis.limits.acceleration_deg_s2
             wanted[_TRAVEL + place] = axis.zero_deg - axis.limits.lowest_deg
         return wanted
+
+    def _check_homing(self, present: Mapping[int, float]) -> None:
+        """Refuse a board that does not search every reference, or that moves an axis afterwards."""
+        homing = present.get(_HOMING)
+        if homing is None:
+            raise DeviceRefused(
+                f"the board ({self._line.firmware.name}) does not tell its settings: its answer to $$ has no $22.",
+                where=self._where,
+                remedy="Update its firmware; FluidNC tells them since version 3.8.",
+            )
+        if not int(homing) & 1:  # the other bits of grblHAL say how it homes
+            raise DeviceRefused(
+                f"homing is switched off ($22={homing:g}); without homing, no position is known.",
+                where=self._where,
+                remedy="Fit limit switches and set $22=1.",
+            )
+        if moving := self._line.query_moving_start_up_line():
+            raise DeviceRefused(
+                f"the board stores the start-up line '{moving}', which moves axes whenever it was homed.",
+                where=self._where,
+                remedy="Delete the line with $N0= and $N1=.",
+            )
+        if self._line.firmware is FLUIDNC:
+            self._check_configured_homing()
+
+    def _check_configured_homing(self) -> None:
+        """Refuse an axis that FluidNC's configuration file leaves out of homing, or lets home downwards.
+
+        ``$22`` is 1 there as soon as one axis is homed, and versions before 3.9.8 do not tell ``$23``.
+        """
+        paths = {name: f"$/axes/{axis.letter.lower()}/homing" for name, axis in self._axes.items()}
+        cycles = {name: self._line.query_configured(f"{path}/cycle") for name, path in paths.items()}
+        for name, path in paths.items():
+            cycle = cycles[name]
+            if any(told is not None for told in cycles.values()) and (cycle is None or cycle < 1):
+                raise DeviceRefused(
+                    f"homing does not search the reference of the axis ({path}/cycle is"
+                    f" {'missing' if cycle is None else f'{cycle:g}'}).",
+                    where=name,
+                    remedy="Give the axis a homing cycle of 1 or more in the board's configuration file.",
+                )
+            if self._line.query_configured(f"{path}/positive_direction") == 0.0:
+                raise OutsideLimits(
+                    f"the axis homes downwards ({path}/positive_direction is false), and all angles of an axis must"
+                    " lie below its switch.",
+                    where=name,
+                    remedy="Set positive_direction: true and reverse the axis, so that its switch lies at the upper"
+                    " end of its travel; then correct zero_deg and the limits.",
+                )
 
     def _check(self, axis: GrblAxis, present: Mapping[int, float]) -> None:
         """Raise OutsideLimits unless scale, homing direction and travel of an axis fit the station file."""

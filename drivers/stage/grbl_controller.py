@@ -181,6 +181,13 @@ class GrblController(Link):
         version, name, self.firmware = build
         return version, name
 
+    def query_configured(self, name: str) -> float | None:
+        """Ask FluidNC for a value of its configuration file, such as ``$/axes/x/homing/cycle``; None if it has none."""
+        try:
+            return grbl_protocol.parse_configured(self.query(name), name)
+        except DeviceRefused:
+            return None
+
     def query_moving_start_up_line(self) -> str:
         """Ask for the stored line that moves an axis whenever the board starts or was homed; empty without one."""
         try:

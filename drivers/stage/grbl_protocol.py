@@ -279,6 +279,21 @@ def parse_settings(lines: Iterable[bytes]) -> dict[int, float]:
     return {int(found[1]): float(found[2]) for found in map(_SETTING.fullmatch, lines) if found}
 
 
+def parse_configured(lines: Iterable[bytes], name: str) -> float | None:
+    r"""Parse FluidNC's answer to ``$/...``: the number of that name in its configuration file; None without one.
+
+    A switch is 1 for true and 0 for false.
+
+    >>> parse_configured([b"$/axes/x/homing/cycle=2\r\n"], "$/axes/x/homing/cycle")
+    2.0
+    """
+    begin = f"{name}=".encode("ascii")
+    words = next((line.removeprefix(begin).strip() for line in lines if line.startswith(begin)), b"")
+    if words in {b"true", b"false"}:
+        return float(words == b"true")
+    return float(words) if re.fullmatch(rb"-?\d+(?:\.\d*)?", words) else None
+
+
 def parse_build_info(lines: Iterable[bytes]) -> tuple[str, str, Firmware] | None:
     r"""Parse the answer to ``$I``: version, the board's name, firmware; None without a version.
 

@@ -10,6 +10,7 @@ compared line by line with the firmware compiled for a PC. Homing was written fr
 
 from __future__ import annotations
 
+import re
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Final, Literal, NamedTuple
@@ -160,7 +161,10 @@ class GrblController(Unit):
     def _take_lines(self) -> None:
         """Execute lines in order until one has to wait; none is executed while a reset is due."""
         while self._pending_lines and not self._waiting() and not self._must_reset:
-            line = strip_line(self._pending_lines.popleft())
+            line = self._pending_lines.popleft().strip()
+            # Grbl skips slashes; FluidNC has paths of its configuration file.
+            if not (self.firmware.read_only and line.startswith("$/")):
+                line = strip_line(line)
             try:
                 self._execute(line)
             except Answered:
@@ -276,8 +280,18 @@ class GrblController(Unit):
             return
         elif command[0] in "#HSIR":
             raise GcodeError(3)
+        elif command[0] == "/":
+            self._configured(command)
         else:
             self._set(command)
+
+    def _configured(self, path: str) -> None:
+        """Answer what the configuration file of a FluidNC board says of homing."""
+        match = re.fullmatch(r"/axes/([a-z])/homing/(cycle|positive_direction)", path)
+        if match is None or match[1].upper() not in self._letters:
+            raise GcodeError(3)
+        upwards = not int(self.settings[23]) >> self._letters.index(match[1].upper()) & 1
+        self._output += f"${path}={'1' if match[2] == 'cycle' else str(upwards).lower()}\r\n"
 
     def _say(self, text: str) -> None:
         self._output += text

@@ -187,3 +187,93 @@ def test_a_setting_that_changes_every_angle_is_refused_unless_it_is_the_stated_o
 def test_a_stated_setting_that_the_board_does_not_have_is_named(bench) -> None:
     with pytest.raises(OutsideLimits, match="the controller has no such setting"):
         bench.open(settings={"$150": 16.0})
+
+
+# ---------------------------------------------------------------- how FluidNC homes
+
+
+class FluidNc(Bench):
+    """A board with FluidNC whose configuration file is as the station wants it, but for what a test changes."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.board.firmware = FIRMWARES["fluidnc"]
+        travel = 18.0 - LIMITS.lowest_deg
+        self.board.settings.update({110: 600.0, 111: 600.0, 120: 50.0, 121: 50.0, 130: travel, 131: travel})
+        self.configured: dict[str, str | None] = {}
+        receive = self.line.device.receive
+
+        def answer(data: bytes) -> bytes:
+            name = data.decode("latin-1").strip()
+            if name not in self.configured:
+                return receive(data)
+            value = self.configured[name]
+            return b"error:3\r\n" if value is None else f"{name}={value}\r\nok\r\n".encode()
+
+        self.line.device.receive = answer
+
+
+def test_a_fluidnc_board_that_homes_upwards_is_driven() -> None:
+    runs(FluidNc())
+
+
+@pytest.mark.parametrize("cycle", ["0", "-1", None])
+def test_an_axis_that_fluidnc_leaves_out_of_homing_is_refused(cycle) -> None:
+    """FluidNC's Homing.h: 0 is left out of ``$H``; -1 assigns a position without a search; else it has no section."""
+    bench = FluidNc()
+    bench.configured["$/axes/y/homing/cycle"] = cycle
+    with pytest.raises(DeviceRefused, match="tilt: homing does not search the reference of the axis"):
+        bench.open()
+    assert bench.motions() == []
+
+
+def test_an_axis_that_homes_downwards_is_refused_though_the_version_does_not_tell_23() -> None:
+    """FluidNC's SettingsDefinitions.cpp: 3.8 tells ``$20`` to ``$22`` only."""
+    bench = FluidNc()
+    bench.change(lambda line: b"" if line.startswith(b"$23=") else line)
+    bench.configured["$/axes/x/homing/positive_direction"] = "false"
+    bench.configured["$/axes/y/homing/positive_direction"] = "true"
+    with pytest.raises(OutsideLimits, match="pan: the axis homes downwards"):
+        bench.open()
+
+
+def test_a_fluidnc_that_tells_no_paths_is_driven_by_its_settings() -> None:
+    bench = FluidNc()
+    bench.configured = {
+        f"$/axes/{letter}/homing/{name}": None for letter in "xy" for name in ("cycle", "positive_direction")
+    }
+    runs(bench)
+
+
+def test_a_version_without_settings_is_named_and_not_the_limit_switches() -> None:
+    """FluidNC's SettingsDefinitions.cpp: ``$$`` of 3.7 and older has ``$10`` and ``$13`` only."""
+    bench = FluidNc()
+    bench.board.settings = {10: 1.0, 13: 0.0}
+    with pytest.raises(DeviceRefused, match=r"has no \$22.*FluidNC tells them since version 3\.8") as caught:
+        bench.open()
+    assert "limit switch" not in str(caught.value)
+
+
+@pytest.mark.parametrize("position", [150.0, 0.5, -40.0])
+def test_a_position_at_the_reference_outside_the_travel_ends_the_homing(position) -> None:
+    """FluidNC issue 1051 shows "Axis X (-572.000,150.000)": ``mpos_mm`` is any number, and no range is enforced."""
+    bench = FluidNc()
+    stage = bench.open()
+    bench.change(lambda line: re.sub(rb"MPos:[-\d.]+", b"MPos:%.3f" % position, line))
+    with pytest.raises(
+        OutsideLimits, match=rf"homing sets the machine position {position:.3f}, which must lie"
+    ):
+        stage.home()
+    bench.change(lambda line: line)
+    assert not stage.is_homed()
+    assert not any(data.startswith(b"$J") for data in bench.line.sent)
+
+
+def test_a_value_of_the_configuration_file_can_be_stated() -> None:
+    bench = FluidNc()
+    bench.configured["$/axes/x/homing/mpos_mm"] = "-3.000"
+    with pytest.raises(
+        OutsideLimits, match=r"the station has \$/axes/x/homing/mpos_mm 0, the controller has -3\."
+    ):
+        bench.open(settings={"$/axes/x/homing/mpos_mm": 0.0})
+    bench.open(settings={"$/axes/x/homing/mpos_mm": -3.0})
