@@ -25,6 +25,7 @@ from bench.solve.point_files import read_point_file
 from calib.boards.board import Board
 from calib.errors import InputMismatch, TargetNotFound, TooFewStars
 from calib.view import View
+from drivers.camera.picture_kinds import unread_picture
 from drivers.errors import DriverError, RecordingCorrupt, RecordingFileError
 from sequences.schema import ImageKind
 from sequences.script import RecordStep
@@ -38,6 +39,8 @@ PHOTOGRAPHS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
 POINTS = {".txt", ".csv"}
 OTHER_RECORDINGS = {".dat", ".aedat4", ".bag", ".db3", ".mcap", ".hdf5", ".h5", ".npz", ".npy", ".parquet"}
 _MOST_NAMED = 5
+_START_BYTES = 64
+_GIVE_PICTURE = "Give PNG, TIFF, JPEG or BMP."
 _KNOWN = RECORDINGS | OTHER_RECORDINGS | PHOTOGRAPHS | POINTS
 _READ_BY_OTHERS = {".aedat4", ".bag", ".db3", ".mcap"}
 """Recordings that a package of others reads, whose version does not show in that of the detector."""
@@ -91,11 +94,7 @@ def view_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
     elif path.is_dir() and not is_bag_folder(path):
         files = sorted(filter(_may_be_a_view, path.iterdir()), key=lambda found: natural_order(found.name))
         if not files:
-            raise UsageError(
-                "The folder contains no run, capture, image or point file.",
-                where=str(path),
-                remedy=f"Known file extensions are {', '.join(sorted(_KNOWN))}.",
-            )
+            raise _no_view_in(path)
         for file in files:
             for source in _file_sources(file, choices):
                 yield replace(source, read=partial(_read_listed, source))
@@ -115,7 +114,38 @@ def left_beside(path: Path) -> list[str]:
     names = sorted(one.name for one in path.iterdir() if one.is_file() and not _may_be_a_view(one))
     more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
     told = f"{path}: {', '.join(names[:_MOST_NAMED])}{more}: neither recordings nor images nor point files."
-    return [told] if names else []
+    return [f"{told}{_unread_pictures(path)}"] if names else []
+
+
+def _unread_pictures(folder: Path) -> str:
+    """Return a sentence on each kind of pictures and videos of a folder that are not read; empty if there are none."""
+    kinds: dict[tuple[str, str], list[str]] = {}
+    for path in sorted(folder.iterdir()):
+        unread = path.is_file() and not _may_be_a_view(path)
+        if unread and (kind := unread_picture(_start(path), path.suffix)):
+            kinds.setdefault(kind, []).append(path.name)
+    return "".join(f" {names[0]} is {what}. {remedy}" for (what, remedy), names in kinds.items())
+
+
+def _start(path: Path) -> bytes:
+    """Return the first bytes of a file; none if it cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return file.read(_START_BYTES)
+    except OSError:
+        return b""
+
+
+def _no_view_in(folder: Path) -> UsageError:
+    """Return the error for a folder without views, which says what it has instead."""
+    pictures = _unread_pictures(folder).strip()
+    inner = sorted(one.name for one in folder.iterdir() if one.is_dir())
+    folders = f"Give one of its folders: {', '.join(inner[:_MOST_NAMED])}." if inner else ""
+    return UsageError(
+        "The folder contains no run, capture, image or point file.",
+        where=str(folder),
+        remedy=pictures or folders or f"Known file extensions are {', '.join(sorted(_KNOWN))}.",
+    )
 
 
 def _read_listed(source: ViewSource) -> View:
@@ -254,7 +284,8 @@ def _file_source(path: Path, choices: OfflineOptions) -> ViewSource:
         from drivers.camera.raw_check import read_start
         from drivers.camera.raw_header import looks_like
 
-        contents, remedy = looks_like(read_start(path))
+        start = read_start(path)
+        contents, remedy = unread_picture(start, ending) or looks_like(start)
         raise UsageError(
             f"Unknown file extension {ending!r}: the file is {contents}."
             if ending
@@ -341,7 +372,19 @@ def _photograph(path: Path) -> NDArray[Any]:
         refuse_truncated_jpeg(path)
         return mean_frame(path)
     except RecordingFileError as error:
-        raise BenchError(error.what, where=str(path), remedy="Give PNG, TIFF, JPEG or BMP.") from error
+        what, remedy = _other_contents(path)
+        raise BenchError(what or error.what, where=str(path), remedy=remedy or _GIVE_PICTURE) from error
+
+
+def _other_contents(path: Path) -> tuple[str, str]:
+    """Return what a file is that has the ending of a picture and is none, and what to do; else two empty texts."""
+    from drivers.camera.raw_header import looks_like
+
+    if not path.is_file():
+        return "", ""
+    start = _start(path)
+    what, remedy = unread_picture(start) or (looks_like(start)[0], "")
+    return (f"The file is {what}.", remedy) if remedy or what in {"empty", "a text file"} else ("", "")
 
 
 def _view_of_photograph(path: Path, choices: OfflineOptions) -> View:
@@ -350,8 +393,26 @@ def _view_of_photograph(path: Path, choices: OfflineOptions) -> View:
 
     picture = _photograph(path)
     if choices.board is not None:
-        return _detected_board(picture, choices.board, path)
+        try:
+            return _detected_board(picture, choices.board, path)
+        except TargetNotFound as error:
+            raise TargetNotFound(
+                error.what, where=error.where, remedy=f"{error.remedy}{_about_pages(path)}"
+            ) from error
     return downweight_vignetted(detect_view(picture, choices.target, name=path.stem), choices.target)
+
+
+def _about_pages(path: Path) -> str:
+    """Return a sentence if a picture is the mean of several pages; empty if it is not."""
+    from drivers.camera.frames import image_sizes
+
+    with path.open("rb") as file:
+        pages = len(image_sizes(file))
+    return (
+        f" The picture is the mean of {pages} pages: give a file for each pose of the board."
+        if pages > 1
+        else ""
+    )
 
 
 def _detected_board(image: NDArray[Any], board: Board, path: Path) -> View:

@@ -15,7 +15,8 @@ from calib.errors import InputMismatch
 Kind = Literal["checkerboard", "circles", "asymmetric-circles"]
 KINDS: tuple[Kind, ...] = ("checkerboard", "circles", "asymmetric-circles")
 
-_TEXT = re.compile(r"([a-z-]+):(\d{1,3})x(\d{1,3}):(\d+(?:\.\d+)?)mm")
+_TEXT = re.compile(r"([a-z-]+):(\d{1,3})x(\d{1,3}):(\d+(?:\.\d+)?)(\w*)", re.IGNORECASE)
+_MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001, "in": 25.4}
 _FEWEST, _MOST = 3, 200
 
 
@@ -39,7 +40,10 @@ class Board:
     def _faults(self) -> Iterator[tuple[str, str]]:
         """Yield why there is no such board, and what to do."""
         if self.kind not in KINDS:
-            yield f"There is no board {self.kind!r}.", f"Known boards: {', '.join(KINDS)}."
+            yield (
+                f"There is no board {self.kind!r}.",
+                f"Known boards: {', '.join(KINDS)}. One with markers (ChArUco, AprilGrid) is not found.",
+            )
         if not (_FEWEST <= self.columns <= _MOST and _FEWEST <= self.rows <= _MOST):
             what = f"A board of {self.columns} x {self.rows} points cannot be found."
             yield (
@@ -66,7 +70,14 @@ class Board:
                 remedy="Write KIND:COLUMNSxROWS:PITCHmm, such as checkerboard:11x7:20mm (count the inner corners), "
                 "or circles:9x6:25mm.",
             )
-        return cls(cast("Kind", found[1]), int(found[2]), int(found[3]), float(found[4]))
+        unit = found[5].lower()
+        if unit != "mm":
+            raise InputMismatch(
+                f"The pitch of {text!r} has {'another unit than mm' if unit else 'no unit'}.",
+                where="board",
+                remedy=f"Write {float(found[4]) * _MM.get(unit, 1.0):g}mm, if that is right.",
+            )
+        return cls(cast("Kind", found[1].lower()), int(found[2]), int(found[3]), float(found[4]))
 
     @property
     def nodes(self) -> Ints:

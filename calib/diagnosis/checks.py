@@ -29,6 +29,8 @@ _TOO_MUCH_ALIKE = 0.5
 _NEAR_PX = 1.0
 #: Views with fewer common stars are not compared, nor views of which less than this share is common.
 _FEWEST = 4
+#: Views that a sentence names.
+_MOST_NAMED = 5
 _COMMON_SHARE = 0.5
 Size = tuple[int, int]
 
@@ -73,33 +75,55 @@ def check_views(views: Sequence[View], *, known_r_mm: float | None = None) -> tu
 
 
 def find_duplicates(views: Sequence[View]) -> list[str]:
-    """Return a sentence for each pair of views, without gross errors, that hold the same measurement.
+    """Return a sentence for views, without gross errors, that hold the same measurement, and for each pair nearly so.
 
     Two recordings of one pose differ by their noise, and are not duplicates. Own rule: the root mean square distance of
     the common stars per axis is below half of sqrt(2) times the noise that neighbouring stars show.
     """
-    duplicates = []
-    for one, other in combinations(views, 2):
-        _, here, there = np.intersect1d(one.ids, other.ids, assume_unique=True, return_indices=True)
-        if len(here) < max(_FEWEST, _COMMON_SHARE * min(len(one), len(other))):
-            continue
-        rms = rms_length(one.points_px[here] - other.points_px[there])
-        if rms > _NEAR_PX:
-            continue
-        both, points = f"Views {one.name} and {other.name}", f"their {len(here)} common points"
-        if rms <= SAME_PX:
-            duplicates.append(
-                f"{both} are the same measurement: {points} have the same places. They count once; leave one of them "
-                "out."
-            )
-            continue
-        noise = float(np.fmin(noise_px(one), noise_px(other)))
-        if rms / np.sqrt(2.0) < _TOO_MUCH_ALIKE * np.sqrt(2.0) * noise:
-            duplicates.append(
-                f"{both} are nearly the same measurement: {points} differ by {rms:.2g} px rms, less than two "
-                f"recordings would ({1.4142 * noise:.2g} px per axis). Check that one recording was not used twice."
-            )
-    return duplicates
+    groups: list[list[View]] = []
+    for view in views:
+        same = next((group for group in groups if _apart(group[0], view)[1] <= SAME_PX), None)
+        if same is None:
+            groups.append([view])
+        else:
+            same.append(view)
+    told = [_same_words(group) for group in groups if len(group) > 1]
+    return told + [
+        words for pair in combinations(groups, 2) if (words := _alike_words(pair[0][0], pair[1][0]))
+    ]
+
+
+def _apart(one: View, other: View) -> tuple[int, float]:
+    """Return the number of common points and their rms distance, px; infinite if too few are common."""
+    _, here, there = np.intersect1d(one.ids, other.ids, assume_unique=True, return_indices=True)
+    if len(here) < max(_FEWEST, _COMMON_SHARE * min(len(one), len(other))):
+        return len(here), np.inf
+    return len(here), rms_length(one.points_px[here] - other.points_px[there])
+
+
+def _same_words(group: Sequence[View]) -> str:
+    """Return a sentence on views that hold one measurement."""
+    *names, last = [view.name for view in group[:_MOST_NAMED]]
+    more = len(group) - _MOST_NAMED
+    listed = f"{', '.join([*names, last])} and {more} more" if more > 0 else f"{', '.join(names)} and {last}"
+    points = f"their {_apart(*group[:2])[0]} common points have the same places"
+    leave = "one of them" if len(group) == 2 else "all but one"
+    return f"Views {listed} are the same measurement: {points}. They count once; leave {leave} out."
+
+
+def _alike_words(one: View, other: View) -> str:
+    """Return a sentence on two views that are too much alike for two recordings; empty if they are not."""
+    common, rms = _apart(one, other)
+    both = f"Views {one.name} and {other.name}"
+    if rms > _NEAR_PX:
+        return ""
+    noise = float(np.fmin(noise_px(one), noise_px(other)))
+    if rms / np.sqrt(2.0) >= _TOO_MUCH_ALIKE * np.sqrt(2.0) * noise:
+        return ""
+    return (
+        f"{both} are nearly the same measurement: their {common} common points differ by {rms:.2g} px rms, less than"
+        f" two recordings would ({1.4142 * noise:.2g} px per axis). Check that one recording was not used twice."
+    )
 
 
 def check_target_units(views: Sequence[View], *, known_r_mm: float | None = None) -> str:

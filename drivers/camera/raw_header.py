@@ -16,6 +16,7 @@ from datetime import datetime
 from typing import Final, NamedTuple
 
 from drivers.camera import CameraIdentity
+from drivers.camera.picture_kinds import unread_picture
 from drivers.errors import NotARecording
 
 MAX_HEADER_BYTES: Final = 65536
@@ -176,6 +177,8 @@ def looks_like(start: bytes) -> tuple[str, str]:
     for magic, name, remedy in _MAGIC:
         if start.startswith(magic):
             return name, remedy
+    if picture := unread_picture(start):
+        return picture
     if not start.strip(b"\0"):
         return "nothing but zeros", "Copy the file again: its contents are lost here."
     if all(byte in b"\t\r\n" or 32 <= byte < 127 for byte in start[:512]):

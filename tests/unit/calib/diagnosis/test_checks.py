@@ -134,6 +134,14 @@ def test_a_recording_under_another_name_or_a_part_of_it_in_another_order_is_name
         )
 
 
+def test_copies_of_one_view_are_named_together():
+    views = Bench().views(np.random.default_rng(1), 0.02)
+    copies = [replace(views[0], name=f"copy {number}") for number in range(7)]
+    (found,) = find_duplicates([*views, *copies])
+    assert found.startswith(f"Views {views[0].name}, copy 0, copy 1, copy 2, copy 3 and 3 more are the same")
+    assert "all but one" in found
+
+
 def test_a_copy_with_rounded_points_is_nearly_the_same():
     view = Bench().views(np.random.default_rng(4), 0.02)[0]
     rounded = replace(view, name="rounded", points_px=np.round(view.points_px, 2))
