@@ -16,6 +16,7 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from sequences.errors import DocumentFaults
+from sequences.kinds import kind_of_format
 from sequences.tree import DocumentPath, Fault, Spot, Tree, path_text
 from sequences.wording import did_you_mean, faults_of
 from sequences.yaml_text import MOST_BYTES, parse
@@ -222,9 +223,17 @@ def _of_this_format(tree: Tree, model: type[BaseModel]) -> dict[str, Any]:
     )
     said = tree.value.get("format", wanted)
     if said != wanted:
-        message = f"wrong kind of document: {wanted!r} is needed here (got {said!r})."
+        message = f"wrong kind of document: {_wrong_kind(wanted, said)}"
         raise DocumentFaults([*tree.faults, Fault(tree.file, *tree.spot(("format",)), "format", message)])
     return tree.value
+
+
+def _wrong_kind(wanted: object, stated: object) -> str:
+    """Return which kind of document is needed and which it is, with where such a one belongs."""
+    needed, given = kind_of_format(wanted), kind_of_format(stated)
+    if needed is None or given in {None, needed}:  # another version, or a word that we do not know
+        return f"{wanted!r} is needed here (got {stated!r})."
+    return f"{needed.words} is needed here, and this is {given.words}. {given.use}".rstrip()
 
 
 def _bytes_of(path: Path) -> bytes:

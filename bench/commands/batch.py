@@ -15,6 +15,7 @@ from bench.base.errors import UsageError
 from bench.base.home import home_folder
 from bench.commands.options import BEGIN, QUEUE_STATUS, ExistingFile, OutputFolder, command
 from bench.commands.output import JSON, NOT_KEPT, STOPPED, show
+from bench.commands.values import WholeNumber
 from bench.evidence.keys import usable_key
 
 if TYPE_CHECKING:
@@ -70,7 +71,7 @@ def batch(queue: Path, output: Path) -> int:
 @BEGIN
 @click.option(
     "--seed",
-    type=click.IntRange(0, 2**62),
+    type=WholeNumber(0, 2**62),
     metavar="N",
     default=1,
     show_default=True,

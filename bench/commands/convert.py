@@ -17,11 +17,11 @@ from bench.commands.options import (
     ExistingFile,
     ExistingPath,
     NewFile,
-    Number,
     OutputFolder,
     command,
 )
 from bench.commands.output import JSON, show
+from bench.commands.values import Number
 from bench.commands.workers import WORKERS, CountLine, kept_work, open_workers
 from bench.extras.many.conversions import CONVERTED, Converted, convert_many, plan_targets
 from bench.extras.many.workers import Workers
@@ -45,7 +45,7 @@ _ASSUMED = {
     "starbench convert pose.hdf5 pose.raw",
     "starbench convert captures/*.raw converted/ --as hdf5",
 )
-@click.argument("sources", metavar="SOURCE...", nargs=-1, required=True, type=EventFile())
+@click.argument("sources", metavar="SOURCE...", nargs=-1, type=EventFile())
 @click.argument("output", type=click.Path(path_type=Path))
 @click.option(
     "--as",
@@ -93,6 +93,8 @@ def convert(
     from drivers.camera.event_arrays import ReadingChoices
     from drivers.camera.formats import event_conversion
 
+    if not sources:
+        raise click.UsageError(f"Two files are needed, SOURCE and OUTPUT; only {output} is given.")
     choices = ReadingChoices(parse_image_size(sensor_size, "--sensor-size"), stream, time_unit)
     many = len(sources) > 1 or output.is_dir() or isinstance(workers, str)
     kind = kind or (None if many else event_conversion.kind_of_name(output))

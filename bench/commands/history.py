@@ -20,6 +20,7 @@ from bench.commands.options import (
     status_text,
 )
 from bench.commands.output import JSON, print_findings, show
+from bench.commands.values import WholeNumber
 from bench.evidence.authorisations import known_authorisations
 from bench.evidence.states import home_trust, shown_state
 from bench.extras.history.chart_findings import find_charts, needs_attention
@@ -66,7 +67,7 @@ _TAKES = {"baseline": _CHARTS, "factors": _CAPABILITY}
 @run_options
 @click.option(
     "--baseline",
-    type=click.IntRange(2),
+    type=WholeNumber(2),
     metavar="N",
     help="charts: calculate the limits from the first N runs.  [default: from all]",
 )

@@ -5,7 +5,6 @@ A wrong one is told with what to do, exit status 2.
 
 from __future__ import annotations
 
-import math
 import os
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
@@ -18,6 +17,8 @@ from click.shell_completion import CompletionItem
 
 from bench.base.errors import UsageError
 from bench.base.pasteable import pasteable
+from bench.commands.values import Moment, WholeNumber
+from sequences.kinds import kind_of_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -34,10 +35,7 @@ QUEUE_STATUS = (
     f"0 every run has a result, 1 at least one run has no result, {_INVALID}, 3 stopped on request, 4 a limit of a run"
     f" is not kept (FAIL), {_CTRL_C}"
 )
-SEED = click.IntRange(0, 2**63 - 1)
 _MOST_NAMED = 5
-_SMALLEST, _LARGEST = 1e-9, 1e12
-"""Size of any number that is not 0: no quantity of a bench lies outside."""
 
 SET = click.option(
     "--set",
@@ -49,11 +47,14 @@ SET = click.option(
 )
 
 OPERATOR = click.option("--operator", "by", metavar="NAME", help="Your name.  [default: user@host]")
-MOMENT = click.DateTime(["%Y-%m-%d", "%Y-%m-%dT%H:%M", "%Y-%m-%d %H:%M", "%Y-%m-%dT%H:%M:%S"])
+
+
+SEED = WholeNumber(0, 2**63 - 1)
+MOMENT = Moment(["%Y-%m-%d", "%Y-%m-%dT%H:%M", "%Y-%m-%d %H:%M", "%Y-%m-%dT%H:%M:%S"])
 MOMENT_FORM = "DATE[THH:MM]"
 BEGIN = click.option(
     "--begin",
-    type=click.DateTime(["%Y-%m-%dT%H:%M", "%Y-%m-%d %H:%M"]),
+    type=Moment(["%Y-%m-%dT%H:%M", "%Y-%m-%d %H:%M"]),
     metavar="DATETHH:MM",
     help="Time at which the night begins, in the time zone of the queue.  [default: now]",
 )
@@ -96,31 +97,6 @@ class Family(click.Group):
         """See `click.Group.add_command`."""
         cmd.short_help = (cmd.help or "").partition("\n\n")[0].replace("\n", " ")
         super().add_command(cmd, name)
-
-
-class Number(click.ParamType):
-    """Finite number between ``least`` and ``most`` if these are given."""
-
-    name = "number"
-
-    def __init__(self, *, least: float | None = None, most: float | None = None) -> None:
-        self._least, self._most = least, most
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """See `click.ParamType.convert`."""
-        try:
-            number = math.nan if "_" in str(value) else float(value)  # Python reads 6_0 as 60
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number):
-            self.fail(f"{value!r} is not a number.", param, ctx)
-        if self._least is not None and number < self._least:
-            self.fail(f"{value} is not at least {self._least:g}.", param, ctx)
-        if self._most is not None and number > self._most:
-            self.fail(f"{value} is more than {self._most:g}.", param, ctx)
-        if number and not _SMALLEST <= abs(number) <= _LARGEST:
-            self.fail(f"{value} is not between {_SMALLEST:g} and {_LARGEST:g}.", param, ctx)
-        return number
 
 
 class _Path(click.ParamType, ABC):
@@ -169,6 +145,7 @@ class EventFile(ExistingFile):
         """See `ExistingFile.check`; a folder with ``metadata.yaml`` is a bag."""
         if not (path / "metadata.yaml").is_file():
             super().check(path)
+            _require_no_document(path)
 
 
 class ExistingFolder(_Path):
@@ -192,6 +169,7 @@ class ExistingPath(_Path):
         if not path.exists():
             raise UsageError("There is no such file or folder.", where=str(path), remedy="Check the path.")
         _require_no_device(path)
+        _require_no_document(path)
 
 
 class NewFile(_Path):
@@ -261,6 +239,13 @@ class RunFolder(_Path):
             raise UsageError(
                 "This is not a run folder: it has no journal.jsonl.", where=where, remedy=_inside(path)
             )
+
+
+def _require_no_document(path: Path) -> None:
+    """Refuse a sequence, a station file and the like where data are needed. Raises UsageError."""
+    kind = kind_of_file(path)
+    if kind is not None:
+        raise UsageError(f"This is {kind.words}; it holds no data.", where=str(path), remedy=kind.use)
 
 
 def _require_no_device(path: Path) -> None:
@@ -358,7 +343,7 @@ STATION = click.option(
 page_options = together(
     click.option(
         "--port",
-        type=click.IntRange(0, 65535),
+        type=WholeNumber(0, 65535),
         default=0,
         metavar="N",
         help="Port of the page.  [default: a free one]",

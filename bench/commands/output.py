@@ -17,6 +17,7 @@ from bench.base.errors import EvidenceError, ScriptError, StorageError, UsageErr
 from bench.base.failure import FORESEEN, INVALID_FILES, Failure
 from bench.base.home import home_folder
 from sequences.errors import DocumentFaults
+from sequences.kinds import STATION, kind_of_file
 
 STOPPED = 3
 """Exit status of a command that was stopped on request."""
@@ -107,10 +108,23 @@ def confirm(question: str) -> bool:
 
 def print_usage_error(error: click.ClickException, arguments: Sequence[str]) -> int:
     """Print what is wrong with the words of a call; ``arguments`` are these words."""
+    remedy = _hint(error, arguments)
     if "--json" in arguments:
-        print_json({"error": {"kind": "UsageError", "message": error.format_message(), "remedy": ""}})
+        print_json({"error": {"kind": "UsageError", "message": error.format_message(), "remedy": remedy}})
     error.show()
+    if remedy:
+        click.echo(remedy, err=True)
     return error.exit_code
+
+
+def _hint(error: click.ClickException, arguments: Sequence[str]) -> str:
+    """Return what to do if a station file stands where the command has no place for one; else nothing."""
+    context = error.ctx if isinstance(error, click.UsageError) else None
+    options = {name for param in context.command.params for name in param.opts} if context else set()
+    if "--station" not in options or {"--station", "-s"} & set(arguments):
+        return ""
+    named = next((word for word in arguments[1:] if kind_of_file(Path(word)) is STATION), None)
+    return f"{named} is a station file. Name it with --station." if named else ""
 
 
 def print_error(error: Exception, arguments: Sequence[str]) -> int:

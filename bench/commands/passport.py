@@ -12,8 +12,9 @@ import click
 
 from bench.base.home import home_folder
 from bench.commands.calibrations import collimator_options, offline_lines
-from bench.commands.options import ExistingFile, ExistingPath, Family, NewFile, Number, epilog
+from bench.commands.options import ExistingFile, ExistingPath, Family, NewFile, epilog
 from bench.commands.output import JSON, ask_passphrase, show
+from bench.commands.values import Number
 from bench.evidence.keys import BenchKey, usable_key
 from bench.evidence.passport_seal import read_passport_seal
 from bench.wording.numbers import with_uncertainty

@@ -12,10 +12,19 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench.base.errors import BenchError, UsageError
-from bench.commands.options import BEGIN, SEQUENCE_NAME, SET, STATION_NAME, command, settings_of
+from bench.commands.options import (
+    BEGIN,
+    SEQUENCE_NAME,
+    SET,
+    STATION_NAME,
+    command,
+    settings_of,
+)
 from bench.commands.output import JSON, show
+from bench.commands.values import WholeNumber
 from bench.wording.numbers import angle_text
 from calib.model.result_parts import WORST_CORNER
+from sequences.kinds import QUEUE, kind_of_file
 
 if TYPE_CHECKING:
     from bench.extras.batch.batch_plan import BatchPlan
@@ -31,7 +40,6 @@ _SMALLEST_SHARE = 0.005
 """Terms with a smaller share of the variance are not printed."""
 _SHOWN = ("fx", "cx", "cy", "r")
 _MOST_LINES = 80
-_HEAD_BYTES = 4096
 
 
 @command(
@@ -47,7 +55,7 @@ _HEAD_BYTES = 4096
 )
 @click.option(
     "--suggest",
-    type=click.IntRange(0, 50),
+    type=WholeNumber(0, 50),
     metavar="N",
     default=0,
     help="Suggest N further poses that lower the uncertainty most.",
@@ -65,7 +73,7 @@ def plan(
     """
     from bench.plan.plan import load_documents, make_plan
 
-    if _is_queue(sequence):
+    if kind_of_file(Path(sequence)) is QUEUE:
         if station or suggest:
             raise UsageError(
                 "A queue names its stations itself.",
@@ -76,18 +84,6 @@ def plan(
     if station is None:
         raise click.UsageError("Missing option '--station' / '-s'.")
     return _show_plan(make_plan(*load_documents(sequence, station, settings_of(settings))), suggest)
-
-
-def _is_queue(name: str) -> bool:
-    """Return whether a file says that it is a queue; `read_queue` checks whether it is a valid one."""
-    try:
-        if not Path(name).is_file():  # a pipe would never answer
-            return False
-        with Path(name).open("rb") as stream:
-            head = stream.read(_HEAD_BYTES)
-    except (OSError, ValueError):
-        return False
-    return b"starbench/queue/" in head
 
 
 def _show_plan(planned: Plan, suggest: int) -> int:

@@ -25,6 +25,7 @@ from bench.commands.options import (
     status_text,
 )
 from bench.commands.output import JSON, STOPPED, show, wants_json
+from bench.commands.values import WholeNumber
 from bench.record.folder_lock import is_locked
 from bench.record.run_folder import JOURNAL
 from bench.record.storage import storage_errors
@@ -95,7 +96,7 @@ def tell(folder: Path, word: str, value: str | None, by: str | None, take_over: 
         assert value is not None
         return _tell_batch(folder, word, value, by)
     RunFolder().check(folder)
-    pose = None if value is None else click.IntRange(1)(value)
+    pose = None if value is None else WholeNumber(1)(value)
     return _tell_run(
         folder,
         {

@@ -12,6 +12,7 @@ import click
 
 from bench.base.encoding import clock_text
 from bench.base.home import home_folder
+from bench.base.pasteable import pasteable
 from bench.base.program import forms
 from bench.commands.options import (
     ALLOWED_SIGNERS,
@@ -39,10 +40,7 @@ from bench.record.stored_run import StoredRun
 
 NOT_COMPARED = 4
 """Exit status of `verify`: no fault was found, but parts that were to be compared could not be."""
-_NUMBERS = {
-    False: "The numbers were not compared with the recordings: `starbench verify --again` does that.",
-    True: "The results were made again from the recordings and compared.",
-}
+_COMPARED = "The results were made again from the recordings and compared."
 _WORDS = {"ok": "verified", "incomplete": "not compared completely", "failed": "NOT VERIFIED"}
 
 
@@ -135,7 +133,9 @@ def _fault_lines(verification: Verification) -> Iterator[str]:
 
 def _valid_lines(verification: Verification) -> Iterator[str]:
     recalculated_in_part = verification.again and not verification.complete
-    numbers = "" if recalculated_in_part else _NUMBERS[verification.again]
+    numbers = "" if recalculated_in_part else _COMPARED
+    if not verification.again:
+        numbers = _not_compared(f"`{pasteable('verify', verification.folder, '--again')}`")
     sealed = f"sealed by {verification.signer} ({verification.fingerprint})"
     signed = f"{verification.state}: {verification.files} files, {sealed}."
     yield f"{signed} {numbers}".rstrip()
@@ -157,6 +157,10 @@ def _valid_lines(verification: Verification) -> Iterator[str]:
             yield f"  {what}"
 
 
+def _not_compared(how: str) -> str:
+    return f"The numbers were not compared with the recordings. {how} does that."
+
+
 def _verify_many(folders: Sequence[Path], check: Check, workers: Workers, output: Path | None) -> int:
     """Check folders by workers, a line each; the exit status is as for one; ``output`` keeps what was made again."""
     chosen = list(dict.fromkeys(folder.absolute() for folder in folders))
@@ -172,9 +176,10 @@ def _verify_many(folders: Sequence[Path], check: Check, workers: Workers, output
             click.echo(text, err=wants_json())
             line.count()
     counted = ", ".join(f"{states[state]} {word}" for state, word in _WORDS.items() if states[state])
+    numbers = "" if check.again else f" {_not_compared('--again')}"
     show(
         {"folders": [rows[number] for number in sorted(rows)], **states},
-        f"{len(chosen)} folders: {counted}.{'' if check.again else f' {_NUMBERS[False]}'}",
+        f"{len(chosen)} folders: {counted}.{numbers}",
     )
     return 1 if states["failed"] else NOT_COMPARED if states["incomplete"] else 0
 

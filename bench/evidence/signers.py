@@ -83,7 +83,7 @@ def read_signers(path: Path) -> list[Signer]:
         raise EvidenceError(
             f"The list of trusted keys cannot be read: {error.strerror}.",
             where=str(path),
-            remedy="Get the file allowed_signers from the laboratory, and name it.",
+            remedy="Get the file allowed_signers from the laboratory, and name it with --allowed-signers.",
         ) from error
     return read_lines(path, text, read_signer)
 

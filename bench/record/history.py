@@ -340,11 +340,11 @@ def way_on(history: History, folder: Path) -> tuple[str, str]:
         nothing = "accepted" if history.attempts else "recorded"
         begun = history.started.get("begun_with")  # which earlier versions did not write
         files = begun or (str(folder / "sequence.yaml"), "--station", str(folder / "station.yaml"))
-        look = f" See what the camera sees ({pasteable('align', *files[1:3])})." if history.attempts else ""
+        look = f" See what the camera sees: `{pasteable('align', *files[1:3])}`." if history.attempts else ""
         known = (
-            f"Nothing was {nothing}.{look} A resumed run ({pasteable('resume', folder)}) uses its own "
-            "copies of the files: it helps if the cause is on the bench. If a file was wrong, correct it, and begin "
-            "again:"
+            f"Nothing was {nothing}.{look} If the cause is on the bench, remove it and continue: "
+            f"`{pasteable('resume', folder)}`. If a file was wrong, correct it and begin again, since a run continues "
+            "with its own copies:"
         )
         return known, pasteable("run", *files)
     return "All recordings are kept. To continue:", pasteable("resume", folder)

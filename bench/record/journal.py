@@ -144,7 +144,7 @@ class Journal:
             raise StorageError(
                 "The journal is closed, or a write to it failed.",
                 where=str(self.path),
-                remedy="Check the disk. Then continue with `starbench resume`.",
+                remedy="Check the disk. Then resume the run.",
             )
         line = encode_line(len(self._entries), now, mono_s, event, data, self.head)
         entry = decode_line(line, len(self._entries), self.head)

@@ -178,7 +178,9 @@ class RunIndex:
                 yield index
         except sqlite3.Error as error:
             remedy = "Change mode or owner of its folder, so that it can be made."
-            if self.path.exists():
+            if getattr(error, "sqlite_errorcode", None) == sqlite3.SQLITE_FULL:
+                remedy = "Make room on its disk."
+            elif self.path.exists():
                 remedy = "Delete it. Starbench makes it again from the journals."
             raise StorageError(
                 f"The index of runs cannot be used: {error}.",

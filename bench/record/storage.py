@@ -43,9 +43,11 @@ def storage_errors(where: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        place = str(error.filename or where)
+        place = Path(error.filename or where)
+        if is_temporary(place):  # nobody knows the name that a file has while it is written
+            place = where
         if error.errno in _FULL:
-            what, remedy = "The disk is full.", "Make room. Then continue a run with `starbench resume`."
+            what, remedy = "The disk is full.", "Make room on this disk, or use another one."
         elif error.errno in _DENIED:
             what, remedy = "No permission.", "Change its mode or owner, or use another folder."
         elif error.errno in _NOWHERE:
@@ -53,7 +55,7 @@ def storage_errors(where: Path) -> Iterator[None]:
         else:
             what = f"The file system reports an error: {error.strerror or error}."
             remedy = "Check the disk (dmesg, SMART) before you continue."
-        raise StorageError(what, where=place, remedy=remedy) from error
+        raise StorageError(what, where=str(place), remedy=remedy) from error
 
 
 def sync_folder(folder: Path) -> None:

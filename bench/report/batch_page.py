@@ -72,7 +72,11 @@ def _zone_name(summary: BatchSummary, zone: tzinfo | None) -> str:
     if summary["zone"]:
         return summary["zone"]
     begun = summary["begun_utc"]
-    return datetime.fromisoformat(begun).astimezone(zone).strftime("UTC%z") if begun else "UTC"
+    return (
+        datetime.fromisoformat(begun).astimezone(zone).strftime("UTC%z").removesuffix("+0000")
+        if begun
+        else "UTC"
+    )
 
 
 def _headline(summary: BatchSummary, zone: tzinfo | None) -> str:

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import jinja2
+from markupsafe import Markup, escape
 
 from bench.measure.view_picture import ViewPicture
 from bench.record.coverage import coverage_factor
@@ -160,6 +161,7 @@ def environment() -> jinja2.Environment:
         lstrip_blocks=True,
     )
     made.filters["css_text"] = _css_text
+    made.filters["with_commands"] = _with_commands
     made.globals |= {"NOTHING": NOTHING} | {printed.__name__: printed for printed in _PRINTED}
     return made
 
@@ -168,6 +170,11 @@ def _star_counts(views: Sequence[ViewPicture]) -> tuple[str, str]:
     """Return the number of stars that the plots show, and the number of all stars."""
     drawn, every = (sum(len(view.ids) for view in some) for some in (thinned(views), views))
     return numbers.number(drawn), numbers.number(every)
+
+
+def _with_commands(message: str) -> Markup:
+    """Return a message as HTML, with what stands between backticks as code, as a terminal shows it."""
+    return Markup(re.sub("`([^`]*)`", r"<code>\1</code>", str(escape(message))))  # noqa: S704 - escaped
 
 
 def _css_text(value: object) -> str:

@@ -140,7 +140,7 @@ class Interlocks:
                 name, all_s = interlock_text(interlock.name), before_s + held_s
                 raise InterlockHeld(
                     f"The {name} interlock has held the run for {all_s:.0f} s: {why.rstrip('.')}.",
-                    remedy="Remove the cause, then continue with `starbench resume`.",
+                    remedy="Remove the cause. Then resume the run.",
                 )
             self._clock.sleep(interlock.poll_s)
 

@@ -297,8 +297,7 @@ class StateWork:
             raise NotHomed(
                 f"{'; '.join([*wrong, *stage_faults(self._run.devices.opened)])}."
                 " The stage has lost its reference, and this recording is not used.",
-                remedy="Find the cause (lost power, a restart, a person at the stage). Then continue with"
-                " `starbench resume`.",
+                remedy="Find the cause (lost power, a restart, a person at the stage). Then resume the run.",
             )
         return read_deg
 

@@ -284,6 +284,7 @@ def _file_source(path: Path, choices: OfflineOptions) -> ViewSource:
         from drivers.camera.raw_check import read_start
         from drivers.camera.raw_header import looks_like
 
+        _require_no_part_of_a_run(path)
         start = read_start(path)
         contents, remedy = unread_picture(start, ending) or looks_like(start)
         raise UsageError(
@@ -295,6 +296,16 @@ def _file_source(path: Path, choices: OfflineOptions) -> ViewSource:
         )
     decided_by = None if ending in _READ_BY_OTHERS or path.is_dir() else _decided_by(kind, path, choices)
     return ViewSource(path, partial(find, path, choices), decided_by=decided_by)
+
+
+def _require_no_part_of_a_run(path: Path) -> None:
+    """Refuse a file of a run that is no recording: its folder is what can be calibrated. Raises UsageError."""
+    if (path.parent / JOURNAL).is_file():
+        raise UsageError(
+            "This is a file of a run, and not a recording of it.",
+            where=str(path),
+            remedy=f"Name the folder of the run: {path.parent}",
+        )
 
 
 def is_bag_folder(path: Path) -> bool:

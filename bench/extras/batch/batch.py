@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, ParamSpec
 
 from bench.base.clock import Aborted, BenchClock
-from bench.base.errors import BenchError, RunFolderError, ScriptError
+from bench.base.errors import BenchError, RunFolderError, ScriptError, UsageError
 from bench.base.home import home_folder
 from bench.extras.batch.batch_messages import BatchMessages
 from bench.extras.batch.batch_plan import planned_duration_s
@@ -31,7 +31,7 @@ from bench.extras.batch.batch_record import (
     choose_next,
     resume_text,
 )
-from bench.extras.batch.batch_requests import Request, RequestInbox, refusal
+from bench.extras.batch.batch_requests import REQUESTS, Request, RequestInbox, refusal
 from bench.extras.batch.batch_summary import (
     RUNS,
     DoneRun,
@@ -48,7 +48,7 @@ from bench.record.history import History
 from bench.record.journal import Journal
 from bench.record.run_folder import JOURNAL, is_sealed
 from bench.record.run_index import QUEUE_COPY
-from bench.record.storage import make_folder, storage_errors, sync_folder, write_atomic
+from bench.record.storage import is_temporary, make_folder, storage_errors, sync_folder, write_atomic
 from bench.record.stored_run import StoredRun
 from bench.record.summaries import BatchSummary
 from bench.record.unsynced_journal import UnsyncedJournal
@@ -90,6 +90,7 @@ class Batch:
 
     def run(self) -> BatchSummary:
         """Do every run that is not done yet, in a folder that belongs to nothing else."""
+        self._refuse_occupied()
         make_folder(self.folder / RUNS)
         lock = lock_folder(self.folder)
         try:
@@ -105,6 +106,20 @@ class Batch:
         finally:
             self._messages.close()
             os.close(lock)
+
+    def _refuse_occupied(self) -> None:
+        """Refuse a folder that holds anything, such as a sealed run, unless this batch began there."""
+        if (self.folder / QUEUE_COPY).exists() or not self.folder.exists():
+            return
+        with storage_errors(self.folder):
+            entries = (path for path in self.folder.iterdir() if path.name not in {RUNS, REQUESTS})
+            occupied = next((path for path in entries if not is_temporary(path)), None)
+        if occupied is not None:
+            raise UsageError(
+                f"No batch has begun in this folder, and it is not empty: it contains {occupied.name}.",
+                where=str(self.folder),
+                remedy="Choose another --output.",
+            )
 
     def _keep_queue(self) -> None:
         copy = self.folder / QUEUE_COPY

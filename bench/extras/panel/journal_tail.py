@@ -11,6 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from bench.base.errors import BenchError
+from bench.base.pasteable import pasteable
 from bench.extras.panel.shown_run import Uncertainties
 from bench.record.coverage import coverage_factor
 from bench.record.journal import read_journal
@@ -107,7 +108,7 @@ class JournalTail:
             return str(broken)
         return (
             f"{self.path}:{self._lines + 1}: A power cut has damaged the end of the journal ({error})."
-            " What stands before is complete. `starbench resume` removes the damaged end."
+            f" What stands before is complete. `{pasteable('resume', self.path.parent)}` removes the damaged end."
         )
 
 

@@ -144,7 +144,14 @@ def test_what_is_no_mapping_is_one_fault(text):
 def test_a_document_of_another_kind_is_one_fault_not_one_a_line():
     (said,) = faults("format: starbench/station/1\nname: x\nstage: {}\n", Sequence)
     assert said.startswith("t.yaml:1:9: format: wrong kind of document")
-    assert said.endswith("'starbench/sequence/1' is needed here (got 'starbench/station/1').")
+    assert said.endswith(
+        "a sequence is needed here, and this is a station file. Name a station file with --station."
+    )
+
+
+def test_a_document_of_an_unknown_version_is_named_by_its_format():
+    (said,) = faults("format: starbench/sequence/9\nname: x\n", Sequence)
+    assert said.endswith("'starbench/sequence/1' is needed here (got 'starbench/sequence/9').")
 
 
 def test_a_document_cut_off_by_a_syntax_error_is_not_blamed_for_what_was_not_reached():

@@ -356,7 +356,7 @@ def test_a_command_that_has_gone_is_refused_with_where_its_work_is_done(say, wor
     ("words", "what"),
     [
         (("hold", "4"), "`hold` takes no value"),
-        (("skip", "four"), "'four' is not a valid integer"),
+        (("skip", "four"), "'four' is not a valid whole number"),
         (("withdraw",), "`withdraw` needs the name of a job"),
     ],
 )
@@ -373,6 +373,45 @@ def test_a_fault_of_a_setting_names_the_option(say, words):
     assert "--set foo=3: the path must begin with 'sequence.' or 'station.'." in err
     _, _, err = say(*words, "-s", "simulated", "--set", "station.nme=3")
     assert re.search(r"simulated\.yaml \(with --set\):\d+:\d+: nme: unknown key", err)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("plan", "three_pose", "bench.yaml"),
+        ("plan", "bench.yaml"),
+        ("run", "bench.yaml", "three_pose"),
+        ("align", "bench.yaml"),
+        ("target", "bench.yaml"),
+    ],
+)
+def test_a_station_file_without_its_option_is_refused_with_the_option(say, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("bench.yaml").write_text("format: starbench/station/1\n")
+    assert say(*words)[2].endswith("bench.yaml is a station file. Name it with --station.\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "what"),
+    [
+        (("calibrate", "q.yaml"), "This is a queue; it holds no data. `starbench batch`, `plan`"),
+        (("convert", "q.yaml", "a.raw"), "This is a queue; it holds no data."),
+        (("undistort", "q.yaml", "-o", "u"), "This is a queue; it holds no data."),
+        (("convert", "a.raw"), "SOURCE and OUTPUT; only a.raw is given"),
+        (("runs", "--since", "yesterday"), "Write it as 2026-03-01 or 2026-03-01T21:00."),
+        (("plan", "three_pose", "--suggest", "two"), "'two' is not a valid whole number"),
+    ],
+)
+def test_a_word_in_the_wrong_place_is_refused_with_what_it_is(say, words, what, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("q.yaml").write_text("# tonight\nformat: starbench/queue/1\nname: N\n")
+    assert what in say(*words)[2]
+
+
+def test_a_file_of_a_run_is_not_calibrated_but_its_folder_is_named(say, tmp_path):
+    (tmp_path / "journal.jsonl").touch()
+    (tmp_path / "results.json").write_text("{}")
+    assert f"Name the folder of the run: {tmp_path}" in say("calibrate", tmp_path / "results.json")[2]
 
 
 def test_a_deviation_of_zero_has_no_sign():

@@ -3,6 +3,7 @@
 import errno
 import os
 import pwd
+import re
 import shutil
 import subprocess
 import sys
@@ -17,7 +18,7 @@ from bench.record import run_folder as run_folder_module
 from bench.record.journal import CAPTURE_STORED, Journal, capture_name, stored_captures
 from bench.record.recovery import recover
 from bench.record.run_folder import RunFolder
-from bench.record.storage import HASH_CHUNK_BYTES
+from bench.record.storage import HASH_CHUNK_BYTES, write_atomic
 
 HOLD = "import sys; from pathlib import Path; from bench.record.run_folder import RunFolder; RunFolder.open(Path(sys.argv[1]))"
 
@@ -151,6 +152,15 @@ def test_a_refusal_leaves_no_file_open(run, journal):
 
 
 # ------------------------------------------------------------------ whole files
+
+
+def test_a_file_that_may_not_be_written_is_named_by_its_own_name(tmp_path, monkeypatch):
+    def refused(path, *_args):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+    monkeypatch.setattr(os, "open", refused)
+    with pytest.raises(StorageError, match=re.escape(f"{tmp_path / 'my.yaml'}: No permission")):
+        write_atomic(tmp_path / "my.yaml", b"")
 
 
 @pytest.mark.parametrize("call", ["write", "fsync"])

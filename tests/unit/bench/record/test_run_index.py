@@ -162,6 +162,20 @@ def test_a_broken_journal_is_named_and_the_others_are_listed(index, three):
     assert str(journal) in faults[0]
 
 
+def test_an_index_on_a_full_disk_asks_for_room_and_not_to_be_deleted(index, three, monkeypatch):
+    error = sqlite3.OperationalError("database or disk is full")
+    error.sqlite_errorcode = sqlite3.SQLITE_FULL
+    index.runs(three)
+
+    def full(*_, **__):
+        raise error
+
+    monkeypatch.setattr(sqlite3, "connect", full)
+    with pytest.raises(StorageError, match="Make room on its disk") as refused:
+        index.runs(three)
+    assert "Delete it" not in str(refused.value)
+
+
 def test_an_index_that_cannot_be_written_says_so(index, tmp_path, three, monkeypatch):
     def refused(*_, **__):
         raise sqlite3.OperationalError("database or disk is full")

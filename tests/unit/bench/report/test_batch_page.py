@@ -76,6 +76,11 @@ def test_nothing_in_a_summary_becomes_markup():
     assert html.count("&lt;script&gt;") >= 3
 
 
+def test_a_command_in_a_reason_is_shown_as_one():
+    html = render_batch(summary(item("a-001", "failed", "Focus it by `align`, <b>then</b> call `x`.")))
+    assert "Focus it by <code>align</code>, &lt;b&gt;then&lt;/b&gt; call <code>x</code>." in html
+
+
 def test_the_page_needs_nothing_from_elsewhere_and_links_only_to_reports():
     cameras = [of_runs([run(n) for n in range(4)])]
     html = render_batch(summary(item("a-001", report="runs/a-001/report.html"), cameras=cameras))

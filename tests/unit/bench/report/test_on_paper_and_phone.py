@@ -37,6 +37,10 @@ WIDER = """() => [...document.querySelectorAll('table')].filter(e => e.scrollWid
   .map(e => e.className || e.closest('.wide')?.ariaLabel)"""
 
 
+BROKEN_NUMBERS = """() => [...document.querySelectorAll('table.result td.factor')].filter(e =>
+  e.offsetHeight > 1.8 * parseFloat(getComputedStyle(e).fontSize)).map(e => e.textContent)"""
+
+
 def test_the_page_of_a_batch_fits_a_phone(tmp_path):
     page_file = tmp_path / "summary.html"
     page_file.write_text(
@@ -61,6 +65,8 @@ def test_it_prints_on_at_most_six_pages_and_fits_a_phone(html, tmp_path):
         assert page.evaluate("document.documentElement.scrollWidth") == 390
         assert page.evaluate(CUT) == []
         assert page.evaluate(SCROLLS) == 0
+        assert page.evaluate(BROKEN_NUMBERS) == []
+        assert not page.is_visible("td.pure >> nth=0")  # a unit "1" after an uncertainty reads as a number
         page.evaluate("document.getElementById('details').open = true")
         assert page.evaluate("document.documentElement.scrollWidth") == 390
         assert page.evaluate(WIDER) == []  # each row is a card

@@ -10,7 +10,7 @@ import pytest
 from nights import JOB, NightClock, Workers, begun, hows, night, queue
 
 from bench.base.clock import Aborted
-from bench.base.errors import RunFolderError, ScriptError
+from bench.base.errors import RunFolderError, ScriptError, UsageError
 from bench.extras.batch.batch import Batch, worker_command
 from bench.extras.batch.batch_plan import plan_of, read_queue
 from bench.extras.batch.batch_record import by_priority, items_of
@@ -162,6 +162,13 @@ def test_what_was_cut_off_before_it_began_is_kept_aside_and_begun_anew(tmp_path)
     assert batch.run()["how"] == "finished"
     assert begun(workers) == ["run a-001"]
     assert (tmp_path / "runs" / "a-001.unbegun-1" / "sequence.yaml").exists()
+
+
+def test_a_folder_of_something_else_is_refused_and_stays_as_it_was(tmp_path):
+    (tmp_path / "SHA256SUMS").write_text("of a sealed run")
+    with pytest.raises(UsageError, match="it contains SHA256SUMS"):
+        night(tmp_path, queue(("a", "")))[0].run()
+    assert [path.name for path in tmp_path.iterdir()] == ["SHA256SUMS"]
 
 
 def test_another_queue_is_refused_in_a_folder_that_has_one(tmp_path):

@@ -114,7 +114,7 @@ class TestEveryValueIsPrinted:
         (section,) = (one for one in sections_of(large, {}) if one["title"].startswith("Covariance"))
         parts = [part for block in section["blocks"] for part in block.get("blocks", [])]
         tables = [part for part in parts if part["kind"] == "table"]
-        assert max(len(one["head"]) for one in tables) == 9
+        assert [len(one["head"]) for one in tables] == [8, 8, 6] * 2  # about as many columns in each
         shown = numbers_of("\n".join(texts_of(tables)))
         for row in matrix:
             for value in row:
