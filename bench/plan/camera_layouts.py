@@ -29,7 +29,7 @@ _HALF_PX, _ONE_PX = 0.5, 1.0
 """Coordinate of the centre of the first pixel: with an origin at its corner, and where counting begins at 1."""
 _PREFIXES = {"camera": "ORB-SLAM", "camera1": "ORB-SLAM", "camera2": "ORB-SLAM", "cam": "vikit"}
 """Before each name of a camera, such as ``Camera1.fx`` and ``cam_fx``, and whose they are."""
-_OF_VIKIT = {"d0": "k1", "d1": "k2", "d2": "p1", "d3": "p2"}
+_OF_VIKIT = ("d0", "d1", "d2", "d3")
 _MATRICES = re.compile("(camera)?(intrinsics?|matrix|parameters|params)|projectionparameters|k")
 _WORDS = re.compile(r"[A-Za-z][A-Za-z _.-]{3,}\d?")  # no list of numbers, nor one of NaN
 _FOUR_ELSEWHERE = (set(_FOUR), {"mu", "mv", "u0", "v0"}, {"fx", "fy", "ppx", "ppy"})
@@ -48,7 +48,7 @@ _FOREIGN = {
 }
 #: Names of coefficients of a lens that OpenCV's two models are not.
 _OTHER_LENSES = {
-    "xi": "an omnidirectional camera (Mei)",
+    "xi": "an omnidirectional or double-sphere camera",
     "mappingcoefficients": "MATLAB's fisheye (Scaramuzza)",
 }
 
@@ -154,8 +154,16 @@ def cameras_of(content: Values) -> dict[str, Values]:
         for own_name, part in parts.items():
             if isinstance(part, Mapping):
                 alone = {"": plain(part)} if re.fullmatch(r"cam\d+", own_name) else {}
-                for inner, camera in (cameras_of(part) or alone).items():
-                    known = f"{own_name}.{inner}" if inner in cameras else inner or own_name
+                found = cameras_of(part) or alone
+                for inner, camera in found.items():
+                    in_list = isinstance(value, list) and len(found) == 1
+                    known = (
+                        own_name
+                        if in_list
+                        else f"{own_name}.{inner}"
+                        if inner in cameras
+                        else inner or own_name
+                    )
                     cameras[known] = {**shared, **camera}
     return cameras
 
@@ -220,7 +228,7 @@ def _flat(values: dict[str, Any]) -> dict[str, Any]:
             found = {"distortioncoefficients": coefficients, "distortionmodel": model, **inner}
         elif _MATRICES.fullmatch(name) and any(four <= set(inner) for four in _FOUR_ELSEWHERE):
             del flat[name]
-            found = inner
+            found = inner | ({"program": "camodocal"} if name == "projectionparameters" else {})
         else:
             continue
         for key, value in found.items():
@@ -235,8 +243,12 @@ def _numbered(values: dict[str, Any]) -> dict[str, Values]:
     prefixes = [prefix for prefix in _PREFIXES if all(f"{prefix}{name}" in values for name in _FOUR)]
     for prefix in prefixes:
         own = _without(prefix.rstrip("12"), values) | _without(prefix, values)
-        named = {_OF_VIKIT.get(name, name): value for name, value in own.items()}
-        one = _laid_out(values | named) | {"program": _PREFIXES[prefix]}
+        if set(_OF_VIKIT) <= set(own):
+            own["distcoeffs"] = [own.pop(name) for name in _OF_VIKIT]
+            own["distortionmodel"] = (
+                "radtan" if plain_name(own.get("model")) == "pinhole" else own.get("model")
+            )
+        one = _laid_out(values | own) | {"program": _PREFIXES[prefix]}
         cameras[prefix if len(prefixes) > 1 else ""] = one
     for number in ("1", "2"):
         own = {key[:-1]: value for key, value in values.items() if key.endswith(number)}

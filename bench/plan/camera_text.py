@@ -62,6 +62,11 @@ _OTHER_TEXTS = {
         "it is a report of Kalibr (results-cam.txt)",
         "Give the camchain.yaml that Kalibr writes beside it.",
     ),
+    "\ncam0_calib:": ("it names the files of its cameras", "Give one of those, such as cam0_pinhole.yaml."),
+    "\nrelative_config_imucam:": (
+        "it names the file of its cameras",
+        "Give that, such as kalibr_imucam_chain.yaml.",
+    ),
     "\nK_00:": ("it is a file of KITTI", WRITE_OPENCV),
 }
 """Words that only the texts of a program have, what they are, and what to do."""
@@ -70,6 +75,8 @@ _OTHER_ROOTS = {
 }
 _NUMBERS = re.compile(r"\[([-+.\deE,\s]*)\]")
 _NOT_A_NUMBER = re.compile(r"\.(nan|inf)", re.IGNORECASE)  # as YAML writes it
+_NO_BLANK = re.compile(r"^([ \t]*[\w.]+):(?=[^\s:])", re.MULTILINE)
+"""A name and its value without a blank between, which OpenCV's FileStorage reads, as in ORB-SLAM2's own files."""
 _BETWEEN = re.compile(r"[][,]")  # as numpy prints an array
 _SEPARATOR = re.compile(r"^(?:---|\.\.\.)(?:[ \t].*)?$", re.MULTILINE)
 #: Lines of a message of ROS that differ although the camera is the same.
@@ -178,7 +185,8 @@ def _yaml(text: str) -> list[dict[str, Any]]:
     """Read YAML, and what OpenCV and ROS write beside it: tags, a first line that YAML has not, several documents."""
     if "tag:yaml.org,2002:python/object" in text or "!!python/object" in text:
         raise OtherForm("it is a dump of Python objects, such as numpy arrays", WRITE_OPENCV)
-    body = _TIMES.sub("", _NUMBERS.sub(_as_text, re.sub(r"\A%YAML.*", "", text)))
+    spaced = _NO_BLANK.sub(r"\1: ", text) if text.startswith("%YAML:") else text
+    body = _TIMES.sub("", _NUMBERS.sub(_as_text, re.sub(r"\A%YAML.*", "", spaced)))
     lines, documents = 1, dict[str, int]()
     for document in _SEPARATOR.split(body):
         documents.setdefault(document.strip(), lines + document.count("\n") - document.lstrip().count("\n"))

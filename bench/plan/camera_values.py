@@ -35,7 +35,10 @@ _LEAST_NAMED = 5
 """Coefficients of OpenCV that are kept by name although they are zero."""
 _OF_MATRIX = 9
 #: Names without case and punctuation, as programs write them.
-_MATRIX = ("cameramatrix", "k", "mtx", "cameramat", "intrinsicmatrix", "intrinsics", "intrinsic", "m")
+_MATRIX = (
+    "cameramatrix", "k", "mtx", "cameramat", "intrinsicmatrix", "intrinsics", "intrinsic", "m", "camk", "cammatrix",
+    "cameraintrinsics", "intrinsicsmatrix",
+)  # fmt: skip
 LENS = re.compile(
     "(lens|camera|cam)?(d|dist|distortions?)(coef|coefs|coeffs?|coefficients?|params?|parameters?|vect?|vector)?|kc|coeffs"
 )
@@ -44,30 +47,34 @@ _LIKE_A_LENS = re.compile(".*(dist(?!an)|coef|radial|tangential|lens)")
 """Names that may be those of coefficients."""
 _SIZES = ("imagesize", "imgsize", "resolution", "imagersize", "imageresolution")
 _SIZES_OF_ANYTHING = ("size", "dimensions")
-"""Names that may be those of a board too: asked if there is no other."""
+_SIDES_OF_ANYTHING = ("cols", "rows")
+"""Names that may be those of a board or a matrix too: asked if there is no other."""
 _SIDES = [
     (f"{of}{width}", f"{of}{height}")
     for of in ("image", "", "img", "imagesize")
     for width, height in (("width", "height"), ("w", "h"))
-] + [("resx", "resy")]
+] + [("resx", "resy"), ("resw", "resh")]
 _MODEL = re.compile(
     "(distortion|dist|lens|camera|cam|projection|calibration|usefisheye|fisheye)?model(type)?"
     "|(distortion|dist|lens|camera|projection)type|(use|is)?fisheye"
 )
 _EQUIDISTANT = (
-    "equidistant", "equi", "fisheye", "opencvfisheye", "kannalabrandt", "kannalabrandt4", "kannalabrandt8", "kb4",
+    "equidistant", "equi", "fisheye", "opencvfisheye", "pinholeequidistant", "equidistantcamera", "kannalabrandt",
+    "kannalabrandt4", "kannalabrandt8", "kb4",
 )  # fmt: skip
+_WITHOUT = ("none", "pinholenodistortion", "lensmodelpinhole", "inversebrownconrady", "modifiedbrownconrady")
+"""Lens models of which only coefficients of zero are read."""
 #: Coefficients of each lens model, by its name in any program; None: the name says nothing of the distortion.
 _LENSES: Mapping[str, tuple[str, ...] | None] = {
     **dict.fromkeys(
         ("plumbbob", "radialtangential", "lensmodelopencv5", "rectilinear", "standard"), OPENCV[:5]
     ),
-    **dict.fromkeys(("radtan", "lensmodelopencv4"), OPENCV[:4]),
+    **dict.fromkeys(("radtan", "pinholeradialtangential", "lensmodelopencv4"), OPENCV[:4]),
     **dict.fromkeys(("lensmodelopencv8", "pinholeradtan8", "pinholefull", "rational"), OPENCV[:8]),
     "lensmodelopencv12": OPENCV[:12],
     **dict.fromkeys(("rationalpolynomial", "opencv", "brown", "brownconrady"), OPENCV),
     **dict.fromkeys(_EQUIDISTANT, FISHEYE),
-    **dict.fromkeys(("none", "lensmodelpinhole", "inversebrownconrady", "modifiedbrownconrady"), ()),
+    **dict.fromkeys(_WITHOUT, ()),
     **dict.fromkeys(("pinhole", "simplepinhole", "perspective", "rectified"), None),
     **dict.fromkeys(("0", "false"), OPENCV),  # of a name that asks for a fisheye
     **dict.fromkeys(("1", "true"), FISHEYE),
@@ -75,6 +82,20 @@ _LENSES: Mapping[str, tuple[str, ...] | None] = {
 _IN_ANY_ORDER = "brown"
 """A model whose list of coefficients is k1 k2 p1 p2 k3 in some programs, and k1 k2 k3 p1 p2 in cuVSLAM and openMVG."""
 _RADIAL_FIRST = ("k1", "k2", "k3", "p1", "p2")
+_TYPES = {
+    *_EQUIDISTANT,
+    "omni",
+    "omnidirectional",
+    "mei",
+    "ocam",
+    "ds",
+    "doublesphere",
+    "ucm",
+    "eucm",
+    "fov",
+    "atan",
+}
+"""Lenses that the name `type` alone may state."""
 _OPENCV_IN_FILES, _FISHEYE_IN_FILES = tuple(name.lower() for name in OPENCV), ("k1", "k2", "k3", "k4")
 """Names of single coefficients in files."""
 _ALIKE_A_COEFFICIENT = re.compile("[bdkprst][0-9]+|tau[xy]")
@@ -92,7 +113,9 @@ def camera_of_values(values: Values, family: LensFamily | None) -> CameraModel:
     model, names = _stated_lens(values)
     found = _distortion(values, beside, is_fisheye=names is FISHEYE or family == "fisheye")
     if found is None:
-        _require_no_coefficients(values, may_be_without="program" in values or names == ())
+        _require_no_coefficients(
+            values, may_be_without="program" in values or names == () or _is_rectified(values)
+        )
         found = []
     if family is not None:
         if names is not None and (names is FISHEYE) != (family == "fisheye"):
@@ -118,6 +141,11 @@ def camera_of_values(values: Values, family: LensFamily | None) -> CameraModel:
 def plain_name(name: Any) -> str:
     """Return a name without case and punctuation."""
     return re.sub(r"[^a-z0-9]", "", str(name).lower())
+
+
+def _is_rectified(values: Values) -> bool:
+    """Return whether a camera says that its images have no distortion, as DSEC's camRect0 does."""
+    return any(str(values.get(name)).lower() == "true" for name in ("isrectified", "rectified"))
 
 
 def _skew_px(values: Values, of_matrix_px: float) -> float:
@@ -263,7 +291,9 @@ def _stated_lens(values: Values) -> tuple[str | None, tuple[str, ...] | None]:
             "Use another file of the same calibration, for example OpenCV's YAML.",
         )
     model, names = None, None
-    for value in (value for key, value in values.items() if _MODEL.fullmatch(key)):
+    for key, value in values.items():
+        if not (_MODEL.fullmatch(key) or (key == "type" and plain_name(value) in _TYPES)):
+            continue
         if value is None or isinstance(value, Mapping):
             continue
         word = plain_name(value).removeprefix("distortion")  # as RealSense writes it
@@ -373,6 +403,8 @@ def size_of_values(values: Values) -> tuple[int, int]:
         if isinstance(values.get(name), Mapping) and {"width", "height"} <= set(values[name])
     }
     stated = stated or _listed(values, _SIZES_OF_ANYTHING)
+    if not stated and set(_SIDES_OF_ANYTHING) <= set(values):
+        stated = {"cols and rows": [values[name] for name in _SIDES_OF_ANYTHING]}
     if not stated:
         raise OtherForm("it does not state the size of the image", "Add image_width and image_height, px.")
     sizes = {name: numbers_of("the size of the image", value) for name, value in stated.items()}

@@ -89,12 +89,24 @@ DV = {
 
 BROWN = {
     "ORB-SLAM2": (YAML + lines({**ORB_SLAM, **SIDES, "fps": 20.0}, "Camera."), D5),
+    "ORB-SLAM2, a line without a blank": (
+        YAML.replace("---\n", "") + lines({**ORB_SLAM, **SIDES}, "Camera.") + "Viewer.PointSize:2\n", D5,
+    ),
+    "stella_vslam": (
+        f'Camera:\n  model: "perspective"\n{lines({**ORB_SLAM, "cols": 1280, "rows": 720}, "  ")}\nMapping:\n  ratio: 1.0\n', D5,
+    ),
+    "DSEC, rectified": (
+        (f"intrinsics:\n  camRect0:\n    is_rectified: true\n    camera_model: pinhole\n    camera_matrix: {FOCAL_AND_CENTRE}\n"
+        "    resolution: [1280, 720]\n"), [],
+    ),
     "ORB-SLAM3": (
         f'{YAML}File.version: "1.0"\nCamera.type: "PinHole"\n{lines(SIDES, "Camera.")}{lines(ORB_SLAM, "Camera1.")}',
         D5,
     ),
     "VINS": (VINS, D5[:4]),
     "vikit": (VIKIT, D5[:4]),
+    "vikit of SVO": (f"cam0:\n{VIKIT.replace('cam_', '  cam_').replace('Pinhole', 'PinholeRadialTangential')}", D5[:4]),
+    "vikit without distortion": (lines({"model": "PinholeNoDistortion", **SIDES, **FOUR}, "cam_"), []),
     "rpg_svo_pro": (RPG, D5[:4]),
     "Basalt radtan8": (basalt("pinhole-radtan8", {**NAMED, "k4": 0.0, "k5": 0.0, "k6": 0.0, "rpmax": 2.7}), D5),
     "Basalt pinhole": (basalt("pinhole", {}), []),
@@ -138,6 +150,11 @@ FISHEYES = {
         f"{YAML}model_type: KANNALA_BRANDT\nimage_width: 1280\nimage_height: 720\nprojection_parameters:\n"
         + lines({f"k{at}": value for at, value in enumerate(FISHEYE, 2)} | dict(zip(("mu", "mv", "u0", "v0"), FOCAL_AND_CENTRE, strict=True)), "   ")
     ),
+    "vikit of SVO": lines(
+        {"model": "PinholeEquidistant", **SIDES, **FOUR, **dict(zip(("d0", "d1", "d2", "d3"), FISHEYE, strict=True))}, "cam_"
+    ),
+    "vikit of FAST-LIVO": lines({"model": "EquidistantCamera", **SIDES, **FOUR}, "cam_") + lines(KANNALA_BRANDT),
+    "type alone": {"type": "fisheye", "matrix": 0, "intrinsics": FOCAL_AND_CENTRE, "D": FISHEYE, "resolution": SIZE},
     "rpg_svo_pro": RPG.replace("radial-tangential", "equidistant").replace(str(D5[:4]), str(FISHEYE)),
     "Basalt": basalt("kb4", KANNALA_BRANDT),
     "nerfstudio": {**{name: value for name, value in NERFSTUDIO.items() if name not in NAMED}, **KANNALA_BRANDT, "camera_model": "OPENCV_FISHEYE"},
@@ -182,6 +199,13 @@ def test_the_cameras_of_an_orb_slam_stereo_file_are_named():
         parse(text)
 
 
+def test_the_cameras_of_a_list_are_named_by_their_place():
+    rig = RPG.replace("label: rig\n", "") + RPG.partition("cameras:\n")[2].replace(str(FX), "900.0")
+    assert parse(rig, "cameras1").camera.fx == 900.0
+    with pytest.raises(NotACamera, match="cameras0, cameras1"):
+        parse(rig)
+
+
 def test_a_list_of_the_model_brown_is_not_guessed():
     """cuVSLAM and openMVG write k1 k2 k3 p1 p2 (nvidia-isaac/cuVSLAM#151), RealSense and OpenCV k1 k2 p1 p2 k3."""
     text = {**LISTS, "distortion_model": "brown", "distortion_coefficients": D5}
@@ -212,6 +236,8 @@ DOUBTFUL = {
     "unified model of Basalt": (basalt("eucm", {"alpha": 0.6, "beta": 1.0}), "'eucm'"),
     "fisheye of MATLAB": ({"MappingCoefficients": [700.0, 0.0, 0.0, 0.0], "ImageSize": [720, 1280]}, "Scaramuzza"),
     "radial and tangential apart, of nobody known": ({**LISTS, "radial_distortion": [K1, K2], "tangential_distortion": [P1, P2]}, "apart"),
+    "omni of SVO": (RPG.replace("type: pinhole", "type: omni"), "'omni'"),
+    "VINS's settings of the filter": (YAML + 'imu: 1\ncam0_calib: "cam0_pinhole.yaml"\n', "names the files of its cameras"),
     "calib.txt of RPG": (" ".join(map(str, [*FOCAL_AND_CENTRE, *D5])) + "\n", "numbers without names"),
     "Kalibr's report": ("Calibration results\n===\nCamera-system parameters:\n\tcam0 (/cam0):\n", "results-cam.txt"),
     "ZED's two cameras": ("[LEFT_CAM_HD]\nfx=700.5\n\n[RIGHT_CAM_HD]\nfx=701\n", "no camera matrix"),
