@@ -100,6 +100,14 @@ def _of_metashape(values: dict[str, Any]) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _of_photoscan(_values: dict[str, Any]) -> dict[str, Any]:
+    """Refuse a camera of Metashape's predecessor: its p1 and p2 were interchanged in one of its versions."""
+    raise OtherForm(
+        "it is a calibration of PhotoScan before 1.2, whose p1 and p2 have another meaning than later",
+        "Load it in Metashape and save it again.",
+    )
+
+
 def _of_toolbox(values: dict[str, Any]) -> dict[str, Any]:
     """Return the camera of the Camera Calibration Toolbox for MATLAB, whose skew is a share of fx."""
     fx, fy, cx, cy = [*numbers_of("fc", values["fc"]), *numbers_of("cc", values["cc"])]
@@ -126,6 +134,7 @@ _LAYOUTS = (
     _Layout("aniposelib", frozenset({"matrix", "distortions", "size"}), {"matrix": "cameramatrix"}),
     _Layout("MATLAB", frozenset({"RadialDistortion", "ImageSize"}), {}, _ONE_PX, _of_matlab),
     _Layout("Metashape", frozenset({"projection", "f", "width"}), {}, _HALF_PX, _of_metashape),
+    _Layout("PhotoScan", frozenset({"projection", "fx", "skew", "k1"}), change=_of_photoscan),
     _Layout(
         "the Camera Calibration Toolbox for MATLAB",
         frozenset({"fc", "cc", "kc"}),

@@ -67,6 +67,8 @@ _OTHER_TEXTS = {
         "it names the file of its cameras",
         "Give that, such as kalibr_imucam_chain.yaml.",
     ),
+    "Intrinsic of ": ("it is what rs-enumerate-devices prints of a RealSense", WRITE_OPENCV),
+    "# hugin project file": ("it is a project of Hugin", WRITE_OPENCV),
     "\nK_00:": ("it is a file of KITTI", WRITE_OPENCV),
 }
 """Words that only the texts of a program have, what they are, and what to do."""
@@ -176,6 +178,8 @@ def _python(text: str) -> dict[str, Any]:
 
 
 def _mapping(found: Any) -> dict[str, Any]:
+    if isinstance(found, list) and found and all(isinstance(one, dict) for one in found):
+        return {"camera": found}
     if not isinstance(found, dict):
         raise OtherForm("it holds no names with values")
     return {str(name): value for name, value in found.items()}

@@ -34,6 +34,10 @@ _LEAST_SKEW_PX = 1e-9
 _LEAST_NAMED = 5
 """Coefficients of OpenCV that are kept by name although they are zero."""
 _OF_MATRIX = 9
+_WITH_A_COLUMN = (12, 16)
+"""Numbers of a matrix that has a fourth column, and row, of zeros."""
+_TIMES = re.compile("[xX*]")
+"""Between width and height: 1280x720."""
 #: Names without case and punctuation, as programs write them.
 _MATRIX = (
     "cameramatrix", "k", "mtx", "cameramat", "intrinsicmatrix", "intrinsics", "intrinsic", "m", "camk", "cammatrix",
@@ -361,7 +365,7 @@ def _matrix(values: Values) -> tuple[Array, list[float]]:
     }
     if not stated:
         raise OtherForm("it has no camera matrix")
-    found, *others = stated.values()
+    found, *others = map(_square, stated.values())
     beside: list[float] = []
     five_beside = len(found) == _OF_MATRIX and found[1] and found[3] and found[6:] != [0.0, 0.0, 1.0]
     if len(found) >= len(PINHOLE) and (len(found) != _OF_MATRIX or "lensmodel" in values or five_beside):
@@ -386,6 +390,13 @@ def _matrix(values: Values) -> tuple[Array, list[float]]:
     return matrix, beside
 
 
+def _square(found: list[float]) -> list[float]:
+    """Return the first three columns and rows of a matrix whose fourth ones are zero; other numbers unchanged."""
+    if len(found) not in _WITH_A_COLUMN or any(found[3:12:4]) or found[8:11] != [0.0, 0.0, 1.0]:
+        return found
+    return [number for at, number in enumerate(found[:12]) if at % 4 != 3]
+
+
 def _of_pinhole(found: Sequence[float]) -> list[float]:
     fx, fy, cx, cy = found
     return [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
@@ -407,7 +418,10 @@ def size_of_values(values: Values) -> tuple[int, int]:
         stated = {"cols and rows": [values[name] for name in _SIDES_OF_ANYTHING]}
     if not stated:
         raise OtherForm("it does not state the size of the image", "Add image_width and image_height, px.")
-    sizes = {name: numbers_of("the size of the image", value) for name, value in stated.items()}
+    words = {
+        name: _TIMES.sub(" ", value) if isinstance(value, str) else value for name, value in stated.items()
+    }
+    sizes = {name: numbers_of("the size of the image", value) for name, value in words.items()}
     sides = _agreed("the size of the image", sizes)
     if len(sides) != 2 or any(side != int(side) for side in sides):
         raise OtherForm("the size of the image is not a width and a height")

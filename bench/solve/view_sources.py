@@ -35,7 +35,7 @@ if TYPE_CHECKING:  # what finds stars is loaded where stars are found: views may
     from bench.measure.moving_recording import MovingRecording
 
 RECORDINGS = {".raw"}
-PHOTOGRAPHS = {".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm"}
+PHOTOGRAPHS = {".png", ".jpg", ".jpeg", ".jfif", ".tif", ".tiff", ".bmp", ".pgm", ".ppm"}
 POINTS = {".txt", ".csv"}
 OTHER_RECORDINGS = {".dat", ".aedat4", ".bag", ".db3", ".mcap", ".hdf5", ".h5", ".npz", ".npy", ".parquet"}
 _MOST_NAMED = 5
@@ -46,7 +46,7 @@ _READ_BY_OTHERS = {".aedat4", ".bag", ".db3", ".mcap"}
 """Recordings that a package of others reads, whose version does not show in that of the detector."""
 _NOT_FOR_STARS = {"number", "where", "path", "pose", "attempts", "backoff_s", "on_failure", "hold_s", "gates"}
 """Fields of a step that do not decide which stars are found."""
-_JPEG = {".jpg", ".jpeg"}
+_JPEG = {".jpg", ".jpeg", ".jfif"}
 _LARGEST_JPEG_BYTES = 100_000_000
 _JPEG_BEGINS, _JPEG_SCAN, _JPEG_ENDS = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 

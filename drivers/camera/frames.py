@@ -370,7 +370,7 @@ def read_frames(path: Path) -> NDArray[Any]:
             where=str(path),
             remedy="Give an original photograph.",
         ) from error
-    frames = [to_grey(page, where=str(path)) for page in pages] if found else []
+    frames = _without_thumbnails([to_grey(page, where=str(path)) for page in pages] if found else [])
     if not frames or len({(frame.shape, frame.dtype) for frame in frames}) != 1:
         raise NotARecording(
             "The file holds no images of one size and bit depth.",
@@ -378,6 +378,12 @@ def read_frames(path: Path) -> NDArray[Any]:
             remedy="Give an image or a TIFF of several pages.",
         )
     return np.stack(frames)
+
+
+def _without_thumbnails(frames: list[NDArray[Any]]) -> list[NDArray[Any]]:
+    """Leave out the pages of a TIFF that are at most half as wide as its widest one: previews for other programs."""
+    widest = max((frame.shape[1] for frame in frames), default=0)
+    return [frame for frame in frames if 2 * frame.shape[1] > widest]
 
 
 def mean_frame(path: Path) -> NDArray[np.float32]:

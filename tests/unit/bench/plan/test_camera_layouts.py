@@ -128,6 +128,10 @@ BROWN = {
     "multical": ({"cameras": {"cam1": {"model": "standard", "image_size": SIZE, "K": K, "dist": [D5]}}}, D5),
     "DV": ({"cameras": [DV], "version": "2.0"}, D5),
     "RPG's four and five in one list": ({"intrinsics": [*FOCAL_AND_CENTRE, *D5], "resolution": SIZE}, D5),
+    "a list of cameras": ([{"K": K, "D": D5, "resolution": "1280x720"}], D5),
+    "a matrix with a fourth column and row": (
+        {**LISTS, "camera_matrix": [[*K[0], 0], [*K[1], 0], [*K[2], 0], [0, 0, 0, 1]], "dist": D5}, D5,
+    ),
     "names in groups": ({"intrinsic": FOUR, "distortion": NAMED, "image_size": {"width": 1280, "height": 720}}, D5),
     "numpy's print of an array": ({**LISTS, "dist": "[[-1.2e-01  8.0e-02  5.0e-04 -7.0e-04 -2.0e-02]]"}, D5),
     "P1 of OpenCV's stereo beside": (
@@ -238,6 +242,11 @@ DOUBTFUL = {
     "radial and tangential apart, of nobody known": ({**LISTS, "radial_distortion": [K1, K2], "tangential_distortion": [P1, P2]}, "apart"),
     "omni of SVO": (RPG.replace("type: pinhole", "type: omni"), "'omni'"),
     "VINS's settings of the filter": (YAML + 'imu: 1\ncam0_calib: "cam0_pinhole.yaml"\n', "names the files of its cameras"),
+    "PhotoScan before 1.2": (
+        f"<calibration>{''.join(f'<{name}>{value}</{name}>' for name, value in {'projection': 'frame', **SIDES, **FOUR, 'skew': 0, 'k1': K1}.items())}</calibration>",
+        "PhotoScan before 1.2",
+    ),
+    "rs-enumerate-devices": (' Intrinsic of "Color" / 640x480 / {YUYV}\n  Width: \t640\n  PPX: \t320\n', "RealSense"),
     "calib.txt of RPG": (" ".join(map(str, [*FOCAL_AND_CENTRE, *D5])) + "\n", "numbers without names"),
     "Kalibr's report": ("Calibration results\n===\nCamera-system parameters:\n\tcam0 (/cam0):\n", "results-cam.txt"),
     "ZED's two cameras": ("[LEFT_CAM_HD]\nfx=700.5\n\n[RIGHT_CAM_HD]\nfx=701\n", "no camera matrix"),

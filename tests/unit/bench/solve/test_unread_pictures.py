@@ -73,3 +73,17 @@ def test_pages_of_one_file_that_show_no_board_together_are_named(tmp_path):
     with pytest.raises(TargetNotFound) as error:
         source.read()
     assert "the mean of 2 pages" in error.value.remedy
+
+
+def test_a_small_preview_beside_a_picture_is_left_out(tmp_path):
+    drawn = np.random.default_rng(1).integers(0, 255, (240, 320), dtype=np.uint8)
+    cv2.imwritemulti(str(tmp_path / "a.tiff"), [drawn, cv2.resize(drawn, (80, 60))])
+    np.testing.assert_array_equal(picture_of(tmp_path / "a.tiff"), drawn)
+
+
+@pytest.mark.parametrize("ending", [".jfif", ".ppm"])
+def test_other_endings_of_pictures_are_read(tmp_path, ending):
+    drawn = np.full((60, 80, 3), 90, np.uint8)
+    _, coded = cv2.imencode(".jpg" if ending == ".jfif" else ending, drawn)
+    (tmp_path / f"a{ending}").write_bytes(coded.tobytes())
+    np.testing.assert_allclose(picture_of(tmp_path / f"a{ending}"), 90, atol=1)
