@@ -25,6 +25,8 @@ _HOMING_MARGIN_S = 30.0
 """Added to that time, in seconds: for the slow approach of the edge, and for the ramps."""
 HOMED_BY_ANOTHER = "another program has homed the axis, so its zero is not known"
 """Why an axis has no reference though its controller says so: that program may have had another zero, or moved it."""
+_MOST_IDLE_READS = 8
+"""An idle axis whose readings never agree has failed after so many."""
 POLL_S = 0.02
 """Pause between two readings of a moving axis, in seconds."""
 
@@ -169,8 +171,9 @@ A = TypeVar("A", bound=Axis)
 class MoveWatch(Generic[A]):
     """Decides from readings of one axis whether it has arrived, is still moving, or has failed.
 
-    Arrived: two consecutive idle readings, with the position at the target. Failed: two idle readings elsewhere; busy
-    past the deadline; busy without progress.
+    Arrived: two consecutive idle readings, with the position at the target. Failed: idle readings elsewhere, of which
+    two in a row agree (most protocols have no checksum, and a digit can get lost); busy past the deadline; busy
+    without progress.
 
     ``target_deg`` is None for a search of the reference, which may end anywhere; ``now_s`` is the start of the move,
     ``allowed_s`` its longest time.
@@ -189,10 +192,11 @@ class MoveWatch(Generic[A]):
     def update(self, now_s: float, position_deg: float, *, busy: bool) -> bool:
         """Take one reading of the axis; return whether it has arrived, or raise `MoveFailed`."""
         self._idle_reads = 0 if busy else self._idle_reads + 1
+        agrees = abs(position_deg - self._last_deg) <= self.axis.tolerance_deg
         if position_deg != self._last_deg:
             self._last_deg = position_deg
             self._moved_s = now_s
-        if self._idle_reads >= 2:
+        if self._idle_reads >= 2 and (agrees or self._is_at_target() or self._idle_reads > _MOST_IDLE_READS):
             return self._ended()
         if busy and now_s - self._moved_s > self._patience_s:
             raise self._failed(
@@ -202,12 +206,13 @@ class MoveWatch(Generic[A]):
             raise self._late()
         return False
 
+    def _is_at_target(self) -> bool:
+        return self.target_deg is None or abs(self._last_deg - self.target_deg) <= self.axis.tolerance_deg
+
     def _ended(self) -> bool:
-        if self.target_deg is None:
+        if self.target_deg is None or self._is_at_target():
             return True
         off_deg = self._last_deg - self.target_deg
-        if abs(off_deg) <= self.axis.tolerance_deg:
-            return True
         raise self._failed(
             f"stopped at {self._last_deg:.4f} deg, {off_deg:+.4f} deg from its target"
             f" {self.target_deg:.4f} deg."

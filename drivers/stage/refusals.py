@@ -6,6 +6,7 @@ from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits
 from drivers.stage.motion import Axis
 
 HOME_FIRST = "Home the stage first."
+CHECK_PORTS = "Check the ports and serials in the station file."
 TO_WHAT_IT_SUPPORTS = "Change the station file to what the controller supports."
 
 

@@ -12,7 +12,7 @@ from typing import ClassVar, Final, Literal
 from drivers.errors import DeviceRefused, OutsideLimits
 from drivers.stage import AxisIdentity, motion
 from drivers.stage.motion import Axis
-from drivers.stage.refusals import no_reference, not_movable
+from drivers.stage.refusals import CHECK_PORTS, no_reference, not_movable
 from drivers.stage.thorlabs_controller import (
     FORWARD,
     REVERSE,
@@ -21,7 +21,7 @@ from drivers.stage.thorlabs_controller import (
     Status,
     ThorlabsController,
 )
-from drivers.stage.watched import CHECK_PORTS, AxisState, LinePerAxisStage
+from drivers.stage.watched import AxisState, LinePerAxisStage
 
 _ZERO_UNKNOWN: Final = "the controller does not tell its home parameters, so its zero is not known"
 _BEGIN_S: Final = 0.3

@@ -33,7 +33,6 @@ _STOP_POLL_S = 0.02
 _SAME_DEG = 1e-9
 """Angles that differ by less are one angle, in degrees: no controller counts so finely."""
 _CLEAR_AND_HOME = "Clear the cause, then home the stage and resume."
-CHECK_PORTS = "Check the ports and serials in the station file."
 
 StopCheck = Callable[[], None]
 """Raises MoveFailed when ``stop`` was called since the move began.
@@ -366,6 +365,8 @@ class WatchedStage(ABC, Generic[A]):
         if goal_deg is None:
             return
         off_deg = state.position_deg - goal_deg
+        if abs(off_deg) > axis.tolerance_deg:  # a digit can get lost where there is no checksum
+            off_deg = self._agreed_position_deg(axis, self._read_state) - goal_deg
         if state.busy or abs(off_deg) > axis.tolerance_deg:
             self._position_doubt = "the axis did not stay at its target"
             raise MoveFailed(

@@ -16,8 +16,8 @@ from drivers.link import TRIES, Link, ReplyReader, repeat
 from drivers.serial_port import Port
 from drivers.stage import AxisIdentity, motion, ximc_protocol
 from drivers.stage.motion import Axis
-from drivers.stage.refusals import no_reference, not_movable, read_back_otherwise
-from drivers.stage.watched import CHECK_PORTS, AxisState, LinePerAxisStage
+from drivers.stage.refusals import CHECK_PORTS, no_reference, not_movable, read_back_otherwise
+from drivers.stage.watched import AxisState, LinePerAxisStage
 from drivers.stage.ximc_protocol import (
     EdgeSettings,
     EngineSettings,

@@ -90,6 +90,21 @@ def test_a_move_that_stops_short_has_failed() -> None:
         move.update(0.2, 4.9, busy=False)
 
 
+def test_one_idle_reading_that_lost_a_digit_fails_no_move() -> None:
+    move = watch(target_deg=15.0)
+    assert not move.update(1.0, 15.0, busy=False)
+    assert not move.update(1.1, 5.0, busy=False)
+    assert move.update(1.2, 15.0, busy=False)
+
+
+def test_an_idle_axis_whose_readings_never_agree_has_failed() -> None:
+    move = watch(target_deg=15.0)
+    for step in range(8):
+        assert not move.update(1.0 + step, 5.0 + step, busy=False)
+    with pytest.raises(MoveFailed, match=r"stopped at 1\.0000 deg"):
+        move.update(9.0, 1.0, busy=False)
+
+
 def test_an_axis_that_is_busy_without_progress_has_failed() -> None:
     move = watch()
     move.update(0.1, 2.0, busy=True)
