@@ -8,7 +8,7 @@ import numpy as np
 
 from bench.plan.camera_text import OtherForm
 from calib.model.camera import SKEW, CameraModel
-from calib.model.lens import FISHEYE, OPENCV
+from calib.model.lens import FISHEYE, OPENCV, TILT
 
 LARGEST: Final = 1e15
 """Of any value: a lens of long focal length has coefficients of 1e9."""
@@ -18,6 +18,8 @@ _FAR_FROM_MIDDLE = 0.15
 _LEAST_FOCAL_SHARE = 0.08
 """Of the longer side: a fisheye of 220 degrees has 0.26, and this if its image fills a third of the side. A shorter
 focal length is in mm, or is a share itself."""
+_MOST_TILT_RAD = 0.7
+"""Of the sensor against the lens: 40 degrees, more than any Scheimpflug adapter; a larger number is in degrees."""
 _AT_CORNER = 0.05
 """Of the width and height: a principal point so near the first pixel is an offset from the middle."""
 _MOST_SQUEEZED = 1.25
@@ -34,6 +36,11 @@ def require_possible_camera(camera: CameraModel) -> None:
         raise OtherForm("a value of the camera is not finite")
     if not set(camera.distortion) <= {*OPENCV, SKEW} and not set(camera.distortion) <= {*FISHEYE, SKEW}:
         raise OtherForm(f"no lens has the coefficients {' '.join(camera.distortion)}")
+    tilt_rad = max(abs(camera.distortion.get(name, 0.0)) for name in TILT)
+    if tilt_rad > _MOST_TILT_RAD:
+        raise OtherForm(
+            f"a sensor that is tilted by {tilt_rad:g} rad is not possible", "Write tauX and tauY in rad."
+        )
     if min(sides) < 1 or sides[0] * sides[1] > _MOST_PX:
         raise OtherForm(f"an image of {sides[0]} x {sides[1]} px is not possible")
     if min(camera.fx, camera.fy) < _LEAST_FOCAL_SHARE * max(sides):

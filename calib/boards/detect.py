@@ -7,13 +7,14 @@ biased by perspective (Heikkilä, 2000).
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import cv2
 import numpy as np
 
 from calib.arrays import AnyArray, Array, Array32, Bytes, Ints
-from calib.boards.board import Board
+from calib.boards.board import Board, Kind
 from calib.boards.discs import DiscFit, fit_discs
 from calib.boards.lens_map import fit_lens_map
 from calib.errors import TargetNotFound, placed
@@ -44,6 +45,8 @@ _COMMON_PX = 0.05
 #: A point further than this number of standard deviations from the smooth map of the others is refused.
 _OUTLIER_SIGMAS = 6.0
 _OUTLIER_PX = 0.3
+#: Two steps from point to point differ by this share of the shorter one at most.
+_MOST_TURN = 0.5
 #: At least this share of the points must be located.
 _LEAST_SHARE = 0.9
 #: A smaller board than this number of corners is not named: noise looks like one now and then.
@@ -106,7 +109,24 @@ def find_points(grey: Bytes, board: Board) -> Array | None:
         flags, blobs = grid | cv2.CALIB_CB_CLUSTERING, _blobs(grey.shape)
         both = (grey, np.asarray(255 - grey, np.uint8))
         tried = (cv2.findCirclesGrid(shown, size, flags=flags, blobDetector=blobs) for shown in both)
-    return next((np.asarray(points, np.float64).reshape(-1, 2) for ok, points in tried if ok), None)
+    found = (np.asarray(points, np.float64).reshape(-1, 2) for ok, points in tried if ok)
+    return next((points for points in found if board.kind == "checkerboard" or _is_even(points, board)), None)
+
+
+def _is_even(points: Array, board: Board) -> bool:
+    """Tell whether (N, 2) points go on evenly along rows and columns, as those of a board do behind any lens.
+
+    OpenCV's finder of circles takes other dots for a grid now and then.
+    """
+    grid = points.reshape(board.rows, board.columns, 2)
+    of_columns = [grid[::2], grid[1::2]] if board.kind == "asymmetric-circles" else [grid]
+    for lines in (np.swapaxes(grid, 0, 1), *of_columns):
+        steps = np.diff(lines, axis=0)
+        lengths = np.linalg.norm(steps, axis=2)
+        turns = np.linalg.norm(np.diff(steps, axis=0), axis=2)
+        if (turns > _MOST_TURN * np.minimum(lengths[:-1], lengths[1:])).any():
+            return False
+    return True
 
 
 def _blobs(shape: tuple[int, ...]) -> Any:
@@ -183,7 +203,7 @@ def _remedy(grey: Bytes, board: Board) -> str:
     if width is not None and width > _SOFT_PX:
         return f"The image is out of focus: its sharpest edges are {width:.0f} px wide. Focus the lens, or close it."
     if board.kind != "checkerboard":
-        return f"{general} Count the circles of a row first, then the rows."
+        return _other_circles(grey, board) or f"{general} Count the circles of a row first, then the rows."
     flags = _SECTORS | cv2.CALIB_CB_LARGER
     ok, points, shown = cv2.findChessboardCornersSBWithMeta(grey, (3, 3), flags)
     rows, columns = shown.shape[:2] if ok and shown is not None else (0, 0)
@@ -199,6 +219,17 @@ def _remedy(grey: Bytes, board: Board) -> str:
     if cut and columns * rows < board.columns * board.rows:
         return f"{columns} x {rows} inner corners are in view: the frame cuts the board. Show all of it."
     return f"{columns} x {rows} inner corners are in view. Show all of the board, or correct its description."
+
+
+def _other_circles(grey: Bytes, board: Board) -> str:
+    """Return a sentence if the circles are of the other kind, or their columns and rows are swapped; else empty."""
+    kinds: tuple[Kind, ...] = ("circles", "asymmetric-circles")
+    sides = dict.fromkeys([(board.rows, board.columns), (board.columns, board.rows)])
+    for other in (replace(board, kind=kind, columns=c, rows=r) for kind in kinds for c, r in sides):
+        if other != board and find_points(grey, other) is not None:
+            shown = f"{other.columns} x {other.rows} {other.kind.replace('-', ' ')}"
+            return f"The image shows {shown}: correct the description of the board."
+    return ""
 
 
 def _too_wide_px(grey: Bytes, board: Board) -> int | None:

@@ -233,6 +233,7 @@ DOUBTFUL = {
     "another skew beside the matrix": ({**LISTS, "camera_matrix": [[FX, 0.5, CX], *K[1:]], "dist": D5, "skew": 2.0}, "two different skews"),
     "principal point from the middle": ({**FOUR, **SIDES, **NAMED, "cx": 4.2, "cy": -2.1}, "middle of the image"),
     "focal lengths of 50 mm": ({**FOUR, **SIDES, **NAMED, "fx": 50.0, "fy": 50.0}, "50 and 50 px are not possible"),
+    "a tilt of 1.1 degrees": ({**FOUR, **SIDES, **NAMED, "tauX": 1.1, "tauY": 0.8}, "tilted by 1.1 rad"),
     "fx cx fy cy": ({"intrinsics": [FX, CX, FY, CY], "dist": D5, "image_size": SIZE}, "not possible together"),
     "height of 5:4 first": ({"camera_matrix": [[3000, 0, 1220], [0, 3000, 1030], K[2]], "dist": D5, "image_size": [2048, 2448]}, "height seems to stand before"),
     "inverse model of RealSense": ({**REALSENSE, "model": "distortion.inverse_brown_conrady"}, "only without distortion"),

@@ -66,6 +66,14 @@ def test_points_lie_within_a_twentieth_of_a_pixel_of_the_truth(kind, inverted):
     assert np.sqrt((error**2).mean()) < 0.02
 
 
+@pytest.mark.parametrize("described", [Board("circles", 4, 7, 10.0), Board("asymmetric-circles", 7, 4, 10.0)])
+def test_circles_of_another_kind_or_with_rows_as_columns_are_named(described):
+    """OpenCV's finder took the asymmetric grid for a symmetric one, whose map then asked for 29 GB."""
+    with pytest.raises(TargetNotFound) as error:
+        detect_board(picture(Board("asymmetric-circles", 4, 7, 10.0)), described)
+    assert "shows 4 x 7 asymmetric circles" in error.value.remedy
+
+
 def test_the_centre_of_a_circle_is_its_own_image_not_that_of_the_ellipse():
     board = Board("circles", 5, 4, 30.0)
     steep = np.array([[3.0, 0.0, 60.0], [0.0, 3.0, 60.0], [3.5e-3, 2.5e-3, 1.0]])
