@@ -27,7 +27,7 @@ from bench.commands.calibrations import (
 from bench.commands.keys import key_or_draft
 from bench.commands.options import ExistingPath, OutputFolder, command, epilog
 from bench.commands.output import JSON, NOT_KEPT, show, wants_json
-from bench.commands.workers import WORKERS, LiveLine, open_workers
+from bench.commands.workers import WORKERS, LiveLine, open_workers, views_line
 from bench.extras.many.places import find_places
 from bench.extras.many.recalculation import Counts, Recalculation
 from bench.extras.many.results_folders import TABLE, ResultsFolders
@@ -267,7 +267,8 @@ def _calibrate_together(
         require_new(output)
     key = None if output is None else key_or_draft()
     kept = KeptViews.of_bench()
-    result = calibrate_paths(paths, options, kept)
+    with views_line(quiet=wants_json()) as progress:
+        result = calibrate_paths(paths, options, kept, progress)
     for remark in kept.remarks:
         click.echo(remark, err=True)
     if output is not None:
@@ -287,7 +288,7 @@ def _calibrate_together(
         "starbench check runs/today --calibration runs/last-year",
         "starbench check points/*.csv --image-size 1280x720 --calibration camera_info.yaml",
     )
-    + "\n\nExit status: 0 right within U, 1 not right."
+    + "\n\nExit status: 0 the views agree with the calibration within U, 1 they do not."
 )
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...", type=ExistingPath())
 @click.option(
@@ -319,7 +320,8 @@ def check(
 
     stated, choices = stated_camera(file, camera, lens), OfflineOptions.from_command_line(**options)
     try:
-        result = calibrate_paths(list(paths), choices)
+        with views_line(quiet=wants_json()) as progress:
+            result = calibrate_paths(list(paths), choices, progress=progress)
     except DegenerateViews:
         view = only_view(list(paths), choices)
         if view is None:

@@ -166,7 +166,10 @@ def _signer(text: str, person: str | None, bench: str | None) -> Signer:
     public_key, name = _public_key(text), person or bench
     if public_key is None:
         if name is not None:
-            raise UsageError("--person and --bench need a public key, not a whole line of allowed_signers.")
+            raise UsageError(
+                "This is no public key, which --person and --bench need.",
+                remedy="Name a file that ends in .pub. For a whole line of allowed_signers, leave both out.",
+            )
         return read_signer(text)
     if name is None:
         raise UsageError(

@@ -15,6 +15,7 @@ from bench.commands.calibrations import collimator_options, offline_lines
 from bench.commands.options import ExistingFile, ExistingPath, Family, NewFile, epilog
 from bench.commands.output import JSON, ask_passphrase, show
 from bench.commands.values import Number
+from bench.commands.workers import views_line
 from bench.evidence.keys import BenchKey, usable_key
 from bench.evidence.passport_seal import read_passport_seal
 from bench.wording.numbers import with_uncertainty
@@ -61,7 +62,8 @@ def passport_make(
     from bench.solve.passports import passport_from_calibration, seals_of, write_passport
 
     key = _key()
-    result = calibrate_paths(paths, OfflineOptions.from_command_line(**options))
+    with views_line() as progress:
+        result = calibrate_paths(paths, OfflineOptions.from_command_line(**options), progress=progress)
     made = passport_from_calibration(
         result.calibration,
         collimator=collimator or result.collimator.serial,

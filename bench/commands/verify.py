@@ -10,7 +10,6 @@ from typing import Any
 
 import click
 
-from bench.base.encoding import clock_text
 from bench.base.home import home_folder
 from bench.base.pasteable import pasteable
 from bench.base.program import forms
@@ -25,7 +24,7 @@ from bench.commands.options import (
     status_text,
 )
 from bench.commands.output import JSON, show, wants_json
-from bench.commands.workers import WORKERS, CountLine, LiveLine, kept_work, open_workers
+from bench.commands.workers import WORKERS, CountLine, PartsLine, kept_work, open_workers
 from bench.evidence.authorisations import compare_authorisation, known_authorisations
 from bench.evidence.findings import Derivation, Findings, Verification
 from bench.evidence.key_trust import Trust, read_trust
@@ -33,7 +32,7 @@ from bench.evidence.ledger_check import ledger_faults_of_run
 from bench.evidence.verify import verify_folder
 from bench.extras.many.verifications import VERIFIED, Check, Checked, check_one, derivations_of
 from bench.extras.many.work import KeptRows
-from bench.extras.many.workers import Finished, Workers, WorkLeft, map_work
+from bench.extras.many.workers import Finished, Workers, map_work
 from bench.record.ledger import bench_ledger
 from bench.record.run_folder import JOURNAL
 from bench.record.stored_run import StoredRun
@@ -209,30 +208,18 @@ def _ended(
     return "ok", text, found.to_dict()
 
 
-class MeasuredLine(LiveLine):
-    """Shows how many recordings of a run have been measured again, and the time left."""
-
-    def __init__(self, time_left: WorkLeft | None = None) -> None:
-        super().__init__(quiet=wants_json())
-        self._time = time_left or WorkLeft()
-
-    def measured(self, done: int, total: int) -> None:
-        """Show the count; after the last recording, that the results are made again."""
-        if done == total and self._live and not self.quiet:
-            self.show(f"{total} recordings measured again; the results are calculated again")
-        elif done and self.due():
-            left = self._time.left_s(done, total)
-            clock = "" if left is None else f", {clock_text(left)} left"
-            self.show(f"{done} of {total} recordings measured again{clock}")
+def measured_line() -> PartsLine:
+    """Return the line for a run whose recordings are measured again."""
+    return PartsLine("recordings measured again", "the results are calculated again", quiet=wants_json())
 
 
 def derivations(trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
     """Return each kind's further checks for `verify_folder`: ledger, recordings, and with ``again`` the numbers."""
 
     def of_folder(folder: Path) -> Findings:
-        found, line = Findings(), MeasuredLine()
+        found, line = Findings(), measured_line()
         try:
-            found.derive(folder, derivations_of(folder, again=again, progress=line.measured))
+            found.derive(folder, derivations_of(folder, again=again, progress=line.reached))
         finally:
             line.clear()
         return found

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,7 +18,7 @@ from bench.base.lost_output import Steering
 
 if TYPE_CHECKING:
     from bench.extras.many.work import KeptRows
-    from bench.extras.many.workers import Workers
+    from bench.extras.many.workers import Workers, WorkLeft
 
 CONTINUES = "What is done is kept; the same command continues."
 _MOST_PROCESSES = 1024
@@ -163,3 +163,34 @@ class CountLine(LiveLine):
     def text(self) -> str:
         """Return the count in words, as ``3 of 10 files``."""
         return f"{self.done} of {self._total} {self._things}"
+
+
+class PartsLine(LiveLine):
+    """Shows how many parts of a work are done and the time left, then the one thing that follows the last part."""
+
+    def __init__(
+        self, things: str, then: str, *, quiet: bool = False, time_left: WorkLeft | None = None
+    ) -> None:
+        super().__init__(quiet=quiet)
+        from bench.extras.many.workers import WorkLeft
+
+        self._things, self._then, self._time = things, then, time_left or WorkLeft()
+
+    def reached(self, done: int, total: int) -> None:
+        """Show how far the work is: ``done`` parts of ``total``."""
+        if done == total and self._live and not self.quiet:
+            self.show(f"{total} {self._things}; {self._then}")
+        elif done and self.due():
+            left = self._time.left_s(done, total)
+            clock = "" if left is None else f", {clock_text(left)} left"
+            self.show(f"{done} of {total} {self._things}{clock}")
+
+
+@contextmanager
+def views_line(*, quiet: bool = False) -> Iterator[Callable[[int, int], None]]:
+    """Yield what shows how many views are found, then that the camera is calculated, while the block works."""
+    line = PartsLine("views found", "the camera is calculated", quiet=quiet)
+    try:
+        yield line.reached
+    finally:
+        line.clear()

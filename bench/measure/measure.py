@@ -235,12 +235,12 @@ def why_no_target(error: TargetNotFound, facts: MeasuredFacts, whole: NDArray[np
                 "The camera sees flickering light, and no picture in it: light of the lamp reaches the lens past the "
                 "target, no target is in the collimator, or the lens is far out of focus.",
                 where=error.where,
-                remedy="Shade the lens from the lamp, look for the target, then focus the lens by the page of `align`.",
+                remedy="Shade the lens from the lamp, look for the target, then focus the lens with `starbench align`.",
             )
         return TargetNotFound(
             "The image is out of focus: the beam is lit, and shows hardly any detail.",
             where=error.where,
-            remedy="Focus the lens by the page of `align`. If it is in focus, look whether the target is in the "
+            remedy="Focus the lens with `starbench align`. If it is in focus, look whether the target is in the "
             "collimator.",
         )
     pixels = whole.size

@@ -73,6 +73,7 @@ def run_folders(root: Path) -> list[Path]:
             "There is no such folder.", where=str(root), remedy="Name a folder that contains runs."
         )
     with storage_errors(root):
+        os.scandir(root).close()  # "no runs" is said only of a folder that was read
         found = sorted(_with_journal(str(root), levels=2))
     return [Path(folder) for folder in found]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -44,6 +44,7 @@ from bench.solve.compare_trees import (
     compare_plan,
     compare_trees,
 )
+from bench.solve.offline import Reached, nothing_shown
 from bench.solve.result import change_since
 from bench.solve.results_content import other_engine, other_software, results_content, software
 from bench.solve.software import plugins_missing, plugins_of_run, plugins_stated
@@ -53,17 +54,11 @@ from calib.errors import CalibrationError
 from drivers.errors import DriverError
 from sequences.script import RecordStep, SolveStep
 
-Progress = Callable[[int, int], None]
-"""Is told how many recordings of all have been measured."""
 _WITH_STAGE = frozenset({"homing", "slewing", "parking"})
 """States in which the program speaks to the stage."""
 _SLACK_S = 1e-3
 _MOST_LOG_BYTES = 64 << 20
 """Logs are rotated at 8 MB."""
-
-
-def nothing_shown(_done: int, _total: int) -> None:
-    """Show no progress."""
 
 
 def check_wire_log(folder: Path, entries: Sequence[Entry], job: Job, findings: Findings) -> None:
@@ -183,7 +178,7 @@ class _Evidence:
         )
 
 
-def check_run_again(folder: Path, progress: Progress = nothing_shown) -> Findings:
+def check_run_again(folder: Path, progress: Reached = nothing_shown) -> Findings:
     """Make the results of a run again from its recordings, and compare every file with what follows from them.
 
     ``progress`` is told how many recordings of all have been measured.
@@ -306,7 +301,7 @@ def _check_steps(evidence: _Evidence, findings: Findings) -> None:
                 findings.fault("journal", JOURNAL, what)
 
 
-def _check_attempts(evidence: _Evidence, findings: Findings, progress: Progress) -> dict[int, Measurement]:
+def _check_attempts(evidence: _Evidence, findings: Findings, progress: Reached) -> dict[int, Measurement]:
     """Measure every recording again and compare with the journal; return the measurements of the accepted ones."""
     kept: dict[int, Measurement] = {}
     other = other_software(evidence.history.started.get("software", {}))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -29,6 +29,8 @@ from calib.target import StarTarget
 from calib.view import View
 from sequences.script import SolveStep
 
+Reached = Callable[[int, int], None]
+"""Is told how many views or recordings of all have been read."""
 _MOST_NAMES = 5
 """Views of a folder that a message names."""
 
@@ -106,8 +108,15 @@ class OfflineResult:
         }
 
 
+def nothing_shown(_done: int, _total: int) -> None:
+    """Show no progress."""
+
+
 def calibrate_paths(
-    paths: Sequence[Path], choices: OfflineOptions, kept: KeptViews | None = None
+    paths: Sequence[Path],
+    choices: OfflineOptions,
+    kept: KeptViews | None = None,
+    progress: Reached = nothing_shown,
 ) -> OfflineResult:
     """Make views from files and folders, and calibrate; a file without the target is left out, with the reason.
 
@@ -116,7 +125,7 @@ def calibrate_paths(
     sources = [source for path in paths for source in view_sources(path, choices)]
     if kept is not None:
         sources = [with_kept_views(source, kept) for source in sources]
-    result = calibrate_sources(sources, choices)
+    result = calibrate_sources(sources, choices, progress)
     beside = [sentence for path in paths for sentence in left_beside(path)]
     return replace(result, paths=tuple(paths), skipped=[*result.skipped, *beside])
 
@@ -136,7 +145,9 @@ def with_kept_views(source: ViewSource, kept: KeptViews) -> ViewSource:
     return replace(source, read=partial(kept.view, source.path, source.decided_by, source.read))
 
 
-def calibrate_sources(sources: Sequence[ViewSource], choices: OfflineOptions) -> OfflineResult:
+def calibrate_sources(
+    sources: Sequence[ViewSource], choices: OfflineOptions, progress: Reached = nothing_shown
+) -> OfflineResult:
     """Calibrate from the files of views, without the paths that were given."""
     missing = [number for number in choices.view_numbers or () if number > len(sources)]
     if missing:
@@ -145,7 +156,7 @@ def calibrate_sources(sources: Sequence[ViewSource], choices: OfflineOptions) ->
             remedy="The first view has the number 1.",
         )
     chosen = [sources[n - 1] for n in choices.view_numbers] if choices.view_numbers else sources
-    views, used, skipped = read_views(chosen)
+    views, used, skipped = read_views(chosen, progress)
     options, passport, cautions = _engine_options(used, choices)
     calibration, planar = calibrated(views, options, cautions, board=choices.board is not None)
     targets = [source.job.target if source.job else choices.target for source in used]
@@ -211,17 +222,20 @@ def compare_methods(result: OfflineResult) -> list[MethodResult | MethodFailure]
     ]
 
 
-def read_views(sources: Sequence[ViewSource]) -> tuple[list[View], list[ViewSource], list[str]]:
+def read_views(
+    sources: Sequence[ViewSource], progress: Reached = nothing_shown
+) -> tuple[list[View], list[ViewSource], list[str]]:
     """Read the views, with one image size and unique names; return also their sources, and why views were left out."""
     views: list[View] = []
     used: list[ViewSource] = []
     skipped: list[str] = []
-    for source in sources:
+    for number, source in enumerate(sources, start=1):
         try:
             views.append(source.read())
             used.append(source)
         except CalibrationError as error:
             skipped.append(str(error) if str(source.path) in str(error) else f"{source.path}: {error}")
+        progress(number, len(sources))
     if not views:
         raise BenchError(
             "There is no usable view.",

@@ -58,7 +58,8 @@ class ThorlabsAxisConfig(AxisConfig):
     home_offset_deg: Annotated[
         Angle | None,
         Field(
-            description="From the reference switch to the zero, by the counter. Default: 4 (K10CR1, PRM1Z8)."
+            description="Angle from the reference switch to the zero, as the controller counts it."
+            " Default: 4 (K10CR1, PRM1Z8)."
         ),
     ] = None
     home_direction: Annotated[

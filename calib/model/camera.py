@@ -412,7 +412,8 @@ def _rectified(plane: Array, keep: float, image_size: tuple[int, int]) -> Camera
     if any(np.isnan(side).all() for side in sides):
         raise InputMismatch(
             "The pixels along a side of the image have no ray in front of the camera.",
-            remedy="A plane image without distortion does not exist for this lens. The calibration may be wrong there.",
+            remedy="A flat image cannot show all that this lens sees."
+            " If the lens is not that wide, its calibration is wrong there.",
         )
     left, right, top, bottom = sides
     inner = np.array([np.nanmax(left), np.nanmin(right), np.nanmax(top), np.nanmin(bottom)])

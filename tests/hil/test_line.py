@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+from types import SimpleNamespace
 
 import httpx
 import pytest
@@ -156,6 +157,24 @@ def test_what_a_person_did_takes_the_place_of_a_green_word(tmp_path, home, monke
     state = made.state()
     assert (state["phase"], state["word"]) == ("doubt", "CHECK")
     assert state["lines"][0].startswith("This computer stood still for 60 s during the run")
+
+
+def test_a_run_whose_process_still_lives_after_its_end_is_not_called_failed_beside_measuring(
+    tmp_path, home, monkeypatch
+):
+    class Ending:
+        def __init__(self, *_, **__):
+            pass
+
+        def poll(self):
+            return None
+
+    made = line(tmp_path)
+    monkeypatch.setattr("bench.extras.panel.line.subprocess.Popen", Ending)
+    monkeypatch.setattr("bench.extras.panel.line.read_status", lambda _: SimpleNamespace(ended="failed"))
+    made.begin(SERIAL)
+    state = made.state()
+    assert (state["word"], state["lines"]) == ("MEASURING", ["ending"])
 
 
 def test_a_line_without_limits_does_not_begin(tmp_path, home):

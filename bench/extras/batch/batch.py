@@ -139,6 +139,8 @@ class Batch:
             begun: BatchBegun = {"queue": self._queue.value.name, "files": self._files()}
             if self._rehearsal:
                 begun["rehearsal"] = True
+            elif self._queue.folder is not None:
+                begun["file"] = str((self._queue.folder / Path(self._queue.file).name).absolute())
             self._journal_event(BatchBegun, **begun)
         elif self._record.rehearsal != self._rehearsal:
             raise RunFolderError(

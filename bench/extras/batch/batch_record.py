@@ -221,6 +221,7 @@ class BatchBegun(TypedDict):
 
     queue: str
     files: Mapping[str, str]
+    file: NotRequired[str]  # Full path of the queue file; earlier versions did not write it
     rehearsal: NotRequired[bool]
 
 
@@ -316,6 +317,8 @@ class BatchRecord:
     bounds: Bounds = field(default_factory=Bounds)
     """Times between which the batch works."""
     rehearsal: bool = False
+    file: str = ""
+    """Full path of the queue file with which the batch was begun; empty if its journal does not say."""
     runs: dict[str, RunState] = field(default_factory=dict)
     """Every run, including withdrawn ones, by its name, in the order of the queue."""
     with_end: list[RunState] = field(default_factory=list)
@@ -385,6 +388,7 @@ class BatchRecord:
                 self.ended, self.why = ended["how"], ended["why"]
 
     def _begin(self, data: BatchBegun, now: datetime) -> None:
+        self.file = data.get("file", "")
         self.begun, self.bounds = now, bounds_of(self.queue, now)
         self.rehearsal = bool(data.get("rehearsal", False))
         jobs = [_with_files(job, data.get("files", {})) for job in self.queue.jobs]

@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 
 from bench.base.encoding import counted
 from bench.base.errors import BenchError, RunFolderError
+from bench.base.pasteable import pasteable
 from bench.extras.batch.batch_plan import planned_duration_s
 from bench.extras.batch.batch_record import (
     BatchRecord,
@@ -300,6 +301,7 @@ class BatchStatus:
     upcoming: tuple[UpcomingRun, ...]
     withdrawn: tuple[str, ...]
     last_end: datetime | None = None  # Of the runs so far
+    file: str = ""  # Full path of the queue file with which it was begun; empty if unknown
 
     @property
     def end(self) -> datetime | None:
@@ -344,6 +346,7 @@ def read_batch_status(
     return BatchStatus(
         folder=str(folder),
         queue=record.queue.name,
+        file=record.file,
         zone=record.queue.tzinfo,
         running=running,
         rehearsal=record.rehearsal,
@@ -437,7 +440,12 @@ def batch_status_text(status: BatchStatus) -> str:
     if status.end is not None and status.running:
         lines.append(f"Expected end: {_clock(status.end, status.zone, day=True)}")
     if not status.running and status.ended != "finished":
-        lines.append(f"No process works on it; continue with: starbench batch QUEUE --output {status.folder}")
+        again = pasteable("batch", status.file or "QUEUE", "--output", status.folder)
+        lines.append(
+            "A rehearsal cannot be continued."
+            if status.rehearsal
+            else f"No process works on it. To continue: {again}"
+        )
     return "\n".join(lines)
 
 

@@ -62,7 +62,7 @@ _IDENTITY: Sequence[Column] = (
     Column("station", "text", "", "name of the station"),
 )
 _LEDGER: Sequence[Column] = (
-    Column("bench", "text", "", "name of the bench whose ledger enters the run"),
+    Column("bench", "text", "", "name of the bench in whose ledger the run stands"),
     Column("ledger", "text", "", "first 12 characters of the hash of the ledger's first line"),
     Column("ledger_state", "text", "", "`entered`, `not in the ledgers` or `no ledger`"),
     Column("ledger_number", "integer", "", "number of the run in its ledger"),

@@ -98,7 +98,7 @@ def _remote_runs(url: str) -> list[str]:
         runs = [posixpath.basename(one) for one, is_run in zip(folders, are_runs, strict=True) if is_run]
     if not runs:
         raise UsageError(
-            "There is no run: behind a URL, only folders of runs are read.",
+            "No run was found. From a URL, only folders of runs are read.",
             where=url,
             remedy=f"Give the URL of a folder with {JOURNAL}, or of a folder of such folders; copy other files here.",
         )

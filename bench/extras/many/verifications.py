@@ -93,7 +93,8 @@ def derivations_of(
 
         derivations += [check_recorded_with, check_verdict]
     if again:
-        from bench.solve.again import check_run_again, nothing_shown
+        from bench.solve.again import check_run_again
+        from bench.solve.offline import nothing_shown
         from bench.solve.recalculated_again import check_recalculated
 
         of_run = partial(check_run_again, progress=progress or nothing_shown)

@@ -110,6 +110,8 @@ class Line:
             now = read_status(folder)
         except BenchError:  # it has not begun its journal
             return _state("running", "MEASURING", serial, ["starting"], key)
+        if now.ended:  # the word follows when its process has ended, which takes a moment
+            return _state("running", "MEASURING", serial, ["ending"], key)
         asks = [f"Asks: {now.question}"] if now.question else []
         lines = [*asks, f"{now.state}, {now.accepted} of {now.poses} poses"]
         return {**_state("running", "MEASURING", serial, lines, key), "left_s": now.left_s}

@@ -259,7 +259,7 @@ class UnitCheck:
         likely = "ms" if self._unit == "s" or rate > _LARGEST_RATE else "ns"
         read = f"Its times, read as {self._unit},"
         if self._is_coarse and span_us >= _LEAST_TIMES * _COARSE_US:
-            what = f"{read} are all whole ms, as no camera counts"
+            what = f"{read} are all whole ms, and no camera counts so coarsely"
         elif rate < _LEAST_RATE or (rate > _LARGEST_RATE and self._unit == "us"):
             bound = f"less than {_LEAST_RATE:g}" if rate < _LEAST_RATE else f"more than {_LARGEST_RATE:g}"
             what = f"{read} last {span_us / 1e6:.6g} s with {rate:.2g} events a second and pixel, {bound}"

@@ -1,5 +1,6 @@
 """The command line: help of every command, examples, and messages about invalid arguments."""
 
+import io
 import json
 import os
 import re
@@ -18,7 +19,7 @@ from bench.base.errors import StorageError
 from bench.commands.cli import cli
 from bench.commands.history import signed
 from bench.commands.output import print_error
-from bench.commands.verify import MeasuredLine
+from bench.commands.workers import PartsLine, views_line
 from bench.extras.many.workers import WorkLeft
 
 RUN_COMMANDS = [
@@ -446,14 +447,26 @@ def test_a_finished_run_is_told_as_finished_and_an_interrupted_one_how_it_goes_o
 
 def test_recordings_that_are_measured_again_are_counted_with_the_time_left(monkeypatch):
     now_s = [0.0]
-    line, shown = MeasuredLine(WorkLeft(lambda: now_s[0])), []
+    line, shown = PartsLine("recordings measured again", "more", time_left=WorkLeft(lambda: now_s[0])), []
     monkeypatch.setattr(line, "quiet", False)
     monkeypatch.setattr(line, "show", shown.append)
     monkeypatch.setattr(line, "due", lambda: True)
     for done in range(3):
-        line.measured(done, 3)
+        line.reached(done, 3)
         now_s[0] += 10.0
     assert shown == [
         "1 of 3 recordings measured again, 0:20 left",
         "2 of 3 recordings measured again, 0:10 left",
     ]
+
+
+def test_a_terminal_shows_how_many_views_are_found_and_then_that_the_camera_is_calculated(monkeypatch):
+    screen = io.StringIO()
+    monkeypatch.setattr(screen, "isatty", lambda: True)
+    monkeypatch.setattr(sys, "stderr", screen)
+    with views_line() as reached:
+        for done in (1, 2, 3):
+            reached(done, 3)
+    assert "1 of 3 views found" in screen.getvalue()
+    assert "3 views found; the camera is calculated" in screen.getvalue()
+    assert screen.getvalue().endswith(" \r")

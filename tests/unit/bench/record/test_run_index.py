@@ -1,5 +1,7 @@
 """The index of runs: nothing but what the journals say, however old or broken the index itself is."""
 
+import errno
+import os
 import sqlite3
 from contextlib import closing
 from datetime import UTC, datetime
@@ -160,6 +162,15 @@ def test_a_broken_journal_is_named_and_the_others_are_listed(index, three):
     assert [run.id for run in runs] == ["a", "b"]
     assert len(faults) == 1
     assert str(journal) in faults[0]
+
+
+def test_a_folder_that_may_not_be_read_is_not_called_empty(tmp_path, monkeypatch):
+    def refused(path):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+    monkeypatch.setattr(os, "scandir", refused)
+    with pytest.raises(StorageError, match="No permission"):
+        run_folders(tmp_path)
 
 
 def test_an_index_on_a_full_disk_asks_for_room_and_not_to_be_deleted(index, three, monkeypatch):

@@ -311,6 +311,18 @@ def test_summary_and_status_name_a_run_whose_goal_was_missed(tmp_path):
     ]
 
 
+def test_the_status_of_an_interrupted_batch_ends_with_the_whole_command_that_continues_it(tmp_path):
+    file = tmp_path / "my night.yaml"
+    file.write_text(
+        "format: starbench/queue/1\nname: N\njobs: [{name: a, sequence: three_pose, station: simulated}]\n"
+    )
+    night(tmp_path / "out", read_queue(file), Aborted("SIGTERM received"))[0].run()
+    last = batch_status_text(read_batch_status(tmp_path / "out")).splitlines()[-1]
+    assert last == (
+        f"No process works on it. To continue: starbench batch '{file}' --output {tmp_path / 'out'}"
+    )
+
+
 def test_the_run_at_work_is_told_while_the_batch_runs_and_not_of_one_that_was_killed(tmp_path):
     clock, seen, summaries = NightClock(), [], []
     workers = Workers(clock)
