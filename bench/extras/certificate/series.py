@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from bench.base.errors import EvidenceError, JournalBroken
+from bench.base.pasteable import pasteable
 from bench.record.journal import Journal
 from bench.record.journal_line import Entry
 from bench.record.ledger import Ledger
@@ -299,8 +300,8 @@ def refuse_second(found: Mapping[str, Numbered], run_seal: str, also: str) -> No
         raise EvidenceError(
             f"The run has a certificate already: {first.number} of {first.issued_utc[:10]}.",
             where=first.folder,
-            remedy="To amend it: `starbench certificate issue` with its folder. If a second one is needed, give its"
-            " reason, which is printed: --reason TEXT.",
+            remedy=f"To amend it: `{pasteable('certificate', 'issue', first.folder)} --config LAB.YAML --output NEW"
+            " --reason TEXT`. If a second one is needed, give its reason, which is printed: --reason TEXT.",
         )
 
 

@@ -41,6 +41,11 @@ BROKEN_NUMBERS = """() => [...document.querySelectorAll('table.result td.factor'
   e.offsetHeight > 1.8 * parseFloat(getComputedStyle(e).fontSize)).map(e => e.textContent)"""
 
 
+BESIDE_THEIR_MEANING = """() => [...document.querySelectorAll('table.result tr:has(.meaning)')].filter(e =>
+  e.querySelector('.value').getBoundingClientRect().top
+    < e.querySelector('.meaning').getBoundingClientRect().bottom - 4).map(e => e.textContent)"""
+
+
 def test_the_page_of_a_batch_fits_a_phone(tmp_path):
     page_file = tmp_path / "summary.html"
     page_file.write_text(
@@ -66,6 +71,7 @@ def test_it_prints_on_at_most_six_pages_and_fits_a_phone(html, tmp_path):
         assert page.evaluate(CUT) == []
         assert page.evaluate(SCROLLS) == 0
         assert page.evaluate(BROKEN_NUMBERS) == []
+        assert page.evaluate(BESIDE_THEIR_MEANING) == []
         assert not page.is_visible("td.pure >> nth=0")  # a unit "1" after an uncertainty reads as a number
         page.evaluate("document.getElementById('details').open = true")
         assert page.evaluate("document.documentElement.scrollWidth") == 390

@@ -89,7 +89,8 @@ def test_a_second_certificate_of_a_run_needs_a_reason_and_a_first_one(bench):
         bench.reserve("a", also="x")
     first = bench.issue("a")
     with pytest.raises(
-        EvidenceError, match=f"has a certificate already: {first} of 2026-11-21.*amend.*--reason"
+        EvidenceError,
+        match=f"has a certificate already: {first} of 2026-11-21.*amend.*issue .* --config .* --reason",
     ):
         bench.reserve("a")
     assert bench.issue("a", also="a copy for the other owner") == "SB-2026-00002"
