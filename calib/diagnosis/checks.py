@@ -29,7 +29,7 @@ _TOO_MUCH_ALIKE = 0.5
 _NEAR_PX = 1.0
 #: Views with fewer common stars are not compared, nor views of which less than this share is common.
 _FEWEST = 4
-#: Views that a sentence names.
+#: Views that a sentence names, and pairs that have one of their own.
 _MOST_NAMED = 5
 _COMMON_SHARE = 0.5
 Size = tuple[int, int]
@@ -88,9 +88,12 @@ def find_duplicates(views: Sequence[View]) -> list[str]:
         else:
             same.append(view)
     told = [_same_words(group) for group in groups if len(group) > 1]
-    return told + [
-        words for pair in combinations(groups, 2) if (words := _alike_words(pair[0][0], pair[1][0]))
-    ]
+    alike = [words for one, other in combinations(groups, 2) if (words := _alike_words(one[0], other[0]))]
+    more = len(alike) - _MOST_NAMED
+    left = (
+        [f"{more} more pairs of views are nearly the same measurement."] if more > 1 else alike[_MOST_NAMED:]
+    )
+    return [*told, *alike[:_MOST_NAMED], *left]
 
 
 def _apart(one: View, other: View) -> tuple[int, float]:

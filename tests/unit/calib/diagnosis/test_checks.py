@@ -142,6 +142,17 @@ def test_copies_of_one_view_are_named_together():
     assert "all but one" in found
 
 
+def test_many_pairs_that_are_nearly_the_same_are_counted():
+    view = Bench().views(np.random.default_rng(1), 0.02)[0]
+    near = [
+        replace(view, name=f"frame {at}", points_px=view.points_px + 1e-4 * at * np.array([1.0, -1.0]))
+        for at in range(6)
+    ]
+    found = find_duplicates(near)
+    assert len(found) == 6
+    assert found[-1] == "10 more pairs of views are nearly the same measurement."
+
+
 def test_a_copy_with_rounded_points_is_nearly_the_same():
     view = Bench().views(np.random.default_rng(4), 0.02)[0]
     rounded = replace(view, name="rounded", points_px=np.round(view.points_px, 2))
