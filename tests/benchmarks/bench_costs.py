@@ -243,7 +243,7 @@ How to calibrate many runs at once is in [cluster.md](cluster.md). These numbers
 
 * **{most} takes the most time**: {parts[most] / costs.run_s:.0%} of a run of nine poses, which takes {costs.run_s:.1f} s of
   processor time: {_POSES * costs.find_s:.1f} s for the stars, {costs.fit_s:.1f} s for the fit, {costs.files_s:.1f} s for results and report.
-* Stars of a recording take {costs.find_s:.2f} s, decoding {costs.decode_s:.2f} s of it.
+* Stars of a recording take {costs.find_s:.2f} s, decoding {costs.decode_s:.3f} s of it.
 * A night of {POSES_OF_A_NIGHT} poses is calibrated again in {_time(night)} of one processor, {CAPTURES:,} captures in {_time(runs * costs.run_s)} of one,
   or {_time(runs * costs.run_s / 8 / (scaling / 2))} of eight (more than two workers are a projection; two are {scaling:.2f} times as fast as one).
 * {CAPTURES:,} captures need {CAPTURES * costs.recording_mb / 1e6:.1f} TB, {CAPTURES * costs.view_kb / 1e6:.0f} GB for kept views, and {runs * costs.results_mb / 1e3:.0f} GB for results with reports. A kept
