@@ -102,14 +102,15 @@ def further_poses(
     return list(next_poses(bench, poses, list(_candidates(planned)), count))
 
 
-def forecasts_with(planned: Plan, further: Sequence[WeighedPose]) -> list[Forecast | None]:
-    """Predict a plan's uncertainties with the first further pose, the first two ...; None where stars are too few."""
+def forecasts_with(planned: Plan, further: Sequence[WeighedPose]) -> Iterator[Forecast | None]:
+    """Yield a plan's forecast with the first further pose, the first two ...; None where stars are too few.
+
+    Each takes about half a second, so that a person sees one after the other.
+    """
     bench, poses = forecast_bench(planned), poses_deg(planned.poses)
-    forecasts: list[Forecast | None] = []
     for pose in further:
         poses = [*poses, dict(pose.angles_deg)]
-        forecasts.append(forecast_if_enough(bench, poses))
-    return forecasts
+        yield forecast_if_enough(bench, poses)
 
 
 def forecast_if_enough(bench: ExpectedBench, poses: Sequence[Angles]) -> Forecast | None:

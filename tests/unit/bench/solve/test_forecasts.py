@@ -2,12 +2,13 @@
 
 import json
 import re
+from types import SimpleNamespace
 
 import pytest
 from calling import out_of
 
 from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
-from bench.solve import next_pose
+from bench.solve import forecasts, next_pose
 from bench.solve.expectations import expected_uncertainty
 from bench.solve.forecasts import forecast_bench, suggest_poses
 from bench.stations.station import ExpectedConfig
@@ -194,3 +195,14 @@ def test_the_plan_of_a_night_says_when_an_until_ends_and_that_its_time_is_the_mo
     assert "at most" not in nine
     assert "at the latest, at most about" in said[-1]
     assert any(line.split() == ["begin", "end", "takes", "at", "most", "run"] for line in said)
+
+
+def test_the_first_suggestion_is_told_before_the_next_is_weighed(monkeypatch):
+    weighed = []
+    monkeypatch.setattr(forecasts, "forecast_if_enough", lambda _, poses: weighed.append(len(poses)))
+    further = [SimpleNamespace(angles_deg={"pan_deg": angle, "tilt_deg": 0.0}) for angle in (1.0, 2.0)]
+    told = forecasts.forecasts_with(plan("three_pose"), further)
+    next(told)
+    assert weighed == [4]
+    next(told)
+    assert weighed == [4, 5]
