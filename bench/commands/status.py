@@ -33,7 +33,7 @@ from bench.run.status import Status, line_text, read_with_entries
 
 if TYPE_CHECKING:
     from bench.extras.batch.batch_requests import Request
-    from bench.extras.batch.batch_summary import BatchStatus
+    from bench.extras.batch.batch_status import BatchStatus
     from bench.extras.batch.messages import Delivery
     from bench.record.inbox import KnownBy
     from bench.run.control import Command
@@ -271,7 +271,7 @@ def _show_run(folder: Path) -> int:
 
 
 def _show_batch(folder: Path) -> int:
-    from bench.extras.batch.batch_summary import batch_status_text, read_batch_status
+    from bench.extras.batch.batch_status import batch_status_text, read_batch_status
 
     batch_status = read_batch_status(folder)
     show(batch_status.to_dict, batch_status_text(batch_status))
@@ -322,7 +322,7 @@ def _run_shown(folder: Path, *, ticks: bool) -> Iterator[_Shown]:
 
 def _batch_shown(folder: Path, *, ticks: bool) -> Iterator[_Shown]:
     """Yield a batch's status."""
-    from bench.extras.batch.batch_summary import batch_status_text, follow_batch
+    from bench.extras.batch.batch_status import batch_status_text, follow_batch
 
     before: list[str] = []
     for now in follow_batch(folder, ticks=ticks):

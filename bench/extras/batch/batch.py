@@ -32,13 +32,8 @@ from bench.extras.batch.batch_record import (
     resume_text,
 )
 from bench.extras.batch.batch_requests import REQUESTS, Request, RequestInbox, refusal
-from bench.extras.batch.batch_summary import (
-    RUNS,
-    DoneRun,
-    missed_goals,
-    summarise,
-    write_summary,
-)
+from bench.extras.batch.batch_status import DoneRun
+from bench.extras.batch.batch_summary import RUNS, missed_goals, summarise, write_summary
 from bench.extras.batch.supervisor import WorkerEnd, adopt, make_safe_after, supervise
 from bench.extras.history.check_standard import standard_problem
 from bench.plan.plan import load_documents

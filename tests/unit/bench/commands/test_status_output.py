@@ -19,7 +19,7 @@ from terminal_screen import Screen
 from bench.base.clock import BenchClock
 from bench.base.text_block import Block
 from bench.commands.status import status
-from bench.extras.batch.batch_summary import BatchStatus
+from bench.extras.batch.batch_status import BatchStatus
 from bench.plan.plan import load_documents, make_plan
 from bench.record.events import Event
 from bench.record.journal import Journal
@@ -208,7 +208,7 @@ def test_a_followed_batch_prints_what_has_changed_and_returns_its_end(tmp_path, 
         replace(first, running=False, ended="aborted", why="by ada@lab", current_run=""),
     ]
     monkeypatch.setattr(
-        "bench.extras.batch.batch_summary.follow_batch", lambda _folder, *, ticks: iter(statuses)
+        "bench.extras.batch.batch_status.follow_batch", lambda _folder, *, ticks: iter(statuses)
     )
     assert status.callback(tmp_path, follow=True, summary=False) == 3
     lines = capsys.readouterr().out.splitlines()

@@ -14,14 +14,8 @@ from bench.base.errors import RunFolderError, ScriptError, UsageError
 from bench.extras.batch.batch import Batch, worker_command
 from bench.extras.batch.batch_plan import plan_of, read_queue
 from bench.extras.batch.batch_record import by_priority, items_of
-from bench.extras.batch.batch_summary import (
-    batch_status_text,
-    read_batch,
-    read_batch_status,
-    summarise,
-    summary_lines,
-    write_summary,
-)
+from bench.extras.batch.batch_status import batch_status_text, read_batch_status
+from bench.extras.batch.batch_summary import read_batch, summarise, summary_lines, write_summary
 from bench.extras.batch.supervisor import WorkerEnd
 from bench.record.events import Event
 from bench.record.journal import Journal, read_journal

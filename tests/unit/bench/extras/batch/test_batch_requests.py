@@ -12,7 +12,7 @@ from bench.base.errors import RunFolderError, ScriptError
 from bench.commands.status import tell
 from bench.extras.batch.batch import Batch
 from bench.extras.batch.batch_requests import REQUESTS, Request, answer_text, send_request
-from bench.extras.batch.batch_summary import batch_status_text, read_batch_status
+from bench.extras.batch.batch_status import batch_status_text, read_batch_status
 from bench.record.journal import read_journal
 
 
