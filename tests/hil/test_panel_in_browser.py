@@ -206,6 +206,18 @@ def test_a_batch_with_two_results_shows_how_they_agree_and_lists_both(tmp_path, 
         wait_text(tab, "#done", "right-001")
 
 
+def test_a_command_in_a_reason_is_shown_as_one(tmp_path, tabs):
+    MadeRun(tmp_path / "run8").begin().end("failed", "Dark. See `starbench align`, then <begin> again.")
+    with served(panel_app(tmp_path)) as server:
+        tab = tabs.open(f"{server.url}run/run8")
+        wait_text(tab, "main", "See starbench align, then <begin> again.")
+        assert "starbench align" in tab.eval_on_selector_all(
+            "main code", "all => all.map(one => one.innerText)"
+        )
+        tab.goto(server.url)
+        wait_text(tab, "main", "See starbench align, then <begin> again.")
+
+
 @pytest.mark.parametrize("page", ["", "run/run7", "batch/night"])
 def test_nothing_is_cut_on_a_phone(run, chromium, page):
     root = run.folder.parent

@@ -1,6 +1,6 @@
 // A batch: failures first, the queue, the time of each run, and the trend of each parameter.
 import { clockText, durationText, el, fill, get, setText } from "/assets/bench.js";
-import { follow, legend, number, plot, plural, ticks, verdictPill, withUncertainty } from "/assets/own/panel.js";
+import { follow, legend, number, plot, plural, ticks, verdictPill, withCommands, withUncertainty } from "/assets/own/panel.js";
 
 const at = (id) => document.getElementById(id);
 const key = location.pathname.replace(/^\/batch\//, ""), api = `/api/batch/${key}`;
@@ -31,7 +31,7 @@ function take(batch) {
   drawTimeline(items, status, working);
   at("failed-card").hidden = !failed.length;
   fill(at("failed"), failed.map((item) => el("tr", {}, el("td", { class: "name" }, name(item.item, item.begun_utc)), el("td", { "data-label": "End" }, el("span", { class: `pill ${TONES[item.how] || "bad"}` }, item.how)), el("td", { "data-label": "Began", class: "nowrap" }, clockText(item.begun_utc)),
-    el("td", { class: "n", "data-label": "Poses" }, poses(item)), el("td", { class: "why" }, remarks(item) || "no reason is known"))));
+    el("td", { class: "n", "data-label": "Poses" }, poses(item)), el("td", { class: "why" }, withCommands(remarks(item) || "no reason is known")))));
   at("queue-card").hidden = !coming.length && !status.withdrawn.length;
   fill(at("queue"), coming.slice(0, MOST_COMING).map((run) => el("tr", {}, el("td", { class: "name" }, run.item), el("td", { "data-label": "Begins" }, run.begin_utc ? clockText(run.begin_utc) : el("span", { class: "bad" }, "no time left for it")), el("td", { "data-label": "Ends" }, run.end_utc ? clockText(run.end_utc) : ""))));
   setText(at("queue-note"), [coming.length > MOST_COMING ? `the first ${MOST_COMING} of ${coming.length}` : "", status.withdrawn.length ? `withdrawn: ${status.withdrawn.join(", ")}` : ""].filter(Boolean).join("; "));
@@ -50,7 +50,7 @@ function doneRow(item) {
   const fx = item.parameters.fx;
   return el("tr", {}, el("td", { class: "name" }, name(item.item, true), item.report ? el("div", { class: "note screen" }, el("a", { href: link(item.item).replace("/run/", "/report/") }, "report")) : null),
     el("td", { "data-label": "End" }, el("span", { class: `pill ${item.how === "finished" && remarks(item) ? "warn" : TONES[item.how] || ""}` }, item.how)), el("td", { "data-label": "Began", class: "nowrap" }, clockText(item.begun_utc)), el("td", { class: "n", "data-label": "Poses" }, poses(item)),
-    el("td", { class: "n", "data-label": "RMS, px" }, item.rms_px === null ? "" : number(item.rms_px)), el("td", { class: "n", "data-label": "fx, px" }, fx ? withUncertainty(fx.value, fx.sigma, fx.coverage_factor) : ""), el("td", { class: "why" }, remarks(item)));
+    el("td", { class: "n", "data-label": "RMS, px" }, item.rms_px === null ? "" : number(item.rms_px)), el("td", { class: "n", "data-label": "fx, px" }, fx ? withUncertainty(fx.value, fx.sigma, fx.coverage_factor) : ""), el("td", { class: "why" }, withCommands(remarks(item))));
 }
 
 function drawTimeline(items, status, working) {

@@ -1,6 +1,6 @@
 // The list of runs and batches: those in progress, failures, the others.
 import { clockText, durationText, el, fill, get, setText } from "/assets/bench.js";
-import { STATE_WORDS, follow, plural, verdictPill } from "/assets/own/panel.js";
+import { STATE_WORDS, follow, plural, verdictPill, withCommands } from "/assets/own/panel.js";
 
 const MOST_ROWS = 200, MOST_FAILURES = 20;
 const groups = document.getElementById("groups"), filter = document.getElementById("filter");
@@ -15,7 +15,7 @@ const matches = (row) => {
 };
 
 function runState(run) {
-  if (run.fault) return [el("div", { class: "why bad" }, run.fault)];
+  if (run.fault) return [el("div", { class: "why bad" }, withCommands(run.fault))];
   const lines = [];
   if (run.running && run.question) lines.push(`Asks: ${run.question.text}`);
   else if (run.holder) lines.push(`Held by ${run.holder}.`);
@@ -24,7 +24,7 @@ function runState(run) {
   else lines.push(...[run.headline, run.why].filter(Boolean));
   if (run.running && !run.leave.safe && !run.question && !run.holder && !run.interlock) lines.push(run.leave.text);
   if (run.deviation_count) lines.push(plural(run.deviation_count, "deviation"));
-  return [...run.unsafe.map((line) => el("div", { class: "bad" }, line)), ...lines.map((line) => el("div", {}, line))];
+  return [...run.unsafe.map((line) => el("div", { class: "bad" }, line)), ...lines.map((line) => el("div", {}, withCommands(line)))];
 }
 
 function endCell(one) {

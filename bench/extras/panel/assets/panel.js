@@ -57,6 +57,11 @@ export function verdictPill(verdict, tone) {
   return el("span", { class: `pill ${tone}` }, VERDICT_WORDS[verdict] || verdict);
 }
 
+/** A message as the parts of an element, with what stands between backticks as code, as a terminal shows it. */
+export function withCommands(message) {
+  return message ? message.split("`").map((part, i) => i % 2 ? el("code", {}, part) : part) : [];
+}
+
 /** A number with three or more significant digits, without an exponent for the usual sizes. */
 export function number(value, digits = 3) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";

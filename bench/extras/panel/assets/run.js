@@ -1,6 +1,6 @@
 // One run: its state, its last recording, its poses, its uncertainty, its log, and the buttons.
 import { clockText, durationText, el, fill, get, person, post, setText } from "/assets/bench.js";
-import { STATE_WORDS, follow, legend, number, plot, plural, setUpPerson, verdictPill, withUncertainty } from "/assets/own/panel.js";
+import { STATE_WORDS, follow, legend, number, plot, plural, setUpPerson, verdictPill, withCommands, withUncertainty } from "/assets/own/panel.js";
 
 const at = (id) => document.getElementById(id);
 const key = location.pathname.replace(/^\/run\//, ""), api = `/api/run/${key}`;
@@ -82,8 +82,8 @@ function drawHead() {
   if (head.incomplete) faults.push("The journal ends within a line: the process was killed while it wrote. Nothing that counts is lost; `starbench resume` removes the rest of the line.");
   fill(at("faults"), faults.map((text) => el("p", { class: "banner bad" }, text)),
     head.read_share < 1 ? el("p", { class: "banner busy", id: "reading" }, `Reading the journal: ${Math.floor(100 * head.read_share)} %`) : null,
-    head.headline || head.causes.length ? el("div", { class: `banner ${head.causes.length && head.tone === "good" ? "warn" : head.tone}`, id: "calibrated" }, head.headline, head.causes.map((text) => el("p", {}, text))) : null,
-    head.ended === "failed" || (head.why && !head.running) ? el("div", { class: `banner ${head.tone}` }, head.why, head.remedy ? el("p", {}, head.remedy) : null) : null);
+    head.headline || head.causes.length ? el("div", { class: `banner ${head.causes.length && head.tone === "good" ? "warn" : head.tone}`, id: "calibrated" }, withCommands(head.headline), head.causes.map((text) => el("p", {}, withCommands(text)))) : null,
+    head.ended === "failed" || (head.why && !head.running) ? el("div", { class: `banner ${head.tone}` }, withCommands(head.why), head.remedy ? el("p", {}, withCommands(head.remedy)) : null) : null);
   const leave = at("leave"), safe = head.leave.safe;
   leave.hidden = !head.running && safe && (head.tone === "good" || head.ended === "finished");
   leave.className = `banner ${safe ? "good" : head.leave.until_utc ? "warn" : "bad"}`;
@@ -297,7 +297,7 @@ function poseRow(row) {
   const angles = Object.entries(row.angles_deg).map(([axis, deg]) => `${axis} ${number(deg, 4)}°`).join(", ");
   const pick = row.last ? { class: `pick${chosen?.pose === row.number ? " chosen" : ""}`, tabindex: 0, onclick: () => choose(row), onkeydown: (event) => event.key === "Enter" && choose(row) } : {};
   return el("tr", pick, el("td", { class: "n" }, String(row.number)),
-    el("td", { class: "name" }, row.name, angles && angles.replace(/[,°]/g, "") !== row.name ? el("div", { class: "note" }, angles) : null, row.why ? el("div", { class: "why" }, row.why) : null),
+    el("td", { class: "name" }, row.name, angles && angles.replace(/[,°]/g, "") !== row.name ? el("div", { class: "note" }, angles) : null, row.why ? el("div", { class: "why" }, withCommands(row.why)) : null),
     el("td", { "data-label": "State" }, row.state === "at work" && !head.running ? el("span", { class: "pill bad" }, "interrupted") : el("span", { class: `pill ${TONES[row.state]}` }, row.state)),
     el("td", { class: "n", "data-label": "Attempts" }, row.attempts ? String(row.attempts) : ""),
     el("td", { class: "n", "data-label": "Stars" }, row.stars === null ? "" : String(row.stars)));
@@ -361,7 +361,7 @@ function drawUncertainty() {
   if (head.ended === "finished" && head.sealed) parts.push(el("p", { class: "screen" }, el("a", { class: "button", href: `/report/${key}` }, "Open the report")));
   if (head.evidence) parts.push(el("p", { class: "note" }, head.evidence));
   const decided = head.decisions.at(-1), why = decided?.chosen?.why || decided?.why || decided?.problem;
-  if (why) parts.push(el("p", { class: "note" }, why));
+  if (why) parts.push(el("p", { class: "note" }, withCommands(why)));
   if (!parts.length) parts.push(el("p", { class: "note" }, "Nothing is known before the calibration: the station file states nothing to expect, or the forecast is not made yet."));
   fill(at("uncertainty"), parts);
 }
