@@ -124,7 +124,7 @@ def _without_process(model: RunModel) -> LeaveData:
     if history.ended in {"finished", "aborted"}:
         return _leave(True, f"The run has {'finished' if history.ended == 'finished' else 'stopped'}.")
     if history.ended == "failed":
-        return _leave(False, "The run has failed. Read why, remove the cause, then resume it.")
+        return _leave(False, "The run has failed. Read why, and do what is said there.")
     if not model.lines:
         return _leave(False, "The run has not begun.")
     return _leave(
