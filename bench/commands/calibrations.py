@@ -144,7 +144,7 @@ def comparison_text(baselines: list[MethodResult | MethodFailure]) -> str:
     return "\n".join(lines)
 
 
-class _Model(click.Choice[str]):
+class _Model(click.Choice):
     """The models of this version; ``auto`` is another word for joint, and a name of an earlier version says so."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
