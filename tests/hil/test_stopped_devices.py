@@ -185,7 +185,7 @@ sys.exit(main(sys.argv[2:]))
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("callback", ["slewing", "recording", "checking", "settling", "parking", "solving"])
+@pytest.mark.parametrize("callback", ["slewing", "recording", "checking", "waiting", "parking", "solving"])
 def test_an_exception_in_any_callback_leaves_devices_safe(tmp_path, bench, callback):
     _, station, sequence = bench
     command = [sys.executable, "-c", RAISING, callback, "run", str(sequence), "-s", str(station)]
