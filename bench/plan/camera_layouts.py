@@ -1,13 +1,13 @@
 """How programs lay out a camera in a file: each layout becomes values with OpenCV's names, units and pixel centres.
 
-Names are compared without case and punctuation. A layout differs from OpenCV's in names, in the coordinate of the
-centre of the first pixel, or in order; a program whose cameras cannot be read is named.
+Names are compared without case and punctuation. A layout has other names than OpenCV, another order, or another
+origin of the pixels. The cameras of some programs are not read; the refusal then names the program.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -155,26 +155,26 @@ def cameras_of(content: Values) -> dict[str, Values]:
     if states_a_matrix(values):
         return {"": values}
     cameras = _numbered(values) | _of_basalt(values)
+    if cameras:
+        return cameras
     shared = {key: value for key, value in values.items() if not isinstance(value, Mapping | list)}
-    for name, value in content.items() if not cameras else ():
-        parts = (
-            {f"{name}{at}": one for at, one in enumerate(value)} if isinstance(value, list) else {name: value}
-        )
-        for own_name, part in parts.items():
-            if isinstance(part, Mapping):
-                alone = {"": plain(part)} if re.fullmatch(r"cam\d+", own_name) else {}
-                found = cameras_of(part) or alone
-                for inner, camera in found.items():
-                    in_list = isinstance(value, list) and len(found) == 1
-                    known = (
-                        own_name
-                        if in_list
-                        else f"{own_name}.{inner}"
-                        if inner in cameras
-                        else inner or own_name
-                    )
-                    cameras[known] = {**shared, **camera}
+    for name, part, is_listed in _parts(content):
+        below = cameras_of(part) or ({"": plain(part)} if re.fullmatch(r"cam\d+", name) else {})
+        for own_name, camera in below.items():
+            known = name if is_listed and len(below) == 1 else own_name or name
+            cameras[f"{name}.{own_name}" if known in cameras else known] = {**shared, **camera}
     return cameras
+
+
+def _parts(content: Values) -> Iterator[tuple[str, Values, bool]]:
+    """Yield what may be cameras one level below: name, values, and whether it stands in a list and has a number."""
+    for name, value in content.items():
+        if isinstance(value, Mapping):
+            yield name, value, False
+        elif isinstance(value, list):
+            yield from (
+                (f"{name}{at}", part, True) for at, part in enumerate(value) if isinstance(part, Mapping)
+            )
 
 
 def chosen(cameras: Mapping[str, Values], name: str | None) -> Values:
@@ -232,15 +232,15 @@ def _flat(values: dict[str, Any]) -> dict[str, Any]:
         inner = plain(part)
         if LENS.fullmatch(name):
             del flat[name]
-            coefficients = next((inner.pop(one) for one in _NAMES_OF_COEFFICIENTS if one in inner), None)
+            coefficients = next((inner.pop(key) for key in _NAMES_OF_COEFFICIENTS if key in inner), None)
             model = inner.pop("type", inner.pop("model", None))
-            found = {"distortioncoefficients": coefficients, "distortionmodel": model, **inner}
+            own = {"distortioncoefficients": coefficients, "distortionmodel": model, **inner}
         elif _MATRICES.fullmatch(name) and any(four <= set(inner) for four in _FOUR_ELSEWHERE):
             del flat[name]
-            found = inner | ({"program": "camodocal"} if name == "projectionparameters" else {})
+            own = inner | ({"program": "camodocal"} if name == "projectionparameters" else {})
         else:
             continue
-        for key, value in found.items():
+        for key, value in own.items():
             if value is not None and flat.setdefault(key, value) != value:
                 raise OtherForm(f"it states {key[:LONGEST_NAME]!r} twice, with different values")
     return flat
@@ -257,8 +257,8 @@ def _numbered(values: dict[str, Any]) -> dict[str, Values]:
             own["distortionmodel"] = (
                 "radtan" if plain_name(own.get("model")) == "pinhole" else own.get("model")
             )
-        one = _laid_out(values | own) | {"program": _PREFIXES[prefix]}
-        cameras[prefix if len(prefixes) > 1 else ""] = one
+        camera = _laid_out(values | own) | {"program": _PREFIXES[prefix]}
+        cameras[prefix if len(prefixes) > 1 else ""] = camera
     for number in ("1", "2"):
         own = {key[:-1]: value for key, value in values.items() if key.endswith(number)}
         if f"k{number}" in values and isinstance(own["k"], str) and len(own["k"].split()) == 1:
@@ -279,7 +279,7 @@ def _of_basalt(values: Values) -> dict[str, Values]:
     if not isinstance(listed, list) or not isinstance(sizes, list) or len(listed) != len(sizes):
         return {}
     return {
-        f"cam{at}": _laid_out({**one, "resolution": size}) | {"program": "Basalt"}
-        for at, (one, size) in enumerate(zip(listed, sizes, strict=True))
-        if isinstance(one, Mapping)
+        f"cam{at}": _laid_out({**camera, "resolution": size}) | {"program": "Basalt"}
+        for at, (camera, size) in enumerate(zip(listed, sizes, strict=True))
+        if isinstance(camera, Mapping)
     }

@@ -196,7 +196,7 @@ def require_points_inside(views: Sequence[View]) -> None:
         size = None if before else _known_size(_reached(views), 2.0 * _NEAR_BORDER)
         hint = f" The points fit into {size[0]} x {size[1]}." if size else ""
         raise InputMismatch(
-            f"{np.count_nonzero(outside)} of {len(view)} points lie outside of the stated image size "
+            f"{np.count_nonzero(outside)} of {len(view)} points lie outside the stated image size "
             f"{view.image_size[0]} x {view.image_size[1]}, the outermost at ({x:.1f}, {y:.1f}).{hint}",
             where=f"view {view.name}",
             remedy="Give the image size of the camera, width first.",

@@ -371,7 +371,7 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
         cycles = {name: self._line.query_configured(f"{path}/cycle") for name, path in paths.items()}
         for name, path in paths.items():
             cycle = cycles[name]
-            if any(told is not None for told in cycles.values()) and (cycle is None or cycle < 1):
+            if any(value is not None for value in cycles.values()) and (cycle is None or cycle < 1):
                 raise DeviceRefused(
                     f"homing does not search the reference of the axis ({path}/cycle is"
                     f" {'missing' if cycle is None else f'{cycle:g}'}).",
