@@ -12,14 +12,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from bench.base.errors import BenchError, UsageError
-from bench.commands.options import (
-    BEGIN,
-    SEQUENCE_NAME,
-    SET,
-    STATION_NAME,
-    command,
-    settings_of,
-)
+from bench.commands.options import BEGIN, SEQUENCE_NAME, SET, STATION_NAME, command, settings_of
 from bench.commands.output import JSON, show
 from bench.commands.values import WholeNumber
 from bench.wording.numbers import angle_text

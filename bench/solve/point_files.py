@@ -125,13 +125,13 @@ def _rows(path: Path) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
         raise BenchError(
             "The file is not UTF-8 text.", where=str(path), remedy="Point files have lines x y X Y id."
         ) from error
-    found = [
+    data_lines = [
         (number, line.strip().replace('"', "")) for number, line in enumerate(lines, 1) if _is_data(line)
     ]
     names: Sequence[str] = _COLUMNS
-    if found and not any(map(_is_number, header := _header(found[0][1]))):
-        names = _names(header, f"{path}:{found.pop(0)[0]}")
-    rows = [_row(line, names, f"{path}:{number}") for number, line in found]
+    if data_lines and not any(map(_is_number, header := _header(data_lines[0][1]))):
+        names = _names(header, f"{path}:{data_lines.pop(0)[0]}")
+    rows = [_row(line, names, f"{path}:{number}") for number, line in data_lines]
     if not rows:
         raise BenchError(
             "The file has no points.", where=str(path), remedy="Point files have lines x y X Y id."
