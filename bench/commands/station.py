@@ -275,12 +275,16 @@ def may_restart(ports: Sequence[str]) -> bool:
 
 
 @command("starbench schema sequence > sequence.schema.json")
-@click.argument("document", type=click.Choice(["sequence", "station", "queue", "job", "lab"]))
+@click.argument("document", type=click.Choice(["sequence", "station", "queue", "job", "lab", "runs-table"]))
 def schema(document: str) -> int:
-    """Print the JSON Schema of sequence, station, queue, job or lab files, for use by text editors."""
+    """Print the JSON Schema of sequence, station, queue, job or lab files, for use by text editors.
+
+    runs-table: the columns that `starbench history table` writes, each with its meaning and its unit.
+    """
     from pydantic import BaseModel
 
     from bench.extras.certificate.lab_config import LabConfig
+    from bench.extras.history.columns import json_schema
     from bench.stations.station import Station
     from sequences.queue import JobFile, Queue
     from sequences.schema import Sequence
@@ -292,7 +296,7 @@ def schema(document: str) -> int:
         "job": JobFile,
         "lab": LabConfig,
     }
-    print_json(models[document].model_json_schema())
+    print_json(json_schema() if document == "runs-table" else models[document].model_json_schema())
     return 0
 
 

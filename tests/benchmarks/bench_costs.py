@@ -4,7 +4,7 @@
 
 RUN is a finished run. Everything is done by one process, several times. The median of the CPU time is printed,
 which other work on the computer hardly changes, and its 95th percentile. The scaling to two workers is that of `bench_cluster.py --only scaling`.
-``--write`` puts the tables into docs/measured/costs.md, and calculates what docs/costs.md says from the same numbers.
+``--write`` puts the tables into docs/measured/costs.md, with what follows from them.
 """
 
 from __future__ import annotations
@@ -138,9 +138,7 @@ def main() -> None:
     _print_parts(pose, run, command, poses)
     _print_sizes(costs)
     _print_sums(costs, paths, options.scaling)
-    if measured.is_writing():
-        page = measured.FOLDER.parent / "costs.md"
-        page.write_text(explained(costs, options.scaling), encoding="utf-8")
+    print(f"\n{explained(costs, options.scaling)}")
 
 
 def _same(view: Any) -> Any:
@@ -222,7 +220,7 @@ def _print_sums(costs: Costs, paths: Sequence[Path], scaling: float) -> None:
 
 
 def explained(costs: Costs, scaling: float) -> str:
-    """Return docs/costs.md: what calibrations cost, and what to buy."""
+    """Return what calibrations cost, and what to buy."""
     parts = {
         "Finding stars": _POSES * costs.find_s,
         "The fit": costs.fit_s,
@@ -235,11 +233,7 @@ def explained(costs: Costs, scaling: float) -> str:
     fed = ", ".join(
         f"{'an' if disk[0] == 'N' else 'a'} {disk} {count:.0f}" for disk, count in workers.items()
     )
-    return f"""# What calibrations cost
-
-How to calibrate many runs at once is in [cluster.md](cluster.md). These numbers are calculated from what was
-[measured](measured/costs.md) with simulated recordings. For a run of your own, use
-`python tests/benchmarks/bench_costs.py RUN`; with `--write` it writes this page.
+    return f"""What follows from these times:
 
 * **{most} takes the most time**: {parts[most] / costs.run_s:.0%} of a run of nine poses, which takes {costs.run_s:.1f} s of
   processor time: {_POSES * costs.find_s:.1f} s for the stars, {costs.fit_s:.1f} s for the fit, {costs.files_s:.1f} s for results and report.

@@ -33,7 +33,6 @@ sys.path += [str(ROOT), str(ROOT / "tests" / "support")]
 FOLDER = ROOT / "docs" / "measured"
 ORIGIN = "Measured by `"
 _WRITE = "--write"
-_CALLED_WITH = tuple(sys.argv[1:])
 
 
 def options(described: str | None) -> argparse.ArgumentParser:
@@ -138,11 +137,6 @@ class _Tee(io.StringIO):
     def flush(self) -> None:
         """See `io.StringIO.flush`."""
         self.printed.flush()
-
-
-def is_writing() -> bool:
-    """Return whether this benchmark was called with ``--write``."""
-    return _WRITE in _CALLED_WITH
 
 
 def run(main: Callable[[], int | None], page: str, title: str) -> None:

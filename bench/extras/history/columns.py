@@ -1,7 +1,7 @@
 """The columns of the table of runs: name, kind, unit, meaning.
 
-`docs/runs-table.md` shows them; a test compares both. Names carry their unit. No two names differ in capital letters
-only, because DuckDB does not tell them apart.
+`starbench schema runs-table` prints them. Names carry their unit. No two names differ in capital letters only, because
+DuckDB does not tell them apart.
 """
 
 from __future__ import annotations
@@ -164,6 +164,29 @@ COLUMNS: Sequence[Column] = (
     *_RECORD,
 )
 """All columns, in order."""
+
+_JSON_TYPES: Mapping[Kind, dict[str, object]] = {
+    "text": {"type": ["string", "null"]},
+    "texts": {"type": "array", "items": {"type": "string"}},
+    "integer": {"type": ["integer", "null"]},
+    "number": {"type": ["number", "null"]},
+    "truth": {"type": ["boolean", "null"]},
+    "moment": {"type": ["string", "null"], "format": "date-time"},
+}
+
+
+def json_schema() -> dict[str, object]:
+    """Return the JSON Schema of a row: for each column its type, its meaning and, where there is one, its unit."""
+    return {
+        "title": SCHEMA,
+        "type": "object",
+        "properties": {
+            column.name: _JSON_TYPES[column.kind]
+            | {"description": column.meaning}
+            | ({"unit": column.unit} if column.unit else {})
+            for column in COLUMNS
+        },
+    }
 
 
 _COPIED = frozenset(column.name for column in COLUMNS)

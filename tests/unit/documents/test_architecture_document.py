@@ -80,7 +80,7 @@ def test_levels_are_those_of_the_contract(package, heading):
 
 def test_events_and_states_of_the_run_exist():
     known = {str(event) for event in Event} | set(STATES) | {"left", "right", "below"}
-    for _, journal, _ in rows(section("One run, step by step")):
+    for journal, _ in rows(section("One run, step by step")):
         assert set(names_in(journal)) <= known, journal
 
 

@@ -1,28 +1,22 @@
-"""The table of runs: its document, its files as strangers read them, and rows of unusual runs."""
+"""The table of runs: its schema, its files as strangers read them, and rows of unusual runs."""
 
 import csv
 import json
 import math
-import re
 import sys
 from datetime import timedelta
-from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 from many_runs import BEGIN, SIGMAS, VALUES, write_run
 
 from bench.base.errors import UsageError
+from bench.commands.cli import cli
 from bench.evidence.states import ShownState
 from bench.extras.history.columns import COLUMNS, SCHEMA, parameter_columns, table_row
 from bench.extras.history.merged_runs import RunPlace
 from bench.extras.history.table import ROWS_AT_ONCE, write_table
 from bench.record.run_index import RunIndex
-
-DOCUMENT = Path(__file__).parents[5] / "docs" / "runs-table.md"
-KINDS = {
-    "text": "text", "list of texts": "texts", "integer": "integer", "number": "number", "true or false": "truth",
-    "time, UTC": "moment",
-}  # fmt: skip
 
 
 def rows_of(home, folders):
@@ -55,23 +49,17 @@ def table(request, tmp_path_factory, rows):
     return path
 
 
-def test_the_document_shows_the_schema():
-    text = DOCUMENT.read_text()
-    of_a_run, of_a_parameter = text.partition("### Parameters")[::2]
-    parameters, of_the_record = of_a_parameter.partition("### Record")[::2]
-    column = re.compile(r"^\* `(\w+)`(?: \(([\w ,]+)\))?: (.*)$", re.MULTILINE)
-    stated = [(n, KINDS[k or "text"], m) for n, k, m in column.findall(of_a_run)]
-    for name, unit, meaning in column.findall(parameters):
-        end = f"_{unit}" if unit else ""
-        expanded = f"expanded uncertainty of {name}, its own k times the standard uncertainty"
-        stated += [
-            (f"{name}{end}", "number", meaning),
-            (f"{name}_sigma{end}", "number", f"standard uncertainty of {name}"),
-            (f"{name}_expanded{end}", "number", expanded),
-        ]
-    stated += [(n, KINDS[k or "text"], m) for n, k, m in column.findall(of_the_record)]
-    assert stated == [(one.name, one.kind, one.meaning) for one in COLUMNS]
-    assert f"`{SCHEMA}`" in text
+def test_the_schema_that_is_printed_has_each_column_with_its_meaning_and_takes_a_row(rows):
+    done = CliRunner().invoke(cli, ["schema", "runs-table"], standalone_mode=False)
+    schema = json.loads(done.output)
+    assert schema["title"] == SCHEMA
+    shown = {
+        name: (stated["description"], stated.get("unit", "")) for name, stated in schema["properties"].items()
+    }
+    assert shown == {column.name: (column.meaning, column.unit) for column in COLUMNS}
+    jsonschema = pytest.importorskip("jsonschema")
+    for row in rows:
+        jsonschema.validate(json.loads(json.dumps(row, default=str)), schema)
 
 
 def test_no_two_columns_differ_in_capitals_only_and_numbers_carry_their_unit():
