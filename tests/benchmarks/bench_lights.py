@@ -1,12 +1,13 @@
 """Which light, and how sharp a lens: stars of simulated recordings, compared with the truth, and the load of the link.
 
-The table has a row for each waveform, level of noise, frequency, level of the light, window and blur of the lens. The
+The table has a row for each waveform, level of noise, frequency, level of the light, window, blur of the lens, and roll of
+the camera against the target (random where none stands). The
 columns are, over some random poses of the simulated bench: million events per second; data of the link, Gbit/s (it
 carries 1.6), and the share of the time for which the readout waited for it; events of a lit pixel at an edge of the
 light; rms error of the stars per axis, their median stated sigma and the rms z-score; complete stars that were missed;
 width of the edges as measured; poses that were refused.
 
-    python tests/benchmarks/bench_lights.py [--poses 3] [--rows noise | light | focus]
+    python tests/benchmarks/bench_lights.py [--poses 3] [--rows noise | light | focus | roll]
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ ROWS = {
         for w in WAVEFORMS
         for psf in (0.4, 0.7, 1.0, 1.25, 1.5, 1.75, 2.0, 2.5)
     ],
+    "roll": [{"waveform": w, "roll_deg": roll} for w in WAVEFORMS for roll in (0, 5, 10, 16, 30, 45)],
 }
 ROW = {
     "waveform": "square",
@@ -54,12 +56,15 @@ ROW = {
     "level_percent": 100,
     "window_ms": 33,
     "psf_px": 0.7,
+    "roll_deg": None,
 }
 
 
 def try_pose(row: dict[str, Any], angles_deg: dict[str, float], seed: int) -> dict[str, float]:
     """Return the figures of one recording; without those of its stars if the view is refused."""
     truth = dataclasses.replace(Truth(), optics=OpticsTruth(psf_px=row["psf_px"]))
+    if row["roll_deg"] is not None:
+        angles_deg = angles_deg | {"roll": row["roll_deg"] - truth.optics.mounting_deg[2]}
     rotation = pose_rotation(angles_deg, truth.optics)
     light = LightState(
         waveform=row["waveform"],
@@ -114,7 +119,7 @@ def main() -> None:
         for _ in range(options.poses)
     ]
     print(
-        "waveform noise    Hz level ms  blur | Mev/s Gbit/s waited edge | rms px  sigma     z missed width refused"
+        "waveform noise    Hz level ms  blur roll | Mev/s Gbit/s waited edge | rms px  sigma     z missed width refused"
     )
     for table in options.rows or ROWS:
         for changed in ROWS[table]:
@@ -126,7 +131,8 @@ def main() -> None:
             link = [np.mean([one[key] for one in tried]) for key in ("rate", "gbit_s", "waited")]
             text = (
                 f"{row['waveform']:8s} {row['noise']:7s} {row['frequency_hz']:3d} {row['level_percent']:4d} "
-                f"{row['window_ms']:3.0f} {row['psf_px']:5.2f} | {link[0]:5.0f} {link[1]:6.2f} {link[2]:6.2f} "
+                f"{row['window_ms']:3.0f} {row['psf_px']:5.2f} "
+                f"{'-' if row['roll_deg'] is None else row['roll_deg']:>4} | {link[0]:5.0f} {link[1]:6.2f} {link[2]:6.2f} "
             )
             if found:
                 text += (

@@ -245,9 +245,9 @@ If a run did not finish, the cause was removed and the run was resumed. The run 
 and every recording named in the journal was on the disk, byte for byte. The code of a run works on virtual devices and a
 virtual clock here. Other tests check with the simulated devices that the drivers report these faults.
 
-A motor that is blocked, a pulled cable or an open lamp is in the journal after 0 to 3 s, and in a message soon after. A silent
-device takes 3 to 14 s, because it is asked several times. A process that hangs is noticed within 10 s
-([measured](measured/faults.md)).
+A motor that is blocked, a pulled cable or an open lamp is in the journal after 0.0 to 3.3 s, and in a message soon after; a silent
+device takes 3.2 to 14.1 s, because it is asked several times ([measured](measured/faults.md#from-a-fault-to-a-message)). A process that
+hangs ends [as supervision says](batches.md#supervision).
 """
 ENDS = {"failed": "fails safely", "finished": "finishes", "aborted": "aborts safely", "died": "ends at once"}
 

@@ -69,3 +69,40 @@ def test_a_benchmark_writes_what_it_printed_unless_it_failed(measured, tmp_path,
     assert capsys.readouterr().out == "a table\n"
     expected = ("page", "Title", "a table\n", "python tests/benchmarks/bench_x.py --seed 3")
     assert told == ([] if status else [expected])
+
+
+def sentences_with_a_table():
+    """Each sentence or row of a page that links to a measured table: the page, the sentence, the section it links to."""
+    for page in sorted((ROOT / "docs").rglob("*.md")):
+        if page.relative_to(ROOT / "docs").parts[0] in {"decisions", "measured"}:
+            continue
+        text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+        for sentence in re.split(r"\n\s*\n|\n(?=[*|-] )|(?<=[.:|]) (?=[A-Z*])", text):
+            for name, title in re.findall(r"measured/([\w-]+)\.md(?:#([\w-]+))?\)", sentence):
+                yield pytest.param(sentence, section(name, title), id=f"{page.stem}: {name} {title}")
+
+
+def section(name, anchor):
+    """The text below a heading of a measured page; the whole page without a heading."""
+    text = (FOLDER / f"{name}.md").read_text(encoding="utf-8")
+    for part in re.split(r"^## ", text, flags=re.MULTILINE):
+        heading = part.partition("\n")[0].lower()
+        if anchor and re.sub(r"[^\w\- ]", "", heading).replace(" ", "-") == anchor:
+            return part
+    assert not anchor, f"{name}.md has no heading {anchor}"
+    return text
+
+
+FIGURE = re.compile(
+    r"(?<![\w.,])(\d+\.\d+|\d[\d,]*(?= (?:px|%|s|ms|degrees|Gbit/s|Mev/s|mm|MB|GB|stars|runs)(?!\w)))(?!\w)"
+)
+
+
+@pytest.mark.parametrize(("sentence", "table"), [*sentences_with_a_table()])
+def test_a_figure_beside_a_link_to_a_table_stands_in_that_table(sentence, table):
+    """Rounded figures are those of the table, too: 0.014 for 0.0142."""
+    numbers = [float(one.replace(",", "")) for one in re.findall(r"\d[\d,]*(?:\.\d+)?", table)]
+    for figure in FIGURE.findall(sentence):
+        digits = len(figure.partition(".")[2])
+        shown = float(figure.replace(",", ""))
+        assert any(abs(number - shown) <= 0.5 * 10**-digits for number in numbers), figure
