@@ -45,7 +45,7 @@ _KNOWN = (
 #: What a file is, in words, by its syntax or by a name that only one program has.
 _KINDS = {
     "XML": "OpenCV's XML",
-    "COLMAP": "COLMAP's cameras.txt",
+    "COLMAP": "COLMAP's cameras",
     "INI": "ROS's ost.txt",
     "TOML": "TOML",
     "lensmodel": "mrcal's cameramodel",

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from bench.plan.camera_text import WRITE_OPENCV, OtherForm
+from bench.plan.camera_trees import cameras_in_tree
 from bench.plan.camera_values import (
     CALIBRATE_ANEW,
     LENS,
@@ -37,10 +38,7 @@ _NAMES_OF_COEFFICIENTS = ("parameters", "params", "coefficients", "coeffs")
 
 #: Names that only a program has whose cameras are not read.
 _FOREIGN = {
-    "cameradata": "Luxonis",
-    "polymorphicname": "calib.io or openMVG",
-    "sfmdataversion": "openMVG",
-    "value0": "Basalt or openMVG (cereal)",
+    "value0": "Basalt or another program that uses cereal",
     "projectiontype": "OpenSfM",
     "calibrationinformation": "Azure Kinect",
     "cameraanglex": "Blender",
@@ -151,6 +149,8 @@ def plain(content: Values) -> dict[str, Any]:
 
 def cameras_of(content: Values) -> dict[str, Values]:
     """Return the cameras of a file by name, each as values by plain names; a camera that is alone may have no name."""
+    if deep := cameras_in_tree(content):
+        return deep
     values = _laid_out(content)
     if states_a_matrix(values):
         return {"": values}

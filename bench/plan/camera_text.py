@@ -9,6 +9,7 @@ import ast
 import codecs
 import json
 import re
+import struct
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -53,6 +54,13 @@ _AS_TEXT = {
 """How a camera in such a file is written as text, if not by OpenCV."""
 _COLMAP_BINARY = re.compile(rb".{2}\0{6}.{2}\0{2}[\0-\x11]\0{3}(?:.{3}\0{5}){2}", re.DOTALL)
 """COLMAP's cameras.bin: number of cameras, number and model of the first one, its width and height."""
+_COLMAP_HEAD = struct.Struct("<iiQQ")
+"""Of each camera there: its number, its model, width and height; the values follow as doubles."""
+_COLMAP_NUMBERS = (
+    "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
+    "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE",
+)  # fmt: skip
+"""Names of its models by their numbers."""
 _TOOLBOX = re.compile(r"^(\w+)\s*=\s*\[?([-+.\deE;\s]+)\]?;", re.MULTILINE)
 """A line of numbers of Calib_Results.m."""
 _TOML = re.compile(r"\A(?:\s|#.*\n)*(?:\[[\w. \"'-]+\]\s*$|\w+\s*=)", re.MULTILINE)
@@ -104,6 +112,8 @@ class OtherForm(ValueError):
 
 def values_of(data: bytes) -> tuple[str, list[dict[str, Any]]]:
     """Return the syntax of a file and its documents, each once, of text, numbers, lists and mappings; or OtherForm."""
+    if _COLMAP_BINARY.match(data):
+        return "COLMAP", [_colmap_binary(data)]
     text = _text(data)
     if not text:
         raise OtherForm("it is empty")
@@ -140,11 +150,6 @@ def _text(data: bytes) -> str:
     for begin, what in _BINARY.items():
         if data.startswith(begin) and not (begin == b"% " and b"\nfc = [" in data):
             raise OtherForm(f"it is {what}, which is not read as a camera", _AS_TEXT.get(begin, WRITE_OPENCV))
-    if _COLMAP_BINARY.match(data):
-        raise OtherForm(
-            "it is COLMAP's cameras.bin, which is not read",
-            "Convert it: colmap model_converter --output_type TXT. Then give cameras.txt.",
-        )
     codec = next((codec for mark, codec in _MARKS.items() if data.startswith(mark)), "utf-8")
     try:
         text = data.decode(codec)
@@ -256,25 +261,48 @@ def _ini(text: str) -> dict[str, Any]:
 
 
 def _colmap(text: str) -> dict[str, Any]:
-    """Read COLMAP's cameras.txt: the pixel centres lie at half integers there."""
+    """Read COLMAP's cameras.txt."""
+    return {
+        number: _colmap_camera(number, model, [width, height], [float(value) for value in listed.split()])
+        for number, model, width, height, listed in _COLMAP.findall(text)
+    }
+
+
+def _colmap_binary(data: bytes) -> dict[str, Any]:
+    """Read COLMAP's cameras.bin: the same values in binary, one camera after the other."""
     cameras: dict[str, Any] = {}
-    for number, model, width, height, listed in _COLMAP.findall(text):
-        if model not in _COLMAP_MODELS:
-            raise OtherForm(f"COLMAP's model {model[:40]} is not read", WRITE_OPENCV)
-        focal, count = _COLMAP_MODELS[model]
-        values = [float(value) for value in listed.split()]
-        if len(values) != focal + 2 + count:
-            raise OtherForm(
-                f"COLMAP's model {model} has {focal + 2 + count} values; camera {number} has {len(values)}"
-            )
-        lengths, (cx, cy), lens = values[:focal], values[focal : focal + 2], values[focal + 2 :]
-        cameras[number] = {
-            "K": [lengths[0], lengths[-1], cx - 0.5, cy - 0.5],
-            "D": lens + [0.0] * (4 - count),
-            "distortion_model": "fisheye" if "FISHEYE" in model else "opencv",
-            "image_size": [width, height],
-        }
+    at = 8
+    for _ in range(int.from_bytes(data[:8], "little")):
+        if len(data) < at + _COLMAP_HEAD.size:
+            raise OtherForm("it is COLMAP's cameras.bin, and ends before its last camera")
+        number, model, width, height = _COLMAP_HEAD.unpack_from(data, at)
+        name = _COLMAP_NUMBERS[model] if model < len(_COLMAP_NUMBERS) else f"number {model}"
+        focal, count = _COLMAP_MODELS.get(name, (0, 0))
+        values = data[at + _COLMAP_HEAD.size :][: 8 * (focal + 2 + count)]
+        listed = list(struct.unpack(f"<{len(values) // 8}d", values[: len(values) // 8 * 8]))
+        cameras[str(number)] = _colmap_camera(str(number), name, [width, height], listed)
+        at += _COLMAP_HEAD.size + len(values)
+    if at != len(data):
+        raise OtherForm("it is COLMAP's cameras.bin, and more bytes follow its last camera")
     return cameras
+
+
+def _colmap_camera(number: str, model: str, size: Sequence[Any], values: Sequence[float]) -> dict[str, Any]:
+    """Return a camera of COLMAP: the pixel centres lie at half integers there."""
+    if model not in _COLMAP_MODELS:
+        raise OtherForm(f"COLMAP's model {model[:40]} is not read", WRITE_OPENCV)
+    focal, count = _COLMAP_MODELS[model]
+    if len(values) != focal + 2 + count:
+        raise OtherForm(
+            f"COLMAP's model {model} has {focal + 2 + count} values; camera {number} has {len(values)}"
+        )
+    lengths, (cx, cy), lens = values[:focal], values[focal : focal + 2], values[focal + 2 :]
+    return {
+        "K": [lengths[0], lengths[-1], cx - 0.5, cy - 0.5],
+        "D": [*lens, *[0.0] * (4 - count)],
+        "distortion_model": "fisheye" if "FISHEYE" in model else "opencv",
+        "image_size": list(size),
+    }
 
 
 _SYNTAXES: Sequence[tuple[Callable[[str], Any], str, Callable[[str], dict[str, Any]]]] = (

@@ -277,13 +277,8 @@ def test_a_stated_skew_is_used():
         (b"PK\x03\x04\x14\x00", "FileStorage"),
         (b"\x89HDF\r\n", "FileStorage"),
         (b"#ROSBAG V2.0\n", "rostopic echo"),
-        (
-            np.array([1], "<u8").tobytes() + np.array([1, 4], "<i4").tobytes()
-            + np.array([1280, 720], "<u8").tobytes() + np.array([*FOCAL_AND_CENTRE, *D5[:4]]).tobytes(),
-            "model_converter --output_type TXT",  # COLMAP, src/colmap/scene/reconstruction_io.cc
-        ),
     ],
-)  # fmt: skip
+)
 def test_a_binary_file_is_refused_with_the_way_to_its_camera(data, way):
     with pytest.raises(NotACamera) as error:
         parse_camera(data, Path("f"))
