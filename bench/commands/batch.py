@@ -14,8 +14,9 @@ from bench.base.clock import BenchClock, stop_on_signals
 from bench.base.errors import UsageError
 from bench.base.home import home_folder
 from bench.commands.options import BEGIN, QUEUE_STATUS, ExistingFile, OutputFolder, command
-from bench.commands.output import JSON, NOT_KEPT, STOPPED, show
+from bench.commands.output import JSON, NOT_KEPT, STOPPED, show, wants_json
 from bench.commands.values import WholeNumber
+from bench.commands.workers import PartsLine
 from bench.evidence.keys import usable_key
 
 if TYPE_CHECKING:
@@ -89,13 +90,18 @@ def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int) -> in
     from bench.wording.plan_text import duration_text
 
     read, started_s = read_queue(queue), time.monotonic()
-    summary = rehearse_batch(
-        read,
-        output,
-        begin=begin_utc(read.value, begin),
-        seed=seed,
-        say=lambda line: click.echo(line, err=True),
-    )
+    line = PartsLine("runs rehearsed", "the summary is written", quiet=wants_json())
+
+    def say(text: str) -> None:
+        line.clear()
+        click.echo(text, err=True)
+
+    try:
+        summary = rehearse_batch(
+            read, output, begin=begin_utc(read.value, begin), seed=seed, say=say, progress=line.reached
+        )
+    finally:
+        line.clear()
     status = show_summary(output, summary)
     took_s = time.monotonic() - started_s
     whole = duration_text(3600 * summary["totals"]["hours"])

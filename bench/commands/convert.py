@@ -20,9 +20,9 @@ from bench.commands.options import (
     OutputFolder,
     command,
 )
-from bench.commands.output import JSON, show
+from bench.commands.output import JSON, show, wants_json
 from bench.commands.values import Number
-from bench.commands.workers import WORKERS, CountLine, kept_work, open_workers
+from bench.commands.workers import WORKERS, CountLine, PartsLine, kept_work, open_workers
 from bench.extras.many.conversions import CONVERTED, Converted, convert_many, plan_targets
 from bench.extras.many.workers import Workers
 from bench.record.storage import make_folder, write_atomic
@@ -225,8 +225,12 @@ def undistort(
     require_new(output)
     stated = stated_camera(file, camera, lens).camera
     picture = read_picture_for(preview, stated) if preview is not None else None
-    found = tables_of(stated, keep)
-    files = undistorted_files(stated, found, picture)
+    line = PartsLine("blocks of pixels calculated", "the tables are compressed", quiet=wants_json())
+    try:
+        found = tables_of(stated, keep, line.reached)
+        files = undistorted_files(stated, found, picture)
+    finally:
+        line.clear()
     make_folder(output)
     for name, data in files.items():
         write_atomic(output / name, data)

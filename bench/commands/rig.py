@@ -13,7 +13,8 @@ import click
 from bench.base.errors import UsageError
 from bench.commands.calibrations import BOARD, LENS, rig_options, stated_camera
 from bench.commands.options import ExistingPath, OutputFolder, command
-from bench.commands.output import JSON, show
+from bench.commands.output import JSON, show, wants_json
+from bench.commands.workers import views_line
 from bench.wording.numbers import with_uncertainty
 
 if TYPE_CHECKING:
@@ -100,7 +101,9 @@ def rig(
     clocks = find_clocks(pairs, choices) if sync else ()
     names = camera or (None, None)
     cameras = [stated_camera(file, name, lens) for file, name in zip(calibration or (), names, strict=False)]
-    found = replace(find_rig((first, second), boards or (), cameras, choices), clocks=clocks)
+    with views_line(quiet=wants_json()) as progress:
+        rig_of_views = find_rig((first, second), boards or (), cameras, choices, progress)
+    found = replace(rig_of_views, clocks=clocks)
     if output is not None and found.rig.translation_mm is None:
         raise UsageError(
             "These views give no translation, and the files hold one.",

@@ -166,15 +166,26 @@ class CountLine(LiveLine):
 
 
 class PartsLine(LiveLine):
-    """Shows how many parts of a work are done and the time left, then the one thing that follows the last part."""
+    """Shows how many parts of a work are done and the time left, then the one thing that follows the last part.
+
+    ``then_s`` is how long that thing is expected to take, s; None if that is not known.
+    """
 
     def __init__(
-        self, things: str, then: str, *, quiet: bool = False, time_left: WorkLeft | None = None
+        self,
+        things: str,
+        then: str,
+        *,
+        then_s: float | None = None,
+        quiet: bool = False,
+        time_left: WorkLeft | None = None,
     ) -> None:
         super().__init__(quiet=quiet)
         from bench.extras.many.workers import WorkLeft
 
-        self._things, self._then, self._time = things, then, time_left or WorkLeft()
+        self._things, self._time = things, time_left or WorkLeft()
+        self._then = then if then_s is None else f"{then}, about {clock_text(then_s)} left"
+        self._then_s = then_s or 0.0
 
     def reached(self, done: int, total: int) -> None:
         """Show how far the work is: ``done`` parts of ``total``."""
@@ -182,7 +193,7 @@ class PartsLine(LiveLine):
             self.show(f"{total} {self._things}; {self._then}")
         elif done and self.due():
             left = self._time.left_s(done, total)
-            clock = "" if left is None else f", {clock_text(left)} left"
+            clock = "" if left is None else f", {clock_text(left + self._then_s)} left"
             self.show(f"{done} of {total} {self._things}{clock}")
 
 

@@ -26,7 +26,7 @@ from bench.solve.compare_trees import (
     compare_instructions,
     compare_trees,
 )
-from bench.solve.offline import OfflineResult, calibrate_paths
+from bench.solve.offline import OfflineResult, Reached, calibrate_paths, nothing_shown
 from bench.solve.offline_folder import SOURCES, SealedBy, offline_files, source_data
 from bench.solve.offline_options import StationFile, passport_of_file
 from bench.solve.results_content import (
@@ -41,8 +41,11 @@ from drivers.errors import DriverError
 from sequences.errors import SequencesError
 
 
-def check_recalculated(folder: Path) -> Findings:
-    """Calibrate the sources of recalculated results again, with the same options, and compare every file."""
+def check_recalculated(folder: Path, progress: Reached = nothing_shown) -> Findings:
+    """Calibrate the sources of recalculated results again, with the same options, and compare every file.
+
+    ``progress`` is told how many views of all have been found.
+    """
     findings = Findings()
     try:
         described, stored = read_json(folder / SOURCES), StoredRun(folder).results_as_written
@@ -55,7 +58,7 @@ def check_recalculated(folder: Path) -> Findings:
         if why := other_engine(stored) or _cannot(described):
             findings.could_not_compare(f"{RESULTS} with its sources: {why}", "results")
             return findings
-        again = _calibrated(folder, described)
+        again = _calibrated(folder, described, progress)
         pairs = zip(again.sources, again.views, strict=True)
         sources = [source_data(source, view.name) for source, view in pairs]
         if sources != described["sources"]:
@@ -135,7 +138,7 @@ def _cannot(described: Mapping[str, Any]) -> str:
     return ""
 
 
-def _calibrated(folder: Path, described: Mapping[str, Any]) -> OfflineResult:
+def _calibrated(folder: Path, described: Mapping[str, Any], progress: Reached) -> OfflineResult:
     """Calibrate the sources again. Raises the errors of the reader and of the engine, and one of ``UNREADABLE``."""
     stored, passport = described["options"], None
     if stored["passport"] is not None:
@@ -146,4 +149,4 @@ def _calibrated(folder: Path, described: Mapping[str, Any]) -> OfflineResult:
     options = replace(
         options_of_data(stored, passport, target), station=None if station is None else StationFile(**station)
     )
-    return calibrate_paths([Path(path) for path in described["paths"]], options)
+    return calibrate_paths([Path(path) for path in described["paths"]], options, progress=progress)

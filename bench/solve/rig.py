@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,7 @@ from bench.solve.exports import (
     opencv_coefficients,
     yaml_bytes,
 )
-from bench.solve.offline import calibrate_paths, read_views, require_common_views
+from bench.solve.offline import Reached, calibrate_paths, nothing_shown, read_views, require_common_views
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.view_sources import RECORDINGS, left_beside, view_sources
 from calib.model.rotation import exp_map, log_map
@@ -64,27 +65,56 @@ class RigFound:
         return {**told, "clocks": {"rate_ppm": rate, "sigma_rate_ppm": sigma, "recordings": every}}
 
 
-def find_rig(paths: Pair, boards: Pair, cameras: Sequence[CameraFile], choices: OfflineOptions) -> RigFound:
+def find_rig(
+    paths: Pair,
+    boards: Pair,
+    cameras: Sequence[CameraFile],
+    choices: OfflineOptions,
+    progress: Reached = nothing_shown,
+) -> RigFound:
     """Return the rig of two cameras. Every argument has one entry for each camera, or none.
 
     ``paths`` are views behind a collimator, or of a board that `choices` names; ``boards`` views of that board beside
-    them.
+    them. ``progress`` is told how many views of all have been read.
     """
+    reading = _Reading([*paths, *boards], choices, progress)
     if choices.board is None:
         if boards:
             raise UsageError(
                 "--boards needs --board.", remedy="Say what the board is: --board checkerboard:11x7:20mm."
             )
-        return _by_views(paths, choices, cameras)
+        return _by_views(paths, choices, reading, cameras)
     if not boards:
-        return _by_cameras(paths, cameras, choices) if cameras else _by_views(paths, choices)
+        if cameras:
+            return _by_cameras(paths, cameras, choices, reading)
+        return _by_views(paths, choices, reading)
     require_common_views(boards[0], boards[1], choices)
-    start = _by_views(paths, replace(choices, board=None, model=None), cameras)
-    seen, skipped = _board_views(boards, [choices, choices])
+    start = _by_views(paths, replace(choices, board=None, model=None), reading, cameras)
+    seen, skipped = _board_views(boards, [choices, choices], reading)
     return RigFound(with_boards(start.rig, seen[0], seen[1], choices.board), (*start.skipped, *skipped))
 
 
-def _by_views(paths: Pair, choices: OfflineOptions, cameras: Sequence[CameraFile] = ()) -> RigFound:
+class _Reading:
+    """Counts the views of several paths, which are read one after another, as one work."""
+
+    def __init__(self, paths: Sequence[Path], choices: OfflineOptions, progress: Reached) -> None:
+        self._paths, self._choices = paths, choices
+        self._before, self._progress = 0, progress
+
+    @cached_property
+    def _total(self) -> int:
+        return sum(len(list(view_sources(path, self._choices))) for path in self._paths)
+
+    def reached(self, done: int, of_path: int) -> None:
+        """Tell that so many views of the present path are read."""
+        self._progress(min(self._before + done, self._total), self._total)
+        if done == of_path:
+            self._before += of_path
+
+
+def _by_views(
+    paths: Pair, choices: OfflineOptions, reading: _Reading, cameras: Sequence[CameraFile] = ()
+) -> RigFound:
     """Return the rig by views that give the intrinsics too; `cameras` add what is known of them from other views."""
     require_common_views(paths[0], paths[1], choices)
     for path, own in zip(paths, cameras, strict=bool(cameras)):
@@ -94,7 +124,7 @@ def _by_views(paths: Pair, choices: OfflineOptions, cameras: Sequence[CameraFile
                 where=str(own.path),
                 remedy="Give a calibration from other views, or leave out --calibration.",
             )
-    results = [calibrate_paths([path], choices) for path in paths]
+    results = [calibrate_paths([path], choices, progress=reading.reached) for path in paths]
     skipped = tuple(reason for result in results for reason in result.skipped)
     first, second = (result.calibration for result in results)
     if all(result.board for result in results):
@@ -106,10 +136,12 @@ def _by_views(paths: Pair, choices: OfflineOptions, cameras: Sequence[CameraFile
     return RigFound(through_collimator(first, second, known), skipped)
 
 
-def _by_cameras(paths: Pair, stated: Sequence[CameraFile], choices: OfflineOptions) -> RigFound:
+def _by_cameras(
+    paths: Pair, stated: Sequence[CameraFile], choices: OfflineOptions, reading: _Reading
+) -> RigFound:
     """Return the rig by boards, with the intrinsics of files."""
     require_common_views(paths[0], paths[1], choices)
-    seen, skipped = _board_views(paths, [_sized(choices, one) for one in stated])
+    seen, skipped = _board_views(paths, [_sized(choices, one) for one in stated], reading)
     start = stated_cameras(stated[0].camera, stated[1].camera, [one.covariance for one in stated])
     return RigFound(with_boards(start, seen[0], seen[1], choices.board), tuple(skipped))
 
@@ -118,8 +150,13 @@ def _sized(choices: OfflineOptions, stated: CameraFile) -> OfflineOptions:
     return choices if choices.image_size else replace(choices, image_size=stated.camera.image_size)
 
 
-def _board_views(paths: Pair, choices: Sequence[OfflineOptions]) -> tuple[list[list[View]], list[str]]:
-    found = [read_views(list(view_sources(path, own))) for path, own in zip(paths, choices, strict=True)]
+def _board_views(
+    paths: Pair, choices: Sequence[OfflineOptions], reading: _Reading
+) -> tuple[list[list[View]], list[str]]:
+    found = [
+        read_views(list(view_sources(path, own)), reading.reached)
+        for path, own in zip(paths, choices, strict=True)
+    ]
     beside = [sentence for path in paths for sentence in left_beside(path)]
     return [views for views, *_ in found], [reason for *_, skipped in found for reason in skipped] + beside
 

@@ -7,7 +7,7 @@ image without distortion, and the camera with fewer coefficients that projects m
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -376,22 +376,28 @@ class Undistortion:
         return float(np.isnan(self.rays[..., 0]).mean())
 
 
-def undistort(camera: CameraModel, keep: float = 0.0) -> Undistortion:
+def undistort(
+    camera: CameraModel,
+    keep: float = 0.0,
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> Undistortion:
     """Return the tables of a camera, whose border's rays must fill a plane image.
 
     ``keep`` 0 leaves no empty pixel in the rectified image, 1 keeps every pixel of the sensor; between them the camera
-    matrix is interpolated, as by ``cv2.getOptimalNewCameraMatrix``.
+    matrix is interpolated, as by ``cv2.getOptimalNewCameraMatrix``. ``progress`` is told how many blocks of pixels of
+    all have been calculated.
     """
     width, height = camera.image_size
     pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2).astype(float)
-    blocks = [slice(start, start + _BLOCK) for start in range(0, len(pixels), _BLOCK)]
-    rays = np.concatenate([camera.rays(pixels[block]) for block in blocks])
+    rays = _in_blocks(pixels, camera.rays, lambda done, all_: progress(done, 2 * all_))
     plane = rays[:, :2] / rays[:, 2:]
     pinhole = _rectified(plane.reshape(height, width, 2), keep, camera.image_size)
     scale, middle = np.array([pinhole.fx, pinhole.fy]), np.array([pinhole.cx, pinhole.cy])
     reach = _BEYOND * np.nanmax(np.linalg.norm(plane, axis=1))
     wanted = (pixels - middle) / scale
-    found = np.concatenate([camera.project(np.insert(wanted[block], 2, 1.0, axis=1)) for block in blocks])
+    found = _in_blocks(
+        np.insert(wanted, 2, 1.0, axis=1), camera.project, lambda done, all_: progress(all_ + done, 2 * all_)
+    )
     seen = (np.linalg.norm(wanted, axis=1) <= reach) & np.isfinite(found).all(axis=1)
     maps = np.where(seen[:, None], found, _OUTSIDE).astype(np.float32)
     shape = (height, width)
@@ -401,6 +407,16 @@ def undistort(camera: CameraModel, keep: float = 0.0) -> Undistortion:
         maps.reshape(*shape, 2),
         pinhole,
     )
+
+
+def _in_blocks(points: Array, work: Callable[[Array], Array], progress: Callable[[int, int], None]) -> Array:
+    """Do a work on (N, M) points block by block; ``progress`` is told how many blocks of all are done."""
+    starts = range(0, len(points), _BLOCK)
+    parts = []
+    for number, start in enumerate(starts, start=1):
+        parts.append(work(points[start : start + _BLOCK]))
+        progress(number, len(starts))
+    return np.concatenate(parts)
 
 
 def _rectified(plane: Array, keep: float, image_size: tuple[int, int]) -> CameraModel:

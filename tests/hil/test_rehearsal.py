@@ -54,8 +54,8 @@ def queue(tmp_path):
     return read_queue(folder / "queue.yaml")
 
 
-def rehearsed(queue, folder, seed=1):
-    return rehearse_batch(queue, folder, begin=EVENING, seed=seed, say=lambda _: None)
+def rehearsed(queue, folder, seed=1, **more):
+    return rehearse_batch(queue, folder, begin=EVENING, seed=seed, say=lambda _: None, **more)
 
 
 def journals(folder):
@@ -86,7 +86,9 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(queue, tmp_p
 
 
 def test_a_night_goes_as_planned_and_tells_what_failed(queue, tmp_path):
-    summary = rehearsed(queue, tmp_path / "night")
+    reached: list[tuple[int, int]] = []
+    summary = rehearsed(queue, tmp_path / "night", progress=lambda *done: reached.append(done))
+    assert sorted(set(reached)) == [(done, 4) for done in range(4)]
     planned = {slot.item.key: slot for slot in plan_batch(queue.value, EVENING).slots}
     assert {item["item"]: item["how"] for item in summary["items"]} == {
         "a-001": "finished", "a-002": "finished", "a-003": "finished", "b-001": "failed",

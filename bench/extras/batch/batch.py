@@ -102,6 +102,12 @@ class Batch:
             self._messages.close()
             os.close(lock)
 
+    @property
+    def runs_done(self) -> tuple[int, int]:
+        """Number of runs that are done, and of all."""
+        runs = self._record.runs
+        return sum(run.is_done for run in runs.values()), len(runs)
+
     def _refuse_occupied(self) -> None:
         """Refuse a folder that holds anything, such as a sealed run, unless this batch began there."""
         if (self.folder / QUEUE_COPY).exists() or not self.folder.exists():

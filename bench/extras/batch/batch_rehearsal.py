@@ -28,11 +28,18 @@ _ROOM_BYTES = 1_000_000_000
 
 
 def rehearse_batch(
-    queue: Located[Queue], folder: Path, *, begin: datetime, seed: int, say: Callable[[str], None]
+    queue: Located[Queue],
+    folder: Path,
+    *,
+    begin: datetime,
+    seed: int,
+    say: Callable[[str], None],
+    progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> BatchSummary:
     """Rehearse a batch, which cannot be continued, from ``begin``, with its zone, to its end, in an empty folder.
 
     The seed is for runs to which the queue gives none. The same seed and begin give the same journals, byte for byte.
+    ``progress`` is told how many runs of all have been rehearsed.
     """
     make_folder(folder)
     with storage_errors(folder):
@@ -44,18 +51,24 @@ def rehearse_batch(
             )
     parent = temporary_parent(_ROOM_BYTES)
     with tempfile.TemporaryDirectory(prefix="starbench-rehearsal-", dir=parent) as place:
-        summary = _rehearse(queue, Path(place), VirtualClock(begin), seed, say)
+        summary = _rehearse(queue, Path(place), VirtualClock(begin), seed, say, progress)
         with storage_errors(folder):
             shutil.copytree(place, folder, dirs_exist_ok=True)
     return summary
 
 
 def _rehearse(
-    queue: Located[Queue], folder: Path, clock: VirtualClock, seed: int, say: Callable[[str], None]
+    queue: Located[Queue],
+    folder: Path,
+    clock: VirtualClock,
+    seed: int,
+    say: Callable[[str], None],
+    progress: Callable[[int, int], None],
 ) -> BatchSummary:
     from bench.extras.batch.rehearsal import rehearse_run
 
     def work(item: Item, run: Path, _log: Path) -> WorkerEnd:
+        progress(*batch.runs_done)
         clock.sleep(WORKER_S)
         own_seed = (item.job.seed if item.job.seed is not None else seed) + item.number
         job = item.job
@@ -73,4 +86,5 @@ def _rehearse(
             return WorkerEnd("failed", str(error))
         return WorkerEnd(end.how, end.why)
 
-    return Batch(folder, queue, clock, say, work, rehearsal=True).run()
+    batch = Batch(folder, queue, clock, say, work, rehearsal=True)
+    return batch.run()

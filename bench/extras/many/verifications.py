@@ -82,7 +82,7 @@ def derivations_of(
 ) -> list[Derivation]:
     """Return what compares the files of a run or of recalculated results, in order; ``again``: by the recordings.
 
-    ``progress`` is told how many recordings of all have been measured again.
+    ``progress`` is told how many recordings or views of all have been measured again.
     """
     from bench.evidence.seal import kind_of
 
@@ -97,6 +97,6 @@ def derivations_of(
         from bench.solve.offline import nothing_shown
         from bench.solve.recalculated_again import check_recalculated
 
-        of_run = partial(check_run_again, progress=progress or nothing_shown)
-        derivations.append(of_run if kind_of(folder) == "run" else check_recalculated)
+        work = check_run_again if kind_of(folder) == "run" else check_recalculated
+        derivations.append(partial(work, progress=progress or nothing_shown))
     return derivations

@@ -19,6 +19,7 @@ from bench.base.errors import StorageError
 from bench.commands.cli import cli
 from bench.commands.history import signed
 from bench.commands.output import print_error
+from bench.commands.verify import calculated_s
 from bench.commands.workers import PartsLine, views_line
 from bench.extras.many.workers import WorkLeft
 
@@ -458,6 +459,31 @@ def test_recordings_that_are_measured_again_are_counted_with_the_time_left(monke
         "1 of 3 recordings measured again, 0:20 left",
         "2 of 3 recordings measured again, 0:10 left",
     ]
+
+
+def test_the_time_left_counts_the_calculation_that_follows_as_long_as_it_took_before(monkeypatch):
+    now_s, shown = [0.0], []
+    left = WorkLeft(lambda: now_s[0])
+    line = PartsLine("recordings measured again", "results are made", then_s=7.0, time_left=left)
+    monkeypatch.setattr(line, "quiet", False)
+    monkeypatch.setattr(line, "_live", True)
+    monkeypatch.setattr(line, "show", shown.append)
+    monkeypatch.setattr(line, "due", lambda: True)
+    for done in (1, 2):
+        now_s[0] += 10.0
+        line.reached(done, 2)
+    assert shown == [
+        "1 of 2 recordings measured again, 0:17 left",
+        "2 recordings measured again; results are made, about 0:07 left",
+    ]
+
+
+def test_the_calculation_of_a_run_took_as_long_as_its_journal_says(tmp_path):
+    run = MadeRun(tmp_path / "run").begin()
+    assert calculated_s(run.folder) is None
+    run.write("entering", state="solving", **{"from": "parking", "step": 30})
+    run.write("left_off", state="solving")
+    assert calculated_s(run.folder) == pytest.approx(0.1)
 
 
 def test_a_terminal_shows_how_many_views_are_found_and_then_that_the_camera_is_calculated(monkeypatch):
