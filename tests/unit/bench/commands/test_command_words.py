@@ -464,9 +464,9 @@ def test_recordings_that_are_measured_again_are_counted_with_the_time_left(monke
 def test_the_time_left_counts_the_calculation_that_follows_as_long_as_it_took_before(monkeypatch):
     now_s, shown = [0.0], []
     left = WorkLeft(lambda: now_s[0])
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     line = PartsLine("recordings measured again", "results are made", then_s=7.0, time_left=left)
     monkeypatch.setattr(line, "quiet", False)
-    monkeypatch.setattr(line, "_live", True)
     monkeypatch.setattr(line, "show", shown.append)
     monkeypatch.setattr(line, "due", lambda: True)
     for done in (1, 2):
