@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -33,6 +34,8 @@ Reached = Callable[[int, int], None]
 """Is told how many views or recordings of all have been read."""
 _MOST_NAMES = 5
 """Views of a folder that a message names."""
+_CLEARLY_MORE = 4
+"""So many times as many images as of all other sizes have the size of the camera; nearer numbers decide nothing."""
 
 
 @dataclass(frozen=True)
@@ -241,6 +244,9 @@ def read_views(
             "There is no usable view.",
             remedy=_first(skipped) or "Give run folders, captures, images or point files.",
         )
+    for at, sentence in reversed(odd_sizes(views, used)):
+        del views[at], used[at]
+        skipped.append(sentence)
     return _distinct(views_of_one_size(views, [source.sized for source in used])), used, skipped
 
 
@@ -254,6 +260,22 @@ def _first(skipped: Sequence[str]) -> str:
     """Return the first reasons why files were left out, and the number of the others."""
     more = len(skipped) - _MOST_NAMES
     return " ".join(skipped[:_MOST_NAMES]) + (f" And {more} more files." if more > 0 else "")
+
+
+def odd_sizes(views: Sequence[View], sources: Sequence[ViewSource]) -> list[tuple[int, str]]:
+    """Return place and reason of the few images that have another size than all others; none if they are not few."""
+    sizes = Counter(view.image_size for view, source in zip(views, sources, strict=True) if source.sized)
+    (size, count), *others = sizes.most_common() or [((0, 0), 0)]
+    if count < _CLEARLY_MORE * sum(fewer for _, fewer in others):
+        return []
+    usual = f"{count} others have {size[0]} x {size[1]} px"
+    advice = "Give original images: not turned, not cropped, not made smaller."
+    odd = []
+    for at, (view, source) in enumerate(zip(views, sources, strict=True)):
+        if source.sized and view.image_size != size:
+            width, height = view.image_size
+            odd.append((at, f"{source.path}: The image has {width} x {height} px, {usual}. {advice}"))
+    return odd
 
 
 def views_of_one_size(views: Sequence[View], sized: Sequence[bool]) -> list[View]:

@@ -15,14 +15,14 @@ from bench.commands.cli import cli
 from bench.commands.keys import key_or_draft
 from bench.evidence.keys import create_key
 from bench.evidence.verify import verify_folder
-from bench.solve.offline import calibrate_paths, views_of_one_size
+from bench.solve.offline import calibrate_paths, odd_sizes, views_of_one_size
 from bench.solve.offline_folder import require_new, write_offline_results
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.passports import write_passport
 from bench.solve.point_files import read_point_file
 from bench.solve.recalculated_again import check_recalculated
 from bench.solve.solve_options import ONE_VIEW
-from bench.solve.view_sources import refuse_truncated_jpeg
+from bench.solve.view_sources import ViewSource, refuse_truncated_jpeg
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.passport import Passport
 from calib.view import View
@@ -52,6 +52,32 @@ def test_every_picture_that_is_turned_is_named_before_the_others():
         views_of_one_size(views, [True] * 10)
     shown = "720 x 1280 px (first on end, last on end), 1280 x 720 px (lying 0, lying 1, lying 2, lying 3, lying 4 and 3 more)"
     assert shown in str(refused.value)
+
+
+def sized(name, *, is_sized=True):
+    return ViewSource(Path(f"{name}.png"), lambda: None, sized=is_sized)
+
+
+@pytest.mark.parametrize(("large", "left_out"), [(8, ["small", "on end"]), (7, [])])
+def test_a_few_images_of_another_size_are_left_out_with_a_word(large, left_out):
+    views = [
+        view("small", (640, 360)),
+        *(view(f"{n}", (1280, 720)) for n in range(large)),
+        view("on end", (720, 1280)),
+    ]
+    odd = odd_sizes(views, [sized(one.name) for one in views])
+    assert [views[at].name for at, _ in odd] == left_out
+    for (at, sentence), name in zip(odd, left_out, strict=True):
+        width, height = views[at].image_size
+        assert sentence.startswith(
+            f"{name}.png: The image has {width} x {height} px, 8 others have 1280 x 720 px. "
+        )
+
+
+def test_point_files_whose_size_nobody_stated_are_never_odd():
+    views = [view("a", (1280, 720)), view("b", (900, 600))]
+    assert odd_sizes(views, [sized("a"), sized("b", is_sized=False)]) == []
+    assert odd_sizes(views, [sized("a", is_sized=False), sized("b", is_sized=False)]) == []
 
 
 def test_point_files_take_the_size_of_the_pictures_beside_them_and_else_the_largest():
