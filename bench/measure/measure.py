@@ -32,7 +32,7 @@ from calib.events.event_image import (
     half_windows,
     make_images,
 )
-from calib.events.flicker import Flicker, flicker_from_events, flicker_from_triggers
+from calib.events.flicker import Flicker, first_on_delay_us, flicker_from_events, flicker_from_triggers
 from calib.events.grey_image import to_uint8
 from calib.model.homography import fit_homography
 from calib.stars.beam import find_beam
@@ -114,6 +114,9 @@ def whole_image(
     images = make_images(*events, size, flicker, window_us=span_us, periods=periods)
     chosen = _choose(images, image, one_phase=one_phase)
     facts.update(_image_facts(images, chosen, origin_us))
+    if flicker.source == "triggers":
+        edges_us = flicker.rising_edges_us(*span_us)
+        facts["image"]["first_on_delay_us"] = first_on_delay_us(events.t, events.p, edges_us)
     halves = partial(_half_images, events, size, flicker, images, chosen.name)
     return WholeImage(chosen.image, halves)
 
@@ -250,7 +253,7 @@ def why_no_target(error: TargetNotFound, facts: MeasuredFacts, whole: NDArray[np
         "light.",
         where=error.where,
         remedy="Check first that the lamp is lit. Then remove the lens cap, open the aperture, raise the light's "
-        "level, or turn the camera towards the collimator.",
+        "level, darken the room, or turn the camera towards the collimator.",
     )
 
 

@@ -38,6 +38,7 @@ class ImageFacts(TypedDict, total=False):
     lit_pixels: int
     on_share: float | None
     first_on_spread_us: float | None
+    first_on_delay_us: float | None
     hot_pixels: int
     silent_rows: int
 

@@ -32,7 +32,9 @@ _FOCAL_SHARE = 0.05
 #: From run to run of one bench, the number of stars and the residuals vary by these shares (1 sigma), and the events of
 #: a falling edge by the third. Pixels are slow in weak light, so that such an edge ends before they have sent all: in
 #: simulations, half the light leaves 0.9 of the events, a quarter 0.69, a tenth 0.35; mountings change them by 3 %.
-_STARS_SHARE, _RESIDUAL_SHARE, _EVENTS_SHARE = 0.05, 0.15, 0.1
+#: The fourth is that of the delay of the first ON events: half the light makes it 1.5 times as long, a quarter 2.5
+#: times. It is stated in whole us, and is about 10 us.
+_STARS_SHARE, _RESIDUAL_SHARE, _EVENTS_SHARE, _DELAY_SHARE = 0.05, 0.15, 0.1, 0.1
 #: What a station expects is known less well than what a run had: the share of stars, and of their noise (1 sigma).
 _EXPECTED_STARS, _EXPECTED_NOISE = 0.12, 0.4
 #: Settings of a light are others if they differ by more than this share; a duty is measured to parts in a thousand.
@@ -48,6 +50,7 @@ class _Seen:
 
     stars: Mapping[str, int]
     off_events: Mapping[str, float]  # Of a falling edge of the light, by the pixels that follow it
+    on_delay_us: Mapping[str, float]  # Of the first ON events after a square light rises
     duty: Mapping[str, float]  # By the edges of the sync signal, as a share of the period
     rms_px: float
     light: LightSettingsData
@@ -89,9 +92,11 @@ def kinds_by_earlier_run(job: Job) -> set[str]:
 def _seen_in(history: History, calibration: Calibration) -> _Seen:
     accepted = history.accepted().values()
     stored = next((one.stored for one in reversed(list(accepted))), None)
+    images = {one.pose_name: one.measured.get("image") for one in accepted}
     return _Seen(
         {view.name: view.n for view in calibration.views},
-        _off_events({one.pose_name: one.measured.get("image") for one in accepted}),
+        _off_events(images),
+        _on_delays_us(images),
         _known({one.pose_name: one.measured.get("flicker_duty") for one in accepted}),
         calibration.rms_px,
         stored["light"] if stored else LightSettingsData(),
@@ -102,9 +107,11 @@ def _seen_in(history: History, calibration: Calibration) -> _Seen:
 def _seen_before(results: Results) -> _Seen:
     poses = [pose for pose in results.get("poses", ()) if pose["stars"]]
     conditions = results.get("conditions")
+    images = {pose["name"]: pose["image"] for pose in poses}
     return _Seen(
         {pose["name"]: pose["stars"] for pose in poses},
-        _off_events({pose["name"]: pose["image"] for pose in poses}),
+        _off_events(images),
+        _on_delays_us(images),
         _known({pose["name"]: pose.get("flicker_duty") for pose in poses}),
         float(results["calibration"]["rms_px"]),
         conditions["light"] if conditions else LightSettingsData(),
@@ -120,6 +127,11 @@ def _off_events(images: Mapping[str, ImageFacts | None]) -> dict[str, float]:
             for name, image in images.items()
         }
     )
+
+
+def _on_delays_us(images: Mapping[str, ImageFacts | None]) -> dict[str, float]:
+    """Return the delay of the first ON events by pose, us, as far as it was measured."""
+    return _known({name: image.get("first_on_delay_us") if image else None for name, image in images.items()})
 
 
 def _camera_settings(facts: RecordedData | CameraConditions) -> dict[str, int | bool]:
@@ -178,11 +190,26 @@ def _against_last(seen: _Seen, results: Results) -> Iterator[Cause]:
     yield from _other_light(seen, last, run)
     yield from _other_camera(seen, last, run)
     weak = [
+        *_weak_light(seen, last, run),
         *_weak(kinds.FEWER, seen.of_poses(seen.stars, last.stars), _STARS_SHARE, "stars", run),
         *_weak(kinds.NOISIER, (seen.rms_px, last.rms_px), _RESIDUAL_SHARE, "px", run),
-        *_weak(kinds.DIMMER, seen.of_poses(seen.off_events, last.off_events), _EVENTS_SHARE, "events", run),
     ]
     yield from weak[:1]
+
+
+def _weak_light(seen: _Seen, last: _Seen, run: str) -> Iterator[Cause]:
+    """Yield that the pixels react later than in the last run, as in weaker light, or less, as in a brighter room too.
+
+    Only an edge has a delay: a sine begins before its sync signal. Light that does not flicker makes no pixel slower.
+    """
+    delays_us = None
+    if seen.light.get("waveform") == last.light.get("waveform") == "square":
+        delays_us = seen.of_poses(seen.on_delay_us, last.on_delay_us)
+    slower = list(_weak(kinds.SLOWER, delays_us, _DELAY_SHARE, "us", run))
+    no_later = delays_us is not None and delays_us[0] < delays_us[1] * math.exp(_DELAY_SHARE)
+    fewer = kinds.ROOM if no_later else kinds.DIMMER
+    yield from slower
+    yield from _weak(fewer, seen.of_poses(seen.off_events, last.off_events), _EVENTS_SHARE, "events", run)
 
 
 def _weak(
@@ -190,7 +217,7 @@ def _weak(
 ) -> Iterator[Cause]:
     """Yield that a number is worse than the one expected of it, as a sign of a weak image."""
     now, then = both or (0.0, 0.0)
-    worse = now > then if kind == kinds.NOISIER else now < then
+    worse = now > then if kind in {kinds.NOISIER, kinds.SLOWER} else now < then
     if then > 0.0 and worse and (evidence := _evidence(now / then, share)) > DECISIVE:
         yield Cause(kind, evidence, now, unit=unit, stated=then, before=run)
 

@@ -14,11 +14,17 @@ LENS, ASLEEP = "another lens", "computer stood still"
 LIGHT, CAMERA = "light set otherwise", "camera set otherwise"
 #: Unit of a setting that is on, 1, or off, 0.
 SWITCH = "switch"
-WEAK = FEWER, NOISIER, DIMMER = "fewer stars", "noisier stars", "weaker light"
+WEAK = FEWER, NOISIER, SLOWER, DIMMER, ROOM = (
+    "fewer stars",
+    "noisier stars",
+    "later events",
+    "weaker light",
+    "brighter room",
+)
 
 _WEAK = (
-    "A closed aperture, dust on lens or target, a dim lamp and a lens out of focus look the same. Check them in this "
-    "order."
+    "A closed aperture, dust on lens or target, a dim lamp, a bright room and a lens out of focus look the same. Check "
+    "them in this order."
 )
 
 
@@ -77,10 +83,25 @@ def _noisier(cause: Cause) -> str:
     return f"The image is weak: the stars scatter by {cause.value:.2g} px {_instead(cause, '.2g')}. {_WEAK}"
 
 
+def _slower(cause: Cause) -> str:
+    return (
+        f"The light is weak: its first events come {cause.value:.0f} us after it rises {_instead(cause, '.0f')}. The "
+        "level of the lamp, the aperture and dust look the same. Check them in this order."
+    )
+
+
 def _dimmer(cause: Cause) -> str:
     return (
         f"The light is weak: a falling edge makes {cause.value:.0f} events {_instead(cause, '.0f')}. The level of the "
-        "lamp, the aperture and dust look the same. Check them in this order."
+        "lamp, the aperture, dust and a bright room look the same. Check them in this order."
+    )
+
+
+def _room(cause: Cause) -> str:
+    return (
+        f"Light that does not flicker reaches the sensor: a falling edge makes {cause.value:.0f} events "
+        f"{_instead(cause, '.0f')}, and no event comes later. A bright room and a lamp that does not go dark look the "
+        "same. Check them in this order."
     )
 
 
@@ -97,5 +118,7 @@ _SENTENCES = {
     CAMERA: _camera,
     FEWER: _fewer,
     NOISIER: _noisier,
+    SLOWER: _slower,
     DIMMER: _dimmer,
+    ROOM: _room,
 }

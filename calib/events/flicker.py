@@ -5,6 +5,7 @@ Hundreds of events share a microsecond, and what depends on it is computed once.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -75,6 +76,32 @@ class Flicker:
         first = np.ceil((start_us - self.phase_us) / self.period_us)
         last = np.ceil((end_us - self.phase_us) / self.period_us)
         return np.asarray(self.phase_us + self.period_us * np.arange(first, last), np.float64)
+
+
+#: The first events of an edge are those of the fastest pixels, which no others delay on the way through the readout.
+FIRST_SHARE = 0.01
+
+
+def first_on_delay_us(t: Ints, p: NDArray[np.integer], edges_us: Array) -> float:
+    """Return how long after the light rises its first ON events come, us; nan without a whole period.
+
+    Own definition: the delay of the first hundredth of a period's ON events, and of the periods the median. In half the
+    light, pixels take twice as long (Lichtsteiner et al. 2008). ``t`` are (N,) times, us, ascending, ``p`` (N,)
+    polarities, ``edges_us`` (K,) times of the rising edges.
+
+    Examples
+    --------
+    >>> t, p = np.array([90, 108, 109, 160, 210, 211]), np.array([0, 1, 1, 0, 1, 1])
+    >>> first_on_delay_us(t, p, np.array([100.0, 200.0, 300.0]))
+    9.0
+    """
+    bounds = np.searchsorted(t, edges_us)
+    delays = []
+    for edge_us, first, last in zip(edges_us, bounds, bounds[1:], strict=False):
+        on = np.flatnonzero(p[first:last])
+        if on.size:
+            delays.append(t[first + on[int(FIRST_SHARE * on.size)]] - edge_us)
+    return float(np.median(delays)) if delays else math.nan
 
 
 def flicker_from_triggers(

@@ -289,11 +289,11 @@ class _Connection:
 
     def _monitor(self, _request: dict[str, Any]) -> dict[str, Any]:
         """Return temperature, mean illumination, and the pixel dead time that the biases give."""
-        settings = PixelSettings.from_biases(self._biases)
         now_s = self._world.now_s()
-        light = self._world.light(now_s)
+        light, truth = self._world.light(now_s), self._world.truth_at(now_s)
+        settings = PixelSettings.from_biases(self._biases, truth.optics.room)
         driven = light.low + (light.high - light.low) * light.high_share
-        mean = settings.ambient + MEAN_COVERAGE * driven * brightness(self._world.truth_at(now_s))
+        mean = settings.ambient + MEAN_COVERAGE * driven * brightness(truth)
         return {
             "temperature_c": self._world.temperature_c(now_s),
             "illumination_lux": round(NOMINAL_LUX * mean, 3),

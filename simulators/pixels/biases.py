@@ -63,8 +63,10 @@ class PixelSettings:
     high_pass_hz: float = 0.0  # Corner frequency of the high-pass before the comparators; 0: none
 
     @classmethod
-    def from_biases(cls, biases: Mapping[str, int]) -> PixelSettings:
+    def from_biases(cls, biases: Mapping[str, int], room: float = 0.0) -> PixelSettings:
         """Return the settings for a set of biases: offsets from the factory value, by name; missing = 0.
+
+        ``room`` is light of the room on all pixels, nominal brightness = 1.
 
         >>> PixelSettings.from_biases({"bias_diff_on": 140}).threshold_on > 3 * PixelSettings().threshold_on
         True
@@ -78,7 +80,7 @@ class PixelSettings:
             threshold_off=factory.threshold_off * math.exp(off / 120.0),
             dead_us=factory.dead_us * math.exp(-biases.get("bias_refr", 0) / 60.0),
             q_us=factory.q_us,
-            ambient=factory.ambient,
+            ambient=factory.ambient + room,
             background_gain=factory.q_us
             / (factory.q_us + follower_us - FASTEST_FOLLOWER_US)
             * math.exp(-high_pass / 40.0 - (on + off) / 120.0),

@@ -100,7 +100,7 @@ class SensorStream:
             width,
             height,
             noise=truth.noise,
-            settings=PixelSettings.from_biases(camera.biases),
+            settings=PixelSettings.from_biases(camera.biases, truth.optics.room),
             camera_seed=world.camera_seed,
             seed=seeds.spawn(1)[0],
         )

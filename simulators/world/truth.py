@@ -179,6 +179,9 @@ class OpticsTruth(Section):
     psf_rim_px: NotNegative = 0.0
     black: NotNegative = 0.01  # Light that passes the reticle's black segments, as a share of the white ones'
     stray: NotNegative = 0.0
+    room: NotNegative = (
+        0.0  # Light of the room on the whole sensor, which does not flicker, nominal brightness = 1
+    )
     # Rotation vector of the camera on the gimbal at zero angles (R0 of the pose), degrees.
     mounting_deg: Vector = (0.31, -0.22, 0.45)
 

@@ -104,6 +104,10 @@ RUN_MISTAKES: Mapping[str, RunMistake] = {
     "light of the lamp falls on the lens": RunMistake(
         _simulation("optics", stray=0.2), (), "reaches the lens past the target"
     ),
+    "light of the room on the lens": RunMistake(_simulation("optics", room=0.3), (kinds.ROOM,)),
+    "bright light of the room on the lens": RunMistake(
+        _simulation("optics", room=10.0), (), "darken the room"
+    ),
     "trigger cable unplugged": RunMistake(_lamp("no_sync"), (), "check the cable"),
     "trigger cable loose": RunMistake(_lamp("sync_weak"), kinds.WEAK, "cable"),
     "sync inverted": RunMistake(_lamp("sync_inverted"), (), "sync signal is inverted"),
@@ -116,6 +120,7 @@ RUN_MISTAKES: Mapping[str, RunMistake] = {
     "level of the light lowered": RunMistake(_level, (kinds.LIGHT,)),
     "lamp dimmed to a tenth": RunMistake(_lamp("dim", factor=0.1), kinds.WEAK, "lamp"),
     "lamp dimmed to a quarter": RunMistake(_lamp("dim", factor=0.25), kinds.WEAK),
+    "lamp dimmed to a half": RunMistake(_lamp("dim", factor=0.5), kinds.WEAK),
     "laptop slept while the stage turned": RunMistake(named=(kinds.ASLEEP,), asleep="slewing"),
     "laptop slept in a recording": RunMistake(named=(kinds.ASLEEP,), asleep="recording"),
     "knocked by 0.3 degrees in the run": RunMistake(

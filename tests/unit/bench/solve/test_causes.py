@@ -17,7 +17,11 @@ CAMERA = {"biases": {"bias_diff_off": 0, "bias_fo": 0}, "filters": {"trail": Fal
 
 
 def _image(run: dict[str, Any]) -> dict[str, Any]:
-    return {"lit_pixels": run["lit"], "events_per_edge_off": run["off"]}
+    return {
+        "lit_pixels": run["lit"],
+        "events_per_edge_off": run["off"],
+        "first_on_delay_us": run["delay_us"],
+    }
 
 
 def causes(
@@ -30,8 +34,8 @@ def causes(
     **seen: Any,
 ):
     """Causes of a run with fx 3345 px, 600 stars a pose, 0.04 px of residuals, 700 000 lit pixels with 2 OFF events an edge."""
-    now = {"stars": 600, "rms_px": 0.04, "lit": 700_000, "off": 2.0, "duty": 0.5, "light": LIGHT, **CAMERA}
-    now |= seen
+    now = {"stars": 600, "rms_px": 0.04, "lit": 700_000, "off": 2.0, "delay_us": 9.0, "duty": 0.5}
+    now |= {"light": LIGHT, **CAMERA, **seen}
     names = ("left", "right")
     history = History()
     history.lateness = {"longest_s": longest_s}
@@ -70,6 +74,7 @@ def earlier(**changed: Any) -> dict[str, Any]:
         "rms_px": 0.04,
         "lit": 700_000,
         "off": 2.0,
+        "delay_us": 9.0,
         "duty": 0.5,
         "light": LIGHT,
         "fx": 3345.0,
@@ -94,10 +99,8 @@ def earlier(**changed: Any) -> dict[str, Any]:
 
 
 def test_a_run_as_the_last_one_has_no_cause():
-    assert (
-        causes(stars=585, rms_px=0.043, lit=680_000, off=1.9, duty=0.503, longest_s=0.8, focal_px=3200.0)
-        == []
-    )
+    slightly = {"stars": 585, "rms_px": 0.043, "lit": 680_000, "off": 1.9, "delay_us": 10.0, "duty": 0.503}
+    assert causes(**slightly, longest_s=0.8, focal_px=3200.0) == []
 
 
 @pytest.mark.parametrize(
@@ -106,9 +109,27 @@ def test_a_run_as_the_last_one_has_no_cause():
         ({"focal_px": 10300.0}, kinds.LENS, "The focal length is 3345 px, and the station expects 10300 px"),
         ({"stars": 379, "rms_px": 0.154}, kinds.FEWER, "379 stars a pose instead of 600 as in run run-7"),
         ({"rms_px": 0.154}, kinds.NOISIER, "the stars scatter by 0.15 px instead of 0.04"),
-        ({"lit": 400_000}, kinds.DIMMER, "makes 800000 events instead of 1400000 as in run run-7"),
+        (
+            {"lit": 400_000, "delay_us": None},
+            kinds.DIMMER,
+            "makes 800000 events instead of 1400000 as in run run-7",
+        ),
+        # Neither later nor as early as before: both are told.
+        ({"lit": 400_000, "delay_us": 11.0}, kinds.DIMMER, "aperture, dust and a bright room look the same"),
+        # As measured in simulations of a third of the lamp's light from the room.
+        (
+            {"lit": 616_000, "off": 1.03, "delay_us": 7.6},
+            kinds.ROOM,
+            "A bright room and a lamp that does not go dark",
+        ),
         # As measured in simulations of a quarter of the light: the stars are as many, and as good.
-        ({"lit": 600_000, "off": 1.62}, kinds.DIMMER, "makes 972000 events instead of 1400000"),
+        ({"lit": 600_000, "off": 1.62, "delay_us": 22.0}, kinds.SLOWER, "come 22 us after it rises"),
+        # Of half the light.
+        (
+            {"lit": 661_000, "off": 1.91, "delay_us": 14.0},
+            kinds.SLOWER,
+            "come 14 us after it rises instead of 9 as in",
+        ),
         ({"duty": 0.15}, kinds.LIGHT, "duty by the sync signal was 15 %, and 50 % in run run-7"),
         (
             {"light": {**LIGHT, "duty_percent": 15.0}},
@@ -129,6 +150,16 @@ def test_each_is_told_with_both_numbers(case, kind, words):
     (found,) = causes(**case)
     assert found.kind == kind
     assert words in sentence_of(found)
+
+
+def test_a_sine_has_no_delay_and_later_events_of_another_waveform_are_not_compared():
+    sine = {**LIGHT, "waveform": "sine"}
+    assert causes(light=sine, last=earlier(light=sine), delay_us=14.0) == []
+    assert causes(light=sine, delay_us=14.0) == []
+
+
+def test_earlier_events_are_no_sign_of_a_weak_image():
+    assert causes(delay_us=5.0) == []
 
 
 def test_the_most_probable_cause_is_first():
