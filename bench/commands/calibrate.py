@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from bench.plan.camera_values import LensFamily
     from bench.record.results import CheckData
     from calib.calibration import Calibration
+    from calib.model.camera import CameraModel
     from calib.studies.camera_check import CameraCheck
     from calib.view import View
 
@@ -319,6 +321,8 @@ def check(
     from calib.errors import DegenerateViews
 
     stated, choices = stated_camera(file, camera, lens), OfflineOptions.from_command_line(**options)
+    if choices.board is not None and choices.distortion is None:
+        choices = replace(choices, distortion=_lens_of(stated.camera))
     try:
         with views_line(quiet=wants_json()) as progress:
             result = calibrate_paths(list(paths), choices, progress=progress)
@@ -340,6 +344,17 @@ def check(
 
     show(as_json, _lines(checked, stated, found, list(result.skipped)))
     return 0 if checked.right else 1
+
+
+def _lens_of(camera: CameraModel) -> str:
+    """Return the coefficients that a camera of the stated lens is estimated with, in one word."""
+    from calib.model.camera import SKEW
+    from calib.model.lens import BROWN, FISHEYE
+
+    names = {"k1", "k2"} | {name for name, value in camera.distortion.items() if value}
+    if set(camera.distortion) & set(FISHEYE):
+        return "fisheye"
+    return "".join(name for name in (*BROWN, SKEW) if name in names)
 
 
 def _check_by_one(stated: CameraFile, view: View, *, board: bool) -> int:

@@ -161,6 +161,12 @@ def _is_number(text: str) -> bool:
 def _names(header: Sequence[str], where: str) -> list[str]:
     """Return the names of the columns as the first line has them; each of `_COLUMNS` must be there once."""
     names = [_UNITS.sub("", name.strip()) for name in header]
+    if not set(_COLUMNS) & set(names):
+        raise BenchError(
+            "This text is no list of points: its first line has neither numbers nor names of columns.",
+            where=where,
+            remedy=_REMEDY,
+        )
     for name in _COLUMNS:
         if names.count(name) != 1:
             raise BenchError(

@@ -3,6 +3,7 @@
 import json
 from datetime import UTC, datetime
 
+import cv2
 import numpy as np
 import pytest
 from calling import out_of, refusal
@@ -204,3 +205,30 @@ def test_a_capture_shorter_than_its_journal_states_is_refused(tmp_path):
     path.write_bytes(path.read_bytes()[:-2])
     with pytest.raises(RecordingCorrupt, match=f"incomplete: {size} bytes were recorded"):
         refuse_truncated(path)
+
+
+LENSES = {
+    "tangential": ("plumb_bob", [-0.21, 0.11, 4e-4, -6e-4, 0.0]),
+    "fisheye": ("equidistant", [-0.03, 0.011, -0.006, 0.002]),
+}
+
+
+@pytest.mark.parametrize(("model", "lens"), LENSES.values(), ids=LENSES)
+def test_a_right_camera_is_right_by_views_of_a_board_whatever_lens_it_has(capsys, tmp_path, model, lens):
+    matrix, noise = np.array([[1050.0, 0, 644.0], [0, 1049.0, 357.0], [0, 0, 1]]), np.random.default_rng(3)
+    board_mm = np.array([(x, y, 0.0) for y in range(6) for x in range(9)]) * 30.0
+    project = cv2.fisheye.projectPoints if model == "equidistant" else cv2.projectPoints
+    for number in range(8):
+        turn = np.array([0.4 * np.sin(number), 0.4 * np.cos(number), 0.05 * number])
+        shift = np.array([50.0 * np.cos(2 * number) - 120, 25.0 * np.sin(2 * number) - 75, 560.0])
+        seen = project(board_mm[:, None], turn, shift, matrix, np.array(lens))[0].reshape(-1, 2)
+        rows = np.column_stack([seen + 0.5 + noise.normal(0, 0.02, seen.shape), board_mm[:, :2], range(54)])
+        np.savetxt(tmp_path / f"board{number}.csv", rows, fmt=["%.6f"] * 4 + ["%d"])
+    stated = tmp_path / "camera_info.yaml"
+    stated.write_text(
+        f"image_width: 1280\nimage_height: 720\ncamera_matrix: {{data: {matrix.ravel().tolist()}}}\n"
+        f"distortion_model: {model}\ndistortion_coefficients: {{data: {lens}}}\n"
+    )
+    points = sorted(tmp_path.glob("*.csv"))
+    words = ["check", *points, "--image-size", "1280x720", "--board", "checkerboard:9x6:30mm"]
+    assert out_of(capsys, *words, "--calibration", stated).startswith("RIGHT")

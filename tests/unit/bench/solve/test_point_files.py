@@ -54,6 +54,7 @@ WRONG = {
     "a header without ids": (text(ROWS, "{0},{1},{2},{3}", "x,y,X,Y"), "0 columns 'id'"),
     "a header of small letters": (text(ROWS, header="x,y,x,y,id"), "2 columns 'x'"),
     "a target in m by its header": (text(ROWS, header="x,y,X_m,Y_m,id"), "0 columns 'X'"),
+    "a note of a person": ("taken on Monday\n", "no list of points"),
     "a target that is not flat": (text(ROWS, "{0},{1},{2},{3},5,{4}", "x,y,X,Y,Z,id"), "plane Z = 0"),
     "a column too many": (text(ROWS, "{0},{1},{2},{3},0,{4}"), "6 columns instead of 5"),
     "points and commas as decimal marks": ("1.000,5;2,5;3,5;4,5;6\n", "8 columns|9 columns"),
