@@ -5,9 +5,8 @@ Every number that a gate or the report shows is calculated here, from the file a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -29,16 +28,16 @@ from calib.errors import (
 from calib.events.event_image import (
     ChosenImage,
     EventImages,
-    half_windows,
     make_images,
 )
-from calib.events.flicker import Flicker, first_on_delay_us, flicker_from_events, flicker_from_triggers
+from calib.events.event_times import EventTimes, event_times
+from calib.events.flicker import Flicker, first_on_delay_us, flicker_from_times, flicker_from_triggers
 from calib.events.grey_image import to_uint8
 from calib.model.homography import fit_homography
 from calib.stars.beam import find_beam
 from calib.stars.detect import detect_stars
 from calib.stars.focus import sharpness
-from calib.stars.motion import shift_between_halves
+from calib.stars.motion import Halves, shift_between_halves
 from calib.stars.rim import downweight_vignetted, find_rim
 from calib.target import StarTarget
 from calib.view import View
@@ -77,9 +76,7 @@ class WholeImage(NamedTuple):
     """The event image of whole flicker periods."""
 
     image: NDArray[np.float32]  # (H, W) float32
-    # Returns images of the same kind of the first and the second half of the periods; raises TooFewEvents if
-    # there are too few.
-    halves: Callable[[], Iterator[NDArray[np.float32]]]
+    halves: Halves | None  # As `EventImages.halves`
 
 
 def read_events(path: Path) -> EventData:
@@ -106,19 +103,19 @@ def whole_image(
     adds what events alone tell.
     """
     events, triggers, size, origin_us = data
-    flicker = _flicker(triggers, (events.t, events.p), expected_hz)
+    times = event_times(events.t, events.p)
+    flicker = _flicker(triggers, times, expected_hz)
     span_us = _span_us(events.t, triggers)
     facts.update(_flicker_facts(flicker, triggers, span_us))
     if compare_flicker:
-        facts.update(_compare_flicker(flicker, events))
-    images = make_images(*events, size, flicker, window_us=span_us, periods=periods)
+        facts.update(_compare_flicker(flicker, times))
+    images = make_images(*events, size, flicker, window_us=span_us, periods=periods, times=times)
     chosen = _choose(images, image, one_phase=one_phase)
     facts.update(_image_facts(images, chosen, origin_us))
     if flicker.source == "triggers":
         edges_us = flicker.rising_edges_us(*span_us)
-        facts["image"]["first_on_delay_us"] = first_on_delay_us(events.t, events.p, edges_us)
-    halves = partial(_half_images, events, size, flicker, images, chosen.name)
-    return WholeImage(chosen.image, halves)
+        facts["image"]["first_on_delay_us"] = first_on_delay_us(times, edges_us)
+    return WholeImage(chosen.image, images.halves)
 
 
 def recorded_image(path: Path, image: str = "auto") -> NDArray[np.float32]:
@@ -128,12 +125,12 @@ def recorded_image(path: Path, image: str = "auto") -> NDArray[np.float32]:
     return whole_image(data, image, None, None, {}, one_phase=one_phase, compare_flicker=False).image
 
 
-def _compare_flicker(flicker: Flicker, events: Events) -> MeasuredFacts:
+def _compare_flicker(flicker: Flicker, times: EventTimes) -> MeasuredFacts:
     """Compare the flicker from the triggers with the flicker from the events; empty if there is only one."""
     if flicker.source != "triggers":
         return {}
     try:
-        by_events = flicker_from_events(events.t, events.p, band_hz=_band_hz(flicker.frequency_hz))
+        by_events = flicker_from_times(times, band_hz=_band_hz(flicker.frequency_hz))
     except (FlickerNotFound, TooFewEvents):
         return {}
     return {
@@ -148,26 +145,16 @@ def _band_hz(frequency_hz: float) -> tuple[float, float]:
     return min(15.0, 0.6 * frequency_hz), max(1000.0, 1.5 * frequency_hz)
 
 
-def _half_images(
-    events: Events, size: tuple[int, int], flicker: Flicker, whole: EventImages, kind: str
-) -> Iterator[NDArray[np.float32]]:
-    """Yield images of the first and the second half. Raises TooFewEvents if there are too few."""
-    for half in half_windows(whole.facts):
-        yield make_images(*events, size, flicker, window_us=half, hot=whole.hot).named(kind)
-
-
-def _flicker(
-    triggers: Triggers, events: tuple[NDArray[np.int64], NDArray[np.uint8]], expected_hz: float | None
-) -> Flicker:
+def _flicker(triggers: Triggers, times: EventTimes, expected_hz: float | None) -> Flicker:
     """Return the flicker from the sync edges, or from the events if there are no edges."""
     if not len(triggers.t):
-        return flicker_from_events(*events)
+        return flicker_from_times(times)
     try:
         return flicker_from_triggers(triggers.t, triggers.value, expected_hz=expected_hz)
     except FlickerNotFound:
         if len(triggers.t) > 2:  # edges that contradict each other are a fault; do not ignore them
             raise
-        return flicker_from_events(*events)
+        return flicker_from_times(times)
 
 
 def _subtract_origin(t: NDArray[np.int64], triggers: Triggers) -> int:
@@ -344,7 +331,7 @@ def measure(
         except TargetNotFound as error:
             raise why_no_target(error, facts, whole.image) from error
         if motion:
-            facts["motion_px"] = motion_px(whole.halves(), view, target, facts["edge_width_px"])
+            facts["motion_px"] = motion_px(whole.halves, view, target)
         return downweight_vignetted(view, target)
 
     return measurement_of(find)
@@ -411,14 +398,11 @@ def edge_angle_deg(grid: NDArray[np.float64]) -> float:
     return round(float(abs((direction + 22.5) % 45.0 - 22.5)), 6)
 
 
-def motion_px(
-    halves: Iterable[NDArray[Any]], view: View, target: StarTarget, edge_width_px: float | None = None
-) -> float | None:
+def motion_px(halves: Halves | None, view: View, target: StarTarget) -> float | None:
     """Return how far a view's stars moved between the halves of its recording, (H, W) each, px; None if not shown."""
+    if halves is None:
+        return None
     try:
-        first, second = halves
-        return float(
-            np.hypot(*shift_between_halves(first, second, view, target, edge_width_px=edge_width_px))
-        )
-    except (TooFewEvents, TooFewStars):
+        return float(np.hypot(*shift_between_halves(*halves, view, target)))
+    except TooFewStars:
         return None

@@ -18,6 +18,7 @@ from bench.measure.measure import ExpectedGrid, Measurement, Observed, find_star
 from calib.events.event_image import (
     MOVING_PX,
 )
+from calib.stars.motion import Halves
 from calib.stars.rim import downweight_vignetted
 from calib.target import StarTarget
 from calib.view import View
@@ -39,20 +40,20 @@ def measure_frames(
     def find(seen: Observed) -> View:
         mean, halves = mean_frames(path, seen)
         view = find_stars(mean, target, name, expected_grid, seen.facts)
-        seen.facts["motion_px"] = motion_px(halves, view, target) if halves else None
+        seen.facts["motion_px"] = motion_px(halves, view, target)
         return downweight_vignetted(view, target)
 
     return measurement_of(find)
 
 
-def mean_frames(path: Path, seen: Observed) -> tuple[NDArray[np.float32], list[NDArray[np.float32]]]:
-    """Return the mean of all frames, and the means of both halves unless there is one frame; keep and state it."""
+def mean_frames(path: Path, seen: Observed) -> tuple[NDArray[np.float32], Halves | None]:
+    """Return the mean of all frames, and the means of both halves (None for one frame); keep and state it."""
     frames = read_frames(path)
     kind = f"mean of {len(frames)} pictures" if len(frames) > 1 else "picture"
     seen.facts["image"] = {"kind": kind, "reason": "", "pictures": len(frames)}
     half, mean = len(frames) // 2, _mean(frames)
     seen.keep(mean)
-    return mean, [_mean(part) for part in (frames[:half], frames[-half:])] if half else []
+    return mean, (_mean(frames[:half]), _mean(frames[-half:])) if half else None
 
 
 def frame_gates(facts: FrameFacts, gates: Gates, measurement: Measurement) -> list[Gate]:

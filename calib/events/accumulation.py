@@ -5,19 +5,21 @@ Before it, the times alone give whole periods, the folded rate, and when in a pe
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from itertools import pairwise
+from typing import Any, NamedTuple, TypeVar, cast
 
 import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from calib.arrays import Array, Array32, Bools, EventArrays, Ints
+from calib.arrays import Array, Array32, Bools, Bytes, EventArrays, Ints
 from calib.compiled import KERNEL
 from calib.errors import InputMismatch, TooFewEvents
-from calib.events.event_times import EventTimes, event_times
+from calib.events.event_times import EventTimes
 from calib.events.flicker import Flicker, folded_rates
 
+Grey = TypeVar("Grey", Array32, Bytes)
 #: Share of a period that a window may lack and still count as whole: 33 ms at 60 Hz are two periods less 1 %.
 PERIOD_TOLERANCE = 0.03
 #: Number of bins of the folded rate.
@@ -129,15 +131,38 @@ def require_inside(x: NDArray[np.uint16], y: NDArray[np.uint16], size: tuple[int
         )
 
 
-def accumulate(
-    events: EventArrays, size: tuple[int, int], start_us: float, period_us: float
-) -> tuple[PixelSums, BurstWindow]:
-    """Find the bursts in the period, and sum up the events of each pixel; return also the window of the ON burst.
+class Halves(NamedTuple):
+    """In how many bursts each pixel fired in the two halves of a window, (H, W) uint16 each."""
 
-    The phase 0 of the lock-in sum (synchronous detection; Meade, 1983) is that of the first Fourier coefficient: the ON
-    rate minus the OFF rate of the whole image is largest there. There is at least one event.
+    first: NDArray[np.uint16]
+    second: NDArray[np.uint16]
+
+
+def half_bounds(window: tuple[float, float, int]) -> list[float]:
+    """Return the bounds of the parts of a window, us: first half, what belongs to neither half, second half.
+
+    Own rule: n periods give two halves of floor(n / 2) periods; a middle period belongs to neither. One period has no
+    halves, so it is one part. The window is start and end, us, and number of periods.
     """
-    times = event_times(events[0], events[3])
+    start, end, periods = window
+    half = (end - start) / periods * (periods // 2)
+    return [start, start + half, end - half, end] if periods > 1 else [start, end]
+
+
+def accumulate(
+    times: EventTimes,
+    events: EventArrays,
+    size: tuple[int, int],
+    window: tuple[float, float, int],
+    period_us: float,
+) -> tuple[PixelSums, Halves | None, BurstWindow]:
+    """Find the bursts in the period, and sum up the events of each pixel in one pass.
+
+    Returns the sums of the window, those of its halves (None for one period), and the window of the ON burst.
+    The phase 0 of the lock-in sum (synchronous detection; Meade, 1983) is that of the first Fourier coefficient: the ON
+    rate minus the OFF rate of the whole image is largest there. There is at least one event at the times.
+    """
+    start_us = window[0]
     on_rate, off_rate = folded_rates(times, start_us, period_us, FOLD_BINS)
     on_window, off_window = (burst_window(rate, start_us, period_us) for rate in (on_rate, off_rate))
     wave = np.exp(2j * np.pi * (np.arange(FOLD_BINS) + 0.5) / FOLD_BINS)
@@ -145,8 +170,13 @@ def accumulate(
     sums = PixelSums.empty(size)
     parts: tuple[Any, ...] = sums
     flat = PixelSums(*(part.ravel() for part in parts))
-    _add_events(times, events, size[0], period_us, response_us, (on_window, off_window), flat)
-    return sums, on_window
+    fired = []
+    for begin, end in pairwise(half_bounds(window)):
+        part = times.between(begin, end)
+        _add_events(part, events, size[0], period_us, response_us, (on_window, off_window), flat)
+        fired.append(sums.on_fired + sums.off_fired)
+    halves = Halves(fired[0], fired[-1] - fired[-2]) if len(fired) > 1 else None
+    return sums, halves, on_window
 
 
 @njit(**KERNEL)
@@ -205,6 +235,6 @@ def hot_pixels(on_count: NDArray[np.uint32], off_count: NDArray[np.uint32], allo
     return np.asarray(count > 2.5 * around + allowed)
 
 
-def without_hot_pixels(image: Array32, hot: Bools) -> Array32:
+def without_hot_pixels(image: Grey, hot: Bools) -> Grey:
     """Replace hot pixels by the median of the 3 x 3 pixels around them; at the rim, the last pixels are repeated."""
-    return np.where(hot, cv2.medianBlur(image, 3), image)
+    return cast("Grey", np.where(hot, cv2.medianBlur(image, 3), image))

@@ -26,7 +26,6 @@ Whether the camera stood still is shown by the stars of both halves of a window.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -39,6 +38,7 @@ from calib.arrays import Array32, Bools, Bytes, Ints
 from calib.errors import InputMismatch, TooFewEvents, placed
 from calib.events.accumulation import (
     BurstWindow,
+    Halves,
     PixelSums,
     accumulate,
     hot_pixels,
@@ -46,6 +46,7 @@ from calib.events.accumulation import (
     whole_period_window,
     without_hot_pixels,
 )
+from calib.events.event_times import EventTimes, event_times
 from calib.events.flicker import Flicker
 
 #: Least number of events an edge for the lock-in image; below it, fired-per-edge is used.
@@ -97,6 +98,7 @@ class EventImages:
     hot: Bools
     window: tuple[float, float, int]  # Start and end, us, and number of periods
     on_window: BurstWindow
+    _fired_in_halves: Halves | None
 
     @cached_property
     def facts(self) -> SliceFacts:
@@ -109,6 +111,21 @@ class EventImages:
         edges = 2.0 * self.window[2]
         share = (self.sums.on_fired.astype(np.float32) + self.sums.off_fired) / np.float32(edges)
         return without_hot_pixels(share, self.hot)
+
+    @property
+    def halves(self) -> tuple[Bytes, Bytes] | None:
+        """Share of the edges of each half of the window on which a pixel fired, (H, W) uint8, 0 to 255, for motion.
+
+        Hot pixels are replaced. None if the window holds one period.
+        """
+        if self._fired_in_halves is None:
+            return None
+        scale = 255.0 / (2 * (self.window[2] // 2))
+        first, second = (
+            without_hot_pixels(np.asarray(cv2.convertScaleAbs(fired, alpha=scale), np.uint8), self.hot)
+            for fired in self._fired_in_halves
+        )
+        return first, second
 
     def best(self, *, one_phase: bool = True) -> ChosenImage:
         """Choose the kind of image in which stars are found best, by a lit pixel's events an edge; without hot pixels.
@@ -162,7 +179,7 @@ def make_images(
     *,
     window_us: tuple[float, float] | None = None,
     periods: int | None = None,
-    hot: Bools | None = None,
+    times: EventTimes | None = None,
 ) -> EventImages:
     """Make the images of the events of whole flicker periods.
 
@@ -186,8 +203,8 @@ def make_images(
         recording if few events come between the bursts.
     periods
         Number of periods to use; by default as many whole periods as the window holds.
-    hot
-        (H, W) bool, pixels known to be hot; by default those that these events show.
+    times
+        The events by their time, if they are known already.
 
     Returns
     -------
@@ -209,17 +226,15 @@ def make_images(
             )
         require_inside(x, y, size)
         start, end, whole = whole_period_window(t, flicker, window_us, periods)
-        # Whole numbers: with floats, NumPy would convert all times.
-        first, last = (int(i) for i in np.searchsorted(t, [math.ceil(start), math.ceil(end)]))
-        if last == first:
+        inside = (event_times(t, p) if times is None else times).between(start, end)
+        if not len(inside.t):
             raise TooFewEvents(
                 f"No event lies between {start:.0f} and {end:.0f} us.", remedy="Check light and aperture."
             )
-    inside = slice(first, last)
-    events = t[inside], x[inside], y[inside], p[inside]
-    sums, on_window = accumulate(events, size, start, flicker.period_us)
-    hot = hot_pixels(sums.on_count, sums.off_count, 4 + 4 * whole) if hot is None else hot
-    return EventImages(sums, hot, (start, end, whole), on_window)
+    window = start, end, whole
+    sums, halves, on_window = accumulate(inside, (t, x, y, p), size, window, flicker.period_us)
+    hot = hot_pixels(sums.on_count, sums.off_count, 4 + 4 * whole)
+    return EventImages(sums, hot, window, on_window, halves)
 
 
 def _facts(
@@ -282,18 +297,3 @@ def make_quick_image(counts: NDArray[np.uint16], periods: int) -> QuickImage:
     if found:
         cv2.copyTo(cv2.medianBlur(image, 3), hot, image)
     return QuickImage(name, image, found)
-
-
-def half_windows(facts: SliceFacts) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return start and end, us, of each half of a slice, in whole periods; `TooFewEvents` if it has one period.
-
-    Own rule: n periods give two halves of floor(n / 2) periods; a middle period belongs to neither.
-    """
-    if facts.periods < 2:
-        raise TooFewEvents(
-            "The slice holds one period; two are needed to compare its halves.",
-            where="motion",
-            remedy="Record at least two periods.",
-        )
-    half = (facts.end_us - facts.start_us) / facts.periods * (facts.periods // 2)
-    return (facts.start_us, facts.start_us + half), (facts.end_us - half, facts.end_us)

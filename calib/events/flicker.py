@@ -82,25 +82,25 @@ class Flicker:
 FIRST_SHARE = 0.01
 
 
-def first_on_delay_us(t: Ints, p: NDArray[np.integer], edges_us: Array) -> float:
+def first_on_delay_us(times: EventTimes, edges_us: Array) -> float:
     """Return how long after the light rises its first ON events come, us; nan without a whole period.
 
     Own definition: the delay of the first hundredth of a period's ON events, and of the periods the median. In half the
-    light, pixels take twice as long (Lichtsteiner et al. 2008). ``t`` are (N,) times, us, ascending, ``p`` (N,)
-    polarities, ``edges_us`` (K,) times of the rising edges.
+    light, pixels take twice as long (Lichtsteiner et al. 2008). ``edges_us`` are (K,) times of the rising edges.
 
     Examples
     --------
     >>> t, p = np.array([90, 108, 109, 160, 210, 211]), np.array([0, 1, 1, 0, 1, 1])
-    >>> first_on_delay_us(t, p, np.array([100.0, 200.0, 300.0]))
+    >>> first_on_delay_us(event_times(t, p), np.array([100.0, 200.0, 300.0]))
     9.0
     """
-    bounds = np.searchsorted(t, edges_us)
+    before = np.concatenate([[0], np.cumsum(times.on)])  # ON events before each time
+    bounds = before[np.searchsorted(times.t, edges_us)]
     delays = []
     for edge_us, first, last in zip(edges_us, bounds, bounds[1:], strict=False):
-        on = np.flatnonzero(p[first:last])
-        if on.size:
-            delays.append(t[first + on[int(FIRST_SHARE * on.size)]] - edge_us)
+        if last > first:
+            wanted = first + int(FIRST_SHARE * (last - first))
+            delays.append(times.t[np.searchsorted(before, wanted, side="right") - 1] - edge_us)
     return float(np.median(delays)) if delays else math.nan
 
 
@@ -163,8 +163,12 @@ def flicker_from_triggers(
     )
 
 
+#: Lowest and highest frequency at which events are searched for a flicker, Hz.
+BAND_HZ = (15.0, 1000.0)
+
+
 def flicker_from_events(
-    t_us: Ints, p: NDArray[np.integer], *, band_hz: tuple[float, float] = (15.0, 1000.0)
+    t_us: Ints, p: NDArray[np.integer], *, band_hz: tuple[float, float] = BAND_HZ
 ) -> Flicker:
     """Estimate the flicker from the events, for recordings without triggers.
 
@@ -197,13 +201,17 @@ def flicker_from_events(
     FlickerNotFound
         If no period stands out, or the events cover fewer than two periods.
     """
-    if t_us.size < 100:
+    return flicker_from_times(event_times(t_us, np.asarray(p)), band_hz=band_hz)
+
+
+def flicker_from_times(times: EventTimes, *, band_hz: tuple[float, float] = BAND_HZ) -> Flicker:
+    """Estimate the flicker from events that are gathered by their time already; see `flicker_from_events`."""
+    if times.first[-1] < 100:
         raise TooFewEvents(
-            f"{t_us.size} events; at least 100 are needed to find the flicker.",
+            f"{times.first[-1]} events; at least 100 are needed to find the flicker.",
             where="flicker",
             remedy="Check that the light is on.",
         )
-    times = event_times(t_us, np.asarray(p))
     start, span = float(times.t[0]), float(times.t[-1] - times.t[0])
     late = times.t.astype(np.float64) - start
     bin_us = max(RATE_BIN_US, span / RATE_BINS)

@@ -92,19 +92,16 @@ def refine_by_likelihood(
     local_map: LocalMap,
     target: StarTarget,
     is_open: Bools | None = None,
-    *,
-    blur_px: float | None = None,
 ) -> LikelihoodFit:
     """Move stars to their most likely centres, in their order.
 
     Fisher scoring: Osborne (1992). Covariances: Cramér-Rao bound (Rao, 1945). The head of the module gives the
     likelihood, which is this project's own. The levels are those of the image before smoothing; the centres are right
     to about 0.1 px. Several dozen stars are needed, because P is learnt from them. ``is_open`` is from
-    `calib.stars.printed_star`; None if all stars lie between stars. ``blur_px`` None stands for the best of `BLURS_PX`.
+    `calib.stars.printed_star`; None if all stars lie between stars.
     """
     pitch = round(local_map.pitch_px, PITCH_DIGITS)
-    if blur_px is None:
-        blur_px = max(BLURS_PX, key=_information_by_blur(levels, centres, local_map, target, pitch))
+    blur_px = max(BLURS_PX, key=_information_by_blur(levels, centres, local_map, target, pitch))
     edge_map = _edge_map(target, pitch, blur_px)
     pixels = gather_edge_pixels(levels, centres, local_map, edge_map, is_open)
     unknowns = np.zeros((len(centres), EDGE_UNKNOWNS))

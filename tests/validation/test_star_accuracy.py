@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.events.event_image import half_windows
 from calib.events.flicker import flicker_from_events
 from calib.stars.detect import detect_stars, detect_view
 from simulators.optics.picture import TARGET, pose_rotation, project, star_centres
@@ -115,7 +114,9 @@ def test_a_phase_from_the_events_is_as_good_as_one_from_triggers():
 @pytest.mark.slow
 def test_a_camera_at_rest_shows_no_motion_between_the_halves():
     events, flicker, _ = recorded("typical", "square", POSES[0], 4)
-    halves = half_windows(images(events, flicker).facts)
+    whole = images(events, flicker).facts
+    half_us = whole.periods // 2 * flicker.period_us
+    halves = (whole.start_us, whole.start_us + half_us), (whole.end_us - half_us, whole.end_us)
     first, second = (detect_view(images(events, flicker, half).best().image, TARGET) for half in halves)
     common, at_first, at_second = np.intersect1d(first.ids, second.ids, return_indices=True)
     moved = np.median(second.points_px[at_second] - first.points_px[at_first], axis=0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from calib.events.event_image import half_windows, make_images
+from calib.events.event_image import make_images
 from calib.events.flicker import Flicker
 from calib.stars.detect import detect_view
 from calib.stars.motion import shift_between_halves
@@ -22,7 +22,7 @@ FLICKER = Flicker(
 )
 
 
-def _images(truth, rotation, seed, noise, window_us=(0.0, WINDOW_US)):
+def _images(truth, rotation, seed, noise):
     events = simulate(
         render(truth, rotation),
         LIGHT,
@@ -32,7 +32,7 @@ def _images(truth, rotation, seed, noise, window_us=(0.0, WINDOW_US)):
         camera_seed=7,
         seed=seed,
     )
-    return make_images(*events, SIZE, FLICKER, window_us=window_us)
+    return make_images(*events, SIZE, FLICKER, window_us=(0.0, WINDOW_US))
 
 
 @pytest.mark.parametrize(
@@ -44,10 +44,7 @@ def test_the_shift_between_the_halves_is_right_to_a_hundredth_of_a_pixel(shift_p
     rotation = pose_rotation({"pan": 1.0, "tilt": -1.0, "roll": roll_deg}, truth.optics)
     turned = Rotation.from_rotvec(shift_px / truth.camera.fx * np.array([0.6, 0.8, 0])).as_matrix() @ rotation
     whole = _images(truth, rotation, 1, noise)
-    kind = whole.best().name
-    begin, end = half_windows(whole.facts)
-    first = _images(truth, rotation, 1, noise, begin).named(kind)
-    second = _images(truth, turned, 2, noise, end).named(kind)
+    first, second = whole.halves[0], _images(truth, turned, 2, noise).halves[1]
     view = detect_view(whole.best().image, TARGET)
     seen = np.asarray(TARGET.positions_mm(view.ids))
     true = np.median(project(seen, turned, truth) - project(seen, rotation, truth), axis=0)

@@ -297,3 +297,25 @@ def test_hot_pixels_are_replaced_by_the_median_around_them():
     hot[[0, 0, -1, -1], [0, -1, 0, -1]] = True
     expected = np.where(hot, cv2.medianBlur(image, 3), image)
     np.testing.assert_array_equal(accumulation.without_hot_pixels(image, hot), expected)
+
+
+@pytest.mark.parametrize("periods", [2, 3, 4, 5])
+def test_each_half_holds_the_edges_of_its_whole_periods_and_a_middle_period_is_in_neither(periods):
+    hot = [(int(t), 14, 10, int(t) % 2) for t in np.linspace(0, periods * PERIOD - 1, 40 * periods)]
+    events = [*lit_square(periods), *hot]
+    half = periods // 2
+    # One pixel lit in each period alone; its rising and its falling edge.
+    for k in range(periods):
+        events += [(int(1050 + k * PERIOD), k, 0, 1), (int(6050 + k * PERIOD), k, 0, 0)]
+    made = images(events, window_us=(0, periods * PERIOD))
+    first, second = made.halves
+    share = round(255 / half)
+    assert first[0, :periods].tolist() == [share] * half + [0] * (periods - half)
+    assert second[0, :periods].tolist() == [0] * (periods - half) + [share] * half
+    for seen in (first, second):
+        assert (seen[3:9, 4:10] == 255).all()
+        assert seen[10, 14] == 0
+
+
+def test_one_period_has_no_halves():
+    assert images(lit_square(1), window_us=(0, 10_000)).halves is None

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from functools import cache
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 
 from calib.errors import InputMismatch, TargetNotFound, TooFewStars
-from calib.events.event_image import half_windows
 from calib.events.grey_image import to_uint8
 from calib.model.homography import apply_homography
 from calib.stars import tag as tag_module
@@ -371,8 +369,3 @@ def test_the_tags_contrast_and_corners_are_told():
     seed = find_tag(to_uint8(1 - image), TARGET)
     assert seed.sign == -1
     assert np.abs(seed.corners_px - scene.project(TARGET.tag_corners_mm)).max() < 1.5
-
-
-def test_halves_are_whole_periods():
-    facts = SimpleNamespace(start_us=100.0, end_us=3100.0, periods=3)
-    assert half_windows(facts) == ((100.0, 1100.0), (2100.0, 3100.0))
