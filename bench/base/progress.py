@@ -9,6 +9,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Self, TextIO, cast
 
 from rich.console import Console
@@ -18,6 +19,7 @@ from rich.text import Text
 from bench.base.clock import BenchClock
 from bench.base.encoding import clock_text
 from bench.base.lost_output import Steering
+from bench.base.pasteable import pasteable
 
 _BAR_WIDTH, _LEAST_BAR = 24, 8
 _ENDING_EARLY = frozenset({"aborting", "aborted", "failed"})
@@ -132,17 +134,20 @@ def ask(
     timeout_s: float,
     clock: BenchClock,
     say: Callable[[str], None],
+    folder: Path,
     terminal: TextIO | None = None,
     elsewhere: Callable[[], Reply | None] = lambda: None,
 ) -> Reply:
     """Ask the operator, and wait for an answer, or for the default, ``continue`` or ``abort``, at the deadline.
 
-    ``terminal`` None means standard input. If that is no terminal, only ``elsewhere`` answers (`starbench tell`).
+    ``terminal`` None means standard input. If that is no terminal, only ``elsewhere`` answers: `starbench tell` with
+    the folder of the run.
     """
+    tell = f"`{pasteable('tell', folder, 'yes')}` (or no)"
     source = sys.stdin if terminal is None else terminal
     here = source is not None and source.isatty()  # None: the process has no standard input
     typed = _typed(source) if here else None
-    how = "[c]ontinue / [a]bort" if here else "`starbench tell FOLDER yes` (or no)"
+    how = "[c]ontinue / [a]bort" if here else tell
     say(f"{text}  {how}, {default} after {timeout_s:g} s:")
     deadline = clock.monotonic() + timeout_s
     while clock.monotonic() < deadline:
@@ -151,7 +156,7 @@ def ask(
             return reply
         line = typed() if typed is not None else None
         if line == "":  # the end of the input, which is not an answer
-            say("This terminal is closed. Answer with `starbench tell FOLDER yes` (or no) from another one.")
+            say(f"This terminal is closed. Answer with {tell} from another one.")
             typed = None
         elif line is not None:
             word = line.strip().lower()

@@ -32,7 +32,7 @@ from bench.evidence.ledger_check import is_sealed_by, own_public_keys
 from bench.evidence.states import standing_of
 from bench.extras.certificate.certificate_data import CERTIFICATE, Certificate
 from bench.extras.certificate.dcc_signature import signer_of_files
-from bench.extras.certificate.series import Numbered, declare_void, numbers, one_at_a_time
+from bench.extras.certificate.series import Numbered, amending, declare_void, numbers, one_at_a_time
 from bench.record.ledger import Ledger, bench_ledger
 from bench.record.run_folder import MANIFEST
 from bench.record.storage import read_bounded, sha256_of, storage_errors, write_atomic
@@ -227,11 +227,12 @@ def void(number: str, reason: str, by: str | None) -> int:
     with one_at_a_time(ledger.home):
         done = complete_open(ledger)  # the certificate of this number may lie sealed in its folder
         if number in done:
+            folder = numbers(ledger.entries())[number].folder
             raise EvidenceError(
                 f"{number} is issued: its certificate was complete, and only its line in the ledger was missing."
                 " The line is entered now.",
                 where=str(ledger.path),
-                remedy="To replace it: `starbench certificate issue` with its folder.",
+                remedy=f"To replace it: {amending(folder)}.",
             )
         one = declare_void(ledger, number, reason=text, by=by or operator_at_terminal())
     show({"number": one.number, "state": "VOID", "reason": one.reason}, f"{one.number} is void: {one.reason}")

@@ -124,7 +124,7 @@ def _tell_run(folder: Path, words: Mapping[str, Any], by: str | None) -> int:
             remedy="Give a name of one line and at most 200 characters.",
         ) from error
     answer = send(folder, command)
-    return _show_answer(answer, command_text(answer))
+    return _show_answer(answer, command_text(answer, folder))
 
 
 def _tell_batch(folder: Path, word: str, value: str, by: str | None) -> int:

@@ -111,7 +111,7 @@ def write_atomic(path: Path, data: bytes, *, mode: int = 0o644) -> None:
         try:
             _write_new(part, data, mode)
             part.replace(path)
-        except OSError:
+        except BaseException:  # Ctrl-C too
             with suppress(OSError):  # the first error is the one to report
                 part.unlink()
             raise

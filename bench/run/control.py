@@ -239,17 +239,17 @@ def _answer_in(folder: Path, command_id: str, begin: int) -> Commanded | None:
     return cast("Commanded | None", next(found, None))
 
 
-def command_text(answer: Commanded) -> str:
-    """Return what happened to a command, by the answer of `send`, as a sentence.
+def command_text(answer: Commanded, folder: Path) -> str:
+    """Return what happened to a command to the run of a folder, by the answer of `send`, as a sentence.
 
-    >>> command_text({"word": "hold", "taken": False, "why": "the run is held by ada@lab"})
+    >>> command_text({"word": "hold", "taken": False, "why": "the run is held by ada@lab"}, Path("run"))
     'Refused: the run is held by ada@lab.'
     """
     if not answer["taken"]:
         return f"Refused: {answer['why']}."
     return {
-        "hold": "Accepted: the run holds at its next safe point, with the light off, until `starbench tell FOLDER"
-        " release`.",
+        "hold": "Accepted: the run holds at its next safe point, with the light off, until "
+        f"`{pasteable('tell', folder, 'release')}`.",
         "release": "Accepted: the run continues.",
         "abort": "Accepted: the run ends now, safely. It can be resumed.",
         "answer": f"Accepted: {answer.get('answer')}.",

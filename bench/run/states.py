@@ -332,6 +332,7 @@ class StateWork:
             timeout_s=step.timeout_s,
             clock=self._run.clock,
             say=self._run.say,
+            folder=self._run.folder.path,
             elsewhere=self._answer_from_elsewhere,
         )
         # An answer from elsewhere that was accepted at the last moment counts: its sender was told so.

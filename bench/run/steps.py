@@ -10,6 +10,7 @@ from typing import Unpack
 
 from bench.base.encoding import counted
 from bench.base.errors import PoseFailed
+from bench.base.pasteable import pasteable
 from bench.plan.job import ParkStep, ScriptStep
 from bench.record import events
 from bench.record.events import Circumstances
@@ -135,7 +136,8 @@ class Steps:
 
     def _hold(self, step: ScriptStep, by: str) -> None:
         begin_s = self._run.clock.monotonic()
-        self._run.say(f"Held by {by}. To continue: `starbench tell FOLDER release`.")
+        release = pasteable("tell", self._run.folder.path, "release")
+        self._run.say(f"Held by {by}. To continue: `{release}`.")
         self._machine.fire("hold", step, by=by)
         held_s = self._run.clock.monotonic() - begin_s
         before = "parking" if isinstance(step, ParkStep) else f"step {step.number}"

@@ -127,4 +127,4 @@ def _read_certificate(folder: Path, verification: Verification) -> tuple[Certifi
     found = parse_json(results)
     of_the_run = certificate.run.software[: len(found["run"]["software"])]
     run = replace(certificate.run, software=(*of_the_run, *written_with()))
-    return certificate, Source(found, results, run, plots, certificate.statement("verification"))
+    return certificate, Source(folder, found, results, run, plots, certificate.statement("verification"))

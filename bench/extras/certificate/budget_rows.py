@@ -48,6 +48,10 @@ def printed(number: Decimal) -> str:
     return f"{number:f}"
 
 
+class BudgetDiffers(EvidenceError):
+    """The rows of a budget do not give the uncertainty that is stated."""
+
+
 def print_result(value: float, expanded: float) -> tuple[str, str]:
     """Return a finite value and its expanded uncertainty, above zero, as printed, both to the same digit.
 
@@ -161,11 +165,10 @@ def budget_of(
         rows += split.rows(group, variance, nu)
     combined = math.sqrt(sum(row.u**2 for row in rows))
     if not abs(combined - stated.u) <= _SAME * stated.u:
-        raise EvidenceError(
+        raise BudgetDiffers(
             f"The rows of the uncertainty budget of {symbol} give u = {combined:.4g} {unit}, but {stated.u:.4g} is"
             " stated.",
             where="results.json",
-            remedy="Calculate the results again with `starbench verify RUN --again`, and report this.",
         )
     remarks = [_OVERLAP, *filter(None, [overlap(calibration)])]
     if spread is not None and math.isfinite(spread):

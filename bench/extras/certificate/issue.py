@@ -13,11 +13,13 @@ from functools import partial
 from pathlib import Path
 
 from bench.base.errors import EvidenceError, UsageError
+from bench.base.pasteable import pasteable
 from bench.evidence.keys import BenchKey
 from bench.evidence.ledger_check import own_public_keys
 from bench.evidence.seal import remove_unnamed
 from bench.extras.certificate import facts_of_run
 from bench.extras.certificate.beside import count_beside
+from bench.extras.certificate.budget_rows import BudgetDiffers
 from bench.extras.certificate.certificate_data import CERTIFICATE, Amends, Certificate
 from bench.extras.certificate.certificate_folder import (
     certificate_files,
@@ -43,7 +45,7 @@ from bench.extras.certificate.series import (
     reserve,
 )
 from bench.record.ledger import Ledger
-from bench.record.run_folder import MANIFEST, is_sealed
+from bench.record.run_folder import MANIFEST, RESULTS, is_sealed
 from bench.record.storage import (
     read_bounded,
     sha256_of,
@@ -137,6 +139,13 @@ def make_certificate(
         if reason != despite:  # an amended one may not need it any more
             trial_identity = replace(trial_identity, despite=reason)
             trial = compose(source.results, lab.value, trial_identity)
+    except BudgetDiffers as error:
+        raise EvidenceError(
+            error.what,
+            where=str(source.folder / RESULTS),
+            remedy=f"Compare the numbers with the recordings, and report this: "
+            f"`{pasteable('verify', source.folder, '--again')}`.",
+        ) from error
     except (LookupError, TypeError, AttributeError, ArithmeticError) as error:
         raise EvidenceError(
             f"The results are not of the form that this version reads ({error!r}).",

@@ -19,6 +19,7 @@ from bench.base.pasteable import pasteable
 from bench.base.program import differing_software, hash_of_files
 from bench.evidence.findings import PARTS, Findings, Part, Verification
 from bench.extras.certificate.certificate_data import CERTIFICATE, Certificate, Run, Software, sha256
+from bench.extras.certificate.series import amending
 from bench.record.ledger import Ledger
 from bench.record.results import Results
 from bench.record.run_folder import MANIFEST, RESULTS, SEQUENCE_COPY, STATION_COPY, is_sealed
@@ -134,6 +135,7 @@ def check_run_of_certificate(
 class Source:
     """What a certificate is made from."""
 
+    folder: Path  # Of the run, or of the certificate that is amended
     results: Results
     results_bytes: bytes
     run: Run
@@ -189,7 +191,9 @@ def read_sealed_run(folder: Path, verify: Verify, *, accept_not_compared: bool =
         signer=verification.signer or "",
         signer_fingerprint=verification.fingerprint or "",
     )
-    return Source(results, results_bytes, run, plots_of_run(folder, results), statement_of(verification))
+    return Source(
+        folder, results, results_bytes, run, plots_of_run(folder, results), statement_of(verification)
+    )
 
 
 def stated_run(results: Results, results_bytes: bytes, written: tuple[Software, ...]) -> dict[str, Any]:
@@ -213,8 +217,9 @@ def _refuse_unverified(folder: Path, verification: Verification) -> None:
         raise EvidenceError(
             f"This folder is a {verification.kind} folder, not a run.",
             where=str(folder),
-            remedy="Name the folder of a sealed run; to amend a certificate: `starbench certificate issue` with its"
-            " folder.",
+            remedy=f"To amend it: {amending(str(folder))}."
+            if verification.kind == "certificate"
+            else "Name the folder of a sealed run.",
         )
     what = [str(fault) for fault in verification.faults]
     if what:

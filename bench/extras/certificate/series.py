@@ -300,8 +300,8 @@ def refuse_second(found: Mapping[str, Numbered], run_seal: str, also: str) -> No
         raise EvidenceError(
             f"The run has a certificate already: {first.number} of {first.issued_utc[:10]}.",
             where=first.folder,
-            remedy=f"To amend it: `{pasteable('certificate', 'issue', first.folder)} --config LAB.YAML --output NEW"
-            " --reason TEXT`. If a second one is needed, give its reason, which is printed: --reason TEXT.",
+            remedy=f"To amend it: {amending(first.folder)}. If a second one is needed, give its reason, which is"
+            " printed: --reason TEXT.",
         )
 
 
@@ -340,17 +340,20 @@ def enter_issued(ledger: Ledger, number: str, *, seal: str, serial: str, custome
         journal.append(ISSUED, number=number, seal=seal, serial=serial, customer=customer)
 
 
+def amending(folder: str) -> str:
+    """Return the command that amends the certificate of a folder."""
+    return f"`{pasteable('certificate', 'issue', folder)} --config LAB.YAML --output NEW --reason TEXT`"
+
+
 def declare_void(ledger: Ledger, number: str, *, reason: str, by: str) -> Numbered:
     """Declare void a number that was reserved and not issued."""
     with ledger.locked() as journal:
         one = numbers(journal.entries).get(number)
         if one is None or one.how != "reserved":
             state = "is not in the ledger" if one is None else f"is {one.how} already"
-            raise EvidenceError(
-                f"The number {number} {state}.",
-                where=str(ledger.path),
-                remedy="Only a number that was reserved and not issued can be void. To replace a certificate:"
-                " `starbench certificate issue` with its folder.",
-            )
+            remedy = "Only a number that was reserved and not issued can be void."
+            if one is not None and one.how == "issued":
+                remedy += f" To replace the certificate: {amending(one.folder)}."
+            raise EvidenceError(f"The number {number} {state}.", where=str(ledger.path), remedy=remedy)
         journal.append(VOIDED, number=number, reason=reason, by=by)
         return replace(one, how="void", reason=reason)

@@ -289,7 +289,9 @@ class Panel:
                 "An abort must be confirmed.", where=str(folder), remedy="Confirm it in the second step."
             )
         answer = await run_in_threadpool(send, folder, command)
-        return JSONResponse({"taken": answer["taken"], "text": command_text(answer), "why": answer["why"]})
+        return JSONResponse(
+            {"taken": answer["taken"], "text": command_text(answer, folder), "why": answer["why"]}
+        )
 
     # ---------------------------------------------------------------- a batch
     def _batch(self, request: Request) -> BatchView:

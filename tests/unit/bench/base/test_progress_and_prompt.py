@@ -5,6 +5,7 @@ import os
 import re
 import time
 from datetime import UTC, datetime
+from pathlib import Path
 
 import pytest
 
@@ -110,7 +111,14 @@ def test_a_shielded_clock_is_not_interrupted():
 def asked(terminal, *, default="abort", timeout_s=60.0, clock=None, say=lambda _: None, **more):
     """Ask at a terminal; return the word of the reply, and who gave it."""
     clock = clock or BenchClock()
-    reply = ask("Go?", default=default, timeout_s=timeout_s, clock=clock, say=say, terminal=terminal, **more)
+    asked = {
+        "default": default,
+        "timeout_s": timeout_s,
+        "clock": clock,
+        "say": say,
+        "folder": Path("runs/cam 7"),
+    }
+    reply = ask("Go?", **asked, terminal=terminal, **more)
     return reply.word, reply.by
 
 
@@ -168,7 +176,7 @@ def test_a_terminal_that_was_closed_answers_nothing(request, waits_for_terminals
     if waits_for_terminals:
         request.getfixturevalue("selected").append(terminal)
     assert asked(terminal, timeout_s=1, say=said.append) == ("abort", "time-out")
-    assert "starbench tell" in said[-1]
+    assert "`starbench tell 'runs/cam 7' yes` (or no)" in said[-1]
 
 
 def test_what_a_thread_read_before_the_question_does_not_count():

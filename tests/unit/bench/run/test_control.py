@@ -4,6 +4,7 @@ import json
 import os
 import threading
 from datetime import UTC, datetime
+from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -21,6 +22,7 @@ from bench.record.run_folder import RunFolder
 from bench.record.run_log import RunLog
 from bench.run.control import CONTROL, Command, CommandInbox, command_text, refusal, send
 
+RUN = Path("runs/cam 7")
 POSES = {1: "left", 2: "right", 3: "below"}
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 
@@ -73,9 +75,10 @@ def test_a_command_that_a_person_may_not_give_now_is_refused_with_the_reason(wor
 
 def test_every_answer_has_a_text():
     for word in ("hold", "release", "abort", "skip"):
-        assert command_text({"word": word, "taken": True, "pose": 2}).startswith("Accepted: ")
-    assert command_text({"word": "hold", "taken": False, "why": "so"}) == "Refused: so."
-    assert command_text({"word": "answer", "taken": True, "answer": "abort"}) == "Accepted: abort."
+        assert command_text({"word": word, "taken": True, "pose": 2}, RUN).startswith("Accepted: ")
+    assert "`starbench tell 'runs/cam 7' release`" in command_text({"word": "hold", "taken": True}, RUN)
+    assert command_text({"word": "hold", "taken": False, "why": "so"}, RUN) == "Refused: so."
+    assert command_text({"word": "answer", "taken": True, "answer": "abort"}, RUN) == "Accepted: abort."
 
 
 # ---------------------------------------------------------------- what a journal of commands amounts to
