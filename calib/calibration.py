@@ -24,8 +24,6 @@ from calib.model.type_b_terms import TypeBTerm
 ModelName = Literal["auto", "joint", "spherical", "planar"]
 #: Methods for comparison: the spherical model of arXiv:2512.16092, and Zhang's.
 REFERENCE_MODELS = ("spherical", "planar")
-#: Models of earlier versions, which are refused: what they describe is part of the joint adjustment.
-EARLIER_MODELS = ("radial", "pupil", "rim", "field", "coma", "drift")
 #: What is estimated if nothing is asked for; the joint adjustment takes it as the family of such lenses.
 DEFAULT_DISTORTION = ("k1", "k2")
 #: The version of each engine: results of another version are not compared with those of this one.
@@ -106,11 +104,6 @@ class CalibrationOptions:
         if self.distortion in ("auto", ("auto",), ["auto"]):
             object.__setattr__(self, "distortion", "k1k2")
             object.__setattr__(self, "compares_lenses", True)
-        if self.model in EARLIER_MODELS:
-            raise InputMismatch(
-                f"The model {self.model} is one of an earlier version.",
-                remedy="Use the model joint: the effects of all earlier models are part of it.",
-            )
         for what, value, known in (
             ("model", self.model, get_args(ModelName)),
             ("loss", self.loss, (*get_args(LossName), None)),
@@ -404,7 +397,6 @@ class Calibration:
                 {**asdict(view), "rotation": rotation, "centre_mm": centre}
                 for view, rotation, centre in poses
             ],
-            "candidates": [],  # of earlier versions: models that were compared
             "notes": list(self.notes),
             "remarks": list(self.remarks),
             **({"gimbal": asdict(self.gimbal)} if self.gimbal else {}),

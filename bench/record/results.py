@@ -161,7 +161,6 @@ class CalibrationData(CameraData):
     left_out_rms_px: float | None
     budget: Mapping[str, Numbers]  # Standard uncertainty of each parameter by source
     views: Sequence[ViewData]
-    candidates: Sequence[Any]  # Empty: no models are compared
     notes: Sequence[str]
     remarks: Sequence[str]  # Those of the notes that do not doubt the values
     gimbal: NotRequired[GimbalEstimateData]

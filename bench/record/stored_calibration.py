@@ -22,7 +22,7 @@ _SAME = (
 
 
 def stored_calibration(stored: Mapping[str, Any]) -> Calibration:
-    """Return the calibration of results.json, without residuals, weights and candidates."""
+    """Return the calibration of results.json, without residuals and weights."""
     names = tuple(stored["covariance"]["names"])
     values = {**stored["camera"], **(stored["collimator"] or {})}
     return Calibration(

@@ -114,7 +114,7 @@ class StoredRun:
 
     @cached_property
     def calibration(self) -> Calibration:
-        """The calibration of results.json, without residuals, weights and candidates."""
+        """The calibration of results.json, without residuals and weights."""
         from bench.record.stored_calibration import stored_calibration
 
         return stored_calibration(self.results["calibration"])
@@ -128,14 +128,14 @@ class StoredRun:
 def object_of(data: bytes, where: Path) -> Results:
     """Read results.json of any version; RunFolderError if it is no object of JSON that two readers read alike."""
     try:
-        found: Any = parse_json(data)
+        content: Any = parse_json(data)
     except ValueError as error:
         raise RunFolderError(
             f"The results cannot be read: {error}.", where=str(where), remedy="Restore the file from a copy."
         ) from error
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise RunFolderError("The results are not a JSON object.", where=str(where))
-    return cast("Results", found)
+    return cast("Results", content)
 
 
 def results_of(data: bytes, where: Path) -> Results:

@@ -25,7 +25,7 @@ from bench.extras.certificate.sealed_run import stated_run
 from bench.record.journal import Journal
 
 RESULTS = Path(__file__).with_name("certificate_results.json")
-"""results.json of a sealed simulated run of three poses, without the truth."""
+"""results.json of `make demo`, without the truth and the planar model, as of the day of the sample."""
 ISSUED = "2026-11-21T08:30:00Z"
 NOW = datetime(2026, 11, 21, 8, 30, tzinfo=UTC)
 KEY = "SHA256:" + "A" * 43
@@ -61,7 +61,7 @@ sources:
   - {{row: passport of the collimator, issuer: PTB, statement: Traceable to the national standard of length.}}
   - {{row: scale of the print, what: coordinates of the stars, number: R-17, issuer: Mask shop GmbH, date: 2026-01-08}}
 decision_rules:
-  - {{result: fx, specification: "Customer drawing 4711, focal length", lower: 3340, upper: 3350}}
+  - {{result: fx, specification: "Customer drawing 4711, focal length", lower: 3340, upper: 3347}}
   - {{result: k2, specification: Customer drawing 4711, upper: -0.5}}
 previous_certificate: {{number: SB-2025-00104, date: 2025-11-20, sha256: {"cd" * 32}}}
 customer_supplied:

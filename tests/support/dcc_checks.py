@@ -138,6 +138,7 @@ class Result:
             for name in ("uncertainty", "coverageFactor", "coverageProbability")
         )
         self.stated = bool(U and k and p)
+        self.of_posterior = text(real, "si:expandedUnc/si:distribution") == "posterior of the adjustment"
         self.U, self.k, self.p = Decimal(U or 1), float(k or 1), float(p or 0)
         nu = f"dcc:measurementMetaData/dcc:metaData[@refType='{DEGREES_OF_FREEDOM}']//si:value"
         self.nu = float(text(quantity, nu) or "inf")
@@ -165,6 +166,8 @@ def uncertainties(root):
     for one in results(root):
         if not one.stated or one.U <= 0:
             yield f"{one.label} has no uncertainty"
+            continue
+        if one.of_posterior and one.k >= 2.0:  # with long tails, k is any number above that of a normal one
             continue
         quantile = 0.5 * (1.0 + one.p)
         factors = [float(stdtrit(nu, quantile)) for nu in (one.nu, np.floor(one.nu)) if nu < 1e9]

@@ -38,6 +38,10 @@ def numbers_of(text):
         decimals = len(plain.partition(".")[2])
         digits = len(plain.lstrip("-0.").replace(".", ""))
         found.add((float(plain) * scale, 0.5000001 * 10.0**-decimals * scale, digits))
+        zeros = (
+            0 if decimals else len(plain) - len(plain.rstrip("0"))
+        )  # of 2910, the last digit may be rounded
+        found.add((float(plain) * scale, 0.5000001 * 10.0 ** (zeros - decimals) * scale, digits - zeros))
     return found
 
 
@@ -47,8 +51,21 @@ def missing_numbers(certificate, text):
     return [
         (path, value)
         for path, value in leaves(certificate)
-        if isinstance(value, int | float) and not isinstance(value, bool) and not _shown(path, value, printed)
+        if isinstance(value, int | float)
+        and not isinstance(value, bool)
+        and not _ends_with_its_uncertainty(certificate, path, value)
+        and not _shown(path, value, printed)
     ]
+
+
+def _ends_with_its_uncertainty(certificate, path, value):
+    """Whether a result is rounded in its own text, which `missing_texts` looks for, at the digit of its U."""
+    place = re.fullmatch(r"(results|further)\[(\d+)\]\.value", path)
+    if not place:
+        return False
+    result = getattr(certificate, place[1])[int(place[2])]
+    own = getattr(result, "printed_value", result.text)
+    return any(abs(value - shown) <= half for shown, half, _ in numbers_of(own))
 
 
 def _shown(path, value, printed):

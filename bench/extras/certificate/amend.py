@@ -36,7 +36,7 @@ _OWN = frozenset({"number", "issued_utc", "amends"})
 """Fields that differ in every amendment."""
 _PROGRAM = "run.software["
 """Programs and their versions; a new version alone is no change of the certificate."""
-_MOST_CHARACTERS = 300
+_MOST_CHARACTERS = 300  # A changed field stands in a table of the certificate
 
 
 def amend(
@@ -73,7 +73,7 @@ def amend(
 
 def changes_of(before: Certificate, after: Certificate) -> tuple[Change, ...]:
     """Return the fields that differ, sorted, except number, time, software and what they amend."""
-    old, new = (_texts_by_path(one) for one in (before, after))
+    old, new = (_texts_by_path(certificate) for certificate in (before, after))
     paths = dict.fromkeys([*old, *new])
     changes = tuple(
         Change(path, old.get(path, ABSENT), new.get(path, ABSENT))
@@ -89,10 +89,10 @@ def changes_of(before: Certificate, after: Certificate) -> tuple[Change, ...]:
 
 
 def _texts_by_path(certificate: Certificate) -> dict[str, str]:
-    found = {name: value for name, value in json.loads(certificate.to_json()).items() if name not in _OWN}
+    content = {name: value for name, value in json.loads(certificate.to_json()).items() if name not in _OWN}
     texts = {
         path_text(place): value if isinstance(value, str) else json.dumps(value)
-        for place, value in leaves(found)
+        for place, value in leaves(content)
     }
     return {
         path: text if len(text) <= _MOST_CHARACTERS else f"{text[:_MOST_CHARACTERS]}..."
@@ -124,7 +124,7 @@ def _read_certificate(folder: Path, verification: Verification) -> tuple[Certifi
         certificate = Certificate.from_json(read_bounded(folder / CERTIFICATE), str(folder / CERTIFICATE))
         results = read_bounded(folder / RESULTS)
         plots = plots_in(folder)
-    found = parse_json(results)
-    of_the_run = certificate.run.software[: len(found["run"]["software"])]
+    content = parse_json(results)
+    of_the_run = certificate.run.software[: len(content["run"]["software"])]
     run = replace(certificate.run, software=(*of_the_run, *written_with()))
-    return certificate, Source(folder, found, results, run, plots, certificate.statement("verification"))
+    return certificate, Source(folder, content, results, run, plots, certificate.statement("verification"))

@@ -37,7 +37,7 @@ _LATER = {("run", "sequence_sha256"), ("run", "station_sha256"), ("method", "seq
 """Fields that certificates of earlier versions do not have."""
 CERTIFICATE = "certificate.json"
 
-_MOST_FAULTS = 20
+_MOST_FAULTS = 20  # More are mended after the first
 _FORMS = {
     "string_type": "a text",
     "float_type": "a finite number",
@@ -383,15 +383,15 @@ class Certificate(_Strict):
         try:
             # It refuses what two readers could read differently, and what is nested too deeply.
             stated = {place for place, _ in leaves(parse_json(data))}
-            found = _form().validate_json(data, strict=True)
-            written = leaves(parse_json(found.to_json()))
+            certificate = _form().validate_json(data, strict=True)
+            written = leaves(parse_json(certificate.to_json()))
             faults = [
                 f"{path_text(place)} is missing" for place, _ in written if place not in stated | _LATER
             ]
             if not faults:
-                return found
+                return certificate
         except ValidationError as error:
-            faults = [_fault(one) for one in error.errors()]
+            faults = [_fault(error_detail) for error_detail in error.errors()]
         except ValueError as error:
             faults = [f"it is not readable JSON ({error})"]
         more = [f"and {len(faults) - _MOST_FAULTS} more"] if len(faults) > _MOST_FAULTS else []

@@ -41,7 +41,7 @@ def require_libraries() -> None:
 
 def certificate_files(
     certificate: Certificate,
-    found: Results,
+    content: Results,
     results: bytes,
     lab: bytes,
     plots: Mapping[str, str],
@@ -58,7 +58,7 @@ def certificate_files(
         RESULTS: results,
         LAB: lab,
         DCC: dcc,
-        PDF: render_pdf(certificate, found, attachments, plots),
+        PDF: render_pdf(certificate, content, attachments, plots),
         **{f"{PLOTS}/{name}.svg": svg.encode() for name, svg in sorted(plots.items())},
     }
 

@@ -38,7 +38,6 @@ _IN_EVERY_VERSION = (
     "ended_utc",
     "method",
     "traceability",
-    "covariance",
     "customer_supplied",
     "external",
     "opinions",
@@ -120,15 +119,32 @@ def _derive(folder: Path, certificate: Certificate, findings: Findings) -> None:
 
 
 def _same_numbers(stated: Certificate, derived: Certificate) -> bool:
-    """Return whether two certificates state the same results of the same item: every version must agree on them."""
-    if any(getattr(stated, name) != getattr(derived, name) for name in _IN_EVERY_VERSION):
+    """Return whether two certificates state the same results of the same item: every version must agree on them.
+
+    An earlier version divided U of a result without a posterior into another u and k.
+    """
+    of_posterior = all(result.nu_eff is None for result in stated.results)
+    names = (*_IN_EVERY_VERSION, "covariance") if of_posterior else _IN_EVERY_VERSION
+    if any(getattr(stated, name) != getattr(derived, name) for name in names):
         return False
     numbers_of = [
-        [(result.symbol, result.unit, result.value, result.u, result.U, result.k) for result in each.results]
+        [
+            (
+                result.symbol,
+                result.unit,
+                result.value,
+                result.U,
+                *((result.u, result.k) if of_posterior else ()),
+            )
+            for result in each.results
+        ]
         for each in (stated, derived)
     ]
     verdicts = [
-        [(one.symbol, one.lower, one.upper, one.guard_band, one.verdict) for one in each.conformity]
+        [
+            (statement.symbol, statement.lower, statement.upper, statement.guard_band, statement.verdict)
+            for statement in each.conformity
+        ]
         for each in (stated, derived)
     ]
     # An earlier version left the limits of the run out if the laboratory stated some.
@@ -202,22 +218,22 @@ def _compare_with_ledger(folder: Path, certificate: Certificate, ledger: Ledger,
     is_own = is_sealed_by(folder, own_public_keys(ledger.home))
     if is_own:
         _compare_with_breaks(ledger, findings)
-    one = known.get(certificate.number)
-    if one is None and is_own:
+    entered = known.get(certificate.number)
+    if entered is None and is_own:
         what = f"this bench has sealed {certificate.number}, but its ledger does not contain it; lines were removed"
         findings.fault("ledger", LEDGER, f"{what}, so nothing tells whether it was replaced or declared void")
-    elif one is None:
+    elif entered is None:
         findings.remarks.append(
             f"{certificate.number} is not in the ledger of this bench, so nothing here tells whether it was replaced"
         )
-    elif one.how == "void":
-        findings.fault(_KIND, CERTIFICATE, f"{one.number} was declared void: {one.reason}")
-    elif one.how == "issued" and one.seal != sha256_of(folder / MANIFEST):
-        findings.fault(_KIND, MANIFEST, f"the ledger has another seal for {one.number}")
-    elif one.superseded_by:
-        findings.remarks.append(f"SUPERSEDED: {one.superseded_by} replaces this certificate")
-    elif one.how != "issued":
-        findings.remarks.append(f"{one.number} is {one.how} in the ledger of this bench, not issued")
+    elif entered.how == "void":
+        findings.fault(_KIND, CERTIFICATE, f"{entered.number} was declared void: {entered.reason}")
+    elif entered.how == "issued" and entered.seal != sha256_of(folder / MANIFEST):
+        findings.fault(_KIND, MANIFEST, f"the ledger has another seal for {entered.number}")
+    elif entered.superseded_by:
+        findings.remarks.append(f"SUPERSEDED: {entered.superseded_by} replaces this certificate")
+    elif entered.how != "issued":
+        findings.remarks.append(f"{entered.number} is {entered.how} in the ledger of this bench, not issued")
     old = known.get(certificate.amends.number) if certificate.amends else None
     if old is not None and certificate.amends is not None:
         says = (old.seal, old.superseded_by)
@@ -240,8 +256,8 @@ def _compare_with_breaks(ledger: Ledger, findings: Findings) -> None:
             f"{what.rstrip('.')}; a lost line may have replaced this certificate or made it void",
         )
     findings.not_compared += [
-        f"whether it was replaced or declared void: {str(one).rstrip('.')} ({one.by}: {one.reason})"
-        for one in explained
+        f"whether it was replaced or declared void: {str(gap).rstrip('.')} ({gap.by}: {gap.reason})"
+        for gap in explained
     ]
 
 

@@ -181,7 +181,9 @@ class Identity:
 def compose(sealed: Results, lab: LabConfig, identity: Identity) -> Certificate:
     """Return a run's certificate, its clauses checked before; `EvidenceError` if the budget does not add up."""
     simulated = bool(sealed["run"]["simulated"])
-    supplied = frozenset(symbol for one in lab.customer_supplied or () for symbol in one.results)
+    supplied = frozenset(
+        symbol for supplied_item in lab.customer_supplied or () for symbol in supplied_item.results
+    )
     results = facts_of_run.results_of(sealed, supplied)
     rows = row_sources(sealed, lab)
     return Certificate(
@@ -203,7 +205,10 @@ def compose(sealed: Results, lab: LabConfig, identity: Identity) -> Certificate:
             *facts_of_run.deviations_of(sealed),
             *(Deviation(text, "laboratory") for text in lab.deviations or ()),
         ),
-        conditions=(*facts_of_run.conditions_of(sealed), *(_condition(one) for one in lab.conditions or ())),
+        conditions=(
+            *facts_of_run.conditions_of(sealed),
+            *(_condition(supplied_item) for supplied_item in lab.conditions or ()),
+        ),
         traceability=_traceability(sealed, lab),
         results=results,
         covariance=facts_of_run.covariance_of(sealed),
@@ -213,7 +218,7 @@ def compose(sealed: Results, lab: LabConfig, identity: Identity) -> Certificate:
         ),
         before_adjustment=_before(sealed, lab),
         conformity=tuple(conformity_of(rule, _named(results, rule.result)) for rule in rules_of(sealed, lab)),
-        customer_supplied=tuple(one.text for one in lab.customer_supplied or ()),
+        customer_supplied=tuple(supplied_item.text for supplied_item in lab.customer_supplied or ()),
         external=lab.external or (),
         opinions=lab.opinions,
         authorised_by=_needed(lab.authorised_by),

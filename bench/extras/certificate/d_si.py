@@ -105,27 +105,27 @@ def product(first: str, second: str) -> str:
 
 def _powers(unit: str) -> dict[str, int] | None:
     """Return the units of D-SI in a unit that Starbench prints, each with its power."""
-    found = _QUOTIENT.fullmatch(unit)
-    if found is None or found[1] not in OUR_UNITS:
+    quotient = _QUOTIENT.fullmatch(unit)
+    if quotient is None or quotient[1] not in OUR_UNITS:
         return None
-    powers = {OUR_UNITS[found[1]]: 1}
-    divisor = found[2] or found[3]
+    powers = {OUR_UNITS[quotient[1]]: 1}
+    divisor = quotient[2] or quotient[3]
     if divisor is None:
         return powers
     below = {OUR_UNITS[divisor]: 1} if divisor in OUR_UNITS else _powers(divisor)
-    if below is None or any("tothe" in one or "per\\" in one for one in (*powers, *below)):
+    if below is None or any("tothe" in unit_name or "per\\" in unit_name for unit_name in (*powers, *below)):
         return None
-    for one, power in below.items():
-        powers[one] = powers.get(one, 0) - power
+    for unit_name, power in below.items():
+        powers[unit_name] = powers.get(unit_name, 0) - power
     return powers
 
 
 def _written(powers: dict[str, int]) -> str:
     """Return a product of units in D-SI's notation."""
     parts = [
-        one if power == 1 else rf"{one}\tothe{{{power}}}"
-        for one, power in powers.items()
-        if one != r"\one" and power != 0
+        unit_name if power == 1 else rf"{unit_name}\tothe{{{power}}}"
+        for unit_name, power in powers.items()
+        if unit_name != r"\one" and power != 0
     ]
     return "".join(parts) or r"\one"
 

@@ -86,7 +86,7 @@ def render_dcc(certificate: Certificate) -> bytes:
     filled = _form().render(
         c=certificate,
         version=DCC_VERSION,
-        writers=[*(one for one in used if one.name == "starbench"), *writers] or used,
+        writers=[*(software for software in used if software.name == "starbench"), *writers] or used,
         programs=used,
         fixed={statement.id: statement.text for statement in certificate.statements},
         changed="; ".join(f"{change.field}: {change.before} -> {change.after}" for change in changes),
@@ -109,7 +109,7 @@ def _form() -> jinja2.Template:
     made.filters |= {
         "d_si_unit": d_si_unit,
         "digits": number_text,
-        "release": lambda version: found[0] if (found := _RELEASE.match(version)) else "",
+        "release": lambda version: release[0] if (release := _RELEASE.match(version)) else "",
         "token": lambda text: " ".join(text.split()) or "-",
         "unit": unit_of,
     }
@@ -144,7 +144,7 @@ def _escaped(value: Any) -> Any:
 def _software_of(certificate: Certificate) -> tuple[list[Software], list[Software]]:
     """Return the programs of the run, and what wrote the certificate."""
     listed = list(certificate.run.software)
-    at = next((at for at, one in enumerate(listed) if one.name == FORM), len(listed))
+    at = next((at for at, software in enumerate(listed) if software.name == FORM), len(listed))
     return listed[:at], listed[at:]
 
 
@@ -175,10 +175,10 @@ def _row_words(row: BudgetRow) -> str:
 
 def _limits(condition: Condition) -> dict[str, str]:
     """Return the ends of a range that is stated in words; empty if it is none, or D-SI does not have its unit."""
-    found = _RANGE.fullmatch(condition.text)
-    if condition.value is not None or found is None or found[3] != condition.unit:
+    limits = _RANGE.fullmatch(condition.text)
+    if condition.value is not None or limits is None or limits[3] != condition.unit:
         return {}
-    return {"lowest": found[1], "highest": found[2]} if d_si_unit(condition.unit) else {}
+    return {"lowest": limits[1], "highest": limits[2]} if d_si_unit(condition.unit) else {}
 
 
 def _in_words(condition: Condition) -> str:

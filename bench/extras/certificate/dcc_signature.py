@@ -41,7 +41,7 @@ EC_METHODS = {"secp256r1": "ecdsa-sha256", "secp384r1": "ecdsa-sha384", "secp521
 """Signature method of XML for each curve."""
 MOST_CERTIFICATES = 10
 """Most certificates of a chain."""
-_LEAST_RSA_BITS = 2048
+_LEAST_RSA_BITS = 2048  # NIST SP 800-57: less is no longer safe
 _KEY_FORM = "Use a key in PEM: RSA of 2048 bits or more, or ECDSA on P-256, P-384 or P-521."
 _METHODS = ("RSA_SHA256", "RSA_SHA384", "RSA_SHA512", "ECDSA_SHA256", "ECDSA_SHA384", "ECDSA_SHA512")
 _DIGESTS = ("SHA256", "SHA384", "SHA512")
@@ -105,7 +105,7 @@ def in_order(chain: Sequence[x509.Certificate], key: PrivateKey) -> list[x509.Ce
     """Return a chain with the key's own certificate first, each followed by its issuer's; or raise `EvidenceError`."""
     public = key.public_key()
     left = list(chain)
-    leaf = next((one for one in left if one.public_key() == public), None)
+    leaf = next((candidate for candidate in left if candidate.public_key() == public), None)
     if leaf is None:
         raise EvidenceError(
             "No certificate of the chain belongs to the key.",
@@ -113,7 +113,11 @@ def in_order(chain: Sequence[x509.Certificate], key: PrivateKey) -> list[x509.Ce
         )
     ordered = [leaf]
     left.remove(leaf)
-    while left and (issuer := next((one for one in left if _issued(ordered[-1], one)), None)) is not None:
+    while (
+        left
+        and (issuer := next((candidate for candidate in left if _issued(ordered[-1], candidate)), None))
+        is not None
+    ):
         ordered.append(issuer)
         left.remove(issuer)
     if left:
@@ -314,7 +318,7 @@ def _check_xades(data: bytes, root: _Element, leaf: x509.Certificate, where: str
         verification_time=when,
     )
     try:
-        found = xades.XAdESVerifier().verify(data, x509_cert=leaf, expect_config=configuration)
+        signatures = xades.XAdESVerifier().verify(data, x509_cert=leaf, expect_config=configuration)
     except (
         exceptions.SignXMLException,
         InvalidSignature,
@@ -328,7 +332,11 @@ def _check_xades(data: bytes, root: _Element, leaf: x509.Certificate, where: str
         raise EvidenceError(
             f"The signature is not valid: {reason}.", where=where, remedy=_TAMPERED
         ) from error
-    covered = [one.signed_xml for one in found if one.signed_xml is not None and one.signed_xml.tag == ROOT]
+    covered = [
+        signature.signed_xml
+        for signature in signatures
+        if signature.signed_xml is not None and signature.signed_xml.tag == ROOT
+    ]
     bare = read_dcc(to_bytes(root), where)
     bare_signature = bare.find(SIGNATURE)
     if bare_signature is not None:
@@ -356,29 +364,30 @@ def _drop_keeping_tail(root: _Element, element: _Element) -> None:
 def _embedded(signature: _Element, where: str) -> tuple[x509.Certificate, ...]:
     """Return the certificates in a signature, the signer's first."""
     texts = [
-        one.text or "" for one in signature.iterfind("ds:KeyInfo/ds:X509Data/ds:X509Certificate", NAMESPACES)
+        element.text or ""
+        for element in signature.iterfind("ds:KeyInfo/ds:X509Data/ds:X509Certificate", NAMESPACES)
     ]
     pem = "".join(
         f"-----BEGIN CERTIFICATE-----\n{''.join(text.split())}\n-----END CERTIFICATE-----\n"
         for text in texts[: MOST_CERTIFICATES + 1]
     )
     try:
-        found = tuple(x509.load_pem_x509_certificates(pem.encode())) if texts else ()
+        embedded = tuple(x509.load_pem_x509_certificates(pem.encode())) if texts else ()
     except ValueError:
-        found = ()
-    if not found or len(found) > MOST_CERTIFICATES:
+        embedded = ()
+    if not embedded or len(embedded) > MOST_CERTIFICATES:
         raise EvidenceError(
             "The signature has no certificate that can be read.", where=where, remedy=_TAMPERED
         )
-    return found
+    return embedded
 
 
 def _stated_time(signature: _Element, where: str) -> datetime:
     text = signature.findtext(".//xades:SigningTime", "", NAMESPACES).strip()
     try:
-        found = datetime.fromisoformat(text)
+        moment = datetime.fromisoformat(text)
     except ValueError:
-        found = None
-    if found is None or found.tzinfo is None:
+        moment = None
+    if moment is None or moment.tzinfo is None:
         raise EvidenceError("The signature states no time of signing.", where=where, remedy=_TAMPERED)
-    return found.astimezone(UTC)
+    return moment.astimezone(UTC)

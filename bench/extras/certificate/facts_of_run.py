@@ -82,19 +82,15 @@ def _result(calibration: CalibrationData, symbol: str, value: float, *, supplied
 
 
 def covariance_of(results: Results) -> Covariance:
-    """Return the joint covariance of results.json, without its enlargement where there are few degrees of freedom."""
+    """Return the joint covariance of results.json."""
     calibration = results["calibration"]
     symbols = tuple(calibration["camera"])
     names, matrix = calibration["covariance"]["names"], calibration["covariance"]["matrix"]
-    growth = {symbol: expanded(calibration, symbol).growth for symbol in symbols}
     at = {symbol: names.index(symbol) for symbol in symbols}
     return Covariance(
         symbols,
         tuple(unit_of(symbol) for symbol in symbols),
-        tuple(
-            tuple(nine_digits(float(matrix[at[i]][at[j]]) / (growth[i] * growth[j])) for j in symbols)
-            for i in symbols
-        ),
+        tuple(tuple(nine_digits(float(matrix[at[i]][at[j]])) for j in symbols) for i in symbols),
     )
 
 
@@ -204,7 +200,7 @@ def camera_identity(results: Results, item: ItemConfig) -> Camera:
 def conditions_of(results: Results) -> tuple[Condition, ...]:
     """Return the recorded conditions: temperatures, light, event rate, camera settings."""
     light, camera = _light_and_camera(results)
-    attempts = [one for pose in results["poses"] for one in pose["attempts"] if one["accepted"]]
+    attempts = [taken for pose in results["poses"] for taken in pose["attempts"] if taken["accepted"]]
     rows = [
         _range("camera temperature", [attempt.get("temperature_c") for attempt in attempts], _DEGREE),
         _value(
@@ -236,7 +232,7 @@ def _setting(name: str, value: Any) -> str:
         return (
             f"{name.replace('_', ' ')}: {', '.join(_setting(inner, value[inner]) for inner in sorted(value))}"
         )
-    suffix = next((one for one in _SUFFIXES if name.endswith(one)), "")
+    suffix = next((ending for ending in _SUFFIXES if name.endswith(ending)), "")
     shown = name.removesuffix(suffix).replace("_", " ")
     if isinstance(value, bool) or value is None:
         return f"{shown} {'none' if value is None else 'on' if value else 'off'}"
@@ -257,7 +253,7 @@ def _range(name: str, values: list[float | None], unit: str) -> Condition | None
     known = sorted(float(value) for value in values if value is not None)
     if not known:
         return None
-    low, high = (f"{one:.6g}" for one in (known[0], known[-1]))
+    low, high = (f"{end:.6g}" for end in (known[0], known[-1]))
     if low == high:
         return Condition(name, float(low), unit, None, None, "", "run")
     return Condition(name, None, unit, None, None, f"{low} to {high} {unit}", "run")
@@ -265,14 +261,17 @@ def _range(name: str, values: list[float | None], unit: str) -> Condition | None
 
 def deviations_of(results: Results) -> tuple[Deviation, ...]:
     """Return what in the run differed from its sequence: deviations, failures, poses without result, failed gates."""
-    texts = [str(one) for one in (*(results.get("deviations") or ()), *(results.get("holds") or ()))]
-    texts += [f"The run was interrupted: {one.get('what') or one}" for one in results.get("failures") or []]
+    texts = [str(attempt) for attempt in (*(results.get("deviations") or ()), *(results.get("holds") or ()))]
+    texts += [
+        f"The run was interrupted: {attempt.get('what') or attempt}"
+        for attempt in results.get("failures") or []
+    ]
     if resumed := int(results["run"].get("resumed") or 0):
         texts.append(f"The run was resumed {resumed} time{'s' if resumed > 1 else ''}.")
     texts += [
         f"Pose {pose['index']} ({pose['name']}) has no accepted recording and does not enter the result."
         for pose in results["poses"]
-        if not any(one["accepted"] for one in pose["attempts"])
+        if not any(attempt["accepted"] for attempt in pose["attempts"])
     ]
     texts += [
         f"Limit not met: {_gate_name(gate)} is {gate['value']} {gate['unit']}".rstrip()

@@ -183,23 +183,23 @@ def _refuse_second_early(run: Path, ledger: Ledger, also: str) -> None:
         if not (run / MANIFEST).is_file():
             return
         seal = sha256_of(run / MANIFEST)
-    found = numbers(ledger.entries())
-    if not open_numbers(found):  # an open number may be that of the first certificate
-        refuse_second(found, seal, also)
+    known = numbers(ledger.entries())
+    if not open_numbers(known):  # an open number may be that of the first certificate
+        refuse_second(known, seal, also)
 
 
 def complete_open(ledger: Ledger) -> list[str]:
     """Settle open numbers: enter those whose folder is complete, and remove the half made folders of the others."""
     done = []
-    for one in open_numbers(numbers(ledger.entries())):
-        certificate = finished_certificate(one)
+    for open_number in open_numbers(numbers(ledger.entries())):
+        certificate = finished_certificate(open_number)
         if certificate is not None:
-            with storage_errors(Path(one.folder)):
-                seal = sha256_of(Path(one.folder) / MANIFEST)
+            with storage_errors(Path(open_number.folder)):
+                seal = sha256_of(Path(open_number.folder) / MANIFEST)
             _enter(ledger, certificate, seal)
-            done.append(one.number)
-        elif one.folder:
-            remove_unnamed(unfinished(Path(one.folder)))
+            done.append(open_number.number)
+        elif open_number.folder:
+            remove_unnamed(unfinished(Path(open_number.folder)))
     return done
 
 
@@ -213,14 +213,18 @@ def finished_before(folder: Path, ledger: Ledger) -> Issued | None:
     place = folder.absolute()
     with one_at_a_time(ledger.home):
         for number in complete_open(ledger):
-            one = numbers(ledger.entries())[number]
-            certificate = finished_certificate(one) if Path(one.folder) == place else None
+            entered = numbers(ledger.entries())[number]
+            certificate = finished_certificate(entered) if Path(entered.folder) == place else None
             if certificate is not None:
-                return Issued(certificate, place, one.seal, (number,))
-        for one in numbers(ledger.entries()).values():
-            if one.how == "issued" and Path(one.folder) == place and one.seal == sha256_of(place / MANIFEST):
+                return Issued(certificate, place, entered.seal, (number,))
+        for entered in numbers(ledger.entries()).values():
+            if (
+                entered.how == "issued"
+                and Path(entered.folder) == place
+                and entered.seal == sha256_of(place / MANIFEST)
+            ):
                 raise UsageError(
-                    f"This folder is the certificate {one.number}, which is issued and in the ledger.",
+                    f"This folder is the certificate {entered.number}, which is issued and in the ledger.",
                     where=str(folder),
                     remedy="Nothing is missing, even if the command before ended with an error. For another"
                     " certificate, choose another --output.",
@@ -228,14 +232,14 @@ def finished_before(folder: Path, ledger: Ledger) -> Issued | None:
     return None
 
 
-def finished_certificate(one: Numbered) -> Certificate | None:
+def finished_certificate(entered: Numbered) -> Certificate | None:
     """Return the certificate that lies in the folder of a number, sealed; None if it has another number."""
-    folder = Path(one.folder)
-    if not one.folder or not is_sealed(folder) or not (folder / CERTIFICATE).is_file():
+    folder = Path(entered.folder)
+    if not entered.folder or not is_sealed(folder) or not (folder / CERTIFICATE).is_file():
         return None
     data = read_bounded(folder / CERTIFICATE)
     certificate = Certificate.from_json(data, str(folder / CERTIFICATE))
-    return certificate if certificate.number == one.number else None
+    return certificate if certificate.number == entered.number else None
 
 
 def _signer(laboratory: Issuer, utc: str) -> Callable[[bytes], bytes] | None:

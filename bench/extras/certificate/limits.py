@@ -18,7 +18,7 @@ Limits = tuple[str, float | None, float | None]
 def rules_of(results: Results, lab: LabConfig) -> list[LabRuleConfig]:
     """Return the laboratory's limits for conformity, then those of the run that it does not state itself."""
     own = list(lab.decision_rules or ())
-    stated = {_limits_of(one) for one in own}
+    stated = {_limits_of(statement) for statement in own}
     return own + [rule for rule in _rules_of_run(results) if _limits_of(rule) not in stated]
 
 
@@ -73,7 +73,11 @@ def passes_over_fail(results: Results, lab: LabConfig, conformity: tuple[Conform
         return []
     of_run = {_limits_of(rule) for rule in _rules_of_run(results)}
     own = zip(lab.decision_rules or (), conformity, strict=False)  # those of the run follow
-    return [one.symbol for rule, one in own if one.verdict in _PASSES and _limits_of(rule) not in of_run]
+    return [
+        statement.symbol
+        for rule, statement in own
+        if statement.verdict in _PASSES and _limits_of(rule) not in of_run
+    ]
 
 
 def needed_reason(results: Results, lab: LabConfig, conformity: tuple[Conformity, ...], reason: str) -> str:

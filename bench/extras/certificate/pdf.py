@@ -65,7 +65,7 @@ _KINDS = {
 _HEADER = 120
 """Most characters of the laboratory's name in the head of a page."""
 AUTHORISATION = "SHA256SUMS.authorised.sig"
-_PLAIN_FROM, _PLAIN_TO = 1e-4, 1e7
+_PLAIN_FROM, _PLAIN_TO = 1e-4, 1e7  # Outside, zeros are counted more easily as a power of ten
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _OTHER = ("application/octet-stream", "supplement", "Supplement to this certificate")
 
@@ -383,7 +383,7 @@ def plots_of_run(run: Path, results: Results) -> dict[str, str]:
     from bench.measure.views_file import VIEWS, read_views
 
     stored = read_views(run / VIEWS) if (run / VIEWS).exists() else []
-    return draw_plots(results, [one.shown() for one in stored])
+    return draw_plots(results, [stored_view.shown() for stored_view in stored])
 
 
 def draw_plots(results: Results, views: Sequence[ViewPicture] = ()) -> dict[str, str]:
@@ -399,7 +399,11 @@ def draw_plots(results: Results, views: Sequence[ViewPicture] = ()) -> dict[str,
 
 def pictures(certificate: Certificate, plots: Mapping[str, str]) -> list[dict[str, Any]]:
     """Return the plots for the layout, in the order of `PLOTS`; ``alt`` describes one to who does not see it."""
-    numbers = "; ".join(f"{result.name}: {result.text}" for result in certificate.further)
+    numbers = "; ".join(
+        f"{result.name}: {result.text}"
+        for result in certificate.further
+        if result.id.startswith("projection")
+    )
     return [
         {
             "name": name,

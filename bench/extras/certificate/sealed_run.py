@@ -52,7 +52,7 @@ _PARTLY = (
 _NOT_MADE = " The results were not made again from the recordings."
 
 Verify = Callable[[Path], Verification]
-_MOST_NAMED = 5
+_MOST_NAMED = 5  # A sentence
 
 
 @functools.cache

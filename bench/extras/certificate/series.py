@@ -133,13 +133,13 @@ class Numbered:
 
 def numbers(entries: Iterable[Entry]) -> dict[str, Numbered]:
     """Return all numbers of all series, in the order of the reservations."""
-    found: dict[str, Numbered] = {}
+    by_number: dict[str, Numbered] = {}
     counts: dict[str, int] = {}
     for entry in entries:
         if entry.event not in _EVENTS:
             continue
         try:
-            _replay(entry.event, entry.data, found, counts)
+            _replay(entry.event, entry.data, by_number, counts)
         except (LookupError, TypeError, ValueError) as error:
             raise JournalBroken(
                 f"Line {entry.seq + 1} of the ledger about a certificate does not follow from the lines before"
@@ -147,14 +147,16 @@ def numbers(entries: Iterable[Entry]) -> dict[str, Numbered]:
                 remedy="Ask who can write to the ledger. Restore it from a copy, or explain it:"
                 " `starbench ledger --explain TEXT`.",
             ) from error
-    return found
+    return by_number
 
 
-def _replay(event: str, data: Mapping[str, Any], found: dict[str, Numbered], counts: dict[str, int]) -> None:
+def _replay(
+    event: str, data: Mapping[str, Any], by_number: dict[str, Numbered], counts: dict[str, int]
+) -> None:
     number = str(data["number"])
     if event in {RESERVED, LOST}:
         series, count = str(data["series"]), int(data["count"])
-        again = found.get(number)
+        again = by_number.get(number)
         if again is None and count != counts.get(series, 0) + 1:
             raise ValueError(f"{series} has no number {counts.get(series, 0) + 1}")
         if again is not None and (again.how, again.series, again.count) != ("reserved", series, count):
@@ -162,23 +164,23 @@ def _replay(event: str, data: Mapping[str, Any], found: dict[str, Numbered], cou
         counts[series] = max(count, counts.get(series, 0))
         names = ("run_seal", "run_id", "folder", "issued_utc", "amends")
         how: How = "lost" if event == LOST else "reserved"
-        found[number] = Numbered(number, series, count, how, *(str(data.get(name, "")) for name in names))
+        by_number[number] = Numbered(number, series, count, how, *(str(data.get(name, "")) for name in names))
         return
-    one = found[number]
-    if one.how != "reserved":
-        raise ValueError(f"{number} was {one.how} already")
+    entered = by_number[number]
+    if entered.how != "reserved":
+        raise ValueError(f"{number} was {entered.how} already")
     if event == VOIDED:
-        found[number] = replace(one, how="void", reason=str(data["reason"]))
+        by_number[number] = replace(entered, how="void", reason=str(data["reason"]))
         return
     seal, serial, customer = (str(data[name]) for name in ("seal", "serial", "customer"))
-    found[number] = replace(one, how="issued", seal=seal, serial=serial, customer=customer)
-    if one.amends:
-        found[one.amends] = replace(found[one.amends], superseded_by=number)
+    by_number[number] = replace(entered, how="issued", seal=seal, serial=serial, customer=customer)
+    if entered.amends:
+        by_number[entered.amends] = replace(by_number[entered.amends], superseded_by=number)
 
 
-def open_numbers(found: Mapping[str, Numbered]) -> list[Numbered]:
+def open_numbers(by_number: Mapping[str, Numbered]) -> list[Numbered]:
     """Return the numbers that were reserved and neither issued nor declared void, in the order of reservation."""
-    return [one for one in found.values() if one.how == "reserved"]
+    return [entered for entered in by_number.values() if entered.how == "reserved"]
 
 
 @dataclass(frozen=True)
@@ -217,7 +219,7 @@ def reserve(ledger: Ledger, wanted: Wanted, now: datetime) -> Numbered:
     is to be amended is not the newest one.
     """
     with ledger.locked() as journal:
-        found = numbers(journal.entries)
+        by_number = numbers(journal.entries)
         _refuse_clock(journal.entries, now, ledger.path)
         if f"{now:%Y-%m-%dT%H:%M:%SZ}" < wanted.ended_utc:  # the run may be of another bench
             raise EvidenceError(
@@ -225,21 +227,21 @@ def reserve(ledger: Ledger, wanted: Wanted, now: datetime) -> Numbered:
                 f" {wanted.ended_utc[:19].replace('T', ' ')}.",
                 remedy="Set the clock.",
             )
-        own = _own_open_number(found, wanted)
+        own = _own_open_number(by_number, wanted)
         if wanted.amends:
-            refuse_old(found, wanted.amends)
+            refuse_old(by_number, wanted.amends)
         else:
-            refuse_second(found, wanted.run_seal, wanted.also)
-        place = (own.number, own.series, own.count) if own else _next(ledger, journal, found, wanted, now)
+            refuse_second(by_number, wanted.run_seal, wanted.also)
+        place = (own.number, own.series, own.count) if own else _next(ledger, journal, by_number, wanted, now)
         return _enter(journal, wanted, now, *place)
 
 
 def _next(
-    ledger: Ledger, journal: Journal, found: Mapping[str, Numbered], wanted: Wanted, now: datetime
+    ledger: Ledger, journal: Journal, by_number: Mapping[str, Numbered], wanted: Wanted, now: datetime
 ) -> tuple[str, str, int]:
     """Return the next number, its series and count; enter as lost those that were given and are not in the ledger."""
     series = series_of(wanted.number_format, year=now.year, simulated=wanted.simulated)
-    last = sum(one.series == series for one in found.values())
+    last = sum(entered.series == series for entered in by_number.values())
     # A break of the ledger states what its mark and the second place know of lines that were lost.
     in_breaks = highest_counts(journal.entries).get(series, 0)
     highest = max(in_breaks, wanted.count_beside(series))
@@ -250,9 +252,9 @@ def _next(
     place = f"{journal.head} {wanted.run_seal} {now.isoformat()}"
     head = hashlib.sha256(place.encode()).hexdigest()[:_HEAD_DIGITS]
     number = number_of(series, year=now.year, number=count, head=head)
-    if number in found:
+    if number in by_number:
         raise EvidenceError(
-            f"The number {number} was given already, in the series {found[number].series}.",
+            f"The number {number} was given already, in the series {by_number[number].series}.",
             where=str(ledger.path),
             remedy="Give numbers.format of lab.yaml another text.",
         )
@@ -271,9 +273,9 @@ def _enter(journal: Journal, wanted: Wanted, now: datetime, number: str, series:
     return Numbered(number, series, count, "reserved", **texts)
 
 
-def _own_open_number(found: Mapping[str, Numbered], wanted: Wanted) -> Numbered | None:
+def _own_open_number(by_number: Mapping[str, Numbered], wanted: Wanted) -> Numbered | None:
     """Return the open number of the same run and purpose; refuse while another one is open."""
-    for own_open_number in open_numbers(found):
+    for own_open_number in open_numbers(by_number):
         if (own_open_number.run_seal, own_open_number.amends) == (wanted.run_seal, wanted.amends):
             year = int(own_open_number.issued_utc[:4])
             if own_open_number.series == series_of(
@@ -291,9 +293,12 @@ def _own_open_number(found: Mapping[str, Numbered], wanted: Wanted) -> Numbered 
     return None
 
 
-def refuse_second(found: Mapping[str, Numbered], run_seal: str, also: str) -> None:
+def refuse_second(by_number: Mapping[str, Numbered], run_seal: str, also: str) -> None:
     """Refuse a second certificate of a run without the reason ``also``, and a first one with it."""
-    first = next((one for one in found.values() if one.run_seal == run_seal and one.is_newest), None)
+    first = next(
+        (entered for entered in by_number.values() if entered.run_seal == run_seal and entered.is_newest),
+        None,
+    )
     if first is None and also:
         raise EvidenceError("The run has no certificate yet.", remedy="Leave out --reason.")
     if first is not None and not also:
@@ -305,22 +310,22 @@ def refuse_second(found: Mapping[str, Numbered], run_seal: str, also: str) -> No
         )
 
 
-def refuse_old(found: Mapping[str, Numbered], number: str) -> None:
+def refuse_old(by_number: Mapping[str, Numbered], number: str) -> None:
     """Refuse to amend a certificate that is unknown, void or superseded."""
-    old = found.get(number)
+    old = by_number.get(number)
     if old is not None and old.is_newest:
         return
     what = "it is not in the ledger of this bench" if old is None else f"it is {old.how}"
     remedy = "Only the newest certificate can be amended, on the bench that issued it."
     if old is not None and old.superseded_by:
-        what, remedy = f"{old.superseded_by} replaced it", f"Amend {_newest(found, old).number}."
+        what, remedy = f"{old.superseded_by} replaced it", f"Amend {_newest(by_number, old).number}."
     raise EvidenceError(f"Certificate {number} cannot be amended: {what}.", remedy=remedy)
 
 
-def _newest(found: Mapping[str, Numbered], one: Numbered) -> Numbered:
-    while one.superseded_by:
-        one = found[one.superseded_by]
-    return one
+def _newest(by_number: Mapping[str, Numbered], entered: Numbered) -> Numbered:
+    while entered.superseded_by:
+        entered = by_number[entered.superseded_by]
+    return entered
 
 
 def _refuse_clock(entries: Sequence[Entry], now: datetime, path: Path) -> None:
@@ -348,12 +353,12 @@ def amending(folder: str) -> str:
 def declare_void(ledger: Ledger, number: str, *, reason: str, by: str) -> Numbered:
     """Declare void a number that was reserved and not issued."""
     with ledger.locked() as journal:
-        one = numbers(journal.entries).get(number)
-        if one is None or one.how != "reserved":
-            state = "is not in the ledger" if one is None else f"is {one.how} already"
+        entered = numbers(journal.entries).get(number)
+        if entered is None or entered.how != "reserved":
+            state = "is not in the ledger" if entered is None else f"is {entered.how} already"
             remedy = "Only a number that was reserved and not issued can be void."
-            if one is not None and one.how == "issued":
-                remedy += f" To replace the certificate: {amending(one.folder)}."
+            if entered is not None and entered.how == "issued":
+                remedy += f" To replace the certificate: {amending(entered.folder)}."
             raise EvidenceError(f"The number {number} {state}.", where=str(ledger.path), remedy=remedy)
         journal.append(VOIDED, number=number, reason=reason, by=by)
-        return replace(one, how="void", reason=reason)
+        return replace(entered, how="void", reason=reason)

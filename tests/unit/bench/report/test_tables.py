@@ -133,7 +133,8 @@ def test_the_boresight_is_printed_with_u_and_with_the_faces_of_the_mount(data):
 
 
 def test_the_certificate_states_the_boresight_with_its_u():
-    results = sample_results()
+    results = copy.deepcopy(sample_results())
+    results["calibration"].pop("boresight")
     before = further_of(results)
     results["calibration"]["boresight"] = BORESIGHT.to_dict()
     stated = {one.id: one for one in further_of(results)}

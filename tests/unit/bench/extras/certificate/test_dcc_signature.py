@@ -79,10 +79,10 @@ def wrap_original(root):
 
 
 def add_comment(root):
-    value = next(one for one in root.iter("{https://ptb.de/si}value") if one.text == "3346.4")
+    value = next(one for one in root.iter("{https://ptb.de/si}value") if one.text == "3346.0")
     value.text = "33"
     hidden = etree.Comment("")
-    hidden.tail = "46.4"
+    hidden.tail = "46.0"
     value.append(hidden)
 
 

@@ -57,19 +57,19 @@ def test_the_same_input_gives_the_same_bytes(real, tmp_path):
 
 
 MUTATIONS = {
-    "a value": ("certificate.json", b'"U": 2.4,', b'"U": 2.3,'),
+    "a value": ("certificate.json", b'"U": 2.0,', b'"U": 1.9,'),
     "a verdict": ("certificate.json", b'"verdict": "conditionalPass"', b'"verdict": "pass"'),
     "the customer": ("certificate.json", b"Mill Lane 3", b"Mill Lane 9"),
     "the number": ("certificate.json", b'"number": "SIMULATED-SB-2026-00001"', b'"number": "SB-2026-00001"'),
     "simulated": ("certificate.json", b'"simulated": true', b'"simulated": false'),
-    "the rule": ("certificate.json", b'"guard_band": 2.4', b'"guard_band": 0.4'),
+    "the rule": ("certificate.json", b'"guard_band": 2.0', b'"guard_band": 0.4'),
     "a budget row": ("certificate.json", b'"distribution": "rectangular"', b'"distribution": "triangular"'),
     "spaces": ("certificate.json", b'"number":', b'"number" :'),
     "lab.yaml": ("lab.yaml", b"Mill Lane 3", b"Mill Lane 9"),
-    "limits": ("lab.yaml", b"upper: 3350", b"upper: 4350"),
+    "limits": ("lab.yaml", b"upper: 3347", b"upper: 4347"),
     "a clause taken out": ("lab.yaml", b"external: [Humidity", b"# external: [Humidity"),
-    "results.json": ("results.json", b'"fx":3346.4', b'"fx":3347.4'),
-    "the DCC": ("dcc.xml", b"3346.4", b"3346.5"),
+    "results.json": ("results.json", b'"fx":3345.9', b'"fx":3347.9'),
+    "the DCC": ("dcc.xml", b"3346.0", b"3346.5"),
     "the PDF": ("certificate.pdf", b"\n%%EOF", b"\n%%EOG"),
     "a plot": ("plots/uncertainty.svg", b"</svg>", b'<rect width="99" height="99"/></svg>'),
 }
