@@ -25,7 +25,7 @@ from bench.solve.point_files import read_point_file
 from calib.boards.board import Board
 from calib.errors import InputMismatch, TargetNotFound, TooFewStars
 from calib.view import View
-from drivers.camera.picture_kinds import unread_picture
+from drivers.camera.file_kinds import kind_of_file, unread_picture
 from drivers.errors import DriverError, RecordingCorrupt, RecordingFileError
 from sequences.schema import ImageKind
 from sequences.script import RecordStep
@@ -47,7 +47,7 @@ _READ_BY_OTHERS = {".aedat4", ".bag", ".db3", ".mcap"}
 _NOT_FOR_STARS = {"number", "where", "path", "pose", "attempts", "backoff_s", "on_failure", "hold_s", "gates"}
 """Fields of a step that do not decide which stars are found."""
 _JPEG = {".jpg", ".jpeg", ".jfif"}
-_LARGEST_JPEG_BYTES = 100_000_000
+_LARGEST_JPEG_BYTES = 100_000_000  # 100 Mpx in best quality
 _JPEG_BEGINS, _JPEG_SCAN, _JPEG_ENDS = b"\xff\xd8", b"\xff\xda", b"\xff\xd9"
 
 
@@ -92,7 +92,7 @@ def view_sources(path: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
             )
         yield from _run_sources(path, choices)
     elif path.is_dir() and not is_bag_folder(path):
-        files = sorted(filter(_may_be_a_view, path.iterdir()), key=lambda found: natural_order(found.name))
+        files = sorted(filter(_may_be_a_view, path.iterdir()), key=lambda file: natural_order(file.name))
         if not files:
             raise _no_view_in(path)
         for file in files:
@@ -111,10 +111,10 @@ def left_beside(path: Path) -> list[str]:
     """Return a sentence on the files of a folder that are not tried; none of a run folder."""
     if not path.is_dir() or (path / JOURNAL).is_file():
         return []
-    names = sorted(one.name for one in path.iterdir() if one.is_file() and not _may_be_a_view(one))
+    names = sorted(entry.name for entry in path.iterdir() if entry.is_file() and not _may_be_a_view(entry))
     more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    told = f"{path}: {', '.join(names[:_MOST_NAMED])}{more}: neither recordings nor images nor point files."
-    return [f"{told}{_unread_pictures(path)}"] if names else []
+    text = f"{path}: {', '.join(names[:_MOST_NAMED])}{more}: neither recordings nor images nor point files."
+    return [f"{text}{_unread_pictures(path)}"] if names else []
 
 
 def _unread_pictures(folder: Path) -> str:
@@ -139,7 +139,7 @@ def _start(path: Path) -> bytes:
 def _no_view_in(folder: Path) -> UsageError:
     """Return the error for a folder without views, which says what it has instead."""
     pictures = _unread_pictures(folder).strip()
-    inner = sorted(one.name for one in folder.iterdir() if one.is_dir())
+    inner = sorted(entry.name for entry in folder.iterdir() if entry.is_dir())
     folders = f"Give one of its folders: {', '.join(inner[:_MOST_NAMED])}." if inner else ""
     return UsageError(
         "The folder contains no run, capture, image or point file.",
@@ -282,11 +282,10 @@ def _file_source(path: Path, choices: OfflineOptions) -> ViewSource:
         kind, find = "photograph", _view_of_photograph
     else:
         from drivers.camera.raw_check import read_start
-        from drivers.camera.raw_header import looks_like
 
         _require_no_part_of_a_run(path)
         start = read_start(path)
-        contents, remedy = unread_picture(start, ending) or looks_like(start)
+        contents, remedy = kind_of_file(start, ending)
         raise UsageError(
             f"Unknown file extension {ending!r}: the file is {contents}."
             if ending
@@ -338,7 +337,7 @@ def _view_of_recording(path: Path, choices: OfflineOptions) -> View:
     if choices.board is not None:
         image = recorded_image(path, choices.image)
         return _detected_board(image, choices.board, path)
-    found = measure(
+    measured = measure(
         path,
         name=path.stem,
         target=choices.target,
@@ -347,7 +346,7 @@ def _view_of_recording(path: Path, choices: OfflineOptions) -> View:
         expected_hz=None,
         motion=False,
     )
-    return _view(found, path)
+    return _view(measured, path)
 
 
 def picture_of(path: Path) -> NDArray[Any]:
@@ -389,12 +388,10 @@ def _photograph(path: Path) -> NDArray[Any]:
 
 def _other_contents(path: Path) -> tuple[str, str]:
     """Return what a file is that has the ending of a picture and is none, and what to do; else two empty texts."""
-    from drivers.camera.raw_header import looks_like
-
     if not path.is_file():
         return "", ""
     start = _start(path)
-    what, remedy = unread_picture(start) or (looks_like(start)[0], "")
+    what, remedy = unread_picture(start) or (kind_of_file(start)[0], "")
     return (f"The file is {what}.", remedy) if remedy or what in {"empty", "a text file"} else ("", "")
 
 

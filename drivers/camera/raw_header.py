@@ -16,7 +16,7 @@ from datetime import datetime
 from typing import Final, NamedTuple
 
 from drivers.camera import CameraIdentity
-from drivers.camera.picture_kinds import unread_picture
+from drivers.camera.file_kinds import kind_of_file
 from drivers.errors import NotARecording
 
 MAX_HEADER_BYTES: Final = 65536
@@ -32,39 +32,6 @@ _FIRST_LITTLE_ENDIAN: Final = 55
 """Smallest ``system_ID`` whose EVT2.1 words are little-endian if the header does not say it."""
 _ENCODINGS: Final = {"2.0": "EVT2", "2.1": "EVT21", "3.0": "EVT3", "4.0": "EVT4"}
 """Encodings by the older key ``evt``."""
-
-_JOIN: Final = "If it is a part of a recording that was split, join the parts in their order first."
-_AS_NPZ: Final = "Save its columns with NumPy: an .npz file of t (us), x, y and p."
-_OLD_AEDAT: Final = "Starbench reads AEDAT4; iniVation's program DV writes it from older files."
-_UNPACK: Final = "Unpack it first."
-_MAGIC: Final = (
-    (b"% Data file containing", "a DAT file", ""),
-    (b"\x89HDF", "an HDF5 file", ""),
-    (b"\x89PNG", "a PNG image", ""),
-    (b"\xff\xd8\xff", "a JPEG image", ""),
-    (b"\x1f\x8b", "a gzip archive", _UNPACK),
-    (b"BZh", "a bzip2 archive", _UNPACK),
-    (b"\xfd7zXZ\x00", "an xz archive", _UNPACK),
-    (b"\x28\xb5\x2f\xfd", "a Zstandard archive", _UNPACK),
-    (b"7z\xbc\xaf\x27\x1c", "a 7z archive", _UNPACK),
-    (b"PK\x03\x04", "a zip archive", ""),
-    (b"#!AER-DAT1.0", "an AEDAT 1.0 file", _OLD_AEDAT),
-    (b"#!AER-DAT2.0", "an AEDAT 2.0 file", _OLD_AEDAT),
-    (b"#!AER-DAT3.0", "an AEDAT 3.0 file", _OLD_AEDAT),
-    (b"#!AER-DAT3.1", "an AEDAT 3.1 file", _OLD_AEDAT),
-    (b"#!AER-DAT", "an AEDAT file", ""),
-    (b"Event Stream", "an Event Stream file (.es)", "Convert it with the program faery."),
-    (b"MATLAB", "a MATLAB file", _AS_NPZ),
-    (b"\x93NUMPY", "a NumPy array", ""),
-    (b"\x80\x04", "a Python pickle", _AS_NPZ),
-    (b"\x80\x05", "a Python pickle", _AS_NPZ),
-    (b"PAR1", "a Parquet file", ""),
-    (b"ARROW1", "a Feather file of Arrow", "Write its table as Parquet."),
-    (b"SQLite format 3\x00", "a SQLite database", "If it is of a ROS 2 bag, give the bag's folder."),
-    (b"II*\x00", "a TIFF image", ""),
-    (b"MM\x00*", "a TIFF image", ""),
-    (b"%PDF", "a PDF document", ""),
-)
 
 
 class Sensor(NamedTuple):
@@ -120,7 +87,7 @@ def parse_header(
     is missing.
     """
     if not start.startswith(b"% ") or start.startswith(b"% Data file containing"):
-        what, remedy = looks_like(start)
+        what, remedy = kind_of_file(start)
         raise NotARecording(
             f"This is not a RAW recording: it is {what}.",
             where=where,
@@ -168,22 +135,6 @@ def header_fields(start: bytes) -> tuple[dict[str, str], int | None]:
 def _printable(text: str) -> str:
     """Replace what no text file should hold: control characters would reach terminals and other file formats."""
     return "".join(letter if letter.isprintable() else "\ufffd" for letter in text)
-
-
-def looks_like(start: bytes) -> tuple[str, str]:
-    """Describe a file that is no RAW file by its first bytes; also return what to do with it, or ""."""
-    if not start:
-        return "empty", ""
-    for magic, name, remedy in _MAGIC:
-        if start.startswith(magic):
-            return name, remedy
-    if picture := unread_picture(start):
-        return picture
-    if not start.strip(b"\0"):
-        return "nothing but zeros", "Copy the file again: its contents are lost here."
-    if all(byte in b"\t\r\n" or 32 <= byte < 127 for byte in start[:512]):
-        return "a text file", _AS_NPZ
-    return "binary data without a RAW header", _JOIN
 
 
 def encoding_of(fields: Mapping[str, str]) -> str:

@@ -1,0 +1,82 @@
+"""What a file is that is not read, by its first bytes or its ending, and how it becomes one that is."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+_CONVERT: Final = "Convert it to PNG; do not turn, crop or scale it."
+_DEVELOP: Final = "Develop it to TIFF or PNG; do not turn, crop or scale it, nor correct the lens."
+_TAKE_FRAMES: Final = "Write some of its frames as PNG, such as by `ffmpeg -i FILE -vf fps=1 frame%03d.png`."
+_UNREAD_PICTURES: Final = (
+    (rb".{4}ftyp(?:hei|hev|mif1|msf1)", "a HEIC picture", _CONVERT),
+    (rb".{4}ftypavif", "an AVIF picture", _CONVERT),
+    (rb".{4}ftypcrx|II\*\0.{4}CR|FUJIFILMCCD-RAW", "a raw picture of a photo camera", _DEVELOP),
+    (rb".{4}ftyp|.{4}moov|RIFF.{4}AVI |\x1aE\xdf\xa3", "a video", _TAKE_FRAMES),
+    (rb"RIFF.{4}WEBP", "a WebP picture", _CONVERT),
+    (rb"GIF8", "a GIF picture", _CONVERT),
+    (rb"\0{3}\x0cjP  |\xff\x4f\xff\x51", "a JPEG 2000 picture", _CONVERT),
+    (rb"8BPS", "a Photoshop picture", _CONVERT),
+)
+_JOIN: Final = "If it is a part of a recording that was split, join the parts in their order first."
+_AS_NPZ: Final = "Save its columns with NumPy: an .npz file of t (us), x, y and p."
+_OLD_AEDAT: Final = "Starbench reads AEDAT4; iniVation's program DV writes it from older files."
+_UNPACK: Final = "Unpack it first."
+_OTHERS: Final = (
+    (b"% Data file containing", "a DAT file", ""),
+    (b"\x89HDF", "an HDF5 file", ""),
+    (b"\x89PNG", "a PNG image", ""),
+    (b"\xff\xd8\xff", "a JPEG image", ""),
+    (b"\x1f\x8b", "a gzip archive", _UNPACK),
+    (b"BZh", "a bzip2 archive", _UNPACK),
+    (b"\xfd7zXZ\x00", "an xz archive", _UNPACK),
+    (b"\x28\xb5\x2f\xfd", "a Zstandard archive", _UNPACK),
+    (b"7z\xbc\xaf\x27\x1c", "a 7z archive", _UNPACK),
+    (b"PK\x03\x04", "a zip archive", ""),
+    (b"#!AER-DAT1.0", "an AEDAT 1.0 file", _OLD_AEDAT),
+    (b"#!AER-DAT2.0", "an AEDAT 2.0 file", _OLD_AEDAT),
+    (b"#!AER-DAT3.0", "an AEDAT 3.0 file", _OLD_AEDAT),
+    (b"#!AER-DAT3.1", "an AEDAT 3.1 file", _OLD_AEDAT),
+    (b"#!AER-DAT", "an AEDAT file", ""),
+    (b"Event Stream", "an Event Stream file (.es)", "Convert it with the program faery."),
+    (b"MATLAB", "a MATLAB file", _AS_NPZ),
+    (b"\x93NUMPY", "a NumPy array", ""),
+    (b"\x80\x04", "a Python pickle", _AS_NPZ),
+    (b"\x80\x05", "a Python pickle", _AS_NPZ),
+    (b"PAR1", "a Parquet file", ""),
+    (b"ARROW1", "a Feather file of Arrow", "Write its table as Parquet."),
+    (b"SQLite format 3\x00", "a SQLite database", "If it is of a ROS 2 bag, give the bag's folder."),
+    (b"II*\x00", "a TIFF image", ""),
+    (b"MM\x00*", "a TIFF image", ""),
+    (b"%PDF", "a PDF document", ""),
+)
+_OF_PHOTO_CAMERAS: Final = {
+    ".arw", ".cr2", ".cr3", ".dng", ".nef", ".nrw", ".orf", ".pef", ".raf", ".rw2", ".srw",
+}  # fmt: skip
+"""Endings of raw pictures, most of which begin as TIFF does."""
+
+
+def unread_picture(start: bytes, ending: str = "") -> tuple[str, str] | None:
+    """Return what a picture or video that is not read is, and what to do; None for any other file."""
+    if ending.lower() in _OF_PHOTO_CAMERAS:
+        return "a raw picture of a photo camera", _DEVELOP
+    for begin, what, remedy in _UNREAD_PICTURES:
+        if re.match(begin, start, re.DOTALL):
+            return what, remedy
+    return None
+
+
+def kind_of_file(start: bytes, ending: str = "") -> tuple[str, str]:
+    """Return what a file is that is no RAW file, and what to do with it, or ""."""
+    if not start:
+        return "empty", ""
+    if picture := unread_picture(start, ending):
+        return picture
+    for begin, what, remedy in _OTHERS:
+        if start.startswith(begin):
+            return what, remedy
+    if not start.strip(b"\0"):
+        return "nothing but zeros", "Copy the file again: its contents are lost here."
+    if all(byte in b"\t\r\n" or 32 <= byte < 127 for byte in start[:512]):
+        return "a text file", _AS_NPZ
+    return "binary data without a RAW header", _JOIN
