@@ -20,7 +20,7 @@ from drivers.errors import RecordingFailed
 if TYPE_CHECKING:
     from calib.target import StarTarget
 
-_DURATION_S = 0.051
+_DURATION_S = 0.051  # A little more than three periods of 60 Hz
 _ATTEMPTS = 5
 #: The drawn recording: sensor, frequency of the lamp, how often it is switched, and a pixel on the target.
 _WIDTH, _HEIGHT, _HZ, _SWITCHED, _PIXEL_MM = 1280, 720, 60.0, 7, 255.0 / 3345.0

@@ -74,10 +74,10 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
         result = summarize(fit_model(views, options, options.model, wrong=wrong))
     else:
         result = calibrate_jointly(views, options, wrong)
-    found = check_image_size(right, result.camera, (result.sigma["cx"], result.sigma["cy"]))
+    doubt = check_image_size(right, result.camera, (result.sigma["cx"], result.sigma["cy"]))
     remarks = _remarks(options, result.camera)
-    named = [one.sentence for one in wrong]
-    notes = filter(None, (*named, *doubts, *result.notes, found, *remarks))
+    named = [fault.sentence for fault in wrong]
+    notes = filter(None, (*named, *doubts, *result.notes, doubt, *remarks))
     return replace(result, notes=tuple(notes), remarks=(*result.remarks, *remarks))
 
 

@@ -177,8 +177,8 @@ class StarTarget:
     def surrounded(self) -> NDArray[np.int64]:
         """(M, 2) int64, columns and rows of the stars that have all eight neighbours."""
         around = np.array([(i, j) for i in (-1, 0, 1) for j in (-1, 0, 1)])
-        beside = self._nodes_by_id[:, None] + around
-        return self._nodes_by_id[(self.id_at(beside[..., 0], beside[..., 1]) >= 0).all(axis=1)]
+        neighbours = self._nodes_by_id[:, None] + around
+        return self._nodes_by_id[(self.id_at(neighbours[..., 0], neighbours[..., 1]) >= 0).all(axis=1)]
 
     @property
     def ids(self) -> NDArray[np.int64]:

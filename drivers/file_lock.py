@@ -26,7 +26,7 @@ from drivers.errors import CameraBusy, CameraError, DriverError, PortBusy, PortD
 _PROC: Final = Path("/proc")
 _START_TIME: Final = 19
 """Position in ``/proc/PID/stat`` after the name of the program: field 22, clock ticks since the system booted."""
-_MOST_LETTERS: Final = 200
+_MOST_LETTERS: Final = 200  # A command line as a message can show it
 _HELD: Final = {errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK}
 
 FOLDER_VARIABLE: Final = "STARBENCH_LOCKS"
@@ -43,7 +43,9 @@ def holder_text(inode: int) -> str:
         locks = list(_locks())
         for process, locked in locks:
             if locked == inode and process > 0:
-                return _process_text(process, frozenset(other for one, other in locks if one == process))
+                return _process_text(
+                    process, frozenset(other for holder, other in locks if holder == process)
+                )
     return ""
 
 
@@ -71,10 +73,10 @@ def _process_text(process: int, locked: frozenset[int]) -> str:
 
 def _locked_folder(home: Path, locked: frozenset[int]) -> str:
     with suppress(OSError):
-        for one in (home / "fd").iterdir():
+        for link in (home / "fd").iterdir():
             with suppress(OSError):
-                if one.stat().st_ino in locked and one.is_dir():
-                    return str(one.readlink())
+                if link.stat().st_ino in locked and link.is_dir():
+                    return str(link.readlink())
     return ""
 
 
@@ -144,7 +146,7 @@ def locks_folder(shared: Sequence[Path] = _SHARED_FOLDERS) -> Path:
     if folder := os.environ.get(FOLDER_VARIABLE):
         return Path(folder)
     own = os.environ.get("XDG_RUNTIME_DIR") or tempfile.gettempdir()
-    return next((one for one in shared if _is_shared(one)), Path(own))
+    return next((shared_folder for shared_folder in shared if _is_shared(shared_folder)), Path(own))
 
 
 def _is_shared(folder: Path) -> bool:

@@ -33,7 +33,7 @@ TRIES: Final = 3
 """How often a request is sent in all, before its last error is passed on."""
 TRIES_WHEN_LATE: Final = 3
 """How much more often a request is sent when time-outs came from a computer that is too busy."""
-_MOST_READINGS: Final = 5
+_MOST_READINGS: Final = 5  # Two that agree are wanted
 
 LONGEST_LINE = 4096
 """Longest line, in bytes. A longer one comes from a device that sends without pause, or from another protocol."""

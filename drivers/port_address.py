@@ -17,7 +17,7 @@ SOURCE_SCHEMES: Final = ("rtsp", "rtsps", "http", "https", "tcp", "udp", "rtp")
 PORT_REMEDY: Final = "Name a device file, socket://host:port or rfc2217://host:port."
 SOURCE_REMEDY: Final = "Name a video device, a video file, or a URL (rtsp, http, tcp)."
 
-_LONGEST: Final = 20
+_LONGEST: Final = 20  # What follows may be a password that was pasted
 _PROTOCOL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+)(?:[,:])")  # a single letter is a drive of Windows
 
 
@@ -29,8 +29,8 @@ def refused_port(address: str) -> str | None:
     >>> refused_port("spy:///dev/null?file=notes.txt")
     'a port cannot be a URL of the kind spy://.'
     """
-    scheme, found, _ = address.partition("://")
-    if not found or scheme.lower() in PORT_SCHEMES:
+    scheme, colons, _ = address.partition("://")
+    if not colons or scheme.lower() in PORT_SCHEMES:
         return None
     return f"a port cannot be a URL of the kind {scheme[:_LONGEST]}://."
 

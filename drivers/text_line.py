@@ -34,7 +34,7 @@ _LONGEST_QUEUE = 40
 _ERROR = re.compile(r'([+-]?\d+)(?: ?[, ] ?(?:"([^"]*)"|([^"]*)))?')
 _PROMPT = re.compile(rb"\s*(?:[\w .-]{0,20}>\s*)*")
 """What an instrument with a prompt sends before or after its answers, as in ``33500B> ``."""
-_HARDWARE_MISSING = -241
+_HARDWARE_MISSING = -241  # SCPI-99: the command needs an option that is not built in
 
 
 class TextLine(Link):

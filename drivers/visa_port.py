@@ -21,8 +21,8 @@ from drivers.file_lock import DeviceHold
 VISA_PREFIX: Final = "visa:"
 _INSTALL: Final = 'Install it: pip install "starbench[visa]".'
 _SOCKET = re.compile(r"visa:\s*TCPIP\d*::([^:]+)::(\d+)::SOCKET", re.IGNORECASE)
-_OPEN_MS: Final = 5000
-_WRITE_MS: Final = 2000
+_OPEN_MS: Final = 5000  # An instrument on USB or LAN that has just been switched on
+_WRITE_MS: Final = 2000  # A command of some bytes; longer, and the instrument hangs
 
 
 def socket_url(address: str) -> str | None:

@@ -86,10 +86,10 @@ def with_settings(data: bytes, file: str, settings: Mapping[str, str]) -> bytes:
 
 
 def _value(path: str, text: str) -> Any:
-    found = parse(f"value: {text}\n".encode(), f"setting {path}")
-    if found.faults or not isinstance(found.value, dict) or list(found.value) != ["value"]:
+    parsed = parse(f"value: {text}\n".encode(), f"setting {path}")
+    if parsed.faults or not isinstance(parsed.value, dict) or list(parsed.value) != ["value"]:
         raise DocumentFaults([Fault(f"setting {path}", 0, 0, "", f"{text!r} is not one plain YAML value.")])
-    return found.value["value"]
+    return parsed.value["value"]
 
 
 def _put(tree: Any, path: str, value: Any, file: str) -> None:
@@ -213,17 +213,17 @@ def find_document(name_or_path: str, shipped: Path) -> Path:
 def _of_this_format(tree: Tree, model: type[BaseModel]) -> dict[str, Any]:
     """Return the document if its format is the wanted one; else raise one fault instead of one for each line."""
     if not isinstance(tree.value, dict):
-        found = "empty" if tree.value is None else "something else"
-        message = f"the document must be a mapping (key: value), but it is {found}."
+        kind = "empty" if tree.value is None else "something else"
+        message = f"the document must be a mapping (key: value), but it is {kind}."
         raise DocumentFaults([*tree.faults, Fault(tree.file, *tree.spot(()), "", message)])
     wanted = (
         typing.get_args(model.model_fields["format"].annotation)[0]
         if "format" in model.model_fields
         else None
     )
-    said = tree.value.get("format", wanted)
-    if said != wanted:
-        message = f"wrong kind of document: {_wrong_kind(wanted, said)}"
+    stated = tree.value.get("format", wanted)
+    if stated != wanted:
+        message = f"wrong kind of document: {_wrong_kind(wanted, stated)}"
         raise DocumentFaults([*tree.faults, Fault(tree.file, *tree.spot(("format",)), "format", message)])
     return tree.value
 

@@ -146,12 +146,12 @@ def _tags(model: type[BaseModel], loc: tuple[int | str, ...], discriminator: str
 
 def _types_at(model: type[BaseModel], loc: tuple[int | str, ...]) -> list[Any]:
     """Return the types that a value at a location may have; a part that names a union's branch selects that branch."""
-    found: list[Any] = [model]
+    kinds: list[Any] = [model]
     for part in loc:
-        inner = [each for kind in found for each in _inner(kind, part)]
-        branch = [kind for kind in found if _is_model(kind) and _is_branch(kind, part)]
-        found = inner or branch or found
-    return found
+        inner = [each for kind in kinds for each in _inner(kind, part)]
+        branch = [kind for kind in kinds if _is_model(kind) and _is_branch(kind, part)]
+        kinds = inner or branch or kinds
+    return kinds
 
 
 def _inner(kind: Any, part: int | str) -> list[Any]:

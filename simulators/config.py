@@ -217,7 +217,7 @@ def _with_backlash(
 
 def _left_behind(kind: str, given: object) -> tuple[bytes, ...]:
     """Read the messages that another program has sent to a stage before the bench was opened."""
-    if not isinstance(given, list) or not all(isinstance(one, str) for one in given):
+    if not isinstance(given, list) or not all(isinstance(mode, str) for mode in given):
         raise ConfigError(
             "A list of texts is expected.", where="stage.left_behind", remedy="Give one message each."
         )

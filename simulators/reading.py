@@ -66,7 +66,9 @@ def read(kind: Any, given: object, where: str) -> Any:
         return _adapter(kind).validate_python(given)
     except ValidationError as error:
         order = list(given) if isinstance(given, Mapping) else []
-        first = min(error.errors(), key=lambda one: order.index(one["loc"][0]) if one["loc"] and order else 0)
+        first = min(
+            error.errors(), key=lambda detail: order.index(detail["loc"][0]) if detail["loc"] and order else 0
+        )
         why = first.get("ctx", {}).get("error", first["msg"])
         at, remedy = (why.at, why.remedy) if isinstance(why, Wrong) else ("", "")
         inside = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in first["loc"])
@@ -91,7 +93,7 @@ def numbers(count: int) -> BeforeValidator:
     def check(value: object) -> tuple[float, ...]:
         if not isinstance(value, (list, tuple)) or len(value) != count:
             raise Wrong(f"{count} numbers are expected, not {value!r}.")
-        return tuple(number(one) for one in value)
+        return tuple(number(element) for element in value)
 
     return BeforeValidator(check)
 

@@ -22,13 +22,14 @@ HOME: Final = (
     "Press Home: the stage is not homed, so its angles are not known. Each axis then turns a long way."
 )
 """The first advice on a bench that is not homed."""
-_LOADED_LINK: Final = 0.9
+_LOADED_LINK: Final = 0.9  # Share of the link's rate; above it a small rise already loses events
+# A flickering pattern gives as many ON as OFF events; outside, one bias is far off.
 _ON_SHARES: Final = (0.25, 0.75)
 _MANY_HOT: Final = 2000
-_LITTLE_LIGHT: Final = 0.6
-_BLINDED: Final = 0.6
-_FREQUENCY_SLACK: Final = 0.03
-_ASIDE: Final = 0.04
+_LITTLE_LIGHT: Final = 0.6  # Share of the image in the beam, below which aiming comes before focus
+_BLINDED: Final = 0.6  # Share of saturated pixels from which nothing else can be read off a picture
+_FREQUENCY_SLACK: Final = 0.03  # Relative; a live slice is too short for the tolerance of a run
+_ASIDE: Final = 0.04  # Share of the image; less is not seen by eye
 
 
 class Advice(NamedTuple):
@@ -179,14 +180,14 @@ def _sync(signal: SignalFigures | None, setting: LiveSetting) -> Iterator[str]:
     ):
         yield f"The sync edges jitter by {signal.jitter_us:.0f} us: check the sync cable and its level."
     wanted, source = setting.frequency_hz, "triggers" if signal.trigger_hz else "events"
-    found = signal.trigger_hz or signal.event_hz
+    measured_hz = signal.trigger_hz or signal.event_hz
     # A live slice is too short for the tolerance of a run if only events give the frequency.
     digits = 2 if source == "triggers" else 1
     tolerance = FREQUENCY_TOLERANCE["triggers"] if source == "triggers" else _FREQUENCY_SLACK
-    if wanted and found and not signal.sync_fault and abs(found / wanted - 1.0) > tolerance:
+    if wanted and measured_hz and not signal.sync_fault and abs(measured_hz / wanted - 1.0) > tolerance:
         yield (
-            f"The flicker is {found:.{digits}f} Hz, but the light is set to {wanted:.2f} Hz: check that no other lamp "
-            "lights the pattern, and that the light follows its settings."
+            f"The flicker is {measured_hz:.{digits}f} Hz, but the light is set to {wanted:.2f} Hz: check that no other "
+            "lamp lights the pattern, and that the light follows its settings."
         )
 
 

@@ -67,8 +67,8 @@ class _Pages:
 
     async def course(self, _request: Request) -> Response:
         session = self._session
-        found = session.bench.loop.course() if session.is_open else []
-        return JSONResponse({"edge_width_px": [[round(t, 3), round(w, 3)] for t, w in found]})
+        widths_px = session.bench.loop.course() if session.is_open else []
+        return JSONResponse({"edge_width_px": [[round(t, 3), round(w, 3)] for t, w in widths_px]})
 
     async def image(self, _request: Request) -> Response:
         picture = self._session.picture()

@@ -20,8 +20,8 @@ LARGEST_STEP_DEG = 5.0
 """Largest step of one axis, degrees. A person looks at the picture while the camera turns; long ways are for runs."""
 _SAME_DEG = 0.01
 """If counter and goal are nearer than this, the next step begins at the goal, so that rounding does not add up."""
-_STOP_AGAIN_S = 0.03
-_STOP_WAIT_S = 2.0
+_STOP_AGAIN_S = 0.03  # After this the stop is sent again: one that is lost costs no more
+_STOP_WAIT_S = 2.0  # Longer than a query of a slow controller
 
 Work = Literal["move", "home"]
 

@@ -36,7 +36,7 @@ _TRUSTED_CIRCLE_PX: Final = 9.0
 """Blur circle from which it counts more than the stars' edges; these stop to grow there."""
 _SIGMA_OF_CIRCLE: Final = 0.25
 """Standard deviation of the points of a uniform disc along one axis, as a share of the diameter."""
-_NEAR_TAG: Final = 40
+_NEAR_TAG: Final = 40  # Stars about the tag: enough for a median, near enough for one edge width
 _TILT_PX, _TILT_SHARE = 0.15, 0.15
 
 
@@ -105,12 +105,12 @@ def tilt_of(regions: Mapping[str, float | None]) -> str:
     >>> tilt_of({"top left": 0.8, "top right": 1.2, "bottom left": 0.8, "bottom right": 1.2})
     'Edges are 1.2 px wide on the right and 0.8 px on the left.'
     """
-    found = []
-    for one, other in (("left", "right"), ("top", "bottom")):
-        widths = [[w for name, w in regions.items() if side in name.split()] for side in (one, other)]
+    differences = []
+    for near, other in (("left", "right"), ("top", "bottom")):
+        widths = [[w for name, w in regions.items() if side in name.split()] for side in (near, other)]
         sides = [float(np.mean([w for w in ws if w is not None])) for ws in widths if ws and None not in ws]
         if len(sides) == 2 and abs(sides[1] - sides[0]) > max(_TILT_PX, _TILT_SHARE * min(sides)):
-            (low, less), (high, more) = sorted(((sides[0], one), (sides[1], other)))
+            (low, less), (high, more) = sorted(((sides[0], near), (sides[1], other)))
             where = {
                 "left": "on the left",
                 "right": "on the right",
@@ -118,8 +118,8 @@ def tilt_of(regions: Mapping[str, float | None]) -> str:
                 "bottom": "at the bottom",
             }
             text = f"Edges are {high:.1f} px wide {where[more]} and {low:.1f} px {where[less]}."
-            found.append((high - low, text))
-    return max(found)[1] if found else ""
+            differences.append((high - low, text))
+    return max(differences)[1] if differences else ""
 
 
 def _region_widths(
@@ -151,11 +151,11 @@ def _circle(image: NDArray[np.float32], stars: QuickStars, target: StarTarget) -
         # Stars give the place of the print better than the tag: bright light does not move them.
         off = stars.nodes - np.array(target.tag_centre_mm) / target.pitch_mm
         near = np.argsort(np.linalg.norm(off, axis=1))[:_NEAR_TAG]
-        found = blur_circle(
+        circle = blur_circle(
             image, fit_homography(stars.nodes[near], stars.points_px[near]), target, enlarged=(1.0,)
         )
     elif stars.tag is not None:
-        found = blur_circle(image, stars.tag.homography, target)
+        circle = blur_circle(image, stars.tag.homography, target)
     else:
         return None
-    return found.diameter_px if found is not None else None
+    return circle.diameter_px if circle is not None else None

@@ -216,7 +216,7 @@ class FocusCourse:
         return self._rests[-1].place + ratio * (self._rests[-1].place - self._rests[-2].place)
 
     def _values(self, column: int, count: int) -> list[float]:
-        return [float(v) for one in list(self._course)[-count:] if (v := one[column]) is not None]
+        return [float(v) for row in list(self._course)[-count:] if (v := row[column]) is not None]
 
     def _recent(self, column: int) -> float | None:
         """Return the median of the newest values of a column; None if there are fewer than `_RECENT`."""
@@ -234,9 +234,9 @@ class FocusCourse:
         return max(2.22 * float(np.quantile(steps, 0.25)), least) if len(steps) else least
 
 
-def _larger(one: float | None, other: float | None) -> float | None:
+def _larger(first: float | None, other: float | None) -> float | None:
     """Return the larger of two numbers that may be unknown."""
-    known = [value for value in (one, other) if value is not None]
+    known = [value for value in (first, other) if value is not None]
     return max(known, default=None)
 
 
@@ -249,7 +249,7 @@ def best_place(rests: Sequence[_Rest], *, sharp_px: float | None, behind: bool =
     """
     here, before = rests[-1].place, rests[-2].place
     last = here - before
-    reach = _REACH * max(abs(one.place - here) for one in rests)
+    reach = _REACH * max(abs(known.place - here) for known in rests)
     steps = np.linspace(-reach, reach, 601)
     if behind:
         steps = steps[steps * last < 0.0]

@@ -138,23 +138,23 @@ class LiveMeter:
         beam = find_beam(image.values, least=image.least, radius_px=setting.beam_radius_px)
         in_beam = contrast(image.values, beam.lit) if beam.share > 0.0 else None
         watch.lap("beam")
-        found = self._stars.look(part, setting, image, beam, watch)
+        stars = self._stars.look(part, setting, image, beam, watch)
         if part.moving or self._light != (setting.light_on, setting.level_percent):
             self._light = setting.light_on, setting.level_percent
             self._course.turned()
-        if found.time_s == part.time_s and found.focus != FocusFigures():
-            self._course.add(part.time_s, found.focus)
+        if stars.time_s == part.time_s and stars.focus != FocusFigures():
+            self._course.add(part.time_s, stars.focus)
         seen = Seen(
             image=image,
             facts=part.facts,
             beam=beam,
-            stars=found.stars,
-            other_tag=found.other_tag,
-            focus=self._course.judged(found.focus),
+            stars=stars.stars,
+            other_tag=stars.other_tag,
+            focus=self._course.judged(stars.focus),
             contrast=in_beam,
-            turn=self._turn(part, setting, beam, found),
+            turn=self._turn(part, setting, beam, stars),
         )
-        figures = _figures(part, setting, seen, found)
+        figures = _figures(part, setting, seen, stars)
         advice = Advice((TURNING,)) if part.moving else advice_for(seen, setting)
         return shown, replace(
             figures,
@@ -179,12 +179,12 @@ class LiveMeter:
         """Note that the focus ring is at the end of its travel."""
         self._course.at_stop()
 
-    def _turn(self, part: LiveSlice, setting: LiveSetting, beam: Beam, found: Found) -> TurnFigures:
+    def _turn(self, part: LiveSlice, setting: LiveSetting, beam: Beam, stars: Found) -> TurnFigures:
         """Find out where to turn, and learn how the tag has moved since the last search for it."""
         turn = where_to_turn(
-            self._size, beam, found.stars, setting, part.reading_deg, self._motion, found.square
+            self._size, beam, stars.stars, setting, part.reading_deg, self._motion, stars.square
         )
-        if found.time_s == part.time_s and turn.tag_px is not None and turn.focal_px and part.reading_deg:
+        if stars.time_s == part.time_s and turn.tag_px is not None and turn.focal_px and part.reading_deg:
             self._motion.add(part.reading_deg, turn.tag_px, turn.focal_px)
         return turn
 
@@ -211,7 +211,7 @@ def _jpeg(image: NDArray[np.uint8]) -> bytes:
     return jpeg.tobytes() if coded else b""
 
 
-def _figures(part: LiveSlice, setting: LiveSetting, seen: Seen, found: Found) -> LiveFigures:
+def _figures(part: LiveSlice, setting: LiveSetting, seen: Seen, star_figures: Found) -> LiveFigures:
     """Collect the figures of a slice, without advice."""
     image, beam, stars = seen.image, seen.beam, seen.stars
     signal = image.signal or SignalFigures()
@@ -225,11 +225,11 @@ def _figures(part: LiveSlice, setting: LiveSetting, seen: Seen, found: Found) ->
         hot_pixels=image.hot_pixels,
         temperature_c=_temperature_c(part),
         stars=() if stars is None else tuple(_star_list(stars)),
-        stars_time_s=found.time_s if stars is not None else None,
-        stars_followed=found.followed,
+        stars_time_s=star_figures.time_s if stars is not None else None,
+        stars_followed=star_figures.followed,
         tag_id=setting.target.tag_id if tag is not None else None,
         tag_corners_px=None if tag is None else tuple((float(x), float(y)) for x, y in tag.corners_px),
-        square=found.square,
+        square=star_figures.square,
         disc_centre_px=beam.centre_px,
         disc_radius_px=beam.radius_px,
         rim_in_view=beam.rim_in_view,

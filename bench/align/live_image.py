@@ -45,9 +45,9 @@ _NEARLY: Final = 0.02
 
 GAMMA: Final = 0.6
 """Exponent of the tone map: a pattern at a tenth of the brightest light is shown at a quarter."""
-_CLIPPED: Final = 0.004
-_LEAST_FIRED: Final = 0.3
-_LEAST_GREY: Final = 0.02
+_CLIPPED: Final = 0.004  # Quantile at both ends, so that some hot pixels do not take the range of grey
+_LEAST_FIRED: Final = 0.3  # Events an edge: contrast is not stretched further, so that noise stays dark
+_LEAST_GREY: Final = 0.02  # Share of full scale: contrast is not stretched further, so that noise stays dark
 _HOT_EVENTS: Final = 6
 
 
@@ -81,16 +81,16 @@ def measure_signal(
     ends = [int(a[-1]) for a in (events.t, triggers.t) if len(a)]
     duration_s = (max(ends) + 1) * 1e-6 if ends else 0.0
     counted = _Counted(len(events.t), int(np.count_nonzero(events.p)), duration_s, data_bytes)
-    found = _figures(counted, triggers, expected_hz)
-    edges = found.flicker if found.flicker is not None and found.flicker.source == "triggers" else None
+    signal = _figures(counted, triggers, expected_hz)
+    edges = signal.flicker if signal.flicker is not None and signal.flicker.source == "triggers" else None
     near_hz = edges.frequency_hz if edges else expected_hz
     by_events = None
     # Events of a single period show its ON and its OFF burst, which could be two periods of twice the frequency.
     if (compare or edges is None) and duration_s * (near_hz or math.inf) >= _SHORT_PERIODS:
         by_events = _by_events(events, near_hz)
-    flicker = edges or by_events or found.flicker
+    flicker = edges or by_events or signal.flicker
     return replace(
-        found,
+        signal,
         flicker=flicker,
         event_hz=by_events.frequency_hz if by_events else None,
         event_jitter_us=burst_jitter_us(events, flicker) if flicker else None,
@@ -102,8 +102,8 @@ def signal_of_counts(
 ) -> SignalFigures | None:
     """Return the signal of a slice whose events were only counted; None if only their times show the flicker."""
     counted = _Counted(statistics.events, statistics.on_events, statistics.duration_s, data_bytes)
-    found = _figures(counted, triggers, expected_hz)
-    return None if found.flicker is None and counted.events else found
+    signal = _figures(counted, triggers, expected_hz)
+    return None if signal.flicker is None and counted.events else signal
 
 
 def shows_flicker(signal: SignalFigures | None) -> bool:

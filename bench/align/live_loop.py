@@ -40,7 +40,7 @@ LONGEST_SLICE_S = 4.0
 _OF_LONGER = ("trigger_hz", "event_hz", "jitter_us", "event_jitter_us")
 _LEARNT = 0.3
 """Weight of the newest duration in the expected ones."""
-_RATE_OVER_S = 4.0
+_RATE_OVER_S = 4.0  # Long enough for two digits of the rate, short enough to follow a change
 
 SIGNAL_PERIODS = 4
 """Periods of a slice that shows the flicker itself: frequency by triggers and by events, and jitter. It holds three
@@ -70,9 +70,9 @@ def make_slice_folder() -> Path:
 def _remove_left_behind(parent: Path) -> None:
     """Remove this user's folders of processes that have ended."""
     for folder in parent.glob("starbench-align-*"):
-        found = _NAME.fullmatch(folder.name)
+        name = _NAME.fullmatch(folder.name)
         try:
-            if found and folder.lstat().st_uid == os.getuid() and not _is_alive(int(found[1])):
+            if name and folder.lstat().st_uid == os.getuid() and not _is_alive(int(name[1])):
                 shutil.rmtree(folder, ignore_errors=True)
         except OSError:  # another session removes it at the same time
             continue
@@ -102,7 +102,7 @@ def with_signal_of(figures: LiveFigures, signal: LiveFigures) -> LiveFigures:
     return replace(
         figures,
         signal=replace(figures.signal, **longer),
-        advice=(*kept, *(one for one in figures.advice if one not in kept)),
+        advice=(*kept, *(line for line in figures.advice if line not in kept)),
     )
 
 

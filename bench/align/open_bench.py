@@ -121,11 +121,11 @@ class CameraControl:
         config = cast("EventCameraConfig", self._config)
         with self._lock:
             # The names are those of the station; other biases keep the value that was read back.
-            wanted = {one: now for one, now in self.biases.items() if one in ranges} | {name: value}
+            wanted = {bias: now for bias, now in self.biases.items() if bias in ranges} | {name: value}
             settings = CameraSettings(wanted, trigger_in=True, roi=config.roi)
             event_camera = cast("EventCamera", self._camera)
-            found = self._between_slices(lambda: event_camera.apply(settings))
-            self.settings = {**self.settings, "biases": dict(found.biases)}
+            applied = self._between_slices(lambda: event_camera.apply(settings))
+            self.settings = {**self.settings, "biases": dict(applied.biases)}
         self._on_change()
         return self.biases
 
@@ -140,8 +140,8 @@ class CameraControl:
         with self._lock:
             wanted = FrameSettings(**{**self.frame_settings, name: value})
             frame_camera = cast("FrameCamera", self._camera)
-            found = self._between_slices(lambda: frame_camera.apply(wanted))
-            self.settings = {**self.settings, **asdict(found)}
+            applied = self._between_slices(lambda: frame_camera.apply(wanted))
+            self.settings = {**self.settings, **asdict(applied)}
         self._on_change()
         return self.frame_settings
 
@@ -254,7 +254,7 @@ class LightControl:
     def as_data(self) -> dict[str, Any]:
         """Return the light as the page shows it."""
         now = self.reading
-        found = now.settings
+        settings = now.settings
         steady = self._for_camera(now.flicker).waveform == "steady"
         return {
             "on": now.on,
@@ -263,7 +263,7 @@ class LightControl:
             "frequency_hz": now.flicker.frequency_hz,
             "duty_percent": now.flicker.duty_percent,
             "level_percent": now.flicker.level_percent,
-            "read_back": None if found is None else asdict(found),
+            "read_back": None if settings is None else asdict(settings),
             "frequency_range_hz": list(self._config.frequency_range_hz),
             "faults": list(now.faults),
             "failure": now.failure.to_dict() if now.failure else None,
@@ -318,7 +318,7 @@ def _ended(bench: Bench, say: Callable[[str], None], name: str) -> None:
     late = bench.devices.late
     if late[name].state == "failed" and failure is not None:
         say(f"The {name} could not be opened. {failure.message}")
-    elif all(one.state == "open" for one in late.values()):
+    elif all(device.state == "open" for device in late.values()):
         say(_ALL_OPEN)
 
 
@@ -352,15 +352,15 @@ class SimulatedHands:
         with self._lock:
             answer = self._simulation.order(" ".join(words))
             try:
-                found = json.loads(answer)
+                content = json.loads(answer)
             except ValueError as error:
                 raise ControlRefused(
                     "The simulated bench did not answer.", remedy="Press Try again."
                 ) from error
-            if not isinstance(found, dict) or "error" in found:
-                what = found.get("error") if isinstance(found, dict) else answer
+            if not isinstance(content, dict) or "error" in content:
+                what = content.get("error") if isinstance(content, dict) else answer
                 raise ControlRefused(f"The simulated bench refused: {what}", remedy="Give another value.")
-            self.seen = found.get("now")
+            self.seen = content.get("now")
         return self.seen or {}
 
 

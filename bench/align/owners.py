@@ -17,8 +17,8 @@ from bench.base.errors import ControlRefused
 
 BEAT_LIMIT_S = 0.75
 """Age of the last heartbeat from which a page counts as lost, s. A page sends a heartbeat every 0.2 s."""
-_FORGET_S = 600.0
-_MOST_PAGES = 200
+_FORGET_S = 600.0  # A computer that slept so long opens its page anew
+_MOST_PAGES = 200  # Far more than a bench has; a loop of a broken client must not fill the memory
 
 
 @dataclass
@@ -50,8 +50,8 @@ class Owners:
     def enter(self, page: str, what: str) -> None:
         """Note that a page has opened a stream. The first open page gets the controls."""
         with self._lock:
-            found = self._page(page, what)
-            found.streams += 1
+            shown = self._page(page, what)
+            shown.streams += 1
             if not self._is_open(self._holder):
                 self._holder = page
         self._on_change()
@@ -59,20 +59,20 @@ class Owners:
     def leave(self, page: str) -> bool:
         """Note that a stream of a page has closed; True if it was the page's last one."""
         with self._lock:
-            found = self._pages.get(page)
-            if found is None:
+            shown = self._pages.get(page)
+            if shown is None:
                 return False
-            found.streams = max(0, found.streams - 1)
-            gone = found.streams == 0
+            shown.streams = max(0, shown.streams - 1)
+            gone = shown.streams == 0
         self._on_change()
         return gone
 
     def beat(self, page: str) -> None:
         """Note a heartbeat of a page."""
         with self._lock:
-            found = self._pages.get(page)
-            if found is not None:
-                found.beat_s = self._monotonic()
+            shown = self._pages.get(page)
+            if shown is not None:
+                shown.beat_s = self._monotonic()
 
     def take(self, page: str, what: str = "") -> None:
         """Give the controls to a page."""
@@ -98,14 +98,14 @@ class Owners:
     def is_lost(self, page: str) -> bool:
         """Return whether a page has closed or gone silent; True also for a page that is not known."""
         with self._lock:
-            found = self._pages.get(page)
-            return found is None or self._monotonic() - found.beat_s > BEAT_LIMIT_S
+            shown = self._pages.get(page)
+            return shown is None or self._monotonic() - shown.beat_s > BEAT_LIMIT_S
 
     def name(self, page: str) -> str:
         """Return how a page is called on other pages."""
         with self._lock:
-            found = self._pages.get(page)
-            return _name(found) if found is not None else "A page"
+            shown = self._pages.get(page)
+            return _name(shown) if shown is not None else "A page"
 
     def as_data(self) -> dict[str, Any]:
         """Return ``holder``: id, and ``pages``: number and description of each open page by id."""
@@ -113,9 +113,9 @@ class Owners:
             return {
                 "holder": self._holder if self._is_open(self._holder) else "",
                 "pages": {
-                    page: {"number": one.number, "what": one.what, "name": _name(one)}
-                    for page, one in self._pages.items()
-                    if one.streams
+                    page: {"number": shown.number, "what": shown.what, "name": _name(shown)}
+                    for page, shown in self._pages.items()
+                    if shown.streams
                 },
             }
 
@@ -123,21 +123,25 @@ class Owners:
         """Return a page, new if it is not known; the lock is held. Pages closed long ago are forgotten."""
         now_s = self._monotonic()
         if page not in self._pages:
-            old = [p for p, one in self._pages.items() if not one.streams and now_s - one.beat_s > _FORGET_S]
-            for one in old:
-                del self._pages[one]
+            old = [
+                p
+                for p, old_page in self._pages.items()
+                if not old_page.streams and now_s - old_page.beat_s > _FORGET_S
+            ]
+            for old_page in old:
+                del self._pages[old_page]
             if len(self._pages) >= _MOST_PAGES:
                 raise ControlRefused("Too many pages are open.", remedy="Close some of them.")
             self._numbered += 1
             self._pages[page] = _Page(self._numbered, what)
-        found = self._pages[page]
-        found.what = what or found.what
-        found.beat_s = now_s
-        return found
+        shown = self._pages[page]
+        shown.what = what or shown.what
+        shown.beat_s = now_s
+        return shown
 
     def _is_open(self, page: str) -> bool:
-        found = self._pages.get(page)
-        return found is not None and found.streams > 0
+        shown = self._pages.get(page)
+        return shown is not None and shown.streams > 0
 
 
 def _name(page: _Page) -> str:

@@ -26,7 +26,7 @@ from bench.stations.station import Station
 Action = Callable[[str, Mapping[str, Any]], Any]
 _PAGE_ID = re.compile(r"[A-Za-z0-9_-]{8,64}")
 _FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._ -]{0,79}")
-_MOST_NAMED = 100
+_MOST_NAMED = 100  # A menu of more is not read
 _AGAIN = "Load the page again."
 
 
@@ -148,10 +148,10 @@ class PageRequests:
         """Do something with the hands at the simulated camera."""
         action, names = str(body.get("action")), [name for name in body if name not in ("page", "action")]
         numbers = {name: _number(body, name) for name in names}
-        found = self._session.bench.hands.do(action, numbers)
+        answer = self._session.bench.hands.do(action, numbers)
         by = ", ".join([action, *(f"{name} {value:g}" for name, value in numbers.items())])
         self._told(page, f"changed the simulated bench by hand: {by}", action)
-        return found
+        return answer
 
     # ------------------------------------------------------------ checks and files
 
@@ -218,9 +218,9 @@ class PageRequests:
         session = self._session
         session.say(f"{session.owners.name(page)} {what}.", f"{topic} {page}" if topic else "")
 
-    def _read_back(self, page: str, name: str, found: Mapping[str, Any]) -> dict[str, Any]:
-        self._told(page, f"set {name} to {found.get(name)}, as read back", name)
-        return dict(found)
+    def _read_back(self, page: str, name: str, answer: Mapping[str, Any]) -> dict[str, Any]:
+        self._told(page, f"set {name} to {answer.get(name)}, as read back", name)
+        return dict(answer)
 
     def _proposal(self, body: Mapping[str, Any]) -> Proposal:
         """Return the change of a file that a request asks for."""

@@ -83,8 +83,8 @@ def _stage(bench: Bench) -> list[Check]:
         # As in a run: an axis that is not homed warns about that, so its faults are read after homing.
         if not stage.is_homed():
             return "open", "The stage is not homed; a run homes it first.", "Press Home."
-        if found := list(stage.faults()):
-            return "bad", f"{'; '.join(found)}.", "Clear the cause, then home the stage."
+        if stage_faults := list(stage.faults()):
+            return "bad", f"{'; '.join(stage_faults)}.", "Clear the cause, then home the stage."
         return "good", "Homed; the controllers report no fault.", ""
 
     return [_made("stage: identity", identity), _made("stage: faults", faults)]
@@ -94,13 +94,13 @@ def _light(bench: Bench) -> list[Check]:
     light = bench.devices.light
 
     def identity() -> Found:
-        found = light.identify()
-        serial = f", serial {found.serial}" if found.serial else ""
-        return "good", f"{found.maker} {found.model}{serial} answers.", ""
+        light_identity = light.identify()
+        serial = f", serial {light_identity.serial}" if light_identity.serial else ""
+        return "good", f"{light_identity.maker} {light_identity.model}{serial} answers.", ""
 
     def faults() -> Found:
-        if found := list(light.faults()):
-            return "bad", f"{'; '.join(found)}.", "Clear the cause at the light."
+        if light_faults := list(light.faults()):
+            return "bad", f"{'; '.join(light_faults)}.", "Clear the cause at the light."
         return "good", "The light reports no fault.", ""
 
     return [_made("light: identity", identity), _made("light: faults", faults)]
@@ -137,8 +137,8 @@ def _recording(session: Session, bench: Bench, step: RecordStep | None) -> list[
         facts = bench.loop.on_camera(
             lambda: kind.record(bench.devices.camera, path, step, frequency_hz)
         ).result(timeout=ANSWER_S + 2 * step.window_ms * 1e-3)
-        found = kind.measure(path, step, frequency_hz, session.station.value.target.pattern(), None)
-        gates, others = kind.judge(cast("RecordedData", asdict(facts)), step, frequency_hz, found)
+        measured = kind.measure(path, step, frequency_hz, session.station.value.target.pattern(), None)
+        gates, others = kind.judge(cast("RecordedData", asdict(facts)), step, frequency_hz, measured)
     except TimeoutError:
         return [Check("recording", "bad", *_SILENT)]
     except FORESEEN as error:
@@ -147,16 +147,16 @@ def _recording(session: Session, bench: Bench, step: RecordStep | None) -> list[
     finally:
         shutil.rmtree(folder, ignore_errors=True)
     checks = []
-    if found.fault:
+    if measured.fault:
         checks.append(
             Check(
                 "recording: stars",
                 "bad",
-                found.fault,
+                measured.fault,
                 "Follow the advice above the picture, then check again.",
             )
         )
-    checks += [_gate(gate) for gate in gates if not (found.fault and gate.name == "stars")]
+    checks += [_gate(gate) for gate in gates if not (measured.fault and gate.name == "stars")]
     return checks + [Check("recording", "bad", f"{other}.", _NO_REMEDY) for other in others]
 
 
@@ -170,11 +170,11 @@ def _step(waveform: Any) -> RecordStep:
 def _gate(gate: Gate) -> Check:
     value = f"{gate.value:.4g} {gate.unit}".strip()
     limit = gate.limit.replace(">=", "at least").replace("<=", "at most")
-    found = f"{value}; a run needs {limit} {gate.unit}".strip() + "."
+    measured = f"{value}; a run needs {limit} {gate.unit}".strip() + "."
     remedy = ADVICE.get(gate.name, "Follow the advice above the picture, then check again.")
     remedy = f"{remedy[0].upper()}{remedy[1:]}".rstrip(".") + "."
     bad = gate.verdict == "fail"
-    return Check(f"recording: {gate.name}", "bad" if bad else "good", found, remedy if bad else "")
+    return Check(f"recording: {gate.name}", "bad" if bad else "good", measured, remedy if bad else "")
 
 
 def _sequence(sequence: str, station_file: str) -> tuple[Check, Plan | None]:
@@ -186,8 +186,8 @@ def _sequence(sequence: str, station_file: str) -> tuple[Check, Plan | None]:
     if plan.faults:
         more = f" And {len(plan.faults) - 1} more." if len(plan.faults) > 1 else ""
         return Check("sequence", "bad", f"{plan.faults[0]}{more}", "Correct the file."), plan
-    found = f"{len(plan.poses)} poses, about {plan.duration_s / 60:.0f} min."
-    return Check("sequence", "good", found), plan
+    length = f"{len(plan.poses)} poses, about {plan.duration_s / 60:.0f} min."
+    return Check("sequence", "good", length), plan
 
 
 def _first_recording(plan: Plan | None) -> tuple[RecordStep | None, Flicker | None]:
@@ -204,12 +204,13 @@ def _first_recording(plan: Plan | None) -> tuple[RecordStep | None, Flicker | No
 def _light_of_sequence(session: Session, bench: Bench, wanted: Flicker) -> Check:
     """Compare the light of a sequence with the present one, with which the recording was made."""
     wanted = camera_kind(session.station.value).light_for(wanted)
-    found = bench.light.reading.settings
+    settings = bench.light.reading.settings
     expected = session.station.value.light.settings(wanted)
     name = "light of the sequence"
-    if found == expected:
+    if settings == expected:
         return Check(name, "good", "The light is set as the sequence sets it.")
-    text = f"The sequence has {_light_text(expected)}; the light has {_light_text(found) if found else 'no settings'}."
+    of_light = _light_text(settings) if settings else "no settings"
+    text = f"The sequence has {_light_text(expected)}; the light has {of_light}."
     return Check(
         name, "open", text, "Set the light as the sequence does, or write it into the sequence; check again."
     )

@@ -20,7 +20,7 @@ from bench.web.token import PageToken
 from drivers.errors import DriverError
 from sequences.reader import find_document
 
-_STOPPED = 0
+_STOPPED = 0  # Exit statuses: all devices confirmed that they are safe, or not
 _NOT_CONFIRMED = 1
 
 
@@ -74,7 +74,7 @@ def leave(session: Session) -> int:
         confirmed = session.close()
     for line in confirmation_lines(confirmed):
         print_line(line)
-    return _STOPPED if all(one.safe for one in confirmed) else _NOT_CONFIRMED
+    return _STOPPED if all(device.safe for device in confirmed) else _NOT_CONFIRMED
 
 
 def confirmation_lines(confirmed: Sequence[Confirmation]) -> list[str]:
@@ -85,7 +85,10 @@ def confirmation_lines(confirmed: Sequence[Confirmation]) -> list[str]:
     """
     if not confirmed:
         return ["No device was open."]
-    return [f"{'' if one.safe else 'CHECK THE BENCH: '}{one.device}: {one.text}" for one in confirmed]
+    return [
+        f"{'' if confirmation.safe else 'CHECK THE BENCH: '}{confirmation.device}: {confirmation.text}"
+        for confirmation in confirmed
+    ]
 
 
 def _open(session: Session) -> None:

@@ -38,11 +38,11 @@ KEPT: Final = 50
 SHOWN: Final = 20
 _SAME_S: Final = 10.0
 """Time within which a further step replaces the entry of the one before, s."""
-_WATCH_S = 0.05
-_LOOK_MOVING_S = 0.15
-_LOOK_RESTING_S = 1.0
-_LOOK_THOROUGHLY_S = 4.0
-_LOOK_LIGHT_S = 2.0
+_WATCH_S = 0.05  # Below what a person notices as a delay
+_LOOK_MOVING_S = 0.15  # Often enough to follow a move by eye
+_LOOK_RESTING_S = 1.0  # Nothing changes by itself; somebody may turn the stage by hand
+_LOOK_THOROUGHLY_S = 4.0  # Faults and limits take more queries
+_LOOK_LIGHT_S = 2.0  # A generator's front panel may be touched; each query takes its line
 
 
 class Happened:
@@ -254,14 +254,14 @@ class Session:
         """Return what is known of the bench for the next slice."""
         bench = self._bench
         reading = bench.light.reading if bench is not None else None
-        found = reading.settings if reading is not None else None
-        flickers = found is not None and found.waveform != "steady"
+        settings = reading.settings if reading is not None else None
+        flickers = settings is not None and settings.waveform != "steady"
         return LiveSetting.of_station(
             self.station.value,
-            frequency_hz=found.frequency_hz if found is not None and flickers else None,
+            frequency_hz=settings.frequency_hz if settings is not None and flickers else None,
             light_on=reading.on if reading is not None else None,
             level_percent=reading.flicker.level_percent if reading is not None else None,
-            waveform=found.waveform if found is not None else "square",
+            waveform=settings.waveform if settings is not None else "square",
             homed=bench.stage.state.homed if bench is not None else None,
         )
 

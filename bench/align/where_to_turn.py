@@ -39,7 +39,7 @@ CENTRED_DEG, CENTRED_PX = 0.25, 15.0
 """Offset up to which the pattern counts as centred, degrees, or px if no focal length is known."""
 BEAM_STEP_DEG, BEAM_STEP_PX = 1.0, 50.0
 """Turns by the beam are given in these steps: its rim is ragged, and a frame shows a short arc of it."""
-_RIM_INSIDE_SHARE: Final = 0.1
+_RIM_INSIDE_SHARE: Final = 0.1  # The rim must be this far inside the image to be told from its border
 
 Offset = tuple[float, float]
 
@@ -95,9 +95,9 @@ class SeenMotion:
         return float(pan), float(tilt)
 
 
-def _angle_deg(one: Array, other: Array) -> float:
+def _angle_deg(first: Array, other: Array) -> float:
     """Return the angle from one direction to another, degrees, -180 to 180."""
-    return math.degrees(math.atan2(one[0] * other[1] - one[1] * other[0], float(one @ other)))
+    return math.degrees(math.atan2(first[0] * other[1] - first[1] * other[0], float(first @ other)))
 
 
 def _rotated(vector: Array, angle_deg: float) -> Array:
@@ -199,13 +199,13 @@ def _in_steps(turn: Offset, step: float) -> Offset:
 
 def _beyond(turn: Offset, setting: LiveSetting, reading_deg: Mapping[str, float]) -> dict[str, float]:
     """Return the angles that lie beyond the limits of their axes after a turn, degrees, by axis."""
-    found = {}
+    reached = {}
     for axis, by in zip(("pan", "tilt"), turn, strict=True):
         there = reading_deg.get(axis, 0.0) + by
         low, high = setting.limits_deg.get(axis, (-math.inf, math.inf))
         if not low <= there <= high:
-            found[axis] = there
-    return found
+            reached[axis] = there
+    return reached
 
 
 def turn_to_centre(
@@ -313,8 +313,8 @@ def _focal_px(grid: NDArray[np.float64] | None, size: tuple[int, int], setting: 
     middle = np.array([[(size[0] - 1) / 2.0, (size[1] - 1) / 2.0]])
     linear = linear_at(grid, apply_homography(np.asarray(np.linalg.inv(grid)), middle))[0]
     pitch_px = math.sqrt(abs(float(np.linalg.det(linear))))
-    found = pitch_px * setting.r_mm / setting.target.pitch_mm
-    return found if math.isfinite(found) and found > 0.1 * size[0] else setting.focal_px
+    focal_px = pitch_px * setting.r_mm / setting.target.pitch_mm
+    return focal_px if math.isfinite(focal_px) and focal_px > 0.1 * size[0] else setting.focal_px
 
 
 def _wrapped(angle_deg: float) -> float:

@@ -227,8 +227,8 @@ def propose_pose(
         notes.append(
             f"No step of this sequence uses the poses {wanted!r} yet. Add: repeat: {{poses: {wanted}, ...}}."
         )
-    found = sets[wanted]
-    if not isinstance(found, CommentedSeq):
+    sequence_poses = sets[wanted]
+    if not isinstance(sequence_poses, CommentedSeq):
         raise ControlRefused(
             f"The poses {wanted!r} are a grid; a single pose cannot be added.",
             where=str(source),
@@ -240,7 +240,7 @@ def propose_pose(
     for axis, angle_deg in angles_deg.items():
         pose[f"{axis}_deg"] = plain_number(angle_deg, 4)
     pose.fa.set_flow_style()
-    found.append(pose)
+    sequence_poses.append(pose)
     for key, text in (light or {}).items():
         _put(document, ("defaults", "light", key), text)
     return _proposal(source, target, before, _dumped(document, yaml), SequenceFile, notes)

@@ -30,17 +30,17 @@ def parse_json(data: bytes | str) -> Any:
     if text.startswith("\ufeff"):
         raise ValueError("it begins with a byte-order mark (BOM)")
     try:
-        found = _DECODER.decode(text)
+        value = _DECODER.decode(text)
     except RecursionError:
         raise _too_deep() from None
     if lists + objects > MOST_LEVELS:  # else it cannot have so many levels
-        _refuse_deep(found)
-    return found
+        _refuse_deep(value)
+    return value
 
 
-def canonical_json(found: Any, *, ascii_only: bool = True) -> bytes:
+def canonical_json(value: Any, *, ascii_only: bool = True) -> bytes:
     """Return JSON as all files of a run, a certificate or of recalculated results hold it; numbers must be finite."""
-    return (json.dumps(found, indent=1, allow_nan=False, ensure_ascii=ascii_only) + "\n").encode()
+    return (json.dumps(value, indent=1, allow_nan=False, ensure_ascii=ascii_only) + "\n").encode()
 
 
 def content_key(parts: Mapping[str, Any]) -> str:
@@ -52,39 +52,39 @@ def content_key(parts: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(parts, sort_keys=True, allow_nan=False).encode()).hexdigest()
 
 
-def leaves(found: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:
+def leaves(value: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], Any]]:
     """Yield each value of a JSON value with its path of keys and places; empty mappings and lists are values."""
-    if isinstance(found, Mapping) and found:
-        for name, inner in found.items():
+    if isinstance(value, Mapping) and value:
+        for name, inner in value.items():
             yield from leaves(inner, (*path, name))
-    elif isinstance(found, list | tuple) and found:
-        for number, inner in enumerate(found):
+    elif isinstance(value, list | tuple) and value:
+        for number, inner in enumerate(value):
             yield from leaves(inner, (*path, number))
     else:
-        yield path, found
+        yield path, value
 
 
-def mapped(found: Any, change: Callable[[Any], Any]) -> Any:
+def mapped(value: Any, change: Callable[[Any], Any]) -> Any:
     """Return a JSON value in which each value is changed; tuples become lists."""
-    if isinstance(found, Mapping):
-        return {name: mapped(inner, change) for name, inner in found.items()}
-    if isinstance(found, list | tuple):
-        return [mapped(inner, change) for inner in found]
-    return change(found)
+    if isinstance(value, Mapping):
+        return {name: mapped(inner, change) for name, inner in value.items()}
+    if isinstance(value, list | tuple):
+        return [mapped(inner, change) for inner in value]
+    return change(value)
 
 
-def without_nan(found: Any) -> Any:
+def without_nan(value: Any) -> Any:
     """Return a JSON value with None in place of numbers that are not finite, which JSON does not have."""
-    return mapped(found, lambda one: None if isinstance(one, float) and not math.isfinite(one) else one)
+    return mapped(value, lambda leaf: None if isinstance(leaf, float) and not math.isfinite(leaf) else leaf)
 
 
 def _without_doubles(pairs: Sequence[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) != len(pairs):
+    mapping = dict(pairs)
+    if len(mapping) != len(pairs):
         names = [name for name, _ in pairs]
         double = next(name for name in names if names.count(name) > 1)
         raise ValueError(f"the key {double[:40]!r} is there twice")
-    return found
+    return mapping
 
 
 def _refuse_constant(text: str) -> float:
@@ -94,16 +94,16 @@ def _refuse_constant(text: str) -> float:
 _DECODER: Final = json.JSONDecoder(object_pairs_hook=_without_doubles, parse_constant=_refuse_constant)
 
 
-def _refuse_deep(found: Any) -> None:
+def _refuse_deep(value: Any) -> None:
     """Raise ValueError for a value with too many levels. Level by level, because a recursion could be too deep."""
-    level = [found] if isinstance(found, dict | list) else []
+    level = [value] if isinstance(value, dict | list) else []
     for _ in range(MOST_LEVELS):
         if not level:
             return
         level = [
             inner
-            for one in level
-            for inner in (one.values() if isinstance(one, dict) else one)
+            for container in level
+            for inner in (container.values() if isinstance(container, dict) else container)
             if isinstance(inner, dict | list)
         ]
     if level:

@@ -25,8 +25,8 @@ from drivers.lateness import LatenessData, own_lateness
 
 Result = TypeVar("Result")
 _STOPPING = ("SIGINT", "SIGTERM", "SIGHUP")
-_SIGNALS_TO_END_AT_ONCE = 3
-_RESEND_AFTER_S = 0.05
+_SIGNALS_TO_END_AT_ONCE = 3  # A second Ctrl-C is often pressed by impatience, a third on purpose
+_RESEND_AFTER_S = 0.05  # A signal that came between a check and a wait is lost otherwise
 
 
 class _Asked(Exception):

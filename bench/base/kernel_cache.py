@@ -22,12 +22,12 @@ PARTS = tuple(_LAST_KERNELS)
 _PACKAGES_WITH_KERNELS = ("calib", "drivers", "simulators")
 
 
-def set_kernel_cache(environ: MutableMapping[str, str], *, beside: Path = _BESIDE) -> None:
+def set_kernel_cache(environ: MutableMapping[str, str], *, own_folder: Path = _BESIDE) -> None:
     """Set ``NUMBA_CACHE_DIR``, for children too, if numba would find no folder to write to; one that is set stays.
 
     The folder is the user's own in the system's temporary one: a kernel is a program, and another user's must not run.
     """
-    if environ.get(VARIABLE) or _may_write(beside / "__pycache__") or _may_write(_user_cache(environ)):
+    if environ.get(VARIABLE) or _may_write(own_folder / "__pycache__") or _may_write(_user_cache(environ)):
         return
     folder = Path(tempfile.gettempdir()) / f"starbench-kernels-{_user_name()}"
     folder.mkdir(mode=0o700, exist_ok=True)

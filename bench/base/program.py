@@ -22,7 +22,7 @@ _EXPORTED_WITH = (
     "calib/model/lens.py",
 )
 _ENDINGS = frozenset({".py", ".j2", ".css"})
-_SHOWN = 16
+_SHOWN = 16  # Hexadecimal digits, 64 bit: no two versions agree by chance
 
 
 @functools.cache

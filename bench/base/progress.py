@@ -24,7 +24,7 @@ from bench.base.pasteable import pasteable
 _BAR_WIDTH, _LEAST_BAR = 24, 8
 _ENDING_EARLY = frozenset({"aborting", "aborted", "failed"})
 """States without a remaining time: the rest of the plan is not done."""
-_POLL_S = 0.2
+_POLL_S = 0.2  # A line that changes more often flickers
 _YES = {"c", "continue", "y", "yes"}
 _NO = {"a", "abort", "n", "no"}
 

@@ -13,7 +13,7 @@ import sys
 
 SUPERVISOR = "STARBENCH_SUPERVISOR"
 """Environment variable: process id of the supervisor of this process."""
-_PR_SET_PDEATHSIG = 1
+_PR_SET_PDEATHSIG = 1  # Of linux/prctl.h
 
 
 def supervisor() -> int | None:

@@ -18,7 +18,7 @@ from rich.text import Text
 
 from bench.base.lost_output import Steering
 
-_SMALLEST_WIDTH, _SMALLEST_HEIGHT = 20, 4
+_SMALLEST_WIDTH, _SMALLEST_HEIGHT = 20, 4  # Columns and lines; a terminal that claims less has no size
 
 
 class Block:

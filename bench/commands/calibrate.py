@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 
 _SHOWN = ("fx", "cx", "cy", "r")
-_ROUNDING_SIGMA = 1e-6
+_ROUNDING_SIGMA = 1e-6  # What other processors' arithmetic changes, in standard uncertainties
 
 
 def calibrate_each(
@@ -158,7 +158,7 @@ def change_text(row: DoneRow) -> str:
     }
     if not changes:
         return "no earlier results to compare"
-    name = max(changes, key=lambda one: changes[one])
+    name = max(changes, key=lambda name: changes[name])
     if changes[name] < _ROUNDING_SIGMA:
         return "all values as in the run"
     return f"largest change since the run: {name} by {changes[name]:.2g} sigma"
@@ -331,18 +331,18 @@ def check(
         if view is None:
             raise
         return _check_by_one(stated, view, board=choices.board is not None)
-    found = result.calibration
-    checked = compared_with(stated, found)
+    calibration = result.calibration
+    checked = compared_with(stated, calibration)
 
     def as_json() -> dict[str, Any]:
         return {
             **checked.to_dict(),
             "stated": {"kind": stated.kind, "uncertainty": stated.covariance is not None},
-            "camera": found.camera.to_dict(),
+            "camera": calibration.camera.to_dict(),
             "skipped": list(result.skipped),
         }
 
-    show(as_json, _lines(checked, stated, found, list(result.skipped)))
+    show(as_json, _lines(checked, stated, calibration, list(result.skipped)))
     return 0 if checked.right else 1
 
 
@@ -379,7 +379,9 @@ def _lines(
     yield f"Change of the image and its U, px (k = {checked.coverage_factor:.2f}, for all places at once):"
     for start in range(0, len(checked.regions), 3):
         row = checked.regions[start : start + 3]
-        yield "  " + "   ".join(f"{one.name:<13} {one.offset_px:6.2f} ± {one.expanded_px:.2f}" for one in row)
+        yield "  " + "   ".join(
+            f"{region.name:<13} {region.offset_px:6.2f} ± {region.expanded_px:.2f}" for region in row
+        )
     for name in ("fx", "fy", "cx", "cy"):
         value, expanded = with_uncertainty(calibration.values[name], calibration.U[name])
         was, k = getattr(stated.camera, name), calibration.k[name]

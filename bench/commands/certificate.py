@@ -234,8 +234,11 @@ def void(number: str, reason: str, by: str | None) -> int:
                 where=str(ledger.path),
                 remedy=f"To replace it: {amending(folder)}.",
             )
-        one = declare_void(ledger, number, reason=text, by=by or operator_at_terminal())
-    show({"number": one.number, "state": "VOID", "reason": one.reason}, f"{one.number} is void: {one.reason}")
+        entered = declare_void(ledger, number, reason=text, by=by or operator_at_terminal())
+    show(
+        {"number": entered.number, "state": "VOID", "reason": entered.reason},
+        f"{entered.number} is void: {entered.reason}",
+    )
     return 0
 
 
@@ -333,10 +336,11 @@ def _summary(certificate: Certificate, state: str) -> list[str]:
         f"To be authorised by {by.name}, {by.role} ({by.key})",
         "",
         *(f"  {result.symbol:<4} {result.text}  (k = {result.k:.2f})" for result in certificate.results),
-        *(f"  {one.name}: {one.text}" for one in certificate.further),
+        *(f"  {further.name}: {further.text}" for further in certificate.further),
     ]
     lines += [
-        f"  Conformity of {one.symbol}, {one.specification}: {one.verdict}" for one in certificate.conformity
+        f"  Conformity of {further.symbol}, {further.specification}: {further.verdict}"
+        for further in certificate.conformity
     ]
     if certificate.amends:
         lines.append(f"Replaces {certificate.amends.number}: {certificate.amends.reason}")
@@ -347,17 +351,17 @@ def _summary(certificate: Certificate, state: str) -> list[str]:
     return lines
 
 
-def _listed_state(one: Numbered, trust: Trust, now: datetime, *, is_known: bool) -> str:
-    if one.how != "issued":
-        return {"reserved": "DRAFT", "void": "VOID", "lost": "LOST"}[one.how]
-    if one.superseded_by:
+def _listed_state(entered: Numbered, trust: Trust, now: datetime, *, is_known: bool) -> str:
+    if entered.how != "issued":
+        return {"reserved": "DRAFT", "void": "VOID", "lost": "LOST"}[entered.how]
+    if entered.superseded_by:
         return "SUPERSEDED"
     if not is_known:  # a lost line may have replaced it
         return _UNKNOWN
     try:
-        if sha256_of(Path(one.folder) / MANIFEST) != one.seal:
+        if sha256_of(Path(entered.folder) / MANIFEST) != entered.seal:
             return _NOT_FOUND
-        return str(standing_of(Path(one.folder), trust, now).state.value)
+        return str(standing_of(Path(entered.folder), trust, now).state.value)
     except OSError:
         return _NOT_FOUND
 

@@ -343,10 +343,10 @@ def _echo_facts(rows: Sequence[tuple[str, str]]) -> None:
 def _read_json(path: Path) -> dict[str, Any]:
     """Return a JSON object; empty if there is none. The folder has been verified."""
     try:
-        found = read_json(path)
+        content = read_json(path)
     except (StorageError, ValueError):
         return {}
-    return found if isinstance(found, dict) else {}
+    return content if isinstance(content, dict) else {}
 
 
 def _results(folder: Path) -> Mapping[str, Any]:
@@ -358,8 +358,8 @@ def _results(folder: Path) -> Mapping[str, Any]:
 
 
 def _part(values: Mapping[str, Any], name: str) -> dict[str, Any]:
-    found = values.get(name)
-    return found if isinstance(found, dict) else {}
+    part = values.get(name)
+    return part if isinstance(part, dict) else {}
 
 
 def _words(values: Mapping[str, Any], names: Sequence[str]) -> str:

@@ -160,15 +160,15 @@ def _convert_many(
     line = CountLine(len(pairs), "files")
     ends: list[Converted] = []
 
-    def ended(one: Converted) -> None:
-        ends.append(one)
+    def ended(conversion: Converted) -> None:
+        ends.append(conversion)
         line.clear()
-        if one.failure is not None:
-            click.echo(f"{one.source}: FAILED. {one.failure.message}", err=True)
-        elif one.before:
-            click.echo(f"{one.target}: was converted before")
-        elif one.summary is not None:
-            _say(one.source, one.target, one.summary)
+        if conversion.failure is not None:
+            click.echo(f"{conversion.source}: FAILED. {conversion.failure.message}", err=True)
+        elif conversion.before:
+            click.echo(f"{conversion.target}: was converted before")
+        elif conversion.summary is not None:
+            _say(conversion.source, conversion.target, conversion.summary)
         line.count()
 
     with kept_work(workers, folder, CONVERTED, line, "converted") as kept:
@@ -227,8 +227,8 @@ def undistort(
     picture = read_picture_for(preview, stated) if preview is not None else None
     line = PartsLine("blocks of pixels calculated", "the tables are compressed", quiet=wants_json())
     try:
-        found = tables_of(stated, keep, line.reached)
-        files = undistorted_files(stated, found, picture)
+        undistortion = tables_of(stated, keep, line.reached)
+        files = undistorted_files(stated, undistortion, picture)
     finally:
         line.clear()
     make_folder(output)
@@ -239,20 +239,20 @@ def undistort(
         return {
             "folder": str(output),
             "files": list(files),
-            "camera_matrix": found.camera.matrix.tolist(),
-            "without_ray": found.without_ray,
+            "camera_matrix": undistortion.camera.matrix.tolist(),
+            "without_ray": undistortion.without_ray,
         }
 
-    show(as_json, _lines(output, list(files), found))
+    show(as_json, _lines(output, list(files), undistortion))
     return 0
 
 
-def _lines(output: Path, files: list[str], found: Undistortion) -> Iterator[str]:
-    new = found.camera
+def _lines(output: Path, files: list[str], undistortion: Undistortion) -> Iterator[str]:
+    new = undistortion.camera
     yield f"Written to {output}: {', '.join(files)}."
     yield f"New camera matrix: fx {new.fx:.2f}, fy {new.fy:.2f}, cx {new.cx:.2f}, cy {new.cy:.2f} px."
-    if found.without_ray:
+    if undistortion.without_ray:
         yield (
-            f"{100 * found.without_ray:.2g} % of the pixels have no ray, because the distortion folds back there: their"
-            " entries are NaN."
+            f"{100 * undistortion.without_ray:.2g} % of the pixels have no ray, because the distortion folds back"
+            " there: their entries are NaN."
         )

@@ -120,7 +120,7 @@ def _show_agreement(merged: MergedRuns) -> int:
     show(
         lambda: {
             "schema": "starbench/agreement/1",
-            "compared": [one.to_dict() for one in compared],
+            "compared": [agreement.to_dict() for agreement in compared],
             "of": [run.folder for run in solved],
             "faults": merged.faults,
             "notes": merged.notes,
@@ -251,8 +251,8 @@ def _told(group: ChartGroupData) -> dict[str, Any]:
     charts = [
         {name: value for name, value in chart.items() if name not in long} for chart in group["parameters"]
     ]
-    for told, chart in zip(charts, group["parameters"], strict=True):
-        told["ewma_beyond"] = chart["ewma"]["beyond"] if has_limits(chart) else []
+    for chart_data, chart in zip(charts, group["parameters"], strict=True):
+        chart_data["ewma_beyond"] = chart["ewma"]["beyond"] if has_limits(chart) else []
     return {**group, "parameters": charts, "runs": [run["run"] for run in group["runs"]]}
 
 
@@ -271,9 +271,9 @@ def _agreement_lines(runs: Sequence[IndexedRun], compared: Sequence[Agreement]) 
         if parameter.repeats:
             yield f"  {REPEATS_TEXT}"
         for run, deviation in zip(runs, parameter.deviations, strict=True):
-            found = run.parameters[parameter.name]
-            value, own = with_uncertainty(found.value, found.expanded)
+            estimate = run.parameters[parameter.name]
+            value, own = with_uncertainty(estimate.value, estimate.expanded)
             begun = run.begun_utc[:16].replace("T", " ")
             yield (
-                f"  {begun}  {value:>12} ± {own:<8} (k = {found.k:.2f})  {signed(deviation):>6} sigma  {run.id}"
+                f"  {begun}  {value:>12} ± {own:<8} (k = {estimate.k:.2f})  {signed(deviation):>6} sigma  {run.id}"
             )

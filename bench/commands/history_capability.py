@@ -52,9 +52,9 @@ class _Run:
 
 
 _FACTORS: Mapping[str, Callable[[_Run], str]] = {
-    "operator": lambda one: one.run.operator or "",
-    "bench": lambda one: f"{one.place.bench} {one.run.station}".strip(),
-    "day": lambda one: one.run.begun_utc[:10],
+    "operator": lambda recorded: recorded.run.operator or "",
+    "bench": lambda recorded: f"{recorded.place.bench} {recorded.run.station}".strip(),
+    "day": lambda recorded: recorded.run.begun_utc[:10],
 }
 
 
@@ -76,19 +76,19 @@ def show_capability(merged: MergedRuns, words: str) -> int:
         if run.how == "finished" and run.parameters
     ]
     _require_one_kind(chosen)
-    levels = {name: [_FACTORS[name](one) for one in chosen] for name in factors}
+    levels = {name: [_FACTORS[name](recorded) for recorded in chosen] for name in factors}
     if "" in levels.get("operator", ()):
         raise UsageError(
             f"{levels['operator'].count('')} of {len(chosen)} runs name no operator.",
             remedy="Leave them out with --since, or study another factor: --factors day.",
         )
-    cameras = [one.run.camera for one in chosen]
-    found = [
+    cameras = [recorded.run.camera for recorded in chosen]
+    studies = [
         _studied(name, chosen, cameras, levels) for name in chosen[0].run.parameters if name in _OF_THE_CAMERA
     ]
     show(
-        lambda: _as_json(chosen, cameras, levels, found),
-        _lines(chosen, cameras, levels, found),
+        lambda: _as_json(chosen, cameras, levels, studies),
+        _lines(chosen, cameras, levels, studies),
     )
     return print_findings(merged.faults, merged.notes)
 
@@ -105,16 +105,16 @@ def _factors(words: str) -> list[str]:
 
 
 def _require_one_kind(chosen: Sequence[_Run]) -> None:
-    kinds = sorted({one.kind for one in chosen})
+    kinds = sorted({recorded.kind for recorded in chosen})
     if not kinds:
         raise UsageError(
             "There is no finished run with a result.",
             remedy="Name a FOLDER with runs, or a ledger with --ledger.",
         )
     if len(kinds) > 1:
-        told = " and ".join(" / ".join(kind) for kind in kinds[:2])
+        kinds_text = " and ".join(" / ".join(kind) for kind in kinds[:2])
         raise UsageError(
-            f"The runs are of {len(kinds)} kinds, which a study never mixes: {told}.",
+            f"The runs are of {len(kinds)} kinds, which a study never mixes: {kinds_text}.",
             remedy="Choose runs of one kind with --since, --until, --sequence or a FOLDER.",
         )
 
@@ -122,7 +122,7 @@ def _require_one_kind(chosen: Sequence[_Run]) -> None:
 def _studied(
     name: str, chosen: Sequence[_Run], cameras: Sequence[str], levels: Mapping[str, Sequence[str]]
 ) -> _Studied:
-    values = [one.run.parameters[name].value for one in chosen]
+    values = [recorded.run.parameters[name].value for recorded in chosen]
     gauge_study = study(values, cameras, levels)
     lower, upper = chosen[-1].details["limits"].get(name, (None, None))
     return _Studied(
@@ -134,27 +134,27 @@ def _as_json(
     chosen: Sequence[_Run],
     cameras: Sequence[str],
     levels: Mapping[str, Sequence[str]],
-    found: Sequence[_Studied],
+    studies: Sequence[_Studied],
 ) -> dict[str, Any]:
     return {
         "schema": "starbench/capability/1",
-        "runs": [one.run.folder for one in chosen],
+        "runs": [recorded.run.folder for recorded in chosen],
         "cameras": sorted(set(cameras)),
         "factors": {name: sorted(set(of_runs)) for name, of_runs in levels.items()},
-        "parameters": [_parameter_json(one) for one in found],
+        "parameters": [_parameter_json(recorded) for recorded in studies],
     }
 
 
-def _parameter_json(one: _Studied) -> dict[str, Any]:
-    made = one.study
+def _parameter_json(studied: _Studied) -> dict[str, Any]:
+    made = studied.study
     return {
-        "name": one.name,
-        "unit": unit_text(one.name),
+        "name": studied.name,
+        "unit": unit_text(studied.name),
         "analysis": [{"term": term.name, **_parts(term, _OF_TERM)} for term in made.terms],
         "pooled": list(made.pooled),
         "components": dict(made.components),
         **_parts(made, _OF_STUDY),
-        **_parts(one.capability, _OF_CAPABILITY),
+        **_parts(studied.capability, _OF_CAPABILITY),
     }
 
 
@@ -167,30 +167,30 @@ def _lines(
     chosen: Sequence[_Run],
     cameras: Sequence[str],
     levels: Mapping[str, Sequence[str]],
-    found: Sequence[_Studied],
+    studies: Sequence[_Studied],
 ) -> Iterator[str]:
     counts = [f"{len(set(of_runs))} {plural(name)}" for name, of_runs in levels.items()]
     head = ", ".join([counted(len(chosen), "run"), f"{len(set(cameras))} {plural(PART)}", *counts])
     yield f"{head}; standard deviations:"
     yield _row(_HEADS)
-    for one in found:
-        yield f"{_row(_cells(one))}  {one.study.verdict}"
+    for studied in studies:
+        yield f"{_row(_cells(studied))}  {studied.study.verdict}"
     yield "EV repeatability, AV reproducibility, GRR both, PV cameras, TV total; %GRR = GRR / TV; ndc categories."
     yield "%GRR below 10 is good, to 30 conditional, above it not good; ndc should be 5 or more (AIAG MSA)."
-    if any(one.capability for one in found):
+    if any(studied.capability for studied in studies):
         yield "%tol = 6 GRR over the tolerance; Cp and Cpk by TV and the limits of the newest run."
-    for one in found:
+    for studied in studies:
         seen = [
             f"{name} {number(value, 2)}"
-            for name, value in one.study.components.items()
+            for name, value in studied.study.components.items()
             if name not in (PART, REPEATABILITY) and value > 0
         ]
         if seen:
-            yield f"  {one.name}, parts of AV: {', '.join(seen)}"
+            yield f"  {studied.name}, parts of AV: {', '.join(seen)}"
 
 
-def _cells(one: _Studied) -> tuple[str, ...]:
-    made, fits = one.study, one.capability
+def _cells(studied: _Studied) -> tuple[str, ...]:
+    made, fits = studied.study, studied.capability
     sizes = (made.repeatability, made.reproducibility, made.gauge, made.components[PART], made.total)
     share = f"{made.gauge_percent:.1f}"
     judged = (fits.tolerance_percent, fits.cp, fits.cpk) if fits else (None, None, None)
@@ -200,8 +200,8 @@ def _cells(one: _Studied) -> tuple[str, ...]:
         for value, digits in zip(judged, (1, 2, 2), strict=True)
     )
     return (
-        one.name,
-        unit_text(one.name),
+        studied.name,
+        unit_text(studied.name),
         *(number(size, 2) for size in sizes),
         share,
         categories,

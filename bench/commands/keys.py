@@ -61,7 +61,7 @@ def keys_show() -> int:
 
 
 def _keys_dict(signers: Sequence[Signer], revoked: Sequence[RevokedKey]) -> dict[str, Any]:
-    gone = {one.public_key: one for one in revoked}
+    gone = {revoked_key.public_key: revoked_key for revoked_key in revoked}
     rows = [
         {
             "principal": signer.principal,
@@ -92,7 +92,7 @@ def _keys_lines(signers: Sequence[Signer], revoked: Sequence[RevokedKey]) -> Ite
 
 
 def _list_lines(signers: Sequence[Signer], revoked: Sequence[RevokedKey]) -> Iterator[str]:
-    dates = {one.public_key: one for one in revoked}
+    dates = {revoked_key.public_key: revoked_key for revoked_key in revoked}
     for signer in signers:
         mark = f"  REVOKED {dates[signer.public_key].text}" if signer.public_key in dates else ""
         yield f"  {signer.principal}  {fingerprint(signer.public_key)}  {_purpose(signer)}{_validity(signer)}{mark}"

@@ -17,7 +17,7 @@ from bench.evidence.ledger_check import sealed_strangers
 from bench.record.ledger import Ledger, bench_ledger
 from bench.record.ledger_marks import EXPLAIN, Break, OwnMark, ask_anchor, read_own_mark, runs_of
 
-_LONGEST_REASON = 2000
+_LONGEST_REASON = 2000  # A page; more belongs into a file
 
 
 @command(
@@ -73,29 +73,32 @@ def ledger_findings(ledger: Ledger) -> tuple[list[str], list[str]]:
     return faults, [*map(_explained_text, explained), *ledger.warnings]
 
 
-def _explained_text(one: Break) -> str:
+def _explained_text(explained: Break) -> str:
     """Return an explained break as text."""
-    return f"{one} Reason, stated by {one.by}: {one.reason}"
+    return f"{explained} Reason, stated by {explained.by}: {explained.reason}"
 
 
 def _check() -> int:
     """Print the state of the ledger and every fault of it; return 1 if there is a fault."""
-    found = bench_ledger()
-    faults, notes = ledger_findings(found)
-    facts: dict[str, Any] = {"schema": "starbench/ledger/1", "file": str(found.path)}
+    bench_own = bench_ledger()
+    faults, notes = ledger_findings(bench_own)
+    facts: dict[str, Any] = {"schema": "starbench/ledger/1", "file": str(bench_own.path)}
     try:
-        entries = found.entries()
+        entries = bench_own.entries()
         runs = runs_of(entries)
         head = entries[-1].hash if entries else None
         facts |= {"lines": len(entries), "runs": len(runs), "head": head}
-        faults += [*found.faults_and_remedies(), *lost_authorisations(known_authorisations(found.home))]
+        faults += [
+            *bench_own.faults_and_remedies(),
+            *lost_authorisations(known_authorisations(bench_own.home)),
+        ]
         notes += [
-            f"{one.data['what']}. Reason, stated by {one.data['by']}: {one.data['reason']}"
-            for one in found.explained_runs()
+            f"{entry.data['what']}. Reason, stated by {entry.data['by']}: {entry.data['reason']}"
+            for entry in bench_own.explained_runs()
         ]
     except BenchError:  # it is among the faults
         facts |= {"lines": None, "runs": None, "head": None}
-    facts |= {"second_places": _second_places(found)}
+    facts |= {"second_places": _second_places(bench_own)}
     show({**facts, "faults": faults, "notes": notes}, _check_lines(facts, notes))
     return print_findings(faults)
 
@@ -119,20 +122,20 @@ def _second_places(ledger: Ledger) -> list[dict[str, Any]]:
         own = read_own_mark(ledger.home)
     except BenchError:  # it is among the faults
         own = None
-    found = []
+    places = []
     for place in own.anchors if isinstance(own, OwnMark) else ():
         witness = ask_anchor(Path(place), was_there=True)
         newest = witness.marks[-1].to_dict() if witness.marks else None
-        found.append({"place": place, "newest": newest, "trouble": witness.trouble})
-    return found
+        places.append({"place": place, "newest": newest, "trouble": witness.trouble})
+    return places
 
 
 def _explain_breaks(reason: str, by: str | None) -> int:
     """State the reason of every break of the ledger that has none. Raises UsageError if there is none."""
     from bench.run.control import operator_at_terminal
 
-    found, person = bench_ledger(), by or operator_at_terminal()
-    breaks = found.explain(reason, person, strangers=sealed_strangers(found.home))
+    bench_own, person = bench_ledger(), by or operator_at_terminal()
+    breaks = bench_own.explain(reason, person, strangers=sealed_strangers(bench_own.home))
     show(
         {"schema": "starbench/ledger-explained/1", "by": person, "reason": reason, "breaks": breaks},
         [*map(str, breaks), f"Entered in the ledger as {person}: {reason}"],

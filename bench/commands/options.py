@@ -35,7 +35,7 @@ QUEUE_STATUS = (
     f"0 every run has a result, 1 at least one run has no result, {_INVALID}, 3 stopped on request, 4 a limit of a run"
     f" is not kept (FAIL), {_CTRL_C}"
 )
-_MOST_NAMED = 5
+_MOST_NAMED = 5  # A line of a terminal
 
 SET = click.option(
     "--set",
@@ -273,11 +273,11 @@ def _inside(path: Path) -> str:
     """Return which runs lie inside a folder that is not a run itself."""
     from bench.record.run_index import run_folders
 
-    found = [str(folder) for folder in run_folders(path)]
-    if not found:
+    runs = [str(folder) for folder in run_folders(path)]
+    if not runs:
         return "Name the folder of a run; `starbench runs` lists the runs of this bench."
-    more = f" and {len(found) - _MOST_NAMED} more" if len(found) > _MOST_NAMED else ""
-    return f"Name one of the runs in it: {', '.join(found[:_MOST_NAMED])}{more}."
+    more = f" and {len(runs) - _MOST_NAMED} more" if len(runs) > _MOST_NAMED else ""
+    return f"Name one of the runs in it: {', '.join(runs[:_MOST_NAMED])}{more}."
 
 
 RUN = click.argument("run_folder", metavar="RUN", type=RunFolder())
@@ -302,9 +302,9 @@ class _NameOrFile(click.ParamType):
         """See `click.ParamType.shell_complete`."""
         del ctx, param
         names = sorted(path.stem for path in (Path(__file__).parents[2] / self._folder).glob("*.yaml"))
-        found = [CompletionItem(name) for name in names if name.startswith(incomplete)]
+        items = [CompletionItem(name) for name in names if name.startswith(incomplete)]
         # The shell completes names of files by itself only if no name of ours fits.
-        return found or [CompletionItem(incomplete, type="file")]
+        return items or [CompletionItem(incomplete, type="file")]
 
 
 SEQUENCE_NAME = _NameOrFile("sequences")

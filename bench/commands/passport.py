@@ -104,25 +104,27 @@ def passport_show(path: Path) -> int:
     """Show the values of a passport, their uncertainties, its hash and its seal."""
     from bench.plan.passports import read_passport_file
 
-    found, data = read_passport_file(path)
+    own_passport, data = read_passport_file(path)
     seal, sha256 = read_passport_seal(data), hashlib.sha256(data).hexdigest()
     sealed_by = seal.fingerprint if seal else None
     show(
-        lambda: {**found.to_dict(), "sha256": sha256, "sealed_by": sealed_by},
-        _lines(found, sha256, sealed_by),
+        lambda: {**own_passport.to_dict(), "sha256": sha256, "sealed_by": sealed_by},
+        _lines(own_passport, sha256, sealed_by),
     )
     return 0
 
 
-def _lines(found: Passport, sha256: str, sealed_by: str | None) -> Iterator[str]:
-    for name, value, variance in zip(found.names, found.values, found.covariance.diagonal(), strict=True):
+def _lines(own_passport: Passport, sha256: str, sealed_by: str | None) -> Iterator[str]:
+    for name, value, variance in zip(
+        own_passport.names, own_passport.values, own_passport.covariance.diagonal(), strict=True
+    ):
         text, expanded = with_uncertainty(float(value), 2.0 * float(variance) ** 0.5)
         yield f"  {name:<8} {text:>12} ± {expanded:<8} {unit_text(name):<3} (k = 2)"
-    for name, condition in found.conditions.items():
+    for name, condition in own_passport.conditions.items():
         yield f"  {name}: {_condition_text(condition)}"
-    if found.views:
-        yield f"  from {len(found.views)} views: {', '.join(found.views)}"
-        yield f"  the views differ by {found.birge_ratio:.1f} times the noise of their stars"
+    if own_passport.views:
+        yield f"  from {len(own_passport.views)} views: {', '.join(own_passport.views)}"
+        yield f"  the views differ by {own_passport.birge_ratio:.1f} times the noise of their stars"
     yield f"  SHA-256: {sha256}"
     yield f"  sealed by: {sealed_by or 'nobody (unsealed)'}"
 

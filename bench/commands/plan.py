@@ -32,7 +32,7 @@ _MOST_TERMS = 5
 _SMALLEST_SHARE = 0.005
 """Terms with a smaller share of the variance are not printed."""
 _SHOWN = ("fx", "cx", "cy", "r")
-_MOST_LINES = 80
+_MOST_LINES = 80  # Two screens; of a longer table begin and end are shown
 
 
 @command(

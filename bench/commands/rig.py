@@ -103,24 +103,24 @@ def rig(
     cameras = [stated_camera(file, name, lens) for file, name in zip(calibration or (), names, strict=False)]
     with views_line(quiet=wants_json()) as progress:
         rig_of_views = find_rig((first, second), boards or (), cameras, choices, progress)
-    found = replace(rig_of_views, clocks=clocks)
-    if output is not None and found.rig.translation_mm is None:
+    solved = replace(rig_of_views, clocks=clocks)
+    if output is not None and solved.rig.translation_mm is None:
         raise UsageError(
             "These views give no translation, and the files hold one.",
             remedy="Add views of a board (--boards, --board), or leave out --output.",
         )
-    content = found.to_dict()
+    content = solved.to_dict()
     if output is not None:
         make_folder(output)
-        for name, data in rig_exports(found.rig, content).items():
+        for name, data in rig_exports(solved.rig, content).items():
             write_atomic(output / name, data)
     if stated is None or earlier is None:
-        show(lambda: content, _lines(found))
+        show(lambda: content, _lines(solved))
         return 0
-    off = found.rig.compared(earlier.rotation, earlier.translation_mm, earlier.covariance)
+    off = solved.rig.compared(earlier.rotation, earlier.translation_mm, earlier.covariance)
     compared = {**asdict(off), "right": off.right, "has_covariance": earlier.covariance is not None}
     words = _comparison(off, str(stated), known=earlier.covariance is not None)
-    show(lambda: {**content, "stated": compared}, chain(words, _lines(found)))
+    show(lambda: {**content, "stated": compared}, chain(words, _lines(solved)))
     return 0 if off.right else 1
 
 
@@ -133,9 +133,9 @@ def _comparison(off: RigDifference, path: str, *, known: bool) -> Iterator[str]:
         yield "The file states no uncertainty: U is that of this measurement alone."
 
 
-def _lines(found: RigFound) -> Iterator[str]:
-    rig = found.rig
-    for reason in found.skipped:
+def _lines(solved: RigFound) -> Iterator[str]:
+    rig = solved.rig
+    for reason in solved.skipped:
         yield f"Left out: {reason}"
     seen = [(rig.views, "poses behind the collimator"), (rig.boards, "boards")]
     by = " and ".join(f"{len(names)} {what}" for names, what in seen if names)
@@ -155,7 +155,7 @@ def _lines(found: RigFound) -> Iterator[str]:
     for row in rig.rotation:
         yield "  [" + " ".join(f"{number:>13.9f}" for number in row) + "]"
     yield from _residual_lines(rig)
-    yield from _clock_lines(found.clocks)
+    yield from _clock_lines(solved.clocks)
 
 
 def _clock_lines(clocks: Sequence[ClockOffset]) -> Iterator[str]:
@@ -166,11 +166,11 @@ def _clock_lines(clocks: Sequence[ClockOffset]) -> Iterator[str]:
     rate, sigma = common_rate(clocks)
     gain, expanded = with_uncertainty(rate, 2.0 * sigma)
     yield f"Clock of the second camera: it gains {gain} ± {expanded} parts in a million (k = 2)."
-    for one in clocks:
-        offset, expanded = with_uncertainty(one.offset_us, 2.0 * one.sigma_us)
+    for compared in clocks:
+        offset, expanded = with_uncertainty(compared.offset_us, 2.0 * compared.sigma_us)
         yield (
-            f"  {one.name}: second - first = {offset} ± {expanded} us (k = 2) at {one.at_us / 1e6:.3f} s of the"
-            f" first clock, by {one.edges} edges"
+            f"  {compared.name}: second - first = {offset} ± {expanded} us (k = 2) at {compared.at_us / 1e6:.3f} s of"
+            f" the first clock, by {compared.edges} edges"
         )
     periods = [clock.period_us for clock in clocks if clock.period_us is not None]
     if periods:
@@ -191,7 +191,7 @@ def _residual_lines(rig: Rig) -> Iterator[str]:
         )
         yield f"Chi-square {rig.chi_square:.1f} for {rig.degrees_of_freedom} degrees of freedom: {verdict}."
     if rig.boards_rms_px is not None:
-        for name, (one, other) in zip(rig.boards, rig.boards_rms_px, strict=True):
-            yield f"  {name}: residual {one:.3f} px in the first camera, {other:.3f} px in the second"
+        for name, (first_px, other) in zip(rig.boards, rig.boards_rms_px, strict=True):
+            yield f"  {name}: residual {first_px:.3f} px in the first camera, {other:.3f} px in the second"
     if rig.translation_mm is None:
         yield "The distance between the cameras cannot be measured through a collimator: no translation is given."

@@ -123,8 +123,8 @@ def show_run(end: RunEnd) -> int:
     show(lambda: _run_dict(end), _early_end_lines(end) if early else _ended_lines(end), err=early)
     if end.how != "finished":
         return STOPPED if end.how == "aborted" else 1
-    found = end.outcome.results.get("conformity") if end.outcome else None
-    return NOT_KEPT if found and not found["passed"] else 0
+    conformity = end.outcome.results.get("conformity") if end.outcome else None
+    return NOT_KEPT if conformity and not conformity["passed"] else 0
 
 
 def _run_dict(end: RunEnd) -> dict[str, Any]:
@@ -151,9 +151,9 @@ def _ended_lines(end: RunEnd) -> Iterator[str]:
     yield from goals_missed(results.get("untils") or [])
     if check := results.get("check"):
         yield from check_sentences(check)
-    if found := results.get("conformity"):
-        yield conformity_headline(found)
-        yield from (f"  {sentence}" for sentence in conformity_sentences(found))
+    if conformity := results.get("conformity"):
+        yield conformity_headline(conformity)
+        yield from (f"  {sentence}" for sentence in conformity_sentences(conformity))
         yield ""
     calibration = results["calibration"]
     notes = [note for note in calibration["notes"] if note not in causes]
@@ -196,7 +196,7 @@ def _device_lines(end: RunEnd) -> list[str]:
         head = "The bench is safe; each device confirmed it:"
         if not end.opened:  # a resumed run that needed none
             head = "No device was needed. Each confirmed before that it was safe:"
-    elif end.devices and all(one.device == "camera" for one in unsure):
+    elif end.devices and all(confirmation.device == "camera" for confirmation in unsure):
         head = "Stage and light confirmed that they are safe:"  # a camera neither moves nor shines
     else:
         head = "CHECK THE BENCH. What is known of each device:"

@@ -50,11 +50,11 @@ def runs(**given: Any) -> int:
         from bench.commands.history import find_runs
 
         merged = find_runs(choice)
-        found, faults, notes = merged.runs, merged.faults, merged.notes
+        listed, faults, notes = merged.runs, merged.faults, merged.notes
     else:
-        found, faults, notes = _runs_of_bench(choice)
+        listed, faults, notes = _runs_of_bench(choice)
     findings = {"faults": faults, **({"notes": notes} if notes else {})}
-    show(lambda: {**_runs_dict(found), **findings}, _runs_lines(found))
+    show(lambda: {**_runs_dict(listed), **findings}, _runs_lines(listed))
     return print_findings(faults, notes)
 
 
@@ -63,10 +63,14 @@ def _runs_of_bench(choice: RunChoice) -> tuple[list[IndexedRun], list[str], list
     index, ledger = RunIndex(home_folder()), bench_ledger()
     folders, missing = (run_folders(choice.folder), []) if choice.folder else _ledger_folders(ledger, index)
     line = CountLine(len(folders), "runs read")
-    found, faults = index.runs(folders, **choice.filters, progress=line.count)
+    listed, faults = index.runs(folders, **choice.filters, progress=line.count)
     line.clear()
     broken, notes = ledger_findings(ledger)
-    return found, [*faults, *missing, *broken, *lost_authorisations(known_authorisations(ledger.home))], notes
+    return (
+        listed,
+        [*faults, *missing, *broken, *lost_authorisations(known_authorisations(ledger.home))],
+        notes,
+    )
 
 
 def _ledger_folders(ledger: Ledger, index: RunIndex) -> tuple[list[Path], list[str]]:

@@ -61,36 +61,36 @@ def target(station: str, output: Path | None) -> int:
     from bench.stations.target_files import optics_of, use_of
 
     optics = optics_of(described)
-    found = use_of(described.target, optics)
+    use = use_of(described.target, optics)
     data = described.target.model_dump(mode="json") | {"size_mm": list(described.target.size_mm)}
     show(
-        lambda: {"target": data, "optics": asdict(optics), **found.to_dict()},
-        _lines(described.target, optics, found),
+        lambda: {"target": data, "optics": asdict(optics), **use.to_dict()},
+        _lines(described.target, optics, use),
     )
     return 0
 
 
-def _lines(target: TargetConfig, optics: Optics, found: TargetUse) -> Iterator[str]:
+def _lines(target: TargetConfig, optics: Optics, use: TargetUse) -> Iterator[str]:
     columns, rows = target.squares
     width, height = optics.image_size
-    left, right, up, down = found.target_deg
-    beam = "not known" if found.beam_deg is None else f"{found.beam_deg:.1f} degrees, full angle"
+    left, right, up, down = use.target_deg
+    beam = "not known" if use.beam_deg is None else f"{use.beam_deg:.1f} degrees, full angle"
     lines = {
-        "target": f"{columns} x {rows} squares of {target.pitch_mm:.6g} mm, {found.stars} stars of {target.segments}"
+        "target": f"{columns} x {rows} squares of {target.pitch_mm:.6g} mm, {use.stars} stars of {target.segments}"
         f" segments, {target.polarity}",
-        "tag": f"family {target.tag_family}, number {target.tag_id}, {found.tag_px:.0f} px wide",
+        "tag": f"family {target.tag_family}, number {target.tag_id}, {use.tag_px:.0f} px wide",
         "optics": f"lens {optics.focal_px:.0f} px, collimator {optics.r_mm:g} mm, image {width} x {height} px",
-        "pitch": f"{found.pitch_px:.1f} px; a segment is {found.segment_px:.1f} px wide at 0.4 pitches",
-        "stars in view": f"{found.stars_in_view}, when the camera looks at the tag",
-        "camera's field": f"{found.camera_deg[0]:.1f} x {found.camera_deg[1]:.1f} degrees",
+        "pitch": f"{use.pitch_px:.1f} px; a segment is {use.segment_px:.1f} px wide at 0.4 pitches",
+        "stars in view": f"{use.stars_in_view}, when the camera looks at the tag",
+        "camera's field": f"{use.camera_deg[0]:.1f} x {use.camera_deg[1]:.1f} degrees",
         "target's field": f"{left:.1f} degrees left of the tag, {right:.1f} right, {up:.1f} up, {down:.1f} down",
         "beam": beam,
     }
     for name, text in lines.items():
         yield f"{name:<15} {text}"
-    for warning in found.warnings:
+    for warning in use.warnings:
         yield f"{'warning':<15} {warning}"
-    if not found.warnings:
+    if not use.warnings:
         yield f"{'verdict':<15} Nothing speaks against this target."
 
 
@@ -238,26 +238,26 @@ def station_new(
         write_atomic(path, draft_stand_ins(stand_ins).encode())
         show({"station": str(path)}, [f"Written: {path}. Check it with: starbench plan three_pose -s {path}"])
         return 0
-    found, clock = discover(), BenchClock()
-    all_ports = [] if no_questions else [*ports] or free_ports(found)
+    discovery, clock = discover(), BenchClock()
+    all_ports = [] if no_questions else [*ports] or free_ports(discovery)
     if stage in RESTARTS and all_ports and not may_restart(all_ports):
         all_ports = []
-    own_ports = [port for port in all_ports if ports or port in ports_to_ask(found, stage)]
+    own_ports = [port for port in all_ports if ports or port in ports_to_ask(discovery, stage)]
     answered = ask_stage(stage, own_ports, clock)
     taken = answered.ports if answered else set()
     asked = answered, ask_light(light, [port for port in all_ports if port not in taken], clock)
-    draft = draft_station(found, stage=stage, light=light, camera=camera, asked=asked)
+    draft = draft_station(discovery, stage=stage, light=light, camera=camera, asked=asked)
     write_atomic(path, draft.encode())
     for device in asked:
         if device is not None:
             click.echo(f"It answered: {device.what} at {device.port}.")
-    for sentence in found.missing:
+    for sentence in discovery.missing:
         click.echo(f"Missing: {sentence}")
     click.echo(
         f"Written: {path}. Replace every placeholder (such as {UNKNOWN_SERIAL}), check scales and limits, then:"
         f" starbench plan three_pose -s {path}"
     )
-    if found.missing:
+    if discovery.missing:
         click.echo(
             "To practise without these devices: starbench station new practice.yaml --stand-ins keysight"
         )

@@ -196,7 +196,7 @@ def follow(
     With ``ticks`` it also yields the status without a change. The first lines are the last ones of the status. It ends
     when no process works on the run any more.
     """
-    seen, told, pause_s = -1, -1, FOLLOW_S
+    seen, shown, pause_s = -1, -1, FOLLOW_S
     while True:
         with storage_errors(folder):
             size = (folder / JOURNAL).stat().st_size
@@ -207,9 +207,9 @@ def follow(
             pause_s = max(FOLLOW_S, _READING_SHARE * (read_s - began_s))
             yield (
                 status,
-                status.last if told < 0 else [text for text in map(line_text, entries[told:]) if text],
+                status.last if shown < 0 else [text for text in map(line_text, entries[shown:]) if text],
             )
-            told = len(entries)
+            shown = len(entries)
             if not status.running:
                 return
         elif ticks:
@@ -265,8 +265,8 @@ def _show_run(folder: Path) -> int:
     from bench.run.status import read_status
     from bench.run.status import status_text as text_of
 
-    found = read_status(folder)
-    show(found.to_dict, text_of(found))
+    status = read_status(folder)
+    show(status.to_dict, text_of(status))
     return 0
 
 

@@ -197,18 +197,23 @@ def _ended(
     checked: Checked = end.value
     if kept is not None and checked.row is not None and not checked.before:
         kept.add(str(folder), checked.row)
-    found = checked.verification
-    if found.ok:
-        found.add(_checks_of_this_bench(folder, found.kind, check))
-    if not found.ok:
-        faults = " ".join(f"{fault}." for fault in found.faults)
-        return "failed", f"{folder.name}: NOT VERIFIED. {faults}", found.to_dict()
-    camera = f", camera {found.camera_serial}" if found.camera_serial else ""
-    simulated = ", SIMULATED devices" if found.simulated else ""
-    text = f"{folder.name}: {found.state}, {found.files} files, sealed by {found.signer}{camera}{simulated}."
-    if not found.complete:
-        return "incomplete", f"{text} NOT COMPARED: {'; '.join(found.not_compared)}.", found.to_dict()
-    return "ok", text, found.to_dict()
+    verification = checked.verification
+    if verification.ok:
+        verification.add(_checks_of_this_bench(folder, verification.kind, check))
+    if not verification.ok:
+        faults = " ".join(f"{fault}." for fault in verification.faults)
+        return "failed", f"{folder.name}: NOT VERIFIED. {faults}", verification.to_dict()
+    camera = f", camera {verification.camera_serial}" if verification.camera_serial else ""
+    simulated = ", SIMULATED devices" if verification.simulated else ""
+    text = f"{folder.name}: {verification.state}, {verification.files} files, sealed by {verification.signer}"
+    text += f"{camera}{simulated}."
+    if not verification.complete:
+        return (
+            "incomplete",
+            f"{text} NOT COMPARED: {'; '.join(verification.not_compared)}.",
+            verification.to_dict(),
+        )
+    return "ok", text, verification.to_dict()
 
 
 def again_line(folder: Path) -> PartsLine:
@@ -239,12 +244,12 @@ def derivations(trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
     """Return each kind's further checks for `verify_folder`: ledger, recordings, and with ``again`` the numbers."""
 
     def of_folder(folder: Path) -> Findings:
-        found, line = Findings(), again_line(folder)
+        findings, line = Findings(), again_line(folder)
         try:
-            found.derive(folder, derivations_of(folder, again=again, progress=line.reached))
+            findings.derive(folder, derivations_of(folder, again=again, progress=line.reached))
         finally:
             line.clear()
-        return found
+        return findings
 
     return {
         "run": [_check_ledger, of_folder, check_authorisation],
@@ -293,10 +298,12 @@ def _check_certificate(folder: Path) -> Findings:
 
 def _check_ledger(folder: Path) -> Findings:
     """Compare the number and the head of a run with the ledger of this bench, if the run is in it."""
-    found, ledger = Findings(), bench_ledger()
+    findings, ledger = Findings(), bench_ledger()
     for what in ledger_faults_of_run(folder, ledger):
-        found.fault("ledger", JOURNAL, what.rstrip("."))
+        findings.fault("ledger", JOURNAL, what.rstrip("."))
     place = StoredRun(folder).history.ledger
-    if not found.faults and not (place and ledger.contains(place)):
-        found.remarks.append("this run is not in the ledger of this bench, so no ledger confirms its number")
-    return found
+    if not findings.faults and not (place and ledger.contains(place)):
+        findings.remarks.append(
+            "this run is not in the ledger of this bench, so no ledger confirms its number"
+        )
+    return findings

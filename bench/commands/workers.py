@@ -24,8 +24,8 @@ CONTINUES = "What is done is kept; the same command continues."
 _MOST_PROCESSES = 1024
 _LEAST_BYTES = 4 << 30
 """Memory that each process on this computer may use at least: a share of this computer's may be less."""
-_EVERY_S = 30.0
-_EVERY_ON_A_TERMINAL_S = 0.25
+_EVERY_S = 30.0  # A log of a night stays readable
+_EVERY_ON_A_TERMINAL_S = 0.25  # More often is not seen
 
 
 class _Who(click.ParamType):

@@ -125,8 +125,8 @@ def named_person(folder: Path) -> NamedPerson | None:
     if not path.is_file():
         return None
     try:
-        found = read_json(path)["authorised_by"]
-        return NamedPerson(str(found["name"]), str(found["key_fingerprint"]))
+        person = read_json(path)["authorised_by"]
+        return NamedPerson(str(person["name"]), str(person["key_fingerprint"]))
     except (StorageError, ValueError, LookupError, TypeError) as error:
         raise EvidenceError(f"{_CERTIFICATE} does not name the person who is to authorise it") from error
 

@@ -24,7 +24,7 @@ from bench.record.run_folder import MANIFEST
 from bench.record.storage import sha256_of, storage_errors
 
 FOLDER_AUTHORISED = "folder_authorised"
-_SHOWN = 16
+_SHOWN = 16  # Characters: date, hours and minutes
 
 
 @dataclass(frozen=True)
@@ -82,8 +82,8 @@ def _authorisations(entries: Sequence[Entry]) -> Known:
             signature, person, fingerprint, folder = (
                 str(entry.data.get(name, "")) for name in ("signature", "person", "fingerprint", "folder")
             )
-            one = Authorised(signature, person, fingerprint, folder, entry.utc)
-            authorisations.setdefault(str(entry.data.get("seal", "")), []).append(one)
+            authorised = Authorised(signature, person, fingerprint, folder, entry.utc)
+            authorisations.setdefault(str(entry.data.get("seal", "")), []).append(authorised)
     return authorisations
 
 
@@ -98,14 +98,18 @@ def compare_authorisation(folder: Path, known: Known) -> Findings:
         if not known or not manifest.is_file():
             return findings
         named = known.get(sha256_of(manifest), ())
-        if not named or (signature.is_file() and sha256_of(signature) in {one.signature for one in named}):
+        if not named or (
+            signature.is_file() and sha256_of(signature) in {authorised.signature for authorised in named}
+        ):
             return findings
         is_there, here = signature.exists(), folder.resolve()
     last = named[-1]
     if is_there:
         what = f"the ledger names another authorisation than {AUTHORISATION}: by {last}"
         findings.fault("authorisation", AUTHORISATION, what)
-    elif here not in {Path(one.folder).resolve() for one in named} and Path(last.folder).is_dir():
+    elif (
+        here not in {Path(authorised.folder).resolve() for authorised in named} and Path(last.folder).is_dir()
+    ):
         findings.remarks.append(
             f"the ledger names an authorisation that this copy does not have: by {last}, in {last.folder}"
         )
@@ -118,10 +122,12 @@ def compare_authorisation(folder: Path, known: Known) -> Findings:
 
 def lost_authorisations(known: Known) -> list[str]:
     """Compare all folders that the ledger names as authorised, as far as they are still there."""
-    found = []
-    for folder in sorted({one.folder for named in known.values() for one in named if one.folder}):
+    lost = []
+    for folder in sorted(
+        {known_one.folder for named in known.values() for known_one in named if known_one.folder}
+    ):
         with suppress(BenchError):
-            found += [
+            lost += [
                 f"{folder}: {fault.what}." for fault in compare_authorisation(Path(folder), known).faults
             ]
-    return found
+    return lost

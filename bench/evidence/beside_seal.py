@@ -29,7 +29,7 @@ MOST_BYTES = 1 << 20
 _NO_TMPFILE = {errno.EOPNOTSUPP, errno.EISDIR, errno.EINVAL, errno.ENOENT}
 _NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK}
 """Errors of file systems without hard links, such as FAT."""
-_MODE, _FOLDER_MODE = 0o444, 0o555
+_MODE, _FOLDER_MODE = 0o444, 0o555  # Read-only for all, as the sealed files
 
 
 def read_beside(folder: Path, name: str) -> bytes | None:

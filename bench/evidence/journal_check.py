@@ -36,7 +36,7 @@ from bench.record.stored_run import StoredRun
 
 _WRITTEN = {RESULTS: "results", REPORT: "report", "views.h5": "views"}
 """Files that the report step writes, besides the exports, each with the kind of its faults."""
-_CLOCK_SLACK_S = 0.05
+_CLOCK_SLACK_S = 0.05  # A line's two clocks are read one after the other; a busy computer comes between
 
 
 def check_journal(folder: Path, manifest: Mapping[str, str], findings: Findings) -> Mapping[str, Capture]:
@@ -206,9 +206,9 @@ def _wire(folder: Path, stated: Any, where: str, findings: Findings) -> None:
     if not isinstance(stated, dict):
         findings.fault("journal", where, "it does not state the wire log")
         return
-    for name, one in stated.items():
+    for name, stated_log in stated.items():
         try:
-            size, sha256 = int(one["size"]), str(one["sha256"])
+            size, sha256 = int(stated_log["size"]), str(stated_log["sha256"])
         except (KeyError, TypeError, ValueError):
             findings.fault("journal", where, "it does not state the wire log")
             return

@@ -80,8 +80,8 @@ def judge_key(public_key: bytes, namespace: str, trust: Trust, moments: Moments)
     if not for_it:
         return Judgement(fault=str(known[0].rejection(namespace, moments.now)))
     revoked = min(
-        (one for one in trust.revoked if one.public_key == public_key),
-        key=lambda one: one.since,
+        (revoked_key for revoked_key in trust.revoked if revoked_key.public_key == public_key),
+        key=lambda revoked_key: revoked_key.since,
         default=None,
     )
     if revoked is not None and (moments.proven is None or moments.proven.utc >= revoked.since):
@@ -105,7 +105,7 @@ def _judge_period(known: Sequence[Signer], namespace: str, moments: Moments) -> 
         signer, reason = _accepting(known, namespace, moments.proven.utc)
         if signer is not None:
             return Judgement(signer.principal)
-        if all(one.valid_before is not None and one.valid_before < moments.proven.utc for one in known):
+        if all(entry.valid_before is not None and entry.valid_before < moments.proven.utc for entry in known):
             late = " The time stamp is younger than that, so it proves nothing here."
         else:
             return Judgement(fault=f"{reason}; the signature existed at {moments.proven.text}")
@@ -118,12 +118,12 @@ def _judge_period(known: Sequence[Signer], namespace: str, moments: Moments) -> 
             f"{now_reason}; it is accepted for {_text(moments.at)}, as asked.{late}" if now_reason else ""
         )
         return Judgement(signer.principal, remark=remark.rstrip("."))
-    for one in known:
-        is_late = one.valid_before is not None and moments.earliest > one.valid_before
-        is_early = one.valid_after is not None and moments.latest < one.valid_after
+    for entry in known:
+        is_late = entry.valid_before is not None and moments.earliest > entry.valid_before
+        is_early = entry.valid_after is not None and moments.latest < entry.valid_after
         if not is_late and not is_early:
             remark = f"{now_reason}; {moments.own_text}. No trusted time stamp proves it.{late}".rstrip(".")
-            return Judgement(one.principal, remark=remark if now_reason else "")
+            return Judgement(entry.principal, remark=remark if now_reason else "")
     _, reason = _accepting(known, namespace, moments.earliest)
     return Judgement(
         fault=f"{reason}; the folder was sealed at {_text(moments.earliest)} by the bench's own clock"

@@ -110,12 +110,14 @@ def require_usable(folder: Path, key: BenchKey, when: datetime) -> None:
     """Refuse a key before a run if nobody would accept its seals: not trusted now, revoked, or lists not safe."""
     public = key.public_key
     known = [signer for signer in signers_of(folder) if signer.public_key == public]
-    rejections = [one.rejection(NAMESPACE, when) for one in known]
-    revoked = next((one for one in read_revoked(folder / REVOKED_FILE) if one.public_key == public), None)
+    rejections = [entry.rejection(NAMESPACE, when) for entry in known]
+    revoked = next(
+        (entry for entry in read_revoked(folder / REVOKED_FILE) if entry.public_key == public), None
+    )
     if revoked is not None:
         rejections = [f"the key was revoked {revoked.text}"]
     if rejections and None not in rejections:
-        is_early = all(one.valid_after is not None and when < one.valid_after for one in known)
+        is_early = all(entry.valid_after is not None and when < entry.valid_after for entry in known)
         raise EvidenceError(
             f"The bench's key {key.fingerprint} cannot seal: {rejections[0]}.",
             where=str(folder / SIGNERS_FILE),

@@ -83,43 +83,45 @@ class _Said:
 
 def ledger_faults_of_run(folder: Path, ledger: Ledger) -> list[str]:
     """Return a sentence for each fault of a run folder by this bench's ledger; none for a run of another bench."""
-    said = _said_by(folder)
-    if said is None:
+    statement = _said_by(folder)
+    if statement is None:
         return []
     _, runs, breaks, damage = ledger.read()
     if damage:
         is_own = is_sealed_by(folder, own_public_keys(ledger.home))
-        told = f"The ledger of this bench is damaged, so it does not confirm this run: {damage}"
-        return [told] if is_own else []
-    entered = next((run for run in runs if run.head == said.place.get("head")), None)
+        damage_text = f"The ledger of this bench is damaged, so it does not confirm this run: {damage}"
+        return [damage_text] if is_own else []
+    entered = next((run for run in runs if run.head == statement.place.get("head")), None)
     if entered is not None:
-        return _differences(folder, said, entered)
-    named_by = next((one for one in breaks if said.place.get("head") in one.heads), None)
+        return _differences(folder, statement, entered)
+    named_by = next(
+        (known_break for known_break in breaks if statement.place.get("head") in known_break.heads), None
+    )
     if named_by is not None and named_by.reason is not None:
         return []
     if not is_sealed_by(folder, own_public_keys(ledger.home)):
         return []
-    number = said.place.get("number")
+    number = statement.place.get("number")
     holder = next((run for run in runs if run.number == number), None)
     other = f" There, number {number} is the run {holder.folder}." if holder else ""
     what = f"This bench has sealed this run as number {number}, but its ledger does not contain it.{other}"
     return [f"{what} Lines of the ledger were removed or replaced. {EXPLAIN}"]
 
 
-def _differences(folder: Path, said: _Said, entered: LedgerRun) -> list[str]:
+def _differences(folder: Path, statement: _Said, entered: LedgerRun) -> list[str]:
     differences = []
     stated = {
-        "number": (said.place.get("number"), entered.number),
-        "name": (said.run_id or entered.run_id, entered.run_id or said.run_id),
-        "simulated": (said.simulated, entered.simulated),
-        "camera": (said.camera or entered.camera, entered.camera or said.camera),
+        "number": (statement.place.get("number"), entered.number),
+        "name": (statement.run_id or entered.run_id, entered.run_id or statement.run_id),
+        "simulated": (statement.simulated, entered.simulated),
+        "camera": (statement.camera or entered.camera, entered.camera or statement.camera),
     }
     for what, (here, there) in stated.items():
         if here != there:
             differences.append(
                 f"The {what} of this run is {here} in its journal and {there} in the ledger. {_ASK}"
             )
-    differences += _dates(said, entered)
+    differences += _dates(statement, entered)
     if is_sealed(folder):
         if entered.seal is None and entered.how != STILL_OPEN:
             differences.append(
@@ -132,18 +134,19 @@ def _differences(folder: Path, said: _Said, entered: LedgerRun) -> list[str]:
     return differences
 
 
-def _dates(said: _Said, entered: LedgerRun) -> list[str]:
+def _dates(statement: _Said, entered: LedgerRun) -> list[str]:
     """Compare the times of the journal with those at which the ledger took the run and its seal."""
-    begun, last = (datetime.fromisoformat(text) for text in (said.begun_utc, said.last_utc))
+    begun, last = (datetime.fromisoformat(text) for text in (statement.begun_utc, statement.last_utc))
     dates = []
     if abs(begun - datetime.fromisoformat(entered.begun_utc)) > _CLOCK_SLACK:
         dates.append(
-            f"The journal of this run states {said.begun_utc} for its begin, the ledger {entered.begun_utc}. {_ASK}"
+            f"The journal of this run states {statement.begun_utc} for its begin, the ledger"
+            f" {entered.begun_utc}. {_ASK}"
         )
     if entered.seal is not None and datetime.fromisoformat(entered.ended_utc) < last - _CLOCK_SLACK:
         dates.append(
             f"The ledger took the end and the seal of this run at {entered.ended_utc}, before the last line of its "
-            f"journal, {said.last_utc}. {_ASK}"
+            f"journal, {statement.last_utc}. {_ASK}"
         )
     return dates
 

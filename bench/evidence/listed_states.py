@@ -68,13 +68,13 @@ def _stamp(folder: str, trusted: str, settled_ns: int) -> str:
     ``st_ctime_ns`` is among it, which no program can set: a file that was replaced by one of the same size and time
     is noticed.
     """
-    found = [_stat(f"{folder}/{name}") for name in _OF_SEAL]
+    states = [_stat(f"{folder}/{name}") for name in _OF_SEAL]
     person = _stat(f"{folder}/{AUTHORISATION}")
     if person is not None:
-        found += [person, *(_stat(f"{folder}/{name}") for name in _OF_PERSON[1:])]
-    if any(one is not None and one.st_ctime_ns > settled_ns for one in found):
+        states += [person, *(_stat(f"{folder}/{name}") for name in _OF_PERSON[1:])]
+    if any(state is not None and state.st_ctime_ns > settled_ns for state in states):
         return ""
-    numbers = [(s.st_dev, s.st_ino, s.st_size, s.st_mtime_ns, s.st_ctime_ns) if s else None for s in found]
+    numbers = [(s.st_dev, s.st_ino, s.st_size, s.st_mtime_ns, s.st_ctime_ns) if s else None for s in states]
     return f"{numbers}{trusted if person else ''}"
 
 
@@ -88,5 +88,5 @@ def _stat(path: str) -> os.stat_result | None:
 def _identity(trust: Trust) -> str:
     """Return what changes with the trusted keys and authorities."""
     authorities = (*trust.authorities.others, *trust.authorities.laboratory)
-    parts = trust.signers, trust.revoked, [one.public_bytes(Encoding.DER) for one in authorities]
+    parts = trust.signers, trust.revoked, [authority.public_bytes(Encoding.DER) for authority in authorities]
     return hashlib.sha256(repr(parts).encode()).hexdigest()

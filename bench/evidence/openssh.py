@@ -63,9 +63,9 @@ class OpenSshKey:
             signature = data.with_name("message.sig")
             if done.returncode == 0 and signature.exists():
                 return signature.read_bytes()
-        said = done.stderr.decode(errors="replace").strip().splitlines() or ["it gave no reason"]
+        complaint = done.stderr.decode(errors="replace").strip().splitlines() or ["it gave no reason"]
         raise EvidenceError(
-            f"ssh-keygen did not sign with this key: {printable_only(said[-1])}.",
+            f"ssh-keygen did not sign with this key: {printable_only(complaint[-1])}.",
             where=str(self.path or self.agent or ""),
             remedy="Check with `ssh-add -l` that the agent holds the key; confirm at the token or enter its PIN if"
             " asked.",
@@ -94,9 +94,9 @@ def agent_lines(agent: str) -> list[str]:
         return [printable_only(line) for line in text.splitlines()]
     if done.returncode == 1 and "no identities" in text:
         return []
-    said = done.stderr.decode(errors="replace").strip() or f"status {done.returncode}"
+    complaint = done.stderr.decode(errors="replace").strip() or f"status {done.returncode}"
     raise EvidenceError(
-        f"ssh-agent does not answer: {printable_only(said)}.",
+        f"ssh-agent does not answer: {printable_only(complaint)}.",
         where=agent,
         remedy=f"Start it and add the key with ssh-add; {SOCKET_VARIABLE} names its socket.",
     )

@@ -19,7 +19,7 @@ from bench.evidence.ssh_keys import check_key, fingerprint
 from bench.evidence.sshsig import Ed25519Signer, SigningKey
 from bench.record.storage import storage_errors
 
-_MOST_BYTES = 1 << 20
+_MOST_BYTES = 1 << 20  # No answer of an agent and no key is as long
 
 
 def load_file_key(path: Path, ask_passphrase: Callable[[Path], bytes]) -> SigningKey:
@@ -76,15 +76,15 @@ def find_key(name: str | None, agent: str | None, ask_passphrase: Callable[[Path
 
 def agent_keys(agent: str) -> list[OpenSshKey]:
     """List the keys of an agent that can be used here. Keys of other types and certificates are left out."""
-    found = []
+    keys = []
     for line in agent_lines(agent):
         try:
             blob = read_public_key(line)
         except ValueError:
             continue
         comment = "".join(line.split(maxsplit=2)[2:])
-        found.append(OpenSshKey(blob, agent=agent, comment=comment))
-    return found
+        keys.append(OpenSshKey(blob, agent=agent, comment=comment))
+    return keys
 
 
 def _agent_key(wanted: str | None, agent: str | None) -> OpenSshKey:
@@ -95,9 +95,9 @@ def _agent_key(wanted: str | None, agent: str | None) -> OpenSshKey:
             remedy="Name the file of the private key with --key, or start ssh-agent and add the key with ssh-add.",
         )
     keys = agent_keys(agent)
-    found = [key for key in keys if wanted in {None, fingerprint(key.public_key)}]
-    if len(found) == 1:
-        return found[0]
+    fitting = [key for key in keys if wanted in {None, fingerprint(key.public_key)}]
+    if len(fitting) == 1:
+        return fitting[0]
     held = ", ".join(f"{fingerprint(key.public_key)} ({key.comment})" for key in keys[:5]) or "none"
     what = f"ssh-agent does not hold the key {wanted}." if wanted else f"ssh-agent holds {len(keys)} keys."
     raise EvidenceError(

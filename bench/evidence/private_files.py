@@ -15,9 +15,9 @@ from typing import TypeVar
 from bench.base.errors import EvidenceError
 
 Line = TypeVar("Line")
-_WRITABLE_BY_OTHERS = 0o022
-_MOST_BYTES = 16 << 20
-_ANY_ACCESS_BY_OTHERS = 0o077
+_WRITABLE_BY_OTHERS = 0o022  # Mode bits of group and others
+_MOST_BYTES = 16 << 20  # A list of tens of thousands of keys
+_ANY_ACCESS_BY_OTHERS = 0o077  # Mode bits of group and others, as ssh asks of a private key
 
 
 def refuse_writable_by_others(path: Path, what: str) -> None:

@@ -61,7 +61,7 @@ def revoke(folder: Path, key: RevokedKey) -> None:
             "A revocation needs a reason of one line.",
             remedy="Say what happened, for example: stolen laptop.",
         )
-    known = next((one for one in read_revoked(path) if one.public_key == key.public_key), None)
+    known = next((revoked for revoked in read_revoked(path) if revoked.public_key == key.public_key), None)
     if known is not None:
         raise EvidenceError(
             f"The key {fingerprint(key.public_key)} is revoked already: {known.text}.", where=str(path)

@@ -213,14 +213,14 @@ def read_manifest(manifest: bytes) -> dict[str, str]:
 
 def list_files(path: Path) -> dict[str, str]:
     """List a folder's content but folders, by name with ``/``: ``file``, ``link`` (not followed), ``special file``."""
-    found = {}
+    kinds = {}
     for folder_name, folders, files in os.walk(path, onerror=_refuse):
         folder = Path(folder_name)
         for name in [*files, *(f for f in folders if (folder / f).is_symlink())]:
             mode = (folder / name).lstat().st_mode
             kind = "file" if stat.S_ISREG(mode) else "link" if stat.S_ISLNK(mode) else "special file"
-            found[(folder / name).relative_to(path).as_posix()] = kind
-    return found
+            kinds[(folder / name).relative_to(path).as_posix()] = kind
+    return kinds
 
 
 def _refuse(error: OSError) -> None:

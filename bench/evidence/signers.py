@@ -205,10 +205,10 @@ def _read_list(path: Path) -> str:
 def _refuse_two_purposes(folder: Path, signer: Signer) -> None:
     """Refuse a key that would both seal and authorise: a bench must not be able to authorise its own work."""
     signs = {NAMESPACE, AUTHORISATION_NAMESPACE}
-    known = [one for one in signers_of(folder) if one.public_key == signer.public_key]
-    for one in (*known, signer):
-        if one.namespaces and signer.namespaces:
-            purposes = {name for name in signs for each in (one, signer) if each.may_sign(name)}
+    known = [each_signer for each_signer in signers_of(folder) if each_signer.public_key == signer.public_key]
+    for each_signer in (*known, signer):
+        if each_signer.namespaces and signer.namespaces:
+            purposes = {name for name in signs for each in (each_signer, signer) if each.may_sign(name)}
             if purposes == signs:
                 raise EvidenceError(
                     f"The key {fingerprint(signer.public_key)} cannot both seal and authorise.",

@@ -22,6 +22,7 @@ KEY_TYPES = (
     b"sk-ssh-ed25519@openssh.com",
 )
 """Types of keys that are accepted; those with ``sk-`` lie in a security token."""
+# NIST SP 800-57: less is no longer safe; OpenSSH takes no more than the second.
 _FEWEST_RSA_BITS, _MOST_RSA_BITS = 2048, 16384
 
 
@@ -32,14 +33,14 @@ def string(data: bytes) -> bytes:
 
 def strings(data: bytes, count: int) -> tuple[list[bytes], bytes]:
     """Read so many strings, and return what follows them too (RFC 4251, section 5)."""
-    found = []
+    parts = []
     for _ in range(count):
         size = int.from_bytes(data[:4], "big")
         if len(data) < 4 + size:
             raise ValueError("it is incomplete")
-        found.append(data[4 : 4 + size])
+        parts.append(data[4 : 4 + size])
         data = data[4 + size :]
-    return found, data
+    return parts, data
 
 
 def encode_public_key(key: Ed25519PublicKey) -> bytes:

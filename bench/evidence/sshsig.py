@@ -35,7 +35,7 @@ _END = b"-----END SSH SIGNATURE-----"
 _LINE_LENGTH = 70
 _TOUCHED = 1
 """Bit of the flags of a security token's signature: a person touched the token (PROTOCOL.u2f of OpenSSH)."""
-_FLAGS_AND_COUNTER = 5
+_FLAGS_AND_COUNTER = 5  # Bytes: one of flags and a 32-bit counter (PROTOCOL.u2f)
 _SIGNATURE_TYPES = {"ssh-rsa": ("rsa-sha2-512", "rsa-sha2-256")}
 
 

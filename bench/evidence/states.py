@@ -46,12 +46,12 @@ def stated_time(folder: Path) -> datetime | None:
         path = folder / name
         if path.is_file():
             try:
-                found = read_json(path)
+                content = read_json(path)
                 for key in keys:
-                    found = found[key]
+                    content = content[key]
             except (StorageError, ValueError, LookupError, TypeError):
                 continue
-            if moment := _moment(found):
+            if moment := _moment(content):
                 return moment
     return None
 
@@ -208,8 +208,8 @@ def _text(standing: Verification) -> str:
     text = f"SEALED by {bench}"
     if standing.state is State.AUTHORISED:
         text = f"AUTHORISED by {standing.person}, sealed by {bench}"
-    beside = [fault for fault in standing.faults if fault.kind in {"authorisation", "timestamp"}]
-    return f"{text}. FAULT: {beside[0]}" if beside else text
+    other_faults = [fault for fault in standing.faults if fault.kind in {"authorisation", "timestamp"}]
+    return f"{text}. FAULT: {other_faults[0]}" if other_faults else text
 
 
 def check_ended_page(

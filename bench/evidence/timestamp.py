@@ -190,8 +190,10 @@ def read_reply(reply: bytes) -> Any:
         if status == 0:
             response.tst_info.gen_time  # noqa: B018 - reads the token, or ValueError
             return response
-        said = ", ".join(response.status_string)
-    raise EvidenceError(f"the authority did not grant it: {said or _STATUS.get(status, f'status {status}')}")
+        reasons = ", ".join(response.status_string)
+    raise EvidenceError(
+        f"the authority did not grant it: {reasons or _STATUS.get(status, f'status {status}')}"
+    )
 
 
 @contextmanager
@@ -239,8 +241,8 @@ def _authority_name(response: Any) -> str:
     ]
     if len(known) != 1:  # with two of them, the name of a forged one could be shown
         raise EvidenceError(f"the time stamp holds {len(known)} certificates of its authority, not one")
-    found = known[0].subject.get_attributes_for_oid(NameOID.COMMON_NAME)
-    name = str(found[0].value) if found else known[0].subject.rfc4514_string()
+    common_names = known[0].subject.get_attributes_for_oid(NameOID.COMMON_NAME)
+    name = str(common_names[0].value) if common_names else known[0].subject.rfc4514_string()
     return printable_only(name)
 
 

@@ -17,8 +17,8 @@ from bench.base.background import in_background
 from bench.base.errors import EvidenceError, UsageError
 from bench.evidence.timestamp import read_reply, stamp_library
 
-WAIT_S = 20.0
-_MOST_BYTES = 1 << 20
+WAIT_S = 20.0  # A person waits for it
+_MOST_BYTES = 1 << 20  # An answer with its certificates has some kB
 _REPLY_TYPE = "application/timestamp-reply"
 
 

@@ -33,7 +33,7 @@ _MODULES = {
     "load": "bench.solve.run_reader",
     "__version__": "bench",
 }
-_STOPPED_BY_CTRL_C = 128 + 2
+_STOPPED_BY_CTRL_C = 128 + 2  # As shells have it: 128 and the number of SIGINT
 
 
 def __getattr__(name: str) -> Any:

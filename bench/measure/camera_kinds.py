@@ -137,7 +137,7 @@ class EventKind:
         """Return the camera's state at the last of the accepted recordings, at least one; and the mean temperature."""
         recorded = [_of_events(facts) for facts in accepted]
         last = recorded[-1]
-        temperatures = [one.temperature_c for one in recorded if one.temperature_c is not None]
+        temperatures = [record.temperature_c for record in recorded if record.temperature_c is not None]
         return {
             "biases": last.biases,
             "filters": last.filters,

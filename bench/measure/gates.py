@@ -158,10 +158,10 @@ def _in_phase(lag_periods: float) -> Gate:
     return Gate("events after sync", lag_periods, "periods", f"{low:g} to {high:g}", verdict)
 
 
-def solution_gates(limits: Mapping[str, float], found: Mapping[str, float]) -> list[Gate]:
+def solution_gates(limits: Mapping[str, float], values: Mapping[str, float]) -> list[Gate]:
     """Judge a calibration by the limits of its solve step, such as ``rms_px``, ``sigma_r_mm``, ``sigma_k1``.
 
-    ``found`` has the names without unit (``rms``, ``sigma_r``). A parameter that the chosen model lacks is absent.
+    ``values`` has the names without unit (``rms``, ``sigma_r``). A parameter that the chosen model lacks is absent.
 
     >>> [gate.verdict for gate in solution_gates({"rms_px": 0.2, "sigma_fx_px": 3}, {"rms": 0.05, "sigma_fx": 2.8})]
     ['pass', 'marginal']
@@ -169,8 +169,8 @@ def solution_gates(limits: Mapping[str, float], found: Mapping[str, float]) -> l
     judged = []
     for name, limit in limits.items():
         stem, _, unit = name.rpartition("_") if name.endswith(("_px", "_mm")) else (name, "", "")
-        if stem in found:
-            judged.append(at_most(stem.replace("_", " "), found[stem], limit, unit))
+        if stem in values:
+            judged.append(at_most(stem.replace("_", " "), values[stem], limit, unit))
     return judged
 
 

@@ -160,7 +160,7 @@ class KeptViews:
                         Path(entry.path).unlink(missing_ok=True)
                     continue
                 entries.append((status.st_mtime_ns, status.st_size, entry.path))
-        total = size + sum(one[1] for one in entries)
+        total = size + sum(kept[1] for kept in entries)
         for _, had, name in sorted(entries):
             if total <= self.most_bytes // _BUCKETS:
                 break

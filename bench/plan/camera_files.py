@@ -144,13 +144,13 @@ def _recognised(data: bytes, name: str | None, lens: LensFamily | None) -> _Foun
     if isinstance(ours, dict) and "camera" in ours:
         camera = camera_of(ours["camera"], ours["image_size"])
         return "the result of a run", camera, camera_covariance(cast("CameraData", ours)), ()
-    found = [chosen(cameras_of(document), name) for document in documents]
-    cameras = [camera_of_values(one, lens) for one in found]
-    if any(one != cameras[0] for one in cameras):
+    cameras_values = [chosen(cameras_of(document), name) for document in documents]
+    cameras = [camera_of_values(values_of_camera, lens) for values_of_camera in cameras_values]
+    if any(values_of_camera != cameras[0] for values_of_camera in cameras):
         raise OtherForm(
             f"{len(cameras)} different cameras follow one another", "Copy one of them to a file of its own."
         )
-    values = found[0]
+    values = cameras_values[0]
     kind = next((words for key, words in _KINDS.items() if key in (syntax, *values)), f"OpenCV's {syntax}")
     kind = f"the file of {values['program']}" if "program" in values else kind
     camera, covariance = _with_covariance(cameras[0], values)
@@ -174,11 +174,11 @@ def _with_covariance(camera: CameraModel, values: Values) -> tuple[CameraModel, 
     if stated is None or names is None:
         return camera, None
     names = names.split() if isinstance(names, str) else list(map(str, names))
-    found = numbers_of("the covariance", stated)
-    if len(found) != len(names) ** 2:
+    covariance = numbers_of("the covariance", stated)
+    if len(covariance) != len(names) ** 2:
         raise OtherForm("the covariance has another size than its names")
     estimated = replace(camera, distortion={k: v for k, v in camera.distortion.items() if k in names})
     if not set(estimated.parameter_names) <= set(names):
         raise OtherForm("the covariance lacks a value of the camera")
     at = [names.index(name) for name in estimated.parameter_names]
-    return estimated, np.reshape(found, (len(names), len(names)))[np.ix_(at, at)]
+    return estimated, np.reshape(covariance, (len(names), len(names)))[np.ix_(at, at)]

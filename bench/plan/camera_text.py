@@ -18,13 +18,13 @@ from xml.etree import ElementTree as ET
 from bench.base.bounded_json import parse_json
 from sequences.yaml_text import MOST_BYTES, parse
 
-_MOST_LEVELS = 40
+_MOST_LEVELS = 40  # Far above camera files; a hostile one ends here
 #: The longest text of Python that is read: mrcal adds its measurements to a camera, about 1 MB.
 _MOST_CHARACTERS = 5_000_000
-_MOST_ENTRIES = 100_000
+_MOST_ENTRIES = 100_000  # Far above camera files; a hostile one ends here
 #: A longer list of numbers, in characters, is no part of a camera, but what it was calibrated from.
 _LONGEST_LIST = 100_000
-_MOST_DOCUMENTS = 100
+_MOST_DOCUMENTS = 100  # Far above camera files; a hostile one ends here
 _MARKS = {codecs.BOM_UTF8: "utf-8-sig", codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 #: Files that begin so are no text.
 _BINARY = {
@@ -162,14 +162,14 @@ def _text(data: bytes) -> str:
 
 def _json(text: str) -> dict[str, Any]:
     try:
-        found = parse_json(text)
+        document = parse_json(text)
     except json.JSONDecodeError as error:
         if re.match(r"\{\s*'", text):
             return _python(text)
         raise OtherForm(f"it is no complete JSON: line {error.lineno}, column {error.colno}") from None
     except ValueError as error:  # the sentences of `parse_json`
         raise OtherForm(str(error)) from None
-    return _mapping(found)
+    return _mapping(document)
 
 
 def _python(text: str) -> dict[str, Any]:
@@ -182,12 +182,12 @@ def _python(text: str) -> dict[str, Any]:
         raise OtherForm("it is no complete dictionary of Python") from None
 
 
-def _mapping(found: Any) -> dict[str, Any]:
-    if isinstance(found, list) and found and all(isinstance(one, dict) for one in found):
-        return {"camera": found}
-    if not isinstance(found, dict):
+def _mapping(document: Any) -> dict[str, Any]:
+    if isinstance(document, list) and document and all(isinstance(element, dict) for element in document):
+        return {"camera": document}
+    if not isinstance(document, dict):
         raise OtherForm("it holds no names with values")
-    return {str(name): value for name, value in found.items()}
+    return {str(name): value for name, value in document.items()}
 
 
 def _yaml(text: str) -> list[dict[str, Any]]:
@@ -202,8 +202,10 @@ def _yaml(text: str) -> list[dict[str, Any]]:
         lines += document.count("\n")
     if len(body) > MOST_BYTES or len(documents) > _MOST_DOCUMENTS:
         raise OtherForm("it is too large for a camera")
-    found = [_document(text, line) for text, line in documents.items()]
-    return [_mapping(one) for one in found if one is not None] or [_mapping(None)]
+    parsed = [_document(text, line) for text, line in documents.items()]
+    return [_mapping(parsed_document) for parsed_document in parsed if parsed_document is not None] or [
+        _mapping(None)
+    ]
 
 
 def _as_text(listed: re.Match[str]) -> str:
@@ -237,10 +239,10 @@ def _xml(text: str) -> dict[str, Any]:
 def _element(element: ET.Element, levels: int) -> Any:
     if not levels:
         raise OtherForm(f"it is nested deeper than {_MOST_LEVELS} levels")
-    found = [(one.tag, _element(one, levels - 1)) for one in element]
+    children = [(child.tag, _element(child, levels - 1)) for child in element]
     if element.find("_") is not None:
-        return [value for _, value in found]
-    return dict(found) if found else (element.text or "").strip()
+        return [value for _, value in children]
+    return dict(children) if children else (element.text or "").strip()
 
 
 def _ini(text: str) -> dict[str, Any]:
@@ -324,5 +326,5 @@ def numbers(value: Any) -> list[float]:
     if isinstance(value, str):
         return [float(word) for word in _BETWEEN.sub(" ", _NOT_A_NUMBER.sub(r"\1", value)).split()]
     if isinstance(value, list | tuple):
-        return [number for one in value for number in numbers(one)]
+        return [number for element in value for number in numbers(element)]
     return [float(value)]

@@ -113,14 +113,14 @@ _ASK_ORDER = "Give --lens brown for the first order. For the other, give each it
 
 def camera_of_values(values: Values, family: LensFamily | None) -> CameraModel:
     """Return the camera of one set of values."""
-    matrix, beside = _matrix(values)
+    matrix, four_more = _matrix(values)
     model, names = _stated_lens(values)
-    found = _distortion(values, beside, is_fisheye=names is FISHEYE or family == "fisheye")
-    if found is None:
+    stated = _distortion(values, four_more, is_fisheye=names is FISHEYE or family == "fisheye")
+    if stated is None:
         _require_no_coefficients(
             values, may_be_without="program" in values or names == () or _is_rectified(values)
         )
-        found = []
+        stated = []
     if family is not None:
         if names is not None and (names is FISHEYE) != (family == "fisheye"):
             raise OtherForm(f"its lens model is {model}, not {family}", "Leave out --lens.")
@@ -128,15 +128,15 @@ def camera_of_values(values: Values, family: LensFamily | None) -> CameraModel:
     fx, fy, cx, cy = (float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
     plain = CameraModel(fx, fy, cx, cy, size_of_values(values))
     require_possible_camera(plain)
-    if names is None and len(found) == len(FISHEYE) and any(found) and "p1" not in _single(values):
+    if names is None and len(stated) == len(FISHEYE) and any(stated) and "p1" not in _single(values):
         why = (
             "it states four coefficients and no lens model: they are k1 k2 p1 p2, or those of a fisheye lens"
         )
-        _require_alike(plain, found, (OPENCV, FISHEYE), f"{why} (cv2.fisheye)", _ASK)
+        _require_alike(plain, stated, (OPENCV, FISHEYE), f"{why} (cv2.fisheye)", _ASK)
     if family is None and plain_name(model or "") == _IN_ANY_ORDER and "k1" not in _single(values):
         why = "the lens model brown has no one order: they are k1 k2 p1 p2 k3, or k1 k2 k3 p1 p2"
-        _require_alike(plain, found, (OPENCV, _RADIAL_FIRST), why, _ASK_ORDER)
-    coefficients = _coefficients(found, names if names is not None else OPENCV, model or "OpenCV")
+        _require_alike(plain, stated, (OPENCV, _RADIAL_FIRST), why, _ASK_ORDER)
+    coefficients = _coefficients(stated, names if names is not None else OPENCV, model or "OpenCV")
     skew_px = _skew_px(values, float(matrix[0, 1]))
     skew = {SKEW: skew_px} if abs(skew_px) > _LEAST_SKEW_PX else {}
     return replace(plain, distortion={**coefficients, **skew})
@@ -154,10 +154,10 @@ def _is_rectified(values: Values) -> bool:
 
 def _skew_px(values: Values, of_matrix_px: float) -> float:
     """Return the skew in the matrix or beside it, px."""
-    beside = numbers_of("the skew", values.get("skew") or 0.0)
-    if len(beside) != 1 or (of_matrix_px and beside[0] not in {0.0, of_matrix_px}):
+    skews = numbers_of("the skew", values.get("skew") or 0.0)
+    if len(skews) != 1 or (of_matrix_px and skews[0] not in {0.0, of_matrix_px}):
         raise OtherForm("it states two different skews", "Keep the right one in a copy of the file.")
-    return of_matrix_px or beside[0]
+    return of_matrix_px or skews[0]
 
 
 def _require_no_coefficients(values: Values, *, may_be_without: bool) -> None:
@@ -178,7 +178,7 @@ def _require_no_coefficients(values: Values, *, may_be_without: bool) -> None:
 def _holds_numbers(value: Any) -> bool:
     """Return whether a list, a text or a mapping holds a number that is not zero."""
     if isinstance(value, Mapping):
-        return any(_holds_numbers([one]) for one in value.values())
+        return any(_holds_numbers([element]) for element in value.values())
     if not isinstance(value, str | list):
         return False
     try:
@@ -202,61 +202,67 @@ def _listed(values: Values, names: Iterable[str]) -> dict[str, Any]:
     }
 
 
-def _agreed(what: str, found: Mapping[str, Sequence[float]]) -> Sequence[float]:
+def _agreed(what: str, by_place: Mapping[str, Sequence[float]]) -> Sequence[float]:
     """Return the first of some statements of one thing. Raises OtherForm if another one has other numbers."""
-    first, *others = found
+    first, *others = by_place
     for other in others:
-        same = len(found[first]) == len(found[other])
-        if not same or not np.allclose(found[first], found[other], rtol=_SAME, atol=_SAME):
+        same = len(by_place[first]) == len(by_place[other])
+        if not same or not np.allclose(by_place[first], by_place[other], rtol=_SAME, atol=_SAME):
             raise OtherForm(
                 f"it states {what} twice, and {first!r} and {other!r} have different numbers",
                 "Keep the right one in a copy of the file.",
             )
-    return found[first]
+    return by_place[first]
 
 
-def _distortion(values: Values, beside: list[float], *, is_fisheye: bool) -> Sequence[float] | None:
+def _distortion(values: Values, of_intrinsics: list[float], *, is_fisheye: bool) -> Sequence[float] | None:
     """Return the coefficients in the order of their lens model, as lists or names state them; None without any.
 
     Zeros at the end do not count when two statements are compared.
     """
-    found = {
+    by_place = {
         name: numbers_of("the distortion", value)
         for name, value in _listed(values, filter(LENS.fullmatch, values)).items()
     }
-    if beside:
-        found["intrinsics"] = beside
+    if of_intrinsics:
+        by_place["intrinsics"] = of_intrinsics
     if named := _named(values, is_fisheye=is_fisheye):
-        found["k1, k2, ..."] = named
-    if not found:
+        by_place["k1, k2, ..."] = named
+    if not by_place:
         return None
-    longest = max(map(len, found.values()))
-    _agreed("the distortion", {name: [*one, *[0.0] * (longest - len(one))] for name, one in found.items()})
-    return next(iter(found.values()))
+    longest = max(map(len, by_place.values()))
+    _agreed(
+        "the distortion",
+        {
+            name: [*coefficients, *[0.0] * (longest - len(coefficients))]
+            for name, coefficients in by_place.items()
+        },
+    )
+    return next(iter(by_place.values()))
 
 
 def _named(values: Values, *, is_fisheye: bool) -> list[float]:
     """Return coefficients that have a name each, such as ``k1: -0.1``, also below ``distortion``; empty without any."""
     names = _FISHEYE_IN_FILES if is_fisheye else _OPENCV_IN_FILES
     single = _single(values)
-    found = {name: single[name] for name in _OPENCV_IN_FILES if name in single}
-    if not found:
+    named = {name: single[name] for name in _OPENCV_IN_FILES if name in single}
+    if not named:
         return []
-    _require_known(single, found)
-    coefficients = {name: numbers_of(f"the coefficient {name}", value) for name, value in found.items()}
+    _require_known(single, named)
+    coefficients = {name: numbers_of(f"the coefficient {name}", value) for name, value in named.items()}
     if any(len(coefficient) != 1 for coefficient in coefficients.values()):
-        raise OtherForm(f"one of the coefficients {', '.join(found)} is no number")
+        raise OtherForm(f"one of the coefficients {', '.join(named)} is no number")
     other = [name for name, (value,) in coefficients.items() if value and name not in names]
     if other:
         raise OtherForm(f"a fisheye lens has no coefficient {other[0]}", "Correct the name of the model.")
-    if not is_fisheye and coefficients.get("k4", [0.0]) != [0.0] and not {"k5", "k6"} & set(found):
-        if "p1" not in found:
+    if not is_fisheye and coefficients.get("k4", [0.0]) != [0.0] and not {"k5", "k6"} & set(named):
+        if "p1" not in named:
             raise OtherForm("it states k1 to k4 and no lens model, as of a fisheye lens", _ASK)
         raise OtherForm(
             "it states k4, but neither k5 nor k6: in some programs k4 is the term of r^8, which OpenCV has not",
             "If k4 is OpenCV's, add k5: 0 and k6: 0.",
         )
-    last = max(names.index(name) for name in found if name in names)
+    last = max(names.index(name) for name in named if name in names)
     listed = [coefficients.get(name, [0.0])[0] for name in names[: last + 1]]
     lengths = (len(FISHEYE),) if is_fisheye else OPENCV_LENGTHS
     return listed + [0.0] * (next(length for length in lengths if length >= len(listed)) - len(listed))
@@ -275,9 +281,9 @@ def _single(values: Values) -> dict[str, int | float | str]:
     }
 
 
-def _require_known(single: Values, found: Values) -> None:
+def _require_known(single: Values, known: Values) -> None:
     """Raise OtherForm if a number that is not zero stands beside the coefficients, with another such name."""
-    for name in sorted(single.keys() - found.keys()):
+    for name in sorted(single.keys() - known.keys()):
         if _holds_numbers([single[name]]):
             raise OtherForm(
                 f"{name} = {str(single[name])[:LONGEST_NAME]} is no coefficient of OpenCV",
@@ -346,13 +352,15 @@ def _coefficients(stated: Sequence[float], names: Sequence[str], model: str) -> 
 
 
 def _require_alike(
-    camera: CameraModel, found: Sequence[float], orders: Sequence[Sequence[str]], why: str, remedy: str
+    camera: CameraModel, coefficients: Sequence[float], orders: Sequence[Sequence[str]], why: str, remedy: str
 ) -> None:
     """Refuse coefficients that are read in two ways, unless both project alike."""
-    one, other = (replace(camera, distortion=dict(zip(names, found, strict=False))) for names in orders)
+    first, other = (
+        replace(camera, distortion=dict(zip(names, coefficients, strict=False))) for names in orders
+    )
     width, height = camera.image_size
     border = np.array([(x, y) for x in np.linspace(0, width - 1, 9) for y in np.linspace(0, height - 1, 9)])
-    apart = np.linalg.norm(other.project(one.rays(border)) - border, axis=1)
+    apart = np.linalg.norm(other.project(first.rays(border)) - border, axis=1)
     if not np.isfinite(apart).all() or apart.max() > _ALIKE_PX:
         most = f", up to {np.nanmax(apart):.1f} px apart" if np.isfinite(apart).any() else ""
         raise OtherForm(f"{why}{most}", remedy)
@@ -365,19 +373,23 @@ def _matrix(values: Values) -> tuple[Array, list[float]]:
     }
     if not stated:
         raise OtherForm("it has no camera matrix")
-    found, *others = map(_square, stated.values())
-    beside: list[float] = []
-    five_beside = len(found) == _OF_MATRIX and found[1] and found[3] and found[6:] != [0.0, 0.0, 1.0]
-    if len(found) >= len(PINHOLE) and (len(found) != _OF_MATRIX or "lensmodel" in values or five_beside):
-        found, beside = _of_pinhole(found[:4]), found[4:]
-    if len(found) != _OF_MATRIX:
-        raise OtherForm(f"the camera matrix has {len(found)} numbers; 9 are needed, or fx, fy, cx, cy")
-    alike = [_of_pinhole(one) if len(one) == len(PINHOLE) else one for one in others]
+    elements, *others = map(_square, stated.values())
+    after_four: list[float] = []
+    five_beside = (
+        len(elements) == _OF_MATRIX and elements[1] and elements[3] and elements[6:] != [0.0, 0.0, 1.0]
+    )
+    if len(elements) >= len(PINHOLE) and (
+        len(elements) != _OF_MATRIX or "lensmodel" in values or five_beside
+    ):
+        elements, after_four = _of_pinhole(elements[:4]), elements[4:]
+    if len(elements) != _OF_MATRIX:
+        raise OtherForm(f"the camera matrix has {len(elements)} numbers; 9 are needed, or fx, fy, cx, cy")
+    alike = [_of_pinhole(listed) if len(listed) == len(PINHOLE) else listed for listed in others]
     matrices = zip(
-        stated, [found, *alike], strict=True
+        stated, [elements, *alike], strict=True
     )  # others, such as of extrinsics, have another last row
-    _agreed("the camera matrix", {name: one for name, one in matrices if one[6:] == found[6:]})
-    matrix = np.array(found).reshape(3, 3)
+    _agreed("the camera matrix", {name: listed for name, listed in matrices if listed[6:] == elements[6:]})
+    matrix = np.array(elements).reshape(3, 3)
     if not matrix[:2].any():
         raise OtherForm(
             "the camera is not calibrated: its camera matrix is zero", "Calibrate the camera first."
@@ -387,18 +399,18 @@ def _matrix(values: Values) -> tuple[Array, list[float]]:
             "the camera matrix is not fx 0 cx, 0 fy cy, 0 0 1, row after row",
             "MATLAB and Open3D write it column after column; MATLAB counts pixels from 1.",
         )
-    return matrix, beside
+    return matrix, after_four
 
 
-def _square(found: list[float]) -> list[float]:
+def _square(elements: list[float]) -> list[float]:
     """Return the first three columns and rows of a matrix whose fourth ones are zero; other numbers unchanged."""
-    if len(found) not in _WITH_A_COLUMN or any(found[3:12:4]) or found[8:11] != [0.0, 0.0, 1.0]:
-        return found
-    return [number for at, number in enumerate(found[:12]) if at % 4 != 3]
+    if len(elements) not in _WITH_A_COLUMN or any(elements[3:12:4]) or elements[8:11] != [0.0, 0.0, 1.0]:
+        return elements
+    return [number for at, number in enumerate(elements[:12]) if at % 4 != 3]
 
 
-def _of_pinhole(found: Sequence[float]) -> list[float]:
-    fx, fy, cx, cy = found
+def _of_pinhole(elements: Sequence[float]) -> list[float]:
+    fx, fy, cx, cy = elements
     return [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
 
 
@@ -431,11 +443,11 @@ def size_of_values(values: Values) -> tuple[int, int]:
 def numbers_of(what: str, value: Any) -> list[float]:
     """Return the numbers of ``what``, row after row. Raises OtherForm if there are others than finite numbers."""
     try:
-        found = numbers(value)
+        values = numbers(value)
     except OF_OTHER_FORM:
         raise OtherForm(
             f"{what} is no list of numbers", "Write plain numbers, neither text nor base64."
         ) from None
-    if not (np.abs(found) < LARGEST).all():
+    if not (np.abs(values) < LARGEST).all():
         raise OtherForm(f"{what} has a value that is not finite")
-    return found
+    return values

@@ -8,7 +8,7 @@ from bench.measure.gates import looser_gates
 from bench.plan.job import Job
 from sequences.script import RecordStep
 
-_MOST_CHARACTERS = 200
+_MOST_CHARACTERS = 200  # Two lines of a report
 
 
 def departures(job: Job, settings: Mapping[str, str]) -> list[str]:

@@ -43,10 +43,10 @@ _LEAST_SIGMA = 1e-7
 _LEAST_RELATIVE_SIGMA_OF_R = 1e-8
 _LEAST_EIGENVALUE = 1e-13
 """Smallest eigenvalue of the correlation matrix; rounding alone gives values below it."""
-_ASYMMETRY = 1e-9
-_MOST_NUMBERS = 10_000
+_ASYMMETRY = 1e-9  # Rounding of numbers with 15 digits, far above
+_MOST_NUMBERS = 10_000  # A covariance of 100 parameters
 
-_LARGEST_BYTES = 1_000_000
+_LARGEST_BYTES = 1_000_000  # 10,000 numbers take a quarter
 _KEYS = frozenset(
     {
         "schema",
@@ -98,14 +98,14 @@ def refuse_absurd_numbers(document: Mapping[str, Any]) -> None:
                 raise InputMismatch(f"Its {name} contains {number:g}, which is too large.", where="passport")
 
 
-def _numbers(found: Any) -> list[float]:
+def _numbers(value: Any) -> list[float]:
     """Return all numbers of nested lists; other things are left to the reader of the passport."""
-    if isinstance(found, list):
-        return [number for one in found for number in _numbers(one)]
-    if isinstance(found, bool) or not isinstance(found, int | float):
+    if isinstance(value, list):
+        return [number for element in value for number in _numbers(element)]
+    if isinstance(value, bool) or not isinstance(value, int | float):
         return []
     try:
-        return [float(found)]
+        return [float(value)]
     except OverflowError:
         return [float("inf")]
 
@@ -250,8 +250,10 @@ class PassportInUse:
     @property
     def temperature_c(self) -> float | None:
         """Temperature for which the passport holds, degrees Celsius, if the passport states it."""
-        found = self.passport.conditions.get("temperature_c")
-        return float(found) if isinstance(found, int | float) and not isinstance(found, bool) else None
+        stated_c = self.passport.conditions.get("temperature_c")
+        return (
+            float(stated_c) if isinstance(stated_c, int | float) and not isinstance(stated_c, bool) else None
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """Return what results.json states: origin, identity, validity, values, standard uncertainties, hash."""
@@ -360,7 +362,7 @@ def choose_passport(
 ) -> PassportChoice:
     """Find, read and check the passport of the solve steps; ``copy``, of a run that has begun, goes first."""
     named = {step.number: _named(sequence, station, step) for step in steps if isinstance(step, SolveStep)}
-    used = {number: one for number, one in named.items() if one is not None}
+    used = {number: passport for number, passport in named.items() if passport is not None}
     if not used:
         return PassportChoice()
     first, *others = dict.fromkeys(used.values())

@@ -325,16 +325,16 @@ def load_documents(
 
 def _by_document(settings: Mapping[str, str]) -> tuple[Mapping[str, str], Mapping[str, str]]:
     """Separate the settings of the sequence from those of the station."""
-    found: dict[str, dict[str, str]] = {"sequence": {}, "station": {}}
+    by_document: dict[str, dict[str, str]] = {"sequence": {}, "station": {}}
     for path, text in settings.items():
         document, _, rest = path.partition(".")
-        if document not in found or not rest:
+        if document not in by_document or not rest:
             given_by = settings.option if isinstance(settings, OptionSettings) else "setting"
             raise ScriptError(
                 [f"{given_by} {path}={text}: the path must begin with 'sequence.' or 'station.'."]
             )
-        found[document][rest] = text
-    of_sequence, of_station = found["sequence"], found["station"]
+        by_document[document][rest] = text
+    of_sequence, of_station = by_document["sequence"], by_document["station"]
     if isinstance(settings, OptionSettings):
         return settings.part(of_sequence), settings.part(of_station)
     return of_sequence, of_station

@@ -48,7 +48,7 @@ def require_possible_camera(camera: CameraModel) -> None:
             f"focal lengths of {camera.fx:g} and {camera.fy:g} px are not possible with {sides[0]} x {sides[1]} px",
             "Write focal lengths and principal point in px; some programs state them in mm, or as shares of the image.",
         )
-    from_middle, from_swapped = (_from_middle(camera, one) for one in (sides, sides[::-1]))
+    from_middle, from_swapped = (_from_middle(camera, size) for size in (sides, sides[::-1]))
     if is_far_from_middle(camera, sides) and max(np.abs([camera.cx, camera.cy]) / sides) < _AT_CORNER:
         raise OtherForm(
             f"the principal point ({camera.cx:g}, {camera.cy:g}) lies at the first pixel: some programs state it"

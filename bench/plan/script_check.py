@@ -243,9 +243,9 @@ def _limit_faults(document: Located[Sequence], steps: tuple[Step, ...], station:
         from calib.joint.posed import lens_names  # needed for this alone
 
         estimated |= set(lens_names(last[0].distortion))
-    for path, result, said in stated:
+    for path, result, prefix in stated:
         if last and result not in estimated:
-            yield document.fault(path, f"{said}the last solve does not estimate this result.")
+            yield document.fault(path, f"{prefix}the last solve does not estimate this result.")
 
 
 def _remarks(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[Fault]:
@@ -260,10 +260,10 @@ def _remarks(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[F
                 )
         elif isinstance(step, SolveStep):
             unsolved = None
-            if said := CalibrationOptions(
+            if unused := CalibrationOptions(
                 step.model or "auto", loss=step.loss, huber_px=step.huber_px
             ).unused:
-                yield document.fault(setting_path(document, step.path, "loss", "solve"), said)
+                yield document.fault(setting_path(document, step.path, "loss", "solve"), unused)
         if isinstance(step, MoveStep | SettleStep | WaitStep | RecordStep):
             last = step
     if unsolved is not None:
@@ -288,9 +288,9 @@ def find_simulation_faults(station: Located[Station]) -> list[Fault]:
     if value.simulation is None:
         return []
     simulated = any(port.startswith(SIMULATED_PREFIX) for port in value.stage.ports)
-    found = fault_of_simulation(value.simulated_world, value.axes if simulated else ())
-    if found is None:
+    fault = fault_of_simulation(value.simulated_world, value.axes if simulated else ())
+    if fault is None:
         return []
-    keys = re.findall(r"[^.\[\]]+", found[0])
+    keys = re.findall(r"[^.\[\]]+", fault[0])
     path = ("simulation", *(int(key) if key.isdigit() else key for key in keys))
-    return [station.fault(path, found[1])]
+    return [station.fault(path, fault[1])]

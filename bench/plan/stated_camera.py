@@ -59,7 +59,7 @@ def choose_stated_camera(
         return StatedCameraChoice()
     step, name = named[0]
     path = setting_path(sequence, step.path, "calibration", "solve")
-    other = next((one for one, text in named if text != name), None)
+    other = next((camera for camera, text in named if text != name), None)
     if other is not None:
         fault = sequence.fault(other.path, "the check steps name different calibrations; a run checks one.")
         return StatedCameraChoice(faults=(fault,))

@@ -61,10 +61,10 @@ def factors_text(factors: Iterable[float]) -> str:
     >>> factors_text([2.2215, 2.2215]), factors_text([2.2215, 2.0]), factors_text([2.02, 2.0, 2.21, 2.05])
     ('k = 2.22', 'k = 2.22, 2', 'k = 2 to 2.21')
     """
-    found = list(dict.fromkeys(f"{k:.3g}" for k in factors))
-    if len(found) > _MOST_FACTORS:
-        found = [f"{min(found, key=float)} to {max(found, key=float)}"]
-    return "k = " + ", ".join(found)
+    texts = list(dict.fromkeys(f"{k:.3g}" for k in factors))
+    if len(texts) > _MOST_FACTORS:
+        texts = [f"{min(texts, key=float)} to {max(texts, key=float)}"]
+    return "k = " + ", ".join(texts)
 
 
 def estimates(solved: Solved) -> dict[str, Estimate]:

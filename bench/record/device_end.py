@@ -37,9 +37,9 @@ class DeviceEnd:
     @property
     def text(self) -> str:
         """The state as a line for people; it says what may be the case where nothing was confirmed."""
-        said = f": {self.said}" if self.said else ""
-        stop = "" if said.endswith((".", "!")) else "."
-        return f"{self.device}: {self.state}{said}{stop}{f' {self.advice}' if self.advice else ''}"
+        ending = f": {self.said}" if self.said else ""
+        stop = "" if ending.endswith((".", "!")) else "."
+        return f"{self.device}: {self.state}{ending}{stop}{f' {self.advice}' if self.advice else ''}"
 
     @property
     def advice(self) -> str:

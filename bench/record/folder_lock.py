@@ -17,7 +17,7 @@ from bench.base.errors import RunFolderError, StorageError
 from bench.record.storage import open_to_lock, storage_errors
 from drivers import file_lock
 
-_LOCK_TRIES, _LOCK_PAUSE_S = 4, 0.05
+_LOCK_TRIES, _LOCK_PAUSE_S = 4, 0.05  # Another process that only looks holds it for some ms
 
 
 def lock_folder(path: Path) -> int:

@@ -47,8 +47,10 @@ class Inbox(Generic[Message]):
         with storage_errors(self.folder):
             if not self.folder.is_dir():
                 return
-            found = [p for p in self.folder.iterdir() if not is_temporary(p) and p.name not in self.ignored]
-        for path in sorted(found):
+            commands = [
+                p for p in self.folder.iterdir() if not is_temporary(p) and p.name not in self.ignored
+            ]
+        for path in sorted(commands):
             with storage_errors(path), suppress(FileNotFoundError):  # its sender takes it back at this moment
                 answer(self._read(path), path.name)
                 remove(path)

@@ -195,7 +195,7 @@ class Ledger:
         witnesses = self._ask_anchors(anchor)
         with self._mended(witnesses, strangers, strict=strict) as journal:
             entries = journal.entries
-            faults = [f"{one} {EXPLAIN}" for one in breaks_of(entries) if one.reason is None]
+            faults = [f"{gap} {EXPLAIN}" for gap in breaks_of(entries) if gap.reason is None]
             number = 1 + highest_run(entries)
             facts = {"run": run_id, "folder": str(folder), "camera": camera, "simulated": simulated}
             journal.append(RUN_BEGUN, number=number, **facts)
@@ -248,17 +248,17 @@ class Ledger:
         return [entry for entry in self.entries() if entry.event == RUN_EXPLAINED]
 
     def _run_faults(self) -> list[RunFault]:
-        found = []
+        faults = []
         for run in self.runs():
             manifest = Path(run.folder) / MANIFEST
             if run.seal is None:
                 continue
             with storage_errors(manifest):
                 if not manifest.is_file():
-                    found.append(RunFault(run, "missing"))
+                    faults.append(RunFault(run, "missing"))
                 elif sha256_of(manifest) != run.seal:
-                    found.append(RunFault(run, "changed"))
-        return found
+                    faults.append(RunFault(run, "changed"))
+        return faults
 
     # ------------------------------------------------------------ breaks
 
@@ -272,8 +272,8 @@ class Ledger:
             return [f"The ledger is damaged: {damage}"], []
         findings = find_breaks(entries, own, witnesses, strangers)
         self.warnings = findings.warnings
-        unexplained = [str(one) for one in recorded if one.reason is None]
-        return [*unexplained, *findings.what], [one for one in recorded if one.reason is not None]
+        unexplained = [str(gap) for gap in recorded if gap.reason is None]
+        return [*unexplained, *findings.what], [gap for gap in recorded if gap.reason is not None]
 
     def read(self) -> tuple[list[Entry], list[LedgerRun], list[Break], str]:
         """Return the lines, the runs and the recorded breaks; or nothing, and how the file is damaged."""
@@ -292,7 +292,7 @@ class Ledger:
         """
         witnesses = self._ask_anchors(anchor)
         with self._mended(witnesses, strangers) as journal:
-            open_breaks = [one for one in breaks_of(journal.entries) if one.reason is None]
+            open_breaks = [gap for gap in breaks_of(journal.entries) if gap.reason is None]
             for open_break in open_breaks:
                 journal.append(BREAK_EXPLAINED, line=open_break.line, reason=reason, by=by)
         runs = self.faults()
@@ -313,7 +313,7 @@ class Ledger:
                 remedy=f"It has: {', '.join(known)}." if known else "It has none.",
             )
         self.append(PLACE_FORGOTTEN, place=place, reason=reason, by=by)
-        self._change_anchors(lambda places: tuple(one for one in places if one != place))
+        self._change_anchors(lambda places: tuple(anchor for anchor in places if anchor != place))
 
     @contextmanager
     def _mended(
@@ -330,7 +330,7 @@ class Ledger:
             self.warnings = findings.warnings
             what = [f"The ledger was damaged: {damage}"] if damage else findings.what
             if strict:
-                refuse([*what, *(str(one) for one in recorded if one.reason is None)], self.path)
+                refuse([*what, *(str(gap) for gap in recorded if gap.reason is None)], self.path)
             kept = self._set_aside() if damage else None
             with self._opened() as journal:
                 if what:

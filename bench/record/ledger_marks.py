@@ -24,8 +24,8 @@ from bench.record.storage import O_BINARY, read_bounded, storage_errors, sync_fo
 MARK = "ledger_high"
 ANCHOR_PATIENCE_S = 10.0
 """Longest wait for a second place, s; a share that does not answer must not stop a run."""
-_MOST_ANCHOR_BYTES = 64 << 20
-_MOST_MARK_BYTES = 1 << 20
+_MOST_ANCHOR_BYTES = 64 << 20  # Hundreds of thousands of marks
+_MOST_MARK_BYTES = 1 << 20  # A mark has some hundred bytes, with counts of series some thousand
 _MARK_FORM = "is not a mark of a ledger"
 
 Found = TypeVar("Found")
@@ -37,7 +37,7 @@ STILL_OPEN = "open"
 LEDGER_BROKEN = "ledger_broken"
 BREAK_EXPLAINED = "break_explained"
 EXPLAIN = "State what happened: `starbench ledger --explain TEXT`."
-_MOST_KNOWN = 100
+_MOST_KNOWN = 100  # What names a hundred breaks needs a person, not a longer list
 
 
 @dataclass(frozen=True)
@@ -71,14 +71,14 @@ class LedgerMark:
 
 def parse_mark(line: bytes) -> LedgerMark:
     """Read one mark, a line of `LedgerMark.to_line`."""
-    found = parse_json(line)
-    if not isinstance(found, dict):
+    mark = parse_json(line)
+    if not isinstance(mark, dict):
         raise ValueError(_MARK_FORM)  # noqa: TRY004 - a fault of the file, not of an argument
-    lines, runs, head, utc = (found.get(name) for name in ("lines", "runs", "head", "utc"))
+    lines, runs, head, utc = (mark.get(name) for name in ("lines", "runs", "head", "utc"))
     numbers = [n for n in (lines, runs) if isinstance(n, int) and not isinstance(n, bool) and n >= 0]
     if len(numbers) != 2 or not lines or not (isinstance(head, str) and isinstance(utc, str)):
         raise ValueError(_MARK_FORM)
-    counts = found.get("counts", {})
+    counts = mark.get("counts", {})
     if not (isinstance(counts, dict) and all(isinstance(count, int) for count in counts.values())):
         raise ValueError(_MARK_FORM)
     return LedgerMark(numbers[0], numbers[1], head, utc, counts)
@@ -369,10 +369,12 @@ def highest_counts(entries: Iterable[Entry]) -> dict[str, int]:
     highest: dict[str, int] = {}
     for entry in entries:
         series, count = entry.data.get("series"), entry.data.get("count")
-        found = [(series, count)] if isinstance(series, str) and isinstance(count, int) else []
+        counts_of_series = [(series, count)] if isinstance(series, str) and isinstance(count, int) else []
         if entry.event == LEDGER_BROKEN:
-            found = [pair for known in entry.data["known"] for pair in known.get("counts", {}).items()]
-        for name, number in found:
+            counts_of_series = [
+                pair for known in entry.data["known"] for pair in known.get("counts", {}).items()
+            ]
+        for name, number in counts_of_series:
             highest[name] = max(number, highest.get(name, 0))
     return highest
 
@@ -385,7 +387,7 @@ def find_breaks(
 ) -> BreakFindings:
     """Compare a ledger with all places that know of it; ``own`` is None without a mark, a text if it cannot be read."""
     findings = BreakFindings()
-    excused = {head for one in breaks_of(entries) for head in one.heads}
+    excused = {head for gap in breaks_of(entries) for head in gap.heads}
     _ask_own_mark(findings, entries, own, excused)
     for witness in anchors:
         _ask_anchor(findings, entries, witness, excused)

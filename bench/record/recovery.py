@@ -29,7 +29,7 @@ def recover(folder: RunFolder, journal: Journal) -> Recovered:
     Recordings that are incomplete, changed or not in the journal go to ``quarantine/``; temporary files are deleted.
     """
     stored = stored_captures(journal.entries)
-    found: dict[str, list[str]] = {
+    by_state: dict[str, list[str]] = {
         state: [] for state in ("intact", "missing", "changed", "interrupted", "unnamed")
     }
     make_folder(folder.path / CAPTURES)
@@ -39,11 +39,11 @@ def recover(folder: RunFolder, journal: Journal) -> Recovered:
         for path in sorted((folder.path / CAPTURES).iterdir()):
             name = f"{CAPTURES}/{path.name}"
             state = _state_of(path, stored.get(name))
-            found[state].append(name)
+            by_state[state].append(name)
             if state != "intact":
                 folder.quarantine(path)
-    found["missing"] = sorted(set(stored) - set(found["intact"]) - set(found["changed"]))
-    return cast("Recovered", found)
+    by_state["missing"] = sorted(set(stored) - set(by_state["intact"]) - set(by_state["changed"]))
+    return cast("Recovered", by_state)
 
 
 def _state_of(path: Path, capture: Capture | None) -> str:

@@ -166,7 +166,7 @@ class RunDetails(JournalDetails, ResultFacts):
 def journal_details(history: History, entries: Sequence[Entry]) -> JournalDetails:
     """Return the details of a run that its journal states."""
     camera, light = history.devices.get("camera", {}), history.devices.get("light", {})
-    stages = [one for one in history.devices.get("stage", ()) if isinstance(one, Mapping)]
+    stages = [identity for identity in history.devices.get("stage", ()) if isinstance(identity, Mapping)]
     hashes = history.started.get("sha256", {})
     return {
         "ended_utc": entries[-1].utc if history.ended and entries else None,
@@ -217,7 +217,7 @@ def with_results(details: JournalDetails, folder: Path) -> RunDetails:
 def _conditions(history: History) -> RunConditions:
     warm, accepted = _reported(history, "temperature_c"), list(history.accepted().values())
     first = accepted[0].stored.get("light", {}) if accepted else LightSettingsData()
-    checks = [one.checked for one in accepted if one.checked is not None]
+    checks = [attempt.checked for attempt in accepted if attempt.checked is not None]
     flicker = [_part(check.get("measured")).get("flicker_hz") for check in checks]
     return {
         "temperature_min_c": min(warm, default=None),
@@ -251,11 +251,11 @@ def _from_results(results: Results, fault: str | None) -> ResultFacts:
 
 
 def _warnings(history: History) -> list[str]:
-    found = [f"The ledger had a break: {one}" for one in history.ledger.get("faults", ())]
-    found += [f"The computer was too busy: {history.busy}."] if history.busy else []
+    warnings = [f"The ledger had a break: {row}" for row in history.ledger.get("faults", ())]
+    warnings += [f"The computer was too busy: {history.busy}."] if history.busy else []
     parameters = estimates(history.solved).items()
-    unusable = [name for name, one in parameters if not (math.isfinite(one.value) and one.sigma > 0)]
-    return [*found, *(f"{name} has no usable value or uncertainty." for name in unusable)]
+    unusable = [name for name, row in parameters if not (math.isfinite(row.value) and row.sigma > 0)]
+    return [*warnings, *(f"{name} has no usable value or uncertainty." for name in unusable)]
 
 
 def _named_hash(entries: Sequence[Entry]) -> str | None:
@@ -308,5 +308,5 @@ def _mean(known: Sequence[float]) -> float | None:
 
 
 def _total(accepted: Sequence[Attempt], name: Literal["events", "bytes"]) -> int | None:
-    known = [one.stored.get("facts", {}).get(name) for one in accepted]
+    known = [attempt.stored.get("facts", {}).get(name) for attempt in accepted]
     return sum(int(n) for n in known if n is not None) if any(n is not None for n in known) else None

@@ -224,11 +224,11 @@ def _clear_unbegun(path: Path) -> None:
 def _refuse_occupied(path: Path) -> None:
     """Refuse a folder with a file in it, unless an interrupted ``create`` of this folder left that file."""
     files = (p for p in path.rglob("*") if not p.is_dir() and p.name != _RESERVE and not is_temporary(p))
-    found = next(files, None)
-    if found is not None:
+    occupant = next(files, None)
+    if occupant is not None:
         begun = (path / JOURNAL).exists() and not is_sealed(path)
         raise UsageError(
-            f"The folder is not empty: it contains {found.relative_to(path)}.",
+            f"The folder is not empty: it contains {occupant.relative_to(path)}.",
             where=str(path),
             remedy="Choose another --output"
             + (f", or continue its run: {pasteable('resume', path)}" if begun else "."),

@@ -74,8 +74,8 @@ def run_folders(root: Path) -> list[Path]:
         )
     with storage_errors(root):
         os.scandir(root).close()  # "no runs" is said only of a folder that was read
-        found = sorted(_with_journal(str(root), levels=2))
-    return [Path(folder) for folder in found]
+        folders = sorted(_with_journal(str(root), levels=2))
+    return [Path(folder) for folder in folders]
 
 
 def _with_journal(folder: str, levels: int) -> Iterator[str]:
@@ -111,13 +111,13 @@ class RunIndex:
         A run began at or after ``since`` and before ``until``; ``sequence`` is a part of the name. ``progress`` is told
         how many more runs are listed, again and again.
         """
-        found, faults = [], []
+        indexed, faults = [], []
         wanted = _resolved(folders)
         with self._open() as index:
             kept = {row[0]: row[1:] for row in _rows(index, "runs", wanted)}
             for place, folder in enumerate(wanted):
                 try:
-                    found.append(_run(index, folder, kept.get(folder)))
+                    indexed.append(_run(index, folder, kept.get(folder)))
                 except BenchError as error:
                     faults.append(str(error))
                 if place % COMMIT_EVERY == 0:
@@ -125,7 +125,7 @@ class RunIndex:
                     progress(COMMIT_EVERY)
         chosen = [
             run
-            for run in found
+            for run in indexed
             if camera in {None, run.camera}
             and _is_between(run.begun_utc, since, until)
             and (sequence is None or sequence.casefold() in run.sequence.casefold())
@@ -227,16 +227,16 @@ def _connect(path: Path) -> sqlite3.Connection:
 def _resolved(folders: Iterable[Path]) -> list[str]:
     """Return folders without links, each once. The folder around each is resolved once: runs lie side by side."""
     around: dict[str, str] = {}
-    found: dict[str, None] = {}
+    resolved: dict[str, None] = {}
     for folder in map(str, folders):
         before, slash, name = folder.rpartition(os.sep)
         if not slash or not name or name == ".." or _is_link(folder):
-            found[os.path.realpath(folder)] = None
+            resolved[os.path.realpath(folder)] = None
             continue
         if before not in around:
             around[before] = os.path.realpath(before or os.sep).rstrip(os.sep)
-        found[f"{around[before]}{os.sep}{name}"] = None
-    return list(found)
+        resolved[f"{around[before]}{os.sep}{name}"] = None
+    return list(resolved)
 
 
 def _rows(index: sqlite3.Connection, table: str, folders: Iterable[str]) -> Iterator[Sequence[Any]]:
@@ -277,8 +277,8 @@ def _stamp(folder: str) -> str:
     return f"{journal.st_size} {journal.st_mtime_ns} {itself.st_mtime_ns} {results_ns}"
 
 
-def _packed(found: Mapping[str, object]) -> str:
-    return json.dumps(found, separators=(",", ":"))
+def _packed(facts: Mapping[str, object]) -> str:
+    return json.dumps(facts, separators=(",", ":"))
 
 
 def _as_it_is_now(run: IndexedRun) -> IndexedRun:

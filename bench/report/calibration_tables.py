@@ -259,10 +259,10 @@ def checks(results: Results) -> list[tuple[str, str]]:
     """Describe the checks that do not influence the result: split half, the gimbal's readings, the parallax."""
     rows = []
     if halves := results.get("halves"):
-        found = f"RMS difference {number(halves['rms_px'], 3)} px over the sensor, "
-        found += f"at most {number(halves['worst_px'], 3)} px; "
-        found += f"expected from the uncertainties: {number(halves['expected_px'], 3)} px"
-        rows.append(("Split half: every other pose against the rest", found))
+        difference = f"RMS difference {number(halves['rms_px'], 3)} px over the sensor, "
+        difference += f"at most {number(halves['worst_px'], 3)} px; "
+        difference += f"expected from the uncertainties: {number(halves['expected_px'], 3)} px"
+        rows.append(("Split half: every other pose against the rest", difference))
     if gimbal := results.get("gimbal"):
         rows += _gimbal(gimbal)
     return rows + parallax_rows(results.get("parallax"))
@@ -270,8 +270,8 @@ def checks(results: Results) -> list[tuple[str, str]]:
 
 def _gimbal(gimbal: GimbalCheckData) -> list[tuple[str, str]]:
     """Describe the hand-eye check."""
-    found = f"RMS difference {angle(gimbal['rms_arcsec'])}."
-    rows = [("Hand-eye check: rotations against the gimbal's readings", found)]
+    text = f"RMS difference {angle(gimbal['rms_arcsec'])}."
+    rows = [("Hand-eye check: rotations against the gimbal's readings", text)]
     rows.append((_VERDICTS[gimbal["verdict"]], " ".join(gimbal["says"])))
     for axis, scale in gimbal["scale"].items():
         value, expanded = with_uncertainty(scale, 2 * gimbal["scale_sigma"][axis])

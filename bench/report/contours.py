@@ -59,14 +59,14 @@ def outlines(x: Array, y: Array, values: Array, level: float) -> list[Outline]:
     places, at_edge = _crossings(np.pad(x, 1, "edge"), np.pad(y, 1, "edge"), shown, level, begins)
     place_of = dict(zip(begins.tolist(), range(len(begins)), strict=True))
     after = dict(zip(begins.tolist(), ends.tolist(), strict=True))
-    found = []
+    shapes = []
     while after:
         side, chain = next(iter(after)), []
         while side in after:
             chain.append(place_of[side])
             side = after.pop(side)
-        found.append(Outline(places[chain], at_edge[chain]))
-    return found
+        shapes.append(Outline(places[chain], at_edge[chain]))
+    return shapes
 
 
 def _runs(shown: Array, level: float) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -33,14 +33,14 @@ _PILLS = {"in control": "pass", "check": "marginal", "out of control": "fail", "
 
 def pictures(chart: ChartData, group: ChartGroupData) -> list[str]:
     """Draw one parameter of a group as SVG elements; with too few runs, only the values."""
-    found = [_values(chart, group)]
+    drawn = [_values(chart, group)]
     if has_limits(chart):
-        found += [_ranges(chart, group), _averages(chart, group)]
+        drawn += [_ranges(chart, group), _averages(chart, group)]
     if (by_day := chart["drift"]["per_day"]) is not None:
-        found.append(_over_time(chart, group, by_day))
+        drawn.append(_over_time(chart, group, by_day))
     if (by_c := chart["drift"]["per_c"]) is not None:
-        found.append(_over_temperature(chart, group, by_c))
-    return found
+        drawn.append(_over_temperature(chart, group, by_c))
+    return drawn
 
 
 def _values(chart: ChartData, group: ChartGroupData) -> str:
@@ -87,7 +87,7 @@ def _averages(chart: LimitedChart, group: ChartGroupData) -> str:
         axes.name_at_right(bound[-1], with_uncertainty(bound[-1], chart["sigma"] or 1.0)[0])
     axes.rule(chart["centre"], "centre", dashed=False)
     _join(axes, runs, average["values"])
-    texts = [f"{one['run']}: {v:.8g}" for one, v in zip(group["runs"], average["values"], strict=True)]
+    texts = [f"{run['run']}: {v:.8g}" for run, v in zip(group["runs"], average["values"], strict=True)]
     axes.dots(runs, average["values"], texts, average["beyond"])
     return axes.svg()
 
@@ -214,7 +214,7 @@ def choose_drawn(groups: Sequence[ChartGroupData]) -> dict[int, frozenset[str]]:
         for number, group in enumerate(groups)
         for place, chart in enumerate(group["parameters"])
     ]
-    waiting.sort(key=lambda one: (min(one[1], 1 if not one[0] else 9), one[2], one[3]))
+    waiting.sort(key=lambda point: (min(point[1], 1 if not point[0] else 9), point[2], point[3]))
     chosen: dict[int, set[str]] = {}
     for _, _, number, _, name in waiting[:MOST_DRAWN]:
         chosen.setdefault(number, set()).add(name)

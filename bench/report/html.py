@@ -116,7 +116,7 @@ def _run_parts(results: Results) -> dict[str, Any]:
         "devices_left": run_tables.left(results.get("devices_left") or []),
         "poses": poses,
         "explained": pose_tables.explained(poses),
-        "recordings": [(pose["name"], one) for pose in poses for one in pose.get("attempts") or []],
+        "recordings": [(pose["name"], attempt) for pose in poses for attempt in pose.get("attempts") or []],
         "gates": pose_tables.gates(results.get("gates") or []),
         "deviations": run_tables.deviations(results),
         "holds": [str(hold) for hold in results.get("holds") or ()],

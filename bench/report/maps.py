@@ -59,14 +59,14 @@ def shade_unsupported(axes: Axes, distance: NDArray[np.float32], image_size: Seq
     """Shade where no star is near, by (H, W) float32 distances in px, with a dashed line around it."""
     reach = reach_px(image_size)
     rows, columns = (np.unique([*range(0, n, _COARSE), n - 1]) for n in distance.shape)
-    found = outlines(
+    regions = outlines(
         columns.astype(float), rows.astype(float), distance[np.ix_(rows, columns)].astype(float), reach
     )
-    if not found:
+    if not regions:
         return
-    axes.shapes([one.points for one in found], _UNSUPPORTED, 0.75)
-    for one in found:
-        for line in one.lines():
+    axes.shapes([region.points for region in regions], _UNSUPPORTED, 0.75)
+    for region in regions:
+        for line in region.lines():
             axes.line(line, _EDGE, 0.9, dash="3.5 1.8")
 
 
@@ -95,32 +95,32 @@ def sensor_map(
     size = (int(x.max()) + 1, int(y.max()) + 1)
     lowest, worst, middle = (float(f(shown)) for f in (np.nanmin, np.nanmax, np.nanmedian))
     levels = round_levels(lowest, worst)
-    found = {level: outlines(x, y, shown, level) for level in levels}
+    by_level = {level: outlines(x, y, shown, level) for level in levels}
     numbers = f"median {middle:.2g}, at most {worst:.2g}"
     about = f"{name}: {numbers}. Contours at {', '.join(f'{level:g}' for level in levels) or 'no level'}."
     axes = sensor_axes(size, (name, numbers), identifier, label, about)
     _fill(axes, outlines(x, y, shown, lowest), 0.0)
     for number, level in enumerate(levels, 1):
-        _fill(axes, found[level], number / len(levels))
+        _fill(axes, by_level[level], number / len(levels))
     for level in levels:
-        for line in (line for one in found[level] for line in one.lines()):
+        for line in (line for outline in by_level[level] for line in outline.lines()):
             axes.line(line, _CONTOUR, 0.6)
     if stars is not None and len(stars):
         shade_unsupported(axes, supported_share(stars, size)[0], size)
     if arrows is not None:
         _arrows(axes, arrows)
-    _label_contours(axes, found)
+    _label_contours(axes, by_level)
     return axes.picture.svg()
 
 
-def _fill(axes: Axes, found: Sequence[Outline], share: float) -> None:
-    axes.shapes([one.points for one in found], shade(share))
+def _fill(axes: Axes, shapes: Sequence[Outline], share: float) -> None:
+    axes.shapes([outline.points for outline in shapes], shade(share))
 
 
-def _label_contours(axes: Axes, found: Mapping[float, Sequence[Outline]]) -> None:
+def _label_contours(axes: Axes, by_level: Mapping[float, Sequence[Outline]]) -> None:
     """Write the level beside its longest contour, where there is room."""
     taken: list[tuple[float, float, float]] = []
-    for level, parts in found.items():
+    for level, parts in by_level.items():
         text = f"{level:g}"
         half = text_width(text, _LABEL_SIZE) / 2
         lines = [axes.at(line) for part in parts for line in part.lines()]

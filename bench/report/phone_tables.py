@@ -14,7 +14,7 @@ _SPAN = re.compile(r'colspan="(\d+)"')
 
 def label_cells(page: str) -> str:
     """Return a page in which the cells of each table with a head have the attribute ``data-label``."""
-    return _TABLE.sub(lambda found: _labelled(found[0]), page)
+    return _TABLE.sub(lambda table: _labelled(table[0]), page)
 
 
 def _labelled(table: str) -> str:
@@ -22,7 +22,7 @@ def _labelled(table: str) -> str:
     if not end:
         return table
     names = list(_names(head))
-    return head + end + _ROW.sub(lambda found: _labelled_row(found[0], names), body)
+    return head + end + _ROW.sub(lambda row: _labelled_row(row[0], names), body)
 
 
 def _names(head: str) -> Iterator[str]:
@@ -35,12 +35,12 @@ def _names(head: str) -> Iterator[str]:
 def _labelled_row(row: str, names: list[str]) -> str:
     at = 0
 
-    def labelled(found: re.Match[str]) -> str:
+    def labelled(cell: re.Match[str]) -> str:
         nonlocal at
         name = names[at] if at < len(names) else ""
         label = f' data-label="{name}"' if name and at else ""  # the first cell is the title of its row
-        at += _columns(found[2])
-        return f"<{found[1]}{found[2]}{label}>{found[3]}</{found[1]}>"
+        at += _columns(cell[2])
+        return f"<{cell[1]}{cell[2]}{label}>{cell[3]}</{cell[1]}>"
 
     return _CELL.sub(labelled, row)
 

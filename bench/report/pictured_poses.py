@@ -14,7 +14,7 @@ from bench.record.results import Results
 
 MOST_PICTURES = 24
 """Largest number of poses shown as images."""
-_WORST = 3
+_WORST = 3  # Views that somebody looks at first
 _NOT_PASSED = ("fail", "marginal")
 
 PLOTS = (
@@ -24,7 +24,7 @@ PLOTS = (
 """Names of the plots in the template."""
 MOST_STARS = 12_000
 """Approximate largest number of stars in a plot."""
-_GOLDEN = 0.6180339887498949
+_GOLDEN = 0.6180339887498949  # Fraction of the golden ratio: its multiples spread evenly over 0 to 1
 
 
 @dataclass(frozen=True)

@@ -52,9 +52,9 @@ from calib.uncertainty.projection_uncertainty import (
 
 Array = NDArray[np.float64]
 
-_REGIONS = (4, 3)
-_CLOUD_PERCENTILE = 99.5
-_WIDE_ANGLE_DEG = 25.0
+_REGIONS = (4, 3)  # Columns and rows, near the shape of sensors; each has stars enough for a mean
+_CLOUD_PERCENTILE = 99.5  # A few gross residuals must not make all others a dot
+_WIDE_ANGLE_DEG = 25.0  # From here a pixel at the rim is a fifth less angle than in the middle: cos^2
 
 
 def residual_vectors(
@@ -296,14 +296,14 @@ def camera_plots(
     if covariance is None:
         return {}
     camera = camera_of(calibration["camera"], calibration["image_size"])
-    found, points = projection_uncertainty(camera, covariance), np.concatenate(stars) if stars else None
+    uncertainty, points = projection_uncertainty(camera, covariance), np.concatenate(stars) if stars else None
 
     def over_sensor(grid: Array, values: Array, name: str, identifier: str, label: str, **more: Any) -> str:
         return sensor_map(grid, values, name, identifier, "" if certificate else label, **more)
 
     plots = {
         "uncertainty": over_sensor(
-            found.grid_px, k * found.sigma_px, "U of an image point, px", "uncertainty",
+            uncertainty.grid_px, k * uncertainty.sigma_px, "U of an image point, px", "uncertainty",
             "Uncertainty of an image point over the sensor", stars=points,
         ),
         "distortion": distortion_curve(camera, covariance, k, outermost_deg(camera, stars), words_of(results)),
@@ -311,7 +311,7 @@ def camera_plots(
     if max(field_angles_deg(camera).values()) > _WIDE_ANGLE_DEG:  # else it looks as that of the image points
         unit, scale = ("arcsec", k) if certificate else ("\N{MICRO SIGN}rad", k * URAD_PER_ARCSEC)
         plots["direction"] = over_sensor(
-            found.grid_px, scale * found.sigma_arcsec, f"U of a direction, {unit}",
+            uncertainty.grid_px, scale * uncertainty.sigma_arcsec, f"U of a direction, {unit}",
             "direction", "Uncertainty of a direction over the sensor", stars=points,
         )  # fmt: skip
     halves = results.get("halves")
@@ -333,7 +333,10 @@ def _change_plots(results: Results) -> dict[str, str]:
     if maps is None or then is None:
         return {}
     grid, offset, expanded = maps
-    before, now = (camera_of(one["camera"], one["image_size"]) for one in (then, results["calibration"]))
+    before, now = (
+        camera_of(calibration["camera"], calibration["image_size"])
+        for calibration in (then, results["calibration"])
+    )
     return {
         "change": sensor_map(
             grid, offset, "Change of an image point, px", "change", "Change since the last calibration",

@@ -21,10 +21,10 @@ from bench.wording.target_words import STARS, TargetWords
 _ALL_PICTURES_BYTES = 1_050_000
 _ENCODINGS = ((1.0, None), (1.0, 85), (1.0, 65), (0.5, 80), (0.5, 60), (0.25, 70))
 """Scale and JPEG quality (None: PNG), tried in this order until an image is small enough."""
-_RING_PX = 7.0
-_CROSS_PX = 4.0
+_RING_PX = 7.0  # Around a star of usual size
+_CROSS_PX = 4.0  # Inside the ring
 _RING_COLOUR, _CROSS_COLOUR = "#ff7a1a", "#00a3e0"
-_CLOSE_UP_PX = 36.0
+_CLOSE_UP_PX = 36.0  # A star and its surroundings
 
 
 def pose_pictures(views: Sequence[ViewPicture], words: TargetWords = STARS) -> list[tuple[str, str]]:

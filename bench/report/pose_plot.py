@@ -28,8 +28,8 @@ _USED, _LEFT_OUT, _REFUSED = "used", "accepted, not used", "no recording accepte
 _COLOURS = {_USED: POSE_COLOURS[0], _LEFT_OUT: POSE_COLOURS[4], _REFUSED: "#a32020"}
 _FRAME_SHARE = 0.11
 """Width of a frame in the plot, as a share of its width."""
-_MOST_NUMBERS, _MOST_FRAMES = 40, 150
-_EDGE_POINTS = 9
+_MOST_NUMBERS, _MOST_FRAMES = 40, 150  # More overlap in a picture of this size
+_EDGE_POINTS = 9  # A distorted side of the sensor looks curved, not broken
 
 
 def distortion_curve(
@@ -109,8 +109,8 @@ def field_angles_deg(camera: CameraModel) -> dict[str, float]:
         "sides": [(0.0, camera.cy), (width - 1.0, camera.cy)],
         "corner": [(x, y) for x in (0.0, width - 1.0) for y in (0.0, height - 1.0)],
     }
-    found = {name: angles_of(camera, np.array(points)) for name, points in places.items()}
-    return {name: float(np.nanmax(a)) for name, a in found.items() if np.isfinite(a).any()}
+    by_place = {name: angles_of(camera, np.array(points)) for name, points in places.items()}
+    return {name: float(np.nanmax(a)) for name, a in by_place.items() if np.isfinite(a).any()}
 
 
 def angles_of(camera: CameraModel, points: Array) -> Array:
@@ -154,16 +154,16 @@ def change_maps(then: CameraData, now: CameraData) -> tuple[Array, Array, Array]
 
     E_n: ISO 13528, independent uncertainties. (h, w, 2) points, (h, w) lengths and U, px; None without a covariance.
     """
-    found = []
-    for one in (then, now):
-        covariance = camera_covariance(one)
+    of_both = []
+    for calibration in (then, now):
+        covariance = camera_covariance(calibration)
         if covariance is None:
             return None
-        camera = camera_of(one["camera"], one["image_size"])
+        camera = camera_of(calibration["camera"], calibration["image_size"])
         sigma = projection_uncertainty(camera, covariance).sigma_px
-        found.append((camera, coverage_factor(one, WORST_CORNER) * sigma))
-    difference = camera_difference(found[1][0], found[0][0])
-    expanded = np.hypot(found[0][1], found[1][1])
+        of_both.append((camera, coverage_factor(calibration, WORST_CORNER) * sigma))
+    difference = camera_difference(of_both[1][0], of_both[0][0])
+    expanded = np.hypot(of_both[0][1], of_both[1][1])
     return difference.grid_px, np.linalg.norm(difference.offset_px, axis=2), expanded
 
 
@@ -293,14 +293,14 @@ def _legend(places: Sequence[_Place]) -> list[Key]:
 
 
 def _range_text(values: Iterable[float]) -> str:
-    found = list(values)
-    return f"{min(found):.3g} to {max(found):.3g}"
+    finite = list(values)
+    return f"{min(finite):.3g} to {max(finite):.3g}"
 
 
 def _outline(image_size: Sequence[int]) -> Array:
     """Return points along the edge of an image, in order."""
     width, height = image_size
     along = np.linspace(0.0, 1.0, _EDGE_POINTS)[:-1]
-    zero, one = np.zeros_like(along), np.ones_like(along)
-    sides = ((along, zero), (one, along), (1 - along, one), (zero, 1 - along))
+    zero, ones = np.zeros_like(along), np.ones_like(along)
+    sides = ((along, zero), (ones, along), (1 - along, ones), (zero, 1 - along))
     return np.concatenate([np.column_stack([x * (width - 1), y * (height - 1)]) for x, y in sides])

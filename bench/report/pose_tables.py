@@ -19,8 +19,8 @@ from bench.wording.numbers import NOTHING, fixed, number, value_text
 
 _VERDICTS = ("pass", "marginal", "fail")
 _COLOURS = ("#0072b2", "#d55e00")
-_HEIGHT, _GAP = 195.0, 12.0
-_MOST_POSES = 8
+_HEIGHT, _GAP = 195.0, 12.0  # px of the drawing
+_MOST_POSES = 8  # Numbers below an axis of a third of the page
 
 _ENDS = {
     "met": "The goals are met",
@@ -147,9 +147,9 @@ def _panel(
 def _poses_scale(poses: Sequence[int]) -> Scale:
     """Return the axis of the numbers of poses, with ticks at whole numbers."""
     first, last = poses[0], poses[-1]
-    beside = 0.04 * (last - first) or 0.5
+    margin = 0.04 * (last - first) or 0.5
     step = max(1, -(-(last - first) // _MOST_POSES))
-    return Scale(first - beside, last + beside, ticks=[(n, f"{n}") for n in range(first, last + 1, step)])
+    return Scale(first - margin, last + margin, ticks=[(n, f"{n}") for n in range(first, last + 1, step)])
 
 
 def _level(axes: Axes, height: float, name: str, colour: str, *, below: bool) -> None:
@@ -191,10 +191,10 @@ def _course(decisions: Sequence[UntilDecided], *, draw: bool) -> dict[str, Any]:
 
 def _factors(decisions: Sequence[UntilDecided]) -> str:
     """Return the range of the coverage factors."""
-    found = [k for decided in decisions if (k := decided.get("coverage_factor"))]
-    if not found:
+    factors = [k for decided in decisions if (k := decided.get("coverage_factor"))]
+    if not factors:
         return NOTHING
-    least, most = number(min(found), 3), number(max(found), 3)
+    least, most = number(min(factors), 3), number(max(factors), 3)
     return least if least == most else f"{least} to {most}"
 
 

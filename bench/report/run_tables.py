@@ -111,11 +111,11 @@ def check_rows(check: CheckData | None) -> Rows:
 def boresight_rows(results: Results) -> Rows:
     """List how the camera is turned against the stage's flange and the faces of its mount, if readings took part."""
     calibration = results["calibration"]
-    estimate, found = calibration.get("gimbal"), calibration.get("boresight")
-    if found is None:
+    estimate, boresight = calibration.get("gimbal"), calibration.get("boresight")
+    if boresight is None:
         return [("Boresight", _NO_BORESIGHT)] if estimate and estimate["entered"] else []
-    turned = _degrees("xyz", found["vector_deg"], found["expanded_deg"])
-    looks = _degrees(("right", "down"), found["right_down_deg"], found["sight_expanded_deg"])
+    turned = _degrees("xyz", boresight["vector_deg"], boresight["expanded_deg"])
+    looks = _degrees(("right", "down"), boresight["right_down_deg"], boresight["sight_expanded_deg"])
     faces = [
         (
             f"Boresight: middle of the image against the face {face['name']}",
@@ -186,10 +186,10 @@ def _bound(bound: ParallaxBound) -> str:
     return f"{text}: {shown} % of the focal length, standard uncertainty {sigma:.2g} %"
 
 
-def conditions(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+def conditions(of_parts: Mapping[str, Any]) -> list[tuple[str, str]]:
     """List the settings of light and camera, and the temperature."""
     rows = []
-    for part, settings in found.items():
+    for part, settings in of_parts.items():
         if isinstance(settings, Mapping):
             rows += [(f"{part}: {_readable(key)}", _with_unit(key, value)) for key, value in settings.items()]
         else:
@@ -197,10 +197,10 @@ def conditions(found: Mapping[str, Any]) -> list[tuple[str, str]]:
     return rows
 
 
-def devices(found: Mapping[str, Any]) -> list[tuple[str, str, str, str, str]]:
+def devices(of_parts: Mapping[str, Any]) -> list[tuple[str, str, str, str, str]]:
     """List name, model, serial number, firmware and details that the devices reported."""
     rows = []
-    for part, identities in found.items():
+    for part, identities in of_parts.items():
         for identity in identities if isinstance(identities, list) else [identities]:
             if "serial" not in identity:  # settings, not a device
                 continue
@@ -215,14 +215,14 @@ def devices(found: Mapping[str, Any]) -> list[tuple[str, str, str, str, str]]:
     return rows
 
 
-def connections(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+def connections(identified: Mapping[str, Any]) -> list[tuple[str, str]]:
     """List what the devices answered about their cables; empty if the run did not ask."""
-    return [(_readable(name), str(value)) for name, value in (found.get("connections") or {}).items()]
+    return [(_readable(name), str(value)) for name, value in (identified.get("connections") or {}).items()]
 
 
-def left(found: Sequence[Mapping[str, str]]) -> list[tuple[str, str, str]]:
+def left(ends_of_devices: Sequence[Mapping[str, str]]) -> list[tuple[str, str, str]]:
     """List device, state, and answer (or what may be the case) after the last step that needs devices."""
-    ends = [DeviceEnd.from_dict(end) for end in found]
+    ends = [DeviceEnd.from_dict(end) for end in ends_of_devices]
     return [(end.device, end.state, " ".join(filter(None, (end.said, end.advice)))) for end in ends]
 
 

@@ -17,8 +17,8 @@ from markupsafe import Markup
 from bench.record.events import StateEntered
 from bench.wording.numbers import duration
 
-_STEP, _WIDE, _TALL = 92.0, 76.0, 26.0
-_MARGIN = 10.0
+_STEP, _WIDE, _TALL = 92.0, 76.0, 26.0  # px of the drawing
+_MARGIN = 10.0  # px of the drawing
 _TIMES = "\N{MULTIPLICATION SIGN}"
 
 

@@ -29,10 +29,10 @@ FONT, TITLE = 9.0, 9.5
 """Sizes of type: labels, and titles."""
 _FAMILY = "DejaVu Sans, Verdana, sans-serif"
 _CLASSES = {INK: "ink", MUTED: "muted", LINE: "faint"}
-_PALE, _DEEP = (244, 248, 252), (106, 172, 214)
-_LINE_HEIGHT, _TICK, _SIGN_LENGTH = 12.0, 3.0, 14.0
-_BETWEEN_LABELS, _BETWEEN_ROWS = 16.0, 24.0
-_RIGHT = 7.0
+_PALE, _DEEP = (244, 248, 252), (106, 172, 214)  # Ends of one blue, which prints grey and shows black words
+_LINE_HEIGHT, _TICK, _SIGN_LENGTH = 12.0, 3.0, 14.0  # px of the drawing, for letters of `FONT`
+_BETWEEN_LABELS, _BETWEEN_ROWS = 16.0, 24.0  # px of the drawing: two numbers are read as two
+_RIGHT = 7.0  # px of the drawing: half of the last number below the axis
 
 Place = tuple[float, float, float, float]
 
@@ -244,14 +244,16 @@ def axes_in(
     above = _heading(picture, words, left, top, width)
     below = (_LINE_HEIGHT if words.x else 0.0) + FONT + _TICK + 4.0
     room = height - above - below
-    beside = _room_beside(y, room, words)
+    label_width = _room_beside(y, room, words)
     if equal == "extend":  # longer numbers may need more room, which a second step gives
-        longer = _same_unit(x, y, width - beside, room, extend=True)[1]
-        beside = max(beside, _room_beside(longer, room, words))
-    across = width - beside - _RIGHT
+        longer = _same_unit(x, y, width - label_width, room, extend=True)[1]
+        label_width = max(label_width, _room_beside(longer, room, words))
+    across = width - label_width - _RIGHT
     if equal:
         x, y, across, room = _same_unit(x, y, across, room, extend=equal == "extend")
-    axes = Axes(picture, x, y, *(round(one, 2) for one in (left + beside, top + above, across, room)))
+    axes = Axes(
+        picture, x, y, *(round(length, 2) for length in (left + label_width, top + above, across, room))
+    )
     _draw_frame(axes, words, whole=whole, grid=grid)
     if clip:
         axes.clipped()

@@ -42,8 +42,8 @@ class Scale:
         low, high = sorted((self.low, self.high))
         if self.kind == "log":
             return [(value, plain(value)) for value in log_ticks(low, high, most)]
-        found = ticks(low, high, most)
-        return list(zip(found, tick_labels(found), strict=True))
+        tick_values = ticks(low, high, most)
+        return list(zip(tick_values, tick_labels(tick_values), strict=True))
 
     def _spread(self, values: Array) -> Array:
         if self.kind == "log":
@@ -83,12 +83,12 @@ def log_ticks(low: float, high: float, most: int = 5) -> list[float]:
     >>> log_ticks(0.3, 7.0)
     [0.5, 1.0, 2.0, 5.0]
     """
-    found: list[float] = []
+    tick_values: list[float] = []
     for digits in _LABELLED:
-        found = decades(low, high, digits)
-        if len(found) <= most + 1:
+        tick_values = decades(low, high, digits)
+        if len(tick_values) <= most + 1:
             break
-    return found if len(found) > 1 else [value for value in ticks(low, high, most) if value > 0]
+    return tick_values if len(tick_values) > 1 else [value for value in ticks(low, high, most) if value > 0]
 
 
 def decades(low: float, high: float, digits: Sequence[int]) -> list[float]:

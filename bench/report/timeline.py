@@ -33,12 +33,12 @@ def timeline(items: Sequence[ItemData], zone: tzinfo | None) -> str:
     bars = [
         (
             item["job"],
-            datetime.fromisoformat(one["begun_utc"]),
-            datetime.fromisoformat(one["ended_utc"]),
-            one["how"],
+            datetime.fromisoformat(attempt["begun_utc"]),
+            datetime.fromisoformat(attempt["ended_utc"]),
+            attempt["how"],
         )
         for item in items
-        for one in item["tries"]
+        for attempt in item["tries"]
     ]
     if not bars:
         return ""
@@ -73,8 +73,8 @@ def _clock(begin: datetime, last_h: float) -> list[tuple[float, str]]:
     midnight = begin.replace(hour=0, minute=0, second=0, microsecond=0)
     since_h = _hours(begin, midnight)
     number = math.ceil((since_h - _BEFORE * last_h) / step_h)
-    found = []
+    hours = []
     while number * step_h - since_h <= last_h + 1e-9:
-        found.append(number * step_h - since_h)
+        hours.append(number * step_h - since_h)
         number += 1
-    return [(h, f"{begin + timedelta(hours=h, seconds=30):%H:%M}") for h in found or [0.0]]
+    return [(h, f"{begin + timedelta(hours=h, seconds=30):%H:%M}") for h in hours or [0.0]]

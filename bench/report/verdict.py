@@ -14,7 +14,7 @@ from bench.wording.conformity import conformity_headline, conformity_sentences
 from bench.wording.numbers import NOTHING, angle_text, exact, fixed, moment, number, with_uncertainty
 from bench.wording.target_words import words_of
 
-_DAY_S, _HOUR_S = 86400.0, 3600.0
+_DAY_S, _HOUR_S = 86400.0, 3600.0  # Seconds
 
 
 @dataclass(frozen=True)
@@ -56,14 +56,14 @@ def change_sentence(results: Results) -> str:
     previous = results.get("previous")
     if not previous:
         return ""
-    found = previous.get("change")
-    if not found:
+    change = previous.get("change")
+    if not change:
         return str(previous.get("why_not") or "")
     since = f"Since the last calibration of this camera ({previous['run']}{_earlier(results)})"
-    largest = f"largest change {number(found['largest_px'], 2)} px"
-    if found["largest_ratio"] <= 1:
+    largest = f"largest change {number(change['largest_px'], 2)} px"
+    if change["largest_ratio"] <= 1:
         return f"{since}: no change beyond the uncertainty; {largest}."
-    return f"{since}: changed by up to {_times_u(found)} at one place; {largest}."
+    return f"{since}: changed by up to {_times_u(change)} at one place; {largest}."
 
 
 def _earlier(results: Results) -> str:
@@ -84,12 +84,16 @@ def _earlier(results: Results) -> str:
 
 
 def _in_both(name: str, then: CameraData, now: CameraData) -> bool:
-    return name in then["camera"] and all(one["sigma"].get(name, 0) > 0 for one in (then, now))
+    return name in then["camera"] and all(
+        calibration["sigma"].get(name, 0) > 0 for calibration in (then, now)
+    )
 
 
 def _row(name: str, then: CameraData, now: CameraData) -> dict[str, Any]:
     """Return the change of one value with its expanded uncertainty, sqrt(U1^2 + U2^2), and E_n (ISO 13528)."""
-    expanded = [coverage_factor(one, name) * one["sigma"][name] for one in (then, now)]
+    expanded = [
+        coverage_factor(calibration, name) * calibration["sigma"][name] for calibration in (then, now)
+    ]
     moved, whole = now["camera"][name] - then["camera"][name], math.hypot(*expanded)
     normalised = moved / whole
     return {
@@ -150,11 +154,11 @@ def verdict(results: Results) -> Verdict:
         headline = f"Calibrated, but {failed} of {len(judged)} gates {'fails' if failed == 1 else 'fail'}."
     elif reasons or causes:
         kind, headline = "marginal", "Calibrated, with reservations."
-    if found := results.get("conformity"):
-        headline = f"{conformity_headline(found)} {headline}"
-        kind = kind if found["passed"] else "fail"
+    if conformity := results.get("conformity"):
+        headline = f"{conformity_headline(conformity)} {headline}"
+        kind = kind if conformity["passed"] else "fail"
     sentences = (
-        *(conformity_sentences(found) if found else ()),
+        *(conformity_sentences(conformity) if conformity else ()),
         _focal_lengths(calibration),
         _directions(results),
         _support(results),
@@ -165,13 +169,13 @@ def verdict(results: Results) -> Verdict:
 
 def _focal_lengths(calibration: CalibrationData) -> str:
     """Return fx and fy with their expanded uncertainties."""
-    sigma, found, factors = calibration["sigma"], [], []
+    sigma, parts, factors = calibration["sigma"], [], []
     for name in ("fx", "fy"):
         if name in sigma:
             factors.append(coverage_factor(calibration, name))
             value, expanded = with_uncertainty(calibration["camera"][name], factors[-1] * sigma[name])
-            found.append(f"{name} {value} ± {expanded} px")
-    return f"{', '.join(found)} ({factors_text(factors)}, about 95 %)." if found else ""
+            parts.append(f"{name} {value} ± {expanded} px")
+    return f"{', '.join(parts)} ({factors_text(factors)}, about 95 %)." if parts else ""
 
 
 def _directions(results: Results) -> str:
@@ -184,8 +188,8 @@ def _directions(results: Results) -> str:
             f"Error of an image point in the worst corner: at most {sums[1][1]} px (k = {k})." if sums else ""
         )
     corner, middle = (
-        f"{angle_text(found['expanded_urad'])} = {number(found['expanded_px'], 2)} px"
-        for found in (facts["worst_corner"], facts["median"])
+        f"{angle_text(direction['expanded_urad'])} = {number(direction['expanded_px'], 2)} px"
+        for direction in (facts["worst_corner"], facts["median"])
     )
     where = facts["worst_corner"]["corner"]
     return (
@@ -197,14 +201,14 @@ def _directions(results: Results) -> str:
 def _support(results: Results) -> str:
     """Return how much of the sensor the stars support, and the uncertainty there."""
     facts = results.get("projection")
-    found = facts["supported"] if facts else None
-    if not found:
+    supported = facts["supported"] if facts else None
+    if not supported:
         return ""
-    share = f"{words_of(results).capital} are near {100 * found['share']:.0f} % of the sensor"
-    if found["expanded_px"] is None or found["expanded_urad"] is None or found["share"] >= 0.995:
+    share = f"{words_of(results).capital} are near {100 * supported['share']:.0f} % of the sensor"
+    if supported["expanded_px"] is None or supported["expanded_urad"] is None or supported["share"] >= 0.995:
         return f"{share}."
     k = _k(coverage_factor(results["calibration"]))
-    there = f"{angle_text(found['expanded_urad'])} = {number(found['expanded_px'], 2)} px"
+    there = f"{angle_text(supported['expanded_urad'])} = {number(supported['expanded_px'], 2)} px"
     return f"{share}; there, the error of a direction is at most {there} (k = {k}). Elsewhere, the model extrapolates."
 
 

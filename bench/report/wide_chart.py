@@ -91,8 +91,10 @@ class Chart:
     ) -> None:
         """Draw dots that show their text under the pointer."""
         for place, (x, y) in zip(places, self._axes.at(points[places]).tolist(), strict=True):
-            told = f"<title>{escape(texts[place])}</title>"
-            self._picture.add(f'<circle cx="{x:g}" cy="{y:g}" r="{radius:g}" fill="{colour}">{told}</circle>')
+            title = f"<title>{escape(texts[place])}</title>"
+            self._picture.add(
+                f'<circle cx="{x:g}" cy="{y:g}" r="{radius:g}" fill="{colour}">{title}</circle>'
+            )
 
     def _columns(self, xs: Sequence[float]) -> list[float]:
         """Return the column of each point, in half points of the picture."""
@@ -104,9 +106,9 @@ class Chart:
         for column, point in zip(self._columns(xs), zip(xs, values, strict=True), strict=True):
             columns.setdefault(column, []).append(point)
         kept: list[tuple[float, float]] = []
-        for found in columns.values():
-            ends = (min(found, key=lambda one: one[1]), max(found, key=lambda one: one[1]))
-            kept += found if len(found) <= 4 else [found[0], *ends, found[-1]]
+        for dots in columns.values():
+            ends = (min(dots, key=lambda dot: dot[1]), max(dots, key=lambda dot: dot[1]))
+            kept += dots if len(dots) <= 4 else [dots[0], *ends, dots[-1]]
         return kept
 
 

@@ -34,9 +34,9 @@ from bench.run.heartbeat import CONTROL, HEARTBEAT
 from bench.run.last_view import LAST_VIEW
 from sequences.schema import Answer
 
-POLL_S = 0.1
-_MAX_BYTES = 4096
-_PATIENCE_S = 10.0
+POLL_S = 0.1  # A person at a terminal does not notice it
+_MAX_BYTES = 4096  # A command has some hundred
+_PATIENCE_S = 10.0  # A run answers between two polls, also on a busy computer
 
 Word = Literal["hold", "release", "abort", "skip", "answer"]
 Line = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
@@ -235,8 +235,8 @@ def _nothing_to_tell(folder: Path) -> RunFolderError:
 
 def _answer_in(folder: Path, command_id: str, begin: int) -> Commanded | None:
     lines = lines_after(folder / JOURNAL, begin)
-    found = (data for event, data in lines if event == Event.COMMANDED and data.get("id") == command_id)
-    return cast("Commanded | None", next(found, None))
+    answers = (data for event, data in lines if event == Event.COMMANDED and data.get("id") == command_id)
+    return cast("Commanded | None", next(answers, None))
 
 
 def command_text(answer: Commanded, folder: Path) -> str:

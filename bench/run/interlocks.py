@@ -42,7 +42,7 @@ GUARDED = frozenset(
     {"homing", "lighting", "slewing", "settling", "waiting", "recording", "backing_off", "parking"}
 )
 """States in which the stage moves, the light is on, or the camera records."""
-_MOST_BYTES = 64
+_MOST_BYTES = 64  # A number
 
 
 class Interlock(ABC):
@@ -197,10 +197,10 @@ def _read_sensor(path: str) -> tuple[str, float]:
     """Read the text of a sensor's file and its time of writing. Raises OSError, also for a pipe."""
     descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0))
     try:
-        found = os.fstat(descriptor)
-        if not stat.S_ISREG(found.st_mode):
+        status = os.fstat(descriptor)
+        if not stat.S_ISREG(status.st_mode):
             raise OSError(errno.EINVAL, "it is not a regular file")
-        return os.read(descriptor, _MOST_BYTES).decode(errors="replace").strip(), found.st_mtime
+        return os.read(descriptor, _MOST_BYTES).decode(errors="replace").strip(), status.st_mtime
     finally:
         os.close(descriptor)
 
@@ -256,16 +256,16 @@ class EventRate(Interlock):
     def why(self, *, held: bool) -> str:
         """See `Interlock.why`."""
         if held:
-            found, most = self.dark_mev_s(self.config.probe_ms * 1e-3), self.config.release_mev_s
+            rate_mev_s, most = self.dark_mev_s(self.config.probe_ms * 1e-3), self.config.release_mev_s
             return (
-                f"{beside_goal(found, most)} Mev/s in the dark, at most {most:g} are allowed"
-                if found > most
+                f"{beside_goal(rate_mev_s, most)} Mev/s in the dark, at most {most:g} are allowed"
+                if rate_mev_s > most
                 else ""
             )
-        found, most = self.last_mev_s(), self.config.max_mev_s
+        rate_mev_s, most = self.last_mev_s(), self.config.max_mev_s
         return (
-            f"{beside_goal(found, most)} Mev/s in the last recording, at most {most:g} are allowed"
-            if found > most
+            f"{beside_goal(rate_mev_s, most)} Mev/s in the last recording, at most {most:g} are allowed"
+            if rate_mev_s > most
             else ""
         )
 

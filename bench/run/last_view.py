@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 
 LAST_VIEW = ".last-view"
-_DIGITS = 3
-_MOST_BYTES = 64 << 20
+_DIGITS = 3  # Thousandths of a pixel
+_MOST_BYTES = 64 << 20  # A PNG of 16 Mpx and its stars
 
 
 @dataclass(frozen=True)
@@ -66,13 +66,13 @@ def read_last_view(folder: Path) -> LastView | None:
     """Read the picture of the last recording of a run in progress; None if there is none."""
     try:
         head, _, png = read_bounded(folder / CONTROL / LAST_VIEW, _MOST_BYTES).partition(b"\n")
-        found = parse_json(head)
+        content = parse_json(head)
         return LastView(
-            int(found["pose"]),
-            int(found["attempt"]),
-            [[float(column), float(row)] for column, row in found["nodes"]],
-            [[float(x), float(y)] for x, y in found["points_px"]],
-            str(found["fault"]),
+            int(content["pose"]),
+            int(content["attempt"]),
+            [[float(column), float(row)] for column, row in content["nodes"]],
+            [[float(x), float(y)] for x, y in content["points_px"]],
+            str(content["fault"]),
             png,
         )
     except (StorageError, ValueError, KeyError, TypeError):

@@ -169,7 +169,7 @@ def start_run(
 
 def _begun_with(sequence: str, station: str, settings: Mapping[str, str]) -> list[str]:
     """Return the arguments that begin a run again from any folder: files as absolute paths, names as they are."""
-    files = [str(Path(one).resolve()) if Path(one).is_file() else one for one in (sequence, station)]
+    files = [str(Path(file).resolve()) if Path(file).is_file() else file for file in (sequence, station)]
     changed = [word for name, value in settings.items() for word in ("--set", f"{name}={value}")]
     return [files[0], "--station", files[1], *changed]
 
@@ -284,8 +284,8 @@ def run_and_seal(
 
 def _passed(end: RunEnd) -> str:
     """Return PASS or FAIL by the limits, for a message; empty for a run without limits."""
-    found = end.outcome.results.get("conformity") if end.outcome else None
-    return f", {conformity_headline(found)}" if found else ""
+    conformity = end.outcome.results.get("conformity") if end.outcome else None
+    return f", {conformity_headline(conformity)}" if conformity else ""
 
 
 def _devices_left(end: RunEnd) -> str:

@@ -45,7 +45,7 @@ OPTIONAL: Final = ("firmware_built", "link_mbit_s")
 NOT_STATED: Final = "not stated by the device"
 MAX_HOLD_S = 8 * 3600.0
 """A run that an operator holds for longer than this is aborted safely, s."""
-HOLD_POLL_S = 0.1
+HOLD_POLL_S = 0.1  # A person does not notice it
 
 
 def preflight(devices: Devices, job: Job) -> events.Devices:
@@ -68,15 +68,15 @@ def preflight(devices: Devices, job: Job) -> events.Devices:
             remedy="Correct this and run again.",
         )
     stated = {name: value for name, value in asdict(camera).items() if name not in OPTIONAL or value}
-    found: events.Devices = {
+    identities: events.Devices = {
         "camera": cast("events.CameraDeviceData", {**stated, "lens": job.station.camera.lens}),
         "stage": [cast("events.DeviceData", asdict(axis)) for axis in stage],
         "light": cast("events.DeviceData", asdict(light)),
         "camera_settings": settings,
     }
     if job.camera_kind.name == "event":
-        found["connections"] = connections(camera, settings, devices.light)
-    return found
+        identities["connections"] = connections(camera, settings, devices.light)
+    return identities
 
 
 def connections(camera: CameraIdentity, settings: Mapping[str, Any], light: Light) -> dict[str, str]:
@@ -213,16 +213,16 @@ class StateWork:
         pose, job = step.pose, self._run.job
         stored = self._stored(step, attempt)
         measurement = self._begun.pop(stored["capture"], None) or self._begin_measuring(step, attempt)
-        found = measurement()
-        leave_view(self._run.folder.path, pose.index, attempt, found, job.target)
-        checked = job.judged(step, stored, found)
+        measured = measurement()
+        leave_view(self._run.folder.path, pose.index, attempt, measured, job.target)
+        checked = job.judged(step, stored, measured)
         if checked["accepted"]:
-            self._measured[pose.index] = found
+            self._measured[pose.index] = measured
         self._run.log.write(events.AttemptChecked, **checked)
 
     def _stored(self, step: RecordStep, attempt: int) -> events.CaptureStored:
         attempts = self._run.log.history.attempts_at(step.pose.index)
-        return next(one.stored for one in attempts if one.attempt == attempt)
+        return next(known.stored for known in attempts if known.attempt == attempt)
 
     def _begin_measuring(self, step: RecordStep, attempt: int) -> Callable[[], Measurement]:
         """Begin to measure a stored recording beside the run; return what waits for the measurement."""

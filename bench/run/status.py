@@ -48,7 +48,7 @@ _REASONS: Mapping[str, str] = {
     Event.ATTEMPT_CHECKED: "reasons",
 }
 """Where journal lines state why something failed."""
-LAST_LINES = 5
+LAST_LINES = 5  # What happened just now
 
 _WORTH_TELLING_S = 5.0
 """A run that has ended tells how late the computer was if it lost more than this, s."""
@@ -251,7 +251,7 @@ class RunPlan:
     def name_of(self, pose: int | None, history: History) -> str:
         """Return the name of a pose, also of one that the run chose; empty for None."""
         chosen = (decision["chosen"] for decision in history.decisions if "chosen" in decision)
-        names = {one["pose"]: one["pose_name"] for one in chosen}
+        names = {decided["pose"]: decided["pose_name"] for decided in chosen}
         names |= {number: planned["name"] for number, planned in self.poses.items()}
         return names.get(pose, "") if pose is not None else ""
 
@@ -365,12 +365,13 @@ def _result_text(history: History) -> str:
     solved = history.solved
     if not solved or not solved["converged"]:
         return ""
-    found = {name: estimate for name, estimate in estimates(solved).items() if name in {"fx", "fy"}}
+    focal_lengths = {name: estimate for name, estimate in estimates(solved).items() if name in {"fx", "fy"}}
     parts = [
-        "{} {} ± {} px".format(name, *with_uncertainty(one.value, one.expanded))
-        for name, one in found.items()
+        "{} {} ± {} px".format(name, *with_uncertainty(estimated.value, estimated.expanded))
+        for name, estimated in focal_lengths.items()
     ]
-    return f"{', '.join(parts)} ({factors_text(one.k for one in found.values())})" if parts else ""
+    factors = factors_text(estimated.k for estimated in focal_lengths.values())
+    return f"{', '.join(parts)} ({factors})" if parts else ""
 
 
 def _left_s(history: History, plan: RunPlan, entries: Sequence[Entry], now: datetime) -> float:
@@ -391,8 +392,8 @@ def _advice(folder: Path, history: History, *, running: bool, sealed: bool) -> s
     if running and not sealed:
         return _advice_while_running(folder, history)
     if sealed:
-        found = "Finished and sealed." if history.ended else "The journal was changed after the seal."
-        return f"{found} To check the seal: {pasteable('verify', folder)}"
+        state = "Finished and sealed." if history.ended else "The journal was changed after the seal."
+        return f"{state} To check the seal: {pasteable('verify', folder)}"
     if history.ended == "finished":
         return f"The run has finished, but it is not sealed. To seal it: {pasteable('resume', folder)}"
     return "No process works on this run. {} {}".format(*way_on(history, folder))
@@ -448,9 +449,9 @@ def head_lines(status: Status) -> list[str]:
     counts += f", {status.skipped} skipped" if status.skipped else ""
     counts += f", resumed {times(status.resumed)}" if status.resumed else ""
     lines = [f"Run {status.run_id}{'  SIMULATED' if status.simulated else ''}", _state(status), counts]
-    told = {"Uncertainty after": status.uncertainty, "Result:": status.result, **_busy(status)}
+    rows = {"Uncertainty after": status.uncertainty, "Result:": status.result, **_busy(status)}
     lines += [status.verdict] if status.verdict else []
-    lines += [*status.causes, *(f"{name} {text}" for name, text in told.items() if text)]
+    lines += [*status.causes, *(f"{name} {text}" for name, text in rows.items() if text)]
     lines += [*status.goals_missed, *_unasked(status)]
     lines += [f"Evidence: {status.evidence}"] if status.ended and not status.running else []
     lines += [f"Report: {status.report}"] if status.report else []

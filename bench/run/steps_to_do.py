@@ -134,11 +134,11 @@ def _step_texts(job: Job, history: History) -> list[str]:
 def _until_texts(steps: Sequence[ScriptStep], history: History) -> list[str]:
     """Return for each ``until`` that has not ended what it will do."""
     accepted = history.accepted()
-    found = {step.until.first: step.until for step in steps if isinstance(step, ChooseStep)}
+    until_of_step = {step.until.first: step.until for step in steps if isinstance(step, ChooseStep)}
     return [
         f"Choose poses until {goals_text(until.goals)}: at most "
         f"{until.at_most - sum(pose in accepted for pose in until.poses)} further recordings."
-        for until in found.values()
+        for until in until_of_step.values()
     ]
 
 

@@ -103,11 +103,11 @@ def judge(dark: Triggers, events: Events, edges: Triggers) -> WiringReport:
     faults = []
     channels = sorted({int(channel) for channel in edges.id})
     if channels != [CHANNEL]:
-        found = ", ".join(map(str, channels))
+        seen_on = ", ".join(map(str, channels))
         faults.append(
             WiringFault(
                 "wrong channel",
-                f"the trigger edges come on channel {found}, not on channel {CHANNEL}.",
+                f"the trigger edges come on channel {seen_on}, not on channel {CHANNEL}.",
                 "Plug the sync cable into the camera's main trigger input.",
             )
         )
@@ -191,16 +191,18 @@ def _polarity_fault(
     after_falling = _events_after(on, falling, _AFTER_EDGE * period_us)
     if _flickers(events):
         inverted = after_falling > 2.0 * after_rising
-        told = f"{after_falling} ON events follow the falling edges, {after_rising} the rising ones"
+        contradiction = f"{after_falling} ON events follow the falling edges, {after_rising} the rising ones"
     else:
         share = _high_share(rising, falling, period_us)
         inverted = abs(share - (1.0 - DUTY_PERCENT / 100.0)) < 0.1
-        told = f"the sync line is high for {100.0 * share:.0f} % of a period, not {DUTY_PERCENT:.0f} %"
+        contradiction = (
+            f"the sync line is high for {100.0 * share:.0f} % of a period, not {DUTY_PERCENT:.0f} %"
+        )
     if not inverted:
         return None
     return WiringFault(
         "inverted",
-        f"the trigger edges are inverted: {told}.",
+        f"the trigger edges are inverted: {contradiction}.",
         "Set the polarity of the light's sync output to normal, or remove the inverter from the cable.",
     )
 

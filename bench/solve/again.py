@@ -137,8 +137,8 @@ def _check_serials(entries: Sequence[Entry], job: Job, replies: str, findings: F
         if entry.event != Event.DEVICES:
             continue
         for part in (part for part, is_text in in_text.items() if is_text):
-            told = entry.data.get(part) or []
-            for identity in told if isinstance(told, list) else [told]:
+            identities = entry.data.get(part) or []
+            for identity in identities if isinstance(identities, list) else [identities]:
                 serial = str(identity.get("serial") or "")
                 if serial and serial not in replies:
                     what = (
@@ -295,8 +295,8 @@ def _check_steps(evidence: _Evidence, findings: Findings) -> None:
             return
         is_left_out = history.is_left_out(step.number)
         if isinstance(step, RecordStep) and not is_left_out and step.pose.index not in recorded:
-            told = history.attempts_at(step.pose.index) or history.lost.get(step.pose.index)
-            if not told and step.pose.index not in history.skipped:
+            taken = history.attempts_at(step.pose.index) or history.lost.get(step.pose.index)
+            if not taken and step.pose.index not in history.skipped:
                 what = f"it tells of no recording at pose {step.pose.index}, and of no reason"
                 findings.fault("journal", JOURNAL, what)
 
@@ -324,9 +324,13 @@ def _check_attempts(evidence: _Evidence, findings: Findings, progress: Reached) 
         where = f"pose {attempt.pose_index} attempt {attempt.attempt}"
         seen = list(differences(had, due, tolerance({}, {}), where))
         if other and had["accepted"] == due["accepted"]:
-            seen = [one for one in seen if not (is_excused(one, {}) or ".reasons[" in one.where)]
-        for one in seen[:MOST_SHOWN]:
-            findings.fault("journal", JOURNAL, f"the recordings do not give what it states: {one}")
+            seen = [
+                difference
+                for difference in seen
+                if not (is_excused(difference, {}) or ".reasons[" in difference.where)
+            ]
+        for difference in seen[:MOST_SHOWN]:
+            findings.fault("journal", JOURNAL, f"the recordings do not give what it states: {difference}")
     progress(len(attempts), len(attempts))
     return kept
 
@@ -382,11 +386,12 @@ def _check_solved(
     """Compare the main numbers of the calibration in the journal with those that were calculated again."""
     solved = evidence.history.solved
     had, must = (
-        {"calibration": {**one, "camera": one.get("values"), "values": None}} for one in (solved, again)
+        {"calibration": {**solved_line, "camera": solved_line.get("values"), "values": None}}
+        for solved_line in (solved, again)
     )
     seen = list(differences(had, must, tolerance(sigma, {})))
     if other_software(evidence.used):
-        seen = [one for one in seen if not is_excused(one, sigma)]
+        seen = [solved_line for solved_line in seen if not is_excused(solved_line, sigma)]
     add_faults("journal", JOURNAL, "the recordings do not give what it states: ", seen, findings)
 
 
@@ -407,8 +412,8 @@ def _check_causes(evidence: _Evidence, calibration: Calibration, findings: Findi
         if line.event == Event.ENTERING and line.data.get("state") == "solving"
     ]
     before = replay(lines[: solving[-1]]) if solving else history
-    stated = {one["kind"] for one in history.solved.get("causes", ())}
-    due, possible = (kinds_by_run_alone(job, one, calibration) for one in (before, history))
+    stated = {run_history["kind"] for run_history in history.solved.get("causes", ())}
+    due, possible = (kinds_by_run_alone(job, run_history, calibration) for run_history in (before, history))
     for kind in sorted(due - stated):
         findings.fault("journal", JOURNAL, f"it does not name what the run shows: {kind}")
     for kind in sorted(stated - possible - kinds_by_earlier_run(job)):

@@ -141,8 +141,8 @@ def agreement(name: str, runs: Sequence[Estimate]) -> Agreement:
 
 def by_camera(runs: Iterable[IndexedRun]) -> dict[tuple[str, str], list[IndexedRun]]:
     """Group the runs that have a calibration by serial number and model, oldest first."""
-    found: dict[tuple[str, str], list[IndexedRun]] = {}
+    runs_of_camera: dict[tuple[str, str], list[IndexedRun]] = {}
     for run in sorted(runs, key=lambda run: (run.begun_utc, run.folder)):
         if run.parameters:
-            found.setdefault((run.camera, str(run.model)), []).append(run)
-    return dict(sorted(found.items()))
+            runs_of_camera.setdefault((run.camera, str(run.model)), []).append(run)
+    return dict(sorted(runs_of_camera.items()))

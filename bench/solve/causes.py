@@ -61,7 +61,7 @@ class _Seen:
         same = [name for name in number if name in other and other[name] > 0]
         if not same:
             return None
-        return tuple(statistics.median(one[name] for name in same) for one in (number, other))  # type: ignore[return-value]
+        return tuple(statistics.median(course[name] for name in same) for course in (number, other))  # type: ignore[return-value]
 
 
 def causes_of_run(
@@ -74,8 +74,8 @@ def causes_of_run(
     causes += _against_last(seen, last) if last is not None else _against_station(job, calibration, seen)
     # Another lens shows another number of stars; other light or other biases make an image weaker or stronger.
     explained = any(cause.kind in {kinds.LENS, kinds.LIGHT, kinds.CAMERA} for cause in causes)
-    told = [cause for cause in causes if not (explained and cause.kind in kinds.WEAK)]
-    return sorted(told, key=lambda one: -one.evidence)
+    kept = [cause for cause in causes if not (explained and cause.kind in kinds.WEAK)]
+    return sorted(kept, key=lambda cause: -cause.evidence)
 
 
 def kinds_by_run_alone(job: Job, history: History, calibration: Calibration) -> set[str]:
@@ -91,13 +91,13 @@ def kinds_by_earlier_run(job: Job) -> set[str]:
 
 def _seen_in(history: History, calibration: Calibration) -> _Seen:
     accepted = history.accepted().values()
-    stored = next((one.stored for one in reversed(list(accepted))), None)
-    images = {one.pose_name: one.measured.get("image") for one in accepted}
+    stored = next((attempt.stored for attempt in reversed(list(accepted))), None)
+    images = {attempt.pose_name: attempt.measured.get("image") for attempt in accepted}
     return _Seen(
         {view.name: view.n for view in calibration.views},
         _off_events(images),
         _on_delays_us(images),
-        _known({one.pose_name: one.measured.get("flicker_duty") for one in accepted}),
+        _known({attempt.pose_name: attempt.measured.get("flicker_duty") for attempt in accepted}),
         calibration.rms_px,
         stored["light"] if stored else LightSettingsData(),
         _camera_settings(stored["facts"]) if stored else {},
@@ -157,11 +157,11 @@ def _other_lens(job: Job, calibration: Calibration, last: Results | None) -> Ite
         focal_px = math.sqrt(camera["fx"] * camera["fy"])
     else:
         return
-    found = math.sqrt(calibration.camera.fx * calibration.camera.fy)
-    evidence = _evidence(found / focal_px, _FOCAL_SHARE)
+    focal_now_px = math.sqrt(calibration.camera.fx * calibration.camera.fy)
+    evidence = _evidence(focal_now_px / focal_px, _FOCAL_SHARE)
     if evidence > DECISIVE:
         u = max(calibration.U.get("fx", 0.0), calibration.U.get("fy", 0.0))
-        yield Cause(kinds.LENS, evidence, found, u, "px", focal_px, before=run)
+        yield Cause(kinds.LENS, evidence, focal_now_px, u, "px", focal_px, before=run)
 
 
 def _stood_still(history: History) -> Iterator[Cause]:
@@ -225,7 +225,7 @@ def _weak(
 def _other_light(seen: _Seen, last: _Seen, run: str) -> Iterator[Cause]:
     """Yield the first setting of the light that is not that of the last run; the duty as the sync signal shows it."""
     now, then = seen.light, last.light
-    levels = [(one.get("low_v"), one.get("high_v")) for one in (now, then)]
+    levels = [(light.get("low_v"), light.get("high_v")) for light in (now, then)]
     height = [None if low is None or high is None else high - low for low, high in levels]
     duty = seen.of_poses(seen.duty, last.duty)
     shown = (100.0 * duty[0], 100.0 * duty[1]) if duty else (None, None)

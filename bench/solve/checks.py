@@ -77,7 +77,7 @@ def gimbal_check(
     except CalibrationError:  # too few poses, or axes that did not move
         return None
     entered = calibration.gimbal is not None and calibration.gimbal.entered
-    faults = [_fault(one) for one in check.faults]
+    faults = [_fault(check_fault) for check_fault in check.faults]
     slips = [fault for fault in faults if fault["kind"] == "slip"]
     return {
         "rms_arcsec": check.rms_arcsec,
@@ -120,13 +120,13 @@ def _fault(fault: GimbalFault) -> GimbalFaultData:
 
 def mount_faces(calibration: Calibration, station: Station) -> list[MountFaceData] | None:
     """Return ``mount_faces`` of docs/results.md; None without stated faces or without a boresight."""
-    found = calibration.boresight
-    if found is None or station.gimbal is None or not station.gimbal.faces:
+    boresight = calibration.boresight
+    if boresight is None or station.gimbal is None or not station.gimbal.faces:
         return None
     answer: list[MountFaceData] = []
     for name, face in station.gimbal.faces.items():
-        angle, expanded = found.angle_to(np.array(face.normal), math.radians(face.sigma_deg))
-        normal = found.rotation @ np.array(face.normal) / np.linalg.norm(face.normal)
+        angle, expanded = boresight.angle_to(np.array(face.normal), math.radians(face.sigma_deg))
+        normal = boresight.rotation @ np.array(face.normal) / np.linalg.norm(face.normal)
         answer.append(
             {
                 "name": name,

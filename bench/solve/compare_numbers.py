@@ -117,8 +117,8 @@ def _differences(
         if len(derived) != len(stored):
             kind: Literal["missing", "added"] = "missing" if len(stored) < len(derived) else "added"
             last = min(len(stored), len(derived))
-            one = (None, derived[last]) if kind == "missing" else (stored[last], None)
-            yield Difference(f"{where}[{last}]", kind, *one)
+            values = (None, derived[last]) if kind == "missing" else (stored[last], None)
+            yield Difference(f"{where}[{last}]", kind, *values)
         scale = max(scale, _largest([*derived, *stored]))
         for number, (had, due) in enumerate(zip(stored, derived, strict=False)):
             yield from _differences(had, due, equal, f"{where}[{number}]", scale)
@@ -155,8 +155,8 @@ def check_numbers(
         return
     sigma, planar = again["calibration"]["sigma"], again.get("planar") or {"sigma": {}}
     every = list(differences(stored, again, tolerance(sigma, planar["sigma"])))
-    excused = [one for one in every if other and is_excused(one, sigma)]
-    seen = [one for one in every if one not in excused]
+    excused = [difference for difference in every if other and is_excused(difference, sigma)]
+    seen = [difference for difference in every if difference not in excused]
     if excused:
         places = described(excused, sigma, MOST_SHOWN)
         findings.could_not_compare(
@@ -168,7 +168,11 @@ def check_numbers(
         findings.remarks.append(
             f"the results were made with {other}, but the differences are too large to come from that alone"
         )
-    rounded = [one for one in rounded if one.kind == "value" and not isinstance(one.stored, str)]
+    rounded = [
+        difference
+        for difference in rounded
+        if difference.kind == "value" and not isinstance(difference.stored, str)
+    ]
     if not seen and not excused and rounded:
         findings.remarks.append(
             f"calculated again from the {source}: {len(rounded)} numbers differ, by rounding only: {rounded[0]}"
@@ -177,8 +181,8 @@ def check_numbers(
 
 def add_faults(kind: str, name: str, what: str, seen: Sequence[Difference], findings: Findings) -> None:
     """Add the differences of one file to the faults; of many the first ones, and the number of the others."""
-    for one in seen[:MOST_SHOWN]:
-        findings.fault(kind, name, f"{what}{one}")
+    for difference in seen[:MOST_SHOWN]:
+        findings.fault(kind, name, f"{what}{difference}")
     if len(seen) > MOST_SHOWN:
         findings.fault(kind, name, f"{len(seen) - MOST_SHOWN} further values differ")
 
@@ -236,9 +240,13 @@ def _is_near(difference: Difference, sigma: Mapping[str, float]) -> bool:
 def described(excused: Sequence[Difference], sigma: Mapping[str, float], most: int) -> str:
     """Return excused differences as text, such as ``calibration.notes[0], 433 numbers (...)``."""
     numbers = [
-        one for one in excused if one.kind == "value" and _is_number(one.stored) and _is_number(one.derived)
+        difference
+        for difference in excused
+        if difference.kind == "value" and _is_number(difference.stored) and _is_number(difference.derived)
     ]
-    places = list(dict.fromkeys(_place(one.where) for one in excused if one not in numbers))
+    places = list(
+        dict.fromkeys(_place(difference.where) for difference in excused if difference not in numbers)
+    )
     texts = places[:most]
     if len(places) > most:
         texts.append(f"{len(places) - most} more places")
@@ -261,11 +269,16 @@ def _sizes(numbers: Sequence[Difference], sigma: Mapping[str, float]) -> str:
     sigmas = [number for number in numbers if number.where.startswith(_SIGMA)]
     texts = []
     if values:
-        far = max(values, key=lambda one: abs(one.stored - one.derived) / sigma[names[one.where]])
+        far = max(
+            values,
+            key=lambda difference: (
+                abs(difference.stored - difference.derived) / sigma[names[difference.where]]
+            ),
+        )
         share = abs(far.stored - far.derived) / sigma[names[far.where]]
         texts.append(f"{names[far.where]} differs most, by {share:.2g} of its standard uncertainty")
     if sigmas:
-        far = max(sigmas, key=lambda one: abs(np.log(one.stored / one.derived)))
+        far = max(sigmas, key=lambda difference: abs(np.log(difference.stored / difference.derived)))
         texts.append(
             f"the standard uncertainty of {names[far.where]} is {far.stored:.3g}, here {far.derived:.3g}"
         )

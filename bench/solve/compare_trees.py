@@ -44,7 +44,7 @@ _BYTES_BY = ("starbench", "h5py", "numpy", "program")
 _REPORT_BY = ("starbench", "report_form", "numpy", "opencv-python-headless")
 _EXPORTS_BY = ("starbench", "export_form", "opencv-python-headless")
 _PRINCIPAL = re.compile(r" -I (\S+) -n ")
-_AROUND = 30
+_AROUND = 30  # Bytes: the words around a difference
 
 
 def compare_views(
@@ -58,7 +58,7 @@ def compare_views(
         what = error.what if isinstance(error, RunFolderError) else f"the file cannot be read ({error!r})"
         findings.fault("views", VIEWS, what)
         return None
-    names = [one.view.name for one in held], [one.view.name for one in again]
+    names = [held_view.view.name for held_view in held], [held_view.view.name for held_view in again]
     if names[0] != names[1]:
         findings.fault("views", VIEWS, f"it holds the poses {names[0]}; the {source} give {names[1]}")
         return None

@@ -16,7 +16,7 @@ from bench.record.stored_run import object_of
 
 _MOST_READ = 20
 """Runs whose results are read before the search is given up."""
-_LARGEST_BYTES = 100_000_000
+_LARGEST_BYTES = 100_000_000  # Far above the results of hundreds of poses
 
 
 class NotComparableError(Exception):
@@ -55,12 +55,12 @@ def _results_of(ledger: Ledger, place: Mapping[str, object], same: tuple[str, st
         return
     for run in runs:
         try:
-            found = read_sealed(Path(run.folder), run.seal or "")[0]
+            results = read_sealed(Path(run.folder), run.seal or "")[0]
         except NotComparableError:
             continue
-        run_of = found["run"].get("sequence"), found["run"].get("station")
-        if run_of == same and found["calibration"]["converged"]:
-            yield found
+        run_of = results["run"].get("sequence"), results["run"].get("station")
+        if run_of == same and results["calibration"]["converged"]:
+            yield results
 
 
 def read_sealed(folder: Path, seal: str) -> tuple[Results, str]:

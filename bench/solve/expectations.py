@@ -98,8 +98,10 @@ def _course(planned: Plan, bench: ExpectedBench, until: Until, poses: Poses) -> 
     wish = Wish(until.goals, {}, roll=False, needs_tag=True, min_stars=record.gates.min_stars)
     earlier = len(poses) - until.starts
     while True:
-        recorded, found = len(poses) - earlier, forecast_if_enough(bench, poses)
-        reached = {name: found.limited[name.removesuffix("_px")] for name in until.goals} if found else {}
+        recorded, expected = len(poses) - earlier, forecast_if_enough(bench, poses)
+        reached = (
+            {name: expected.limited[name.removesuffix("_px")] for name in until.goals} if expected else {}
+        )
         if reached and all(reached[name] <= goal for name, goal in until.goals.items()):
             text = f"Expected: about {recorded} poses until {goals_text(until.goals)}."
             return ExpectedCourse(until.first, recorded, reached, text)
@@ -124,13 +126,13 @@ def _course(planned: Plan, bench: ExpectedBench, until: Until, poses: Poses) -> 
             why += f" {would_leave(missed, goal, choice.at_end[missed], until.at_most)}"
             break
         poses.append(dict(choice.angles_deg))
-    if found is not None:
+    if expected is not None:
         worst = max(reached, key=lambda name: reached[name] / until.goals[name])
         left = beside_goal(reached[worst], until.goals[worst], 2)
         why += (
             f" The step ends after about {recorded} poses; {meaning_of_goal(worst)} is then about {left} px."
         )
-        why += f" {largest_part(found, QUANTITIES[worst])}."
+        why += f" {largest_part(expected, QUANTITIES[worst])}."
     return ExpectedCourse(until.first, None, reached, f"Expected: {why}")
 
 

@@ -60,7 +60,7 @@ NOT_WRITTEN = "not-written.txt"
 Writer = Callable[[Calibration, str], bytes]
 
 TABLES, CAMERA_INFO, PREVIEW = "undistort.npz", "camera_info.yaml", "preview.png"
-_GAP_PX = 8
+_GAP_PX = 8  # A visible line between two pictures
 
 
 class FormatCannotCarry(BenchError):
@@ -213,23 +213,23 @@ def camera_info(
 
 def kalibr_camchain(calibration: Calibration, camera_name: str) -> bytes:
     """Write a Kalibr camchain; `FormatCannotCarry` if its coefficients do not project as the lens does."""
-    told, content = kalibr_camera(calibration.camera, camera_name)
-    return told + yaml_bytes({"cam0": content})
+    remark, content = kalibr_camera(calibration.camera, camera_name)
+    return remark + yaml_bytes({"cam0": content})
 
 
 def kalibr_camera(camera: CameraModel, camera_name: str) -> tuple[bytes, dict[str, Any]]:
     """Return a remark and the content of one camera of a camchain, as `kalibr_camchain` writes it."""
     refuse_beyond((*OPENCV, *FISHEYE), camera, "Kalibr's camchain")
-    whole, told = camera, b""
+    whole, remark = camera, b""
     if not camera.is_fisheye and set(camera.distortion) - set(_RADTAN):
         camera, change_px = nearest_lens(camera, _RADTAN)
         if not change_px <= _MOST_CHANGE_PX:
             refuse_beyond(_RADTAN, whole, "Kalibr's radtan")
-        told = (
+        remark = (
             f"# Kalibr's radtan has no k3. These values were fitted to those of results.json: they project the same"
             f" within {change_px:.1g} px.\n"
         ).encode()
-    return told, {
+    return remark, {
         "camera_model": "pinhole",
         "intrinsics": [camera.fx, camera.fy, camera.cx, camera.cy],
         "distortion_model": "equidistant" if camera.is_fisheye else "radtan",
@@ -360,17 +360,17 @@ WRITERS: Mapping[str, Writer] = {
 
 
 def undistorted_files(
-    camera: CameraModel, found: Undistortion, preview: NDArray[Any] | None
+    camera: CameraModel, undistortion: Undistortion, preview: NDArray[Any] | None
 ) -> Mapping[str, bytes]:
     """Return the files by name; the preview is an (H, W) picture of the camera."""
-    matrix = found.camera.matrix
+    matrix = undistortion.camera.matrix
     tables = BytesIO()
     np.savez_compressed(
         tables,
-        rays=found.rays,
-        rectified_px=found.rectified_px,
-        map_x=found.map_px[..., 0],
-        map_y=found.map_px[..., 1],
+        rays=undistortion.rays,
+        rectified_px=undistortion.rectified_px,
+        map_x=undistortion.map_px[..., 0],
+        map_y=undistortion.map_px[..., 1],
         camera_matrix=matrix,
         projection_matrix=np.column_stack([matrix, np.zeros(3)]),
     )
@@ -380,7 +380,7 @@ def undistorted_files(
     except FormatCannotCarry as refusal:
         files[NOT_WRITTEN] = f"{CAMERA_INFO}: {refusal}\n".encode()
     if preview is not None:
-        files[PREVIEW] = cv2.imencode(".png", _side_by_side(preview, found))[1].tobytes()
+        files[PREVIEW] = cv2.imencode(".png", _side_by_side(preview, undistortion))[1].tobytes()
     return files
 
 
@@ -397,10 +397,10 @@ def read_picture_for(path: Path, camera: CameraModel) -> NDArray[Any]:
     return picture
 
 
-def _side_by_side(picture: NDArray[Any], found: Undistortion) -> NDArray[np.uint8]:
+def _side_by_side(picture: NDArray[Any], undistortion: Undistortion) -> NDArray[np.uint8]:
     """Return the picture before and after, side by side."""
     before = to_uint8(picture)
-    map_x, map_y = np.moveaxis(found.map_px, 2, 0)
+    map_x, map_y = np.moveaxis(undistortion.map_px, 2, 0)
     after = cv2.remap(before, map_x, map_y, cv2.INTER_LINEAR, borderValue=0)
     gap = np.full((len(before), _GAP_PX), 255, np.uint8)
     return np.hstack([before, gap, np.asarray(after, np.uint8)])

@@ -153,8 +153,8 @@ def last_solve(planned: Plan) -> SolveStep | None:
     return None
 
 
-def largest_part(found: Forecast, quantity: str) -> str:
+def largest_part(expected: Forecast, quantity: str) -> str:
     """Return the largest part of the uncertainty of a column of the budget, as text without a full stop."""
-    parts = {row.name: row.contribution.get(quantity, 0.0) for row in found.budget_rows}
+    parts = {row.name: row.contribution.get(quantity, 0.0) for row in expected.budget_rows}
     largest = max(parts, key=lambda name: parts[name])
     return f"Its largest part is: {largest}, {SMALLEST_COVERAGE_FACTOR * parts[largest]:.2g} px (k = 2)"

@@ -53,14 +53,14 @@ def decide_until(
     check: Callable[[], None],
 ) -> UntilDecided:
     """Calibrate from the accepted recordings, and decide what follows; ``check`` raises to stop the run."""
-    found, readings = accepted_measurements(job, folder, history, measured, check)
+    measurements, readings = accepted_measurements(job, folder, history, measured, check)
     options = solve_options(job, step.solve, readings)
     try:
-        calibration, why = calibrate(views_in(found), options), ""
+        calibration, why = calibrate(views_in(measurements), options), ""
     except CalibrationError as error:
         calibration, why = None, str(error)
     check()
-    return decide(step, job, history, Interim(found, calibration, why, options.passport))
+    return decide(step, job, history, Interim(measurements, calibration, why, options.passport))
 
 
 def decide(step: ChooseStep, job: Job, history: History, interim: Interim) -> UntilDecided:

@@ -130,8 +130,11 @@ def choose_pose(
         chosen = _best_of(weigher.before, [chosen, *finer], wish, lacks, taken_deg)
     expected = _expected(weigher.before, chosen.after, wish)
     later = weigher.best(grid[:: max(1, len(grid) // LATER_CANDIDATES)], wish.more)
-    lasts = [expected, *(_expected(weigher.before, one.after, wish) for one in later[-1:])]
-    at_end = {name: min(one[name] for one in lasts) for name in expected}
+    lasts = [
+        expected,
+        *(_expected(weigher.before, uncertainties.after, wish) for uncertainties in later[-1:]),
+    ]
+    at_end = {name: min(uncertainties[name] for uncertainties in lasts) for name in expected}
     return Choice(_rounded(chosen.angles_deg), expected, at_end, lacks, _reason(wish, lacks))
 
 
@@ -151,8 +154,8 @@ def _bench(
 def _found(station: Station, calibration: Calibration, poses: int) -> ExpectedBench:
     """Return the bench that a calibration found."""
     if calibration.collimator is not None:
-        found = calibration.collimator
-        collimator = Collimator(found.x, found.y, found.r)
+        estimated = calibration.collimator
+        collimator = Collimator(estimated.x, estimated.y, estimated.r)
     else:  # the planar model has a centre for each view
         x, y, z = (float(value) for value in calibration.centres.mean(axis=0))
         collimator = Collimator(x, y, abs(z))

@@ -129,8 +129,8 @@ def calibrate_paths(
     if kept is not None:
         sources = [with_kept_views(source, kept) for source in sources]
     result = calibrate_sources(sources, choices, progress)
-    beside = [sentence for path in paths for sentence in left_beside(path)]
-    return replace(result, paths=tuple(paths), skipped=[*result.skipped, *beside])
+    left = [sentence for path in paths for sentence in left_beside(path)]
+    return replace(result, paths=tuple(paths), skipped=[*result.skipped, *left])
 
 
 def only_view(paths: Sequence[Path], choices: OfflineOptions) -> View | None:
@@ -284,7 +284,10 @@ def views_of_one_size(views: Sequence[View], sized: Sequence[bool]) -> list[View
     width, height = (max(sides) for sides in zip(*(view.image_size for view in views), strict=True))
     if len(known) > 1 or (known and (width, height) not in known):
         sizes = {view.image_size for view in views}
-        named = [([one.name for one in views if one.image_size == size], size) for size in sorted(sizes)]
+        named = [
+            ([each_view.name for each_view in views if each_view.image_size == size], size)
+            for size in sorted(sizes)
+        ]
         named.sort(key=lambda group: len(group[0]))
         listed = ", ".join(f"{w} x {h} px ({_some(names)})" for names, (w, h) in named)
         raise BenchError(

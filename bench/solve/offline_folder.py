@@ -55,10 +55,10 @@ class SealedBy:
 def require_new(folder: Path) -> None:
     """Refuse a folder that holds anything."""
     with storage_errors(folder):
-        found = next(folder.iterdir(), None) if folder.is_dir() else None
-    if found is not None:
+        occupant = next(folder.iterdir(), None) if folder.is_dir() else None
+    if occupant is not None:
         raise UsageError(
-            f"The folder is not empty: it contains {found.name}.",
+            f"The folder is not empty: it contains {occupant.name}.",
             where=str(folder),
             remedy="Choose a new folder; results are never overwritten.",
         )
@@ -138,7 +138,7 @@ def offline_results(
         **calculated(result.calibration, result.planar, result.passport, result.readings, result.views),
         "poses": _pose_rows(result),
         "gates": [],
-        **({"conformity": told} if (told := result.conformity) else {}),
+        **({"conformity": conformity} if (conformity := result.conformity) else {}),
         "deviations": [f"Left out: {why}" for why in result.skipped],
         "sources": list(sources),
         "truth": None,
@@ -171,7 +171,7 @@ def _run_facts(result: OfflineResult, name: str, sealed_by: SealedBy | None) -> 
         "collimator": collimator_data(job) if job else None,
         **({"board": str(result.board)} if result.board is not None else {}),
         **({"target": stated} if job and (stated := target_data(job)) else {}),
-        "simulated": any(one.simulated for one in jobs),
+        "simulated": any(planned_job.simulated for planned_job in jobs),
         "camera": "frame" if frames else "event",
         "software": files_software(source.path.suffix for source in result.sources),
     }

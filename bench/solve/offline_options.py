@@ -182,14 +182,14 @@ def parse_image_size(text: str | None, where: str = "--image-size") -> tuple[int
     """Return width and height, px, of an option WIDTHxHEIGHT; None if it is not given."""
     if text is None:
         return None
-    found = re.fullmatch(r"([1-9]\d{0,5})[xX]([1-9]\d{0,5})", text.strip())
-    if found is None:
+    size = re.fullmatch(r"([1-9]\d{0,5})[xX]([1-9]\d{0,5})", text.strip())
+    if size is None:
         raise UsageError(
             f"{text!r} is not an image size.",
             where=where,
             remedy="Write it as WIDTHxHEIGHT: 1280x720.",
         )
-    return int(found[1]), int(found[2])
+    return int(size[1]), int(size[2])
 
 
 def _parse_view_numbers(text: str | None) -> tuple[int, ...] | None:

@@ -37,7 +37,7 @@ _OF_TIME: Final = frozenset({0x6, 0x8, 0xE, 0xF})
 """Types of EVT3 words that hold no event: times, and what the camera says of itself."""
 _MOST_OTHERS: Final = 16
 """Words of a row or a vector whose events were cut off when the recording ended."""
-_BLOCK_WORDS: Final = 1 << 19
+_BLOCK_WORDS: Final = 1 << 19  # 1 MB: the last time stamp stands in the last block of nearly every file
 
 
 def check_recorded_with(folder: Path) -> Findings:

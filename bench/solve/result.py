@@ -59,11 +59,11 @@ def keep_views_of_run(job: Job, history: History, measured: Mapping[int, Measure
         return 0
     kept, count = KeptViews.of_bench(), 0
     for index, attempt in history.accepted().items():
-        found = measured.get(index)
-        if found is None or found.view is None:
+        measurement = measured.get(index)
+        if measurement is None or measurement.view is None:
             continue
         options = decided_by_run(job, job.record_step(index), attempt)
-        kept.write(view_key(str(attempt.stored["sha256"]), options), found.view)
+        kept.write(view_key(str(attempt.stored["sha256"]), options), measurement.view)
         count += 1
     return count if not kept.remarks else 0
 
@@ -132,9 +132,9 @@ class ResultWriter:
         )
         for name, data in shown.items():
             self._folder.write_atomic(name, data)
-        found = verdict(results)
+        judged = verdict(results)
         self.outcome = Outcome(
-            results, self._folder.path / REPORT, head, {"kind": found.kind, "headline": found.headline}
+            results, self._folder.path / REPORT, head, {"kind": judged.kind, "headline": judged.headline}
         )
 
 
@@ -180,30 +180,33 @@ def previous_calibration(
     return {"run": None, "why_not": why}
 
 
-def _refuse_other_camera(found: Results, results: Results) -> None:
+def _refuse_other_camera(earlier: Results, results: Results) -> None:
     """Refuse a result whose images, lens or lens model are others."""
-    then, now = found["calibration"], results["calibration"]
+    then, now = earlier["calibration"], results["calibration"]
     if not then["converged"]:
         raise NotComparableError("it did not converge.")
     if list(then["image_size"]) != list(now["image_size"]):
         raise NotComparableError("its images had another size.")
     if is_fisheye(then["camera"]) != is_fisheye(now["camera"]):
         raise NotComparableError("it used another kind of lens model.")
-    lens, own = ((one.get("devices") or {}).get("camera", {}).get("lens") for one in (found, results))
+    lens, own = (
+        (results_of_either.get("devices") or {}).get("camera", {}).get("lens")
+        for results_of_either in (earlier, results)
+    )
     if lens != own:
         raise NotComparableError(f"the camera had another lens: {lens or 'not stated'}.")
 
 
-def _compared(run: LedgerRun, found: Results, sha256: str, results: Results) -> PreviousData:
+def _compared(run: LedgerRun, last: Results, sha256: str, results: Results) -> PreviousData:
     """Return the earlier calibration with the change of the projection, in px and in units of its uncertainty."""
     try:
-        _refuse_other_camera(found, results)
-        covariance = camera_covariance(found["calibration"])
+        _refuse_other_camera(last, results)
+        covariance = camera_covariance(last["calibration"])
     except (KeyError, TypeError, AttributeError) as error:
         raise NotComparableError("its results are not readable.") from error
     if covariance is None:
         raise NotComparableError("its uncertainties are not complete.")
-    then, run_of, conditions = found["calibration"], found["run"], found.get("conditions")
+    then, run_of, conditions = last["calibration"], last["run"], last.get("conditions")
     earlier: CameraData = {
         "image_size": list(then["image_size"]),
         "model": then["model"],

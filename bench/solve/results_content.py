@@ -57,25 +57,25 @@ def projection_facts(
     By the camera's covariance, (K, K), along the worse direction; U = k u (JCGM 100:2008, 6.2.1); ``points`` (N, 2) px
     a view. None if no corner has an uncertainty.
     """
-    found, size = projection_uncertainty(camera, covariance), camera.image_size
-    corners = {name: float(found.sigma_px[at]) for name, at in _CORNERS.items()}
+    uncertainty, size = projection_uncertainty(camera, covariance), camera.image_size
+    corners = {name: float(uncertainty.sigma_px[at]) for name, at in _CORNERS.items()}
     known = {name: sigma for name, sigma in corners.items() if np.isfinite(sigma)}
     if not known:
         return None
     worst = max(known, key=lambda name: known[name])
-    middle_px, middle_arcsec = np.nanmedian(found.sigma_px), np.nanmedian(found.sigma_arcsec)
+    middle_px, middle_arcsec = np.nanmedian(uncertainty.sigma_px), np.nanmedian(uncertainty.sigma_arcsec)
     return {
         "coverage_factor": k,
         "worst_corner": {
             "corner": worst,
             "expanded_px": k * known[worst],
-            "expanded_urad": k * URAD_PER_ARCSEC * float(found.sigma_arcsec[_CORNERS[worst]]),
+            "expanded_urad": k * URAD_PER_ARCSEC * float(uncertainty.sigma_arcsec[_CORNERS[worst]]),
         },
         "median": {
             "expanded_px": k * float(middle_px),
             "expanded_urad": k * URAD_PER_ARCSEC * float(middle_arcsec),
         },
-        "supported": _supported(found, np.concatenate(points), size, k) if points else None,
+        "supported": _supported(uncertainty, np.concatenate(points), size, k) if points else None,
     }
 
 
@@ -115,7 +115,7 @@ def results_content(
     failed = [gate["name"] for gate in gates if gate["verdict"] == "fail"]
     # PASS or FAIL by the limits of the station and the sequence, and by a check, as far as there are any.
     judged_limits = conformity(numbers["calibration"], job.limits, failed, checks="check" in solution.checks)
-    found = {
+    content = {
         "schema": SCHEMA,
         "run": {**of_journal.pop("run"), "software": dict(software_used)},
         "devices": of_journal.pop("devices"),
@@ -130,7 +130,7 @@ def results_content(
         "truth": dict(truth) if truth is not None else None,
         "comparison": compare_with_truth(calibration, truth) if truth is not None else [],
     }
-    return cast("Results", found)
+    return cast("Results", content)
 
 
 def calculated(
@@ -223,10 +223,8 @@ def other_engine(results: Results) -> str:
     if ENGINES.get(made["name"]) == made["version"]:
         return ""
     here = " and ".join(f"{name} {number}" for name, number in ENGINES.items())
-    told = f"{made['name']} {made['version']}" if made["version"] else made["name"]
-    return (
-        f"made by another calibration engine ({told}; this version has {here}), so no number can be compared"
-    )
+    engine = f"{made['name']} {made['version']}" if made["version"] else made["name"]
+    return f"made by another calibration engine ({engine}; this version has {here}), so no number can be compared"
 
 
 def _conditions(history: History, kind: CameraKind) -> Conditions:

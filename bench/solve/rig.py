@@ -40,9 +40,9 @@ from drivers.camera.raw_file import RawFile
 Pair = Sequence[Path]
 Array = NDArray[np.float64]
 
-_MOST_BYTES = 20_000_000
-_FARTHEST_MM = 1e6
-_LARGEST_VARIANCE = 1e12
+_MOST_BYTES = 20_000_000  # Far above a file of two cameras
+_FARTHEST_MM = 1e6  # A kilometre between two cameras is another unit
+_LARGEST_VARIANCE = 1e12  # The square of the above
 
 _NAMES = ("cam0", "cam1")
 
@@ -57,12 +57,12 @@ class RigFound:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result as plain numbers, lists and names, ready for JSON."""
-        told = {**self.rig.to_dict(), "skipped": list(self.skipped)}
+        content = {**self.rig.to_dict(), "skipped": list(self.skipped)}
         if not self.clocks:
-            return told
+            return content
         rate, sigma = common_rate(self.clocks)
         every = [asdict(clock) for clock in self.clocks]
-        return {**told, "clocks": {"rate_ppm": rate, "sigma_rate_ppm": sigma, "recordings": every}}
+        return {**content, "clocks": {"rate_ppm": rate, "sigma_rate_ppm": sigma, "recordings": every}}
 
 
 def find_rig(
@@ -141,8 +141,10 @@ def _by_cameras(
 ) -> RigFound:
     """Return the rig by boards, with the intrinsics of files."""
     require_common_views(paths[0], paths[1], choices)
-    seen, skipped = _board_views(paths, [_sized(choices, one) for one in stated], reading)
-    start = stated_cameras(stated[0].camera, stated[1].camera, [one.covariance for one in stated])
+    seen, skipped = _board_views(paths, [_sized(choices, stated_camera) for stated_camera in stated], reading)
+    start = stated_cameras(
+        stated[0].camera, stated[1].camera, [stated_camera.covariance for stated_camera in stated]
+    )
     return RigFound(with_boards(start, seen[0], seen[1], choices.board), tuple(skipped))
 
 
@@ -153,12 +155,12 @@ def _sized(choices: OfflineOptions, stated: CameraFile) -> OfflineOptions:
 def _board_views(
     paths: Pair, choices: Sequence[OfflineOptions], reading: _Reading
 ) -> tuple[list[list[View]], list[str]]:
-    found = [
+    read = [
         read_views(list(view_sources(path, own)), reading.reached)
         for path, own in zip(paths, choices, strict=True)
     ]
-    beside = [sentence for path in paths for sentence in left_beside(path)]
-    return [views for views, *_ in found], [reason for *_, skipped in found for reason in skipped] + beside
+    left = [sentence for path in paths for sentence in left_beside(path)]
+    return [views for views, *_ in read], [reason for *_, skipped in read for reason in skipped] + left
 
 
 def find_clocks(folders: Sequence[Pair], choices: OfflineOptions) -> tuple[ClockOffset, ...]:
@@ -271,25 +273,25 @@ def _metres(rig: Rig) -> Array:
 
 def _extrinsics(rig: Rig) -> bytes:
     """Write the extrinsics.json of Metavision SDK 5: the slave's pose for a point of the master."""
-    one = {
+    extrinsics = {
         "camera": _NAMES[1],
         "rvec": log_map(rig.rotation[None])[0].tolist(),
         "tvec": _metres(rig).tolist(),
     }
-    return (json.dumps({"T_slave_master": [one]}, indent=4) + "\n").encode()
+    return (json.dumps({"T_slave_master": [extrinsics]}, indent=4) + "\n").encode()
 
 
 def _camchain(rig: Rig) -> dict[str, bytes]:
     """Write Kalibr's camchain; ``T_cn_cnm1`` takes points of the camera before to this one."""
-    told, chain = b"", {}
+    remarks, chain = b"", {}
     for name, camera in zip(_NAMES, (rig.first, rig.second), strict=True):
         remark, chain[name] = kalibr_camera(camera, name)
-        told += remark
+        remarks += remark
         chain[name]["cam_overlaps"] = [1 - _NAMES.index(name)]
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rig.rotation, _metres(rig)
     chain[_NAMES[1]]["T_cn_cnm1"] = pose.tolist()
-    return {"kalibr_camchain.yaml": told + yaml_bytes(chain)}
+    return {"kalibr_camchain.yaml": remarks + yaml_bytes(chain)}
 
 
 def _stereo(rig: Rig) -> dict[str, bytes]:

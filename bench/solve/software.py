@@ -43,10 +43,10 @@ def files_software(endings: Iterable[str]) -> dict[str, str]:
 
 def plugins_of_run(station: Station) -> dict[str, dict[str, list[str]]]:
     """Return ``plugins`` of a station as ``run_started`` states them, ``["stage turntable"]`` a package; or nothing."""
-    found: dict[str, list[str]] = {}
+    by_distribution: dict[str, list[str]] = {}
     for plugin in used_plugins(station):
-        found.setdefault(plugin.distribution, []).append(f"{plugin.kind} {plugin.name}")
-    return {"plugins": found} if found else {}
+        by_distribution.setdefault(plugin.distribution, []).append(f"{plugin.kind} {plugin.name}")
+    return {"plugins": by_distribution} if by_distribution else {}
 
 
 def plugins_stated(started: RunStarted) -> dict[str, str]:

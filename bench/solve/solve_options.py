@@ -52,7 +52,7 @@ def stated_focus(station: Station) -> TargetFocus | None:
     defocus, pupil = station.collimator.defocus, station.collimator.pupil_to_focus_mm
     if defocus is None and pupil is None:
         return None
-    return TargetFocus(*((one.value, one.sigma) if one else None for one in (defocus, pupil)))
+    return TargetFocus(*((stated.value, stated.sigma) if stated else None for stated in (defocus, pupil)))
 
 
 def stated_radial_sigma(station: Station) -> float | None:
@@ -103,13 +103,13 @@ def limited_numbers(calibration: Calibration) -> dict[str, float]:
 
     U = k u (JCGM 100:2008, 6.2.1); corners by the camera's covariance, along the worst direction.
     """
-    found = {"rms": calibration.rms_px, "mean": calibration.mean_px}
-    found |= {f"sigma_{name}": value for name, value in calibration.sigma.items()}
-    found |= {f"expanded_{name}": calibration.U[name] for name in ("fx", "fy")}
+    numbers = {"rms": calibration.rms_px, "mean": calibration.mean_px}
+    numbers |= {f"sigma_{name}": value for name, value in calibration.sigma.items()}
+    numbers |= {f"expanded_{name}": calibration.U[name] for name in ("fx", "fy")}
     corners = projection_uncertainty(calibration.camera, calibration.camera_covariance).sigma_px
     k = calibration.coverage_factors.get(WORST_CORNER, calibration.coverage_factor)
-    found[WORST_CORNER] = k * float(np.nanmax(corners[[0, 0, -1, -1], [0, -1, 0, -1]], initial=0.0))
-    return found
+    numbers[WORST_CORNER] = k * float(np.nanmax(corners[[0, 0, -1, -1], [0, -1, 0, -1]], initial=0.0))
+    return numbers
 
 
 def readings_result(
@@ -155,11 +155,11 @@ def _why_not(
         return "The planar model frees the centre of each view, so readings do not determine it."
     if calibration.model == "spherical":
         return "The spherical model is a method of reference: it uses no readings."
-    found = calibration.gimbal
-    if found is None:
+    gimbal = calibration.gimbal
+    if gimbal is None:
         return "They took no part in this calibration. Its notes give the reason."
     return (
-        f"They contradict the stars: {found.rms_deg:.2g} degrees RMS, chi-square {found.chi_square:.4g} with "
-        f"{found.degrees_of_freedom} degrees of freedom. Check the station's gimbal section, the signs and scales of "
+        f"They contradict the stars: {gimbal.rms_deg:.2g} degrees RMS, chi-square {gimbal.chi_square:.4g} with "
+        f"{gimbal.degrees_of_freedom} degrees of freedom. Check the station's gimbal section, the signs and scales of "
         "the axes, and the collimator's passport."
     )

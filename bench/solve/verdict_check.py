@@ -18,32 +18,34 @@ def check_verdict(folder: Path) -> Findings:
 
     A verdict by another version of the program is not compared: its rules and its words may have been others.
     """
-    found, run = Findings(), StoredRun(folder)
+    findings, run = Findings(), StoredRun(folder)
     if not (folder / RESULTS).is_file():
-        return found
+        return findings
     try:
         results = run.results_as_written
         due = verdict(results)
         made = results["run"]["software"]
         causes = {"causes": list(results.get("causes", ()))}
     except RunFolderError as error:
-        found.fault("results", RESULTS, error.what.rstrip("."))
-        return found
+        findings.fault("results", RESULTS, error.what.rstrip("."))
+        return findings
     except UNREADABLE as error:
-        found.fault("results", RESULTS, f"the results give no verdict ({error!r})")
-        return found
+        findings.fault("results", RESULTS, f"the results give no verdict ({error!r})")
+        return findings
     for difference in differences({"causes": list(run.history.solved.get("causes", ()))}, causes):
-        found.fault(
+        findings.fault(
             "journal",
             JOURNAL,
             f"what a person did to the bench is another thing in the results: {difference}",
         )
     if other_software(made, ["program"]):
-        return found
+        return findings
     stated = run.history.verdict
     if stated is None:
-        found.fault("journal", JOURNAL, "it states no verdict, though this version of the program writes one")
+        findings.fault(
+            "journal", JOURNAL, "it states no verdict, though this version of the program writes one"
+        )
     elif (stated["kind"], stated["headline"]) != (due.kind, due.headline):
         what = f"its verdict is {stated['headline']!r} ({stated['kind']})"
-        found.fault("journal", JOURNAL, f"{what}; by the results it is {due.headline!r} ({due.kind})")
-    return found
+        findings.fault("journal", JOURNAL, f"{what}; by the results it is {due.headline!r} ({due.kind})")
+    return findings

@@ -71,14 +71,14 @@ def _brought() -> Mapping[Kind, Sequence[EntryPoint]]:
 @functools.cache
 def plugins(kind: Kind) -> tuple[Plugin, ...]:
     """Load the plug-ins of a kind, by name, once a process. No exception of a plug-in passes through."""
-    found: dict[str, Plugin] = {}
+    by_name: dict[str, Plugin] = {}
     for entry in sorted(_brought()[kind], key=lambda entry: entry.name):
         plugin = _load(kind, entry)
-        if (other := found.get(entry.name)) is not None and other.package != plugin.package:
+        if (other := by_name.get(entry.name)) is not None and other.package != plugin.package:
             trouble = f"two packages bring this driver: {other.package} and {plugin.package}"
             plugin = Plugin(kind, entry.name, plugin.package, None, trouble)
-        found[entry.name] = plugin
-    return tuple(found.values())
+        by_name[entry.name] = plugin
+    return tuple(by_name.values())
 
 
 def with_plugins(
@@ -90,8 +90,13 @@ def with_plugins(
     """
     taken = {name for section in built_in for name in _driver_names(section)}
     brought = [plugin for plugin in plugins(kind) if plugin.name not in taken]
-    models = [*built_in, *(_broken(one) if one.section is None else one.section for one in brought)]
-    former = {name: why for name, why in taken_out.items() if name not in {one.name for one in brought}}
+    models = [
+        *built_in,
+        *(_broken(addition) if addition.section is None else addition.section for addition in brought),
+    ]
+    former = {
+        name: why for name, why in taken_out.items() if name not in {addition.name for addition in brought}
+    }
 
     def refuse_former(value: Any) -> Any:
         name = value.get("driver") if isinstance(value, Mapping) else None

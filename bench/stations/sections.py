@@ -118,8 +118,8 @@ class _Section(StrictModel):
         """Controllers of the device: one for each axis with a port or a serial number of its own, else one."""
         parts = [*getattr(self, "axes", {}).values()] or [self]
         port, serial = (getattr(self, key, None) for key in ("port", "serial"))
-        found = [(getattr(part, "port", port), getattr(part, "serial", serial)) for part in parts]
-        return list(dict.fromkeys((own, number) for own, number in found if own is not None))
+        used = [(getattr(part, "port", port), getattr(part, "serial", serial)) for part in parts]
+        return list(dict.fromkeys((own, number) for own, number in used if own is not None))
 
     @property
     def ports(self) -> tuple[str, ...]:

@@ -63,9 +63,11 @@ def draft_station(
     ports = iter([*(port for port in free_ports(discovery) if port not in taken), UNKNOWN_PORT, UNKNOWN_PORT])
     stage_port = asked_stage.port if asked_stage else next(ports)
     light_port = asked_light.port if asked_light else next(ports)
-    usable = [one for one in discovery.cameras if not one.trouble and (one.serial or one.source)]
+    usable = [
+        listed for listed in discovery.cameras if not listed.trouble and (listed.serial or listed.source)
+    ]
     wanted = CAMERAS if camera is None else [camera]
-    first = next((one for driver in wanted for one in usable if one.driver == driver), None)
+    first = next((listed for driver in wanted for listed in usable if listed.driver == driver), None)
     draft = Template(DRAFT.read_text(encoding="utf-8"), trim_blocks=True, keep_trailing_newline=True)
     return draft.render(
         ports=discovery.ports,

@@ -116,8 +116,8 @@ class TextStageConfig(SerialLine, AnyStage):
     def described(self) -> StageProtocol:
         """The description; read from the working directory's point of view unless `use_descriptions` has read it."""
         if self._read is None:
-            found = read_stage_protocol(find_description(self.protocol, None))
-            self._read = found.value, found.text
+            description = read_stage_protocol(find_description(self.protocol, None))
+            self._read = description.value, description.text
         return self._read[0]
 
     @property
@@ -159,8 +159,8 @@ class TextLightConfig(SerialLine, AnyLight):
     def described(self) -> LightProtocol:
         """The description; see `TextStageConfig.described`."""
         if self._read is None:
-            found = read_light_protocol(find_description(self.protocol, None))
-            self._read = found.value, found.text
+            description = read_light_protocol(find_description(self.protocol, None))
+            self._read = description.value, description.text
         return self._read[0]
 
     @property
@@ -198,12 +198,12 @@ def use_descriptions(station: Located[Any]) -> None:
 
 def description_documents(station: Any) -> dict[str, bytes]:
     """Return bytes by file name of the descriptions that a run folder keeps."""
-    found = {}
+    documents = {}
     for name, copy in PROTOCOL_COPIES.items():
         section = getattr(station, name)
         if isinstance(section, TextStageConfig | TextLightConfig) and section.described and section._read:  # noqa: SLF001 - same module
-            found[copy] = section._read[1]  # noqa: SLF001 - same module
-    return found
+            documents[copy] = section._read[1]  # noqa: SLF001 - same module
+    return documents
 
 
 def _use(station: Located[Any], name: str, section: TextStageConfig | TextLightConfig) -> list[Fault]:

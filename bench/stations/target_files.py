@@ -96,7 +96,7 @@ def use_of(target: TargetConfig, optics: Optics) -> TargetUse:
         last[1] * pattern.pitch_mm - middle[1],
     ]
     left, right, up, down = (math.degrees(math.atan(float(side) / optics.r_mm)) for side in sides)
-    found = TargetUse(
+    use = TargetUse(
         stars=len(pattern.ids),
         pitch_px=pitch_px,
         stars_in_view=int(np.count_nonzero(whole)),
@@ -107,7 +107,7 @@ def use_of(target: TargetConfig, optics: Optics) -> TargetUse:
         beam_deg=None if optics.half_angle_deg is None else 2.0 * optics.half_angle_deg,
         warnings=(),
     )
-    return TargetUse(**{**found.to_dict(), "warnings": tuple(_warnings(found, pattern, optics))})
+    return TargetUse(**{**use.to_dict(), "warnings": tuple(_warnings(use, pattern, optics))})
 
 
 def _full_deg(pixels: int, optics: Optics) -> float:
@@ -115,32 +115,30 @@ def _full_deg(pixels: int, optics: Optics) -> float:
     return 2.0 * math.degrees(math.atan(0.5 * pixels / optics.focal_px))
 
 
-def _warnings(found: TargetUse, pattern: StarTarget, optics: Optics) -> list[str]:
+def _warnings(use: TargetUse, pattern: StarTarget, optics: Optics) -> list[str]:
     """Return what speaks against a target."""
     warnings = []
-    if found.segment_px < _CLEAR_SEGMENT_PX:
-        share = "hardly any star is" if found.segment_px < _LEAST_SEGMENT_PX else "some stars are not"
-        wanted = math.ceil(100.0 * pattern.pitch_mm * _CLEAR_SEGMENT_PX / found.segment_px) / 100.0
+    if use.segment_px < _CLEAR_SEGMENT_PX:
+        share = "hardly any star is" if use.segment_px < _LEAST_SEGMENT_PX else "some stars are not"
+        wanted = math.ceil(100.0 * pattern.pitch_mm * _CLEAR_SEGMENT_PX / use.segment_px) / 100.0
         warnings.append(
-            f"A segment of a star is {found.segment_px:.1f} px wide: {share} found. Use a pitch of at least"
+            f"A segment of a star is {use.segment_px:.1f} px wide: {share} found. Use a pitch of at least"
             f" {wanted:g} mm, fewer segments, or a longer lens."
         )
-    if found.stars_in_view < _GOOD_STARS:
+    if use.stars_in_view < _GOOD_STARS:
         worse = (
-            "fewer than a recording needs"
-            if found.stars_in_view < _FEW_STARS
-            else "few for poses at the edge"
+            "fewer than a recording needs" if use.stars_in_view < _FEW_STARS else "few for poses at the edge"
         )
         warnings.append(
-            f"{found.stars_in_view} stars in view are {worse}: use a smaller pitch, a shorter lens or a wider beam."
+            f"{use.stars_in_view} stars in view are {worse}: use a smaller pitch, a shorter lens or a wider beam."
         )
-    if found.tag_px < _LEAST_TAG_PX:
+    if use.tag_px < _LEAST_TAG_PX:
         warnings.append(
-            f"The tag is {found.tag_px:.0f} px wide: too small to be read. Use more squares for it (tag_squares)."
+            f"The tag is {use.tag_px:.0f} px wide: too small to be read. Use more squares for it (tag_squares)."
         )
-    if found.tag_px > _TAG_SHARE * min(optics.image_size):
+    if use.tag_px > _TAG_SHARE * min(optics.image_size):
         warnings.append(
-            f"The tag is {found.tag_px:.0f} px wide, more than half of the image's height: the frame cuts it in many"
+            f"The tag is {use.tag_px:.0f} px wide, more than half of the image's height: the frame cuts it in many"
             " poses. Use fewer squares for it (tag_squares), or a smaller pitch."
         )
     if pattern.tag_family not in _FAMILIES:
@@ -151,9 +149,9 @@ def _warnings(found: TargetUse, pattern: StarTarget, optics: Optics) -> list[str
         warnings.append(
             f"With {pattern.segments} segments, stars may not be found while the frame cuts the tag. Use 16."
         )
-    if optics.half_angle_deg is not None and min(found.target_deg) < optics.half_angle_deg:
+    if optics.half_angle_deg is not None and min(use.target_deg) < optics.half_angle_deg:
         warnings.append(
-            f"The target ends {min(found.target_deg):.1f} degrees from the tag, inside the beam of"
+            f"The target ends {min(use.target_deg):.1f} degrees from the tag, inside the beam of"
             f" {optics.half_angle_deg:g} degrees: poses at the edge of the beam see no stars there."
         )
     return warnings

@@ -157,7 +157,9 @@ def _marks(target: TargetConfig, field: tuple[float, float]) -> list[Rectangle]:
     pitch = target.pitch_mm
     room = [0.5 * (glass - cells) / pitch for glass, cells in zip(target.size_mm, field, strict=True)]
     text = title_of(target)
-    if wrong := "".join(dict.fromkeys(one for one in text if not (one.isascii() and one.isprintable()))):
+    if wrong := "".join(
+        dict.fromkeys(letter for letter in text if not (letter.isascii() and letter.isprintable()))
+    ):
         raise UsageError(
             f"The serial number has letters that cannot be drawn: {wrong}",
             where="target.serial",

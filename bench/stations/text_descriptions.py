@@ -31,8 +31,8 @@ _WORDS: Final = {"waveform": {"square", "sine", "steady"}, "sync": {"on", "off"}
 def made_of(kind: type[_D], *sections: StrictModel, **others: Any) -> _D:
     """Return a driver's object. Each field that ``others`` does not give comes from the first section that has it."""
     names = [field.name for field in fields(kind) if field.name not in others]
-    found = {name: next(getattr(part, name) for part in sections if hasattr(part, name)) for name in names}
-    return kind(**{name: _for_driver(value) for name, value in found.items()}, **others)
+    values = {name: next(getattr(part, name) for part in sections if hasattr(part, name)) for name in names}
+    return kind(**{name: _for_driver(value) for name, value in values.items()}, **others)
 
 
 def _for_driver(value: Any) -> Any:
@@ -49,9 +49,9 @@ def template(text: str, known: frozenset[str], readable: frozenset[str] | None) 
         raise PydanticCustomError("template", "{fault}", {"fault": str(fault)}) from fault
 
 
-def _has(found: Template, value: str, where: str) -> None:
+def _has(template: Template, value: str, where: str) -> None:
     """Refuse a template without the value that it must have."""
-    if value and value not in found.read_names:
+    if value and value not in template.read_names:
         raise PydanticCustomError(
             "no_value",
             "the value is missing; write {name} where it {where}.",

@@ -58,7 +58,7 @@ _HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
 }
 _SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
-_COOKIE_AGE_S = 30 * 24 * 3600
+_COOKIE_AGE_S = 30 * 24 * 3600  # A month: the page of a bench stays open
 
 
 class Guard:

@@ -21,10 +21,10 @@ from bench.base.errors import RunFolderError, UsageError
 from bench.base.failure import FORESEEN, Failure
 
 ASSETS = Path(__file__).parent / "assets"
-_MOST_BYTES = 16_384
-BODY_S = 10.0
+_MOST_BYTES = 16_384  # Requests of the pages have some hundred
+BODY_S = 10.0  # They arrive at once; a slow sender holds a connection
 _WHOLE_NUMBER = re.compile(r"[0-9]{1,15}")
-_NOT_FOUND, _CONFLICT, _INVALID = 404, 409, 400
+_NOT_FOUND, _CONFLICT, _INVALID = 404, 409, 400  # HTTP
 
 Lifespan = Callable[[Starlette], AbstractAsyncContextManager[None]]
 
@@ -51,14 +51,14 @@ async def read_object(request: Request) -> dict[str, Any]:
                 body += part
                 if len(body) > _MOST_BYTES:
                     raise UsageError("The request is too long.", remedy="Load the page again.")
-        found = parse_json(body)
+        content = parse_json(body)
     except TimeoutError as error:
         raise UsageError("The request did not end in time.", remedy="Load the page again.") from error
     except ValueError as error:
         raise UsageError("The request is not JSON.", remedy="Load the page again.") from error
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise UsageError("The request is not a JSON object.", remedy="Load the page again.")
-    return found
+    return content
 
 
 def whole_number(text: str) -> int:

@@ -30,9 +30,9 @@ from bench.web.token import PageToken, address_of, require_token
 
 LOOPBACK = "127.0.0.1"
 _SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
-_CLOSE_S = 2
-HEAD_S = 10.0
-_BACKLOG = 128
+_CLOSE_S = 2  # Streams never end by themselves
+HEAD_S = 10.0  # A request's head arrives at once; a slow sender holds a connection
+_BACKLOG = 128  # That of Python's own servers
 
 
 def print_line(text: str) -> None:

@@ -21,7 +21,7 @@ from starlette.types import Receive, Scope, Send
 HEARTBEAT_S = 2.0
 CLOSING = "starbench.closing"
 """Key of the ASGI scope: an event that is set when the server closes; every stream then ends."""
-_RETRY_MS = 500
+_RETRY_MS = 500  # A page is back soon after a restart
 _HEADERS = [
     (b"content-type", b"text/event-stream; charset=utf-8"),
     (b"cache-control", b"no-store"),

@@ -19,12 +19,12 @@ from pathlib import Path
 from bench.base.errors import UsageError
 
 TOKEN_VARIABLE = "STARBENCH_PAGE_TOKEN"  # noqa: S105 - the name of a variable
-LEAST_LENGTH = 12
-MADE_BYTES = 16
+LEAST_LENGTH = 12  # Characters; wrong ones are limited too
+MADE_BYTES = 16  # 128 bit
 NAME_BYTES = 8  # 64 bits in the name of a host: no page of another site can guess where the cookie goes
-_MOST_WRONG, _WRONG_WINDOW_S = 10, 60.0
-_MOST_CLIENTS = 1000
-_USER_COLUMN = 7
+_MOST_WRONG, _WRONG_WINDOW_S = 10, 60.0  # A person mistypes less often; guessing stays hopeless
+_MOST_CLIENTS = 1000  # A scan from many addresses must not fill the memory
+_USER_COLUMN = 7  # Of /proc/net/tcp: uid
 
 
 @dataclass(frozen=True)

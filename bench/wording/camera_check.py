@@ -21,10 +21,10 @@ _CAUSES = {
 
 def check_sentences(check: CheckData) -> Iterator[str]:
     """Yield whether the calibration is right, where it is not, and the cause; or how large a change may be unseen."""
-    worst = max(check["regions"], key=lambda one: one["normalised"])
+    worst = max(check["regions"], key=lambda region: region["normalised"])
     there = f"{worst['name']}, at ({worst['at_px'][0]:.0f}, {worst['at_px'][1]:.0f})"
     if check["right"]:
-        unseen = max(one["expanded_px"] for one in check["regions"])
+        unseen = max(region["expanded_px"] for region in check["regions"])
         yield f"RIGHT within U everywhere on the sensor: the largest E_n is {worst['normalised']:.2f} ({there})."
         yield f"A change of the image of less than {unseen:.2f} px can stay unseen by these views."
         return

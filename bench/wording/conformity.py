@@ -30,13 +30,13 @@ def conformity_headline(conformity: ConformityData) -> str:
             if conformity["passed"]
             else "FAIL: the checked calibration is not right, or a gate failed."
         )
-    kept = sum(one["verdict"] == "pass" for one in conformity["statements"])
+    kept = sum(statement["verdict"] == "pass" for statement in conformity["statements"])
     return f"{'PASS' if conformity['passed'] else 'FAIL'}: {kept} of {len(conformity['statements'])} limits kept."
 
 
 def conformity_sentences(conformity: ConformityData) -> list[str]:
     """Return a sentence for each limit, those that are not kept first, then the other reasons and the decision rule."""
-    ordered = sorted(conformity["statements"], key=lambda one: one["verdict"] == "pass")
+    ordered = sorted(conformity["statements"], key=lambda statement: statement["verdict"] == "pass")
     rule = [f"Decision rule: {conformity['rule']}."] if ordered else []
     return [*map(_statement_text, ordered), *conformity["reasons"], *rule]
 

@@ -15,8 +15,8 @@ from typing import Any
 NOTHING = "\N{EN DASH}"
 """Printed in place of a missing value."""
 MINUS = "\N{MINUS SIGN}"
-_MILLI_FROM_URAD = 1000.0
-_ARCSEC_PER_TENTH_DEGREE = 360.0
+_MILLI_FROM_URAD = 1000.0  # Urad: from here on in mrad
+_ARCSEC_PER_TENTH_DEGREE = 360.0  # From here on in degrees
 
 
 _DIGITS = 2

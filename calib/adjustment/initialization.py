@@ -143,7 +143,7 @@ def best_start(bundle: Bundle, starts: Sequence[AdjustmentParameters]) -> Adjust
     thinned = bundle.thinned(_COMPARISON_STARS)
 
     first = _refined_starts(thinned, starts, _FIRST_STEPS)
-    last = _refined_starts(thinned, [one.parameters for one in first[:_FINALISTS]], _FINAL_STEPS)
+    last = _refined_starts(thinned, [start.parameters for start in first[:_FINALISTS]], _FINAL_STEPS)
     if not last or not _is_camera(last[0]):
         raise DegenerateViews(
             "No camera fits these views.",
@@ -158,7 +158,7 @@ def _refined_starts(
     """Refine all starts by some steps; return those with finite cost, real cameras first, then by cost."""
     ends = (refine(bundle, start, Loss("l2"), steps, _COMPARISON_TOLERANCE) for start in starts)
     finite = (end for end in ends if np.isfinite(end.cost))
-    return sorted(finite, key=lambda one: (not _is_camera(one), one.cost))
+    return sorted(finite, key=lambda start: (not _is_camera(start), start.cost))
 
 
 def _is_camera(refined: Refinement[AdjustmentParameters]) -> bool:
@@ -172,7 +172,9 @@ def _about(
 ) -> list[AdjustmentParameters]:
     """Return the parameters of cameras, each with a known centre."""
     centres = np.array([collimator.centre for collimator in collimators])
-    turns = rotations_from_centre(homographies, np.array([one.matrix for one in cameras]), centres)
+    turns = rotations_from_centre(
+        homographies, np.array([view_camera.matrix for view_camera in cameras]), centres
+    )
     offsets = np.zeros((len(homographies), 3))
     return [
         AdjustmentParameters(camera, Collimator(collimator.x, collimator.y, collimator.r), rotations, offsets)

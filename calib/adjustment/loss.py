@@ -52,10 +52,10 @@ class Loss:
         The curvature is rho'' along the residual (zero where negative, so that every step descends) and rho' / e across
         it: Triggs et al. (2000), section 4.3, who also limit it where it is negative; the root is this project's own.
         """
-        away = lengths(residuals)
-        ux, uy = residuals.T / np.maximum(away, np.finfo(float).tiny)
-        along = np.sqrt(np.maximum(self.second_derivatives(away), 0.0))
-        across = np.sqrt(self.weights(away))
+        distance = lengths(residuals)
+        ux, uy = residuals.T / np.maximum(distance, np.finfo(float).tiny)
+        along = np.sqrt(np.maximum(self.second_derivatives(distance), 0.0))
+        across = np.sqrt(self.weights(distance))
         excess = along - across
         shared = excess * ux * uy
         return np.array([[across + excess * ux * ux, shared], [shared, across + excess * uy * uy]])

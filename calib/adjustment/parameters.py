@@ -108,8 +108,8 @@ def views_of_poses(rotations: Array) -> list[list[int]]:
 
 def require_distinct_poses(parameters: AdjustmentParameters) -> None:
     """Refuse views that all show the same pose, within half a degree: only noise would determine the focal length."""
-    away = (parameters.rotations - parameters.rotations[0]).reshape(-1, 9)
-    if np.linalg.norm(away, axis=1).max() < _chord(_SAME_POSE_DEG):
+    difference = (parameters.rotations - parameters.rotations[0]).reshape(-1, 9)
+    if np.linalg.norm(difference, axis=1).max() < _chord(_SAME_POSE_DEG):
         raise DegenerateViews(
             f"All {len(parameters.rotations)} views show the same pose.",
             remedy="Turn the camera by some degrees between views.",

@@ -17,7 +17,7 @@ KINDS: tuple[Kind, ...] = ("checkerboard", "circles", "asymmetric-circles")
 
 _TEXT = re.compile(r"([a-z-]+):(\d{1,3})x(\d{1,3}):(\d+(?:\.\d+)?)(\w*)", re.IGNORECASE)
 _MM = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "um": 0.001, "in": 25.4}
-_FEWEST, _MOST = 3, 200
+_FEWEST, _MOST = 3, 200  # Points along a side: less gives no homography; more is no print
 
 
 @dataclass(frozen=True)
@@ -62,22 +62,22 @@ class Board:
         >>> Board.parse("checkerboard:11x7:20mm").columns
         11
         """
-        found = _TEXT.fullmatch(text)
-        if found is None:
+        parts = _TEXT.fullmatch(text)
+        if parts is None:
             raise InputMismatch(
                 f"{text!r} does not describe a board.",
                 where="board",
                 remedy="Write KIND:COLUMNSxROWS:PITCHmm, such as checkerboard:11x7:20mm (count the inner corners), "
                 "or circles:9x6:25mm.",
             )
-        unit = found[5].lower()
+        unit = parts[5].lower()
         if unit != "mm":
             raise InputMismatch(
                 f"The pitch of {text!r} has {'another unit than mm' if unit else 'no unit'}.",
                 where="board",
-                remedy=f"Write {float(found[4]) * _MM.get(unit, 1.0):g}mm, if that is right.",
+                remedy=f"Write {float(parts[4]) * _MM.get(unit, 1.0):g}mm, if that is right.",
             )
-        return cls(cast("Kind", found[1].lower()), int(found[2]), int(found[3]), float(found[4]))
+        return cls(cast("Kind", parts[1].lower()), int(parts[2]), int(parts[3]), float(parts[4]))
 
     @property
     def nodes(self) -> Ints:

@@ -82,8 +82,8 @@ def located_view(image: Array32, coarse: Array, board: Board, ids: Ints, name: s
     points, covariances = locate_points(image, coarse, board, ids)
     kept = np.asarray(np.isfinite(points).all(axis=1))
     if kept.mean() < _LEAST_SHARE:
-        found = f"Only {np.count_nonzero(kept)} of {len(kept)} points of the board could be located."
-        raise TargetNotFound(found, remedy=remedy)
+        what = f"Only {np.count_nonzero(kept)} of {len(kept)} points of the board could be located."
+        raise TargetNotFound(what, remedy=remedy)
     size, ids = (image.shape[1], image.shape[0]), ids[kept]
     return View(name, size, ids, points[kept], board.points_mm[ids], covariances[kept])
 
@@ -93,10 +93,10 @@ def find_board(grey: Bytes, board: Board) -> Array:
 
     Checkerboards: Duda and Frese (2018), as OpenCV has it. Circles: OpenCV's ``findCirclesGrid``.
     """
-    found = find_points(grey, board)
-    if found is None:
+    view = find_points(grey, board)
+    if view is None:
         raise TargetNotFound(f"No {board.words} was found.", remedy=_remedy(grey, board))
-    return found
+    return view
 
 
 def find_points(grey: Bytes, board: Board) -> Array | None:
@@ -109,8 +109,10 @@ def find_points(grey: Bytes, board: Board) -> Array | None:
         flags, blobs = grid | cv2.CALIB_CB_CLUSTERING, _blobs(grey.shape)
         both = (grey, np.asarray(255 - grey, np.uint8))
         tried = (cv2.findCirclesGrid(shown, size, flags=flags, blobDetector=blobs) for shown in both)
-    found = (np.asarray(points, np.float64).reshape(-1, 2) for ok, points in tried if ok)
-    return next((points for points in found if board.kind == "checkerboard" or _is_even(points, board)), None)
+    patterns = (np.asarray(points, np.float64).reshape(-1, 2) for ok, points in tried if ok)
+    return next(
+        (points for points in patterns if board.kind == "checkerboard" or _is_even(points, board)), None
+    )
 
 
 def _is_even(points: Array, board: Board) -> bool:

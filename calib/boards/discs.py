@@ -104,17 +104,17 @@ def _surroundings(image: Array32, guesses: Array, local_map: LocalMap, cell: flo
     height, width = image.shape
     inside = (at >= 0).all(axis=2) & (at[..., 0] < width) & (at[..., 1] < height)
     values = image[at[..., 1].clip(0, height - 1), at[..., 0].clip(0, width - 1)].astype(float)
-    away = np.linalg.norm(_places(at.astype(float), guesses, local_map), axis=2)
-    cells = inside & (away <= cell)
-    middle = inside & ((away < 0.1 * cell) | (away == away.min(axis=1, keepdims=True)))
+    distance = np.linalg.norm(_places(at.astype(float), guesses, local_map), axis=2)
+    cells = inside & (distance <= cell)
+    middle = inside & ((distance < 0.1 * cell) | (distance == distance.min(axis=1, keepdims=True)))
     level, ground, mean = (
         np.sum(values * part, axis=1) / np.maximum(part.sum(axis=1), 1)
-        for part in (middle, cells & (away > 0.9 * cell), cells)
+        for part in (middle, cells & (distance > 0.9 * cell), cells)
     )
     share = np.divide(mean - ground, level - ground, out=np.full(len(mean), 0.3), where=level != ground)
     radius, pitch = cell * np.sqrt(share.clip(0.02, 0.9)), _pitches(local_map)
     band = _BAND_PX / pitch + _BAND_SHARE * radius
-    used = cells & (np.abs(away - radius[:, None]) <= band[:, None])
+    used = cells & (np.abs(distance - radius[:, None]) <= band[:, None])
     order = np.argsort(~used, axis=1, kind="stable")[:, : used.sum(axis=1).max()]
     rows = np.arange(len(order))[:, None]
     return _Pixels(at[rows, order].astype(float), values[rows, order], used[rows, order]), radius
@@ -143,10 +143,10 @@ def _columns(pixels: _Pixels, disc: tuple[Array, Array, Array], local_map: Local
     """
     centres, radius, width = disc
     s = _places(pixels.at, centres, local_map)
-    x, y, away = s[..., 0], s[..., 1], np.linalg.norm(s, axis=2)
-    outwards = _gradient(s, away, local_map)  # of the distance from the centre, pitches per px
+    x, y, distance_pitches = s[..., 0], s[..., 1], np.linalg.norm(s, axis=2)
+    outwards = _gradient(s, distance_pitches, local_map)  # of the distance from the centre, pitches per px
     steep = np.linalg.norm(outwards, axis=2)
-    distance = (away - radius[:, None]) / steep
+    distance = (distance_pitches - radius[:, None]) / steep
     wide, curved = width[:, None], 0.5 / (radius * _pitches(local_map))[:, None]
     z = distance / wide + wide * curved
     share, density = ndtr(z), np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi)
@@ -162,11 +162,11 @@ def _columns(pixels: _Pixels, disc: tuple[Array, Array, Array], local_map: Local
     return np.concatenate([moved, others, linear], axis=-1), off
 
 
-def _gradient(s: Array, away: Array, local_map: LocalMap) -> Array:
+def _gradient(s: Array, distance: Array, local_map: LocalMap) -> Array:
     """Return the gradient in the image, (N, P, 2) pitches per px, of the distance from the centre on the board."""
     a, b = local_map.linear[:, None], local_map.quadratic[:, None]
     x, y = s[..., 0], s[..., 1]
     xx, xy = (a[..., i, 0] + 2 * b[..., i, 0] * x + b[..., i, 1] * y for i in (0, 1))
     yx, yy = (a[..., i, 1] + b[..., i, 1] * x + 2 * b[..., i, 2] * y for i in (0, 1))
-    scale = 1.0 / (np.maximum(away, 1e-12) * (xx * yy - yx * xy))
+    scale = 1.0 / (np.maximum(distance, 1e-12) * (xx * yy - yx * xy))
     return np.stack([(yy * x - xy * y) * scale, (xx * y - yx * x) * scale], axis=-1)

@@ -40,7 +40,7 @@ _TARGET, _CERTIFICATE = "target positions", "lengths of the certificate"
 _UNITS = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4, "micrometres": 0.001}
 #: Pitches and radii outside of these ranges are implausible, mm.
 PLAUSIBLE_PITCH_MM = (0.05, 500.0)
-PLAUSIBLE_R_MM = (5.0, 50_000.0)
+PLAUSIBLE_R_MM = (5.0, 50_000.0)  # From a lens as collimator to a mirror of an observatory
 #: A ratio of radii names a unit if it is within this factor of it. A closed-form radius is known to some 20 per cent.
 _TOLERANCE = 1.5
 #: Closed forms with a free and with a central principal point agree within this factor if the views show the radius.
@@ -87,21 +87,25 @@ def find_duplicates(views: Sequence[View]) -> list[str]:
             groups.append([view])
         else:
             same.append(view)
-    told = [_same_words(group) for group in groups if len(group) > 1]
-    alike = [words for one, other in combinations(groups, 2) if (words := _alike_words(one[0], other[0]))]
+    sentences = [_same_words(group) for group in groups if len(group) > 1]
+    alike = [
+        words
+        for view_group, other in combinations(groups, 2)
+        if (words := _alike_words(view_group[0], other[0]))
+    ]
     more = len(alike) - _MOST_NAMED
     left = (
         [f"{more} more pairs of views are nearly the same measurement."] if more > 1 else alike[_MOST_NAMED:]
     )
-    return [*told, *alike[:_MOST_NAMED], *left]
+    return [*sentences, *alike[:_MOST_NAMED], *left]
 
 
-def _apart(one: View, other: View) -> tuple[int, float]:
+def _apart(first: View, other: View) -> tuple[int, float]:
     """Return the number of common points and their rms distance, px; infinite if too few are common."""
-    _, here, there = np.intersect1d(one.ids, other.ids, assume_unique=True, return_indices=True)
-    if len(here) < max(_FEWEST, _COMMON_SHARE * min(len(one), len(other))):
+    _, here, there = np.intersect1d(first.ids, other.ids, assume_unique=True, return_indices=True)
+    if len(here) < max(_FEWEST, _COMMON_SHARE * min(len(first), len(other))):
         return len(here), np.inf
-    return len(here), rms_length(one.points_px[here] - other.points_px[there])
+    return len(here), rms_length(first.points_px[here] - other.points_px[there])
 
 
 def _same_words(group: Sequence[View]) -> str:
@@ -114,13 +118,13 @@ def _same_words(group: Sequence[View]) -> str:
     return f"Views {listed} are the same measurement: {points}. They count once; leave {leave} out."
 
 
-def _alike_words(one: View, other: View) -> str:
+def _alike_words(first: View, other: View) -> str:
     """Return a sentence on two views that are too much alike for two recordings; empty if they are not."""
-    common, rms = _apart(one, other)
-    both = f"Views {one.name} and {other.name}"
+    common, rms = _apart(first, other)
+    both = f"Views {first.name} and {other.name}"
     if rms > _NEAR_PX:
         return ""
-    noise = float(np.fmin(noise_px(one), noise_px(other)))
+    noise = float(np.fmin(noise_px(first), noise_px(other)))
     if rms / np.sqrt(2.0) >= _TOO_MUCH_ALIKE * np.sqrt(2.0) * noise:
         return ""
     return (
@@ -172,8 +176,8 @@ def closed_form_radius(views: Sequence[View]) -> float | None:
     """
     h, size = np.array([view_homography(view) for view in views]), views[0].image_size
     both = [linear_solution(h, size, free_principal_point=free) for free in (True, False)]
-    found = [one[1].r for one in both if one is not None]
-    return found[0] if found and max(found) < _ALIKE * min(found) else None
+    radii = [closed_form[1].r for closed_form in both if closed_form is not None]
+    return radii[0] if radii and max(radii) < _ALIKE * min(radii) else None
 
 
 def _unit(ratio: float) -> str:
@@ -212,8 +216,8 @@ def check_image_size(views: Sequence[View], camera: CameraModel, sigma_px: tuple
     """
     size = np.array(views[0].image_size, float)
     point = np.array([camera.cx, camera.cy])
-    away = np.abs(point - (size - 1) / 2)
-    if not (away - 4.0 * np.array(sigma_px) > _FAR_FROM_MIDDLE * size).any():
+    offset_px = np.abs(point - (size - 1) / 2)
+    if not (offset_px - 4.0 * np.array(sigma_px) > _FAR_FROM_MIDDLE * size).any():
         return ""
 
     def explains(known: Array) -> bool:
@@ -223,7 +227,7 @@ def check_image_size(views: Sequence[View], camera: CameraModel, sigma_px: tuple
     reached = _reached(views)
     plausible = _known_size(reached, _NEAR_BORDER, explains)
     text = (
-        f"The principal point lies {np.hypot(*away):.0f} px from the middle of the stated image size "
+        f"The principal point lies {np.hypot(*offset_px):.0f} px from the middle of the stated image size "
         f"{views[0].image_size[0]} x {views[0].image_size[1]}, and no point lies beyond x = {reached[0]:.0f} and "
         f"y = {reached[1]:.0f}."
     )
@@ -241,7 +245,7 @@ def _known_size(
     reached: Array, share: float, explains: Callable[[Array], bool] = lambda _known: True
 ) -> Size | None:
     """Return the smallest known size that explains the views, and whose border they reach to a share of it, or None."""
-    for size in sorted(KNOWN_SIZES, key=lambda one: one[0] * one[1]):
+    for size in sorted(KNOWN_SIZES, key=lambda size: size[0] * size[1]):
         known = np.array(size, float)
         close = (reached <= known - 1.0 + _OUTSIDE_PX) & (known - reached < share * known)
         if close.all() and explains(known):

@@ -118,8 +118,8 @@ class SeenRotations:
         smooth.append(np.linspace(-1.0, 1.0, len(x)))
         alike = np.kron(np.transpose(smooth) @ np.array(smooth), np.eye(3))
         shapes = [readings, *(np.eye(len(stated)) + ratio**2 * alike for ratio in _SMOOTH)]
-        found = [linalg.eigh(stated, shape) for shape in shapes]
-        return [Scatter(np.maximum(eigenvalues, _LEAST), basis) for eigenvalues, basis in found]
+        pairs = [linalg.eigh(stated, shape) for shape in shapes]
+        return [Scatter(np.maximum(eigenvalues, _LEAST), basis) for eigenvalues, basis in pairs]
 
     @cached_property
     def _variances(self) -> Array:
@@ -140,10 +140,10 @@ class SeenRotations:
         start = near.camera_from_head, near.base_from_target, values
         fit = fit_at(self.rotations, model, np.eye(len(self.covariance)), start)
         for _ in range(_ROUNDS):
-            found, scattered = self._scatter(fit)
+            scatter, scattered = self._scatter(fit)
             start = fit.camera_from_head, fit.base_from_target, fit.values
-            fit = refine(self.rotations, model, found.whitening, start)
-        return Explanation(fit, found, scattered, float(self.likelihoods(fit, [model.faults])[0]))
+            fit = refine(self.rotations, model, scatter.whitening, start)
+        return Explanation(fit, scatter, scattered, float(self.likelihoods(fit, [model.faults])[0]))
 
     def _scatter(self, fit: GimbalFit) -> tuple[Scatter, bool]:
         """Return the scatter about a fit, and whether none is decisively less likely."""
@@ -222,10 +222,13 @@ def search_faults(
         known = current.fit.model.faults
         new = [fault for fault in places if fault not in known]
         tried = [(*known, *combination) for count in (1, 2) for combination in combinations(new, count)]
-        worth = seen.likelihoods(current.fit, tried) - [_cost(one, cost) for one in tried]
+        worth = seen.likelihoods(current.fit, tried) - [_cost(tried_faults, cost) for tried_faults in tried]
         models = [replace(current.fit.model, faults=tried[k]) for k in np.argsort(-worth)[:_FITTED]]
-        found = [current, *(seen.explain(model, current.fit) for model in models)]
-        best = max(found, key=lambda one: one.likelihood - _cost(one.fit.model.faults, cost))
+        explanations = [current, *(seen.explain(model, current.fit) for model in models)]
+        best = max(
+            explanations,
+            key=lambda explanation: explanation.likelihood - _cost(explanation.fit.model.faults, cost),
+        )
         if best is current:
             break
         current = best
@@ -257,10 +260,14 @@ def _described(
     spread = model.of(fault, model.of(fault, explanation.covariance[6:, 6:]).T)
     value = model.of(fault, explanation.fit.values)
     size = float(value[0] if fault.size == 1 else np.linalg.norm(value))
-    others = tuple(one for one in model.faults if one != fault)
-    rivals = [(*others, one) for one in cost if one.kind != fault.kind and one not in others]
+    others = tuple(fault_kind for fault_kind in model.faults if fault_kind != fault)
+    rivals = [
+        (*others, fault_kind)
+        for fault_kind in cost
+        if fault_kind.kind != fault.kind and fault_kind not in others
+    ]
     tried = [model.faults, others, *rivals]
-    worth = seen.likelihoods(explanation.fit, tried) - [_cost(one, cost) for one in tried]
+    worth = seen.likelihoods(explanation.fit, tried) - [_cost(fault_kind, cost) for fault_kind in tried]
     worth[1] -= DECISIVE
     best = int(worth[2:].argmax()) if rivals else 0
     undecided = bool(rivals) and worth[2 + best] > worth[0] - DECISIVE

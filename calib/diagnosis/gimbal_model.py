@@ -89,7 +89,7 @@ class GimbalModel:
     def of(self, fault: Fault, values: Array) -> Array:
         """Return the (size,) part of (p, ...) values that belongs to a fault."""
         at = self.faults.index(fault)
-        first = len(self.free) + sum(one.size for one in self.faults[:at])
+        first = len(self.free) + sum(earlier_fault.size for earlier_fault in self.faults[:at])
         return values[first : first + fault.size]
 
     def turned(self, values: Array) -> tuple[Array, Array, Array]:
@@ -148,8 +148,8 @@ def first_scales(rotations: Array, model: GimbalModel) -> Array:
     i, j = np.triu_indices(len(rotations), 1)
     read = np.deg2rad(model.angles[i] - model.angles[j])[:, list(model.free)] ** 2
     seen = _pairs(rotations) ** 2
-    found = pair_ratios(rotations, model, model.start)
-    ratio = found.ratio if found else 1.0
+    ratios = pair_ratios(rotations, model, model.start)
+    ratio = ratios.ratio if ratios else 1.0
     squares = np.full(len(model.free), ratio**2)
     for _ in range(_RATIO_STEPS):
         off = np.abs(seen - read @ squares)
@@ -272,12 +272,12 @@ def global_fit(rotations: Array, model: GimbalModel, whitening: Array, values: A
     of an axis reversed gives the same rotations.
     """
     tried: list[Array] = []
-    found = []
+    fits = []
     for a, b in zip(*mountings(rotations, model.turned(values)[0]), strict=True):
         if all(np.abs(a - other).max() > _SAME for other in tried):
             tried.append(a)
-            found.append(refine(rotations, model, whitening, (a, b, values)))
-    return sorted(found, key=lambda fit: (not scales_near(fit, values), fit.chi_square))
+            fits.append(refine(rotations, model, whitening, (a, b, values)))
+    return sorted(fits, key=lambda fit: (not scales_near(fit, values), fit.chi_square))
 
 
 def scales_near(fit: GimbalFit, values: Array) -> bool:

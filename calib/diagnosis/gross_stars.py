@@ -60,7 +60,8 @@ def find_gross_stars(views: Sequence[View]) -> tuple[GrossStars, ...]:
 def without_gross_stars(views: Sequence[View], gross: Sequence[GrossStars]) -> list[View]:
     """Return the views without their gross errors; a view that has none is the same object."""
     return [
-        view.part(~one.wrong) if one.wrong.any() else view for view, one in zip(views, gross, strict=True)
+        view.part(~stars.wrong) if stars.wrong.any() else view
+        for view, stars in zip(views, gross, strict=True)
     ]
 
 
@@ -83,18 +84,18 @@ def _gross_stars(view: View) -> GrossStars:
         h, right.target_mm / spacing, right.points_px, view.target_mm[wrong] / spacing
     )
     distances = np.linalg.norm(view.points_px[wrong] - predicted, axis=1)
-    found = wrong.copy()
-    found[wrong] = far = distances > LIMIT_PX  # right stars amid many wrong ones seem wrong too
-    return GrossStars(view.name, found, distances[far])
+    is_wrong = wrong.copy()
+    is_wrong[wrong] = far = distances > LIMIT_PX  # right stars amid many wrong ones seem wrong too
+    return GrossStars(view.name, is_wrong, distances[far])
 
 
 def used_stars(views: Sequence[View], guard_band: float, wrong: Sequence[GrossStars]) -> list[Bools]:
     """Return for each view which stars are neither in a guard band (share of the disc's radius; 1: none) nor wrong."""
-    used = [~one.wrong for one in wrong] or [np.ones(len(view), np.bool_) for view in views]
+    used = [~stars.wrong for stars in wrong] or [np.ones(len(view), np.bool_) for view in views]
     discs = visible_discs(views) if guard_band < 1.0 else []
     if discs:  # else the rim is nowhere in view, and no star is near it
         inside = [inside_guard_band(view, disc, guard_band) for view, disc in zip(views, discs, strict=True)]
-        used = [own & one for own, one in zip(used, inside, strict=True)]
+        used = [own & stars for own, stars in zip(used, inside, strict=True)]
     return used
 
 

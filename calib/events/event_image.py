@@ -293,7 +293,7 @@ def make_quick_image(counts: NDArray[np.uint16], periods: int) -> QuickImage:
         on, off = (np.minimum(part, np.uint16(periods)) for part in (on, off))
     image = cv2.add(on, off).astype(np.float32)
     image *= np.float32(0.5 / periods)
-    found = cv2.countNonZero(hot)
-    if found:
+    hot_pixels = cv2.countNonZero(hot)
+    if hot_pixels:
         cv2.copyTo(cv2.medianBlur(image, 3), hot, image)
-    return QuickImage(name, image, found)
+    return QuickImage(name, image, hot_pixels)

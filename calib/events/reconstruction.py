@@ -40,7 +40,7 @@ FORGOTTEN = 0.01
 """Later events are used up to the time at which their weight falls to this."""
 _LEAST_ACTIVE = 0.002
 _HOT_FACTOR, _HOT_OFFSET = 2.5, 8.0
-_MOST_PX = 10_000
+_MOST_PX = 10_000  # No sensor has more; a wrong number would ask for the memory
 
 
 @dataclass(frozen=True)
@@ -128,8 +128,8 @@ def reconstruct(
         while begun and begun[0][0] + reach_us <= events[0][-1]:
             yield _picture(*begun.popleft())
     begun.extend((time_us, past.sums_at(time_us), np.zeros((2, *size[::-1]))) for time_us in waiting)
-    for one in begun:
-        yield _picture(*one)
+    for picture in begun:
+        yield _picture(*picture)
 
 
 def _picture(at_us: float, past: Array, later: Array) -> ReconstructedPicture:

@@ -67,8 +67,8 @@ def _look_mm(view: View) -> Array:
 
 def inside_guard_band(view: View, disc: Disc, share: float) -> Bools:
     """Tell which stars, (N,), lie within a share of the disc's radius from its centre; all from a share of 1 on."""
-    away = np.linalg.norm(view.target_mm - disc.centre_mm, axis=1)
-    return np.asarray((away <= share * disc.radius_mm) | (share >= 1.0))
+    distance_mm = np.linalg.norm(view.target_mm - disc.centre_mm, axis=1)
+    return np.asarray((distance_mm <= share * disc.radius_mm) | (share >= 1.0))
 
 
 @dataclass(frozen=True)
@@ -86,9 +86,9 @@ class _Grid:
 
     def marked(self, stars_mm: Array) -> Bools:
         """Return an array of the grid's size: which nodes have one of the (N, 2) stars."""
-        found = np.zeros(self.size, np.bool_)
-        found[tuple(np.round((stars_mm - self.first_mm) / self.pitch_mm).astype(np.int64).T)] = True
-        return found
+        is_marked = np.zeros(self.size, np.bool_)
+        is_marked[tuple(np.round((stars_mm - self.first_mm) / self.pitch_mm).astype(np.int64).T)] = True
+        return is_marked
 
 
 def rims_of_stars(views: Sequence[View]) -> list[RimPoints]:
@@ -125,8 +125,8 @@ def _rim(view: View, grid: _Grid, not_printed: Bools) -> RimPoints:
     around, present = _around(state), state == _PRESENT
     nodes = grid.nodes_mm.reshape(*grid.size, 2)
     points = [
-        nodes[present & (beside == _ABSENT)] + 0.5 * grid.pitch_mm * step
-        for step, beside in zip(_NEIGHBOURS, around, strict=True)
+        nodes[present & (neighbour == _ABSENT)] + 0.5 * grid.pitch_mm * step
+        for step, neighbour in zip(_NEIGHBOURS, around, strict=True)
     ]
     rim = np.concatenate(points)
     lit = present & (around == _OUT_OF_FRAME).any(axis=0) & ~(around == _ABSENT).any(axis=0)
@@ -161,7 +161,7 @@ def _framed(view: View, grid: _Grid) -> Bools:
     h, nodes = view_homography(view), grid.nodes_mm
     in_front = nodes @ h[2, :2] + h[2, 2] > 0
     pixels = apply_homography(h, nodes)
-    beside = apply_homography(h, nodes + np.array([grid.pitch_mm, 0.0]))
-    border = _BORDER_PITCHES * np.linalg.norm(beside - pixels, axis=1)[:, None]
+    neighbours = apply_homography(h, nodes + np.array([grid.pitch_mm, 0.0]))
+    border = _BORDER_PITCHES * np.linalg.norm(neighbours - pixels, axis=1)[:, None]
     inside = ((pixels > border) & (pixels < np.array(view.image_size) - 1 - border)).all(axis=1)
     return np.asarray((inside & in_front).reshape(grid.size))

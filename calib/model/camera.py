@@ -47,7 +47,7 @@ _POINTS_ACROSS = 33
 _BLOCK = 200_000
 #: A point of the rectified image farther out than every ray of the sensor would fold back into the image.
 _BEYOND = 1.0 + 1e-6
-_OUTSIDE = -1.0
+_OUTSIDE = -1.0  # A place that `cv2.remap` fills with its border
 
 
 def distortion_names(chosen: str | Sequence[str]) -> tuple[str, ...]:
@@ -329,7 +329,7 @@ def _determinants(slopes: Array) -> Array:
 def require_image_size(camera: CameraModel, size: tuple[int, int], who: str) -> None:
     """Refuse what has another image size, px, than a known camera; ``who`` has it, such as "this view has"."""
     if camera.image_size != size:
-        sizes = [" x ".join(str(side) for side in one) for one in (camera.image_size, size)]
+        sizes = [" x ".join(str(side) for side in both) for both in (camera.image_size, size)]
         raise InputMismatch(
             f"The camera has {sizes[0]} px, {who} {sizes[1]} px.",
             remedy="Give a calibration of the same sensor and the same region of interest.",
@@ -395,11 +395,11 @@ def undistort(
     scale, middle = np.array([pinhole.fx, pinhole.fy]), np.array([pinhole.cx, pinhole.cy])
     reach = _BEYOND * np.nanmax(np.linalg.norm(plane, axis=1))
     wanted = (pixels - middle) / scale
-    found = _in_blocks(
+    image_px = _in_blocks(
         np.insert(wanted, 2, 1.0, axis=1), camera.project, lambda done, all_: progress(all_ + done, 2 * all_)
     )
-    seen = (np.linalg.norm(wanted, axis=1) <= reach) & np.isfinite(found).all(axis=1)
-    maps = np.where(seen[:, None], found, _OUTSIDE).astype(np.float32)
+    seen = (np.linalg.norm(wanted, axis=1) <= reach) & np.isfinite(image_px).all(axis=1)
+    maps = np.where(seen[:, None], image_px, _OUTSIDE).astype(np.float32)
     shape = (height, width)
     return Undistortion(
         rays.astype(np.float32).reshape(*shape, 3),
@@ -440,9 +440,9 @@ def _rectified(plane: Array, keep: float, image_size: tuple[int, int]) -> Camera
             remedy="Check the calibration: its distortion is too large.",
         )
     width, height = image_size
-    found = np.zeros(4)
+    bounds = np.zeros(4)
     for share, (first_x, last_x, first_y, last_y) in ((1.0 - keep, inner), (keep, outer)):
         fx, fy = (width - 1) / (last_x - first_x), (height - 1) / (last_y - first_y)
-        found += share * np.array([fx, fy, -fx * first_x, -fy * first_y])
-    fx, fy, cx, cy = found.tolist()
+        bounds += share * np.array([fx, fy, -fx * first_x, -fy * first_y])
+    fx, fy, cx, cy = bounds.tolist()
     return CameraModel(fx, fy, cx, cy, image_size)

@@ -137,7 +137,7 @@ def zhang_matrix(
     h, basis = to_unit @ homographies, _basis(unknown)
     h1, h2 = (h[:, :, column] / np.linalg.norm(h[:, :, 0], axis=1, keepdims=True) for column in (0, 1))
     crossed, first, second = (
-        np.einsum("ni,kij,nj->nk", one, basis, other) for one, other in ((h1, h2), (h1, h1), (h2, h2))
+        np.einsum("ni,kij,nj->nk", left, basis, other) for left, other in ((h1, h2), (h1, h1), (h2, h2))
     )
     rows = np.concatenate([crossed, first - second])
     solution, _, rank, _ = np.linalg.lstsq(rows[:, :-1], -rows[:, -1], rcond=1e-9)

@@ -120,9 +120,9 @@ def alike_errors(angles_deg: Array) -> Array:
     """
     apart = np.abs(angles_deg[:, None] - angles_deg)
     other_pose = apart.max(axis=2) > ONE_ANGLE_DEG
-    away = np.moveaxis(apart, 2, 0) / ALIKE_DEG
-    shared = ((away < _APART) & other_pose).any(axis=2)
-    return np.asarray(np.exp(-0.5 * away**2) * shared[:, :, None] * shared[:, None, :])
+    distance = np.moveaxis(apart, 2, 0) / ALIKE_DEG
+    shared = ((distance < _APART) & other_pose).any(axis=2)
+    return np.asarray(np.exp(-0.5 * distance**2) * shared[:, :, None] * shared[:, None, :])
 
 
 def angles_of(readings_deg: Sequence[Mapping[str, float]]) -> Array:

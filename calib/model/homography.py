@@ -13,7 +13,7 @@ from calib.errors import DegenerateViews, InputMismatch, TooFewStars, placed
 from calib.model.local_consistency import Nearest, contradicts_neighbours, nearest_stars
 from calib.view import View
 
-MIN_STARS = 4
+MIN_STARS = 4  # Eight unknowns, two numbers a point
 _REWEIGHTING_ROUNDS = 15
 #: A residual above this multiple of the typical one is an outlier: distortion alone does not cause it.
 _OUTLIER_RATIO = 4.0
@@ -160,13 +160,13 @@ def linear_at(h: Array, grid: Array) -> Array:
 def _normalised(points: Array) -> tuple[Array, Array]:
     """Centre points and scale them to mean distance sqrt 2 (Hartley, 1997); return also the (3, 3) similarity used."""
     mean = points.mean(axis=0)
-    away = points - mean
-    narrow, wide = np.linalg.eigvalsh(away.T @ away)
+    offset = points - mean
+    narrow, wide = np.linalg.eigvalsh(offset.T @ offset)
     if not narrow > 1e-6 * wide:
         raise DegenerateViews("All its points lie on one line.", remedy="Leave this view out.")
-    scale = np.sqrt(2.0) / np.hypot(away[:, 0], away[:, 1]).mean()
+    scale = np.sqrt(2.0) / np.hypot(offset[:, 0], offset[:, 1]).mean()
     similarity = np.array([[scale, 0.0, -scale * mean[0]], [0.0, scale, -scale * mean[1]], [0.0, 0.0, 1.0]])
-    return away * scale, similarity
+    return offset * scale, similarity
 
 
 def _direct_linear_transform(source: Array, image: Array, weights: Array) -> Array:

@@ -25,7 +25,8 @@ PRISM, TILT = ("s1", "s2", "s3", "s4"), ("tauX", "tauY")
 OPENCV = (*BROWN, *PRISM, *TILT)
 #: Numbers of coefficients that OpenCV's functions accept.
 OPENCV_LENGTHS = (4, 5, 8, 12, 14)
-_TANGENTIAL = (2, 3)
+_TANGENTIAL = (2, 3)  # Places of p1 and p2 among OpenCV's coefficients
+# Places of k1, k2, k3 and of the coefficient of r^8; the others stand in the denominator.
 _NUMERATOR = (0, 1, 4, 8)
 #: Power of r^2 of each radial coefficient, by its place in `_SERIES`.
 _POWERS = {0: 1, 1: 2, 4: 3, 5: 1, 6: 2, 7: 3, 8: 4}

@@ -154,17 +154,17 @@ def _outside_the_largest_patch(mapped: Array, off: Array, nearest: Nearest) -> B
     from scipy.sparse.csgraph import connected_components
 
     which = nearest.which
-    beside = nearest.distance <= _BESIDE * nearest.spacing
+    is_near = nearest.distance <= _BESIDE * nearest.spacing
     apart = np.linalg.norm(mapped[:, None] - mapped[which], axis=2)
-    agree = beside & (np.linalg.norm(off[:, None] - off[which], axis=2) <= _PATCH_SHARE * apart)
-    if agree.sum() < _ORDERED_SHARE * beside.sum():
-        return np.asarray(2 * agree.sum(axis=1) < beside.sum(axis=1))
+    agree = is_near & (np.linalg.norm(off[:, None] - off[which], axis=2) <= _PATCH_SHARE * apart)
+    if agree.sum() < _ORDERED_SHARE * is_near.sum():
+        return np.asarray(2 * agree.sum(axis=1) < is_near.sum(axis=1))
     # SciPy 1.11 finds components of graphs with 32-bit indices only.
     star, neighbour = np.nonzero(agree)[0].astype(np.int32), which[agree].astype(np.int32)
     graph = coo_array((np.ones(len(star)), (star, neighbour)), shape=(len(off), len(off)))
     _, patch = connected_components(graph, directed=False)
     largest = patch == np.argmax(np.bincount(patch))
-    touched = beside & (largest[:, None] != largest[which])
+    touched = is_near & (largest[:, None] != largest[which])
     here = np.broadcast_to(np.arange(len(off))[:, None], which.shape)
     return np.isin(patch, patch[np.where(largest[:, None], which, here)[touched]])
 

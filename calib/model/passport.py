@@ -198,8 +198,8 @@ class Passport:
             Keys: schema, names, values, covariance, reference, disagreement (the Birge ratio), views, conditions;
             length if it is known which a certificate states.
         """
-        said = {"length": str(self.length)} if self.length else {}
-        return said | {
+        length = {"length": str(self.length)} if self.length else {}
+        return length | {
             "schema": SCHEMA,
             "names": list(self.names),
             "values": self.values.tolist(),

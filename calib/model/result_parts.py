@@ -56,7 +56,7 @@ class BudgetRow:
         """Return the row of a source from (5,) its variances of `ROW_QUANTITIES` and (5,) those of the whole result."""
         sigmas, shares = np.sqrt(np.maximum(variances, 0.0)), variances / np.where(whole > 0, whole, 1.0)
         contribution, share = (
-            dict(zip(ROW_QUANTITIES, one.tolist(), strict=True)) for one in (sigmas, shares)
+            dict(zip(ROW_QUANTITIES, values.tolist(), strict=True)) for values in (sigmas, shares)
         )
         return cls(name, kind, source, contribution=contribution, share=share)
 

@@ -114,9 +114,9 @@ class _Rays(NamedTuple):
 
 def _rays(points: Complexes, about: Array) -> _Rays:
     """Return the rays to (V, K) points from the centres in (V, P) unknowns."""
-    away = points - (about[:, :2] @ _PLANE)[:, None]
-    distance = np.maximum(np.abs(away), 1e-9)
-    direction = away / distance
+    offset = points - (about[:, :2] @ _PLANE)[:, None]
+    distance = np.maximum(np.abs(offset), 1e-9)
+    direction = offset / distance
     waves = direction[:, :, None] ** _ORDERS
     return _Rays(distance, direction, waves.view(np.float64), (1j * _ORDERS * waves).view(np.float64))
 
@@ -312,8 +312,8 @@ def fit_rims(rims: Sequence[RimPoints], looks_mm: Array, stars_mm: Array) -> Dis
         tried, every = grid, _in_pieces(evidence_of(design, distance, sites), grid, common)
         weights = _weights(every.log_likelihood, grid)
         kept = weights > _LEAST_AVERAGED
-        found, share = _Posterior(*(part[kept] for part in every)), weights[kept] / weights[kept].sum()
-        step = np.tensordot(share, found.mean, axes=1) - means
+        posterior, share = _Posterior(*(part[kept] for part in every)), weights[kept] / weights[kept].sum()
+        step = np.tensordot(share, posterior.mean, axes=1) - means
         if np.abs(step[:, :2]).max() < _FINAL_SETTLED_MM:
             break
         means = means + _STEP * step
@@ -321,7 +321,7 @@ def fit_rims(rims: Sequence[RimPoints], looks_mm: Array, stars_mm: Array) -> Dis
             grid, weights = grid[weights > _LEAST_WEIGHT], weights[weights > _LEAST_WEIGHT]
     sites.precision[:, sigmas.shape[1] :] = 0.0  # Bright points do not show the rim
     own = _own_sigmas(evidence_of(design, distance, sites).information, grid[:, 2], weights, reach_mm)
-    discs = _discs(rims, found, share, own, middle_mm)
+    discs = _discs(rims, posterior, share, own, middle_mm)
     return replace(discs, wander=_wander(every.log_likelihood, tried / reach_mm))
 
 
@@ -338,7 +338,7 @@ def _discs(
     blocks = [covariance[i : i + 2, i : i + 2] for i in range(0, len(covariance), 2)]
     radii = np.abs(share @ posterior.mean[..., 2]).tolist()
     columns = (centres.reshape(-1, 2) + middle_mm, radii, blocks, own.tolist())
-    return Discs([Disc(*one) for one in zip(*columns, strict=True)], covariance, motion)
+    return Discs([Disc(*disc) for disc in zip(*columns, strict=True)], covariance, motion)
 
 
 def _padded(parts: Sequence[Array], fill: float) -> Array:
@@ -457,7 +457,7 @@ def _wander(log_likelihood: Array, shares: Array) -> float:
     logs = log_likelihood + _SCATTER_POWER * np.log(shares[:, [2, 3]]).sum(axis=1)
     small = shares[:, 0] < _HELD
     gimbal, hand = (np.logaddexp.reduce(logs[own], initial=-np.inf) for own in (small, ~small))
-    count = sum(one < _HELD for one in _CENTRE_SCATTERS)
+    count = sum(scatter < _HELD for scatter in _CENTRE_SCATTERS)
     return float(2.0 * (hand - gimbal - np.log((len(_CENTRE_SCATTERS) - count) / count)))
 
 

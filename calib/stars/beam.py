@@ -134,8 +134,8 @@ def _circle_of(radius: float, rim: Array, lit: Bytes) -> tuple[tuple[float, floa
     from scipy.optimize import least_squares
 
     # Begin on the side of the light: a short arc fits as well from its other side.
-    away = _middle(lit) - rim.mean(axis=0)
-    start = rim.mean(axis=0) + radius * away / max(float(np.hypot(*away)), 1e-9)
+    offset = _middle(lit) - rim.mean(axis=0)
+    start = rim.mean(axis=0) + radius * offset / max(float(np.hypot(*offset)), 1e-9)
 
     def off(centre: Array) -> Array:
         return np.asarray(np.hypot(*(rim - centre).T) - radius)

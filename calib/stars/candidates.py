@@ -88,7 +88,7 @@ def label_by_tag(image: Array32, grown: StarGrid, sign: float, target: StarTarge
     h = fit_homography(nodes.astype(float), grown.places())
     white, black = _white_and_black(image, grown, h, sign)
     centre = np.array(target.tag_centre_mm) / target.pitch_mm
-    found: list[tuple[float, StarLabels]] = []
+    matches: list[tuple[float, StarLabels]] = []
     for middle in _gaps(nodes, target):
         modules = _modules(image, grown, h, middle, target)
         if modules is None:
@@ -98,14 +98,14 @@ def label_by_tag(image: Array32, grown: StarGrid, sign: float, target: StarTarge
             right = np.rot90(white_here, -quarter) == (target.tag_print > 0)
             share = float(right[np.rot90(np.isfinite(modules), -quarter)].mean())
             shift = np.round(centre - turn @ middle).astype(np.int64)
-            found.append((share, StarLabels(turn, shift)))
-    found.sort(key=lambda f: -f[0])
-    if not found or found[0][0] < 1.0 - MAX_WRONG_MODULES:
+            matches.append((share, StarLabels(turn, shift)))
+    matches.sort(key=lambda f: -f[0])
+    if not matches or matches[0][0] < 1.0 - MAX_WRONG_MODULES:
         what = "no readable part of the tag."
-    elif len(found) > 1 and found[1][0] > found[0][0] - MIN_MARGIN:
+    elif len(matches) > 1 and matches[1][0] > matches[0][0] - MIN_MARGIN:
         what = "the visible part of the tag agrees with more than one labelling."
     else:
-        return found[0][1]
+        return matches[0][1]
     raise StarsUnnamed(
         f"The image shows {len(nodes)} stars, but {what}",
         remedy="Turn the camera so that more of the tag is in view, or give the expected pose.",
@@ -168,11 +168,11 @@ def find_candidates(
     tag = find_tag(picture, target, reduced_only=True)
     if tag is None:
         # The pictures of full size take long, and never show a tag that the border of the image cuts.
-        found = find_without_tag(smoothed, target, expected)
-        if not _is_tag_cut(smoothed, found, target):
+        unlabelled = find_without_tag(smoothed, target, expected)
+        if not _is_tag_cut(smoothed, unlabelled, target):
             tag = find_tag(picture, target)
     if tag is None:
-        return _label_without_tag(found, target, expected)
+        return _label_without_tag(unlabelled, target, expected)
     grown = grow_from_tag(smoothed, tag, target)
     return Candidates(grown.nodes(), grown.places()), tag.sign, "tag"
 
@@ -215,22 +215,22 @@ def find_without_tag(image: Array32, target: StarTarget, expected: Array | None)
         return Unlabelled(grown, sign, unnamed)
 
 
-def _is_tag_cut(image: Array32, found: Unlabelled, target: StarTarget) -> bool:
+def _is_tag_cut(image: Array32, unlabelled: Unlabelled, target: StarTarget) -> bool:
     """Return whether the stars tell that a corner of the tag lies clearly outside of the image."""
-    if not isinstance(found.labels, StarLabels):
+    if not isinstance(unlabelled.labels, StarLabels):
         return False
-    nodes = found.labels.apply(found.grown.nodes()).astype(float)
-    homography = fit_homography(nodes, found.grown.places())
+    nodes = unlabelled.labels.apply(unlabelled.grown.nodes()).astype(float)
+    homography = fit_homography(nodes, unlabelled.grown.places())
     corners = apply_homography(homography, target.tag_corners_mm / target.pitch_mm)
     last = np.array(image.shape[::-1]) - 1.0
     return bool(((corners < -CUT_PX) | (corners > last + CUT_PX)).any())
 
 
 def _label_without_tag(
-    found: Unlabelled, target: StarTarget, expected: Array | None
+    unlabelled: Unlabelled, target: StarTarget, expected: Array | None
 ) -> tuple[Candidates, float, NamedBy]:
     """Return stars with their nodes, labelled by the visible part of the tag or by the pose."""
-    grown, sign, labels = found
+    grown, sign, labels = unlabelled
     if labels is None:
         raise TargetNotFound(
             f"Tag {target.tag_id} of family {target.tag_family} is not in the image, and no stars are either.",

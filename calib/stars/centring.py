@@ -132,10 +132,13 @@ def refine_by_symmetry(
         slopes -= shorter[:, None] * step[:, 2:]
         kept = regular & (np.hypot(*(centres - guesses[stars]).T) <= reach_px)
         done = kept & (length < LAST_STEP_PX)
-        found = stars[done]
-        fit.converged[found], fit.centres[found] = True, centres[done]
-        fit.information[found], fit.mean_square[found] = centre_information(normal[done]), mean_square[done]
-        fit.light_slope[found] = np.hypot(slopes[done, 0], slopes[done, 1])
+        settled = stars[done]
+        fit.converged[settled], fit.centres[settled] = True, centres[done]
+        fit.information[settled], fit.mean_square[settled] = (
+            centre_information(normal[done]),
+            mean_square[done],
+        )
+        fit.light_slope[settled] = np.hypot(slopes[done, 0], slopes[done, 1])
         going = kept & ~done
         stars, centres, slopes = stars[going], centres[going], slopes[going]
     return fit

@@ -229,12 +229,12 @@ def _require_enough(
     """Refuse a view with too few stars. If few stars of a blurred image remain, their covariances are too small."""
     if count >= least:
         return
-    found = f"{count} stars were found; at least {least} are needed."
+    what = f"{count} stars were found; at least {least} are needed."
     if not blurred:
-        raise TooFewStars(found, remedy="Check focus, light and that the target is the one described.")
+        raise TooFewStars(what, remedy="Check focus, light and that the target is the one described.")
     width_px = measure_width() if measure_width else np.nan
     wide = f": star edges are {width_px:.1f} px wide" if np.isfinite(width_px) else ""
     raise TooFewStars(
-        f"{found} The image is out of focus{wide}.",
+        f"{what} The image is out of focus{wide}.",
         remedy="Focus the camera until star edges are narrower than 1.3 px (edge_width_px), or use a sine flicker.",
     )

@@ -75,7 +75,7 @@ def gather_edge_pixels(
 
 @njit(**KERNEL)
 def _gather(
-    levels: Any, centres: Any, reach: Any, used_to: Any, back: LocalMap, edge_map: EdgeMap, found: EdgePixels
+    levels: Any, centres: Any, reach: Any, used_to: Any, back: LocalMap, edge_map: EdgeMap, pixels: EdgePixels
 ) -> None:
     """Store the pixels near an edge of each star's cell, sorted by edges (counting sort: Knuth, 1998).
 
@@ -84,12 +84,12 @@ def _gather(
     reach: (N, 2) px. used_to: (N, 2) pitches. back: the local maps, with the inverses of their linear parts.
     """
     height, width = levels.shape
-    edges, most = (len(found.first) - 1) // max(len(centres), 1), 0.0
+    edges, most = (len(pixels.first) - 1) // max(len(centres), 1), 0.0
     for k in range(len(centres)):
         most = max(most, (2.0 * reach[k, 0] + 4.0) * (2.0 * reach[k, 1] + 4.0))
     # Space for the pixels of one star: tau to v, and their levels and edges.
     space, small = np.empty((5, int(most)), np.float32), np.empty((2, int(most)), np.uint8)
-    taus, nearest, one = edge_map.tau, edge_map.edge, np.uint64(1)
+    taus, nearest, step = edge_map.tau, edge_map.edge, np.uint64(1)
     scale, half, limit_px = edge_map.samples_per_pitch, edge_map.half, edge_map.limit_px
     counts = np.empty(edges, np.int64)
     us, vs = np.empty(width), np.empty(width)
@@ -118,8 +118,11 @@ def _gather(
                 at_u, at_v = u * scale + half, v * scale + half
                 row, column = int(at_v), int(at_u)
                 a, b, p, q = at_u - column, at_v - row, np.uint64(row), np.uint64(column)
-                upper, lower = taus[p, q + one] - taus[p, q], taus[p + one, q + one] - taus[p + one, q]
-                above, below = taus[p, q] + a * upper, taus[p + one, q] + a * lower
+                upper, lower = (
+                    taus[p, q + step] - taus[p, q],
+                    taus[p + step, q + step] - taus[p + step, q],
+                )
+                above, below = taus[p, q] + a * upper, taus[p + step, q] + a * lower
                 tau, edge = above + b * (below - above), nearest[p, q]
                 along_u, along_v = (upper + b * (lower - upper)) * scale, (below - above) * scale
                 space[0, n], space[3, n], space[4, n] = tau, u, v
@@ -130,23 +133,23 @@ def _gather(
                 near = np.uint64(abs(tau) < limit_px)
                 counts[np.uint64(edge)] += near
                 n += near
-        _store_by_edge(space, small, n, counts, k * edges, found)
+        _store_by_edge(space, small, n, counts, k * edges, pixels)
 
 
 @njit(**INNER)
-def _store_by_edge(space: Any, small: Any, n: Any, counts: Any, group: int, found: EdgePixels) -> None:
+def _store_by_edge(space: Any, small: Any, n: Any, counts: Any, group: int, pixels: EdgePixels) -> None:
     """Store the first ``n`` pixels of a star sorted by their edges, of which there are ``counts`` (counting sort)."""
-    start = found.first[group]
+    start = pixels.first[group]
     for e in range(len(counts)):
         counts[e], start = start, start + counts[e]
-        found.first[group + e + 1] = start
+        pixels.first[group + e + 1] = start
     for i in range(n):
         m = np.uint64(i)
         edge = np.uint64(small[1, m])
         at = np.uint64(counts[edge])
         counts[edge] += 1
-        found.tau[at], found.along_x[at], found.along_y[at] = space[0, m], space[1, m], space[2, m]
-        found.u[at], found.v[at], found.level[at] = space[3, m], space[4, m], small[0, m]
+        pixels.tau[at], pixels.along_x[at], pixels.along_y[at] = space[0, m], space[1, m], space[2, m]
+        pixels.u[at], pixels.v[at], pixels.level[at] = space[3, m], space[4, m], small[0, m]
 
 
 class ScoreTables(NamedTuple):
@@ -248,7 +251,7 @@ def _add_edge(
     variable of its own, in single precision, and there is no branch and no store in the loop, so that it runs over
     several pixels at once. An edge of a star has some hundred pixels.
     """
-    single, zero, one = np.float32, np.float32(0.0), np.float32(1.0)
+    single, zero, full = np.float32, np.float32(0.0), np.float32(1.0)
     _, taus, along_x, along_y, us, vs, levels = pixels
     x, y = single(unknowns[0]), single(unknowns[1])
     slope_u, slope_v = single(unknowns[3]), single(unknowns[4])
@@ -259,11 +262,11 @@ def _add_edge(
     for m in range(pixels.first[group], pixels.first[group + 1]):
         d0, d1, u, v = along_x[m], along_y[m], us[m], vs[m]
         at = (taus[m] + d0 * x + d1 * y + shift + u * slope_u + v * slope_v) * per_px
-        known = one if at >= zero and at < last else zero
+        known = full if at >= zero and at < last else zero
         at *= known
         i = np.int32(at)
         b, row = at - single(i), np.int32(levels[m]) * bins + i
-        a = (one - b) * known
+        a = (full - b) * known
         b *= known
         gradient = a * scores[np.uint64(row)] + b * scores[np.uint64(row + np.int32(1))]
         weight = a * fishers[np.uint64(i)] + b * fishers[np.uint64(i + np.int32(1))]

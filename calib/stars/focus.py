@@ -108,7 +108,7 @@ def blur_circle(
             return None
         columns, rows = cells[inside].T
         prints = (_blurred_print(target, round(circle / pitch, 3), in_focus) for circle in CIRCLES_PX)
-        explained = np.array([_explained(values, one[rows, columns]) for one in prints])
+        explained = np.array([_explained(values, pattern[rows, columns]) for pattern in prints])
         if best is None or explained.max() > best.explained:
             best = BlurCircle(_vertex(explained), float(explained.max()))
     return best if best is not None and best.explained >= MIN_EXPLAINED else None
@@ -162,8 +162,8 @@ def contrast(image: AnyArray, lit: Bytes) -> float | None:
 
 def _inside(lit: Bytes, shape: tuple[int, ...], margin: int) -> Bools:
     """Return which pixels of an image of some shape are lit; cells within half a margin of the dark are not."""
-    away = cv2.erode(lit, np.ones((margin, margin), np.uint8), borderType=cv2.BORDER_REPLICATE)
-    return np.asarray(cv2.resize(away, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST) > 0)
+    eroded = cv2.erode(lit, np.ones((margin, margin), np.uint8), borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(cv2.resize(eroded, (shape[1], shape[0]), interpolation=cv2.INTER_NEAREST) > 0)
 
 
 @lru_cache(maxsize=2)

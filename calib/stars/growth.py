@@ -154,9 +154,9 @@ def _learn_at_start(image: Array32, start: GrowthStart, sharp: StarTemplate) -> 
     reach = FIRST_REACH * np.sqrt(np.abs(np.linalg.det(linear)))
     template = sharp
     for _ in range(LEARNING_ROUNDS):
-        found, score = search_stars(image, at, linear, reach, template, start.sign)
+        places, score = search_stars(image, at, linear, reach, template, start.sign)
         seen = np.isfinite(score)
-        learnt = sharp.learnt(image, found[seen], linear[seen], start.sign)
+        learnt = sharp.learnt(image, places[seen], linear[seen], start.sign)
         if learnt is None:
             return None
         template = learnt
@@ -176,14 +176,14 @@ def _grow(
         linear = linear_at(h, grid)
         pitch = np.sqrt(np.abs(np.linalg.det(linear)))
         seen = (pitch >= MIN_PITCH_PX) & ((at >= 0) & (at < image.shape[::-1])).all(axis=1)
-        found, score = search_stars(image, at[seen], linear[seen], reach * pitch[seen], template, start.sign)
+        places, score = search_stars(image, at[seen], linear[seen], reach * pitch[seen], template, start.sign)
         good = score >= MIN_CORRELATION
         if not good.any():
             break
         scores += score[good].tolist()
         new = wanted[seen][good]
         tries.update(map(tuple, wanted.tolist()))
-        grown.points.update(zip(map(tuple, new.tolist()), found[good], strict=True))
+        grown.points.update(zip(map(tuple, new.tolist()), places[good], strict=True))
         h = _refitted(h, start, grown)
         around = {(c + i, r + j) for c, r in new.tolist() for i, j in _AROUND}
         again = (node for node in around if node not in grown.points and tries[node] < MAX_TRIES)
@@ -295,14 +295,14 @@ def _steps_to_neighbours(places: Array, number: int) -> Array | None:
     pitch = float(np.linalg.norm(first))
     if not 0.6 * SMALL_PITCH_PX < pitch < 1.6 * SMALL_PITCH_PX:
         return None
-    found = []
+    steps = []
     for turned in (first, [-first[1], first[0]], -first, [first[1], -first[0]]):
         miss = np.linalg.norm(off - turned, axis=1)
         nearest = int(np.argmin(miss))
         if miss[nearest] > SQUARENESS * pitch:
             return None
-        found.append(off[nearest])
-    right, down = (found[0] - found[2]) / 2.0, (found[1] - found[3]) / 2.0
+        steps.append(off[nearest])
+    right, down = (steps[0] - steps[2]) / 2.0, (steps[1] - steps[3]) / 2.0
     return np.column_stack([right, down])
 
 

@@ -46,12 +46,12 @@ def shift_between_halves(first: AnyArray, second: AnyArray, view: View, target: 
     nodes = target.node_of(view.ids).astype(float)
     cells = linear_at(fit_homography(nodes, view.points_px), nodes)
     pitch_px = float(np.median(np.sqrt(np.abs(np.linalg.det(cells)))))
-    one, other = _small(first), _small(second)
+    small, other = _small(first), _small(second)
     # Pixel centres are at integers, so those of a halved image lie between two of the whole one.
     points = np.ascontiguousarray((view.points_px[some] - 0.5) / 2.0, np.float32)
     side_px = int(FOLLOWED_PITCHES * pitch_px / 2.0) | 1  # odd
-    there, found_there = _followed(one, other, points, side_px)
-    back, found_back = _followed(other, one, points, side_px)
+    there, found_there = _followed(small, other, points, side_px)
+    back, found_back = _followed(other, small, points, side_px)
     shifts, apart = there - back, 2.0 * (there + back - 2.0 * points)
     common = found_there & found_back & (np.hypot(*apart.T) <= MAX_APART_PITCHES * pitch_px)
     common &= np.hypot(*shifts.T) <= MAX_SHIFT_PITCHES * pitch_px

@@ -167,7 +167,7 @@ def _predicted(observed: _Observations, starts: Sequence[Array], turn: Array) ->
     from scipy.optimize import least_squares
 
     fits = (least_squares(observed.residuals, start, x_scale="jac") for start in starts)
-    fit = min(fits, key=lambda one: float(one.cost))
+    fit = min(fits, key=lambda candidate: float(candidate.cost))
     redundancy = max(2 * POINTS_PER_VIEW * len(observed.nodes) - _UNKNOWNS, 1)
     factor = max(2.0 * float(fit.cost) / redundancy, 1.0)
     values, slopes = np.asarray(fit.x), np.asarray(fit.jac)

@@ -47,10 +47,10 @@ def render_star(target: StarTarget, pitch_px: float) -> Array32:
     x, y = (float(place) for place in next(iter(target.surrounded), (1, 1)))
     steps = _steps(pitch_px)
     v, u = np.meshgrid(steps[: len(steps) // 2 + 1], steps, indexing="ij")
-    one = target.reflectance((x + u) * target.pitch_mm, (y + v) * target.pitch_mm)
+    first = target.reflectance((x + u) * target.pitch_mm, (y + v) * target.pitch_mm)
     other = target.reflectance((x - u) * target.pitch_mm, (y - v) * target.pitch_mm)
     # By rounding, samples on an edge fall to either side of it. The mean with half a turn makes the star symmetric.
-    upper = (0.5 * (one + other)).astype(np.float32)
+    upper = (0.5 * (first + other)).astype(np.float32)
     return np.concatenate([upper, upper[-2::-1, ::-1]])
 
 
@@ -107,10 +107,10 @@ def open_sides(target: StarTarget, nodes: Ints) -> Bools:
     def missing(across: int, down: int) -> Bools:
         return np.asarray(target.id_at(columns + across, rows + down) < 0)
 
-    beside, above = missing(-1, 0) | missing(1, 0), missing(0, -1) | missing(0, 1)
+    at_sides, above = missing(-1, 0) | missing(1, 0), missing(0, -1) | missing(0, 1)
     corner = missing(-1, -1) | missing(1, -1) | missing(-1, 1) | missing(1, 1)
-    found = np.column_stack([beside | (corner & ~above), above])
-    return found & (target.id_at(columns, rows) >= 0)[:, None]
+    is_open = np.column_stack([at_sides | (corner & ~above), above])
+    return is_open & (target.id_at(columns, rows) >= 0)[:, None]
 
 
 def cell_reach(is_open: Bools, reach: float, strip: float) -> Array:

@@ -66,8 +66,8 @@ def find_stars_quickly(image: AnyArray, target: StarTarget) -> QuickStars:
     none = QuickStars(np.zeros(0, np.int64), nothing, nothing, None, tag, "", blurred=False)
     if len(nodes) < MIN_STARS:
         return none
-    found = Candidates(nodes, grown.places())
-    candidates, _, local_map, blurred = refine_candidates(smoothed, found, target, sign, COARSE_STEP_PX)
+    coarse = Candidates(nodes, grown.places())
+    candidates, _, local_map, blurred = refine_candidates(smoothed, coarse, target, sign, COARSE_STEP_PX)
     # Far out of focus, the pattern shows again with its contrast reversed: shapes that are learnt there are no stars.
     if len(candidates.nodes) < MIN_STARS or (blurred and not named_by):
         return none
@@ -91,12 +91,12 @@ def follow_stars(image: AnyArray, last: QuickStars, target: StarTarget) -> Quick
     if agrees < FOLLOWED_CORRELATION * last.tag.correlation:
         return None
     earlier = Candidates(last.nodes.astype(np.int64), last.points_px)
-    found, _, local_map, blurred = refine_candidates(smoothed, earlier, target, last.sign, FOLLOWING_STEP_PX)
-    if blurred or len(found.nodes) < max(MIN_STARS, FOLLOWED_SHARE * len(last.ids)):
+    stars, _, local_map, blurred = refine_candidates(smoothed, earlier, target, last.sign, FOLLOWING_STEP_PX)
+    if blurred or len(stars.nodes) < max(MIN_STARS, FOLLOWED_SHARE * len(last.ids)):
         return None
-    seen = np.isin(last.ids, target.id_at(found.nodes[:, 0], found.nodes[:, 1]))
-    if np.hypot(*np.median(found.points - last.points_px[seen], axis=0)) > FOLLOWED_SHIFT_PX:
+    seen = np.isin(last.ids, target.id_at(stars.nodes[:, 0], stars.nodes[:, 1]))
+    if np.hypot(*np.median(stars.points - last.points_px[seen], axis=0)) > FOLLOWED_SHIFT_PX:
         return None
     return last._replace(
-        ids=last.ids[seen], nodes=last.nodes[seen], points_px=found.points, local_map=local_map
+        ids=last.ids[seen], nodes=last.nodes[seen], points_px=stars.points, local_map=local_map
     )

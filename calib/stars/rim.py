@@ -100,19 +100,19 @@ def rim_in_sections(
     near = np.abs(rho - start[section]) < _BAND * pitch_mm
     section, rho, phi, levels = section[near], rho[near], phi[near], fine.levels[near]
     fit = _fall(section, rho, (phi - middle[section]) * radius, levels, start)
-    found = _accepted(section, rho, levels, fit, pitch_mm)
+    is_rim = _accepted(section, rho, levels, fit, pitch_mm)
     direction = middle + fit.shift / radius
     points = centre + fit.place[:, None] * np.column_stack([np.cos(direction), np.sin(direction)])
     lit = _last_bright(all_sections, all_rho, coarse.levels > 0.5, np.isnan(start), pitch_mm)
-    sigmas_mm = np.hypot(fit.sigma[found], _MAP_SIGMA_PX / px_per_mm)
-    return RimPoints(points[found], sigmas_mm, coarse.places_mm[lit], _LEVEL_SIGMA * fit.width)
+    sigmas_mm = np.hypot(fit.sigma[is_rim], _MAP_SIGMA_PX / px_per_mm)
+    return RimPoints(points[is_rim], sigmas_mm, coarse.places_mm[lit], _LEVEL_SIGMA * fit.width)
 
 
-def _polar(away: Array, count: int) -> tuple[Ints, Array, Array]:
+def _polar(offsets: Array, count: int) -> tuple[Ints, Array, Array]:
     """Return section, distance and direction of points relative to the circle's centre."""
-    phi = np.arctan2(away[:, 1], away[:, 0])
+    phi = np.arctan2(offsets[:, 1], offsets[:, 0])
     section = np.minimum(((phi + np.pi) * (count / (2.0 * np.pi))).astype(np.int64), count - 1)
-    return section, np.hypot(*away.T), phi
+    return section, np.hypot(*offsets.T), phi
 
 
 class _Fall(NamedTuple):
@@ -384,18 +384,18 @@ def _coarse_circle(border_mm: Array, samples: Samples) -> tuple[Array, float]:
     if len(border_mm) < 3:
         return middle, reach
     origin = border_mm.mean(axis=0)
-    away = border_mm - origin
-    design = np.column_stack([2.0 * away, np.full(len(away), reach)])
+    offset = border_mm - origin
+    design = np.column_stack([2.0 * offset, np.full(len(offset), reach)])
     weak = np.diag([1.0, 1.0, 0.0])
-    a, b, _ = np.linalg.solve(design.T @ design + weak, design.T @ (away**2).sum(axis=1))
+    a, b, _ = np.linalg.solve(design.T @ design + weak, design.T @ (offset**2).sum(axis=1))
     centre = np.array([a, b])
     inward = middle - origin
-    _, lengths, axes = np.linalg.svd(away, full_matrices=False)
-    least = (0.5 if lengths[1] < _FLAT * lengths[0] else -0.5) * lengths[0] ** 2 / len(away)
+    _, lengths, axes = np.linalg.svd(offset, full_matrices=False)
+    least = (0.5 if lengths[1] < _FLAT * lengths[0] else -0.5) * lengths[0] ** 2 / len(offset)
     if centre @ inward <= least or np.linalg.norm(centre) > 4.0 * reach:
         normal = axes[1] * np.sign(axes[1] @ inward)
         centre = 2.0 * reach * normal
-    return origin + centre, float(np.sqrt(np.mean(((away - centre) ** 2).sum(axis=1))))
+    return origin + centre, float(np.sqrt(np.mean(((offset - centre) ** 2).sum(axis=1))))
 
 
 def vignetted_stars(view: View, target: StarTarget) -> Bools:

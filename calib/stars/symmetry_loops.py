@@ -45,8 +45,8 @@ def _spline_slopes(a: Any) -> tuple[Any, Any, Any, Any]:
 @njit(**INNER, fastmath=_IN_PARALLEL, forceinline=True)
 def _along_row(pixels: Any, at: Any, weights: Any, slopes: Any) -> tuple[Any, Any]:
     """Return the cubic B-spline (Unser, 1999) along four pixels of a row, from number ``at`` on, and its derivative."""
-    at, one = np.uint64(at), np.uint64(1)
-    p, q, s, t = pixels[at], pixels[at + one], pixels[at + one + one], pixels[at + one + one + one]
+    at, step = np.uint64(at), np.uint64(1)
+    p, q, s, t = pixels[at], pixels[at + step], pixels[at + step + step], pixels[at + step + step + step]
     across = weights[0] * p + weights[1] * q + weights[2] * s + weights[3] * t
     slope = slopes[0] * p + slopes[1] * q + slopes[2] * s + slopes[3] * t
     return across, slope

@@ -79,21 +79,21 @@ def find_tag(picture: Bytes, target: StarTarget, *, reduced_only: bool = False) 
         if reduced_only and reduced and scale == 1.0:
             return None
         reduced |= scale < 1.0
-        found = []
+        detections = []
         for corners, tag in read_tags(variant, scale, target.tag_family):
             seen = target if tag == target.tag_id else replace(target, tag_id=tag)
             detection = _verified(variant, scale, corners, seen)
             if detection is not None and seen is target:
-                found.append(detection)
+                detections.append(detection)
             elif detection is not None:
                 others.add(tag)
-        if len(found) > 1:
+        if len(detections) > 1:
             raise TargetNotFound(
-                f"Tag {target.tag_id} of the target is seen {len(found)} times.",
+                f"Tag {target.tag_id} of the target is seen {len(detections)} times.",
                 remedy="Keep mirrors and second targets out of the image.",
             )
-        if found:
-            return found[0]
+        if detections:
+            return detections[0]
     if others:
         raise TargetNotFound(
             f"Tag {target.tag_id} of family {target.tag_family} is not in the image; tags seen instead: "
@@ -217,10 +217,10 @@ def find_dark_square(image: AnyArray, beam: Beam, *, side_px: float | None = Non
     count, parts, stats, _ = cv2.connectedComponentsWithStats(dark.astype(np.uint8), connectivity=8)
     longest = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]].max(axis=1)
     large = [part for part in range(1, count) if longest[part] >= SIDES[0] * REDUCED]
-    for part in sorted(large, key=lambda one: -int(longest[one])):
-        found = _square((parts == part).astype(np.uint8), dark, expected)
-        if found is not None:
-            (x, y), side, borders = found
+    for part in sorted(large, key=lambda label: -int(longest[label])):
+        square = _square((parts == part).astype(np.uint8), dark, expected)
+        if square is not None:
+            (x, y), side, borders = square
             return DarkSquare(((x + 0.5) * scale - 0.5, (y + 0.5) * scale - 0.5), side * scale, borders)
     return None
 

@@ -112,9 +112,9 @@ def correlations(seen: Array32, template: StarTemplate) -> Array:
             mean[partly] = np.where(known, seen[partly], 0.0).sum(axis=-1) / count[partly]
             off[partly] = np.where(known, seen[partly] - mean[partly, None], 0.0)
         variance = np.einsum("...s,...s->...", off, off) / count
-        found = off @ template.expected.astype(np.float32) / count / np.sqrt(variance)
-    found = np.where(variance > (FLAT * mean) ** 2, found, 0.0)
-    return np.where(count >= MIN_COVERED * seen.shape[-1], found, np.nan)
+        correlation = off @ template.expected.astype(np.float32) / count / np.sqrt(variance)
+    correlation = np.where(variance > (FLAT * mean) ** 2, correlation, 0.0)
+    return np.where(count >= MIN_COVERED * seen.shape[-1], correlation, np.nan)
 
 
 def star_contrasts(

@@ -43,7 +43,7 @@ from calib.view import View
 _COVERAGE = 0.95
 _DRAWS = 1000
 _POINTS_ACROSS = 17
-_REGIONS = 3
+_REGIONS = 3  # Along each side: nine, as a photographer names them
 #: A single kind of change is named if it explains this share of the squared difference.
 _EXPLAINS = 0.8
 _ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "centre", "right")
@@ -51,7 +51,7 @@ _ROWS, _COLUMNS = ("top", "middle", "bottom"), ("left", "centre", "right")
 _UNSEEN = 1e-3
 #: A point farther off than this many robust sigmas, after all changes are allowed, is a gross error.
 _GROSS = 6.0
-_MEDIAN_OF_NORMAL = 0.6745
+_MEDIAN_OF_NORMAL = 0.6745  # Median of |x| of a standard normal distribution
 _LEAST_POINTS = 20
 
 #: Each half must determine a camera.
@@ -111,7 +111,7 @@ class CameraCheck:
 def check_camera(
     stated: CameraModel,
     stated_covariance: Array | None,
-    found: CameraModel,
+    seen_camera: CameraModel,
     found_covariance: Array,
     rng: np.random.Generator,
 ) -> CameraCheck:
@@ -120,11 +120,11 @@ def check_camera(
     Covariances are in the order of `CameraModel.parameter_names`; None is exact. The generator draws the changes that
     the uncertainties allow; the factor k follows from their largest ones.
     """
-    require_image_size(stated, found.image_size, "these views have")
-    grid = sensor_grid(found.image_size, _POINTS_ACROSS).reshape(-1, 2)
-    offset = camera_difference(found, stated, _POINTS_ACROSS).offset_px.reshape(-1, 2)
+    require_image_size(stated, seen_camera.image_size, "these views have")
+    grid = sensor_grid(seen_camera.image_size, _POINTS_ACROSS).reshape(-1, 2)
+    offset = camera_difference(seen_camera, stated, _POINTS_ACROSS).offset_px.reshape(-1, 2)
     allowed, slope = np.zeros((_DRAWS, len(grid), 2)), np.zeros(0)
-    for camera, covariance in ((stated, stated_covariance), (found, found_covariance)):
+    for camera, covariance in ((stated, stated_covariance), (seen_camera, found_covariance)):
         derivatives, at = projection_derivatives(camera, _POINTS_ACROSS)
         slope = np.full((len(grid), 2, derivatives.shape[2]), np.nan)
         slope[at] = derivatives
@@ -136,10 +136,10 @@ def check_camera(
     factor = float(np.quantile((np.linalg.norm(allowed[:, seen], axis=2) / spread).max(axis=1), _COVERAGE))
     length = np.linalg.norm(offset[seen], axis=1)
     return CameraCheck(
-        _regions(grid[seen], length, factor * spread, found.image_size),
+        _regions(grid[seen], length, factor * spread, seen_camera.image_size),
         float(np.sqrt(np.mean(length**2))),
         factor,
-        _shares(found, slope[seen], offset[seen]),
+        _shares(seen_camera, slope[seen], offset[seen]),
     )
 
 
@@ -236,10 +236,10 @@ class _Seen:
             )
         bundle = Bundle(Observations.from_views([view]), camera.parameter_names, free_centres=True)
         start = pose_start(camera, view)
-        found = refine(replace(bundle, names=()), start, Loss("l2")) if start else None
-        if found is None or not found.converged:
+        refined = refine(replace(bundle, names=()), start, Loss("l2")) if start else None
+        if refined is None or not refined.converged:
             raise DegenerateViews("The stated camera does not see these points on a plane before it.")
-        posed = found.parameters
+        posed = refined.parameters
         rows = bundle.derivatives(posed).transpose(2, 1, 0).reshape(-1, len(camera.values) + 6)
         by_camera, by_pose = rows[:, :-6], rows[:, -6:]
         residuals = bundle.weighted_residuals(posed).ravel()
@@ -292,12 +292,12 @@ def _judge(
 def _seen_from(camera: CameraModel, moved: Array, inverse: Array, limit: float) -> dict[str, float]:
     """Return the least change of each kind that reaches the limit by itself."""
     single = dict(zip(camera.parameter_names, np.eye(len(camera.values)), strict=True))
-    found = {}
+    limits = {}
     for kind, change in {"scale": _scaled(camera), **single}.items():
         squares = float(moved @ change @ inverse @ (moved @ change))
         if kind not in PINHOLE[:2]:
-            found[kind] = float(np.sqrt(limit / squares)) if squares > 0 else np.inf
-    return found
+            limits[kind] = float(np.sqrt(limit / squares)) if squares > 0 else np.inf
+    return limits
 
 
 @dataclass(frozen=True)

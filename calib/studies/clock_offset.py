@@ -58,11 +58,11 @@ def clock_offset(name: str, first_us: Sequence[int] | Array, second_us: Sequence
             remedy="Wire one sync signal to the trigger inputs of both cameras, and enable them.",
         )
     shifts = _good_shifts(first, second)
-    found = _fitted(name, first, second, *shifts[np.abs(shifts[:, 1]).argmin()]) if len(shifts) else None
+    offset = _fitted(name, first, second, *shifts[np.abs(shifts[:, 1]).argmin()]) if len(shifts) else None
     if (
-        found is None
-        or abs(found.rate_ppm) > 1e6 * _LARGEST_RATE
-        or found.edges < _expected(found, first, second)
+        offset is None
+        or abs(offset.rate_ppm) > 1e6 * _LARGEST_RATE
+        or offset.edges < _expected(offset, first, second)
     ):
         raise InputMismatch(
             f"At {name}, the sync edges of the two cameras do not belong together: the first has {len(first)} rising"
@@ -72,10 +72,10 @@ def clock_offset(name: str, first_us: Sequence[int] | Array, second_us: Sequence
     apart = np.diff(shifts[:, 1])
     apart = apart[apart > _usual_us(first) / 2.0]
     if not len(apart):
-        return found
+        return offset
     period = float(apart[apart < 1.5 * apart.min()].mean())
-    nearest = found.offset_us - period * round(found.offset_us / period)
-    return replace(found, offset_us=nearest, period_us=period)
+    nearest = offset.offset_us - period * round(offset.offset_us / period)
+    return replace(offset, offset_us=nearest, period_us=period)
 
 
 def common_rate(clocks: Sequence[ClockOffset]) -> tuple[float, float]:
@@ -87,9 +87,9 @@ def common_rate(clocks: Sequence[ClockOffset]) -> tuple[float, float]:
     return mean, float(np.sqrt(max(birge, 1.0) / weights.sum()))
 
 
-def _expected(found: ClockOffset, first: Array, second: Array) -> float:
+def _expected(offset: ClockOffset, first: Array, second: Array) -> float:
     """Return how many edges both must have at least, in the time that both recorded."""
-    moved = first + found.offset_us + 1e-6 * found.rate_ppm * (first - found.at_us)
+    moved = first + offset.offset_us + 1e-6 * offset.rate_ppm * (first - offset.at_us)
     both = float(((moved >= second[0] - _JITTER_US) & (moved <= second[-1] + _JITTER_US)).sum())
     return both - max(1.0, _MISSED * both)
 
@@ -119,7 +119,7 @@ def _good_shifts(first: Array, second: Array) -> Array:
 def _promising(near: Array, second: Array, shifts: Array) -> Array:
     """Return the shifts by which the edges next to the anchor fit, those nearest zero first, and not too many."""
     few = near[:_NEXT]
-    hits = sum((np.abs(_nearest(second, one + shifts)) <= _JITTER_US).astype(int) for one in few)
+    hits = sum((np.abs(_nearest(second, edges + shifts)) <= _JITTER_US).astype(int) for edges in few)
     kept = shifts[hits >= len(few) - _NEXT_MISSED]
     return kept[np.argsort(np.abs(kept), kind="stable")[:_MOST_SHIFTS]]
 

@@ -94,7 +94,7 @@ class PupilWalk:
         x, y = (" +- ".join(_rounded(*both)) for both in zip(self.walk_mm, self.walk_sigma_mm, strict=True))
         off, sigma = _rounded(abs(self.pupil_off_pivot_mm), self.sigma_mm)
         seen = self.views - len(self.without_rim)
-        found = (
+        sentence = (
             f"The disc of the beam moves on the target by {x} mm along x and {y} mm along y per unit tangent of the "
             f"turn, with standard uncertainties. The rim is seen in {seen} of {self.views} views."
         )
@@ -108,7 +108,7 @@ class PupilWalk:
             )
         else:
             pivot = f"If the axes meet in one pivot, the entrance pupil is {place}, standard uncertainty {sigma} mm."
-        return found, pivot
+        return sentence, pivot
 
     def parallax(self, defocus: float, defocus_sigma: float, *, r_mm: float, fx_px: float) -> Parallax:
         """Return the parallax that follows from the collimator's defocus, dimensionless, and its standard uncertainty.

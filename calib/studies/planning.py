@@ -148,12 +148,12 @@ def next_poses(
     """
     for pose in taken_deg:
         predicted_view(bench, pose, "taken")
-    found = PoseWeigher(bench, Gimbal(), taken_deg).best(candidates_deg, count)
-    if len(found) < count:
+    poses = PoseWeigher(bench, Gimbal(), taken_deg).best(candidates_deg, count)
+    if len(poses) < count:
         raise DegenerateViews(
-            f"Only {len(found)} of the candidate poses show the target and repeat no other pose; {count} are needed."
+            f"Only {len(poses)} of the candidate poses show the target and repeat no other pose; {count} are needed."
         )
-    return found
+    return poses
 
 
 def fit_gimbal(rotations: Array, readings_deg: Sequence[Angles]) -> Gimbal:

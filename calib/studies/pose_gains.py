@@ -75,8 +75,8 @@ def expected_amplitudes(bench: ExpectedBench, hyper: amp.Hyperprior) -> Array:
     """
     eta = hyper.mean.copy()
     if bench.amplitudes is not None:
-        found = {name: value for name, value in bench.amplitudes.items() if name in hyper.names}
-        eta[hyper.places(tuple(found))] = np.log(list(found.values()))
+        known = {name: value for name, value in bench.amplitudes.items() if name in hyper.names}
+        eta[hyper.places(tuple(known))] = np.log(list(known.values()))
         return eta
     errors, edge = bench.errors, float(np.tan(np.radians(bench.half_angle_deg)))
     times = errors.times_good(bench.camera.fx, bench.star_sigma_px, bench.collimator.r, edge)
@@ -144,7 +144,7 @@ class PoseGains:
         at = moved[:, :, :camera]
         inside = np.eye(own.shape[1]) + own @ (moved @ np.swapaxes(maps, 1, 2))
         left = covariance[:camera, :camera] - np.swapaxes(at, 1, 2) @ np.linalg.solve(inside, own @ at)
-        return [self.sigmas(one) for one in left]
+        return [self.sigmas(pose) for pose in left]
 
 
 def _thinned(view: View) -> View:

@@ -71,8 +71,10 @@ def reference_results(
 
 def starbench_result(calibration: Calibration) -> MethodResult:
     """Return a calibration of Starbench in the form of a method's result."""
-    name, one = f"Starbench, {calibration.model} model", calibration
-    return MethodResult(name, one.camera, one.sigma, one.rms_px, one.mean_px, one.left_out_rms_px)
+    name, solved = f"Starbench, {calibration.model} model", calibration
+    return MethodResult(
+        name, solved.camera, solved.sigma, solved.rms_px, solved.mean_px, solved.left_out_rms_px
+    )
 
 
 def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> MethodResult:
@@ -88,14 +90,14 @@ def opencv_planar(views: Sequence[View], options: CalibrationOptions) -> MethodR
         raise InputMismatch("OpenCV's camera has no skew.", remedy="Compare without skew.")
     fisheye = is_fisheye(options.distortion)
     try:
-        rms, matrix, found, spread = (_opencv_fisheye if fisheye else _opencv_brown)(views, names)
+        rms, matrix, distortion, spread = (_opencv_fisheye if fisheye else _opencv_brown)(views, names)
     except cv2.error as error:
         message = " ".join(str(error).split())
         raise DegenerateViews(f"OpenCV did not find a calibration: {message}", remedy="Add views.") from error
-    if not (np.isfinite(rms) and np.isfinite(matrix).all() and np.isfinite(found).all()):
+    if not (np.isfinite(rms) and np.isfinite(matrix).all() and np.isfinite(distortion).all()):
         raise DegenerateViews("OpenCV's calibration is not finite.", remedy="Add views from other angles.")
     family = FISHEYE if fisheye else BROWN
-    coefficients = dict(zip(family, np.ravel(found).tolist(), strict=False))
+    coefficients = dict(zip(family, np.ravel(distortion).tolist(), strict=False))
     pinhole = CameraModel.of_matrix(matrix, views[0].image_size)
     camera = replace(pinhole, distortion={name: coefficients[name] for name in names})
     spreads = dict(zip((*PINHOLE, *family), np.ravel(spread).tolist(), strict=False))
@@ -142,10 +144,10 @@ def _opencv_brown(views: Sequence[View], names: Sequence[str]) -> tuple[float, A
     objects = [np.column_stack([v.target_mm, np.zeros(len(v))]).astype(np.float32)[:, None] for v in views]
     images = [v.points_px.astype(np.float32)[:, None] for v in views]
     size, flags = views[0].image_size, _brown_flags(names)
-    rms, matrix, found, _, _, spread, _, _ = cv2.calibrateCameraExtended(
+    rms, matrix, distortion, _, _, spread, _, _ = cv2.calibrateCameraExtended(
         objects, images, size, np.eye(3), np.zeros(5), flags=flags, criteria=_STOP
     )
-    return float(rms), np.asarray(matrix, float), np.asarray(found, float), np.asarray(spread, float)
+    return float(rms), np.asarray(matrix, float), np.asarray(distortion, float), np.asarray(spread, float)
 
 
 def _opencv_fisheye(views: Sequence[View], names: Sequence[str]) -> tuple[float, Array, Array, Array]:
@@ -155,7 +157,7 @@ def _opencv_fisheye(views: Sequence[View], names: Sequence[str]) -> tuple[float,
     """
     start = initialized(views, names, None, planar=True)[1].camera
     held = [f"FIX_K{name[-1]}" for name in FISHEYE if name not in names]
-    rms, matrix, found, _, _ = cv2.fisheye.calibrate(
+    rms, matrix, distortion, _, _ = cv2.fisheye.calibrate(
         [np.column_stack([v.target_mm, np.zeros(len(v))])[None] for v in views],
         [v.points_px[None].astype(float) for v in views],
         views[0].image_size,
@@ -164,7 +166,7 @@ def _opencv_fisheye(views: Sequence[View], names: Sequence[str]) -> tuple[float,
         flags=sum(map(_fisheye_flag, ("RECOMPUTE_EXTRINSIC", "FIX_SKEW", "USE_INTRINSIC_GUESS", *held))),
         criteria=_STOP,
     )
-    return float(rms), np.asarray(matrix, float), np.asarray(found, float), np.zeros(0)
+    return float(rms), np.asarray(matrix, float), np.asarray(distortion, float), np.zeros(0)
 
 
 def _fisheye_flag(name: str) -> int:

@@ -28,7 +28,7 @@ StatedCamera = tuple[CameraModel, Array | None]
 
 #: Standard uncertainty of a value whose file states none, as a share of it.
 _EXACT = 1e-7
-_RIGID = 0.001
+_RIGID = 0.001  # Probability that a rigid rig is called loose
 #: Share of the comparisons with a right rig that are outside of the uncertainty.
 _WITHIN = 0.05
 
@@ -156,13 +156,13 @@ def through_collimator(
     Raises DegenerateViews: If the calibrations have no view with the same name.
     Raises InputMismatch: If a stated camera contradicts the views.
     """
-    names = [[view.name for view in one.views] for one in (first, second)]
+    names = [[view.name for view in errors_a.views] for errors_a in (first, second)]
     common = common_names(*names)
     a, b = ([own.index(name) for name in common] for own in names)
     pairs = second.rotations[b] @ np.swapaxes(first.rotations[a], 1, 2)
     start = nearest_rotation(pairs.mean(axis=0))
-    one, other = _errors(first), _errors(second)
-    information, pull, places, shift = _one_collimator(one, other)
+    errors_a, other = _errors(first), _errors(second)
+    information, pull, places, shift = _one_collimator(errors_a, other)
     of_first, of_second = np.arange(len(first.camera.values)), places[: len(second.camera.values)]
     for calibration, camera, here in zip((first, second), stated, (of_first, of_second), strict=True):
         if camera is not None:
@@ -174,22 +174,22 @@ def through_collimator(
     turns = linalg.block_diag(*pairs)
     by = np.zeros((n, size))
     by[:, places] += other.by_shared[rows_b]
-    by[:, : len(one.names)] -= turns @ one.by_shared[rows_a]
-    own = other.own[np.ix_(rows_b, rows_b)] + turns @ one.own[np.ix_(rows_a, rows_a)] @ turns.T
+    by[:, : len(errors_a.names)] -= turns @ errors_a.by_shared[rows_a]
+    own = other.own[np.ix_(rows_b, rows_b)] + turns @ errors_a.own[np.ix_(rows_a, rows_a)] @ turns.T
     weight = np.linalg.pinv(own, rcond=1e-12, hermitian=True)
     # The common rotation follows the error of each pose: omega - by u = off + noise.
     off = log_map(pairs @ start.T).reshape(-1) + other.by_shared[rows_b] @ shift
     rows = np.hstack([-by, np.tile(np.eye(3), (len(common), 1))])
     whole = linalg.block_diag(information, np.zeros((3, 3))) + rows.T @ weight @ rows
     covariance = np.linalg.inv(whole)
-    found = covariance @ (np.concatenate([pull, np.zeros(3)]) + rows.T @ weight @ off)
+    step = covariance @ (np.concatenate([pull, np.zeros(3)]) + rows.T @ weight @ off)
     # Each pose by what the cameras know alone.
     expected = np.linalg.pinv(own + by @ np.linalg.inv(information) @ by.T, rcond=1e-12, hermitian=True)
-    scatter = off + by @ np.linalg.solve(information, pull) - np.tile(found[-3:], len(common))
-    kept, rotation = np.r_[of_first, of_second, size : size + 3], exp_map(found[-3:]) @ start
+    scatter = off + by @ np.linalg.solve(information, pull) - np.tile(step[-3:], len(common))
+    kept, rotation = np.r_[of_first, of_second, size : size + 3], exp_map(step[-3:]) @ start
     return Rig(
-        first.camera.with_values(first.camera.values + found[of_first]),
-        second.camera.with_values(second.camera.values + found[of_second]),
+        first.camera.with_values(first.camera.values + step[of_first]),
+        second.camera.with_values(second.camera.values + step[of_second]),
         rotation,
         None,
         covariance[np.ix_(kept, kept)],
@@ -205,9 +205,9 @@ def _known(calibration: Calibration, stated: CameraModel, covariance: Array | No
 
     A coefficient that the stated camera lacks is zero in its model. Sensor and lens model must be the same.
     """
-    found, names = calibration.camera, calibration.camera.parameter_names
+    camera, names = calibration.camera, calibration.camera.parameter_names
     held = dict(zip(stated.parameter_names, stated.values, strict=True))
-    if stated.image_size != found.image_size or any(held[name] for name in held if name not in names):
+    if stated.image_size != camera.image_size or any(held[name] for name in held if name not in names):
         raise InputMismatch(
             "A stated camera has another sensor or another lens model than its views.",
             remedy="Give views and calibration of the same camera.",
@@ -218,7 +218,7 @@ def _known(calibration: Calibration, stated: CameraModel, covariance: Array | No
         have = [names.index(name) for name in held if name in names]
         rows = [at for at, name in enumerate(held) if name in names]
         spread[np.ix_(have, have)] = covariance[np.ix_(rows, rows)]
-    off = values - found.values
+    off = values - camera.values
     apart = float(off @ np.linalg.solve(spread + calibration.camera_covariance, off))
     if apart > special.chdtri(len(off), _RIGID):
         raise InputMismatch(
@@ -249,29 +249,29 @@ def _errors(calibration: Calibration) -> RotationErrors:
     return RotationErrors(names, camera.values, *known)
 
 
-def _one_collimator(one: RotationErrors, other: RotationErrors) -> tuple[Array, Array, Ints, Array]:
+def _one_collimator(first: RotationErrors, other: RotationErrors) -> tuple[Array, Array, Ints, Array]:
     """Return (U, U) information and (U,) pull with one collimator, and the (S,) places of the second's unknowns.
 
     Also by how much the second calibration must move so that both have one collimator, (S,).
     """
-    k, shared = len(one.names), [name for name in CENTRE if name in one.names and name in other.names]
+    k, shared = len(first.names), [name for name in CENTRE if name in first.names and name in other.names]
     own = iter(range(k, k + len(other.names)))
-    places = np.array([one.names.index(name) if name in shared else next(own) for name in other.names])
+    places = np.array([first.names.index(name) if name in shared else next(own) for name in other.names])
     size = max(k, int(places.max()) + 1)
     information, pull, shift = np.zeros((size, size)), np.zeros(size), np.zeros(len(places))
-    information[:k, :k] = np.linalg.inv(one.covariance)
+    information[:k, :k] = np.linalg.inv(first.covariance)
     second = np.linalg.inv(other.covariance)
     information[np.ix_(places, places)] += second
     alike = places < k
-    shift[alike] = one.means[places[alike]] - other.means[alike]
+    shift[alike] = first.means[places[alike]] - other.means[alike]
     pull[places] -= second @ shift
     if shared:  # both calibrations hold what was known of the collimator
         glass = places[alike]
         rest = np.setdiff1d(np.arange(k), glass)
-        between, others = one.prior[np.ix_(glass, rest)], one.prior[np.ix_(rest, rest)]
+        between, others = first.prior[np.ix_(glass, rest)], first.prior[np.ix_(rest, rest)]
         carry: Array = between @ np.linalg.pinv(others, hermitian=True)
-        information[np.ix_(glass, glass)] -= one.prior[np.ix_(glass, glass)] - carry @ between.T
-        pull[glass] -= one.prior_pull[glass] - carry @ one.prior_pull[rest]
+        information[np.ix_(glass, glass)] -= first.prior[np.ix_(glass, glass)] - carry @ between.T
+        pull[glass] -= first.prior_pull[glass] - carry @ first.prior_pull[rest]
     return information, pull, places, shift
 
 

@@ -155,8 +155,8 @@ def with_boards(
         for view in views:
             require_image_size(camera, view.image_size, f"the view {view.name} has")
     by_name = [{view.name: view for view in views} for views in (first, second)]
-    names = common_names(*(list(one) for one in by_name))
-    seen = [[one[name] for name in names] for one in by_name]
+    names = common_names(*(list(centres) for centres in by_name))
+    seen = [[centres[name] for name in names] for centres in by_name]
     known = len(start.covariance) > sum(len(camera.values) for camera in cameras)
     turned = np.zeros(len(names), bool)
     if board is not None and board.symmetric:
@@ -175,14 +175,14 @@ def with_boards(
     for _ in range(_NOISE_ROUNDS):
         noise = np.sqrt(apart.sum(axis=0) / left)
         boards = _Boards(information, *map(_with_noise, bundles, noise))
-        found = refine(boards, state, Loss("l2"))
-        state = found.parameters
+        refined = refine(boards, state, Loss("l2"))
+        state = refined.parameters
         now = _apart(bundles, (state.first, state.second))
         # Cameras that were bent to fit count not.
         apart = np.where(now.sum(axis=0) < apart.sum(axis=0), now, apart)
     covariance = boards.covariance(state)
     _require_one_time(names, boards.squares(state).sum(axis=1), (apart / noise**2).sum(axis=1))
-    if not found.converged:
+    if not refined.converged:
         raise NotConverged(
             "The adjustment of the rig found no optimum.", remedy="Show the board at more angles."
         )
@@ -242,11 +242,11 @@ def _require_one_time(names: Sequence[str], together: Array, apart: Array) -> No
 
 def _rms_px(bundles: Sequence[Bundle], seen: Sequence[AdjustmentParameters]) -> Array:
     """Return the (m, 2) root mean square residuals of each board in each image, px."""
-    found = [
+    residuals_px = [
         [rms_length(bundle.residuals_px(own)[rows]) for rows in bundle.observations.slices]
         for bundle, own in zip(bundles, seen, strict=True)
     ]
-    return np.transpose(found)
+    return np.transpose(residuals_px)
 
 
 def _squares(bundles: Sequence[Bundle], seen: Sequence[AdjustmentParameters]) -> Array:
@@ -300,5 +300,5 @@ def _start(alone: Sequence[AdjustmentParameters], rotation: Array | None, size: 
     if rotation is None:
         apart = np.arccos(np.clip((np.einsum("iab,jab->ij", pairs, pairs) - 1.0) / 2.0, -1.0, 1.0))
         rotation = nearest_rotation(pairs[np.median(apart, axis=1).argmin()])
-    at, there = (-np.einsum("nij,nj->ni", one.rotations, one.offsets) for one in alone)
+    at, there = (-np.einsum("nij,nj->ni", of_camera.rotations, of_camera.offsets) for of_camera in alone)
     return _State(first, second.camera, rotation, np.median(there - at @ rotation.T, axis=0), np.zeros(size))

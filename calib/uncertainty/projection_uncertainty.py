@@ -160,9 +160,9 @@ def _larger(variances: Array) -> Array:
 def _across(rays: Array) -> Array:
     """Return (N, 3, 2) two directions perpendicular to each unit ray and to each other."""
     helper = np.where(np.abs(rays[:, :1]) < 0.7, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    one = np.cross(rays, helper)
-    one /= np.linalg.norm(one, axis=1, keepdims=True)
-    return np.stack([one, np.cross(rays, one)], axis=2)
+    first = np.cross(rays, helper)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    return np.stack([first, np.cross(rays, first)], axis=2)
 
 
 def worst_point(camera: CameraModel, covariance: Array) -> Array:

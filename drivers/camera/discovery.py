@@ -9,11 +9,11 @@ from drivers.errors import DriverError
 
 def find_cameras() -> tuple[list[FoundCamera], list[str]]:
     """List the connected cameras, once for each driver that could use them; and sentences about missing software."""
-    found: list[FoundCamera] = []
+    cameras: list[FoundCamera] = []
     missing: list[str] = []
     for discover in (metavision_discovery.discover, neuromorphic_evk4.discover):
         try:
-            found += discover()
+            cameras += discover()
         except DriverError as error:
             missing.append(str(error))
-    return found + video_devices(), missing
+    return cameras + video_devices(), missing

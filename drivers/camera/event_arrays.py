@@ -23,10 +23,11 @@ MOST_TRIGGERS: Final = 5_000_000
 """Largest number of trigger edges: a day of 28 Hz, or six hours of 115 Hz."""
 MAX_TIME_US: Final = 86_400_000_000
 """One day: the clock words of longer gaps would fill the disk (42 MB a day), and no recording lasts that long."""
-_SECOND_US: Final = 1_000_000
+_SECOND_US: Final = 1_000_000  # us
+# Us since 1970: times in this range are dates, all others count from a start.
 _YEAR_2000_US: Final = 946_684_800_000_000
-_YEAR_2100_US: Final = 4_102_444_800_000_000
-_MOST_NAMED: Final = 8
+_YEAR_2100_US: Final = 4_102_444_800_000_000  # us since 1970
+_MOST_NAMED: Final = 8  # A line
 SAY_UNIT: Final = "Say their unit, for example: starbench convert --time-unit ns"
 
 _TYPES: Final[tuple[type[np.generic], ...]] = (np.int64, np.uint16, np.uint16, np.uint8)

@@ -140,16 +140,16 @@ class Evt3Decoder:
 
         32 places after the last event may be touched; without room for them, `ValueError` is raised.
         """
-        found = []
+        triggers = []
         start = 0
         while start < len(words):
             if len(events.t) - at < MARGIN:
                 raise ValueError(f"arrays for {len(events.t)} events have no room for more events")
             stop = self._run(words, start, events.part(at, len(events.t)))
-            found.append(self._copied_triggers())
+            triggers.append(self._copied_triggers())
             at += int(self._state[S.TAKEN])
             start = self._advance(words, start, stop)
-        return at, join_triggers(found)
+        return at, join_triggers(triggers)
 
     def count(self, words: Words, image: NDArray[np.uint16]) -> Triggers:
         """Add the events of words to an image of counts, without a list of events.
@@ -172,15 +172,15 @@ class Evt3Decoder:
         """Decode words to events that are not kept, but added to an image if there is one."""
         if not len(self._passing.t):
             self._passing = empty_events(_COUNTED_AT_ONCE)
-        found = []
+        triggers = []
         start = 0
         while start < len(words):
             stop = self._run(words, start, self._passing)
             if image is not None:
                 add_events(tuple(self._passing), int(self._state[S.TAKEN]), image)
-            found.append(self._copied_triggers())
+            triggers.append(self._copied_triggers())
             start = self._advance(words, start, stop)
-        return join_triggers(found)
+        return join_triggers(triggers)
 
     def _run(self, words: Words, start: int, out: Events) -> int:
         """Take words, see ``evt3_kernel.run``; return the index of the next word."""
@@ -259,5 +259,5 @@ def first_time_high(words: Words) -> int | None:
     >>> first_time_high(np.array([0x0005, 0x2803, 0x8001], np.uint16))
     2
     """
-    found = np.flatnonzero(words >> 12 == 0x8)
-    return int(found[0]) if len(found) else None
+    at = np.flatnonzero(words >> 12 == 0x8)
+    return int(at[0]) if len(at) else None

@@ -27,7 +27,7 @@ _WINDOW_US: Final = 200
 """Time between two reports of the rate controller."""
 _TICK_US: Final = 16
 """Time between two TIME_HIGH words; the sensor sends them also when it sends nothing else."""
-_MAX_TICKS: Final = 1024
+_MAX_TICKS: Final = 1024  # More words than this: the time is unknown
 
 
 class StopReason(IntEnum):

@@ -329,7 +329,7 @@ class OpenCvFrameCamera:
         return cv2.VideoCapture(int(self._name))
 
     def _check_serial(self) -> str:
-        found = ""
+        serial = ""
         if self._device is not None:
             if self._system.is_dir() and not (self._system / self._device.name).exists():
                 gone = CameraNotFound if self._source is None else CameraLost
@@ -338,16 +338,16 @@ class OpenCvFrameCamera:
                     where=self._where,
                     remedy="Plug the camera in; `starbench devices` lists the connected cameras.",
                 )
-            found = usb_serial(self._device, self._system)
-        if self._serial and found != self._serial:
-            answer = f"camera {found}" if found else "a camera without a serial number"
+            serial = usb_serial(self._device, self._system)
+        if self._serial and serial != self._serial:
+            answer = f"camera {serial}" if serial else "a camera without a serial number"
             raise WrongDevice(
                 f"This is {answer}, not {self._serial}.",
                 where=self._where,
                 remedy="Plug in the right camera, or correct the source or the serial number in the station file."
                 " Without a serial number there, any camera is accepted.",
             )
-        return found
+        return serial
 
     def _refused(self, why: str) -> CameraSettingRefused:
         return CameraSettingRefused(

@@ -94,8 +94,8 @@ def image_sizes(file: BinaryIO) -> list[ImageSize]:
         return _jpeg(file)
     if start[:4] in (b"II*\0", b"MM\0*"):
         return _tiff(file, "<" if start[:1] == b"I" else ">")
-    if found := _PNM.match(start):
-        return [ImageSize(int(found[1]), int(found[2]))]
+    if header := _PNM.match(start):
+        return [ImageSize(int(header[1]), int(header[2]))]
     return []
 
 
@@ -296,7 +296,7 @@ def capture_frames(
         clock.sleep(0.0)
         taken.append(next_frame())
     wanted = (camera.height, camera.width)
-    if not taken or any(one.shape != wanted or one.dtype != taken[0].dtype for one in taken):
+    if not taken or any(frame.shape != wanted or frame.dtype != taken[0].dtype for frame in taken):
         raise RecordingFailed(
             f"The camera delivered {len(taken)} of {frames} frames; at least one is needed, and all must have "
             f"{camera.width} x {camera.height} px and one bit depth.",
@@ -363,14 +363,14 @@ def read_frames(path: Path) -> NDArray[Any]:
     import cv2
 
     try:
-        found, pages = cv2.imreadmulti(str(path), flags=cv2.IMREAD_UNCHANGED)
+        is_read, pages = cv2.imreadmulti(str(path), flags=cv2.IMREAD_UNCHANGED)
     except cv2.error as error:
         raise NotARecording(
             f"The picture cannot be decoded: {error.err}.",
             where=str(path),
             remedy="Give an original photograph.",
         ) from error
-    frames = _without_thumbnails([to_grey(page, where=str(path)) for page in pages] if found else [])
+    frames = _without_thumbnails([to_grey(page, where=str(path)) for page in pages] if is_read else [])
     if not frames or len({(frame.shape, frame.dtype) for frame in frames}) != 1:
         raise NotARecording(
             "The file holds no images of one size and bit depth.",

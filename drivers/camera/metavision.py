@@ -78,12 +78,12 @@ def _clear(error: BaseException | None, outside: BaseException | None) -> None:
     cleared: set[int] = set()
     waiting = [error]
     while waiting:
-        one = waiting.pop()
-        if one is None or one is outside or id(one) in cleared:
+        exception = waiting.pop()
+        if exception is None or exception is outside or id(exception) in cleared:
             continue
-        cleared.add(id(one))
-        traceback.clear_frames(one.__traceback__)
-        waiting += [one.__cause__, one.__context__]
+        cleared.add(id(exception))
+        traceback.clear_frames(exception.__traceback__)
+        waiting += [exception.__cause__, exception.__context__]
 
 
 class MetavisionEvk4(UsbCameraDriver):

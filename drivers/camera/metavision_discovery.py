@@ -69,11 +69,11 @@ def listening() -> Iterator[list[str]]:
             os.dup2(kept, _STDERR)
             os.close(kept)
             heard.seek(0)
-            said = heard.read()
-            words.append(said.decode(errors="replace"))
+            output = heard.read()
+            words.append(output.decode(errors="replace"))
             refused_firmware.update(_OLD_FIRMWARE.findall(words[0]))
             with suppress(OSError):
-                os.write(_STDERR, said)
+                os.write(_STDERR, output)
 
 
 def cameras_with_old_firmware() -> frozenset[str]:
@@ -107,10 +107,10 @@ def _look() -> tuple[tuple[FoundCamera, ...], bool]:
     cameras = [
         FoundCamera(
             driver="metavision",
-            serial=str(found.serial),
-            description=f"{found.integrator_name}, {str(found.connection).rsplit('.', 1)[-1]}, {found.plugin_name}",
+            serial=str(seen.serial),
+            description=f"{seen.integrator_name}, {str(seen.connection).rsplit('.', 1)[-1]}, {seen.plugin_name}",
         )
-        for found in listed
+        for seen in listed
     ]
     on_usb = connected_cameras()
     missing = on_usb is None or len(on_usb) > len(
@@ -132,16 +132,16 @@ def not_opened(serial: str | None, reason: str) -> CameraNotFound:
         return CameraNotFound(
             f"Cannot open {camera}: a camera that is connected does not answer{reason}.", remedy=_REPLUG
         )
-    found, denied = _look()
-    refused = [one for one in found if one.trouble and serial in {None, one.serial}]
+    cameras, denied = _look()
+    refused = [unusable for unusable in cameras if unusable.trouble and serial in {None, unusable.serial}]
     if refused:
         return CameraNotFound(
             f"Cannot open {camera}: the firmware of camera {refused[0].serial} is older than {OLDEST_FIRMWARE}, and the"
             " maker's software refuses it.",
             remedy=f"{_UPDATE}, then resume the run.",
         )
-    if found:
-        seen = ", ".join(one.serial for one in found)
+    if cameras:
+        seen = ", ".join(unusable.serial for unusable in cameras)
         hints: list[str] = []
     else:
         seen, hints = "none", unreadable_cameras() or _hints(denied=denied)

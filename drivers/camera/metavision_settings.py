@@ -178,14 +178,14 @@ def _set_trigger_in(device: Any, hal: Any, on: bool, where: str) -> bool:
     switch: Callable[[Any], Any] = facility.enable if on else facility.disable
     with _refusal("switch its trigger input", where):
         switch(channel)
-        found = bool(facility.is_enabled(channel))
-    if found != on:
+        is_on = bool(facility.is_enabled(channel))
+    if is_on != on:
         raise CameraSettingRefused(
-            f"The trigger input stays {'on' if found else 'off'}.",
+            f"The trigger input stays {'on' if is_on else 'off'}.",
             where=where,
             remedy="Reconnect the camera.",
         )
-    return found
+    return is_on
 
 
 @contextmanager

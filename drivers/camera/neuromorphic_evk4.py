@@ -101,9 +101,9 @@ class NeuromorphicEvk4(UsbCameraDriver):
             seen = ""
             with suppress(CameraError):
                 seen = ", ".join(
-                    (found.serial or "without serial number")
-                    + (f" ({found.trouble})" if found.trouble else "")
-                    for found in discover()
+                    (camera.serial or "without serial number")
+                    + (f" ({camera.trouble})" if camera.trouble else "")
+                    for camera in discover()
                 )
             raise CameraNotFound(
                 f"Cannot open {f'camera {serial}' if serial else 'any camera'} ({error}); "
@@ -167,8 +167,8 @@ class NeuromorphicEvk4(UsbCameraDriver):
     def bias_ranges(self) -> Mapping[str, tuple[int, int]]:
         """See `StatesBiasRanges.bias_ranges`."""
         bounds = self._device.biases_bounds()
-        found = {name: getattr(bounds, name.removeprefix("bias_")) for name in BIASES}
-        return {name: (int(bound.minimum), int(bound.maximum)) for name, bound in found.items()}
+        bounds_of = {name: getattr(bounds, name.removeprefix("bias_")) for name in BIASES}
+        return {name: (int(bound.minimum), int(bound.maximum)) for name, bound in bounds_of.items()}
 
     def filters(self) -> Mapping[str, bool]:
         """Return the rate controller "erc", the package's only filter: ``open`` and ``apply`` leave it off."""

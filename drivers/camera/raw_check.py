@@ -18,7 +18,7 @@ from drivers.errors import NotARecording, RecordingCorrupt
 _SMALL_BYTES: Final = 1 << 20
 _LEAST_SHARE: Final = 0.1
 """Share of a file that may be holes: some writers leave gaps between their parts."""
-_MOST_HOLES: Final = 10_000
+_MOST_HOLES: Final = 10_000  # The sum of the first ones says enough
 _KINDS: Final = (
     (stat.S_ISDIR, "a folder"),
     (stat.S_ISFIFO, "a pipe"),

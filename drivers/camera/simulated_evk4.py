@@ -175,10 +175,10 @@ class SimulatedEvk4Camera(EventCameraDriver):
 
     def _biases(self) -> dict[str, int]:
         answer = self._ask("get_biases")
-        found = answer.get("biases")
-        if not isinstance(found, dict):
+        biases = answer.get("biases")
+        if not isinstance(biases, dict):
             raise self._garbled("biases", answer)
-        return {name: int(self._number(found, name)) for name in BIASES}
+        return {name: int(self._number(biases, name)) for name in BIASES}
 
     def _value(self, answer: Mapping[str, Any], key: str, *kinds: type) -> Any:
         """Return a value of an answer; it has one of the types, and is finite. Raises ReplyGarbled."""

@@ -36,16 +36,16 @@ opens as an EVK4 (its ``prophesee_evk4.rs``)."""
 
 def unreadable_cameras(devices: Path = USB_DEVICES, nodes: Path = USB_NODES) -> list[str]:
     """Return what to do for each known event camera on USB that this user may not open; empty on other systems."""
-    found = []
+    unreadable = []
     for device, name in _cameras(devices):
         with suppress(OSError, ValueError):
             node = nodes / f"{int(_read(device, 'busnum')):03d}" / f"{int(_read(device, 'devnum')):03d}"
             if not os.access(node, os.R_OK | os.W_OK):
-                found.append(
+                unreadable.append(
                     f"A {name} is connected, but this user may not use it ({node}): install the udev rules of its"
                     " maker (in OpenEB: hal_psee_plugins/resources/rules), then plug it in again."
                 )
-    return found
+    return unreadable
 
 
 def connected_cameras(devices: Path = USB_DEVICES) -> list[str] | None:
@@ -55,15 +55,15 @@ def connected_cameras(devices: Path = USB_DEVICES) -> list[str] | None:
 
 def slow_cameras(devices: Path = USB_DEVICES) -> list[str]:
     """Return what to do for each known event camera that is not connected by USB 3; empty on other systems."""
-    found = []
+    slow = []
     for device, name in _cameras(devices):
         speed_mbit_s = _speed_mbit_s(device)
         if speed_mbit_s is not None and speed_mbit_s < LEAST_MBIT_S:
-            found.append(
+            slow.append(
                 f"A {name} is connected at {speed_mbit_s} Mbit/s (USB 2); it would lose events. Use a USB 3 port and"
                 f" cable ({LEAST_MBIT_S} Mbit/s or more)."
             )
-    return found
+    return slow
 
 
 def only_camera_mbit_s(devices: Path = USB_DEVICES) -> int | None:
@@ -101,13 +101,13 @@ def _cameras(devices: Path) -> list[tuple[Path, str]]:
 
 def _listed(devices: Path, known: Mapping[tuple[str, str], T]) -> list[tuple[Path, T]]:
     """List the folders of the devices that are known, and what they are."""
-    found = []
+    named_devices = []
     for device in sorted(devices.iterdir()) if devices.is_dir() else ():
         with suppress(OSError, ValueError):
             name = known.get((_read(device, "idVendor").lower(), _read(device, "idProduct").lower()))
             if name is not None:
-                found.append((device, name))
-    return found
+                named_devices.append((device, name))
+    return named_devices
 
 
 def _speed_mbit_s(device: Path) -> int | None:

@@ -18,7 +18,7 @@ from typing import Final, Literal
 
 LONGEST: Final = 200
 """Characters of a template at most."""
-MOST_DECIMALS: Final = 9
+MOST_DECIMALS: Final = 9  # A double has 15 digits, and angles take three before the point
 
 Value = float | str
 
@@ -81,7 +81,7 @@ class Template:
 
         ``known`` holds the values of the placeholders without a kind.
         """
-        found: dict[str, Value] = {}
+        values: dict[str, Value] = {}
         at = 0
         for part in self.parts:
             if isinstance(part, str) or not part.kind:
@@ -96,9 +96,9 @@ class Template:
             value: Value = shape[0] if part.kind in {"word", "text"} else float(shape[0])
             if isinstance(value, float) and not math.isfinite(value):
                 return None
-            found[part.name] = value
+            values[part.name] = value
             at = shape.end()
-        return found if at == len(line) else None
+        return values if at == len(line) else None
 
 
 def parse_template(text: str, *, known: frozenset[str], readable: frozenset[str] | None) -> Template:
@@ -121,9 +121,9 @@ def parse_template(text: str, *, known: frozenset[str], readable: frozenset[str]
         raise TemplateFault("must be printable ASCII; line ends have their own keys.")
     parts: list[str | Placeholder] = []
     end = 0
-    for found in _PLACEHOLDER.finditer(text):
-        parts += [text[end : found.start()], _placeholder(found[1], known, readable)]
-        end = found.end()
+    for placeholder in _PLACEHOLDER.finditer(text):
+        parts += [text[end : placeholder.start()], _placeholder(placeholder[1], known, readable)]
+        end = placeholder.end()
     parts = [part for part in (*parts, text[end:]) if part != ""]
     if any(isinstance(part, str) and ("{" in part or "}" in part) for part in parts):
         raise TemplateFault("a brace has no partner; a placeholder is written {name:kind}.")
@@ -142,7 +142,7 @@ def _placeholder(inner: str, known: frozenset[str], readable: frozenset[str] | N
         raise TemplateFault(f"{{{inner}}} is no placeholder; write {{name:kind}} with a small-letter name.")
     if not colon:
         if name not in known:
-            listed = ", ".join(f"{{{one}}}" for one in sorted(known)) or "none"
+            listed = ", ".join(f"{{{known_name}}}" for known_name in sorted(known)) or "none"
             raise TemplateFault(
                 f"{{{name}}} needs a kind, such as {{{name}:integer}}. Without a kind: {listed}."
             )

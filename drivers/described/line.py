@@ -87,22 +87,22 @@ class DescribedLine(Link):
 
     def take_notices(self) -> list[str]:
         """Return what the device said without being asked since the last call."""
-        found, self._notices = self._notices, []
-        return list(dict.fromkeys(notice.means for notice in found if notice.means))
+        notices, self._notices = self._notices, []
+        return list(dict.fromkeys(notice.means for notice in notices if notice.means))
 
     def read_serial(self, expected: str) -> str:
         """Ask for the serial number (empty: the device has none); refuse another one than expected, if any is."""
         serial = self._description.serial
-        found = str(self.query(serial)["serial"]).strip() if serial is not None else ""
-        if expected and found != expected:
+        own_serial = str(self.query(serial)["serial"]).strip() if serial is not None else ""
+        if expected and own_serial != expected:
             raise WrongDevice(
                 f"the station file names serial {expected}, but the device answers"
-                f" '{found or 'no serial number'}'. Nothing was moved or switched.",
+                f" '{own_serial or 'no serial number'}'. Nothing was moved or switched.",
                 where=self.name,
                 remedy="Check the port and the serial in the station file.",
             )
-        self._known_serial = found
-        return found
+        self._known_serial = own_serial
+        return own_serial
 
     # ------------------------------------------------------------ inside
 
@@ -125,11 +125,13 @@ class DescribedLine(Link):
         """Return the values of a reply; raise for a refusal, and for a reply of another form."""
         known = {**values, "request": request}
         for refusal in self._description.refusals:
-            said = refusal.reply.match(text, known)
-            if said is not None:
-                code = said.get("code", "")
+            refused = refusal.reply.match(text, known)
+            if refused is not None:
+                code = refused.get("code", "")
                 code = f"{code:g}" if isinstance(code, float) else code
-                meaning = refusal.codes.get(code, "") or refusal.means or str(said.get("message", "")).strip()
+                meaning = (
+                    refusal.codes.get(code, "") or refusal.means or str(refused.get("message", "")).strip()
+                )
                 raw = "" if not meaning or meaning in text else f" ('{text}')"
                 raise DeviceRefused(
                     f"the device refuses '{request}': {meaning or text}{raw}.",
@@ -192,17 +194,17 @@ class DescribedLine(Link):
 
     def _identify(self) -> dict[str, Value]:
         with self.urgently():
-            found = self._exchange(self._description.identity, {})
-        self._known = repr(sorted(found.items()))
-        return found
+            identity = self._exchange(self._description.identity, {})
+        self._known = repr(sorted(identity.items()))
+        return identity
 
     def _resynchronise(self) -> None:
         if not self._known:
             return  # _identify asks for it at this moment
 
         def is_known() -> bool:
-            found = self._exchange(self._description.identity, {})
-            return repr(sorted(found.items())) == self._known and self._has_known_serial()
+            identity = self._exchange(self._description.identity, {})
+            return repr(sorted(identity.items())) == self._known and self._has_known_serial()
 
         self.prove_in_step(
             is_known,
@@ -223,4 +225,4 @@ class DescribedLine(Link):
 
 
 def _xor(data: bytes) -> int:
-    return reduce(lambda one, other: one ^ other, data, 0)
+    return reduce(lambda first, other: first ^ other, data, 0)

@@ -177,17 +177,17 @@ class HeaderDialect:
                 ("waveform", f"{source}FUNC DC"),
                 ("steady level", f"{source}VOLT:OFFS {wanted.high_v:.6g}"),
             ]
-        found = [
+        commands = [
             ("waveform", f"{source}FUNC {_SHORT[wanted.waveform]}"),
             ("frequency", f"{source}FREQ {wanted.frequency_hz:.12g}"),
         ]
         if wanted.waveform == "square":
-            found.append(("duty", f"{source}FUNC:SQU:DCYC {wanted.duty_percent:.6g}"))
+            commands.append(("duty", f"{source}FUNC:SQU:DCYC {wanted.duty_percent:.6g}"))
         high = ("high level", f"{source}VOLT:HIGH {wanted.high_v:.6g}")
         low = ("low level", f"{source}VOLT:LOW {wanted.low_v:.6g}")
-        found += [high, low] if wanted.high_v > present_low_v else [low, high]
+        commands += [high, low] if wanted.high_v > present_low_v else [low, high]
         sync = "ON" if wanted.sync_output else "OFF"
-        return [*found, ("sync", f"{self.output_header}:SYNC {sync}")]
+        return [*commands, ("sync", f"{self.output_header}:SYNC {sync}")]
 
     def output(self, on: bool) -> Setting:
         """Return the command for the output."""
@@ -267,13 +267,13 @@ class SiglentDialect:
         basic += [high, low] if wanted.high_v > present_low_v else [low, high]
         if wanted.waveform == "square":
             basic.append(("duty", f"DUTY,{wanted.duty_percent:.6g}"))
-        found = _basic_wave([*basic, ("phase", "PHSE,0")])
+        commands = _basic_wave([*basic, ("phase", "PHSE,0")])
         if wanted.waveform == "sine":
-            found.append(("harmonics", "C1:HARM HARMSTATE,OFF"))
+            commands.append(("harmonics", "C1:HARM HARMSTATE,OFF"))
         if not wanted.sync_output:
-            return [*found, ("sync", "C1:SYNC OFF")]
+            return [*commands, ("sync", "C1:SYNC OFF")]
         # The channel stands alone, because a generator without this choice may ignore the whole.
-        return [*found, ("sync channel", "C1:SYNC ON,TYPE,CH1"), ("sync", "C1:SYNC ON")]
+        return [*commands, ("sync channel", "C1:SYNC ON,TYPE,CH1"), ("sync", "C1:SYNC ON")]
 
     def output(self, on: bool) -> Setting:
         """See `HeaderDialect.output`."""

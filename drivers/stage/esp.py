@@ -59,7 +59,7 @@ _RESOLUTION = 1e-4
 """Largest difference of two equal settings, in degrees: the controller prints no more digits."""
 _SAME_RESOLUTION = 1e-4
 """Largest relative difference of two equal resolutions: the controller prints few digits."""
-_MOST_ERRORS = 20
+_MOST_ERRORS = 20  # Twice the controller's queue
 
 
 @dataclass(frozen=True)
@@ -300,10 +300,11 @@ class EspStage(OneLineStage[EspAxis, TextLine]):
         """Compare the degrees of an encoder count with the station's, if that states them."""
         if axis.resolution_deg is None:
             return
-        told = self._line.query_number(f"{axis.number}SU?")
-        if abs(told - axis.resolution_deg) > _SAME_RESOLUTION * axis.resolution_deg:
+        stated_deg = self._line.query_number(f"{axis.number}SU?")
+        if abs(stated_deg - axis.resolution_deg) > _SAME_RESOLUTION * axis.resolution_deg:
             raise OutsideLimits(
-                f"the station file has {axis.resolution_deg:g} deg a count, the controller {told:g}. Nothing was set.",
+                f"the station file has {axis.resolution_deg:g} deg a count, the controller"
+                f" {stated_deg:g}. Nothing was set.",
                 where=axis.name,
                 remedy=f"Set it with {axis.number}SU, or correct resolution_deg in the station file.",
             )

@@ -146,8 +146,8 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
         except MoveFailed as error:  # the board waits for a reset, which homing sends
             return [f"board: {error.what}", "board: no reference"]
         report = self._line.query_status()
-        found = [] if report.state in READY_STATES else [f"board: {self._describe(report)}"]
-        return found if self._was_homed() else [*found, f"board: {self._lost()}"]
+        controller_faults = [] if report.state in READY_STATES else [f"board: {self._describe(report)}"]
+        return controller_faults if self._was_homed() else [*controller_faults, f"board: {self._lost()}"]
 
     def _lost(self) -> str:
         """Return why the board has no reference; call it only then."""

@@ -276,7 +276,7 @@ def parse_settings(lines: Iterable[bytes]) -> dict[int, float]:
     >>> parse_settings([b"$13=0\r\n", b"$300=grblHAL\r\n", b"$130=27.000\r\n"])
     {13: 0.0, 130: 27.0}
     """
-    return {int(found[1]): float(found[2]) for found in map(_SETTING.fullmatch, lines) if found}
+    return {int(line[1]): float(line[2]) for line in map(_SETTING.fullmatch, lines) if line}
 
 
 def parse_configured(lines: Iterable[bytes], name: str) -> float | None:
@@ -321,5 +321,7 @@ def moving_start_up_line(lines: Iterable[bytes]) -> str:
     >>> moving_start_up_line([b"$N0=G21 G90\r\n", b"$N1=G0 X-10\r\n"])
     'G0 X-10'
     """
-    stored = [found[1].decode("latin-1") for found in map(_START_UP.fullmatch, lines) if found]
+    stored = [
+        stored_line[1].decode("latin-1") for stored_line in map(_START_UP.fullmatch, lines) if stored_line
+    ]
     return next((line for line in stored if _AXIS_WORD.search(line)), "")

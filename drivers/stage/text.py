@@ -238,9 +238,9 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
 
     def _check_axis(self, axis: TextAxis, *, homed: bool) -> None:
         """Compare scale and travel with the station's. Before a homing, a device need not know them."""
-        told = self._told(self._description.scale, axis, "scale", homed=homed)
-        if told is not None and (told > 0 or homed):
-            self._check_scale(axis, told)
+        counts_per_deg = self._told(self._description.scale, axis, "scale", homed=homed)
+        if counts_per_deg is not None and (counts_per_deg > 0 or homed):
+            self._check_scale(axis, counts_per_deg)
         lowest, highest = (
             self._told(query, axis, "counts", homed=homed)
             for query in (self._description.lowest, self._description.highest)
@@ -263,13 +263,13 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
                 raise
             return None
 
-    def _check_scale(self, axis: TextAxis, told: float) -> None:
-        if told <= 0:
-            raise self._line.garbled_reply(f"the controller reports a scale of {told:g}.")
+    def _check_scale(self, axis: TextAxis, counts_per_deg: float) -> None:
+        if counts_per_deg <= 0:
+            raise self._line.garbled_reply(f"the controller reports a scale of {counts_per_deg:g}.")
         counts = {
-            "counts_per_deg": told,
-            "deg_per_count": 1.0 / told,
-            "arcsec_per_count": 3600.0 / told,
+            "counts_per_deg": counts_per_deg,
+            "deg_per_count": 1.0 / counts_per_deg,
+            "arcsec_per_count": 3600.0 / counts_per_deg,
         }[self._description.scale_unit]
         if abs(abs(axis.counts_per_deg) - counts) > _SCALE_SLACK * counts:
             raise OutsideLimits(

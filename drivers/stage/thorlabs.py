@@ -237,7 +237,7 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
         """Set how the reference is searched, and where its zero is; refuse to guess that."""
         controller = self._lines[axis.name]
         scale = abs(axis.counts_per_deg)
-        known = any(abs(scale - one) <= _SAME_SCALE * one for one in _KNOWN_STAGES)
+        known = any(abs(scale - counts) <= _SAME_SCALE * counts for counts in _KNOWN_STAGES)
         offset_deg, direction = axis.home_offset_deg, axis.home_direction
         if known:
             offset_deg = _KNOWN_OFFSET_DEG if offset_deg is None else offset_deg
@@ -285,5 +285,7 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
 def _stated(home: HomeParameters, scale: float) -> str:
     """Return home parameters as they would stand in a station file, as a sentence."""
     direction = next((word for word, number in _DIRECTIONS.items() if number == home.direction), "")
-    told = f"home_offset_deg: {home.offset / scale:.6g}" + (direction and f", home_direction: {direction}")
-    return f" The controller has {told}, from its maker's program or from power-up."
+    home_text = f"home_offset_deg: {home.offset / scale:.6g}" + (
+        direction and f", home_direction: {direction}"
+    )
+    return f" The controller has {home_text}, from its maker's program or from power-up."

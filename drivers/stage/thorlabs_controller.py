@@ -132,13 +132,13 @@ FAMILIES: Final = {
 """Families by the beginning of the model's name, as the controller reports it."""
 
 
-def same_speed(wanted: int, found: int) -> bool:
+def same_speed(wanted: int, present: int) -> bool:
     """Whether a speed or a ramp was kept, but for the controller's rounding.
 
     >>> same_speed(15_021, 15_000), same_speed(146, 145), same_speed(15_021, 0)
     (True, True, False)
     """
-    return abs(wanted - found) <= max(1.0, _SAME_SPEED * wanted)
+    return abs(wanted - present) <= max(1.0, _SAME_SPEED * wanted)
 
 
 @dataclass(frozen=True)
@@ -353,7 +353,7 @@ class ThorlabsController(Link):
         self._set_until_right(
             long(SET_SPEED, SPEED_LAYOUT.pack(CHANNEL, 0, acceleration, speed)),
             self.read_speed,
-            lambda found: same_speed(acceleration, found[0]) and same_speed(speed, found[1]),
+            lambda present: same_speed(acceleration, present[0]) and same_speed(speed, present[1]),
             "acceleration and speed",
             (acceleration, speed),
         )

@@ -268,9 +268,9 @@ class WatchedStage(ABC, Generic[A]):
         if any(self._read_state(axis).busy for axis in self._axes.values()):
             self.stop()
 
-    def _require_serial(self, axis: A, found: str, answers: str, *, where: str = "", remedy: str) -> None:
+    def _require_serial(self, axis: A, serial: str, answers: str, *, where: str = "", remedy: str) -> None:
         """Raise WrongDevice unless the serial number is the one in the station file, if that has one."""
-        if axis.serial and found != axis.serial:
+        if axis.serial and serial != axis.serial:
             raise WrongDevice(
                 f"the station file names serial {axis.serial} for {axis.name}, but {answers}. Nothing was moved.",
                 where=where or self._where,

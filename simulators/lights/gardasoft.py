@@ -119,8 +119,8 @@ class GardasoftRt(LightDriver):
 
     def unsolicited(self) -> bytes:
         """See `Dialect.unsolicited`. These are events, if the host has enabled them."""
-        said, self._pending_events = self._pending_events, ""
-        return said.encode("ascii")
+        events, self._pending_events = self._pending_events, ""
+        return events.encode("ascii")
 
     def clip(self, most_v: float | None) -> None:
         """See `LightDriver.clip`."""
@@ -146,10 +146,10 @@ class GardasoftRt(LightDriver):
         match = _COMMAND.fullmatch(command)
         letters, rest = (match[1], match[2]) if match else ("", "")
         try:
-            said = self._commands.get(letters, _unknown)([word for word in rest.split(",") if word])
+            reply = self._commands.get(letters, _unknown)([word for word in rest.split(",") if word])
         except _RtError as error:
-            said = str(error)
-        return f"{said}\r\n" if said else ""
+            reply = str(error)
+        return f"{reply}\r\n" if reply else ""
 
     def _set_trigger(self, words: list[str]) -> str:
         if words not in (["0"], ["1"]) and (len(words) != 2 or words[0] != "1"):
@@ -188,10 +188,10 @@ class GardasoftRt(LightDriver):
         if words in ([], ["0"]):
             return f"TM {int(self._trigger)}, TP {self._period_ms:.3f}ms"
         channel = _channel(words[0])
-        one = self.outputs[channel]
+        output = self.outputs[channel]
         return (
-            f"CH {channel}, MD {one.mode}, S {one.percent:.1f}%, DL {one.delay_ms:.3f}ms, PU {one.width_ms:.3f}ms, "
-            f"RT {one.retrigger_ms:.3f}ms, IP {channel}, FL 0, CS 1.000A, RA 1.000A"
+            f"CH {channel}, MD {output.mode}, S {output.percent:.1f}%, DL {output.delay_ms:.3f}ms, "
+            f"PU {output.width_ms:.3f}ms, RT {output.retrigger_ms:.3f}ms, IP {channel}, FL 0, CS 1.000A, RA 1.000A"
         )
 
     def _set_events(self, words: list[str]) -> str:
@@ -202,10 +202,10 @@ class GardasoftRt(LightDriver):
 
     def _clear(self, words: list[str]) -> str:
         _expect_at_most(words, 0)
-        said, self._event = self._event, ""
+        event, self._event = self._event, ""
         self._tripped = False
         self._publish()
-        return said
+        return event
 
     # ------------------------------------------------------------------ effect
     def _apply(self, *, warned: bool) -> str:
@@ -216,14 +216,14 @@ class GardasoftRt(LightDriver):
 
     def _publish(self) -> None:
         """Publish the state of the light; a period begins with the edge of the internal trigger."""
-        one = self.outputs[1]
-        level = one.percent / 100.0 * FULL_DRIVE_V
-        flickers = one.mode == PULSE and self._trigger and one.retrigger_ms < self._period_ms
-        steady = one.mode == CONTINUOUS
+        output = self.outputs[1]
+        level = output.percent / 100.0 * FULL_DRIVE_V
+        flickers = output.mode == PULSE and self._trigger and output.retrigger_ms < self._period_ms
+        steady = output.mode == CONTINUOUS
         self._show(
             1000.0 / self._period_ms,
             waveform="square",
-            duty_percent=min(99.0, 100.0 * one.width_ms / self._period_ms),
+            duty_percent=min(99.0, 100.0 * output.width_ms / self._period_ms),
             low_v=level if steady else 0.0,
             high_v=level if steady or flickers else 0.0,
             output=level > 0.0 and (steady or flickers) and not self._tripped,

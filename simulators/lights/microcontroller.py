@@ -102,7 +102,7 @@ class MicrocontrollerLight(LightDriver):
 
     def _execute(self, text: str) -> str:
         name, _, value = text.partition(" ")
-        told: dict[str, Callable[[], str]] = {
+        answers: dict[str, Callable[[], str]] = {
             "ID?": lambda: "STARLIGHT 1 sim-1.0",
             "SERIAL?": lambda: self._serial,
             "WAVE?": lambda: "steady" if self._steady else "square",
@@ -114,8 +114,8 @@ class MicrocontrollerLight(LightDriver):
             "DOG?": lambda: f"{self._dog_s:.0f}",
             "FAULT?": lambda: self._fault,
         }
-        if name in told and not value:
-            return f"= {told[name]()}"
+        if name in answers and not value:
+            return f"= {answers[name]()}"
         commands: dict[str, Callable[[str], None]] = {
             "WAVE": self._set_wave,
             "FREQ": self._set_frequency,

@@ -134,13 +134,13 @@ class CommandTree:
         answers: list[str] = []
         for unit in units(message):
             try:
-                said = self._carry_out(unit)
+                result = self._carry_out(unit)
             except ScpiError as error:
                 self.errors.add(error)
                 if error.code > -200:
                     break
             else:
-                answers += [] if said is None else [said]
+                answers += [] if result is None else [result]
         return ";".join(answers) if answers else None
 
     def _carry_out(self, unit: Unit) -> str | None:
@@ -197,7 +197,7 @@ def choice(word: str, choices: Sequence[str]) -> str:
     >>> choice("square", ["SINusoid", "SQUare"])
     'SQU'
     """
-    for one in choices:
-        if header_pattern(one).fullmatch(word.upper()):
-            return "".join(letter for letter in one if letter.isupper() or letter.isdigit())
+    for word_of_choice in choices:
+        if header_pattern(word_of_choice).fullmatch(word.upper()):
+            return "".join(letter for letter in word_of_choice if letter.isupper() or letter.isdigit())
     raise ScpiError(-224)

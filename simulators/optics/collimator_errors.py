@@ -152,8 +152,8 @@ def displacement_field(u: FloatArray, v: FloatArray, coefficients: FloatArray) -
     if coefficients.shape[0] == 0:
         return 0.0, 0.0
     rho = np.sqrt(u * u + v * v)
-    beyond, away = rho > EDGE, np.maximum(rho, EDGE)
-    u, v = np.where(beyond, u * EDGE / away, u), np.where(beyond, v * EDGE / away, v)
+    beyond, rho_beyond = rho > EDGE, np.maximum(rho, EDGE)
+    u, v = np.where(beyond, u * EDGE / rho_beyond, u), np.where(beyond, v * EDGE / rho_beyond, v)
     rho = np.minimum(rho, EDGE)
     x, y = np.zeros_like(rho), np.zeros_like(rho)
     k, power_u = 0, np.ones_like(rho)
@@ -252,11 +252,11 @@ def relative_radius(cosine: FloatArray, sine: FloatArray, edge: FloatArray) -> F
 def radius_fraction(x_mm: FloatArray, y_mm: FloatArray, disc: Disc) -> FloatArray:
     """Return the distances of target points from the disc's centre, as fractions of the radius in that direction."""
     x, y = x_mm - disc.x, y_mm - disc.y
-    away = np.sqrt(x * x + y * y)
+    distance = np.sqrt(x * x + y * y)
     if disc.edge.size == 0:
-        return away / disc.radius
-    length = np.maximum(away, np.finfo(float).tiny)
-    return away / (disc.radius * relative_radius(x / length, y / length, disc.edge))
+        return distance / disc.radius
+    length = np.maximum(distance, np.finfo(float).tiny)
+    return distance / (disc.radius * relative_radius(x / length, y / length, disc.edge))
 
 
 def _glass(collimator: CollimatorTruth, along: tuple[float, float]) -> tuple[float, float]:

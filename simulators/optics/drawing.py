@@ -91,8 +91,8 @@ def spread_kernel(sigma_px: float, cells: int) -> FloatArray:
     s^2 is sigma^2 minus 1/12 of the cell's squared width.
     """
     sigma = math.sqrt(max(sigma_px**2 - 1.0 / (12.0 * cells**2), 1e-12))
-    beside = math.ceil(REACH_SIGMAS * sigma_px * cells)
-    at = (np.arange(cells + 2 * beside) - beside + 0.5) / cells - 0.5
+    margin = math.ceil(REACH_SIGMAS * sigma_px * cells)
+    at = (np.arange(cells + 2 * margin) - margin + 0.5) / cells - 0.5
     weights = np.array([_normal((x + 0.5) / sigma) - _normal((x - 0.5) / sigma) for x in at])
     return np.asarray(weights / weights.sum())
 

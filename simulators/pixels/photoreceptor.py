@@ -125,16 +125,16 @@ def fill_crossings(drive: Drive, batch: NDArray[np.float32], n: int, phase: floa
     bent = drive.kind == BENT
     if drive.kind == SMOOTH:
         for k in range(n):
-            found = near_crossing(drive, batch[U_RISE, k], batch[ON_AT, k], batch[OFF_AT, k], phase, bent)
-            batch[T, k], batch[TARGET, k], batch[EARLIEST, k], batch[SHIFT, k], batch[IS_ON, k] = found
+            crossing = near_crossing(drive, batch[U_RISE, k], batch[ON_AT, k], batch[OFF_AT, k], phase, bent)
+            batch[T, k], batch[TARGET, k], batch[EARLIEST, k], batch[SHIFT, k], batch[IS_ON, k] = crossing
         for k in range(n):
             near, target, earliest, shift = batch[T, k], batch[TARGET, k], batch[EARLIEST, k], batch[SHIFT, k]
             batch[T, k] = exact_crossing(drive, batch[U_RISE, k], near, target, earliest, shift, bent)
     elif bent:
         for k in range(n):
             on_at, off_at = batch[ON_AT, k], batch[OFF_AT, k]
-            found = smooth_crossing(drive, batch[U_RISE, k], on_at, off_at, phase, bent)
-            batch[T, k], batch[IS_ON, k] = found
+            crossing = smooth_crossing(drive, batch[U_RISE, k], on_at, off_at, phase, bent)
+            batch[T, k], batch[IS_ON, k] = crossing
     else:
         for k in range(n):
             light, u_rise, u_fall = batch[LIGHT, k], batch[U_RISE, k], batch[U_FALL, k]

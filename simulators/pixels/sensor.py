@@ -263,10 +263,10 @@ class Sensor:
             if end == next_epoch:
                 sensor_state.move_epoch(self._pixels, self._state, EPOCH_US)
             self._now_us = end
-        found = parts[0] if len(parts) == 1 else _joined(parts)
+        events = parts[0] if len(parts) == 1 else _joined(parts)
         if self._now_us > begin_us:
-            self._rate_us = len(found.t) / (self._now_us - begin_us)
-        return found
+            self._rate_us = len(events.t) / (self._now_us - begin_us)
+        return events
 
     def _run_epoch(self, until: float, room: int) -> Iterator[Events]:
         """Find the events up to a time within the epoch, in parts that fit into arrays of some size."""

@@ -87,10 +87,10 @@ class Readout(NamedTuple):
 @njit(forceinline=True, **INNER)
 def smallest(values: Any) -> Any:
     """Return the smallest of at least one float32; none is NaN."""
-    found = values[0]
+    least = values[0]
     for k in range(1, values.size):
-        found = min(found, values[k])
-    return found
+        least = min(least, values[k])
+    return least
 
 
 @njit(forceinline=True, **INNER)

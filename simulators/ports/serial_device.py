@@ -218,9 +218,9 @@ class TcpPort:
 
     def unplug(self) -> None:
         """Close the connection and stop listening."""
-        for one in (self.client, self._listener):
-            if one is not None:
-                one.close()
+        for connection in (self.client, self._listener):
+            if connection is not None:
+                connection.close()
         self.client = self._listener = None
 
     def read(self) -> bytes:

@@ -154,14 +154,14 @@ class EspController(Controller):
 
     def _run_pending(self, now: float) -> bytes:
         """Execute commands in order until one has to wait."""
-        said = ""
+        answers = ""
         while self._commands:
             if self._waiting_for is not None and self._waiting_for.axis.reports_busy(now):
                 break
             self._waiting_for = None
             answer = self._execute(self._commands.popleft(), now)
-            said += "" if answer is None else f"{answer}\r\n"
-        return said.encode("ascii")
+            answers += "" if answer is None else f"{answer}\r\n"
+        return answers.encode("ascii")
 
     def _execute(self, command: str, now: float) -> str | None:
         if not command.strip():
@@ -194,9 +194,9 @@ class EspController(Controller):
         if name == "RS":
             self.restart(now)
             return None
-        for one in self.axes.values():
-            self._stop(one, now)
-            one.motor_on = one.motor_on and name == "ST"
+        for each_axis in self.axes.values():
+            self._stop(each_axis, now)
+            each_axis.motor_on = each_axis.motor_on and name == "ST"
         return None
 
     # ------------------------------------------------------------------ commands to an axis
@@ -207,30 +207,32 @@ class EspController(Controller):
             raise EspError(37)
         if int(number) not in self.axes:
             raise EspError(9)
-        one = self.axes[int(number)]
+        esp_axis = self.axes[int(number)]
         try:
-            if name in one.settings:
-                return self._setting(one, name, rest)
-            return self._axis_commands[name](one, rest, now)
+            if name in esp_axis.settings:
+                return self._setting(esp_axis, name, rest)
+            return self._axis_commands[name](esp_axis, rest, now)
         except EspError as error:
             raise EspError(
-                error.number if error.number in {4, 38} else one.number * 100 + error.number
+                error.number if error.number in {4, 38} else esp_axis.number * 100 + error.number
             ) from None
 
     def _known_axis_commands(self) -> Mapping[str, Callable[[EspAxis, str, float], str | None]]:
         return {
-            "ID": lambda one, _rest, _now: f"{one.model.name or 'URS75BCC'}, SN{one.model.serial}",
-            "TP": lambda one, _rest, now: f"{one.axis.encoder(now) / one.scale:.5f}",
-            "DP": lambda one, _rest, now: f"{one.axis.rest_counter(now) / one.scale:.5f}",
-            "TV": lambda one, _rest, now: f"{one.axis.velocity(now) / one.scale:.5f}",
-            "MD": lambda one, _rest, now: str(int(not one.axis.reports_busy(now))),
+            "ID": lambda esp_axis, _rest, _now: (
+                f"{esp_axis.model.name or 'URS75BCC'}, SN{esp_axis.model.serial}"
+            ),
+            "TP": lambda esp_axis, _rest, now: f"{esp_axis.axis.encoder(now) / esp_axis.scale:.5f}",
+            "DP": lambda esp_axis, _rest, now: f"{esp_axis.axis.rest_counter(now) / esp_axis.scale:.5f}",
+            "TV": lambda esp_axis, _rest, now: f"{esp_axis.axis.velocity(now) / esp_axis.scale:.5f}",
+            "MD": lambda esp_axis, _rest, now: str(int(not esp_axis.axis.reports_busy(now))),
             "MO": self._motor_on,
             "MF": self._motor_off,
-            "PA": lambda one, rest, now: self._move(one, rest, now, start=0.0),
+            "PA": lambda esp_axis, rest, now: self._move(esp_axis, rest, now, start=0.0),
             "PR": self._move_by,
             "OR": self._home,
             "DH": self._define_home,
-            "ST": lambda one, _rest, now: self._stop(one, now),
+            "ST": lambda esp_axis, _rest, now: self._stop(esp_axis, now),
             "WS": self._wait,
         }
 
@@ -334,10 +336,10 @@ class EspController(Controller):
         super().take_events(t_s)
 
     def _notice(self, axis: Axis, event: MotionEvent, t_s: float) -> None:
-        (one,) = (one for one in self.axes.values() if one.axis is axis)
-        one.motor_on = False
+        (esp_axis,) = (esp_axis for esp_axis in self.axes.values() if esp_axis.axis is axis)
+        esp_axis.motor_on = False
         limit = 4 if axis.counter(t_s) > 0.0 else 5
-        self._errors.append(one.number * 100 + (limit if event.kind == "limit" else 3))
+        self._errors.append(esp_axis.number * 100 + (limit if event.kind == "limit" else 3))
 
     def emergency_stop(self, t_s: float, *, released: bool = False) -> None:
         """Press the emergency stop, which switches all motors off, or release it; the motors then stay off."""

@@ -104,7 +104,8 @@ class PtuController(Controller):
         publish: Callable[[str, LoadTrajectory], None] = lambda _letter, _pointing: None,
     ) -> None:
         moved = {
-            letter: Axis(one.mechanics, clock(), partial(publish, letter)) for letter, one in models.items()
+            letter: Axis(axis_model.mechanics, clock(), partial(publish, letter))
+            for letter, axis_model in models.items()
         }
         super().__init__(moved.values(), clock, baud=9600, boot_s=_BOOT_S)
         self.serial = serial
@@ -142,27 +143,27 @@ class PtuController(Controller):
         self.take_events(now)
         if not self.awake(now):
             return b""
-        said, self._banner = self._banner, b""
-        return said + self._run(now)
+        banner, self._banner = self._banner, b""
+        return banner + self._run(now)
 
     def _run(self, now: float) -> bytes:
-        said, self._pending = self._pending, b""
+        answers, self._pending = self._pending, b""
         while True:
             if self._resetting is not None:
                 _, axes = self._resetting
                 if any(axis.axis.reports_busy(now) for axis in axes):
                     break
                 self.before_reset = False
-                for one in axes:
-                    if _STEPS[one.chosen] != one.factor:
-                        one.count_in(one.chosen)
+                for ptu_axis in axes:
+                    if _STEPS[ptu_axis.chosen] != ptu_axis.factor:
+                        ptu_axis.count_in(ptu_axis.chosen)
                 hits = "".join(f"!{axis.letter}!{axis.letter}" for axis in reversed(axes))
-                said += f"{hits}*\r\n".encode("ascii", "replace")
+                answers += f"{hits}*\r\n".encode("ascii", "replace")
                 self._resetting = None
             if not self._waiting:
                 break
-            said += self._execute(self._waiting.popleft(), now)
-        return said
+            answers += self._execute(self._waiting.popleft(), now)
+        return answers
 
     def _execute(self, command: str, now: float) -> bytes:
         echo = f"{command} " if self._echo else ""
@@ -183,7 +184,7 @@ class PtuController(Controller):
             return self._reset(command, now)
         if command in {"H", "HP", "HT"}:
             return self._halt(command, now)
-        told = {
+        answers = {
             "V": "Pan-Tilt Controller v3.1.2(C17/E), (C)1991-2014 FLIR Commercial Systems, Inc., All Rights Reserved",
             "VV": "3.1.2",
             "VM": "PTU-D48E",
@@ -194,8 +195,8 @@ class PtuController(Controller):
             "C": f"PTU is in {'pure velocity' if self._by_speed else 'independent'} speed control mode",
             "O": "Input 24 VDC @ 86 degF",
         }
-        if command in told:
-            return f"* {told[command]}"
+        if command in answers:
+            return f"* {answers[command]}"
         match = _COMMAND.fullmatch(command)
         if match is None or match[1][0] not in self.axes or len(match[1]) < 2:
             raise _PtuError("Illegal command entered")
@@ -338,5 +339,5 @@ class PtuController(Controller):
 
     def _notice(self, axis: Axis, event: MotionEvent, t_s: float) -> None:
         del event, t_s
-        (one,) = (one for one in self.axes.values() if one.axis is axis)
-        self._pending += f"!{one.letter}".encode("ascii", "replace")
+        (ptu_axis,) = (ptu_axis for ptu_axis in self.axes.values() if ptu_axis.axis is axis)
+        self._pending += f"!{ptu_axis.letter}".encode("ascii", "replace")

@@ -155,8 +155,8 @@ class GrblController(Unit):
         return self._take_output()
 
     def _take_output(self) -> bytes:
-        said, self._output = self._output, ""
-        return said.encode("ascii")
+        output, self._output = self._output, ""
+        return output.encode("ascii")
 
     def _take_lines(self) -> None:
         """Execute lines in order until one has to wait; none is executed while a reset is due."""

@@ -107,7 +107,8 @@ class Planner:
         self._order = list(models)
 
         self.axes = {
-            one: Axis(model.mechanics, now_s, partial(publish, one)) for one, model in models.items()
+            model_letter: Axis(model.mechanics, now_s, partial(publish, model_letter))
+            for model_letter, model in models.items()
         }
         self.held = False
         self._queue: deque[Motion] = deque()
@@ -128,8 +129,8 @@ class Planner:
 
     def position(self, now: float) -> list[float]:
         """Return the machine position of three axes, units; 0 for missing axes."""
-        found = [axis.counter(now) / self._steps(letter) for letter, axis in self.axes.items()]
-        return found + [0.0] * (3 - len(found))
+        positions = [axis.counter(now) / self._steps(letter) for letter, axis in self.axes.items()]
+        return positions + [0.0] * (3 - len(positions))
 
     def feed(self, now: float) -> float:
         """Return the present speed along the path."""
@@ -142,7 +143,7 @@ class Planner:
 
     def inside(self, targets: Mapping[str, float]) -> bool:
         """Return whether targets lie within the travel of all axes."""
-        return all(-self._setting(MAX_TRAVEL, one) <= target <= 0.0 for one, target in targets.items())
+        return all(-self._setting(MAX_TRAVEL, letter) <= target <= 0.0 for letter, target in targets.items())
 
     # ------------------------------------------------------------------ commands
     def add(self, motion: Motion, now: float) -> None:
@@ -202,18 +203,18 @@ class Planner:
     # ------------------------------------------------------------------ internals
     def _start(self, motion: Motion, now: float) -> None:
         present = self._rest_targets(now)
-        distances = {one: motion.targets[one] - present[one] for one in self._order}
+        distances = {letter: motion.targets[letter] - present[letter] for letter in self._order}
         length = math.sqrt(sum(distance * distance for distance in distances.values()))
-        shares = {one: abs(distance) / length for one, distance in distances.items() if distance}
+        shares = {letter: abs(distance) / length for letter, distance in distances.items() if distance}
         if not shares:
             return
-        speed = min(self._setting(MAX_RATE, one) / 60.0 / share for one, share in shares.items())
+        speed = min(self._setting(MAX_RATE, letter) / 60.0 / share for letter, share in shares.items())
         speed = min(speed, motion.feed / 60.0) if motion.feed else speed
-        acceleration = min(self._setting(ACCELERATION, one) / share for one, share in shares.items())
-        for one, share in shares.items():
-            scale = self._steps(one)
-            target = float(round(motion.targets[one] * scale))
-            self.axes[one].move_to(target, now, speed * share * scale, acceleration * share * scale)
+        acceleration = min(self._setting(ACCELERATION, letter) / share for letter, share in shares.items())
+        for letter, share in shares.items():
+            scale = self._steps(letter)
+            target = float(round(motion.targets[letter] * scale))
+            self.axes[letter].move_to(target, now, speed * share * scale, acceleration * share * scale)
 
     def _brake(self, now: float) -> None:
         for letter, axis in self.axes.items():

@@ -109,13 +109,13 @@ class AptController(SingleController):
         self.take_events(now)
         if not self.awake(now):
             return b""
-        said = b""
+        reports = b""
         if self._motion and not self.axis.reports_busy(now):
-            said, self._motion = self._end_of_motion(now), ""
+            reports, self._motion = self._end_of_motion(now), ""
         if self._updates and now - self._updated_at_s >= _UPDATE_S and self._still_there():
             self._updated_at_s = now
-            said += self._long(0x0491 if self._servo else 0x0481, self._update(now))
-        return said
+            reports += self._long(0x0491 if self._servo else 0x0481, self._update(now))
+        return reports
 
     def _end_of_motion(self, now: float) -> bytes:
         if self._motion == "home":

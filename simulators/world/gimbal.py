@@ -138,14 +138,14 @@ def drawn_errors(seed: int) -> tuple[DrawnErrors, DrawnErrors, DrawnErrors]:
     """Return the random numbers of pan, tilt and roll."""
     rng = np.random.default_rng((seed, _STREAM))
 
-    def one() -> DrawnErrors:
+    def drawn_axis() -> DrawnErrors:
         phase, *rest = rng.uniform(0.0, 2.0 * math.pi, 7).tolist()
         wobble = tuple(
             (math.cos(mix), first, math.sin(mix), second) for mix, first, second in (rest[:3], rest[3:])
         )
         return DrawnErrors(phase, wobble)
 
-    return one(), one(), one()
+    return drawn_axis(), drawn_axis(), drawn_axis()
 
 
 def true_angles_deg(angles_deg: Mapping[Any, float], gimbal: GimbalTruth) -> tuple[float, float, float]:

@@ -7,6 +7,7 @@ returned, ``Raises`` for what the body itself raises, and a shape such as ``(N, 
 from __future__ import annotations
 
 import ast
+import functools
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -154,6 +155,7 @@ def documented(source: str, place: str = "here") -> list[Documented]:
     return list(_below(ast.parse(source), "", place))
 
 
+@functools.cache
 def split_by_api() -> tuple[list[Documented], list[Documented]]:
     """Return what belongs to the API and has to be complete, and everything else of the product."""
     api: list[Documented] = []

@@ -211,20 +211,20 @@ class Batch:
         wait_announced = False
         try:
             self._recover_last_run()
-            while (found := self._choose_next()) is not None:
-                if not isinstance(found, Item):
+            while (choice := self._choose_next()) is not None:
+                if not isinstance(choice, Item):
                     if not wait_announced:
-                        self._say(f"waiting until {self._time_after(found)}")
+                        self._say(f"waiting until {self._time_after(choice)}")
                     wait_announced = True
-                    self._clock.sleep(min(found + 0.01, self._look_s))
+                    self._clock.sleep(min(choice + 0.01, self._look_s))
                     continue
                 wait_announced = False
-                if why := self._stopped_by_standard(found):
+                if why := self._stopped_by_standard(choice):
                     return "stopped", why
-                self._run_item(found)
-                run = self._record.runs[found.key]
-                if run.ended[-1].how != "finished" and run.is_done and found.job.on_failure == "stop":
-                    return "stopped", f"{found.key} failed, and its job has on_failure: stop"
+                self._run_item(choice)
+                run = self._record.runs[choice.key]
+                if run.ended[-1].how != "finished" and run.is_done and choice.job.on_failure == "stop":
+                    return "stopped", f"{choice.key} failed, and its job has on_failure: stop"
         except Aborted as stop:
             return "aborted", stop.reason
         if pending := self._record.pending():

@@ -66,14 +66,14 @@ class Pace:
 
 def paces(runs: Sequence[LedgerRun]) -> dict[str, Pace]:
     """Return each station's pace, and under an empty name that of all, from the newest runs without a stop."""
-    found: dict[str, list[float]] = {}
+    ratios_of_station: dict[str, list[float]] = {}
     for run in reversed(runs[-_MOST_READ:]):
-        if run.how == "finished" and (one := _ratio(Path(run.folder))) is not None:
-            for station in (one[0], ""):
-                found.setdefault(station, []).append(one[1])
+        if run.how == "finished" and (ratio := _ratio(Path(run.folder))) is not None:
+            for station in (ratio[0], ""):
+                ratios_of_station.setdefault(station, []).append(ratio[1])
     return {
         station: Pace(max(1.0, median(ratios[:_MOST_RUNS])), len(ratios[:_MOST_RUNS]), station)
-        for station, ratios in found.items()
+        for station, ratios in ratios_of_station.items()
     }
 
 
@@ -125,8 +125,8 @@ def _resolve_files(job: JobConfig, base: Path) -> JobConfig:
     """Replace file names of a job, also of passports in settings, by full paths: beside the queue, else in the cwd."""
     names: dict[str, Any] = {}
     for key in ("sequence", "station"):
-        if found := _beside(base, getattr(job, key)):
-            names[key] = found
+        if existing := _beside(base, getattr(job, key)):
+            names[key] = existing
     passports = {path: text for path, text in job.settings.items() if path.endswith(".passport")}
     found_passports = {
         path: json.dumps(file) for path, text in passports.items() if (file := _beside(base, text))
@@ -136,8 +136,8 @@ def _resolve_files(job: JobConfig, base: Path) -> JobConfig:
 
 def _beside(base: Path, name: str) -> str | None:
     """Return the full path of a file beside the queue file or in the current folder; None if there is none."""
-    found = next((path for path in (base / name, Path(name)) if path.is_file()), None)
-    return str(found.resolve()) if found is not None else None
+    existing = next((path for path in (base / name, Path(name)) if path.is_file()), None)
+    return str(existing.resolve()) if existing is not None else None
 
 
 def job_faults(job: JobConfig) -> list[str]:

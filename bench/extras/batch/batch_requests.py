@@ -32,9 +32,9 @@ from bench.record.storage import make_folder
 from sequences.queue import JobConfig, Key
 
 REQUESTS = "requests"
-POLL_S = 0.2
-_PATIENCE_S = 15.0
-_MAX_BYTES = 16_384
+POLL_S = 0.2  # A person at a terminal does not notice it
+_PATIENCE_S = 15.0  # A batch answers between two looks, also on a busy computer
+_MAX_BYTES = 16_384  # A job of a queue has some hundred
 
 Word = Literal["add", "withdraw"]
 
@@ -145,8 +145,8 @@ def send_request(folder: Path, request: Request, *, patience_s: float = _PATIENC
 
 def _answer_in(folder: Path, request_id: str) -> Requested | None:
     entries, _ = read_journal(folder / JOURNAL)
-    found = (e for e in reversed(entries) if e.event == BatchEvent.REQUESTED and e.data["id"] == request_id)
-    entry = next(found, None)
+    answers = (e for e in reversed(entries) if e.event == BatchEvent.REQUESTED and e.data["id"] == request_id)
+    entry = next(answers, None)
     return cast("Requested", entry.data) if entry is not None else None
 
 

@@ -26,7 +26,7 @@ from bench.wording.plan_text import duration_text
 FOLLOW_S = 1.0
 _TICK_WAITS = 2
 """With ``ticks``, the status is read again after this many waits."""
-_MOST_UPCOMING = 12
+_MOST_UPCOMING = 12  # A screen with the rest of the status
 
 
 class DoneRun(NamedTuple):

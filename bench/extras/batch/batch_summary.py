@@ -284,11 +284,11 @@ def _mean_lines(camera: CameraData) -> list[str]:
         f"Camera {camera['camera']}, {camera['model']} model, {camera['runs']} results; U with {factors}:"
     ]
     width = max(len(parameter["name"]) for parameter in parameters)
-    for one in parameters:
-        mean, expanded = with_uncertainty(one["mean"], one["expanded"])
-        line = f"  {one['name']:<{width}} {mean:>12} ± {expanded:<9} {unit_text(one['name']):<3}"
-        line += f" Birge {one['birge']:.2f}"
-        lines.append(f"{line}  REPEATS" if one["repeats"] else line)
+    for agreed in parameters:
+        mean, expanded = with_uncertainty(agreed["mean"], agreed["expanded"])
+        line = f"  {agreed['name']:<{width}} {mean:>12} ± {expanded:<9} {unit_text(agreed['name']):<3}"
+        line += f" Birge {agreed['birge']:.2f}"
+        lines.append(f"{line}  REPEATS" if agreed["repeats"] else line)
     if any(parameter["repeats"] for parameter in parameters):
         lines.append(f"  REPEATS: {REPEATS_TEXT}")
     return lines

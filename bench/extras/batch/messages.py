@@ -137,8 +137,8 @@ class Outbox:
         serve = partial(self.deliver_to, send=send, now=now, all_waiting=all_waiting)
         served = [in_background(partial(serve, channel), "messages") for channel in self.channels()]
         wait(served)
-        for one in served:
-            one.result()
+        for delivery in served:
+            delivery.result()
         return self.waiting()
 
     def deliver_to(self, channel: str, send: Send, now: datetime, *, all_waiting: bool = False) -> None:

@@ -114,9 +114,9 @@ class RehearsedResults(ResultWriter):
         """See `ResultWriter.solve`. Without checks and planar comparison."""
         check()
         self._clock.sleep(SOLVE_S)
-        found, readings = accepted_measurements(self._job, self._folder.path, history, measured)
+        measurements, readings = accepted_measurements(self._job, self._folder.path, history, measured)
         options = solve_options(self._job, step, readings)
-        self._calibration = calibrate(views_in(found), options)
+        self._calibration = calibrate(views_in(measurements), options)
         return main_numbers(self._calibration)
 
     def write(self, log: RunLog, truth: Mapping[str, Any] | None) -> None:

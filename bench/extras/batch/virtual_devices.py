@@ -49,14 +49,14 @@ class VirtualDevices(Devices):
         self.stage = VirtualStage({name: axis.limits for name, axis in station.axes.items()}, clock)
         self.light = VirtualLight(clock)
         simulated = station.needs_simulated_bench and not isinstance(station.camera, FrameCameraConfig)
-        found = self._world.bench.camera_serial if simulated else station.camera.serial
-        if found != station.camera.serial:
+        serial = self._world.bench.camera_serial if simulated else station.camera.serial
+        if serial != station.camera.serial:
             raise WrongDevice(
-                f"The station file names serial number {station.camera.serial}, but the camera has {found}.",
+                f"The station file names serial number {station.camera.serial}, but the camera has {serial}.",
                 where="camera",
                 remedy="Connect the camera that the station file names.",
             )
-        self.camera = VirtualCamera(found, self._world, self.stage, self.light, clock)
+        self.camera = VirtualCamera(serial, self._world, self.stage, self.light, clock)
         self._opened = ExitStack()
 
     def truth(self) -> dict[str, Any]:

@@ -72,17 +72,17 @@ def time_unit(span_days: float) -> str:
     return "hour" if span_days < 2.0 else "day" if span_days < 120.0 else "year"
 
 
-def _parameter_verdict(one: _Computed, level: Level, state: ChartState, drift: DriftData) -> str:
-    runs = len(one.runs)
-    if one.control is None:
+def _parameter_verdict(computed: _Computed, level: Level, state: ChartState, drift: DriftData) -> str:
+    runs = len(computed.runs)
+    if computed.control is None:
         return f"{counted(runs, 'run')}: too few for limits (at least 5 are needed)."
-    sentences = [_control(one, one.control, state), *_drifts(drift)]
-    if level == "camera" and (ratio := _excess_scatter(one.drift, runs)):
+    sentences = [_control(computed, computed.control, state), *_drifts(drift)]
+    if level == "camera" and (ratio := _excess_scatter(computed.drift, runs)):
         sentences.append(
             f"The runs scatter {number(ratio, 2)} times as much as their stated uncertainties predict."
         )
-    if one.provisional:
-        baseline = one.control.limits["baseline"]
+    if computed.provisional:
+        baseline = computed.control.limits["baseline"]
         sentences.append(f"The limits come from {baseline} runs: provisional until there are 20.")
     return " ".join(sentences)
 
@@ -96,10 +96,10 @@ def _excess_scatter(drift: Drift, runs: int) -> float | None:
     return drift.scatter if drift.scatter is not None and drift.scatter > least else None
 
 
-def _control(one: _Computed, control: _Control, state: ChartState) -> str:
-    limits, averages, runs = control.limits, control.averages["beyond"], len(one.runs)
+def _control(computed: _Computed, control: _Control, state: ChartState) -> str:
+    limits, averages, runs = control.limits, control.averages["beyond"], len(computed.runs)
     low, high = (with_uncertainty(limits[end], limits["sigma"])[0] for end in ("lower", "upper"))
-    within = f"{low} to {high}{' ' if one.unit else ''}{one.unit}"
+    within = f"{low} to {high}{' ' if computed.unit else ''}{computed.unit}"
     if state == "in control":
         return f"In control: all {runs} runs lie within {within}."
     parts = []
@@ -107,10 +107,10 @@ def _control(one: _Computed, control: _Control, state: ChartState) -> str:
         expected = number(SHEWHART_CHANCE * runs, 2)
         parts.append(
             f"{counted(len(beyond), 'run')} of {runs} {'lies' if len(beyond) == 1 else 'lie'} outside {within}"
-            f" ({_named(beyond, one.runs)}); about {expected} by chance"
+            f" ({_named(beyond, computed.runs)}); about {expected} by chance"
         )
     if averages:
-        named = _named(averages[:1], one.runs)
+        named = _named(averages[:1], computed.runs)
         parts.append(f"the moving average (EWMA) left its limits at {named}: the mean may have shifted")
     lead = "Out of control" if state == "out of control" else "Check, it may be chance"
     return f"{lead}: {'; '.join(parts)}."
@@ -119,18 +119,18 @@ def _control(one: _Computed, control: _Control, state: ChartState) -> str:
 def _drifts(drift: DriftData) -> list[str]:
     slopes = (("time", drift["per_day"]), ("temperature", drift["per_c"]))
     tested = [(what, slope) for what, slope in slopes if slope is not None]
-    found = []
+    sentences = []
     for what, slope in tested:
         if slope["seen"]:
             p = slope["p_adjusted"]
             chance = f"p = {number(p, 1)}" if p >= 1e-6 else "p < 0.000001"
-            found.append(f"It drifts with {what}: {slope['text']} ({chance}).")
-    if found and not drift["separable"]:
-        found.append(
+            sentences.append(f"It drifts with {what}: {slope['text']} ({chance}).")
+    if sentences and not drift["separable"]:
+        sentences.append(
             "Time and temperature changed together, so the runs do not show which of them is the cause."
         )
     names = " or ".join(what for what, _ in tested)
-    return found or ([f"No significant drift with {names}."] if tested else [])
+    return sentences or ([f"No significant drift with {names}."] if tested else [])
 
 
 def _named(places: Sequence[int], runs: Sequence[ChartRun]) -> str:
@@ -224,15 +224,17 @@ def find_charts(groups: Iterable[ChartGroup], *, baseline: int | None = None) ->
 
     Limits come from each group's first ``baseline`` runs, all where None.
     """
-    found = [(group, [_computed(name, group, baseline) for name in group.key.parameters]) for group in groups]
-    every = [chart for _, charts in found for chart in charts]
-    chances = [slope["p"] for one in every for slope in one.slopes]
+    charts_of_group = [
+        (group, [_computed(name, group, baseline) for name in group.key.parameters]) for group in groups
+    ]
+    every = [chart for _, charts in charts_of_group for chart in charts]
+    chances = [slope["p"] for each_chart in every for slope in each_chart.slopes]
     judge = _Judge(
-        limited=sum(one.control is not None for one in every),
+        limited=sum(each_chart.control is not None for each_chart in every),
         adjusted=dict(zip(chances, holm(chances), strict=True)),
     )
-    told = [_group_data(group, charts, judge) for group, charts in found]
-    return {"schema": SCHEMA, "level": LEVEL, "groups": told}
+    groups_data = [_group_data(group, charts, judge) for group, charts in charts_of_group]
+    return {"schema": SCHEMA, "level": LEVEL, "groups": groups_data}
 
 
 def _computed(name: str, group: ChartGroup, baseline: int | None) -> _Computed:
@@ -240,8 +242,8 @@ def _computed(name: str, group: ChartGroup, baseline: int | None) -> _Computed:
     provisional = min(baseline or len(runs), len(runs)) < ENOUGH_RUNS
     if len(runs) < LEAST_RUNS:
         return _Computed(name, runs, provisional, None, _UNTESTED)
-    found = [run.parameters[name] for run in runs]
-    values, sigmas = [one.value for one in found], [one.sigma for one in found]
+    estimates = [run.parameters[name] for run in runs]
+    values, sigmas = [estimate.value for estimate in estimates], [estimate.sigma for estimate in estimates]
     limits = individuals(values, baseline)
     drift = find_drift(group.days, [run.temperature_c for run in runs], values, sigmas)
     control = _Control(limits, ewma(values, limits["centre"], limits["sigma"]))
@@ -251,7 +253,7 @@ def _computed(name: str, group: ChartGroup, baseline: int | None) -> _Computed:
 def _group_data(group: ChartGroup, computed: Sequence[_Computed], judge: _Judge) -> ChartGroupData:
     key, runs = group.key, group.runs
     per = time_unit(group.days[-1])
-    charts = [_chart_data(one, key.level, per, judge) for one in computed]
+    charts = [_chart_data(parameter, key.level, per, judge) for parameter in computed]
     states: list[ChartState] = [chart["state"] for chart in charts]
     state: ChartState = min(states, key=get_args(ChartState).index, default="too few")  # the worst
     cameras = len({run.serial for run in runs})
@@ -278,44 +280,44 @@ def _group_data(group: ChartGroup, computed: Sequence[_Computed], judge: _Judge)
     }  # fmt: skip
 
 
-def _chart_data(one: _Computed, level: Level, per: str, judge: _Judge) -> ChartData:
-    state, drift = _state(one, judge.limited), _drift_data(one, per, judge)
+def _chart_data(computed: _Computed, level: Level, per: str, judge: _Judge) -> ChartData:
+    state, drift = _state(computed, judge.limited), _drift_data(computed, per, judge)
     values: ChartValues = {
-        "name": one.name,
-        "unit": one.unit,
-        "meaning": meaning_of(one.name),
-        "values": [run.value for run in one.estimates],
-        "sigmas": [run.sigma for run in one.estimates],
-        "expanded": [run.expanded for run in one.estimates],
+        "name": computed.name,
+        "unit": computed.unit,
+        "meaning": meaning_of(computed.name),
+        "values": [run.value for run in computed.estimates],
+        "sigmas": [run.sigma for run in computed.estimates],
+        "expanded": [run.expanded for run in computed.estimates],
     }
     judgement: ChartJudgement = {
         "drift": drift,
         "state": state,
-        "verdict": _parameter_verdict(one, level, state, drift),
+        "verdict": _parameter_verdict(computed, level, state, drift),
     }
-    if one.control is None:
+    if computed.control is None:
         none: ChartOfFew = {
-            **values, "lower": None, "upper": None, "ewma": None, "provisional": one.provisional, **judgement
+            **values, "lower": None, "upper": None, "ewma": None, "provisional": computed.provisional, **judgement
         }  # fmt: skip
         return none
-    limits, averages = one.control.limits, one.control.averages
+    limits, averages = computed.control.limits, computed.control.averages
     made: LimitedChart = {
         **values,
         "lower": limits["lower"],
         "upper": limits["upper"],
         "ewma": averages,
-        "provisional": one.provisional,
+        "provisional": computed.provisional,
         **limits,
         **judgement,
     }
     return made
 
 
-def _drift_data(one: _Computed, per: str, judge: _Judge) -> DriftData:
-    drift = one.drift
+def _drift_data(computed: _Computed, per: str, judge: _Judge) -> DriftData:
+    drift = computed.drift
     return {
-        "per_day": _slope_data(drift.per_day, one.unit, per, judge) if drift.per_day else None,
-        "per_c": _slope_data(drift.per_c, one.unit, "°C", judge) if drift.per_c else None,
+        "per_day": _slope_data(drift.per_day, computed.unit, per, judge) if drift.per_day else None,
+        "per_c": _slope_data(drift.per_c, computed.unit, "°C", judge) if drift.per_c else None,
         "joint": drift.joint,
         "separable": drift.separable,
         "between_runs": drift.between_runs,
@@ -334,29 +336,29 @@ def _slope_data(slope: TestedSlope, unit: str, per: str, judge: _Judge) -> Drift
     }
 
 
-def _state(one: _Computed, limited: int) -> ChartState:
+def _state(computed: _Computed, limited: int) -> ChartState:
     """Judge a chart; ``check`` is what chance can explain where so many charts have limits."""
-    if one.control is None:
+    if computed.control is None:
         return "too few"
-    if not one.control.limits["beyond"] and not one.control.averages["beyond"]:
+    if not computed.control.limits["beyond"] and not computed.control.averages["beyond"]:
         return "in control"
     level = LEVEL / (3.0 * limited)
-    return "out of control" if min(_chances(one, one.control)) < level else "check"
+    return "out of control" if min(_chances(computed, computed.control)) < level else "check"
 
 
-def _chances(one: _Computed, control: _Control) -> tuple[float, float, float]:
+def _chances(computed: _Computed, control: _Control) -> tuple[float, float, float]:
     """Return the chances of what lies beyond the limits, for a parameter in control.
 
     They are: of so many values (Poisson), of the farthest average, and of the farthest value by its own stated
     uncertainty (both normal, times the number of runs).
     """
-    runs, found, centre, beyond = (
-        len(one.runs),
-        one.estimates,
+    runs, estimates, centre, beyond = (
+        len(computed.runs),
+        computed.estimates,
         control.limits["centre"],
         control.limits["beyond"],
     )
-    farthest = max((abs(found[i].value - centre) / found[i].sigma for i in beyond), default=0.0)
+    farthest = max((abs(estimates[i].value - centre) / estimates[i].sigma for i in beyond), default=0.0)
     reach = max((_reach(control, i) for i in control.averages["beyond"]), default=0.0)
     return (
         float(stats.poisson.sf(len(beyond) - 1, SHEWHART_CHANCE * runs)),

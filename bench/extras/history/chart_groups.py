@@ -63,19 +63,21 @@ class Grouped:
     left_out: list[str]  # One sentence for each reason why runs are in no chart
 
 
-def group_runs(found: Iterable[tuple[IndexedRun, RunDetails, RunPlace]], by: Level | None = None) -> Grouped:
+def group_runs(
+    indexed: Iterable[tuple[IndexedRun, RunDetails, RunPlace]], by: Level | None = None
+) -> Grouped:
     """Put runs into groups that can be in one chart, by ``camera`` or ``type``; by both where None."""
     by_key: dict[ChartKey, ChartGroup] = {}
     without: dict[str, list[str]] = {}
-    for run, details, place in found:
+    for run, details, place in indexed:
         point = _point(run)
         if isinstance(point, str):
             without.setdefault(point, []).append(run.id)
             continue
         key = _key(run, details, place)
         for level in ("camera", "type"):
-            one = key if level == "camera" else key._replace(level="type", serial="")
-            by_key.setdefault(one, ChartGroup(one)).runs.append(point)
+            group_key = key if level == "camera" else key._replace(level="type", serial="")
+            by_key.setdefault(group_key, ChartGroup(group_key)).runs.append(point)
     groups = [by_key[key] for key in sorted(by_key, key=lambda key: (key.level == "camera", key))]
     for group in groups:
         group.runs.sort(key=lambda point: (point.begun, point.folder))

@@ -25,15 +25,15 @@ def standard_problem(station: Station, home: Path, now: datetime) -> str:
         return ""
     index, name = RunIndex(home), f"The check standard, camera {standard.serial}"
     folders = [Path(run.folder) for run in bench_ledger().runs() if (Path(run.folder) / JOURNAL).is_file()]
-    found, _ = index.runs(folders, camera=standard.serial, how="finished")
+    runs, _ = index.runs(folders, camera=standard.serial, how="finished")
     own = [
         run
-        for run in found
+        for run in runs
         if run.parameters and (run.station, run.simulated) == (station.name, station.is_simulated)
     ]
     if not own:
         return f"{name}, has no result on this station." if standard.every_days is not None else ""
-    grouped = group_runs(((*found, RunPlace()) for found in index.details(own)), "camera")
+    grouped = group_runs(((*runs, RunPlace()) for runs in index.details(own)), "camera")
     newest = own[-1]
     for group in find_charts(grouped.groups, baseline=standard.baseline)["groups"]:
         if group["runs"][-1]["run"] == newest.id and (names := _violated(group)):

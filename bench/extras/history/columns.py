@@ -35,6 +35,14 @@ Cell = str | float | bool | datetime | list[str] | None
 """A value of the table; None if it is not known."""
 Row = Mapping[str, Cell]
 """A run, by column."""
+_JSON_TYPES: Mapping[Kind, dict[str, object]] = {
+    "text": {"type": ["string", "null"]},
+    "texts": {"type": "array", "items": {"type": "string"}},
+    "integer": {"type": ["integer", "null"]},
+    "number": {"type": ["number", "null"]},
+    "truth": {"type": ["boolean", "null"]},
+    "moment": {"type": ["string", "null"], "format": "date-time"},
+}
 
 
 class Column(NamedTuple):
@@ -165,15 +173,6 @@ COLUMNS: Sequence[Column] = (
 )
 """All columns, in order."""
 
-_JSON_TYPES: Mapping[Kind, dict[str, object]] = {
-    "text": {"type": ["string", "null"]},
-    "texts": {"type": "array", "items": {"type": "string"}},
-    "integer": {"type": ["integer", "null"]},
-    "number": {"type": ["number", "null"]},
-    "truth": {"type": ["boolean", "null"]},
-    "moment": {"type": ["string", "null"], "format": "date-time"},
-}
-
 
 def json_schema() -> dict[str, object]:
     """Return the JSON Schema of a row: for each column its type, its meaning and, where there is one, its unit."""
@@ -250,10 +249,10 @@ def _whole(value: object) -> int | None:
 
 def _moment(text: object) -> datetime | None:
     try:
-        found = datetime.fromisoformat(str(text))
+        moment = datetime.fromisoformat(str(text))
     except ValueError:
         return None
-    return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
 
 
 _FITTED: Mapping[str, Callable[[object], Cell]] = {
@@ -261,6 +260,6 @@ _FITTED: Mapping[str, Callable[[object], Cell]] = {
     "integer": _whole,
     "truth": lambda value: value if isinstance(value, bool) else None,
     "moment": _moment,
-    "texts": lambda value: [str(one) for one in value] if isinstance(value, list) else [],
+    "texts": lambda value: [str(text) for text in value] if isinstance(value, list) else [],
     "text": str,
 }

@@ -112,9 +112,9 @@ def merge_ledgers(sources: Iterable[LedgerSource]) -> MergedLedgers:
             notes.append(f"The ledger in {source.folder} was named twice; it counts once.")
         kept.setdefault(folder, source)
     merged = MergedLedgers(list(kept.values()), {}, [], notes)
-    for one in merged.sources:
-        merged.faults += one.faults
-        merged.notes += one.notes
+    for ledger_source in merged.sources:
+        merged.faults += ledger_source.faults
+        merged.notes += ledger_source.notes
     entered: dict[str, EnteredRun] = {}
     for source in merged.sources:
         for run in source.runs:
@@ -150,12 +150,12 @@ def merge_runs(
 ) -> MergedRuns:
     """Find runs of ledgers and folders, whose places go first; ``only_folders`` leaves out those in ledgers alone."""
     merged = MergedRuns(faults=list(ledgers.faults), notes=list(ledgers.notes))
-    stated = [] if only_folders else [Path(one.run.folder) for one in ledgers.entered.values()]
+    stated = [] if only_folders else [Path(ledger_run.run.folder) for ledger_run in ledgers.entered.values()]
     present = [path for path in stated if (path / JOURNAL).is_file()]
-    found, unreadable = index.runs([*folders, *present])
+    runs, unreadable = index.runs([*folders, *present])
     merged.faults += unreadable
     by_head: dict[str, list[IndexedRun]] = {}
-    for run in found:
+    for run in runs:
         by_head.setdefault(run.ledger_head or run.folder, []).append(run)
     for head, same in by_head.items():
         entered = ledgers.entered.get(head)
@@ -165,8 +165,8 @@ def merge_runs(
         if entered is not None:
             merged.faults += _changed(kept, entered)
     if not only_folders:
-        unread = {str(path.resolve()) for path in [*folders, *present]} - {run.folder for run in found}
-        _name_missing(merged, ledgers.entered, by_head, found, unread)
+        unread = {str(path.resolve()) for path in [*folders, *present]} - {run.folder for run in runs}
+        _name_missing(merged, ledgers.entered, by_head, runs, unread)
     _strangers(merged, ledgers.sources)
     merged.runs.sort(key=lambda run: (run.begun_utc, run.folder))
     for run, details in index.details(merged.runs):
@@ -223,7 +223,7 @@ def _hash_of(path: Path) -> str | None:
 def _changed(run: IndexedRun, entered: EnteredRun) -> list[str]:
     """Compare a folder with what the ledger enters."""
     stated, folder = entered.run, Path(run.folder)
-    found = []
+    changes = []
     named = f"run {stated.number} of {entered.bench} ({run.folder})"
     pairs = (
         ("number", run.ledger_number, stated.number),
@@ -232,13 +232,13 @@ def _changed(run: IndexedRun, entered: EnteredRun) -> list[str]:
     )
     for what, here, there in pairs:
         if here != there:
-            found.append(f"{named}: its journal states the {what} {here}, the ledger {there}")
+            changes.append(f"{named}: its journal states the {what} {here}, the ledger {there}")
     if stated.seal is not None:
         if not is_sealed(folder):
-            found.append(f"{named}: the ledger states a seal, but the folder has none: it was removed")
+            changes.append(f"{named}: the ledger states a seal, but the folder has none: it was removed")
         elif _hash_of(folder / MANIFEST) != stated.seal:
-            found.append(f"{named}: {MANIFEST} is not the sealed one: the folder was changed after sealing")
-    return found
+            changes.append(f"{named}: {MANIFEST} is not the sealed one: the folder was changed after sealing")
+    return changes
 
 
 def _name_missing(
@@ -250,19 +250,19 @@ def _name_missing(
 ) -> None:
     """Name the runs of the ledgers that no folder holds."""
     at_path = {run.folder: run for run in runs}
-    for head, one in entered.items():
-        resolved = str(Path(one.run.folder).resolve())
+    for head, ledger_run in entered.items():
+        resolved = str(Path(ledger_run.run.folder).resolve())
         if head in by_head or resolved in unread:  # a folder that cannot be read is named already
             continue
-        named = f"run {one.run.number} of {one.bench} ({one.run.run_id}, {one.run.how})"
+        named = f"run {ledger_run.run.number} of {ledger_run.bench} ({ledger_run.run.run_id}, {ledger_run.run.how})"
         other = at_path.get(resolved)
         if other is None:
-            merged.faults.append(f"{named}: its folder {one.run.folder} is missing")
-        elif other.id == one.run.run_id:
+            merged.faults.append(f"{named}: its folder {ledger_run.run.folder} is missing")
+        elif other.id == ledger_run.run.run_id:
             merged.notes.append(f"{named} was resumed with another ledger, as number {other.ledger_number}.")
         else:
             merged.faults.append(
-                f"{named}: its folder {one.run.folder} now holds another run (number {other.ledger_number})"
+                f"{named}: its folder {ledger_run.run.folder} now holds another run (number {other.ledger_number})"
             )
 
 

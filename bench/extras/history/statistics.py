@@ -51,7 +51,8 @@ INSEPARABLE = 0.9
 PART, REPEATABILITY = "camera", "repeatability"
 POOLED_ABOVE = 0.05
 """An interaction with a larger p is counted as repeatability (AIAG, appendix A)."""
-_CATEGORIES = 1.41
+_CATEGORIES = 1.41  # Square root of 2: distinct categories by AIAG's manual (MSA, 4th edition)
+# Per cent of the variation or of the tolerance, by AIAG's manual (MSA, 4th edition).
 _GOOD, _CONDITIONAL = 10.0, 30.0
 
 
@@ -156,7 +157,7 @@ def find_drift(
     sigmas: Sequence[float],
 ) -> Drift:
     """Fit the drift of a parameter; return the slopes with their tests. Unknown temperatures are None."""
-    t, y, u = (np.asarray(one, float) for one in (days, values, sigmas))
+    t, y, u = (np.asarray(column, float) for column in (days, values, sigmas))
     warm = np.array([math.nan if c is None else c for c in degrees_c], float)
     known = np.isfinite(warm)
     has_time = len(t) >= LEAST_RUNS and float(np.ptp(t)) > 0.0
@@ -193,19 +194,19 @@ def _fit(x: Array, y: Array, u: Array) -> tuple[list[TestedSlope], float | None,
     def solve(tau2: float) -> tuple[Array, Array, float]:
         w = 1.0 / (u**2 + tau2)
         normal = design.T @ (w[:, None] * design)
-        found = np.linalg.solve(normal, design.T @ (w * y))
-        return found, normal, float(np.sum(w * (y - design @ found) ** 2))
+        estimates = np.linalg.solve(normal, design.T @ (w * y))
+        return estimates, normal, float(np.sum(w * (y - design @ estimates) ** 2))
 
     chi2 = solve(0.0)[2]
     tau2 = 0.0
     if chi2 > n - p:
         high = float(np.sum((y - y.mean()) ** 2)) + 1.0
         tau2 = float(optimize.brentq(lambda v: solve(v)[2] - (n - p), 0.0, high, xtol=1e-12 * high))
-    found, normal, rest = solve(tau2)
+    estimates, normal, rest = solve(tau2)
     covariance = rest / (n - p) * np.linalg.inv(normal)
     slopes = []
     for place in range(1, p):
-        value, sigma = float(found[place]), math.sqrt(float(covariance[place, place]))
+        value, sigma = float(estimates[place]), math.sqrt(float(covariance[place, place]))
         chance = float(2.0 * stats.t.sf(abs(value) / sigma, n - p)) if sigma > 0 else float(value == 0)
         unit = size / float(scale[place - 1])
         slope: TestedSlope = {
@@ -329,9 +330,9 @@ def study(
 
 
 def _require_levels(name: str, levels: Sequence[str]) -> None:
-    found = sorted(set(levels))
-    if len(found) < 2:
-        only = f"; these runs have 1: {found[0]}" if found else ""
+    distinct = sorted(set(levels))
+    if len(distinct) < 2:
+        only = f"; these runs have 1: {distinct[0]}" if distinct else ""
         raise UsageError(
             f"A gauge study needs at least 2 {plural(name)}{only}.",
             remedy=f"Measure with another {name}, or name runs of several: see docs/gauge-study.md.",

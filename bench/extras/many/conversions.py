@@ -128,7 +128,7 @@ def content_hash(path: Path) -> str:
     """Return the hash of a file, or of a folder's files and their names."""
     if not path.is_dir():
         return sha256_of(path)
-    files = sorted(one for one in path.rglob("*") if one.is_file())
+    files = sorted(inner for inner in path.rglob("*") if inner.is_file())
     listed = "\n".join(f"{sha256_of(file)}  {file.relative_to(path).as_posix()}" for file in files)
     return hashlib.sha256(listed.encode()).hexdigest()
 

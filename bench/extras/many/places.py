@@ -71,9 +71,11 @@ def find_places(names: Sequence[str]) -> list[Place]:
     for name in names:
         place = Place(name)
         inner = _remote_runs(name) if place.is_remote else _local_runs(Path(name))
-        for one in inner:
-            same = one.rstrip("/") if place.is_remote else str(Path(one).resolve())
-            places.setdefault(same, Place(one if place.is_remote else str(Path(one).absolute())))
+        for inner_place in inner:
+            same = inner_place.rstrip("/") if place.is_remote else str(Path(inner_place).resolve())
+            places.setdefault(
+                same, Place(inner_place if place.is_remote else str(Path(inner_place).absolute()))
+            )
     return list(places.values())
 
 
@@ -83,7 +85,11 @@ def _local_runs(path: Path) -> list[str]:
         raise UsageError(what, where=str(path), remedy="Give folders of runs or recordings.")
     if (path / JOURNAL).is_file():
         return [str(path)]
-    runs = [one.name for one in path.iterdir() if (one / JOURNAL).is_file() and not one.name.startswith(".")]
+    runs = [
+        entry.name
+        for entry in path.iterdir()
+        if (entry / JOURNAL).is_file() and not entry.name.startswith(".")
+    ]
     return [str(path / name) for name in sorted(runs, key=natural_order)] or [str(path)]
 
 
@@ -93,9 +99,15 @@ def _remote_runs(url: str) -> list[str]:
         if system.exists(f"{root}/{JOURNAL}"):
             return [url]
         listed = system.ls(root, detail=True)
-        folders = [one["name"].rstrip("/") for one in listed if one["type"] == "directory"]
+        folders = [
+            run_folder["name"].rstrip("/") for run_folder in listed if run_folder["type"] == "directory"
+        ]
         are_runs = _side_by_side(system, system.exists, [(f"{folder}/{JOURNAL}",) for folder in folders])
-        runs = [posixpath.basename(one) for one, is_run in zip(folders, are_runs, strict=True) if is_run]
+        runs = [
+            posixpath.basename(run_folder)
+            for run_folder, is_run in zip(folders, are_runs, strict=True)
+            if is_run
+        ]
     if not runs:
         raise UsageError(
             "No run was found. From a URL, only folders of runs are read.",
@@ -108,9 +120,9 @@ def _remote_runs(url: str) -> list[str]:
 def _copy(url: str, to: Path, captures: Iterable[str], only: Collection[str] | None) -> None:
     system, root = file_system(url)
     names = []
-    for one in system.ls(root, detail=True):
-        name = posixpath.basename(one["name"].rstrip("/"))
-        is_small = one["type"] == "file" and name and one["size"] <= _MOST_SMALL_BYTES
+    for entry in system.ls(root, detail=True):
+        name = posixpath.basename(entry["name"].rstrip("/"))
+        is_small = entry["type"] == "file" and name and entry["size"] <= _MOST_SMALL_BYTES
         if is_small and (name not in _NOT_COPIED if only is None else name in only):
             names.append(name)
     for name in captures:

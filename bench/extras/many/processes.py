@@ -26,8 +26,8 @@ _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _END_S = 2.0
 _SILENCE_S = 60.0
 """How long to wait while the scheduler has no worker."""
-_CONNECT_S = 10.0
-_SIZE_HOLDS_S = 5.0
+_CONNECT_S = 10.0  # A scheduler that is there answers at once
+_SIZE_HOLDS_S = 5.0  # Asking the scheduler for each task would cost more than the task
 _LOGGERS = (
     "distributed",
     "distributed.client",

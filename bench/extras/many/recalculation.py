@@ -126,8 +126,8 @@ class Recalculation:
         if row is not None:
             self.counts.skipped += 1
             self._rows[number] = row
-            told: SkippedRow = {**row, "skipped": True}
-            self._ended(told)
+            row_skipped: SkippedRow = {**row, "skipped": True}
+            self._ended(row_skipped)
             self._show()
             return
         name = self._folders.name_for(place.base_name, listed.key) if self._folders else place.base_name
@@ -147,12 +147,12 @@ class Recalculation:
         else:
             self._take_view(run, int(pose), end.value)
 
-    def _take_view(self, run: _Run, pose: int, found: FoundView) -> None:
+    def _take_view(self, run: _Run, pose: int, view_read: FoundView) -> None:
         self.counts.recordings += 1
-        self.counts.kept += found.kept
-        for remark in found.remarks:
+        self.counts.kept += view_read.kept
+        for remark in view_read.remarks:
             self._remark(remark)
-        run.found[pose] = found
+        run.found[pose] = view_read
         run.share = len(run.found) / (len(run.captures) + 1)
         if len(run.found) < len(run.captures):
             return

@@ -28,7 +28,7 @@ from bench.solve.offline_folder import write_files
 
 TABLE = "recalculated.jsonl"
 _PART = ".part-"
-_KEY_SHOWN = 8
+_KEY_SHOWN = 8  # Hexadecimal digits that tell folders of one name apart
 
 
 class ResultsFolders(Table):

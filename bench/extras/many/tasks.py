@@ -181,7 +181,7 @@ def find_view(place: Place, number: int, capture: str, task: Task) -> FoundView:
 
 def calibrate_found(
     place: Place,
-    found: Sequence[FoundView],
+    views_read: Sequence[FoundView],
     name: str,
     sealed_by: SealedBy | None,
     task: Task,
@@ -192,10 +192,11 @@ def calibrate_found(
     with place.folder() as folder, _named(place, folder):
         listed = list(view_sources(folder, task.choices))
         sources = [
-            replace(source, read=partial(_given, one)) for source, one in zip(listed, found, strict=True)
+            replace(source, read=partial(_given, view_read))
+            for source, view_read in zip(listed, views_read, strict=True)
         ]
         result = replace(calibrate_sources(sources, task.choices), paths=(folder,))
-        read = {id(source): one for source, one in zip(sources, found, strict=True)}
+        read = {id(source): view_read for source, view_read in zip(sources, views_read, strict=True)}
         made = {}
         if files:
             of_views = [read[id(source)] for source in result.sources]
@@ -207,7 +208,7 @@ def _files(
     place: Place,
     folder: Path,
     result: OfflineResult,
-    found: Sequence[FoundView],
+    views_read: Sequence[FoundView],
     name: str,
     sealed_by: SealedBy | None,
 ) -> dict[str, bytes]:
@@ -216,10 +217,10 @@ def _files(
         {
             "view": view.name,
             "path": str(source.path.absolute()),
-            "size_bytes": one.size_bytes,
-            "sha256": one.sha256,
+            "size_bytes": view_read.size_bytes,
+            "sha256": view_read.sha256,
         }
-        for source, view, one in zip(result.sources, result.views, found, strict=True)
+        for source, view, view_read in zip(result.sources, result.views, views_read, strict=True)
     ]
     copies = {str(folder.resolve()): place.name, str(folder): place.name} if place.is_remote else {}
     return offline_files(result, name, sealed_by, sources=sources, read_from=copies)
@@ -233,8 +234,10 @@ def _named(place: Place, folder: Path) -> Iterator[None]:
     except FORESEEN as error:
         if not place.is_remote:
             raise
-        said = partial(place.said, folder=folder)
-        raise BenchError(said(error.what), where=said(error.where), remedy=said(error.remedy)) from error
+        placed = partial(place.said, folder=folder)
+        raise BenchError(
+            placed(error.what), where=placed(error.where), remedy=placed(error.remedy)
+        ) from error
 
 
 def _hash_of(recording: Path) -> str:
@@ -257,11 +260,11 @@ def _require_recorded(source: ViewSource) -> tuple[int, str]:
     return size, digest
 
 
-def _given(found: FoundView) -> View:
-    if found.view is None:
-        what, where, remedy = found.why
+def _given(view_read: FoundView) -> View:
+    if view_read.view is None:
+        what, where, remedy = view_read.why
         raise CalibrationError(what, where=where, remedy=remedy)
-    return found.view
+    return view_read.view
 
 
 def _row(place: Place, folder: Path, result: OfflineResult, files: Mapping[str, bytes]) -> CalibratedData:
@@ -291,7 +294,7 @@ def _before(folder: Path) -> BeforeData | None:
     try:
         stored = StoredRun(folder).results_as_written["calibration"]
         values = {**stored["camera"], **(stored["collimator"] or {})}
-        sigma = {name: float(one) for name, one in stored["sigma"].items()}
+        sigma = {name: float(number) for name, number in stored["sigma"].items()}
         return {"values": {name: float(values[name]) for name in sigma}, "sigma": sigma}
     except (BenchError, ValueError, KeyError, TypeError):
         return None

@@ -50,7 +50,7 @@ def check_one(folder: Path, check: Check, known: Mapping[str, Any] | None) -> Ch
     def derive(folder: Path) -> Findings:
         rows.append(_derived(folder, check, known))
         derived = rows[-1]["derived"]
-        faults = [SealFault(**one) for one in derived["faults"]]
+        faults = [SealFault(**seal_fault) for seal_fault in derived["faults"]]
         return Findings(
             faults, [*derived["not_compared"]], [*derived["parts_not_compared"]], [*derived["remarks"]]
         )

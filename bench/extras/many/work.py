@@ -38,10 +38,10 @@ class Table:
         self.path = folder / name
         with storage_errors(folder):
             inside = folder.iterdir() if folder.is_dir() else ()
-            found = next((one for one in inside if not one.name.startswith(".")), None)
-        if found is not None and not self.path.is_file():
+            occupant = next((entry for entry in inside if not entry.name.startswith(".")), None)
+        if occupant is not None and not self.path.is_file():
             raise UsageError(
-                f"{self.foreign}: it contains {found.name}, but no {name}.",
+                f"{self.foreign}: it contains {occupant.name}, but no {name}.",
                 where=str(folder),
                 remedy="Choose a new folder.",
             )

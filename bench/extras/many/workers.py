@@ -72,7 +72,7 @@ class Workers:
     def finished(self, timeout_s: float) -> Sequence[Finished]:
         """Wait for any piece of work to end; empty if none does in time. `WorkersLost` if no worker is left."""
         done = wait(self._busy, timeout_s, FIRST_COMPLETED).done
-        return [end for one in done if (end := self._end(self._busy.pop(one), one)) is not None]
+        return [end for task in done if (end := self._end(self._busy.pop(task), task)) is not None]
 
     def _end(self, work: Work, future: Future[Finished]) -> Finished | None:
         """Return the end of a piece of work; None if a worker died with it and it is handed out again."""

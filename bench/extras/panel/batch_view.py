@@ -20,8 +20,8 @@ from bench.record.run_folder import JOURNAL
 from bench.record.storage import storage_errors
 from bench.record.summaries import BatchSummary, ItemData
 
-LOOK_S = 0.5
-AGAIN_S = 3.0
+LOOK_S = 0.5  # Below what a person waits for
+AGAIN_S = 3.0  # Times in the page advance so often without a change of the journal
 _FAILURES = frozenset({"failed", "died", "hung", "cut off"})
 _NOT_BEGUN = frozenset({"not begun", "withdrawn"})
 
@@ -50,8 +50,8 @@ class BatchView:
     def _look(self) -> None:
         running = is_locked(self.folder)
         with storage_errors(self.folder):
-            found = (self.folder / JOURNAL).stat()
-        stamp = found.st_size, found.st_mtime_ns, running
+            file_status = (self.folder / JOURNAL).stat()
+        stamp = file_status.st_size, file_status.st_mtime_ns, running
         now_s = time.monotonic()
         is_new = stamp != self._stamp
         if not is_new and (not running or now_s - self._made_at_s < AGAIN_S):

@@ -216,12 +216,12 @@ def _no_such_run(key: str, root: Path) -> RunFolderError:
 def _journal_stamp(folder: str) -> Stamp | None:
     """Return which file a folder's journal is, its size and time; None if it has none."""
     try:
-        found = _stat(f"{folder}/{JOURNAL}")
+        status = _stat(f"{folder}/{JOURNAL}")
     except (FileNotFoundError, NotADirectoryError):
         return None
-    if not stat.S_ISREG(found.st_mode):
+    if not stat.S_ISREG(status.st_mode):
         return None
-    return found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns
+    return status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns
 
 
 def _stamp_or_fault(folder: str, faults: list[str]) -> Stamp | None:
@@ -243,8 +243,10 @@ def _fault(error: OSError, folder: str) -> str:
 
 def _subfolders(folder: str, faults: list[str]) -> list[str]:
     try:
-        with os.scandir(folder) as found:
-            return sorted(one.path for one in found if one.is_dir() and not one.name.startswith("."))
+        with os.scandir(folder) as entries:
+            return sorted(
+                entry.path for entry in entries if entry.is_dir() and not entry.name.startswith(".")
+            )
     except OSError as error:
         if Path(folder).exists():
             faults.append(_fault(error, folder))

@@ -35,7 +35,7 @@ _DIGITS = 3
 _PNG_SIZE = struct.Struct(">16xII")
 """Width and height in the first bytes of a PNG file (ISO/IEC 15948, 11.2.2)."""
 
-_JOBS_KEPT = 4
+_JOBS_KEPT = 4  # Runs that are looked at together; each holds its plan
 
 
 class PictureAnswer(TypedDict, total=False):
@@ -155,8 +155,8 @@ class CoverageRequest:
         nodes = nodes[np.argsort(np.linalg.norm(nodes - tag, axis=1), kind="stable")]
         counts = np.zeros(self.cells[0] * self.cells[1], np.int64)
         for grid, stars in self.grids:
-            found = _cells_of(nodes, np.array(grid, np.float64), self.size, self.cells)
-            counts += np.bincount(found[:stars], minlength=len(counts))
+            cells = _cells_of(nodes, np.array(grid, np.float64), self.size, self.cells)
+            counts += np.bincount(cells[:stars], minlength=len(counts))
         return [int(count) for count in counts]
 
 
@@ -223,22 +223,22 @@ def _measured_picture(request: PictureRequest) -> tuple[PictureAnswer, bytes]:
     job = job_of_run(request.folder)
     step = job.record_step(request.pose)
     grid = request.expected_grid
-    found = job.camera_kind.measure(
+    measured = job.camera_kind.measure(
         request.folder / request.capture,
         step,
         job.frequency_hz(step),
         job.target,
         None if grid is None else partial(_given_grid, grid),
     )
-    image: StoredImage | None = found.image
+    image: StoredImage | None = measured.image
     if image is None:
-        return {"fault": found.fault or "No image can be made of this recording."}, b""
+        return {"fault": measured.fault or "No image can be made of this recording."}, b""
     height, width = image.decoded().shape
     size = width, height
-    if found.view is None:
-        return {**picture_answer(size, np.zeros((0, 2))), "fault": found.fault}, image.png
-    nodes = job.target.node_of(found.view.ids).astype(np.float64)
-    return own_residuals(size, nodes, found.view.points_px), image.png
+    if measured.view is None:
+        return {**picture_answer(size, np.zeros((0, 2))), "fault": measured.fault}, image.png
+    nodes = job.target.node_of(measured.view.ids).astype(np.float64)
+    return own_residuals(size, nodes, measured.view.points_px), image.png
 
 
 def _given_grid(grid: Sequence[Sequence[float]], _image_size: tuple[int, int]) -> Array:

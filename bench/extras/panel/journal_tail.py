@@ -54,10 +54,10 @@ class JournalTail:
     def has_changed(self) -> bool:
         """Return whether the file is another one than at the last reading, or there is more to read."""
         try:
-            found = self.path.stat()
+            status = self.path.stat()
         except OSError:
             return not self.fault
-        return (found.st_size, found.st_mtime_ns) != self._seen or self.more
+        return (status.st_size, status.st_mtime_ns) != self._seen or self.more
 
     def read(self) -> list[Entry]:
         """Read further complete, valid lines, at most ``MOST_BYTES``; ``fault`` states why there is none."""
@@ -71,11 +71,11 @@ class JournalTail:
 
     def _read(self) -> list[Entry]:
         with self.path.open("rb") as stream:
-            found = os.fstat(stream.fileno())
-            file = found.st_dev, found.st_ino
-            if file != self._file or found.st_size < self._offset:
+            status = os.fstat(stream.fileno())
+            file = status.st_dev, status.st_ino
+            if file != self._file or status.st_size < self._offset:
                 self._restart(file)
-            self.size, self._seen = found.st_size, (found.st_size, found.st_mtime_ns)
+            self.size, self._seen = status.st_size, (status.st_size, status.st_mtime_ns)
             self.fault = ""
             stream.seek(self._offset)
             data = stream.read(MOST_BYTES)

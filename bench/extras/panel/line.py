@@ -79,11 +79,11 @@ class Line:
             self._serial, self._folder = serial, self._root / name
             words = ["run", self._sequence, "--station", self._station, "--output", str(self._folder)]
             words += ["--operator", self._operator, f"--expect-serial={serial}", "--json"]
-            with storage_errors(self._root), self._said.open("wb") as said, self._log.open("wb") as log:
+            with storage_errors(self._root), self._said.open("wb") as output, self._log.open("wb") as log:
                 self._process = subprocess.Popen(
                     [sys.executable, "-m", "bench", *words],
                     stdin=subprocess.DEVNULL,
-                    stdout=said,
+                    stdout=output,
                     stderr=log,
                     start_new_session=True,
                 )
@@ -118,21 +118,21 @@ class Line:
 
     def _ended(self, status: int, serial: str, key: str) -> LineRun:
         try:
-            said = read_json(self._said)
+            outcome = read_json(self._said)
         except (BenchError, ValueError):
-            said = {}
+            outcome = {}
         phase, word = _WORDS.get(status, _BROKEN)
-        error, results = said.get("error") or {}, said.get("results") or {}
-        lines = [error.get("what") or said.get("why") or f"See {self._log}."]
+        error, results = outcome.get("error") or {}, outcome.get("results") or {}
+        lines = [error.get("what") or outcome.get("why") or f"See {self._log}."]
         if error.get("kind") == "WrongDevice":
             phase, word = _WRONG
-        if found := results.get("conformity"):
+        if conformity := results.get("conformity"):
             causes = cause_sentences(results.get("causes", ()))
-            lines = [*causes, conformity_headline(found), *conformity_sentences(found)]
+            lines = [*causes, conformity_headline(conformity), *conformity_sentences(conformity)]
             if causes and phase == "pass":
                 phase, word = _IN_DOUBT
-        unsafe = [f"CHECK THE BENCH: {one}" for one in said.get("unsafe") or ()]
-        if not said:  # it was killed: nothing is known of the devices
+        unsafe = [f"CHECK THE BENCH: {device}" for device in outcome.get("unsafe") or ()]
+        if not outcome:  # it was killed: nothing is known of the devices
             unsafe = ["CHECK THE BENCH: the process of the run died. The light may be on."]
         return _state(phase, word, serial, [*unsafe, *lines], key)
 

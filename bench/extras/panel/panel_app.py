@@ -41,12 +41,12 @@ LIST_S = 1.0
 
 async def _told(text: Callable[[], tuple[str, int]], every_s: float) -> AsyncIterator[Message]:
     """Tell a text with the number of its lines, and again whenever it has changed."""
-    told = ""
+    shown = ""
     while True:
-        found, lines = await asyncio.to_thread(text)
-        if found != told:
-            told = found
-            yield Message(found, "update", str(lines))
+        version, lines = await asyncio.to_thread(text)
+        if version != shown:
+            shown = version
+            yield Message(version, "update", str(lines))
         await asyncio.sleep(every_s)
 
 
@@ -151,11 +151,11 @@ class Panel:
 
     async def _list_messages(self) -> AsyncIterator[Message]:
         """Tell the whole list, then the rows that change."""
-        told = 0
+        shown = 0
         while True:
-            text, version, unread = await asyncio.to_thread(self._listed, told)
-            if version != told:
-                told = version
+            text, version, unread = await asyncio.to_thread(self._listed, shown)
+            if version != shown:
+                shown = version
                 yield Message(text, "update", str(version))
             await asyncio.sleep(0.0 if unread else LIST_S)
 
@@ -163,7 +163,7 @@ class Panel:
         text, _, _ = await run_in_threadpool(self._listed, 0)
         return Response(text, media_type="application/json")
 
-    def _listed(self, told: int) -> tuple[str, int, int]:
+    def _listed(self, shown: int) -> tuple[str, int, int]:
         """Return what is new after a version as JSON, the version now, and how many runs are still unread.
 
         The folder is looked at once for all pages, so not for the server's own thread.
@@ -175,18 +175,18 @@ class Panel:
                 self._unread = content["unread"]
                 self._list_texts.clear()
                 self._listed_at_s = time.monotonic()
-            if told not in self._list_texts:
-                message = self._changes.since(told)
-                self._list_texts[told] = json.dumps(message, separators=(",", ":"), allow_nan=False)
-            return self._list_texts[told], self._changes.version, self._unread
+            if shown not in self._list_texts:
+                message = self._changes.since(shown)
+                self._list_texts[shown] = json.dumps(message, separators=(",", ":"), allow_nan=False)
+            return self._list_texts[shown], self._changes.version, self._unread
 
     # ---------------------------------------------------------------- a run
     def _folder(self, request: Request, kind: Literal["run", "batch"]) -> Path:
         folder = self._list.folder_of(request.path_params["key"])
-        found = _kind_of(folder)
-        if found != kind:
+        actual = _kind_of(folder)
+        if actual != kind:
             raise RunFolderError(
-                f"This is a {found}, not a {kind}.", where=str(folder), remedy="Open it from the list."
+                f"This is a {actual}, not a {kind}.", where=str(folder), remedy="Open it from the list."
             )
         return folder
 
@@ -251,12 +251,12 @@ class Panel:
     def _picture_of(self, folder: Path, place: tuple[int, int], measure: bool) -> tuple[PictureAnswer, bytes]:
         with self._watcher.watched(folder) as watch, watch.lock:
             model = watch.model
-            found = next((a for a in model.history.attempts_at(place[0]) if a.attempt == place[1]), None)
+            attempt = next((a for a in model.history.attempts_at(place[0]) if a.attempt == place[1]), None)
             row = model.rows.get(place[0])
             accepted = model.history.accepted().get(place[0])
             solved = bool(model.history.solved)
             left = watch.views.get(place)
-        if found is None or row is None:
+        if attempt is None or row is None:
             return {"fault": "There is no such recording."}, b""
         is_accepted = accepted is not None and accepted.attempt == place[1]
         if left is not None and not (is_accepted and solved):
@@ -265,8 +265,8 @@ class Panel:
             folder,
             *place,
             row["name"],
-            found.stored["capture"],
-            found.measured.get("expected_grid"),
+            attempt.stored["capture"],
+            attempt.measured.get("expected_grid"),
             accepted=is_accepted and solved,
             measure=measure,
         )

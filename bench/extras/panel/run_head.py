@@ -34,11 +34,11 @@ from bench.wording.causes import cause_sentences
 _QUIET_LIMIT_S = 15.0
 MAX_HOLD_H = 8
 """As `bench.run.states.MAX_HOLD_S`, in hours; that module opens devices, which this one must not."""
-_GIGABYTE = 1e9
-_POSES_OF_A_SERIES = 3
+_GIGABYTE = 1e9  # Bytes, as disks are sold
+_POSES_OF_A_SERIES = 3  # One bad pose is chance, three in a row a cause
 
-_MOST_DEVIATIONS = 30
-_MOST_DECISIONS = 200
+_MOST_DEVIATIONS = 30  # A screen
+_MOST_DECISIONS = 200  # A curve of more is not told from one of these
 #: By the end of a run, and by the verdict of its report.
 _TONES = {
     "finished": "good",
@@ -136,7 +136,7 @@ def _without_process(model: RunModel) -> LeaveData:
 
 def _unsafe(history: History) -> list[str]:
     """Return a sentence for stage and light each if it did not confirm at the run's end that it is safe."""
-    ends = [DeviceEnd.from_dict(one) for one in history.devices_at_end]
+    ends = [DeviceEnd.from_dict(device) for device in history.devices_at_end]
     return [end.text for end in ends if end.state == "not confirmed" and end.device != "camera"]
 
 

@@ -88,12 +88,12 @@ class RunModel:
         """Return the poses that changed after a line, in order; 0 for all."""
         if after <= 0:
             return [self.rows[number] for number in sorted(self.rows)]
-        found = []
+        numbers = []
         for number, line in reversed(self._changed.items()):
             if line <= after:
                 break
-            found.append(number)
-        return [self.rows[number] for number in sorted(found)]
+            numbers.append(number)
+        return [self.rows[number] for number in sorted(numbers)]
 
     def newest_rows(self) -> Iterator[PoseRow]:
         """Yield the poses, those that changed last first."""

@@ -45,12 +45,12 @@ MOST_LOG_LINES = 300
 MOST_VIEWS = 40
 """Pictures that are kept for each run."""
 T = TypeVar("T")
-_MOST_PICTURES = 60
+_MOST_PICTURES = 60  # So that a page left open for a night keeps its memory
 
 CELLS = (32, 18)
 """Columns and rows in which the coverage is counted."""
-_MOST_FORECASTS = 8
-_MOST_POSES_TO_FORECAST = 60
+_MOST_FORECASTS = 8  # Points of a curve
+_MOST_POSES_TO_FORECAST = 60  # Further poses change little
 
 
 class RunWatch:
@@ -326,15 +326,15 @@ class Extras:
         now = await asyncio.to_thread(self._helper.ask, ForecastRequest(model.folder, poses))
         if now and not isinstance(now, str):
             self._forecast.append({"poses": poses, "now": now})
-            self._forecast.sort(key=lambda one: one["poses"])
+            self._forecast.sort(key=lambda forecast: forecast["poses"])
             self._watch.tell({"forecast": list(self._forecast)})
         return True
 
 
 def _grids(history: History) -> list[tuple[Sequence[Sequence[float]], int]]:
     """Return grid and number of stars of the accepted recordings, in the order of their acceptance."""
-    checked = [one.checked for one in history.accepted().values() if one.checked is not None]
-    return [(one["measured"]["grid"], one["stars"]) for one in checked if "grid" in one["measured"]]
+    checked = [check.checked for check in history.accepted().values() if check.checked is not None]
+    return [(check["measured"]["grid"], check["stars"]) for check in checked if "grid" in check["measured"]]
 
 
 def forecast_poses(poses: int) -> list[int]:
@@ -348,10 +348,10 @@ def forecast_poses(poses: int) -> list[int]:
     [40, 2, 3, 5, 8, 14, 24]
     """
     most = min(poses, _MOST_POSES_TO_FORECAST)
-    found = [2, 3]
-    while found[-1] < most and len(found) < _MOST_FORECASTS - 1:
-        found.append(max(found[-1] + 1, round(found[-1] * 1.7)))
-    return [most, *(number for number in found if number < most)]
+    counts = [2, 3]
+    while counts[-1] < most and len(counts) < _MOST_FORECASTS - 1:
+        counts.append(max(counts[-1] + 1, round(counts[-1] * 1.7)))
+    return [most, *(number for number in counts if number < most)]
 
 
 def _image_size(model: RunModel) -> tuple[int, int] | None:

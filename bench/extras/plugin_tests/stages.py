@@ -253,12 +253,12 @@ class StageContract(SerialContract):
         """One spoilt message never becomes a wrong position."""
         homed.move_to({name: round(_at(homed, name, 0.5), 2) for name in homed.axes})
         rig.spoil(kind)
-        told = []
+        positions = []
         for _ in range(3):
             with suppress(ReplyError):
-                told.append(dict(homed.position_deg()))
-        assert told, "the line must be usable again after one spoilt message"
-        for position in told:
+                positions.append(dict(homed.position_deg()))
+        assert positions, "the line must be usable again after one spoilt message"
+        for position in positions:
             assert position == pytest.approx(dict(simulated.angles_deg()), abs=self.tolerance_deg)
 
     def test_a_silent_device_is_an_error_in_bounded_time(self, rig: Rig, homed: Stage) -> None:
@@ -370,12 +370,12 @@ class LightContract(SerialContract):
         light.apply(self.flicker)
         light.on()
         rig.spoil(kind)
-        told = []
+        frequencies_hz = []
         for _ in range(3):
             with suppress(ReplyError):
-                told.append(light.read().frequency_hz)
-        assert told, "the line must be usable again after one spoilt message"
-        assert told == pytest.approx([self.flicker.frequency_hz] * len(told), rel=1e-3)
+                frequencies_hz.append(light.read().frequency_hz)
+        assert frequencies_hz, "the line must be usable again after one spoilt message"
+        assert frequencies_hz == pytest.approx([self.flicker.frequency_hz] * len(frequencies_hz), rel=1e-3)
         rig.spoil(kind)
         try:
             light.off()

@@ -52,7 +52,7 @@ _COUNTED: Final = 2048
 _STRETCHES: Final = 8
 _NEAR: Final = 1.2
 """A style that is estimated at so many times the bytes of another is not tried."""
-_BAD: Final = -1
+_BAD: Final = -1  # What is returned for bytes that do not decode
 
 
 def rising(t: NDArray[np.int64], least: int) -> NDArray[np.int64]:

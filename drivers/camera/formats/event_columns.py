@@ -170,10 +170,10 @@ def _order(table: NDArray[Any]) -> Sequence[int]:
     Raises NotARecording if no column can be that of polarities.
     """
     usual = _OF_WHOLE if table.dtype.kind in "iu" else _OF_FRACTIONS
-    fitting = [one for one in (usual, *_ORDERS) if np.isin(table[:, one[3]], (-1, 0, 1)).all()]
+    fitting = [order for order in (usual, *_ORDERS) if np.isin(table[:, order[3]], (-1, 0, 1)).all()]
     if not fitting:
         raise UnreadableEvents("no column of its table holds polarities, which are -1, 0 or 1.")
-    rising = [one for one in fitting if _rises(table[:, one[0]])]
+    rising = [order for order in fitting if _rises(table[:, order[0]])]
     return (rising or fitting)[0]
 
 

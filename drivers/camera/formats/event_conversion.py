@@ -76,8 +76,8 @@ _OF_LAYOUT: Final = frozenset(
 
 _LEAST_SHARE: Final = 0.75
 """Events that fill less of both sides of a given size are of a smaller sensor or a region: 640 x 480 of 1280 x 720."""
-_MAX_ADDRESS: Final = 2047
-_MAX_CHANNEL: Final = 15
+_MAX_ADDRESS: Final = 2047  # EVT3 has 11 bits
+_MAX_CHANNEL: Final = 15  # EVT3 has 4 bits
 
 
 def kind_of_name(path: Path) -> Kind | None:

@@ -64,8 +64,8 @@ _CD: Final = "CD/events"
 _OF_US: Final = ("header", "t_offset", "ms_to_idx")
 """Members of files of Starbench and DSEC, whose times are in us."""
 _MOST_GROUPS: Final = 1000
-_MOST_PX: Final = 1 << 16
-_MOST_MEMBERS: Final = 10_000
+_MOST_PX: Final = 1 << 16  # No sensor has more; a wrong number would ask for the memory
+_MOST_MEMBERS: Final = 10_000  # Event files have some tens
 _ELSEWHERE: Final = "a link to another place; only data in the file itself are read"
 
 
@@ -100,7 +100,7 @@ def opened_hdf5(file: Any, choices: ReadingChoices, *, by_library: bool = False)
         header |= {"time_origin_us": str(offset), **date_of(offset)}
     size = _size(file, name, header, choices)
     path, times = next(iter(arrays.items()))
-    is_of_us = times.dtype.kind != "f" and any(has_member(file, one) for one in (*_OF_US, "CD"))
+    is_of_us = times.dtype.kind != "f" and any(has_member(file, group_name) for group_name in (*_OF_US, "CD"))
     unit = "us" if is_of_us else unit_of_name(path.rpartition("/")[2])
     columns = Columns(parts, lengths.popitem()[1], {"the file": size}, header, _triggers(file), unit)
     return columns.source(replace(choices, sensor_size=None))

@@ -23,12 +23,12 @@ MOST_CHUNK_BYTES: Final = 1 << 24
 """Largest chunk, decompressed. Writers use chunks of at most some megabytes."""
 MOST_ROW_BYTES: Final = 256
 """Largest row of a table."""
-_MOST_ATTRIBUTES: Final = 200
-_MOST_TEXT: Final = 4096
-_PIECE_BYTES: Final = 1 << 22
+_MOST_ATTRIBUTES: Final = 200  # Event files have some tens
+_MOST_TEXT: Final = 4096  # The text header of a RAW file fits
+_PIECE_BYTES: Final = 1 << 22  # 4 MiB
 _GZIP, _SHUFFLE, _CHECK_SUM = h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32
 _OWN_FILTERS: Final = frozenset({_GZIP, _SHUFFLE, _CHECK_SUM})
-_CHECK_SUM_BYTES: Final = 4
+_CHECK_SUM_BYTES: Final = 4  # Of HDF5's Fletcher-32 filter
 
 Decoder = Callable[[bytes], NDArray[Any]]
 
@@ -58,23 +58,23 @@ def dataset(group: Any, path: str) -> Any:
     Raises `NotARecording` if it is missing, no array, kept in another file, compressed by an unknown filter, or larger
     than the file can hold.
     """
-    found = member(group, path)
-    if not isinstance(found, h5py.Dataset):
+    values = member(group, path)
+    if not isinstance(values, h5py.Dataset):
         raise UnreadableEvents(f"{path} is a group, not an array.")
-    if found.is_virtual or found.external is not None:
+    if values.is_virtual or values.external is not None:
         raise UnreadableEvents(
             f"{path} keeps its data in another file; only data in the file itself are read."
         )
-    if found.shape is None or found.dtype.kind not in "biufV" or found.dtype.itemsize > MOST_ROW_BYTES:
-        raise UnreadableEvents(f"{path} is an array of {found.dtype}, not of numbers.")
-    require_ratio(found.nbytes, _file_bytes(found), path)
-    if found.chunks is not None and _chunk_bytes(found) > MOST_CHUNK_BYTES:
+    if values.shape is None or values.dtype.kind not in "biufV" or values.dtype.itemsize > MOST_ROW_BYTES:
+        raise UnreadableEvents(f"{path} is an array of {values.dtype}, not of numbers.")
+    require_ratio(values.nbytes, _file_bytes(values), path)
+    if values.chunks is not None and _chunk_bytes(values) > MOST_CHUNK_BYTES:
         raise UnreadableEvents(
-            f"{path} has chunks of {_chunk_bytes(found)} bytes; at most {MOST_CHUNK_BYTES} are read."
+            f"{path} has chunks of {_chunk_bytes(values)} bytes; at most {MOST_CHUNK_BYTES} are read."
         )
-    if found.chunks is None and found.nbytes and found.id.get_storage_size() < found.nbytes:
-        raise UnreadableEvents(f"{path} states {found.nbytes} bytes, but they are missing.")
-    return found
+    if values.chunks is None and values.nbytes and values.id.get_storage_size() < values.nbytes:
+        raise UnreadableEvents(f"{path} states {values.nbytes} bytes, but they are missing.")
+    return values
 
 
 def filters(array: Any) -> list[int]:
@@ -159,7 +159,7 @@ def whole(array: Any, most_bytes: int) -> NDArray[Any]:
         if any(part.start >= part.stop for part in at):
             continue
         part = _chunk(array, place, pipeline, None)
-        out[at] = part[tuple(slice(0, one.stop - one.start) for one in at)]
+        out[at] = part[tuple(slice(0, rows.stop - rows.start) for rows in at)]
     return out
 
 
@@ -168,7 +168,7 @@ def texts(group: Any) -> dict[str, str]:
     names = list(group.attrs)
     if len(names) > _MOST_ATTRIBUTES:
         raise UnreadableEvents(f"it has {len(names)} attributes; at most {_MOST_ATTRIBUTES} are read.")
-    found = {}
+    text_of = {}
     for name in names:
         if group.attrs.get_id(name).get_storage_size() > _MOST_TEXT:
             raise UnreadableEvents(f"its attribute {name[:40]!r} is longer than {_MOST_TEXT} bytes.")
@@ -176,8 +176,8 @@ def texts(group: Any) -> dict[str, str]:
         text = value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
         if len(text) > _MOST_TEXT:
             raise UnreadableEvents(f"its attribute {name[:40]!r} is longer than {_MOST_TEXT} bytes.")
-        found[name] = text
-    return found
+        text_of[name] = text
+    return text_of
 
 
 def _places(array: Any, rows_stated: int) -> list[Any]:

@@ -41,7 +41,7 @@ MOST_EVENTS: Final = 1 << 20
 """Most events and edges of a message."""
 _PROGRAM: Final = "drivers.camera.formats.library_reader"
 HEAD: Final = struct.Struct("<III")
-_MOST_TEXT: Final = 1 << 20
+_MOST_TEXT: Final = 1 << 20  # Facts of a file are some hundred bytes
 _NO_EVENTS: Final = "The file holds no readable events"
 _OUT_OF_MEMORY: Final = (
     f"{_NO_EVENTS}: reading it needs more than {MOST_BYTES >> 30} GiB of memory, or crashes its library"
@@ -95,7 +95,7 @@ def _source(stream: IO[bytes], path: Path) -> EventSource:
 def _message(stream: IO[bytes], path: Path) -> tuple[Mapping[str, Any], Events, Triggers]:
     """Read the next message. Raises what it says of the file."""
     bytes_of_file = (
-        path.stat().st_size if path.is_file() else sum(one.stat().st_size for one in path.glob("*"))
+        path.stat().st_size if path.is_file() else sum(file.stat().st_size for file in path.glob("*"))
     )
     allowed_s = PATIENCE_S + 1e-6 * bytes_of_file
     length, n, edges = HEAD.unpack(_exactly(stream, HEAD.size, allowed_s))

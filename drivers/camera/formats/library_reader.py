@@ -59,13 +59,13 @@ from drivers.errors import (
     UnreadableEvents,
 )
 
-_PIECE: Final = 500_000
-_MOST_NAMED: Final = 8
+_PIECE: Final = 500_000  # Events
+_MOST_NAMED: Final = 8  # A line
 AEDAT4_MAGIC: Final = b"#!AER-DAT4.0"
-_RISING: Final = 1
-_FALLING: Final = 2
+_RISING: Final = 1  # Of AEDAT4's trigger sources
+_FALLING: Final = 2  # Of AEDAT4's trigger sources
 
-_HEAD_BYTES: Final = 1 << 16
+_HEAD_BYTES: Final = 1 << 16  # The description of the streams stands at the begin
 _STREAM: Final = re.compile(rb'<node name="([0-9]+)"')
 _SOURCE: Final = re.compile(rb'<attr key="source"[^>]*>([ -;=-~]{1,80})</attr>')
 
@@ -141,9 +141,9 @@ def _limit_memory() -> None:
 
 def _write(text: Mapping[str, Any], events: Events | None = None, triggers: Triggers | None = None) -> None:
     events, triggers = events or empty_events(0), triggers or empty_triggers(0)
-    told = json.dumps(text).encode()
+    encoded = json.dumps(text).encode()
     out = sys.stdout.buffer
-    out.write(library_process.HEAD.pack(len(told), len(events.t), len(triggers.t)) + told)
+    out.write(library_process.HEAD.pack(len(encoded), len(events.t), len(triggers.t)) + encoded)
     for array in (*events, *triggers):
         out.write(np.ascontiguousarray(array).tobytes())
     out.flush()
@@ -163,7 +163,7 @@ def _from_hdf5(path: Path, choices: ReadingChoices) -> EventSource:
 
 def _from_aedat4(path: Path, choices: ReadingChoices) -> EventSource:
     """Open a stream of events of an AEDAT4 file, named by its number, with the edges at the camera's signal input."""
-    streams = {str(number): one for number, one in _decoder(path).id_to_stream().items()}
+    streams = {str(number): packet_stream for number, packet_stream in _decoder(path).id_to_stream().items()}
     name = choices.chosen(number for number, stream in streams.items() if stream.get("type") == "events")
     width, height = (streams[name].get(side) for side in ("width", "height"))
     size = agreed_size(
@@ -181,15 +181,15 @@ def _source_of_stream(
 
     In AEDAT4, edges stand behind the events of their time.
     """
-    count, edges, found = 0, 0, []
+    count, edges, parts = 0, 0, []
     for events, triggers in stream():
         count += len(events.t)
         edges += len(triggers.t)
         if edges > MOST_TRIGGERS:
             raise too_many_edges()
         if len(triggers.t):
-            found.append(triggers)
-    joined = join_triggers(found)
+            parts.append(triggers)
+    joined = join_triggers(parts)
     return EventSource(
         *size, header, lambda: with_edges((events for events, _ in stream()), joined), count=count
     )
@@ -303,15 +303,24 @@ def _opened_bag(path: Path) -> Iterator[tuple[Any, Any]]:
 def _first_message(path: Path, choices: ReadingChoices) -> tuple[str, Any]:
     """Return the topic of events to read, and its first message."""
     with _opened_bag(path) as (reader, decode):
-        of_events = {one.topic for one in reader.connections if one.msgtype.endswith(_OF_EVENTS)}
+        of_events = {
+            topic_connection.topic
+            for topic_connection in reader.connections
+            if topic_connection.msgtype.endswith(_OF_EVENTS)
+        }
         if not of_events:
-            topics = sorted(f"{one.topic} ({one.msgtype})" for one in reader.connections)
+            topics = sorted(
+                f"{topic_connection.topic} ({topic_connection.msgtype})"
+                for topic_connection in reader.connections
+            )
             raise NotARecording(
                 f"This bag has no topic of events; its topics: {', '.join(topics[:_MOST_NAMED]) or 'none'}.",
                 remedy="Give a bag with messages EventArray or EventPacket.",
             )
         topic = choices.chosen(of_events)
-        for connection, _, raw in reader.messages([one for one in reader.connections if one.topic == topic]):
+        for connection, _, raw in reader.messages(
+            [topic_connection for topic_connection in reader.connections if topic_connection.topic == topic]
+        ):
             return topic, decode(raw, connection.msgtype)
     raise NotARecording(f"This bag holds no message of {topic}.", remedy="Record it again.")
 
@@ -319,7 +328,9 @@ def _first_message(path: Path, choices: ReadingChoices) -> tuple[str, Any]:
 def _bag_pieces(path: Path, topic: str, size: tuple[int, int], origin: int) -> Iterator[Piece]:
     decoders: dict[str, Any] = {}
     with _opened_bag(path) as (reader, decode):
-        used = [one for one in reader.connections if one.topic == topic]
+        used = [
+            topic_connection for topic_connection in reader.connections if topic_connection.topic == topic
+        ]
         last = None
         for connection, _, raw in reader.messages(used):
             message = decode(raw, connection.msgtype)

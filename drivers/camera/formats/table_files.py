@@ -75,7 +75,7 @@ def from_npz(path: Path, choices: ReadingChoices) -> EventSource:
         )
         sides = [file[name] for name in ("size", "width", "height") if name in file]
         width, height = (
-            map(int, np.concatenate([np.ravel(one) for one in sides])[:_SIZE]) if sides else (0, 0)
+            map(int, np.concatenate([np.ravel(side) for side in sides])[:_SIZE]) if sides else (0, 0)
         )
         is_ours = "header" in file
         header = json.loads(str(file["header"])) if is_ours else {}
@@ -177,7 +177,7 @@ def _text_layout(start: bytes) -> _TextLayout | None:
     except UnicodeDecodeError:
         return None
     for number, line in enumerate(lines):
-        delimiter = next((one for one in ",;\t" if one in line), None)
+        delimiter = next((sign for sign in ",;\t" if sign in line), None)
         words = [word.strip(' "') for word in line.strip("# \t").split(delimiter)]
         are_numbers = bool(words[0]) and all(_NUMBER.fullmatch(word) for word in words if word)
         if geometry := _GEOMETRY.fullmatch(line.strip()):

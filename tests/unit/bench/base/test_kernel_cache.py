@@ -28,11 +28,11 @@ def closed(tmp_path, monkeypatch):
 
 def test_where_both_usual_places_are_closed_a_private_folder_is_named_and_named_again(closed):
     environ = {"XDG_CACHE_HOME": str(closed)}
-    set_kernel_cache(environ, beside=closed)
+    set_kernel_cache(environ, own_folder=closed)
     folder = Path(environ[VARIABLE])
     assert folder.stat().st_mode & 0o777 == 0o700
     again = {"XDG_CACHE_HOME": str(closed)}
-    set_kernel_cache(again, beside=closed)
+    set_kernel_cache(again, own_folder=closed)
     assert again[VARIABLE] == str(folder)
 
 
@@ -42,7 +42,7 @@ def test_the_usual_place_is_left_where_there_is_one(closed, tmp_path, usual):
     if usual == "told":
         environ[VARIABLE] = "elsewhere"
     before = dict(environ)
-    set_kernel_cache(environ, beside=tmp_path if usual == "beside" else closed)
+    set_kernel_cache(environ, own_folder=tmp_path if usual == "beside" else closed)
     assert environ == before
 
 
@@ -58,7 +58,7 @@ def test_a_folder_that_somebody_else_could_have_filled_is_not_used(closed, tmp_p
         planted.mkdir()
         planted.chmod(0o777 if how == "open to others" else 0o700)
     environ = {"XDG_CACHE_HOME": str(closed)}
-    set_kernel_cache(environ, beside=closed)
+    set_kernel_cache(environ, own_folder=closed)
     named = Path(environ[VARIABLE])
     assert named != planted
     assert named.stat().st_mode & 0o777 == 0o700
