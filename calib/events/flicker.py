@@ -28,6 +28,10 @@ FUNDAMENTAL_SHARE = 0.4
 HARMONICS = 8
 #: Number of bins of the folded rate in which the light's rising edge is found.
 ONSET_BINS = 256
+#: The first events of an edge are those of the fastest pixels, which no others delay on the way through the readout.
+FIRST_SHARE = 0.01
+#: Lowest and highest frequency at which events are searched for a flicker, Hz.
+BAND_HZ = (15.0, 1000.0)
 
 
 @dataclass(frozen=True)
@@ -76,10 +80,6 @@ class Flicker:
         first = np.ceil((start_us - self.phase_us) / self.period_us)
         last = np.ceil((end_us - self.phase_us) / self.period_us)
         return np.asarray(self.phase_us + self.period_us * np.arange(first, last), np.float64)
-
-
-#: The first events of an edge are those of the fastest pixels, which no others delay on the way through the readout.
-FIRST_SHARE = 0.01
 
 
 def first_on_delay_us(times: EventTimes, edges_us: Array) -> float:
@@ -161,10 +161,6 @@ def flicker_from_triggers(
         missing=int(k.max() - k.min()) + 1 - k.size,
         source="triggers",
     )
-
-
-#: Lowest and highest frequency at which events are searched for a flicker, Hz.
-BAND_HZ = (15.0, 1000.0)
 
 
 def flicker_from_events(
