@@ -123,7 +123,7 @@ def _same_numbers(stated: Certificate, derived: Certificate) -> bool:
 
     An earlier version divided U of a result without a posterior into another u and k.
     """
-    of_posterior = all(result.nu_eff is None for result in stated.results)
+    of_posterior = all(result.nu_eff is None for result in derived.results)
     names = (*_IN_EVERY_VERSION, "covariance") if of_posterior else _IN_EVERY_VERSION
     if any(getattr(stated, name) != getattr(derived, name) for name in names):
         return False

@@ -1,7 +1,9 @@
 """Certificates issued from sealed runs: complete or refused, whatever is wrong and whenever the process dies."""
 
+import json
 import re
 import shutil
+from dataclasses import replace
 from datetime import timedelta
 from unittest import mock
 
@@ -120,6 +122,25 @@ def test_documents_and_words_of_another_version_are_no_fault_but_named(copied):
     assert found.not_compared[0].startswith(
         "certificate.json, certificate.pdf and dcc.xml: they were written with"
     )
+
+
+def test_an_earlier_version_may_have_divided_u_of_a_method_of_reference_otherwise(tmp_path, monkeypatch):
+    results = sample_results()
+    calibration = {**results["calibration"], "coverage_factors": {}, "coverage_factor": 2.2215}
+    path = tmp_path / "reference.json"
+    path.write_text(json.dumps({**results, "calibration": calibration}))
+    monkeypatch.setattr("certificate_sample.RESULTS", path)
+    issued = Lab(tmp_path).issue()
+    first, *others = issued.certificate.results
+    for changed, passes in (
+        ({"u": first.u / 1.25, "k": first.k * 1.25}, True),
+        ({"U": 1.25 * first.U}, False),
+    ):
+        stated = replace(issued.certificate, results=(replace(first, **changed), *others))
+        (issued.folder / "certificate.json").chmod(0o644)
+        (issued.folder / "certificate.json").write_bytes(stated.to_json())
+        with by_another_program():
+            assert (check_certificate(issued.folder).faults == []) == passes
 
 
 def test_the_ledger_tells_of_another_seal_and_of_a_void_number(real, copied):

@@ -109,6 +109,15 @@ def test_a_method_of_reference_has_one_k_of_students_distribution_for_all_values
         assert any("as one row" in remark for remark in budget.remarks) == (nu is not None)
 
 
+def test_a_stated_value_has_the_degrees_of_freedom_that_are_stated_with_it():
+    def stated(calibration):
+        row = next(row for row in calibration["budget_rows"] if row["name"] == "scale of the print")
+        row["degrees_of_freedom"] = 8
+
+    budget = budget_of(changed(stated), "fx", "px", {}, 2.0)
+    assert {row.name: row.nu for row in budget.rows if row.nu is not None} == {"scale of the print": 8.0}
+
+
 def test_rows_name_their_certificates():
     fx = full_certificate().budgets[0]
     known = {row.name: (row.number, row.date) for row in fx.rows if row.number}
