@@ -30,6 +30,7 @@ from typing import Any, Final, TypeVar
 import h5py
 import numpy as np
 from isal import isal_zlib
+from numba import njit
 from numpy.typing import NDArray
 
 from drivers.camera.event_arrays import (
@@ -172,7 +173,7 @@ def export_metavision(source: EventSource, path: Path, progress: Progress = lamb
                 yield len(t), chunk._replace(t=t)
 
         for more, data in _packed(rising(), ecf.encode):
-            events.resize((n + more,))
+            events.id.set_extent((n + more,))
             events.id.write_direct_chunk((n,), data)
             n += more
         index.write(file["CD"])
@@ -201,7 +202,7 @@ def export_hdf5(source: EventSource, path: Path, progress: Progress = lambda _: 
         }
         for more, packed in _packed(plane_chunks(reading.events(), _PLAIN_CHUNK), _packed_planes):
             for column, data in zip(stored.values(), packed, strict=True):
-                column.resize((n + more,))
+                column.id.set_extent((n + more,))
                 column.id.write_direct_chunk((n,), data)
             n += more
         for name, values in reading.triggers()._asdict().items():
@@ -278,12 +279,11 @@ class _Index:
             return
         if not self.events:
             self._origin_us = int(t[0])
-        since = t - self._origin_us
-        windows = since // WINDOW_US
-        first = np.flatnonzero(np.diff(windows, prepend=-1))
-        self._windows.append(windows[first])
+        first = _first_of_windows(t, self._origin_us)
+        since = t[first] - self._origin_us
+        self._windows.append(since // WINDOW_US)
         self._first.append(first + self.events)
-        self._times.append(since[first])
+        self._times.append(since)
         self.events += len(t)
 
     def write(self, group: Any) -> None:
@@ -300,6 +300,19 @@ class _Index:
         table = group.create_dataset("indexes", data=rows, maxshape=(None,), chunks=(CHUNK_EVENTS,))
         if self.events:
             table.attrs.create("offset", str(-self._origin_us), dtype=_ASCII)
+
+
+@njit(cache=True, nogil=True)
+def _first_of_windows(t: Any, origin_us: int) -> Any:
+    """Return the numbers of the events that lie in another window than the one before."""
+    first = np.empty(len(t), np.int64)
+    n, end_us = 0, np.int64(origin_us)
+    for i in range(len(t)):
+        if t[i] >= end_us or t[i] < end_us - WINDOW_US:
+            end_us = origin_us + ((t[i] - origin_us) // WINDOW_US + 1) * WINDOW_US
+            first[n] = i
+            n += 1
+    return first[:n].copy()
 
 
 @contextmanager
