@@ -219,10 +219,15 @@ def test_controllers_with_a_port_for_each_axis_are_asked_for_their_serial_number
     assert text.count(f"_deg: {scale}") == 2
 
 
-def test_a_board_is_asked_for_scales_and_travel(tmp_path):
+@pytest.mark.parametrize(
+    "others",
+    # The port of a light takes more than 10 s: it is asked as long as a board may need to start
+    [(), pytest.param(("light",), marks=pytest.mark.slow)],
+)
+def test_a_board_is_asked_for_scales_and_travel(others):
     """Its tilt axis reaches from 15 degrees down to -6."""
     with SimulatedBench({"stage": {"kind": "grbl"}}, 1) as bench:
-        stage = ask_stage("grbl", [bench.endpoints["light"], bench.endpoints["gimbal"]], BenchClock())
+        stage = ask_stage("grbl", [bench.endpoints[name] for name in (*others, "gimbal")], BenchClock())
         assert stage.ports == {bench.endpoints["gimbal"]}
     text = draft_station(Discovery((), (), ()), stage="grbl", asked=(stage, None))
     assert "pan: {letter: X, steps_per_deg: 640, zero_deg: 15, limits_deg: [-12, 12]," in text
