@@ -284,19 +284,14 @@ class Marginal:
         return np.asarray(1.0 / (star * self.loose + self.reading_variance(squares)))
 
     # -- solution
-    def solve(self, eta: Array, faults: Faults = NO_FAULT, *, damped: float = 0.0) -> Solution:
+    def solve(self, eta: Array, faults: Faults = NO_FAULT) -> Solution:
         """Return the posterior for given logarithms of the amplitudes and faults of statements, by name.
 
-        The equations are singular if nothing determines an unknown. ``damped`` holds what has an amplitude at its
-        present value, with so many times the weight of its prior: a shorter step.
+        The equations are singular if nothing determines an unknown.
         """
         n, f, size = self.dimensions
         squares = np.exp(2.0 * eta)
         normal = self._normal(squares, faults)
-        if damped:
-            at = self.problem.random.places
-            normal.information[at[:, None], at] += damped * normal.inside
-            normal.own[:, range(f), range(f)] += damped * self.problem.own_information(squares)
         own_root, logs = inverse_root(normal.own)
         between = own_root @ normal.between
         alone = own_root @ normal.own_pull[:, :, None]

@@ -38,10 +38,8 @@ _SLOWER, _FASTER = 0.5, 1.5
 #: A start is near if a step moves no focal length by more than this share.
 _NEAR = 0.003
 _HALVINGS = 6
-#: A step is taken if it lowers the cost by this share of what it would if all were linear (Armijo, 1966).
+#: A step is taken if it lowers the cost by this share of what it would if all were linear (Armijo, 1966); else half.
 _LEAST_GAIN = 0.1
-#: A step that does not is halved and damped, each time so many times more (Levenberg, 1944).
-_DAMPING = 4.0
 #: Largest numbers of steps of a search of amplitudes: in a round, and at the end.
 _QUICK, _LONG = 3, 30
 #: Before the state is found, a round changes no logarithm of an amplitude by more than this.
@@ -219,10 +217,10 @@ def _solvable() -> Iterator[None]:
         raise NotConverged("The joint adjustment cannot be solved.") from error
 
 
-def solved(marginal: Marginal, eta: Array, damped: float = 0.0) -> Solution:
+def solved(marginal: Marginal, eta: Array) -> Solution:
     """Return the solution for given amplitudes; `NotConverged` if the equations cannot be solved."""
     with _solvable():
-        return marginal.solve(eta, damped=damped)
+        return marginal.solve(eta)
 
 
 def small(solution: Solution, share: float = _SMALL_SHARE) -> bool:
@@ -284,8 +282,6 @@ def shortened(solution: Solution, most: float = 1.0) -> tuple[State, list[Array]
             if cost(marginal, squares, corrected, lengths) <= enough:
                 return corrected, lengths
         size *= 0.5
-        if share < _CORRECTED:
-            solution = solved(marginal, solution.eta, damped=_DAMPING**k)
     return state, lengths
 
 

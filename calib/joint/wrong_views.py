@@ -110,7 +110,7 @@ def find_shifted_ids(
     """Look for views whose ids are shifted by columns and rows of the lattice against those of the others.
 
     The best shift of one view is kept, and the search goes on with the next view, up to half of the views. A pupil
-    that a hand moves can imitate a shift: then the views, adjusted ``again``, must be more probable too.
+    that a hand moves can imitate a shift: then the views, adjusted ``again``, must gain as much.
     """
     pitch = _lattice_pitch(views)
     if len(views) < 2 or pitch is None:
@@ -132,7 +132,9 @@ def find_shifted_ids(
             break
         best = better
     by_hand = optimum.marginal.problem.pupils is not None
-    if not best.shifts.any() or (by_hand and not _better_again(optimum, views, pitch * best.shifts, again)):
+    if not best.shifts.any() or (
+        by_hand and _gain_again(optimum, views, pitch * best.shifts, again) < cost(best)
+    ):
         return ShiftedIds()
     others = {
         _in_words(views, one) for one in every if one.shifts.any() and worth(one) > worth(best) - DECISIVE
@@ -178,18 +180,18 @@ def _shifted(first: Optimum, best: _Moved, pitch: float, rounds: int) -> list[_M
     return shifted
 
 
-def _better_again(
+def _gain_again(
     optimum: Optimum, views: Sequence[View], shifts_mm: Array, again: Callable[[Sequence[View]], Optimum]
-) -> bool:
-    """Tell whether views with (m, 2) shifts of their stars, adjusted anew, are more probable than as they are."""
+) -> float:
+    """Return what (m, 2) shifts of stars gain if the shifted views are adjusted anew; 0 if they cannot be."""
     moved = [
         replace(view, target_mm=view.target_mm + shift) for view, shift in zip(views, shifts_mm, strict=True)
     ]
     try:
         there = _ended(again(moved))
     except CalibrationError:
-        return False
-    return there.solution.value < _ended(optimum).solution.value
+        return 0.0
+    return _ended(optimum).solution.value - there.solution.value
 
 
 def _in_words(views: Sequence[View], moved: _Moved) -> str:
