@@ -100,7 +100,7 @@ def _light(bench: Bench) -> list[Check]:
 
     def faults() -> Found:
         if light_faults := list(light.faults()):
-            return "bad", f"{'; '.join(light_faults)}.", "Clear the cause at the light."
+            return "bad", f"{'; '.join(light_faults)}.", "Look at the light, and remove the cause."
         return "good", "The light reports no fault.", ""
 
     return [_made("light: identity", identity), _made("light: faults", faults)]

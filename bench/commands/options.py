@@ -352,8 +352,8 @@ page_options = together(
         "--host",
         default="127.0.0.1",
         metavar="NAME",
-        help="Name or address at which to serve the page. Any other than this computer's own needs a token: "
-        "that in the variable STARBENCH_PAGE_TOKEN, else a new one, which the printed address holds.  [default: "
+        help="Name or address at which to serve the page. If other computers can reach it, the page needs a token: the "
+        "one in the variable STARBENCH_PAGE_TOKEN; without it, a new one in the printed address.  [default: "
         "127.0.0.1, this computer only]",
     ),
     click.option(

@@ -84,7 +84,7 @@ of the person, and verify with it in the place of PERSON:
     ssh-keygen -Y verify -f allowed_signers -I PERSON -n starbench-authorisation@v1 \\
         -s SHA256SUMS.authorised.sig < SHA256SUMS.sig
 {more}
-3. THE TIME: that it is not younger than a time stamp says
+3. THE TIME: that the seal is at least as old as a time stamp says
 
 Without a file SHA256SUMS.tsr or SHA256SUMS.authorised.tsr, only the bench's own clock states a time.
 tsa_certificates.pem holds the root certificates of time stamping authorities that you trust:

@@ -116,11 +116,11 @@ def _end(until: Until, decided: UntilDecided, interim: Interim, failed: int) -> 
         return "met", "The goals are met."
     bound: tuple[UntilEnd, str] | None = None
     if decided["recorded"] >= until.at_most:
-        bound = "at_most", f"{decided['recorded']} recordings are accepted, the most allowed."
+        bound = "at_most", f"{decided['recorded']} recordings are accepted; the step takes no more."
     elif failed >= POSES_FAILED:
         bound = "failures", f"{failed} chosen poses were not recorded."
     elif until.minutes is not None and decided["worked_s"] >= 60.0 * until.minutes:
-        bound = "minutes", f"The step has worked for {until.minutes:g} minutes, the most allowed."
+        bound = "minutes", f"The step has worked for {until.minutes:g} minutes; it takes no longer."
     if bound is None:
         return None
     largest = max(now, key=lambda goal: now[goal] / wanted[goal], default="")

@@ -184,7 +184,7 @@ def with_boards(
     _require_one_time(names, boards.squares(state).sum(axis=1), (apart / noise**2).sum(axis=1))
     if not refined.converged:
         raise NotConverged(
-            "The adjustment of the rig found no optimum.", remedy="Show the board at more angles."
+            "The calculation of the rig did not come to an end.", remedy="Show the board at more angles."
         )
     return replace(
         start,

@@ -159,7 +159,7 @@ def test_the_bounds_end_it_with_what_is_missed_and_what_contributes_most(job):
     told = decided(job, HistoryOf(range(1, 26)), found)
     assert told["ended"] == "at_most"
     assert told["why"] == (
-        "U(fx) is 4.5 px; the goal is 2 px. 25 recordings are accepted, the most allowed. The largest part of U(fx) "
+        "U(fx) is 4.5 px; the goal is 2 px. 25 recordings are accepted; the step takes no more. The largest part of U(fx) "
         "comes from: disagreement of the views, 4 px."
     )
     assert decided(job, HistoryOf([1, 2, 3], chosen=10), found)["ended"] == "failures"

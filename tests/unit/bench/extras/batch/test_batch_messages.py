@@ -129,6 +129,17 @@ def test_the_mail_of_a_batch_has_the_means_that_the_terminal_prints(tmp_path, ou
     assert "U with k = 2.2:" in delivery.message.text
 
 
+def test_the_end_of_a_batch_says_how_runs_without_a_result_go_on(tmp_path, capsys):
+    begun = tmp_path / "cam 2" / "runs" / "cam-001"
+    begun.mkdir(parents=True)
+    (begun / "journal.jsonl").touch()
+    items = [{**item(name), "how": "failed"} for name in ("cam-001", "never-begun")]
+    show_summary(tmp_path / "cam 2", summary("failed", [*items, item("cam-003")]))
+    printed = capsys.readouterr().out
+    assert f"  starbench resume '{begun}'\n" in printed
+    assert printed.count("resume") == 1
+
+
 def test_the_end_of_a_batch_names_a_drift_as_the_control_charts_judge_it(tmp_path, capsys):
     def group(title, *, seen):
         drift = {"per_day": {"seen": seen}, "per_c": None}
