@@ -68,15 +68,13 @@ class TestSameInputSameBytes:
 
 class TestTheAnnexStandsBehind:
     @pytest.mark.skipif(shutil.which("pdftotext") is None, reason="no poppler on this computer")
-    @pytest.mark.parametrize(
-        ("certificate", "most"), [(full_certificate(), 5), (small_certificate(), 4)], ids=["full", "small"]
-    )
-    def test_few_pages_say_what_the_certificate_says(self, certificate, most):
+    @pytest.mark.parametrize("certificate", [full_certificate(), small_certificate()], ids=["full", "small"])
+    def test_four_pages_say_what_the_certificate_says(self, certificate):
         data = render_pdf(certificate, sample_results(), ATTACHED)
         read = subprocess.run(["pdftotext", "-", "-"], input=data, capture_output=True, check=True)
         pages = read.stdout.decode().split("\f")
         (annex,) = [at for at, text in enumerate(pages) if re.search(r"^Annex$", text, re.MULTILINE)]
-        assert annex <= most
+        assert annex <= 4
         assert "Authorised by" in "".join(pages[:annex])
         assert "Uncertainty budgets" in pages[annex]
 
