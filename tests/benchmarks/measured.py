@@ -149,7 +149,8 @@ def run(main: Callable[[], int | None], page: str, title: str) -> None:
         status = main()
     if wanted and not status:
         program = Path(sys.argv[0]).resolve().relative_to(ROOT).as_posix()
-        write(page, title, kept.getvalue(), " ".join(("python", program, *words)))
+        shown = ["PATH" if Path(word).is_absolute() else word for word in words]  # a folder of this computer
+        write(page, title, kept.getvalue(), " ".join(("python", program, *shown)))
     sys.exit(status)
 
 
