@@ -312,6 +312,7 @@ class _Unfolding:
             return SettleStep(**place, **merged(given, self.sequence.defaults.settle))
         if word in ("solve", "check"):
             settings = merged(given, self.sequence.defaults.solve)
+            settings.pop("drift_mm")
             limits = {name: limit for name, limit in settings.pop("limits").items() if limit is not None}
             distortion = distortion_terms(settings.pop("distortion"))
             checked = settings.pop("calibration", None)

@@ -32,7 +32,7 @@ LENS = click.option(
 CAMERA = click.option(
     "--camera", metavar="NAME", help="Camera of a calibration file that holds several, such as cam1."
 )
-_CUTOFF_HZ = (0.01, 1000.0)  # The engine's own range (`calib.events.reconstruction`)
+_CUTOFF_HZ = (0.01, 1000.0)
 
 _THROUGH_COLLIMATOR = ("distortion", "passport", "image-size", "views", "origin", "station")
 """Options of commands that take all others from the runs."""
@@ -145,10 +145,18 @@ def comparison_text(baselines: list[MethodResult | MethodFailure]) -> str:
 
 
 class _Model(click.Choice):
-    """The models; ``auto`` is another word for joint."""
+    """The models of this version; ``auto`` is another word for joint, and a name of an earlier version says so."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """See `click.ParamType.convert`."""
+        from sequences.solve_schema import EARLIER_MODELS  # needed for this alone
+
+        if value in EARLIER_MODELS:
+            self.fail(
+                f"{value} is a model of an earlier version. Its effects are part of joint: --model joint.",
+                param,
+                ctx,
+            )
         return str(super().convert("joint" if value == "auto" else value, param, ctx))
 
 

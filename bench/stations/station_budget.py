@@ -315,6 +315,9 @@ class WavefrontConfig(StrictModel):
     """Slopes of the collimator's wavefront that differ over the beam."""
 
     urad_rms: Annotated[float, Field(ge=0, le=1e5, description="RMS slope, its mean subtracted.")]
+    correlation_mm: Annotated[
+        Positive | None, Field(description="Of stations of earlier versions; it has no effect.")
+    ] = None
     source: _Source
 
     def term(self, *_: object) -> TypeBTerm:

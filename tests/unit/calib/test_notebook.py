@@ -7,7 +7,7 @@ from operator import methodcaller
 import numpy as np
 import pytest
 
-from calib import View
+from calib import CalibrationOptions, View
 from calib.errors import InputMismatch
 from tests.support.exported_camera import calibration
 
@@ -92,3 +92,9 @@ def test_a_view_that_is_none_is_refused_when_it_is_made(changed, says):
 
 def test_whole_numbers_of_any_type_name_stars():
     assert view(ids=np.arange(N).astype(float)).ids.tolist() == list(range(N))
+
+
+@pytest.mark.parametrize("model", ["radial", "pupil", "rim", "field", "coma", "drift"])
+def test_a_model_of_an_earlier_version_is_refused_with_the_one_of_today(model):
+    with pytest.raises(InputMismatch, match=rf"{model} is one of an earlier version. Use the model joint"):
+        CalibrationOptions(model=model)

@@ -149,7 +149,7 @@ def test_every_set_of_lens_coefficients_reaches_the_engine(name):
 
 def test_the_other_settings_reach_the_engine():
     made = calibration_options(
-        solve_step("{loss: l2, huber_px: 0.5, guard_band: 0.9, distortion: [kb2, kb1]}")
+        solve_step("{loss: l2, huber_px: 0.5, guard_band: 0.9, drift_mm: 0.2, distortion: [kb2, kb1]}")
     )
     assert (made.loss, made.huber_px, made.guard_band) == ("l2", 0.5, 0.9)
     assert made.distortion == ("kb1", "kb2")

@@ -23,7 +23,7 @@ budget:
   thermal: {expansion_per_c: 9e-6, expansion_sigma_per_c: 1e-6, sigma_c: 1, reference_c: 20, source: glass}
   collimator_thermal: {expansion_per_c: 2e-5, sigma_c: 0.5, source: aluminium}
   effective_radius: {relative: 6e-4, k: 2, degrees_of_freedom: 8, source: twenty views}
-  wavefront: {urad_rms: 5, source: interferometer}
+  wavefront: {urad_rms: 5, correlation_mm: 30, source: interferometer}
 """
 
 
