@@ -190,7 +190,8 @@ _OPTIONS = {
     ),
     "distortion": click.option(
         "--distortion",
-        help="Distortion coefficients, e.g. k1k2k3p1p2, none or auto.  [default: as in the run; else k1k2]",
+        help="Distortion coefficients, e.g. k1k2k3p1p2, none or auto.  [default: as in the run; else k1k2, or"
+        " k1k2p1p2 with a board]",
     ),
     "passport": click.option(
         "--passport",

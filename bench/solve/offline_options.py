@@ -25,6 +25,10 @@ from calib.target import StarTarget
 from sequences.script import SolveStep
 from sequences.solve_schema import Readings
 
+#: Coefficients that are estimated from a board if nobody says which: those of Kalibr's radtan and of ROS's calibrator.
+#: Without p1 and p2, cx of a usual lens was 3.7 U wrong. The joint adjustment has them always.
+_LENS_OF_BOARDS = ("k1", "k2", "p1", "p2")
+
 
 @dataclass(frozen=True)
 class StationFile:
@@ -119,7 +123,7 @@ class OfflineOptions:
         used = self.passport or (None if none else passport)
         return CalibrationOptions(
             self.model or DEFAULT_MODEL,
-            self.distortion or ("k1", "k2"),
+            self.distortion or (_LENS_OF_BOARDS if self.board else ("k1", "k2")),
             passport=used.passport if used else None,
             guard_band=self.guard_band or 1.0,
         )

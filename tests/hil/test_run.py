@@ -192,7 +192,8 @@ CREEPING = (
 
 def test_a_camera_that_creeps_where_no_encoder_sees_it_is_refused_by_its_own_stars(home, tmp_path):
     station = write_station(tmp_path / "creeping.yaml", simulation=CREEPING)
-    sequence = write_sequence(tmp_path / "sequence.yaml", THREE_NAMED, attempts=1)
+    # Halves of two periods: .12 px. Between halves of one, the stars are seen to move by as much as the limit.
+    sequence = write_sequence(tmp_path / "sequence.yaml", THREE_NAMED, attempts=1, window_ms=16.8)
     folder = tmp_path / "run"
     said = called("run", sequence, "-s", station, "--seed", SEED, "-o", folder, home=home)
     assert said.returncode == 1

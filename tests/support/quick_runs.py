@@ -12,7 +12,7 @@ name: Quick poses
 defaults:
   light: {frequency_hz: 240}
   settle: {duration_s: 0.3}
-  record: {window_ms: 8.4, attempts: %(attempts)d, backoff_s: 0.1}
+  record: {window_ms: %(window_ms)s, attempts: %(attempts)d, backoff_s: 0.1}
 steps:
   - light
   - repeat:
@@ -55,8 +55,8 @@ def write_station(path, more="", simulation=""):
     return path
 
 
-def write_sequence(path, poses=TWELVE, *, attempts=2, end=END):
-    path.write_text(SEQUENCE % {"poses": poses, "attempts": attempts, "end": end})
+def write_sequence(path, poses=TWELVE, *, attempts=2, window_ms=8.4, end=END):
+    path.write_text(SEQUENCE % {"poses": poses, "attempts": attempts, "window_ms": window_ms, "end": end})
     return path
 
 
