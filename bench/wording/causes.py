@@ -85,8 +85,8 @@ def _noisier(cause: Cause) -> str:
 
 def _slower(cause: Cause) -> str:
     return (
-        f"The light is weak: its first events come {cause.value:.0f} us after it rises {_instead(cause, '.0f')}. The "
-        "level of the lamp, the aperture and dust look the same. Check them in this order."
+        f"The light is weak: the first events come {cause.value:.0f} us after it turns on, {_instead(cause, '.0f')}. "
+        "The level of the lamp, the aperture and dust look the same. Check them in this order."
     )
 
 

@@ -96,22 +96,14 @@ def _focus_steps(posterior: Posterior, views: Sequence[View]) -> tuple[Cause, ..
     before = log_evidence(modes_of(first), first) if likely else 0.0
     best: Cause | None = None
     for place in likely:
-        there = modes_of(steps[place].optimum)
+        step = steps[place]
+        there = modes_of(step.optimum)
         gained = 2.0 * (log_evidence(there, there.optimum) - before)
-        evidence = gained - steps[place].taken - cost + DECISIVE
+        evidence = gained - step.taken - cost + DECISIVE
         if evidence > (best.evidence if best else DECISIVE):
             accused = there.fault_probabilities(there.nodes)
             explains = [name for name, p in posterior.faults.items() if p >= DOUBTED > accused.get(name, 0.0)]
-            best = Cause(
-                kinds.FOCUSED,
-                min(evidence, LARGEST_EVIDENCE),
-                value=100.0 * steps[place].size,
-                expanded=200.0 * steps[place].sigma,
-                unit="%",
-                before=views[place].name,
-                pose=views[place + 1].name,
-                explains=tuple(explains),
-            )
+            best = step.as_cause(evidence, (views[place].name, views[place + 1].name), explains)
     return (best,) if best else ()
 
 
@@ -124,9 +116,22 @@ class _Step(NamedTuple):
 
     @property
     def taken(self) -> float:
-        """What the prior of the size takes of 2 log of the evidence: its width, and how far the size lies in it."""
+        """By how much the prior of the size lowers 2 log of the evidence: by its width, and by how far out it lies."""
         size = (self.size / _STEP) ** 2
         return math.log1p((_STEP / self.sigma) ** 2) + size / (1.0 + size)
+
+    def as_cause(self, evidence: float, between: tuple[str, str], explains: Sequence[str]) -> Cause:
+        """Return the cause; ``between`` are the names of the views before and after the step."""
+        return Cause(
+            kinds.FOCUSED,
+            min(evidence, LARGEST_EVIDENCE),
+            value=100.0 * self.size,
+            expanded=200.0 * self.sigma,
+            unit="%",
+            before=between[0],
+            pose=between[1],
+            explains=tuple(explains),
+        )
 
 
 def _stepped(optimum: Optimum, column: Array) -> _Step:

@@ -1,4 +1,4 @@
-"""Writes what the code of docs/python.md prints into the page: its figures are those of the present engine.
+"""Run the code of docs/python.md, and write its output into the page.
 
 starbench run three_pose --station simulated --seed 1 --output runs/demo
 python tests/support/python_page.py FOLDER_OF_runs

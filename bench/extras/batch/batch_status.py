@@ -26,7 +26,7 @@ from bench.wording.plan_text import duration_text
 FOLLOW_S = 1.0
 _TICK_WAITS = 2
 """With ``ticks``, the status is read again after this many waits."""
-_MOST_UPCOMING = 12  # A screen with the rest of the status
+_MOST_UPCOMING = 12  # More do not fit on one screen below the rest of the status
 
 
 class DoneRun(NamedTuple):
@@ -65,7 +65,7 @@ class BatchStatus:
     upcoming: tuple[UpcomingRun, ...]
     withdrawn: tuple[str, ...]
     last_end: datetime | None = None  # Of the runs so far
-    file: str = ""  # Full path of the queue file with which it was begun; empty if unknown
+    file: str = ""  # Full path of the queue file that it began with; empty if unknown
 
     @property
     def end(self) -> datetime | None:

@@ -123,12 +123,12 @@ def test_a_run_as_the_last_one_has_no_cause():
             "A bright room and a lamp that does not go dark",
         ),
         # As measured in simulations of a quarter of the light: the stars are as many, and as good.
-        ({"lit": 600_000, "off": 1.62, "delay_us": 22.0}, kinds.SLOWER, "come 22 us after it rises"),
+        ({"lit": 600_000, "off": 1.62, "delay_us": 22.0}, kinds.SLOWER, "come 22 us after it turns on"),
         # Of half the light.
         (
             {"lit": 661_000, "off": 1.91, "delay_us": 14.0},
             kinds.SLOWER,
-            "come 14 us after it rises instead of 9 as in",
+            "come 14 us after it turns on, instead of 9 as in",
         ),
         ({"duty": 0.15}, kinds.LIGHT, "duty by the sync signal was 15 %, and 50 % in run run-7"),
         (
