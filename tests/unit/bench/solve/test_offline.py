@@ -323,3 +323,12 @@ def test_one_view_without_a_passport_of_the_centre_says_what_one_would_give(
     write_passport(tmp_path / "whole.json", uncertified.calibration.passport())
     one = calibrate_paths([points / "left.csv"], options(passport=str(tmp_path / "whole.json")))
     assert one.calibration.sigma["fx"] < 0.02 * one.calibration.camera.fx
+
+
+def test_a_board_gives_tangential_terms_unless_other_coefficients_are_asked_for():
+    board = "checkerboard:11x7:20mm"
+    estimated = [
+        OfflineOptions.from_command_line(board=board, distortion=word).without_run().distortion
+        for word in (None, "k1k2")
+    ]
+    assert estimated == [("k1", "k2", "p1", "p2"), ("k1", "k2")]
