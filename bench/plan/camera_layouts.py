@@ -40,6 +40,7 @@ _NAMES_OF_COEFFICIENTS = ("parameters", "params", "coefficients", "coeffs")
 _FOREIGN = {
     "value0": "Basalt or another program that uses cereal",
     "projectiontype": "OpenSfM",
+    **dict.fromkeys(("initializationmode", "pxinitialfocallength"), "AliceVision (Meshroom)"),
     "calibrationinformation": "Azure Kinect",
     "cameraanglex": "Blender",
     "radialdistortion": "a program that writes radial and tangential coefficients apart",

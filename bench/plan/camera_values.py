@@ -49,7 +49,9 @@ LENS = re.compile(
 """Names of the coefficients of a lens."""
 _LIKE_A_LENS = re.compile(".*(dist(?!an)|coef|radial|tangential|lens)")
 """Names that may be those of coefficients."""
-_SIZES = ("imagesize", "imgsize", "resolution", "imagersize", "imageresolution")
+_SIZES = (
+    "imagesize", "imgsize", "resolution", "imagersize", "imageresolution", "cameraresolution", "imagedimension",
+)  # fmt: skip
 _SIZES_OF_ANYTHING = ("size", "dimensions")
 _SIDES_OF_ANYTHING = ("cols", "rows")
 """Names that may be those of a board or a matrix too: asked if there is no other."""
@@ -74,15 +76,20 @@ _LENSES: Mapping[str, tuple[str, ...] | None] = {
         ("plumbbob", "radialtangential", "lensmodelopencv5", "rectilinear", "standard"), OPENCV[:5]
     ),
     **dict.fromkeys(("radtan", "pinholeradialtangential", "lensmodelopencv4"), OPENCV[:4]),
-    **dict.fromkeys(("lensmodelopencv8", "pinholeradtan8", "pinholefull", "rational"), OPENCV[:8]),
+    **dict.fromkeys(
+        ("lensmodelopencv8", "pinholeradtan8", "radialtangential8", "pinholefull", "rational"), OPENCV[:8]
+    ),
     "lensmodelopencv12": OPENCV[:12],
     **dict.fromkeys(("rationalpolynomial", "opencv", "brown", "brownconrady"), OPENCV),
     **dict.fromkeys(_EQUIDISTANT, FISHEYE),
     **dict.fromkeys(_WITHOUT, ()),
     **dict.fromkeys(("pinhole", "simplepinhole", "perspective", "rectified"), None),
-    **dict.fromkeys(("0", "false"), OPENCV),  # of a name that asks for a fisheye
-    **dict.fromkeys(("1", "true"), FISHEYE),
+    **dict.fromkeys(("gray", "rgb", "graydepth", "rgbdepth"), None),  # OKVIS, `camera_type`
 }
+#: Whether the lens is a fisheye, in a key that asks for it.
+_IS_FISHEYE: Mapping[str, tuple[str, ...]] = {"0": OPENCV, "false": OPENCV, "1": FISHEYE, "true": FISHEYE}
+_OF_MC_CALIB = "distortionvector"
+"""A name that only MC-Calib has, whose `distortion_type` is 1 for a fisheye."""
 _IN_ANY_ORDER = "brown"
 """A model whose list of coefficients is k1 k2 p1 p2 k3 in some programs, and k1 k2 k3 p1 p2 in cuVSLAM and openMVG."""
 _RADIAL_FIRST = ("k1", "k2", "k3", "p1", "p2")
@@ -198,7 +205,9 @@ def _listed(values: Values, names: Iterable[str]) -> dict[str, Any]:
     return {
         name: value
         for name, value in stated.items()
-        if isinstance(value, str | list | tuple) or (isinstance(value, Mapping) and "data" in value)
+        if isinstance(value, str | tuple)
+        or (isinstance(value, list) and not any(isinstance(part, Mapping) for part in value))
+        or (isinstance(value, Mapping) and "data" in value)
     }
 
 
@@ -306,10 +315,7 @@ def _stated_lens(values: Values) -> tuple[str | None, tuple[str, ...] | None]:
             continue
         if value is None or isinstance(value, Mapping):
             continue
-        word = plain_name(value).removeprefix("distortion")  # as RealSense writes it
-        if word not in _LENSES or isinstance(value, list):
-            raise OtherForm(f"the lens model {str(value)[:LONGEST_NAME]!r} is not read", CALIBRATE_ANEW)
-        own = _LENSES[word]
+        own = _lens_of(key, value, is_answer="fisheye" in key or _OF_MC_CALIB in values)
         model = str(value) if model is None or own is not None else model
         if own is None:
             continue
@@ -319,6 +325,21 @@ def _stated_lens(values: Values) -> tuple[str | None, tuple[str, ...] | None]:
             )
         names = own if names is None else min(names, own, key=len)
     return model, names
+
+
+def _lens_of(key: str, value: Any, *, is_answer: bool) -> tuple[str, ...] | None:
+    """Return the coefficients of the lens that a value names, or that it answers whether it is a fisheye."""
+    word = plain_name(value).removeprefix("distortion")  # as RealSense writes it
+    if is_answer and word in _IS_FISHEYE:
+        return _IS_FISHEYE[word]
+    if word.isdecimal():
+        raise OtherForm(
+            f"its lens model is the number {word} ({key}), and programs number them differently",
+            "Write its name instead, such as `distortion_model: plumb_bob` or `equidistant`.",
+        )
+    if word not in _LENSES or isinstance(value, list):
+        raise OtherForm(f"the lens model {str(value)[:LONGEST_NAME]!r} is not read", CALIBRATE_ANEW)
+    return _LENSES[word]
 
 
 def _coefficients(stated: Sequence[float], names: Sequence[str], model: str) -> dict[str, float]:

@@ -14,6 +14,7 @@ from bench.plan.camera_files import NotACamera, parse_camera
 
 FX, FY, CX, CY = FOCAL_AND_CENTRE
 K1, K2, P1, P2, K3 = D5
+D8 = [*D5, 0.2, 0.1, 0.01]
 NAMED = {"k1": K1, "k2": K2, "p1": P1, "p2": P2, "k3": K3}
 FOUR = {"fx": FX, "fy": FY, "cx": CX, "cy": CY}
 LISTS = {"camera_matrix": K, "image_size": SIZE}
@@ -34,6 +35,16 @@ def basalt(camera_type, intrinsics):
     """Basalt's calibration.json (basalt-headers, cereal), as TUM-VIE publishes it."""
     one = {"camera_type": camera_type, "intrinsics": {**FOUR, **intrinsics}}
     return {"value0": {"T_imu_cam": [{"px": 0.0, "qw": 1.0}], "intrinsics": [one], "resolution": [SIZE]}}
+
+
+def okvis(lens, coefficients):
+    """OKVIS and OKVIS 2, config/*.yaml: a list of cameras in braces, with a kind of picture as ``camera_type``."""
+    return (
+        f"{YAML}cameras:\n     - {{T_SC:\n        [1.0, 0.0, 0.0, 0.0],\n        image_dimension: [1280, 720],\n"
+        f"        distortion_coefficients: {coefficients},\n        distortion_type: {lens},\n"
+        f"        focal_length: [{FX}, {FY}],\n        principal_point: [{CX}, {CY}],\n"
+        "        camera_type: gray, #gray, rgb, gray+depth\n        slam_use: okvis}\n"
+    )
 
 
 #: ORB-SLAM3, Examples/Monocular/EuRoC.yaml; with `Camera.` of ORB-SLAM2.
@@ -123,6 +134,11 @@ BROWN = {
     "MATLAB, IntrinsicMatrix": ({**MATLAB, "IntrinsicMatrix": np.array(MATLAB_K).T.tolist()}, D5),
     "MATLAB, two coefficients": ({**MATLAB, "RadialDistortion": [K1, K2], "K": MATLAB_K}, D5[:4]),
     "toolbox for MATLAB": (TOOLBOX, D5),
+    "OKVIS": (okvis("radialtangential", D5[:4]), D5[:4]),
+    "OKVIS, 8 coefficients": (okvis("radialtangential8", D8), D8),
+    "OpenCV's interactive-calibration": (
+        {"cameraResolution": SIZE, "cameraMatrix": K, "dist_coeffs": D5, "dist_coeffs_std_dev": [0.1] * 5}, D5,
+    ),
     "aniposelib": (ANIPOSE, D5),
     "CalibDB": ({**LISTS, "distortion_coefficients": D5, "distortion_model": "rectilinear"}, D5),
     "multical": ({"cameras": {"cam1": {"model": "standard", "image_size": SIZE, "K": K, "dist": [D5]}}}, D5),
@@ -161,6 +177,7 @@ FISHEYES = {
     "type alone": {"type": "fisheye", "matrix": 0, "intrinsics": FOCAL_AND_CENTRE, "D": FISHEYE, "resolution": SIZE},
     "rpg_svo_pro": RPG.replace("radial-tangential", "equidistant").replace(str(D5[:4]), str(FISHEYE)),
     "Basalt": basalt("kb4", KANNALA_BRANDT),
+    "OKVIS 2": okvis("equidistant", FISHEYE),
     "nerfstudio": {**{name: value for name, value in NERFSTUDIO.items() if name not in NAMED}, **KANNALA_BRANDT, "camera_model": "OPENCV_FISHEYE"},
     "aniposelib": ANIPOSE.replace(str(D5), str(FISHEYE)).replace("rotation", "fisheye = true\nrotation"),
 }  # fmt: skip
@@ -247,6 +264,12 @@ DOUBTFUL = {
         f"<calibration>{''.join(f'<{name}>{value}</{name}>' for name, value in {'projection': 'frame', **SIDES, **FOUR, 'skew': 0, 'k1': K1}.items())}</calibration>",
         "PhotoScan before 1.2",
     ),
+    "Meshroom's cameras.sfm": (
+        {"version": ["1", "2", "3"], "intrinsics": [{"type": "radial3", "initializationMode": "estimated", "focalLength": "4.3", "principalPoint": ["-3.5", "12.2"]}]},
+        "AliceVision",
+    ),
+    # AirSLAM and AirVO: 1 is radial-tangential there; in MC-Calib it is a fisheye.
+    "a number as lens model": ({"intrinsics": FOCAL_AND_CENTRE, "distortion_type": 1, "distortion_coeffs": D5, "resolution": SIZE}, "number 1"),
     "rs-enumerate-devices": (' Intrinsic of "Color" / 640x480 / {YUYV}\n  Width: \t640\n  PPX: \t320\n', "RealSense"),
     "calib.txt of RPG": (" ".join(map(str, [*FOCAL_AND_CENTRE, *D5])) + "\n", "numbers without names"),
     "Kalibr's report": ("Calibration results\n===\nCamera-system parameters:\n\tcam0 (/cam0):\n", "results-cam.txt"),
