@@ -188,13 +188,16 @@ class GrblAxisConfig(AxisConfig):
     """One axis of a home-built gimbal."""
 
     letter: Annotated[
-        Literal["X", "Y", "Z", "A", "B", "C"], Field(description="Letter of the axis on the board.")
+        Literal["X", "Y", "Z", "A", "B", "C", "U", "V", "W"],
+        Field(description="Letter of the axis on the board."),
     ]
     steps_per_deg: Annotated[
         float,
         Within(0.01, 1e9, "steps/deg"),
         ToFillIn,
-        Field(description="Must equal the setting of the board: $100 for X, $101 for Y, and so on."),
+        Field(
+            description="Must equal the setting of the board: $100 for its first axis, $101 for its second, and so on."
+        ),
     ]
 
     @property

@@ -31,7 +31,6 @@ from drivers.stage.refusals import no_reference, not_as_stated, not_movable
 from drivers.stage.watched import AxisState, OneLineStage, StopCheck
 from drivers.wire_log import WireLog
 
-_LETTERS = "XYZABC"
 _REPORT_MACHINE = 1
 _SOFT_LIMITS, _HOMING, _HOMES_DOWN, _REPORT_MASK, _INCHES = 20, 22, 23, 10, 13
 _HOMING_PASSES = range(44, 50)
@@ -87,7 +86,6 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
     ) -> None:
         self._serial = serial
         self._stated = dict(settings or {})
-        self._places = {axis.name: _LETTERS.index(axis.letter) for axis in axes}
         self._homing = False
         super().__init__(port, axes, clock=clock, wire_log=wire_log)
 
@@ -98,6 +96,7 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
         self._bring_to_rest()  # a moving board refuses $I
         self._refuse_modes()
         self.identify()
+        self._require_letters()
         self._program()
         report = self._line.query_status()
         for axis in self._axes.values():
@@ -117,6 +116,20 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
                 where=self._where,
                 remedy="Clear the cause at the board.",
             )
+
+    def _require_letters(self) -> None:
+        """Refuse a board without an axis of the station file."""
+        for axis in self._axes.values():
+            if axis.letter not in self._line.letters:
+                raise DeviceRefused(
+                    f"the board has no axis {axis.letter}; its axes are {', '.join(self._line.letters)}.",
+                    where=axis.name,
+                    remedy="Correct the letter in the station file.",
+                )
+
+    def _place(self, axis: GrblAxis) -> int:
+        """Return the place of an axis in the board's settings, from 0."""
+        return self._line.letters.index(axis.letter)
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`. The board's name counts as its serial number, which the station file states."""
@@ -229,8 +242,8 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
         seek, locate = settings.get(_SEEK, 0.0), settings.get(_LOCATE, 0.0)
         if seek <= 0 or locate <= 0:
             return motion.LONGEST_HOMING_S
-        searched = sum(settings.get(_TRAVEL + place, 0.0) for place in self._places.values())
-        located = _LOCATED_PULL_OFFS * settings.get(_PULL_OFF, 0.0) * len(self._places)
+        searched = sum(settings.get(_TRAVEL + place, 0.0) for place in map(self._place, self._axes.values()))
+        located = _LOCATED_PULL_OFFS * settings.get(_PULL_OFF, 0.0) * len(self._axes)
         return motion.LONGEST_HOMING_S + 60.0 * (_SEARCHED_TRAVELS * searched / seek + located / locate)
 
     def _begin_homing(self, axis: GrblAxis) -> None:  # noqa: ARG002 - one search finds all references
@@ -264,7 +277,7 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
             self._line.reset()
 
     def _angle_deg(self, axis: GrblAxis, report: StatusReport) -> float:
-        return axis.zero_deg + report.position(self._places[axis.name], self._where)
+        return axis.zero_deg + report.position(axis.letter, self._line.letters, self._where)
 
     def _problem(self, report: StatusReport, *, homing: bool) -> str:
         """Return why a move in this state will not end at its target; empty when it may."""
@@ -314,7 +327,7 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
                 remedy="Change the station file to what the board supports, or the configuration file on the board.",
             )
         self._lowest_deg = {
-            axis.name: axis.zero_deg - got[_TRAVEL + self._places[axis.name]] for axis in self._axes.values()
+            axis.name: axis.zero_deg - got[_TRAVEL + self._place(axis)] for axis in self._axes.values()
         }
 
     def _wanted_settings(self, present: Mapping[int, float]) -> dict[int, float]:
@@ -332,7 +345,7 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
             wanted[_INCHES] = 0
         for axis in self._axes.values():
             self._check(axis, present)
-            place = self._places[axis.name]
+            place = self._place(axis)
             wanted[_RATE + place] = 60.0 * axis.limits.speed_deg_s
             wanted[_ACCELERATION + place] = axis.limits.acceleration_deg_s2
             wanted[_TRAVEL + place] = axis.zero_deg - axis.limits.lowest_deg
@@ -389,7 +402,7 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
 
     def _check(self, axis: GrblAxis, present: Mapping[int, float]) -> None:
         """Raise OutsideLimits unless scale, homing direction and travel of an axis fit the station file."""
-        place = self._places[axis.name]
+        place = self._place(axis)
         steps, travel = present.get(_STEPS + place, 0.0), present.get(_TRAVEL + place, 0.0)
         if not _same(steps, axis.steps_per_deg):
             raise OutsideLimits(

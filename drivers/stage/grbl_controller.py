@@ -8,6 +8,7 @@ documentation, https://github.com/gnea/grbl/tree/master/doc/markdown.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TypeVar
 
 from drivers.clock import Clock
@@ -52,8 +53,8 @@ class GrblController(Link):
     """A GRBL board on one line. Opening asks for a status report; it sets nothing.
 
     ``alarms`` are the codes that the board has raised since then, oldest first. ``needs_reset``: the board waits for a
-    reset after an alarm; Grbl itself then answers nothing, not even ``?``. ``firmware`` is known once
-    ``query_build_info`` was answered.
+    reset after an alarm; Grbl itself then answers nothing, not even ``?``. ``firmware``, and the ``letters`` of its
+    axes in their order, are known once ``query_build_info`` was answered.
     """
 
     quiet_s = 0.1
@@ -63,6 +64,7 @@ class GrblController(Link):
         self.alarms: list[int] = []
         self.needs_reset = False
         self.firmware = grbl_protocol.UNKNOWN
+        self.letters = grbl_protocol.LETTERS
         self._reports_axes = 0
         """How many axes its reports tell; 0 until one has told a machine position."""
         self._awaits_report = False
@@ -172,13 +174,20 @@ class GrblController(Link):
         return grbl_protocol.parse_settings(self.query("$$"))
 
     def query_build_info(self) -> tuple[str, str]:
-        """Ask for the firmware's version, and the board's name."""
-        build = grbl_protocol.parse_build_info(self.query("$I"))
+        """Ask for the firmware's version, and the board's name.
+
+        A grblHAL that was built to be compatible with Grbl says its own name, and its axes, only if asked for more.
+        """
+        lines = self.query("$I")
+        build = grbl_protocol.parse_build_info(lines)
         if build is None:
             raise self.garbled_reply(
                 "the answer to $I has no version.", "Check that the firmware is GRBL 1.1."
             )
-        version, name, self.firmware = build
+        if build.firmware is grbl_protocol.GRBL:
+            with suppress(DeviceRefused):  # Grbl itself has no such command
+                build = grbl_protocol.parse_build_info([*lines, *self.query("$I+")]) or build
+        version, name, self.firmware, self.letters = build
         return version, name
 
     def query_configured(self, name: str) -> float | None:

@@ -74,6 +74,9 @@ _NUMBER = r"-?\d+\.\d+"
 _MACHINE = re.compile(rf"\|MPos:({_NUMBER}(?:,{_NUMBER})*)(?:\||$)")
 _SETTING = re.compile(rb"\$(\d+)=(-?\d+(?:\.\d*)?)(?: *\(.*\))?\r*\n")
 _BUILD = re.compile(rb"\[VER:([^:\]]*):([^\]]*)\]\r*\n")
+_AXES = re.compile(rb"\[AXS:\d+:([A-Z]+)\]\r*\n")
+LETTERS = "XYZABC"
+"""Letters of the axes, in their order, of a board that does not tell them."""
 _START_UP = re.compile(rb"\$N\d+=(.*?)\r*\n")
 _AXIS_WORD = re.compile(r"[ABCUVWXYZ][-+.\d#\[]", re.IGNORECASE)
 _GREETING = re.compile(rb"grbl|fluidnc|for help\]|rst:0x|brownout", re.IGNORECASE)
@@ -184,10 +187,15 @@ class StatusReport:
         """Whether any axis moves."""
         return self.state in _MOVING_STATES or (self.state, self.substate) in _MOVING_SUBSTATES
 
-    def position(self, place: int, where: str) -> float:
-        """Return the machine position, in the board's unit, of the axis at a place: 0 for X, 1 for Y ..."""
+    def position(self, letter: str, letters: str, where: str) -> float:
+        """Return the machine position, in the board's unit, of the axis with a letter of the board's ``letters``.
+
+        A letter that stands twice moves two motors; some boards report it once then.
+        """
         if not self.machine_position:
             raise no_position(where)
+        reported = letters if len(self.machine_position) == len(letters) else "".join(dict.fromkeys(letters))
+        place = reported.index(letter)
         if place >= len(self.machine_position):
             raise ReplyGarbled(
                 f"the board reports {len(self.machine_position)} axes only.",
@@ -294,25 +302,40 @@ def parse_configured(lines: Iterable[bytes], name: str) -> float | None:
     return float(words) if re.fullmatch(rb"-?\d+(?:\.\d*)?", words) else None
 
 
-def parse_build_info(lines: Iterable[bytes]) -> tuple[str, str, Firmware] | None:
-    r"""Parse the answer to ``$I``: version, the board's name, firmware; None without a version.
+class Build(NamedTuple):
+    """What a board says of itself."""
 
-    >>> version, name, firmware = parse_build_info([b"[VER:1.1h.20190830:GIMBAL]\r\n", b"[OPT:V,15,128]\r\n"])
-    >>> version, name, firmware.name
-    ('1.1h.20190830', 'GIMBAL', 'Grbl 1.1')
+    version: str
+    name: str
+    firmware: Firmware
+    letters: str  # Of its axes, in the order of settings and reports; one that stands twice moves two motors
+
+
+def parse_build_info(lines: Iterable[bytes]) -> Build | None:
+    r"""Parse the answer to ``$I``; None without a version.
+
+    >>> build = parse_build_info([b"[VER:1.1h.20190830:GIMBAL]\r\n", b"[AXS:5:XYZAC]\r\n", b"[OPT:V,15,128]\r\n"])
+    >>> build.version, build.name, build.firmware.name, build.letters
+    ('1.1h.20190830', 'GIMBAL', 'Grbl 1.1', 'XYZAC')
     """
     lines = list(lines)
     build = next(filter(None, map(_BUILD.fullmatch, lines)), None)
     if build is None:
         return None
     version, name = build[1].decode("latin-1"), build[2].decode("latin-1")
+    axes = next(filter(None, map(_AXES.fullmatch, lines)), None)
+    return Build(version, name, _firmware(version, lines), axes[1].decode("ascii") if axes else LETTERS)
+
+
+def _firmware(version: str, lines: Iterable[bytes]) -> Firmware:
+    """Return the firmware that says its name, or whose version has Grbl's form."""
     named = next((line for line in lines if line.startswith(b"[FIRMWARE:")), b"").lower()
     if b"grblhal" in named:
-        return version, name, GRBLHAL
+        return GRBLHAL
     if "fluidnc" in version.lower():
-        return version, name, FLUIDNC
+        return FLUIDNC
     is_grbl = not named and re.fullmatch(r"1\.1[a-z]\.\d{8}", version)
-    return version, name, GRBL if is_grbl else UNKNOWN
+    return GRBL if is_grbl else UNKNOWN
 
 
 def moving_start_up_line(lines: Iterable[bytes]) -> str:

@@ -23,12 +23,12 @@ def axes(letters: str = "XY") -> list[GrblAxis]:
 
 
 class Bench:
-    """A board of two axes on a line, and the driver for it."""
+    """A board of two axes, or of those with these letters, on a line, and the driver for it."""
 
-    def __init__(self) -> None:
+    def __init__(self, letters: str = "XY") -> None:
         self.clock = VirtualClock()
         mechanics = Mechanics(100.0, -23.0, 19.0, home_deg=17.0, start_deg=10.0, stall_detection=False)
-        models = dict.fromkeys("XY", AxisModel(mechanics, limit_deg=19.5))
+        models = dict.fromkeys(letters, AxisModel(mechanics, limit_deg=19.5))
         self.board = GrblController(models, self.clock.monotonic)
         self.board.name = "gimbal-7"
         self.line = direct_line(self.board, self.clock)

@@ -7,6 +7,7 @@ import re
 import pytest
 
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyError
+from drivers.stage.grbl_protocol import parse_report
 from simulators.stages.grbl import FIRMWARES
 from tests.unit.drivers.grbl_bench import LIMITS, Bench
 
@@ -280,3 +281,53 @@ def test_a_value_of_the_configuration_file_can_be_stated() -> None:
     ):
         bench.open(settings={"$/axes/x/homing/mpos_mm": 0.0})
     bench.open(settings={"$/axes/x/homing/mpos_mm": -3.0})
+
+
+# ---------------------------------------------------------------- letters of the axes
+def board_with(letters: str) -> Bench:
+    """Return a bench whose board tells the letters of its axes, as grbl-Mega-5X and grblHAL do."""
+    bench = Bench(letters)
+    build = f"[VER:1.1t.20210510:{{}}]\r\n[AXS:{len(letters)}:{letters}]\r\n[OPT:VMZ,35,255]\r\n"
+    bench.board.firmware = FIRMWARES["grbl"]._replace(build=build)
+    return bench
+
+
+@pytest.mark.parametrize("letters", ["XYZAC", "XYZUV"])
+def test_the_order_of_axes_is_that_of_the_board(letters) -> None:
+    """grbl-Mega-5X issue 229: [AXS:5:XYZAC] is the order of positions and settings; grblHAL, AXIS_REMAP_ABC2UVW."""
+    bench = board_with(letters)
+    bench.board.settings[104] = 50.0
+    with pytest.raises(OutsideLimits, match=r"\$104 is 50"):
+        bench.open(letters[3:])
+    bench.board.settings[104] = 100.0
+    stage = bench.open(letters[3:])
+    stage.home()
+    stage.move_to(TARGET)
+    assert stage.position_deg() == TARGET
+    assert bench.board.axes[letters[4]].pointing.angle_deg(bench.clock.now_s + 1.0) == pytest.approx(12.0)
+
+
+def test_an_axis_that_the_board_does_not_name_is_refused() -> None:
+    with pytest.raises(DeviceRefused, match="no axis B; its axes are X, Y, Z, A, C"):
+        board_with("XYZAC").open("XB")
+
+
+@pytest.mark.parametrize("positions", ["1.000,2.000,3.000,2.000,5.000", "1.000,2.000,3.000,5.000"])
+def test_an_axis_behind_two_motors_of_another_has_its_own_position(positions) -> None:
+    """Universal-G-Code-Sender issue 1659: A is the fifth of XYZYA; REPORT_VALUE_FOR_AXIS_NAME_ONCE leaves one Y out."""
+    report = parse_report(f"<Idle|MPos:{positions}|FS:0,0>\r\n".encode())
+    assert report is not None
+    assert [report.position(letter, "XYZYA", "") for letter in "YA"] == [2.0, 5.0]
+
+
+def test_a_grblhal_that_is_built_to_be_compatible_is_known_by_its_longer_answer(bench) -> None:
+    """grblHAL report.c, COMPATIBILITY_LEVEL above 0: ``$I`` has neither the name nor the axes, ``$I+`` has both."""
+    build = "[VER:1.1f.20240330:{}]\r\n[OPT:VNMZHL,35,1024]\r\n"
+    bench.board.firmware = FIRMWARES["grbl"]._replace(build=build)
+    more = build.format(bench.board.name) + "[AXS:2:XY]\r\n[FIRMWARE:grblHAL]\r\nok\r\n"
+    receive = bench.board.receive
+    bench.board.receive = lambda data: more.encode() if data == b"$I+\n" else receive(data)
+    stage = bench.homed()
+    bench.somebody_says(b"")
+    bench.line.ready += b"ALARM:10\r\n"
+    assert "the emergency stop is pressed" in stage.faults()[0]

@@ -161,7 +161,7 @@ def test_simulated_ports_are_refused_where_nothing_is_simulated():
     [
         ("{driver: esp30x, port: a, axes: {}}", "stage.axes: must have 1 or more entries."),
         ("{driver: esp, port: a}", "stage.driver: must be one of 'zaber_ascii', 'ximc', 'grbl', 'esp30x', 'thorlabs_apt', 'text' (got 'esp')."),
-        ("{driver: grbl, port: a, axes: {pan: {letter: Q}}}", "stage.axes.pan.letter: must be 'X', 'Y', 'Z', 'A', 'B' or 'C'"),
+        ("{driver: grbl, port: a, axes: {pan: {letter: Q}}}", "stage.axes.pan.letter: must be 'X', 'Y', 'Z', 'A', 'B', 'C', 'U', 'V' or 'W'"),
         ("{driver: esp30x, port: a, axes: {pan: {direction: 0}}}", "stage.axes.pan.direction: must be 1 or -1 (got '0')."),
         ("{driver: ximc, axes: {pan: {steps_per_deg: 0}}}", "stage.axes.pan.steps_per_deg: a scale of 0 moves nothing."),
         ("{driver: thorlabs_apt, axes: {pan: {counts_per_deg: 0}}}", "stage.axes.pan.counts_per_deg: a scale of 0 moves nothing."),
