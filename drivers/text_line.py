@@ -125,13 +125,15 @@ class TextLine(Link):
         """
         return repeat(lambda: self._query_once(query, deadline_s), tries=tries)
 
-    def query_number(self, query: str) -> float:
+    def query_number(self, query: str, *, with_decimals: bool = False) -> float:
         """Send a query whose answer is one finite number.
 
         Parameters
         ----------
         query
             The query.
+        with_decimals
+            Whether the answer must have a decimal point, which no switch or count has.
 
         Returns
         -------
@@ -145,34 +147,9 @@ class TextLine(Link):
         """
         text = self.query(query)
         number = read_quantity(text)
-        if number is None:
-            raise self.garbled_reply(f"{query} answered {text!r}, not a number.", READABLE_REMEDY)
-        return number.value
-
-    def query_decimal(self, query: str) -> float:
-        """Send a query whose answer is a finite number with a decimal point, which no switch or count has.
-
-        Parameters
-        ----------
-        query
-            The query.
-
-        Returns
-        -------
-        float
-            The number.
-
-        Raises
-        ------
-        ReplyTimeout, ReplyGarbled
-            No valid reply came, or the answer is no such number.
-        """
-        text = self.query(query)
-        number = read_quantity(text)
-        if "." not in text or number is None:
-            raise self.garbled_reply(
-                f"{query} answered {text!r}, not a number with decimals.", READABLE_REMEDY
-            )
+        if number is None or (with_decimals and "." not in text):
+            form = "a number with decimals" if with_decimals else "a number"
+            raise self.garbled_reply(f"{query} answered {text!r}, not {form}.", READABLE_REMEDY)
         return number.value
 
     def query_switch(self, query: str) -> bool:

@@ -388,7 +388,7 @@ class Bench:
 
 def open_devices(station: Station, seed: int, clock: BenchClock) -> Devices:
     """Open a station's camera; stage and light open meanwhile. Nothing moves."""
-    return SeparateDevices(station, seed=seed, clock=clock, wire_log=None)
+    return SeparateDevices(station, seed=seed, clock=clock)
 
 
 def open_bench(

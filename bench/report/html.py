@@ -19,7 +19,7 @@ from bench.record.results import Results
 from bench.report import calibration_tables, pose_tables, run_tables
 from bench.report.calibration_tables import amplitude_rows, witness_rows
 from bench.report.phone_tables import label_cells
-from bench.report.pictured_poses import PLOTS, pictured_poses, thinned
+from bench.report.pictured_poses import pictured_poses, thinned
 from bench.report.pose_tables import courses
 from bench.report.residual_words import rim_text
 from bench.report.run_tables import left
@@ -56,10 +56,10 @@ class ReportData:
     journal_head: str = ""
 
 
-def render_report(data: ReportData, *, draw: bool = True) -> str:
-    """Render the report as HTML from ``data`` alone; without plots and images (``draw``) the text is the same."""
+def render_report(data: ReportData) -> str:
+    """Render the report as HTML from ``data`` alone."""
     results, words = data.results, words_of(data.results)
-    parts = _result_parts(results, words) | _run_parts(results) | _graphics(data, words, draw=draw)
+    parts = _result_parts(results, words) | _run_parts(results) | _graphics(data, words)
     return render_page(
         "report.html.j2",
         run=results["run"],
@@ -125,23 +125,18 @@ def _run_parts(results: Results) -> dict[str, Any]:
     }
 
 
-def _graphics(data: ReportData, words: TargetWords, *, draw: bool) -> dict[str, Any]:
-    """Return the plots and images; without ``draw``, the same parts without them."""
-    pictured = pictured_poses(data.results)
-    plots: dict[str, str] = dict.fromkeys(PLOTS, "")
-    pictures: list[tuple[str, str]] = []
-    if draw:
-        from bench.report.plots import report_plots
-        from bench.report.pose_images import pose_pictures
+def _graphics(data: ReportData, words: TargetWords) -> dict[str, Any]:
+    """Return the plots and images."""
+    from bench.report.plots import report_plots
+    from bench.report.pose_images import pose_pictures
 
-        plots = report_plots(data.results, data.views)
-        pictures = pose_pictures([view for view in data.views if view.name in pictured.names], words)
+    pictured = pictured_poses(data.results)
     return {
-        "plots": plots,
+        "plots": report_plots(data.results, data.views),
         "stars": _star_counts(data.views),
         "pictured": (numbers.number(pictured.shown), numbers.number(pictured.total)),
-        "pictures": pictures,
-        "courses": courses(data.results.get("untils") or [], draw=draw),
+        "pictures": pose_pictures([view for view in data.views if view.name in pictured.names], words),
+        "courses": courses(data.results.get("untils") or []),
     }
 
 

@@ -166,25 +166,24 @@ def _about(last: UntilDecided, wanted: Mapping[str, float]) -> str:
     return f"After {last['poses']} poses: {'; '.join(parts)}."
 
 
-def courses(decisions: Sequence[UntilDecided], *, draw: bool = True) -> list[dict[str, Any]]:
+def courses(decisions: Sequence[UntilDecided]) -> list[dict[str, Any]]:
     """Return what is printed of the course of each ``until`` of a run, in order, from ``untils`` of results.json."""
     by_until: dict[int, list[UntilDecided]] = {}
     for decided in decisions:
         by_until.setdefault(decided["until"], []).append(decided)
-    return [_course(own, draw=draw) for own in by_until.values()]
+    return [_course(own) for own in by_until.values()]
 
 
-def _course(decisions: Sequence[UntilDecided], *, draw: bool) -> dict[str, Any]:
+def _course(decisions: Sequence[UntilDecided]) -> dict[str, Any]:
     last = decisions[-1]
     wanted = last["wanted"]
-    drawn = draw and any(decided["now"] for decided in decisions)
     return {
         "goals": goals_text(wanted),
         "columns": [meaning_of_goal(name) for name in wanted],
         "rows": [_row(decided) for decided in decisions],
         "end": _end_text(last.get("ended"), last.get("why", "")),
         "minutes": fixed(last["worked_s"] / 60.0, 1),
-        "plot": course_plot(decisions) if drawn else "",
+        "plot": course_plot(decisions) if any(decided["now"] for decided in decisions) else "",
         "factors": _factors(decisions),
     }
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from markupsafe import Markup
@@ -206,11 +206,11 @@ def _stroke(colour: str, width: float, opacity: float = 1.0) -> str:
 
 
 class Key(NamedTuple):
-    """An entry of a legend: its text, its colour, and its sign (``line``, ``dashed``, ``box`` or ``dot``)."""
+    """An entry of a legend: its text, its colour, and its sign."""
 
     text: str
     colour: str
-    sign: str = "line"
+    sign: Literal["line", "dashed", "box"] = "line"
 
 
 @dataclass(frozen=True)
@@ -298,9 +298,6 @@ def _sign(picture: Picture, key: Key, x: float, y: float) -> None:
         picture.add(
             f'<rect x="{x:g}" y="{y - 4:g}" width="{_SIGN_LENGTH:g}" height="8" {painted("fill", key.colour)}/>'
         )
-    elif key.sign == "dot":
-        middle = x + _SIGN_LENGTH / 2
-        picture.add(f'<circle cx="{middle:g}" cy="{y:g}" r="2.4" {painted("fill", key.colour)}/>')
     else:
         dash = ' stroke-dasharray="4 2.5"' if key.sign == "dashed" else ""
         picture.add(

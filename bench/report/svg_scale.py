@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,9 +25,7 @@ class Scale:
     # low, high: Value at the left or lower end, and at the right or upper end; ``low`` may be the larger one.
     low: float
     high: float
-    # ``linear``; ``log``; or ``symlog``: linear within ``linear_within`` of zero, logarithmic beyond.
-    kind: str = "linear"
-    linear_within: float = 1.0  # Range of the linear part of ``symlog``, in the unit of the axis
+    kind: Literal["linear", "log"] = "linear"
     # Positions of the ticks and their labels; None for round numbers.
     ticks: Sequence[tuple[float, str]] | None = None
 
@@ -46,12 +45,7 @@ class Scale:
         return list(zip(tick_values, tick_labels(tick_values), strict=True))
 
     def _spread(self, values: Array) -> Array:
-        if self.kind == "log":
-            return np.log10(values)
-        if self.kind == "symlog":
-            size = np.abs(values) / self.linear_within
-            return np.asarray(np.sign(values) * np.where(size <= 1, size, 1 + np.log10(np.maximum(size, 1))))
-        return values
+        return np.log10(values) if self.kind == "log" else values
 
 
 def ticks(low: float, high: float, most: int = 5) -> list[float]:

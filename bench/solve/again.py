@@ -386,12 +386,12 @@ def _check_solved(
     """Compare the main numbers of the calibration in the journal with those that were calculated again."""
     solved = evidence.history.solved
     had, must = (
-        {"calibration": {**solved_line, "camera": solved_line.get("values"), "values": None}}
-        for solved_line in (solved, again)
+        {"calibration": {**numbers, "camera": numbers.get("values"), "values": None}}
+        for numbers in (solved, again)
     )
     seen = list(differences(had, must, tolerance(sigma, {})))
     if other_software(evidence.used):
-        seen = [solved_line for solved_line in seen if not is_excused(solved_line, sigma)]
+        seen = [difference for difference in seen if not is_excused(difference, sigma)]
     add_faults("journal", JOURNAL, "the recordings do not give what it states: ", seen, findings)
 
 
@@ -412,8 +412,8 @@ def _check_causes(evidence: _Evidence, calibration: Calibration, findings: Findi
         if line.event == Event.ENTERING and line.data.get("state") == "solving"
     ]
     before = replay(lines[: solving[-1]]) if solving else history
-    stated = {run_history["kind"] for run_history in history.solved.get("causes", ())}
-    due, possible = (kinds_by_run_alone(job, run_history, calibration) for run_history in (before, history))
+    stated = {cause["kind"] for cause in history.solved.get("causes", ())}
+    due, possible = (kinds_by_run_alone(job, until_then, calibration) for until_then in (before, history))
     for kind in sorted(due - stated):
         findings.fault("journal", JOURNAL, f"it does not name what the run shows: {kind}")
     for kind in sorted(stated - possible - kinds_by_earlier_run(job)):

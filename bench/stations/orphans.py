@@ -20,7 +20,6 @@ from bench.stations.station_fields import SIMULATED_PREFIX
 from drivers.errors import DriverError, StillOpening
 from drivers.light import Light
 from drivers.stage import AxisLimits, Stage
-from drivers.wire_log import WireLog
 
 _CLOSE_S: Final = 15.0
 """Longest wait for a device that is still being opened, s."""
@@ -122,14 +121,14 @@ class LateDevice:
 class SeparateDevices(Devices):
     """A camera that is open, and a stage and a light that open meanwhile."""
 
-    def __init__(self, station: Station, *, seed: int, clock: BenchClock, wire_log: WireLog | None) -> None:
+    def __init__(self, station: Station, *, seed: int, clock: BenchClock) -> None:
         self._clock = clock
         self._simulation: SimulatedBench | None = None
 
         def late_device(name: str, devices: tuple[str, ...], open_device: Callable[..., Any]) -> LateDevice:
             def opener(stack: ExitStack) -> Any:
                 stack.enter_context(hold_devices(devices))
-                device = open_device(station, self._port, clock, wire_log)
+                device = open_device(station, self._port, clock, None)
                 stack.callback(device.close)
                 return device
 

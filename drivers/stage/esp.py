@@ -201,7 +201,7 @@ class EspStage(OneLineStage[EspAxis, TextLine]):
     def _read_state(self, axis: EspAxis, *, homing: bool = False) -> AxisState:  # noqa: ARG002 - the same problems in both
         """Ask whether the axis moves, then where it is: the position of an idle axis is then one at rest."""
         done = self._line.query_switch(f"{axis.number}MD?")
-        position_deg = axis.to_angle_deg(self._line.query_decimal(f"{axis.number}TP"))
+        position_deg = axis.to_angle_deg(self._line.query_number(f"{axis.number}TP", with_decimals=True))
         problem = "" if self._motor_on(axis) else "the motor went off, as after a fault or a restart"
         return AxisState(position_deg, not done, problem)
 

@@ -28,7 +28,7 @@ def page():
     first["attempts"][0] |= {"accepted": False, "reasons": ["few stars", "the target moved"]}
     second |= {"rms_px": None, "named_by": "gimbal"}
     third["attempts"][0]["accepted"], third["rms_px"] = False, None
-    return render_report(ReportData(results, data.views), draw=False)
+    return render_report(ReportData(results, data.views))
 
 
 def test_a_pose_shows_its_state_angles_stars_and_picture(page):

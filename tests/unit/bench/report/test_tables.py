@@ -81,7 +81,7 @@ def test_rows_that_can_hold_the_same_errors_are_named(calibration):
     assert said.endswith("the uncertainty is an upper limit.")
     data = sample(size=SMALL)
     data.results["calibration"]["budget_rows"] = [*rows, own, wavefront]
-    assert said in render_report(data, draw=False)
+    assert said in render_report(data)
 
 
 # ---------------------------------------------------------------- the gimbal: no blame without evidence
@@ -96,7 +96,7 @@ def test_every_verdict_has_a_heading(data, verdict):
 
 def test_the_verdict_and_its_sentences_are_printed(data):
     gimbal = data.results["gimbal"] | {"verdict": "slip", "says": ["The pan axis slipped.", "And more."]}
-    words = printed_text(render_report(ReportData({**data.results, "gimbal": gimbal}), draw=False))
+    words = printed_text(render_report(ReportData({**data.results, "gimbal": gimbal})))
     assert words[words.index("Gimbal: an axis slipped") + 1] == "The pan axis slipped. And more."
 
 
@@ -197,7 +197,7 @@ def test_the_report_names_the_passport_with_values_and_hash(data):
         "stated in the station file (certificate)"
     )
     assert rows["Values of the passport"] == "r = 255.03 mm, standard uncertainty 0.05 mm"
-    text = printed_text(render_report(data, draw=False))
+    text = printed_text(render_report(data))
     assert "ab" * 32 in text
     assert "compared with the result only. The station does not bound the parallax." in text
 
@@ -252,11 +252,11 @@ def test_an_offline_report_says_so_and_lists_its_files(data):
         "calibration": data.results["calibration"],
         "sources": [source],
     }
-    text = printed_text(render_report(ReportData(results), draw=False))
+    text = printed_text(render_report(ReportData(results)))
     whole = "\n".join(text)
     assert "OFFLINE: calibrated from existing files, without devices." in " ".join(text)
     assert {"a/<left>.csv", "cd" * 32, "567"} <= set(text)
     assert "Started" not in text
     assert not re.search("signature of this list|sealed", whole)
     assert "no seal protects it" in whole
-    assert "OFFLINE" not in " ".join(printed_text(render_report(data, draw=False)))
+    assert "OFFLINE" not in " ".join(printed_text(render_report(data)))

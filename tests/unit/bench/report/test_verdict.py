@@ -61,7 +61,7 @@ def test_without_convergence_no_value_is_stated(data):
     found = verdict(results)
     assert (found.kind, found.headline) == ("fail", "Not calibrated.")
     assert found.sentences == ("The optimisation did not converge: do not use the values.",)
-    assert found.sentences[0] in render_report(type(data)(results), draw=False)
+    assert found.sentences[0] in render_report(type(data)(results))
 
 
 def test_results_of_earlier_versions_still_name_a_worst_corner(data):

@@ -30,7 +30,7 @@ def opened(monkeypatch):
     monkeypatch.setattr(opening, "open_stage", stage)
     monkeypatch.setattr(opening, "open_light", lambda *_: FakeLight())
     monkeypatch.setattr(opening, "open_camera", lambda *_: FakeCamera())
-    devices = SeparateDevices(station, seed=1, clock=BenchClock(), wire_log=None)
+    devices = SeparateDevices(station, seed=1, clock=BenchClock())
     yield devices, go, made
     go.set()
     devices.close()
