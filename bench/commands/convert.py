@@ -226,11 +226,9 @@ def undistort(
     stated = stated_camera(file, camera, lens).camera
     picture = read_picture_for(preview, stated) if preview is not None else None
     line = PartsLine("blocks of pixels calculated", "the tables are compressed", quiet=wants_json())
-    try:
-        undistortion = tables_of(stated, keep, line.reached)
+    with line.shown() as reached:
+        undistortion = tables_of(stated, keep, reached)
         files = undistorted_files(stated, undistortion, picture)
-    finally:
-        line.clear()
     make_folder(output)
     for name, data in files.items():
         write_atomic(output / name, data)

@@ -10,7 +10,6 @@ from typing import Any
 
 import click
 
-from bench.base.errors import BenchError
 from bench.base.home import home_folder
 from bench.base.pasteable import pasteable
 from bench.base.program import forms
@@ -27,7 +26,7 @@ from bench.commands.options import (
 from bench.commands.output import JSON, show, wants_json
 from bench.commands.workers import WORKERS, CountLine, PartsLine, kept_work, open_workers
 from bench.evidence.authorisations import compare_authorisation, known_authorisations
-from bench.evidence.findings import UNREADABLE, Derivation, Findings, Verification
+from bench.evidence.findings import Derivation, Findings, Verification
 from bench.evidence.key_trust import Trust, read_trust
 from bench.evidence.ledger_check import ledger_faults_of_run
 from bench.evidence.seal import kind_of
@@ -35,7 +34,6 @@ from bench.evidence.verify import verify_folder
 from bench.extras.many.verifications import VERIFIED, Check, Checked, check_one, derivations_of
 from bench.extras.many.work import KeptRows
 from bench.extras.many.workers import Finished, Workers, map_work
-from bench.record.events import Event
 from bench.record.ledger import bench_ledger
 from bench.record.run_folder import JOURNAL
 from bench.record.stored_run import StoredRun
@@ -219,36 +217,16 @@ def _ended(
 def again_line(folder: Path) -> PartsLine:
     """Return the line for a folder whose sources are measured again, and which is then calculated again."""
     things = "recordings measured again" if kind_of(folder) == "run" else "views found again"
-    return PartsLine(
-        things, "the results are calculated again", then_s=calculated_s(folder), quiet=wants_json()
-    )
-
-
-def calculated_s(folder: Path) -> float | None:
-    """Return how long the last calculation of a run took, s, by its journal; None without one."""
-    if not (folder / JOURNAL).is_file():
-        return None
-    run = StoredRun(folder)
-    try:
-        solving = [
-            entry.data["step"]
-            for entry in run.entries
-            if entry.event == Event.ENTERING and entry.data["state"] == "solving"
-        ]
-        return run.history.worked_s.get(solving[-1]) if solving else None
-    except (BenchError, *UNREADABLE):  # the verification says so
-        return None
+    return PartsLine(things, "the results are calculated again", quiet=wants_json())
 
 
 def derivations(trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
     """Return each kind's further checks for `verify_folder`: ledger, recordings, and with ``again`` the numbers."""
 
     def of_folder(folder: Path) -> Findings:
-        findings, line = Findings(), again_line(folder)
-        try:
-            findings.derive(folder, derivations_of(folder, again=again, progress=line.reached))
-        finally:
-            line.clear()
+        findings = Findings()
+        with again_line(folder).shown() as reached:
+            findings.derive(folder, derivations_of(folder, again=again, progress=reached))
         return findings
 
     return {

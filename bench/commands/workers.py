@@ -7,6 +7,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -153,8 +154,7 @@ class CountLine(LiveLine):
         """Count what has been done, and show the line if it is time."""
         self.done += more
         if self.done < self._total and self.due():
-            left = self._time.left_s(self.done, self._total)
-            self.show(f"{self.text()}{'' if left is None else f', {clock_text(left)} left'}")
+            self.show(f"{self.text()}{_left_text(self._time, self.done, self._total)}")
 
     def show_share(self, share: float) -> None:
         """Count up to a share of all, 0 to 1."""
@@ -166,42 +166,58 @@ class CountLine(LiveLine):
 
 
 class PartsLine(LiveLine):
-    """Shows how many parts of a work are done and the time left, then the one thing that follows the last part.
-
-    ``then_s`` is how long that thing is expected to take, s; None if that is not known.
-    """
+    """Shows how many parts of a work are done, then the one thing that follows the last part, with the time left."""
 
     def __init__(
         self,
         things: str,
         then: str,
         *,
-        then_s: float | None = None,
         quiet: bool = False,
-        time_left: WorkLeft | None = None,
+        monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__(quiet=quiet)
         from bench.extras.many.workers import WorkLeft
 
-        self._things, self._time = things, time_left or WorkLeft()
-        self._then = then if then_s is None else f"{then}, about {clock_text(then_s)} left"
-        self._then_s = then_s or 0.0
+        self._things, self._then, self._count = things, then, ""
+        self._work_left = partial(WorkLeft, monotonic)
+        self._time = self._calculation = self._work_left()
+
+    @contextmanager
+    def shown(self) -> Iterator[Callable[[int, int], None]]:
+        """Yield what shows how far the parts are; the calibrations in the block show how far they are themselves."""
+        from calib.progress import shown_by
+
+        try:
+            with shown_by(self.calculated):
+                yield self.reached
+        finally:
+            self.clear()
 
     def reached(self, done: int, total: int) -> None:
         """Show how far the work is: ``done`` parts of ``total``."""
+        self._count = f"{total} {self._things}" if done == total else f"{done} of {total} {self._things}"
         if done == total and self._live and not self.quiet:
-            self.show(f"{total} {self._things}; {self._then}")
-        elif done and self.due():
-            left = self._time.left_s(done, total)
-            clock = "" if left is None else f", {clock_text(left + self._then_s)} left"
-            self.show(f"{done} of {total} {self._things}{clock}")
+            self.show(f"{self._count}; {self._then}")
+        elif 0 < done < total and self.due():
+            self.show(f"{self._count}{_left_text(self._time, done, total)}")
+
+    def calculated(self, done: float, expected: float) -> None:
+        """Show how far a calibration is; the ``expected`` work can grow. It begins where nothing is done."""
+        if not done:
+            self._calculation = self._work_left()
+        elif self.due():
+            left = _left_text(self._calculation, done, expected, "at least ")
+            self.show(f"{self._count}; {self._then}{left}" if self._count else f"{self._then}{left}")
+
+
+def _left_text(work: WorkLeft, done: float, total: float, bound: str = "") -> str:
+    left = work.left_s(done, total)
+    return "" if left is None else f", {bound}{clock_text(left)} left"
 
 
 @contextmanager
 def views_line(*, quiet: bool = False) -> Iterator[Callable[[int, int], None]]:
     """Yield what shows how many views are found, then that the camera is calculated, while the block works."""
-    line = PartsLine("views found", "the camera is calculated", quiet=quiet)
-    try:
-        yield line.reached
-    finally:
-        line.clear()
+    with PartsLine("views found", "the camera is calculated", quiet=quiet).shown() as reached:
+        yield reached

@@ -170,7 +170,7 @@ def _names(header: Sequence[str], where: str) -> list[str]:
     for name in _COLUMNS:
         if names.count(name) != 1:
             raise BenchError(
-                f"The first line has {names.count(name)} columns {name!r} instead of 1.",
+                f"The first line has {names.count(name) or 'no'} column{'s' * (name in names)} {name!r}.",
                 where=where,
                 remedy="Name the columns x, y (px), X, Y (mm) and id, or leave out the line.",
             )

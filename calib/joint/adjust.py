@@ -34,6 +34,7 @@ from calib.joint.solve import (
 )
 from calib.joint.wrong_views import find_shifted_ids
 from calib.model.passport import Passport
+from calib.progress import expect
 from calib.view import View
 
 #: A certificate is another collimator's if its radius differs by this share, and by so many sigma, from what the views
@@ -134,6 +135,7 @@ def _searched_ends(task: Task, start: AdjustmentParameters) -> list[_End]:
     follow(start)
     if ends and _explains(ends[0].optimum, task.views):
         return ends
+    expect(1)
     few = task._replace(views=[_thinned(view) for view in task.views])
     held = _held_starts(few, start)
     if held:

@@ -35,6 +35,7 @@ from calib.joint.wrong_views import ShiftedIds, find_shifted_ids
 from calib.model.camera import DISTORTION_SETS, PINHOLE
 from calib.model.cause import PARALLAX
 from calib.model.lens import is_fisheye
+from calib.progress import expect
 from calib.view import View
 
 #: The sets of coefficients that stand for the families of lenses.
@@ -184,6 +185,7 @@ def with_doubted_bound(
     contradicted = right < _CONTRADICTED
     if not (bounded and contradicted and held.optimum.marginal.problem.bench.discs):
         return held
+    expect(3)  # the views with the bound and without it, without readings, and the latter again with them
     try:
         log_odds = _log_odds_without_bound(views, options)
         share = 0.5 + 0.5 * math.tanh(0.5 * log_odds)

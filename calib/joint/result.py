@@ -31,6 +31,7 @@ from calib.model.collimator import Collimator
 from calib.model.gimbal import SCALES
 from calib.model.passport import Passport
 from calib.model.result_parts import Amplitude, GimbalEstimate, Witness
+from calib.progress import begin
 from calib.view import View
 
 #: Amplitudes that are given in microradians of a direction; all others are factors or coefficients.
@@ -45,6 +46,7 @@ def calibrate_jointly(
     views: Sequence[View], options: CalibrationOptions, wrong: Sequence[GrossStars]
 ) -> Calibration:
     """Return the result; wrong stars take no part, nor do readings of the gimbal that contradict the stars."""
+    begin()
     used, stated = used_stars(views, options.guard_band, wrong), options
     kept = [view if own.all() else view.part(own) for view, own in zip(views, used, strict=True)]
     posterior = posterior_of(kept, options)

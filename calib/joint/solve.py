@@ -20,6 +20,7 @@ from calib.joint.equations import Equations, State, robust_sigma
 from calib.joint.marginal import Marginal, Problem, Solution
 from calib.joint.places import step_to_places
 from calib.joint.prior import Faults
+from calib.progress import in_round
 
 #: Rounds with large robust limits, before the first search of amplitudes.
 _FIRST_ROUNDS = 1
@@ -92,6 +93,7 @@ def search(problem: Problem, start: State, rounds: int) -> Optimum:
     eta, state = first_amplitudes(problem, start), start
     equations, short_steps, pace = first_equations(problem, start), 0, _Pace(np.zeros(len(eta)))
     for k in range(rounds):
+        in_round(k)
         marginal = Marginal(problem, equations, state)
         solution, pace = _in_round(k, solved(marginal, eta), pace)
         share = _SMALL_SHARE if k < _LATE else _LATE_SHARE

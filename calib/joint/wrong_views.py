@@ -25,6 +25,7 @@ from calib.joint.hypotheses import SHIFTED_IDS
 from calib.joint.solve import Optimum, search
 from calib.model.likelihood_ratio import DECISIVE, needed
 from calib.model.local_consistency import local_spacing
+from calib.progress import expect
 from calib.view import View
 
 #: Shifts of ids up to this number of columns and rows are tried.
@@ -110,7 +111,7 @@ def find_shifted_ids(
     """Look for views whose ids are shifted by columns and rows of the lattice against those of the others.
 
     The best shift of one view is kept, and the search goes on with the next view, up to half of the views. A pupil
-    that a hand moves can imitate a shift: then the views, adjusted ``again``, must gain as much.
+    that a hand moves can imitate a shift: there each shift is kept only if the views, adjusted ``again``, gain as much.
     """
     pitch = _lattice_pitch(views)
     if len(views) < 2 or pitch is None:
@@ -123,18 +124,19 @@ def find_shifted_ids(
     def worth(one: _Moved) -> float:
         return one.gain - cost(one)
 
+    def holds(shifted: _Moved) -> bool:
+        by_hand = optimum.marginal.problem.pupils is not None
+        return not by_hand or _gain_again(optimum, views, pitch * shifted.shifts, again) >= cost(shifted)
+
     best = _Moved(np.zeros((len(views), 2)), 0.0, optimum)
     every = [best]
-    while found := _shifted(optimum, best, pitch, rounds):
-        every += found
-        better = max(found, key=worth)
-        if worth(better) <= worth(best):
+    while more := _shifted(optimum, best, pitch, rounds):
+        every += more
+        better = max(more, key=worth)
+        if worth(better) <= worth(best) or not holds(better):
             break
         best = better
-    by_hand = optimum.marginal.problem.pupils is not None
-    if not best.shifts.any() or (
-        by_hand and _gain_again(optimum, views, pitch * best.shifts, again) < cost(best)
-    ):
+    if not best.shifts.any():
         return ShiftedIds()
     others = {
         _in_words(views, one) for one in every if one.shifts.any() and worth(one) > worth(best) - DECISIVE
@@ -169,14 +171,21 @@ def _shifted(first: Optimum, best: _Moved, pitch: float, rounds: int) -> list[_M
     steps = (hypotheses - best.shifts) * pitch / layout.basis.reference[2]
     gains = _shifts(best.optimum, places).gains(steps.reshape(len(steps), -1))
     gains[~steps.any(axis=(1, 2))] = -np.inf
+
+    def is_promising(k: int) -> bool:
+        if (best.shifts.any(axis=1) == hypotheses[k].any(axis=1)).all():
+            return True  # only by how much is asked
+        with suppress(np.linalg.LinAlgError):
+            return gains[k] > _LOOKED_AT and _promised(best.optimum, places, steps[k]) > _PROMISED
+        return False
+
+    promising = [k for k in np.argsort(-gains)[:_ADJUSTED].tolist() if is_promising(k)]
+    expect(len(promising))
     shifted = []
-    for k in np.argsort(-gains)[:_ADJUSTED]:
-        shifts = hypotheses[k]
-        known = bool((best.shifts.any(axis=1) == shifts.any(axis=1)).all())  # only by how much is asked
+    for k in promising:
         with suppress(NotConverged, np.linalg.LinAlgError):
-            if known or (gains[k] > _LOOKED_AT and _promised(best.optimum, places, steps[k]) > _PROMISED):
-                there = _moved(first, best.optimum, rounds, pitch * shifts)
-                shifted.append(_Moved(shifts, _gain(first, there), there))
+            there = _moved(first, best.optimum, rounds, pitch * hypotheses[k])
+            shifted.append(_Moved(hypotheses[k], _gain(first, there), there))
     return shifted
 
 

@@ -19,9 +19,7 @@ from bench.base.errors import StorageError
 from bench.commands.cli import cli
 from bench.commands.history import signed
 from bench.commands.output import print_error
-from bench.commands.verify import calculated_s
 from bench.commands.workers import PartsLine, views_line
-from bench.extras.many.workers import WorkLeft
 
 RUN_COMMANDS = [
     ("resume",),
@@ -446,44 +444,40 @@ def test_a_finished_run_is_told_as_finished_and_an_interrupted_one_how_it_goes_o
     assert "resume" not in said
 
 
-def test_recordings_that_are_measured_again_are_counted_with_the_time_left(monkeypatch):
-    now_s = [0.0]
-    line, shown = PartsLine("recordings measured again", "more", time_left=WorkLeft(lambda: now_s[0])), []
-    monkeypatch.setattr(line, "quiet", False)
-    monkeypatch.setattr(line, "show", shown.append)
-    monkeypatch.setattr(line, "due", lambda: True)
+class TimedLine(PartsLine):
+    """A line on a terminal, with a clock that the test moves, that keeps what it shows."""
+
+    def __init__(self):
+        self.now_s, self.texts = 0.0, []
+        super().__init__("views found", "the camera is calculated", monotonic=lambda: self.now_s)
+        self.quiet, self._live = False, True
+
+    def due(self):
+        return True
+
+    def show(self, text):
+        self.texts.append(text)
+
+
+def test_recordings_that_are_measured_are_counted_with_the_time_left():
+    line = TimedLine()
     for done in range(3):
         line.reached(done, 3)
-        now_s[0] += 10.0
-    assert shown == [
-        "1 of 3 recordings measured again, 0:20 left",
-        "2 of 3 recordings measured again, 0:10 left",
+        line.now_s += 10.0
+    assert line.texts == ["1 of 3 views found, 0:20 left", "2 of 3 views found, 0:10 left"]
+
+
+def test_a_calculation_shows_how_long_it_takes_at_least():
+    line = TimedLine()
+    line.reached(3, 3)
+    for done in (0.0, 0.4, 1.2):
+        line.now_s += 4.0
+        line.calculated(done, 2.0)
+    assert line.texts == [
+        "3 views found; the camera is calculated",
+        "3 views found; the camera is calculated, at least 0:16 left",
+        "3 views found; the camera is calculated, at least 0:05 left",
     ]
-
-
-def test_the_time_left_counts_the_calculation_that_follows_as_long_as_it_took_before(monkeypatch):
-    now_s, shown = [0.0], []
-    left = WorkLeft(lambda: now_s[0])
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    line = PartsLine("recordings measured again", "results are made", then_s=7.0, time_left=left)
-    monkeypatch.setattr(line, "quiet", False)
-    monkeypatch.setattr(line, "show", shown.append)
-    monkeypatch.setattr(line, "due", lambda: True)
-    for done in (1, 2):
-        now_s[0] += 10.0
-        line.reached(done, 2)
-    assert shown == [
-        "1 of 2 recordings measured again, 0:17 left",
-        "2 recordings measured again; results are made, about 0:07 left",
-    ]
-
-
-def test_the_calculation_of_a_run_took_as_long_as_its_journal_says(tmp_path):
-    run = MadeRun(tmp_path / "run").begin()
-    assert calculated_s(run.folder) is None
-    run.write("entering", state="solving", **{"from": "parking", "step": 30})
-    run.write("left_off", state="solving")
-    assert calculated_s(run.folder) == pytest.approx(0.1)
 
 
 def test_a_terminal_shows_how_many_views_are_found_and_then_that_the_camera_is_calculated(monkeypatch):

@@ -51,9 +51,9 @@ def test_pixels_of_matlab_are_counted_from_1(tmp_path):
 WRONG = {
     "shares of the image": (text(ROWS / [1400, 900, 1, 1, 1]), "within 1.5 px"),
     "the target before the image": (text(ROWS[:, [2, 3, 0, 1, 4]]), "target seems to stand before the image"),
-    "a header without ids": (text(ROWS, "{0},{1},{2},{3}", "x,y,X,Y"), "0 columns 'id'"),
+    "a header without ids": (text(ROWS, "{0},{1},{2},{3}", "x,y,X,Y"), "no column 'id'"),
     "a header of small letters": (text(ROWS, header="x,y,x,y,id"), "2 columns 'x'"),
-    "a target in m by its header": (text(ROWS, header="x,y,X_m,Y_m,id"), "0 columns 'X'"),
+    "a target in m by its header": (text(ROWS, header="x,y,X_m,Y_m,id"), "no column 'X'"),
     "a note of a person": ("taken on Monday\n", "no list of points"),
     "a target that is not flat": (text(ROWS, "{0},{1},{2},{3},5,{4}", "x,y,X,Y,Z,id"), "plane Z = 0"),
     "a column too many": (text(ROWS, "{0},{1},{2},{3},0,{4}"), "6 columns instead of 5"),
