@@ -58,7 +58,7 @@ _TRUTH_SECTIONS: Final = (
 _POSITIVE = refused(lambda value: value <= 0, "{!r} is not positive.")
 _Positive = Annotated[Number, _POSITIVE]
 _NotNegative = Annotated[Number, refused(lambda value: value < 0, "{!r} is negative.")]
-_MOUNTING_STREAM = 1
+_MOUNTING_STREAM = 1  # Of random numbers, apart from those of other parts of the world
 _MOUNTING_SPREAD_DEG = 0.25
 _MOUNTING_DEG = (0.0, 0.0, 10.0)
 """With a roll, as on a real bench: the print's edges are then not parallel to the rows of pixels."""

@@ -25,7 +25,7 @@ HOME: Final = (
 _LOADED_LINK: Final = 0.9  # Share of the link's rate; above it a small rise already loses events
 # A flickering pattern gives as many ON as OFF events; outside, one bias is far off.
 _ON_SHARES: Final = (0.25, 0.75)
-_MANY_HOT: Final = 2000
+_MANY_HOT: Final = 2000  # Two in a thousand of an IMX636's pixels
 _LITTLE_LIGHT: Final = 0.6  # Share of the image in the beam, below which aiming comes before focus
 _BLINDED: Final = 0.6  # Share of saturated pixels from which nothing else can be read off a picture
 _FREQUENCY_SLACK: Final = 0.03  # Relative; a live slice is too short for the tolerance of a run

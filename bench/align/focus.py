@@ -28,7 +28,7 @@ REGIONS: Final[Mapping[str, tuple[float, float]]] = {
     "bottom right": (0.83, 0.8),
 }
 """Middle of each region, as shares of width and height."""
-_HALF_SIZE: Final = (0.25, 0.3)
+_HALF_SIZE: Final = (0.25, 0.3)  # Of a region, as shares of width and height
 _STARS_A_REGION: Final = 9
 _CIRCLE_FROM_PX: Final = 1.2
 """Edge width below which the blur circle is far from one that counts, px."""

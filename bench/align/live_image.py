@@ -37,7 +37,7 @@ _MOST_EVENTS: Final = 150_000
 """Number of events from which the flicker is searched; more do not make the figure better."""
 _LEAST_PERIODS: Final = 3
 _SHORT_PERIODS: Final = 1.9
-_TIME_LOW, _TIME_HIGH = 0x6, 0x8
+_TIME_LOW, _TIME_HIGH = 0x6, 0x8  # Types of EVT3's clock words
 _CLOCK: Final = 1 << 24
 """Number of microseconds after which the time words begin again."""
 _NEARLY: Final = 0.02

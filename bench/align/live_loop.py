@@ -47,7 +47,7 @@ SIGNAL_PERIODS = 4
 whole periods at any phase of the light."""
 SIGNAL_EVERY_S = 4.0
 """Time between two such slices, s."""
-_AFTER_FAULT_S = 1.0
+_AFTER_FAULT_S = 1.0  # Until the next try
 MOVING_PERIODS = 0.6
 """Length of a slice while the stage turns, periods: it holds one edge of the light at least."""
 _STALE_S = 0.4

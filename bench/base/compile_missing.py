@@ -11,7 +11,7 @@ from contextlib import suppress
 
 from bench.base.kernel_cache import missing_parts
 
-_SAID_EVERY_S = 20.0
+_SAID_EVERY_S = 20.0  # Shows that it works, in a log too
 _ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1"}
 """The other processor has work of its own."""
 

@@ -21,7 +21,7 @@ from bench.base.encoding import clock_text
 from bench.base.lost_output import Steering
 from bench.base.pasteable import pasteable
 
-_BAR_WIDTH, _LEAST_BAR = 24, 8
+_BAR_WIDTH, _LEAST_BAR = 24, 8  # Columns, and the fewest of a bar
 _ENDING_EARLY = frozenset({"aborting", "aborted", "failed"})
 """States without a remaining time: the rest of the plan is not done."""
 _POLL_S = 0.2  # A line that changes more often flickers

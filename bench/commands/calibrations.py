@@ -32,7 +32,7 @@ LENS = click.option(
 CAMERA = click.option(
     "--camera", metavar="NAME", help="Camera of a calibration file that holds several, such as cam1."
 )
-_CUTOFF_HZ = (0.01, 1000.0)
+_CUTOFF_HZ = (0.01, 1000.0)  # As `calib.events.reconstruction.CUTOFF_RANGE_HZ`, whose import takes long
 
 _THROUGH_COLLIMATOR = ("distortion", "passport", "image-size", "views", "origin", "station")
 """Options of commands that take all others from the runs."""

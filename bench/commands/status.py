@@ -46,7 +46,7 @@ FOLLOW_S = 0.5
 _READING_SHARE = 4.0
 """A follower waits at least this many times as long as it read the journal, so that it takes little of a computer."""
 
-_INTERRUPTED = 130
+_INTERRUPTED = 130  # 128 + SIGINT, as shells have it
 _NOT_READ = 128 + 13
 """Exit status of `status --follow` whose output nobody reads any more: that of SIGPIPE."""
 _ENDED = {"finished": 0, "aborted": STOPPED}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-_MOST_LENGTH_BYTES = 4
+_MOST_LENGTH_BYTES = 4  # Lengths up to 4 GiB
 _TO_SIGNED_DATA = (0, 1, 1, 0)
 """Places of reply, token, its content and the signed data in it (RFC 3161, section 2.4.2; RFC 5652, section 3)."""
 _SETS = (0x31, 0xA0, 0xA1)

@@ -23,7 +23,7 @@ from bench.record.run_index import RunIndex
 from bench.record.storage import read_bounded, sha256_of
 from bench.record.stored_run import StoredRun
 
-_LARGEST_SIGNATURE_BYTES = 64 * 1024
+_LARGEST_SIGNATURE_BYTES = 64 * 1024  # One of RSA with 16,384 bits has 6 kB
 _CLOCK_SLACK = timedelta(minutes=10)
 """A clock may be set while a run begins or ends by so much without a fault."""
 _ASK = "Ask who can write to this computer's files."

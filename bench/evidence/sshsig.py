@@ -28,11 +28,11 @@ from bench.evidence.ssh_keys import (
 )
 
 _MAGIC = b"SSHSIG"
-_VERSION = 1
+_VERSION = 1  # SIG_VERSION of OpenSSH's PROTOCOL.sshsig
 _HASHES = {b"sha512": hashlib.sha512, b"sha256": hashlib.sha256}
 _BEGIN = b"-----BEGIN SSH SIGNATURE-----"
 _END = b"-----END SSH SIGNATURE-----"
-_LINE_LENGTH = 70
+_LINE_LENGTH = 70  # As `ssh-keygen -Y sign` writes it
 _TOUCHED = 1
 """Bit of the flags of a security token's signature: a person touched the token (PROTOCOL.u2f of OpenSSH)."""
 _FLAGS_AND_COUNTER = 5  # Bytes: one of flags and a 32-bit counter (PROTOCOL.u2f)

@@ -35,8 +35,8 @@ from calib.view import View
 from drivers.camera.raw_check import require_regular, require_whole
 from drivers.errors import DriverError
 
-_BUCKETS = 256
-_STALE_S = 3600.0
+_BUCKETS = 256  # Folders by the first two digits of a key, each with its share of the room
+_STALE_S = 3600.0  # A younger part may still be written by another process
 _KEPT_FORMAT = "starbench/kept-view/1"
 FOLDER = "kept-views"
 MOST_BYTES = 1 << 30

@@ -30,10 +30,10 @@ _SAME = 1e-6
 """Two statements of one number may differ by so much: digits that a program left out."""
 _ALIKE_PX = 0.01
 """Two readings of a file are one if they project less apart than this: a tenth of what the best calibration states."""
-_LEAST_SKEW_PX = 1e-9
+_LEAST_SKEW_PX = 1e-9  # Less is rounding
 _LEAST_NAMED = 5
 """Coefficients of OpenCV that are kept by name although they are zero."""
-_OF_MATRIX = 9
+_OF_MATRIX = 9  # 3 x 3
 _WITH_A_COLUMN = (12, 16)
 """Numbers of a matrix that has a fourth column, and row, of zeros."""
 _TIMES = re.compile("[xX*]")

@@ -59,7 +59,7 @@ CHOOSE_S = 2.0
 REPORT_S = 0.5
 RECORDING_BYTES_PER_S = 35e6
 """Recording of a lit target with square flicker. The link of a camera carries about five times as much."""
-MOST_BYTES_PER_EVENT = 4
+MOST_BYTES_PER_EVENT = 4  # EVT3: a word for the row and one for the column
 PICTURE_S = 0.04
 PICTURE_SIZE = (1280, 720)
 """Size of a frame camera's picture if the station has no ``expected`` section, px."""

@@ -22,7 +22,7 @@ from bench.record.storage import O_BINARY, open_to_read, storage_errors, sync_fo
 CLOCK_JUMP_S = 2.0
 """The system time is said to have jumped if it moved by more than this against the monotonic clock."""
 CLOCK_JUMPED = "clock_jumped"
-_BLOCK_BYTES = 512
+_BLOCK_BYTES = 512  # The smallest unit that disks write
 MOST_LINE_BYTES = 32 * 1024 * 1024
 """Longest line that is read. The longest ones, with all residuals of a large run, have some megabytes."""
 MOST_JOURNAL_BYTES = 1 << 29

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 _POINTS = 121
 _TANGENTIAL = frozenset({"p1", "p2"})
-_STEP_SIGMAS = 1e-3
+_STEP_SIGMAS = 1e-3  # Of a numerical derivative
 _USED, _LEFT_OUT, _REFUSED = "used", "accepted, not used", "no recording accepted"
 _COLOURS = {_USED: POSE_COLOURS[0], _LEFT_OUT: POSE_COLOURS[4], _REFUSED: "#a32020"}
 _FRAME_SHARE = 0.11

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
-_STEPS = (1.0, 2.0, 5.0, 10.0)
+_STEPS = (1.0, 2.0, 5.0, 10.0)  # Times a power of ten: round numbers
 _LABELLED = ((1, 2, 5), (1,))
 """Digits of logarithmic ticks: the first that are few enough."""
 _NARROW, _WIDE_LETTERS = frozenset(" .,:;|!'()[]fijlrtI\N{PRIME}"), frozenset("mwMW@%\N{HORIZONTAL ELLIPSIS}")

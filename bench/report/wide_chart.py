@@ -13,7 +13,7 @@ from bench.report.svg_scale import Array, Scale
 _WIDTH, _HEIGHT, _NAMES, _DATE = 380.0, 156.0, 46.0, 10.0
 """Width and height of a picture, room for the names of lines at its right, and for half a date at its left, points."""
 BLUE, RED = POSE_COLOURS[0], "#c0271d"
-_MOST_DOTS_WITH_TEXT = 150
+_MOST_DOTS_WITH_TEXT = 150  # The page of a long history stays small
 MANY = 200
 """With more runs, bars are paler and the dots are not joined."""
 _ROUNDING = 1e-12

@@ -28,15 +28,15 @@ from sequences.script import Flicker
 FREQUENCY_HZ = 20.0
 DUTY_PERCENT = 25.0
 """Not 50 %: the edges alone then show which of them is the rising one."""
-DARK_S = 0.5
-BRIGHT_S = 1.5
+DARK_S = 0.5  # Ten periods
+BRIGHT_S = 1.5  # Thirty periods
 CHANNEL = 0
 """Trigger channel of the main input."""
 _AFTER_EDGE = 0.2
 """Events in this share of a period after an edge are counted."""
-_MOST_LOST = 0.05
-_FEWEST_EVENTS = 200
-_BINS = 20
+_MOST_LOST = 0.05  # Share of the edges
+_FEWEST_EVENTS = 200  # Ten a bin
+_BINS = 20  # Of a period; five are bright
 _BURST = 3.0
 """The fullest of ``_BINS`` parts of a period has this many times the mean, where the camera sees the flicker."""
 

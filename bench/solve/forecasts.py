@@ -27,7 +27,6 @@ from calib.studies.predicted_views import ExpectedBench
 from sequences.reader import Located
 from sequences.script import ChooseStep, Pose, SolveStep
 
-_CENTRE = 0.5
 _CANDIDATES = {"pan": 13, "tilt": 13, "roll": 7}
 LARGEST_ROLL_DEG = 90.0
 """Largest roll that is chosen, degrees: beyond a quarter of a turn, the pattern of the stars repeats itself."""
@@ -50,8 +49,8 @@ def expected_bench(station: Located[Station]) -> ExpectedBench:
     camera = CameraModel(
         expected.focal_px,
         expected.focal_px,
-        _CENTRE * (width - 1),
-        _CENTRE * (height - 1),
+        0.5 * (width - 1),
+        0.5 * (height - 1),
         (width, height),
         {"k1": expected.k1, "k2": expected.k2},
     )

@@ -38,8 +38,8 @@ RESTARTS: Final = frozenset({"grbl"})
 """Drivers whose controller may restart when its port is opened: it then loses its position."""
 NAMED_BY_MAKER: Final[Mapping[str, str]] = {"ximc": "XIMC", "thorlabs_apt": "Thorlabs"}
 """A word in the system's name of the ports of controllers with messages that are no text."""
-ZABER_BAUDRATE: Final = 115_200
-_SCALE: Final = 100
+ZABER_BAUDRATE: Final = 115_200  # The factory's
+_SCALE: Final = 100  # First of GRBL's settings of steps a degree
 _TRAVEL: Final = 130
 """Numbers of the settings of GRBL's first axis: steps per unit, travel in units."""
 _NUMBERED: Final = ("RIGOL", "335")

@@ -25,7 +25,7 @@ from bench.stations.station_fields import TargetConfig
 from bench.stations.target_shapes import Drawing, Shapes, draw_target
 
 MM_PER_UNIT = {"mm": 1.0, "um": 1e-3, "inch": 25.4}
-_POINTS_PER_MM = 72.0 / 25.4
+_POINTS_PER_MM = 72.0 / 25.4  # PDF's point is 1/72 of an inch
 _LARGEST_PDF_MM = 14_400 / _POINTS_PER_MM
 """The largest page of PDF 1.7 without a unit of its own (ISO 32000-1, annex C.2)."""
 _LINE_MM = 0.1

@@ -19,7 +19,7 @@ _MILLI_FROM_URAD = 1000.0  # Urad: from here on in mrad
 _ARCSEC_PER_TENTH_DEGREE = 360.0  # From here on in degrees
 
 
-_DIGITS = 2
+_DIGITS = 2  # Of an uncertainty (JCGM 100, 7.2.6)
 _NEGLIGIBLE = Decimal("0.01")
 """Largest share of U by which rounding down is allowed."""
 

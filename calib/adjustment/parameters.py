@@ -25,7 +25,7 @@ SAME_POSE_DEG = 0.2
 #: Largest acceptable 1-sigma of a focal length, as a share of it.
 MAX_FOCAL_SIGMA = 0.05
 _SAME_POSE_DEG = 0.5
-_PARALLEL_SINE = 0.05
+_PARALLEL_SINE = 0.05  # 3 degrees
 _NARROW_DEG = 5.0
 
 

@@ -32,7 +32,7 @@ from calib.model.likelihood_ratio import DECISIVE
 from calib.model.rotation import ARCSEC, log_map
 from calib.one_thread import on_one_thread
 
-_MIN_VIEWS = 3
+_MIN_VIEWS = 3  # Two turns fix the mounting
 _MOVED_DEG = 0.5
 #: A scale with a larger 1-sigma is not determined.
 _UNDETERMINED = 0.25

@@ -38,8 +38,8 @@ DEFAULT_CUTOFF_HZ = 10.0
 CUTOFF_RANGE_HZ = (0.01, 1000.0)
 FORGOTTEN = 0.01
 """Later events are used up to the time at which their weight falls to this."""
-_LEAST_ACTIVE = 0.002
-_HOT_FACTOR, _HOT_OFFSET = 2.5, 8.0
+_LEAST_ACTIVE = 0.002  # Share of the pixels
+_HOT_FACTOR, _HOT_OFFSET = 2.5, 8.0  # Times the median of the neighbours, and events beyond it
 _MOST_PX = 10_000  # No sensor has more; a wrong number would ask for the memory
 
 

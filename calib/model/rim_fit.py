@@ -46,7 +46,7 @@ UNKNOWNS = 3 + 2 * len(_ORDERS)
 _LIT_SIGMA_MM = 0.5
 #: Share of its new value that a site takes.
 _DAMPING = 0.5
-_HUBER = 2.5
+_HUBER = 2.5  # Scatters beyond which an offset counts less
 #: Grid of the 1-sigma scatters between views, as shares of the radius: centre, radius, coefficients of the shape. Each
 #: grid is even in the logarithm, from differences that do not matter to those of the published recordings.
 _CENTRE_SCATTERS = (0.003, 0.01, 0.03, 0.09, 0.2)

@@ -72,7 +72,7 @@ MAX_STEP_PX = 0.15
 #: Decimals of the pitch at which the printed star is drawn, px. It is drawn by samples: rounding errors of the pitch
 #: would decide on which side of an edge some of them fall, and would move centres by a thousandth of a pixel.
 PITCH_DIGITS = 6
-_RIDGE = 1e-6
+_RIDGE = 1e-6  # Keeps a star without edges solvable
 
 
 class LikelihoodFit(NamedTuple):

@@ -25,7 +25,7 @@ _NEXT, _NEXT_MISSED, _MOST_SHIFTS = 9, 2, 2000
 #: Largest share of the edges that one camera may have missed; one edge in any case.
 _MISSED = 0.1
 _JITTER_US = 3.0
-_REACHES = (16, 128, 1024, 8192)
+_REACHES = (16, 128, 1024, 8192)  # Edges about the anchor: the rate is fitted to ever longer parts
 #: Times are whole microseconds, in both cameras: variance of the difference of two roundings.
 _ROUNDING_US2 = 2.0 / 12.0
 

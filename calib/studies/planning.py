@@ -35,7 +35,7 @@ from calib.studies.predicted_views import ExpectedBench, predicted_view, rim_sha
 from calib.uncertainty.projection_uncertainty import ProjectionMap, projection_uncertainty
 from calib.view import View
 
-_MIN_VIEWS = 3
+_MIN_VIEWS = 3  # Both as in `calib.diagnosis.hand_eye`
 _MOVED_DEG = 0.5
 #: Poses are weighed again so many at a time.
 _AT_ONCE = 12

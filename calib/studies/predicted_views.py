@@ -25,7 +25,7 @@ from calib.view import View
 #: Stars closer than this to the border of the image are not detected.
 _BORDER_PX = 10.0
 _MIN_STARS = 20
-_RIM_POINTS = 72
+_RIM_POINTS = 72  # Every 5 degrees
 #: `CollimatorErrors.rms_px` of a typical real collimator before a gimbal, px.
 TYPICAL_RMS_PX = 0.12
 #: Defocus of a collimator whose defocus is not stated.

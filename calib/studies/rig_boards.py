@@ -30,7 +30,7 @@ from calib.studies.rig import Rig, common_names
 from calib.uncertainty.covariance import inverse_information
 from calib.view import View
 
-_MIN_POINTS = 6
+_MIN_POINTS = 6  # Twice as many coordinates as a pose has unknowns
 _NOISE_ROUNDS = 3
 #: Another numbering of a board must agree with the other boards so many times better.
 _DECIDES = 3.0

@@ -21,7 +21,7 @@ MAX_BACK_STEP_US: Final = 64
 """TIME_LOW of a busy sensor steps back by some microseconds (11 were seen); a much larger step means missing words."""
 _PADDING: Final = 0x9999
 """Word that some cameras (Lucid Triton2) send to fill their packets."""
-_RATE_IN: Final = 0x014
+_RATE_IN: Final = 0x014  # Subtypes of OTHERS words: counts before and after the rate controller
 _RATE_OUT: Final = 0x016
 _WINDOW_US: Final = 200
 """Time between two reports of the rate controller."""

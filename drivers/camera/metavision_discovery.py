@@ -22,7 +22,7 @@ from drivers.camera import FoundCamera
 from drivers.camera.usb_permission import connected_cameras, unreadable_cameras
 from drivers.errors import CameraError, CameraNotFound, CameraSoftwareMissing
 
-_STDERR: Final = 2
+_STDERR: Final = 2  # Descriptor of standard error
 _LISTENING = threading.RLock()
 _OLD_FIRMWARE: Final = re.compile(r"serial\s*(\S+)\s*is using an old firmware")
 """OpenEB 5.1.1, ``tz_libusb_board_command.cpp``: written once for each camera in a process, for firmware below 3.8."""

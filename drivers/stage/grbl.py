@@ -31,7 +31,8 @@ from drivers.stage.refusals import no_reference, not_as_stated, not_movable
 from drivers.stage.watched import AxisState, OneLineStage, StopCheck
 from drivers.wire_log import WireLog
 
-_REPORT_MACHINE = 1
+_REPORT_MACHINE = 1  # Bit of the setting 10: positions of the machine, not of the work
+# Numbers of GRBL's settings, as those below.
 _SOFT_LIMITS, _HOMING, _HOMES_DOWN, _REPORT_MASK, _INCHES = 20, 22, 23, 10, 13
 _HOMING_PASSES = range(44, 50)
 """Settings of grblHAL, each with the axes that one pass of homing searches, as bits."""

@@ -26,7 +26,7 @@ from drivers.stage.watched import AxisState, LinePerAxisStage
 _ZERO_UNKNOWN: Final = "the controller does not tell its home parameters, so its zero is not known"
 _BEGIN_S: Final = 0.3
 """A command has no reply, and the status shows the motion a little later; in seconds."""
-_LARGEST_COUNT: Final = 2**31 - 1
+_LARGEST_COUNT: Final = 2**31 - 1  # Of the protocol's 32 bits
 _SAME_SCALE: Final = 1e-4
 _DIRECTIONS: Final = {"forward": FORWARD, "reverse": REVERSE}
 Direction = Literal["forward", "reverse"]

@@ -23,14 +23,15 @@ from drivers.serial_port import Port
 from drivers.stage.refusals import read_back_otherwise
 from drivers.wire_log import WireLog
 
-HOST: Final = 0x01
+HOST: Final = 0x01  # Address of the computer
 UNIT: Final = 0x50
 """Address of a controller with its own USB port."""
-CHANNEL: Final = 1
-HEAD_SIZE: Final = 6
-_LONG: Final = 0x80
+CHANNEL: Final = 1  # Controllers of one axis have this one alone
+HEAD_SIZE: Final = 6  # Bytes of a message without data
+_LONG: Final = 0x80  # Bit of the destination: data follow the head
 _LONGEST_DATA: Final = 255
 
+# Ids of messages, as the APT protocol has them.
 STOP_UPDATES: Final = 0x0012
 REQUEST_INFORMATION: Final = 0x0005
 SET_ENABLED: Final = 0x0210
@@ -50,12 +51,12 @@ STOP: Final = 0x0465
 STILL_THERE: Final = 0x0492
 """A sign of life of the computer. Some controllers stop their updates after about 50 without it."""
 
-FAULT: Final = 0x0080
+FAULT: Final = 0x0080  # HW_RESPONSE, and HW_RICHRESPONSE
 REFUSED: Final = 0x0081
 UNASKED: Final = frozenset({FAULT, REFUSED, HOMED, 0x0464, 0x0466, 0x0481, 0x0491})
 """Ids of what a controller sends without a request of this driver: errors, ends of motions, updates."""
-ON: Final = 1
-STOP_BY_RAMP: Final = 2
+ON: Final = 1  # CHANENABLESTATE
+STOP_BY_RAMP: Final = 2  # 1 would be at once
 
 INFORMATION_LAYOUT: Final = struct.Struct("<I8sH4B60sHHH")
 POSITION_LAYOUT: Final = struct.Struct("<Hi")
@@ -64,6 +65,7 @@ SPEED_LAYOUT: Final = struct.Struct("<Hiii")
 HOME_LAYOUT: Final = struct.Struct("<HHHii")
 _REFUSED_LAYOUT: Final = struct.Struct("<HH64s")
 
+# Bits of the status.
 _MOVING: Final = 0x0000_00F0
 _HOMING: Final = 0x0000_0200
 _HOMED: Final = 0x0000_0400
@@ -87,9 +89,9 @@ FAULTS: Final = {
 }
 """Meanings of the status bits with which this driver moves no axis."""
 _USED: Final = _MOVING | _HOMING | _HOMED | sum(LIMITS) | sum(FAULTS)
-_STEPPER: Final = (53.68, 53.68 * 204.94e-6)
+_STEPPER: Final = (53.68, 53.68 * 204.94e-6)  # Units of the protocol for a count/s, and for a count/s^2
 
-FORWARD: Final = 1
+FORWARD: Final = 1  # Directions of a homing
 REVERSE: Final = 2
 SWITCHES: Final = {FORWARD: 4, REVERSE: 1}
 """Limit switch of a search of the reference, by its direction."""

@@ -18,11 +18,11 @@ from drivers.errors import DeviceRefused, ReplyGarbled
 SYNCHRONISE = bytes(64)
 """Zeros complete the command that the controller is waiting for; it answers each further zero by a zero."""
 
-RUNNING = 0x80
+RUNNING = 0x80  # MVCMD_RUNNING of the command state, and MVCMD_ERROR
 FAILED = 0x40
 COMMAND_NAMES = {1: "move", 2: "movr", 3: "left", 4: "rigt", 5: "stop", 6: "home", 7: "loft", 8: "sstp"}
-_COMMAND = 0x3F
-IS_HOMED = 0x20
+_COMMAND = 0x3F  # MVCMD_NAME_BITS
+IS_HOMED = 0x20  # STATE_IS_HOMED
 
 STATE_FLAGS = {
     0x0000_0040: "alarm",
@@ -54,13 +54,13 @@ REFUSALS = {
     b"errv": "a value is out of range and was corrected",
 }
 _DAMAGED = b"errd"
-ENGINE_REVERSED = 0x01
+ENGINE_REVERSED = 0x01  # ENGINE_REVERSE
 ENGINE_AT_FULL_SPEED = 0x04
 """Flag of moves at the highest speed of the motor, whatever speed is set."""
 ENGINE_ANTIPLAY = 0x08
 """Flag of the compensation of backlash, which overruns the target."""
-ENGINE_RAMPS = 0x10
-ENGINE_LIMITS_SPEED = 0x80
+ENGINE_RAMPS = 0x10  # ENGINE_ACCEL_ON
+ENGINE_LIMITS_SPEED = 0x80  # ENGINE_LIMIT_RPM
 
 SYNC_IN_MOVES = 0x01
 """Flag of a synchronisation input that moves the axis."""

@@ -38,8 +38,8 @@ FRAME_CAMERA_FAULTS: Final = {
     "mend": "clears the fault",
 }
 
-_TIME_HIGH: Final = 0x8
-_UNKNOWN_WORD: Final = 0x9000
+_TIME_HIGH: Final = 0x8  # Type of the EVT3 word
+_UNKNOWN_WORD: Final = 0x9000  # A type that EVT3 does not have
 
 #: Jump of the clock, in units of its high word (4096 us).
 _JUMP: Final = 10

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from simulators.compiled import INNER, LOOP
 from simulators.errors import SimulationMisuse
 
+# Words of EVT3: types, subtypes of OTHERS, and the bit of the polarity.
 ADDR_Y: Final = 0x0000
 ADDR_X: Final = 0x2000
 VECT_BASE_X: Final = 0x3000
@@ -42,11 +43,11 @@ BLOCK: Final = 32
 VECTOR_FROM: Final = 5
 """Smallest number of events of a block for which a vector is shorter than single events."""
 
-ERC_WINDOW_US: Final = 200
+ERC_WINDOW_US: Final = 200  # As that of the counters
 ERC_QUOTA: Final = 4000
 """Events that the rate controller passes in each window (20 Mev/s). It is simpler than the chip's, with the same effect
 on a flickering target: it removes nearly all of its events."""
-_LONG_AGO: Final = -(1 << 40)
+_LONG_AGO: Final = -(1 << 40)  # Before any window
 # Indices into the writer's int64 state.
 _TICK: Final = 0  # time of the next TIME_HIGH
 _LOW: Final = 1  # time of the last TIME_LOW, -1 if a TIME_HIGH came since

@@ -43,7 +43,7 @@ from simulators.pixels.sensor_state import (
 
 VECTOR_FROM: Final = 5
 """Smallest number of events of a block that the sensor sends as a vector."""
-VECTOR_WORDS: Final = 4
+VECTOR_WORDS: Final = 4  # The base, and three of bits
 LONE_WORDS: Final = 3
 """EVT3 words of an event that is read on its own."""
 LONGEST_ROW_WORDS: Final = 512

@@ -27,7 +27,7 @@ from simulators.world.trajectory import LoadTrajectory
 
 _COMMAND: Final = re.compile(r"\s*(\d*)\s*([A-Z]{2})\s*(.*?)\s*", re.IGNORECASE)
 _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[Ee][+-]?\d)?")
-_QUEUE_LENGTH: Final = 10
+_QUEUE_LENGTH: Final = 10  # Errors that the controller keeps
 _MAX_LINE: Final = 256
 _BOOT_S: Final = 1.0
 _FOLLOWS_ANOTHER: Final = 4

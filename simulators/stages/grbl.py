@@ -29,16 +29,16 @@ from simulators.world.trajectory import LoadTrajectory
 
 State = Literal["Idle", "Run", "Jog", "Home", "Alarm", "Check", "Sleep"]
 
-SOFT_LIMITS, HOMING_ENABLED = 20, 22
+SOFT_LIMITS, HOMING_ENABLED = 20, 22  # Numbers of GRBL's settings
 _HELP: Final = "[HLP:$$ $# $G $I $N $x=val $Nx=line $J=line $SLP $C $X $H ~ ! ? ctrl-x]\r\n"
 _ZERO: Final = "0.000,0.000,0.000"
 _OFFSETS: Final = "".join(
     f"[{name}:{_ZERO}]\r\n" for name in ("G54", "G55", "G56", "G57", "G58", "G59", "G28", "G30", "G92")
 )
 """Work offsets, which are all zero."""
-_RESET_BYTE: Final = 0x18
+_RESET_BYTE: Final = 0x18  # Ctrl-X
 _LOCKED: Final = "[MSG:'$H'|'$X' to unlock]\r\n"
-_MAX_LINE: Final = 79
+_MAX_LINE: Final = 79  # The firmware's buffer of 80 with its end
 _PAUSE_S: Final = 0.5
 """After it has told an alarm, the firmware waits for this time, s. What it receives meanwhile is lost."""
 

@@ -17,8 +17,8 @@ from simulators.stages.axis_motion import Axis, AxisModel
 from simulators.stages.gcode import NUMBER, GcodeError
 from simulators.world.trajectory import LoadTrajectory
 
-HOMING_FEED, HOMING_SEEK, PULL_OFF = 24, 25, 27
-STEPS, MAX_RATE, ACCELERATION, MAX_TRAVEL = 100, 110, 120, 130
+HOMING_FEED, HOMING_SEEK, PULL_OFF = 24, 25, 27  # Numbers of GRBL's settings
+STEPS, MAX_RATE, ACCELERATION, MAX_TRAVEL = 100, 110, 120, 130  # Those of the first axis
 
 #: Settings with decimals, apart from those of the axes.
 _WITH_DECIMALS: Final = {11, 12, 24, 25, 27}

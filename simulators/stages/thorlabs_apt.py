@@ -22,24 +22,24 @@ from typing import Final
 
 from simulators.stages.axis_motion import Axis, MotionEvent, SingleController
 
-_COMPUTER: Final = 0x01
-_UNIT: Final = 0x50
-_UPDATE_S: Final = 0.1
+_COMPUTER: Final = 0x01  # Address of the computer
+_UNIT: Final = 0x50  # Of a controller with its own USB port
+_UPDATE_S: Final = 0.1  # Ten updates a second
 _HOME_SPEED_DEG_S: Final = 2.0
 """Speed of homing after power-up; the last part of a homing is ten times slower."""
 _MAKERS_OFFSET_DEG: Final = 4.0
 """From the switch to the zero of the stage, where the maker's programs put it when they connect."""
-_FORWARD: Final = 1
+_FORWARD: Final = 1  # Direction of a homing
 _CAM_DEG: Final = 1.5
 """Width of the cam at the switch: a search forward finds its other edge."""
-_PATIENCE: Final = 50
-_SERVO_PERIOD_S: Final = 2048.0 / 6.0e6
+_PATIENCE: Final = 50  # Updates that are sent without a sign of life
+_SERVO_PERIOD_S: Final = 2048.0 / 6.0e6  # 2048 ticks of a clock of 6 MHz
 _LONGEST: Final = 255
 
 #: Settings that are kept as they come: length of their data by the id that sets them. The next ids ask and answer.
 _KEPT: Final = {0x0413: 14, 0x0416: 22, 0x0423: 16, 0x043A: 6, 0x0440: 14, 0x0445: 6, 0x0450: 6}
 
-_FORWARD_SWITCH, _REVERSE_SWITCH = 0x1, 0x2
+_FORWARD_SWITCH, _REVERSE_SWITCH = 0x1, 0x2  # Status bits of the protocol, here and below
 _TURNS_FORWARD, _TURNS_BACK = 0x10, 0x20
 _CONNECTED, _HOMING, _HOMED = 0x100, 0x200, 0x400
 _TRACKING, _SETTLED, _DOES_NOT_FOLLOW = 0x1000, 0x2000, 0x4000

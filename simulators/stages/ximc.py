@@ -54,13 +54,13 @@ _HOME_SPEED_DEG_S: Final = 20.0
 _COUNTS_PER_STEP: Final = 20
 """Resolution of the encoder on the shaft."""
 
-_MOVING, _AT_SPEED = 0x01, 0x02
+_MOVING, _AT_SPEED = 0x01, 0x02  # Bits of the status, here and below
 _RUNNING, _FAILED = 0x80, 0x40
 _IS_HOMED, _ALARM, _SLIPPED = 0x20, 0x40, 0x80
 _ERROR_FLAGS: Final = {b"errc": 0x01, b"errd": 0x02, b"errv": 0x04}
-_RIGHT_EDGE, _LEFT_EDGE = 0x01, 0x02
-_STOP_LEFT, _STOP_RIGHT = 0x02, 0x04
-_IGNORE_POSITION, _IGNORE_ENCODER = 0x01, 0x02
+_RIGHT_EDGE, _LEFT_EDGE = 0x01, 0x02  # Switches that are reached
+_STOP_LEFT, _STOP_RIGHT = 0x02, 0x04  # Borders that stop
+_IGNORE_POSITION, _IGNORE_ENCODER = 0x01, 0x02  # What stays as it is when a position is set
 
 
 class ErrorReply(Exception):

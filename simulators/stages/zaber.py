@@ -37,7 +37,7 @@ SPEED_UNIT = 1.6384
 
 #: Largest values of the speed and acceleration settings.
 _MAX_SPEED_SETTING = 16_777_216
-_MAX_ACCELERATION_SETTING = 32_767
+_MAX_ACCELERATION_SETTING = 32_767  # 15 bits
 
 
 #: ``accel`` reads the one and writes both of the settings of acceleration and deceleration.

@@ -46,7 +46,7 @@ LAW: Final[Mapping[str, str]] = {
 
 NOISE_STEP_DEG: Final = 0.02
 """Distance of readings beyond which their errors are independent."""
-_STREAM: Final = 2
+_STREAM: Final = 2  # Of random numbers, apart from those of other parts of the world
 
 _LARGEST_SCALE: Final = 0.2
 """Largest relative error of an axis's scale; larger numbers are factors that were given by mistake."""

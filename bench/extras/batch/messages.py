@@ -43,10 +43,10 @@ from bench.stations.messages_section import AppriseConfig, MailConfig, MessagesC
 from drivers import file_lock
 
 OUTBOX = "outbox.sqlite3"
-VERSION = 2
+VERSION = 2  # Of the tables
 DEADLINE_S = 30.0
 """Longest duration of one delivery, s. Whether a message has arrived that took longer is unknown."""
-FIRST_PAUSE_S = 5.0
+FIRST_PAUSE_S = 5.0  # Doubled after each try
 LONGEST_PAUSE_S = 3600.0
 _SCHEMA = f"""
 CREATE TABLE IF NOT EXISTS deliveries (
@@ -59,7 +59,7 @@ PRAGMA user_version = {VERSION};
 """
 TIMEOUT_S = 10.0
 """Longest silence of a server, s."""
-_LOOK_S = 5.0
+_LOOK_S = 5.0  # So late at most a message that waits is tried again
 _LARGEST_PAGE_BYTES = 5_000_000
 """Larger pages are not attached to a mail: many servers refuse 10 MB, and base64 adds a third."""
 _UNPRINTABLE = re.compile(r"\x1b\[[0-9;]*[A-Za-z]|[\x00-\x08\x0b-\x1f\x7f]")

@@ -35,9 +35,9 @@ last words, and what its devices take to be opened and stopped."""
 QUIET_S = 600.0
 """Time without a sign of life that is allowed at the start, at the end and while sealing, s. The devices' own deadlines
 apply there."""
-POLL_S = 0.2
+POLL_S = 0.2  # Short against `SILENCE_S`
 OUT_OF_MEMORY = "ended by the system because memory ran out"
-_LAST_WORDS_S = 2.0
+_LAST_WORDS_S = 2.0  # See `SILENCE_S`
 _SAFE_END_S = 60.0
 _HIGH_LOAD = 4.0
 """A load of more than this for each processor is told as a possible cause of a silence."""

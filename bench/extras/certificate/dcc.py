@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 GUM = "JCGM 100:2008"
 NO_NUMBER = "not stated"
-_K_DIGITS = 4
+_K_DIGITS = 4  # As many decimals as p = 0.9545 has
 _POSTERIOR = "posterior of the adjustment"
 _NORMAL_WITHIN = 5e-4  # of the probability: k by 0.005
 _RANGE = re.compile(r"(-?\d+(?:\.\d+)?) to (-?\d+(?:\.\d+)?) (\S+)")

@@ -29,7 +29,7 @@ from bench.record.stored_calibration import camera_covariance, camera_of
 from bench.wording.parameters import unit_of
 from calib.uncertainty.projection_uncertainty import URAD_PER_ARCSEC, projection_uncertainty
 
-PROBABILITY = 0.9545
+PROBABILITY = 0.9545  # Of a normal distribution within two sigmas (JCGM 100, table G.1)
 _NAMES = {
     "fx": "focal length along x",
     "fy": "focal length along y",

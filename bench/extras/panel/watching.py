@@ -41,7 +41,7 @@ AGAIN_S = 5.0
 """A run in progress is told again after this time, because its times change, s."""
 LINGER_S = 20.0
 """A run without readers is kept for this time, s: a page that is loaded again finds it ready."""
-MOST_LOG_LINES = 300
+MOST_LOG_LINES = 300  # Older ones come on request
 MOST_VIEWS = 40
 """Pictures that are kept for each run."""
 T = TypeVar("T")

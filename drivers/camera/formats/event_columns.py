@@ -44,10 +44,10 @@ _OF_FRACTIONS: Final = (2, 0, 1, 3)
 _ORDERS: Final = (_OF_WHOLE, _OF_FRACTIONS, (3, 0, 1, 2))
 """Places of t, x, y and p in the tables of known programs."""
 _NS: Final[Mapping[TimeUnit, int]] = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
-_US_NS: Final = 1000
+_US_NS: Final = 1000  # Nanoseconds of a microsecond
 _MOST_STEP_US: Final = 1.0
 """Steps of the clock of a camera. Those of seconds in 32 bits are larger from 16 s on."""
-_COARSE_US: Final = 1000
+_COARSE_US: Final = 1000  # A millisecond
 _LEAST_TIMES: Final = 8
 """So many different times that are all whole thousands of us are no chance: 1e-24 with a clock of 1 us."""
 _LEAST_RATE: Final = 0.005

@@ -61,7 +61,7 @@ INDEX_TYPE: Final = np.dtype([("id", "<u8"), ("ts", "<i8")])
 _ASCII: Final = h5py.string_dtype("ascii")  # the only kind of attribute that Metavision reads
 _NOT_THERE: Final = ("evt", "plugin_name")  # keys without meaning outside RAW
 _PLAIN_COLUMNS: Final = (("t", "<i8"), ("x", "<u2"), ("y", "<u2"), ("p", "u1"))
-_PLAIN_CHUNK: Final = 1 << 16
+_PLAIN_CHUNK: Final = 1 << 16  # Events
 _LEVEL: Final = 1
 """Level of gzip; the next one compresses events by 3 % more, in twice the time."""
 _MOST_WAITING: Final = 16

@@ -35,11 +35,11 @@ from drivers.camera.raw_header import RawHeader, header_fields, stated_size
 from drivers.errors import NotARecording
 
 _PIECE_BYTES: Final = 1 << 19
-_TRIGGER_TYPES: Final = (0x0E,)
-_CD_TYPES: Final = (0x00, 0x0C)
-_DAT_EVENT_BYTES: Final = 8
+_TRIGGER_TYPES: Final = (0x0E,)  # Event types of DAT files: external triggers
+_CD_TYPES: Final = (0x00, 0x0C)  # 2D and CD events, which have the same layout
+_DAT_EVENT_BYTES: Final = 8  # Time and place, four bytes each
 _HEAD_BYTES: Final = 4096
-_MOST_DAT_PX: Final = 1 << 14
+_MOST_DAT_PX: Final = 1 << 14  # 14 bits of a coordinate
 _DAT_LAYOUTS: Final = {"1": (9, 8, 1), "2": (14, 14, 4)}
 """Number of bits of x, y and polarity, by the version of a DAT file."""
 
