@@ -73,7 +73,7 @@ _REPORT = re.compile(rb"<([A-Z][A-Za-z]+)(?::(\d{1,3}))?((?:\|[^|:<>]+(?::[^|<>]
 _NUMBER = r"-?\d+\.\d+"
 _MACHINE = re.compile(rf"\|MPos:({_NUMBER}(?:,{_NUMBER})*)(?:\||$)")
 _SETTING = re.compile(rb"\$(\d+)=(-?\d+(?:\.\d*)?)(?: *\(.*\))?\r*\n")
-_BUILD = re.compile(rb"\[VER:([^:\]]*):([^\]]*)\]\r*\n")
+_BUILD = re.compile(rb"\[VER: *([^:\]]*)(?::([^\]]*))?\]\r*\n")
 _AXES = re.compile(rb"\[AXS:\d+:([A-Z]+)\]\r*\n")
 LETTERS = "XYZABC"
 """Letters of the axes, in their order, of a board that does not tell them."""
@@ -322,7 +322,7 @@ def parse_build_info(lines: Iterable[bytes]) -> Build | None:
     build = next(filter(None, map(_BUILD.fullmatch, lines)), None)
     if build is None:
         return None
-    version, name = build[1].decode("latin-1"), build[2].decode("latin-1")
+    version, name = build[1].decode("latin-1"), (build[2] or b"").decode("latin-1")
     axes = next(filter(None, map(_AXES.fullmatch, lines)), None)
     return Build(version, name, _firmware(version, lines), axes[1].decode("ascii") if axes else LETTERS)
 

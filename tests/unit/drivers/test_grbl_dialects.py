@@ -320,6 +320,13 @@ def test_an_axis_behind_two_motors_of_another_has_its_own_position(positions) ->
     assert [report.position(letter, "XYZYA", "") for letter in "YA"] == [2.0, 5.0]
 
 
+def test_a_board_that_tells_no_name_is_driven(bench) -> None:
+    """uCNC, grbl_protocol.c: no colon, and no name, follow the version."""
+    bench.board.firmware = FIRMWARES["fork"]._replace(build="[VER: uCNC 1.11 - Uno]\r\n[OPT:VL,15,128]\r\n")
+    assert [axis.firmware for axis in bench.open().identify()] == ["uCNC 1.11 - Uno"] * 2
+    runs(bench)
+
+
 def test_a_grblhal_that_is_built_to_be_compatible_is_known_by_its_longer_answer(bench) -> None:
     """grblHAL report.c, COMPATIBILITY_LEVEL above 0: ``$I`` has neither the name nor the axes, ``$I+`` has both."""
     build = "[VER:1.1f.20240330:{}]\r\n[OPT:VNMZHL,35,1024]\r\n"
