@@ -20,6 +20,7 @@ _UNREAD_PICTURES: Final = (
 )
 _JOIN: Final = "If it is a part of a recording that was split, join the parts in their order first."
 _AS_NPZ: Final = "Save its columns with NumPy: an .npz file of t (us), x, y and p."
+_AS_UTF8: Final = "Write it again as UTF-8."
 _OLD_AEDAT: Final = "Starbench reads AEDAT4; iniVation's program DV writes it from older files."
 _UNPACK: Final = "Unpack it first."
 _OTHERS: Final = (
@@ -49,6 +50,8 @@ _OTHERS: Final = (
     (b"II*\x00", "a TIFF image", ""),
     (b"MM\x00*", "a TIFF image", ""),
     (b"%PDF", "a PDF document", ""),
+    (b"\xff\xfe", "a text file in UTF-16", _AS_UTF8),
+    (b"\xfe\xff", "a text file in UTF-16", _AS_UTF8),
 )
 _OF_PHOTO_CAMERAS: Final = {
     ".arw", ".cr2", ".cr3", ".dng", ".nef", ".nrw", ".orf", ".pef", ".raf", ".rw2", ".srw",

@@ -32,13 +32,15 @@ from drivers.errors import NotARecording, UnreadableEvents
 
 _NAMES: Final = (
     ("t", "ts", "time", "timestamp", "timestamps"),
-    ("x", "xs"),
-    ("y", "ys"),
+    ("x", "xs", "col", "column"),
+    ("y", "ys", "row"),
     ("p", "ps", "pol", "polarity", "polarities", "on"),
 )
 """Names of the columns t, x, y and p, in small letters."""
 COLUMNS: Final = len(_NAMES)
 _UNIT_OF_NAME: Final = re.compile(r"(.*?)[ _]?[(\[]?(?:_(s|ms|us|ns)|[(\[](s|ms|us|ns)[)\]])")
+_MICRO: Final = re.compile("[\u00b5\u03bc]")
+"""The sign of a millionth, and the Greek letter."""
 _OF_WHOLE: Final = (0, 1, 2, 3)
 _OF_FRACTIONS: Final = (2, 0, 1, 3)
 _ORDERS: Final = (_OF_WHOLE, _OF_FRACTIONS, (3, 0, 1, 2))
@@ -91,7 +93,7 @@ def unit_of_name(name: str) -> TimeUnit | None:
 
 def _split(name: str) -> tuple[str, TimeUnit | None]:
     """Return a name in small letters, and the unit behind it."""
-    small = name.strip().lower()
+    small = _MICRO.sub("u", name.strip().lower())
     match = _UNIT_OF_NAME.fullmatch(small)
     unit: Any = match and (match[2] or match[3])
     return (match[1].rstrip() if match else small), unit

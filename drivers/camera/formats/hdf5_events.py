@@ -210,7 +210,8 @@ def _size(file: Any, name: str, header: Mapping[str, str], choices: ReadingChoic
 
 
 def _number(value: Any) -> int:
-    """Return a whole number of a file. Raises NotARecording if it is none."""
-    if np.ndim(value) != 0 or np.asarray(value).dtype.kind not in "iu":
+    """Return a whole number of a file, alone or as the one element of a list. Raises NotARecording if it is none."""
+    number = np.ravel(value)
+    if number.size != 1 or number.dtype.kind not in "iuf" or number[0] != np.rint(number[0]):
         raise UnreadableEvents(f"it states {str(value)[:40]!r} where a whole number is needed.")
-    return int(value)
+    return int(number[0])

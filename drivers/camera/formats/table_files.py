@@ -185,8 +185,8 @@ def _text_layout(start: bytes) -> _TextLayout | None:
         elif are_numbers and len(words) == _SIZE and not number:
             sizes["the first line"] = (int(float(words[0])), int(float(words[1])))
         elif are_numbers and not line.startswith("#"):
-            own = named(names)
-            if None in own and len(words) != COLUMNS:
+            own = _of_header(names)
+            if None in own and (len(words) != COLUMNS or (any(own) and len(names) == COLUMNS)):
                 return None
             places = [] if None in own else [names.index(name or "") for name in own]
             return _TextLayout(
@@ -200,6 +200,14 @@ def _text_layout(start: bytes) -> _TextLayout | None:
             if len(sides) == _SIZE and all(map(str.isdecimal, sides)):
                 sizes["the names of columns"] = (int(sides[0]), int(sides[1]))
     return None
+
+
+def _of_header(names: list[str]) -> list[str | None]:
+    """Return which names of a header are t, x, y and p; of four, the unknown one is the one that is missing."""
+    own = named(names)
+    if len(names) == COLUMNS and own.count(None) == 1:
+        own[own.index(None)] = next(name for name in names if name not in own)
+    return own
 
 
 def from_text(path: Path, choices: ReadingChoices) -> EventSource:

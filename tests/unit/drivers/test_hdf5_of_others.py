@@ -62,6 +62,16 @@ def test_the_times_of_dsec_keep_their_origin(written):
     assert found.header["date"] == "2020-09-13 12:26:40"
 
 
+@pytest.mark.parametrize("offset", [np.float64(YEAR_2020_US), np.array([YEAR_2020_US])])
+def test_an_offset_of_times_may_be_a_float_or_a_list_of_one(written, offset):
+    def fill(file):
+        dsec(file)
+        del file["t_offset"]
+        file["t_offset"] = offset
+
+    assert written(fill).header["time_origin_us"] == str(YEAR_2020_US)
+
+
 @pytest.mark.parametrize("filter_of_plugin", ["Blosc", "Blosc2", "Zstd", "LZ4", "Bitshuffle"])
 def test_every_filter_of_the_plugin_is_read(written, filter_of_plugin):
     plugin = pytest.importorskip("hdf5plugin")

@@ -106,10 +106,29 @@ def text(path, head, order, separator, unit=1):
         ("", "xypt", ";", 1),  # Metavision's decoder of EVT3
         ("x,y,polarity,timestamp_us\n", "xypt", ",", 1),
         ("p\tt\tx\ty\n", "ptxy", "\t", 1),
+        ("y,x,polarity,timestamp [\u00b5s]\n", "yxpt", ",", 1),
+        (
+            "row,col,polarity,event_time\n",
+            "yxpt",
+            ",",
+            1,
+        ),  # the one name that is unknown is that of the times
     ],
 )
 def test_a_line_holds_an_event(tmp_path, head, order, separator, unit):
     assert_same(import_events(text(tmp_path / "a.txt", head, order, separator, unit), SIZED))
+
+
+def test_two_names_that_are_unknown_are_not_guessed(tmp_path):
+    path = text(tmp_path / "a.txt", "v,u,p,t\n", "yxpt", ",", 1)
+    with pytest.raises(NotARecording, match="it is a text file"):
+        import_events(path, SIZED)
+
+
+def test_text_that_powershell_redirected_is_named(tmp_path):
+    (tmp_path / "a.csv").write_bytes("t,x,y,p\n1,2,3,1\n".encode("utf-16"))
+    with pytest.raises(NotARecording, match="text file in UTF-16"):
+        import_events(tmp_path / "a.csv", SIZED)
 
 
 def test_text_of_pandas_has_an_index_and_words_for_polarities(tmp_path):
