@@ -98,6 +98,12 @@ def parse_header(
         raise NotARecording(
             f"The header does not end within {MAX_HEADER_BYTES} bytes.", where=where, remedy=_COPY_AGAIN
         )
+    if "index_version" in fields:  # OpenEB, i_events_stream.cpp
+        raise NotARecording(
+            "This is the index that the maker's programs write beside a recording; it holds no events.",
+            where=where,
+            remedy="Give the recording itself, whose name is the same without .tmp_index.",
+        )
     encoding = encoding_of(fields)
     if encoding not in {"EVT2", "EVT21", "EVT21-legacy", "EVT3"}:
         raise NotARecording(

@@ -203,6 +203,11 @@ def test_words_that_look_like_a_header_line_are_words_after_its_end():
         (b"\x80\x04\x95", "a Python pickle"),
         (b"ARROW1\0\0", "a Feather file.* Write its table as Parquet"),
         (b"% evt 4.0\n% format EVT4;height=720;width=1280\n", "The file holds EVT4"),
+        # OpenEB, i_events_stream.cpp: the header of an index is that of its recording, and more
+        (
+            b"% format EVT3;height=720;width=1280\n% bookmark_period_us 2000\n% index_version 2.0\n% end\n",
+            "index .* beside a recording",
+        ),
         (b"% format HISTO3D;height=320;width=320\n% end\n", "The file holds HISTO3D"),
         (b"\x01\x80\x02\x60", "binary data without a RAW header"),
         (b"% format EVT21;height=720;width=1280\n% end\n", "The file holds EVT21"),
