@@ -46,24 +46,20 @@ def test_time_steps_of_every_size_come_back(step):
     assert_equal(decode(encode(events)), events)
 
 
-def test_scattered_events_are_packed_in_24_bits():
+@pytest.mark.parametrize(
+    ("few_rows", "packed_as", "bytes_each"),
+    [
+        pytest.param(False, 2, 4.01, id="24 bits and a time"),
+        pytest.param(True, 1, 2.6, id="few rows: 12 bits"),
+    ],
+)
+def test_scattered_events_are_packed_by_their_rows(few_rows, packed_as, bytes_each):
     rng = np.random.default_rng(1)
-    events = chunk(
-        np.arange(4001), rng.integers(0, 1280, 4001), rng.integers(0, 720, 4001), rng.integers(0, 2, 4001)
-    )
+    y = np.arange(4001) // 50 if few_rows else rng.integers(0, 720, 4001)
+    events = chunk(np.arange(4001), rng.integers(0, 1280, 4001), y, rng.integers(0, 2, 4001))
     data = encode(events)
-    assert style(data) == 2
-    assert len(data) < 4.01 * 4001
-    assert_equal(decode(data), events)
-
-
-def test_scattered_events_of_few_rows_are_packed_in_12_bits():
-    rng = np.random.default_rng(1)
-    events = chunk(
-        np.arange(4001), rng.integers(0, 1280, 4001), np.arange(4001) // 50, rng.integers(0, 2, 4001)
-    )
-    data = encode(events)
-    assert style(data) == 1
+    assert style(data) == packed_as
+    assert len(data) < bytes_each * 4001
     assert_equal(decode(data), events)
 
 

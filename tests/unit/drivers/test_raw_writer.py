@@ -64,23 +64,25 @@ def test_a_disk_that_takes_little_at_a_time_gets_all_of_it(tmp_path, monkeypatch
     assert (tmp_path / "a.raw").read_bytes() == b"head1234567"
 
 
-def test_a_sync_that_fails_fails_the_recording(tmp_path, monkeypatch):
+@pytest.fixture
+def unsynced(tmp_path, monkeypatch):
+    """A file whose syncs fail."""
+
     def refuse(_):
         raise OSError(errno.EIO, "Input/output error")
 
     file = RawWriter(tmp_path / "a.raw", b"head")
     monkeypatch.setattr(os, "fsync", refuse)
-    with pytest.raises(RecordingFailed, match="cannot be written"), file:
-        file.write(b"12")
+    return file
 
 
-def test_a_first_error_is_not_hidden_by_a_failing_sync(tmp_path, monkeypatch):
-    def refuse(_):
-        raise OSError(errno.EIO, "Input/output error")
+def test_a_sync_that_fails_fails_the_recording(unsynced):
+    with pytest.raises(RecordingFailed, match="cannot be written"), unsynced:
+        unsynced.write(b"12")
 
-    file = RawWriter(tmp_path / "a.raw", b"head")
-    monkeypatch.setattr(os, "fsync", refuse)
-    with pytest.raises(KeyboardInterrupt), file:
+
+def test_a_first_error_is_not_hidden_by_a_failing_sync(unsynced):
+    with pytest.raises(KeyboardInterrupt), unsynced:
         raise KeyboardInterrupt
 
 

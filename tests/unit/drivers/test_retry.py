@@ -58,16 +58,26 @@ def test_the_error_of_the_last_attempt_is_passed_on() -> None:
     assert len(pauses) == TRIES - 1
 
 
-def test_a_marker_answered_on_a_silent_line_proves_that_it_is_in_step() -> None:
-    line = Line()
-    bring_into_step(line, True)
-    assert line.events == ["drain", "marker", "drain"]
-
-
-def test_what_follows_the_marker_is_a_reason_to_try_again() -> None:
-    line = Line(b"old", b"doubled", b"", b"")
-    bring_into_step(line, True, True)
-    assert line.events == ["drain", "marker", "drain"] * 2
+@pytest.mark.parametrize(
+    ("old", "answers", "silence_after", "events"),
+    [
+        pytest.param((), (True,), True, ["drain", "marker", "drain"], id="silent"),
+        pytest.param((), (True,), False, ["drain", "marker"], id="silent, with message ids"),
+        pytest.param(
+            (b"old", b"doubled", b"", b""),
+            (True, True),
+            True,
+            ["drain", "marker", "drain"] * 2,
+            id="what follows the marker is a reason to try again",
+        ),
+    ],
+)
+def test_a_marker_answered_on_a_silent_line_proves_that_it_is_in_step(
+    old, answers, silence_after, events
+) -> None:
+    line = Line(*old)
+    bring_into_step(line, *answers, silence_after=silence_after)
+    assert line.events == events
 
 
 @pytest.mark.parametrize("outcome", [False, True], ids=["another answer", "more than was asked for"])
@@ -93,12 +103,6 @@ def test_a_silent_line_is_not_asked_twice_where_the_caller_repeats(first, marker
     with pytest.raises(ReplyTimeout):
         bring_into_step(line, first, ReplyTimeout("again"), once_if_silent=True)
     assert line.events.count("marker") == markers
-
-
-def test_with_message_ids_nothing_waits_for_silence_after_the_marker() -> None:
-    line = Line()
-    bring_into_step(line, True, silence_after=False)
-    assert line.events == ["drain", "marker"]
 
 
 def test_old_bytes_are_inspected_before_the_device_is_cleared() -> None:

@@ -145,6 +145,14 @@ def calls_of_a_whole_run(tmp_path, monkeypatch, key):
     return fault.log
 
 
+def see_that_it_goes_on(path, acknowledged, key, signers):
+    see_that_nothing_acknowledged_is_lost(path, acknowledged)
+    if not (path / "SHA256SUMS.sig").exists():
+        run_once(path, acknowledged, key)
+    see_that_it_is_whole(path)
+    assert seal_faults(path, signers) == []
+
+
 @pytest.mark.parametrize("spoil", [die_before, die_after])
 def test_a_run_killed_in_any_call_can_be_resumed(tmp_path, monkeypatch, key, signers, spoil):
     log = calls_of_a_whole_run(tmp_path, monkeypatch, key)
@@ -155,11 +163,7 @@ def test_a_run_killed_in_any_call_can_be_resumed(tmp_path, monkeypatch, key, sig
             Fault(patch, passing, spoil)
             with pytest.raises(Died):
                 run_once(path, acknowledged, key)
-        see_that_nothing_acknowledged_is_lost(path, acknowledged)
-        if not (path / "SHA256SUMS.sig").exists():
-            run_once(path, acknowledged, key)
-        see_that_it_is_whole(path)
-        assert seal_faults(path, signers) == []
+        see_that_it_goes_on(path, acknowledged, key, signers)
 
 
 @pytest.mark.parametrize("number", [errno.ENOSPC, errno.EIO, errno.EACCES], ids=errno.errorcode.get)
@@ -174,8 +178,4 @@ def test_a_run_whose_call_fails_reports_it_and_can_be_resumed(tmp_path, monkeypa
         assert isinstance(caught.value, StorageError), log[passing]
         assert caught.value.where.startswith(str(tmp_path)), log[passing]
         assert caught.value.remedy
-        see_that_nothing_acknowledged_is_lost(path, acknowledged)
-        if not (path / "SHA256SUMS.sig").exists():
-            run_once(path, acknowledged, key)
-        see_that_it_is_whole(path)
-        assert seal_faults(path, signers) == []
+        see_that_it_goes_on(path, acknowledged, key, signers)
