@@ -93,6 +93,7 @@ _RENAMED = {
     "runs --compare": "history agreement",
     "runs --capability": "history capability",
     "runs --output": "history table -o FILE",
+    "passport seal": "passport show FILE --seal NEW",
     "target draw": "target -s STATION -o FILE",
     "target show": "target -s STATION",
 }

@@ -85,25 +85,30 @@ def _key() -> BenchKey:
     return usable_key(home_folder(), datetime.now(UTC), ask_passphrase=ask_passphrase)
 
 
-@passport.command("seal", epilog=epilog("starbench passport seal collimator.json -o collimator_sealed.json"))
-@click.argument("path", metavar="FILE", type=ExistingFile())
-@click.option("--output", "-o", required=True, type=NewFile(), help="New, sealed passport file.")
-def passport_seal(path: Path, output: Path) -> int:
-    """Seal a passport FILE that has no seal, after you have compared its values with their source."""
-    from bench.solve.passports import seal_file
-
-    fingerprint = seal_file(path, output, _key())
-    click.echo(f"Passport: {output}, sealed by {fingerprint}")
-    return 0
-
-
-@passport.command("show", epilog=epilog("starbench passport show collimator.json"))
+@passport.command(
+    "show",
+    epilog=epilog(
+        "starbench passport show collimator.json",
+        "starbench passport show collimator.json --seal collimator_sealed.json",
+    ),
+)
 @click.argument("path", type=ExistingFile())
+@click.option(
+    "--seal",
+    "sealed",
+    type=NewFile(),
+    help="Write a sealed copy of a file that has no seal; first compare its values with their source.",
+)
 @JSON
-def passport_show(path: Path) -> int:
+def passport_show(path: Path, sealed: Path | None) -> int:
     """Show the values of a passport, their uncertainties, its hash and its seal."""
     from bench.plan.passports import read_passport_file
 
+    if sealed is not None:
+        from bench.solve.passports import seal_file
+
+        seal_file(path, sealed, _key())
+        path = sealed
     own_passport, data = read_passport_file(path)
     seal, sha256 = read_passport_seal(data), hashlib.sha256(data).hexdigest()
     sealed_by = seal.fingerprint if seal else None

@@ -388,7 +388,7 @@ def choose_passport(
             what = unknown or "the passport is not sealed."
             message = (
                 f"{what} The station refuses it (collimator: {{unsealed_passport: refuse}}). Seal it with"
-                " `starbench passport seal`, or trust its key with `starbench keys trust`."
+                " `starbench passport show FILE --seal NEW`, or trust its key with `starbench keys trust`."
             )
             return PassportChoice(in_use, frozenset(used), (first.fault(message),))
         cautions += [unknown] if unknown else []

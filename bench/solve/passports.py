@@ -30,13 +30,12 @@ def write_passport(path: Path, passport: Passport, key: BenchKey | None = None) 
     write_atomic(path, seal_passport(data, key) if key is not None else data)
 
 
-def seal_file(path: Path, output: Path, key: BenchKey) -> str:
+def seal_file(path: Path, output: Path, key: BenchKey) -> None:
     """Write a sealed copy of a passport that has no seal, to a new file."""
     passport, data = read_passport_file(path)
     if (seal := read_passport_seal(data)) is not None:
         raise UsageError(f"This passport is sealed already, by {seal.fingerprint}.", where=str(path))
     write_passport(output, passport, key)
-    return key.fingerprint
 
 
 def seals_of(paths: Sequence[Path]) -> dict[str, str]:

@@ -199,7 +199,7 @@ def test_an_output_that_is_a_file_is_refused(say, tmp_path, words, output):
 @pytest.mark.parametrize(
     "words",
     [
-        ("passport", "seal", "source", "-o"),
+        ("passport", "show", "source", "--seal"),
         ("station", "new"),
         ("convert", "source"),
     ],
@@ -325,6 +325,7 @@ def test_a_home_folder_that_cannot_be_written_gets_a_hint_to_choose_another(caps
         (("hold", "runs/cam7"), "is now `starbench tell RUN hold`."),
         (("batch", "add", "runs/night", "job.yaml"), "is now `starbench tell FOLDER add JOB`."),
         (("keys", "list"), "is now `starbench keys show`."),
+        (("passport", "seal", "p.json"), "is now `starbench passport show FILE --seal NEW`."),
         (("runs", "--chart", "fx"), "is now `starbench history charts`."),
         (("compare", "table1"), "`make table1`"),
         (("study", "--runs", "9"), "`make coverage`"),

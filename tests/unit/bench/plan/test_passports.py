@@ -224,7 +224,7 @@ def test_a_strict_station_takes_sealed_passports_of_trusted_keys_only(
     write(tmp_path / "a" / "p.json", collimator="C-1", sealed_with=key if sealed else None)
     plan = bench("{passport: p.json}", "serial: C-1, unsealed_passport: refuse")
     assert (plan.faults == ()) == (sealed and trusted)
-    assert not plan.faults or "starbench passport seal" in plan.faults[0].message
+    assert not plan.faults or "starbench passport show FILE --seal NEW" in plan.faults[0].message
 
 
 @pytest.mark.usefixtures("own_home")
