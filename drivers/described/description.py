@@ -24,9 +24,11 @@ Value = float | str
 
 _PLACEHOLDER = re.compile(r"\{([^{}]*)\}")
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,30}")
-_NUMBER = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?"
+_PADDED = " {0,15}[+-]? {0,15}"
+"""What may stand before the digits of a number: some devices print all numbers with one length, as in ``-   1000``."""
+_NUMBER = _PADDED + r"(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]{1,3})?"
 _SHAPES: Final = {
-    "integer": re.compile(r"[+-]?[0-9]{1,15}", re.ASCII),
+    "integer": re.compile(_PADDED + r"[0-9]{1,15}", re.ASCII),
     "number": re.compile(_NUMBER, re.ASCII),
     "word": re.compile(r"[A-Za-z0-9_.+-]+", re.ASCII),
     "text": re.compile(r"[ -~]+", re.ASCII),
@@ -93,7 +95,7 @@ class Template:
             shape = _SHAPES[part.kind].match(line, at)
             if shape is None:
                 return None
-            value: Value = shape[0] if part.kind in {"word", "text"} else float(shape[0])
+            value: Value = shape[0] if part.kind in {"word", "text"} else float(shape[0].replace(" ", ""))
             if isinstance(value, float) and not math.isfinite(value):
                 return None
             values[part.name] = value

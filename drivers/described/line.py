@@ -12,13 +12,14 @@ from collections.abc import Mapping
 from functools import reduce
 
 from drivers.clock import Clock
-from drivers.described.description import Exchange, LineDescription, Notice, Switch, Value
+from drivers.described.description import Exchange, LineDescription, Notice, Switch, Template, Value
 from drivers.errors import DeviceRefused, ReplyError, ReplyTimeout, WrongDevice
 from drivers.link import TRIES, Link, ReplyReader, repeat
 from drivers.serial_port import Port
 from drivers.wire_log import WireLog
 
 _SHOWN = 80
+_BREAK = re.compile(rb" *\n *")
 _MOST_OTHER_ANSWERS = 3
 """A device that starts prints a text or two; one that answers otherwise after that is not the described one."""
 
@@ -79,7 +80,8 @@ class DescribedLine(Link):
             line = self.take_line()
             while line is not None:
                 text = self._text(line)
-                if text:
+                known = {**values, "request": request}
+                if text and not (exchange.reply and _is_echo(text, exchange.reply, known)):
                     self._match(exchange, request, text, values)
                     return True
                 line = self.take_line()
@@ -111,7 +113,9 @@ class DescribedLine(Link):
 
         def read_reply(reader: ReplyReader) -> str:
             text = ""
-            while exchange.reply is not None and not text:
+            while exchange.reply is not None and (
+                not text or _is_echo(text, exchange.reply, {**values, "request": request})
+            ):
                 text = self._text(reader.read_line())
             return text
 
@@ -154,7 +158,8 @@ class DescribedLine(Link):
     def _text(self, line: bytes) -> str:
         """Return the text of a line without notices; empty if nothing else is in it. Checks the checksum."""
         body = line.removesuffix(self._description.reply_end).strip(b"\r\n")
-        body = self._take_from(body)
+        # Some devices answer the end of a request by a line feed before the reply.
+        body = _BREAK.sub(b" ", self._take_from(body))
         if not re.fullmatch(rb"[ -~]*", body):
             raise self.garbled_reply(f"not a reply: {line[:_SHOWN]!r}.")
         if body and self._description.checksum == "xor":
@@ -222,6 +227,11 @@ class DescribedLine(Link):
         if self.connections == 1 or serial is None or not self._known_serial:
             return True
         return str(self._exchange(serial, {})["serial"]).strip() == self._known_serial
+
+
+def _is_echo(text: str, reply: Template, known: Mapping[str, Value]) -> bool:
+    """Return whether a line repeats the request and is no reply: a device may echo in a line of its own."""
+    return text == str(known["request"]).rstrip() and reply.match(text, known) is None
 
 
 def _xor(data: bytes) -> int:

@@ -137,6 +137,22 @@ def test_a_restart_at_zero_shows_in_the_settings_alone(rig) -> None:
     assert not stage.is_homed()
 
 
+@pytest.mark.parametrize("echo", [b"%s\r\n%s ", b"%s \n"])
+def test_an_echo_in_a_line_of_its_own_and_a_line_feed_after_an_echo_are_no_replies(rig, echo) -> None:
+    """Panthyr's PTU-D48 answers a carriage return by a line feed; terminals of firmwares repeat each line."""
+
+    def echoed(reply: bytes) -> bytes:
+        request, star, rest = reply.partition(b" ")
+        return echo.replace(b"%s", request) + rest if star else reply
+
+    rig.line.spoil = lambda reply: b"".join(map(echoed, reply.splitlines(keepends=True)))
+    stage = again(rig, axis())
+    stage.home()
+    stage.move_to({"pan": 5.0})
+    assert stage.position_deg()["pan"] == pytest.approx(5.0)
+    assert stage.faults() == []
+
+
 @pytest.mark.parametrize(("starts_s", "opens"), [(2.9, True), (9.0, False)])
 def test_a_board_that_restarts_when_its_port_is_opened_is_waited_for(starts_s, opens) -> None:
     """An Arduino Uno does; its boot loader is deaf for up to two seconds."""

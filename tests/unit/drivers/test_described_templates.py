@@ -24,6 +24,10 @@ def reply(text: str):
         ("POS={counts:integer}", "POS=-12", {"counts": -12.0}),
         ("POS={counts:integer}", "POS=-12 ", None),
         ("POS={counts:integer}", "POS=1.5", None),
+        # Sigma-Koki SHOT-302GS, command Q: a sign, and blanks before the digits
+        ("{a:integer},{b:integer},K,K,R", "-      2000,       150,K,K,R", {"a": -2000.0, "b": 150.0}),
+        ("POS={counts:integer}", "POS=1 000", None),
+        ("{x:number}", "  1.5", {"x": 1.5}),
         ("{request} * {counts:number}", "PP * 1.5e3", {"counts": 1500.0}),
         ("{request} * {counts:number}", "PD * 15", None),
         ("{request} = {a:word},{b:text}", "PP = on,all is well", {"a": "on", "b": "all is well"}),
