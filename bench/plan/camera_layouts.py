@@ -30,6 +30,8 @@ _HALF_PX, _ONE_PX = 0.5, 1.0
 """Coordinate of the centre of the first pixel: with an origin at its corner, and where counting begins at 1."""
 _PREFIXES = {"camera": "ORB-SLAM", "camera1": "ORB-SLAM", "camera2": "ORB-SLAM", "cam": "vikit"}
 """Before each name of a camera, such as ``Camera1.fx`` and ``cam_fx``, and whose they are."""
+_PAIRS = (("left", "right"), ("l", "r"))
+"""Before or after each name of a camera; both are there."""
 _OF_VIKIT = ("d0", "d1", "d2", "d3")
 _MATRICES = re.compile("(camera)?(intrinsics?|matrix|parameters|params)|projectionparameters|k")
 _WORDS = re.compile(r"[A-Za-z][A-Za-z _.-]{3,}\d?")  # no list of numbers, nor one of NaN
@@ -248,7 +250,7 @@ def _flat(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def _numbered(values: dict[str, Any]) -> dict[str, Values]:
-    """Return cameras whose names have a prefix or a number: ORB-SLAM's and vikit's, M1 and D2 of OpenCV's stereo."""
+    """Return cameras whose names have a prefix, a side or a number: ORB-SLAM's, M1 and D2 of OpenCV's stereo."""
     cameras: dict[str, Values] = {}
     prefixes = [prefix for prefix in _PREFIXES if all(f"{prefix}{name}" in values for name in _FOUR)]
     for prefix in prefixes:
@@ -266,7 +268,20 @@ def _numbered(values: dict[str, Any]) -> dict[str, Values]:
             del own["k"]  # a coefficient, no camera matrix
         if states_a_matrix(own):
             cameras[number] = {**values, **own}
+    for names in _PAIRS:
+        pair = {name: _of_side(name, values) for name in names}
+        if all(map(states_a_matrix, pair.values())):
+            cameras |= {name: {**values, **own} for name, own in pair.items()}
+    if "" in cameras and len(cameras) > 1:
+        cameras[prefixes[0]] = cameras.pop("")
     return cameras
+
+
+def _of_side(name: str, values: Values) -> dict[str, Any]:
+    """Return the values of one camera of a pair: ``LEFT.K`` of ORB-SLAM2, ``K_left`` of stella_vslam, ``mtxL``."""
+    return _without(name, values) | {
+        key.removesuffix(name): value for key, value in values.items() if key.endswith(name)
+    }
 
 
 def _without(prefix: str, values: Values) -> dict[str, Any]:

@@ -220,6 +220,43 @@ def test_the_cameras_of_an_orb_slam_stereo_file_are_named():
         parse(text)
 
 
+def matrices(**stated):
+    return "".join(
+        f"{name}: !!opencv-matrix\n   rows: {1 if len(numbers) == 5 else 3}\n   cols: {len(numbers)}\n   dt: d\n"
+        f"   data:{numbers}\n"
+        for name, numbers in stated.items()
+    )
+
+
+def test_a_rectified_camera_is_not_taken_for_those_that_it_was_made_from():
+    """ORB-SLAM2, Examples/Stereo/EuRoC.yaml: ``Camera.`` is of the rectified images, ``LEFT.`` of those that were taken."""
+    rectified = {**FOUR, "fx": 900.0, "k1": 0.0, "k2": 0.0, "p1": 0.0, "p2": 0.0}
+    sides = "".join(
+        f"{side}.height: 720\n{side}.width: 1280\n{matrices(**{f'{side}.D': D5, f'{side}.K': matrix})}"
+        for side, matrix in (("LEFT", FLAT_K), ("RIGHT", [900.0, *FLAT_K[1:]]))
+    )
+    text = f"%YAML:1.0\n{lines({**rectified, **SIDES}, 'Camera.')}{sides}"
+    with pytest.raises(NotACamera, match="3 cameras: left, right, camera"):
+        parse(text)
+    assert off_px(parse(text, "left").camera, D5) < 1e-6
+    assert parse(text, "right").camera.fx == 900.0
+    assert parse(text, "camera").camera.distortion["k1"] == 0.0
+
+
+@pytest.mark.parametrize(
+    "names", [("mtxL", "distL", "mtxR", "distR"), ("K_left", "D_left", "K_right", "D_right")]
+)
+def test_a_pair_of_cameras_in_one_file_is_told_apart(names):
+    """Scripts of OpenCV's stereo calibration; stella_vslam, example/euroc/EuRoC_stereo.yaml."""
+    other = [[900.0, 0.0, CX], *K[1:]]
+    text = {**dict(zip(names, (K, [D5], other, [D5]), strict=True)), "image_size": SIZE}
+    with pytest.raises(NotACamera, match="2 cameras"):
+        parse(text)
+    left, right = ("l", "r") if "L" in names[0] else ("left", "right")
+    assert off_px(parse(text, left).camera, D5) < 1e-6
+    assert parse(text, right).camera.fx == 900.0
+
+
 def test_the_cameras_of_a_list_are_named_by_their_place():
     rig = RPG.replace("label: rig\n", "") + RPG.partition("cameras:\n")[2].replace(str(FX), "900.0")
     assert parse(rig, "cameras1").camera.fx == 900.0
