@@ -20,20 +20,19 @@ MOST_VALUES: Final = 5_000_000
 
 def parse_json(data: bytes | str) -> Any:
     """Parse JSON of bounded depth and size that all readers read alike, else `ValueError`, never RecursionError."""
-    marks: tuple[Any, ...] = (b"[", b"{", b",") if isinstance(data, bytes) else ("[", "{", ",")
-    lists, objects, more = (data.count(mark) for mark in marks)
-    if lists + objects + more > MOST_VALUES:
-        raise ValueError(f"it has more than {MOST_VALUES} values")
     text = data.decode("utf-8") if isinstance(data, bytes) else data
+    levels = text.count("[") + text.count("{")
+    if len(text) > MOST_VALUES and levels + text.count(",") > MOST_VALUES:
+        raise ValueError(f"it has more than {MOST_VALUES} values")
     if text.removesuffix("\n")[-1:].isspace():
         raise ValueError("blanks stand behind its end")
     if text.startswith("\ufeff"):
         raise ValueError("it begins with a byte-order mark (BOM)")
     try:
-        value = _DECODER.decode(text)
+        value = _decoded(text)
     except RecursionError:
         raise _too_deep() from None
-    if lists + objects > MOST_LEVELS:  # else it cannot have so many levels
+    if levels > MOST_LEVELS:  # else it cannot have so many levels
         _refuse_deep(value)
     return value
 
@@ -92,6 +91,15 @@ def _refuse_constant(text: str) -> float:
 
 
 _DECODER: Final = json.JSONDecoder(object_pairs_hook=_without_doubles, parse_constant=_refuse_constant)
+
+
+def _decoded(text: str) -> Any:
+    """Decode as ``_DECODER.decode``, which searches for blanks around a value for a tenth of the time of a line."""
+    try:
+        value, end = _DECODER.raw_decode(text)
+    except json.JSONDecodeError:
+        end = -1
+    return value if end == len(text) else _DECODER.decode(text)
 
 
 def _refuse_deep(value: Any) -> None:

@@ -65,8 +65,10 @@ def show(
     if wants_json():
         print_json(data() if callable(data) else data)
         return
-    for line in (text,) if isinstance(text, str) else text:
-        click.echo(line, err=err)
+    lines = (text,) if isinstance(text, str) else text
+    click.echo(
+        "".join(f"{line}\n" for line in lines), nl=False, err=err
+    )  # each call of echo is a call of the system
 
 
 def print_findings(faults: Sequence[str], notes: Sequence[str] = ()) -> int:

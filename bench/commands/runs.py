@@ -16,7 +16,7 @@ from bench.commands.ledger import ledger_findings
 from bench.commands.options import RunChoice, command, run_options, status_text
 from bench.commands.output import JSON, print_findings, show
 from bench.commands.workers import CountLine
-from bench.evidence.authorisations import known_authorisations, lost_authorisations
+from bench.evidence.authorisations import entered_authorisations, lost_authorisations
 from bench.evidence.findings import State
 from bench.evidence.listed_states import listed_states
 from bench.record.ledger import Ledger, bench_ledger
@@ -68,7 +68,7 @@ def _runs_of_bench(choice: RunChoice) -> tuple[list[IndexedRun], list[str], list
     broken, notes = ledger_findings(ledger)
     return (
         listed,
-        [*faults, *missing, *broken, *lost_authorisations(known_authorisations(ledger.home))],
+        [*faults, *missing, *broken, *lost_authorisations(entered_authorisations(ledger))],
         notes,
     )
 
@@ -80,11 +80,12 @@ def _ledger_folders(ledger: Ledger, index: RunIndex) -> tuple[list[Path], list[s
     except JournalBroken:
         known = [Path(run.folder) for run in index.entered()]
         return [folder for folder in known if (folder / JOURNAL).is_file()], []
-    present = [Path(run.folder) for run in entries if (Path(run.folder) / JOURNAL).is_file()]
+    there = [Path(f"{run.folder}/{JOURNAL}").is_file() for run in entries]
+    present = [Path(run.folder) for run, is_there in zip(entries, there, strict=True) if is_there]
     missing = [
         f"run {run.number} ({run.run_id}, {run.how}): its folder {run.folder} is missing"
-        for run in entries
-        if run.seal is None and not (Path(run.folder) / JOURNAL).is_file()
+        for run, is_there in zip(entries, there, strict=True)
+        if run.seal is None and not is_there
     ]
     return present, [*ledger.faults_and_remedies(), *missing]
 

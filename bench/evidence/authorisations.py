@@ -57,6 +57,13 @@ def enter_authorisation(ledger: Ledger, folder: Path, person: str, fingerprint: 
     return True
 
 
+def entered_authorisations(ledger: Ledger) -> Known:
+    """Return the authorisations that a ledger names; empty if it is missing or cannot be read."""
+    with suppress(BenchError):
+        return _authorisations(ledger.entries())
+    return NOTHING_KNOWN
+
+
 def known_authorisations(home: Path) -> Known:
     """Return the authorisations that this bench's ledger names; empty if it is missing or cannot be read."""
     path = home / LEDGER

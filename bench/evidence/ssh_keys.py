@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+from functools import lru_cache
 
 from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
@@ -48,6 +49,7 @@ def encode_public_key(key: Ed25519PublicKey) -> bytes:
     return string(KEY_TYPE) + string(key.public_bytes_raw())
 
 
+@lru_cache  # a list verifies ten thousand seals of few keys
 def check_key(public_key: bytes) -> None:
     """Refuse a public key of an unknown type, and an RSA key of less than 2048 bit."""
     key_type = key_type_of(public_key).encode()

@@ -61,9 +61,9 @@ def _last_time(journal: Path) -> datetime | None:
     with journal.open("rb") as stream:
         size = stream.seek(0, os.SEEK_END)
         stream.seek(max(0, size - _LAST_BYTES))
-        lines = stream.read().splitlines()
+        end = stream.read()
     try:
-        return _moment(parse_json(lines[-1])["utc"])
+        return _moment(parse_json(end[end.rfind(b"\n", 0, -1) + 1 :])["utc"])
     except (ValueError, LookupError, TypeError):
         return None
 
@@ -118,12 +118,14 @@ def standing_of(folder: Path, trust: Trust, now: datetime, *, at: datetime | Non
 def _seal(verification: Verification, folder: Path) -> bytes | None:
     """Check the signature of the list of files; return the key that made it."""
     try:
-        for name in (MANIFEST, SIGNATURE):
-            if (folder / name).is_symlink() or not (folder / name).is_file():
-                why = "this is a link, not a file" if (folder / name).is_symlink() else "the file is missing"
-                verification.fault("unsealed", name, f"{why}; this folder is not sealed")
+        manifest = folder / MANIFEST
+        for path in (manifest, folder / SIGNATURE):
+            is_link = path.is_symlink()
+            if is_link or not path.is_file():
+                why = "this is a link, not a file" if is_link else "the file is missing"
+                verification.fault("unsealed", path.name, f"{why}; this folder is not sealed")
                 return None
-        if (folder / MANIFEST).stat().st_size > LARGEST_SEAL_BYTES:
+        if manifest.stat().st_size > LARGEST_SEAL_BYTES:
             verification.fault("manifest", MANIFEST, f"more than {LARGEST_SEAL_BYTES} bytes")
             return None
         signature = read_signature(read_beside(folder, SIGNATURE) or b"")
@@ -135,7 +137,7 @@ def _seal(verification: Verification, folder: Path) -> bytes | None:
     try:
         if signature.namespace != NAMESPACE:
             what = f"the signature is for {signature.namespace!r}, not for a report"
-        elif not is_valid(signature, (folder / MANIFEST).read_bytes()):
+        elif not is_valid(signature, manifest.read_bytes()):
             what = f"the signature does not match this {MANIFEST}"
     except NotInstalled as error:
         what = error.what

@@ -216,7 +216,15 @@ def apply_entry(history: History, entry: Entry) -> None:
     data = entry.data
     history.count_time(entry)
     _apply_lateness(history, entry)
-    match entry.event:
+    match entry.event:  # the three of nearly all lines first
+        case Event.LEFT_OFF:
+            pass
+        case Event.ENTERING:
+            history.interlock = InterlockHold(data["rule"], data["why"]) if "rule" in data else None
+            history.states.append({"state": data["state"], "utc": entry.utc, "mono_s": entry.mono_s})
+            history.at_pose = data.get("pose", history.at_pose) if data["state"] in _POSE_STATES else None
+        case Event.STEP_DONE:
+            history.done_steps.add(int(data["step"]))
         case Event.RUN_STARTED:
             history.started, history.started_utc = cast("RunStarted", data), entry.utc
             history.ledger = data.get("ledger", {})
@@ -228,18 +236,10 @@ def apply_entry(history: History, entry: Entry) -> None:
             count_crash(history, data.get("crash"))
         case Event.DEVICES | Event.DEVICES_LEFT:
             _apply_devices(history, entry)
-        case Event.ENTERING:
-            history.interlock = InterlockHold(data["rule"], data["why"]) if "rule" in data else None
-            history.states.append({"state": data["state"], "utc": entry.utc, "mono_s": entry.mono_s})
-            history.at_pose = data.get("pose", history.at_pose) if data["state"] in _POSE_STATES else None
-        case Event.STEP_DONE:
-            history.done_steps.add(int(data["step"]))
         case Event.DEVIATION:
             (history.holds if data.get("hold") else history.deviations).append(str(data["what"]))
         case Event.SOLVED | Event.WRITTEN:
             _apply_result(history, entry)
-        case Event.UNTIL_DECIDED:
-            history.decisions.append(cast("UntilDecided", data))
         case Event.COMMANDED:
             _apply_command(history, cast("Commanded", data))
         case Event.RUN_ENDED:
@@ -288,6 +288,8 @@ def _apply_pose_entry(history: History, entry: Entry) -> None:
         case Event.POSE_SKIPPED:
             history.skipped[int(data["pose"])] = str(data["what"])
             history.deviations.append(str(data["what"]))
+        case Event.UNTIL_DECIDED:
+            history.decisions.append(cast("UntilDecided", data))
         case Event.ATTEMPT_LOST:
             history.lost[int(data["pose"])] = history.lost.get(int(data["pose"]), 0) + 1
         case Event.ATTEMPT_CHECKED:

@@ -15,19 +15,21 @@ import hashlib
 import json
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Any
+from operator import itemgetter
+from typing import Any, NamedTuple
 
 from bench.base.bounded_json import parse_json
 
 FIRST_PREV = "0" * 64
 OWN_KEYS = ("seq", "utc", "mono_s", "event", "prev", "hash")
 """Keys of a line that the data of an event must not use."""
+_own_values = itemgetter(*OWN_KEYS)
 
 
-@dataclass(frozen=True)
-class Entry:
+class Entry(
+    NamedTuple
+):  # made several times as fast as a frozen dataclass: lists of runs read a million lines
     """One line of a journal."""
 
     seq: int  # Number of the line, from 0
@@ -74,16 +76,18 @@ def decode_line(line: bytes, seq: int, prev: str) -> Entry:
     """Read a line, and check its hash, its chain and its number; `ValueError` states the fault."""
     try:
         record = parse_json(line.decode("ascii"))
-        own = {key: record.pop(key) for key in OWN_KEYS}
+        number, utc, mono_s, event, before, own_hash = _own_values(record)
+        for key in OWN_KEYS:
+            del record[key]
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError("this line is not an entry") from error
-    tail = f',"hash":"{own["hash"]}"}}'.encode()
-    if not line.endswith(tail) or hashlib.sha256(line[: -len(tail)] + b"}").hexdigest() != own["hash"]:
+    tail = f',"hash":"{own_hash}"}}'.encode()
+    if not line.endswith(tail) or hashlib.sha256(line[: -len(tail)] + b"}").hexdigest() != own_hash:
         raise ValueError("this line does not match its hash")
-    if not (isinstance(own["utc"], str) and isinstance(own["event"], str)):
+    if not (isinstance(utc, str) and isinstance(event, str)):
         raise ValueError("this line is not an entry")  # noqa: TRY004 - a fault of the file, not of an argument
-    if own["prev"] != prev:
+    if before != prev:
         raise ValueError("this line is not chained to the one before it")
-    if own["seq"] != seq:
-        raise ValueError(f"this is line {own['seq']} in place of line {seq} (counted from 0)")
-    return Entry(data=record, **own)
+    if number != seq:
+        raise ValueError(f"this is line {number} in place of line {seq} (counted from 0)")
+    return Entry(number, utc, mono_s, event, record, before, own_hash)

@@ -10,8 +10,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,19 @@ RUN_EXPLAINED = "run_explained"
 _SAY_WHAT = "state what became of it: `starbench ledger --explain TEXT`."
 
 
+@dataclass(frozen=True)
+class _Read:
+    """The lines of one state of the file, and the runs that they enter."""
+
+    state: tuple[int, ...]
+    entries: list[Entry]
+
+    @cached_property
+    def runs(self) -> list[LedgerRun]:
+        """See `runs_of`."""
+        return runs_of(self.entries)
+
+
 class Ledger:
     """The ledger of a bench. Every method asks the file anew, because other processes write to it too.
 
@@ -68,18 +82,21 @@ class Ledger:
         self.path = home / LEDGER
         self.warnings: list[str] = []
         self._clocks: dict[str, Any] = {"utc_now": utc_now, "monotonic": monotonic}
-        self._kept: tuple[tuple[int, ...], list[Entry]] | None = None
+        self._kept = _Read((), [])
 
     def entries(self) -> list[Entry]:
         """Read and verify every line, first to last, once for each state of the file; empty while there is none."""
+        return list(self._read().entries)
+
+    def _read(self) -> _Read:
         if not self.path.exists():
-            return []
+            return _Read((), [])
         with storage_errors(self.path):
             status = self.path.stat()
         state = (status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
-        if self._kept is None or self._kept[0] != state:
-            self._kept = state, read_journal(self.path)[0]
-        return list(self._kept[1])
+        if self._kept.state != state:
+            self._kept = _Read(state, read_journal(self.path)[0])
+        return self._kept
 
     def append(self, event: str, **facts: Any) -> Entry:
         """Enter one line of any event in the past tense; use ``locked`` where it depends on the lines before."""
@@ -232,7 +249,7 @@ class Ledger:
 
     def runs(self) -> list[LedgerRun]:
         """List all runs in the order of their numbers; empty while there is no ledger."""
-        return runs_of(self.entries())
+        return list(self._read().runs)
 
     def faults(self) -> list[RunFault]:
         """Check that the folder of every sealed run still exists and still has its seal; explained faults count not."""
@@ -250,9 +267,9 @@ class Ledger:
     def _run_faults(self) -> list[RunFault]:
         faults = []
         for run in self.runs():
-            manifest = Path(run.folder) / MANIFEST
             if run.seal is None:
                 continue
+            manifest = Path(f"{run.folder}/{MANIFEST}")
             with storage_errors(manifest):
                 if not manifest.is_file():
                     faults.append(RunFault(run, "missing"))
@@ -278,8 +295,8 @@ class Ledger:
     def read(self) -> tuple[list[Entry], list[LedgerRun], list[Break], str]:
         """Return the lines, the runs and the recorded breaks; or nothing, and how the file is damaged."""
         try:
-            entries = self.entries()
-            return entries, runs_of(entries), breaks_of(entries), ""
+            kept = self._read()
+            return list(kept.entries), list(kept.runs), breaks_of(kept.entries), ""
         except (JournalBroken, LookupError, TypeError) as error:
             return [], [], [], str(error) or type(error).__name__
 

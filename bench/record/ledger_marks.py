@@ -13,7 +13,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, EvidenceError, JournalBroken, StorageError
@@ -219,8 +219,7 @@ def ask_anchor(path: Path, *, was_there: bool) -> Witness:
         return Witness(str(path), trouble=error.what, was_there=was_there)
 
 
-@dataclass(frozen=True)
-class LedgerRun:
+class LedgerRun(NamedTuple):
     """One run in the ledger."""
 
     number: int  # Number of the run in the ledger, from 1
@@ -271,7 +270,7 @@ def runs_of(entries: Iterable[Entry]) -> list[LedgerRun]:
                 runs.append(LedgerRun(number, *names, begun_utc=entry.utc, head=entry.hash))
             elif entry.event == RUN_ENDED and not data.get("lost"):
                 at = place_of[data["number"]]
-                runs[at] = replace(runs[at], how=data["how"], seal=data["seal"], ended_utc=entry.utc)
+                runs[at] = runs[at]._replace(how=data["how"], seal=data["seal"], ended_utc=entry.utc)
         except (LookupError, TypeError, ValueError) as error:
             raise JournalBroken(
                 f"Line {entry.seq + 1} of the ledger is not a line about a run.",

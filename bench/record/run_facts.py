@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, NotRequired, TypedDict, TypeVar, cast
 
@@ -69,7 +69,7 @@ class IndexedRun:
 
     def to_dict(self) -> dict[str, Any]:
         """Return the run as JSON carries it."""
-        return {**asdict(self), "parameters": parameters_data(self.parameters)}
+        return {**vars(self), "parameters": parameters_data(self.parameters)}
 
 
 def run_facts(history: History, folder: Path) -> IndexedRun:
@@ -167,7 +167,7 @@ def journal_details(history: History, entries: Sequence[Entry]) -> JournalDetail
     """Return the details of a run that its journal states."""
     camera, light = history.devices.get("camera", {}), history.devices.get("light", {})
     stages = [identity for identity in history.devices.get("stage", ()) if isinstance(identity, Mapping)]
-    hashes = history.started.get("sha256", {})
+    hashes, parameters = history.started.get("sha256", {}), estimates(history.solved)
     return {
         "ended_utc": entries[-1].utc if history.ended and entries else None,
         "camera_type": _type_of(camera),
@@ -181,7 +181,7 @@ def journal_details(history: History, entries: Sequence[Entry]) -> JournalDetail
         "light_type": _type_of(light),
         "light_serial": _text(light.get("serial")),
         "converged": history.solved.get("converged"),
-        "parameters": list(estimates(history.solved)),
+        "parameters": list(parameters),
         "resumed": history.resumed,
         "recordings_lost": sum(history.lost.values()),
         "poses_skipped": len(history.skipped),
@@ -196,7 +196,7 @@ def journal_details(history: History, entries: Sequence[Entry]) -> JournalDetail
         "causes": list(history.solved.get("causes", ())),
         **_conditions(history),
         "results_sha256": _named_hash(entries),
-        "warnings": _warnings(history),
+        "warnings": _warnings(history, parameters),
     }
 
 
@@ -250,11 +250,10 @@ def _from_results(results: Results, fault: str | None) -> ResultFacts:
     }
 
 
-def _warnings(history: History) -> list[str]:
+def _warnings(history: History, parameters: Mapping[str, Estimate]) -> list[str]:
     warnings = [f"The ledger had a break: {row}" for row in history.ledger.get("faults", ())]
     warnings += [f"The computer was too busy: {history.busy}."] if history.busy else []
-    parameters = estimates(history.solved).items()
-    unusable = [name for name, row in parameters if not (math.isfinite(row.value) and row.sigma > 0)]
+    unusable = [name for name, row in parameters.items() if not (math.isfinite(row.value) and row.sigma > 0)]
     return [*warnings, *(f"{name} has no usable value or uncertainty." for name in unusable)]
 
 

@@ -11,8 +11,9 @@ import os
 import sqlite3
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import datetime
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -36,20 +37,22 @@ from bench.record.stored_run import StoredRun
 INDEX = "runs.sqlite3"
 QUEUE_COPY = "queue.yaml"
 """A file that the folder of a batch has and a run folder has not."""
-VERSION = 13  # One more whenever tables or facts change
+VERSION = 14  # One more whenever tables or facts change
 COMMIT_EVERY = 100
 """Rows between two commits, so that another process that starts a run does not wait for a long list."""
 _ASKED_AT_ONCE = 500
 """Folders in one question to the index: any SQLite takes 999 values."""
 _SCHEMA = f"""
-CREATE TABLE runs (folder TEXT PRIMARY KEY, stamp TEXT, id TEXT, ledger_number INTEGER, ledger_head TEXT, found TEXT)
-    WITHOUT ROWID;
+CREATE TABLE runs (folder TEXT PRIMARY KEY, stamp TEXT, id TEXT, ledger_number INTEGER, ledger_head TEXT, found TEXT,
+    parameters TEXT) WITHOUT ROWID;
 CREATE TABLE details (folder TEXT PRIMARY KEY, journal TEXT, whole TEXT) WITHOUT ROWID;
 CREATE TABLE states (folder TEXT PRIMARY KEY, stamp TEXT, state TEXT) WITHOUT ROWID;
 PRAGMA user_version = {VERSION};
 """
-"""``found`` holds `run_facts` as JSON, ``journal`` the `journal_details`, and ``whole`` these with the results, once
-somebody has asked for them; ``stamp`` tells which files they were read from. States have a stamp of their own."""
+"""``found`` holds `run_facts` as JSON, ``parameters`` its parameters, ``journal`` the `journal_details`, and ``whole``
+these with the results, once somebody has asked for them; ``stamp`` tells which files they were read from. States have a
+stamp of their own."""
+_ENCODER = json.JSONEncoder(separators=(",", ":"))
 
 
 # Paths as text: a list has ten thousand of them, and the methods of ``Path`` take several times as long.
@@ -87,6 +90,26 @@ def _with_journal(folder: str, levels: int) -> Iterator[str]:
             for entry in inside:
                 if entry.is_dir():
                     yield from _with_journal(entry.path, levels - 1)
+
+
+class _KeptParameters(Mapping[str, Estimate]):
+    """The parameters of a run, read from the index when somebody asks: a list of ten thousand runs shows none."""
+
+    def __init__(self, packed: str) -> None:
+        self._packed = packed
+
+    @cached_property
+    def _estimates(self) -> dict[str, Estimate]:
+        return {name: Estimate(*numbers) for name, numbers in json.loads(self._packed).items()}
+
+    def __getitem__(self, name: str) -> Estimate:
+        return self._estimates[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._estimates)
+
+    def __len__(self) -> int:
+        return len(self._estimates)
 
 
 class RunIndex:
@@ -212,7 +235,8 @@ def _connect(path: Path) -> sqlite3.Connection:
     index = sqlite3.connect(path, timeout=10.0)
     try:
         index.execute("PRAGMA journal_mode = WAL")
-        index.execute("PRAGMA synchronous = FULL")
+        # A power cut takes at most rows that were written last, which are made again.
+        index.execute("PRAGMA synchronous = NORMAL")
         if index.execute("PRAGMA user_version").fetchone()[0] != VERSION:
             index.executescript(
                 f"BEGIN IMMEDIATE; DROP TABLE IF EXISTS runs; DROP TABLE IF EXISTS parameters;"
@@ -251,14 +275,14 @@ def _run(index: sqlite3.Connection, folder: str, kept: Sequence[Any] | None) -> 
     """Return the row of a run; it is made anew if the journal, the results or the folder have changed."""
     stamp = _stamp(folder)
     if kept is not None and kept[0] == stamp:
-        facts = json.loads(kept[-1])
-        parameters = {name: Estimate(*numbers) for name, numbers in facts["parameters"].items()}
-        run = IndexedRun(**{**facts, "parameters": parameters})
+        run = IndexedRun(**json.loads(kept[-2]), parameters=_KeptParameters(kept[-1]))
         return run if run.how else _as_it_is_now(run)
     run, details = _read(Path(folder))
     run = replace(run, sealed=is_sealed(Path(folder)))
-    row = (folder, stamp, run.id, run.ledger_number, run.ledger_head, _packed(asdict(run)))
-    index.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?, ?)", row)
+    facts, parameters = {**vars(run)}, _packed(run.parameters)
+    del facts["parameters"]
+    row = (folder, stamp, run.id, run.ledger_number, run.ledger_head, _packed(facts), parameters)
+    index.execute("INSERT OR REPLACE INTO runs VALUES (?, ?, ?, ?, ?, ?, ?)", row)
     index.execute("INSERT OR REPLACE INTO details VALUES (?, ?, NULL)", (folder, _packed(details)))
     return run if run.how else _as_it_is_now(run)
 
@@ -278,7 +302,7 @@ def _stamp(folder: str) -> str:
 
 
 def _packed(facts: Mapping[str, object]) -> str:
-    return json.dumps(facts, separators=(",", ":"))
+    return _ENCODER.encode(facts)
 
 
 def _as_it_is_now(run: IndexedRun) -> IndexedRun:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from itertools import islice
 from pathlib import Path
@@ -433,7 +433,7 @@ def _reason_once(entry: Entry, why: str) -> Entry:
     text = "; ".join(reason) if is_list else reason
     if not text or text.rstrip(".") not in why:
         return entry
-    return replace(entry, data={**entry.data, name: ["as above"] if is_list else "as above"})
+    return entry._replace(data={**entry.data, name: ["as above"] if is_list else "as above"})
 
 
 def status_text(status: Status) -> str:

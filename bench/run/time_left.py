@@ -15,6 +15,8 @@ _LEAST_STEPS = 3
 _SMALLEST, _LARGEST = 0.5, 50.0
 _FIXED = frozenset(step.word for step in (PromptStep, WaitStep, SettleStep))
 """Steps that take the time that the sequence states, on any bench."""
+_MARKS = frozenset({Event.STEP_DONE, Event.RUN_STARTED, Event.RUN_RESUMED})
+"""Lines from which the time of the next step counts."""
 
 
 class TimeLeft:
@@ -37,7 +39,7 @@ class TimeLeft:
 
     def apply(self, entry: Entry, history: History) -> None:
         """Follow one line of the journal."""
-        if entry.event in {Event.STEP_DONE, Event.RUN_STARTED, Event.RUN_RESUMED}:
+        if entry.event in _MARKS:
             self._mark_utc = entry.utc
         if entry.event == Event.STEP_DONE:
             step = int(entry.data["step"])
