@@ -122,6 +122,18 @@ def cpu_times(rounds: int, work: Callable[[], object]) -> Spread:
     return spread(times)
 
 
+def cpu_times_in_turns(rounds: int, *works: Callable[[], object]) -> list[list[float]]:
+    """Return the CPU times of some works, s, one list for each: each is done once, then all by turns in rounds."""
+    times: list[list[float]] = [[] for _ in works]
+    for number in range(rounds + 1):
+        for work, taken in zip(works, times, strict=True):
+            begun = time.process_time()
+            work()
+            if number:
+                taken.append(time.process_time() - begun)
+    return times
+
+
 class _Tee(io.StringIO):
     """A text that is kept, and that is printed at once too."""
 
