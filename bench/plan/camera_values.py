@@ -70,6 +70,10 @@ _EQUIDISTANT = (
 )  # fmt: skip
 _WITHOUT = ("none", "pinholenodistortion", "lensmodelpinhole", "inversebrownconrady", "modifiedbrownconrady")
 """Lens models of which only coefficients of zero are read."""
+_PICTURES = ("gray", "rgb", "graydepth", "rgbdepth", "mono", "color", "frame", "event", "dvs")
+"""What ``camera_type`` is in files of OKVIS and of DSEC: it says nothing of the lens."""
+_MASKED = "camodocal"
+"""A program whose files belong to VINS: ``fisheye`` there asks for a round mask, and ``model_type`` has the lens."""
 #: Coefficients of each lens model, by its name in any program; None: the name says nothing of the distortion.
 _LENSES: Mapping[str, tuple[str, ...] | None] = {
     **dict.fromkeys(
@@ -84,7 +88,7 @@ _LENSES: Mapping[str, tuple[str, ...] | None] = {
     **dict.fromkeys(_EQUIDISTANT, FISHEYE),
     **dict.fromkeys(_WITHOUT, ()),
     **dict.fromkeys(("pinhole", "simplepinhole", "perspective", "rectified"), None),
-    **dict.fromkeys(("gray", "rgb", "graydepth", "rgbdepth"), None),  # OKVIS, `camera_type`
+    **dict.fromkeys(_PICTURES, None),
 }
 #: Whether the lens is a fisheye, in a key that asks for it.
 _IS_FISHEYE: Mapping[str, tuple[str, ...]] = {"0": OPENCV, "false": OPENCV, "1": FISHEYE, "true": FISHEYE}
@@ -314,6 +318,8 @@ def _stated_lens(values: Values) -> tuple[str | None, tuple[str, ...] | None]:
         if not (_MODEL.fullmatch(key) or (key == "type" and plain_name(value) in _TYPES)):
             continue
         if value is None or isinstance(value, Mapping):
+            continue
+        if key == "fisheye" and values.get("program") == _MASKED:
             continue
         own = _lens_of(key, value, is_answer="fisheye" in key or _OF_MC_CALIB in values)
         model = str(value) if model is None or own is not None else model

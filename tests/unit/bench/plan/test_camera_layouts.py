@@ -134,6 +134,7 @@ BROWN = {
     "MATLAB, IntrinsicMatrix": ({**MATLAB, "IntrinsicMatrix": np.array(MATLAB_K).T.tolist()}, D5),
     "MATLAB, two coefficients": ({**MATLAB, "RadialDistortion": [K1, K2], "K": MATLAB_K}, D5[:4]),
     "toolbox for MATLAB": (TOOLBOX, D5),
+    "VINS with a mask": (VINS + "fisheye: 1\n", D5[:4]),
     "OKVIS": (okvis("radialtangential", D5[:4]), D5[:4]),
     "OKVIS, 8 coefficients": (okvis("radialtangential8", D8), D8),
     "OpenCV's interactive-calibration": (
@@ -170,6 +171,12 @@ FISHEYES = {
         f"{YAML}model_type: KANNALA_BRANDT\nimage_width: 1280\nimage_height: 720\nprojection_parameters:\n"
         + lines({f"k{at}": value for at, value in enumerate(FISHEYE, 2)} | dict(zip(("mu", "mv", "u0", "v0"), FOCAL_AND_CENTRE, strict=True)), "   ")
     ),
+    # VINS-Mono, config/cla/cla_config.yaml: `fisheye` asks for a round mask
+    "VINS: no mask": (
+        f"{YAML}model_type: KANNALA_BRANDT\nimage_width: 1280\nimage_height: 720\nfisheye: 0\nprojection_parameters:\n"
+        + lines({f"k{at}": value for at, value in enumerate(FISHEYE, 2)} | dict(zip(("mu", "mv", "u0", "v0"), FOCAL_AND_CENTRE, strict=True)), "   ")
+    ),
+    "DSEC with a kind of picture": {"camera_matrix": FOCAL_AND_CENTRE, "camera_type": "event", "distortion_model": "equidistant", "distortion_coeffs": FISHEYE, "resolution": SIZE},
     "vikit of SVO": lines(
         {"model": "PinholeEquidistant", **SIDES, **FOUR, **dict(zip(("d0", "d1", "d2", "d3"), FISHEYE, strict=True))}, "cam_"
     ),
