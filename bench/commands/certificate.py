@@ -339,8 +339,8 @@ def _summary(certificate: Certificate, state: str) -> list[str]:
         *(f"  {further.name}: {further.text}" for further in certificate.further),
     ]
     lines += [
-        f"  Conformity of {further.symbol}, {further.specification}: {further.verdict}"
-        for further in certificate.conformity
+        f"  Conformity of {statement.symbol}, {statement.specification}: {statement.verdict}"
+        for statement in certificate.conformity
     ]
     if certificate.amends:
         lines.append(f"Replaces {certificate.amends.number}: {certificate.amends.reason}")

@@ -141,7 +141,7 @@ def _as_json(
         "runs": [recorded.run.folder for recorded in chosen],
         "cameras": sorted(set(cameras)),
         "factors": {name: sorted(set(of_runs)) for name, of_runs in levels.items()},
-        "parameters": [_parameter_json(recorded) for recorded in studies],
+        "parameters": [_parameter_json(studied) for studied in studies],
     }
 
 

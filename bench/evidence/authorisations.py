@@ -131,7 +131,7 @@ def lost_authorisations(known: Known) -> list[str]:
     """Compare all folders that the ledger names as authorised, as far as they are still there."""
     lost = []
     for folder in sorted(
-        {known_one.folder for named in known.values() for known_one in named if known_one.folder}
+        {authorised.folder for named in known.values() for authorised in named if authorised.folder}
     ):
         with suppress(BenchError):
             lost += [

@@ -84,8 +84,8 @@ class Steps:
         """Set up the bench again after a hold: the light, and the move and settling that the next recording needs."""
         here = self._run.job.index_of(step)
         left_out = self._run.log.history.is_left_out
-        coming = (later for later in self._run.job.steps[here:] if not left_out(later.number))
-        if not any(isinstance(later, RecordStep) for later in coming):
+        coming = (following for following in self._run.job.steps[here:] if not left_out(following.number))
+        if not any(isinstance(following, RecordStep) for following in coming):
             return
         light = self._run.job.light_before(step)
         if light is not None and not isinstance(step, LightStep):

@@ -58,7 +58,7 @@ def compare_views(
         what = error.what if isinstance(error, RunFolderError) else f"the file cannot be read ({error!r})"
         findings.fault("views", VIEWS, what)
         return None
-    names = [held_view.view.name for held_view in held], [held_view.view.name for held_view in again]
+    names = [stored.view.name for stored in held], [stored.view.name for stored in again]
     if names[0] != names[1]:
         findings.fault("views", VIEWS, f"it holds the poses {names[0]}; the {source} give {names[1]}")
         return None

@@ -189,10 +189,7 @@ def _refuse_other_camera(earlier: Results, results: Results) -> None:
         raise NotComparableError("its images had another size.")
     if is_fisheye(then["camera"]) != is_fisheye(now["camera"]):
         raise NotComparableError("it used another kind of lens model.")
-    lens, own = (
-        (results_of_either.get("devices") or {}).get("camera", {}).get("lens")
-        for results_of_either in (earlier, results)
-    )
+    lens, own = ((either.get("devices") or {}).get("camera", {}).get("lens") for either in (earlier, results))
     if lens != own:
         raise NotComparableError(f"the camera had another lens: {lens or 'not stated'}.")
 

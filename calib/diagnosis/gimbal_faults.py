@@ -222,7 +222,7 @@ def search_faults(
         known = current.fit.model.faults
         new = [fault for fault in places if fault not in known]
         tried = [(*known, *combination) for count in (1, 2) for combination in combinations(new, count)]
-        worth = seen.likelihoods(current.fit, tried) - [_cost(tried_faults, cost) for tried_faults in tried]
+        worth = seen.likelihoods(current.fit, tried) - [_cost(faults, cost) for faults in tried]
         models = [replace(current.fit.model, faults=tried[k]) for k in np.argsort(-worth)[:_FITTED]]
         explanations = [current, *(seen.explain(model, current.fit) for model in models)]
         best = max(
@@ -260,14 +260,10 @@ def _described(
     spread = model.of(fault, model.of(fault, explanation.covariance[6:, 6:]).T)
     value = model.of(fault, explanation.fit.values)
     size = float(value[0] if fault.size == 1 else np.linalg.norm(value))
-    others = tuple(fault_kind for fault_kind in model.faults if fault_kind != fault)
-    rivals = [
-        (*others, fault_kind)
-        for fault_kind in cost
-        if fault_kind.kind != fault.kind and fault_kind not in others
-    ]
+    others = tuple(other for other in model.faults if other != fault)
+    rivals = [(*others, other) for other in cost if other.kind != fault.kind and other not in others]
     tried = [model.faults, others, *rivals]
-    worth = seen.likelihoods(explanation.fit, tried) - [_cost(fault_kind, cost) for fault_kind in tried]
+    worth = seen.likelihoods(explanation.fit, tried) - [_cost(faults, cost) for faults in tried]
     worth[1] -= DECISIVE
     best = int(worth[2:].argmax()) if rivals else 0
     undecided = bool(rivals) and worth[2 + best] > worth[0] - DECISIVE

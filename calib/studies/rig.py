@@ -156,7 +156,7 @@ def through_collimator(
     Raises DegenerateViews: If the calibrations have no view with the same name.
     Raises InputMismatch: If a stated camera contradicts the views.
     """
-    names = [[view.name for view in errors_a.views] for errors_a in (first, second)]
+    names = [[view.name for view in camera.views] for camera in (first, second)]
     common = common_names(*names)
     a, b = ([own.index(name) for name in common] for own in names)
     pairs = second.rotations[b] @ np.swapaxes(first.rotations[a], 1, 2)

@@ -181,10 +181,8 @@ class Identity:
 def compose(sealed: Results, lab: LabConfig, identity: Identity) -> Certificate:
     """Return a run's certificate, its clauses checked before; `EvidenceError` if the budget does not add up."""
     simulated = bool(sealed["run"]["simulated"])
-    supplied = frozenset(
-        symbol for supplied_item in lab.customer_supplied or () for symbol in supplied_item.results
-    )
-    results = facts_of_run.results_of(sealed, supplied)
+    by_customer = frozenset(symbol for supplied in lab.customer_supplied or () for symbol in supplied.results)
+    results = facts_of_run.results_of(sealed, by_customer)
     rows = row_sources(sealed, lab)
     return Certificate(
         format=FORMAT,
@@ -207,7 +205,7 @@ def compose(sealed: Results, lab: LabConfig, identity: Identity) -> Certificate:
         ),
         conditions=(
             *facts_of_run.conditions_of(sealed),
-            *(_condition(supplied_item) for supplied_item in lab.conditions or ()),
+            *(_condition(condition) for condition in lab.conditions or ()),
         ),
         traceability=_traceability(sealed, lab),
         results=results,
@@ -218,7 +216,7 @@ def compose(sealed: Results, lab: LabConfig, identity: Identity) -> Certificate:
         ),
         before_adjustment=_before(sealed, lab),
         conformity=tuple(conformity_of(rule, _named(results, rule.result)) for rule in rules_of(sealed, lab)),
-        customer_supplied=tuple(supplied_item.text for supplied_item in lab.customer_supplied or ()),
+        customer_supplied=tuple(supplied.text for supplied in lab.customer_supplied or ()),
         external=lab.external or (),
         opinions=lab.opinions,
         authorised_by=_needed(lab.authorised_by),
