@@ -119,7 +119,13 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
             )
 
     def _require_letters(self) -> None:
-        """Refuse a board without an axis of the station file."""
+        """Refuse a board without an axis of the station file, or that does not tell which setting is whose."""
+        if not self._line.letters:
+            raise DeviceRefused(
+                "the board names fewer letters than it has axes ([AXS:...]), so the order of its settings is unknown.",
+                where=self._where,
+                remedy="Build its firmware without REPORT_VALUE_FOR_AXIS_NAME_ONCE.",
+            )
         for axis in self._axes.values():
             if axis.letter not in self._line.letters:
                 raise DeviceRefused(
@@ -278,7 +284,7 @@ class GrblStage(OneLineStage[GrblAxis, GrblController]):
             self._line.reset()
 
     def _angle_deg(self, axis: GrblAxis, report: StatusReport) -> float:
-        return axis.zero_deg + report.position(axis.letter, self._line.letters, self._where)
+        return axis.zero_deg + report.position(self._place(axis), self._where)
 
     def _problem(self, report: StatusReport, *, homing: bool) -> str:
         """Return why a move in this state will not end at its target; empty when it may."""

@@ -74,7 +74,7 @@ _NUMBER = r"-?\d+\.\d+"
 _MACHINE = re.compile(rf"\|MPos:({_NUMBER}(?:,{_NUMBER})*)(?:\||$)")
 _SETTING = re.compile(rb"\$(\d+)=(-?\d+(?:\.\d*)?)(?: *\(.*\))?\r*\n")
 _BUILD = re.compile(rb"\[VER: *([^:\]]*)(?::([^\]]*))?\]\r*\n")
-_AXES = re.compile(rb"\[AXS:\d+:([A-Z]+)\]\r*\n")
+_AXES = re.compile(rb"\[AXS:(\d+):([A-Z]+)\]\r*\n")
 LETTERS = "XYZABC"
 """Letters of the axes, in their order, of a board that does not tell them."""
 _START_UP = re.compile(rb"\$N\d+=(.*?)\r*\n")
@@ -187,15 +187,10 @@ class StatusReport:
         """Whether any axis moves."""
         return self.state in _MOVING_STATES or (self.state, self.substate) in _MOVING_SUBSTATES
 
-    def position(self, letter: str, letters: str, where: str) -> float:
-        """Return the machine position, in the board's unit, of the axis with a letter of the board's ``letters``.
-
-        A letter that stands twice moves two motors; some boards report it once then.
-        """
+    def position(self, place: int, where: str) -> float:
+        """Return the machine position, in the board's unit, of the axis at a place: 0 for X, 1 for Y ..."""
         if not self.machine_position:
             raise no_position(where)
-        reported = letters if len(self.machine_position) == len(letters) else "".join(dict.fromkeys(letters))
-        place = reported.index(letter)
         if place >= len(self.machine_position):
             raise ReplyGarbled(
                 f"the board reports {len(self.machine_position)} axes only.",
@@ -308,7 +303,9 @@ class Build(NamedTuple):
     version: str
     name: str
     firmware: Firmware
-    letters: str  # Of its axes, in the order of settings and reports; one that stands twice moves two motors
+    # Letters of its axes, in the order of settings and reports; one that stands twice moves two motors. Empty if it
+    # names two motors only once, because the order of its settings is then not known.
+    letters: str
 
 
 def parse_build_info(lines: Iterable[bytes]) -> Build | None:
@@ -324,7 +321,10 @@ def parse_build_info(lines: Iterable[bytes]) -> Build | None:
         return None
     version, name = build[1].decode("latin-1"), (build[2] or b"").decode("latin-1")
     axes = next(filter(None, map(_AXES.fullmatch, lines)), None)
-    return Build(version, name, _firmware(version, lines), axes[1].decode("ascii") if axes else LETTERS)
+    letters = axes[2].decode("ascii") if axes else LETTERS
+    if axes and int(axes[1]) != len(letters):
+        letters = ""
+    return Build(version, name, _firmware(version, lines), letters)
 
 
 def _firmware(version: str, lines: Iterable[bytes]) -> Firmware:

@@ -7,7 +7,7 @@ import re
 import pytest
 
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyError
-from drivers.stage.grbl_protocol import parse_report
+from drivers.stage.grbl_protocol import parse_build_info
 from simulators.stages.grbl import FIRMWARES
 from tests.unit.drivers.grbl_bench import LIMITS, Bench
 
@@ -312,12 +312,20 @@ def test_an_axis_that_the_board_does_not_name_is_refused() -> None:
         board_with("XYZAC").open("XB")
 
 
-@pytest.mark.parametrize("positions", ["1.000,2.000,3.000,2.000,5.000", "1.000,2.000,3.000,5.000"])
-def test_an_axis_behind_two_motors_of_another_has_its_own_position(positions) -> None:
-    """Universal-G-Code-Sender issue 1659: A is the fifth of XYZYA; REPORT_VALUE_FOR_AXIS_NAME_ONCE leaves one Y out."""
-    report = parse_report(f"<Idle|MPos:{positions}|FS:0,0>\r\n".encode())
-    assert report is not None
-    assert [report.position(letter, "XYZYA", "") for letter in "YA"] == [2.0, 5.0]
+def test_an_axis_behind_two_motors_of_another_has_its_own_place() -> None:
+    """Universal-G-Code-Sender issue 1659: A is the fifth of XYZYA."""
+    build = parse_build_info([b"[VER:1.1q.20210103:]\r\n", b"[AXS:5:XYZYA]\r\n"])
+    assert build is not None
+    assert build.letters.index("A") == 4
+
+
+def test_a_board_that_names_two_motors_once_is_refused(bench) -> None:
+    """grbl-Mega-5X report.c, REPORT_VALUE_FOR_AXIS_NAME_ONCE: the settings have another order than the letters."""
+    build = "[VER:1.1q.20210103:{}]\r\n[AXS:5:XYZA]\r\n[OPT:V,15,128]\r\n"
+    bench.board.firmware = FIRMWARES["grbl"]._replace(build=build)
+    with pytest.raises(DeviceRefused, match="fewer letters than it has axes"):
+        bench.open()
+    assert not bench.wrote_settings()
 
 
 def test_a_board_that_tells_no_name_is_driven(bench) -> None:
