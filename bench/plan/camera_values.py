@@ -96,6 +96,8 @@ _OF_MC_CALIB = "distortionvector"
 """A name that only MC-Calib has, whose `distortion_type` is 1 for a fisheye."""
 _IN_ANY_ORDER = "brown"
 """A model whose list of coefficients is k1 k2 p1 p2 k3 in some programs, and k1 k2 k3 p1 p2 in cuVSLAM and openMVG."""
+_OF_ANDROID = "lensdistortion"
+"""Name of a list that is k1 k2 k3 p1 p2 on Android (LENS_DISTORTION), and in no one order elsewhere."""
 _RADIAL_FIRST = ("k1", "k2", "k3", "p1", "p2")
 _TYPES = {
     *_EQUIDISTANT,
@@ -144,8 +146,10 @@ def camera_of_values(values: Values, family: LensFamily | None) -> CameraModel:
             "it states four coefficients and no lens model: they are k1 k2 p1 p2, or those of a fisheye lens"
         )
         _require_alike(plain, stated, (OPENCV, FISHEYE), f"{why} (cv2.fisheye)", _ASK)
-    if family is None and plain_name(model or "") == _IN_ANY_ORDER and "k1" not in _single(values):
-        why = "the lens model brown has no one order: they are k1 k2 p1 p2 k3, or k1 k2 k3 p1 p2"
+    is_in_any_order = plain_name(model or "") == _IN_ANY_ORDER or (names is None and _OF_ANDROID in values)
+    if family is None and is_in_any_order and "k1" not in _single(values):
+        whose = "lens_distortion" if _OF_ANDROID in values else "the lens model brown"
+        why = f"{whose} has no one order: they are k1 k2 p1 p2 k3, or k1 k2 k3 p1 p2"
         _require_alike(plain, stated, (OPENCV, _RADIAL_FIRST), why, _ASK_ORDER)
     coefficients = _coefficients(stated, names if names is not None else OPENCV, model or "OpenCV")
     skew_px = _skew_px(values, float(matrix[0, 1]))

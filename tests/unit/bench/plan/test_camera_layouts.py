@@ -314,6 +314,8 @@ DOUBTFUL = {
     ),
     # AirSLAM and AirVO: 1 is radial-tangential there; in MC-Calib it is a fisheye.
     "a number as lens model": ({"intrinsics": FOCAL_AND_CENTRE, "distortion_type": 1, "distortion_coeffs": D5, "resolution": SIZE}, "number 1"),
+    # Android, CaptureResult.LENS_DISTORTION: three radial coefficients, then two tangential ones
+    "Android's distortion": ({"intrinsics": FOCAL_AND_CENTRE, "lens_distortion": D5, "image_size": SIZE}, "lens_distortion has no one order"),
     "rs-enumerate-devices": (' Intrinsic of "Color" / 640x480 / {YUYV}\n  Width: \t640\n  PPX: \t320\n', "RealSense"),
     "calib.txt of RPG": (" ".join(map(str, [*FOCAL_AND_CENTRE, *D5])) + "\n", "numbers without names"),
     "Kalibr's report": ("Calibration results\n===\nCamera-system parameters:\n\tcam0 (/cam0):\n", "results-cam.txt"),
