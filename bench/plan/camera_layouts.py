@@ -30,6 +30,7 @@ _HALF_PX, _ONE_PX = 0.5, 1.0
 """Coordinate of the centre of the first pixel: with an origin at its corner, and where counting begins at 1."""
 _PREFIXES = {"camera": "ORB-SLAM", "camera1": "ORB-SLAM", "camera2": "ORB-SLAM", "cam": "vikit"}
 """Before each name of a camera, such as ``Camera1.fx`` and ``cam_fx``, and whose they are."""
+_AT_END = re.compile(r"(.*?[a-z])(\d{1,2})")
 _PAIRS = (("left", "right"), ("l", "r"))
 """Before or after each name of a camera; both are there."""
 _OF_VIKIT = ("d0", "d1", "d2", "d3")
@@ -262,10 +263,7 @@ def _numbered(values: dict[str, Any]) -> dict[str, Values]:
             )
         camera = _laid_out(values | own) | {"program": _PREFIXES[prefix]}
         cameras[prefix if len(prefixes) > 1 else ""] = camera
-    for number in ("1", "2"):
-        own = {key[:-1]: value for key, value in values.items() if key.endswith(number)}
-        if f"k{number}" in values and isinstance(own["k"], str) and len(own["k"].split()) == 1:
-            del own["k"]  # a coefficient, no camera matrix
+    for number, own in _by_number(values).items():
         if states_a_matrix(own):
             cameras[number] = {**values, **own}
     for names in _PAIRS:
@@ -275,6 +273,16 @@ def _numbered(values: dict[str, Any]) -> dict[str, Values]:
     if "" in cameras and len(cameras) > 1:
         cameras[prefixes[0]] = cameras.pop("")
     return cameras
+
+
+def _by_number(values: Values) -> dict[str, dict[str, Any]]:
+    """Return the values whose names end in a number, by it, without texts of one word, such as the coefficient k1."""
+    numbered: dict[str, dict[str, Any]] = {}
+    for key, value in values.items():
+        match = _AT_END.fullmatch(key)
+        if match and not (isinstance(value, str) and len(value.split()) == 1):
+            numbered.setdefault(match[2], {})[match[1]] = value
+    return numbered
 
 
 def _of_side(name: str, values: Values) -> dict[str, Any]:

@@ -264,6 +264,17 @@ def test_a_pair_of_cameras_in_one_file_is_told_apart(names):
     assert parse(text, right).camera.fx == 900.0
 
 
+@pytest.mark.parametrize("numbers", [("0", "1"), ("_01", "_02"), ("1", "2", "3")])
+def test_cameras_with_numbers_are_all_found(numbers):
+    """Scripts of OpenCV's stereo calibration count from 0 or 1; EasyMocap, intri.yml, writes K_01 and dist_01."""
+    text = {"image_size": SIZE}
+    for at, number in enumerate(numbers):
+        text |= {f"K{number}": [[FX + at, 0.0, CX], *K[1:]], f"dist{number}": [D5]}
+    with pytest.raises(NotACamera, match=f"{len(numbers)} cameras"):
+        parse(text)
+    assert parse(text, numbers[-1].lstrip("_")).camera.fx == FX + len(numbers) - 1
+
+
 def test_the_cameras_of_a_list_are_named_by_their_place():
     rig = RPG.replace("label: rig\n", "") + RPG.partition("cameras:\n")[2].replace(str(FX), "900.0")
     assert parse(rig, "cameras1").camera.fx == 900.0
