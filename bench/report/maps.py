@@ -8,6 +8,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.record.coverage import coverage_factor
+from bench.record.results import CameraData
+from bench.record.stored_calibration import camera_covariance, camera_of
 from bench.report.contours import Array, Outline, outlines
 from bench.report.supported import reach_px, star_distance
 from bench.report.svg_plot import (
@@ -23,7 +26,12 @@ from bench.report.svg_plot import (
     shade,
 )
 from bench.report.svg_scale import Scale, decades, text_width
-from calib.uncertainty.projection_uncertainty import CameraDifference
+from calib.model.result_parts import WORST_CORNER
+from calib.uncertainty.projection_uncertainty import (
+    CameraDifference,
+    camera_difference,
+    projection_uncertainty,
+)
 
 GROUND = "#eef3f8"
 """Colour of the sensor where a plot shows what stars support."""
@@ -52,7 +60,7 @@ def sensor_axes(
     words = Words(title, "column, px", "row, px", keys)
     picture = Picture(width, height_for(image_size, width, words), identifier, label, about)
     across, down = Scale(-0.5, image_size[0] - 0.5), Scale(image_size[1] - 0.5, -0.5)
-    return axes_in(picture, across, down, words, equal="shrink", whole=True)
+    return axes_in(picture, across, down, words, equal=True, whole=True)
 
 
 def shade_unsupported(axes: Axes, distance: NDArray[np.float32], image_size: Sequence[int]) -> None:
@@ -201,3 +209,21 @@ def _to_digits(values: Array, digits: int) -> Array:
     """Round an array relative to its largest value, because its last bits differ between processes."""
     unit = 10.0 ** (np.ceil(np.log10(max(float(np.nanmax(np.abs(values))), 1e-30))) - digits)
     return np.asarray(np.round(values / unit) * unit)
+
+
+def change_maps(then: CameraData, now: CameraData) -> tuple[Array, Array, Array] | None:
+    """Return how far two calibrations project a direction apart, and its expanded uncertainty; their ratio is E_n.
+
+    E_n: ISO 13528, independent uncertainties. (h, w, 2) points, (h, w) lengths and U, px; None without a covariance.
+    """
+    of_both = []
+    for calibration in (then, now):
+        covariance = camera_covariance(calibration)
+        if covariance is None:
+            return None
+        camera = camera_of(calibration["camera"], calibration["image_size"])
+        sigma = projection_uncertainty(camera, covariance).sigma_px
+        of_both.append((camera, coverage_factor(calibration, WORST_CORNER) * sigma))
+    difference = camera_difference(of_both[1][0], of_both[0][0])
+    expanded = np.hypot(of_both[0][1], of_both[1][1])
+    return difference.grid_px, np.linalg.norm(difference.offset_px, axis=2), expanded

@@ -18,8 +18,8 @@ _WORST = 3  # Views that somebody looks at first
 _NOT_PASSED = ("fail", "marginal")
 
 PLOTS = (
-    "truth", "uncertainty", "direction", "halves", "distortion", "poses", "frames", "scene", "vectors", "cloud",
-    "radial", "coverage", "regions", "change", "change_ratio",
+    "uncertainty", "direction", "halves", "distortion", "scene", "vectors", "radial", "coverage", "regions", "change",
+    "change_ratio",
 )  # fmt: skip
 """Names of the plots in the template."""
 MOST_STARS = 12_000

@@ -16,20 +16,12 @@ from bench.measure.view_picture import ViewPicture
 from bench.record.coverage import coverage_factor
 from bench.record.results import Results
 from bench.record.stored_calibration import camera_covariance, camera_of
-from bench.report.maps import GROUND, sensor_axes, sensor_map, shade_unsupported, supported_share
+from bench.report.distortion_plot import distortion_curve, field_angles_deg, outermost_deg
+from bench.report.maps import GROUND, change_maps, sensor_axes, sensor_map, shade_unsupported, supported_share
 from bench.report.pictured_poses import PLOTS, thinned
-from bench.report.pose_plot import (
-    change_maps,
-    distortion_curve,
-    field_angles_deg,
-    outermost_deg,
-    pose_directions,
-    pose_frames,
-)
 from bench.report.pose_scene import pose_scene
 from bench.report.svg_plot import (
     INK,
-    MUTED,
     PANEL,
     POSE_COLOURS,
     WIDE,
@@ -53,7 +45,7 @@ from calib.uncertainty.projection_uncertainty import (
 Array = NDArray[np.float64]
 
 _REGIONS = (4, 3)  # Columns and rows, near the shape of sensors; each has stars enough for a mean
-_CLOUD_PERCENTILE = 99.5  # A few gross residuals must not make all others a dot
+_LENGTH_PERCENTILE = 99.5  # A few gross residuals must not make all others a dot
 _WIDE_ANGLE_DEG = 25.0  # From here a pixel at the rim is a fifth less angle than in the middle: cos^2
 
 
@@ -72,22 +64,6 @@ def residual_vectors(
         axes.strokes(detected, detected + magnification * residuals, colour, 1.0)
     _scale_bar(axes, image_size, magnification)
     return axes.picture.svg()
-
-
-def residual_cloud(views: Sequence[ViewPicture]) -> str:
-    """Draw the residuals around zero; there is at least one star."""
-    lengths, limit = _lengths(views)
-    rms = float(np.sqrt(np.mean(lengths**2)))
-    words = Words(("Residuals; the circle is their RMS length",), "column, px", "row, px")
-    about = f"Root mean square of the length: {rms:.3g} px."
-    picture = Picture(*PANEL, "cloud", "Residuals around zero", about)
-    axes = axes_in(picture, Scale(-limit, limit), Scale(limit, -limit), words, equal="extend")
-    for colour, _, shown in _by_colour(thinned(views)):
-        within = np.linalg.norm(shown, axis=1) <= limit
-        axes.dots(shown[within], colour, 2.2, 0.6)
-    round_deg = np.radians(np.arange(0.0, 360.0, 5.0))
-    axes.line(rms * np.column_stack([np.cos(round_deg), np.sin(round_deg)])[[*range(72), 0]], INK)
-    return picture.svg()
 
 
 def residual_radial(views: Sequence[ViewPicture], principal_point: tuple[float, float]) -> str:
@@ -117,7 +93,7 @@ def residual_radial(views: Sequence[ViewPicture], principal_point: tuple[float, 
 def _lengths(views: Sequence[ViewPicture]) -> tuple[Array, float]:
     """Return the lengths of all residuals, and the largest length that is drawn, px."""
     lengths = np.concatenate([np.linalg.norm(view.residuals, axis=1) for view in views])
-    return lengths, 1.15 * max(float(np.percentile(lengths, _CLOUD_PERCENTILE)), 1e-6)
+    return lengths, 1.15 * max(float(np.percentile(lengths, _LENGTH_PERCENTILE)), 1e-6)
 
 
 def coverage(
@@ -162,28 +138,6 @@ def regions(views: Sequence[ViewPicture], image_size: tuple[int, int], words: Ta
     )  # fmt: skip
     _region_map(axes, points, squares, image_size)
     return axes.picture.svg()
-
-
-def deviations_from_truth(names: Sequence[str], error_sigmas: Sequence[float]) -> str:
-    """Draw the deviation of each value from the truth, in units of its standard uncertainty."""
-    reach = max(3.2, 1.15 * float(np.abs(error_sigmas).max()))
-    rows = Scale(len(names) - 0.4, -0.6, ticks=[(row, name) for row, name in enumerate(names)])
-    words = Words((), "(value \N{MINUS SIGN} truth) / u; shaded: within 1 and 2")
-    within = sum(abs(error) <= 2 for error in error_sigmas)
-    about = f"{within} of {len(names)} values lie within 2 standard uncertainties of the truth."
-    picture = Picture(
-        PANEL[0],
-        36.0 + 16.0 * len(names),
-        "truth",
-        "Deviations from the truth in standard uncertainties",
-        about,
-    )
-    axes = axes_in(picture, Scale(-reach, reach), rows, words)
-    for inner in (2.0, 1.0):
-        axes.rectangle((-inner, inner), (rows.low, rows.high), POSE_COLOURS[0], 0.08)
-    axes.upright(0.0, MUTED)
-    axes.dots(np.column_stack([error_sigmas, np.arange(len(names))]), POSE_COLOURS[0], 5.5)
-    return picture.svg()
 
 
 def _by_colour(views: Sequence[ViewPicture]) -> Iterator[tuple[str, Array, Array]]:
@@ -256,21 +210,16 @@ def _round_down(value: float) -> float:
 
 
 def report_plots(results: Results, views: Sequence[ViewPicture]) -> dict[str, str]:
-    """Draw all plots of a report, SVG by name, empty without data; without ``views`` only that of the truth."""
+    """Draw all plots of a report, SVG by name, empty without data."""
     plots = dict.fromkeys(PLOTS, "")
-    compared = results.get("comparison") or []
-    if compared:
-        names = [row["name"] for row in compared]
-        plots["truth"] = deviations_from_truth(names, [row["error_sigmas"] for row in compared])
     if not views:
         return plots
     seen = [view for view in views if len(view.detected)]
     k = coverage_factor(results["calibration"], WORST_CORNER)
     plots |= camera_plots(results, [view.detected for view in seen], k) | _change_plots(results)
-    plots["poses"], plots["frames"] = pose_directions(results), pose_frames(results["calibration"])
     plots["scene"] = pose_scene(results["calibration"])
     if seen:
-        plots |= {"cloud": residual_cloud(views), **star_plots(results, views)}
+        plots |= star_plots(results, views)
     return plots
 
 

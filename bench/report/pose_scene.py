@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.record.results import CalibrationData
+from bench.record.results import CalibrationData, ViewData
 from bench.record.stored_calibration import camera_of
-from bench.report.pose_plot import outline_on_target
 from bench.report.svg_plot import INK, LINE, MUTED, PANEL, POSE_COLOURS, Picture, shape_of
+from calib.model.camera import CameraModel
 
 Array = NDArray[np.float64]
 
@@ -18,6 +18,7 @@ _YAW_DEG, _PITCH_DEG = 38.0, 24.0
 """Direction from which the scene is seen: from the right of the camera and from above."""
 _MOST = 40
 """Largest number of poses drawn."""
+_EDGE_POINTS = 9  # A distorted side of the sensor looks curved, not broken
 _ROOM = 22.0
 """Room for the title, points."""
 _CORNERS = (0, 8, 16, 24)
@@ -98,3 +99,27 @@ def _path(
 
 def _name(picture: Picture, place: Array, text: str) -> None:
     picture.text(float(place[0]), float(place[1]), text, colour=MUTED, anchor="middle", size=8.0)
+
+
+def outline_on_target(camera: CameraModel, image_size: Sequence[int], view: ViewData) -> Array:
+    """Return the outline of the image of a pose on the target, mm, in order; points beyond it are left out."""
+    return _on_target(
+        camera.rays(_outline(image_size)), np.array(view["rotation"]), np.array(view["centre_mm"])
+    )
+
+
+def _on_target(rays: Array, rotation: Array, centre: Array) -> Array:
+    """Return where rays of an image meet the target, mm; rays that do not meet it are left out."""
+    directions = rays @ rotation
+    ahead = np.isfinite(directions).all(axis=1) & (directions[:, 2] > 1e-6)
+    met = centre[:2] - directions[ahead, :2] * (centre[2] / directions[ahead, 2:])
+    return np.asarray(np.round(met, 4))
+
+
+def _outline(image_size: Sequence[int]) -> Array:
+    """Return points along the edge of an image, in order."""
+    width, height = image_size
+    along = np.linspace(0.0, 1.0, _EDGE_POINTS)[:-1]
+    zero, ones = np.zeros_like(along), np.ones_like(along)
+    sides = ((along, zero), (ones, along), (1 - along, ones), (zero, 1 - along))
+    return np.concatenate([np.column_stack([x * (width - 1), y * (height - 1)]) for x, y in sides])

@@ -7,7 +7,7 @@ them); attributes alone suffice where there is no page, as in a certificate.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from html import escape
 from typing import Any, Literal, NamedTuple
 
@@ -133,22 +133,17 @@ class Axes:
         fill: str,
         opacity: float = 1.0,
         edge: str = "",
-        width: float = 1.0,
-        dash: str = "",
     ) -> None:
         """Fill closed shapes, (N, 2) each in the units of the scales, together, by the even-odd rule."""
         shape = "".join(shape_of(self.at(outline), closed=True) for outline in outlines)
         clear = f' fill-opacity="{opacity:g}"' if opacity < 1 else ""
-        stroke = f' stroke="{edge}" stroke-width="{width:g}"' if edge else ""
-        stroke += f' stroke-dasharray="{dash}"' if dash else ""
+        stroke = f' stroke="{edge}" stroke-width="1"' if edge else ""
         self._path(shape, f'fill="{fill}" fill-rule="evenodd"{clear}{stroke}')
 
-    def rectangle(
-        self, across: tuple[float, float], up: tuple[float, float], fill: str, opacity: float = 1.0
-    ) -> None:
+    def rectangle(self, across: tuple[float, float], up: tuple[float, float], fill: str) -> None:
         """Fill the rectangle between two values of each scale."""
         (left, right), (low, high) = across, up
-        self.shapes([[(left, low), (right, low), (right, high), (left, high)]], fill, opacity)
+        self.shapes([[(left, low), (right, low), (right, high), (left, high)]], fill)
 
     def upright(self, value: float, colour: str, width: float = 0.8, dash: str = "") -> None:
         """Draw a line from the bottom to the top, as `line`."""
@@ -210,7 +205,7 @@ class Key(NamedTuple):
 
     text: str
     colour: str
-    sign: Literal["line", "dashed", "box"] = "line"
+    sign: Literal["line", "box"] = "line"
 
 
 @dataclass(frozen=True)
@@ -230,27 +225,26 @@ def axes_in(
     words: Words,
     *,
     place: Place | None = None,
-    equal: str = "",
+    equal: bool = False,
     whole: bool = False,
     grid: str = "",
     clip: bool = True,
 ) -> Axes:
     """Draw the frame of a plot, and return its axes.
 
-    ``place`` is left, top, width and height with all words; None for the whole picture. ``equal`` scales: ``shrink``
-    makes the plot smaller, ``extend`` the scales longer. ``grid`` is ``x``, ``y`` or ``xy``.
+    ``place`` is left, top, width and height with all words; None for the whole picture. With ``equal`` the plot is made
+    smaller, so that both scales have one unit. ``grid`` is ``x``, ``y`` or ``xy``.
     """
     left, top, width, height = place or (0.0, 0.0, picture.width, picture.height)
     above = _heading(picture, words, left, top, width)
     below = (_LINE_HEIGHT if words.x else 0.0) + FONT + _TICK + 4.0
     room = height - above - below
     label_width = _room_beside(y, room, words)
-    if equal == "extend":  # longer numbers may need more room, which a second step gives
-        longer = _same_unit(x, y, width - label_width, room, extend=True)[1]
-        label_width = max(label_width, _room_beside(longer, room, words))
     across = width - label_width - _RIGHT
     if equal:
-        x, y, across, room = _same_unit(x, y, across, room, extend=equal == "extend")
+        wide, high = abs(x.high - x.low), abs(y.high - y.low)
+        unit = min(across / wide, room / high)
+        across, room = unit * wide, unit * high
     axes = Axes(
         picture, x, y, *(round(length, 2) for length in (left + label_width, top + above, across, room))
     )
@@ -299,9 +293,8 @@ def _sign(picture: Picture, key: Key, x: float, y: float) -> None:
             f'<rect x="{x:g}" y="{y - 4:g}" width="{_SIGN_LENGTH:g}" height="8" {painted("fill", key.colour)}/>'
         )
     else:
-        dash = ' stroke-dasharray="4 2.5"' if key.sign == "dashed" else ""
         picture.add(
-            f'<path d="M{x:g} {y:g}h{_SIGN_LENGTH:g}" {painted("stroke", key.colour)} stroke-width="2"{dash}/>'
+            f'<path d="M{x:g} {y:g}h{_SIGN_LENGTH:g}" {painted("stroke", key.colour)} stroke-width="2"/>'
         )
 
 
@@ -328,23 +321,6 @@ def _most_columns(x: Scale, width: float) -> int:
             break
         most -= 1
     return most
-
-
-def _same_unit(
-    x: Scale, y: Scale, width: float, height: float, *, extend: bool
-) -> tuple[Scale, Scale, float, float]:
-    """Give both axes the same unit, by a smaller plot or by longer scales."""
-    wide, high = abs(x.high - x.low), abs(y.high - y.low)
-    if not extend:
-        unit = min(width / wide, height / high)
-        return x, y, unit * wide, unit * high
-    unit = max(wide / width, high / height)
-    return _longer(x, unit * width), _longer(y, unit * height), width, height
-
-
-def _longer(scale: Scale, length: float) -> Scale:
-    middle, half = (scale.low + scale.high) / 2, (length if scale.high > scale.low else -length) / 2
-    return replace(scale, low=middle - half, high=middle + half)
 
 
 def _draw_frame(axes: Axes, words: Words, *, whole: bool, grid: str) -> None:

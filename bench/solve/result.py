@@ -34,8 +34,8 @@ from bench.record.run_folder import REPORT, RESULTS, RunFolder
 from bench.record.run_log import RunLog
 from bench.record.stored_calibration import camera_covariance
 from bench.report.html import ReportData, render_report
+from bench.report.maps import change_maps
 from bench.report.pictured_poses import pictured_poses
-from bench.report.pose_plot import change_maps
 from bench.report.verdict import verdict
 from bench.solve.causes import causes_of_run
 from bench.solve.earlier_runs import NotComparableError, earlier_runs, last_results, read_sealed

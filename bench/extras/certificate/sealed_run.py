@@ -33,7 +33,7 @@ _ENDINGS = frozenset({".py", ".typ", ".j2"})
 _ALSO = (
     "bench/record/stored_calibration.py",
     "bench/report/calibration_tables.py",
-    "bench/report/pose_plot.py",
+    "bench/report/distortion_plot.py",
     "bench/wording/conformity.py",
     "bench/wording/earlier_runs.py",
     "bench/wording/numbers.py",

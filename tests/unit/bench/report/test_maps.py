@@ -1,6 +1,5 @@
-"""Plots of the camera: round contours, the distortion curve with its band, the poses, the part that stars support."""
+"""Plots of the camera: round contours, the distortion curve with its band, the part that stars support."""
 
-import copy
 import re
 
 import numpy as np
@@ -9,14 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.record.stored_calibration import camera_covariance, camera_of
+from bench.report.distortion_plot import displacement, distortion_curve, field_angles_deg
 from bench.report.maps import round_levels, sensor_map
-from bench.report.pose_plot import (
-    displacement,
-    distortion_curve,
-    field_angles_deg,
-    pose_directions,
-    pose_frames,
-)
 from bench.report.supported import reach_px, star_distance
 from calib.uncertainty.projection_uncertainty import sensor_grid
 
@@ -73,31 +66,6 @@ def test_a_fisheye_lens_is_drawn_against_its_own_ideal():
     theta = np.radians(60.0)
     np.testing.assert_allclose(shown, [0, 300 * 0.01 * theta**3], atol=1e-6)
     assert sigma[1] > 0
-
-
-def test_poses_are_drawn_as_used_left_out_or_refused(data):
-    used, *others = data.results["poses"]
-    left_out = {**used, "index": 4, "name": "left out", "rms_px": None}
-    refused = {**left_out, "index": 5, "attempts": [{**used["attempts"][0], "accepted": False}]}
-
-    def drawn(*poses):
-        return pose_directions({**data.results, "poses": poses})
-
-    svg = drawn(used, *others, left_out, refused)
-    for text in ("3 used", "1 accepted, not used", "1 no recording accepted"):
-        assert f">{text}<" in svg
-    assert drawn({"index": 1, "name": "a", "commanded_deg": None}) == ""
-    assert drawn(used) != ""
-    assert drawn(used, {**used, "index": 2}) == ""
-
-
-def test_the_outline_of_an_image_lies_where_the_pose_looks(data):
-    calibration = copy.deepcopy(data.results["calibration"])
-    calibration["views"] = [
-        {"name": "straight", "rotation": np.eye(3).tolist(), "centre_mm": [96.0, 142.0, -255.0], "n": 1}
-    ]
-    assert "Images of the poses on the target" in pose_frames(calibration)
-    assert pose_frames({**calibration, "views": [{"name": "planar"}]}) == ""
 
 
 def test_stars_support_their_surroundings_only():

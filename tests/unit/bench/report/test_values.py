@@ -75,10 +75,7 @@ def test_each_value_is_printed_with_its_uncertainty(html):
     ],
     ids=lambda path: ".".join(map(str, path)),
 )  # fmt: skip
-def test_each_number_of_the_results_is_printed(data, html, path, monkeypatch):
-    monkeypatch.setattr(
-        "bench.report.plots.deviations_from_truth", lambda *_: ""
-    )  # it takes most of the time
+def test_each_number_of_the_results_is_printed(data, html, path):
     results = copy.deepcopy(dict(data.results))
     place = results
     for key in path[:-1]:
