@@ -31,6 +31,8 @@ SPEED_UNITS = 1.6384
 ACCELERATION_UNITS = 1.6384e-4
 """accel = 1.6384 / 10000 x microsteps/s^2 (ASCII Protocol Manual, setting accel)."""
 _SCALE_AGREES = 1e-6
+_MODEL_NAMES = ("deviceid", "device.id")
+"""Settings with the number of the model, of firmware 6 and 7; firmware 7 need not know the older name."""
 _HOME_PRESET = "limit.home.preset"
 """Setting of the position that homing sets."""
 
@@ -209,7 +211,8 @@ class ZaberStage(OneLineStage[ZaberAxis, ZaberChain]):
             remedy="Check the port, the order of the chain, and the serial in the station file.",
         )
         self._line.switch_checksums_on(axis.device)
-        model = self._line.query(axis.device, 0, "get deviceid").data
+        models = (self._line.query_setting(axis.device, 0, name) for name in _MODEL_NAMES)
+        model = next((model for model in models if model is not None), "unknown")
         firmware = self._line.query(axis.device, 0, "get version").data
         return AxisIdentity(axis.name, "Zaber", f"device id {model}", serial, firmware)
 

@@ -170,7 +170,7 @@ class ZaberController(Unit):
             raise CommandRejected("BADCOMMAND")
         name = words[0]
         readings: dict[str, Callable[[], str]] = {
-            "deviceid": lambda: "50958",
+            **dict.fromkeys(("deviceid", "device.id"), lambda: "50958"),
             "system.serial": lambda: self.model.serial,
             "version": lambda: "7.38",
             "version.build": lambda: "17403",

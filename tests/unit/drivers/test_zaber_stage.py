@@ -13,7 +13,7 @@ import pytest
 from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, ReplyError, WrongDevice
 from drivers.stage import AxisLimits
 from drivers.stage.zaber_protocol import checksum
-from tests.hil.mutated import zaber_line
+from tests.hil.mutated import words, zaber_line
 from tests.unit.drivers.zaber_bench import SCALE, Bench
 
 pytestmark = pytest.mark.usefixtures("never_late")
@@ -38,6 +38,13 @@ def test_opening_moves_nothing_and_programs_what_differs(bench) -> None:
     bench.line.sent.clear()
     bench.open()
     assert bench.said("set") == []
+
+
+def test_a_firmware_that_knows_the_new_name_of_the_model_alone_is_opened(bench) -> None:
+    """zproto, settings of firmware 7.38: device.id, and no deviceid, as in 6.14."""
+    refused = words(lambda reply: [*reply[:3], "RJ", *reply[4:6], "BADCOMMAND"])
+    bench.line.spoil = lambda reply: refused(reply) if b"deviceid" in bench.line.sent[-1] else reply
+    assert [axis.model for axis in bench.open().identify()] == ["device id 50958"] * 2
 
 
 def test_counter_zero_and_direction_are_the_station_files(bench) -> None:
