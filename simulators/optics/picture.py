@@ -136,8 +136,8 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
     blur = blur_px(truth)
     if blur > _COARSE_FROM_PX:
         subsamples = min(subsamples, 2)
-    kernel, rim_kernel = (spread_kernel(sigma, subsamples) for sigma in (optics.psf_px, optics.psf_rim_px))
-    margin = math.ceil((max(kernel.size, rim_kernel.size) / subsamples - 1) / 2)
+    kernel = spread_kernel(optics.psf_px, subsamples)
+    margin = math.ceil((kernel.size / subsamples - 1) / 2)
     cells = Cells(subsamples, margin + reach_px(blur))
     steps = empty_picture(camera.width, camera.height, cells.per_px, cells.margin_px)
     rays, projection = ray_grid(camera, cells.margin_px), projection_of(truth, rotation)
@@ -148,32 +148,26 @@ def render(truth: Truth, rotation: FloatArray, *, subsamples: int = 4) -> NDArra
     draw(black[lit], projection, rays, cells, steps)
     white, dark = (1.0, optics.black)[:: 1 if truth.reticle.polarity == "positive" else -1]
     shades = (white, dark - white)
-    light, rho = _light(
+    light = _light(
         plane_points(rays, projection),
         truth,
         disc,
         camera.height + 2 * cells.margin_px,
         camera.width + 2 * cells.margin_px,
     )
-    image = join_cells(steps, light, shades, kernel, subsamples, margin)
-    if optics.psf_rim_px > 0.0:
-        share = np.minimum(rho[margin:, margin:][: image.shape[0], : image.shape[1]], 1.0) ** 2
-        image += share * (join_cells(steps, light, shades, rim_kernel, subsamples, margin) - image)
-    image = spread_over_disc(image, blur)
+    image = spread_over_disc(join_cells(steps, light, shades, kernel, subsamples, margin), blur)
     return np.asarray(image + np.float32(optics.stray), np.float32)
 
 
-def _light(
-    plane: FloatArray, truth: Truth, disc: Disc, height: int, width: int
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the disc's brightness, and the distance from its centre in radii, at the corners of all pixels.
+def _light(plane: FloatArray, truth: Truth, disc: Disc, height: int, width: int) -> NDArray[np.float32]:
+    """Return the disc's brightness at the corners of all pixels.
 
     ``plane`` holds the points where rays meet the target, on a grid that covers the image evenly; they are interpolated
     bilinearly.
     """
     rows, v = _between(plane.shape[0], height)
     columns, u = _between(plane.shape[1], width)
-    brightness, distance = np.zeros((2, height + 1, width + 1), np.float32)
+    brightness = np.zeros((height + 1, width + 1), np.float32)
     for first in range(0, height + 1, _BLOCK_ROWS):
         block = slice(first, first + _BLOCK_ROWS)
         above, below = plane[rows[block]], plane[rows[block] + 1]
@@ -181,20 +175,18 @@ def _light(
         x, y = (
             (1 - u) * each[:, columns] + u * each[:, columns + 1] for each in (down[..., 0], down[..., 1])
         )
-        brightness[block], distance[block] = _disc_light(x, y, truth, disc)
-    return brightness, distance
+        brightness[block] = _disc_light(x, y, truth, disc)
+    return brightness
 
 
-def _disc_light(
-    x_mm: FloatArray, y_mm: FloatArray, truth: Truth, disc: Disc
-) -> tuple[FloatArray, FloatArray]:
-    """Return the disc's brightness at target points, and distances; own model: a gradient times cos^2 at the rim."""
+def _disc_light(x_mm: FloatArray, y_mm: FloatArray, truth: Truth, disc: Disc) -> FloatArray:
+    """Return the disc's brightness at target points; own model: a gradient times cos^2 at the rim."""
     rim, optics = truth.collimator.rim, truth.optics
     x, y = (x_mm - disc.x) / disc.radius, (y_mm - disc.y) / disc.radius
     rho = radius_fraction(x_mm, y_mm, disc)
     brightness = 1.0 + optics.gradient_x * x + optics.gradient_y * y
     c = np.cos(0.5 * math.pi * np.clip(rho - 1.0 + rim, 0.0, rim) / (rim or 1.0))
-    return np.where(rho < 1.0, brightness * (c * c), 0.0), np.fmin(rho, 1.0)
+    return np.where(rho < 1.0, brightness * (c * c), 0.0)
 
 
 def _between(points: int, steps: int) -> tuple[Any, Any]:

@@ -233,7 +233,7 @@ def stream_key(world: World, camera: CameraState, at_s: float) -> str:
     """
     key = world.situation(at_s)
     key |= {"biases": dict(camera.biases), "filters": dict(camera.filters), "trigger_in": camera.trigger_in}
-    if drift.has_effect(world.truth.thermal):
+    if world.truth.thermal.focal_ppm_per_c != 0.0:
         key["temperature_c"] = world.temperature_c(at_s)
     if drift.has_motion(world.truth.mount):
         key["crept"] = drift.drift_since_on_arcsec(world.truth.mount, world.on_s(at_s))

@@ -47,16 +47,6 @@ def truth_at_temperature(truth: Truth, at_c: float) -> Truth:
     return replace(truth, camera=camera)
 
 
-def lamp_brightness(thermal: ThermalTruth, at_c: float) -> float:
-    """Return the lamp's light at a temperature, at least 0; 1 at the reference temperature."""
-    return max(0.0, 1.0 + 1e-2 * thermal.lamp_percent_per_c * (at_c - REFERENCE_C))
-
-
-def has_effect(thermal: ThermalTruth) -> bool:
-    """Return whether anything depends on the temperature."""
-    return thermal.focal_ppm_per_c != 0.0 or thermal.lamp_percent_per_c != 0.0
-
-
 def has_motion(mount: MountTruth) -> bool:
     """Return whether the mount moves at all."""
     return vibrates(mount) or mount.drift_arcsec_per_min != (0.0, 0.0)

@@ -40,13 +40,12 @@ _FocalLength = Annotated[
 POLARITIES: Final = ("positive", "negative")
 
 REFERENCE_C: Final = 41.5
-"""Temperature of the camera at which its focal lengths and the lamp's light have the values of the truth."""
+"""Temperature of the camera at which its focal lengths have the values of the truth."""
 
 LAW: Final[Mapping[str, str]] = {
     "temperature_c": "room_c + room_c_per_h t / 3600 s + self_heating_c (1 - exp(-t / (60 s warm_up_min)))",
     "t": "seconds since the bench was switched on",
     "fx, fy": f"times 1 + 1e-6 focal_ppm_per_c (temperature_c - {REFERENCE_C})",
-    "light": f"times 1 + 1e-2 lamp_percent_per_c (temperature_c - {REFERENCE_C})",
 }
 """Equations of the quantities that depend on `ThermalTruth`."""
 
@@ -174,9 +173,6 @@ class OpticsTruth(Section):
     # gradient_x, gradient_y: Relative change of illumination over the disc's radius, along the target's axes.
     gradient_x: Number = 0.08
     gradient_y: Number = -0.05
-    # Standard deviation of the point spread at the disc's rim, where the collimator's own blur is added. It
-    # changes with the square of the distance from the disc's centre. Zero: as at the centre.
-    psf_rim_px: NotNegative = 0.0
     black: NotNegative = 0.01  # Light that passes the reticle's black segments, as a share of the white ones'
     stray: NotNegative = 0.0
     room: NotNegative = (
@@ -214,8 +210,6 @@ class ThermalTruth(Section):
     self_heating_c: Number = 18.0
     warm_up_min: NotNegative = 0.0
     focal_ppm_per_c: Number = 0.0  # Relative change of the focal lengths, 1e-6 per degree
-    # Relative change of the lamp's light, percent per degree; the lamp is as warm as the camera.
-    lamp_percent_per_c: Number = 0.0
 
 
 @dataclass(frozen=True)

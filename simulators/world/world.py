@@ -305,11 +305,9 @@ class World:
         }
 
     def light(self, t_s: float) -> LightState:
-        """Return the light at a time, its voltages scaled to the lamp's light at its temperature."""
+        """Return the light at a time."""
         with self._lock:
-            state = self._light.at(t_s)
-        share = drift.lamp_brightness(self.truth.thermal, self.temperature_c(t_s))
-        return replace(state, low_v=state.low_v * share, high_v=state.high_v * share)
+            return self._light.at(t_s)
 
     def on_s(self, t_s: float) -> float:
         """Return the time since the bench was switched on."""

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from simulators.bench import Pulse
 from simulators.errors import SimulationMisuse
-from simulators.world.drift import lamp_brightness, temperature_c, truth_at_temperature
+from simulators.world.drift import temperature_c, truth_at_temperature
 from simulators.world.truth import REFERENCE_C, ThermalTruth, Truth
 from simulators.world.world import AxisMotion, LightState, World
 
@@ -58,7 +58,6 @@ WARMING = ThermalTruth(
     self_heating_c=20.0,
     warm_up_min=12.0,
     focal_ppm_per_c=18.0,
-    lamp_percent_per_c=-0.4,
 )
 
 
@@ -81,13 +80,11 @@ def test_by_default_the_camera_is_warm_from_the_start_and_nothing_changes():
     truth = Truth()
     assert temperature_c(truth.thermal, 0.0) == temperature_c(truth.thermal, 1e5) == REFERENCE_C
     assert truth_at_temperature(truth, 12.0) is truth
-    assert lamp_brightness(truth.thermal, 12.0) == 1.0
 
 
-def test_focal_length_and_light_follow_the_temperature_of_the_moment():
+def test_the_focal_length_follows_the_temperature_of_the_moment():
     clock = Clock()
     world = World(Truth(thermal=WARMING), clock=clock)
-    world.set_light(LightState(output=True, high_v=4.0))
     camera = world.truth.camera
     for on_s in (0.0, 300.0, 7200.0):
         warmth = world.temperature_c(1000.0 + on_s) - REFERENCE_C
@@ -95,7 +92,6 @@ def test_focal_length_and_light_follow_the_temperature_of_the_moment():
         assert there.camera.fx == pytest.approx(camera.fx * (1.0 + 18e-6 * warmth), rel=1e-12)
         assert there.camera.fy / there.camera.fx == pytest.approx(camera.fy / camera.fx, rel=1e-12)
         assert there.camera.cx == camera.cx
-        assert world.light(1000.0 + on_s).high == pytest.approx(0.8 * (1.0 - 0.004 * warmth))
     assert world.truth_at(1000.0).camera.fx < world.truth_at(8200.0).camera.fx
 
 
