@@ -40,8 +40,9 @@ LARGEST_SEAL_BYTES = 64 << 20
 
 def stated_time(folder: Path) -> datetime | None:
     """Return when a folder was made, UTC: end of run, issue, or recalculation; None if no file states it."""
-    if (folder / JOURNAL).is_file():
-        return _last_time(folder / JOURNAL)
+    journal = folder / JOURNAL
+    if journal.is_file():
+        return _last_time(journal)
     for name, keys in _PLACES:
         path = folder / name
         if path.is_file():

@@ -1,8 +1,10 @@
 """Speed of `convert`, beside an earlier version in the same minutes: CPU seconds and real seconds.
 
-    python tests/benchmarks/bench_convert.py [--recording FILE]... [--events 20] [--rounds 3] [--old FOLDER] [--write]
+    python tests/benchmarks/bench_convert.py [--recording FILE]... [--repeated FILE] [--events 20] [--rounds 3]
+        [--old FOLDER] [--write]
 
-The recordings are those of `bench_evt3.py`, with more events (millions), and any recordings of a real camera. The versions
+The recordings are those of `bench_evt3.py`, with more events (millions), and any recordings of a real camera; one of
+them is repeated to a gigabyte, with the clock going on. The versions
 take turns, each in processes of its own, which convert once without a clock and then some times with it. The memory is the
 largest of a process. An earlier version that cannot write a format has no numbers there.
 """
@@ -18,12 +20,20 @@ from typing import NamedTuple
 
 import bench_evt3
 import measured
+import numpy as np
+
+from drivers.camera.raw_file import RawFile
 
 KINDS = {"hdf5": "plain HDF5", "metavision": "Metavision's HDF5", "parquet": "Parquet"}
 
 
 TURNS = 2
 """Number of processes for each version and recording."""
+
+
+LARGE_BYTES = 1_000_000_000
+_TIME_HIGH = 0x8
+"""Type of the words of EVT3 with the upper 12 of 24 bits of the clock."""
 
 
 class Conversion(NamedTuple):
@@ -34,6 +44,20 @@ class Conversion(NamedTuple):
     events: int
     bytes: int
     memory_mb: float
+
+
+def write_repeated(path: Path, source: Path) -> None:
+    """Write a recording of EVT3 again and again, up to a gigabyte; the clock goes on by whole steps of its upper part."""
+    header_bytes = RawFile.open(source).raw_header.size_bytes
+    words = np.fromfile(source, "<u2", offset=header_bytes)
+    places = np.flatnonzero(words >> 12 == _TIME_HIGH)
+    upper = words[places].astype(np.int64) % 4096
+    steps = (int(upper[-1]) - int(upper[0])) % 4096 + 1
+    with path.open("wb") as file:
+        file.write(source.read_bytes()[:header_bytes])
+        for number in range(-(-LARGE_BYTES // words.nbytes)):
+            words[places] = _TIME_HIGH << 12 | (upper + number * steps) % 4096
+            file.write(words.tobytes())
 
 
 def convert_again(source: Path, kind: str, rounds: int) -> list[Conversion]:
@@ -71,6 +95,7 @@ def main() -> None:
     """Print a table: a row for each recording, format and version."""
     parser = measured.options(__doc__)
     parser.add_argument("--recording", type=Path, action="append", default=[])
+    parser.add_argument("--repeated", type=Path, help="a RAW file of a real camera, repeated to a gigabyte")
     parser.add_argument("--events", type=float, default=20.0, help="millions of each drawn recording")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--old", type=Path, help="checkout of an earlier version")
@@ -90,6 +115,10 @@ def main() -> None:
         for name, scene in bench_evt3.SCENES.items():
             paths[name] = Path(folder) / f"{name}.raw"
             bench_evt3.write_scene(paths[name], *scene)
+        if options.repeated:
+            name = f"{options.repeated.stem}, 1 GB"
+            paths[name] = Path(folder) / "repeated.raw"
+            write_repeated(paths[name], options.repeated)
         for name, path in paths.items():
             taken: dict[str, dict[str, list[Conversion]]] = {version: {} for version in versions}
             for version, where in [*versions.items()] * TURNS:

@@ -1,10 +1,10 @@
 """CPU time of the lists of many runs: the first time, again, and after one run changed.
 
-    python tests/benchmarks/bench_lists.py RUN [--runs 10000] [--rounds 5] [--old FOLDER] [--write]
+    python tests/benchmarks/bench_lists.py RUN [--runs 10000] [--rounds 3] [--old FOLDER] [--write]
 
 RUN is a sealed run of this bench (STARBENCH_HOME has its key). Its files are linked into many folders, and a ledger
-enters each of them. Every version of the program has a home of its own, whose index is empty at first, and takes turns
-with the other. A command is a process of its own; the panel looks at its folder within one process.
+enters each of them. Every version of the program has a home of its own, whose index is removed before each round, and takes
+turns with the other. A command is a process of its own; the panel looks at its folder within one process.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import measured
 
 from bench.base.home import home_folder
 from bench.record.ledger_marks import RUN_BEGUN, RUN_ENDED, LedgerMark, OwnMark, highest_run, write_own_mark
+from bench.record.run_index import INDEX
 from bench.record.storage import sha256_of
 from bench.record.unsynced_journal import UnsyncedJournal
 
@@ -69,31 +70,31 @@ def command_s(source: Path, home: Path, *words: str) -> float:
     return usage.ru_utime + usage.ru_stime
 
 
-def looks_s(folder: Path, rounds: int) -> list[float]:
-    """Return the CPU times of the panel's looks at a folder: until all is listed, then again and again."""
+def looks_s(folder: Path) -> list[float]:
+    """Return the CPU times of the panel's looks at a folder: until all is listed, then twice again."""
     from bench.extras.panel.folder_list import FolderList
 
     listed, times, begun = FolderList(folder), [], time.process_time()
     while listed.look()["unread"]:
         pass
-    for _ in range(rounds + 1):
+    for _ in range(3):
         times.append(time.process_time() - begun)
         begun = time.process_time()
         listed.look()
     return times
 
 
-def one_version(source: Path, home: Path, runs: list[Path], rounds: int) -> Iterator[tuple[str, float]]:
-    """Yield what was measured, and its CPU time."""
-    folder = runs[0].parent
-    words = {"runs FOLDER": ("runs", str(folder)), "runs of the ledger": ("runs",)}
-    yield "runs FOLDER, first time", command_s(source, home, *words["runs FOLDER"])
-    for _ in range(rounds):
-        for name, called in words.items():
-            yield name, command_s(source, home, *called)
-        os.utime(runs[-1])
-        yield "runs FOLDER, one run changed", command_s(source, home, *words["runs FOLDER"])
-    first, *again = json.loads(measured.in_checkout(source, str(folder), "--looks", "--rounds", str(rounds)))
+def one_round(source: Path, home: Path, runs: list[Path]) -> Iterator[tuple[str, float]]:
+    """Yield what was measured of a version, and its CPU time."""
+    folder = str(runs[0].parent)
+    for part_of_index in home.glob(f"{INDEX}*"):
+        part_of_index.unlink()
+    yield "runs FOLDER, first time", command_s(source, home, "runs", folder)
+    yield "runs FOLDER", command_s(source, home, "runs", folder)
+    yield "runs of the ledger", command_s(source, home, "runs")
+    os.utime(runs[-1])
+    yield "runs FOLDER, one run changed", command_s(source, home, "runs", folder)
+    first, *again = json.loads(measured.in_checkout(source, folder, "--looks"))
     yield "panel, first time", first
     yield from (("panel, a look", took) for took in again)
 
@@ -103,22 +104,23 @@ def main() -> None:
     parser = measured.options(__doc__)
     parser.add_argument("run", type=Path, metavar="RUN")
     parser.add_argument("--runs", type=int, default=10_000)
-    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--old", type=Path, help="checkout of an earlier version")
     parser.add_argument(
         "--looks", action="store_true", help="look at RUN as the panel (for this program's own use)"
     )
     options = parser.parse_args()
     if options.looks:
-        print(json.dumps(looks_s(options.run, options.rounds)))
+        print(json.dumps(looks_s(options.run)))
         return
     versions = {"now": measured.ROOT, **({"before": options.old.resolve()} if options.old else {})}
     took: dict[str, dict[str, list[float]]] = {}
     with tempfile.TemporaryDirectory(dir=options.run.resolve().parent) as name:
         runs = make_runs(options.run, Path(name) / "runs", options.runs)
-        for version, source in versions.items():
+        for version in versions:
             make_home(Path(name) / version, runs)
-            for what, cpu_s in one_version(source, Path(name) / version, runs, options.rounds):
+        for version, source in [*versions.items()] * options.rounds:
+            for what, cpu_s in one_round(source, Path(name) / version, runs):
                 took.setdefault(what, {}).setdefault(version, []).append(cpu_s)
     print(f"| {options.runs:,} runs | now | 95 % |" + (" before | 95 % | ratio |" if options.old else ""))
     print("| --- |" + " ---: |" * (5 if options.old else 2))

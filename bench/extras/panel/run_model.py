@@ -28,6 +28,9 @@ from bench.record.run_folder import JOURNAL
 from bench.run.status import RunPlan, event_text, read_plan
 from bench.run.time_left import TimeLeft
 
+_NOT_SHOWN = frozenset({Event.LEFT_OFF, Event.STEP_DONE})
+"""Half of the lines of a journal, which change nothing that the page shows."""
+
 
 class RunModel:
     """One run."""
@@ -121,10 +124,11 @@ class RunModel:
         if self.lines == 1:
             self._read_plan()
         try:
-            self._keep(entry)
             apply_entry(self.history, entry)
             self.time_left.apply(entry, self.history)
-            self._change_rows(entry)
+            if entry.event not in _NOT_SHOWN:
+                self._keep(entry)
+                self._change_rows(entry)
             text = event_text(entry)
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             self.fault = (
