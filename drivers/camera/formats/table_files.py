@@ -177,6 +177,8 @@ def _text_layout(start: bytes) -> _TextLayout | None:
     except UnicodeDecodeError:
         return None
     for number, line in enumerate(lines):
+        if not line.strip("# \t"):
+            continue
         delimiter = next((sign for sign in ",;\t" if sign in line), None)
         words = [word.strip(' "') for word in line.strip("# \t").split(delimiter)]
         are_numbers = bool(words[0]) and all(_NUMBER.fullmatch(word) for word in words if word)
@@ -227,7 +229,7 @@ def from_text(path: Path, choices: ReadingChoices) -> EventSource:
             if layout.has_truths:
                 lines = (_TRUTHS.sub(lambda word: _TRUTH[word[0].lower()], line) for line in lines)
             read = 0
-            for first in lines:
+            for first in filter(str.strip, lines):
                 table = _rows(chain([first], lines), layout, read)
                 read += len(table)
                 yield [table[:, k] for k in range(COLUMNS)] if layout.places else [table]

@@ -5,6 +5,7 @@ import pytest
 from imported import import_events
 
 from drivers.camera.event_arrays import ReadingChoices
+from drivers.camera.formats import table_files
 from drivers.camera.formats.event_conversion import convert
 from drivers.errors import NotARecording
 
@@ -106,6 +107,7 @@ def text(path, head, order, separator, unit=1):
         ("", "xypt", ";", 1),  # Metavision's decoder of EVT3
         ("x,y,polarity,timestamp_us\n", "xypt", ",", 1),
         ("p\tt\tx\ty\n", "ptxy", "\t", 1),
+        ("# recorded in the dark\n\n#\nt x y p\n\n", "txyp", " ", 1),
         ("y,x,polarity,timestamp [\u00b5s]\n", "yxpt", ",", 1),
         (
             "row,col,polarity,event_time\n",
@@ -117,6 +119,21 @@ def text(path, head, order, separator, unit=1):
 )
 def test_a_line_holds_an_event(tmp_path, head, order, separator, unit):
     assert_same(import_events(text(tmp_path / "a.txt", head, order, separator, unit), SIZED))
+
+
+def test_blank_lines_behind_the_events_are_none(tmp_path, monkeypatch):
+    """Events in pieces of a third of the file, so that the blank lines stand alone at the end."""
+    monkeypatch.setattr(table_files, "_PIECE", N // 3)
+    path = text(tmp_path / "a.txt", "", "txyp", " ")
+    path.write_text(path.read_text() + "\n\n")
+    pieces = [events for events, _ in table_files.from_text(path, SIZED).pieces()]
+    assert [len(events.t) for events in pieces] == [N // 3] * 3
+
+
+def test_text_with_blank_lines_is_named_as_text(tmp_path):
+    (tmp_path / "a.txt").write_text("Notes of the day\n\nNothing was recorded.\n")
+    with pytest.raises(NotARecording, match="it is a text file"):
+        import_events(tmp_path / "a.txt", SIZED)
 
 
 def test_two_names_that_are_unknown_are_not_guessed(tmp_path):
