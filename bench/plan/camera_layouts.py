@@ -33,7 +33,8 @@ _PREFIXES = {"camera": "ORB-SLAM", "camera1": "ORB-SLAM", "camera2": "ORB-SLAM",
 _AT_END = re.compile(r"(.*?[a-z])(\d{1,2})")
 _PAIRS = (("left", "right"), ("l", "r"))
 """Before or after each name of a camera; both are there."""
-_OF_VIKIT = ("d0", "d1", "d2", "d3")
+_OF_VIKIT = ("d0", "d1", "d2", "d3", "d4")
+"""Coefficients of vikit, of which the last one may be missing."""
 _MATRICES = re.compile("(camera)?(intrinsics?|matrix|parameters|params)|projectionparameters|k")
 _WORDS = re.compile(r"[A-Za-z][A-Za-z _.-]{3,}\d?")  # no list of numbers, nor one of NaN
 _FOUR_ELSEWHERE = (set(_FOUR), {"mu", "mv", "u0", "v0"}, {"fx", "fy", "ppx", "ppy"})
@@ -256,8 +257,8 @@ def _numbered(values: dict[str, Any]) -> dict[str, Values]:
     prefixes = [prefix for prefix in _PREFIXES if all(f"{prefix}{name}" in values for name in _FOUR)]
     for prefix in prefixes:
         own = _without(prefix.rstrip("12"), values) | _without(prefix, values)
-        if set(_OF_VIKIT) <= set(own):
-            own["distcoeffs"] = [own.pop(name) for name in _OF_VIKIT]
+        if set(_OF_VIKIT[:4]) <= set(own):
+            own["distcoeffs"] = [own.pop(name) for name in _OF_VIKIT if name in own]
             own["distortionmodel"] = (
                 "radtan" if plain_name(own.get("model")) == "pinhole" else own.get("model")
             )

@@ -41,7 +41,7 @@ _TIMES = re.compile("[xX*]")
 #: Names without case and punctuation, as programs write them.
 _MATRIX = (
     "cameramatrix", "k", "mtx", "cameramat", "intrinsicmatrix", "intrinsics", "intrinsic", "m", "camk", "cammatrix",
-    "cameraintrinsics", "intrinsicsmatrix",
+    "cameraintrinsics", "cameraintrinsic", "intrinsicsmatrix",
 )  # fmt: skip
 LENS = re.compile(
     "(lens|camera|cam)?(d|dist|distortions?)(coef|coefs|coeffs?|coefficients?|params?|parameters?|vect?|vector)?|kc|coeffs"
@@ -57,13 +57,15 @@ _SIDES_OF_ANYTHING = ("cols", "rows")
 """Names that may be those of a board or a matrix too: asked if there is no other."""
 _SIDES = [
     (f"{of}{width}", f"{of}{height}")
-    for of in ("image", "", "img", "imagesize")
+    for of in ("image", "", "img", "imagesize", "resolution")
     for width, height in (("width", "height"), ("w", "h"))
 ] + [("resx", "resy"), ("resw", "resh")]
 _MODEL = re.compile(
     "(distortion|dist|lens|camera|cam|projection|calibration|usefisheye|fisheye)?model(type)?"
     "|(distortion|dist|lens|camera|projection)type|(use|is)?fisheye"
 )
+_OF_CAMERA = ("cameramodel", "cameratype", "cammodel", "camtype")
+"""Of these names, those that may as well have the name of the camera."""
 _EQUIDISTANT = (
     "equidistant", "equi", "fisheye", "opencvfisheye", "pinholeequidistant", "equidistantcamera", "kannalabrandt",
     "kannalabrandt4", "kannalabrandt8", "kb4",
@@ -183,6 +185,11 @@ def _require_no_coefficients(values: Values, *, may_be_without: bool) -> None:
                 f"{name[:LONGEST_NAME]!r} may be distortion coefficients, but is no name or form of theirs",
                 "Write them as distortion_coefficients, in the order k1 k2 p1 p2 k3.",
             )
+    if not may_be_without and "alpha" in values:
+        raise OtherForm(
+            "it states alpha and no distortion coefficients, as a unified camera (UCM, EUCM) does, which is not read",
+            CALIBRATE_ANEW,
+        )
     if not may_be_without:
         raise OtherForm(
             "it states no distortion coefficients",
@@ -346,6 +353,11 @@ def _lens_of(key: str, value: Any, *, is_answer: bool) -> tuple[str, ...] | None
         raise OtherForm(
             f"its lens model is the number {word} ({key}), and programs number them differently",
             "Write its name instead, such as `distortion_model: plumb_bob` or `equidistant`.",
+        )
+    if key in _OF_CAMERA and word not in _LENSES and word not in _TYPES:
+        raise OtherForm(
+            f"{key} is {str(value)[:LONGEST_NAME]!r}, which is no lens model that is read",
+            f"If it is the name of the camera, take it out of a copy of the file. {CALIBRATE_ANEW}",
         )
     if word not in _LENSES or isinstance(value, list):
         raise OtherForm(f"the lens model {str(value)[:LONGEST_NAME]!r} is not read", CALIBRATE_ANEW)

@@ -134,6 +134,14 @@ BROWN = {
     "MATLAB, IntrinsicMatrix": ({**MATLAB, "IntrinsicMatrix": np.array(MATLAB_K).T.tolist()}, D5),
     "MATLAB, two coefficients": ({**MATLAB, "RadialDistortion": [K1, K2], "K": MATLAB_K}, D5[:4]),
     "toolbox for MATLAB": (TOOLBOX, D5),
+    # Coco-LIC, config/r3live/camera.yaml
+    "vikit with five coefficients": (
+        f"{YAML}image_width: 1280\nimage_height: 720\n" + lines({**FOUR, **{f"d{at}": value for at, value in enumerate(D5)}}, "cam_"), D5,
+    ),
+    # R3LIVE, config/r3live_config.yaml: another size stands above
+    "R3LIVE": ({"image_width": 640, "r3live_vio": {"image_width": 1280, "image_height": 720, "camera_intrinsic": FLAT_K, "camera_dist_coeffs": D5}}, D5),
+    # LARVIO, config/euroc.yaml
+    "LARVIO": ({"resolution_width": 1280, "resolution_height": 720, "distortion_model": "radtan", "intrinsics": FOUR, "distortion_coeffs": dict(zip(("k1", "k2", "p1", "p2"), D5, strict=False))}, D5[:4]),
     "VINS with a mask": (VINS + "fisheye: 1\n", D5[:4]),
     "OKVIS": (okvis("radialtangential", D5[:4]), D5[:4]),
     "OKVIS, 8 coefficients": (okvis("radialtangential8", D8), D8),
@@ -311,6 +319,10 @@ DOUBTFUL = {
     "inverse model of RealSense": ({**REALSENSE, "model": "distortion.inverse_brown_conrady"}, "only without distortion"),
     "double sphere of Basalt": (basalt("ds", {"xi": -0.2, "alpha": 0.6}), "omnidirectional"),
     "unified model of Basalt": (basalt("eucm", {"alpha": 0.6, "beta": 1.0}), "'eucm'"),
+    # fisheye-calib-adapter, dataset/UCM.yml
+    "unified model without a name": ({"image": SIDES, "parameter": {**FOUR, "alpha": 1.02}}, "states alpha"),
+    # Gyroflow's lens profiles
+    "the camera's name as camera_model": ({**LISTS, "camera_model": "DAVIS346", "dist": D5}, "'DAVIS346', which is no lens model"),
     "fisheye of MATLAB": ({"MappingCoefficients": [700.0, 0.0, 0.0, 0.0], "ImageSize": [720, 1280]}, "Scaramuzza"),
     "radial and tangential apart, of nobody known": ({**LISTS, "radial_distortion": [K1, K2], "tangential_distortion": [P1, P2]}, "apart"),
     "omni of SVO": (RPG.replace("type: pinhole", "type: omni"), "'omni'"),
