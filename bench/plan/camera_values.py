@@ -57,7 +57,7 @@ _SIDES_OF_ANYTHING = ("cols", "rows")
 """Names that may be those of a board or a matrix too: asked if there is no other."""
 _SIDES = [
     (f"{of}{width}", f"{of}{height}")
-    for of in ("image", "", "img", "imagesize", "resolution")
+    for of in ("image", "", "img", "imagesize", "resolution", "imgdist")
     for width, height in (("width", "height"), ("w", "h"))
 ] + [("resx", "resy"), ("resw", "resh")]
 _MODEL = re.compile(

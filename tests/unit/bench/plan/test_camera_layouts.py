@@ -140,6 +140,8 @@ BROWN = {
     ),
     # R3LIVE, config/r3live_config.yaml: another size stands above
     "R3LIVE": ({"image_width": 640, "r3live_vio": {"image_width": 1280, "image_height": 720, "camera_intrinsic": FLAT_K, "camera_dist_coeffs": D5}}, D5),
+    # SensorsCalibration of OpenCalib, center_camera-intrinsic.json: the size is that of the distorted image
+    "OpenCalib": ({"center_camera": {"sensor_name": "c", "param": {"img_dist_w": 1280, "img_dist_h": 720, "cam_K": {"rows": 3, "cols": 3, "data": K}, "cam_dist": {"rows": 1, "cols": 5, "data": [D5]}}}}, D5),
     # LARVIO, config/euroc.yaml
     "LARVIO": ({"resolution_width": 1280, "resolution_height": 720, "distortion_model": "radtan", "intrinsics": FOUR, "distortion_coeffs": dict(zip(("k1", "k2", "p1", "p2"), D5, strict=False))}, D5[:4]),
     "VINS with a mask": (VINS + "fisheye: 1\n", D5[:4]),
