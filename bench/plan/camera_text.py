@@ -94,6 +94,8 @@ _TIMES = re.compile(r"^ *(?:seq|secs|nsecs|sec|nanosec): *\d+[ \t]*$", re.MULTIL
 _COLMAP = re.compile(
     r"^(\d+)[ \t]+([A-Z_]+)[ \t]+(\d+)[ \t]+(\d+)((?:[ \t]+[-+.\deE]+)+)[ \t]*$", re.MULTILINE
 )
+_YARP = re.compile(r"^\[(CAMERA_CALIBRATION\w*)\]\s*$", re.MULTILINE)
+_YARP_COEFFICIENTS = ("k1", "k2", "p1", "p2")
 _INI_MATRIX = re.compile(r"^camera matrix\s*$", re.MULTILINE)
 #: Numbers of focal lengths and of coefficients of COLMAP's models; the coefficients are in OpenCV's order.
 _COLMAP_MODELS = {
@@ -262,6 +264,22 @@ def _ini(text: str) -> dict[str, Any]:
     return {camera: {**image, **rows} for camera, rows in sections.items()}
 
 
+def _yarp(text: str) -> dict[str, Any]:
+    """Read the INI of event-driven and of iCub: a name, a blank and a value a line.
+
+    event-driven gives the coefficients of a fisheye the names of the others. Only with ``projection`` are they sure.
+    """
+    cameras: dict[str, Any] = {}
+    _, *parts = _YARP.split(text)
+    for name, part in zip(parts[::2], parts[1::2], strict=True):
+        lines = (line.split(None, 1) for line in part.partition("\n[")[0].splitlines())
+        values: dict[str, Any] = {words[0]: words[1].strip() for words in lines if len(words) > 1}
+        if "projection" not in values and set(_YARP_COEFFICIENTS) <= set(values):
+            values["D"] = " ".join(values.pop(coefficient) for coefficient in _YARP_COEFFICIENTS)
+        cameras[name] = values | {"program": "event-driven or iCub"}
+    return cameras
+
+
 def _colmap(text: str) -> dict[str, Any]:
     """Read COLMAP's cameras.txt."""
     return {
@@ -313,6 +331,7 @@ _SYNTAXES: Sequence[tuple[Callable[[str], Any], str, Callable[[str], dict[str, A
     (lambda text: "'lensmodel'" in text, "Python", _python),
     (_COLMAP.search, "COLMAP", _colmap),
     (_INI_MATRIX.search, "INI", _ini),
+    (_YARP.search, "INI", _yarp),
     (lambda text: {"fc", "cc", "kc"} <= set(_toolbox(text)), "MATLAB", _toolbox),
     (_TOML.match, "TOML", _toml),
 )

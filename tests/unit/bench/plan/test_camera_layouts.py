@@ -292,6 +292,29 @@ def test_the_cameras_of_a_list_are_named_by_their_place():
         parse(rig)
 
 
+def yarp(name, more=""):
+    """event-driven, cpp_tools/calibration/calibrate.cpp; with ``projection``, iCub's camCalib and stereoCalib."""
+    named = {"w": 1280, "h": 720, **FOUR, **dict(zip(("k1", "k2", "p1", "p2"), D5, strict=False))}
+    return f"[{name}]\n\n{more}{lines(named, sign='')}\n"
+
+
+def test_coefficients_of_event_driven_may_be_those_of_a_fisheye():
+    with pytest.raises(NotACamera, match="no lens model"):
+        parse(yarp("CAMERA_CALIBRATION"))
+    assert off_px(parse(yarp("CAMERA_CALIBRATION"), lens="brown").camera, D5[:4]) < 1e-6
+    assert off_px(parse(yarp("CAMERA_CALIBRATION"), lens="fisheye").camera, D5[:4], fisheye=True) < 1e-6
+
+
+def test_the_two_cameras_of_icub_are_read():
+    sides = [yarp(f"CAMERA_CALIBRATION_{side}", "projection         pinhole\n") for side in ("LEFT", "RIGHT")]
+    text = "".join([*sides, "[STEREO_DISPARITY]\nHN (1 0 0 -0.068 0 1 0 0 0 0 1 0 0 0 0 1)\n"])
+    found = parse(text, "CAMERA_CALIBRATION_LEFT")
+    assert off_px(found.camera, D5[:4]) < 1e-6
+    assert "event-driven or iCub" in found.kind
+    with pytest.raises(NotACamera, match="2 cameras"):
+        parse(text)
+
+
 def test_a_list_of_the_model_brown_is_not_guessed():
     """cuVSLAM and openMVG write k1 k2 k3 p1 p2 (nvidia-isaac/cuVSLAM#151), RealSense and OpenCV k1 k2 p1 p2 k3."""
     text = {**LISTS, "distortion_model": "brown", "distortion_coefficients": D5}
