@@ -45,7 +45,7 @@ from drivers.errors import NotARecording, UnreadableEvents
 
 NPY_MAGIC: Final = b"\x93NUMPY"
 PARQUET_MAGIC: Final = b"PAR1"
-_PIECE: Final = 500_000
+PIECE_EVENTS: Final = 500_000  # Read at once
 _MOST_ARRAYS: Final = 32
 """An archive with more arrays is none of events."""
 _HEAD_BYTES: Final = 4096
@@ -142,7 +142,7 @@ def from_parquet(path: Path, choices: ReadingChoices) -> EventSource:
     )
 
     def parts() -> Iterator[Parts]:
-        for batch in file.iter_batches(_PIECE, columns=names):
+        for batch in file.iter_batches(PIECE_EVENTS, columns=names):
             columns = [batch.column(name) for name in names]
             if is_time:
                 columns[0] = columns[0].cast(pa.int64())
@@ -246,11 +246,11 @@ def _rows(lines: Iterator[str], layout: _TextLayout, before: int) -> Any:
             delimiter=layout.delimiter,
             usecols=layout.places or None,
             comments="#",
-            max_rows=_PIECE,
+            max_rows=PIECE_EVENTS,
             ndmin=2,
         )
     except ValueError as error:
-        last = before + _PIECE
+        last = before + PIECE_EVENTS
         raise UnreadableEvents(
             f"a line of events {before} to {last} does not hold the numbers of an event."
         ) from error

@@ -123,7 +123,7 @@ def test_a_line_holds_an_event(tmp_path, head, order, separator, unit):
 
 def test_blank_lines_behind_the_events_are_none(tmp_path, monkeypatch):
     """Events in pieces of a third of the file, so that the blank lines stand alone at the end."""
-    monkeypatch.setattr(table_files, "_PIECE", N // 3)
+    monkeypatch.setattr(table_files, "PIECE_EVENTS", N // 3)
     path = text(tmp_path / "a.txt", "", "txyp", " ")
     path.write_text(path.read_text() + "\n\n")
     pieces = [events for events, _ in table_files.from_text(path, SIZED).pieces()]
