@@ -29,7 +29,7 @@ REGIONS: Final[Mapping[str, tuple[float, float]]] = {
 }
 """Middle of each region, as shares of width and height."""
 _HALF_SIZE: Final = (0.25, 0.3)  # Of a region, as shares of width and height
-_STARS_A_REGION: Final = 9
+_STARS_A_REGION: Final = 9  # The nearest to its middle; their edges give one width
 _CIRCLE_FROM_PX: Final = 1.2
 """Edge width below which the blur circle is far from one that counts, px."""
 _TRUSTED_CIRCLE_PX: Final = 9.0
@@ -37,7 +37,7 @@ _TRUSTED_CIRCLE_PX: Final = 9.0
 _SIGMA_OF_CIRCLE: Final = 0.25
 """Standard deviation of the points of a uniform disc along one axis, as a share of the diameter."""
 _NEAR_TAG: Final = 40  # Stars about the tag: enough for a median, near enough for one edge width
-_TILT_PX, _TILT_SHARE = 0.15, 0.15
+_TILT_PX, _TILT_SHARE = 0.15, 0.15  # Two sides differ clearly beyond both; the share is of the sharper one
 
 
 @dataclass(frozen=True)

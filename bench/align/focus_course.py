@@ -21,7 +21,7 @@ _LEAST_BETTER: Final = 0.05
 """Smallest relative change by which a width is worse than the best."""
 _A_TURN: Final = {"width": 0.1, "detail": 0.06}
 """Smallest relative change that a turn of the ring makes; less is noise, in dim light above all."""
-_RECENT: Final = 3
+_RECENT: Final = 3  # Of their median, which one stray value does not move
 _CLEARLY, _LEAST_NOISE, _NOISE_OVER = 3.0, 0.01, 12
 """Number of standard deviations by which a value is clearly another one, their least value, and over how many."""
 _LARGEST_TURN, _LEAST_TURN = 3.0, 0.15

@@ -35,7 +35,7 @@ LINK_GBIT_S: Final = 1.6
 """Data that the link of an EVK4 carries, Gbit/s."""
 _MOST_EVENTS: Final = 150_000
 """Number of events from which the flicker is searched; more do not make the figure better."""
-_LEAST_PERIODS: Final = 3
+_LEAST_PERIODS: Final = 3  # A straight line goes through two; only the third has something left over
 _SHORT_PERIODS: Final = 1.9
 _TIME_LOW, _TIME_HIGH = 0x6, 0x8  # Types of EVT3's clock words
 _CLOCK: Final = 1 << 24
@@ -48,7 +48,7 @@ GAMMA: Final = 0.6
 _CLIPPED: Final = 0.004  # Quantile at both ends, so that some hot pixels do not take the range of grey
 _LEAST_FIRED: Final = 0.3  # Events an edge: contrast is not stretched further, so that noise stays dark
 _LEAST_GREY: Final = 0.02  # Share of full scale: contrast is not stretched further, so that noise stays dark
-_HOT_EVENTS: Final = 6
+_HOT_EVENTS: Final = 6  # More than four times the mean, so that single events in a dark slice are not hot
 
 
 @dataclass(frozen=True)

@@ -54,7 +54,7 @@ _STALE_S = 0.4
 """Age of a slice from which it is recorded again while it waits to be measured, s."""
 SHORTEST_S = 0.1
 """Shortest time from one slice to the next, s. A person sees no more in more pictures."""
-_EARLY_S = 0.02
+_EARLY_S = 0.02  # A slice is there so much before it can be measured, so that the measurement does not wait
 
 T = TypeVar("T")
 Recorded = RecordingFacts | FrameFacts

@@ -34,8 +34,8 @@ from bench.web.server_sent import Changes
 from drivers.errors import DriverError
 from sequences.reader import Located
 
-KEPT: Final = 50
-SHOWN: Final = 20
+KEPT: Final = 50  # Entries of a session; older ones are dropped
+SHOWN: Final = 20  # Of these on the page, the newest
 _SAME_S: Final = 10.0
 """Time within which a further step replaces the entry of the one before, s."""
 _WATCH_S = 0.05  # Below what a person notices as a delay

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from calib.studies.planning import Forecast, WeighedPose
     from sequences.queue import Queue
 
-_MOST_TERMS = 5
+_MOST_TERMS = 5  # Rows of the budget that are printed, the largest
 _SMALLEST_SHARE = 0.005
 """Terms with a smaller share of the variance are not printed."""
 _SHOWN = ("fx", "cx", "cy", "r")

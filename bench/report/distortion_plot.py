@@ -15,7 +15,7 @@ from calib.model.lens import is_fisheye
 
 Array = NDArray[np.float64]
 
-_POINTS = 121
+_POINTS = 121  # Of a curve: closer than it is drawn
 _TANGENTIAL = frozenset({"p1", "p2"})
 _STEP_SIGMAS = 1e-3  # Of a numerical derivative
 

@@ -9,7 +9,7 @@ from bench.wording.target_words import TargetWords
 
 _OUTER, _INNER = 0.8, 0.5
 """Parts of the largest distance from the principal point: beyond the first is the rim, within the second the middle."""
-_LEAST_POINTS = 30
+_LEAST_POINTS = 30  # In each part
 _STANDS_OUT = 1.3
 """Ratio of the RMS residuals from which a reader sees the difference in the plot."""
 _SIGMAS = 4.0

@@ -11,8 +11,8 @@ from bench.record.history import History
 from bench.record.journal_line import Entry
 from sequences.script import PromptStep, SettleStep, WaitStep
 
-_LEAST_STEPS = 3
-_SMALLEST, _LARGEST = 0.5, 50.0
+_LEAST_STEPS = 3  # Done before they say how fast the others go
+_SMALLEST, _LARGEST = 0.5, 50.0  # Pace that is believed
 _FIXED = frozenset(step.word for step in (PromptStep, WaitStep, SettleStep))
 """Steps that take the time that the sequence states, on any bench."""
 _MARKS = frozenset({Event.STEP_DONE, Event.RUN_STARTED, Event.RUN_RESUMED})

@@ -50,7 +50,7 @@ from calib.target import StarTarget
 PLUMB_BOB = BROWN[:5]
 """The coefficients of ROS's model plumb_bob, and of OpenCV with five coefficients."""
 _RADTAN = BROWN[:4]
-_MOST_CHANGE_PX = 0.05
+_MOST_CHANGE_PX = 0.05  # By which radtan, without k3, may project otherwise
 #: ROS's names of the distortion models, by number of coefficients.
 _ROS_MODELS = {4: "equidistant", 5: "plumb_bob", 8: "rational_polynomial"}
 

@@ -40,7 +40,7 @@ _UNITS = re.compile(r"[ _]*[\[(]?(?:px|mm)[\])]?$")
 _MARKS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 _SHARES = 1.5
 """All points so near the first pixel are shares of the image, px."""
-_FEWEST_OF_GRID = 12
+_FEWEST_OF_GRID = 12  # Points; of fewer, columns may repeat by chance
 _REPEATED, _SINGLE = 1 / 3, 0.9
 """Distinct values as a share of the points: at most so many in a column of a grid, more in one of an image."""
 

@@ -24,7 +24,7 @@ SAME_POSE_DEG = 0.2
 
 #: Largest acceptable 1-sigma of a focal length, as a share of it.
 MAX_FOCAL_SIGMA = 0.05
-_SAME_POSE_DEG = 0.5
+_NO_TURN_DEG = 0.5  # If no view is turned by more, only noise would determine the focal length
 _PARALLEL_SINE = 0.05  # 3 degrees
 _NARROW_DEG = 5.0
 
@@ -109,7 +109,7 @@ def views_of_poses(rotations: Array) -> list[list[int]]:
 def require_distinct_poses(parameters: AdjustmentParameters) -> None:
     """Refuse views that all show the same pose, within half a degree: only noise would determine the focal length."""
     difference = (parameters.rotations - parameters.rotations[0]).reshape(-1, 9)
-    if np.linalg.norm(difference, axis=1).max() < _chord(_SAME_POSE_DEG):
+    if np.linalg.norm(difference, axis=1).max() < _chord(_NO_TURN_DEG):
         raise DegenerateViews(
             f"All {len(parameters.rotations)} views show the same pose.",
             remedy="Turn the camera by some degrees between views.",

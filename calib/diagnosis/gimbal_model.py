@@ -28,7 +28,7 @@ from calib.model.rotation import exp_map, log_map
 _MOVED_DEG = 0.5
 #: Above this angle the direction of a turn is uncertain, degrees.
 _LARGEST_TURN_DEG = 170.0
-_RATIO_STEPS = 10
+_RATIO_STEPS = 10  # Of reweighting: a start for a search needs no more
 #: Squares of angles below this are rounding, rad^2.
 _TINY = 1e-14
 #: Standard deviation over median absolute deviation, of a Gaussian.

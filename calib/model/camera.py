@@ -40,8 +40,8 @@ DISTORTION_SETS: Mapping[str, tuple[str, ...]] = {
 #: Coefficients that can be estimated together.
 _FAMILIES = ((*BROWN, SKEW), FISHEYE)
 _ONE_NAME = re.compile(r"k[1-6]|p[12]|kb[1-4]|skew")
-_STEPS = 20
-_POINTS_ACROSS = 33
+_STEPS = 20  # At most, of Gauss and Newton, which end when nothing changes
+_POINTS_ACROSS = 33  # And down: of the grid of image points that it is fitted to
 
 #: Pixels that are worked on at once.
 _BLOCK = 200_000

@@ -24,8 +24,8 @@ GIMBAL = (*MOUNTING, *STANDING, *SCALES, NON_ORTHOGONALITY)
 
 #: Axes of pan, tilt and roll in the head's frame.
 _AXES = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
-_ALTERNATIONS = 10
-_NEWTON_STEPS = 6
+_ALTERNATIONS = 10  # They bring a mounting near; then
+_NEWTON_STEPS = 6  # settle it
 #: Rolls of the mounting from which the search starts, degrees: a camera may hang upside down or on its side.
 _START_ROLLS_DEG = range(0, 360, 45)
 #: A camera that looks backwards; it is believed only if its sum of squares is this many times smaller.

@@ -14,7 +14,7 @@ from calib.model.local_consistency import Nearest, contradicts_neighbours, neare
 from calib.view import View
 
 MIN_STARS = 4  # Eight unknowns, two numbers a point
-_REWEIGHTING_ROUNDS = 15
+_REWEIGHTING_ROUNDS = 15  # At most: it ends when no outlier is left
 #: A residual above this multiple of the typical one is an outlier: distortion alone does not cause it.
 _OUTLIER_RATIO = 4.0
 #: Largest number of samples of four stars for the least median, and the probability that one of them holds right stars.

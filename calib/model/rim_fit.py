@@ -75,6 +75,7 @@ _VISIBLE_RIM_SIGMA = 0.15
 _POINT_FLOOR_MM = 0.03
 #: Largest number of bright points of a view that take part.
 _MOST_BRIGHT = 30
+#: Rounds at most; a round that moves no centre farther than this, mm, is the last.
 _ROUNDS, _SETTLED_MM = 20, 1e-3
 #: The same for the fits that average over the scatters.
 _FINAL_ROUNDS, _FINAL_SETTLED_MM = 10, 0.02

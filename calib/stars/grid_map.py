@@ -25,7 +25,7 @@ RIDGE = (0.0, 0.5, 0.5, 8.0, 8.0, 8.0)
 STARS_FOR_DEGREE = {2: 20, 3: 40, 4: 80, 5: 160}
 #: Largest residual of a star that takes part in the fit of a view, in robust standard deviations.
 OUTLIER_SIGMAS = 5.0
-_STEP_PITCHES = 0.05
+_STEP_PITCHES = 0.05  # Of central differences: the map bends little over it, and rounding does not matter yet
 
 
 class LocalMap(NamedTuple):

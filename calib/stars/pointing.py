@@ -38,7 +38,7 @@ FIRST_FOCAL_LENGTHS = (0.6, 1.0, 1.7, 2.9, 5.0)
 #: Number of points along each side of the inner part of the image, and the size of that part as a share of the image.
 SIDE, INNER = 5, 0.8
 _LOG_F, _CENTRE, _LOG_R, _MOUNTING, _BASE = 0, slice(1, 3), 3, slice(4, 7), slice(7, 10)
-_UNKNOWNS = 10
+_UNKNOWNS = _BASE.stop
 _REMEDY = "Begin with poses that have the tag in view, in two directions or more along each axis that moves."
 
 

@@ -41,8 +41,8 @@ from calib.view import View
 
 #: Coverage of the expanded uncertainty over the whole sensor.
 _COVERAGE = 0.95
-_DRAWS = 1000
-_POINTS_ACROSS = 17
+_DRAWS = 1000  # By chance, their quantile of 95 % is one of 93.6 % to 96.4 % (two sigma)
+_POINTS_ACROSS = 17  # Of the grid of image points in which two cameras are compared
 _REGIONS = 3  # Along each side: nine, as a photographer names them
 #: A single kind of change is named if it explains this share of the squared difference.
 _EXPLAINS = 0.8

@@ -17,7 +17,7 @@ from calib.model.camera import CameraModel
 from calib.model.rotation import ARCSEC, exp_map, skew
 
 URAD_PER_ARCSEC = 1e6 / ARCSEC
-_TURNS = 10
+_TURNS = 10  # Steps at most: they end when nothing changes
 
 
 @dataclass(frozen=True)

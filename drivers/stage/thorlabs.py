@@ -27,7 +27,7 @@ _ZERO_UNKNOWN: Final = "the controller does not tell its home parameters, so its
 _BEGIN_S: Final = 0.3
 """A command has no reply, and the status shows the motion a little later; in seconds."""
 _LARGEST_COUNT: Final = 2**31 - 1  # Of the protocol's 32 bits
-_SAME_SCALE: Final = 1e-4
+_SAME_SCALE: Final = 1e-4  # Share: counts per degree may be written rounded
 _DIRECTIONS: Final = {"forward": FORWARD, "reverse": REVERSE}
 Direction = Literal["forward", "reverse"]
 _KNOWN_STAGES: Final = (409_600 / 3, 1919.6418579)

@@ -33,8 +33,8 @@ from sequences.queue import JobConfig, JobFile, Queue
 from sequences.reader import Located, read_document
 
 Document = TypeVar("Document", Queue, JobFile)
-_MOST_RUNS = 10
-_MOST_READ = 50
+_MOST_RUNS = 10  # Of a station: the newest, as the computer is today
+_MOST_READ = 50  # Of the list of runs: each is a folder to be read
 TOLD_FROM = 2.0
 """A forecast that is longer than the plan by this factor says why."""
 _NOT_THE_PACE = frozenset({Event.RUN_RESUMED, Event.DEVIATION, Event.ASKED})

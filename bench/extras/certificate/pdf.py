@@ -45,7 +45,7 @@ _FROM_RUN = re.compile(r"run\.|results\[|covariance\.|further\[|budgets\[|item\.
 _ENTRY = re.compile(r"(deviations|conditions|statements)\[(\d+)\]")
 _OF_LABORATORY = frozenset({"traceability", "recalibration", "also", "limits_reason"})
 """Statements that the laboratory words."""
-_MOST_SHOWN = 8
+_MOST_SHOWN = 8  # Characters named in a message; the others are counted
 CODE_NOTE = (
     "A code in square brackets, such as [U+5C71], stands for a character that the fonts of this document do not have."
     " The exact text is in certificate.json."

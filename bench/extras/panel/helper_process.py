@@ -30,7 +30,7 @@ T_co = TypeVar("T_co", covariant=True)
 T = TypeVar("T")
 
 _ORDERS = (5, 3)  # Of the polynomial; the second for few stars
-_STARS_A_TERM = 2
+_STARS_A_TERM = 2  # At least, so that the polynomial smooths
 _DIGITS = 3  # Thousandths of a pixel
 _PNG_SIZE = struct.Struct(">16xII")
 """Width and height in the first bytes of a PNG file (ISO/IEC 15948, 11.2.2)."""
