@@ -22,6 +22,8 @@ from calib.arrays import Array, Ints, median
 from calib.errors import InputMismatch
 from calib.view import View
 
+#: Radial distortion of the collimator, as `calib.model.collimator.Collimator` has it.
+RADIAL = "radial"
 #: Number of rounded operations in a projection.
 _ROUNDED_OPERATIONS = 10.0
 _EPSILON = float(np.finfo(float).eps)
@@ -94,9 +96,15 @@ class Bundle:
         return _ROUNDED_OPERATIONS * _EPSILON * farthest_px * obs.sigmas_per_px * math.sqrt(2.0 * cost)
 
     def _in_camera(self, parameters: AdjustmentParameters) -> Array:
-        """Return the (3, N) stars in the camera frame, P = R (X - c), mm (arXiv:2512.16092, eq. 2)."""
+        """Return the (3, N) stars in the camera frame, P = R (X - c), mm (arXiv:2512.16092, eq. 2).
+
+        With radial distortion a of the collimator, X lies 1 + a |h|^2 times as far from the axis; h: as a share of r.
+        """
         obs = self.observations
         x, y, z = (obs.target - parameters.centres[obs.view]).T
+        if distortion := parameters.collimator.aberrations.get(RADIAL):
+            farther = 1.0 + distortion * (x * x + y * y) / z**2
+            x, y = farther * x, farther * y
         turns = parameters.rotations[obs.view].transpose(1, 2, 0)
         return np.asarray(turns[:, 0] * x + turns[:, 1] * y + turns[:, 2] * z)
 
@@ -114,8 +122,25 @@ class Bundle:
         moved = -(turns[0] * u + turns[1] * v + turns[2] * w)
         known = dict(zip(parameters.camera.parameter_names, by_camera.transpose(2, 1, 0), strict=True))
         known |= {"x": moved[0], "y": moved[1], "r": -moved[2]}
+        if RADIAL in self.names:
+            known |= self._by_distorted_glass(parameters, moved)
         rows = [*(known[name] for name in self.names), *turned, *(moved if self.free_centres else ())]
         return mapped(obs.factors, np.array(rows))
+
+    def _by_distorted_glass(self, parameters: AdjustmentParameters, moved: Array) -> dict[str, Array]:
+        """Return the (2, N) derivatives by centre and radial distortion; ``moved`` (3, 2, N) those without distortion.
+
+        Own, by the chain rule for X - c = (v (1 + a q), r) with q = |v|^2 / r^2.
+        """
+        x, y, r = (self.observations.target - parameters.centres[self.observations.view]).T
+        a, q = parameters.collimator.aberrations[RADIAL], (x * x + y * y) / r**2
+        outward = x * moved[0] + y * moved[1]
+        return {
+            "x": (1.0 + a * q) * moved[0] + 2.0 * a * x / r**2 * outward,
+            "y": (1.0 + a * q) * moved[1] + 2.0 * a * y / r**2 * outward,
+            "r": 2.0 * a * q / r * outward - moved[2],
+            RADIAL: -q * outward,
+        }
 
 
 @dataclass(frozen=True)

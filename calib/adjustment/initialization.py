@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from calib.adjustment.bundle import Bundle, Observations
+from calib.adjustment.bundle import RADIAL, Bundle, Observations
 from calib.adjustment.levenberg_marquardt import Refinement, refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
@@ -36,6 +37,10 @@ _FINALISTS = 3
 _FINAL_STEPS = 30
 #: The comparison ends when no step lowers the cost by this share; the best start is refined on all stars later.
 _COMPARISON_TOLERANCE = 1e-6
+#: Radial distortion of a collimator from which a start is looked for, beside none; a single lens has up to 1.4.
+_DISTORTIONS = (0.0, 1.0, -1.0)
+#: It is taken if it lowers the cost to this share, and if it is no more than this.
+_FITS_BETTER, _LARGEST_DISTORTION = 0.5, 3.0
 #: Fewest points for a pose before a known camera, and their least spread across a line, as a share of that along it.
 _LEAST_POINTS, _IN_A_LINE = 6, 1e-6
 
@@ -150,6 +155,25 @@ def best_start(bundle: Bundle, starts: Sequence[AdjustmentParameters]) -> Adjust
             remedy="Check that the ids belong to this target, and add views that see it at an angle.",
         )
     return last[0].parameters
+
+
+def with_distorted_glass(bundle: Bundle, start: AdjustmentParameters) -> AdjustmentParameters:
+    """Return a start that has the collimator's radial distortion, where that fits far better; else the same start.
+
+    Where the glass bends the field, camera and centre would take it up, up to 8 degrees away. Own procedure.
+    """
+    plain = bundle.thinned(_COMPARISON_STARS)
+    distorted = replace(plain, names=(*plain.names, RADIAL))
+    starts = [
+        replace(start, collimator=replace(start.collimator, aberrations={RADIAL: size}))
+        for size in _DISTORTIONS
+    ]
+    best = next(iter(_refined_starts(distorted, starts, _FINAL_STEPS)), None)
+    if best is None or not _is_camera(best):
+        return start
+    size = abs(best.parameters.collimator.aberrations[RADIAL])
+    is_better = best.cost < _FITS_BETTER * plain.costs(start, Loss("l2")).sum()
+    return best.parameters if is_better and size < _LARGEST_DISTORTION else start
 
 
 def _refined_starts(

@@ -28,23 +28,23 @@ class AddedColumns:
         Columns that join a linear model whose posterior is known (Searle, 1971): their own information, less what the
         own fields and the shared unknowns take up.
         """
-        marginal, found = optimum.marginal, optimum.solution
+        marginal, solution = optimum.marginal, optimum.solution
         equations, bench = marginal.equations, marginal.problem.bench
         own, poses, across = bench.layout.own.places, bench.poses, np.swapaxes(columns, 1, 2)
-        rows = across @ equations.of_views / found.star_variance
-        basis = equations.maps @ found.step
-        basis[:, own] += found.fields
-        gradient = (across @ equations.right_of_views[:, :, None])[:, :, 0] / found.star_variance
+        rows = across @ equations.of_views / solution.star_variance
+        basis = equations.maps @ solution.step
+        basis[:, own] += solution.fields
+        gradient = (across @ equations.right_of_views[:, :, None])[:, :, 0] / solution.star_variance
         gradient -= (rows @ basis[poses][:, :, None])[:, :, 0]
         direct, by_own, by_shared = rows @ columns, rows[:, :, own], rows @ equations.maps[poses]
         if marginal.uses_readings:
             turned = marginal.axes @ equations.coupling @ columns
-            weighted = np.swapaxes(marginal.reading_weights(found.squares)[:, :, None] * turned, 1, 2)
-            gradient += (weighted @ marginal.readings_left(found)[:, :, None])[:, :, 0]
+            weighted = np.swapaxes(marginal.reading_weights(solution.squares)[:, :, None] * turned, 1, 2)
+            gradient += (weighted @ marginal.readings_left(solution)[:, :, None])[:, :, 0]
             direct = direct + weighted @ turned
             by_own, by_shared = by_own + weighted @ marginal.own_rows, by_shared + weighted @ marginal.rows
-        taken = bench.by_pose(by_own) @ np.swapaxes(found.own_root, 1, 2)
-        shared = ((bench.by_pose(by_shared) - taken @ found.between).sum(axis=0)) @ found.root.T
+        taken = bench.by_pose(by_own) @ np.swapaxes(solution.own_root, 1, 2)
+        shared = ((bench.by_pose(by_shared) - taken @ solution.between).sum(axis=0)) @ solution.root.T
         information = direct.sum(axis=0) - (taken @ np.swapaxes(taken, 1, 2)).sum(axis=0) - shared @ shared.T
         return cls(gradient.sum(axis=0), information)
 

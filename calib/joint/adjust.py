@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -17,23 +18,23 @@ from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotCo
 from calib.joint import amplitudes as amp
 from calib.joint.equations import State
 from calib.joint.evidence import odds_of, value_as_weighed
-from calib.joint.knowledge import ASPECT, CERTIFICATE, FOCAL, WRONG
+from calib.joint.hypotheses import ANOTHER_THING
+from calib.joint.knowledge import ASPECT, CERTIFICATE, FOCAL, MIDDLE_SHARE, WRONG
 from calib.joint.marginal import Marginal, Problem
-from calib.joint.posed import Task, first_parameters, lens_names
+from calib.joint.posed import Task, first_parameters, held_parameters, lens_names
 from calib.joint.poses import seen_poses
 from calib.joint.pupils import shown_way
 from calib.joint.solve import (
     Optimum,
     approached,
-    beside,
     first_amplitudes,
     first_equations,
+    optimum_with_faults,
     search,
     search_with_fault,
     solved,
 )
 from calib.joint.wrong_views import find_shifted_ids
-from calib.model.passport import Passport
 from calib.progress import expect
 from calib.view import View
 
@@ -167,11 +168,7 @@ def _held_starts(few: Task, start: AdjustmentParameters) -> list[AdjustmentParam
     for share in _FOCAL_SHARES:
         radius = share * diagonal * start.collimator.r / start.camera.fx
         with suppress(CalibrationError):
-            held.append(
-                first_parameters(
-                    few.views, replace(options, passport=Passport.of_radius(radius, 0.0)), few.lens
-                )
-            )
+            held.append(held_parameters(few.views, radius, few.lens))
     return held
 
 
@@ -185,10 +182,14 @@ def _value_at(begin: tuple[Problem, State]) -> float:
 
 
 def _explains(optimum: Optimum, views: Sequence[View]) -> bool:
-    """Tell whether the stars fit as neighbours agree with each other, and the readings as stated.
+    """Tell whether the stars fit as neighbours agree with each other, the readings as stated, the middle as expected.
 
-    Then no other camera could explain them better.
+    Then no other camera could explain them better. Where poses turn little, cx and the centre can go far together.
     """
+    size = np.array(views[0].image_size)
+    from_middle = np.abs(optimum.state.shared[2:4] - 0.5 * (size - 1.0)).max()
+    if from_middle > MIDDLE_SHARE * np.hypot(*size):
+        return False
     stated = [np.sqrt(0.5 * np.median(np.trace(view.covariances_px2, axis1=1, axis2=2))) for view in views]
     local = float(np.median([noise_px(view) / sigma for view, sigma in zip(views, stated, strict=True)]))
     reading = float(np.exp(optimum.eta[optimum.marginal.problem.hyper.at(amp.READING)]))
@@ -257,7 +258,7 @@ def _more_probable_place(optimum: Optimum, near: State, name: str, rounds: int) 
     faults = _far_fault(optimum.marginal.problem, near, name)
     if faults:
         with suppress(NotConverged, np.linalg.LinAlgError):
-            there = beside(optimum, faults, rounds, near)
+            there = optimum_with_faults(optimum, faults, rounds, near)
             return there if odds_of(there, faults, optimum) > 1.0 else optimum
     return optimum
 
@@ -313,8 +314,8 @@ def _is_denied(problem: Problem, start: State, alone: Optimum, rounds: int) -> b
 
 
 def _is_less_probable(held: Optimum, alone: Optimum) -> bool:
-    """Tell whether the views are clearly less probable with the certificate than without it."""
-    return held.solution.value - alone.solution.value > _CLEARLY**2
+    """Tell whether the certificate is more probably another collimator's: views without it, and odds beforehand."""
+    return held.solution.value - alone.solution.value > -2.0 * math.log(ANOTHER_THING.odds)
 
 
 def _of_another_collimator(alone: Optimum, task: Task) -> InputMismatch:

@@ -58,10 +58,10 @@ def variances(posterior: Posterior, gradients: Array) -> dict[str, Array]:
     return parts
 
 
-def _add_to(found: dict[str, Array], parts: Mapping[str, Array]) -> None:
+def _add_to(sums: dict[str, Array], parts: Mapping[str, Array]) -> None:
     """Add (p,) variances by group to those of the same groups."""
     for group, part in parts.items():
-        found[group] = found.get(group, 0.0) + part
+        sums[group] = sums.get(group, 0.0) + part
 
 
 def _at_node(solution: Solution, gradients: Array) -> dict[str, Array]:
@@ -90,11 +90,11 @@ def _at_node(solution: Solution, gradients: Array) -> dict[str, Array]:
     return parts
 
 
-def _add(found: dict[str, Array], groups: Sequence[str], parts: Array) -> None:
+def _add(sums: dict[str, Array], groups: Sequence[str], parts: Array) -> None:
     """Add (T, p) parts to those of their groups."""
     names_of = dict.fromkeys(groups)
     member = np.array([[group == name for group in groups] for name in names_of], float)
-    _add_to(found, dict(zip(names_of, member @ parts, strict=True)))
+    _add_to(sums, dict(zip(names_of, member @ parts, strict=True)))
 
 
 def row_gradients(posterior: Posterior, camera_covariance: Array) -> Array:
@@ -124,7 +124,9 @@ def budget_rows(posterior: Posterior, gradients: Array, parts: Mapping[str, Arra
         _, kind, source = known.get(group, Row(group, "B"))
         stated_by = stated[group][0].source if group in stated else "station"
         row = BudgetRow.of(group, kind, source or stated_by, part, whole)
-        witness = [one for one in stated.get(group, ()) if one.unit and len(one.values) == 1]
+        witness = [
+            statement for statement in stated.get(group, ()) if statement.unit and len(statement.values) == 1
+        ]
         rows.append(_with_value(row, witness[0], slopes) if len(witness) == 1 else row)
     return tuple(rows)
 

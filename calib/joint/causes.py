@@ -67,7 +67,7 @@ def find_causes(
     steps = _focus_steps(posterior, views)
     scale = () if steps else _other_scale(posterior, stated)
     causes = (*_of_gimbal(result, stated), *steps, *scale)
-    return tuple(sorted(causes, key=lambda one: -one.evidence))
+    return tuple(sorted(causes, key=lambda cause: -cause.evidence))
 
 
 def _focus_steps(posterior: Posterior, views: Sequence[View]) -> tuple[Cause, ...]:
@@ -153,7 +153,7 @@ def _at_best(optimum: Optimum) -> Optimum:
 
 def _other_scale(posterior: Posterior, stated: CalibrationOptions) -> tuple[Cause, ...]:
     """Return the cause if the certified radius alone contradicts the views: another pitch looks the same."""
-    scales = {one.name for one in stated.budget if one.kind in SCALES}
+    scales = {term.name for term in stated.budget if term.kind in SCALES}
     witnesses = posterior.optimum.marginal.problem.knowledge.witnesses
     if CERTIFICATE not in witnesses:
         return ()
@@ -250,9 +250,9 @@ def _axis(name: str) -> str:
 def _of_fault(check: HandEyeCheck, fault: GimbalFault) -> Cause:
     """Return a fault of the gimbal as a cause. A step at the first or last pose is one pose that does not fit."""
     names, last = check.names, len(check.names) - 1
-    beside = {_FAULTS[fault.rival]} if fault.rival in _FAULTS else set()
+    rivals = {_FAULTS[fault.rival]} if fault.rival in _FAULTS else set()
     if fault.kind == "pose" and fault.pose in (0, last):
-        beside |= {kinds.TURNED}
+        rivals |= {kinds.TURNED}
     return Cause(
         _FAULTS[fault.kind],
         _two_log_odds(fault.probability),
@@ -262,7 +262,7 @@ def _of_fault(check: HandEyeCheck, fault: GimbalFault) -> Cause:
         axis=_axis(AXES[fault.axis]) if fault.kind == "slip" else "",
         before=names[fault.pose - 1] if fault.kind != "pose" else "",
         pose=names[fault.pose],
-        beside=tuple(sorted(beside)),
+        beside=tuple(sorted(rivals)),
         explains=(READINGS,),
     )
 

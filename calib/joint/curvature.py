@@ -64,12 +64,12 @@ def _of_products(rows: Array, belongs: Array) -> Array:
     """
     if len(rows) < _MANY * rows.shape[1]:
         return np.asarray(belongs.T @ (rows @ rows.T) ** 2 @ belongs)
-    found = np.zeros((belongs.shape[1], belongs.shape[1]))
+    sums = np.zeros((belongs.shape[1], belongs.shape[1]))
     places = np.flatnonzero(belongs.any(axis=0))
     columns = [rows[belongs[:, at] > 0.0] for at in places]
     products = [column.T @ column for column in columns]
-    found[places[:, None], places] = [[np.vdot(product, other) for other in products] for product in products]
-    return found
+    sums[places[:, None], places] = [[np.vdot(product, other) for other in products] for product in products]
+    return sums
 
 
 def _with_readings(solution: Solution, spread: Array, whole: Array) -> Array:

@@ -62,15 +62,15 @@ class Unstated:
 
     def __init__(self, marginal: Marginal, eta: Array) -> None:
         self.eta, self.witnesses = eta, marginal.problem.knowledge.witnesses
-        found = marginal.solve(eta, tuple((name, WRONG) for name in self.witnesses))
+        solution = marginal.solve(eta, tuple((name, WRONG) for name in self.witnesses))
         statements = list(self.witnesses.values())
         rows = np.concatenate([statement.rows for statement in statements])
         values = np.concatenate([statement.values for statement in statements])
-        self._root = found.root @ rows.T
-        mean = marginal.state.shared + found.step
+        self._root = solution.root @ rows.T
+        mean = marginal.state.shared + solution.step
         self.covariance, self.away = self._root.T @ self._root, values - rows @ mean
         camera = slice(0, len(marginal.problem.bench.layout.pose.camera))
-        self._value, self._camera, self._mean = found.value, found.root[:, camera], mean[camera]
+        self._value, self._camera, self._mean = solution.value, solution.root[:, camera], mean[camera]
         self._values: dict[Faults, float] = {}
         self._logarithms = {
             name: {
@@ -97,9 +97,9 @@ class Unstated:
     def _value_of(self, doubts: Faults) -> float:
         named, more = dict(doubts), block_diagonal(self.more(doubts))
         inside = np.eye(len(more)) + self.covariance @ more
-        found = self._value + float(self.away @ more @ np.linalg.solve(inside, self.away))
-        found += float(np.linalg.slogdet(inside)[1])
-        return found - sum(own[named.get(name, "")] - own[WRONG] for name, own in self._logarithms.items())
+        value = self._value + float(self.away @ more @ np.linalg.solve(inside, self.away))
+        value += float(np.linalg.slogdet(inside)[1])
+        return value - sum(own[named.get(name, "")] - own[WRONG] for name, own in self._logarithms.items())
 
     def camera(self, doubts: Faults) -> tuple[Array, Array]:
         """Return the camera's values and their 1-sigma."""
@@ -145,7 +145,7 @@ def prior_odds(witnesses: Mapping[str, Statement], doubts: Faults) -> float:
     for group, share in _TOGETHER.items():
         own = [name for name, witness in witnesses.items() if witness.group == group]
         if len(own) > 1 and {*own} <= {*alone} and len({doubt for name, doubt in doubts if name in own}) == 1:
-            others = math.prod(one for name, one in alone.items() if name not in own)
+            others = math.prod(of_name for name, of_name in alone.items() if name not in own)
             odds += others * share * alone[own[0]]
     return odds
 
@@ -163,7 +163,7 @@ class _Search:
 
     def best(self, doubts: Faults) -> tuple[float, Unstated]:
         """Return -2 log of the likelihood of doubts, and at which amplitudes it is the largest."""
-        return min(((at.value(doubts), at) for at in self.at), key=lambda one: one[0])
+        return min(((at.value(doubts), at) for at in self.at), key=lambda value: value[0])
 
     def log_odds(self, doubts: Faults) -> float:
         """Return the logarithm of the odds of doubts against none."""
@@ -172,9 +172,9 @@ class _Search:
 
     def contradicted(self) -> set[str]:
         """Return the statements that some of the others contradict, and those with another meaning."""
-        away = (innovation for at in self.at for innovation in at.innovations(NO_FAULT))
-        found = {one.name for one in away if abs(one.normalised) > _AGREES}
-        return found | {name for name, witness in self.witnesses.items() if FOCAL in witness.doubts}
+        innovations = (innovation for at in self.at for innovation in at.innovations(NO_FAULT))
+        contradicted = {innovation.name for innovation in innovations if abs(innovation.normalised) > _AGREES}
+        return contradicted | {name for name, witness in self.witnesses.items() if FOCAL in witness.doubts}
 
     def improve(self, doubts: Faults) -> None:
         """Search the best amplitudes of doubts, if these may make them count."""
@@ -220,19 +220,23 @@ def doubted(optimum: Optimum, curvature: Array, others: Sequence[Node] = ()) -> 
     evidence counts at the best of several amplitudes: those of the optimum and of its other modes, expected ones, and
     those that fit the most probable doubts best.
     """
-    search = _Search(optimum, curvature, [one.eta for one in others])
+    search = _Search(optimum, curvature, [combination.eta for combination in others])
     odds, possible, done = search.combinations(), search.contradicted(), set[tuple[str, ...]]()
     for _ in range(_SEARCHES):
-        left = [one for one in odds if _names(one) not in done and {*_names(one)} <= possible]
+        left = [
+            combination
+            for combination in odds
+            if _names(combination) not in done and {*_names(combination)} <= possible
+        ]
         if not left:
             break
-        likeliest = max(left, key=lambda one: odds[one])
+        likeliest = max(left, key=lambda combination: odds[combination])
         done.add(_names(likeliest))
         for doubts in dict.fromkeys((likeliest, tuple((name, WRONG) for name in _names(likeliest)))):
             search.improve(doubts)
         odds = search.combinations()
     best = search.best(NO_FAULT)[1].eta
-    of_mode = max((one.weight for one in others if one.eta is best), default=1.0)
+    of_mode = max((combination.weight for combination in others if combination.eta is best), default=1.0)
     return _chosen(search, odds, math.log(of_mode))
 
 
@@ -248,7 +252,7 @@ def _chosen(search: _Search, odds: dict[Faults, float], log_mode: float) -> Doub
     """
     optimum, alike = search.optimum, dict[Faults, float]()
     solutions: list[tuple[Solution, float]] = []
-    likeliest = max(odds, key=lambda one: odds[one], default=NO_FAULT)
+    likeliest = max(odds, key=lambda doubts: odds[doubts], default=NO_FAULT)
     likeliest = likeliest if odds.get(likeliest, 0.0) > 0.0 else NO_FAULT
     first = search.at[0] if likeliest == NO_FAULT else search.best(likeliest)[1]
     value, sigma = first.camera(likeliest)
@@ -262,13 +266,13 @@ def _chosen(search: _Search, odds: dict[Faults, float], log_mode: float) -> Doub
         if doubts != likeliest and share * float(change) < _ALIKE:
             alike[doubts] = log - odds.get(likeliest, 0.0)
             continue
-        found = optimum.marginal.solve(at.eta, doubts)
+        solution = optimum.marginal.solve(at.eta, doubts)
         prior = math.log(prior_odds(search.witnesses, doubts))
-        evidence = (log - prior) * share_of_stars(found) + math.log(trusted(found, optimum.solution))
-        solutions.append((found, prior + evidence + log_mode))
-    own = next((log for found, log in solutions if found.faults == likeliest), log_mode)
+        evidence = (log - prior) * share_of_stars(solution) + math.log(trusted(solution, optimum.solution))
+        solutions.append((solution, prior + evidence + log_mode))
+    own = next((log for solution, log in solutions if solution.faults == likeliest), log_mode)
     scale = max([0.0, own, *(log for _, log in solutions)])
-    nodes = [Node(found, math.exp(log - scale)) for found, log in solutions]
+    nodes = [Node(solution, math.exp(log - scale)) for solution, log in solutions]
     same = {doubts: math.exp(own + log - scale) for doubts, log in alike.items()}
     return Doubted(nodes, likeliest, same, scale)
 
@@ -280,7 +284,7 @@ def share_of_stars(solution: Solution) -> float:
         return 1.0
     places, witnesses = spread_by_fields(solution), problem.knowledge.witnesses
     rows = np.concatenate([witnesses[name].rows for name, _ in solution.faults])
-    stars, discs = (float(((rows @ one) * rows).sum()) for one in (solution.covariance, places))
+    stars, discs = (float(((rows @ covariance) * rows).sum()) for covariance in (solution.covariance, places))
     return stars / (stars + discs)
 
 

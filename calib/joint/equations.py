@@ -219,12 +219,12 @@ class Bench:
 
     def _points(self, v: int, state: State, fields: Array) -> Array:
         """Return (N, 3) the displaced stars of a view, as `points`."""
-        one = self.stars[v]
+        star = self.stars[v]
         depth = self.maps[self.poses[v], self.layout.pose.radius] @ state.shared
-        moved = self.layout.basis.reference[2] * one.polynomials @ fields[self.poses[v]].T
-        if self.layout.pose.about_disc and one.disc is not None:
-            moved += about_disc(one.disc, one.target_mm, self._middle(v, state)) @ self._rims(v, state)
-        return np.column_stack([one.target_mm + moved, np.full(len(moved), depth)])
+        moved = self.layout.basis.reference[2] * star.polynomials @ fields[self.poses[v]].T
+        if self.layout.pose.about_disc and star.disc is not None:
+            moved += about_disc(star.disc, star.target_mm, self._middle(v, state)) @ self._rims(v, state)
+        return np.column_stack([star.target_mm + moved, np.full(len(moved), depth)])
 
     def _rims(self, v: int, state: State) -> Array:
         """Return (R,) the sizes of the displacements about the middle of a view's disc."""
@@ -292,14 +292,14 @@ class Bench:
         precisions = tuple(star.precision(rim) for star in self.stars)
         weights = before.weights if before else _weights(of_views, limit, precisions)
         slopes = mapped(self._factors, np.concatenate([by_camera, by_point], axis=2).transpose(2, 1, 0))
-        found = [
+        views = [
             self._view(v, state, in_camera[rows], residuals[:, rows], slopes[:, :, rows], weights[v])
             for v, rows in enumerate(self._rows)
         ]
-        shares = before.shares if before else self._shares(found)
-        found = found if before else [one.times(share) for one, share in zip(found, shares, strict=True)]
-        squares, right = np.array([one.squares for one in found]), np.array([one.right for one in found])
-        turned = np.array([one.turned for one in found])
+        shares = before.shares if before else self._shares(views)
+        views = views if before else [view.times(share) for view, share in zip(views, shares, strict=True)]
+        squares, right = np.array([view.squares for view in views]), np.array([view.right for view in views])
+        turned = np.array([view.turned for view in views])
         off, jacobian = np.zeros((0, 3)), np.zeros((0, 3, 0))
         if self.readings is not None and state.gimbal is not None:
             off = self.readings_off(state) + turned
@@ -307,15 +307,15 @@ class Bench:
         return Equations(
             self.by_pose(squares),
             self.by_pose(right),
-            sum(one.cost for one in found),
-            np.array([one.turn for one in found]),
-            np.array([one.coupling for one in found]),
+            sum(view.cost for view in views),
+            np.array([view.turn for view in views]),
+            np.array([view.coupling for view in views]),
             turned,
             self.maps,
             off,
             jacobian,
-            tuple(one.lengths for one in found),
-            tuple(one.weights for one in found),
+            tuple(view.lengths for view in views),
+            tuple(view.weights for view in views),
             precisions,
             rim,
             shares,
@@ -327,9 +327,9 @@ class Bench:
         """Return (n, ...) the sums over the views of each pose of (m, ...) values."""
         if len(values) == self.n_poses:
             return values
-        found = np.zeros((self.n_poses, *values.shape[1:]))
-        np.add.at(found, self.poses, values)
-        return found
+        sums = np.zeros((self.n_poses, *values.shape[1:]))
+        np.add.at(sums, self.poses, values)
+        return sums
 
     def _rim_noise(self, lengths: Sequence[Array]) -> RimNoise:
         """Return `_RIM_ALIKE` times the most probable noise at the rim of the visible discs; none without discs."""
@@ -364,9 +364,9 @@ class Bench:
             sums = [np.bincount(star, column) for column in (*residuals.T, roots)]
             both += float((sums[0] ** 2 + sums[1] ** 2).sum() - (residuals**2).sum())
             pairs += float((sums[2] ** 2).sum() - (roots**2).sum())
-        squares = sum(float(one.weights @ one.lengths**2) for one in view_equations)
+        squares = sum(float(view.weights @ view.lengths**2) for view in view_equations)
         alike = (
-            both * sum(float(one.weights.sum()) for one in view_equations) / max(pairs * squares, _NOTHING)
+            both * sum(float(view.weights.sum()) for view in view_equations) / max(pairs * squares, _NOTHING)
         )
         return np.asarray(1.0 / (1.0 + (views[self.poses] - 1) * min(max(alike, 0.0), 1.0)))
 
@@ -377,7 +377,7 @@ class Bench:
 
         residuals: (2, N), whitened. slopes: (P + 3, 2, N) their changes by the camera and by the points in its axes.
         """
-        one, pose, rotation = self.stars[v], self.layout.pose, state.rotations[v]
+        star, pose, rotation = self.stars[v], self.layout.pose, state.rotations[v]
         size, k = pose.size, len(slopes) - 3
         root = np.sqrt(weights)
         by_point = root * slopes[k:]
@@ -385,15 +385,15 @@ class Bench:
         columns = np.empty((size + 4, 2, len(weights)))
         np.multiply(root, slopes[:k], out=columns[:k])
         columns[k] = by_star[2]
-        if pose.about_disc and one.disc is not None:
+        if pose.about_disc and star.disc is not None:
             middle = self._middle(v, state)
-            moved = about_disc(one.disc, one.target_mm, middle)
+            moved = about_disc(star.disc, star.target_mm, middle)
             columns[pose.rim] = np.einsum("acn,nar->rcn", by_star[:2], moved)
-            along = by_middle(one.disc, one.target_mm, middle).transpose(0, 1, 3, 2) @ self._rims(v, state)
+            along = by_middle(star.disc, star.target_mm, middle).transpose(0, 1, 3, 2) @ self._rims(v, state)
             columns[pose.middle] = np.einsum("acn,nad->dcn", by_star[:2], along)
         fields = columns[pose.field].reshape(2, -1, 2, len(weights))
         across_mm = pose.fields.reference[2] * by_star[:2]
-        np.multiply(across_mm[:, None], one.polynomials.T[:, None], out=fields)
+        np.multiply(across_mm[:, None], star.polynomials.T[:, None], out=fields)
         np.multiply(root, residuals, out=columns[size])
         columns[size + 1 :] = _by_turn(in_camera, by_point)
         rows = columns.reshape(size + 4, -1)

@@ -95,7 +95,9 @@ class FieldBasis:
             lambda h: _square(h) ** 2 * e,
             lambda h: _square(h) * (h @ e)[:, None] * h,
         ]
-        return np.column_stack([size * self.shape(one) for size, one in zip(sizes, along, strict=False)])
+        return np.column_stack(
+            [size * self.shape(direction) for size, direction in zip(sizes, along, strict=False)]
+        )
 
 
 def _square(h: Array) -> Array:

@@ -73,7 +73,7 @@ _ASPECT_SIGMA, _FREE_ASPECT = 3e-4, 0.1
 #: Focal length and radius change by this share from first to last pose: 1 K of aluminium; if not, by the second.
 _DRIFT_SIGMA, _FREE_DRIFT = 3e-5, 5e-3
 #: The principal point lies in the middle of the sensor to this share of its diagonal.
-_MIDDLE_SHARE = 0.1
+MIDDLE_SHARE = 0.1
 #: If nobody had stated it, or stated it wrongly: a certificate's radius, the scale of an axis, that of a print, its
 #: thermal expansion, the parallax over the one that is expected without a bound.
 _FREE_RADIUS, FREE_SCALE, _FREE_PARALLAX = 0.02, 0.005, 0.005
@@ -122,13 +122,13 @@ class Statement:
             return {}
         own = self.covariance if self.doubtful is None else self.doubtful
         widest = float(np.sqrt(np.linalg.eigvals(np.linalg.solve(own, self.free)).real.max()))
-        found, left, times = {}, self.doubt, _WIDER
+        doubts, left, times = {}, self.doubt, _WIDER
         while times * _WIDER**0.5 < widest:
             wider = self.covariance + (times**2 - 1.0) * own
-            found[f"{times:.3g} times"] = Doubt(wider, left * (1.0 - 1.0 / _WIDER))
+            doubts[f"{times:.3g} times"] = Doubt(wider, left * (1.0 - 1.0 / _WIDER))
             left, times = left / _WIDER, times * _WIDER
-        found[WRONG] = Doubt(self.free, max(left, ANOTHER_THING.odds))
-        return found if self.focal is None else found | {FOCAL: Doubt(self.focal, OTHER_LENGTH.odds)}
+        doubts[WRONG] = Doubt(self.free, max(left, ANOTHER_THING.odds))
+        return doubts if self.focal is None else doubts | {FOCAL: Doubt(self.focal, OTHER_LENGTH.odds)}
 
     @cached_property
     def _informations(self) -> dict[str, Array]:
@@ -232,7 +232,7 @@ def _camera(layout: Layout, image_size: tuple[int, int], start: Mapping[str, flo
         replace(still.says(STEADY, {DRIFT: 1.0}, (0.0, _DRIFT_SIGMA), _FREE_DRIFT), doubt=UNSTEADY.odds),
     ]
     corner, lens = 0.5 * float(np.hypot(*image_size)) / f, _Source(layout, rows.LENS, "expected sizes")
-    sigmas = {name: one * corner ** (-2.0 * (int(name[1]) - 3)) for name, one in _DENOMINATOR.items()}
+    sigmas = {name: size * corner ** (-2.0 * (int(name[1]) - 3)) for name, size in _DENOMINATOR.items()}
     sigmas["skew"] = _SKEW_PX
     camera += [
         lens.says(rows.LENS, {name: 1.0}, (0.0, sigmas[name]))
@@ -245,7 +245,7 @@ def _camera(layout: Layout, image_size: tuple[int, int], start: Mapping[str, flo
 def _limits(layout: Layout, image_size: tuple[int, int], start: Mapping[str, float]) -> list[Statement]:
     """Return priors so wide that they matter only where nothing else is known."""
     middle = 0.5 * (np.array(image_size) - 1.0)
-    wide = _MIDDLE_SHARE * float(np.hypot(*image_size))
+    wide = MIDDLE_SHARE * float(np.hypot(*image_size))
     limits = {"cx": (float(middle[0]), wide), "cy": (float(middle[1]), wide)}
     limits |= {name: (start[name], start[name]) for name in ("fx", "fy")}
     limits |= {name: (start[name], start["r"]) for name in CENTRE}
@@ -267,9 +267,9 @@ def _certificate(layout: Layout, options: CalibrationOptions, passport: Passport
     # Who states where the pupil is before the focal plane means the focal length.
     is_focal = passport.length == CertifiedLength.FOCAL or bool(focus.pupil_to_focus_mm)
     stated = focal if is_focal and passport.length != CertifiedLength.SEEN else (r_mm, sigma)
-    found = source.says(CERTIFICATE, {"r": 1.0, **terms}, stated, _FREE_RADIUS * r_mm, "mm")
+    certificate = source.says(CERTIFICATE, {"r": 1.0, **terms}, stated, _FREE_RADIUS * r_mm, "mm")
     unsaid = passport.length == CertifiedLength.UNSAID and not is_focal
-    return replace(found, focal=np.array([[focal[1] ** 2]])) if unsaid else found
+    return replace(certificate, focal=np.array([[focal[1] ** 2]])) if unsaid else certificate
 
 
 def _focus(options: CalibrationOptions) -> TargetFocus:
@@ -308,7 +308,7 @@ def _passport(layout: Layout, options: CalibrationOptions, passport: Passport) -
         row[[layout.index[name], layout.index[CHANGE.format(name)]]] = 1.0, -1.0
     floor = np.diag((_EXACT * np.maximum(np.abs(known.values), 1e-3)) ** 2)
     covariance = known.covariance + floor + _elsewhere(layout, known)
-    found = [Statement(rows.PASSPORT, rows.PASSPORT, source, then, known.values, covariance)]
+    statements = [Statement(rows.PASSPORT, rows.PASSPORT, source, then, known.values, covariance)]
     free = dict.fromkeys(CENTRE, _FREE_RADIUS * known.values_by_name["r"]) | _FREE_RADIAL
     for witness, names in (
         (CHANGED_AXIS, CENTRE[:2]),
@@ -320,7 +320,7 @@ def _passport(layout: Layout, options: CalibrationOptions, passport: Passport) -
             continue
         own, wide = covariance[np.ix_(at, at)], np.diag([free[known.names[k]] ** 2 for k in at])
         stated = _UNCHANGED * own
-        found.append(
+        statements.append(
             Statement(
                 witness,
                 rows.PASSPORT,
@@ -333,7 +333,7 @@ def _passport(layout: Layout, options: CalibrationOptions, passport: Passport) -
                 unit="mm" if witness != CHANGED_RADIAL else "",
             )
         )
-    return found
+    return statements
 
 
 def _elsewhere(layout: Layout, passport: Passport) -> Array:

@@ -52,18 +52,18 @@ def _predicted(optimum: Optimum, pose: int, step: Array) -> tuple[Bench, State]:
     """Return bench and state after a step (S,) of the shared unknowns, with what a left-out pose has for itself."""
     problem, equations, state = optimum.marginal.problem, optimum.marginal.equations, optimum.state
     layout, there = problem.bench.layout, _as_shown(problem, pose)
-    away = there.maps[pose] @ (state.shared + step) - equations.maps[pose] @ state.shared
-    away[layout.own.places] -= state.fields[pose]
+    step_of_basis = there.maps[pose] @ (state.shared + step) - equations.maps[pose] @ state.shared
+    step_of_basis[layout.own.places] -= state.fields[pose]
     fields = state.fields.copy()
     fields[pose] = 0.0
     if along_of := layout.names_of(Along):
         at, squares = layout.pose.radius, equations.squares[pose]
         column = layout.index[along_of[pose]]
-        along = (equations.right[pose, at] - squares[at] @ away) / squares[at, at]
-        away[at] += along
+        along = (equations.right[pose, at] - squares[at] @ step_of_basis) / squares[at, at]
+        step_of_basis[at] += along
         step = step.copy()
         step[column] += along / there.maps[pose, at, column]
-    turned = equations.turned - np.einsum("mab,b->ma", equations.coupling, away)
+    turned = equations.turned - np.einsum("mab,b->ma", equations.coupling, step_of_basis)
     moved = there.moved(state, step, fields - state.fields, turned)
     return there, State(moved.shared, fields, moved.rotations)
 

@@ -71,8 +71,8 @@ class Problem:
         """Cost of how far the pupils are from where the visible discs show them."""
         if self.pupils is None:
             return 0.0
-        away = (self.bench.pupils - self.pupils.shown).reshape(-1)
-        return float(away @ self.pupils.information @ away)
+        off = (self.bench.pupils - self.pupils.shown).reshape(-1)
+        return float(off @ self.pupils.information @ off)
 
     def own_information(self, squares: Array) -> Array:
         """Return (F,) prior information of the coefficients of an own field."""
@@ -299,10 +299,10 @@ class Marginal:
         root, last = inverse_root(normal.information - flat.T @ flat)
         along = root @ (normal.pull - alone.reshape(-1) @ flat)
         step = along @ root
-        away = eta - self.problem.hyper.mean
+        from_mean = eta - self.problem.hyper.mean
         gain = float(along @ along) + float((alone**2).sum())
         value = normal.constant + logs + last - gain
-        value += float(away @ self.problem.hyper.information @ away)
+        value += float(from_mean @ self.problem.hyper.information @ from_mean)
         fields = (np.swapaxes(own_root, 1, 2) @ (alone - (between @ step)[:, :, None]))[:, :, 0]
         inside = normal.inside
         return Solution(self, eta, faults, value, gain, step, root, fields, own_root, between, inside)
@@ -385,6 +385,8 @@ class Marginal:
             return np.asarray(by_stars)
         predicted = self.equations.gimbal @ step[self.problem.bench.gimbal_places]
         already = self.equations.off - self.equations.turned  # readings to the present rotation
-        away = (self.axes @ (predicted - already - by_stars)[:, :, None])[:, :, 0]
+        to_readings = (self.axes @ (predicted - already - by_stars)[:, :, None])[:, :, 0]
         share = squares[self.problem.hyper.at(amp.STAR)] * self.loose * self.reading_weights(squares)
-        return np.asarray(by_stars + (np.swapaxes(self.axes, 1, 2) @ (share * away)[:, :, None])[:, :, 0])
+        return np.asarray(
+            by_stars + (np.swapaxes(self.axes, 1, 2) @ (share * to_readings)[:, :, None])[:, :, 0]
+        )

@@ -86,14 +86,14 @@ def _others(optimum: Optimum, curvature: Array) -> list[Node]:
     known = [optimum.solution]
 
     def near(solution: Solution) -> bool:
-        away = np.array([solution.eta - other.eta for other in known])
-        return bool((((away @ curvature) * away).sum(axis=1) < _APART).any())
+        steps = np.array([solution.eta - other.eta for other in known])
+        return bool((((steps @ curvature) * steps).sum(axis=1) < _APART).any())
 
     for start in _starts_of_others(optimum):
         with suppress(np.linalg.LinAlgError):
             ended = best_amplitudes(optimum.marginal.solve(start), _STEPS, enough=ROUGH, until=near)
             known += [] if near(ended) else [ended]
-    return [Node(one, _odds_of_mode(one, optimum.solution, curvature)) for one in known[1:]]
+    return [Node(mode, _odds_of_mode(mode, optimum.solution, curvature)) for mode in known[1:]]
 
 
 def _starts_of_others(optimum: Optimum) -> list[Array]:

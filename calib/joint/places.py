@@ -33,10 +33,10 @@ def step_to_places(solution: Solution) -> Array:
     bench, pupils = solution.marginal.problem.bench, _pupils(solution)
     seen, moved = _seen(solution), _moved(solution)
     pull = (moved.swapaxes(1, 2) @ seen.right[:, :, None])[:, :, 0]
-    away = pupils.information @ (bench.pupils - pupils.shown).reshape(-1)
+    to_discs = pupils.information @ (bench.pupils - pupils.shown).reshape(-1)
     gradient, curvature = _of_determinant(solution)
     information = pupils.information + _information(seen, moved, solution) + block_diagonal(curvature)
-    step = np.linalg.solve(information, (pull - gradient).reshape(-1) - away)
+    step = np.linalg.solve(information, (pull - gradient).reshape(-1) - to_discs)
     return np.asarray(step.reshape(-1, 2), np.float64)
 
 

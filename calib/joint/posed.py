@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import zip_longest
 from typing import NamedTuple
 
 import numpy as np
 
-from calib.adjustment.initialization import initialized
+from calib.adjustment.initialization import initialized, with_distorted_glass
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.calibration import CalibrationOptions
 from calib.joint import amplitudes as amp
@@ -27,6 +28,7 @@ from calib.model.camera import PINHOLE, SKEW
 from calib.model.collimator import Collimator
 from calib.model.gimbal import SCALES
 from calib.model.lens import BROWN, FISHEYE, R8, is_fisheye
+from calib.model.passport import Passport
 from calib.view import View
 
 
@@ -45,9 +47,24 @@ def lens_names(chosen: Sequence[str]) -> tuple[str, ...]:
 def first_parameters(
     views: Sequence[View], options: CalibrationOptions, lens: Sequence[str]
 ) -> AdjustmentParameters:
-    """Return the best of the closed forms, refined on a share of the stars."""
-    few = tuple(name for name in lens if name in ("k1", "k2", "kb1", "kb2"))
-    return initialized(views, few, options.passport)[1]
+    """Return the best of the closed forms, refined on a share of the stars, with radial distortion of the glass.
+
+    The radius is free then: distortion would take up that of another collimator's certificate.
+    """
+    bundle, start = initialized(views, _first_lens(lens), options.passport)
+    if options.passport is not None and not options.passport.is_certificate:
+        return start
+    free = dict.fromkeys((*bundle.names, "r"))
+    return with_distorted_glass(replace(bundle, names=tuple(free)), start)
+
+
+def held_parameters(views: Sequence[View], radius_mm: float, lens: Sequence[str]) -> AdjustmentParameters:
+    """Return the same for a radius that is held."""
+    return with_distorted_glass(*initialized(views, _first_lens(lens), Passport.of_radius(radius_mm, 0.0)))
+
+
+def _first_lens(lens: Sequence[str]) -> tuple[str, ...]:
+    return tuple(name for name in lens if name in ("k1", "k2", "kb1", "kb2"))
 
 
 def posed(
@@ -89,7 +106,7 @@ def posed(
     if passport is not None:
         layout = layout.with_passport(stated_names(passport))
     values = {name: start.camera.to_dict().get(name, 0.0) for name in names}
-    values |= {"x": centre.x, "y": centre.y, "r": centre.r}
+    values |= centre.to_dict()
     shared = np.zeros(len(layout.names))
     shared[layout.places(tuple(values))] = list(values.values())
     shared[layout.places([name for name in circumstances.gimbal if name in SCALES])] = 1.0

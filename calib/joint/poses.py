@@ -54,18 +54,18 @@ def _moved(first: View, second: View, camera: CameraModel) -> bool:
     _, i, j = np.intersect1d(first.ids, second.ids, return_indices=True)
     rays = camera.rays(first.points_px[i])
     kept = np.isfinite(rays).all(axis=1)
-    rays, away = rays[kept], (second.points_px[j] - first.points_px[i])[kept]
+    rays, movements = rays[kept], (second.points_px[j] - first.points_px[i])[kept]
     if 2 * len(rays) <= _COEFFICIENTS:
         return False
     x, y = rays[:, 0], rays[:, 1]
     smooth = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
-    left = np.linalg.norm(away - smooth @ np.linalg.lstsq(smooth, away)[0], axis=1)
+    left = np.linalg.norm(movements - smooth @ np.linalg.lstsq(smooth, movements)[0], axis=1)
     good = left <= _OUTLIER * np.median(left)
     by_point = camera.project_with_jacobians(rays)[1]
     turned = np.cross(np.eye(3)[:, None], rays[None]).transpose(1, 2, 0)
     by_turn = (by_point @ turned)[good]
-    rest = _squares(smooth[good], away[good])
-    more = max(_squares(by_turn.reshape(-1, 3), away[good].reshape(-1)) - rest, 0.0)
+    rest = _squares(smooth[good], movements[good])
+    more = max(_squares(by_turn.reshape(-1, 3), movements[good].reshape(-1)) - rest, 0.0)
     share = more / max(rest, good.sum() * _EXACT_PX**2)
     return share > _SMOOTH and (2 * int(good.sum()) - _COEFFICIENTS) * math.log1p(share) > _DECISIVE
 

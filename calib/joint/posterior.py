@@ -26,9 +26,8 @@ from calib.joint.evidence import odds_of
 from calib.joint.hypotheses import Hypothesis
 from calib.joint.modes import Modes, modes_of
 from calib.joint.places import spread_of_places
-from calib.joint.prior import Faults
 from calib.joint.samples import Node, nodes_about
-from calib.joint.solve import Optimum, beside, relative_step
+from calib.joint.solve import Optimum, optimum_with_faults, relative_step
 from calib.model.result_parts import COVERAGE
 
 #: Halvings of an interval until its half width is known to 1e-9 of the widest.
@@ -38,8 +37,6 @@ _PAIRS, _FAULT_PAIRS = 12, 4
 _SMALL_SHARE, _SMALL_DOUBT = 0.01, 0.05
 #: The equations hold for steps of this share of focal length and radius.
 _NEAR = 0.01
-#: What lies beside such a state still counts if it is so near that the equations show where it is.
-_REACHED = 0.05
 #: A fault that leads farther is looked at if its odds against none are more than this.
 _COUNTS = 0.05
 
@@ -140,20 +137,22 @@ class Posterior:
     @cached_property
     def covariance(self) -> Array:
         """(S, S) covariance of the shared unknowns."""
-        away = self.means - self.mean
+        from_mean = self.means - self.mean
         within = sum(weight * own for weight, own in zip(self.weights, self.covariances, strict=True))
-        return np.asarray(within + (self.weights[:, None] * away).T @ away)
+        return np.asarray(within + (self.weights[:, None] * from_mean).T @ from_mean)
 
     def expanded(self, row: Array) -> float:
         """Return the half width of the interval that covers 95.45 % of the function with the (S,) gradient row."""
         at = np.flatnonzero(row)
-        away = (self.means[:, at] - self.mean[at]) @ row[at]
+        offsets = (self.means[:, at] - self.mean[at]) @ row[at]
         sigmas = np.sqrt([row[at] @ own[at[:, None], at] @ row[at] for own in self.covariances])
-        low, high = 0.0, float((np.abs(away) + 6.0 * sigmas).max())
+        low, high = 0.0, float((np.abs(offsets) + 6.0 * sigmas).max())
         for _ in range(_HALVINGS):
             half = 0.5 * (low + high)
-            ends = np.array([half - away, half + away]) / (np.sqrt(2.0) * sigmas)
-            inside = 0.5 * np.array([[math.erf(one) for one in side] for side in ends.tolist()]).sum(axis=0)
+            ends = np.array([half - offsets, half + offsets]) / (np.sqrt(2.0) * sigmas)
+            inside = 0.5 * np.array([[math.erf(bound) for bound in side] for side in ends.tolist()]).sum(
+                axis=0
+            )
             low, high = (low, half) if float(self.weights @ inside) > COVERAGE else (half, high)
         return 0.5 * (low + high)
 
@@ -188,7 +187,7 @@ def posterior(modes: Modes, rounds: int, *, follow: bool = True) -> Posterior:
     if not follow:
         return _mixture(modes, near)
     try:
-        there = beside(optimum, likeliest.faults, rounds)
+        there = optimum_with_faults(optimum, likeliest.faults, rounds)
         odds = odds_of(there, likeliest.faults, optimum)
     except (NotConverged, np.linalg.LinAlgError):  # without the statement nothing determines the camera
         return _mixture(modes, near)
@@ -196,32 +195,11 @@ def posterior(modes: Modes, rounds: int, *, follow: bool = True) -> Posterior:
         modes_there = modes_of(there)
         near_there = [node for node in modes_there.nodes if _holds(there, node)]
         if near_there:
-            others = _also(there, modes_there.nodes, near, likeliest.faults, odds * modes.none)
-            return _mixture(modes_there, [*near_there, *others])
+            return _mixture(modes_there, near_there)
         odds = 0.0
     share = min(odds * modes.none / likeliest.weight, 1.0)
     lowered = [replace(node, weight=share * node.weight) for node in far]
     return _mixture(modes, [*near, *lowered])
-
-
-def _also(
-    there: Optimum, modes: Sequence[Node], near: Sequence[Node], faults: Faults, odds: float
-) -> list[Node]:
-    """Return the modes near the first optimum, as the equations ``there`` show them: where a fault leads.
-
-    They count by their weights against the ``odds`` of this fault. If these are alike, the result covers both.
-    """
-    found = {
-        mode.faults: mode for mode in modes if relative_step(there.marginal, mode.solution.step) < _REACHED
-    }
-    if faults not in found:
-        return []
-    whole = found[faults].weight / odds
-    return [
-        replace(found[one.faults], weight=whole * one.weight)
-        for one in near
-        if one.faults in found and not _holds(there, found[one.faults])
-    ]
 
 
 def _holds(optimum: Optimum, mode: Node) -> bool:

@@ -99,10 +99,10 @@ class RandomPrior:
 
     def pulled(self, squares: Array, inside: Array) -> Array:
         """Return (K, Q) the (K, K) prior information times the columns with their amplitudes."""
-        found = np.zeros_like(self.shapes)
+        columns_pulled = np.zeros_like(self.shapes)
         for rows, columns in self.blocks:
-            found[rows, columns] = inside[rows, rows] @ self.shapes[rows, columns]
-        return np.asarray(found * np.sqrt(squares[self.amplitudes]))
+            columns_pulled[rows, columns] = inside[rows, rows] @ self.shapes[rows, columns]
+        return np.asarray(columns_pulled * np.sqrt(squares[self.amplitudes]))
 
     def gradient(self, inside: Array, covariance: Array, mean: Array) -> Array:
         """Return (Q,) number minus expected square of what each column scales, at unit amplitude.

@@ -37,8 +37,8 @@ class Pupils:
 
     def moved(self, shifts_mm: Array) -> Pupils:
         """Return the pupils if the discs are shifted by (n, 2) on the target."""
-        away = shifts_mm - shifts_mm.mean(axis=0)
-        return replace(self, shown=self.shown + _AS_TURNS / self.r_mm * away)
+        about_mean = shifts_mm - shifts_mm.mean(axis=0)
+        return replace(self, shown=self.shown + _AS_TURNS / self.r_mm * about_mean)
 
 
 def shown_way(discs: Discs) -> Pupil:
@@ -58,9 +58,9 @@ def lever_of(discs: Discs | None, turns: Array, r_mm: float, bound: ParallaxBoun
         return Lever(float(np.hypot(off, LEVER)), 0.0)
     if discs is None or len(turns) < 2:
         return Lever(LEVER, _LEVER_SPREAD)
-    away, differences = _about_their_mean(discs)
+    middles, differences = _about_their_mean(discs)
     along = _along(turns) / r_mm
-    ways, unseen = along @ away.reshape(-1), np.diag(np.where(np.ptp(turns, axis=0) < _NO_TURN, 1.0, 0.0))
+    ways, unseen = along @ middles.reshape(-1), np.diag(np.where(np.ptp(turns, axis=0) < _NO_TURN, 1.0, 0.0))
     logs = np.log(LEVER) + _LEVERS * _LEVER_SPREAD
     variances = along @ differences @ along.T + unseen + np.exp(2.0 * logs)[:, None, None] * np.eye(2)
     fit = np.einsum("a,gab,b->g", ways, np.linalg.inv(variances), ways)
@@ -87,8 +87,8 @@ def _about_their_mean(discs: Discs) -> tuple[Array, Array]:
 
 def pupils_of(discs: Discs, r_mm: float) -> Pupils:
     """Return the pupils of a mount that is moved by hand."""
-    away, differences = _about_their_mean(discs)
-    n, as_turns = len(away), _AS_TURNS / r_mm
+    middles, differences = _about_their_mean(discs)
+    n, as_turns = len(middles), _AS_TURNS / r_mm
     covariance = as_turns**2 * differences
     covariance += _SAME**2 * np.kron(np.full((n, n), 1.0 / n), np.eye(2))
-    return Pupils(as_turns * away, np.asarray(np.linalg.inv(covariance)), r_mm)
+    return Pupils(as_turns * middles, np.asarray(np.linalg.inv(covariance)), r_mm)

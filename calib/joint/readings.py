@@ -52,25 +52,25 @@ class Readings:
     @cached_property
     def smooth(self) -> Mapping[str, tuple[int, Array]]:
         """By the name of an unknown: the axis, and (m,) the part of its smooth errors with this unit variance."""
-        found: dict[str, tuple[int, Array]] = {}
+        parts_by_name: dict[str, tuple[int, Array]] = {}
         for k, alike in enumerate(alike_errors(self.angles_deg)):
             if self.moved[k]:
                 sizes, parts = np.linalg.eigh(alike)
                 axis = AXES[k].removesuffix("_deg")
                 for number, at in enumerate(np.flatnonzero(sizes > _SMALL_PART)):
-                    found[f"{ENCODER}_{axis}_{number}"] = k, np.sqrt(sizes[at]) * parts[:, at]
-        return found
+                    parts_by_name[f"{ENCODER}_{axis}_{number}"] = k, np.sqrt(sizes[at]) * parts[:, at]
+        return parts_by_name
 
     @cached_property
     def errors(self) -> Mapping[str, tuple[int, Array]]:
         """By the name of an error of an encoder: its axis, and (m,) the error of each reading for a unit of it."""
-        found: dict[str, tuple[int, Array]] = {}
+        errors: dict[str, tuple[int, Array]] = {}
         angles = np.radians(self.angles_deg)
         for name in ECCENTRICITY:
             axis, part = name.split("_")[1:]
             k = AXES.index(f"{axis}_deg")
-            found[name] = k, np.sin(angles[:, k]) if part == "sin" else np.cos(angles[:, k]) - 1.0
-        return {**found, **self.smooth}
+            errors[name] = k, np.sin(angles[:, k]) if part == "sin" else np.cos(angles[:, k]) - 1.0
+        return {**errors, **self.smooth}
 
     def start(self, rotations: Array) -> Gimbal:
         """Return the gimbal that fits given rotations with unit scales."""

@@ -159,8 +159,8 @@ def _residuals(
     state = _reached(optimum, optimum.solution.step, optimum.solution.fields)
     lengths = whole.whitened(state)
     weights = []
-    for one, length, own in zip(stars, lengths, used, strict=True):
-        precision = one.precision(optimum.marginal.equations.rim)
+    for view_stars, length, own in zip(stars, lengths, used, strict=True):
+        precision = view_stars.precision(optimum.marginal.equations.rim)
         weights.append(own * precision * robust_weights(np.sqrt(precision) * length, star))
     return whole.residuals(state), weights
 
@@ -169,15 +169,15 @@ def _witnesses(posterior: Posterior) -> tuple[Witness, ...]:
     """Return the statements against what all others say."""
     witnesses = []
     for innovation in posterior.innovations():
-        said, together = innovation.statement, len(innovation.statement.values) > 1
+        statement, together = innovation.statement, len(innovation.statement.values) > 1
         numbers = (
-            said.values[0],
-            np.sqrt(said.covariance[0, 0]),
+            statement.values[0],
+            np.sqrt(statement.covariance[0, 0]),
             innovation.expected[0],
             innovation.sigma[0],
         )
         stated, sigma, expected, spread = (None if together else float(number) for number in numbers)
-        what = innovation.name, said.source, said.unit
+        what = innovation.name, statement.source, statement.unit
         witnesses.append(
             Witness(*what, stated, sigma, expected, spread, innovation.normalised, innovation.probability)
         )
@@ -193,10 +193,13 @@ def _size(posterior: Posterior, name: str, source: str, amplitude: str) -> Witne
     """Return the witness of errors whose size is expected: how many times as large they are."""
     hyper = posterior.optimum.marginal.problem.hyper
     at = hyper.at(amplitude)
-    away, width = float(posterior.optimum.eta[at] - hyper.mean[at]), float(np.sqrt(hyper.covariance[at, at]))
-    times = float(np.exp(away))
+    log_times, width = (
+        float(posterior.optimum.eta[at] - hyper.mean[at]),
+        float(np.sqrt(hyper.covariance[at, at])),
+    )
+    times = float(np.exp(log_times))
     spread = times * float(posterior.spread[at])
-    return Witness(name, source, "times stated", 1.0, width, times, spread, -away / width, 0.0)
+    return Witness(name, source, "times stated", 1.0, width, times, spread, -log_times / width, 0.0)
 
 
 def _amplitudes(posterior: Posterior) -> tuple[Amplitude, ...]:
@@ -250,8 +253,10 @@ def _gimbal(
     sigmas = np.sqrt(np.diag(posterior.covariance)[at])
     reading = marginal.problem.hyper.at(amp.READING)
     times = float(np.exp(posterior.largest.eta[reading]))
-    away = max((abs(values[name] - 1.0) for name in names if name in SCALES), default=0.0)
-    entered = times < _MOST_SCATTER and away < _FARTHEST_SCALE * max(options.gimbal.scale_sigma, FREE_SCALE)
+    off_scale = max((abs(values[name] - 1.0) for name in names if name in SCALES), default=0.0)
+    entered = times < _MOST_SCATTER and off_scale < _FARTHEST_SCALE * max(
+        options.gimbal.scale_sigma, FREE_SCALE
+    )
     off = bench.readings.off(parameters.gimbal, values, parameters.rotations)
     if not entered:  # the mean may hold other scales instead
         times, off = (

@@ -52,24 +52,24 @@ class Node:
 def nodes_about(mode: Node, lower: Array, pairs: int, share: float) -> list[Node]:
     """Return the nodes about a mode, twice ``pairs``, weights summing to ``share``; lower: L, L L^T the curvature."""
     eta, solution = mode.eta, mode.solution
-    found, logs = [solution], [0.0]
+    solutions, logs = [solution], [0.0]
     bounds = np.array(solution.marginal.problem.hyper.bounds).T
     main = _main_directions(solution, lower)
     for along, direction in _design(len(eta), pairs):
-        beside = direction - main @ (main.T @ direction)
-        beside *= np.sqrt(len(eta) - _DIRECTIONS) / np.linalg.norm(beside)
-        at = np.clip(eta + np.linalg.solve(lower.T, _STRETCH * main @ along + beside), *bounds)
+        across = direction - main @ (main.T @ direction)
+        across *= np.sqrt(len(eta) - _DIRECTIONS) / np.linalg.norm(across)
+        at = np.clip(eta + np.linalg.solve(lower.T, _STRETCH * main @ along + across), *bounds)
         try:
-            one = solution.marginal.solve(at, mode.faults)
+            sample = solution.marginal.solve(at, mode.faults)
         except np.linalg.LinAlgError:
             continue
-        found.append(one)
-        away = float(along @ along) + float(beside @ beside)
-        logs.append(log_odds(one, solution, 0.5 * away))
+        solutions.append(sample)
+        distance_squared = float(along @ along) + float(across @ across)
+        logs.append(log_odds(sample, solution, 0.5 * distance_squared))
     weights = np.exp(np.array(logs) - max(logs))
     weights = np.minimum(weights, LARGEST_WEIGHT * max(float(np.median(weights)), 1.0 / len(weights) ** 2))
     weights *= share / weights.sum()
-    return [Node(one, float(w)) for w, one in zip(weights, found, strict=True)]
+    return [Node(sample, float(w)) for w, sample in zip(weights, solutions, strict=True)]
 
 
 def log_odds(solution: Solution, other: Solution, more: float = 0.0) -> float:

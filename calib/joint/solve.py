@@ -63,7 +63,7 @@ class Optimum:
     solution: Solution
     iterations: int
     converged: bool
-    fault_eta: Array | None = None  # (A,) with the fault whose state this is (`beside`)
+    fault_eta: Array | None = None  # (A,) with the fault whose state this is (`optimum_with_faults`)
 
     @property
     def marginal(self) -> Marginal:
@@ -169,7 +169,7 @@ def approached(problem: Problem, start: State, equations: Equations, rounds: int
     return state
 
 
-def beside(optimum: Optimum, faults: Faults, rounds: int, start: State | None = None) -> Optimum:
+def optimum_with_faults(optimum: Optimum, faults: Faults, rounds: int, start: State | None = None) -> Optimum:
     """Return an optimum whose equations are those of the state that some faults of statements lead to.
 
     A grossly wrong statement takes the state so far away that the equations do not hold where the others lead. The

@@ -107,7 +107,7 @@ def notes(result: Calibration, posterior: Posterior) -> tuple[str, ...]:
         for witness in result.witnesses
         if witness.name not in {READINGS, *explained} and witness.fault_probability >= DOUBTED
     ]
-    named.sort(key=lambda one: (-one.fault_probability, -abs(one.innovation)))
+    named.sort(key=lambda witness: (-witness.fault_probability, -abs(witness.innovation)))
     together = "" if len(named) < 2 else _TOGETHER
     sentences = [*map(cause_sentence, result.causes), _lens(posterior) or _weakness(result, posterior)]
     sentences += [*map(_doubt, named), together]
@@ -193,7 +193,7 @@ def _denied(posterior: Posterior) -> str:
 def _weakness(result: Calibration, posterior: Posterior) -> str:
     """Return a note if a focal length is poorly determined."""
     relative = {name: result.U[name] / getattr(result.camera, name) for name in ("fx", "fy")}
-    name = max(relative, key=lambda one: relative[one])
+    name = max(relative, key=lambda focal: relative[focal])
     if relative[name] < _WEAK_FOCAL:
         return ""
     free = _free_unknown(posterior, 0)

@@ -37,8 +37,9 @@ _SHIFTS = [
 _ON_LATTICE = 0.05
 #: A shift is looked at if -2 log of the likelihood rises by no more than this with it, all linear, and adjusted if it
 #: falls by the second number with better amplitudes: wrong ids have made the own fields of the poses look large. On
-#: drawn gimbals with right ids it would rise by 300 or more from three poses on.
-_LOOKED_AT, _PROMISED = -5.0, 4.0
+#: drawn gimbals with right ids it would rise by 300 or more from three poses on; with wrong ids of one of nine views
+#: and readings it rose by 9.
+_LOOKED_AT, _PROMISED = -50.0, 4.0
 #: Largest number of shifts that are adjusted at a time, and of steps of the amplitudes.
 _ADJUSTED, _STEPS = 4, 20
 #: An origin at a pixel's corner instead of its centre, px.
@@ -118,11 +119,11 @@ def find_shifted_ids(
         return ShiftedIds()
     each = needed(len(views) * len(_SHIFTS)) - 2.0 * math.log(SHIFTED_IDS.odds)
 
-    def cost(one: _Moved) -> float:
-        return each * float(np.count_nonzero(one.shifts.any(axis=1)))
+    def cost(moved: _Moved) -> float:
+        return each * float(np.count_nonzero(moved.shifts.any(axis=1)))
 
-    def worth(one: _Moved) -> float:
-        return one.gain - cost(one)
+    def worth(moved: _Moved) -> float:
+        return moved.gain - cost(moved)
 
     def holds(shifted: _Moved) -> bool:
         by_hand = optimum.marginal.problem.pupils is not None
@@ -139,7 +140,9 @@ def find_shifted_ids(
     if not best.shifts.any():
         return ShiftedIds()
     others = {
-        _in_words(views, one) for one in every if one.shifts.any() and worth(one) > worth(best) - DECISIVE
+        _in_words(views, moved)
+        for moved in every
+        if moved.shifts.any() and worth(moved) > worth(best) - DECISIVE
     } - {_in_words(views, best)}
     if len(views) == 2:  # what all views have in common is another centre
         others.add(_in_words(views, replace(best, shifts=(best.shifts - best.shifts.sum(axis=0)))))
@@ -205,15 +208,15 @@ def _gain_again(
 
 def _in_words(views: Sequence[View], moved: _Moved) -> str:
     """Return shifts in words, as "view left by 1 column"."""
-    said = []
+    views_in_words = []
     for view, shift in zip(views, moved.shifts.astype(int).tolist(), strict=True):
         parts = [
             f"{number} {name if abs(number) == 1 else name + 's'}"
             for number, name in zip(shift, ("column", "row"), strict=True)
             if number
         ]
-        said += [f"view {view.name} by {' and '.join(parts)}"] if parts else []
-    return " and ".join(said)
+        views_in_words += [f"view {view.name} by {' and '.join(parts)}"] if parts else []
+    return " and ".join(views_in_words)
 
 
 def _lattice_pitch(views: Sequence[View]) -> float | None:
@@ -237,7 +240,7 @@ def find_other_origins(optimum: Optimum, views: Sequence[View]) -> str:
         return ""
     places = np.array([optimum.marginal.problem.bench.layout.index[name] for name in ("cx", "cy")])
     shifts = _shifts(optimum, places)
-    ratio, shift = max((_joined(shifts, by) for by in (HALF_PX, -HALF_PX)), key=lambda one: one[0])
+    ratio, shift = max((_joined(shifts, by) for by in (HALF_PX, -HALF_PX)), key=lambda joined: joined[0])
     if ratio < 0.0:
         return ""
     # Offsets of the joined views along each axis, in half pixels.
@@ -269,5 +272,5 @@ def _joined(shifts: AddedColumns, by: float) -> tuple[float, Array]:
         gains = shifts.gains(tried.reshape(len(tried), -1))
         shift = tried[gains.argmax()]
         ratio = float(gains.max()) - needed(2 * math.comb(views, size))
-        best = max(best, (ratio, shift), key=lambda one: one[0])
+        best = max(best, (ratio, shift), key=lambda ratio_and_shift: ratio_and_shift[0])
     return best

@@ -32,9 +32,10 @@ def test_traced_rays_agree_with_paraxial_sums_and_the_polynomials_with_rays(name
 @pytest.mark.parametrize("name", glass.DESIGNS)
 def test_a_target_out_of_focus_changes_the_length_that_is_seen_as_optics_says(name):
     traced = made(name, out_of_focus=0.03)
-    r, defocus = traced.radius_and_defocus()
-    assert abs(defocus) == pytest.approx(0.03, rel=0.02)
-    assert r == pytest.approx(traced.efl_mm + defocus * traced.pupil_to_focus_mm, abs=0.01)
+    for pupil_z_mm in (0.0, 7.0):
+        r, defocus = traced.radius_and_defocus(pupil_z_mm)
+        assert abs(defocus) == pytest.approx(0.03, rel=0.02)
+        assert r == pytest.approx(traced.efl_mm + defocus * (traced.pupil_to_focus_mm - pupil_z_mm), abs=0.01)
 
 
 def test_a_star_is_seen_where_the_ray_goes():

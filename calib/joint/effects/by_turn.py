@@ -257,16 +257,16 @@ class CurvatureAside(Effect):
         return [RandomBlock(TURN_ROW, self.names, ((amp.CURVATURE_ASIDE, sizes),))]
 
 
-def _curvature(beside: Array, h: Array) -> Array:
+def _curvature(aside: Array, h: Array) -> Array:
     """Return the field |h|^2 e. h: (N, 2)."""
-    return np.asarray((h * h).sum(axis=1, keepdims=True) * beside)
+    return np.asarray((h * h).sum(axis=1, keepdims=True) * aside)
 
 
-def _astigmatism(beside: Array, h: Array) -> Array:
+def _astigmatism(aside: Array, h: Array) -> Array:
     """Return the field (h e) h. h: (N, 2)."""
-    return np.asarray((h @ beside)[:, None] * h)
+    return np.asarray((h @ aside)[:, None] * h)
 
 
-def _coma(beside: Array, turn: Array, h: Array) -> Array:
+def _coma(aside: Array, turn: Array, h: Array) -> Array:
     """Return the field (e h) t + (e t) h + (h t) e: coma, by a turn t, for a pupil beside the axis by e. h: (N, 2)."""
-    return (h @ beside)[:, None] * turn + float(beside @ turn) * h + (h @ turn)[:, None] * beside
+    return (h @ aside)[:, None] * turn + float(aside @ turn) * h + (h @ turn)[:, None] * aside

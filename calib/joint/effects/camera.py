@@ -86,11 +86,11 @@ def _alike(names: tuple[str, ...], amplitude: str) -> RandomBlock:
 
 def _prism(turn: Array, axis: Array, h: Array) -> Array:
     """Return the field |x|^2 e of an image that is turned, on the target. h: (N, 2)."""
-    away = h - turn
-    return np.asarray((away * away).sum(axis=1, keepdims=True) * axis)
+    turned = h - turn
+    return np.asarray((turned * turned).sum(axis=1, keepdims=True) * axis)
 
 
 def _decentring(turn: Array, axis: Array, h: Array) -> Array:
     """Return the field 2 (x e) x of an image that is turned, on the target. h: (N, 2)."""
-    away = h - turn
-    return np.asarray(2.0 * (away @ axis)[:, None] * away)
+    turned = h - turn
+    return np.asarray(2.0 * (turned @ axis)[:, None] * turned)

@@ -48,14 +48,14 @@ class Rim(Effect):
 
 def about_disc(disc: Disc, target_mm: Array, middle: Array) -> Array:
     """Return (N, 2, R) displacements of (N, 2) stars, mm; middle: (2,) from where the disc was found, in sigmas."""
-    away, rho, beyond = _from_middle(disc, target_mm, middle)
-    return np.asarray(away[:, :, None] * ((rho - _BEND * beyond) ** _POWERS)[:, None])
+    from_middle, rho, beyond = _from_middle(disc, target_mm, middle)
+    return np.asarray(from_middle[:, :, None] * ((rho - _BEND * beyond) ** _POWERS)[:, None])
 
 
 def by_middle(disc: Disc, target_mm: Array, middle: Array) -> Array:
     """Return (N, 2, R, 2) derivatives of `about_disc` by the middle of the disc."""
-    away, rho, beyond = _from_middle(disc, target_mm, middle)
-    inside, along = rho - _BEND * beyond, away / (rho * disc.radius_mm)
+    from_middle, rho, beyond = _from_middle(disc, target_mm, middle)
+    inside, along = rho - _BEND * beyond, from_middle / (rho * disc.radius_mm)
     steep = _POWERS * inside ** (_POWERS - 1) * np.exp(-beyond)
     slopes = np.einsum("na,nb,nr->narb", along, along, rho * steep)
     slopes += np.eye(2)[:, None] * (inside**_POWERS)[:, None, :, None]
@@ -64,6 +64,6 @@ def by_middle(disc: Disc, target_mm: Array, middle: Array) -> Array:
 
 def _from_middle(disc: Disc, target_mm: Array, middle: Array) -> tuple[Array, Array, Array]:
     """Return (N, 2) stars from the disc's middle, mm; (N, 1) how far, in its radii; (N, 1) how far beyond it."""
-    away = target_mm - disc.centre_mm - np.linalg.cholesky(disc.covariance_mm2) @ middle
-    rho = np.maximum(np.hypot(*away.T), _NOTHING)[:, None] / disc.radius_mm
-    return away, rho, np.logaddexp(0.0, (rho - BEYOND) / _BEND)
+    from_middle = target_mm - disc.centre_mm - np.linalg.cholesky(disc.covariance_mm2) @ middle
+    rho = np.maximum(np.hypot(*from_middle.T), _NOTHING)[:, None] / disc.radius_mm
+    return from_middle, rho, np.logaddexp(0.0, (rho - BEYOND) / _BEND)

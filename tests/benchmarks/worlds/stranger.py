@@ -148,7 +148,7 @@ def _world(seed: int, camera: int) -> World:
     widest = DESIGNS[design][2]
     half = np.array(SIZE) / 2 * PIXEL_MM / focal
     area = 4 * np.minimum(half, widest).prod() * efl**2 * 0.9
-    r, defocus = glass.radius_and_defocus()
+    r, defocus = glass.radius_and_defocus(pupil[2])
     sigma = 2e-4 * efl
     certifies = str(rng.choice(["focal length"] * 3 + ["radius"] * 2))
     is_true = glass.efl_mm if certifies == "focal length" else r

@@ -249,13 +249,14 @@ class Collimator:
             h = h - np.linalg.solve(np.stack(columns, axis=2), (base - print_mm)[..., None])[..., 0]
         return h
 
-    def radius_and_defocus(self) -> tuple[float, float]:
-        """What the engine's statements mean: d print / d tangent and d print / d place, on the axis, from the pupil."""
+    def radius_and_defocus(self, pupil_z_mm: float) -> tuple[float, float]:
+        """What the engine's statements mean: d print / d tangent and d print / d place, on the axis, from a pupil."""
         e, h = 1e-3, 0.02
         angles = np.arange(12) * np.pi / 6
         unit = np.column_stack([np.cos(angles), np.sin(angles)])
         near, far = (  # what distortion adds with the square is taken out
-            float((self.print_mm(0 * unit, k * h * unit) * unit).mean() * 2 / (k * h)) for k in (0.5, 1.0)
+            float((self.print_mm(-pupil_z_mm * k * h * unit, k * h * unit) * unit).mean() * 2 / (k * h))
+            for k in (0.5, 1.0)
         )
         rise = float((self.print_mm(e * unit, 0 * unit) * unit).mean() * 2 / e)
         return near + (near - far) / 3, rise

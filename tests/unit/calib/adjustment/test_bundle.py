@@ -100,6 +100,19 @@ def test_the_equations_are_the_sums_over_the_derivatives_of_all_stars(bench, len
         assert np.abs((found.right[i] - pull) / along).max() < 1e-5 * np.linalg.norm(residuals[rows])
 
 
+def test_the_derivatives_with_distorted_glass_are_those_of_differences(bench):
+    rng = np.random.default_rng(18)
+    bundle = Bundle(Observations.from_views(bench.views(rng, 0.05)), (*NAMES, "radial"))
+    near = parameters_near(bench, rng)
+    parameters = replace(near, collimator=replace(near.collimator, aberrations={"radial": 0.8}))
+    expected = slopes(bundle, parameters).transpose(0, 2, 1)
+    slope = bundle.derivatives(parameters)
+    assert (
+        np.abs(np.linalg.norm(slope - expected, axis=(1, 2)) / np.linalg.norm(expected, axis=(1, 2))).max()
+        < 1e-5
+    )
+
+
 @pytest.mark.parametrize("loss", [Loss("huber", 1.0), Loss("cauchy", 1.0)])
 def test_a_robust_cost_curves_as_its_differences_do(bench, loss):
     rng = np.random.default_rng(18)

@@ -5,7 +5,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from calib.adjustment.initialization import passport_starts, planar_starts, spherical_starts
+from calib.adjustment.initialization import (
+    initialized,
+    passport_starts,
+    planar_starts,
+    spherical_starts,
+    with_distorted_glass,
+)
 from calib.engine import CalibrationOptions, calibrate
 from calib.errors import CalibrationError, DegenerateViews
 from calib.model.closed_forms import camera_matrix_from_centre, linear_solution, zhang_matrix
@@ -206,6 +212,44 @@ def test_a_turntable_is_enough(bench):
     result = calibrate(views)
     assert result.camera.fx == pytest.approx(bench.fx, abs=4 * result.sigma["fx"])
     assert result.sigma["fx"] < 0.015 * bench.fx  # The parallax is not bounded
+
+
+class DistortedBench(Bench):
+    """The same behind a single doublet, which shows stars 1 + 1.4 |h|^2 times as far from its axis."""
+
+    distortion = 1.4
+
+    def project(self, target_mm, turn, centre):
+        foot, r = np.asarray(centre)[:2], -centre[2]
+        h = (target_mm - foot) / r
+        seen = foot + r * h * (1.0 + self.distortion * (h * h).sum(axis=1, keepdims=True))
+        return super().project(seen, turn, centre)
+
+
+def test_glass_that_distorts_is_no_error_of_camera_and_centre():
+    bench = DistortedBench(
+        fx=7100.0,
+        fy=7097.0,
+        cx=632.0,
+        cy=360.0,
+        k=(0.23, -30.0),
+        centre=(70.0, 120.0, -582.0),
+        poses=((3.2, 2.3), (0.1, -2.7), (-3.3, 2.4), (3.0, -2.5), (-3.0, -2.3), (-0.3, 2.5)),
+        half_angle_deg=9.0,
+    )
+    views = bench.views(np.random.default_rng(1), 0.04)
+    bundle, plain = initialized(views, ("k1", "k2"), Passport.of_radius(582.0, 0.1))
+    start = with_distorted_glass(bundle, plain)
+    assert abs(plain.camera.cx - bench.cx) > 50.0
+    assert start.camera.fx == pytest.approx(bench.fx, abs=5.0)
+    assert start.camera.cx == pytest.approx(bench.cx, abs=5.0)
+    assert start.collimator.aberrations == {"radial": pytest.approx(1.4, abs=0.01)}
+    assert (start.collimator.x, start.collimator.y) == pytest.approx((70.0, 120.0), abs=0.5)
+
+
+def test_glass_that_does_not_distort_leaves_the_start_as_it_is(bench):
+    bundle, start = initialized(bench.views(np.random.default_rng(2), 0.05), ("k1", "k2"), None)
+    assert with_distorted_glass(bundle, start) is start
 
 
 def test_poses_that_the_search_parts_stay_as_they_were_found():

@@ -113,5 +113,5 @@ def test_a_state_without_a_wrong_passport_that_cannot_be_found_is_no_crash(bench
 
     views = bench.views(np.random.default_rng(66), 0.02)
     wrong = Passport(EXACT.names, EXACT.values + 25.0 * np.eye(3)[2], np.diag([0.05, 0.05, 0.1]) ** 2)
-    monkeypatch.setattr("calib.joint.posterior.beside", without)
+    monkeypatch.setattr("calib.joint.posterior.optimum_with_faults", without)
     assert calibrate(views, with_passport(wrong)).camera.fx > 0.0
