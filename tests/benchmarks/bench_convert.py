@@ -96,7 +96,9 @@ def main() -> None:
     parser = measured.options(__doc__)
     parser.add_argument("--recording", type=Path, action="append", default=[])
     parser.add_argument("--repeated", type=Path, help="a RAW file of a real camera, repeated to a gigabyte")
-    parser.add_argument("--events", type=float, default=20.0, help="millions of each drawn recording")
+    parser.add_argument(
+        "--events", type=float, default=20.0, help="millions of each drawn recording; 0: none"
+    )
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--old", type=Path, help="checkout of an earlier version")
     parser.add_argument("--one", type=Path, help="convert this file only (for this program's own use)")
@@ -112,7 +114,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         paths = {path.name: path for path in options.recording}
         bench_evt3.EVENTS = int(1e6 * options.events)
-        for name, scene in bench_evt3.SCENES.items():
+        for name, scene in bench_evt3.SCENES.items() if options.events else ():
             paths[name] = Path(folder) / f"{name}.raw"
             bench_evt3.write_scene(paths[name], *scene)
         if options.repeated:

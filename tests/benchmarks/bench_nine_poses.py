@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import json
 import os
-import statistics
 import subprocess
 import sys
 import tempfile
@@ -45,10 +44,10 @@ def main() -> None:
                 times = real_run(source, folder) | rehearsal(source, folder)
                 for what, took_s in times.items() if number else ():
                     taken.setdefault(what, {}).setdefault(version, []).append(took_s)
-    print(f"| median of {options.rounds} | now | before | ratio |\n| --- | ---: | ---: | ---: |")
+    print(f"| {options.rounds} rounds | now | 95 % | before | 95 % | ratio |\n| --- |" + " ---: |" * 5)
     for what, found in taken.items():
-        now_s, before_s = (statistics.median(found[version]) for version in versions)
-        print(f"| {what} | {now_s:.1f} s | {before_s:.1f} s | {now_s / before_s:.2f} |")
+        now, before = (measured.spread(found[version]) for version in versions)
+        print(f"| {what} | {now.cells(1)} | {before.cells(1)} | {now.median_s / before.median_s:.2f} |")
 
 
 def real_run(source: Path, folder: Path) -> Times:
