@@ -24,8 +24,6 @@ _STEPS = 20
 _LOWER, _HIGHER = 2.5, 1.0
 #: A mode is another one if it is so far away: a square, in sigmas. A search that comes nearer ends where the first did.
 _APART = 2.0
-#: Odds are told up to this logarithm: its exponential is still a number.
-_LARGEST_SCALE = 600.0
 
 
 @dataclass(frozen=True)
@@ -39,11 +37,6 @@ class Modes:
     # Weights of doubts that show the same camera as the likeliest, whose weight includes them.
     alike: dict[Faults, float]
     scale: float  # Weights are odds against the first without doubts, divided by the exponential of this
-
-    @property
-    def none(self) -> float:
-        """Weight of the first without doubts."""
-        return math.exp(-min(self.scale, _LARGEST_SCALE))
 
     @property
     def log_odds(self) -> float:

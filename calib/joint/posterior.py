@@ -179,16 +179,17 @@ def posterior(modes: Modes, rounds: int, *, follow: bool = True) -> Posterior:
     ``rounds`` linearisations. They do not count if these equations lead far away again, or if ``follow`` is false.
     """
     optimum, nodes = modes.optimum, modes.nodes
-    far = [node for node in nodes if node.faults and not _holds(optimum, node)]
+    none = max((node for node in nodes if not node.faults), key=_weight)
+    far = [node for node in nodes if node.faults and not _holds(optimum, node, none.solution.step)]
     near = [node for node in nodes if not any(node is other for other in far)]
     likeliest = max(far, key=_weight, default=None)
-    if likeliest is None or likeliest.weight < _COUNTS * modes.none:
+    if likeliest is None or likeliest.weight < _COUNTS * none.weight:
         return _mixture(modes, nodes)
     if not follow:
         return _mixture(modes, near)
     try:
         there = optimum_with_faults(optimum, likeliest.faults, rounds)
-        odds = odds_of(there, likeliest.faults, optimum)
+        odds = odds_of(there, likeliest.faults, replace(optimum, solution=none.solution))
     except (NotConverged, np.linalg.LinAlgError):  # without the statement nothing determines the camera
         return _mixture(modes, near)
     if odds > 1.0 and likeliest.weight > max(node.weight for node in near):
@@ -197,14 +198,14 @@ def posterior(modes: Modes, rounds: int, *, follow: bool = True) -> Posterior:
         if near_there:
             return _mixture(modes_there, near_there)
         odds = 0.0
-    share = min(odds * modes.none / likeliest.weight, 1.0)
+    share = min(odds * none.weight / likeliest.weight, 1.0)
     lowered = [replace(node, weight=share * node.weight) for node in far]
     return _mixture(modes, [*near, *lowered])
 
 
-def _holds(optimum: Optimum, mode: Node) -> bool:
-    """Return whether the step to a mode is so short that the equations hold there."""
-    return relative_step(optimum.marginal, mode.solution.step) < _NEAR
+def _holds(optimum: Optimum, mode: Node, begin: Array | float = 0.0) -> bool:
+    """Return whether the step to a mode, from the end ``begin`` (S,) of another one, leaves the equations valid."""
+    return relative_step(optimum.marginal, mode.solution.step - begin) < _NEAR
 
 
 def _weight(mode: Node) -> float:

@@ -8,7 +8,10 @@ import pytest
 from calib.calibration import CalibrationOptions
 from calib.engine import calibrate
 from calib.errors import InputMismatch
-from calib.joint.knowledge import CERTIFICATE
+from calib.joint.adjust import adjust
+from calib.joint.knowledge import CERTIFICATE, FOCAL
+from calib.joint.modes import modes_of
+from calib.joint.posterior import posterior
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
 from calib.model.target_focus import TargetFocus
@@ -104,3 +107,25 @@ def test_a_passport_keeps_which_length_its_certificate_states():
 def test_an_unknown_length_or_a_place_that_is_no_number_is_refused(make):
     with pytest.raises(InputMismatch):
         make()
+
+
+def test_the_other_length_counts_as_much_where_other_amplitudes_are_more_probable_than_those_of_the_search():
+    """Another length was left out there: it was weighed against the amplitudes of the search, 370 times less probable."""
+    options = CalibrationOptions(passport=Passport.of_radius(FOCAL_MM, 0.05))
+    modes = modes_of(adjust(NARROW.views(np.random.default_rng(71), 0.05), options))
+    layout = modes.optimum.marginal.problem.bench.layout
+    aside = np.zeros(len(layout.names))
+    aside[layout.places(("fx", "fy"))] = 0.02 * modes.optimum.state.shared[0]
+
+    def moved(node):
+        return replace(node, solution=replace(node.solution, step=node.solution.step + aside))
+
+    first, *doubts = modes.nodes
+    better = replace(
+        modes,
+        nodes=[replace(first, weight=first.weight / 370.0), *map(moved, (first, *doubts))],
+        scale=modes.scale + np.log(370.0),
+    )
+    share = posterior(modes, 30).share_of((CERTIFICATE, FOCAL))
+    assert share > 0.1
+    assert posterior(better, 30).share_of((CERTIFICATE, FOCAL)) == pytest.approx(share, rel=0.05)
