@@ -111,8 +111,9 @@ def find_shifted_ids(
 ) -> ShiftedIds:
     """Look for views whose ids are shifted by columns and rows of the lattice against those of the others.
 
-    The best shift of one view is kept, and the search goes on with the next view, up to half of the views. A pupil
-    that a hand moves can imitate a shift: there each shift is kept only if the views, adjusted ``again``, gain as much.
+    The best shift of one view is kept, and the search goes on with the next view, up to half of the views. Where
+    another view would do, too, other sizes of its shift are tried. A pupil that a hand moves can imitate a shift: there
+    each shift is kept only if the views, adjusted ``again``, gain as much.
     """
     pitch = _lattice_pitch(views)
     if len(views) < 2 or pitch is None:
@@ -139,26 +140,34 @@ def find_shifted_ids(
         best = better
     if not best.shifts.any():
         return ShiftedIds()
-    others = {
-        _in_words(views, moved)
-        for moved in every
-        if moved.shifts.any() and worth(moved) > worth(best) - DECISIVE
-    } - {_in_words(views, best)}
+    for rival in [
+        moved for moved in every if moved.shifts.any() and moved is not best and worth(moved) > 0.0
+    ]:
+        every += _shifted(
+            optimum, rival, pitch, rounds
+        )  # another size of its shift may explain more than the best
+    likeliest = max(every, key=worth)
+    best = likeliest if likeliest is best or holds(likeliest) else best
+    rivals = [moved for moved in every if moved.shifts.any() and worth(moved) > worth(best) - DECISIVE]
+    return ShiftedIds(_note(views, best, rivals, cost(best)), worth(best))
+
+
+def _note(views: Sequence[View], best: _Moved, rivals: Sequence[_Moved], enough: float) -> str:
+    """Return the sentence that names the shifted views, or those of which one is shifted."""
+    others = {_in_words(views, moved) for moved in rivals} - {_in_words(views, best)}
     if len(views) == 2:  # what all views have in common is another centre
         others.add(_in_words(views, replace(best, shifts=(best.shifts - best.shifts.sum(axis=0)))))
-    ratio = f"2 log(likelihood ratio) is {best.gain:.0f}; {cost(best):.0f} is enough"
+    ratio = f"2 log(likelihood ratio) is {best.gain:.0f}; {enough:.0f} is enough"
     if others:
-        words = (
+        return (
             "The star ids of one view may be shifted, but these views do not show which one. Shift the ids of "
             f"{', or '.join([_in_words(views, best), *sorted(others)])}. "
             f"Then the stars fit far better ({ratio}). Check the ids of these views, or add views."
         )
-    else:
-        words = (
-            f"The star ids are wrong: shift the ids of {_in_words(views, best)}. "
-            f"Then the stars fit far better ({ratio}). Check the tag or the id file of this view."
-        )
-    return ShiftedIds(words, worth(best))
+    return (
+        f"The star ids are wrong: shift the ids of {_in_words(views, best)}. "
+        f"Then the stars fit far better ({ratio}). Check the tag or the id file of this view."
+    )
 
 
 def _shifted(first: Optimum, best: _Moved, pitch: float, rounds: int) -> list[_Moved]:
