@@ -180,7 +180,8 @@ def posterior(modes: Modes, rounds: int, *, follow: bool = True) -> Posterior:
     """
     optimum, nodes = modes.optimum, modes.nodes
     none = max((node for node in nodes if not node.faults), key=_weight)
-    far = [node for node in nodes if node.faults and not _holds(optimum, node, none.solution.step)]
+    here = (0.0, none.solution.step)  # what holds for the other amplitudes holds for their doubts
+    far = [node for node in nodes if node.faults and not any(_holds(optimum, node, at) for at in here)]
     near = [node for node in nodes if not any(node is other for other in far)]
     likeliest = max(far, key=_weight, default=None)
     if likeliest is None or likeliest.weight < _COUNTS * none.weight:
