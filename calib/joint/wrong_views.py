@@ -42,6 +42,8 @@ _ON_LATTICE = 0.05
 _LOOKED_AT, _PROMISED = -50.0, 4.0
 #: Largest number of shifts that are adjusted at a time, and of steps of the amplitudes.
 _ADJUSTED, _STEPS = 4, 20
+#: Of other shifts that explain much, so many are tried with other sizes: each takes up to four searches.
+_RIVALS = 2
 #: An origin at a pixel's corner instead of its centre, px.
 HALF_PX = 0.5
 
@@ -126,9 +128,12 @@ def find_shifted_ids(
     def worth(moved: _Moved) -> float:
         return moved.gain - cost(moved)
 
-    def holds(shifted: _Moved) -> bool:
-        by_hand = optimum.marginal.problem.pupils is not None
-        return not by_hand or _gain_again(optimum, views, pitch * shifted.shifts, again) >= cost(shifted)
+    by_hand = optimum.marginal.problem.pupils is not None
+
+    def holds(moved: _Moved) -> bool:
+        if not by_hand:
+            return True
+        return _gain_again(optimum, views, pitch * moved.shifts, again, rounds) >= cost(moved)
 
     best = _Moved(np.zeros((len(views), 2)), 0.0, optimum)
     every = [best]
@@ -140,12 +145,9 @@ def find_shifted_ids(
         best = better
     if not best.shifts.any():
         return ShiftedIds()
-    for rival in [
-        moved for moved in every if moved.shifts.any() and moved is not best and worth(moved) > 0.0
-    ]:
-        every += _shifted(
-            optimum, rival, pitch, rounds
-        )  # another size of its shift may explain more than the best
+    others = sorted((moved for moved in every if worth(moved) > 0.0 and moved is not best), key=worth)
+    for rival in others[-_RIVALS:]:  # another size of its shift may explain more
+        every += _shifted(optimum, rival, pitch, rounds)
     likeliest = max(every, key=worth)
     best = likeliest if likeliest is best or holds(likeliest) else best
     rivals = [moved for moved in every if moved.shifts.any() and worth(moved) > worth(best) - DECISIVE]
@@ -202,17 +204,25 @@ def _shifted(first: Optimum, best: _Moved, pitch: float, rounds: int) -> list[_M
 
 
 def _gain_again(
-    optimum: Optimum, views: Sequence[View], shifts_mm: Array, again: Callable[[Sequence[View]], Optimum]
+    optimum: Optimum,
+    views: Sequence[View],
+    shifts_mm: Array,
+    again: Callable[[Sequence[View]], Optimum],
+    rounds: int,
 ) -> float:
-    """Return what (m, 2) shifts of stars gain if the shifted views are adjusted anew; 0 if they cannot be."""
+    """Return what (m, 2) shifts of stars gain if the shifted views are adjusted anew; 0 if they cannot be.
+
+    Another state may be what gains. So the stars as they are are adjusted from there, too.
+    """
     moved = [
         replace(view, target_mm=view.target_mm + shift) for view, shift in zip(views, shifts_mm, strict=True)
     ]
     try:
         there = _ended(again(moved))
+        unmoved = _moved(optimum, there, rounds, np.zeros_like(shifts_mm))
     except CalibrationError:
         return 0.0
-    return _ended(optimum).solution.value - there.solution.value
+    return min(_ended(optimum).solution.value, unmoved.solution.value) - there.solution.value
 
 
 def _in_words(views: Sequence[View], moved: _Moved) -> str:
