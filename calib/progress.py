@@ -1,6 +1,6 @@
-"""How far a calibration is, for a person who waits: its searches, each with its rounds, that are done and expected.
+"""Tells a person who waits how far a calibration is.
 
-How many searches it takes is not known beforehand, so the expected number may grow.
+A calibration takes one search or more, each of some rounds. The number of searches that are expected can grow.
 """
 
 from __future__ import annotations

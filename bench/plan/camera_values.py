@@ -95,7 +95,7 @@ _LENSES: Mapping[str, tuple[str, ...] | None] = {
 #: Whether the lens is a fisheye, in a key that asks for it.
 _IS_FISHEYE: Mapping[str, tuple[str, ...]] = {"0": OPENCV, "false": OPENCV, "1": FISHEYE, "true": FISHEYE}
 _OF_MC_CALIB = "distortionvector"
-"""A name that only MC-Calib has, whose `distortion_type` is 1 for a fisheye."""
+"""Only MC-Calib has this name. There, a `distortion_type` of 1 means a fisheye."""
 _IN_ANY_ORDER = "brown"
 """A model whose list of coefficients is k1 k2 p1 p2 k3 in some programs, and k1 k2 k3 p1 p2 in cuVSLAM and openMVG."""
 _OF_ANDROID = "lensdistortion"

@@ -18,7 +18,7 @@ _YAW_DEG, _PITCH_DEG = 38.0, 24.0
 """Direction from which the scene is seen: from the right of the camera and from above."""
 _MOST = 40
 """Largest number of poses drawn."""
-_EDGE_POINTS = 9  # A distorted side of the sensor looks curved, not broken
+_EDGE_POINTS = 9  # Enough for a smooth curve where the lens bends the side of the sensor
 _ROOM = 22.0
 """Room for the title, points."""
 _CORNERS = (0, 8, 16, 24)

@@ -23,7 +23,7 @@ from calib.errors import InputMismatch
 from calib.view import View
 
 #: Radial distortion of the collimator, as `calib.model.collimator.Collimator` has it.
-RADIAL = "radial"
+RADIAL_TERM = "radial"
 #: Number of rounded operations in a projection.
 _ROUNDED_OPERATIONS = 10.0
 _EPSILON = float(np.finfo(float).eps)
@@ -102,7 +102,7 @@ class Bundle:
         """
         obs = self.observations
         x, y, z = (obs.target - parameters.centres[obs.view]).T
-        if distortion := parameters.collimator.aberrations.get(RADIAL):
+        if distortion := parameters.collimator.aberrations.get(RADIAL_TERM):
             farther = 1.0 + distortion * (x * x + y * y) / z**2
             x, y = farther * x, farther * y
         turns = parameters.rotations[obs.view].transpose(1, 2, 0)
@@ -122,7 +122,7 @@ class Bundle:
         moved = -(turns[0] * u + turns[1] * v + turns[2] * w)
         known = dict(zip(parameters.camera.parameter_names, by_camera.transpose(2, 1, 0), strict=True))
         known |= {"x": moved[0], "y": moved[1], "r": -moved[2]}
-        if RADIAL in self.names:
+        if RADIAL_TERM in self.names:
             known |= self._by_distorted_glass(parameters, moved)
         rows = [*(known[name] for name in self.names), *turned, *(moved if self.free_centres else ())]
         return mapped(obs.factors, np.array(rows))
@@ -133,13 +133,13 @@ class Bundle:
         Own, by the chain rule for X - c = (v (1 + a q), r) with q = |v|^2 / r^2.
         """
         x, y, r = (self.observations.target - parameters.centres[self.observations.view]).T
-        a, q = parameters.collimator.aberrations[RADIAL], (x * x + y * y) / r**2
+        a, q = parameters.collimator.aberrations[RADIAL_TERM], (x * x + y * y) / r**2
         outward = x * moved[0] + y * moved[1]
         return {
             "x": (1.0 + a * q) * moved[0] + 2.0 * a * x / r**2 * outward,
             "y": (1.0 + a * q) * moved[1] + 2.0 * a * y / r**2 * outward,
             "r": 2.0 * a * q / r * outward - moved[2],
-            RADIAL: -q * outward,
+            RADIAL_TERM: -q * outward,
         }
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.adjustment.bundle import RADIAL, Bundle, Observations
+from calib.adjustment.bundle import RADIAL_TERM, Bundle, Observations
 from calib.adjustment.levenberg_marquardt import Refinement, refine
 from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
@@ -163,15 +163,15 @@ def with_distorted_glass(bundle: Bundle, start: AdjustmentParameters) -> Adjustm
     Where the glass bends the field, camera and centre would take it up, up to 8 degrees away. Own procedure.
     """
     plain = bundle.thinned(_COMPARISON_STARS)
-    distorted = replace(plain, names=(*plain.names, RADIAL))
+    distorted = replace(plain, names=(*plain.names, RADIAL_TERM))
     starts = [
-        replace(start, collimator=replace(start.collimator, aberrations={RADIAL: size}))
+        replace(start, collimator=replace(start.collimator, aberrations={RADIAL_TERM: size}))
         for size in _DISTORTIONS
     ]
     best = next(iter(_refined_starts(distorted, starts, _FINAL_STEPS)), None)
     if best is None or not _is_camera(best):
         return start
-    size = abs(best.parameters.collimator.aberrations[RADIAL])
+    size = abs(best.parameters.collimator.aberrations[RADIAL_TERM])
     is_better = best.cost < _FITS_BETTER * plain.costs(start, Loss("l2")).sum()
     return best.parameters if is_better and size < _LARGEST_DISTORTION else start
 

@@ -24,7 +24,7 @@ SAME_POSE_DEG = 0.2
 
 #: Largest acceptable 1-sigma of a focal length, as a share of it.
 MAX_FOCAL_SIGMA = 0.05
-_NO_TURN_DEG = 0.5  # If no view is turned by more, only noise would determine the focal length
+_NO_TURN_DEG = 0.5  # With smaller turns, noise alone would determine the focal length
 _PARALLEL_SINE = 0.05  # 3 degrees
 _NARROW_DEG = 5.0
 

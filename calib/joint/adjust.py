@@ -120,8 +120,9 @@ def _searched_ends(task: Task, start: AdjustmentParameters) -> list[_End]:
     """Return the ends of searches, the most probable first: from the closed form, and from another start.
 
     A closed form follows the errors of a collimator along what the views hardly determine, focal length and radius in
-    proportion, and can end at eight times the camera. If its end leaves the stars or the readings unexplained, the best
-    start with a held radius is followed, too. Nothing is blamed, refused or left out before.
+    proportion, and can end at eight times the camera. If its end leaves the stars or the readings unexplained, or the
+    principal point far from the middle of the image, the best start with a held radius is followed, too. Nothing is
+    blamed, refused or left out before.
     """
     ends, denied, failed = list[_End](), list[Optimum](), list[Exception]()
 
@@ -187,8 +188,9 @@ def _explains(optimum: Optimum, views: Sequence[View]) -> bool:
     Then no other camera could explain them better. Where poses turn little, cx and the centre can go far together.
     """
     size = np.array(views[0].image_size)
-    from_middle = np.abs(optimum.state.shared[2:4] - 0.5 * (size - 1.0)).max()
-    if from_middle > MIDDLE_SHARE * np.hypot(*size):
+    principal_point = optimum.state.shared[optimum.marginal.problem.bench.layout.places(("cx", "cy"))]
+    from_middle_px = np.abs(principal_point - 0.5 * (size - 1.0)).max()
+    if from_middle_px > MIDDLE_SHARE * np.hypot(*size):
         return False
     stated = [np.sqrt(0.5 * np.median(np.trace(view.covariances_px2, axis1=1, axis2=2))) for view in views]
     local = float(np.median([noise_px(view) / sigma for view, sigma in zip(views, stated, strict=True)]))

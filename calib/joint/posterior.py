@@ -179,18 +179,18 @@ def posterior(modes: Modes, rounds: int, *, follow: bool = True) -> Posterior:
     ``rounds`` linearisations. They do not count if these equations lead far away again, or if ``follow`` is false.
     """
     optimum, nodes = modes.optimum, modes.nodes
-    none = max((node for node in nodes if not node.faults), key=_weight)
-    here = (0.0, none.solution.step)  # what holds for the other amplitudes holds for their doubts
-    far = [node for node in nodes if node.faults and not any(_holds(optimum, node, at) for at in here)]
+    undoubted = max((node for node in nodes if not node.faults), key=_weight)
+    begins = (0.0, undoubted.solution.step)  # doubts hold where their amplitudes do without doubts
+    far = [node for node in nodes if node.faults and not any(_holds(optimum, node, at) for at in begins)]
     near = [node for node in nodes if not any(node is other for other in far)]
     likeliest = max(far, key=_weight, default=None)
-    if likeliest is None or likeliest.weight < _COUNTS * none.weight:
+    if likeliest is None or likeliest.weight < _COUNTS * undoubted.weight:
         return _mixture(modes, nodes)
     if not follow:
         return _mixture(modes, near)
     try:
         there = optimum_with_faults(optimum, likeliest.faults, rounds)
-        odds = odds_of(there, likeliest.faults, replace(optimum, solution=none.solution))
+        odds = odds_of(there, likeliest.faults, replace(optimum, solution=undoubted.solution))
     except (NotConverged, np.linalg.LinAlgError):  # without the statement nothing determines the camera
         return _mixture(modes, near)
     if odds > 1.0 and likeliest.weight > max(node.weight for node in near):
@@ -199,7 +199,7 @@ def posterior(modes: Modes, rounds: int, *, follow: bool = True) -> Posterior:
         if near_there:
             return _mixture(modes_there, near_there)
         odds = 0.0
-    share = min(odds * none.weight / likeliest.weight, 1.0)
+    share = min(odds * undoubted.weight / likeliest.weight, 1.0)
     lowered = [replace(node, weight=share * node.weight) for node in far]
     return _mixture(modes, [*near, *lowered])
 

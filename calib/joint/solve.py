@@ -63,7 +63,9 @@ class Optimum:
     solution: Solution
     iterations: int
     converged: bool
-    fault_eta: Array | None = None  # (A,) with the fault whose state this is (`optimum_with_faults`)
+    fault_eta: Array | None = (
+        None  # (A,) amplitudes with the fault that leads to this state (`optimum_with_faults`)
+    )
 
     @property
     def marginal(self) -> Marginal:

@@ -100,7 +100,7 @@ def parse_header(
         )
     if "index_version" in fields:  # OpenEB, i_events_stream.cpp
         raise NotARecording(
-            "This is the index that the maker's programs write beside a recording; it holds no events.",
+            "This file holds no events. It is the index that Metavision writes beside a recording.",
             where=where,
             remedy="Give the recording itself, whose name is the same without .tmp_index.",
         )

@@ -58,7 +58,8 @@ def main() -> None:
 
 def write_counts(heading: str, counts: dict[str, tuple[int, ...]]) -> None:
     """Replace the numbers at the ends of the rows of a section of the page, which name the mistakes."""
-    totals = tuple(map(sum, zip(*(own for name, own in counts.items() if name != "healthy"), strict=True)))
+    mistakes = [own for name, own in counts.items() if name != "healthy"]
+    totals = tuple(sum(column) for column in zip(*mistakes, strict=True))
     named = {**counts, "all": totals}
     page = measured.FOLDER / "mistakes.md"
     before, _, rest = page.read_text(encoding="utf-8").partition(heading)

@@ -27,7 +27,7 @@ from bench.record.storage import open_to_read, storage_errors
 Stamp = tuple[int, int, int, int]
 _BatchStamp = tuple[Stamp, bool, float]
 
-_BATCH_AGAIN_S = 10.0  # The expected end of a running batch changes with time
+_BATCH_AGAIN_S = 10.0  # A running batch is read again so often: its expected end changes
 MOST_NEW = 1000
 """Most runs that are read for the first time at one look: the list appears after a second, and grows."""
 _stat = (

@@ -40,7 +40,7 @@ MAX_ADDRESS: Final = 2047
 _HEAD_BYTES: Final = 12  # Count and style in 4, the first time in 8
 _WORST_TIME_BYTES: Final = 19
 """Largest size of the time of an event: 16 bytes for a step of 64 bits, one for its end, and a count."""
-_STYLE_A: Final = 2  # How events are packed: bits of the head
+_STYLE_A: Final = 2  # Two bits of the head say how the events are packed
 _STYLE_B: Final = 1
 _STYLE_C: Final = 0
 _ROW_COUNT_BITS: Final = 5  # of 16
