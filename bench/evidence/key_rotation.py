@@ -19,7 +19,8 @@ from bench.evidence.signers import (
 )
 from bench.evidence.ssh_keys import fingerprint
 from bench.record.folder_lock import locked_folder
-from bench.record.storage import make_folder, storage_errors, sync_folder, write_atomic
+from bench.record.storage import make_folder, storage_errors, write_atomic
+from drivers.durable import sync_folder
 
 ARCHIVE = "old_keys"
 """Folder of private keys that are no longer used."""

@@ -24,7 +24,8 @@ from bench.evidence.signers import NAMESPACE, PRINCIPAL, SIGNERS_FILE, read_publ
 from bench.evidence.ssh_keys import fingerprint, key_text
 from bench.evidence.sshsig import Ed25519Signer
 from bench.record.folder_lock import locked_folder
-from bench.record.storage import make_folder, storage_errors, sync_folder, write_atomic
+from bench.record.storage import make_folder, storage_errors, write_atomic
+from drivers.durable import sync_folder
 
 NEW_KEY = f"{KEY_FILE}.new"
 """A key that replaces the bench's key, complete beside it, until it is put in its place."""

@@ -17,7 +17,8 @@ from typing import Any, Self
 from bench.base.bounded_json import parse_json
 from bench.base.errors import JournalBroken, RunFolderError, StorageError
 from bench.record.journal_line import FIRST_PREV, OWN_KEYS, Entry, decode_line, encode_line
-from bench.record.storage import O_BINARY, open_to_read, storage_errors, sync_folder, write_all
+from bench.record.storage import open_to_read, storage_errors
+from drivers.durable import O_BINARY, sync_folder, write_all
 
 CLOCK_JUMP_S = 2.0
 """The system time is said to have jumped if it moved by more than this against the monotonic clock."""

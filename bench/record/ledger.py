@@ -47,7 +47,8 @@ from bench.record.ledger_marks import (
     write_own_mark,
 )
 from bench.record.run_folder import MANIFEST, is_sealed
-from bench.record.storage import make_folder, sha256_of, storage_errors, sync_folder
+from bench.record.storage import make_folder, sha256_of, storage_errors
+from drivers.durable import sync_folder
 
 LEDGER = "ledger.jsonl"
 PLACE_FORGOTTEN = "place_forgotten"

@@ -19,7 +19,8 @@ from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, EvidenceError, JournalBroken, StorageError
 from bench.record.journal_line import Entry
 from bench.record.run_folder import MANIFEST
-from bench.record.storage import O_BINARY, read_bounded, storage_errors, sync_folder, write_all, write_atomic
+from bench.record.storage import read_bounded, storage_errors, write_atomic
+from drivers.durable import O_BINARY, sync_folder, write_all
 
 MARK = "ledger_high"
 ANCHOR_PATIENCE_S = 10.0

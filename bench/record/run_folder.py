@@ -25,9 +25,9 @@ from bench.record.storage import (
     read_bounded,
     sha256_of,
     storage_errors,
-    sync_folder,
     write_atomic,
 )
+from drivers.durable import sync_folder
 
 JOURNAL = "journal.jsonl"
 SEQUENCE_COPY = "sequence.yaml"

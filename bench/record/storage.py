@@ -17,15 +17,10 @@ from typing import Any, BinaryIO
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import StorageError
+from drivers.durable import FOLDERS_OPEN, O_BINARY, sync_file, sync_folder, write_all
 
 HASH_CHUNK_BYTES = 1 << 20
 TEMPORARY = ".tmp"
-
-_FOLDERS_OPEN = hasattr(os, "O_DIRECTORY")
-O_BINARY = getattr(os, "O_BINARY", 0)
-"""Flag of ``os.open``; without it, Windows writes two bytes for each line feed."""
-_TO_SYNC = os.O_RDONLY if _FOLDERS_OPEN else os.O_RDWR
-"""Windows does not sync a file that is open for reading only."""
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _DENIED = {errno.EACCES, errno.EPERM, errno.EROFS}
@@ -58,29 +53,9 @@ def storage_errors(where: Path) -> Iterator[None]:
         raise StorageError(what, where=str(place), remedy=remedy) from error
 
 
-def sync_folder(folder: Path) -> None:
-    """Sync a folder, so that names in it survive a power cut. Does nothing on Windows, which cannot sync folders."""
-    if not _FOLDERS_OPEN:
-        return
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def sync_file(path: Path) -> None:
-    """Sync a file, so that its contents survive a power cut. Raises OSError when it cannot be synced."""
-    descriptor = os.open(path, _TO_SYNC)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
 def open_to_lock(folder: Path) -> int:
     """Open a folder in order to lock it (see `drivers.file_lock`). On Windows, open a hidden file beside it instead."""
-    if _FOLDERS_OPEN:
+    if FOLDERS_OPEN:
         return os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     return os.open(folder.with_name(f".{folder.name}.lock"), os.O_RDWR | os.O_CREAT)
 
@@ -94,13 +69,6 @@ def make_folder(folder: Path) -> None:
             sync_folder(path.parent)
         if not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(folder))
-
-
-def write_all(descriptor: int, data: bytes) -> None:
-    """Write every byte. ``os.write`` alone may write fewer."""
-    view = memoryview(data)
-    while view:
-        view = view[os.write(descriptor, view) :]
 
 
 def write_atomic(path: Path, data: bytes, *, mode: int = 0o644) -> None:

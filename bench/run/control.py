@@ -28,10 +28,11 @@ from bench.record.inbox import Inbox, KnownBy, MessageId, Poller
 from bench.record.journal import lines_after
 from bench.record.run_folder import JOURNAL, MANIFEST
 from bench.record.run_log import RunLog
-from bench.record.storage import make_folder, storage_errors, sync_folder
+from bench.record.storage import make_folder, storage_errors
 from bench.record.stored_run import StoredRun
 from bench.run.heartbeat import CONTROL, HEARTBEAT
 from bench.run.last_view import LAST_VIEW
+from drivers.durable import sync_folder
 from sequences.schema import Answer
 
 POLL_S = 0.1  # A person at a terminal does not notice it

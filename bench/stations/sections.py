@@ -51,6 +51,9 @@ Bias = Annotated[int, Field(ge=-255, le=2047)]
 class AxisConfig(StrictModel):
     """Keys of every rotary axis. Each driver has a scale in its own counts; it is never guessed from a name."""
 
+    scale_key: ClassVar[str] = ""
+    """The key that holds the steps of a degree; empty where the controller counts in degrees."""
+
     zero_deg: Annotated[Angle, Field(description="Angle at which the counter of the controller is 0.")] = 0.0
     limits_deg: Annotated[
         tuple[Angle, Angle], Field(description="Lowest and highest angle allowed on the bench.")
@@ -73,7 +76,7 @@ class AxisConfig(StrictModel):
     @property
     def step_deg(self) -> float:
         """Angle of one step of the controller, degrees; 0 where it counts in degrees."""
-        return 0.0
+        return 1.0 / abs(getattr(self, self.scale_key)) if self.scale_key else 0.0
 
     @property
     def limits(self) -> AxisLimits:
@@ -100,6 +103,15 @@ class SerialLine(StrictModel):
             description="Whether the lines RTS and CTS hold the sender. Default: as the maker of the device says."
         ),
     ] = None
+
+    if TYPE_CHECKING:
+
+        @property
+        def baudrate(self) -> int | None: ...  # noqa: D102 - a key
+
+    def line(self, clock: Clock, wire_log: WireLog | None) -> dict[str, Any]:
+        """Return how the driver opens the line, as its parameters by name."""
+        return {"baudrate": self.baudrate, "rtscts": self.rtscts, "clock": clock, "wire_log": wire_log}
 
 
 class _Section(StrictModel):

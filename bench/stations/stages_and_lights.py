@@ -47,6 +47,7 @@ Percent = Annotated[float, Within(0.01, 1000, "%")]
 class ThorlabsAxisConfig(AxisConfig):
     """One axis, on its own Thorlabs controller."""
 
+    scale_key: ClassVar[str] = "counts_per_deg"
     port: Port
     serial: Annotated[Serial, Field(description="Serial number of the controller, from its label.")]
     counts_per_deg: Annotated[
@@ -72,11 +73,6 @@ class ThorlabsAxisConfig(AxisConfig):
     ] = None
     tolerance_deg: Tolerance = 0.005
 
-    @property
-    def step_deg(self) -> float:
-        """See `AxisConfig.step_deg`."""
-        return 1.0 / abs(self.counts_per_deg)
-
 
 class ThorlabsStageConfig(AnyStage):
     """One to three Thorlabs rotation stages (K10CR1, or on a KDC101 and the like), each on its own port."""
@@ -96,6 +92,7 @@ class ThorlabsStageConfig(AnyStage):
 class ZaberAxisConfig(AxisConfig):
     """One rotary axis of a Zaber chain."""
 
+    scale_key: ClassVar[str] = "microsteps_per_deg"
     device: Annotated[int, Field(ge=1, le=99, description="Address in the chain.")]
     axis: Annotated[int, Field(ge=1, le=9)] = 1
     serial: Serial
@@ -113,11 +110,6 @@ class ZaberAxisConfig(AxisConfig):
         ),
     ] = Field(default_factory=dict)
     encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
-
-    @property
-    def step_deg(self) -> float:
-        """See `AxisConfig.step_deg`."""
-        return 1.0 / abs(self.microsteps_per_deg)
 
 
 class ZaberStageConfig(SerialLine, AnyStage):
@@ -137,16 +129,14 @@ class ZaberStageConfig(SerialLine, AnyStage):
         return ZaberStage.open(
             port(self.port),
             axes,
-            baudrate=self.baudrate,
-            rtscts=self.rtscts,
-            clock=clock,
-            wire_log=wire_log,
+            **self.line(clock, wire_log),
         )
 
 
 class XimcAxisConfig(AxisConfig):
     """One axis, on its own Standa 8SMC4 or 8SMC5 controller."""
 
+    scale_key: ClassVar[str] = "steps_per_deg"
     port: Port
     serial: Serial
     steps_per_deg: Annotated[Scale, Field(description="Full steps; negative if the counter decreases.")]
@@ -162,11 +152,6 @@ class XimcAxisConfig(AxisConfig):
         bool | None,
         Field(description="Whether the controller reverses the motor. Default: not compared."),
     ] = None
-
-    @property
-    def step_deg(self) -> float:
-        """See `AxisConfig.step_deg`."""
-        return 1.0 / abs(self.steps_per_deg)
 
 
 class XimcStageConfig(AnyStage):
@@ -187,6 +172,7 @@ class XimcStageConfig(AnyStage):
 class GrblAxisConfig(AxisConfig):
     """One axis of a home-built gimbal."""
 
+    scale_key: ClassVar[str] = "steps_per_deg"
     letter: Annotated[
         Literal["X", "Y", "Z", "A", "B", "C", "U", "V", "W"],
         Field(description="Letter of the axis on the board."),
@@ -199,11 +185,6 @@ class GrblAxisConfig(AxisConfig):
             description="Must equal the setting of the board: $100 for its first axis, $101 for its second, and so on."
         ),
     ]
-
-    @property
-    def step_deg(self) -> float:
-        """See `AxisConfig.step_deg`."""
-        return 1.0 / abs(self.steps_per_deg)
 
 
 class GrblStageConfig(SerialLine, AnyStage):
@@ -232,10 +213,7 @@ class GrblStageConfig(SerialLine, AnyStage):
             driver_axes(GrblAxis, self.axes, port),
             serial=self.serial or "",
             settings=self.settings,
-            baudrate=self.baudrate,
-            rtscts=self.rtscts,
-            clock=clock,
-            wire_log=wire_log,
+            **self.line(clock, wire_log),
         )
 
 
@@ -281,10 +259,7 @@ class EspStageConfig(SerialLine, AnyStage):
         return EspStage.open(
             port(self.port),
             axes,
-            baudrate=self.baudrate,
-            rtscts=self.rtscts,
-            clock=clock,
-            wire_log=wire_log,
+            **self.line(clock, wire_log),
         )
 
 
@@ -345,12 +320,9 @@ class ScpiLightConfig(SerialLine, AnyLight):
         return ScpiLight.open(
             port(self.port),
             serial=self.serial,
-            baudrate=self.baudrate,
-            rtscts=self.rtscts,
             load=self.load,
             dialect=self.dialect,
-            clock=clock,
-            wire_log=wire_log,
+            **self.line(clock, wire_log),
         )
 
 
@@ -386,10 +358,7 @@ class GardasoftLightConfig(SerialLine, AnyLight):
             sync_channel=self.sync_channel,
             full_percent=self.full_percent,
             sync_percent=self.sync_percent,
-            baudrate=self.baudrate,
-            rtscts=self.rtscts,
-            clock=clock,
-            wire_log=wire_log,
+            **self.line(clock, wire_log),
         )
 
 

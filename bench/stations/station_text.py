@@ -6,7 +6,7 @@ A run folder keeps a copy of each description, which a run that is resumed or de
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import AfterValidator, Field, PrivateAttr
 
@@ -78,6 +78,7 @@ def find_description(name_or_path: str, folder: Path | None) -> Path:
 class TextAxisConfig(AxisConfig):
     """One axis of a stage with a described protocol."""
 
+    scale_key: ClassVar[str] = "counts_per_deg"
     address: Annotated[
         str,
         Field(
@@ -94,11 +95,6 @@ class TextAxisConfig(AxisConfig):
         Field(description="Negative if the counter decreases; 1 if the controller counts in degrees."),
     ]
     encoder_tolerance_deg: Annotated[float, Within(1e-6, 5, "deg")] = 0.05
-
-    @property
-    def step_deg(self) -> float:
-        """See `AxisConfig.step_deg`."""
-        return 1.0 / abs(self.counts_per_deg)
 
 
 class TextStageConfig(SerialLine, AnyStage):
@@ -133,10 +129,7 @@ class TextStageConfig(SerialLine, AnyStage):
             axes,
             self.described.for_driver(),
             serial=self.serial or "",
-            baudrate=self.baudrate,
-            rtscts=self.rtscts,
-            clock=clock,
-            wire_log=wire_log,
+            **self.line(clock, wire_log),
         )
 
 
@@ -175,10 +168,7 @@ class TextLightConfig(SerialLine, AnyLight):
             self.described.for_driver(),
             serial=self.serial or "",
             full_percent=self.full_percent,
-            baudrate=self.baudrate,
-            rtscts=self.rtscts,
-            clock=clock,
-            wire_log=wire_log,
+            **self.line(clock, wire_log),
         )
 
 

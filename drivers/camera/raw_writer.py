@@ -16,16 +16,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
 
+from drivers import durable
+from drivers.durable import O_BINARY, sync_folder
 from drivers.errors import DriverError, RecordingFailed, RecordingFileError
 
 FULL_BYTES: Final = 1 << 20
 """A disk with less free space than this counts as full."""
-
-_BINARY: Final = getattr(os, "O_BINARY", 0)  # only Windows has text files
-_FOLDERS_OPEN: Final = hasattr(os, "O_DIRECTORY")
-_TO_SYNC: Final = (
-    os.O_RDONLY if _FOLDERS_OPEN else os.O_RDWR
-)  # Windows cannot sync a file that is open for reading
 
 _REMEDIES: Final = {
     errno.EEXIST: ("The file exists already", "Recordings are never overwritten: choose another name."),
@@ -104,7 +100,7 @@ class RawWriter:
         self.path = path
         self.bytes_written = 0
         try:
-            self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _BINARY, 0o644)
+            self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | O_BINARY, 0o644)
         except OSError as error:
             raise recording_write_error(path, error) from error
         try:
@@ -170,25 +166,10 @@ def sync_file(path: Path) -> None:
     try:
         if not path.exists():
             return
-        handle = os.open(path, _TO_SYNC)
-        try:
-            os.fsync(handle)
-        finally:
-            os.close(handle)
+        durable.sync_file(path)
         sync_folder(path.parent)
     except OSError as error:
         raise recording_write_error(path, error) from error
-
-
-def sync_folder(folder: Path) -> None:
-    """Sync a folder, so that the name of a new file is on disk as well. Windows cannot do this."""
-    if not _FOLDERS_OPEN:
-        return
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def recording_write_error(path: Path, error: OSError) -> RecordingFailed:

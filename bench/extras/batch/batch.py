@@ -43,10 +43,11 @@ from bench.record.history import History
 from bench.record.journal import Journal
 from bench.record.run_folder import JOURNAL, is_sealed
 from bench.record.run_index import QUEUE_COPY
-from bench.record.storage import is_temporary, make_folder, storage_errors, sync_folder, write_atomic
+from bench.record.storage import is_temporary, make_folder, storage_errors, write_atomic
 from bench.record.stored_run import StoredRun
 from bench.record.summaries import BatchSummary
 from bench.record.unsynced_journal import UnsyncedJournal
+from drivers.durable import sync_folder
 from sequences.queue import Queue
 from sequences.reader import Located, check_document
 

@@ -18,13 +18,8 @@ from bench.extras.certificate.dcc import render_dcc
 from bench.extras.certificate.dcc_xml import library
 from bench.record.results import Results
 from bench.record.run_folder import MANIFEST, RESULTS, is_sealed
-from bench.record.storage import (
-    make_folder,
-    sha256_of,
-    storage_errors,
-    sync_folder,
-    write_atomic,
-)
+from bench.record.storage import make_folder, sha256_of, storage_errors, write_atomic
+from drivers.durable import sync_folder
 
 PDF = "certificate.pdf"
 DCC = "dcc.xml"

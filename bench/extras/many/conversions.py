@@ -17,8 +17,9 @@ from bench.base.failure import Failure
 from bench.base.program import forms
 from bench.extras.many.work import KeptRows, require_program_of
 from bench.extras.many.workers import Finished, Workers, map_work
-from bench.record.storage import sha256_of, storage_errors, sync_folder
+from bench.record.storage import sha256_of, storage_errors
 from drivers.camera.event_arrays import ReadingChoices
+from drivers.durable import sync_folder
 
 CONVERTED = "converted.jsonl"
 _ENDINGS: Mapping[str, str] = {

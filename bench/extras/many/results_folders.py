@@ -23,8 +23,9 @@ from bench.extras.many.work import (
     line_of,
 )
 from bench.record.run_folder import RESULTS
-from bench.record.storage import sha256_of, storage_errors, sync_folder, write_atomic
+from bench.record.storage import sha256_of, storage_errors, write_atomic
 from bench.solve.offline_folder import write_files
+from drivers.durable import sync_folder
 
 TABLE = "recalculated.jsonl"
 _PART = ".part-"

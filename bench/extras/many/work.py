@@ -17,7 +17,8 @@ from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, UsageError
 from bench.base.program import forms
 from bench.record.folder_lock import lock_folder
-from bench.record.storage import make_folder, storage_errors, whole_lines, write_all
+from bench.record.storage import make_folder, storage_errors, whole_lines
+from drivers.durable import write_all
 
 
 def require_program_of(program: str) -> None:

@@ -212,6 +212,7 @@ def test_the_version_of_the_detector_covers_all_that_finds_stars():
         "bench.base.errors",
         "bench.base.bounded_json",
         "bench.record.",
+        "drivers.durable",
         "drivers.file_lock",
         "drivers.lateness",
         "sequences.",
