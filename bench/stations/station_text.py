@@ -217,6 +217,12 @@ def _use(station: Located[Any], name: str, section: TextStageConfig | TextLightC
                 faults.append(
                     station.fault((name, "axes", axis), "address is missing; the description uses {address}.")
                 )
+            faults += [
+                station.fault(
+                    (name, "axes", axis), f"the reply of {key} has no value of the axis {config.address!r}."
+                )
+                for key in stage.value.untold(config.address or "")
+            ]
     else:
         light = read_light_protocol(path)
         section._read = light.value, light.text  # noqa: SLF001 - same module

@@ -3,24 +3,33 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Final, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar
 
-from pydantic import AfterValidator, Field, field_validator, model_validator
+from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from bench.stations.described_exchanges import (
+    ADDRESS,
+    Command,
+    Identity,
+    Order,
+    Query,
+    ReplyText,
+    RequestText,
+    axes_told,
+    parsed,
+    parsed_reply,
+    parsed_request,
+)
 from bench.stations.station_fields import Text
 from drivers.described import description as of
-from drivers.described.description import Template, TemplateFault, parse_template
 from sequences.strict_model import StrictModel, Within, is_plain_number
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-ADDRESS = frozenset({"address"})
-NOTHING: frozenset[str] = frozenset()
-_ENDS: Final = {"CR": b"\r", "LF": b"\n", "CRLF": b"\r\n", "space": b" "}
+_ENDS: Final = {"CR": b"\r", "LF": b"\n", "CRLF": b"\r\n", "space": b" ", "none": b""}
 _D = TypeVar("_D", bound="DataclassInstance")
-Line = Annotated[str, Field(min_length=1, max_length=200)]
 
 Tolerance = Annotated[float, Within(0, 50, "%")]
 Factor = Annotated[float, Within(1e-12, 1e12, either_sign=True)]
@@ -41,103 +50,42 @@ def _for_driver(value: Any) -> Any:
     return value.for_driver() if hasattr(value, "for_driver") else value
 
 
-def template(text: str, known: frozenset[str], readable: frozenset[str] | None) -> Template:
-    """Read a template as `drivers.described.description.parse_template`; a fault becomes one of the document."""
-    try:
-        return parse_template(text, known=known, readable=readable)
-    except TemplateFault as fault:
-        raise PydanticCustomError("template", "{fault}", {"fault": str(fault)}) from fault
-
-
-def _has(template: Template, value: str, where: str) -> None:
-    """Refuse a template without the value that it must have."""
-    if value and value not in template.read_names:
-        raise PydanticCustomError(
-            "no_value",
-            "the value is missing; write {name} where it {where}.",
-            {"name": f"{{{value}:...}}", "where": where},
-        )
-
-
-def _request(text: str, known: frozenset[str] = NOTHING, value: str = "") -> Template:
-    """Read a request, which may carry one value, and then must."""
-    request = template(text, known, frozenset({value} - {""}))
-    _has(request, value, "belongs")
-    return request
-
-
-def _reply(text: str, known: frozenset[str] = NOTHING, value: str = "") -> Template:
-    """Read a reply, which must have one value, or need not have any; ``request`` may stand in it too."""
-    reply = template(text, known | {"request"}, None)
-    _has(reply, value, "stands")
-    return reply
-
-
-def _is_request(text: str) -> str:
-    _request(text)
-    return text
-
-
-def _is_reply(text: str) -> str:
-    _reply(text)
-    return text
-
-
-class _Exchange(StrictModel):
-    """A request and its reply."""
-
-    known: ClassVar[frozenset[str]] = NOTHING  # Names that may stand in both without a kind
-    carries: ClassVar[str] = ""  # Name of the value that the request carries; empty for none
-    tells: ClassVar[str] = ""  # Name of the value that the reply must have; empty if it need not have any
-
-    send: Line
-    reply: Line
-
-    @field_validator("send")
-    @classmethod
-    def _is_request(cls, text: str) -> str:
-        _request(text, cls.known, cls.carries)
-        return text
-
-    @field_validator("reply")
-    @classmethod
-    def _is_reply(cls, text: str) -> str:
-        _reply(text, cls.known, cls.tells)
-        return text
-
-    def for_driver(self) -> Any:
-        """Return the exchange for the driver; of a query of a state its `of.Switch`."""
-        return of.Exchange(_request(self.send, self.known, self.carries), _reply(self.reply, self.known))
-
-
-class Command(_Exchange):
-    """A command to the whole device, with the reply that confirms it."""
-
-
-class SerialQuery(_Exchange):
+class SerialQuery(Query):
     """A query of the serial number."""
 
     tells = "serial"
 
 
-class StateQuery(_Exchange):
+class StateQuery(Query):
     """A query of a state. ``when`` lists the answers that mean: idle, homed, on, no fault."""
 
     known, tells = ADDRESS, "state"
 
     when: Annotated[list[Text], Field(min_length=1, max_length=20)]
+    bits: Annotated[
+        tuple[Annotated[int, Within(0, 31, "")], ...],
+        Field(description="Bits of the answer that count, from 0; the others are taken as 0."),
+    ] = ()
 
     @model_validator(mode="after")
     def _of_one_kind(self) -> StateQuery:
-        read = template(self.reply, ADDRESS | {"request"}, None)
-        kinds = {getattr(part, "kind", "") for part in read.parts if getattr(part, "name", "") == "state"}
-        if kinds & {"integer", "number"} and not all(map(is_plain_number, self.when)):
+        read = parsed(self.reply, ADDRESS | {"request"}, None)
+        kinds = {
+            part.kind
+            for part in read.parts
+            if isinstance(part, of.Placeholder) and part.name.startswith("state")
+        }
+        is_number = bool(kinds & {"integer", "number", "size", "hex", "signed_hex"})
+        if is_number and not all(map(is_plain_number, self.when)):
             raise PydanticCustomError("when_number", "when must list numbers, as the reply has one.")
+        if self.bits and (not is_number or "number" in kinds):
+            raise PydanticCustomError("bits_of_word", "bits needs a state that is a whole number.")
         return self
 
     def for_driver(self) -> of.Switch:
         """Return the query for the driver."""
-        return of.Switch(super().for_driver(), tuple(self.when))
+        mask = sum(1 << bit for bit in set(self.bits)) if self.bits else -1
+        return of.Switch(super().for_driver(), tuple(self.when), mask)
 
 
 class LineConfig(StrictModel):
@@ -147,9 +95,9 @@ class LineConfig(StrictModel):
     rtscts: Annotated[
         bool, Field(description="Whether the device uses the lines RTS and CTS to hold the sender.")
     ] = False
-    request_end: Annotated[Literal["CR", "LF", "CRLF", "space"], Field(description="Ends each request.")] = (
-        "LF"
-    )
+    request_end: Annotated[
+        Literal["CR", "LF", "CRLF", "space", "none"], Field(description="Ends each request.")
+    ] = "LF"
     reply_end: Annotated[Literal["CR", "LF", "CRLF"], Field(description="Ends each reply.")] = "LF"
     reply_s: Annotated[float, Within(0.05, 10, "s"), Field(description="Longest wait for a reply.")] = 0.75
     quiet_s: Annotated[
@@ -174,7 +122,7 @@ class LineConfig(StrictModel):
         ),
     ] = ""
     setup: Annotated[
-        tuple[Annotated[Line, AfterValidator(_is_request)], ...],
+        tuple[RequestText, ...],
         Field(max_length=10, description="Requests that set the form of the replies, and nothing else."),
     ] = ()
 
@@ -182,7 +130,7 @@ class LineConfig(StrictModel):
 class RefusalConfig(StrictModel):
     """A reply by which the device refuses a request."""
 
-    reply: Annotated[Line, AfterValidator(_is_reply)]
+    reply: ReplyText
     means: Text | None = None
     codes: Annotated[
         dict[Annotated[str, Field(max_length=20)], Text],
@@ -203,7 +151,7 @@ class Described(StrictModel):
     maker: Text
     model: Text
     line: LineConfig
-    identity: Command
+    identity: Identity
     serial: SerialQuery | None = None
     refusals: Annotated[tuple[RefusalConfig, ...], Field(max_length=20)] = ()
     notices: Annotated[tuple[NoticeConfig, ...], Field(max_length=20)] = ()
@@ -217,22 +165,22 @@ class Described(StrictModel):
             request_end=_ENDS[self.line.request_end],
             reply_end=_ENDS[self.line.reply_end],
             clear=self.line.clear.encode("ascii"),
-            setup=tuple(map(_request, self.line.setup)),
+            setup=tuple(map(parsed_request, self.line.setup)),
             refusals=tuple(
-                of.Refusal(_reply(refusal.reply), refusal.means or "", dict(refusal.codes))
+                of.Refusal(parsed_reply(refusal.reply), refusal.means or "", dict(refusal.codes))
                 for refusal in self.refusals
             ),
             notices=tuple(of.Notice(notice.text, notice.means or "") for notice in self.notices),
         )
 
 
-class _Set(_Exchange):
+class _Set(Order):
     """A command that sets a value of a light."""
 
     carries = "value"
 
 
-class _Get(_Exchange):
+class _Get(Query):
     """A query of a value of a light."""
 
     tells = "value"
@@ -321,34 +269,44 @@ class LightProtocol(Described):
         return made_of(of.LightDescription, self, line=self.of_line(), is_on=self.output.for_driver())
 
 
-class _AxisQuery(_Exchange):
+class _AxisQuery(Query):
     """A query to an axis whose reply has the value ``counts``."""
 
     known, tells = ADDRESS, "counts"
 
 
-class _AxisCommand(_Exchange):
-    """A command to an axis, with the reply that confirms it."""
+class _AxisCommand(Order):
+    """A command to an axis."""
 
     known = ADDRESS
 
 
-class _Home(_AxisCommand):
-    """The search of the reference of an axis."""
+class _Motion(_AxisCommand):
+    """A command that moves an axis."""
 
     reply_comes: Annotated[
         Literal["at_once", "at_end"],
-        Field(description="Whether the device replies at once, or when the search has ended."),
+        Field(description="Whether the device replies at once, or when the motion has ended."),
     ] = "at_once"
 
+    @model_validator(mode="after")
+    def _has_late_reply(self) -> Self:
+        if self.reply_comes == "at_end" and self.reply is None:
+            raise PydanticCustomError("no_late_reply", "reply_comes: at_end needs reply.")
+        return self
 
-class _Move(_Exchange):
+
+class _Home(_Motion):
+    """The search of the reference of an axis."""
+
+
+class _Move(_Motion):
     """A move to an absolute position, which stands as ``{target:...}`` in counts."""
 
-    known, carries = ADDRESS, "target"
+    carries = "target"
 
 
-class _Scale(_Exchange):
+class _Scale(Query):
     """A query of the scale of an axis."""
 
     known, tells = ADDRESS, "scale"
@@ -356,13 +314,13 @@ class _Scale(_Exchange):
     unit: Literal["counts_per_deg", "deg_per_count", "arcsec_per_count"]
 
 
-class _SetAxis(_Exchange):
+class _SetAxis(Order):
     """A command that sets a value of an axis."""
 
     known, carries = ADDRESS, "value"
 
 
-class _GetAxis(_Exchange):
+class _GetAxis(Query):
     """A query of a value of an axis."""
 
     known, tells = ADDRESS, "value"
@@ -394,6 +352,9 @@ class AxisProtocol(StrictModel):
     position: _AxisQuery
     idle: StateQuery
     move: _Move
+    start: Annotated[
+        _AxisCommand | None, Field(description="Starts the move, where `move` sets the target alone.")
+    ] = None
     home: _Home
     encoder: _AxisQuery | None = None
     reference: StateQuery | None = None
@@ -424,6 +385,16 @@ class StageProtocol(Described):
         """Whether moves name their axis, so that there may be several."""
         return "{address}" in self.axis.move.send
 
+    def untold(self, address: str) -> list[str]:
+        """Return the keys of the queries whose reply tells of several axes, but not of the one with this address."""
+        queries = {name: getattr(self.axis, name) for name in type(self.axis).model_fields}
+        by_query = {
+            name: axes_told(parsed_reply(query.reply, query.known, query.tells), query.tells)
+            for name, query in queries.items()
+            if isinstance(query, Query)
+        }
+        return [name for name, addresses in by_query.items() if addresses and address.lower() not in addresses]
+
     def for_driver(self) -> of.StageDescription:
         """Return the description for the driver."""
         axis = self.axis
@@ -433,5 +404,6 @@ class StageProtocol(Described):
             self,
             line=self.of_line(),
             home_replies_at_end=axis.home.reply_comes == "at_end",
+            move_replies_at_end=axis.move.reply_comes == "at_end",
             scale_unit=axis.scale.unit if axis.scale else "counts_per_deg",
         )

@@ -16,6 +16,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
+from drivers.errors import OutsideLimits
+
 LONGEST: Final = 200
 """Characters of a template at most."""
 MOST_DECIMALS: Final = 9  # A double has 15 digits, and angles take three before the point
@@ -32,13 +34,18 @@ _SHAPES: Final = {
     "number": re.compile(_NUMBER, re.ASCII),
     "word": re.compile(r"[A-Za-z0-9_.+-]+", re.ASCII),
     "text": re.compile(r"[ -~]+", re.ASCII),
+    "sign": re.compile(r"[+-]", re.ASCII),
+    "size": re.compile(r"[0-9]{1,15}", re.ASCII),
 }
+_HEX: Final = {"hex": 0, "signed_hex": 1}
+"""Kinds of a fixed number of hexadecimal digits, and how many bits are the sign (two's complement)."""
+MOST_HEX_DIGITS: Final = 8
 _FIRST: Final = {
-    "integer": "0123456789",
+    **dict.fromkeys(("integer", "size"), "0123456789"),
     "number": "0123456789.eE+-",
     "word": "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789_.+-",
 }
-"""Characters with which the text after a placeholder of that kind cannot begin."""
+"""Characters with which the text after a placeholder of that kind cannot begin; none where its length is fixed."""
 Checksum = Literal["none", "xor"]
 AxisQuantity = Literal["speed", "acceleration", "lowest", "highest", "constant"]
 ScaleUnit = Literal["counts_per_deg", "deg_per_count", "arcsec_per_count"]
@@ -54,10 +61,15 @@ class Placeholder:
     """A place of a template that a value takes."""
 
     name: str
-    # "integer", "number", "word" or "text"; empty for a value that is known when the template is used.
+    # One of `_SHAPES` or `_HEX`; empty for a value that is known when the template is used.
     kind: str = ""
-    # Digits after the point of a number that is sent; None for as many as needed.
-    decimals: int | None = None
+    # Digits after the point of a number that is sent, None for as many as needed; all digits of a hexadecimal one.
+    digits: int | None = None
+
+    @property
+    def shape(self) -> re.Pattern[str]:
+        """The characters that its value may have."""
+        return re.compile(f"[0-9A-Fa-f]{{{self.digits}}}") if self.kind in _HEX else _SHAPES[self.kind]
 
 
 @dataclass(frozen=True)
@@ -92,11 +104,9 @@ class Template:
                     return None
                 at += len(literal)
                 continue
-            shape = _SHAPES[part.kind].match(line, at)
-            if shape is None:
-                return None
-            value: Value = shape[0] if part.kind in {"word", "text"} else float(shape[0].replace(" ", ""))
-            if isinstance(value, float) and not math.isfinite(value):
+            shape = part.shape.match(line, at)
+            value = None if shape is None else _read(part, shape[0], values.get(part.name))
+            if shape is None or value is None:
                 return None
             values[part.name] = value
             at = shape.end()
@@ -129,9 +139,15 @@ def parse_template(text: str, *, known: frozenset[str], readable: frozenset[str]
     parts = [part for part in (*parts, text[end:]) if part != ""]
     if any(isinstance(part, str) and ("{" in part or "}" in part) for part in parts):
         raise TemplateFault("a brace has no partner; a placeholder is written {name:kind}.")
-    names = [part.name for part in parts if isinstance(part, Placeholder) and part.kind]
+    read = [part for part in parts if isinstance(part, Placeholder) and part.kind]
+    names = [part.name for part in read if part.kind != "sign"]
     if len(names) != len(set(names)):
         raise TemplateFault("a name stands twice.")
+    for at, sign in enumerate(read):
+        if sign.kind == "sign" and (sign.name, "size") not in [
+            (place.name, place.kind) for place in read[at:]
+        ]:
+            raise TemplateFault(f"{{{sign.name}:sign}} needs {{{sign.name}:size}} behind it.")
     for part, following in zip(parts, [*parts[1:], None], strict=True):
         if isinstance(part, Placeholder) and part.kind:
             _check_end(part, following)
@@ -153,8 +169,12 @@ def _placeholder(inner: str, known: frozenset[str], readable: frozenset[str] | N
         listed = ", ".join(sorted(readable)) or "none"
         raise TemplateFault(f"there is no value {name!r} here. Known here: {listed}.")
     kind, point, digits = kind.partition(".")
-    if kind not in _SHAPES:
-        raise TemplateFault(f"{kind!r} is no kind; write one of {', '.join(_SHAPES)}.")
+    if kind not in {*_SHAPES, *_HEX}:
+        raise TemplateFault(f"{kind!r} is no kind; write one of {', '.join([*_SHAPES, *_HEX])}.")
+    if kind in _HEX:
+        if not digits.isdecimal() or not 0 < int(digits) <= MOST_HEX_DIGITS:
+            raise TemplateFault(f"digits are written {{{name}:{kind}.8}}, at most {MOST_HEX_DIGITS}.")
+        return Placeholder(name, kind, int(digits))
     if not point:
         return Placeholder(name, kind)
     if kind != "number" or not digits.isdecimal() or int(digits) > MOST_DECIMALS:
@@ -164,7 +184,7 @@ def _placeholder(inner: str, known: frozenset[str], readable: frozenset[str] | N
 
 def _check_end(part: Placeholder, following: str | Placeholder | None) -> None:
     """Check that it is clear where a value ends."""
-    if following is None:
+    if following is None or part.kind == "sign" or part.kind in _HEX:
         return
     if part.kind == "text":
         raise TemplateFault(f"{{{part.name}:text}} takes the rest of the line, so nothing may follow it.")
@@ -176,12 +196,39 @@ def _check_end(part: Placeholder, following: str | Placeholder | None) -> None:
         )
 
 
+def _read(place: Placeholder, text: str, sign: Value | None) -> Value | None:
+    """Return the value of a text of the placeholder's shape, behind its sign if there was one; None for no number."""
+    if place.kind in {"word", "text"}:
+        return text
+    if place.kind == "sign":
+        return float(f"{text}1")
+    if place.kind in _HEX:
+        number, bits = int(text, 16), 4 * len(text)
+        return float(number - (1 << bits if _HEX[place.kind] and number >> bits - 1 else 0))
+    value = float(text.replace(" ", "")) * float(sign or 1.0)
+    return value if math.isfinite(value) else None
+
+
 def _written(place: Placeholder, value: Value) -> str:
     if isinstance(value, str) or place.kind in {"", "word", "text"}:
         return f"{value:g}" if isinstance(value, float) else str(value)
     if place.kind == "integer":
         return str(round(value))
-    return f"{value:.{9 if place.decimals is None else place.decimals}f}"
+    if place.kind == "sign":
+        return "-" if round(value) < 0 else "+"
+    if place.kind == "size":
+        return str(abs(round(value)))
+    if place.kind in _HEX:
+        digits, sign_bits = place.digits or 0, _HEX[place.kind]
+        most = 1 << 4 * digits - sign_bits
+        if not -most * sign_bits <= round(value) < most:
+            raise OutsideLimits(
+                f"{value:g} does not fit into {digits} hexadecimal digits. Nothing was sent.",
+                where=f"{{{place.name}:{place.kind}.{digits}}}",
+                remedy="Check scale, limits and speeds in the station file.",
+            )
+        return f"{round(value) % (1 << 4 * digits):0{digits}X}"
+    return f"{value:.{9 if place.digits is None else place.digits}f}"
 
 
 @dataclass(frozen=True)
@@ -245,6 +292,7 @@ class Switch:
     query: Exchange  # The query; its reply has the value ``state``
     # Answers that mean the second side (idle, homed, on, no fault); numbers are compared as numbers.
     true_words: tuple[str, ...]
+    mask: int = -1  # The bits that count, where the answer is a whole number
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -270,7 +318,9 @@ class StageDescription:
     """A stage whose controller has a described protocol. Positions are in the controller's counts."""
 
     line: LineDescription
-    move: Exchange  # Starts a move to the absolute position ``target``
+    move: Exchange  # Starts a move to the absolute position ``target``, or sets the target where ``start`` starts it
+    start: Exchange | None
+    move_replies_at_end: bool  # Whether the reply to ``move`` comes only when the axis has arrived
     stop: Exchange
     position: Exchange  # Query of the position counter, value ``counts``
     idle: Switch  # Query whether an axis is idle

@@ -62,6 +62,7 @@ class DescribedLine(Link):
         """Ask for a state: return whether the answer is one of the switch's words, and the answer."""
         state = self.query(switch.query, values)["state"]
         if isinstance(state, float):
+            state = state if switch.mask < 0 else float(int(state) & switch.mask)
             return state in {float(word) for word in switch.true_words}, f"{state:g}"
         return state in switch.true_words, state
 
@@ -148,7 +149,8 @@ class DescribedLine(Link):
             raise self.garbled_reply(
                 f"'{request}' was answered by {text[:_SHOWN]!r}, not as described ({exchange.reply.text})."
             )
-        return match
+        own = f"_{str(values.get('address', '')).lower()}"  # of one axis, where a reply tells of several
+        return match | {name.removesuffix(own): value for name, value in match.items() if name.endswith(own)}
 
     def _encode(self, request: str) -> bytes:
         if self._description.checksum == "xor":
@@ -179,7 +181,8 @@ class DescribedLine(Link):
 
     def _clear_device(self) -> None:
         """Make an incomplete request invalid, set the form of the replies, and throw away the answers."""
-        self.write(self._description.clear + self._description.request_end)
+        if clear := self._description.clear + self._description.request_end:
+            self.write(clear)
         self._take_from(self.drain())
         for command in self._description.setup:
             self.write(self._encode(command.render({})))

@@ -69,8 +69,8 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
     ) -> None:
         self._description = description
         self._serial = serial
-        self._awaited: list[tuple[TextAxis, str]] = []
-        """Axes whose late reply to ``home`` has not come, with what was sent."""
+        self._awaited: list[tuple[Exchange, dict[str, Value], str]] = []
+        """Commands whose late reply has not come, with their values and what was sent; only the first is sent."""
         super().__init__(port, axes, clock=clock, wire_log=wire_log)
 
     def _connected(self, port: Port, wire_log: WireLog | None) -> DescribedLine:
@@ -160,36 +160,46 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
         return axis.to_angle_deg(float(read["target"]) if read is not None else counts)
 
     def _begin_move(self, axis: TextAxis, angle_deg: float) -> None:
-        self._line.query(self._description.move, self._of(axis, target=axis.to_position(angle_deg)), tries=1)
+        values = self._of(axis, target=axis.to_position(angle_deg))
+        self._order(self._description.move, values, is_late=self._description.move_replies_at_end)
+        if self._description.start is not None:
+            self._line.query(self._description.start, values, tries=1)
 
     def _start_homing(self, check_not_stopped: StopCheck) -> None:
         self._awaited = []
         super()._start_homing(check_not_stopped)
 
     def _begin_homing(self, axis: TextAxis) -> None:
-        if self._description.home_replies_at_end:
-            self._awaited.append((axis, "" if self._awaited else self._send_home(axis)))
-        else:
-            self._line.query(self._description.home, self._of(axis), tries=1)
+        is_late = self._description.home_replies_at_end
+        self._order(self._description.home, self._of(axis), is_late=is_late)
 
-    def _send_home(self, axis: TextAxis) -> str:
-        return self._line.send_without_reply(self._description.home, self._of(axis))
+    def _order(self, command: Exchange, values: dict[str, Value], *, is_late: bool) -> None:
+        """Send what moves an axis; if its reply is late, after those to all before it."""
+        if not is_late:
+            self._line.query(command, values, tries=1)
+            return
+        self._awaited.append((command, values, ""))
+        if len(self._awaited) == 1:
+            self._send_awaited()
 
-    def _still_homing(self) -> bool:
-        """Look for the late reply to ``home``; then start the next axis."""
-        axis, request = self._awaited[0]
-        if not self._line.poll(self._description.home, request, self._of(axis)):
-            return True
-        self._awaited.pop(0)
-        if self._awaited:
-            self._awaited[0] = self._awaited[0][0], self._send_home(self._awaited[0][0])
+    def _send_awaited(self) -> None:
+        command, values, _ = self._awaited[0]
+        self._awaited[0] = command, values, self._line.send_without_reply(command, values)
+
+    def _is_awaiting(self) -> bool:
+        """Look for the late reply to a command; then send the next one."""
+        command, values, request = self._awaited[0]
+        if self._line.poll(command, request, values):
+            self._awaited.pop(0)
+            if self._awaited:
+                self._send_awaited()
         return bool(self._awaited)
 
     def _read_state(self, axis: TextAxis, *, homing: bool = False) -> AxisState:
         """Ask whether the axis is idle, then where it is: the position of an idle axis is then one at rest."""
         if self._awaited:
             with self._line.lock:
-                if self._still_homing():
+                if self._is_awaiting():
                     return AxisState(math.nan, busy=True)
         idle, _ = self._line.switch(self._description.idle, self._of(axis))
         counts = self._line.query(self._description.position, self._of(axis))["counts"]

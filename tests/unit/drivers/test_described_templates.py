@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.described.description import TemplateFault, parse_template
+from drivers.errors import OutsideLimits
 
 NONE: frozenset[str] = frozenset()
 
@@ -33,6 +34,13 @@ def reply(text: str):
         ("{request} = {a:word},{b:text}", "PP = on,all is well", {"a": "on", "b": "all is well"}),
         ("{request} *", "PP *", {}),
         ("{x:number}", "nan", None),
+        # Thorlabs ELLx modules: positions are signed, 8 digits; Newport SMC100, TS: 4 digits and 2 letters or digits
+        ("0PO{x:signed_hex.8}", "0POFFFFF072", {"x": -3982.0}),
+        ("0PO{x:signed_hex.8}", "0PO0000f072", {"x": 61554.0}),
+        ("0PO{x:signed_hex.8}", "0PO00F072", None),
+        ("1TS{errors:hex.4}{state:word}", "1TS80210A", {"errors": 32801.0, "state": "0A"}),
+        ("{x:sign}P{x:size}", "-P400", {"x": -400.0}),
+        ("{x:sign}P{x:size}", "P400", None),
         ("{x:number}", "1e999", None),
     ],
 )
@@ -53,6 +61,9 @@ def test_a_line_is_read_or_refused(template, line, found) -> None:
         ("{Counts:integer}", "is no placeholder"),
         ("{counts:integer.2}", "decimals are written"),
         ("{counts:number.12}", "at most 9"),
+        ("{counts:hex}", "digits are written {counts:hex.8}"),
+        ("{counts:hex.9}", "at most 8"),
+        ("{counts:sign}{state:size}", "needs {counts:size} behind it"),
         ("\t", "printable ASCII"),
         ("x" * 201, "200 or fewer"),
         ("{__class__:text}", "is no placeholder"),
@@ -70,6 +81,20 @@ def test_a_request_takes_known_values_only() -> None:
     assert template.render({"address": "P", "target": -1000.4}) == "PP-1000"
     with pytest.raises(TemplateFault, match="no value 'goal' here"):
         parse_template("{goal:integer}", known=NONE, readable=frozenset({"target"}))
+
+
+@pytest.mark.parametrize(
+    ("request_", "value", "text"),
+    [("{v:hex.2}", 200.4, "C8"), ("{v:signed_hex.4}", -2, "FFFE"), ("A:{v:sign}P{v:size}", -0.4, "A:+P0")],
+)
+def test_numbers_are_sent_in_the_devices_own_digits(request_, value, text) -> None:
+    assert parse_template(request_, known=NONE, readable=frozenset({"v"})).render({"v": value}) == text
+
+
+@pytest.mark.parametrize(("kind", "value"), [("hex.2", 256), ("hex.2", -1), ("signed_hex.2", 128)])
+def test_a_number_that_does_not_fit_into_its_digits_is_not_sent(kind, value) -> None:
+    with pytest.raises(OutsideLimits, match="2 hexadecimal digits"):
+        parse_template(f"{{v:{kind}}}", known=NONE, readable=frozenset({"v"})).render({"v": value})
 
 
 def test_no_line_takes_long_to_refuse() -> None:

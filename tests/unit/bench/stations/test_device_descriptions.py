@@ -53,8 +53,11 @@ def test_every_shipped_description_is_read(path) -> None:
         ('reply: "{request} * {counts:integer}"}\n  idle', 'reply: "{request}"}\n  idle', "axis.position.reply: the value is missing"),
         ('"{address}P{target:integer}"', '"{address}P"', "axis.move.send: the value is missing; write {target:...}"),
         ('"{address}P{target:integer}"', '"{adress}P{target:integer}"', "axis.move.send: {adress} needs a kind"),
+        ('reply: "{request} *", reply_comes: at_end', "reply_comes: at_end", "axis.home: reply_comes: at_end needs reply"),
+        ('{state:integer}", when: [0]', '{state:number}", when: [0], bits: [1]', "axis.idle: bits needs a state that is a whole number"),
+        ('send: V, reply: "{request} * {firmware:text}"', "send: V", "identity.reply"),
         ("when: [0]", "when: [idle]", "axis.idle: when must list numbers"),
-        ("request_end: space", "request_end: blank", "line.request_end: must be 'CR', 'LF', 'CRLF' or 'space'"),
+        ("request_end: space", "request_end: blank", "line.request_end: must be 'CR', 'LF', 'CRLF', 'space' or 'none'"),
         ("unit: arcsec_per_count", "unit: arcsec", "axis.scale.unit: must be"),
         ("quantity: speed", "quantity: constant", "axis.settings[3]: a constant needs value"),
         ("stop: {", "halt: {", "halt: unknown key"),
@@ -131,6 +134,16 @@ def test_a_section_that_does_not_fit_its_description_is_refused(tmp_path, old, n
     with pytest.raises(DocumentFaults) as caught:
         load_station(str(path))
     assert fault in str(caught.value)
+
+
+def test_an_axis_of_which_a_reply_tells_nothing_is_named(tmp_path) -> None:
+    (tmp_path / "mine.yaml").write_text(
+        PTU.replace('{counts:integer}"}', '{counts_p:integer} {counts_x:integer}"}', 1)
+    )
+    path = tmp_path / "bench.yaml"
+    path.write_text(STATION.replace("protocol: flir_ptu", "protocol: mine.yaml"))
+    with pytest.raises(DocumentFaults, match="the reply of position has no value of the axis 'T'"):
+        load_station(str(path))
 
 
 def test_a_light_without_sync_output_and_a_device_without_serial_number_are_told(tmp_path) -> None:
