@@ -53,7 +53,6 @@ _KINDS = {
     "distortioncoeffs": "Kalibr's camchain",
     "distortionmodel": "ROS's camera_info",
     "nkeptviews": "Metavision's intrinsics.json",
-    "type": "Metavision's camera-geometry.json",
 }
 _Found = tuple[str, CameraModel, Array | None, tuple[str, ...]]
 
@@ -151,7 +150,8 @@ def _recognised(data: bytes, name: str | None, lens: LensFamily | None) -> _Foun
             f"{len(cameras)} different cameras follow one another", "Copy one of them to a file of its own."
         )
     values = cameras_values[0]
-    kind = next((words for key, words in _KINDS.items() if key in (syntax, *values)), f"OpenCV's {syntax}")
+    otherwise = "Metavision's camera-geometry.json" if {"type", "k"} <= set(values) else f"OpenCV's {syntax}"
+    kind = next((words for key, words in _KINDS.items() if key in (syntax, *values)), otherwise)
     kind = f"the file of {values['program']}" if "program" in values else kind
     camera, covariance = _with_covariance(cameras[0], values)
     return kind, camera, covariance, tuple(_remarks_on_region(values))

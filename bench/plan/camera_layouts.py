@@ -11,9 +11,10 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from bench.plan.camera_text import WRITE_OPENCV, OtherForm
+from bench.plan.camera_text import WRITE_OPENCV, OtherForm, colmap_camera
 from bench.plan.camera_trees import cameras_in_tree
 from bench.plan.camera_values import (
+    ALIKE_A_COEFFICIENT,
     CALIBRATE_ANEW,
     LENS,
     LONGEST_NAME,
@@ -51,6 +52,7 @@ _FOREIGN = {
 }
 #: Names of coefficients of a lens that OpenCV's two models are not.
 _OTHER_LENSES = {
+    "polyparameters": "camodocal's Scaramuzza",
     "xi": "an omnidirectional or double-sphere camera",
     "mappingcoefficients": "MATLAB's fisheye (Scaramuzza)",
 }
@@ -111,6 +113,15 @@ def _of_photoscan(_values: dict[str, Any]) -> dict[str, Any]:
     )
 
 
+def _of_pycolmap(values: dict[str, Any]) -> dict[str, Any]:
+    """Return the camera of COLMAP's dictionary in Python, whose values are those of a line of cameras.txt."""
+    model = str(values.pop("model", values.pop("modelname", "")))
+    listed = numbers_of("params", values.pop("params"))
+    size = numbers_of("the size of the image", [values["width"], values["height"]])
+    camera = colmap_camera(str(values.get("cameraid", "")), model, size, listed)
+    return values | {plain_name(name): value for name, value in camera.items()}
+
+
 def _of_toolbox(values: dict[str, Any]) -> dict[str, Any]:
     """Return the camera of the Camera Calibration Toolbox for MATLAB, whose skew is a share of fx."""
     fx, fy, cx, cy = [*numbers_of("fc", values["fc"]), *numbers_of("cc", values["cc"])]
@@ -134,6 +145,7 @@ _LAYOUTS = (
         _HALF_PX,
         lambda values: {"fy": values["fx"], **values},
     ),
+    _Layout("pycolmap", frozenset({"params", "width", "height"}), change=_of_pycolmap),
     _Layout("aniposelib", frozenset({"matrix", "distortions", "size"}), {"matrix": "cameramatrix"}),
     _Layout("MATLAB", frozenset({"RadialDistortion", "ImageSize"}), {}, _ONE_PX, _of_matlab),
     _Layout("Metashape", frozenset({"projection", "f", "width"}), {}, _HALF_PX, _of_metashape),
@@ -266,6 +278,8 @@ def _numbered(values: dict[str, Any]) -> dict[str, Values]:
         cameras[prefix if len(prefixes) > 1 else ""] = camera
     for number, own in _by_number(values).items():
         if states_a_matrix(own):
+            if "s" in own:  # KITTI's S_00
+                own["imagesize"] = own.pop("s")
             cameras[number] = {**values, **own}
     for names in _PAIRS:
         pair = {name: _of_side(name, values) for name in names}
@@ -277,11 +291,12 @@ def _numbered(values: dict[str, Any]) -> dict[str, Values]:
 
 
 def _by_number(values: Values) -> dict[str, dict[str, Any]]:
-    """Return the values whose names end in a number, by it, without texts of one word, such as the coefficient k1."""
+    """Return the values whose names end in a number, by it, without a number that is a coefficient, such as k1."""
     numbered: dict[str, dict[str, Any]] = {}
     for key, value in values.items():
         match = _AT_END.fullmatch(key)
-        if match and not (isinstance(value, str) and len(value.split()) == 1):
+        is_word = isinstance(value, str) and len(value.split()) == 1
+        if match and not (is_word and ALIKE_A_COEFFICIENT.fullmatch(key)):
             numbered.setdefault(match[2], {})[match[1]] = value
     return numbered
 

@@ -63,6 +63,8 @@ _COLMAP_NUMBERS = (
 """Names of its models by their numbers."""
 _TOOLBOX = re.compile(r"^(\w+)\s*=\s*\[?([-+.\deE;\s]+)\]?;", re.MULTILINE)
 """A line of numbers of Calib_Results.m."""
+_OF_MATLAB = re.compile(rb"^\w+\s*=\s*\[", re.MULTILINE)
+"""A line of a file of MATLAB, whose comments begin as a recording does."""
 _TOML = re.compile(r"\A(?:\s|#.*\n)*(?:\[[\w. \"'-]+\]\s*$|\w+\s*=)", re.MULTILINE)
 _ONLY_NUMBERS = re.compile(r"[-+]?\d[-+.\deE]*(?:[,\s]+[-+]?\d[-+.\deE]*)+")
 _OTHER_TEXTS = {
@@ -77,7 +79,7 @@ _OTHER_TEXTS = {
     ),
     "Intrinsic of ": ("it is what rs-enumerate-devices prints of a RealSense", WRITE_OPENCV),
     "# hugin project file": ("it is a project of Hugin", WRITE_OPENCV),
-    "\nK_00:": ("it is a file of KITTI", WRITE_OPENCV),
+    "#polynomial coefficients": ("it is a fisheye of OCamCalib (Scaramuzza)", WRITE_OPENCV),
 }
 """Words that only the texts of a program have, what they are, and what to do."""
 _OTHER_ROOTS = {
@@ -87,7 +89,7 @@ _NUMBERS = re.compile(r"\[([-+.\deE,\s]*)\]")
 _NOT_A_NUMBER = re.compile(r"\.(nan|inf)", re.IGNORECASE)  # as YAML writes it
 _NO_BLANK = re.compile(r"^([ \t]*[\w.]+):(?=[^\s:])", re.MULTILINE)
 """A name and its value without a blank between, which OpenCV's FileStorage reads, as in ORB-SLAM2's own files."""
-_BETWEEN = re.compile(r"[][,]")  # as numpy prints an array
+_BETWEEN = re.compile(r"[][,;]")  # as numpy and MATLAB print an array
 _SEPARATOR = re.compile(r"^(?:---|\.\.\.)(?:[ \t].*)?$", re.MULTILINE)
 #: Lines of a message of ROS that differ although the camera is the same.
 _TIMES = re.compile(r"^ *(?:seq|secs|nsecs|sec|nanosec): *\d+[ \t]*$", re.MULTILINE)
@@ -150,7 +152,7 @@ def _toml(text: str) -> dict[str, Any]:
 
 def _text(data: bytes) -> str:
     for begin, what in _BINARY.items():
-        if data.startswith(begin) and not (begin == b"% " and b"\nfc = [" in data):
+        if data.startswith(begin) and not (begin == b"% " and _OF_MATLAB.search(data)):
             raise OtherForm(f"it is {what}, which is not read as a camera", _AS_TEXT.get(begin, WRITE_OPENCV))
     codec = next((codec for mark, codec in _MARKS.items() if data.startswith(mark)), "utf-8")
     try:
@@ -283,7 +285,7 @@ def _yarp(text: str) -> dict[str, Any]:
 def _colmap(text: str) -> dict[str, Any]:
     """Read COLMAP's cameras.txt."""
     return {
-        number: _colmap_camera(number, model, [width, height], [float(value) for value in listed.split()])
+        number: colmap_camera(number, model, [width, height], [float(value) for value in listed.split()])
         for number, model, width, height, listed in _COLMAP.findall(text)
     }
 
@@ -300,14 +302,14 @@ def _colmap_binary(data: bytes) -> dict[str, Any]:
         focal, count = _COLMAP_MODELS.get(name, (0, 0))
         values = data[at + _COLMAP_HEAD.size :][: 8 * (focal + 2 + count)]
         listed = list(struct.unpack(f"<{len(values) // 8}d", values[: len(values) // 8 * 8]))
-        cameras[str(number)] = _colmap_camera(str(number), name, [width, height], listed)
+        cameras[str(number)] = colmap_camera(str(number), name, [width, height], listed)
         at += _COLMAP_HEAD.size + len(values)
     if at != len(data):
         raise OtherForm("it is COLMAP's cameras.bin, and more bytes follow its last camera")
     return cameras
 
 
-def _colmap_camera(number: str, model: str, size: Sequence[Any], values: Sequence[float]) -> dict[str, Any]:
+def colmap_camera(number: str, model: str, size: Sequence[Any], values: Sequence[float]) -> dict[str, Any]:
     """Return a camera of COLMAP: the pixel centres lie at half integers there."""
     if model not in _COLMAP_MODELS:
         raise OtherForm(f"COLMAP's model {model[:40]} is not read", WRITE_OPENCV)

@@ -1,4 +1,4 @@
-"""Cameras that lie deep in a file: DepthAI's calibration, calib.io's project, openMVG's scene.
+"""Cameras that lie deep in a file: DepthAI's calibration, calib.io's project, openMVG's scene, iKalibr's and eKalibr's.
 
 Each becomes values with OpenCV's names. Its fields are as the programs publish them; their pixel centres are OpenCV's.
 """
@@ -23,6 +23,13 @@ _OPENMVG_LENSES: Mapping[str, tuple[str, ...]] = {
     "disto_k3": ("k1", "k2", "k3"),
     "disto_t2": ("k1", "k2", "k3", "p1", "p2"),
 }
+#: The same by the class of a camera in veta, the library of iKalibr and eKalibr.
+_VETA_LENSES: Mapping[str, tuple[str, ...]] = {
+    "pinhole": (),
+    "pinhole_radial_k1": _OPENMVG_LENSES["disto_k1"],
+    "pinhole_radial_k3": _OPENMVG_LENSES["disto_k3"],
+    "pinhole_brown_t2": _OPENMVG_LENSES["disto_t2"],
+}
 _OPENMVG_WITHOUT = {"width", "height", "focal_length", "principal_point", "value0"}
 
 
@@ -35,7 +42,7 @@ def cameras_in_tree(content: Values) -> dict[str, Values]:
         return dict(_of_calibio(calibration["cameras"]))
     if isinstance(content.get("intrinsics"), list) and "sfm_data_version" in content:
         return dict(_of_openmvg(content["intrinsics"]))
-    return {}
+    return dict(_of_veta(_veta_cameras(content)))
 
 
 def _of_depthai(stated: Sequence[Any]) -> Iterator[tuple[str, Values]]:
@@ -98,6 +105,37 @@ def _of_openmvg(stated: Sequence[Any]) -> Iterator[tuple[str, Values]]:
                 "imagesize": [own["width"], own["height"]],
                 "program": "openMVG",
                 **lens,
+            },
+        )
+
+
+def _veta_cameras(content: Values) -> dict[str, Any]:
+    """Return what iKalibr or eKalibr wrote of each camera, by its topic; a camera alone has no name."""
+    alone = content.get("Intrinsics")
+    if isinstance(alone, Mapping) and "ptr_wrapper" in alone:
+        return {"": alone}
+    result = content.get("CalibParam")
+    inner = result.get("INTRI") if isinstance(result, Mapping) else None
+    listed = inner.get("Camera") if isinstance(inner, Mapping) else None
+    return {str(camera["key"]): camera["value"] for camera in listed} if isinstance(listed, list) else {}
+
+
+def _of_veta(cameras: Mapping[str, Any]) -> Iterator[tuple[str, Values]]:
+    """Yield the cameras of iKalibr and eKalibr, whose order of Brown's coefficients is k1 k2 k3 p1 p2."""
+    for name, (kind, data) in zip(cameras, _classes(iter(cameras.values())), strict=True):
+        stated = numbers_of("the distortion", data.get("disto_param", []))
+        is_fisheye = kind == "pinhole_fisheye"
+        if not is_fisheye and kind not in _VETA_LENSES:
+            raise OtherForm(f"veta's camera {kind[:LONGEST_NAME]!r} is not read", CALIBRATE_ANEW)
+        terms = {} if is_fisheye else dict(zip(_VETA_LENSES[kind], stated, strict=True))
+        yield (
+            name,
+            {
+                "cameramatrix": [data["focal_length"], data["principal_point"]],
+                "imagesize": [data["img_width"], data["img_height"]],
+                "distortioncoefficients": stated if is_fisheye else [terms.get(k, 0.0) for k in OPENCV[:5]],
+                "distortionmodel": "fisheye" if is_fisheye else "opencv",
+                "program": "iKalibr or eKalibr",
             },
         )
 

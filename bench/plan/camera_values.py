@@ -117,7 +117,7 @@ _TYPES = {
 """Lenses that the name `type` alone may state."""
 _OPENCV_IN_FILES, _FISHEYE_IN_FILES = tuple(name.lower() for name in OPENCV), ("k1", "k2", "k3", "k4")
 """Names of single coefficients in files."""
-_ALIKE_A_COEFFICIENT = re.compile("[bdkprst][0-9]+|tau[xy]")
+ALIKE_A_COEFFICIENT = re.compile("[bdkprst][0-9]+|tau[xy]")
 CALIBRATE_ANEW = (
     "Only OpenCV's lenses are read, Brown and fisheye. Calibrate with one of them, such as pinhole-radtan or"
     " pinhole-equi of Kalibr."
@@ -297,7 +297,7 @@ def _single(values: Values) -> dict[str, int | float | str]:
     return {
         name: value
         for name, value in values.items()
-        if _ALIKE_A_COEFFICIENT.fullmatch(name)
+        if ALIKE_A_COEFFICIENT.fullmatch(name)
         and (
             isinstance(value, int | float)
             or (isinstance(value, str) and len(value.replace(",", " ").split()) < 4)
@@ -328,7 +328,7 @@ def _stated_lens(values: Values) -> tuple[str | None, tuple[str, ...] | None]:
     for key, value in values.items():
         if not (_MODEL.fullmatch(key) or (key == "type" and plain_name(value) in _TYPES)):
             continue
-        if value is None or isinstance(value, Mapping):
+        if value in (None, "") or isinstance(value, Mapping):  # ROS leaves a model empty that was not stated
             continue
         if key == "fisheye" and values.get("program") == _MASKED:
             continue

@@ -388,12 +388,15 @@ class StageProtocol(Described):
     def untold(self, address: str) -> list[str]:
         """Return the keys of the queries whose reply tells of several axes, but not of the one with this address."""
         queries = {name: getattr(self.axis, name) for name in type(self.axis).model_fields}
+        queries |= {f"settings[{at}].query": setting.query for at, setting in enumerate(self.axis.settings)}
         by_query = {
             name: axes_told(parsed_reply(query.reply, query.known, query.tells), query.tells)
             for name, query in queries.items()
             if isinstance(query, Query)
         }
-        return [name for name, addresses in by_query.items() if addresses and address.lower() not in addresses]
+        return [
+            name for name, addresses in by_query.items() if addresses and address.lower() not in addresses
+        ]
 
     def for_driver(self) -> of.StageDescription:
         """Return the description for the driver."""

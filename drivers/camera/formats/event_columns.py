@@ -38,7 +38,13 @@ _NAMES: Final = (
 )
 """Names of the columns t, x, y and p, in small letters."""
 COLUMNS: Final = len(_NAMES)
-_UNIT_OF_NAME: Final = re.compile(r"(.*?)[ _]?[(\[]?(?:_(s|ms|us|ns)|[(\[](s|ms|us|ns)[)\]])")
+_UNITS: Final[Mapping[str, TimeUnit]] = {
+    **dict.fromkeys(("s", "sec", "secs", "seconds"), "s"),
+    **dict.fromkeys(("ms", "msec", "milliseconds"), "ms"),
+    **dict.fromkeys(("us", "usec", "microseconds"), "us"),
+    **dict.fromkeys(("ns", "nsec", "nanosec", "nanoseconds"), "ns"),
+}
+_UNIT_OF_NAME: Final = re.compile(r"(.*?)(?:_({0})|[ _]?[(\[]({0})[)\]])".format("|".join(_UNITS)))
 _MICRO: Final = re.compile("[\u00b5\u03bc]")
 """The sign of a millionth, and the Greek letter."""
 _OF_WHOLE: Final = (0, 1, 2, 3)
@@ -85,8 +91,8 @@ def required(available: Iterable[str]) -> list[str]:
 def unit_of_name(name: str) -> TimeUnit | None:
     """Return the unit that the name of a column of times states.
 
-    >>> unit_of_name("timestamp_us"), unit_of_name("t [ns]"), unit_of_name("ts")
-    ('us', 'ns', None)
+    >>> unit_of_name("timestamp_us"), unit_of_name("t [ns]"), unit_of_name("Time (seconds)"), unit_of_name("ts")
+    ('us', 'ns', 's', None)
     """
     return _split(name)[1]
 
@@ -95,8 +101,7 @@ def _split(name: str) -> tuple[str, TimeUnit | None]:
     """Return a name in small letters, and the unit behind it."""
     small = _MICRO.sub("u", name.strip().lower())
     match = _UNIT_OF_NAME.fullmatch(small)
-    unit: Any = match and (match[2] or match[3])
-    return (match[1].rstrip() if match else small), unit
+    return (match[1].rstrip(), _UNITS[match[2] or match[3]]) if match else (small, None)
 
 
 def is_table(shape: Sequence[int], dtype: np.dtype[Any]) -> bool:

@@ -52,10 +52,10 @@ _HEAD_BYTES: Final = 4096
 _GEOMETRY: Final = re.compile(r"[%# ]*geometry *[:=]? *(\d{1,5}) *[,x ] *(\d{1,5}) *", re.IGNORECASE)
 _SIZE: Final = 2
 """Numbers of a line that states the size."""
-_NUMBER: Final = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|true|false", re.IGNORECASE)
-_TRUTH: Final = {"true": "1", "false": "0"}
-"""Polarities as pandas writes them."""
-_TRUTHS: Final = re.compile("true|false", re.IGNORECASE)
+_TRUTH: Final = {"true": "1", "false": "0", "on": "1", "off": "0"}
+"""Polarities as pandas and people write them."""
+_TRUTHS: Final = re.compile(r"\b(?:true|false|on|off)\b", re.IGNORECASE)
+_NUMBER: Final = re.compile(rf"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|{_TRUTHS.pattern}", re.IGNORECASE)
 
 
 def from_npz(path: Path, choices: ReadingChoices) -> EventSource:
@@ -246,6 +246,7 @@ def _rows(lines: Iterator[str], layout: _TextLayout, before: int) -> Any:
             delimiter=layout.delimiter,
             usecols=layout.places or None,
             comments="#",
+            quotechar='"',
             max_rows=PIECE_EVENTS,
             ndmin=2,
         )

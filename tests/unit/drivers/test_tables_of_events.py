@@ -155,6 +155,14 @@ def test_text_of_pandas_has_an_index_and_words_for_polarities(tmp_path):
     assert_same(import_events(tmp_path / "a.csv", SIZED))
 
 
+def test_quoted_numbers_and_polarities_in_words_are_read(tmp_path):
+    """Spreadsheets quote cells where the writer asks for it (QUOTE_ALL of Python's csv)."""
+    rows = zip(*(ROWS[name] for name in "txyp"), strict=True)
+    lines = [f'"{t}","{x}","{y}","{"ON" if p else "OFF"}"' for t, x, y, p in rows]
+    (tmp_path / "a.csv").write_text("\n".join(['"t","x","y","polarity"', *lines]))
+    assert_same(import_events(tmp_path / "a.csv", SIZED))
+
+
 @pytest.mark.parametrize("head", [f"%geometry:{WIDTH},{HEIGHT}\n", f"{WIDTH} {HEIGHT}\n"])
 def test_the_first_line_of_text_may_state_the_size(tmp_path, head):
     assert_same(import_events(text(tmp_path / "a.txt", head, "txyp", " ", 1e-6)))

@@ -99,8 +99,9 @@ def test_a_layout_whose_times_are_in_us_needs_no_guess(tmp_path):
     assert np.array_equal(import_events(tmp_path / "c.h5").events.t, t)
 
 
-def test_the_name_of_a_column_states_the_unit(tmp_path):
-    np.savez(tmp_path / "a.npz", timestamp_ns=T_US * 1000, **OTHERS)
+@pytest.mark.parametrize("name", ["timestamp_ns", "t_nsec", "Time (nanoseconds)"])
+def test_the_name_of_a_column_states_the_unit(tmp_path, name):
+    np.savez(tmp_path / "a.npz", **{name: T_US * 1000, **OTHERS})
     assert np.array_equal(import_events(tmp_path / "a.npz", ReadingChoices(SIZE)).events.t, T_US)
 
 

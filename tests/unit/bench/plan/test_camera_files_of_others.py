@@ -163,6 +163,7 @@ BROWN_FILES = {
     "ROS rational with 8": (ros_yaml(D14[:8], "rational_polynomial"), D14[:8]),
     "ROS rational with 14, zeros": (ros_yaml([*D14[:8], *ZEROS[:6]], "rational_polynomial"), D14[:8]),
     "ROS without distortion_model": (ros_yaml(D5, None), D5),
+    "ROS with an empty distortion_model": (ros_yaml(D5, "''"), D5),
     "ROS 1 topic echo": (ros_echo(1), D5),
     "ROS 2 topic echo": (ros_echo(2), D5),
     "ROS 2 topic echo of rational": (ros_echo(2, "rational_polynomial", D14[:8]), D14[:8]),

@@ -160,6 +160,14 @@ BROWN = {
         {**LISTS, "camera_matrix": [[*K[0], 0], [*K[1], 0], [*K[2], 0], [0, 0, 0, 1]], "dist": D5}, D5,
     ),
     "names in groups": ({"intrinsic": FOUR, "distortion": NAMED, "image_size": {"width": 1280, "height": 720}}, D5),
+    # MATLAB's mat2str
+    "rows that end in a semicolon": (
+        {**LISTS, "camera_matrix": "; ".join(" ".join(map(str, row)) for row in K), "dist": "; ".join(map(str, D5))}, D5,
+    ),
+    # pycolmap, Camera.todict: the values of a line of cameras.txt
+    "pycolmap": (
+        {"camera_id": 1, "model": "OPENCV", **SIDES, "params": [FX, FY, CX + 0.5, CY + 0.5, *D5[:4]], "has_prior_focal_length": False}, D5[:4],
+    ),
     "numpy's print of an array": ({**LISTS, "dist": "[[-1.2e-01  8.0e-02  5.0e-04 -7.0e-04 -2.0e-02]]"}, D5),
     "P1 of OpenCV's stereo beside": (
         f"image_size: [1280, 720]\nM1: {FLAT_K}\nD1: {D5}\nP1: {[*FLAT_K, 0.0, 0.0, 0.0]}\n", D5,
@@ -327,6 +335,30 @@ def test_a_list_of_the_model_brown_is_not_guessed():
     assert off_px(alike.camera, [K1, K2, 0.0, 0.0]) < 1e-6
 
 
+def numbered(names):
+    """Two cameras, whose names are those of KITTI and EasyMocap; the second one has another focal length."""
+    return "".join(
+        f"{names[0]}{at}: {' '.join(map(str, [FX + at, *FLAT_K[1:]]))}\n{names[1]}{at}: {' '.join(map(str, D5))}\n{size}"
+        for at, size in enumerate(names[2:])
+    )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        # KITTI, calib_cam_to_cam.txt, and KITTI-360, perspective.txt
+        "calib_time: 09-Jan-2012 13:57:47\n"
+        + numbered(("K_0", "D_0", "S_00: 1.28e+03 7.2e+02\nS_rect_00: 1.2e+03 3.7e+02\n", "S_01: 1.28e+03 7.2e+02\n")),
+        # EasyMocap, camera_utils.py: write_intri
+        f'{YAML}names:\n  - "0"\n' + numbered(("K_", "dist_", "H_0: 720\nW_0: 1280\n", "H_1: 720\nW_1: 1280\n")),
+    ],
+)  # fmt: skip
+def test_cameras_with_numbers_state_their_size_by_number_too(text):
+    name = "01" if "K_01" in text else "1"
+    assert off_px(parse(text, name).camera, D5, matrix=np.array(K) + np.diag([1.0, 0.0, 0.0])) < 1e-6
+    assert parse(text, name).camera.image_size == tuple(SIZE)
+
+
 DOUBTFUL = {
     "a pinhole with coefficients of an unknown name": ({**LISTS, "camera_model": "pinhole", "distortion_coefficents": D5}, "distortioncoefficents"),
     "a pinhole with radial coefficients": ({**LISTS, "camera_model": "pinhole", "radial": [K1, K2]}, "'radial'"),
@@ -348,6 +380,9 @@ DOUBTFUL = {
     "unified model without a name": ({"image": SIDES, "parameter": {**FOUR, "alpha": 1.02}}, "states alpha"),
     # Gyroflow's lens profiles
     "the camera's name as camera_model": ({**LISTS, "camera_model": "DAVIS346", "dist": D5}, "'DAVIS346', which is no lens model"),
+    "fisheye of camodocal": (YAML + "model_type: SCARAMUZZA\npoly_parameters:\n   p0: -2.1e+02\n", "Scaramuzza"),
+    "fisheye of OCamCalib": ("#polynomial coefficients for the DIRECT mapping function\n\n5 -2.3e+02 0.0\n", "OCamCalib"),
+    "cameras of MATLAB's toolbox by side": ("% left camera\nfc_left = [ 1050.3 ; 1049.1 ];\n", "no YAML"),
     "fisheye of MATLAB": ({"MappingCoefficients": [700.0, 0.0, 0.0, 0.0], "ImageSize": [720, 1280]}, "Scaramuzza"),
     "radial and tangential apart, of nobody known": ({**LISTS, "radial_distortion": [K1, K2], "tangential_distortion": [P1, P2]}, "apart"),
     "omni of SVO": (RPG.replace("type: pinhole", "type: omni"), "'omni'"),

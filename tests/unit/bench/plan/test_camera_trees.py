@@ -1,4 +1,4 @@
-"""Cameras that lie deep in files of DepthAI, calib.io and openMVG, and in COLMAP's binary file: rays as the programs'.
+"""Cameras that lie deep in files of DepthAI, calib.io, openMVG and eKalibr, and in COLMAP's binary file: rays as the programs'.
 
 Each file is written here, as the program's documentation or source has it.
 """
@@ -66,6 +66,20 @@ def openmvg(*cameras, inner=True):
     return {"sfm_data_version": "0.3", "root_path": "", "views": [], "intrinsics": listed, "extrinsics": []}
 
 
+def veta(kind, coefficients, number=(1 << 31) + 1):
+    """veta, the library of iKalibr and eKalibr: config/cam-intri-pinhole-brown.yaml; cereal names a class once."""
+    data = {"img_width": 1280, "img_height": 720, "focal_length": [FX, FY], "principal_point": [CX, CY]}
+    data |= {"disto_param": coefficients} if coefficients else {}
+    named = {"polymorphic_name": kind} if number > 1 << 31 else {}
+    return {"polymorphic_id": number, **named, "ptr_wrapper": {"id": 1, "data": data}}
+
+
+def ekalibr(*cameras):
+    """eKalibr, calib_param_mgr.cpp: its result, cameras by their topics."""
+    listed = [{"key": f"/dvs{at}/events", "value": camera} for at, camera in enumerate(cameras)]
+    return {"CalibParam": {"EXTRI": {}, "INTRI": {"IMU": [], "Camera": listed}}}
+
+
 def colmap(*cameras):
     """COLMAP, src/colmap/scene/reconstruction_io_binary.cc; the pixel centres lie at half integers."""
     data = struct.pack("<Q", len(cameras))
@@ -83,6 +97,9 @@ READ = {
     "openMVG, one coefficient": (openmvg({"disto_k1": [K1]}, inner=False), [K1], SQUARE),
     "openMVG, Brown": (openmvg({"disto_t2": [K1, K2, K3, P1, P2]}), D5, SQUARE),
     "openMVG, pinhole": (openmvg({}), [], SQUARE),
+    "iKalibr": ({"Intrinsics": veta("pinhole_brown_t2", [K1, K2, K3, P1, P2])}, D5, K),
+    "iKalibr, pinhole": ({"Intrinsics": veta("pinhole", [])}, [], K),
+    "eKalibr": (ekalibr(veta("pinhole_brown_t2", [K1, K2, K3, P1, P2])), D5, K),
     "COLMAP OPENCV": (colmap((4, D5[:4])), D5[:4], K),
     "COLMAP FULL_OPENCV": (colmap((6, D14[:8])), D14[:8], K),
 }
@@ -99,6 +116,7 @@ def test_the_rays_of_a_camera_are_those_of_opencv(content, coefficients, matrix)
 FISHEYES = {
     "DepthAI": (depthai((2, 1, FISHEYE + [0.0] * 10)), K),
     "openMVG": (openmvg({"fisheye": FISHEYE}), SQUARE),
+    "iKalibr": ({"Intrinsics": veta("pinhole_fisheye", FISHEYE)}, K),
     "COLMAP": (colmap((5, FISHEYE)), K),
 }
 
@@ -112,6 +130,11 @@ SEVERAL = {
     "DepthAI": (depthai((0, 0, D14), (2, 0, D5)), "CAM_A, CAM_C", "CAM_C"),
     "calib.io": (calibio(D14, [*D5, *[0.0] * 9]), "camera0, camera1", "camera1"),
     "openMVG": (openmvg({"disto_k1": [K1]}, {"disto_k3": [K1, K2, K3]}), "camera0, camera1", "camera1"),
+    "eKalibr": (
+        ekalibr(veta("pinhole_brown_t2", [K1, K2, 0.0, P1, P2]), veta("", [K1, K2, K3, P1, P2], 1)),
+        "/dvs0/events, /dvs1/events",
+        "/dvs1/events",
+    ),
     "COLMAP": (colmap((1, []), (4, D5[:4])), "1, 2", "2"),
 }
 
@@ -127,6 +150,7 @@ def test_one_of_several_cameras_is_named(content, listed, name):
 REFUSED = {
     "DepthAI, another lens": (depthai((0, 3, D5)), "camera of type 3"),
     "calib.io, another model": (calibio(D14, model="libCalib::CameraModelDivision"), "CameraModelDivision"),
+    "veta, another lens": ({"Intrinsics": veta("pinhole_division", [0.1])}, "'pinhole_division'"),
     "openMVG, another lens": (openmvg({"thin_prism": FISHEYE}), "'thin_prism'"),
     "openMVG, spherical": (
         {"sfm_data_version": "0.3", "intrinsics": [{"key": 0, "value": {"ptr_wrapper": {"data": dict(SIDES)}}}]},
