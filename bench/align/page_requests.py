@@ -14,11 +14,11 @@ from bench.align.session import Session
 from bench.align.write_down import (
     Proposal,
     must_be_copied,
-    plain_number,
     propose_pose,
     propose_values,
     station_values,
 )
+from bench.base.encoding import plain_number
 from bench.base.errors import ControlRefused, UsageError
 from bench.plan.plan import SHIPPED_SEQUENCES
 from bench.stations.station import Station

@@ -23,6 +23,7 @@ from ruamel.yaml.nodes import ScalarNode
 from ruamel.yaml.resolver import VersionedResolver
 from ruamel.yaml.tag import Tag
 
+from bench.base.encoding import plain_number
 from bench.base.errors import ControlRefused, ScriptError
 from bench.plan.plan import SHIPPED_SEQUENCES
 from bench.record.storage import write_atomic
@@ -119,16 +120,6 @@ def _zero_values(station: Station, name: str, angle_deg: float) -> dict[Document
         (*place, "zero_deg"): plain_number(axis.zero_deg - angle_deg, 4),
         (*place, "limits_deg"): (plain_number(low, 4), plain_number(high, 4)),
     }
-
-
-def plain_number(value: float, digits: int) -> str:
-    """Return a number as a person writes it into a file: at most ``digits`` after the point, no needless zeros.
-
-    >>> plain_number(2.50, 4), plain_number(-0.00001, 4), plain_number(10, 2)
-    ('2.5', '0', '10')
-    """
-    text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
-    return "0" if text in ("", "-0") else text
 
 
 @dataclass(frozen=True)

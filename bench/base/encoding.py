@@ -77,6 +77,16 @@ def clock_text(seconds: float) -> str:
     return f"{hours}:{minutes:02d}:{seconds_left:02d}" if hours else f"{minutes}:{seconds_left:02d}"
 
 
+def plain_number(value: float, digits: int) -> str:
+    """Return a number as a person writes it into a file: at most ``digits`` after the point, no needless zeros.
+
+    >>> plain_number(2.50, 4), plain_number(-0.00001, 4), plain_number(10, 2)
+    ('2.5', '0', '10')
+    """
+    text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
+    return "0" if text in ("", "-0") else text
+
+
 def counted(number: int, noun: str) -> str:
     """Return a number with its noun, in the plural with "s" unless the number is 1.
 

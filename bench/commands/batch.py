@@ -89,7 +89,7 @@ def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int) -> in
     from bench.commands.plan import begin_utc
     from bench.extras.batch.batch_plan import read_queue
     from bench.extras.batch.batch_rehearsal import rehearse_batch
-    from bench.wording.plan_text import duration_text
+    from bench.wording.numbers import duration
 
     read, started_s = read_queue(queue), time.monotonic()
     line = PartsLine("runs rehearsed", "the summary is written", quiet=wants_json())
@@ -106,7 +106,7 @@ def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int) -> in
         line.clear()
     status = show_summary(output, summary)
     took_s = time.monotonic() - started_s
-    whole = duration_text(3600 * summary["totals"]["hours"])
+    whole = duration(3600 * summary["totals"]["hours"])
     click.echo(f"{whole} rehearsed in {took_s:.0f} s.", err=True)
     return status
 

@@ -245,7 +245,8 @@ def begin_utc(queue: Queue, begin: datetime | None) -> datetime:
 
 
 def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None]) -> Iterator[str]:
-    from bench.wording.plan_text import duration_text, size_text
+    from bench.wording.numbers import duration
+    from bench.wording.plan_text import size_text
 
     zone = night.queue.tzinfo
 
@@ -258,7 +259,7 @@ def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None])
     takes = f"takes {most}".strip()
     yield f"{night.queue.name}: from {begins}\n\n{'begin':<10} {'end':<10} {takes:>13}  run"
     rows = [
-        f"{clock(slot.begin_s):<10} {clock(slot.end_s):<10} {duration_text(slot.end_s - slot.begin_s):>13}"
+        f"{clock(slot.begin_s):<10} {clock(slot.end_s):<10} {duration(slot.end_s - slot.begin_s):>13}"
         f"  {slot.item.key}"
         for slot in night.slots
         if slot.begin_s is not None and slot.end_s is not None
@@ -280,10 +281,11 @@ def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None])
 
 def _job_lines(name: str, planned: Plan, forecast: PlanForecast | None) -> Iterator[str]:
     """Yield what a run of a job takes and reaches; with an ``until``, the most that it takes, and how it will end."""
-    from bench.wording.plan_text import duration_text, size_text
+    from bench.wording.numbers import duration
+    from bench.wording.plan_text import size_text
 
     most = "at most " if planned.untils else ""
-    takes, size = f"{most}{duration_text(planned.duration_s)}", f"{most}{size_text(planned.size_bytes)}"
+    takes, size = f"{most}{duration(planned.duration_s)}", f"{most}{size_text(planned.size_bytes)}"
     expected = _expected_text(forecast.forecast) if forecast and forecast.forecast else "unknown"
     expected += f", with {forecast.poses_text}" if forecast and forecast.courses else ""
     yield f"{name:<16} {takes:>20} {size:>15}  {expected}"

@@ -10,6 +10,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from bench.wording.numbers import MINUS, fixed
+
 Array = NDArray[np.float64]
 
 _STEPS = (1.0, 2.0, 5.0, 10.0)  # Times a power of ten: round numbers
@@ -101,7 +103,7 @@ def tick_label(value: float, span: float) -> str:
     >>> tick_label(3345.0, 4.0), tick_label(-0.05, 0.2)
     ('3345.0', '−0.05')
     """
-    return _decimal(value, max(0, 1 - math.floor(math.log10(span))) if span > 0 else 3)
+    return fixed(value, max(0, 1 - math.floor(math.log10(span))) if span > 0 else 3)
 
 
 def tick_labels(values: Sequence[float]) -> list[str]:
@@ -113,12 +115,12 @@ def tick_labels(values: Sequence[float]) -> list[str]:
     if len(values) < 2:
         return [plain(value) for value in values]
     decimals = max(0, -math.floor(math.log10(values[1] - values[0]) + 1e-9))
-    return [_decimal(value, decimals) for value in values]
+    return [fixed(value, decimals) for value in values]
 
 
 def plain(value: float) -> str:
     """Return a round number as text, with a true minus sign and without zeros at its end."""
-    return f"{value:.6g}".replace("-", "\N{MINUS SIGN}")
+    return f"{value:.6g}".replace("-", MINUS)
 
 
 def text_width(text: str, size: float) -> float:
@@ -132,8 +134,3 @@ def _letter_width(letter: str) -> float:
     if letter in _WIDE_LETTERS or ord(letter) > 0x2E80:  # ideographs are as wide as high
         return 0.96
     return 0.7 if letter.isupper() else 0.63
-
-
-def _decimal(value: float, decimals: int) -> str:
-    text = f"{value:.{min(decimals, 9)}f}"
-    return text.removeprefix("-") if float(text) == 0 else text.replace("-", "\N{MINUS SIGN}")

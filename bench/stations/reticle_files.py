@@ -12,6 +12,7 @@ import io
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -20,9 +21,13 @@ from xml.sax.saxutils import escape
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.encoding import plain_number
 from bench.base.errors import UsageError
 from bench.stations.station_fields import TargetConfig
 from bench.stations.target_shapes import Drawing, Shapes, draw_target
+
+_short = partial(plain_number, digits=6)
+"""Prints a length in mm; six decimals are a nanometre."""
 
 MM_PER_UNIT = {"mm": 1.0, "um": 1e-3, "inch": 25.4}
 _POINTS_PER_MM = 72.0 / 25.4  # PDF's point is 1/72 of an inch
@@ -129,12 +134,6 @@ def _path(polygon: NDArray[np.float64], signs: str) -> str:
     if begin == "M":
         return begin + along.join(points) + close
     return " ".join([f"{points[0]} {begin}", *(f"{point} {along}" for point in points[1:]), close])
-
-
-def _short(number: float) -> str:
-    """Return a number with six decimals, without zeros at its end."""
-    text = f"{number:.6f}".rstrip("0").rstrip(".")
-    return "0" if text == "-0" else text
 
 
 def dxf(drawing: Drawing, units: str) -> bytes:

@@ -19,6 +19,7 @@ _MILLI_FROM_URAD = 1000.0  # Urad: from here on in mrad
 _ARCSEC_PER_TENTH_DEGREE = 360.0  # From here on in degrees
 
 
+_ONE_DECIMAL_UNTIL_S = 9.95  # From here on, one decimal would give 10.0
 _DIGITS = 2  # Of an uncertainty (JCGM 100, 7.2.6)
 _NEGLIGIBLE = Decimal("0.01")
 """Largest share of U by which rounding down is allowed."""
@@ -139,16 +140,17 @@ def moment(text: str | None) -> str:
 def duration(seconds: float) -> str:
     """Print a duration in ms, s, min or h, as suits its length.
 
-    >>> duration(0.0331), duration(12.34), duration(754), duration(7300)
-    ('33 ms', '12.3 s', '12 min 34 s', '2 h 01 min')
+    >>> duration(0.0331), duration(9.94), duration(12.34), duration(754), duration(7300)
+    ('33 ms', '9.9 s', '12 s', '12 min 34 s', '2 h 1 min')
     """
-    if seconds < 1:
-        return f"{seconds * 1000:.0f} ms"
-    if seconds < 60:
-        return f"{seconds:.1f} s"
-    if seconds < 3600:
-        return f"{int(seconds // 60)} min {int(seconds % 60):02d} s"
-    return f"{int(seconds // 3600)} h {int(seconds % 3600 // 60):02d} min"
+    milliseconds, whole = round(1000 * seconds), round(seconds)
+    if seconds < _ONE_DECIMAL_UNTIL_S:
+        return f"{milliseconds} ms" if milliseconds < 1000 else f"{seconds:.1f} s"
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        return f"{whole // 60} min {whole % 60} s"
+    return f"{whole // 3600} h {whole % 3600 // 60} min"
 
 
 def value_text(value: Any) -> str:

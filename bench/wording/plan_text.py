@@ -9,6 +9,7 @@ from bench.base.encoding import counted
 from bench.plan.passports import PassportInUse
 from bench.plan.plan import Plan, PlannedStep
 from bench.wording.goals import meaning_of_goal
+from bench.wording.numbers import duration
 from calib.calibration import REFERENCE_MODELS
 from sequences.script import Flicker, LightStep, MoveStep, PromptStep, RecordStep, SolveStep, Step
 
@@ -33,20 +34,6 @@ def render_plan(plan: Plan) -> str:
         lines += [*_passport_lines(plan.passport.in_use), ""]
     lines.append(_totals(plan))
     return "\n".join(lines)
-
-
-def duration_text(seconds: float) -> str:
-    """Write a duration in seconds, minutes and seconds, or hours and minutes.
-
-    >>> duration_text(0.31), duration_text(75), duration_text(3 * 3600 + 120)
-    ('0.3 s', '1 min 15 s', '3 h 2 min')
-    """
-    if seconds < 59.5:
-        return f"{seconds:.1f} s" if seconds < 9.95 else f"{seconds:.0f} s"
-    whole = round(seconds)
-    if whole < 3600:
-        return f"{whole // 60} min {whole % 60} s"
-    return f"{whole // 3600} h {whole % 3600 // 60} min"
 
 
 def size_text(size_bytes: float) -> str:
@@ -86,7 +73,7 @@ def _rows(planned: PlannedStep, plan: Plan) -> list[str]:
 
 
 def _row(number: int, what: str, takes_s: float, after_s: float) -> str:
-    return f"{number:>5}  {what:<52}{duration_text(takes_s):>10}{duration_text(after_s):>12}"
+    return f"{number:>5}  {what:<52}{duration(takes_s):>10}{duration(after_s):>12}"
 
 
 def _what(step: Step, plan: Plan) -> str:
@@ -125,7 +112,7 @@ def _totals(plan: Plan) -> str:
     about = "about"
     if plan.untils:
         poses, about = f"{len(plan.poses)} to {counted(plan.most_poses, 'pose')}", "at most about"
-    return f"{poses}, {about} {duration_text(plan.duration_s)}, {about} {size} on disk ({most} at most)."
+    return f"{poses}, {about} {duration(plan.duration_s)}, {about} {size} on disk ({most} at most)."
 
 
 def _passport_lines(in_use: PassportInUse) -> list[str]:

@@ -21,7 +21,7 @@ from bench.record.folder_lock import is_locked
 from bench.record.run_folder import JOURNAL
 from bench.record.storage import storage_errors
 from bench.run.status import read_plan, read_status
-from bench.wording.plan_text import duration_text
+from bench.wording.numbers import duration
 
 FOLLOW_S = 1.0
 _TICK_WAITS = 2
@@ -174,7 +174,7 @@ def _current_run_text(folder: Path, record: BatchRecord) -> str:
     except BenchError:  # its journal has no line yet
         return f"{record.current_run}: starting"
     held = f", HELD by {status.held_by}" if status.held_by else ""
-    left = "" if status.left_s is None else f", {duration_text(status.left_s)} left"
+    left = "" if status.left_s is None else f", {duration(status.left_s)} left"
     poses = f"{status.accepted} of {status.poses_text} poses recorded"
     return f"{record.current_run}: {status.state}, {poses}{held}{left}"
 

@@ -9,14 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from decimal import ROUND_HALF_EVEN, Decimal
 from typing import Any
 
 from bench.base.errors import EvidenceError
 from bench.extras.certificate.certificate_data import Budget, BudgetRow
 from bench.record.results import CalibrationData
 from bench.report.calibration_tables import overlap
-from bench.wording.numbers import round_expanded
+from bench.wording.numbers import MINUS, number, with_uncertainty
 from calib.model.result_parts import COVERAGE, PASSPORT
 from calib.uncertainty.covariance import coverage_factor
 
@@ -27,15 +26,6 @@ _OVERLAP = (
     " the squares of the rows add up to u squared. A sensitivity is the contribution over the standard uncertainty of"
     " the stated value; a row without a stated value has none."
 )
-
-
-def printed(number: Decimal) -> str:
-    """Return a decimal number without an exponent.
-
-    >>> printed(Decimal("1.1E+2"))
-    '110'
-    """
-    return f"{number:f}"
 
 
 class BudgetDiffers(EvidenceError):
@@ -50,18 +40,10 @@ def print_result(value: float, expanded: float) -> tuple[str, str]:
     >>> print_result(-0.00004, 0.0164)
     ('0.000', '0.017')
     """
-    uncertainty = round_expanded(expanded)
-    exact = Decimal(repr(float(value)))
-    if not exact.is_finite():
-        raise ValueError(value)
-    rounded = _to_digit_of(exact, uncertainty)
-    return printed(abs(rounded) if rounded == 0 else rounded), printed(uncertainty)
-
-
-def _to_digit_of(exact: Decimal, uncertainty: Decimal) -> Decimal:
-    """Round to the last digit of the uncertainty, which may be tens or hundreds."""
-    step = Decimal(1).scaleb(int(uncertainty.as_tuple().exponent))
-    return (exact / step).quantize(Decimal(1), ROUND_HALF_EVEN) * step
+    if not (math.isfinite(value) and math.isfinite(expanded) and expanded > 0):
+        raise ValueError((value, expanded))
+    shown, uncertainty = with_uncertainty(value, expanded)
+    return _plain(shown), _plain(uncertainty)
 
 
 def print_plain(value: float) -> str:
@@ -70,11 +52,12 @@ def print_plain(value: float) -> str:
     >>> [print_plain(one) for one in (0.61023, 0.08094, 174.05, 0.0)]
     ['0.61', '0.081', '170', '0']
     """
-    exact = Decimal(repr(float(value)))
-    if exact == 0:
-        return "0"
-    step = Decimal(1).scaleb(exact.adjusted() - 1)
-    return printed((exact / step).quantize(Decimal(1), ROUND_HALF_EVEN) * step)
+    return _plain(number(float(value), 2))
+
+
+def _plain(text: str) -> str:
+    """Return a printed number with the minus sign of a computer."""
+    return text.replace(MINUS, "-")
 
 
 def with_unit(text: str, unit: str) -> str:

@@ -10,13 +10,13 @@ import functools
 import math
 import re
 from collections.abc import Mapping
-from decimal import Decimal
 from typing import TYPE_CHECKING, Any
 
 import jinja2
 from markupsafe import Markup, escape
 from scipy.special import chdtri, fdtri, ndtr
 
+from bench.base.encoding import plain_number
 from bench.extras.certificate.certificate_data import (
     BudgetRow,
     Certificate,
@@ -308,12 +308,3 @@ def number_text(value: float) -> str:
     if not text.strip("-")[0].isdigit():
         raise ValueError(f"{text} is not a number that D-SI can state")
     return text
-
-
-def plain_number(value: float, digits: int) -> str:
-    """Return a number without exponent and zeros at its end, as D-SI wants coverage factors and probabilities.
-
-    >>> plain_number(2.0, 4), plain_number(0.95450, 5)
-    ('2', '0.9545')
-    """
-    return f"{Decimal(repr(round(float(value), digits))).normalize():f}"

@@ -68,7 +68,7 @@ def test_a_run_of_a_batch_shows_how_it_ended():
         item("b", "failed", took_s=None, poses=None, temperature_c=40.25, parameters={}, camera=None),
         item("c", "aborted", deviations=3, rms_px=None),
     ]
-    took, fx = "10 min 00 s", "3300.0 ± 1.0"
+    took, fx = "10 min 0 s", "3300.0 ± 1.0"
     assert cells(render_batch(summary(*runs)), "All runs") == [
         ["a", "9", "20:00", took, "1", "9 / 9", "10", "1", NOTHING, NOTHING, "0.0500", fx, "[pass] finished"],
         ["b", NOTHING, "20:00", NOTHING, NOTHING, "9", "10", "1", NOTHING, "40.2", "0.0500", NOTHING, "[fail] failed"],

@@ -12,12 +12,13 @@ from dcc_checks import check_dcc, powers
 from lxml import etree
 
 from bench.base.bounded_json import leaves
+from bench.base.encoding import plain_number
 from bench.base.errors import EvidenceError, UsageError
 from bench.extras.certificate import dcc_xml
 from bench.extras.certificate.certificate_data import Software
 from bench.extras.certificate.certificate_folder import require_libraries
 from bench.extras.certificate.d_si import OUR_UNITS, d_si_unit, is_unit, product
-from bench.extras.certificate.dcc import ellipsoid_factor, number_text, plain_number, render_dcc
+from bench.extras.certificate.dcc import ellipsoid_factor, number_text, render_dcc
 from bench.extras.certificate.dcc_signature import verify_signature, without_signature
 from bench.extras.certificate.dcc_xml import NAMESPACES, read_dcc, read_xml, short
 
