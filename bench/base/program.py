@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import hashlib
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 _PACKAGES = ("bench", "calib", "drivers", "sequences", "simulators")
@@ -51,6 +52,17 @@ def differing_software(used: Mapping[str, str], here: Mapping[str, str]) -> str:
         for name, version in here.items()
         if used.get(name) != version
     )
+
+
+def installed_versions(packages: Iterable[str]) -> dict[str, str]:
+    """Return the versions of packages, in their order; one that is missing here is left out."""
+    from importlib.metadata import PackageNotFoundError, version  # which most commands do not need
+
+    versions = {}
+    for name in packages:
+        with suppress(PackageNotFoundError):
+            versions[name] = version(name)
+    return versions
 
 
 def _sources(folder: Path) -> Iterable[Path]:

@@ -20,7 +20,6 @@ import zipfile
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +27,7 @@ import numpy as np
 
 from bench.base.bounded_json import content_key, parse_json
 from bench.base.home import home_folder
+from bench.base.program import hash_of_files, installed_versions
 from bench.measure.views_file import arrays_of, view_of
 from bench.record.storage import sha256_of
 from calib.errors import InputMismatch
@@ -208,17 +208,13 @@ def view_key(recording_sha256: str, options: Mapping[str, Any]) -> str:
 @functools.cache
 def detector_version() -> str:
     """Return the version of everything that finds stars: this program's sources, the libraries, the processor."""
-    digest = hashlib.sha256(f"{platform.machine()} {platform.python_version()}\n".encode())
-    for library in _LIBRARIES:
-        try:
-            digest.update(f"{library} {version(library)}\n".encode())
-        except PackageNotFoundError:  # another distribution brings it, as opencv-python
-            digest.update(f"{library} ?\n".encode())
     root = Path(__file__).parents[2]
-    for path in sorted(source_files(root)):
-        data = path.read_bytes().replace(b"\r\n", b"\n")
-        digest.update(f"{path.relative_to(root).as_posix()} {len(data)}\n".encode() + data)
-    return digest.hexdigest()
+    parts = {
+        "computer": f"{platform.machine()} {platform.python_version()}",
+        "libraries": installed_versions(_LIBRARIES),  # another distribution may bring one, as opencv-python
+        "sources": hash_of_files(root, source_files(root)),
+    }
+    return content_key(parts)
 
 
 def source_files(root: Path) -> Iterable[Path]:

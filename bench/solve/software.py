@@ -7,9 +7,9 @@ A verification may run on a computer without plug-ins and the libraries of drive
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from importlib.metadata import PackageNotFoundError, version
 from typing import Final
 
+from bench.base.program import installed_versions
 from bench.record.events import RunStarted
 from bench.solve.results_content import software
 from bench.stations.plugins import GROUPS, Plugin, plugins
@@ -32,13 +32,13 @@ def run_software(station: Station) -> dict[str, str]:
     brought = {plugin.distribution: plugin.version for plugin in used_plugins(station)}
     library = _LIBRARIES.get(getattr(station.camera, "driver", ""))
     own = software()  # whose entries no package replaces
-    return own | brought | _versions([library] if library is not None else []) | own
+    return own | brought | installed_versions([library] if library is not None else []) | own
 
 
 def files_software(endings: Iterable[str]) -> dict[str, str]:
     """Return `software`, and the version of each optional library that reads files with such endings."""
     readers = {_READERS[ending.lower()] for ending in endings if ending.lower() in _READERS}
-    return software() | _versions(readers)
+    return software() | installed_versions(sorted(readers))
 
 
 def plugins_of_run(station: Station) -> dict[str, dict[str, list[str]]]:
@@ -71,14 +71,3 @@ def used_plugins(station: Station) -> Iterator[Plugin]:
         for plugin in plugins(kind):
             if plugin.section is section and plugin.distribution:
                 yield plugin
-
-
-def _versions(packages: Iterable[str]) -> dict[str, str]:
-    """Return the versions of packages; one that is missing has taken no part."""
-    versions = {}
-    for name in sorted(packages):
-        try:
-            versions[name] = version(name)
-        except PackageNotFoundError:
-            continue
-    return versions

@@ -9,14 +9,13 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError, EvidenceError
 from bench.base.pasteable import pasteable
-from bench.base.program import differing_software, hash_of_files
+from bench.base.program import differing_software, hash_of_files, installed_versions
 from bench.evidence.findings import PARTS, Findings, Part, Verification
 from bench.extras.certificate.certificate_data import CERTIFICATE, Certificate, Run, Software, sha256
 from bench.extras.certificate.series import amending
@@ -63,17 +62,8 @@ def written_with() -> tuple[Software, ...]:
     root = Path(bench.__file__).parent.parent
     files = [path for path in (root / _FOLDER).rglob("*") if path.suffix in _ENDINGS]
     form = hash_of_files(root, [*files, *(root / name for name in _ALSO)])
-    return (Software(FORM, form), *_installed())
-
-
-def _installed() -> list[Software]:
-    libraries = []
-    for name in _LIBRARIES:
-        try:
-            libraries.append(Software(name, version(name)))
-        except PackageNotFoundError:
-            continue
-    return libraries
+    installed = installed_versions(_LIBRARIES)
+    return (Software(FORM, form), *(Software(name, version) for name, version in installed.items()))
 
 
 def other_writer(software: tuple[Software, ...]) -> str:

@@ -1,5 +1,7 @@
 """Packages of plug-ins and optional libraries in the software that a run states."""
 
+from importlib.metadata import version
+
 import pytest
 
 from bench.report.run_tables import software as report_rows
@@ -54,11 +56,8 @@ def test_a_package_never_replaces_an_entry_of_starbench(brought, station, monkey
 
 def test_libraries_of_drivers_and_of_files_of_others_are_stated_where_they_are_used(station, monkeypatch):
     assert files_software([".raw", ".png"]) == software()
-    installed, real = (
-        {"neuromorphic-drivers": "0.18.1", "aedat": "2.3", "rosbags": "0.11"},
-        software_module.version,
-    )
-    monkeypatch.setattr(software_module, "version", lambda name: installed.get(name) or real(name))
+    installed, real = {"neuromorphic-drivers": "0.18.1", "aedat": "2.3", "rosbags": "0.11"}, version
+    monkeypatch.setattr("importlib.metadata.version", lambda name: installed.get(name) or real(name))
     evk4 = station.model_copy(update={"camera": type("Camera", (), {"driver": "neuromorphic_evk4"})()})
     assert run_software(evk4)["neuromorphic-drivers"] == "0.18.1"
     assert files_software([".AEDAT4", ".raw"]) == software() | {"aedat": "2.3"}
