@@ -99,6 +99,14 @@ class LineConfig(StrictModel):
         Literal["CR", "LF", "CRLF", "space", "none"], Field(description="Ends each request.")
     ] = "LF"
     reply_end: Annotated[Literal["CR", "LF", "CRLF"], Field(description="Ends each reply.")] = "LF"
+    prompt: Annotated[
+        str,
+        Field(
+            max_length=3,
+            pattern=r"^[!-/:-@\[-`{-~]* ?$",
+            description="Ends each reply in place of `reply_end`, and stands in it.",
+        ),
+    ] = ""
     reply_s: Annotated[float, Within(0.05, 10, "s"), Field(description="Longest wait for a reply.")] = 0.75
     quiet_s: Annotated[
         float, Within(0.02, 2, "s"), Field(description="Without a byte for this time, the line is silent.")
@@ -164,6 +172,7 @@ class Described(StrictModel):
             self.line,
             request_end=_ENDS[self.line.request_end],
             reply_end=_ENDS[self.line.reply_end],
+            prompt=self.line.prompt.encode("ascii"),
             clear=self.line.clear.encode("ascii"),
             setup=tuple(map(parsed_request, self.line.setup)),
             refusals=tuple(

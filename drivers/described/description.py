@@ -40,6 +40,7 @@ _SHAPES: Final = {
 _HEX: Final = {"hex": 0, "signed_hex": 1}
 """Kinds of a fixed number of hexadecimal digits, and how many bits are the sign (two's complement)."""
 MOST_HEX_DIGITS: Final = 8
+_MOST_DIGITS: Final = 15  # Those of a double
 _FIRST: Final = {
     **dict.fromkeys(("integer", "size"), "0123456789"),
     "number": "0123456789.eE+-",
@@ -63,7 +64,8 @@ class Placeholder:
     name: str
     # One of `_SHAPES` or `_HEX`; empty for a value that is known when the template is used.
     kind: str = ""
-    # Digits after the point of a number that is sent, None for as many as needed; all digits of a hexadecimal one.
+    # Of a number that is sent: digits after the point, None for as many as needed. All digits of a hexadecimal number;
+    # least number of digits of a whole one.
     digits: int | None = None
 
     @property
@@ -177,6 +179,8 @@ def _placeholder(inner: str, known: frozenset[str], readable: frozenset[str] | N
         return Placeholder(name, kind, int(digits))
     if not point:
         return Placeholder(name, kind)
+    if kind == "integer" and digits.isdecimal() and 0 < int(digits) <= _MOST_DIGITS:
+        return Placeholder(name, kind, int(digits))
     if kind != "number" or not digits.isdecimal() or int(digits) > MOST_DECIMALS:
         raise TemplateFault(f"decimals are written {{{name}:number.3}}, at most {MOST_DECIMALS}.")
     return Placeholder(name, kind, int(digits))
@@ -213,7 +217,7 @@ def _written(place: Placeholder, value: Value) -> str:
     if isinstance(value, str) or place.kind in {"", "word", "text"}:
         return f"{value:g}" if isinstance(value, float) else str(value)
     if place.kind == "integer":
-        return str(round(value))
+        return f"{round(value):0{place.digits or 1}d}"
     if place.kind == "sign":
         return "-" if round(value) < 0 else "+"
     if place.kind == "size":
@@ -266,6 +270,7 @@ class LineDescription:
     rtscts: bool  # Whether the device uses the lines RTS and CTS, where the station file does not say
     request_end: bytes
     reply_end: bytes
+    prompt: bytes  # Ends each reply in place of ``reply_end``, and is a part of it; empty for none
     reply_s: float  # Longest wait for a reply, in seconds
     quiet_s: float  # After this time without a byte, the line counts as silent; in seconds
     # Longest time from the opening of the port to the first answer, in seconds: some boards restart then.

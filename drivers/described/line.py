@@ -19,7 +19,7 @@ from drivers.serial_port import Port
 from drivers.wire_log import WireLog
 
 _SHOWN = 80
-_BREAK = re.compile(rb" *\n *")
+_BREAK = re.compile(rb" *[\r\n]+ *")
 _MOST_OTHER_ANSWERS = 3
 """A device that starts prints a text or two; one that answers otherwise after that is not the described one."""
 
@@ -37,7 +37,7 @@ class DescribedLine(Link):
         self.quiet_s, self.reply_s = description.quiet_s, description.reply_s
         self._notices: list[Notice] = []
         self._known = self._known_serial = ""
-        self.terminator = description.reply_end
+        self.terminator = description.prompt or description.reply_end
         super().__init__(port, clock=clock, wire_log=wire_log)
         self.identity: Mapping[str, Value] = {}
         self.drain()
@@ -159,7 +159,7 @@ class DescribedLine(Link):
 
     def _text(self, line: bytes) -> str:
         """Return the text of a line without notices; empty if nothing else is in it. Checks the checksum."""
-        body = line.removesuffix(self._description.reply_end).strip(b"\r\n")
+        body = line.strip(b"\r\n")
         # Some devices answer the end of a request by a line feed before the reply.
         body = _BREAK.sub(b" ", self._take_from(body))
         if not re.fullmatch(rb"[ -~]*", body):

@@ -7,8 +7,10 @@ from collections.abc import Callable
 
 import pytest
 
-from bench.stations.station_text import read_stage_protocol
-from drivers.errors import DriverError, MoveFailed, OutsideLimits
+from bench.stations.station_text import read_light_protocol, read_stage_protocol
+from drivers.errors import DriverError, MoveFailed, OutsideLimits, SettingRefused
+from drivers.light import LightSettings
+from drivers.light.text import TextLight
 from drivers.stage import AxisLimits
 from drivers.stage.text import TextAxis, TextStage
 from tests.hil.direct_stages import VirtualClock
@@ -394,3 +396,150 @@ def test_a_controller_of_pi_moves_by_its_general_command_set(tmp_path, clock) ->
     assert stage.faults() == []
     known["ERR"] = "1024"  # motion error: the position error became too large
     assert stage.faults() == ["pan: 1024"]
+
+
+# ------------------------------------------------------------ a prompt behind each reply
+
+GALIL = """
+line: {baudrate: 19200, request_end: CR, prompt: ":"}
+identity: {send: "ID", reply: "{firmware:word} :"}
+stop: {send: ST, reply: ":"}
+axis:
+  position: {send: "TP{address}", reply: "{counts:integer} :"}
+  idle: {send: "MG _BG{address}", reply: "{state:number} :", when: [0]}
+  move: {send: "PA{address}={target:integer}", reply: ":"}
+  start: {send: "BG{address}", reply: ":"}
+  home: {send: "HM{address};BG{address}", reply: ":"}
+  settings:
+    - quantity: speed
+      set: {send: "SP{address}={value:integer.6}", reply: ":"}
+      query: {send: "MG _SP{address}", reply: "{value:number} :"}
+"""
+"""Galil DMC-40x0, User Manual, "Controller Response to Commands": data, CR, LF and a colon; a question mark for what it refuses."""
+
+
+def test_a_prompt_ends_each_reply(tmp_path, clock) -> None:
+    wire, motor = Wire(clock, LINES), Motor(clock)
+    known = {"SP": 25000.0, "PA": 0.0}
+
+    def answer(request: str) -> str:
+        if request == "ID":
+            return "DMC4020\r\n:"
+        if request == "TPA":
+            return f" {round(motor.position_deg * 1000)}\r\n:"
+        if request.startswith("MG"):
+            return f" {known['SP'] if 'SP' in request else float(motor.is_busy):.4f}\r\n:"
+        if request.startswith(("PAA=", "SPA=")):
+            known[request[:2]] = float(request[4:])
+        elif request == "BGA":
+            motor.move(known["PA"] / 1000)
+        elif request == "HMA;BGA":
+            motor.move(0.0)
+        elif request == "ST":
+            motor.stop()
+        else:
+            return "?"
+        return ":"
+
+    wire.answer = answer
+    stage = opened(wire, tmp_path, GALIL, ("A", 1000.0))
+    stage.home()
+    stage.move_to({"pan": -3.5})
+    assert motor.position_deg == -3.5
+    assert "SPA=020000" in wire.sent
+
+
+MC2000B = """
+format: starbench/light-protocol/1
+maker: Thorlabs
+model: MC2000B
+line: {baudrate: 115200, request_end: CR, prompt: "> "}
+identity: {send: "id?", reply: "{request} {firmware:text}"}
+on: {send: "enable=1", reply: "{request} >"}
+off: {send: "enable=0", reply: "{request} >"}
+output: {send: "enable?", reply: "{request} {state:integer} >", when: [1]}
+settings:
+  - {quantity: frequency_hz, range: [4, 200], set: {send: "freq={value:integer}", reply: "{request} >"}, query: {send: "freq?", reply: "{request} {value:integer} >"}}
+  - {quantity: level_percent, set: {send: "oncycle={value:integer}", reply: "{request} >"}, query: {send: "oncycle?", reply: "{request} {value:integer} >"}}
+"""
+"""Thorlabs MC2000B, Operating Manual, serial commands; published clients read up to a carriage return, ``>`` and a blank."""
+
+
+def test_an_echo_and_a_prompt_around_an_answer_are_described(tmp_path, clock) -> None:
+    (tmp_path / "light.yaml").write_text(MC2000B)
+    protocol = read_light_protocol(tmp_path / "light.yaml").value.for_driver()
+    wire, known = (
+        Wire(clock, LINES),
+        {"id": "MC2000B Ver 1.0.10", "enable": "0", "freq": "20", "oncycle": "50"},
+    )
+
+    def answer(request: str) -> str:
+        name, is_set, value = request.partition("=")
+        if is_set:
+            known[name] = value
+            return f"{request}\r> "
+        return f"{request}\r{known.get(name.rstrip('?'), 'CMD_NOT_DEFINED')}\r> "
+
+    wire.answer = answer
+    light = TextLight(wire, protocol, clock=clock)
+    light.apply(LightSettings(frequency_hz=60.0, sync_output=False))
+    light.on()
+    assert (known["freq"], known["enable"]) == ("60", "1")
+    assert light.is_on()
+    assert wire.sent.count("id?") == 1  # nothing brought the line out of step
+
+
+# ------------------------------------------------------------ a light whose commands are not answered
+
+DC2100 = """
+format: starbench/light-protocol/1
+maker: Thorlabs
+model: DC2100
+line: {baudrate: 115200, reply_end: CRLF}
+identity: {send: "N?", reply: "{firmware:text}"}
+serial: {send: "S?", reply: "{serial:word}"}
+on: {send: "O 1"}
+off: {send: "O 0"}
+output: {send: "O?", reply: "{state:integer}", when: [1]}
+faults: {send: "R?", reply: "{state:integer}", when: [0], bits: [1, 3, 5]}
+settings:
+  - {quantity: constant, value: 1, set: {send: "M {value:integer}"}, query: {send: "M?", reply: "{value:integer}"}}
+  - {quantity: frequency_hz, range: [1, 10000], set: {send: "PF {value:integer}"}, query: {send: "PF?", reply: "{value:integer}"}}
+  - {quantity: duty_percent, range: [1, 99], set: {send: "PD {value:integer}"}, query: {send: "PD?", reply: "{value:integer}"}}
+  - {quantity: level_percent, factor: 10, set: {send: "PC {value:integer}"}, query: {send: "PC?", reply: "{value:integer}"}}
+"""
+"""Thorlabs DC2100, Operation Manual, commands M, PF, PD, PC, O, R: mode 1 is PWM; the current in mA, 1000 at 100 %."""
+
+
+def test_settings_of_a_light_that_answers_queries_alone_are_read_back(tmp_path, clock) -> None:
+    (tmp_path / "light.yaml").write_text(DC2100)
+    protocol = read_light_protocol(tmp_path / "light.yaml").value.for_driver()
+    wire = Wire(clock, LINES)
+    known = {
+        "M": "0",
+        "PF": "100",
+        "PD": "50",
+        "PC": "0",
+        "O": "0",
+        "N": "DC2100 V1.2",
+        "S": "M00245678",
+        "R": "16",
+    }
+
+    def answer(request: str) -> str:
+        if request.endswith("?"):
+            return f"{known[request[:-1]]}\r\n"
+        name, _, value = request.partition(" ")
+        known[name] = value if name != "PF" else str(min(int(value), 5000))
+        return ""
+
+    wire.answer = answer
+    light = TextLight(wire, protocol, serial="M00245678", clock=clock)
+    got = light.apply(LightSettings(frequency_hz=60.0, duty_percent=25.0, high_v=2.5, sync_output=False))
+    assert (known["M"], known["PF"], known["PD"], known["PC"]) == ("1", "60", "25", "500")
+    assert (got.frequency_hz, got.duty_percent, got.high_v) == (60.0, 25.0, 2.5)
+    light.on()
+    assert light.is_on()
+    assert light.faults() == []
+    with pytest.raises(SettingRefused, match="asked 9000"):
+        light.apply(LightSettings(frequency_hz=9000.0, sync_output=False))

@@ -59,7 +59,7 @@ def test_a_line_is_read_or_refused(template, line, found) -> None:
         ("{counts:integer} {counts:integer}", "stands twice"),
         ("{counts:integer", "no partner"),
         ("{Counts:integer}", "is no placeholder"),
-        ("{counts:integer.2}", "decimals are written"),
+        ("{counts:word.2}", "decimals are written"),
         ("{counts:number.12}", "at most 9"),
         ("{counts:hex}", "digits are written {counts:hex.8}"),
         ("{counts:hex.9}", "at most 8"),
@@ -85,7 +85,12 @@ def test_a_request_takes_known_values_only() -> None:
 
 @pytest.mark.parametrize(
     ("request_", "value", "text"),
-    [("{v:hex.2}", 200.4, "C8"), ("{v:signed_hex.4}", -2, "FFFE"), ("A:{v:sign}P{v:size}", -0.4, "A:+P0")],
+    [
+        ("{v:hex.2}", 200.4, "C8"),
+        ("{v:integer.5}", -7, "-0007"),
+        ("{v:signed_hex.4}", -2, "FFFE"),
+        ("A:{v:sign}P{v:size}", -0.4, "A:+P0"),
+    ],
 )
 def test_numbers_are_sent_in_the_devices_own_digits(request_, value, text) -> None:
     assert parse_template(request_, known=NONE, readable=frozenset({"v"})).render({"v": value}) == text
