@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -121,15 +121,10 @@ def _documents(manifest: Mapping[str, str], history: History, findings: Findings
     for name in (SEQUENCE_COPY, STATION_COPY):
         if name not in stated:
             findings.fault("journal", f"{JOURNAL}:1", f"it does not state the hash of {name}")
-    for name, sha256 in stated.items():
-        if name not in manifest:
-            findings.fault("plan", str(name), "the run began with this file; it is missing")
-        elif manifest[name] != sha256:
-            findings.fault(
-                "plan",
-                str(name),
-                "this is not the file that the run began with (hash in the journal's first line)",
-            )
+    other = "this is not the file that the run began with (hash in the journal's first line)"
+    for name, is_missing in _differing(manifest, stated):
+        what = "the run began with this file; it is missing" if is_missing else other
+        findings.fault("plan", name, what)
     without = {
         PASSPORT_COPY: "without a passport (the journal's first line names none)",
         CHECKED_COPY: "without it (the journal's first line does not name it)",
@@ -139,6 +134,13 @@ def _documents(manifest: Mapping[str, str], history: History, findings: Findings
             findings.fault("plan", name, f"the run began {what}")
     if PLAN not in manifest:
         findings.fault("plan", PLAN, "the file is missing")
+
+
+def _differing(manifest: Mapping[str, str], stated: Mapping[str, Any]) -> Iterator[tuple[str, bool]]:
+    """Yield the files that have another hash than is stated, or none, and whether they are missing."""
+    for name, sha256 in stated.items():
+        if manifest.get(name) != sha256:
+            yield str(name), name not in manifest
 
 
 def _recordings(
@@ -151,12 +153,12 @@ def _recordings(
         if entry.event == Event.RECOVERED
         for name in (*entry.data.get("missing", ()), *entry.data.get("changed", ()))
     }
-    for name, capture in captures.items():
-        if name not in manifest:
-            if name not in gone:
-                findings.fault("recording", name, "the journal names this recording; it is missing")
-        elif manifest[name] != capture.sha256:
+    named = {name: capture.sha256 for name, capture in captures.items()}
+    for name, is_missing in _differing(manifest, named):
+        if not is_missing:
             findings.fault("recording", name, "the journal names this recording with another hash")
+        elif name not in gone:
+            findings.fault("recording", name, "the journal names this recording; it is missing")
     for name in manifest:
         if name.startswith(f"{CAPTURES}/") and name not in captures:
             findings.fault("recording", name, "the journal does not name this recording")
@@ -182,10 +184,9 @@ def _written(folder: Path, manifest: Mapping[str, str], entries: Sequence[Entry]
     if not isinstance(files, dict):
         findings.fault("journal", where, "it does not state the files that were written")
         return
-    for name, sha256 in files.items():
-        if manifest.get(name) != sha256:
-            what = "is missing" if name not in manifest else "is another file than the one that was written"
-            findings.fault(_WRITTEN.get(name, "exports"), str(name), f"by the journal, it {what}")
+    for name, is_missing in _differing(manifest, files):
+        what = "is missing" if is_missing else "is another file than the one that was written"
+        findings.fault(_WRITTEN.get(name, "exports"), name, f"by the journal, it {what}")
     for name in written:
         if name not in files:
             what = "the journal does not name it among the files that were written"

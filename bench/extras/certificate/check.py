@@ -18,7 +18,7 @@ from bench.extras.certificate.compose import FURTHER, Identity, compose
 from bench.extras.certificate.lab_config import LabConfig, lab_of
 from bench.extras.certificate.limits import passes_over_fail
 from bench.extras.certificate.sealed_run import is_statement, other_writer, stated_run
-from bench.extras.certificate.series import SIMULATED, is_number_format, number_pattern, numbers
+from bench.extras.certificate.series import SIMULATED, Numbered, is_number_format, number_pattern, numbers
 from bench.record.ledger import LEDGER, Ledger
 from bench.record.run_folder import MANIFEST, RESULTS, SEQUENCE_COPY, STATION_COPY
 from bench.record.storage import read_bounded, sha256_of
@@ -218,7 +218,23 @@ def _compare_with_ledger(folder: Path, certificate: Certificate, ledger: Ledger,
     is_own = is_sealed_by(folder, own_public_keys(ledger.home))
     if is_own:
         _compare_with_breaks(ledger, findings)
-    entered = known.get(certificate.number)
+    _compare_with_number(folder, certificate, known.get(certificate.number), findings, is_own=is_own)
+    old = known.get(certificate.amends.number) if certificate.amends else None
+    if old is not None and certificate.amends is not None:
+        says = (old.seal, old.superseded_by)
+        if says != (certificate.amends.sha256, certificate.number):
+            findings.fault(
+                _KIND, CERTIFICATE, f"the ledger does not say that it replaces {old.number} with this seal"
+            )
+    for run in runs:
+        if run.seal == certificate.run.seal_sha256:
+            _compare_with_run(folder, Path(run.folder), certificate, findings)
+
+
+def _compare_with_number(
+    folder: Path, certificate: Certificate, entered: Numbered | None, findings: Findings, *, is_own: bool
+) -> None:
+    """Compare with what the ledger says of the number: whether it is issued, with this seal, and not replaced."""
     if entered is None and is_own:
         what = f"this bench has sealed {certificate.number}, but its ledger does not contain it; lines were removed"
         findings.fault("ledger", LEDGER, f"{what}, so nothing tells whether it was replaced or declared void")
@@ -234,16 +250,6 @@ def _compare_with_ledger(folder: Path, certificate: Certificate, ledger: Ledger,
         findings.remarks.append(f"SUPERSEDED: {entered.superseded_by} replaces this certificate")
     elif entered.how != "issued":
         findings.remarks.append(f"{entered.number} is {entered.how} in the ledger of this bench, not issued")
-    old = known.get(certificate.amends.number) if certificate.amends else None
-    if old is not None and certificate.amends is not None:
-        says = (old.seal, old.superseded_by)
-        if says != (certificate.amends.sha256, certificate.number):
-            findings.fault(
-                _KIND, CERTIFICATE, f"the ledger does not say that it replaces {old.number} with this seal"
-            )
-    for run in runs:
-        if run.seal == certificate.run.seal_sha256:
-            _compare_with_run(folder, Path(run.folder), certificate, findings)
 
 
 def _compare_with_breaks(ledger: Ledger, findings: Findings) -> None:

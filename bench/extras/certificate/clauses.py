@@ -159,19 +159,21 @@ def _contradictions(lab: LabConfig, results: Results) -> Iterator[tuple[Document
     yield from _names(lab)
     yield from _dates(lab, results)
     symbols = list(results["calibration"]["camera"])
-    for at, rule in enumerate(lab.decision_rules or ()):
-        if rule.result not in symbols:
-            path: DocumentPath = ("decision_rules", at, "result")
-            yield path, f"the run has no result {rule.result!r}.{did_you_mean(rule.result, symbols)}"
-    for at, supplied in enumerate(lab.customer_supplied or ()):
-        for place, symbol in enumerate(supplied.results):
-            if symbol not in symbols:
-                path = ("customer_supplied", at, "results", place)
-                yield path, f"the run has no result {symbol!r}.{did_you_mean(symbol, symbols)}"
+    for path, symbol in _results_named(lab):
+        if symbol not in symbols:
+            yield path, f"the run has no result {symbol!r}.{did_you_mean(symbol, symbols)}"
     for at, condition in enumerate(lab.conditions or ()):
         if condition.name.lower() in _OF_THE_RUN:
             yield ("conditions", at, "name"), "the run itself recorded this condition; leave it out."
     yield from _sources(lab, results)
+
+
+def _results_named(lab: LabConfig) -> Iterator[tuple[DocumentPath, str]]:
+    for at, rule in enumerate(lab.decision_rules or ()):
+        yield ("decision_rules", at, "result"), rule.result
+    for at, supplied in enumerate(lab.customer_supplied or ()):
+        for place, symbol in enumerate(supplied.results):
+            yield ("customer_supplied", at, "results", place), symbol
 
 
 def _names(lab: LabConfig) -> Iterator[tuple[DocumentPath, str]]:
