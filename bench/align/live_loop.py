@@ -22,6 +22,7 @@ from typing import Any, TypeVar, cast
 
 from bench.align.live_figures import TURNING, LiveFigures, LiveSetting, LiveSlice
 from bench.align.meter import Meter
+from bench.base.background import settle
 from bench.base.clock import Aborted
 from bench.base.failure import Failure
 from bench.base.memory_folder import temporary_parent
@@ -325,10 +326,7 @@ class LiveLoop:
                 task, future = self._tasks.popleft()
             if not future.set_running_or_notify_cancel():
                 continue
-            try:
-                future.set_result(task())
-            except BaseException as error:  # noqa: BLE001 - the caller of on_camera gets it
-                future.set_exception(error)
+            settle(future, task)
 
     # ------------------------------------------------------------------ measuring
 

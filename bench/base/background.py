@@ -13,18 +13,19 @@ Result = TypeVar("Result")
 def in_background(work: Callable[[], Result], name: str) -> Future[Result]:
     """Begin work in a thread of its own, which does not keep the program from ending; return its future."""
     future: Future[Result] = Future()
-    threading.Thread(target=_do, args=(work, future), name=name, daemon=True).start()
+    threading.Thread(target=settle, args=(future, work), name=name, daemon=True).start()
     return future
 
 
 def done_at_once(work: Callable[[], Result]) -> Future[Result]:
     """Do work in this thread; return its future, which is done."""
     future: Future[Result] = Future()
-    _do(work, future)
+    settle(future, work)
     return future
 
 
-def _do(work: Callable[[], Result], future: Future[Result]) -> None:
+def settle(future: Future[Result], work: Callable[[], Result]) -> None:
+    """Do work in this thread; give its result, or its error, to a future."""
     try:
         future.set_result(work())
     except BaseException as error:  # noqa: BLE001 - raised again by who asks the future

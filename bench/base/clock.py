@@ -242,13 +242,20 @@ def stop_on_signals(request_stop: Callable[[str], None], *, received: int = 0) -
         name = signal.Signals(number).name
         request_stop("stopped by Ctrl-C" if number == signal.SIGINT else f"{name} received")
 
+    with stopping_signals(ask):
+        yield
+
+
+@contextmanager
+def stopping_signals(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+    """Let a function handle SIGINT, SIGTERM and SIGHUP during the block. Only for the main thread."""
     numbers = [getattr(signal, name) for name in _STOPPING if hasattr(signal, name)]
-    before = {number: signal.signal(number, ask) for number in numbers}
+    before = {number: signal.signal(number, handler) for number in numbers}
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, earlier in before.items():
+            signal.signal(number, earlier)
 
 
 @contextmanager

@@ -23,13 +23,13 @@ import uvicorn
 from starlette.types import ASGIApp, Receive, Scope, Send
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
+from bench.base.clock import stopping_signals
 from bench.base.errors import UsageError
 from bench.web.guard import SIGN_IN, Guard
 from bench.web.server_sent import CLOSING
 from bench.web.token import PageToken, address_of, require_token
 
 LOOPBACK = "127.0.0.1"
-_SIGNALS = ("SIGINT", "SIGTERM", "SIGHUP")
 _CLOSE_S = 2  # Streams never end by themselves
 HEAD_S = 10.0  # A request's head arrives at once; a slow sender holds a connection
 _BACKLOG = 128  # That of Python's own servers
@@ -202,13 +202,8 @@ class _Server(uvicorn.Server):
             self.force_exit = self.should_exit and number == signal.SIGINT
             self.should_exit = self.ended_by_signal = True
 
-        numbers = [getattr(signal, name) for name in _SIGNALS if hasattr(signal, name)]
-        before = {number: signal.signal(number, end) for number in numbers}
-        try:
+        with stopping_signals(end):
             yield
-        finally:
-            for number, handler in before.items():
-                signal.signal(number, handler)
 
 
 def _bound_socket(host: str, port: int) -> socket.socket:
