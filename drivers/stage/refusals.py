@@ -6,6 +6,7 @@ from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits
 from drivers.stage.motion import Axis
 
 HOME_FIRST = "Home the stage first."
+CLEAR_AND_HOME = "Clear the cause, then home the stage."
 CHECK_PORTS = "Check the ports and serials in the station file."
 TO_WHAT_IT_SUPPORTS = "Change the station file to what the controller supports."
 
@@ -15,7 +16,7 @@ def no_reference(axis: Axis, what: str = "the axis has no reference") -> NotHome
     return NotHomed(f"{what}. Nothing was moved.", where=axis.name, remedy=HOME_FIRST)
 
 
-def not_movable(axis: Axis, why: str, remedy: str = "Clear the cause, then home the stage.") -> MoveFailed:
+def not_movable(axis: Axis, why: str, remedy: str = CLEAR_AND_HOME) -> MoveFailed:
     """Build the error of an axis that may not be moved."""
     return MoveFailed(f"{why}. Nothing was moved.", where=axis.name, remedy=remedy)
 

@@ -10,9 +10,10 @@ from dataclasses import dataclass
 from typing import ClassVar, Final, Literal
 
 from drivers.errors import DeviceRefused, OutsideLimits
-from drivers.stage import AxisIdentity, motion
+from drivers.stage import AxisIdentity
+from drivers.stage.line_per_axis import LinePerAxisStage
 from drivers.stage.motion import Axis
-from drivers.stage.refusals import CHECK_PORTS, no_reference, not_movable
+from drivers.stage.refusals import CHECK_PORTS, not_movable
 from drivers.stage.thorlabs_controller import (
     FORWARD,
     REVERSE,
@@ -21,7 +22,7 @@ from drivers.stage.thorlabs_controller import (
     Status,
     ThorlabsController,
 )
-from drivers.stage.watched import AxisState, LinePerAxisStage
+from drivers.stage.watched import AxisState
 
 _ZERO_UNKNOWN: Final = "the controller does not tell its home parameters, so its zero is not known"
 _BEGIN_S: Final = 0.3
@@ -76,15 +77,13 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
 
     PORT: ClassVar = {"baudrate": 115200, "rtscts": True}
     CONTROLLER = ThorlabsController
+    FAULT_REMEDY = "Clear the cause, switch the controller off and on, then home the stage."
 
     def _set_up(self) -> None:
         self._begun: dict[str, _Begun] = {}
         self._home: dict[str, HomeParameters | None] = {}
         for axis in self._axes.values():
             self._check_scale(axis)
-        self._bring_to_rest()
-        for axis in self._axes.values():
-            self._program(axis)
 
     def _identity_of(self, axis: ThorlabsAxis) -> AxisIdentity:
         controller = self._lines[axis.name]
@@ -94,16 +93,11 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
         )
         return AxisIdentity(axis.name, "Thorlabs", stated.model, stated.serial, stated.firmware)
 
-    def _has_reference(self) -> bool:
-        return self._was_homed() and all(line.read_status().homed for line in self._lines.values())
-
     def _faults_of(self, axis: ThorlabsAxis) -> list[str]:
         controller = self._lines[axis.name]
-        status, enabled = controller.read_status(), controller.is_enabled()
         return (
-            status.faults
-            + ([] if status.homed else ["no reference"])
-            + ([] if enabled else ["its channel is switched off"])
+            super()._faults_of(axis)
+            + ([] if controller.is_enabled() else ["its channel is switched off"])
             + ([] if self._home[axis.name] else [_ZERO_UNKNOWN])
             + controller.reports
         )
@@ -111,14 +105,8 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
     # ------------------------------------------------------------ on the wire
 
     def _check_ready(self, axis: ThorlabsAxis) -> None:
-        controller = self._lines[axis.name]
-        status = controller.read_status()
-        if not status.homed:
-            raise no_reference(axis)
-        if not self._was_homed():
-            raise no_reference(axis, motion.HOMED_BY_ANOTHER)
-        self._raise_faults(axis, status)
-        if not controller.is_enabled():
+        super()._check_ready(axis)
+        if not self._lines[axis.name].is_enabled():
             raise not_movable(
                 axis,
                 "its channel is switched off, at the controller's panel or by another program",
@@ -131,14 +119,6 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
         self._raise_faults(axis, controller.read_status())
         self._program(axis)
         controller.enable()
-
-    def _raise_faults(self, axis: ThorlabsAxis, status: Status) -> None:
-        if status.faults:
-            raise not_movable(
-                axis,
-                ", ".join(status.faults),
-                "Clear the cause, switch the controller off and on, then home the stage.",
-            )
 
     def _begin_move(self, axis: ThorlabsAxis, angle_deg: float) -> None:
         controller = self._lines[axis.name]
@@ -158,21 +138,20 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
         position_deg = axis.to_angle_deg(controller.read_position())
         at_goal = self._note_motion(axis, status, position_deg)
         busy = status.moving or (not at_goal and self._may_still_begin(axis))
-        problem = self._problem(status, at_goal=at_goal or busy, homing=homing)
+        problem = self._problem(status, homing=homing)
+        if not problem and status.limits and not (at_goal or busy or homing):
+            problem = f"stopped at a limit: {', '.join(status.limits)}"
         if controller.reports and not at_goal and not status.moving:
             problem = "; ".join(controller.reports)
         return AxisState(position_deg, busy, problem)
 
     def _read_final_state(self, axis: ThorlabsAxis, *, homing: bool) -> AxisState:
-        state = self._read_state(axis, homing=homing)
-        begun, controller = self._begun.get(axis.name), self._lines[axis.name]
-        if homing and not controller.read_status().homed:
-            return state._replace(problem="homing ended without a reference")
-        if homing and begun is not None and not begun.seen and controller.homings == begun.homings:
-            return state._replace(problem="the controller did not begin to home")
+        state = super()._read_final_state(axis, homing=homing)
         if not homing:
-            position_deg = self._agreed_position_deg(axis, self._read_state)
-            return state._replace(position_deg=position_deg)
+            return state._replace(position_deg=self._agreed_position_deg(axis, self._read_state))
+        begun = self._begun.get(axis.name)
+        if begun is not None and not begun.seen and self._lines[axis.name].homings == begun.homings:
+            return state._replace(problem=state.problem or "the controller did not begin to home")
         return state
 
     def _note_motion(self, axis: ThorlabsAxis, status: Status, position_deg: float) -> bool:
@@ -188,16 +167,6 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
     def _may_still_begin(self, axis: ThorlabsAxis) -> bool:
         begun = self._begun.get(axis.name)
         return begun is not None and not begun.seen and self._clock.monotonic() - begun.at_s < _BEGIN_S
-
-    def _problem(self, status: Status, *, at_goal: bool, homing: bool) -> str:
-        """Return why a move in this state will not end at its target; empty when it may."""
-        if status.faults:
-            return ", ".join(status.faults)
-        if not status.homed and not homing:
-            return "the controller lost its reference during the move, as after a restart"
-        if status.limits and not at_goal and not homing:
-            return f"stopped at a limit: {', '.join(status.limits)}"
-        return ""
 
     def _send_stop(self) -> None:
         self._begun.clear()
@@ -228,7 +197,6 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
             )
 
     def _program(self, axis: ThorlabsAxis) -> None:
-        """Set all that another program may have left otherwise, or a restart has undone; read it back."""
         self._program_speed(axis)
         self._program_home(axis)
         self._lines[axis.name].clear_backlash()

@@ -18,8 +18,9 @@ from typing import Final, Self, TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, ReplyGarbled, ReplyTimeout
-from drivers.link import TRIES, Link, read_until_agreed, repeat
+from drivers.link import TRIES, read_until_agreed, repeat
 from drivers.serial_port import Port
+from drivers.stage.line_per_axis import AxisController
 from drivers.stage.refusals import read_back_otherwise
 from drivers.wire_log import WireLog
 
@@ -280,7 +281,7 @@ def _garbled(what: str, where: str) -> ReplyGarbled:
     )
 
 
-class ThorlabsController(Link):
+class ThorlabsController(AxisController):
     """The controller of one axis, on a line of messages. Opening asks for its identity; it sets nothing but silence.
 
     The protocol needs 115200 baud. ``homings`` is how many ends of a homing it has reported, ``reports`` what it has

@@ -9,9 +9,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
-from typing import Any, ClassVar, Generic, NamedTuple, Self, TypeVar
+from typing import Any, Generic, NamedTuple, TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import (
@@ -23,7 +21,7 @@ from drivers.errors import (
     WrongDevice,
 )
 from drivers.link import Link, Reading, read_position_until_agreed
-from drivers.serial_port import OnOnePort, Port, SerialPort, closed_on_error
+from drivers.serial_port import OnOnePort, Port, closed_on_error
 from drivers.stage import AxisIdentity, AxisLimits, motion
 from drivers.stage.motion import A, MoveWatch
 from drivers.stage.refusals import HOME_FIRST, no_reference
@@ -32,7 +30,7 @@ from drivers.wire_log import WireLog
 _STOP_POLL_S = 0.02
 _SAME_DEG = 1e-9
 """Angles that differ by less are one angle, in degrees: no controller counts so finely."""
-_CLEAR_AND_HOME = "Clear the cause, then home the stage and resume."
+_CLEAR_AND_RESUME = "Clear the cause, then home the stage and resume."
 
 StopCheck = Callable[[], None]
 """Raises MoveFailed when ``stop`` was called since the move began.
@@ -356,7 +354,7 @@ class WatchedStage(ABC, Generic[A]):
             return
         if not state.position_kept:
             self._position_doubt = state.problem
-        raise MoveFailed(f"{state.problem}.", where=axis.name, remedy=_CLEAR_AND_HOME)
+        raise MoveFailed(f"{state.problem}.", where=axis.name, remedy=_CLEAR_AND_RESUME)
 
     def _check_end(self, axis: A, goal_deg: float | None) -> None:
         """Raise MoveFailed when the final state or the encoder contradicts the arrival."""
@@ -372,7 +370,7 @@ class WatchedStage(ABC, Generic[A]):
             raise MoveFailed(
                 f"the axis did not stay at its target: it is {off_deg:+.4f} deg away.",
                 where=axis.name,
-                remedy=_CLEAR_AND_HOME,
+                remedy=_CLEAR_AND_RESUME,
             )
         self._check_slip(axis)
 
@@ -442,59 +440,3 @@ class OneLineStage(OnOnePort, WatchedStage[A], Generic[A, L]):
     @abstractmethod
     def _set_up(self) -> None:
         """Compare the serial numbers, bring the axes to rest, and set what the station file states."""
-
-
-class LinePerAxisStage(WatchedStage[A], Generic[A, L]):
-    """A stage each of whose axes has a controller on a line of its own. Its axes have a ``port``.
-
-    Open it with ``open``; the constructor takes the open port of each axis's controller. Axes stand in the order of
-    the station file.
-    """
-
-    _lines: Mapping[str, L]
-    PORT: ClassVar[Mapping[str, Any]]
-    """Settings of the ports, for ``SerialPort``."""
-    CONTROLLER: ClassVar[Callable[..., Any]]
-    """Makes the line of a controller on an open port."""
-
-    def __init__(
-        self, ports: Sequence[Port], axes: Sequence[A], *, clock: Clock, wire_log: WireLog | None = None
-    ) -> None:
-        super().__init__(axes, clock=clock, where=", ".join(port.name for port in ports))
-        with closed_on_error(*ports):
-            self._lines = {
-                axis.name: self.CONTROLLER(port, clock=clock, wire_log=wire_log)
-                for axis, port in zip(axes, ports, strict=True)
-            }
-            self.identify()
-            self._set_up()
-
-    @abstractmethod
-    def _set_up(self) -> None:
-        """Bring the axes to rest, and set what the station file states, after the serial numbers were compared."""
-
-    @classmethod
-    def open(cls, axes: Sequence[A], *, clock: Clock, wire_log: WireLog | None = None) -> Self:
-        """Open all ports, check the serial numbers, and set speeds and limits. Moves nothing.
-
-        The ports raise the errors of ``drivers.serial_port.SerialPort``.
-        """
-        ports: list[Port] = []
-        with ExitStack() as opened:
-            for axis in axes:
-                address: Any = axis
-                ports.append(SerialPort(address.port, **cls.PORT))
-                opened.callback(ports[-1].close)
-            opened.pop_all()
-        return cls(ports, axes, clock=clock, wire_log=wire_log)
-
-    @abstractmethod
-    def _stop_one(self, name: str) -> None:
-        """Stop one axis, and check that its controller received the stop."""
-
-    def _send_stop(self) -> None:
-        """Stop all axes at the same time: no axis waits for the reply of another controller."""
-        with ThreadPoolExecutor(len(self._lines)) as pool:
-            stops = [pool.submit(self._stop_one, name) for name in self._lines]
-        for stop in stops:
-            stop.result()

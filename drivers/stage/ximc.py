@@ -12,12 +12,13 @@ from typing import Any, ClassVar, TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyGarbled
-from drivers.link import TRIES, Link, ReplyReader, repeat
+from drivers.link import TRIES, ReplyReader, repeat
 from drivers.serial_port import Port
 from drivers.stage import AxisIdentity, motion, ximc_protocol
+from drivers.stage.line_per_axis import AxisController, LinePerAxisStage
 from drivers.stage.motion import Axis
-from drivers.stage.refusals import CHECK_PORTS, no_reference, not_movable, read_back_otherwise
-from drivers.stage.watched import AxisState, LinePerAxisStage
+from drivers.stage.refusals import CHECK_PORTS, not_movable, read_back_otherwise
+from drivers.stage.watched import AxisState
 from drivers.stage.ximc_protocol import (
     EdgeSettings,
     EngineSettings,
@@ -36,7 +37,7 @@ S = TypeVar("S", bound=Settings)
 _OWN_COMMANDS = {"move", "home"}
 
 
-class XimcController(Link):
+class XimcController(AxisController):
     """The controller of one axis, on its own line. Opening asks for settings; it sets nothing.
 
     The protocol needs 115200 baud and two stop bits; ``division`` is microsteps per full step. A controller that drives
@@ -187,9 +188,6 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
         self._axes = {
             name: replace(axis, division=self._lines[name].division) for name, axis in self._axes.items()
         }
-        self._bring_to_rest()
-        for axis in self._axes.values():
-            self._program(axis)
 
     def _identity_of(self, axis: XimcAxis) -> AxisIdentity:
         controller = self._lines[axis.name]
@@ -198,22 +196,7 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
         maker, model, firmware = controller.read_identity()
         return AxisIdentity(axis.name, maker, model, serial, firmware)
 
-    def _has_reference(self) -> bool:
-        return self._was_homed() and all(line.read_status().homed for line in self._lines.values())
-
-    def _faults_of(self, axis: XimcAxis) -> list[str]:
-        status = self._lines[axis.name].read_status()
-        return status.faults + ([] if status.homed else ["no reference"])
-
     # ------------------------------------------------------------ on the wire
-
-    def _check_ready(self, axis: XimcAxis) -> None:
-        status = self._lines[axis.name].read_status()
-        if not status.homed:
-            raise no_reference(axis)
-        if not self._was_homed():
-            raise no_reference(axis, motion.HOMED_BY_ANOTHER)
-        self._raise_faults(axis, status)
 
     def _clear_faults(self, axis: XimcAxis) -> None:
         """Clear an alarm by a stop command, which has an effect when the cause of the alarm is gone."""
@@ -222,10 +205,6 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
             controller.command("stop")
         self._raise_faults(axis, controller.read_status())
         self._program(axis)
-
-    def _raise_faults(self, axis: XimcAxis, status: Status) -> None:
-        if status.faults:
-            raise not_movable(axis, ", ".join(status.faults))
 
     def _begin_move(self, axis: XimcAxis, angle_deg: float) -> None:
         self._lines[axis.name].move(axis.to_counts(angle_deg))
@@ -241,13 +220,10 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
         if status.homed and status.running and status.command not in _OWN_COMMANDS and not status.faults:
             problem = f"interrupted by another command ({status.command})"
             return AxisState(position_deg, status.running, problem, position_kept=True)
-        return AxisState(position_deg, status.running, _problem(status, homing=homing))
-
-    def _read_final_state(self, axis: XimcAxis, *, homing: bool) -> AxisState:
-        state = self._read_state(axis, homing=homing)
-        if homing and not self._lines[axis.name].read_status().homed:
-            return state._replace(problem="homing ended without a reference")
-        return state
+        problem = self._problem(status, homing=homing)
+        if not problem and status.failed:
+            problem = f"the controller reports that its {status.command} failed"
+        return AxisState(position_deg, status.running, problem)
 
     def _finish_homing(self, axis: XimcAxis) -> None:
         """Set the counter and the encoder to zero at the reference."""
@@ -265,7 +241,7 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
     # ------------------------------------------------------------ settings
 
     def _program(self, axis: XimcAxis) -> None:
-        """Set all that another program may have left otherwise, and read it back; refuse what cannot be known."""
+        """Set everything, as for all families; refuse what cannot be known."""
         controller = self._lines[axis.name]
         self._check_division(axis)
         sync = controller.read_settings(SyncInSettings)
@@ -388,14 +364,3 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
             controller.set(wanted.WRITE, wanted.pack())
         if (got := controller.read_settings(type(wanted))) != wanted:
             raise read_back_otherwise(axis.name, what, wanted, got)
-
-
-def _problem(status: Status, *, homing: bool) -> str:
-    """Return why a move in this state will not end at its target; empty when it may."""
-    if status.faults:
-        return ", ".join(status.faults)
-    if not status.homed and not homing:
-        return "the controller lost its reference during the move, as after a restart"
-    if status.failed:
-        return f"the controller reports that its {status.command} failed"
-    return ""
