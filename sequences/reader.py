@@ -7,7 +7,7 @@ line take the place of values in the file, by paths such as ``defaults.record.wi
 from __future__ import annotations
 
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -20,6 +20,8 @@ from sequences.kinds import kind_of_format
 from sequences.tree import DocumentPath, Fault, Spot, Tree, path_text
 from sequences.wording import did_you_mean, faults_of
 from sequences.yaml_text import MOST_BYTES, parse
+
+_TYPOGRAPHIC = "\u201c\u201d\u201e\u201f\u2018\u2019\u201a\u00ab\u00bb"
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -176,7 +178,7 @@ def check_document(data: bytes, file: str, model: type[Model]) -> Located[Model]
     The model's validators find the whole mapping, as text, under ``document`` in their context.
     """
     tree = parse(data, file)
-    faults = list(tree.faults)
+    faults = [*tree.faults, *_typographic_quotes(tree)]
     value = None
     if tree.complete:
         try:
@@ -187,6 +189,17 @@ def check_document(data: bytes, file: str, model: type[Model]) -> Located[Model]
     if faults or value is None:
         raise DocumentFaults(faults, tree)
     return Located(value, data, file, tree)
+
+
+def _typographic_quotes(tree: Tree) -> Iterator[Fault]:
+    """Yield a fault for each text in quotes of typesetters, as a word processor writes them: YAML keeps them."""
+    for path, spot in tree.values.items():
+        value = tree.value
+        for part in path:
+            value = value[part]
+        if isinstance(value, str) and value[:1] in _TYPOGRAPHIC and value[-1:] in _TYPOGRAPHIC and value:
+            message = f'typographic quotes ({value[0]}) would be a part of the text: write ".'
+            yield Fault(tree.file, *spot, path_text(path), message)
 
 
 def find_document(name_or_path: str, shipped: Path) -> Path:

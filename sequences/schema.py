@@ -356,6 +356,9 @@ class StepConfig(StrictModel):
         return next(iter(self.model_fields_set))
 
 
+RepeatConfig.model_rebuild()  # its steps are defined after it; messages ask for their words
+
+
 class DefaultConfig(StrictModel):
     """Settings of steps that do not give their own."""
 

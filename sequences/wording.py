@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import re
 import types
 import typing
 from collections.abc import Iterable
@@ -51,6 +52,18 @@ MESSAGES = {
 }
 """Message for each of pydantic's kinds of error; other kinds keep pydantic's own message."""
 
+_POINT = "Write a decimal point"
+_NUMBER = r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?\s*"
+_NUMBERS_OF_PEOPLE = {
+    r"[-+]?\d+,\d{3}(,\d{3})*(\.\d+)?": f"{_POINT}, and no mark between thousands.",
+    r"[-+]?\d*,\d+": f"{_POINT}.",
+    r"[\u2212\u2013]\s*[\d.]+.*": "Write the minus sign of the keyboard: -.",
+    rf"{_NUMBER}%": "Write a share: 1 % is 0.01.",
+    rf"{_NUMBER}ppm": "Write a share: 1 ppm is 1e-6.",
+    rf"{_NUMBER}[^\d\s.,:'xeE+-].*": "Write the number alone, in the unit of this key.",
+}
+"""What to write instead of numbers of these forms."""
+
 
 def faults_of(error: ValidationError, tree: Tree, model: type[BaseModel]) -> list[Fault]:
     """Return a fault for each of pydantic's errors, in its order."""
@@ -96,7 +109,10 @@ def _fault(issue: Any, tree: Tree, model: type[BaseModel]) -> Fault:
     elif kind == "missing":
         message = MESSAGES[kind]
     elif kind in MESSAGES:
-        message = f"{MESSAGES[kind].format(**context)}{got}."
+        hint = _about_number(issue["input"], path) if kind in {"float_parsing", "int_parsing"} else ""
+        if kind == "too_long" and len(issue["input"]) == 2 * context["max_length"]:
+            hint = f" {_POINT}, if these are decimals: a comma separates."
+        message = f"{MESSAGES[kind].format(**context)}{got}.{hint}"
     else:
         message = issue["msg"]
     return Fault(tree.file, *spot, path_text(path), message)
@@ -122,6 +138,21 @@ def _quoted(value: Any) -> str:
     return f" (got {value[:LONGEST_QUOTE]!r}{'...' if len(value) > LONGEST_QUOTE else ''})"
 
 
+def _about_number(value: Any, path: DocumentPath = ()) -> str:
+    """Return what to write instead of a number as people write it.
+
+    Examples
+    --------
+    >>> _about_number("255,03"), _about_number("0.02 %"), _about_number("ten")
+    (' Write a decimal point.', ' Write a share: 1 % is 0.01.', '')
+    """
+    text = str(value).strip()
+    if path and str(path[-1]).endswith("percent"):
+        text = text.replace("%", " percent")
+    forms = (hint for pattern, hint in _NUMBERS_OF_PEOPLE.items() if re.fullmatch(pattern, text))
+    return f" {hint}" if (hint := next(forms, "")) else ""
+
+
 def _nearest(value: Any, expected: str) -> str:
     near = difflib.get_close_matches(
         str(value), expected.replace("'", "").replace(" or ", ", ").split(", "), n=1
@@ -131,6 +162,8 @@ def _nearest(value: Any, expected: str) -> str:
 
 def _about_unknown_key(key: str, kinds: Iterable[Any]) -> str:
     """Return the sentence about a key that a mapping, of one of these types, does not have."""
+    if key.isdecimal():
+        return f"unknown key. {_POINT}, if this is a decimal: a comma separates."
     models = [kind for kind in kinds if _is_model(kind)]
     for kind in models:
         if key in getattr(kind, "gone", {}):

@@ -24,6 +24,18 @@ MOST_DEPTH = 40
 """Levels of nesting that a document may have at most."""
 
 
+_NO_COLON = "could not find expected ':'"
+"""What the parser says of a line without a colon, or without a space behind it."""
+_NO_BREAK = "\N{NO-BREAK SPACE}"
+_HINTS = {
+    _NO_COLON: "Write `key: value`, with a space behind the colon.",
+    "mapping values are not allowed here": "Check the indentation; put a text that holds a colon into quotes.",
+    "found character '%' that cannot start any token": "Put the text into quotes.",
+    "found character '@' that cannot start any token": "Put the text into quotes.",
+}
+"""What to write instead, by what the parser says."""
+
+
 class _Refused(Exception):
     """Reading must stop; the fault is already recorded."""
 
@@ -82,6 +94,7 @@ class _Walk:
 
     def __init__(self, text: str, tree: Tree, *, allow_tags: bool) -> None:
         self.tree = tree
+        self.lines = text.split("\n")
         self.allow_tags = allow_tags
         self.loader: Any = yaml.SafeLoader(text)  # pure Python: libyaml crashes on deep nesting
         self.nodes = 0
@@ -108,14 +121,25 @@ class _Walk:
             return self.loader.get_event()
         except yaml.MarkedYAMLError as error:
             mark = error.problem_mark or error.context_mark or self.loader.get_mark()
-            hint = " Indent with spaces, not tabs." if "'\\t'" in str(error.problem) else ""
+            if error.problem == _NO_COLON:  # the parser notices it in a later line
+                mark = error.context_mark or mark
             context = f" {error.context}" if error.context else ""
-            self._fault_at(mark, (), f"not valid YAML{context}: {error.problem}.{hint}")
+            self._fault_at(mark, (), f"not valid YAML{context}: {error.problem}.{self._hint(error, mark)}")
         except (ValueError, OverflowError):  # an invalid escape, or a version number that is not a number
             self._fault_at(
                 self.loader.get_mark(), (), "not valid YAML: invalid escape sequence or version number."
             )
         raise _Refused
+
+    def _hint(self, error: yaml.MarkedYAMLError, mark: Any) -> str:
+        """Return what to write instead of what people often write; empty for other errors."""
+        line = self.lines[mark.line] if mark.line < len(self.lines) else ""
+        if _NO_BREAK in line:
+            return " The line has a no-break space (U+00A0), which looks like a space: replace it."
+        if "'\\t'" in str(error.problem):
+            return f" {'Write' if line[: mark.column].strip() else 'Indent with'} spaces, not tabs."
+        hint = _HINTS.get(str(error.problem))
+        return f" {hint}" if hint else ""
 
     def _node(self, event: Any) -> None:
         self.nodes += 1

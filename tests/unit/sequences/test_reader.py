@@ -81,6 +81,32 @@ def test_an_unknown_kind_is_met_with_the_known_ones():
         ("{kind: lamp, watts: [1]}", "light.watts: must be a number."),
         ("{kind: lamp, watts: .nan}", "light.watts: must be a number (got '.nan')."),
         ("{kind: lamp, watts: inf}", "light.watts: must be a finite number (got 'inf')."),
+        ("{kind: lamp, watts: '2,5'}", "light.watts: must be a number (got '2,5'). Write a decimal point."),
+        (
+            "{kind: lamp, watts: '1,250'}",
+            "light.watts: must be a number (got '1,250'). Write a decimal point, and no mark between thousands.",
+        ),
+        (
+            "{kind: lamp, watts: 60 W}",
+            "light.watts: must be a number (got '60 W'). Write the number alone, in the unit of this key.",
+        ),
+        (
+            "{kind: lamp, watts: 5 %}",
+            "light.watts: must be a number (got '5 %'). Write a share: 1 % is 0.01.",
+        ),
+        (
+            "{kind: lamp, watts: 20ppm}",
+            "light.watts: must be a number (got '20ppm'). Write a share: 1 ppm is 1e-6.",
+        ),
+        (
+            "{kind: lamp, watts: \u22125}",
+            "light.watts: must be a number (got '\u22125'). Write the minus sign of the keyboard: -.",
+        ),
+        ("{kind: lamp, watts: 0x10}", "light.watts: must be a number (got '0x10')."),
+        (
+            "{kind: lamp, watts: 2,5}",
+            "light.5: unknown key. Write a decimal point, if this is a decimal: a comma separates.",
+        ),
         ("{kind: lamp, watts: -1}", "light.watts: must be more than 0 (got '-1')."),
         ("{kind: laser, serial: {a: b}}", "light.serial: must be text."),
         ("{kind: laser, serial: x, on: maybe}", "light.on: must be true or false (got 'maybe')."),
@@ -122,6 +148,12 @@ def test_plain_numbers_are_read_as_ever(text, watts):
 def test_a_serial_number_that_looks_like_an_odd_number_stays_text():
     read = check_document(b"format: test/1\nlight: {kind: laser, serial: 0074_1}\n", "t.yaml", Table)
     assert read.value.light.serial == "0074_1"
+
+
+def test_quotes_of_a_word_processor_do_not_become_a_part_of_a_serial_number():
+    assert faults("format: test/1\nlight: {kind: laser, serial: \u201e00051234\u201c}\n") == [
+        't.yaml:2:30: light.serial: typographic quotes (\u201e) would be a part of the text: write ".'
+    ]
 
 
 def test_an_unknown_key_is_compared_with_the_keys_of_its_own_kind_only():

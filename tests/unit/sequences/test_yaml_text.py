@@ -71,6 +71,18 @@ def test_a_byte_order_mark_and_windows_line_ends_are_no_fault():
         ('"\\x07": 1\n', "f.yaml:1:1: a control character is not allowed: remove it."),
         ("a: 1\n\tb: 2\n", "f.yaml:2:1: not valid YAML"),
         ("a:\n\t- 1\n", "Indent with spaces, not tabs."),
+        ("a:\t1\n", "Write spaces, not tabs."),
+        ("a: 1\t# one\nb: 2\n", "f.yaml:1:5: not valid YAML while scanning for the next token"),
+        (
+            "z: 0\na:1\nb: 2\n",
+            "f.yaml:2:1: not valid YAML while scanning a simple key: could not find expected ':'. Write `key: value`",
+        ),
+        (
+            "a: 1\nb:\u00a02\nc: 3\n",
+            "f.yaml:2:1: not valid YAML while scanning a simple key: could not find expected ':'. The line has a no-break space (U+00A0)",
+        ),
+        ("a: Kowa: 16 mm\n", "put a text that holds a colon into quotes."),
+        ("a: %LAB%\n", "Put the text into quotes."),
         ("a: [1, 2\n", "f.yaml:2:1: not valid YAML"),
         ("a: 'open\n", "f.yaml:2:1: not valid YAML"),
         ('a: "\\UFFFFFFFF"\n', "f.yaml:1:"),
