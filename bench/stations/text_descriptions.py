@@ -341,6 +341,7 @@ class AxisSettingConfig(StrictModel):
     quantity: Literal["speed", "acceleration", "lowest", "highest", "constant"]
     set: _SetAxis
     query: _GetAxis
+    factor: Annotated[Factor, Field(description="The device's value divided by that in counts.")] = 1.0
     value: Annotated[float | None, Field(description="Value of a constant.")] = None
     tolerance_percent: Tolerance = 0.0
 

@@ -308,6 +308,7 @@ class AxisSetting:
     # set, query: How to write it, and how to read it; both carry ``value``.
     set: Exchange
     query: Exchange
+    factor: float = 1.0  # The device's value divided by that in counts; not of a constant
     constant: float = 0.0  # Value of a setting that does not depend on the station file
     # Largest difference between the value that was written and the one that is read, in percent.
     tolerance_percent: float = 0.0

@@ -301,10 +301,10 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
         limits, scale = axis.limits, abs(axis.counts_per_deg)
         ends = sorted(map(axis.to_position, (limits.lowest_deg, limits.highest_deg)))
         value = {
-            "speed": limits.speed_deg_s * scale,
-            "acceleration": limits.acceleration_deg_s2 * scale,
-            "lowest": ends[0],
-            "highest": ends[1],
+            "speed": limits.speed_deg_s * scale * setting.factor,
+            "acceleration": limits.acceleration_deg_s2 * scale * setting.factor,
+            "lowest": ends[0] * setting.factor,
+            "highest": ends[1] * setting.factor,
             "constant": setting.constant,
         }[setting.quantity]
         sent = setting.set.send.match(setting.set.send.render(self._of(axis, value=value)), self._of(axis))

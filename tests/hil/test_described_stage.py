@@ -120,6 +120,14 @@ def test_a_refusal_says_what_the_device_said_and_an_unknown_setting_is_one(rig) 
         again(rig, axis(), replace(FLIR_PTU, setup=(Exchange(wrong, wrong),))).home()
 
 
+def test_a_setting_may_have_another_unit_than_the_counter(rig) -> None:
+    speed = FLIR_PTU.settings[3]
+    assert speed.quantity == "speed"
+    halved = replace(FLIR_PTU, settings=(*FLIR_PTU.settings[:3], replace(speed, factor=0.5)))
+    again(rig, axis(), halved).home()
+    assert rig.line.sent.count(b"PS8000 ") == 1  # 20 deg/s of 800 counts a degree, halved
+
+
 def test_a_limit_switch_is_named(rig) -> None:
     rig.stage.home()
     rig.order("pan limit")

@@ -36,7 +36,7 @@ from drivers.camera.event_arrays import (
     require_ratio,
 )
 from drivers.camera.formats import ecf
-from drivers.camera.formats.event_columns import Columns, Parts, is_table, named, unit_of_name
+from drivers.camera.formats.event_columns import COLUMNS, Columns, Parts, is_table, named, unit_of_name
 from drivers.camera.formats.hdf5_reading import (
     dataset,
     filters,
@@ -86,7 +86,8 @@ def opened_hdf5(file: Any, choices: ReadingChoices, *, by_library: bool = False)
 
     def read(array: Any) -> Iterator[tuple[NDArray[Any]]]:
         parts = rows_by_library(array) if by_library else rows(array, _decoded_ecf if is_ecf else None)
-        return ((part,) for part in parts)
+        is_matrix = len(array.shape) > 1 and array.shape[1:] == (COLUMNS,)
+        return ((part if is_matrix else part.reshape(-1),) for part in parts)
 
     def parts() -> Iterator[Parts]:
         even = [even_pieces(read(array), PIECE_EVENTS) for array in arrays.values()]
@@ -148,10 +149,18 @@ def _arrays(file: Any, name: str) -> dict[str, Any]:
 
 
 def _length(array: Any, path: str) -> int:
-    """Return the number of rows. Raises NotARecording if the array is no list, and no table of four columns."""
-    if len(array.shape) != 1 and not (path.endswith("events") and array.shape[1:] == (4,)):
-        raise UnreadableEvents(f"{path} has {len(array.shape)} dimensions; a list is needed.")
-    return int(array.shape[0])
+    """Return the number of rows. Raises NotARecording if the array is no list, and no table of four columns.
+
+    MATLAB has no lists: it writes N x 1 or 1 x N.
+    """
+    if path.endswith("events") and array.shape[1:] == (COLUMNS,):
+        return int(array.shape[0])
+    if not array.shape or array.size != max(array.shape):
+        sides = " x ".join(map(str, array.shape)) or "no side"
+        raise UnreadableEvents(
+            f"{path} is an array of {sides}; a list is needed, or a table of N x {COLUMNS}."
+        )
+    return int(array.size)
 
 
 def _column(table: NDArray[Any], name: str, of: str) -> NDArray[Any]:

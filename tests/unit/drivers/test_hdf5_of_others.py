@@ -145,6 +145,25 @@ def test_the_table_of_v2e_is_read(written):
     assert_same(written(lambda file: file.create_dataset("events", data=table, compression="gzip")))
 
 
+@pytest.mark.parametrize("shape", [(N, 1), (1, N)])
+@pytest.mark.parametrize("chunks", [None, True])
+def test_the_columns_of_matlab_have_two_sides(written, shape, chunks):
+    """MATLAB, h5create and save -v7.3: a vector has two dimensions."""
+
+    def fill(file):
+        for name, values in ROWS.items():
+            file.create_dataset(f"events/{name}", data=values.reshape(shape), chunks=chunks)
+
+    assert_same(written(fill))
+
+
+def test_a_table_on_its_side_is_refused_with_its_shape(written):
+    with pytest.raises(
+        NotARecording, match="events is an array of 4 x 1200; a list is needed, or a table of N x 4"
+    ):
+        written(lambda file: file.create_dataset("events", data=np.stack(list(ROWS.values()))))
+
+
 @pytest.mark.parametrize("chunks", [True, None, (100, 1)])
 def test_the_table_of_mvsec_has_its_columns_in_another_order_and_times_in_seconds(written, chunks):
     values = [ROWS["x"], ROWS["y"], 1e-6 * ROWS["t"], np.where(ROWS["p"], 1, -1)]

@@ -114,7 +114,7 @@ HOSTILE = {
     references: "events/t is an array of object, not of numbers",
     missing_chunks: "3000 of the 3000 rows of /events/t are missing",
     never_written: "events/t states 24000 bytes, but they are missing",
-    two_dimensions: "events/t has 2 dimensions; a list is needed",
+    two_dimensions: "events/t is an array of 3000 x 2; a list is needed",
     huge_chunk: "events/t has chunks of",
     bomb_in_a_chunk: "a chunk of 24000 bytes holds more",
     longer: "different lengths",
