@@ -79,12 +79,7 @@ def station_values(
         if setting is not None and setting != getattr(station.camera, name, None):
             values["camera", name] = plain_number(setting, 6)
     if level_percent is not None and level_percent != 100:
-        match station.light:
-            case ScpiLightConfig() as light:
-                high_v = light.low_v + (light.high_v - light.low_v) * level_percent / 100
-                values["light", "high_v"] = plain_number(high_v, 4)
-            case GardasoftLightConfig() | TextLightConfig() as light:
-                values["light", "full_percent"] = plain_number(light.full_percent * level_percent / 100, 3)
+        values |= _level_values(station, level_percent)
         notes.append(f"The present level, {level_percent:g} %, becomes 100 % of this station.")
     return values, notes
 
@@ -100,6 +95,18 @@ def _hand_values(seen: Mapping[str, Any]) -> dict[DocumentPath, Text]:
         ("simulation", "lens", "f_number"): plain_number(float(seen["f_number"]), 3),
         ("simulation", "mount", "turn_deg"): turn_deg,
     }
+
+
+def _level_values(station: Station, level_percent: float) -> dict[DocumentPath, Text]:
+    """Return the full level of the light such that the present level becomes 100 %."""
+    match station.light:
+        case ScpiLightConfig() as light:
+            high_v = light.low_v + (light.high_v - light.low_v) * level_percent / 100
+            return {("light", "high_v"): plain_number(high_v, 4)}
+        case GardasoftLightConfig() | TextLightConfig() as light:
+            return {("light", "full_percent"): plain_number(light.full_percent * level_percent / 100, 3)}
+        case _:
+            return {}
 
 
 def _zero_values(station: Station, name: str, angle_deg: float) -> dict[DocumentPath, Text]:

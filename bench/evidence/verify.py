@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping
 from datetime import UTC, datetime
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +21,7 @@ from bench.evidence.key_trust import Trust
 from bench.evidence.seal import KINDS, NOT_LISTED, kind_of, list_files, read_manifest
 from bench.evidence.signers import Signer
 from bench.evidence.states import LARGEST_SEAL_BYTES, standing_of
-from bench.record.journal import (
-    Capture,
-)
+from bench.record.journal import Capture
 from bench.record.run_folder import (
     JOURNAL,
     MANIFEST,
@@ -189,13 +188,13 @@ def _results(
             f"the file cannot be read ({error if type(error) is ValueError else repr(error)})",
         )
         return
+    sources: dict[str, Mapping[str, str]] = {}
     if captures is not None:
-        sources: dict[str, Mapping[str, str]] = {"the journal": {n: c.sha256 for n, c in captures.items()}}
+        sources["the journal"] = {name: capture.sha256 for name, capture in captures.items()}
         sources |= {} if manifest is None else {MANIFEST: manifest}
-        for name, sha256 in recordings:
-            for source, hashes in sources.items():
-                if hashes.get(name) != sha256:
-                    verification.fault("results", RESULTS, f"{source} does not name {name} with this hash")
+    for (name, sha256), (source, hashes) in product(recordings, sources.items()):
+        if hashes.get(name) != sha256:
+            verification.fault("results", RESULTS, f"{source} does not name {name} with this hash")
     if camera_serial is not None and verification.camera_serial != camera_serial:
         what = f"the results belong to camera {verification.camera_serial}; {camera_serial} was requested"
         verification.fault("item", RESULTS, what)

@@ -217,15 +217,9 @@ def _laid_out(content: Values) -> dict[str, Any]:
         if key in values:
             raise OtherForm(f"its lens is that of {lens}, which is not read", CALIBRATE_ANEW)
     exact = set(map(str, content))
-    for layout in _LAYOUTS:
-        if layout.marks <= set(values) or layout.marks <= exact:
-            # A new name must not meet an old one: k2 becomes k1, and k3 becomes k2.
-            kept = {name: value for name, value in values.items() if name not in layout.names}
-            moved = {layout.names[name]: value for name, value in values.items() if name in layout.names}
-            values = layout.change(kept | moved) | {"program": layout.program}
-            for name in ("cx", "cy") if layout.first_pixel else ():
-                values[name] = numbers_of(name, values.get(name))[0] - layout.first_pixel
-            break
+    layout = next((a for a in _LAYOUTS if a.marks <= set(values) or a.marks <= exact), None)
+    if layout is not None:
+        values = _renamed(values, layout)
     else:
         for key, program in _FOREIGN.items():
             if key in values and not (key == "value0" and _of_basalt(values)):
@@ -235,6 +229,17 @@ def _laid_out(content: Values) -> dict[str, Any]:
     if "focallength" in values and "principalpoint" in values:
         values["cameramatrix"] = [values["focallength"], values["principalpoint"]]
     return values
+
+
+def _renamed(values: dict[str, Any], layout: _Layout) -> dict[str, Any]:
+    """Return the values of a layout by OpenCV's names, in its units."""
+    # A new name must not meet an old one: k2 becomes k1, and k3 becomes k2.
+    kept = {name: value for name, value in values.items() if name not in layout.names}
+    moved = {layout.names[name]: value for name, value in values.items() if name in layout.names}
+    renamed = layout.change(kept | moved) | {"program": layout.program}
+    for name in ("cx", "cy") if layout.first_pixel else ():
+        renamed[name] = numbers_of(name, renamed.get(name))[0] - layout.first_pixel
+    return renamed
 
 
 def _flat(values: dict[str, Any]) -> dict[str, Any]:

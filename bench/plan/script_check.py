@@ -141,26 +141,31 @@ def _recording_faults(
             yield document.fault(
                 step.path, "this recording is in the dark: switch the light on first (light:)."
             )
-            continue
-        if takes_pictures:
-            continue  # the light is steady: there are no periods and no triggers
-        if flicker.waveform == "steady":
-            yield document.fault(
-                step.path,
-                "an event camera does not see a steady light: let it flicker (waveform: square).",
-            )
-            continue
-        periods = step.window_ms * 1e-3 * flicker.frequency_hz
-        if periods < 1 - WHOLE_PERIOD_SLACK:
-            path = setting_path(document, step.path, "window_ms", "record")
-            message = f"{step.window_ms:g} ms is shorter than a period of {flicker.frequency_hz:g} Hz"
-            yield document.fault(path, f"{message}: use at least {1e3 / flicker.frequency_hz:.4g} ms.")
-        if step.gates.require_triggers and not station.light.sync_output:
-            path = setting_path(document, step.path, "gates", "record")
-            message = (
-                "sync triggers are required, but the station's light has no sync output (sync_output: false)."
-            )
-            yield document.fault(path, message)
+        elif not takes_pictures:  # pictures need neither periods nor triggers
+            yield from _event_recording_faults(document, step, flicker, station)
+
+
+def _event_recording_faults(
+    document: Located[Sequence], step: RecordStep, flicker: Flicker, station: Station
+) -> Iterator[Fault]:
+    """Yield why an event camera would see nothing of this light, or miss its periods or triggers."""
+    if flicker.waveform == "steady":
+        yield document.fault(
+            step.path,
+            "an event camera does not see a steady light: let it flicker (waveform: square).",
+        )
+        return
+    periods = step.window_ms * 1e-3 * flicker.frequency_hz
+    if periods < 1 - WHOLE_PERIOD_SLACK:
+        path = setting_path(document, step.path, "window_ms", "record")
+        message = f"{step.window_ms:g} ms is shorter than a period of {flicker.frequency_hz:g} Hz"
+        yield document.fault(path, f"{message}: use at least {1e3 / flicker.frequency_hz:.4g} ms.")
+    if step.gates.require_triggers and not station.light.sync_output:
+        path = setting_path(document, step.path, "gates", "record")
+        message = (
+            "sync triggers are required, but the station's light has no sync output (sync_output: false)."
+        )
+        yield document.fault(path, message)
 
 
 def _order_faults(

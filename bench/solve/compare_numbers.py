@@ -104,21 +104,21 @@ def _differences(
     stored: Any, derived: Any, equal: Tolerance, where: str, scale: float
 ) -> Iterator[Difference]:
     if isinstance(derived, dict) and isinstance(stored, Mapping):
+        prefix = where and f"{where}."
         for name, value in derived.items():
-            place = f"{where}.{name}" if where else str(name)
             if name not in stored:
-                yield Difference(place, "missing", None, value)
+                yield Difference(f"{prefix}{name}", "missing", None, value)
             else:
-                yield from _differences(stored[name], value, equal, place, 0.0)
+                yield from _differences(stored[name], value, equal, f"{prefix}{name}", 0.0)
         for name in stored:
             if name not in derived:
-                yield Difference(f"{where}.{name}" if where else str(name), "added", stored[name], None)
+                yield Difference(f"{prefix}{name}", "added", stored[name], None)
     elif isinstance(derived, list) and isinstance(stored, Sequence) and not isinstance(stored, str):
-        if len(derived) != len(stored):
-            kind: Literal["missing", "added"] = "missing" if len(stored) < len(derived) else "added"
-            last = min(len(stored), len(derived))
-            values = (None, derived[last]) if kind == "missing" else (stored[last], None)
-            yield Difference(f"{where}[{last}]", kind, *values)
+        last = min(len(stored), len(derived))
+        if len(stored) < len(derived):
+            yield Difference(f"{where}[{last}]", "missing", None, derived[last])
+        elif len(stored) > len(derived):
+            yield Difference(f"{where}[{last}]", "added", stored[last], None)
         scale = max(scale, _largest([*derived, *stored]))
         for number, (had, due) in enumerate(zip(stored, derived, strict=False)):
             yield from _differences(had, due, equal, f"{where}[{number}]", scale)

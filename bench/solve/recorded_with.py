@@ -64,8 +64,13 @@ def _check_one(path: Path, entry: Entry, camera: Mapping[str, Any], findings: Fi
     if "bytes" in facts and facts["bytes"] != size:
         what = f"it has {size} bytes; the camera had written {facts['bytes']} ({JOURNAL}:{entry.seq + 1})"
         findings.fault("recording", name, what)
-    if path.suffix != _RAW:
-        return
+    if path.suffix == _RAW:
+        _check_raw(path, stated, entry, findings)
+
+
+def _check_raw(path: Path, stated: Mapping[str, Any], entry: Entry, findings: Findings) -> None:
+    """Compare the head of a RAW file with what is ``stated``, and look behind its last event."""
+    name = str(entry.data["capture"])
     with path.open("rb") as file:
         start = file.read(MAX_HEADER_BYTES)
     try:
@@ -84,7 +89,7 @@ def _check_one(path: Path, entry: Entry, camera: Mapping[str, Any], findings: Fi
             )
             findings.fault("recording", name, what)
     _check_words_of_head(name, head, entry, findings)
-    if others := _behind_last_event(path, head.size_bytes, size):
+    if others := _behind_last_event(path, head.size_bytes, path.stat().st_size):
         what = f"{others} words follow its last event that hold neither an event nor a time"
         findings.fault("recording", name, what)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -69,7 +70,7 @@ def check_certificate(folder: Path, ledger: Ledger | None = None) -> Findings:
 
 
 def _derive(folder: Path, certificate: Certificate, findings: Findings) -> None:
-    """Compose the certificate again, and render PDF and DCC."""
+    """Compose the certificate again from what it states and from its results, and render PDF and DCC."""
     results = read_bounded(folder / RESULTS)
     if sha256(results) != certificate.run.results_sha256:
         findings.fault(_KIND, RESULTS, "these are not the results that the certificate names")
@@ -82,25 +83,19 @@ def _derive(folder: Path, certificate: Certificate, findings: Findings) -> None:
     for fault in faults_of_lab(lab, content, certificate.run.sequence_sha256)[:5]:
         findings.fault(_KIND, LAB, str(fault))
     _check_number(certificate, lab.value, findings)
-    if certificate.issued_utc < certificate.ended_utc:
-        what = f"it was issued on {certificate.issued_utc}, before its calibration ended on {certificate.ended_utc}"
-        findings.fault(_KIND, CERTIFICATE, what)
     other = other_writer(certificate.run.software)
-    stated = certificate.statement("verification")
-    if not other and not is_statement(stated):
-        findings.fault(
-            _KIND, CERTIFICATE, "it does not state what was verified before the issue as issuing does"
-        )
+    for what in _issue_faults(certificate, other):
+        findings.fault(_KIND, CERTIFICATE, what)
     if findings.faults:
         return
     written = certificate.run.software[len(content["run"]["software"]) :]
     run = replace(certificate.run, **stated_run(content, results, written))
-    also = certificate.statement("also")
+    also, despite = certificate.statement("also"), certificate.statement("limits_reason")
     if not other and also and not also.startswith(FURTHER):
         findings.fault(
             _KIND, CERTIFICATE, "it does not state as issuing does why the run has a further certificate"
         )
-    despite = certificate.statement("limits_reason")
+    stated = certificate.statement("verification")
     identity = Identity(
         certificate.number, certificate.issued_utc, run, certificate.amends, also, despite, stated
     )
@@ -116,6 +111,14 @@ def _derive(folder: Path, certificate: Certificate, findings: Findings) -> None:
             findings.fault(_KIND, CERTIFICATE, f"it does not follow from {RESULTS} and {LAB}: {where}")
         return
     _compare_documents(folder, again, lab, results, other, findings)
+
+
+def _issue_faults(certificate: Certificate, other: str) -> Iterator[str]:
+    """Yield what contradicts its issue; ``other`` tells how the program differs that issued it, or is empty."""
+    if certificate.issued_utc < certificate.ended_utc:
+        yield f"it was issued on {certificate.issued_utc}, before its calibration ended on {certificate.ended_utc}"
+    if not other and not is_statement(certificate.statement("verification")):
+        yield "it does not state what was verified before the issue as issuing does"
 
 
 def _same_numbers(stated: Certificate, derived: Certificate) -> bool:
