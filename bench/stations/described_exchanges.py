@@ -54,6 +54,11 @@ def parsed_reply(text: str, known: frozenset[str] = NOTHING, value: str = "") ->
     return reply
 
 
+def parsed_line(text: str) -> Template:
+    """Read the form of a line that answers nothing."""
+    return parsed(text, NOTHING, None)
+
+
 def _kept(check: Callable[[str], Template]) -> AfterValidator:
     """Return a validator that keeps a text which can be read."""
 
@@ -66,6 +71,7 @@ def _kept(check: Callable[[str], Template]) -> AfterValidator:
 
 RequestText = Annotated[Line, _kept(parsed_request)]
 ReplyText = Annotated[Line, _kept(parsed_reply)]
+LineText = Annotated[Line, _kept(parsed_line)]
 
 
 class Sent(StrictModel):

@@ -12,12 +12,14 @@ from bench.stations.described_exchanges import (
     ADDRESS,
     Command,
     Identity,
+    LineText,
     Order,
     Query,
     ReplyText,
     RequestText,
     axes_told,
     parsed,
+    parsed_line,
     parsed_reply,
     parsed_request,
 )
@@ -144,6 +146,7 @@ class RefusalConfig(StrictModel):
         dict[Annotated[str, Field(max_length=20)], Text],
         Field(default_factory=dict, max_length=200, description="Meaning by {code:...} of the reply."),
     ]
+    fine: Annotated[tuple[Text, ...], Field(max_length=20, description="Codes that refuse nothing.")] = ()
 
 
 class NoticeConfig(StrictModel):
@@ -163,6 +166,10 @@ class Described(StrictModel):
     serial: SerialQuery | None = None
     refusals: Annotated[tuple[RefusalConfig, ...], Field(max_length=20)] = ()
     notices: Annotated[tuple[NoticeConfig, ...], Field(max_length=20)] = ()
+    unasked: Annotated[
+        tuple[LineText, ...],
+        Field(max_length=20, description="Lines that the device sends without a request; they are left out."),
+    ] = ()
 
     def of_line(self) -> of.LineDescription:
         """Return the line for the driver."""
@@ -176,10 +183,13 @@ class Described(StrictModel):
             clear=self.line.clear.encode("ascii"),
             setup=tuple(map(parsed_request, self.line.setup)),
             refusals=tuple(
-                of.Refusal(parsed_reply(refusal.reply), refusal.means or "", dict(refusal.codes))
+                of.Refusal(
+                    parsed_reply(refusal.reply), refusal.means or "", dict(refusal.codes), refusal.fine
+                )
                 for refusal in self.refusals
             ),
             notices=tuple(of.Notice(notice.text, notice.means or "") for notice in self.notices),
+            unasked=tuple(map(parsed_line, self.unasked)),
         )
 
 

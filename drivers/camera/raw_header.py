@@ -30,7 +30,12 @@ _CORRECT: Final = "Correct its header in a copy of the file."
 _GIVE_SIZE: Final = "Say the size: starbench convert --sensor-size WIDTHxHEIGHT, in px."
 _FIRST_LITTLE_ENDIAN: Final = 55
 """Smallest ``system_ID`` whose EVT2.1 words are little-endian if the header does not say it."""
-_ENCODINGS: Final = {"2.0": "EVT2", "2.1": "EVT21", "3.0": "EVT3", "4.0": "EVT4"}
+_ENCODINGS: Final = {
+    **dict.fromkeys(("2.0", "2"), "EVT2"),
+    "2.1": "EVT21",
+    **dict.fromkeys(("3.0", "3"), "EVT3"),
+    **dict.fromkeys(("4.0", "4"), "EVT4"),
+}
 """Encodings by the older key ``evt``."""
 
 
@@ -150,7 +155,7 @@ def encoding_of(fields: Mapping[str, str]) -> str:
     sensor = _sensor_of_system(fields)
     version = fields.get("evt", "")
     by_version = _ENCODINGS.get(version, f"EVT {version}" if version else "")
-    encoding = stated.replace("EVT2.1", "EVT21") or by_version or (sensor.encoding if sensor else "")
+    encoding = stated.upper().replace("EVT2.1", "EVT21") or by_version or (sensor.encoding if sensor else "")
     if encoding != "EVT21":
         return encoding
     order = _options(options).get("endianness") or fields.get("endianness")

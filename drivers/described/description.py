@@ -250,6 +250,7 @@ class Refusal:
     reply: Template  # Its form; a value ``message`` or ``code`` in it is told
     means: str = ""  # What it means; empty when the message says it
     codes: Mapping[str, str] = field(default_factory=dict)
+    fine: tuple[str, ...] = ()  # Codes that refuse nothing
 
 
 @dataclass(frozen=True)
@@ -288,6 +289,7 @@ class LineDescription:
     serial: Exchange | None  # Query of the serial number, value ``serial``; None if the device has none
     refusals: tuple[Refusal, ...]
     notices: tuple[Notice, ...]
+    unasked: tuple[Template, ...]  # Forms of lines that the device sends without a request, to be left out
 
 
 @dataclass(frozen=True)

@@ -88,6 +88,11 @@ class DescribedLine(Link):
                 line = self.take_line()
         return False
 
+    def take_unsolicited(self, line: bytes) -> bool:
+        """Take a line of a form that the device sends without a request."""
+        text = line.strip(b"\r\n").decode("ascii", "replace")
+        return any(form.match(text, {}) is not None for form in self._description.unasked)
+
     def take_notices(self) -> list[str]:
         """Return what the device said without being asked since the last call."""
         notices, self._notices = self._notices, []
@@ -131,9 +136,9 @@ class DescribedLine(Link):
         known = {**values, "request": request}
         for refusal in self._description.refusals:
             refused = refusal.reply.match(text, known)
-            if refused is not None:
-                code = refused.get("code", "")
-                code = f"{code:g}" if isinstance(code, float) else code
+            code = "" if refused is None else refused.get("code", "")
+            code = f"{code:g}" if isinstance(code, float) else code
+            if refused is not None and code not in refusal.fine:
                 meaning = (
                     refusal.codes.get(code, "") or refusal.means or str(refused.get("message", "")).strip()
                 )

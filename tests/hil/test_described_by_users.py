@@ -398,6 +398,68 @@ def test_a_controller_of_pi_moves_by_its_general_command_set(tmp_path, clock) ->
     assert stage.faults() == ["pan: 1024"]
 
 
+# ------------------------------------------------------------ a code in each reply, and lines that nobody asked for
+
+MCS = """
+line: {baudrate: 9600, request_end: LF, reply_end: LF}
+identity: {send: ":GSI", reply: ":ID{firmware:text}"}
+refusals: [{reply: ":E{channel:integer},{code:integer}", fine: ["0"], codes: {"140": no sensor}}]
+unasked: ["T={celsius:number}"]
+stop: {send: ":S0", reply: ":E0,0"}
+axis:
+  position: {send: ":GA{address}", reply: ":A{address},{counts:integer},{turns:integer}"}
+  idle: {send: ":GS{address}", reply: ":S{address},{state:integer}", when: [0, 3]}
+  reference: {send: ":GPPK{address}", reply: ":PPK{address},{state:integer}", when: [1]}
+  move: {send: ":MAA{address},{target:integer},0,0", reply: ":E{address},0"}
+  home: {send: ":FRM{address},2,0,1", reply: ":E{address},0"}
+"""
+"""SmarAct MCS, ASCII Programming Guide: a command is answered by its channel and an error code, of which 0 is none. The lines of a
+temperature are those of many a board of one's own."""
+
+
+def test_a_code_of_success_is_no_refusal_and_lines_that_nobody_asked_for_are_left_out(
+    tmp_path, clock
+) -> None:
+    wire, motor = Wire(clock, LINES), Motor(clock)
+    state = {"referenced": 0, "told_s": clock.now_s}
+
+    def answer(request: str) -> str:
+        if request == ":GSI":
+            return ":ID2270127130\n"
+        if request == ":GA0":
+            return f":A0,{round(motor.position_deg * 1e6)},0\n"
+        if request == ":GS0":
+            return f":S0,{4 if motor.is_busy else 0}\n"
+        if request == ":GPPK0":
+            return f":PPK0,{state['referenced']}\n"
+        if request.startswith(":MAA0,"):
+            if not state["referenced"]:
+                return ":E0,140\n"
+            motor.move(float(request.split(",")[1]) / 1e6)
+        elif request.startswith(":FRM0"):
+            motor.move(0.0)
+            state["referenced"] = 1
+        elif request == ":S0":
+            motor.stop()
+        return ":E0,0\n"
+
+    def unasked() -> str:
+        if clock.now_s - state["told_s"] < 0.4:
+            return ""
+        state["told_s"] = clock.now_s
+        return "T=24.5\n"
+
+    wire.answer, wire.unasked = answer, unasked
+    stage = opened(wire, tmp_path, MCS, ("0", 1e6))
+    stage.home()
+    stage.move_to({"pan": -4.25})
+    assert stage.position_deg() == {"pan": -4.25}
+    assert wire.sent.count(":GSI") == 1  # nothing brought the line out of step
+    state["referenced"] = 0
+    with pytest.raises(DriverError):
+        stage.move_to({"pan": 1.0})
+
+
 # ------------------------------------------------------------ a prompt behind each reply
 
 GALIL = """

@@ -110,6 +110,8 @@ def test_an_offset_beyond_the_first_block_is_right(raw):
         b"% evt 3.0\n% Height 720\n% Width 1280\n",
         b"% evt 3.0\n% height 720\n% width 1280\n% geometry 1280x720\n",
         b"% evt 3.0\n% system_ID 48\n",
+        b"% evt 3\n% geometry 1280x720\n",
+        b"% format evt3;height=720;width=1280\n",
         b"% Evt 3.0\n% Geometry 1280x720\n",
         b"% format EVT3;width=1280;height=720\r\n% end\r\n",
         b"%  format   EVT3;height=720;width=1280 \n% my_own key with  text\n% end\n",
