@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Final, Literal
 
@@ -141,15 +141,7 @@ def parse_template(text: str, *, known: frozenset[str], readable: frozenset[str]
     parts = [part for part in (*parts, text[end:]) if part != ""]
     if any(isinstance(part, str) and ("{" in part or "}" in part) for part in parts):
         raise TemplateFault("a brace has no partner; a placeholder is written {name:kind}.")
-    read = [part for part in parts if isinstance(part, Placeholder) and part.kind]
-    names = [part.name for part in read if part.kind != "sign"]
-    if len(names) != len(set(names)):
-        raise TemplateFault("a name stands twice.")
-    for at, sign in enumerate(read):
-        if sign.kind == "sign" and (sign.name, "size") not in [
-            (place.name, place.kind) for place in read[at:]
-        ]:
-            raise TemplateFault(f"{{{sign.name}:sign}} needs {{{sign.name}:size}} behind it.")
+    _check_names([part for part in parts if isinstance(part, Placeholder) and part.kind])
     for part, following in zip(parts, [*parts[1:], None], strict=True):
         if isinstance(part, Placeholder) and part.kind:
             _check_end(part, following)
@@ -184,6 +176,17 @@ def _placeholder(inner: str, known: frozenset[str], readable: frozenset[str] | N
     if kind != "number" or not digits.isdecimal() or int(digits) > MOST_DECIMALS:
         raise TemplateFault(f"decimals are written {{{name}:number.3}}, at most {MOST_DECIMALS}.")
     return Placeholder(name, kind, int(digits))
+
+
+def _check_names(read: Sequence[Placeholder]) -> None:
+    """Check that each value is read once, and that a sign stands before its size."""
+    names = [part.name for part in read if part.kind != "sign"]
+    if len(names) != len(set(names)):
+        raise TemplateFault("a name stands twice.")
+    kinds = [(part.name, part.kind) for part in read]
+    for at, (name, kind) in enumerate(kinds):
+        if kind == "sign" and (name, "size") not in kinds[at:]:
+            raise TemplateFault(f"{{{name}:sign}} needs {{{name}:size}} behind it.")
 
 
 def _check_end(part: Placeholder, following: str | Placeholder | None) -> None:

@@ -22,6 +22,7 @@ from drivers.camera.event_arrays import (
     MAX_TIME_US,
     MOST_TRIGGERS,
     SAY_UNIT,
+    Events,
     EventSource,
     Piece,
     ReadingChoices,
@@ -155,17 +156,21 @@ def _errors_of(path: Path) -> Iterator[None]:
         raise unreadable(path, error) from error
 
 
+def _require_possible(events: Events, of: EventSource) -> None:
+    x, y, p = int(events.x.max()), int(events.y.max()), int(events.p.max())
+    if x >= of.width or y >= of.height:
+        raise _outside(x, y, of)
+    if p > 1:
+        raise UnreadableEvents(f"an event has the polarity {p}; 0 and 1 are possible.")
+
+
 def _checked(pieces: Iterator[Piece], of: EventSource) -> Iterator[Piece]:
     """Check that events lie on the sensor and follow each other, that none is missing, and the number of edges."""
     read, edges, first_us, last_us = 0, 0, None, None
     unit = UnitCheck(of)
     for events, triggers in pieces:
         if len(events.t):
-            x, y, p = int(events.x.max()), int(events.y.max()), int(events.p.max())
-            if x >= of.width or y >= of.height:
-                raise _outside(x, y, of)
-            if p > 1:
-                raise UnreadableEvents(f"an event has the polarity {p}; 0 and 1 are possible.")
+            _require_possible(events, of)
             if last_us is not None:
                 _require_rising(np.array([last_us, events.t[0]]), read)
             _require_rising(events.t, read + (last_us is not None))
