@@ -133,11 +133,9 @@ def start_run(
     folder_path = output or default_folder(plan, launch.clock.utc_now())
     kept_free = int(plan.station.value.disk.min_free_gb * 1e9)
     with RunFolder.create(folder_path, bytes_needed=plan.size_bytes, bytes_kept_free=kept_free) as folder:
-        documents = documents_of(plan)
-        for name, text in documents.items():
+        written = {**documents_of(plan), PLAN: (json.dumps(plan.to_dict(), indent=1) + "\n").encode()}
+        for name, text in written.items():
             folder.write_atomic(name, text)
-        plan_text = (json.dumps(plan.to_dict(), indent=1) + "\n").encode()
-        folder.write_atomic(PLAN, plan_text)
         place = enter_in_ledger(ledger, job, folder.path)
         with (
             ledger_entry(ledger, place, folder.path) as ending,
@@ -150,10 +148,7 @@ def start_run(
                 id=folder_path.resolve().name,
                 sequence=plan.sequence.value.name,
                 station=plan.station.value.name,
-                sha256={
-                    name: hashlib.sha256(text).hexdigest()
-                    for name, text in {**documents, PLAN: plan_text}.items()
-                },
+                sha256={name: hashlib.sha256(text).hexdigest() for name, text in written.items()},
                 seed=seed,
                 operator=job.operator,
                 simulated=job.simulated,

@@ -85,15 +85,7 @@ def write_summary(folder: Path, record: BatchRecord) -> BatchSummary:
 
 def summarise(folder: Path, record: BatchRecord) -> BatchSummary:
     """Return the content of ``summary.json`` of a batch, finished or not."""
-    runs: dict[str, IndexedRun] = {}
-    details: dict[str, RunDetails] = {}
-    unread: dict[str, str] = {}
-    for key, state in record.runs.items():
-        if state.begun and (folder / RUNS / key / JOURNAL).is_file():
-            try:
-                runs[key], details[key] = read_run_and_details(folder / RUNS / key)
-            except BenchError as error:
-                unread[key] = str(error)
+    runs, details, unread = _read_runs(folder, record)
     finished = [run.item.key for run in record.with_end if run.ended[-1].how == "finished"]
     ended = [key for key in finished if key in runs]
     solved = [runs[key] for key in ended]
@@ -122,17 +114,35 @@ def summarise(folder: Path, record: BatchRecord) -> BatchSummary:
         "rehearsal": record.rehearsal,
         "totals": _totals(items),
         "items": items,
-        "cameras": [
-            {
-                "camera": camera,
-                "model": model,
-                "runs": len(of_camera),
-                "parameters": [agreement.to_dict() for agreement in agreements(of_camera)],
-            }
-            for (camera, model), of_camera in by_camera(solved).items()
-        ],
+        "cameras": [_camera(*key, of_camera) for key, of_camera in by_camera(solved).items()],
         "charts": find_charts(grouped.groups),
         "requests": [_request(data) for data in record.answered.values()],
+    }
+
+
+def _read_runs(
+    folder: Path, record: BatchRecord
+) -> tuple[dict[str, IndexedRun], dict[str, RunDetails], dict[str, str]]:
+    """Return the runs that have a journal, their details, and why others cannot be read, by the key of the item."""
+    runs: dict[str, IndexedRun] = {}
+    details: dict[str, RunDetails] = {}
+    unread: dict[str, str] = {}
+    for key, state in record.runs.items():
+        if state.begun and (folder / RUNS / key / JOURNAL).is_file():
+            try:
+                runs[key], details[key] = read_run_and_details(folder / RUNS / key)
+            except BenchError as error:
+                unread[key] = str(error)
+    return runs, details, unread
+
+
+def _camera(camera: str, model: str, runs: Sequence[IndexedRun]) -> CameraData:
+    """Return the results of one camera and model, and how far its runs agree."""
+    return {
+        "camera": camera,
+        "model": model,
+        "runs": len(runs),
+        "parameters": [agreement.to_dict() for agreement in agreements(runs)],
     }
 
 

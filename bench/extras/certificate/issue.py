@@ -128,30 +128,7 @@ def make_certificate(
     without that; None if it amends none.
     """
     folder = folder.absolute()
-    try:
-        if faults := faults_of_lab(lab, source.results, source.run.sequence_sha256):
-            raise DocumentFaults(faults, lab.tree)
-        trial_identity = Identity(
-            "0", "1970-01-01T00:00:00Z", source.run, None, further, despite, source.verified
-        )
-        trial = compose(source.results, lab.value, trial_identity)
-        reason = needed_reason(source.results, lab.value, trial.conformity, despite)
-        if reason != despite:  # an amended one may not need it any more
-            trial_identity = replace(trial_identity, despite=reason)
-            trial = compose(source.results, lab.value, trial_identity)
-    except BudgetDiffers as error:
-        raise EvidenceError(
-            error.what,
-            where=str(source.folder / RESULTS),
-            remedy=f"Compare the numbers with the recordings, and report this: "
-            f"`{pasteable('verify', source.folder, '--again')}`.",
-        ) from error
-    except (LookupError, TypeError, AttributeError, ArithmeticError) as error:
-        raise EvidenceError(
-            f"The results are not of the form that this version reads ({error!r}).",
-            where=source.run.id,
-            remedy="Issue the certificate with the version that made the run, or calibrate again.",
-        ) from error
+    trial_identity, trial = _tried(source, lab, further, despite)
     with one_at_a_time(laboratory.ledger.home):
         completed = complete_open(laboratory.ledger)
         key = laboratory.key()
@@ -175,6 +152,35 @@ def make_certificate(
         seal = write_sealed(folder, files, key)
         _enter(laboratory.ledger, certificate, seal)
     return Issued(certificate, folder, seal, tuple(completed))
+
+
+def _tried(
+    source: Source, lab: Located[LabConfig], further: str, despite: str
+) -> tuple[Identity, Certificate]:
+    """Compose the certificate without a number, so that none is taken for one that cannot be issued."""
+    try:
+        if faults := faults_of_lab(lab, source.results, source.run.sequence_sha256):
+            raise DocumentFaults(faults, lab.tree)
+        identity = Identity("0", "1970-01-01T00:00:00Z", source.run, None, further, despite, source.verified)
+        trial = compose(source.results, lab.value, identity)
+        reason = needed_reason(source.results, lab.value, trial.conformity, despite)
+        if reason != despite:  # an amended one may not need it any more
+            identity = replace(identity, despite=reason)
+            trial = compose(source.results, lab.value, identity)
+    except BudgetDiffers as error:
+        raise EvidenceError(
+            error.what,
+            where=str(source.folder / RESULTS),
+            remedy=f"Compare the numbers with the recordings, and report this: "
+            f"`{pasteable('verify', source.folder, '--again')}`.",
+        ) from error
+    except (LookupError, TypeError, AttributeError, ArithmeticError) as error:
+        raise EvidenceError(
+            f"The results are not of the form that this version reads ({error!r}).",
+            where=source.run.id,
+            remedy="Issue the certificate with the version that made the run, or calibrate again.",
+        ) from error
+    return identity, trial
 
 
 def _refuse_second_early(run: Path, ledger: Ledger, also: str) -> None:

@@ -159,16 +159,7 @@ def read_sealed_run(folder: Path, verify: Verify, *, accept_not_compared: bool =
         if not stored.has_results:
             raise EvidenceError("This run has no results.", where=str(folder), remedy="Add a solve step.")
         results, results_bytes, seal = stored.results, stored.results_bytes, stored.seal
-    if results["run"].get("board"):
-        raise EvidenceError(
-            "This run recorded a board: a certificate is made from runs with the star target only.",
-            where=str(folder),
-            remedy="Run a sequence on the collimator bench.",
-        )
-    if not results["calibration"]["converged"]:
-        raise EvidenceError(
-            "The calibration of this run did not converge.", where=str(folder), remedy="Run it again."
-        )
+    _refuse_unfit(folder, results)
     from bench.extras.certificate.pdf import plots_of_run
 
     hashes = stored.history.started.get("sha256", {})
@@ -200,6 +191,19 @@ def stated_run(results: Results, results_bytes: bytes, written: tuple[Software, 
         "results_sha256": sha256(results_bytes),
         "software": (*used, *written),
     }
+
+
+def _refuse_unfit(folder: Path, results: Results) -> None:
+    if results["run"].get("board"):
+        raise EvidenceError(
+            "This run recorded a board: a certificate is made from runs with the star target only.",
+            where=str(folder),
+            remedy="Run a sequence on the collimator bench.",
+        )
+    if not results["calibration"]["converged"]:
+        raise EvidenceError(
+            "The calibration of this run did not converge.", where=str(folder), remedy="Run it again."
+        )
 
 
 def _refuse_unverified(folder: Path, verification: Verification) -> None:
