@@ -14,6 +14,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Final, Literal
 
 from drivers.errors import OutsideLimits
@@ -93,7 +94,7 @@ class Template:
         )
 
     def match(self, line: str, known: Mapping[str, Value]) -> dict[str, Value] | None:
-        """Read the values of a line without its end; None if it does not have this form.
+        """Read the values of a line without its end; None if it does not have this form, but for the number of blanks.
 
         ``known`` holds the values of the placeholders without a kind.
         """
@@ -101,10 +102,11 @@ class Template:
         at = 0
         for part in self.parts:
             if isinstance(part, str) or not part.kind:
-                literal = part if isinstance(part, str) else str(known[part.name])
-                if not line.startswith(literal, at):
+                text = part if isinstance(part, str) else str(known[part.name])
+                literal = _literal(text if at else text.lstrip()).match(line, at)
+                if literal is None:
                     return None
-                at += len(literal)
+                at = literal.end()
                 continue
             shape = part.shape.match(line, at)
             value = None if shape is None else _read(part, shape[0], values.get(part.name))
@@ -146,6 +148,12 @@ def parse_template(text: str, *, known: frozenset[str], readable: frozenset[str]
         if isinstance(part, Placeholder) and part.kind:
             _check_end(part, following)
     return Template(text, tuple(parts))
+
+
+@lru_cache(maxsize=256)
+def _literal(text: str) -> re.Pattern[str]:
+    """Return the pattern of a text, in which a blank stands for one or more: devices align their columns."""
+    return re.compile(re.sub(r"(\\ )+", " ++", re.escape(text)))
 
 
 def _placeholder(inner: str, known: frozenset[str], readable: frozenset[str] | None) -> Placeholder:

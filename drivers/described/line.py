@@ -20,6 +20,8 @@ from drivers.wire_log import WireLog
 
 _SHOWN = 80
 _BREAK = re.compile(rb" *[\r\n]+ *")
+_FILLERS = b"\r\n\0"
+"""What devices send beside the end of a line: a second end, another half of it, NUL at power-up."""
 _MOST_OTHER_ANSWERS = 3
 """A device that starts prints a text or two; one that answers otherwise after that is not the described one."""
 
@@ -93,6 +95,10 @@ class DescribedLine(Link):
         text = line.strip(b"\r\n").decode("ascii", "replace")
         return any(form.match(text, {}) is not None for form in self._description.unasked)
 
+    def is_filler(self, data: bytes) -> bool:
+        """See `Link.is_filler`."""
+        return not data.strip(_FILLERS)
+
     def take_notices(self) -> list[str]:
         """Return what the device said without being asked since the last call."""
         notices, self._notices = self._notices, []
@@ -126,8 +132,23 @@ class DescribedLine(Link):
             return text
 
         with self.lock:
-            text = self.exchange(self._encode(request), read_reply)
+            try:
+                text = self.exchange(self._encode(request), read_reply)
+            except ReplyTimeout as error:
+                raise self._with_line_end(error) from error
             return self._match(exchange, request, text, values) if exchange.reply is not None else {}
+
+    def _with_line_end(self, error: ReplyTimeout) -> ReplyTimeout:
+        """Return an error that names the end of a reply if it is another one than described."""
+        end = {b"\r": "CR", b"\n": "LF"}.get(self.unread[-1:])
+        if end is None:
+            return error
+        return ReplyTimeout(
+            f"{error.what} It ends in {end}, not as described.",
+            where=error.where,
+            remedy="Correct reply_end in the device's description.",
+            late_s=error.late_s,
+        )
 
     def _match(
         self, exchange: Exchange, request: str, text: str, values: Mapping[str, Value]
@@ -164,16 +185,16 @@ class DescribedLine(Link):
 
     def _text(self, line: bytes) -> str:
         """Return the text of a line without notices; empty if nothing else is in it. Checks the checksum."""
-        body = line.strip(b"\r\n")
+        body = line.strip(_FILLERS)
         # Some devices answer the end of a request by a line feed before the reply.
         body = _BREAK.sub(b" ", self._take_from(body))
-        if not re.fullmatch(rb"[ -~]*", body):
+        if not re.fullmatch(rb"[\t -~]*", body):
             raise self.garbled_reply(f"not a reply: {line[:_SHOWN]!r}.")
         if body and self._description.checksum == "xor":
             body, star, digits = body.rpartition(b"*")
             if not star or digits != b"%02X" % _xor(body):
                 raise self.garbled_reply(f"a reply without its checksum: {line[:_SHOWN]!r}.")
-        return body.decode("ascii").rstrip()
+        return body.decode("ascii").replace("\t", " ").strip()
 
     def _take_from(self, data: bytes) -> bytes:
         """Keep the notices in some bytes, and return the rest."""

@@ -161,6 +161,31 @@ def test_an_echo_in_a_line_of_its_own_and_a_line_feed_after_an_echo_are_no_repli
     assert stage.faults() == []
 
 
+@pytest.mark.parametrize(
+    ("described", "sent"),
+    [
+        (b"\r", b"\r\n"), (b"\n", b"\r\n"), (b"\n", b"\n\r"), (b"\r\n", b"\r\n\r\n"), (b"\r\n", b"\0\r\n"),
+    ],
+)  # fmt: skip
+def test_more_or_less_of_a_line_end_than_described_is_no_reply(rig, described, sent) -> None:
+    """Manuals call CR LF a carriage return; firmwares print both in another order, or twice."""
+    rig.line.spoil = lambda reply: reply.replace(b"\r\n", sent)
+    rig.line.sent.clear()
+    ends = replace(FLIR_PTU, line=replace(FLIR_PTU.line, reply_end=described))
+    stage = again(rig, axis(), ends)
+    stage.home()
+    stage.move_to({"pan": 5.0})
+    assert stage.position_deg()["pan"] == pytest.approx(5.0)
+    assert rig.line.sent.count(b"V ") == 1  # nothing brought the line out of step
+
+
+def test_another_line_end_than_described_is_named(rig) -> None:
+    rig.line.spoil = lambda reply: reply.replace(b"\r\n", b"\n")
+    with pytest.raises(ReplyTimeout, match="It ends in LF, not as described") as error:
+        again(rig, axis())
+    assert "reply_end" in error.value.remedy
+
+
 @pytest.mark.parametrize(("starts_s", "opens"), [(2.9, True), (9.0, False)])
 def test_a_board_that_restarts_when_its_port_is_opened_is_waited_for(starts_s, opens) -> None:
     """An Arduino Uno does; its boot loader is deaf for up to two seconds."""

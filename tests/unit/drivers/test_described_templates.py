@@ -33,6 +33,9 @@ def reply(text: str):
         ("{request} * {counts:number}", "PD * 15", None),
         ("{request} = {a:word},{b:text}", "PP = on,all is well", {"a": "on", "b": "all is well"}),
         ("{request} *", "PP *", {}),
+        ("STATE {state:word} {x:number}", "STATE   IDLE    1.5", {"state": "IDLE", "x": 1.5}),
+        ("a  b", "a b", {}),
+        ("a b", "ab", None),
         ("{x:number}", "nan", None),
         # Thorlabs ELLx modules: positions are signed, 8 digits; Newport SMC100, TS: 4 digits and 2 letters or digits
         ("0PO{x:signed_hex.8}", "0POFFFFF072", {"x": -3982.0}),
