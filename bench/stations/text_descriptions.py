@@ -104,8 +104,8 @@ class LineConfig(StrictModel):
     prompt: Annotated[
         str,
         Field(
-            max_length=3,
-            pattern=r"^[!-/:-@\[-`{-~]* ?$",
+            max_length=20,
+            pattern=r"^[ -~]*$",
             description="Ends each reply in place of `reply_end`, and stands in it.",
         ),
     ] = ""

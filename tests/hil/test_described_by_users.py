@@ -551,6 +551,55 @@ def test_an_echo_and_a_prompt_around_an_answer_are_described(tmp_path, clock) ->
     assert wire.sent.count("id?") == 1  # nothing brought the line out of step
 
 
+XPS = """
+line: {baudrate: 115200, request_end: none, prompt: ",EndOfAPI"}
+identity: {send: "FirmwareVersionGet(char *)", reply: "0,{firmware:text}"}
+refusals: [{reply: "{code:integer},,EndOfAPI", fine: ["0"], codes: {"-22": the group is in another state}}]
+stop: {send: "GroupMoveAbort(Gimbal)", reply: "0,,EndOfAPI"}
+axis:
+  position: {send: "GroupPositionCurrentGet(Gimbal.{address},double *)", reply: "0,{counts:number},EndOfAPI"}
+  idle: {send: "GroupStatusGet(Gimbal,int *)", reply: "0,{state:integer},EndOfAPI", when: [11, 12, 42]}
+  reference: {send: "GroupStatusGet(Gimbal,int *)", reply: "0,{state:integer},EndOfAPI", when: [11, 12]}
+  move: {send: "GroupMoveAbsolute(Gimbal.{address},{target:number.5})", reply: "0,,EndOfAPI", reply_comes: at_end}
+  home: {send: "GroupHomeSearch(Gimbal)", reply: "0,,EndOfAPI", reply_comes: at_end}
+"""
+"""Newport XPS-C and XPS-D, Programmer's Manual: an error, the values, and EndOfAPI; a move is answered when it has ended."""
+
+
+def test_a_word_ends_each_reply_and_a_refused_move_has_its_reason(tmp_path, clock) -> None:
+    wire, motor = Wire(clock, re.compile(rb"(\w+\([^()]*\))")), Motor(clock)
+    known = {"state": "42", "awaited": ""}
+
+    def answer(request: str) -> str:
+        name = request.partition("(")[0]
+        if name in {"GroupMoveAbsolute", "GroupHomeSearch"}:
+            if name == "GroupMoveAbsolute" and known["state"] == "42":
+                return "-22,,EndOfAPI"
+            motor.move(float(request[:-1].partition(",")[2] or 0.0))
+            known["awaited"] = name
+            return ""
+        if name == "GroupMoveAbort":
+            motor.stop()
+        values = {"FirmwareVersionGet": "XPS-C8 Firmware V2.6.2", "GroupStatusGet": known["state"]}
+        values["GroupPositionCurrentGet"] = f"{motor.position_deg:.6f}"
+        return f"0,{values.get(name, '')},EndOfAPI"
+
+    def unasked() -> str:
+        if motor.is_busy or not known["awaited"]:
+            return ""
+        known["awaited"], known["state"] = "", "11" if known["awaited"] == "GroupHomeSearch" else "12"
+        return "0,,EndOfAPI"
+
+    wire.answer, wire.unasked = answer, unasked
+    stage = opened(wire, tmp_path, XPS, ("Pan", 1.0))
+    stage.home()
+    stage.move_to({"pan": -6.125})
+    assert stage.position_deg() == {"pan": -6.125}
+    wire.answer = lambda request: "-22,,EndOfAPI" if "Move" in request else answer(request)
+    with pytest.raises(DriverError, match="the group is in another state"):
+        stage.move_to({"pan": 1.0})
+
+
 # ------------------------------------------------------------ a light whose commands are not answered
 
 DC2100 = """
