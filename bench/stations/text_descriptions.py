@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import fields
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal, Self, TypeVar
 
@@ -36,6 +37,7 @@ _D = TypeVar("_D", bound="DataclassInstance")
 Tolerance = Annotated[float, Within(0, 50, "%")]
 Factor = Annotated[float, Within(1e-12, 1e12, either_sign=True)]
 
+_NUMERIC = re.compile(r"[-+]?[0-9]{1,15}")
 _WORDS: Final = {"waveform": {"square", "sine", "steady"}, "sync": {"on", "off"}}
 
 
@@ -221,6 +223,9 @@ class LightSettingConfig(StrictModel):
         Literal["value", "reciprocal"], Field(description="reciprocal: a period instead of a frequency.")
     ] = "value"
     factor: Annotated[Factor, Field(description="1000 for a period in ms.")] = 1.0
+    query_factor: Annotated[
+        Factor | None, Field(description="Factor of the value that is read, if it is another one.")
+    ] = None
     range: tuple[float, float] | None = None
     value: Annotated[float | None, Field(description="Value of a constant.")] = None
     tolerance_percent: Tolerance = 0.0
@@ -233,6 +238,10 @@ class LightSettingConfig(StrictModel):
         if bool(known) != bool(self.words) or not set(self.words) <= known:
             named = ", ".join(sorted(known)) or "none"
             raise PydanticCustomError("words", "words of this setting: {named}.", {"named": named})
+        if not re.search(r"\{value:(word|text)\}", self.query.reply) and not all(
+            map(_NUMERIC.fullmatch, self.words.values())
+        ):
+            raise PydanticCustomError("word_number", "words must be numbers, as the reply has one.")
         if len(set(self.words.values())) < len(self.words):
             raise PydanticCustomError("same_words", "two words are the same for the device.")
         if self.range is not None and self.range[0] >= self.range[1]:
@@ -245,6 +254,7 @@ class LightSettingConfig(StrictModel):
         return made_of(
             of.LightSetting,
             self,
+            query_factor=self.query_factor or self.factor,
             inverse=self.takes == "reciprocal",
             constant=self.value or 0.0,
             lowest=lowest,

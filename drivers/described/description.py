@@ -374,6 +374,7 @@ class LightSetting:
     query: Exchange
     # The device's value is this factor times the quantity, or times 1 / quantity if ``inverse``.
     factor: float = 1.0
+    query_factor: float = 1.0  # The same of the value that is read
     inverse: bool = False  # Whether the device takes the reciprocal, as a period instead of a frequency
     # The device's words by Starbench's (``square``, ``steady``, ``on``, ``off``); empty for a number.
     words: Mapping[str, str] = field(default_factory=dict)

@@ -128,12 +128,10 @@ class TextLight(WatchedLight):
                 f"{setting.quantity}: {error.what}", where=error.where, remedy=error.remedy
             ) from error
         got = self._agreed(lambda: self._line.query(setting.query)["value"], setting.quantity)
-        fits = (
-            got == sent
-            if setting.words
-            else abs(float(got) - float(sent)) <= abs(float(sent)) * setting.tolerance_percent / 100 + 1e-6
-        )
-        if not fits:
+        if not setting.words:
+            got = float(got) * setting.factor / setting.query_factor
+            fits = abs(got - float(sent)) <= abs(float(sent)) * setting.tolerance_percent / 100 + 1e-6
+        if not (_is_word(got, str(sent)) if setting.words else fits):
             raise SettingRefused(
                 f"{setting.quantity} reads back differently from what was set: asked {sent}, got {got}.",
                 where=self._line.name,
@@ -148,7 +146,7 @@ class TextLight(WatchedLight):
         setting = self._settings.get(quantity)
         if setting is None:
             return fallback
-        value = float(self._line.query(setting.query)["value"]) / setting.factor
+        value = float(self._line.query(setting.query)["value"]) / setting.query_factor
         if setting.inverse and value <= 0:
             raise self._line.garbled_reply(f"the controller reports {value:g} for {quantity}.")
         return 1.0 / value if setting.inverse else value
@@ -159,10 +157,10 @@ class TextLight(WatchedLight):
         if setting is None:
             return fallback
         got = self._line.query(setting.query)["value"]
-        ours = {theirs: own for own, theirs in setting.words.items()}
-        if got not in ours:
+        own = next((own for own, theirs in setting.words.items() if _is_word(got, theirs)), None)
+        if own is None:
             raise self._line.garbled_reply(f"the controller reports {got!r} for {quantity}.")
-        return ours[got]
+        return own
 
     def _read_once(self) -> LightSettings:
         waveform: Any = self._word("waveform", "square")
@@ -177,3 +175,8 @@ class TextLight(WatchedLight):
             high_v=level_v,
             sync_output=self._word("sync", "off") == "on",
         )
+
+
+def _is_word(got: Value, word: str) -> bool:
+    """Return whether an answer is a word of a device; a word that is a number may have other digits: 01 and 1."""
+    return got == (float(word) if isinstance(got, float) else word)

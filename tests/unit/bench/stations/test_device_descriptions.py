@@ -81,6 +81,7 @@ def test_every_fault_of_a_description_is_named_at_its_place(tmp_path, old, new, 
     [
         ("words: {square: square, steady: steady}", "words: {square: s, round: r}", "words of this setting: sine, square, steady"),
         ("words: {square: square, steady: steady}", "words: {square: s, steady: s}", "two words are the same"),
+        ('{value:word}"}\n  - quantity: frequency', '{value:integer}"}\n  - quantity: frequency', "words must be numbers"),
         ("range: [0.5, 5000]", "range: [5000, 0.5]", "range must be [lowest, highest]"),
         ("quantity: level_percent", "quantity: duty_percent", "settings needs level_percent"),
         ("value: 900", "factor: 900", "a constant needs value"),

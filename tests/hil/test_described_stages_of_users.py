@@ -3,84 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 
 import pytest
 
-from bench.stations.station_text import read_light_protocol, read_stage_protocol
-from drivers.errors import DriverError, MoveFailed, OutsideLimits, SettingRefused
-from drivers.light import LightSettings
-from drivers.light.text import TextLight
+from bench.stations.station_text import read_stage_protocol
+from drivers.errors import DriverError, MoveFailed, OutsideLimits
 from drivers.stage import AxisLimits
 from drivers.stage.text import TextAxis, TextStage
 from tests.hil.direct_stages import VirtualClock
+from tests.hil.text_wire import LINES, SPEED, Motor, Wire
 
-SPEED = 20.0
-"""Degrees a second of all these stages."""
 HEAD = "format: starbench/stage-protocol/1\nmaker: Maker\nmodel: Model\n"
-
-
-class Motor:
-    """An axis that moves at one speed; degrees."""
-
-    def __init__(self, clock: VirtualClock, start_deg: float = 2.0) -> None:
-        self.clock = clock
-        self.from_deg = self.to_deg = start_deg
-        self.began_s = 0.0
-
-    def move(self, to_deg: float) -> None:
-        self.from_deg, self.to_deg, self.began_s = self.position_deg, to_deg, self.clock.now_s
-
-    def stop(self) -> None:
-        self.move(self.position_deg)
-
-    @property
-    def position_deg(self) -> float:
-        way_deg = self.to_deg - self.from_deg
-        done_deg = min(abs(way_deg), SPEED * (self.clock.now_s - self.began_s))
-        return self.from_deg + (done_deg if way_deg > 0 else -done_deg)
-
-    @property
-    def is_busy(self) -> bool:
-        return self.position_deg != self.to_deg
-
-
-class Wire:
-    """A port to a fake controller: requests with an end, replies at once, and what comes later unasked."""
-
-    name = "wire"
-
-    def __init__(self, clock: VirtualClock, end: re.Pattern[bytes]) -> None:
-        self.clock, self._end = clock, end
-        self.buffer = self.ready = b""
-        self.sent: list[str] = []
-        self.answer: Callable[[str], str] = lambda _request: ""
-        self.unasked: Callable[[], str] = lambda: ""
-        self.known: dict[str, str] = {}
-        """What the controller keeps, by the command that sets it."""
-
-    def write(self, data: bytes) -> None:
-        self.buffer += data
-        while match := self._end.match(self.buffer):
-            self.buffer = self.buffer[match.end() :]
-            request = match[1].decode()
-            self.sent.append(request)
-            self.ready += self.answer(request).encode()
-
-    def read(self, timeout_s: float) -> bytes:
-        end_s = self.clock.now_s + timeout_s
-        self.ready += self.unasked().encode()
-        while not self.ready and self.clock.now_s < end_s:
-            self.clock.now_s = min(end_s, self.clock.now_s + 0.05)
-            self.ready += self.unasked().encode()
-        data, self.ready = self.ready, b""
-        return data
-
-    def close(self) -> None:
-        pass
-
-
-LINES = re.compile(rb"([^\r\n]*)[\r\n]+")
 
 
 def opened(wire: Wire, tmp_path, description: str, *axes: tuple[str, float], **limits: float) -> TextStage:
@@ -511,46 +444,6 @@ def test_a_prompt_ends_each_reply(tmp_path, clock) -> None:
     assert "SPA=020000" in wire.sent
 
 
-MC2000B = """
-format: starbench/light-protocol/1
-maker: Thorlabs
-model: MC2000B
-line: {baudrate: 115200, request_end: CR, prompt: "> "}
-identity: {send: "id?", reply: "{request} {firmware:text}"}
-on: {send: "enable=1", reply: "{request} >"}
-off: {send: "enable=0", reply: "{request} >"}
-output: {send: "enable?", reply: "{request} {state:integer} >", when: [1]}
-settings:
-  - {quantity: frequency_hz, range: [4, 200], set: {send: "freq={value:integer}", reply: "{request} >"}, query: {send: "freq?", reply: "{request} {value:integer} >"}}
-  - {quantity: level_percent, set: {send: "oncycle={value:integer}", reply: "{request} >"}, query: {send: "oncycle?", reply: "{request} {value:integer} >"}}
-"""
-"""Thorlabs MC2000B, Operating Manual, serial commands; published clients read up to a carriage return, ``>`` and a blank."""
-
-
-def test_an_echo_and_a_prompt_around_an_answer_are_described(tmp_path, clock) -> None:
-    (tmp_path / "light.yaml").write_text(MC2000B)
-    protocol = read_light_protocol(tmp_path / "light.yaml").value.for_driver()
-    wire, known = (
-        Wire(clock, LINES),
-        {"id": "MC2000B Ver 1.0.10", "enable": "0", "freq": "20", "oncycle": "50"},
-    )
-
-    def answer(request: str) -> str:
-        name, is_set, value = request.partition("=")
-        if is_set:
-            known[name] = value
-            return f"{request}\r> "
-        return f"{request}\r{known.get(name.rstrip('?'), 'CMD_NOT_DEFINED')}\r> "
-
-    wire.answer = answer
-    light = TextLight(wire, protocol, clock=clock)
-    light.apply(LightSettings(frequency_hz=60.0, sync_output=False))
-    light.on()
-    assert (known["freq"], known["enable"]) == ("60", "1")
-    assert light.is_on()
-    assert wire.sent.count("id?") == 1  # nothing brought the line out of step
-
-
 XPS = """
 line: {baudrate: 115200, request_end: none, prompt: ",EndOfAPI"}
 identity: {send: "FirmwareVersionGet(char *)", reply: "0,{firmware:text}"}
@@ -598,59 +491,3 @@ def test_a_word_ends_each_reply_and_a_refused_move_has_its_reason(tmp_path, cloc
     wire.answer = lambda request: "-22,,EndOfAPI" if "Move" in request else answer(request)
     with pytest.raises(DriverError, match="the group is in another state"):
         stage.move_to({"pan": 1.0})
-
-
-# ------------------------------------------------------------ a light whose commands are not answered
-
-DC2100 = """
-format: starbench/light-protocol/1
-maker: Thorlabs
-model: DC2100
-line: {baudrate: 115200, reply_end: CRLF}
-identity: {send: "N?", reply: "{firmware:text}"}
-serial: {send: "S?", reply: "{serial:word}"}
-on: {send: "O 1"}
-off: {send: "O 0"}
-output: {send: "O?", reply: "{state:integer}", when: [1]}
-faults: {send: "R?", reply: "{state:integer}", when: [0], bits: [1, 3, 5]}
-settings:
-  - {quantity: constant, value: 1, set: {send: "M {value:integer}"}, query: {send: "M?", reply: "{value:integer}"}}
-  - {quantity: frequency_hz, range: [1, 10000], set: {send: "PF {value:integer}"}, query: {send: "PF?", reply: "{value:integer}"}}
-  - {quantity: duty_percent, range: [1, 99], set: {send: "PD {value:integer}"}, query: {send: "PD?", reply: "{value:integer}"}}
-  - {quantity: level_percent, factor: 10, set: {send: "PC {value:integer}"}, query: {send: "PC?", reply: "{value:integer}"}}
-"""
-"""Thorlabs DC2100, Operation Manual, commands M, PF, PD, PC, O, R: mode 1 is PWM; the current in mA, 1000 at 100 %."""
-
-
-def test_settings_of_a_light_that_answers_queries_alone_are_read_back(tmp_path, clock) -> None:
-    (tmp_path / "light.yaml").write_text(DC2100)
-    protocol = read_light_protocol(tmp_path / "light.yaml").value.for_driver()
-    wire = Wire(clock, LINES)
-    known = {
-        "M": "0",
-        "PF": "100",
-        "PD": "50",
-        "PC": "0",
-        "O": "0",
-        "N": "DC2100 V1.2",
-        "S": "M00245678",
-        "R": "16",
-    }
-
-    def answer(request: str) -> str:
-        if request.endswith("?"):
-            return f"{known[request[:-1]]}\r\n"
-        name, _, value = request.partition(" ")
-        known[name] = value if name != "PF" else str(min(int(value), 5000))
-        return ""
-
-    wire.answer = answer
-    light = TextLight(wire, protocol, serial="M00245678", clock=clock)
-    got = light.apply(LightSettings(frequency_hz=60.0, duty_percent=25.0, high_v=2.5, sync_output=False))
-    assert (known["M"], known["PF"], known["PD"], known["PC"]) == ("1", "60", "25", "500")
-    assert (got.frequency_hz, got.duty_percent, got.high_v) == (60.0, 25.0, 2.5)
-    light.on()
-    assert light.is_on()
-    assert light.faults() == []
-    with pytest.raises(SettingRefused, match="asked 9000"):
-        light.apply(LightSettings(frequency_hz=9000.0, sync_output=False))

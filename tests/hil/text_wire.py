@@ -1,0 +1,74 @@
+"""A port to a fake controller of text lines, and an axis that it moves: what a test needs to try a user's description."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+
+from tests.hil.direct_stages import VirtualClock
+
+SPEED = 20.0
+"""Degrees a second of all these stages."""
+
+
+class Motor:
+    """An axis that moves at one speed; degrees."""
+
+    def __init__(self, clock: VirtualClock, start_deg: float = 2.0) -> None:
+        self.clock = clock
+        self.from_deg = self.to_deg = start_deg
+        self.began_s = 0.0
+
+    def move(self, to_deg: float) -> None:
+        self.from_deg, self.to_deg, self.began_s = self.position_deg, to_deg, self.clock.now_s
+
+    def stop(self) -> None:
+        self.move(self.position_deg)
+
+    @property
+    def position_deg(self) -> float:
+        way_deg = self.to_deg - self.from_deg
+        done_deg = min(abs(way_deg), SPEED * (self.clock.now_s - self.began_s))
+        return self.from_deg + (done_deg if way_deg > 0 else -done_deg)
+
+    @property
+    def is_busy(self) -> bool:
+        return self.position_deg != self.to_deg
+
+
+class Wire:
+    """A port to a fake controller: requests with an end, replies at once, and what comes later unasked."""
+
+    name = "wire"
+
+    def __init__(self, clock: VirtualClock, end: re.Pattern[bytes]) -> None:
+        self.clock, self._end = clock, end
+        self.buffer = self.ready = b""
+        self.sent: list[str] = []
+        self.answer: Callable[[str], str] = lambda _request: ""
+        self.unasked: Callable[[], str] = lambda: ""
+        self.known: dict[str, str] = {}
+        """What the controller keeps, by the command that sets it."""
+
+    def write(self, data: bytes) -> None:
+        self.buffer += data
+        while match := self._end.match(self.buffer):
+            self.buffer = self.buffer[match.end() :]
+            request = match[1].decode()
+            self.sent.append(request)
+            self.ready += self.answer(request).encode()
+
+    def read(self, timeout_s: float) -> bytes:
+        end_s = self.clock.now_s + timeout_s
+        self.ready += self.unasked().encode()
+        while not self.ready and self.clock.now_s < end_s:
+            self.clock.now_s = min(end_s, self.clock.now_s + 0.05)
+            self.ready += self.unasked().encode()
+        data, self.ready = self.ready, b""
+        return data
+
+    def close(self) -> None:
+        pass
+
+
+LINES = re.compile(rb"([^\r\n]*)[\r\n]+")
