@@ -39,6 +39,8 @@ _OF_VIKIT = ("d0", "d1", "d2", "d3", "d4")
 _MATRICES = re.compile("(camera)?(intrinsics?|matrix|parameters|params)|projectionparameters|k")
 _WORDS = re.compile(r"[A-Za-z][A-Za-z _.-]{3,}\d?")  # no list of numbers, nor one of NaN
 _FOUR_ELSEWHERE = (set(_FOUR), {"mu", "mv", "u0", "v0"}, {"fx", "fy", "ppx", "ppy"})
+_MODELS_WITH_COEFFICIENTS = ("distortionmodel", "lensmodel", "distmodel")
+"""Names of a lens model, below which some programs write its coefficients."""
 _NAMES_OF_COEFFICIENTS = ("parameters", "params", "coefficients", "coeffs")
 
 #: Names that only a program has whose cameras are not read.
@@ -252,7 +254,7 @@ def _flat(values: dict[str, Any]) -> dict[str, Any]:
         if not isinstance(part, Mapping) or "data" in part:
             continue
         inner = plain(part)
-        if LENS.fullmatch(name):
+        if LENS.fullmatch(name) or name in _MODELS_WITH_COEFFICIENTS:
             del flat[name]
             coefficients = next((inner.pop(key) for key in _NAMES_OF_COEFFICIENTS if key in inner), None)
             model = inner.pop("type", inner.pop("model", None))

@@ -77,6 +77,10 @@ _OTHER_TEXTS = {
         "it names the file of its cameras",
         "Give that, such as kalibr_imucam_chain.yaml.",
     ),
+    "\nConfigor:": (
+        "it names the files of its cameras",
+        "Give one of those, such as cam-intri-pinhole-brown.yaml, or the result (CalibParam).",
+    ),
     "Intrinsic of ": ("it is what rs-enumerate-devices prints of a RealSense", WRITE_OPENCV),
     "# hugin project file": ("it is a project of Hugin", WRITE_OPENCV),
     "#polynomial coefficients": ("it is a fisheye of OCamCalib (Scaramuzza)", WRITE_OPENCV),

@@ -112,7 +112,7 @@ def _of_openmvg(stated: Sequence[Any]) -> Iterator[tuple[str, Values]]:
 def _veta_cameras(content: Values) -> dict[str, Any]:
     """Return what iKalibr or eKalibr wrote of each camera, by its topic; a camera alone has no name."""
     alone = content.get("Intrinsics")
-    if isinstance(alone, Mapping) and "ptr_wrapper" in alone:
+    if isinstance(alone, Mapping) and "polymorphic_name" in alone:  # those of an inertial unit have no class
         return {"": alone}
     result = content.get("CalibParam")
     inner = result.get("INTRI") if isinstance(result, Mapping) else None

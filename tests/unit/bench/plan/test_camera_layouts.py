@@ -160,6 +160,10 @@ BROWN = {
         {**LISTS, "camera_matrix": [[*K[0], 0], [*K[1], 0], [*K[2], 0], [0, 0, 0, 1]], "dist": D5}, D5,
     ),
     "names in groups": ({"intrinsic": FOUR, "distortion": NAMED, "image_size": {"width": 1280, "height": 720}}, D5),
+    # multicam_imu_calib (ros-misc-utilities), config/example_config.yaml
+    "multicam_imu_calib": (
+        {"cameras": [{"name": "c", "intrinsics": FOUR, "distortion_model": {"type": "radtan", "coefficients": D5[:4]}, "resolution": SIZE}]}, D5[:4],
+    ),
     # MATLAB's mat2str
     "rows that end in a semicolon": (
         {**LISTS, "camera_matrix": "; ".join(" ".join(map(str, row)) for row in K), "dist": "; ".join(map(str, D5))}, D5,
@@ -387,6 +391,10 @@ DOUBTFUL = {
     "radial and tangential apart, of nobody known": ({**LISTS, "radial_distortion": [K1, K2], "tangential_distortion": [P1, P2]}, "apart"),
     "omni of SVO": (RPG.replace("type: pinhole", "type: omni"), "'omni'"),
     "VINS's settings of the filter": (YAML + 'imu: 1\ncam0_calib: "cam0_pinhole.yaml"\n', "names the files of its cameras"),
+    "iKalibr's settings": (
+        "# iKalibr\nConfigor:\n  DataStream:\n    CameraTopics:\n      - key: /cam\n        value:\n          Intrinsics: a.yaml\n",
+        "names the files of its cameras",
+    ),
     "PhotoScan before 1.2": (
         f"<calibration>{''.join(f'<{name}>{value}</{name}>' for name, value in {'projection': 'frame', **SIDES, **FOUR, 'skew': 0, 'k1': K1}.items())}</calibration>",
         "PhotoScan before 1.2",

@@ -150,6 +150,7 @@ def test_one_of_several_cameras_is_named(content, listed, name):
 REFUSED = {
     "DepthAI, another lens": (depthai((0, 3, D5)), "camera of type 3"),
     "calib.io, another model": (calibio(D14, model="libCalib::CameraModelDivision"), "CameraModelDivision"),
+    "iKalibr, an inertial unit": ({"Intrinsics": {"ptr_wrapper": {"id": 1, "data": {"ACCE": {}}}}}, "no camera matrix"),
     "veta, another lens": ({"Intrinsics": veta("pinhole_division", [0.1])}, "'pinhole_division'"),
     "openMVG, another lens": (openmvg({"thin_prism": FISHEYE}), "'thin_prism'"),
     "openMVG, spherical": (
