@@ -1,4 +1,4 @@
-"""Work in a thread that may be left alone."""
+"""Work in a thread beside the program."""
 
 from __future__ import annotations
 
@@ -10,10 +10,13 @@ from typing import TypeVar
 Result = TypeVar("Result")
 
 
-def in_background(work: Callable[[], Result], name: str) -> Future[Result]:
-    """Begin work in a thread of its own, which does not keep the program from ending; return its future."""
+def in_background(work: Callable[[], Result], name: str, *, left_alone: bool = True) -> Future[Result]:
+    """Begin work in a thread of its own; return its future. Work that is ``left_alone`` ends with the program.
+
+    Computing may not be: a program that ends while a thread is in C++ code can be aborted by the system.
+    """
     future: Future[Result] = Future()
-    threading.Thread(target=settle, args=(future, work), name=name, daemon=True).start()
+    threading.Thread(target=settle, args=(future, work), name=name, daemon=left_alone).start()
     return future
 
 

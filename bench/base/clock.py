@@ -128,7 +128,7 @@ class BenchClock:
 
     def in_parallel(self, work: Callable[[], Result]) -> Callable[[], Result]:
         """Begin work that goes on while this clock's worker does other things; return what waits for its result."""
-        return in_background(work, "parallel work").result
+        return in_background(work, "parallel work", left_alone=False).result
 
     def inactive_s(self) -> float:
         """Return for how long, s, the work has not waited, checked or read the time; 0 while it waits."""

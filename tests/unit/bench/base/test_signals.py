@@ -42,6 +42,19 @@ def test_a_signal_at_any_moment_of_a_wait_stops_it():
     assert said.stdout == "400\n", said.stderr
 
 
+CUT_OFF = """
+import time
+from bench.base.clock import BenchClock
+BenchClock().in_parallel(lambda: (time.sleep(0.3), print("computed")))
+print("ends")
+"""
+
+
+def test_a_program_ends_after_the_work_that_its_clock_began():
+    said = subprocess.run([sys.executable, "-c", CUT_OFF], capture_output=True, text=True, check=False)
+    assert said.stdout == "ends\ncomputed\n", said.stderr
+
+
 def test_the_first_signal_ends_a_long_wait():
     clock = BenchClock()
     timer = threading.Timer(0.1, os.kill, (os.getpid(), signal.SIGTERM))
