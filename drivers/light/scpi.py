@@ -71,7 +71,9 @@ class ScpiLight(WatchedLight):
         """See `Light.apply`. The error names what was asked for and what the generator has instead."""
         self._end_modes()
         if self._load != "unchanged":
-            self._set(self._dialect.load(self._load))
+            load = self._dialect.load(self._load)
+            self._set((load.name, load.commands[0]))
+            self._require_kept(load, self._state(load))
         for setting in self._dialect.settings(settings, self._dialect.query_low_v(self._line)):
             self._set(setting)
         self._backwards = itertools.cycle((False, True))
@@ -132,30 +134,29 @@ class ScpiLight(WatchedLight):
 
     def _end(self, mode: Mode) -> bool:
         """End a mode and read it back; return whether the generator confirms that it is ended."""
-        commands = [f"{mode.header} {word}" for word in mode.words]
-        errors = self._first_accepted(commands)
+        errors = self._first_accepted(mode.commands)
         if errors and not all(error.tells_of_a_lack for error in errors):
-            errors = self._first_accepted(commands)  # an error may be older, and of something else
+            errors = self._first_accepted(mode.commands)  # an error may be older, and of something else
         if errors and all(error.tells_of_a_lack for error in errors):
             return False
-        query = f"{mode.header}?"
-        state = self._state(query)
-        if state is not None and not self._dialect.is_set(mode, state):
-            state = self._state(query)  # one reply may be spoilt
-        what = ""
-        if state is not None and not self._dialect.is_set(mode, state):
-            what = (
-                f"stays as another program left it: after '{commands[0]}', '{query}' is answered by '{state}'"
-            )
-        elif errors and (state is None or mode.is_switch):
-            what = f"is refused: '{commands[0]}' is answered by {'; '.join(map(str, errors))}"
-        if what:
-            raise SettingRefused(
-                f"{mode.name} {what}.",
-                where=self._line.name,
-                remedy="End it at the generator's front panel, or switch the generator off and on.",
-            )
+        state = self._state(mode)
+        self._require_kept(mode, state)
+        if errors and (state is None or mode.is_switch):
+            answers = "; ".join(map(str, errors))
+            raise self._stays(mode, f"is refused: '{mode.commands[0]}' is answered by {answers}")
         return state is not None or self._line.has_error_queue
+
+    def _require_kept(self, mode: Mode, state: str | None) -> None:
+        if state is not None and not self._dialect.is_set(mode, state):
+            after = f"after '{mode.commands[0]}', '{mode.query}' is answered by '{state}'"
+            raise self._stays(mode, f"stays as another program left it: {after}")
+
+    def _stays(self, mode: Mode, what: str) -> SettingRefused:
+        return SettingRefused(
+            f"{mode.name} {what}.",
+            where=self._line.name,
+            remedy="End it at the generator's front panel, or switch the generator off and on.",
+        )
 
     def _first_accepted(self, commands: Sequence[str]) -> list[InstrumentError]:
         """Send commands until one is accepted; return the errors of the last one."""
@@ -166,15 +167,17 @@ class ScpiLight(WatchedLight):
                 break
         return errors
 
-    def _state(self, query: str) -> str | None:
+    def _state(self, mode: Mode) -> str | None:
         """Ask for a state; None if the generator does not tell it. One that is silent at first is asked no more."""
-        if self._tells_states is False or query in self._silent_queries:
+        if self._tells_states is False or mode.query in self._silent_queries:
             return None
-        state = self._line.query_if_known(query)
+        state = self._line.query_if_known(mode.query)
         if self._tells_states is None:
             self._tells_states = state is not None
         if state is None:
-            self._silent_queries.add(query)
+            self._silent_queries.add(mode.query)
+        elif not self._dialect.is_set(mode, state):
+            return self._line.query_if_known(mode.query)  # one reply may be spoilt
         return state
 
     def _set(self, setting: Setting) -> None:

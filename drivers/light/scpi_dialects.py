@@ -35,6 +35,8 @@ _FREQUENCY_REL: Final = 1e-6
 _DUTY_PERCENT: Final = 0.01
 _LEVEL_REL: Final = 1e-3
 _LEVEL_V: Final = 0.002
+_INFINITE: Final = 1e9
+"""SCPI prints an infinite number as 9.9E37."""
 _UNITS: Final[Mapping[str, str]] = {"frequency_hz": "Hz", "duty_percent": "%", "low_v": "V", "high_v": "V"}
 
 _SHORT: dict[Waveform, str] = {"square": "SQU", "sine": "SIN", "steady": "DC"}
@@ -71,6 +73,16 @@ class Mode(NamedTuple):
     def is_switch(self) -> bool:
         """Whether it is on or off, so that a generator has no reason to refuse "off"."""
         return self.words == ("OFF",)
+
+    @property
+    def commands(self) -> list[str]:
+        """Commands that set it, to be sent until one is accepted."""
+        return [f"{self.header} {word}" for word in self.words]
+
+    @property
+    def query(self) -> str:
+        """Query of its state."""
+        return f"{self.header}?"
 
 
 @dataclass(frozen=True)
@@ -124,9 +136,9 @@ class HeaderDialect:
         *("MOD", "ASK", "PSK", "QPSK", "OSK", "3FSK", "4FSK", "IQ", "HARM"),
     )
 
-    def load(self, load: Load) -> Setting:
-        """Return the command for the load, which is not "unchanged"."""
-        return "load", f"{self.output_header}:LOAD {'INF' if load == 'high-z' else '50'}"
+    def load(self, load: Load) -> Mode:
+        """Return the load, which is not "unchanged", as it is set and read back."""
+        return Mode("load", f"{self.output_header}:LOAD", ("INF" if load == "high-z" else "50",))
 
     def modes(self) -> Iterator[Mode]:
         """Return what may be left behind, in the order in which it is ended."""
@@ -163,7 +175,8 @@ class HeaderDialect:
         """Whether the answer to a mode's query is the wanted state."""
         number = read_quantity(answer)
         if number is not None:
-            return number.value == {"OFF": 0.0, "ON": 1.0, "0": 0.0}.get(mode.words[0])
+            wanted = {"OFF": 0.0, "ON": 1.0, "0": 0.0, "50": 50.0, "INF": _INFINITE}.get(mode.words[0])
+            return min(number.value, _INFINITE) == wanted
         return answer.strip('"').upper().startswith(mode.words)
 
     def settings(self, wanted: LightSettings, present_low_v: float) -> list[Setting]:
@@ -228,9 +241,9 @@ class SiglentDialect:
     The answers begin with a short header, a long one or none, as ``CHDR`` was set.
     """
 
-    def load(self, load: Load) -> Setting:
+    def load(self, load: Load) -> Mode:
         """See `HeaderDialect.load`."""
-        return "load", f"C1:OUTP LOAD,{'HZ' if load == 'high-z' else '50'}"
+        return Mode("load", "C1:OUTP", (f"LOAD,{'HZ' if load == 'high-z' else '50'}",))
 
     def modes(self) -> Iterator[Mode]:
         """See `HeaderDialect.modes`."""

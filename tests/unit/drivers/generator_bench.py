@@ -40,7 +40,7 @@ class Bench:
     def settings_sent(self) -> list[str]:
         """Commands that it was sent, those aside that end what somebody may have left on."""
         modes = DIALECTS[self.dialect].modes()
-        ended = {f"{mode.header} {word}" for mode in modes for word in mode.words}
+        ended = {command for mode in modes for command in mode.commands}
         return [command for command in self.commands() if command not in ended]
 
     def lit(self) -> bool:

@@ -96,3 +96,33 @@ def test_what_shifts_inverts_or_blurs_the_signal_is_undone(dialect, header, answ
     else:
         light.apply(LightSettings(frequency_hz=60.0))
         assert left == [False]
+
+
+LOADS = [
+    ("keysight", "OUTP:LOAD", "+9.9E+37", "+5.00000000E+01"),  # 33220A User's Guide: 9.9E+37 or ohms
+    ("numbered", "OUTP1:LOAD", "9.900000E+37", "5.000000E+01"),  # Rigol DG800 Programming Guide, :OUTPut:LOAD
+    ("numbered", "OUTP1:LOAD", "INFINITY", "50"),  # Rigol DG4000, DG5000
+    ("siglent", "C1:OUTP", "C1:OUTP OFF,LOAD,HZ,PLRT,NOR", "C1:OUTP OFF,LOAD,50,PLRT,NOR"),  # SDG Series
+]
+
+
+@pytest.mark.parametrize(("dialect", "header", "infinite", "fifty"), LOADS)
+@pytest.mark.parametrize("load", ["high-z", "50-ohm"])
+def test_a_load_that_is_not_taken_would_double_or_halve_the_levels(
+    dialect, header, infinite, fifty, load
+) -> None:
+    for told, is_taken in ((infinite, load == "high-z"), (fifty, load == "50-ohm")):
+        bench = Bench(dialect)
+        bench.answer({header: told})
+        light = bench.open(load=load)
+        if is_taken:
+            light.apply(LightSettings(frequency_hz=60.0))
+        else:
+            with pytest.raises(SettingRefused, match=r"load stays .*LOAD.*is answered by"):
+                light.apply(LightSettings(frequency_hz=60.0))
+
+
+def test_a_generator_that_does_not_tell_its_load_is_believed() -> None:
+    bench = Bench()
+    bench.turn("OUTP:LOAD\\?", "OUTP:LOAF?")
+    assert bench.open().apply(LightSettings(frequency_hz=60.0)).frequency_hz == 60.0
