@@ -22,6 +22,7 @@ from bench.base.clock import BenchClock
 from bench.base.errors import ControlRefused
 from bench.base.failure import FORESEEN, Failure
 from bench.measure.camera_kinds import camera_kind
+from bench.record.device_end import DeviceEnd, DeviceName
 from bench.simulated import SimulatedBench
 from bench.stations.devices import Camera, Devices
 from bench.stations.orphans import SeparateDevices
@@ -365,15 +366,6 @@ class SimulatedHands:
 
 
 @dataclass(frozen=True)
-class Confirmation:
-    """What a device confirmed at the end."""
-
-    device: str  # ``stage``, ``light`` or ``camera``
-    safe: bool  # Whether it confirmed
-    text: str  # What it confirmed, or why not, as a sentence
-
-
-@dataclass(frozen=True)
 class Bench:
     """The open devices of a session with their controls."""
 
@@ -423,7 +415,7 @@ def open_bench(
     return Bench(devices, clock, stage, light, camera, loop, SimulatedHands(devices.simulation))
 
 
-def close_bench(bench: Bench) -> list[Confirmation]:
+def close_bench(bench: Bench) -> list[DeviceEnd]:
     """Stop the stage, switch the light off, end the recording, and close all devices."""
     confirmed = [
         _confirm("stage", bench.stage.stop, "stopped; every axis stands."),
@@ -436,15 +428,15 @@ def close_bench(bench: Bench) -> list[Confirmation]:
         bench.stage.close()
         closed = _confirm("camera", bench.devices.close, "closed; it does not record.")
     if not ended:
-        closed = Confirmation("camera", safe=False, text="NOT CONFIRMED. Its recording has not ended.")
+        closed = DeviceEnd("camera", "not confirmed", "its recording has not ended.")
     elif lost is not None:
-        closed = Confirmation("camera", safe=False, text=f"NOT CONFIRMED. {lost.message}")
+        closed = DeviceEnd("camera", "not confirmed", lost.message)
     return [*confirmed, closed]
 
 
-def _confirm(device: str, action: Callable[[], None], text: str) -> Confirmation:
+def _confirm(device: DeviceName, action: Callable[[], None], answer: str) -> DeviceEnd:
     try:
         action()
     except FORESEEN as error:
-        return Confirmation(device, safe=False, text=f"NOT CONFIRMED. {Failure.of(error).message}")
-    return Confirmation(device, safe=True, text=text)
+        return DeviceEnd(device, "not confirmed", Failure.of(error).message)
+    return DeviceEnd(device, "confirmed safe", answer)

@@ -8,11 +8,11 @@ from collections.abc import Sequence
 from functools import partial
 
 from bench.align.align_app import align_app
-from bench.align.open_bench import Confirmation
 from bench.align.page_requests import PageFiles
 from bench.align.session import Session
 from bench.base.clock import stop_on_signals
 from bench.base.errors import ScriptError
+from bench.record.device_end import DeviceEnd
 from bench.stations.placeholders import find_placeholders
 from bench.stations.station import SHIPPED_STATIONS, load_station
 from bench.web.server import PageServer, print_line
@@ -74,21 +74,18 @@ def leave(session: Session) -> int:
         confirmed = session.close()
     for line in confirmation_lines(confirmed):
         print_line(line)
-    return _STOPPED if all(device.safe for device in confirmed) else _NOT_CONFIRMED
+    return _STOPPED if all(end.state == "confirmed safe" for end in confirmed) else _NOT_CONFIRMED
 
 
-def confirmation_lines(confirmed: Sequence[Confirmation]) -> list[str]:
+def confirmation_lines(confirmed: Sequence[DeviceEnd]) -> list[str]:
     """Return what each device confirmed, a line each, for the terminal; one line if no device was open.
 
-    >>> confirmation_lines([Confirmation("light", safe=True, text="off, as it reports itself.")])
-    ['light: off, as it reports itself.']
+    >>> confirmation_lines([DeviceEnd("light", "confirmed safe", "off, as it reports itself.")])
+    ['light: confirmed safe: off, as it reports itself.']
     """
     if not confirmed:
         return ["No device was open."]
-    return [
-        f"{'' if confirmation.safe else 'CHECK THE BENCH: '}{confirmation.device}: {confirmation.text}"
-        for confirmation in confirmed
-    ]
+    return [f"{'' if end.state == 'confirmed safe' else 'CHECK THE BENCH: '}{end.text}" for end in confirmed]
 
 
 def _open(session: Session) -> None:

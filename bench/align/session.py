@@ -18,7 +18,6 @@ from bench.align.live_loop import LivePicture
 from bench.align.meter import Meter, MeterProcess
 from bench.align.open_bench import (
     Bench,
-    Confirmation,
     OpenDevices,
     close_bench,
     follow,
@@ -29,6 +28,7 @@ from bench.align.open_bench import (
 from bench.align.owners import Owners
 from bench.base.errors import ControlRefused
 from bench.base.failure import FORESEEN, Failure
+from bench.record.device_end import DeviceEnd
 from bench.stations.station import Station
 from bench.web.server_sent import Changes
 from drivers.errors import DriverError
@@ -157,7 +157,7 @@ class Session:
         self._close_bench()
         return self.open()
 
-    def close(self) -> list[Confirmation]:
+    def close(self) -> list[DeviceEnd]:
         """Leave the bench safe, once; return what stage, light and camera confirmed, each if it was open."""
         if self._ended.is_set():
             return []
@@ -168,7 +168,7 @@ class Session:
         self.changes.tell()
         return confirmed
 
-    def _close_bench(self) -> list[Confirmation]:
+    def _close_bench(self) -> list[DeviceEnd]:
         with self._lock:
             bench, self._bench = self._bench, None
         return close_bench(bench) if bench is not None else []

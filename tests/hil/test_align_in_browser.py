@@ -236,4 +236,4 @@ def test_the_simulated_bench_is_aligned_in_the_browser(chromium, tmp_path):
             one.close()
     finally:
         confirmed = session.close()
-    assert all(item.safe for item in confirmed)
+    assert all(end.state == "confirmed safe" for end in confirmed)

@@ -72,9 +72,9 @@ def test_ctrl_c_stops_the_stage_at_once_and_every_device_confirms(aligned, capsy
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("http://127.0.0.1:")
     assert lines[-3:] == [
-        "stage: stopped; every axis stands.",
-        "light: off, as it reports itself.",
-        "camera: closed; it does not record.",
+        "stage: confirmed safe: stopped; every axis stands.",
+        "light: confirmed safe: off, as it reports itself.",
+        "camera: confirmed safe: closed; it does not record.",
     ]
 
 
@@ -97,7 +97,7 @@ def test_a_device_that_does_not_confirm_is_shouted_and_the_status_is_1(aligned, 
     session, devices = fake_session()
     devices.stage.stop_fails = True
     assert aligned(session, lambda: session.is_open) == 1
-    assert "CHECK THE BENCH: stage: NOT CONFIRMED" in capsys.readouterr().out
+    assert "CHECK THE BENCH: stage: not confirmed" in capsys.readouterr().out
 
 
 def test_a_busy_camera_is_named_and_the_page_stays(aligned, capsys):

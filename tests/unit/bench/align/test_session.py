@@ -262,10 +262,10 @@ def test_the_end_leaves_the_bench_safe_and_says_what_each_device_confirmed(opene
     session.light(on=True)
     session.bench.stage.move_by({"pan": 5.0})
     confirmed = session.close()
-    assert [(one.device, one.safe) for one in confirmed] == [
-        ("stage", True),
-        ("light", True),
-        ("camera", True),
+    assert [(end.device, end.state) for end in confirmed] == [
+        ("stage", "confirmed safe"),
+        ("light", "confirmed safe"),
+        ("camera", "confirmed safe"),
     ]
     assert devices.stage.calls[-1] == "stop"
     assert not devices.light.lit
@@ -283,7 +283,7 @@ def test_a_camera_that_was_lost_confirms_nothing():
     devices.camera.fault = CameraLost("the cable is out.", where="camera", remedy="Plug it in.")
     wait_until(lambda: session.state()["camera"]["failure"] is not None)
     camera = session.close()[-1]
-    assert not camera.safe
+    assert camera.state == "not confirmed"
     assert "the cable is out" in camera.text
 
 
