@@ -28,6 +28,8 @@ IDENTITY: Final = re.compile(r"((?:RT|TR|VTR)\S*\d\S*) ?(.*?) ?(V\d\S*)")
 REFUSED: Final = re.compile(r"Err ?(\d{1,3})", re.IGNORECASE)
 _EVENT = re.compile(rb"\s*(Evt\d{1,3},\d{1,4};?)\s*")
 _FIELD = re.compile(r"([A-Z]{1,2})(?:[ =]+(.*)|([\d+-].*))?")
+_BETWEEN_FIELDS = re.compile(r" *[,;] *| +(?=[A-Z]{1,2}[ =]*[\d+-])")
+"""What separates two fields: a comma, or a blank before the next name and its number."""
 
 REFUSALS = {
     1: "a value is invalid",
@@ -70,7 +72,7 @@ class RtLine(TextLine):
     def query_fields(self, query: str) -> dict[str, str]:
         """Ask for settings."""
         text = self.query(query)
-        fields = [_FIELD.fullmatch(part.strip()) for part in text.split(",")]
+        fields = [_FIELD.fullmatch(part.strip()) for part in _BETWEEN_FIELDS.split(text)]
         if not all(fields):
             raise self.garbled_reply(f"{query} answered {text!r}.", READABLE_REMEDY)
         return {field[1]: (field[2] or field[3] or "").strip() for field in fields if field}
