@@ -9,7 +9,7 @@ events are written as messages.
 - HDF5 that only its library can read, with the filters of the package ``hdf5plugin``.
 - iniVation's AEDAT4, through the package ``aedat``.
 - ROS bags, of ROS 1 and ROS 2, through the package ``rosbags``; no ROS is needed. Messages: ``EventArray`` of
-  ``dvs_msgs``, ``prophesee_event_msgs`` and ``dv_ros_msgs`` (one struct an event), and
+  ``dvs_msgs``, ``prophesee_event_msgs``, ``dv_ros_msgs`` and ``dv_ros2_msgs`` (one struct an event), and
   ``event_camera_msgs/EventPacket``, until 2023 ``event_array_msgs/EventArray``, with the encodings ``evt3`` and
   ``evt21`` (the camera's words, with its edges), ``mono`` and ``libcaer``.
 
@@ -81,14 +81,14 @@ _PACKET_TEXT: Final = (
     f"{_HEADER}uint32 height\nuint32 width\nuint64 seq\nuint64 time_base\nstring encoding\n"
     "bool is_bigendian\nuint8[] events\n"
 )
-_EVENT: Final = "uint16 x\nuint16 y\ntime ts\nbool polarity\n"
+_EVENT: Final = "uint16 x\nuint16 y\nbuiltin_interfaces/Time ts\nbool polarity\n"
+_OF_STRUCTS: Final = ("dvs_msgs", "prophesee_event_msgs", "dv_ros2_msgs")
 DEFINITIONS: Final = {
-    "dvs_msgs/msg/Event": _EVENT.replace("time ts", "builtin_interfaces/Time ts"),
-    "dvs_msgs/msg/EventArray": f"{_HEADER}uint32 height\nuint32 width\ndvs_msgs/Event[] events\n",
-    "prophesee_event_msgs/msg/Event": _EVENT.replace("time ts", "builtin_interfaces/Time ts"),
-    "prophesee_event_msgs/msg/EventArray": (
-        f"{_HEADER}uint32 height\nuint32 width\nprophesee_event_msgs/Event[] events\n"
-    ),
+    **{f"{package}/msg/Event": _EVENT for package in _OF_STRUCTS},
+    **{
+        f"{package}/msg/EventArray": f"{_HEADER}uint32 height\nuint32 width\n{package}/Event[] events\n"
+        for package in _OF_STRUCTS
+    },
     "event_camera_msgs/msg/EventPacket": _PACKET_TEXT,
     "event_array_msgs/msg/EventArray": _PACKET_TEXT,
 }
@@ -321,7 +321,13 @@ def _first_message(path: Path, choices: ReadingChoices) -> tuple[str, Any]:
         for connection, _, raw in reader.messages(
             [topic_connection for topic_connection in reader.connections if topic_connection.topic == topic]
         ):
-            return topic, decode(raw, connection.msgtype)
+            try:
+                return topic, decode(raw, connection.msgtype)
+            except KeyError as error:
+                raise NotARecording(
+                    f"This bag does not hold the definition of its messages, {connection.msgtype}.",
+                    remedy="Convert it to MCAP, which holds them, where its package is installed: ros2 bag convert",
+                ) from error
     raise NotARecording(f"This bag holds no message of {topic}.", remedy="Record it again.")
 
 

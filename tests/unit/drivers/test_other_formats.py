@@ -1,6 +1,7 @@
 """Recordings of other programs: AEDAT4, ROS bags; each written by a program nobody here wrote."""
 
-from contextlib import suppress
+import sqlite3
+from contextlib import closing, suppress
 
 import numpy as np
 import pytest
@@ -68,15 +69,20 @@ def bag(
     from drivers.camera.formats.library_reader import DEFINITIONS
 
     store = get_typestore(Stores.ROS1_NOETIC if version == 1 else Stores.ROS2_HUMBLE)
-    for name, text in DEFINITIONS.items():
-        store.register(get_types_from_msg(text, name))
+    for defined, text in DEFINITIONS.items():
+        store.register(get_types_from_msg(text, defined))
     types = store.types
     stamp = types["builtin_interfaces/msg/Time"](sec=ORIGIN_US // 1_000_000, nanosec=0)
     fields = {"stamp": stamp, "frame_id": "camera"} | ({"seq": 0} if version == 1 else {})
     header = types["std_msgs/msg/Header"](**fields)
     if kind == "struct":
-        name = "dvs_msgs/msg/EventArray"
-        event, time = types["dvs_msgs/msg/Event"], types["builtin_interfaces/msg/Time"]
+        package = name.split("/")[0] if name.endswith("EventArray") else "dvs_msgs"
+        name = f"{package}/msg/EventArray"
+        if name not in types:
+            of_dvs = DEFINITIONS["dvs_msgs/msg/EventArray"].replace("dvs_msgs", package)
+            store.register(get_types_from_msg(DEFINITIONS["dvs_msgs/msg/Event"], f"{package}/msg/Event"))
+            store.register(get_types_from_msg(of_dvs, name))
+        event, time = types[f"{package}/msg/Event"], types["builtin_interfaces/msg/Time"]
         whole = [
             event(
                 x=int(row["x"]),
@@ -132,6 +138,34 @@ def test_bags_of_both_versions(tmp_path, version, kind):
     assert (found.width, found.height) == (640, 480)
     assert_same(found, rows, int(found.header["time_origin_us"]) - ORIGIN_US)
     assert found.header["ros_topic"] == "/events"
+
+
+def without_definitions(folder):
+    """A bag of ROS 2 before Iron, which knows the names of its messages alone."""
+    with closing(sqlite3.connect(next(folder.glob("*.db3")))) as database:
+        database.execute("delete from message_definitions")
+        database.commit()
+    return folder
+
+
+@pytest.mark.parametrize("package", ["prophesee_event_msgs", "dv_ros2_msgs"])
+def test_bags_without_definitions_are_read_where_the_messages_are_known(tmp_path, package):
+    """dv-ros2, dv_ros2_msgs/msg/Event.msg and EventArray.msg: those of ``dvs_msgs``."""
+    rows = some_events(60)
+    name = f"{package}/msg/EventArray"
+    found = import_events(without_definitions(bag(tmp_path / "a", 2, rows, "struct", name=name)))
+    assert_same(found, rows, int(found.header["time_origin_us"]) - ORIGIN_US)
+
+
+def test_a_bag_without_definitions_of_unknown_messages_is_not_called_damaged(tmp_path):
+    name = "own_msgs/msg/EventArray"
+    rows = some_events(20)
+    whole = bag(tmp_path / "a", 2, rows, "struct", name=name)
+    assert len(import_events(whole).events.t) == 20
+    with pytest.raises(
+        NotARecording, match=f"does not hold the definition of its messages, {name}.*ros2 bag convert"
+    ):
+        import_events(without_definitions(whole))
 
 
 def test_the_camera_and_the_date_of_aedat4_stand_in_a_converted_recording_and_nothing_else(tmp_path):
