@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from calib.target import StarTarget
 
 _DURATION_S = 0.051  # A little more than three periods of 60 Hz
-_ATTEMPTS = 5
+_ATTEMPTS = 5  # Each fails while the simulated camera is compiled
 #: The drawn recording: sensor, frequency of the lamp, how often it is switched, and a pixel on the target.
 _WIDTH, _HEIGHT, _HZ, _SWITCHED, _PIXEL_MM = 1280, 720, 60.0, 7, 255.0 / 3345.0
 
@@ -80,7 +80,7 @@ def _record(folder: Path) -> None:
         devices.light.apply(LightSettings())
         devices.light.on()
         path = folder / "warm-up.raw"
-        for _ in range(_ATTEMPTS):  # the driver's deadline passes while the simulated camera is compiled
+        for _ in range(_ATTEMPTS):  # the driver's deadline passes meanwhile
             with suppress(RecordingFailed):
                 camera.record(path, _DURATION_S)
                 break

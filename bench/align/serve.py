@@ -20,8 +20,8 @@ from bench.web.token import PageToken
 from drivers.errors import DriverError
 from sequences.reader import find_document
 
-_STOPPED = 0  # Exit statuses: all devices confirmed that they are safe, or not
-_NOT_CONFIRMED = 1
+_STOPPED = 0  # Exit status: all devices confirmed that they are safe
+_NOT_CONFIRMED = 1  # Exit status: one did not
 
 
 def align_on_page(

@@ -16,7 +16,7 @@ MOVING_REMEDY = (
     "Move the camera obliquely to the edges of the board, by more than two squares around the time of the picture; "
     "for slow motion give a lower frequency to --reconstruct."
 )
-_MOST_PICTURES = 40
+_MOST_PICTURES = 40  # Each takes a search for the board, and neighbours show nearly the same
 _LEAST_APART_S = 0.05  # Three time constants of the filter at its usual 10 Hz: other events make each picture
 
 

@@ -19,7 +19,7 @@ from bench.base.bounded_json import parse_json
 from bench.base.errors import StorageError
 from drivers.durable import FOLDERS_OPEN, O_BINARY, sync_file, sync_folder, write_all
 
-HASH_CHUNK_BYTES = 1 << 20
+HASH_CHUNK_BYTES = 1 << 20  # Memory that a hash takes
 TEMPORARY = ".tmp"
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}

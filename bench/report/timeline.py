@@ -13,7 +13,7 @@ from bench.report.svg_scale import Scale
 
 _WIDTH = 835.0
 """Width of the picture, points."""
-_MOST_TICKS = 8
+_MOST_TICKS = 8  # Their labels do not meet at the width of the plot
 # From a minute to a day, as clocks divide.
 _STEPS_H = (1 / 60, 1 / 30, 1 / 12, 1 / 6, 0.25, 0.5, 1, 2, 3, 6, 12, 24)
 _BEFORE = 0.02

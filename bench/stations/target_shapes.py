@@ -32,7 +32,7 @@ _LETTER_PITCHES = 0.8
 _BAR_PITCHES = 0.25
 _LONGEST_BAR = 0.5
 """Longest scale bar that is chosen, as a share of the shorter side of the pattern."""
-_MOST_POLYGONS = 1_000_000
+_MOST_POLYGONS = 1_000_000  # Bounds the memory and the size of the file
 
 
 def text_rectangles(text: str) -> NDArray[np.float64]:

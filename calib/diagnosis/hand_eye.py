@@ -32,8 +32,8 @@ from calib.model.likelihood_ratio import DECISIVE
 from calib.model.rotation import ARCSEC, log_map
 from calib.one_thread import on_one_thread
 
-_MIN_VIEWS = 3  # Two turns fix the mounting
-_MOVED_DEG = 0.5
+MIN_VIEWS = 3  # Two turns fix the mounting
+MOVED_DEG = 0.5  # A smaller range of an axis says nothing of its direction
 #: A scale with a larger 1-sigma is not determined.
 _UNDETERMINED = 0.25
 #: Minima differ if their scales or mountings differ by this many sigmas.
@@ -66,11 +66,11 @@ def check_hand_eye(
     angles = angles_of(readings_deg)
     if not len(angles) == len(rotations) == len(covariance) // 3:
         raise InputMismatch(f"{len(rotations)} rotations, but {len(angles)} readings.")
-    moved = np.ptp(angles, axis=0) > _MOVED_DEG
-    if len(angles) < _MIN_VIEWS or not moved.any():
+    moved = np.ptp(angles, axis=0) > MOVED_DEG
+    if len(angles) < MIN_VIEWS or not moved.any():
         raise DegenerateViews(
             f"Cannot check the gimbal: {len(angles)} views, {moved.sum()} axes moved; "
-            f"at least {_MIN_VIEWS} views and 1 moved axis are needed."
+            f"at least {MIN_VIEWS} views and 1 moved axis are needed."
         )
     given = tuple(i for i, axis in enumerate(AXES) if any(axis in reading for reading in readings_deg))
     enough = 3 * len(angles) > 6 + moved.sum()

@@ -15,6 +15,7 @@ import numpy as np
 
 from calib.adjustment.parameters import SAME_POSE_DEG, views_of_poses
 from calib.arrays import Array
+from calib.diagnosis.hand_eye import MIN_VIEWS, MOVED_DEG
 from calib.errors import DegenerateViews, TooFewStars
 from calib.model.gimbal import Gimbal, aligned_gimbal
 from calib.model.gimbal_readings import angles_of
@@ -35,8 +36,6 @@ from calib.studies.predicted_views import ExpectedBench, predicted_view, rim_sha
 from calib.uncertainty.projection_uncertainty import ProjectionMap, projection_uncertainty
 from calib.view import View
 
-_MIN_VIEWS = 3  # Both as in `calib.diagnosis.hand_eye`
-_MOVED_DEG = 0.5
 #: Poses are weighed again so many at a time.
 _AT_ONCE = 12
 
@@ -166,7 +165,7 @@ def fit_gimbal(rotations: Array, readings_deg: Sequence[Angles]) -> Gimbal:
     if not len(rotations):
         return Gimbal()
     angles = angles_of(readings_deg)
-    if len(rotations) < _MIN_VIEWS or (np.ptp(angles, axis=0) > _MOVED_DEG).sum() < 2:
+    if len(rotations) < MIN_VIEWS or (np.ptp(angles, axis=0) > MOVED_DEG).sum() < 2:
         back = np.swapaxes(Gimbal().heads(angles), 1, 2)
         return Gimbal(base_from_target=nearest_rotation(np.mean(back @ rotations, axis=0)))
     return aligned_gimbal(rotations, angles)

@@ -31,7 +31,7 @@ from calib.uncertainty.covariance import inverse_information
 from calib.view import View
 
 _MIN_POINTS = 6  # Twice as many coordinates as a pose has unknowns
-_NOISE_ROUNDS = 3
+_NOISE_ROUNDS = 3  # Noise and poses depend on each other: each round begins where the last one ended
 #: Another numbering of a board must agree with the other boards so many times better.
 _DECIDES = 3.0
 #: A pose contradicts the rig if both cameras together fit it so many times worse than each alone.

@@ -50,7 +50,7 @@ from drivers.errors import (
 )
 from drivers.lateness import own_lateness
 
-_POLL_S: Final = 0.001
+_POLL_S: Final = 0.001  # Of the vendor's software, which has no wait with a deadline
 
 _RECONNECT: Final = "Check the camera's cable and power, then resume the run."
 

@@ -20,7 +20,7 @@ from drivers.camera.recording import EventCameraDriver, recording_facts, refuse_
 from drivers.clock import Clock
 from drivers.errors import CameraNotFound, CameraSettingRefused, RecordingFailed, WrongDevice
 
-_PIECE_WORDS: Final = 1024
+_PIECE_WORDS: Final = 1024  # Small, so that a recording ends near its duration
 
 
 class RecordedCamera(EventCameraDriver):

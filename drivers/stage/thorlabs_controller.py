@@ -30,7 +30,7 @@ UNIT: Final = 0x50
 CHANNEL: Final = 1  # Controllers of one axis have this one alone
 HEAD_SIZE: Final = 6  # Bytes of a message without data
 _LONG: Final = 0x80  # Bit of the destination: data follow the head
-_LONGEST_DATA: Final = 255
+_LONGEST_DATA: Final = 255  # Bytes, as the protocol has them
 
 # Ids of messages, as the APT protocol has them.
 STOP_UPDATES: Final = 0x0012

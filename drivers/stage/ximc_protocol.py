@@ -18,8 +18,8 @@ from drivers.errors import DeviceRefused, ReplyGarbled
 SYNCHRONISE = bytes(64)
 """Zeros complete the command that the controller is waiting for; it answers each further zero by a zero."""
 
-RUNNING = 0x80  # MVCMD_RUNNING of the command state, and MVCMD_ERROR
-FAILED = 0x40
+RUNNING = 0x80  # MVCMD_RUNNING of the command state
+FAILED = 0x40  # MVCMD_ERROR
 COMMAND_NAMES = {1: "move", 2: "movr", 3: "left", 4: "rigt", 5: "stop", 6: "home", 7: "loft", 8: "sstp"}
 _COMMAND = 0x3F  # MVCMD_NAME_BITS
 IS_HOMED = 0x20  # STATE_IS_HOMED

@@ -24,8 +24,8 @@ from simulators.world.world import FULL_DRIVE_V, LightState
 _COMMAND: Final = re.compile(r"([A-Z]{2})(.*)")
 _TIME: Final = re.compile(r"([0-9]*\.?[0-9]+)(US|MS|S)?")
 _MS: Final = {"US": 1e-3, "MS": 1.0, "S": 1000.0, "": 1.0, None: 1.0}
-_MAX_MESSAGE: Final = 256
-_CHANNELS: Final = 4
+_MAX_MESSAGE: Final = 256  # Bytes of a line of commands
+_CHANNELS: Final = 4  # Outputs of an RT460
 
 #: Ranges of a pulse's width and delay, and of the internal trigger's period, ms.
 _WIDTH_MS: Final = (0.001, 999.0)
@@ -35,7 +35,7 @@ _PERIOD_MS: Final = (0.1, 10_000.0)
 #: Largest brightness of a pulse, percent of the lamp's rating.
 _MAX_PERCENT: Final = 999.0
 
-CONTINUOUS, SWITCHED, PULSE, SELECTED = 0, 1, 2, 3
+CONTINUOUS, SWITCHED, PULSE, SELECTED = 0, 1, 2, 3  # Modes of an output, as ``STc`` tells them
 
 #: Numbers of the events that a fault of the light causes.
 OVER_TEMPERATURE, OVER_CURRENT = 130, 131

@@ -45,7 +45,7 @@ ClipReason = Literal["", "lower limit", "upper limit", "conflict"]
 #: Output resistance, ohm: the voltage into an open circuit is twice the voltage into 50 ohm.
 SOURCE_OHM: Final = 50.0
 
-_FREQUENCY_HZ: Final = (1e-6, 80e6)
+_FREQUENCY_HZ: Final = (1e-6, 80e6)  # Of the Keysight 33250A, here and below
 _DUTY_PERCENT: Final = (20.0, 80.0)
 
 #: Largest level and smallest amplitude into an open circuit, V.

@@ -18,10 +18,10 @@ from typing import Final
 from simulators.lights.driver import LightDriver
 from simulators.world.world import FULL_DRIVE_V, LightState
 
-_CLOCK_HZ: Final = 16_000_000
+_CLOCK_HZ: Final = 16_000_000  # Of the timer, as are the next two
 _PRESCALERS: Final = (1, 8, 64, 256, 1024)
 _MOST_TICKS: Final = 65_536
-_MAX_LINE: Final = 64
+_MAX_LINE: Final = 64  # Bytes; a line of the protocol has at most 60 characters
 
 BAD_CHECKSUM, UNKNOWN, BAD_VALUE, OUT_OF_RANGE, FAULT_LATCHED = 1, 2, 3, 4, 5
 """Numbers of the errors."""

@@ -58,7 +58,7 @@ ROLL_TO = 1.2
 """Distance from the disc's centre, in radii, beyond which the rim's displacement grows only in proportion to it."""
 
 CIRCLE: Final = np.zeros(0)
-EDGE_TERMS: Final = 8
+EDGE_TERMS: Final = 8  # Cosine and sine of 2 to 5 periods around the disc
 
 PERFECT_PRINT: Final = ReticleTruth()
 

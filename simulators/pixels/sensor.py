@@ -49,7 +49,7 @@ PEAK_EVENTS_US: Final = 1066.0
 ROW_US: Final = 0.1
 LINK_WORDS_US: Final = 100.0 - 1.0 / 16.0 - 8.0 / 200.0
 """1.6 Gbit/s of 16-bit words, without those that carry time and counters; words per us."""
-FIFO_WORDS: Final = 65536.0
+FIFO_WORDS: Final = 65536.0  # That can wait for the link; the maker does not state how many
 
 
 def make_pixels(

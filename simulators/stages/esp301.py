@@ -32,7 +32,7 @@ _MAX_LINE: Final = 256
 _BOOT_S: Final = 1.0
 _FOLLOWS_ANOTHER: Final = 4
 """Profile from which on an axis follows another one."""
-_HOME_SPEED_DEG_S: Final = 20.0
+_HOME_SPEED_DEG_S: Final = 20.0  # Of a homing; below, the largest of a move: those of a small rotary stage
 _MOST_SPEED_DEG_S, _MOST_ACCELERATION_DEG_S2 = 80.0, 320.0
 
 _ERROR_TEXTS: Final = {

@@ -34,7 +34,7 @@ _CAM_DEG: Final = 1.5
 """Width of the cam at the switch: a search forward finds its other edge."""
 _PATIENCE: Final = 50  # Updates that are sent without a sign of life
 _SERVO_PERIOD_S: Final = 2048.0 / 6.0e6  # 2048 ticks of a clock of 6 MHz
-_LONGEST: Final = 255
+_LONGEST: Final = 255  # Bytes of a message's data
 
 #: Settings that are kept as they come: length of their data by the id that sets them. The next ids ask and answer.
 _KEPT: Final = {0x0413: 14, 0x0416: 22, 0x0423: 16, 0x043A: 6, 0x0440: 14, 0x0445: 6, 0x0450: 6}

@@ -21,8 +21,8 @@ from simulators.world.truth import REFERENCE_C, MountTruth, ThermalTruth, Truth
 
 _Axis = TypeVar("_Axis", bound=str)
 
-STEP_C: Final = 0.01
-STEP_ARCSEC: Final = 0.05
+STEP_C: Final = 0.01  # In which a sensor reports its temperature
+STEP_ARCSEC: Final = 0.05  # Less than a thousandth of a pixel
 
 
 def temperature_c(thermal: ThermalTruth, on_s: float) -> float:

@@ -31,7 +31,7 @@ from simulators.world.truth import (
 
 _Kind = TypeVar("_Kind")
 
-_LARGEST_SIDE: Final = 8192
+_LARGEST_SIDE: Final = 8192  # Both bound the memory of a simulated sensor
 _MOST_PIXELS: Final = 1 << 24
 
 

@@ -63,7 +63,7 @@ PIECE_EVENTS: Final = 500_000
 _CD: Final = "CD/events"
 _OF_US: Final = ("header", "t_offset", "ms_to_idx")
 """Members of files of Starbench and DSEC, whose times are in us."""
-_MOST_GROUPS: Final = 1000
+_MOST_GROUPS: Final = 1000  # Files of events have a few; a hostile one has no end of them
 _MOST_PX: Final = 1 << 16  # No sensor has more; a wrong number would ask for the memory
 _MOST_MEMBERS: Final = 10_000  # Event files have some tens
 _ELSEWHERE: Final = "a link to another place; only data in the file itself are read"
