@@ -119,18 +119,8 @@ class LiveMeter:
         try:
             image = read_image(part.path, setting, compare=self._compares(part))
         except (CalibrationError, RecordingFileError) as error:
-            figures = LiveFigures(
-                time_s=part.time_s,
-                width_px=self._size[0],
-                height_px=self._size[1],
-                temperature_c=_temperature_c(part),
-                advice=(
-                    *first_advice(setting),
-                    f"The slice cannot be read: {error.what} {error.remedy}".strip(),
-                ),
-                took_ms=watch.lap("image"),
-            )
-            return _jpeg(np.zeros(self._size[::-1], np.uint8)), figures
+            why = f"The slice cannot be read: {error.what} {error.remedy}".strip()
+            return self._dark(part, (*first_advice(setting), why), watch)
         self._size = image.values.shape[1], image.values.shape[0]
         event_hz = self._by_events(part, image)
         shown = _jpeg(show(image.values))
@@ -164,6 +154,18 @@ class LiveMeter:
             ring=advice.ring,
             took_ms=watch.lap("advice"),
         )
+
+    def _dark(self, part: LiveSlice, advice: tuple[str, ...], watch: StopWatch) -> tuple[bytes, LiveFigures]:
+        """Return the dark image of a slice that shows nothing, with figures that say why."""
+        figures = LiveFigures(
+            time_s=part.time_s,
+            width_px=self._size[0],
+            height_px=self._size[1],
+            temperature_c=_temperature_c(part),
+            advice=advice,
+            took_ms=watch.lap("image"),
+        )
+        return _jpeg(np.zeros(self._size[::-1], np.uint8)), figures
 
     def close(self) -> None:
         """Do nothing: unlike `bench.align.meter.MeterProcess`, there is no process to end."""

@@ -179,29 +179,25 @@ def _order_faults(
         if isinstance(step, RecordStep):
             chosen = (("number", float(step.pose.index)),) if step.pose.chosen_in_run else ()
             directions.add((*step.pose.angles_deg.items(), *chosen))
-        elif isinstance(step, ChooseStep):
-            if len(directions) < FEWEST_POSES and station.expected is None:
-                yield document.fault(
-                    step.path,
-                    f"no pose can be chosen here: record at least {FEWEST_POSES} poses before (start:), or add an "
-                    "expected section to the station.",
-                )
-        elif isinstance(step, SolveStep):
-            solved = True
-            if not directions:
-                yield document.fault(step.path, "no pose is recorded before this solve.")
-            elif len(directions) < FEWEST_POSES and step.number not in with_passport:
-                yield document.fault(
-                    step.path,
-                    f"only one direction is recorded. Record at least {FEWEST_POSES} directions, or use a passport "
-                    "that holds the collimator's centre. A certificate of its focal length is not enough.",
-                )
-        elif isinstance(step, ReportStep):
-            reported = True
-            if not solved:
-                yield document.fault(
-                    step.path, "no solve precedes this report, so there is no result to report."
-                )
+        is_enough = len(directions) >= FEWEST_POSES
+        if isinstance(step, ChooseStep) and not is_enough and station.expected is None:
+            yield document.fault(
+                step.path,
+                f"no pose can be chosen here: record at least {FEWEST_POSES} poses before (start:), or add an "
+                "expected section to the station.",
+            )
+        if isinstance(step, SolveStep) and not directions:
+            yield document.fault(step.path, "no pose is recorded before this solve.")
+        elif isinstance(step, SolveStep) and not is_enough and step.number not in with_passport:
+            yield document.fault(
+                step.path,
+                f"only one direction is recorded. Record at least {FEWEST_POSES} directions, or use a passport "
+                "that holds the collimator's centre. A certificate of its focal length is not enough.",
+            )
+        if isinstance(step, ReportStep) and not solved:
+            yield document.fault(step.path, "no solve precedes this report, so there is no result to report.")
+        solved = solved or isinstance(step, SolveStep)
+        reported = reported or isinstance(step, ReportStep)
 
 
 def _solve_faults(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[Fault]:
