@@ -17,16 +17,9 @@ import numpy as np
 from bench.base.errors import UsageError
 from bench.plan.camera_layouts import cameras_of, chosen
 from bench.plan.camera_text import OtherForm, values_of
-from bench.plan.camera_values import (
-    OF_OTHER_FORM,
-    Array,
-    LensFamily,
-    Values,
-    camera_of_values,
-    numbers_of,
-    size_of_values,
-)
+from bench.plan.camera_values import Array, LensFamily, camera_of_values
 from bench.plan.possible_camera import LARGEST, is_far_from_middle, require_possible_camera
+from bench.plan.stated_values import OF_OTHER_FORM, Values, numbers_of, size_of_values
 from bench.record.results import CameraData
 from bench.record.storage import read_bounded
 from bench.record.stored_calibration import camera_covariance, camera_of

@@ -18,11 +18,10 @@ from bench.plan.camera_values import (
     CALIBRATE_ANEW,
     LENS,
     LONGEST_NAME,
-    Values,
-    numbers_of,
     plain_name,
     states_a_matrix,
 )
+from bench.plan.stated_values import Values, numbers_of
 
 _MOST_NAMED = 10
 """Names that a message shows."""

@@ -81,8 +81,9 @@ _OTHER_TEXTS = {
         "it names the files of its cameras",
         "Give one of those, such as cam-intri-pinhole-brown.yaml, or the result (CalibParam).",
     ),
-    "Intrinsic of ": ("it is what rs-enumerate-devices prints of a RealSense", WRITE_OPENCV),
+    'Intrinsic of "': ("it is what rs-enumerate-devices prints of a RealSense", WRITE_OPENCV),
     "# hugin project file": ("it is a project of Hugin", WRITE_OPENCV),
+    "<fov_video ": ("it is a calibration of Qualisys, which counts in 1/64 px", WRITE_OPENCV),
     "#polynomial coefficients": ("it is a fisheye of OCamCalib (Scaramuzza)", WRITE_OPENCV),
 }
 """Words that only the texts of a program have, what they are, and what to do."""
@@ -125,12 +126,12 @@ def values_of(data: bytes) -> tuple[str, list[dict[str, Any]]]:
     text = _text(data)
     if not text:
         raise OtherForm("it is empty")
-    for is_syntax, syntax, read in _SYNTAXES:
-        if is_syntax(text):
-            return syntax, [read(text)]
     for words, (what, remedy) in _OTHER_TEXTS.items():
         if words in text:
             raise OtherForm(what, remedy)
+    for is_syntax, syntax, read in _SYNTAXES:
+        if is_syntax(text):
+            return syntax, [read(text)]
     if _ONLY_NUMBERS.fullmatch(text):
         raise OtherForm(
             "it holds numbers without names, as calib.txt of the RPG data sets does: fx fy cx cy k1 k2 p1 p2 k3",

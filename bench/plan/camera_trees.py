@@ -9,7 +9,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from bench.plan.camera_text import OtherForm
-from bench.plan.camera_values import CALIBRATE_ANEW, LONGEST_NAME, Values, numbers_of, plain_name
+from bench.plan.camera_values import CALIBRATE_ANEW, LONGEST_NAME, plain_name
+from bench.plan.stated_values import Values, numbers_of
 from calib.model.lens import OPENCV
 
 _FIRST_OF_A_NAME: Final = 1 << 31

@@ -1,12 +1,12 @@
 """One camera from the values of a calibration file, which have names without case and punctuation.
 
-A thing that a file states twice must be the same twice; coefficients have names, or the order of their lens model.
+Coefficients have names, or the order of their lens model.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final, Literal
 
@@ -14,30 +14,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from bench.plan.camera_text import OtherForm, numbers
-from bench.plan.possible_camera import LARGEST, require_possible_camera
+from bench.plan.possible_camera import require_possible_camera
+from bench.plan.stated_values import OF_OTHER_FORM, Values, agreed, listed, numbers_of, size_of_values
 from calib.model.camera import PINHOLE, SKEW, CameraModel
 from calib.model.lens import FISHEYE, OPENCV, OPENCV_LENGTHS
 
 Array = NDArray[np.float64]
 LensFamily = Literal["brown", "fisheye"]
-Values = Mapping[str, Any]
 
-OF_OTHER_FORM = (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError)
-"""What reading a file of another form raises."""
 LONGEST_NAME: Final = 40
 """Characters of a name that a message shows."""
-_SAME = 1e-6
-"""Two statements of one number may differ by so much: digits that a program left out."""
 _ALIKE_PX = 0.01
 """Two readings of a file are one if they project less apart than this: a tenth of what the best calibration states."""
 _LEAST_SKEW_PX = 1e-9  # Less is rounding
+_MOST_SKEW = 0.05  # Share of the focal length
 _LEAST_NAMED = 5
 """Coefficients of OpenCV that are kept by name although they are zero."""
 _OF_MATRIX = 9  # 3 x 3
 _WITH_A_COLUMN = (12, 16)
 """Numbers of a matrix that has a fourth column, and row, of zeros."""
-_TIMES = re.compile("[xX*]")
-"""Between width and height: 1280x720."""
 #: Names without case and punctuation, as programs write them.
 _MATRIX = (
     "cameramatrix", "k", "mtx", "cameramat", "intrinsicmatrix", "intrinsics", "intrinsic", "m", "camk", "cammatrix",
@@ -49,17 +44,6 @@ LENS = re.compile(
 """Names of the coefficients of a lens."""
 _LIKE_A_LENS = re.compile(".*(dist(?!an)|coef|radial|tangential|lens)")
 """Names that may be those of coefficients."""
-_SIZES = (
-    "imagesize", "imgsize", "resolution", "imagersize", "imageresolution", "cameraresolution", "imagedimension",
-)  # fmt: skip
-_SIZES_OF_ANYTHING = ("size", "dimensions")
-_SIDES_OF_ANYTHING = ("cols", "rows")
-"""Names that may be those of a board or a matrix too: asked if there is no other."""
-_SIDES = [
-    (f"{of}{width}", f"{of}{height}")
-    for of in ("image", "", "img", "imagesize", "resolution", "imgdist")
-    for width, height in (("width", "height"), ("w", "h"))
-] + [("resx", "resy"), ("resw", "resh")]
 _MODEL = re.compile(
     "(distortion|dist|lens|camera|cam|projection|calibration|usefisheye|fisheye)?model(type)?"
     "|(distortion|dist|lens|camera|projection)type|(use|is)?fisheye"
@@ -211,32 +195,7 @@ def _holds_numbers(value: Any) -> bool:
 
 def states_a_matrix(values: Values) -> bool:
     """Return whether values name a camera matrix."""
-    return bool(_listed(values, _MATRIX))
-
-
-def _listed(values: Values, names: Iterable[str]) -> dict[str, Any]:
-    """Return the values of such names that are a list or a matrix, in the order of the names."""
-    stated = {name: values[name] for name in names if name in values}
-    return {
-        name: value
-        for name, value in stated.items()
-        if isinstance(value, str | tuple)
-        or (isinstance(value, list) and not any(isinstance(part, Mapping) for part in value))
-        or (isinstance(value, Mapping) and "data" in value)
-    }
-
-
-def _agreed(what: str, by_place: Mapping[str, Sequence[float]]) -> Sequence[float]:
-    """Return the first of some statements of one thing. Raises OtherForm if another one has other numbers."""
-    first, *others = by_place
-    for other in others:
-        same = len(by_place[first]) == len(by_place[other])
-        if not same or not np.allclose(by_place[first], by_place[other], rtol=_SAME, atol=_SAME):
-            raise OtherForm(
-                f"it states {what} twice, and {first!r} and {other!r} have different numbers",
-                "Keep the right one in a copy of the file.",
-            )
-    return by_place[first]
+    return bool(listed(values, _MATRIX))
 
 
 def _distortion(values: Values, of_intrinsics: list[float], *, is_fisheye: bool) -> Sequence[float] | None:
@@ -246,7 +205,7 @@ def _distortion(values: Values, of_intrinsics: list[float], *, is_fisheye: bool)
     """
     by_place = {
         name: numbers_of("the distortion", value)
-        for name, value in _listed(values, filter(LENS.fullmatch, values)).items()
+        for name, value in listed(values, filter(LENS.fullmatch, values)).items()
     }
     if of_intrinsics:
         by_place["intrinsics"] = of_intrinsics
@@ -255,7 +214,7 @@ def _distortion(values: Values, of_intrinsics: list[float], *, is_fisheye: bool)
     if not by_place:
         return None
     longest = max(map(len, by_place.values()))
-    _agreed(
+    agreed(
         "the distortion",
         {
             name: [*coefficients, *[0.0] * (longest - len(coefficients))]
@@ -287,9 +246,9 @@ def _named(values: Values, *, is_fisheye: bool) -> list[float]:
             "If k4 is OpenCV's, add k5: 0 and k6: 0.",
         )
     last = max(names.index(name) for name in named if name in names)
-    listed = [coefficients.get(name, [0.0])[0] for name in names[: last + 1]]
+    in_order = [coefficients.get(name, [0.0])[0] for name in names[: last + 1]]
     lengths = (len(FISHEYE),) if is_fisheye else OPENCV_LENGTHS
-    return listed + [0.0] * (next(length for length in lengths if length >= len(listed)) - len(listed))
+    return in_order + [0.0] * (next(length for length in lengths if length >= len(in_order)) - len(in_order))
 
 
 def _single(values: Values) -> dict[str, int | float | str]:
@@ -411,9 +370,8 @@ def _require_alike(
 
 def _matrix(values: Values) -> tuple[Array, list[float]]:
     """Return the camera matrix, and the numbers beside it where a program writes both in one list."""
-    stated = {
-        name: numbers_of("the camera matrix", value) for name, value in _listed(values, _MATRIX).items()
-    }
+    stated = {name: numbers_of("the camera matrix", value) for name, value in listed(values, _MATRIX).items()}
+    stated = {name: elements for name, elements in stated.items() if not _is_pose(elements)}
     if not stated:
         raise OtherForm("it has no camera matrix")
     elements, *others = map(_square, stated.values())
@@ -425,13 +383,20 @@ def _matrix(values: Values) -> tuple[Array, list[float]]:
         len(elements) != _OF_MATRIX or "lensmodel" in values or five_beside
     ):
         elements, after_four = _of_pinhole(elements[:4]), elements[4:]
+    if len(after_four) == 1:  # fx, fy, cx, cy and the skew; GTSAM has fx, fy, the skew, cx, cy
+        elements[1], after_four = after_four[0], []
+        if abs(elements[1]) > _MOST_SKEW * elements[0]:
+            raise OtherForm(
+                "five numbers in place of a camera matrix are fx, fy, cx, cy and the skew, but the last one is no skew",
+                "Write fx, fy, cx and cy.",
+            )
     if len(elements) != _OF_MATRIX:
         raise OtherForm(f"the camera matrix has {len(elements)} numbers; 9 are needed, or fx, fy, cx, cy")
-    alike = [_of_pinhole(listed) if len(listed) == len(PINHOLE) else listed for listed in others]
+    alike = [_of_pinhole(other) if len(other) == len(PINHOLE) else other for other in others]
     matrices = zip(
         stated, [elements, *alike], strict=True
     )  # others, such as of extrinsics, have another last row
-    _agreed("the camera matrix", {name: listed for name, listed in matrices if listed[6:] == elements[6:]})
+    agreed("the camera matrix", {name: other for name, other in matrices if other[6:] == elements[6:]})
     matrix = np.array(elements).reshape(3, 3)
     if not matrix[:2].any():
         raise OtherForm(
@@ -445,6 +410,15 @@ def _matrix(values: Values) -> tuple[Array, list[float]]:
     return matrix, after_four
 
 
+def _is_pose(elements: list[float]) -> bool:
+    """Return whether a matrix turns and shifts, as OpenPose's CameraMatrix does beside its Intrinsics."""
+    if len(elements) not in {_OF_MATRIX, *_WITH_A_COLUMN}:
+        return False
+    columns = 3 if len(elements) == _OF_MATRIX else 4
+    turn = np.array(elements[: 3 * columns]).reshape(3, columns)[:, :3]
+    return np.allclose(turn @ turn.T, np.eye(3), atol=1e-3)
+
+
 def _square(elements: list[float]) -> list[float]:
     """Return the first three columns and rows of a matrix whose fourth ones are zero; other numbers unchanged."""
     if len(elements) not in _WITH_A_COLUMN or any(elements[3:12:4]) or elements[8:11] != [0.0, 0.0, 1.0]:
@@ -455,42 +429,3 @@ def _square(elements: list[float]) -> list[float]:
 def _of_pinhole(elements: Sequence[float]) -> list[float]:
     fx, fy, cx, cy = elements
     return [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
-
-
-def size_of_values(values: Values) -> tuple[int, int]:
-    """Return width and height of the image, px."""
-    stated = _listed(values, _SIZES)
-    stated |= {
-        " and ".join(names): [values[name] for name in names] for names in _SIDES if set(names) <= set(values)
-    }
-    stated |= {
-        name: [values[name]["width"], values[name]["height"]]
-        for name in _SIZES
-        if isinstance(values.get(name), Mapping) and {"width", "height"} <= set(values[name])
-    }
-    stated = stated or _listed(values, _SIZES_OF_ANYTHING)
-    if not stated and set(_SIDES_OF_ANYTHING) <= set(values):
-        stated = {"cols and rows": [values[name] for name in _SIDES_OF_ANYTHING]}
-    if not stated:
-        raise OtherForm("it does not state the size of the image", "Add image_width and image_height, px.")
-    words = {
-        name: _TIMES.sub(" ", value) if isinstance(value, str) else value for name, value in stated.items()
-    }
-    sizes = {name: numbers_of("the size of the image", value) for name, value in words.items()}
-    sides = _agreed("the size of the image", sizes)
-    if len(sides) != 2 or any(side != int(side) for side in sides):
-        raise OtherForm("the size of the image is not a width and a height")
-    return int(sides[0]), int(sides[1])
-
-
-def numbers_of(what: str, value: Any) -> list[float]:
-    """Return the numbers of ``what``, row after row. Raises OtherForm if there are others than finite numbers."""
-    try:
-        values = numbers(value)
-    except OF_OTHER_FORM:
-        raise OtherForm(
-            f"{what} is no list of numbers", "Write plain numbers, neither text nor base64."
-        ) from None
-    if not (np.abs(values) < LARGEST).all():
-        raise OtherForm(f"{what} has a value that is not finite")
-    return values

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from bench.base.errors import UsageError
 from bench.plan.camera_files import CameraFile, form_text
 from bench.plan.camera_text import OtherForm, values_of
-from bench.plan.camera_values import OF_OTHER_FORM
+from bench.plan.stated_values import OF_OTHER_FORM
 from bench.record.storage import read_bounded
 from bench.solve.exports import (
     NOT_WRITTEN,

@@ -408,6 +408,11 @@ DOUBTFUL = {
     # Android, CaptureResult.LENS_DISTORTION: three radial coefficients, then two tangential ones
     "Android's distortion": ({"intrinsics": FOCAL_AND_CENTRE, "lens_distortion": D5, "image_size": SIZE}, "lens_distortion has no one order"),
     "rs-enumerate-devices": (' Intrinsic of "Color" / 640x480 / {YUYV}\n  Width: \t640\n  PPX: \t320\n', "RealSense"),
+    "a note with the words of rs-enumerate-devices": (YAML + "# Intrinsic of the left camera\nD: [0, 0, 0, 0]\n", "no camera matrix"),
+    "Qualisys": (
+        '<calibration><cameras><camera><fov_video left="0"/><intrinsic focalLengthU="107599.67"/></camera></cameras></calibration>',
+        "Qualisys, which counts in 1/64 px",
+    ),
     "calib.txt of RPG": (" ".join(map(str, [*FOCAL_AND_CENTRE, *D5])) + "\n", "numbers without names"),
     "Kalibr's report": ("Calibration results\n===\nCamera-system parameters:\n\tcam0 (/cam0):\n", "results-cam.txt"),
     "ZED's two cameras": ("[LEFT_CAM_HD]\nfx=700.5\n\n[RIGHT_CAM_HD]\nfx=701\n", "no camera matrix"),

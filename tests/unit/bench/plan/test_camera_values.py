@@ -75,6 +75,34 @@ def test_what_is_stated_twice_and_is_the_same_is_read():
     assert found.distortion == NAMED
 
 
+@pytest.mark.parametrize(
+    "pose",
+    [
+        [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]],
+        [[0.0, -1.0, 0.0, 1.5], [1.0, 0.0, 0.0, 0.2], [0.0, 0.0, 1.0, -3.0]],
+        [[0.6, 0.0, 0.8, 1.5], [0.0, 1.0, 0.0, 0.2], [-0.8, 0.0, 0.6, -3.0]],
+    ],
+)
+def test_a_pose_under_the_name_of_a_camera_matrix_is_none(pose):
+    """OpenPose, models/cameraParameters: ``CameraMatrix`` is the pose, in m, beside ``Intrinsics``."""
+    found = camera(CameraMatrix=pose, Intrinsics=K, Distortion=[*D, 0.0, 0.0, 0.0], **SIZE)
+    assert (found.fx, found.fy, found.cx, found.cy) == (900.0, 905.0, 640.0, 360.0)
+    assert "no camera matrix" in refusal(CameraMatrix=pose, Distortion=D, **SIZE)
+
+
+@pytest.mark.parametrize("skew", [0.0, 0.7])
+def test_a_fifth_number_after_focal_lengths_and_centre_is_the_skew(skew):
+    """IC-GVINS, config/gvins.yaml: ``intrinsic`` is [fx, fy, cx, cy(, skew)]."""
+    found = camera(intrinsic=[900.0, 905.0, 640.0, 360.0, skew], distortion=D, resolution=[1280, 720])
+    assert (found.fx, found.fy, found.cx, found.cy) == (900.0, 905.0, 640.0, 360.0)
+    assert found.distortion == NAMED | ({"skew": skew} if skew else {})
+
+
+def test_a_fifth_number_that_is_no_skew_is_refused():
+    """GTSAM, Cal3_S2: fx, fy, skew, u0, v0."""
+    assert "last one is no skew" in refusal(K=[900.0, 905.0, 0.0, 640.0, 360.0], distortion=D, **SIZE)
+
+
 def test_the_name_of_a_lens_model_is_found_by_any_usual_key():
     assert "'fov' is not read" in refusal(K=K, dist=D[:4], DistModel="fov", **SIZE)
     assert "kb1" in camera(K=K, dist=D[:4], DistModel="equidistant", **SIZE).distortion
