@@ -163,11 +163,13 @@ class RunDetails(JournalDetails, ResultFacts):
     """What the table of runs has beyond the row of the index; None if not known."""
 
 
-def journal_details(history: History, entries: Sequence[Entry]) -> JournalDetails:
-    """Return the details of a run that its journal states."""
+def journal_details(
+    history: History, entries: Sequence[Entry], parameters: Mapping[str, Estimate]
+) -> JournalDetails:
+    """Return the details of a run that its journal states; ``parameters`` are those of its `run_facts`."""
     camera, light = history.devices.get("camera", {}), history.devices.get("light", {})
     stages = [identity for identity in history.devices.get("stage", ()) if isinstance(identity, Mapping)]
-    hashes, parameters = history.started.get("sha256", {}), estimates(history.solved)
+    hashes = history.started.get("sha256", {})
     return {
         "ended_utc": entries[-1].utc if history.ended and entries else None,
         "camera_type": _type_of(camera),
