@@ -38,9 +38,11 @@ from calib.joint.wrong_views import find_shifted_ids
 from calib.progress import expect
 from calib.view import View
 
-#: A certificate is another collimator's if its radius differs by this share, and by so many sigma, from what the views
-#: alone show, even if all errors are larger than expected by 1-sigma: near the optimum, and at it.
-_OTHER_RADIUS, _CLEARLY = 0.1, 6.0
+#: A certificate may be refused if its radius differs by this share from what the views alone show: below that, doubts
+#: of it tell more.
+_OTHER_RADIUS = 0.1
+#: An end is clearly more probable from this on, in sigmas.
+_CLEARLY = 6.0
 #: From this difference on, the state is looked at to which a fault of a statement leads: camera, lens and fields would
 #: take up even so much.
 _OTHER_STATE = 0.02
@@ -57,8 +59,6 @@ _FOCAL_SHARES = (0.5, 1.0, 2.0, 4.0, 8.0)
 _AS_NEIGHBOURS, _AS_STATED = 1.15, 3.0
 #: Starts are compared by so many stars a view, or more.
 _COMPARISON_STARS = 50
-#: Limit of the stars' weights, in sigmas, so that none counts as an outlier.
-_WIDE = 1e3
 
 
 class _DeniedError(Exception):
@@ -295,14 +295,9 @@ def _approached(problem: Problem, start: State, task: Task) -> State:
 
 
 def _is_far(free: Problem, near: State, stated_mm: float) -> bool:
-    """Tell whether a radius is not that of a state, even if errors are larger than expected."""
-    at = free.bench.layout.index["r"]
-    off_mm = abs(stated_mm - float(near.shared[at]))
-    if off_mm <= _OTHER_RADIUS * float(near.shared[at]):
-        return False
-    large = free.hyper.mean + np.sqrt(np.diag(free.hyper.covariance))
-    solution = solved(Marginal(free, free.bench.linearised(near, _WIDE), near), large)
-    return off_mm > _CLEARLY * float(np.sqrt(solution.covariance[at, at]))
+    """Tell whether a radius may be another collimator's than that of a state."""
+    seen_mm = float(near.shared[free.bench.layout.index["r"]])
+    return abs(stated_mm - seen_mm) > _OTHER_RADIUS * seen_mm
 
 
 def _is_denied(problem: Problem, start: State, alone: Optimum, rounds: int) -> bool:
@@ -316,8 +311,9 @@ def _is_denied(problem: Problem, start: State, alone: Optimum, rounds: int) -> b
 
 
 def _is_less_probable(held: Optimum, alone: Optimum) -> bool:
-    """Tell whether the certificate is more probably another collimator's: views without it, and odds beforehand."""
-    return held.solution.value - alone.solution.value > -2.0 * math.log(ANOTHER_THING.odds)
+    """Tell whether the certificate is more probably another collimator's: all octaves of a radius are as probable."""
+    radius_mm = float(alone.state.shared[alone.marginal.problem.bench.layout.index["r"]])
+    return held.solution.value - alone.solution.value > 2.0 * math.log(radius_mm / ANOTHER_THING.odds)
 
 
 def _of_another_collimator(alone: Optimum, task: Task) -> InputMismatch:

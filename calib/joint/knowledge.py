@@ -74,7 +74,9 @@ _ASPECT_SIGMA, _FREE_ASPECT = 3e-4, 0.1
 _DRIFT_SIGMA, _FREE_DRIFT = 3e-5, 5e-3
 #: The principal point lies in the middle of the sensor to this share of its diagonal.
 MIDDLE_SHARE = 0.1
-#: If nobody had stated it, or stated it wrongly: a certificate's radius, the scale of an axis, that of a print, its
+#: A certificate may be another collimator's, whose radius is within a factor of 1.5 (1-sigma).
+_ANY_RADIUS = 0.4
+#: If nobody had stated it, or stated it wrongly: the radius since a passport, the scale of an axis or a print, its
 #: thermal expansion, the parallax over the one that is expected without a bound.
 _FREE_RADIUS, FREE_SCALE, _FREE_PARALLAX = 0.02, 0.005, 0.005
 _FREE_RADIAL = {"radial": 0.05, "radial_4": 0.05 * RADIAL_RATIO}
@@ -267,7 +269,7 @@ def _certificate(layout: Layout, options: CalibrationOptions, passport: Passport
     # Who states where the pupil is before the focal plane means the focal length.
     is_focal = passport.length == CertifiedLength.FOCAL or bool(focus.pupil_to_focus_mm)
     stated = focal if is_focal and passport.length != CertifiedLength.SEEN else (r_mm, sigma)
-    certificate = source.says(CERTIFICATE, {"r": 1.0, **terms}, stated, _FREE_RADIUS * r_mm, "mm")
+    certificate = source.says(CERTIFICATE, {"r": 1.0, **terms}, stated, _ANY_RADIUS * r_mm, "mm")
     unsaid = passport.length == CertifiedLength.UNSAID and not is_focal
     return replace(certificate, focal=np.array([[focal[1] ** 2]])) if unsaid else certificate
 

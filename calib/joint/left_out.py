@@ -107,7 +107,7 @@ def maps_with_gimbal(bench: Bench, maps: Array) -> Array:
 
 def rotation_errors(posterior: Posterior) -> RotationErrors:
     """Return how the rotations of all m views follow the shared unknowns, and what each adds."""
-    marginal, optimum = posterior.optimum.marginal, posterior.optimum
+    marginal, optimum = posterior.optimum.marginal, posterior.reported
     stated, random = marginal.problem.stated(), marginal.problem.random
     prior, pull = stated.information.copy(), stated.off(posterior.mean)[0].copy()
     prior[np.ix_(random.places, random.places)] += optimum.solution.inside

@@ -91,6 +91,11 @@ class Posterior:
         return self.modes.optimum
 
     @property
+    def reported(self) -> Optimum:
+        """The optimum at the largest mode: a statement that it doubts pulls neither residuals nor rotations."""
+        return replace(self.optimum, solution=self.largest.solution)
+
+    @property
     def share(self) -> float:
         """Probability of the first explanation."""
         return 1.0 - sum(other.share for other in self.others)

@@ -76,7 +76,7 @@ def calibrate_jointly(
 
 def _parameters(posterior: Posterior) -> AdjustmentParameters:
     """Return the posterior's mean. Rotations and gimbal are those that belong to it."""
-    optimum, bench = posterior.optimum, posterior.optimum.marginal.problem.bench
+    optimum, bench = posterior.reported, posterior.optimum.marginal.problem.bench
     named = dict(zip(bench.layout.names, posterior.mean.tolist(), strict=True))
     radial = {name: named[name] for name in RADIAL}
     centre = Collimator(named["x"], named["y"], named["r"], radial, bench.layout.basis.reference)
@@ -102,7 +102,7 @@ def _calibration(
 ) -> Calibration:
     bench = posterior.optimum.marginal.problem.bench
     stated = summarised(posterior)
-    star = float(np.sqrt(posterior.optimum.solution.star_variance))
+    star = float(np.sqrt(posterior.reported.solution.star_variance))
     residuals, weights = _residuals(posterior, views, used, star)
     lengths = [np.linalg.norm(e[own], axis=1) for e, own in zip(residuals, used, strict=True)]
     rms_px, mean_px = rms_and_mean(np.concatenate(lengths))
@@ -121,16 +121,16 @@ def _calibration(
         rms_px=rms_px,
         mean_px=mean_px,
         variance_factor=star**2,
-        degrees_of_freedom=max(round(posterior.optimum.solution.freedom), 1),
+        degrees_of_freedom=max(round(posterior.reported.solution.freedom), 1),
         views=tuple(
             ViewSummary(view.name, len(own), *rms_and_mean(own))
             for view, own in zip(views, lengths, strict=True)
         ),
         converged=posterior.optimum.converged,
         iterations=posterior.optimum.iterations,
-        birge_ratio=posterior.optimum.disagreement,
+        birge_ratio=posterior.reported.disagreement,
         coverage_factor=stated.coverage_factors["fx"],
-        left_out_rms_px=left_out_rms(posterior.optimum),
+        left_out_rms_px=left_out_rms(posterior.reported),
         rotation_covariance=errors.joint_covariance,
         rotation_errors=errors,
         budget=stated.budget,
@@ -152,7 +152,7 @@ def _residuals(
     star: float,
 ) -> tuple[list[Array], list[Array]]:
     """Return the residuals of all stars at the mode, and their weights; 0 for stars that were not used."""
-    optimum, bench = posterior.optimum, posterior.optimum.marginal.problem.bench
+    optimum, bench = posterior.reported, posterior.optimum.marginal.problem.bench
     discs = bench.discs or [None] * len(views)
     stars = tuple(ViewStars.of(view, bench.layout, disc) for view, disc in zip(views, discs, strict=True))
     whole = replace(bench, stars=stars, readings=None)
@@ -228,7 +228,7 @@ def _glass(posterior: Posterior, views: Sequence[View]) -> Passport:
         posterior.mean[at],
         posterior.covariance[np.ix_(at, at)],
         layout.basis.reference,
-        posterior.optimum.disagreement,
+        posterior.reported.disagreement,
         tuple(view.name for view in views),
         {FIELD_RADIUS: layout.basis.radius_mm},
     )

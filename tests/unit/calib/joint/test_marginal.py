@@ -288,11 +288,20 @@ def test_the_certificate_of_another_collimator_is_refused(views, times, known):
         calibrate(views, replace(known, passport=other))
 
 
-def test_a_certificate_that_the_fields_could_take_up_is_refused():
-    """An eighth too short: the focal length was wrong by as much, with U of 5 px and no note."""
-    views = drawn_benches.draw_bench("like-bench", drawn_benches.NINE, 2).views
-    with pytest.raises(InputMismatch, match=r"the views alone show about 25\d mm"):
-        calibrate(views, CalibrationOptions(passport=Passport.of_radius(224.4, 0.05, length="seen")))
+@pytest.mark.parametrize("certified_mm", [224.4, 275.0])
+def test_a_certificate_that_the_fields_could_take_up_is_doubted_and_pulls_nothing(certified_mm):
+    """An eighth too short: fx was wrong by as much, with U of 5 px and no note. 8 % too long: U was 249 px."""
+    bench = drawn_benches.draw_bench("like-bench", drawn_benches.NINE, 2)
+    result = calibrate(
+        bench.views, CalibrationOptions(passport=Passport.of_radius(certified_mm, 0.05, length="seen"))
+    )
+    certificate = next(witness for witness in result.witnesses if witness.name == CERTIFICATE)
+    assert certificate.fault_probability > 0.9
+    assert any("certified one" in note for note in result.notes)
+    assert abs(result.camera.fx - bench.truth.camera.fx) < result.U["fx"] < 20.0
+    alone = calibrate(bench.views, CalibrationOptions())
+    assert result.rms_px == pytest.approx(alone.rms_px, rel=0.05)
+    assert result.left_out_rms_px == pytest.approx(alone.left_out_rms_px, rel=0.05)
 
 
 def test_result_has_amplitudes_witnesses_and_factors(views):
