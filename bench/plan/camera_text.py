@@ -68,9 +68,12 @@ _OF_MATLAB = re.compile(rb"^\w+\s*=\s*\[", re.MULTILINE)
 _TOML = re.compile(r"\A(?:\s|#.*\n)*(?:\[[\w. \"'-]+\]\s*$|\w+\s*=)", re.MULTILINE)
 _ONLY_NUMBERS = re.compile(r"[-+]?\d[-+.\deE]*(?:[,\s]+[-+]?\d[-+.\deE]*)+")
 _OTHER_TEXTS = {
-    "Camera-system parameters": (
-        "it is a report of Kalibr (results-cam.txt)",
-        "Give the camchain.yaml that Kalibr writes beside it.",
+    **dict.fromkeys(
+        ("Camera-system parameters", "\nReprojection error (cam0)"),
+        (
+            "it is a report of Kalibr (results-cam.txt, results-imucam.txt)",
+            "Give the camchain.yaml that Kalibr writes beside it.",
+        ),
     ),
     "\ncam0_calib:": ("it names the files of its cameras", "Give one of those, such as cam0_pinhole.yaml."),
     "\nrelative_config_imucam:": (

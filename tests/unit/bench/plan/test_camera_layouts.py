@@ -415,6 +415,10 @@ DOUBTFUL = {
     ),
     "calib.txt of RPG": (" ".join(map(str, [*FOCAL_AND_CENTRE, *D5])) + "\n", "numbers without names"),
     "Kalibr's report": ("Calibration results\n===\nCamera-system parameters:\n\tcam0 (/cam0):\n", "results-cam.txt"),
+    "Kalibr's report with an IMU": (
+        "Calibration results\n===\nNormalized Residuals\n---\nReprojection error (cam0):     mean 0.49, median 0.46\n",
+        "results-imucam.txt",
+    ),
     "ZED's two cameras": ("[LEFT_CAM_HD]\nfx=700.5\n\n[RIGHT_CAM_HD]\nfx=701\n", "no camera matrix"),
     "torn TOML": ("[cam_0]\nsize = [ 1280,", "no complete TOML"),
     "two values of one name": ({"intrinsics": {**FOUR, "k1": 0.1}, "distortion": {"k1": 0.2}, "image_size": SIZE}, "'k1' twice"),
