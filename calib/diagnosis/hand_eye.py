@@ -27,13 +27,11 @@ from calib.diagnosis.gimbal_model import (
 )
 from calib.diagnosis.hand_eye_verdict import HandEyeCheck
 from calib.errors import DegenerateViews, InputMismatch
-from calib.model.gimbal_readings import AXES, ENCODER_SHARE, alike_errors, angles_of
+from calib.model.gimbal_readings import AXES, ENCODER_SHARE, MIN_VIEWS, MOVED_DEG, alike_errors, angles_of
 from calib.model.likelihood_ratio import DECISIVE
 from calib.model.rotation import ARCSEC, log_map
 from calib.one_thread import on_one_thread
 
-MIN_VIEWS = 3  # Two turns fix the mounting
-MOVED_DEG = 0.5  # A smaller range of an axis says nothing of its direction
 #: A scale with a larger 1-sigma is not determined.
 _UNDETERMINED = 0.25
 #: Minima differ if their scales or mountings differ by this many sigmas.

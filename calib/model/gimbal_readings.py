@@ -22,6 +22,8 @@ AXES = ("pan_deg", "tilt_deg", "roll_deg")
 BESIDE_AXES_MM = 2.0
 #: Poses that differ by less along all axes are one.
 ONE_ANGLE_DEG = 0.05
+MIN_VIEWS = 3  # Two turns fix the mounting of the target before the gimbal
+MOVED_DEG = 0.5  # A smaller range of an axis says nothing of its direction
 #: Errors of an axis at neighbouring angles are alike within this length: a worm wheel of 180 teeth has a period of 2
 #: degrees, and a sine is as curved at its top as this kernel at zero.
 ALIKE_DEG = 2.0 / (2.0 * np.pi)

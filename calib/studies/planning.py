@@ -15,10 +15,9 @@ import numpy as np
 
 from calib.adjustment.parameters import SAME_POSE_DEG, views_of_poses
 from calib.arrays import Array
-from calib.diagnosis.hand_eye import MIN_VIEWS, MOVED_DEG
 from calib.errors import DegenerateViews, TooFewStars
 from calib.model.gimbal import Gimbal, aligned_gimbal
-from calib.model.gimbal_readings import angles_of
+from calib.model.gimbal_readings import MIN_VIEWS, MOVED_DEG, angles_of
 from calib.model.result_parts import WORST_CORNER, BudgetRow
 from calib.model.rotation import nearest_rotation
 from calib.one_thread import on_one_thread
