@@ -49,7 +49,7 @@ from drivers.camera.formats.hdf5_reading import (
     whole,
 )
 from drivers.camera.raw_header import stated_size
-from drivers.errors import UnreadableEvents
+from drivers.errors import NotARecording, UnreadableEvents
 
 CD_TYPE: Final = np.dtype(
     {
@@ -66,6 +66,7 @@ _OF_US: Final = ("header", "t_offset", "ms_to_idx")
 _MOST_GROUPS: Final = 1000  # Files of events have a few; a hostile one has no end of them
 _MOST_PX: Final = 1 << 16  # No sensor has more; a wrong number would ask for the memory
 _MOST_MEMBERS: Final = 10_000  # Event files have some tens
+_MOST_NAMED, _LONGEST_NAME = 8, 60  # Of a message
 _ELSEWHERE: Final = "a link to another place; only data in the file itself are read"
 
 
@@ -112,6 +113,7 @@ def _streams(file: Any) -> list[str]:
     complete: list[str] = []
     incomplete: list[str] = []
     links: list[str] = []
+    others: list[str] = []
     waiting = [("", file)]
     for name, group in waiting:
         members = {key: group.get(key, getlink=True) for key in islice(group, _MOST_MEMBERS)}
@@ -126,11 +128,16 @@ def _streams(file: Any) -> list[str]:
                 waiting.append((path, child))
             elif isinstance(child, h5py.Dataset) and (key == "events" or _has_names(child)):
                 complete.append(path)
+            else:
+                others.append(path[:_LONGEST_NAME])
     if not complete and not incomplete:
-        held = (
-            f"{links[0]} is {_ELSEWHERE}" if links else "no group of this HDF5 file has columns t, x, y and p"
+        if links:
+            raise UnreadableEvents(f"{links[0]} is {_ELSEWHERE}.")
+        raise NotARecording(
+            "The file holds no events: no group of this HDF5 file has columns t, x, y and p; it holds"
+            f" {', '.join(others[:_MOST_NAMED]) or 'nothing'}.",
+            remedy="Give a file of events, or write its columns by these names in a copy.",
         )
-        raise UnreadableEvents(f"{held}.")
     return complete or incomplete
 
 

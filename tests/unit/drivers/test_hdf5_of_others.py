@@ -234,8 +234,10 @@ def test_a_missing_size_is_told_with_the_way_to_state_it(written):
 
 
 def test_a_file_of_no_events_is_told(written):
-    with pytest.raises(NotARecording, match="no group of this HDF5 file has columns t, x, y and p"):
-        written(lambda file: file.create_dataset("images", data=np.zeros((2, 3))))
+    told = "no group of this HDF5 file has columns t, x, y and p; it holds left/images"
+    with pytest.raises(NotARecording, match=told) as caught:
+        written(lambda file: file.create_dataset("left/images", data=np.zeros((2, 3))))
+    assert "Copy" not in caught.value.remedy
 
 
 def test_a_file_of_others_becomes_a_recording(written, tmp_path):
