@@ -400,7 +400,7 @@ class StageProtocol(Described):
     """The description of a stage."""
 
     format: Literal["starbench/stage-protocol/1"]
-    stop: Command
+    stop: _AxisCommand
     modes: Annotated[
         tuple[Command, ...],
         Field(

@@ -26,6 +26,15 @@ _MOST_OTHER_ANSWERS = 3
 """A device that starts prints a text or two; one that answers otherwise after that is not the described one."""
 
 
+def shown(value: Value) -> str:
+    """Return a part of an identity as people write it.
+
+    >>> shown(4711.0), shown(" E1042 "), shown(1.5)
+    ('4711', 'E1042', '1.5')
+    """
+    return f"{value:.15g}" if isinstance(value, float) else value.strip()
+
+
 class DescribedLine(Link):
     """A line to one device. Opening sets the form of the replies and asks for the identity, nothing else."""
 
@@ -52,13 +61,13 @@ class DescribedLine(Link):
         """Send a request that does no harm twice, ``tries`` times in all until its reply is valid; 1 for what moves."""
         return repeat(lambda: self._exchange(exchange, values or {}), tries=tries)
 
-    def query_urgent(self, exchange: Exchange) -> None:
+    def query_urgent(self, exchange: Exchange, values: Mapping[str, Value] | None = None) -> None:
         """Send a request at once, without resynchronising, and read its reply: for stopping and switching off.
 
         Whatever it raises, the request is out.
         """
         with self.urgently():
-            self._exchange(exchange, {})
+            self._exchange(exchange, values or {})
 
     def switch(self, switch: Switch, values: Mapping[str, Value] | None = None) -> tuple[bool, str]:
         """Ask for a state: return whether the answer is one of the switch's words, and the answer."""
@@ -107,7 +116,7 @@ class DescribedLine(Link):
     def read_serial(self, expected: str) -> str:
         """Ask for the serial number (empty: the device has none); refuse another one than expected, if any is."""
         serial = self._description.serial
-        own_serial = str(self.query(serial)["serial"]).strip() if serial is not None else ""
+        own_serial = shown(self.query(serial)["serial"]) if serial is not None else ""
         if expected and own_serial != expected:
             raise WrongDevice(
                 f"the station file names serial {expected}, but the device answers"
@@ -255,7 +264,7 @@ class DescribedLine(Link):
         serial = self._description.serial
         if self.connections == 1 or serial is None or not self._known_serial:
             return True
-        return str(self._exchange(serial, {})["serial"]).strip() == self._known_serial
+        return shown(self._exchange(serial, {})["serial"]) == self._known_serial
 
 
 def _is_echo(text: str, reply: Template, known: Mapping[str, Value]) -> bool:

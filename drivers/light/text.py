@@ -11,7 +11,7 @@ from typing import Any
 
 from drivers.clock import Clock
 from drivers.described.description import LightDescription, LightQuantity, LightSetting, Value
-from drivers.described.line import DescribedLine
+from drivers.described.line import DescribedLine, shown
 from drivers.errors import DeviceRefused, ReplyError, SettingRefused
 from drivers.light import LightIdentity, LightSettings
 from drivers.light.watched import FULL_SCALE_V, WatchedLight, percent_faults, steady_settings
@@ -57,7 +57,7 @@ class TextLight(WatchedLight):
         """See `Light.identify`; the serial number is compared with the one in the station file."""
         line = self._description.line
         serial = self._line.read_serial(self._serial)
-        return LightIdentity(line.maker, line.model, serial, str(self._line.identity.get("firmware", "")))
+        return LightIdentity(line.maker, line.model, serial, shown(self._line.identity.get("firmware", "")))
 
     def _apply(self, settings: LightSettings) -> LightSettings:
         """See `Light.apply`. A dark light stays dark."""

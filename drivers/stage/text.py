@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 from drivers.clock import Clock
 from drivers.described.description import AxisSetting, Exchange, StageDescription, Value
-from drivers.described.line import DescribedLine
+from drivers.described.line import DescribedLine, shown
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyError, ReplyTimeout
 from drivers.link import TRIES, read_until_agreed
 from drivers.serial_port import LineSettings, Port
@@ -96,7 +96,7 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
         """See `Stage.identify`; the serial number is compared with the one in the station file."""
         line = self._description.line
         serial = self._line.read_serial(self._serial)
-        firmware = str(self._line.identity.get("firmware", ""))
+        firmware = shown(self._line.identity.get("firmware", ""))
         return tuple(AxisIdentity(name, line.maker, line.model, serial, firmware) for name in self._axes)
 
     def _has_reference(self) -> bool:
@@ -138,9 +138,9 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
         """Set modes and settings that an axis can have before it has a reference. Each mode stands between stops."""
         self._check_axis(axis, homed=False)
         for mode in self._description.modes:
-            self._line.query(self._description.stop)
+            self._line.query(self._description.stop, self._of(axis))
             self._line.query(mode)
-            self._line.query(self._description.stop)
+            self._line.query(self._description.stop, self._of(axis))
         for setting in self._description.settings:
             if not setting.is_position:
                 self._set(axis, setting)
@@ -232,17 +232,30 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
             self._awaited = []
             self._homed_in = None
             self._line.mark_out_of_step()  # an outstanding late reply is thrown away before the next request
-        tries = 1
+        waiting, tries = self._stop_commands(), 1
         for _ in range(_STOPS_IN_SILENCE):
-            try:
-                self._line.query_urgent(self._description.stop)
-            except ReplyError as error:
-                if isinstance(error, ReplyTimeout) and not error.late_s:
-                    continue
-                tries = TRIES
+            for values in waiting.copy():
+                try:
+                    self._line.query_urgent(self._description.stop, values)
+                    waiting.remove(values)
+                except ReplyError as error:
+                    if not isinstance(error, ReplyTimeout) or error.late_s:
+                        tries = TRIES
+            if tries == TRIES:
                 break
-            return
-        self._line.query(self._description.stop, tries=tries)
+        errors: list[ReplyError] = []
+        for values in waiting:
+            try:
+                self._line.query(self._description.stop, values, tries=tries)
+            except ReplyError as error:
+                errors.append(error)
+        if errors:
+            raise errors[0]
+
+    def _stop_commands(self) -> list[dict[str, Value]]:
+        """Return the values of each stop that must be sent: one for all axes, or one for each."""
+        stops = {self._description.stop.send.render(self._of(axis)): axis for axis in self._axes.values()}
+        return [self._of(axis) for axis in stops.values()]
 
     # ------------------------------------------------------------ settings
 

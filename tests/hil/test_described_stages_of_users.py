@@ -16,7 +16,9 @@ from tests.hil.text_wire import LINES, SPEED, Motor, Wire
 HEAD = "format: starbench/stage-protocol/1\nmaker: Maker\nmodel: Model\n"
 
 
-def opened(wire: Wire, tmp_path, description: str, *axes: tuple[str, float], **limits: float) -> TextStage:
+def opened(
+    wire: Wire, tmp_path, description: str, *axes: tuple[str, float], serial: str = "", **limits: float
+) -> TextStage:
     """Open a stage of these axes: addresses and counts per degree."""
     (tmp_path / "stage.yaml").write_text(HEAD + description)
     protocol = read_stage_protocol(tmp_path / "stage.yaml").value.for_driver()
@@ -28,7 +30,7 @@ def opened(wire: Wire, tmp_path, description: str, *axes: tuple[str, float], **l
         TextAxis(name=name, limits=limit, address=address, counts_per_deg=scale)
         for name, (address, scale) in zip(("pan", "tilt"), axes, strict=False)
     ]
-    return TextStage(wire, described, protocol, clock=wire.clock)
+    return TextStage(wire, described, protocol, serial=serial, clock=wire.clock)
 
 
 @pytest.fixture
