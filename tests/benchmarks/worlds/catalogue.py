@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -45,15 +46,18 @@ def result(world: str, poses: int, seed: int, known: str, lens: str = "shipped")
     """Calibrate one bench of a world, and compare it with its truth.
 
     known: One of `knowledge.KNOWN`; ``passport`` is nine poses with a certificate, then another camera before the same
-      glass; a number behind ``x`` records each pose so often.
+      glass; a number behind ``x`` records each pose so often, and one behind ``@`` makes the certificate that of a
+      collimator so many times as long.
     """
     draw, what = WORLDS[world], known
     line = {"world": world, "poses_asked": poses, "seed": seed}
     if known == "passport":
         before = draw(seed, 9, 1, 0), "cr"
         return {**line, **judged(draw(seed, poses, 1, 1), known, lens, before)}
-    what, _, times = known.partition("x")
+    rest, _, longer = known.partition("@")
+    what, _, times = rest.partition("x")
     bench = draw(seed, poses, int(times or 1), 0)
+    bench = replace(bench, stated=replace(bench.stated, r_mm=float(longer or 1.0) * bench.stated.r_mm))
     if "r" in what and bench.facts.get("by_hand"):
         raise ArithmeticError("A hand moves this camera: there are no readings.")
     return {**line, **judged(bench, what, lens), "known": known}
