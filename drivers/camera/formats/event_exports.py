@@ -44,7 +44,7 @@ from drivers.camera.event_arrays import (
 from drivers.camera.formats import ecf
 from drivers.camera.formats.hdf5_events import CD_TYPE
 from drivers.camera.formats.parquet_export import GROUP_EVENTS, write_parquet
-from drivers.camera.formats.planes import plane_chunks
+from drivers.camera.formats.planes import planes_of
 from drivers.camera.raw_header import MAX_SIDE_PX
 from drivers.camera.raw_writer import new_file
 from drivers.errors import RecordingFileError
@@ -139,9 +139,12 @@ def _packed(
             yield n, packed.result()
 
 
-def _packed_planes(planes: NDArray[np.uint8]) -> list[bytes]:
-    """Return a chunk of each column as HDF5's filter gzip makes it."""
-    columns = np.split(planes, np.cumsum([np.dtype(dtype).itemsize for _, dtype in _PLAIN_COLUMNS])[:-1])
+def _packed_planes(events: Events) -> list[bytes]:
+    """Return a chunk of each column as HDF5's filters shuffle and gzip make it."""
+    columns = np.split(
+        planes_of(events, _PLAIN_CHUNK),
+        np.cumsum([np.dtype(dtype).itemsize for _, dtype in _PLAIN_COLUMNS])[:-1],
+    )
     return [isal_zlib.compress(column, _LEVEL) for column in columns]
 
 
@@ -200,7 +203,8 @@ def export_hdf5(source: EventSource, path: Path, progress: Progress = lambda _: 
             )
             for name, dtype in _PLAIN_COLUMNS
         }
-        for more, packed in _packed(plane_chunks(reading.events(), _PLAIN_CHUNK), _packed_planes):
+        chunks = ((len(chunk.t), chunk) for chunk in reading.chunks(_PLAIN_CHUNK))
+        for more, packed in _packed(chunks, _packed_planes):
             for column, data in zip(stored.values(), packed, strict=True):
                 column.id.set_extent((n + more,))
                 column.id.write_direct_chunk((n,), data)

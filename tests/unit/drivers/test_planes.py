@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
 from drivers.camera.event_arrays import Events
-from drivers.camera.formats.planes import plane_chunks
+from drivers.camera.formats.planes import planes_of
 
 SIZE = 64
 
@@ -18,18 +18,12 @@ def shuffled(values):
 
 
 @given(
-    st.lists(st.integers(0, 150), max_size=6),
-    arrays.arrays(np.int64, 150, elements=st.integers(0, 2**40)),
+    st.integers(0, SIZE),
+    arrays.arrays(np.int64, SIZE, elements=st.integers(0, 2**40)),
     st.booleans(),
 )
-def test_chunks_hold_the_bytes_of_all_events_in_order_however_they_come(lengths, t, is_steady):
-    t = np.full(150, t[0]) if is_steady else t
+def test_planes_hold_the_bytes_of_all_events_in_order(number, t, is_steady):
+    t = np.full(SIZE, t[0]) if is_steady else t
     x, y = (t % 1280).astype(np.uint16), (t // 7 % 720).astype(np.uint16)
-    whole = Events(t, x, y, (t % 2).astype(np.uint8))
-    pieces = [whole.part(0, n) for n in lengths]
-    chunks = list(plane_chunks(iter(pieces), SIZE))
-    columns = [np.concatenate([column[:0], *parts]) for column, *parts in zip(whole, *pieces, strict=True)]
-    assert [n for n, _ in chunks] == [min(SIZE, len(columns[0]) - k) for k in range(0, len(columns[0]), SIZE)]
-    for k, (n, planes) in enumerate(chunks):
-        part = slice(k * SIZE, k * SIZE + n)
-        assert np.array_equal(planes, np.concatenate([shuffled(column[part]) for column in columns]))
+    events = Events(t, x, y, (t % 2).astype(np.uint8)).part(0, number)
+    assert np.array_equal(planes_of(events, SIZE), np.concatenate([shuffled(column) for column in events]))
