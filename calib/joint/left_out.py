@@ -12,7 +12,7 @@ from calib.joint.effects.by_turn import Along
 from calib.joint.equations import Bench, Equations, State
 from calib.joint.marginal import Problem, Solution
 from calib.joint.posterior import Posterior
-from calib.joint.solve import Optimum
+from calib.joint.solve import CURVED, Optimum, relative_step
 from calib.model.result_parts import RotationErrors
 
 #: Fewest poses of which one can be left out.
@@ -65,6 +65,8 @@ def _predicted(optimum: Optimum, pose: int, step: Array) -> tuple[Bench, State]:
         step[column] += along / there.maps[pose, at, column]
     turned = equations.turned - np.einsum("mab,b->ma", equations.coupling, step_of_basis)
     moved = there.moved(state, step, fields - state.fields, turned)
+    if relative_step(optimum.marginal, step) > CURVED:
+        moved = there.aligned(moved, equations.weights)
     return there, State(moved.shared, fields, moved.rotations)
 
 

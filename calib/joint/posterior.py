@@ -92,8 +92,8 @@ class Posterior:
 
     @property
     def reported(self) -> Optimum:
-        """The optimum at the largest mode: a statement that it doubts pulls neither residuals nor rotations."""
-        return replace(self.optimum, solution=self.largest.solution)
+        """The optimum of which residuals and rotations are reported: a statement that is doubted pulls none of them."""
+        return replace(self.optimum, solution=self.largest.solution) if self.largest.faults else self.optimum
 
     @property
     def share(self) -> float:

@@ -16,14 +16,14 @@ from calib.joint import amplitudes as amp
 from calib.joint.boresight import boresight
 from calib.joint.effects.collimator import CENTRE, COMMON_PLACES, FIELD, RADIAL
 from calib.joint.effects.gimbal import ENCODER
-from calib.joint.equations import State, ViewStars, robust_weights
+from calib.joint.equations import ViewStars, robust_weights
 from calib.joint.explanations import posterior_of, shifted_ids, with_doubted_bound
 from calib.joint.fields import FIELD_RADIUS
 from calib.joint.knowledge import CHANGED_FIELD, FREE_SCALE, READINGS
 from calib.joint.left_out import left_out_rms, rotation_errors
 from calib.joint.posterior import Posterior
 from calib.joint.reported import without_r8
-from calib.joint.solve import Optimum
+from calib.joint.solve import moved
 from calib.joint.summary import summarised
 from calib.joint.words import notes, require_determined
 from calib.joint.wrong_views import find_other_origins
@@ -81,16 +81,10 @@ def _parameters(posterior: Posterior) -> AdjustmentParameters:
     radial = {name: named[name] for name in RADIAL}
     centre = Collimator(named["x"], named["y"], named["r"], radial, bench.layout.basis.reference)
     best, step = optimum.solution, posterior.mean - optimum.state.shared
-    last = _reached(optimum, step, best.fields - best.follow @ (step - best.step))
+    last = moved(optimum.marginal, best.squares, step, best.fields - best.follow @ (step - best.step))
     return AdjustmentParameters(
         bench.camera(posterior.mean), centre, last.rotations, np.zeros((len(last.rotations), 3)), last.gimbal
     )
-
-
-def _reached(optimum: Optimum, step: Array, fields: Array) -> State:
-    """Return the state at the end of (S,) and (n, F) steps of shared unknowns and own fields."""
-    turns = optimum.marginal.rotation_steps(optimum.solution.squares, step, fields)
-    return optimum.marginal.problem.bench.moved(optimum.state, step, fields, turns)
 
 
 def _calibration(
@@ -156,7 +150,8 @@ def _residuals(
     discs = bench.discs or [None] * len(views)
     stars = tuple(ViewStars.of(view, bench.layout, disc) for view, disc in zip(views, discs, strict=True))
     whole = replace(bench, stars=stars, readings=None)
-    state = _reached(optimum, optimum.solution.step, optimum.solution.fields)
+    best = optimum.solution
+    state = moved(optimum.marginal, best.squares, best.step, best.fields)
     lengths = whole.whitened(state)
     weights = []
     for view_stars, length, own in zip(stars, lengths, used, strict=True):

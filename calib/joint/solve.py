@@ -50,7 +50,7 @@ _LONGEST = 0.3
 #: Amplitudes are taken if their step moves focal length and centre by less than this share.
 _TRUSTED = 0.01
 #: Beyond this share the rotations are found again after a step; below the second, all that a pose has for itself.
-_CURVED, _CORRECTED = 1e-3, 0.05
+CURVED, _CORRECTED = 1e-3, 0.05
 _CORRECTIONS = 3
 #: A step is corrected whole, and after so many halvings: where it bends, a quarter of it can be, and not the whole.
 _CORRECTED_AT = (0, 2)
@@ -190,7 +190,8 @@ def search_with_fault(
     The best amplitudes are searched from ``eta``, or from those with the faults.
     """
     there = search(replace(problem, faults=faults), start, rounds)
-    marginal = Marginal(problem, there.marginal.equations, there.state)
+    placed = replace(there.marginal.problem, faults=problem.faults)  # a hand's pupils are elsewhere there
+    marginal = Marginal(placed, there.marginal.equations, there.state)
     solution = searched(solved(marginal, there.eta if eta is None else eta), _LONG, enough=FINE)
     return Optimum(solution, there.iterations, there.converged, there.eta)
 
@@ -276,7 +277,7 @@ def shortened(solution: Solution, most: float = 1.0) -> tuple[State, list[Array]
     share = relative_step(marginal, solution.step)
     size = min(most, _LONGEST / share) if share > 0 else most
     for k in range(_HALVINGS):
-        state = _moved(marginal, squares, size * solution.step, size * solution.fields)
+        state = moved(marginal, squares, size * solution.step, size * solution.fields)
         lengths = bench.whitened(state)
         enough = before * (1.0 + 1e-9) - _LEAST_GAIN * size * (2.0 - size) * solution.gain
         if cost(marginal, squares, state, lengths) <= enough:
@@ -299,15 +300,15 @@ def _corrected(marginal: Marginal, squares: Array, state: State) -> tuple[State,
         behind = Marginal(marginal.problem, bench.linearised(state, 1.0, marginal.equations), state)
         with _solvable():
             fields = behind.own_steps(squares)
-        state = _moved(behind, squares, np.zeros_like(state.shared), fields)
+        state = moved(behind, squares, np.zeros_like(state.shared), fields)
     return state, bench.whitened(state)
 
 
-def _moved(marginal: Marginal, squares: Array, step: Array, fields: Array) -> State:
+def moved(marginal: Marginal, squares: Array, step: Array, fields: Array) -> State:
     """Return the state after steps: (S,) of the shared unknowns, (n, F) of the own fields. The rotations follow."""
     bench = marginal.problem.bench
     state = bench.moved(marginal.state, step, fields, marginal.rotation_steps(squares, step, fields))
-    if relative_step(marginal, step) > _CURVED:
+    if relative_step(marginal, step) > CURVED:
         return bench.aligned(state, marginal.equations.weights)
     return state
 

@@ -9,10 +9,12 @@ from calib import CalibrationOptions, Passport, calibrate
 from calib.joint import amplitudes as amp
 from calib.joint.adjust import adjust
 from calib.joint.budget import variances
+from calib.joint.knowledge import ASPECT, WRONG
 from calib.joint.marginal import Marginal
 from calib.joint.modes import modes_of
 from calib.joint.places import spread_of_places, step_to_places
 from calib.joint.posterior import posterior
+from calib.joint.solve import search_with_fault
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.result_parts import PUPILS
 from tests.benchmarks.worlds.catalogue import WORLDS
@@ -46,6 +48,17 @@ def test_places_are_the_most_probable_ones_with_all_else_integrated_out(optimum)
     steps = [size * sigma * np.eye(at.size)[k].reshape(at.shape) for k in range(at.size)]
     slopes = [(doubt(optimum, at + step) - doubt(optimum, at - step)) / (2.0 * size) for step in steps]
     assert np.abs(slopes).max() < 0.2  # for a change by 1 sigma of what the discs say
+
+
+def test_an_optimum_by_the_state_of_a_fault_has_the_places_of_that_state(optimum):
+    """With the places of the start, residuals were as large as these are far away."""
+    problem, state = optimum.marginal.problem, optimum.state
+    away = replace(problem, bench=replace(problem.bench, pupils=problem.bench.pupils + 0.01))
+    there = search_with_fault(away, state, ((ASPECT, WRONG),), 100)
+    assert there.converged
+    assert there.marginal.problem.faults == problem.faults
+    spread = np.median(np.concatenate(there.marginal.problem.bench.whitened(there.state)))
+    assert spread == pytest.approx(np.median(np.concatenate(problem.bench.whitened(state))), rel=0.05)
 
 
 def test_own_fields_share_their_amplitudes_with_what_follows_the_turn(optimum):
