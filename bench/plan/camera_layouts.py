@@ -115,7 +115,7 @@ def _of_photoscan(_values: dict[str, Any]) -> dict[str, Any]:
 
 
 def _of_pycolmap(values: dict[str, Any]) -> dict[str, Any]:
-    """Return the camera of COLMAP's dictionary in Python, whose values are those of a line of cameras.txt."""
+    """Return the camera of a dictionary of pycolmap; its values are those of a line of cameras.txt."""
     model = str(values.pop("model", values.pop("modelname", "")))
     listed = numbers_of("params", values.pop("params"))
     size = numbers_of("the size of the image", [values["width"], values["height"]])

@@ -78,7 +78,9 @@ class Sent(StrictModel):
     """What is sent to the device."""
 
     known: ClassVar[frozenset[str]] = NOTHING  # Names that may stand in it and in the reply without a kind
-    carries: ClassVar[str] = ""  # Name of the value that the request carries; empty for none
+    # carries, tells: Names of the values that the request carries and that the reply must have; empty for none
+    carries: ClassVar[str] = ""
+    tells: ClassVar[str] = ""
 
     send: Line
 
@@ -86,6 +88,13 @@ class Sent(StrictModel):
     @classmethod
     def _is_request(cls, text: str) -> str:
         parsed_request(text, cls.known, cls.carries)
+        return text
+
+    @field_validator("reply", check_fields=False)  # of the models below
+    @classmethod
+    def _is_reply(cls, text: str | None) -> str | None:
+        if text is not None:
+            parsed_reply(text, cls.known, cls.tells)
         return text
 
     def _with(self, reply: str | None) -> of.Exchange:
@@ -98,15 +107,7 @@ class Sent(StrictModel):
 class Query(Sent):
     """A request and its reply."""
 
-    tells: ClassVar[str] = ""  # Name of the value that the reply must have; empty if it need not have any
-
     reply: Line
-
-    @field_validator("reply")
-    @classmethod
-    def _is_reply(cls, text: str) -> str:
-        parsed_reply(text, cls.known, cls.tells)
-        return text
 
     def for_driver(self) -> Any:
         """Return the exchange for the driver; of a query of a state its `of.Switch`."""
@@ -117,13 +118,6 @@ class Order(Sent):
     """A command, with the reply that confirms it; without one if the device does not answer it."""
 
     reply: Line | None = None
-
-    @field_validator("reply")
-    @classmethod
-    def _is_reply(cls, text: str | None) -> str | None:
-        if text is not None:
-            parsed_reply(text, cls.known)
-        return text
 
     def for_driver(self) -> of.Exchange:
         """Return the command for the driver."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypedDict, TypeVar
 
 from pydantic import (
     AfterValidator,
@@ -94,6 +94,15 @@ class AxisConfig(StrictModel):
         return self.model_dump(exclude={"limits_deg", "speed_deg_s", "acceleration_deg_s2"})
 
 
+class LineParameters(TypedDict):
+    """How a driver opens a serial line, as its parameters."""
+
+    baudrate: int | None  # None, of this and of rtscts: as the controller's family has it
+    rtscts: bool | None
+    clock: Clock
+    wire_log: WireLog | None
+
+
 class SerialLine(StrictModel):
     """Keys of a serial line that every driver with one port has; each driver has its own baud rate."""
 
@@ -109,7 +118,7 @@ class SerialLine(StrictModel):
         @property
         def baudrate(self) -> int | None: ...  # noqa: D102 - a key
 
-    def line(self, clock: Clock, wire_log: WireLog | None) -> dict[str, Any]:
+    def line(self, clock: Clock, wire_log: WireLog | None) -> LineParameters:
         """Return how the driver opens the line, as its parameters by name."""
         return {"baudrate": self.baudrate, "rtscts": self.rtscts, "clock": clock, "wire_log": wire_log}
 

@@ -295,7 +295,7 @@ def _approached(problem: Problem, start: State, task: Task) -> State:
 
 
 def _is_far(free: Problem, near: State, stated_mm: float) -> bool:
-    """Tell whether a radius may be another collimator's than that of a state."""
+    """Tell whether a certified radius is so far from that of a state that it may be another collimator's."""
     seen_mm = float(near.shared[free.bench.layout.index["r"]])
     return abs(stated_mm - seen_mm) > _OTHER_RADIUS * seen_mm
 

@@ -21,7 +21,7 @@ from simulators.world.truth import REFERENCE_C, MountTruth, ThermalTruth, Truth
 
 _Axis = TypeVar("_Axis", bound=str)
 
-STEP_C: Final = 0.01  # In which a sensor reports its temperature
+STEP_C: Final = 0.01  # Step in which a sensor reports its temperature
 STEP_ARCSEC: Final = 0.05  # Less than a thousandth of a pixel
 
 

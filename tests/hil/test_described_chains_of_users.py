@@ -1,4 +1,4 @@
-"""Stages that a user describes whose axes are stopped one by one: several motors of a module, or controllers in a chain."""
+"""Described stages with a stop command for each axis: modules with several motors, and controllers in a chain."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A port to a fake controller of text lines, and an axis that it moves: what a test needs to try a user's description."""
+"""A fake controller that answers lines of text, and an axis that it moves: for tests of a user's description."""
 
 from __future__ import annotations
 
