@@ -212,7 +212,7 @@ def _gain_again(
 ) -> float:
     """Return what (m, 2) shifts of stars gain if the shifted views are adjusted anew; 0 if they cannot be.
 
-    Another state may be what gains. So the stars as they are are adjusted from there, too.
+    Another state may be what gains. So the stars without these shifts are adjusted from there, too.
     """
     moved = [
         replace(view, target_mm=view.target_mm + shift) for view, shift in zip(views, shifts_mm, strict=True)
