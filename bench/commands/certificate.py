@@ -14,6 +14,7 @@ import click
 from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError, UsageError
 from bench.base.home import home_folder
+from bench.base.pasteable import pasteable
 from bench.commands.certificate_authorise import authorise, timestamp
 from bench.commands.options import (
     OPERATOR,
@@ -68,7 +69,8 @@ def new(path: Path) -> int:
     with storage_errors(path):
         write_atomic(path, EXAMPLE.read_bytes())
     click.echo(
-        f"Written: {path}. Replace every REPLACE in it; then: starbench certificate issue RUN -c {path} -o FOLDER"
+        f"Written: {path}. Replace every REPLACE in it;"
+        f" then: {pasteable('certificate', 'issue', 'RUN', '-c', path, '-o', 'FOLDER')}"
     )
     return 0
 
@@ -191,7 +193,7 @@ def _issued_lines(issued: Issued) -> Iterator[str]:
     yield f"\nFolder: {issued.folder}"
     yield (
         f"SEALED, not authorised. {issued.certificate.authorised_by.name} authorises it:"
-        f" starbench certificate authorise {issued.folder}"
+        f" {pasteable('certificate', 'authorise', issued.folder)}"
     )
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
@@ -104,8 +105,9 @@ def _write_request(folder: Path, what: str | None, path: Path) -> int:
     show(
         {"schema": "starbench/request/1", "request": str(path), "of": STAMPED[name]},
         f"Request for a time stamp of {STAMPED[name]}: {path}\nSend it to an authority, for example with:\n"
-        f"  curl -H 'Content-Type: application/timestamp-query' --data-binary @{path} -o reply.tsr URL\n"
-        f"Then: starbench certificate timestamp {folder} --token reply.tsr",
+        f"  curl -H 'Content-Type: application/timestamp-query' --data-binary @{shlex.quote(str(path))}"
+        " -o reply.tsr URL\n"
+        f"Then: {pasteable('certificate', 'timestamp', folder, '--token', 'reply.tsr')}",
     )
     return 0
 
@@ -259,7 +261,7 @@ def authorise(folder: Path, key: str | None, allowed_signers: Path | None, yes: 
             "facts": facts,
             "in_ledger": in_ledger,
         },
-        f"AUTHORISED by {person}. To prove when: starbench certificate timestamp {folder} --tsa URL",
+        f"AUTHORISED by {person}. To prove when: {pasteable('certificate', 'timestamp', folder, '--tsa', 'URL')}",
     )
     return 0
 

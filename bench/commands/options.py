@@ -264,8 +264,8 @@ def _batch_remedy(path: Path) -> str:
     if is_rehearsal(path):
         return f"This is a rehearsal. It cannot be continued. {shown}"
     return (
-        f"To continue the batch: `starbench batch QUEUE.yaml --output {path}`, where QUEUE.yaml is the file it was"
-        f" begun with ({path / 'queue.yaml'} is a copy). {shown}"
+        f"To continue the batch: `{pasteable('batch', 'QUEUE.yaml', '--output', path)}`, where QUEUE.yaml is"
+        f" the file it was begun with ({path / 'queue.yaml'} is a copy). {shown}"
     )
 
 

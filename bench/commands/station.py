@@ -14,6 +14,7 @@ import click
 
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError, UsageError
+from bench.base.pasteable import pasteable
 from bench.commands.options import (
     SEED,
     STATION,
@@ -236,7 +237,10 @@ def station_new(
 
     if stand_ins:
         write_atomic(path, draft_stand_ins(stand_ins).encode())
-        show({"station": str(path)}, [f"Written: {path}. Check it with: starbench plan three_pose -s {path}"])
+        show(
+            {"station": str(path)},
+            [f"Written: {path}. Check it with: {pasteable('plan', 'three_pose', '-s', path)}"],
+        )
         return 0
     discovery, clock = discover(), BenchClock()
     all_ports = [] if no_questions else [*ports] or free_ports(discovery)
@@ -255,7 +259,7 @@ def station_new(
         click.echo(f"Missing: {sentence}")
     click.echo(
         f"Written: {path}. Replace every placeholder (such as {UNKNOWN_SERIAL}), check scales and limits, then:"
-        f" starbench plan three_pose -s {path}"
+        f" {pasteable('plan', 'three_pose', '-s', path)}"
     )
     if discovery.missing:
         click.echo(

@@ -288,7 +288,7 @@ def _own_open_number(by_number: Mapping[str, Numbered], wanted: Wanted) -> Numbe
             where=own_open_number.folder,
             remedy="Issue the certificate of that run with the same numbers.format, which takes this number, or"
             f" declare it void:"
-            f" `starbench certificate void {own_open_number.number} --reason TEXT`.",
+            f" `{pasteable('certificate', 'void', own_open_number.number, '--reason', 'TEXT')}`.",
         )
     return None
 

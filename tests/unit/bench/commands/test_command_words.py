@@ -480,3 +480,13 @@ def test_a_terminal_shows_how_many_views_are_found_and_then_that_the_camera_is_c
     assert "1 of 3 views found" in screen.getvalue()
     assert "3 views found; the camera is calculated" in screen.getvalue()
     assert screen.getvalue().endswith(" \r")
+
+
+@pytest.mark.parametrize(
+    ("words", "option"),
+    [(("station", "new", "--stand-ins", "keysight"), "-s"), (("certificate", "new"), "-c")],
+)
+def test_the_command_that_is_offered_next_can_be_pasted(capsys, tmp_path, words, option):
+    path = tmp_path / "Müller's bench 2.yaml"
+    offered = shlex.split(out_of(capsys, *words, path).partition("starbench ")[2])
+    assert offered[offered.index(option) + 1] == str(path)

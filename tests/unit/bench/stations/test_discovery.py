@@ -134,6 +134,18 @@ def test_a_draft_and_each_example_have_every_section(section):
         assert section in {"operator", "simulation"} or re.search(rf"^(# )?{section}:", text, re.MULTILINE)
 
 
+def test_sections_that_a_draft_and_each_example_offer_as_comments_are_accepted(tmp_path):
+    drafted = draft_station(Discovery((), (), ()), stage="grbl")
+    texts = [drafted, *(path.read_text(encoding="utf-8") for path in SHIPPED_STATIONS.glob("example_*.yaml"))]
+    for text in texts:
+        offered = re.search(r"^# collimator:(\n#   .*)+", text, re.MULTILINE).group()
+        assert offered == re.search(r"^# collimator:(\n#   .*)+", drafted, re.MULTILINE).group()
+        # A section begins at its name; what is indented below belongs to it.
+        used = re.sub(r"^# (?=[a-z_]+:|  )", "", text, flags=re.MULTILINE)
+        (tmp_path / "all.yaml").write_text(filled(used), encoding="utf-8")
+        load_station(str(tmp_path / "all.yaml"))
+
+
 @pytest.mark.parametrize(
     ("name", "config", "simulated"),
     [("camera", CameraConfig, {"simulated_evk4"}), ("light", LightConfig, set())],
