@@ -61,6 +61,11 @@ _ALIGNED_DEG = 3.0
 """Largest angle to the pixel rows or diagonals at which the errors of star edges count as correlated, degrees. They are
 correlated at 0.5 degrees and not at 10 degrees (docs/stars.md)."""
 
+_PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
+"""How images are compressed: event images are mostly runs of equal values. Fast, and small."""
+if hasattr(cv2, "IMWRITE_PNG_FILTER"):  # from OpenCV 4.12 on
+    _PNG += [cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_NONE]
+
 
 class EventData(NamedTuple):
     """Content of a recording."""
@@ -253,7 +258,12 @@ class StoredImage:
     @classmethod
     def from_image(cls, image: NDArray[Any]) -> StoredImage:
         """Stretch grey values, (H, W) of any dtype, as `calib.events.grey_image.to_uint8`, and compress them."""
-        return cls(cv2.imencode(".png", to_uint8(image), (cv2.IMWRITE_PNG_COMPRESSION, 1))[1].tobytes())
+        return cls.from_picture(to_uint8(image))
+
+    @classmethod
+    def from_picture(cls, picture: NDArray[np.uint8]) -> StoredImage:
+        """Compress grey values, (H, W)."""
+        return cls(cv2.imencode(".png", picture, _PNG)[1].tobytes())
 
     def decoded(self) -> NDArray[np.uint8]:
         """Return the image: (H, W) uint8, grey values."""
@@ -288,9 +298,9 @@ class Observed:
     facts: MeasuredFacts = field(default_factory=MeasuredFacts)
     image: StoredImage | None = None
 
-    def keep(self, image: NDArray[Any]) -> None:
-        """Keep an image, (H, W) of any dtype, for people."""
-        self.image = StoredImage.from_image(image)
+    def keep(self, picture: NDArray[np.uint8]) -> None:
+        """Keep grey values, (H, W), for people."""
+        self.image = StoredImage.from_picture(picture)
 
 
 def measurement_of(find: Callable[[Observed], View]) -> Measurement:
@@ -324,10 +334,13 @@ def measure(
     def find(seen: Observed) -> View:
         facts = seen.facts
         whole = whole_image(read_events(path), image, periods, expected_hz, facts, compare_flicker=motion)
+        picture = to_uint8(whole.image)
         if motion:
-            seen.keep(whole.image)
+            seen.keep(picture)
         try:
-            view = find_stars(whole.image, target, name, expected_grid, facts, edge_width=motion)
+            view = find_stars(
+                whole.image, target, name, expected_grid, facts, edge_width=motion, picture=picture
+            )
         except TargetNotFound as error:
             raise why_no_target(error, facts, whole.image) from error
         if motion:
@@ -345,15 +358,17 @@ def find_stars(
     facts: MeasuredFacts,
     *,
     edge_width: bool = True,
+    picture: NDArray[np.uint8] | None = None,
 ) -> View:
     """Detect and label the stars of an image, (H, W) of any numeric type, and find the rim of the beam in it.
 
-    If neither tag nor expected grid labels the stars, `StarsUnnamed` is raised. ``facts`` gets ``named_by``, ``grid``,
+    ``picture`` is the image by `calib.events.grey_image.to_uint8`, if the caller has it already. If
+    neither tag nor expected grid labels the stars, `StarsUnnamed` is raised. ``facts`` gets ``named_by``, ``grid``,
     (3, 3) from [column row 1] to [u v 1] px, ``expected_grid``, and, with ``edge_width``, ``edge_width_px``, the blur
     of the stars' edges.
     """
     try:
-        detection = detect_stars(image, target, name=name)
+        detection = detect_stars(image, target, name=name, picture=picture)
     except StarsUnnamed as unnamed:
         if expected_grid is None:
             raise
@@ -361,7 +376,7 @@ def find_stars(
             expected = expected_grid((image.shape[1], image.shape[0]))
         except DegenerateViews as unknown:
             raise StarsUnnamed(unnamed.what, where=unnamed.where, remedy=str(unknown)) from unknown
-        detection = detect_stars(image, target, name=name, expected=expected)
+        detection = detect_stars(image, target, name=name, expected=expected, picture=picture)
         facts["expected_grid"] = expected.tolist()
     grid = fit_homography(target.node_of(detection.view.ids).astype(float), detection.view.points_px)
     facts["named_by"] = "gimbal" if detection.named_by == "expected pose" else detection.named_by

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from bench.measure.gates import Gate, at_least, at_most
 from bench.measure.measure import ExpectedGrid, Measurement, Observed, find_stars, measurement_of, motion_px
-from calib.events.event_image import (
-    MOVING_PX,
-)
+from calib.events.event_image import MOVING_PX
+from calib.events.grey_image import to_uint8
 from calib.stars.motion import Halves
 from calib.stars.rim import downweight_vignetted
 from calib.target import StarTarget
@@ -52,7 +51,7 @@ def mean_frames(path: Path, seen: Observed) -> tuple[NDArray[np.float32], Halves
     kind = f"mean of {len(frames)} pictures" if len(frames) > 1 else "picture"
     seen.facts["image"] = {"kind": kind, "reason": "", "pictures": len(frames)}
     half, mean = len(frames) // 2, _mean(frames)
-    seen.keep(mean)
+    seen.keep(to_uint8(mean))
     return mean, (_mean(frames[:half]), _mean(frames[-half:])) if half else None
 
 

@@ -11,9 +11,8 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from calib.arrays import AnyArray, Array, Array32, Bools, Ints, selected
+from calib.arrays import Array, Array32, Bools, Bytes, Ints, selected
 from calib.errors import StarsUnnamed, TargetNotFound
-from calib.events.grey_image import to_uint8
 from calib.model.homography import apply_homography, fit_homography
 from calib.stars.grid_map import predict_locally
 from calib.stars.growth import GrowthStart, StarGrid, find_lattice, grow_star_grid, start_at_tag
@@ -156,15 +155,15 @@ class Candidates(NamedTuple):
 
 
 def find_candidates(
-    image: AnyArray, smoothed: Array32, target: StarTarget, expected: Array | None
+    picture: Bytes, smoothed: Array32, target: StarTarget, expected: Array | None
 ) -> tuple[Candidates, float, NamedBy]:
     """Find possible stars, starting at the tag if it can be read; the sign is +1 if white is bright, -1 if it is dark.
 
-    ``expected`` is the (3, 3) homography from the target's grid to px, by the pose; None if it is not known.
+    The picture is the image by `calib.events.grey_image.to_uint8`. ``expected`` is the (3, 3)
+    homography from the target's grid to px, by the pose; None if it is not known.
     Raises StarsUnnamed: If neither the tag nor an expected pose identifies the stars.
     Raises TargetNotFound: If the image shows no stars, a wrong tag, or the tag more than once.
     """
-    picture = to_uint8(image)
     tag = find_tag(picture, target, reduced_only=True)
     if tag is None:
         # The pictures of full size take long, and never show a tag that the border of the image cuts.

@@ -13,9 +13,9 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from calib.arrays import AnyArray, Array, Array32, selected
+from calib.arrays import AnyArray, Array, Array32, Bytes, selected
 from calib.errors import TooFewStars, placed
-from calib.events.grey_image import require_grey_plane
+from calib.events.grey_image import require_grey_plane, to_uint8
 from calib.stars.candidates import MIN_STARS, Candidates, NamedBy, find_candidates
 from calib.stars.centring import (
     SYMMETRY_REACH,
@@ -107,9 +107,16 @@ def detect_view(
 
 
 def detect_stars(
-    image: AnyArray, target: StarTarget, *, name: str = "view", expected: Array | None = None
+    image: AnyArray,
+    target: StarTarget,
+    *,
+    name: str = "view",
+    expected: Array | None = None,
+    picture: Bytes | None = None,
 ) -> Detection:
     """Detect the target's stars, and report what identified them; see `detect_view`.
+
+    ``picture`` is the image by `calib.events.grey_image.to_uint8`, if the caller has it already.
 
     Raises StarsUnnamed: If neither the tag nor an expected pose identifies the stars.
     Raises TargetNotFound: If the image shows no stars, a wrong tag, or the tag more than once.
@@ -120,7 +127,9 @@ def detect_stars(
         require_grey_plane(image)
         values = np.asarray(image, np.float32)
         smoothed = smooth(values if np.isfinite(values.sum()) else np.nan_to_num(values), BLUR_PX)
-        candidates, sign, named_by = find_candidates(image, smoothed, target, expected)
+        candidates, sign, named_by = find_candidates(
+            to_uint8(image) if picture is None else picture, smoothed, target, expected
+        )
         blurred = False
         for step_px in (COARSE_STEP_PX, FINE_STEP_PX):
             _require_enough(len(candidates.nodes), blurred=blurred)
