@@ -13,7 +13,7 @@ sensor's clock, as ``drivers.camera.evt3`` returns them. Each event is a word of
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from enum import IntEnum
 from pathlib import Path
@@ -27,7 +27,6 @@ from drivers.camera.event_arrays import (
     MAX_TIME_US,
     Events,
     EventSource,
-    Piece,
     ReadingChoices,
     Triggers,
     empty_events,
@@ -104,27 +103,15 @@ def convert(
     if EVT3 cannot represent the contents.
     """
     with open_events(source, choices) as opened:
-        ends: list[int] = []
-        sides = 0, 0
-
-        def pieces() -> Iterator[Piece]:
-            nonlocal sides
-            for events, edges in opened.pieces():
-                if len(events.t):
-                    sides = max(sides[0], int(events.x.max()) + 1), max(sides[1], int(events.y.max()) + 1)
-                    first = ends[0] if ends else int(events.t[0])
-                    ends[:] = first, int(events.t[-1])
-                yield events, edges
-
-        watched = replace(opened, pieces=pieces)
         if kind != "raw":
-            written = _EXPORTS[kind](watched, target, progress)
+            written = _EXPORTS[kind](opened, target, progress)
         elif is_evt3(source):
-            written = _with_size(watched, source, target)
+            written = _with_size(opened, source, target)
         else:
-            written = write_raw(watched, target, source=source, progress=progress)
-        span_us = ends[-1] - ends[0] if ends else 0
-        return replace(written, span_us=span_us, assumed={**opened.assumed, **_too_large(choices, sides)})
+            written = write_raw(opened, target, source=source, progress=progress)
+        first_us, last_us = opened.state.times_us or (0, 0)
+        assumed = {**opened.assumed, **_too_large(choices, opened.state.sides)}
+        return replace(written, span_us=last_us - first_us, assumed=assumed)
 
 
 def _too_large(choices: ReadingChoices | None, sides: tuple[int, int]) -> dict[str, str]:

@@ -162,20 +162,24 @@ def _require_possible(events: Events, of: EventSource) -> None:
         raise _outside(x, y, of)
     if p > 1:
         raise UnreadableEvents(f"an event has the polarity {p}; 0 and 1 are possible.")
+    of.state.sides = max(of.state.sides[0], x + 1), max(of.state.sides[1], y + 1)
 
 
 def _checked(pieces: Iterator[Piece], of: EventSource) -> Iterator[Piece]:
     """Check that events lie on the sensor and follow each other, that none is missing, and the number of edges."""
-    read, edges, first_us, last_us = 0, 0, None, None
+    read = edges = 0
+    of.state.sides, of.state.times_us = (0, 0), None
     unit = UnitCheck(of)
     for events, triggers in pieces:
         if len(events.t):
             _require_possible(events, of)
-            if last_us is not None:
-                _require_rising(np.array([last_us, events.t[0]]), read)
-            _require_rising(events.t, read + (last_us is not None))
+            before = of.state.times_us
+            if before is not None and events.t[0] < before[1]:
+                _require_rising(np.array([before[1], events.t[0]]), read)
+            _require_rising(events.t, read + (before is not None))
             unit.add(events.t)
-            first_us, last_us = events.t[0] if last_us is None else first_us, events.t[-1]
+            first_us, last_us = before[0] if before else int(events.t[0]), int(events.t[-1])
+            of.state.times_us = first_us, last_us
             if last_us - first_us > MAX_TIME_US:
                 raise NotARecording(
                     f"Its times span {(last_us - first_us) / MAX_TIME_US:.0f} days: they are not in us.",
