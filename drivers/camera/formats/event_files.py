@@ -173,7 +173,7 @@ def _checked(pieces: Iterator[Piece], of: EventSource) -> Iterator[Piece]:
     for events, triggers in pieces:
         if len(events.t):
             _require_possible(events, of)
-            before = of.state.times_us
+            before: tuple[int, int] | None = of.state.times_us
             if before is not None and events.t[0] < before[1]:
                 _require_rising(np.array([before[1], events.t[0]]), read)
             _require_rising(events.t, read + (before is not None))
