@@ -49,6 +49,25 @@ def holder_text(inode: int) -> str:
     return ""
 
 
+def suspended_holder(inode: int) -> int:
+    """Return the process that holds the exclusive lock of the file with this inode and is suspended; 0 if none is."""
+    with suppress(OSError, ValueError, IndexError):
+        for process, locked in _locks():
+            if locked == inode and process > 0 and _is_suspended(_stat_fields(process)):
+                return process
+    return 0
+
+
+def _stat_fields(process: int) -> list[str]:
+    """Return ``/proc/PID/stat`` after the name of the program."""
+    return (_PROC / str(process) / "stat").read_text("utf-8", "replace").rpartition(")")[2].split()
+
+
+def _is_suspended(fields: Sequence[str]) -> bool:
+    """Return whether Ctrl-Z or SIGSTOP has stopped a process, by its state."""
+    return fields[0] == "T"
+
+
 def _locks() -> Iterator[tuple[int, int]]:
     """Yield process and inode of each exclusive flock(2). Devices are left out: layered file systems have several."""
     for line in (_PROC / "locks").read_text("ascii").splitlines():
@@ -60,7 +79,7 @@ def _locks() -> Iterator[tuple[int, int]]:
 def _process_text(process: int, locked: frozenset[int]) -> str:
     """Return user, start and work of a process; other users may not see which folder it has locked."""
     home = _PROC / str(process)
-    fields = (home / "stat").read_text("utf-8", "replace").rpartition(")")[2].split()
+    fields = _stat_fields(process)
     up_s = float((_PROC / "uptime").read_text("ascii").split()[0])
     begun_s = time.time() - up_s + int(fields[_START_TIME]) / os.sysconf("SC_CLK_TCK")
     begun = datetime.fromtimestamp(begun_s, UTC)
@@ -68,7 +87,8 @@ def _process_text(process: int, locked: frozenset[int]) -> str:
     if not work:
         words = (home / "cmdline").read_bytes().decode("utf-8", "replace").split("\0")
         work = f"`{' '.join(words).strip()[:_MOST_LETTERS]}`"
-    return f"process {process} of {_user(home.stat().st_uid)}, since {begun:%Y-%m-%d %H:%M} UTC, in {work}"
+    since = f"since {begun:%Y-%m-%d %H:%M} UTC{', suspended' if _is_suspended(fields) else ''}"
+    return f"process {process} of {_user(home.stat().st_uid)}, {since}, in {work}"
 
 
 def _locked_folder(home: Path, locked: frozenset[int]) -> str:

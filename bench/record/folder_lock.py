@@ -63,6 +63,21 @@ def is_locked(path: Path) -> bool:
     return False
 
 
+def suspended_process(path: Path) -> int:
+    """Return the process that works in a folder, but is suspended, as after Ctrl-Z; 0 if none is."""
+    with suppress(OSError):
+        return file_lock.suspended_holder(path.stat().st_ino)
+    return 0
+
+
+def resume_process(process: int) -> str:
+    """Return what a person does with a suspended process."""
+    return (
+        f"Process {process} of this run is suspended, as Ctrl-Z does it: nothing watches stage and light. To let it"
+        f" continue: `fg` in its terminal, or `kill -CONT {process}`."
+    )
+
+
 def _lock_exclusively(descriptor: int) -> None:
     """Take the lock. Try again for a moment, because `is_locked` of another process takes it for an instant."""
     for _ in range(_LOCK_TRIES - 1):

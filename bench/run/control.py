@@ -22,7 +22,7 @@ from bench.base.errors import RunFolderError, StorageError
 from bench.base.pasteable import pasteable
 from bench.record import events
 from bench.record.events import Commanded, Event
-from bench.record.folder_lock import is_locked
+from bench.record.folder_lock import is_locked, resume_process, suspended_process
 from bench.record.history import History
 from bench.record.inbox import Inbox, KnownBy, MessageId, Poller
 from bench.record.journal import lines_after
@@ -38,6 +38,8 @@ from sequences.schema import Answer
 POLL_S = 0.1  # A person at a terminal does not notice it
 _MAX_BYTES = 4096  # A command has some hundred
 _PATIENCE_S = 10.0  # A run answers between two polls, also on a busy computer
+
+_ASK_OR_END = "If the process does not respond at all, end it by the signal SIGTERM. See what it does: {}"
 
 Word = Literal["hold", "release", "abort", "skip", "answer"]
 Line = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]*$")]
@@ -211,11 +213,11 @@ def send(folder: Path, command: Command, *, patience_s: float = _PATIENCE_S) -> 
     answer = _answer_in(folder, command.id, begin)  # it may have come at the last moment
     if answer is not None:
         return answer
+    suspended = suspended_process(folder)
     raise RunFolderError(
         f"The run did not answer within {patience_s:g} s; the command was withdrawn.",
         where=str(folder),
-        remedy=f"If the process does not respond at all, end it by the signal SIGTERM. See what it does: "
-        f"{pasteable('status', folder)}",
+        remedy=resume_process(suspended) if suspended else _ASK_OR_END.format(pasteable("status", folder)),
     )
 
 

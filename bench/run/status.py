@@ -28,7 +28,7 @@ from bench.record.events import (
     RunEnded,
     RunResumed,
 )
-from bench.record.folder_lock import is_locked
+from bench.record.folder_lock import is_locked, resume_process, suspended_process
 from bench.record.history import History, way_on
 from bench.record.journal_line import Entry
 from bench.record.run_folder import PLAN, REPORT
@@ -295,6 +295,10 @@ def _status(run: StoredRun, now: datetime, *, running: bool, sealed: bool) -> St
     plan = _plan_of(folder)
     poses = plan.count_poses(history)
     going_on = running and not _is_over(history)
+    suspended = suspended_process(folder) if going_on else 0
+    advice = (
+        resume_process(suspended) if suspended else _advice(folder, history, running=running, sealed=sealed)
+    )
     return Status(
         run_id=str(history.started.get("id", folder.name)),
         folder=str(folder),
@@ -318,13 +322,13 @@ def _status(run: StoredRun, now: datetime, *, running: bool, sealed: bool) -> St
         verdict=history.verdict["headline"] if history.verdict else "",
         causes=cause_sentences(history.solved.get("causes", ())),
         left_s=_left_s(history, plan, entries, now) if going_on else None,
-        held_by=_held_by(history) if running else "",
+        held_by=_held_by(history, suspended) if running else "",
         question=history.question if running else "",
         resumed=history.resumed,
         deviations=tuple(history.deviations),
         last=_last_lines(entries, history.why),
         report=str(folder / REPORT) if (folder / REPORT).is_file() else "",
-        advice=_advice(folder, history, running=running, sealed=sealed),
+        advice=advice,
         devices=() if going_on else _devices_left(history),
         busy=history.busy,
         lateness=history.lateness,
@@ -382,7 +386,9 @@ def _left_s(history: History, plan: RunPlan, entries: Sequence[Entry], now: date
     return round(left.left_s(now, held=bool(history.holder)), 1)
 
 
-def _held_by(history: History) -> str:
+def _held_by(history: History, suspended: int) -> str:
+    if suspended:
+        return f"the suspended process {suspended}"
     if history.interlock:
         return f"the {interlock_text(history.interlock.rule)} interlock: {history.interlock.why}"
     return history.holder
@@ -403,10 +409,7 @@ def _advice_while_running(folder: Path, history: History) -> str:
     if _is_over(history):
         return "No action is needed: the run has ended, and its process is about to end."
     if history.interlock:
-        return (
-            "No action is needed: the run continues by itself when this is over, or ends safely if it holds for too"
-            " long."
-        )
+        return "No action is needed: the run continues when this is over, or ends safely if it holds for too long."
     if history.question:
         return f"The run asks: {history.question} To answer: {pasteable('tell', folder, 'yes')} (or no)"
     if history.holder:

@@ -321,7 +321,7 @@ class Station(StrictModel):
     def is_simulated(self) -> bool:
         """Whether a run measures no real camera: a device is simulated, or recordings are replayed."""
         return self.needs_simulated_bench or isinstance(
-            self.camera, RecordedCameraConfig | PictureFolderConfig
+            self.camera, SimulatedEvk4Config | RecordedCameraConfig | PictureFolderConfig
         )
 
 

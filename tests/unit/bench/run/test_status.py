@@ -1,6 +1,10 @@
 """Status of a run, read from its folder alone; its last picture; commands at the last moment."""
 
 import json
+import os
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
@@ -16,7 +20,7 @@ from bench.plan.plan import load_documents, make_plan
 from bench.record.events import Commanded, Event
 from bench.record.journal import Journal
 from bench.record.run_folder import RunFolder
-from bench.run.control import inbox_of
+from bench.run.control import Command, inbox_of, send
 from bench.run.heartbeat import CONTROL
 from bench.run.last_view import LAST_VIEW, leave_view, read_last_view
 from bench.run.status import read_status, status_text
@@ -325,3 +329,31 @@ def test_the_verdict_and_its_causes_are_told_before_the_numbers(run):
     assert lines[at + 1].startswith("This computer stood still for 60 s")
     assert lines[at + 2].startswith("Result: fx 3300")
     run.die()
+
+
+LOCKED = """
+import fcntl, os, sys
+fcntl.flock(os.open(sys.argv[1], os.O_RDONLY), fcntl.LOCK_EX)
+print("locked", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_run_whose_process_is_suspended_is_told_as_such_and_how_it_continues(run):
+    run.tell(Event.ENTERING, state="recording", pose=2)
+    run.die()
+    inbox_of(run.path).folder.mkdir()
+    words = [sys.executable, "-c", LOCKED, str(run.path)]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        process.stdout.readline()
+        try:
+            assert run.status().advice.endswith("abort")
+            process.send_signal(signal.SIGSTOP)
+            os.waitpid(process.pid, os.WUNTRACED)
+            status = run.status()
+            with pytest.raises(RunFolderError, match=f"kill -CONT {process.pid}"):
+                send(run.path, Command(word="abort"), patience_s=0.01)
+        finally:
+            process.kill()
+    assert f"HELD by the suspended process {process.pid}" in status_text(status)
+    assert f"kill -CONT {process.pid}" in status.advice

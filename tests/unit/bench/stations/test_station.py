@@ -191,6 +191,17 @@ def test_two_axes_must_differ_in_what_tells_them_apart(driver, axis, shared):
     assert said.endswith(f"stage.axes: two axes have the same {shared}.")
 
 
+def test_a_run_with_the_simulated_camera_of_another_process_counts_as_simulated():
+    text = changed("simulation: {}\n", "")
+    for port, elsewhere in {
+        "sim:gimbal": "/dev/a",
+        "sim:light": "/dev/b",
+        "sim:camera": "127.0.0.1:5",
+    }.items():
+        text = text.replace(port, elsewhere)
+    assert check_document(text.encode(), "b", Station).value.is_simulated
+
+
 def test_the_simulation_section_has_the_values_json_would_have_but_serial_numbers_stay_text():
     section = "simulation: {camera_serial: 123, camera: {fx: 3e3, k1: .06}, a: [true, 5, '6'], b: null, c: 007, d: NaN, e: 1e999, f: -2}"
     station = check_document(changed("simulation: {}", section).encode(), "b", Station).value
