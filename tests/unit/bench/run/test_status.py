@@ -352,7 +352,7 @@ def test_a_run_whose_process_is_suspended_is_told_as_such_and_how_it_continues(r
             os.waitpid(process.pid, os.WUNTRACED)
             status = run.status()
             with pytest.raises(RunFolderError, match=f"kill -CONT {process.pid}"):
-                send(run.path, Command(word="abort"), patience_s=0.01)
+                send(run.path, Command(word="abort", by="somebody"), patience_s=0.01)
         finally:
             process.kill()
     assert f"HELD by the suspended process {process.pid}" in status_text(status)
