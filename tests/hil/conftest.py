@@ -1,7 +1,9 @@
-"""A headless Chromium, and the configuration folder of a module's runs."""
+"""A headless Chromium, the configuration folder of a module's runs, and a clock that only waits turn."""
 
 import pytest
 from align_browser import running_chromium
+
+from tests.hil.direct_stages import VirtualClock
 
 
 @pytest.fixture(scope="module")
@@ -13,3 +15,8 @@ def chromium():
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
     return tmp_path_factory.mktemp("home")
+
+
+@pytest.fixture
+def clock():
+    return VirtualClock()

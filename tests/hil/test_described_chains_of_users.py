@@ -6,22 +6,8 @@ import pytest
 
 from drivers.errors import DriverError, WrongDevice
 from tests.hil.direct_stages import VirtualClock
-from tests.hil.test_described_stages_of_users import opened
-from tests.hil.text_wire import LINES, Motor, Wire
-
-TMCL = """
-line: {baudrate: 9600, request_end: CR, reply_end: CR, reply_s: 0.2}
-identity: {send: "AGGP 66, 0", reply: "BA 100 {firmware:integer}"}
-serial: {send: "AGGP 76, 0", reply: "BA 100 {serial:integer}"}
-refusals: [{reply: "BA {code:integer} {rest:integer}", fine: ["100"], codes: {"4": invalid value}}]
-stop: {send: "AMST {address}", reply: "BA 100 {rest:integer}"}
-axis:
-  position: {send: "AGAP 1, {address}", reply: "BA 100 {counts:integer}"}
-  idle: {send: "AGAP 8, {address}", reply: "BA 100 {state:integer}", when: [1]}
-  move: {send: "AMVP ABS, {address}, {target:integer}", reply: "BA 100 {rest:integer}"}
-  home: {send: "ARFS START, {address}", reply: "BA 100 {rest:integer}"}
-"""
-"""Trinamic, TMCL firmware manuals, "The ASCII Interface": the request comes back, then host, module, status 100 and a value."""
+from tests.hil.test_described_stages_of_users import changed, opened
+from tests.hil.text_wire import LINES, Motor, Wire, described
 
 
 def module(clock: VirtualClock) -> tuple[Wire, list[Motor]]:
@@ -53,14 +39,9 @@ def module(clock: VirtualClock) -> tuple[Wire, list[Motor]]:
     return wire, motors
 
 
-@pytest.fixture
-def clock() -> VirtualClock:
-    return VirtualClock()
-
-
-def test_each_motor_of_a_module_is_moved_and_stopped(tmp_path, clock) -> None:
+def test_each_motor_of_a_module_is_moved_and_stopped(clock) -> None:
     wire, motors = module(clock)
-    stage = opened(wire, tmp_path, TMCL, ("0", 1000.0), ("1", 1000.0))
+    stage = opened(wire, described("tmcl"), ("0", 1000.0), ("1", 1000.0))
     stage.home()
     stage.move_to({"pan": -7.25, "tilt": 3.5})
     assert [motor.position_deg for motor in motors] == [-7.25, 3.5]
@@ -71,9 +52,9 @@ def test_each_motor_of_a_module_is_moved_and_stopped(tmp_path, clock) -> None:
     assert not any(motor.is_busy for motor in motors)
 
 
-def test_a_motor_that_does_not_answer_its_stop_keeps_no_other_one_from_stopping(tmp_path, clock) -> None:
+def test_a_motor_that_does_not_answer_its_stop_keeps_no_other_one_from_stopping(clock) -> None:
     wire, motors = module(clock)
-    stage = opened(wire, tmp_path, TMCL, ("0", 1000.0), ("1", 1000.0))
+    stage = opened(wire, described("tmcl"), ("0", 1000.0), ("1", 1000.0))
     stage.home()
     for motor in motors:
         motor.move(14.0)
@@ -86,17 +67,17 @@ def test_a_motor_that_does_not_answer_its_stop_keeps_no_other_one_from_stopping(
 
 def test_a_stop_of_all_axes_is_sent_once(tmp_path, clock) -> None:
     wire, motors = module(clock)
-    stage = opened(wire, tmp_path, TMCL.replace("AMST {address}", "AMST 0"), ("0", 1000.0), ("1", 1000.0))
+    stage = opened(wire, changed(tmp_path, "tmcl", "AMST {address}", "AMST 0"), ("0", 1000.0), ("1", 1000.0))
     stage.home()
     motors[0].move(10.0)
     stage.stop()
     assert wire.sent.count("AMST 0") == 1
 
 
-def test_a_serial_number_and_a_firmware_in_digits_have_no_decimal_point(tmp_path, clock) -> None:
+def test_a_serial_number_and_a_firmware_in_digits_have_no_decimal_point(clock) -> None:
     wire, _ = module(clock)
-    stage = opened(wire, tmp_path, TMCL, ("0", 1000.0), serial="4711")
+    stage = opened(wire, described("tmcl"), ("0", 1000.0), serial="4711")
     (axis,) = stage.identify()
     assert (axis.serial, axis.firmware) == ("4711", "1140")
     with pytest.raises(WrongDevice, match="the device answers '4711'"):
-        opened(wire, tmp_path, TMCL, ("0", 1000.0), serial="4712")
+        opened(wire, described("tmcl"), ("0", 1000.0), serial="4712")

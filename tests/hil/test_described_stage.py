@@ -28,11 +28,6 @@ pytestmark = pytest.mark.usefixtures("never_late")
 
 
 @pytest.fixture
-def clock() -> VirtualClock:
-    return VirtualClock()
-
-
-@pytest.fixture
 def rig(clock) -> DirectStage:
     return FAMILIES["flir"](clock, np.random.default_rng(2))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import pytest
 
@@ -11,17 +12,14 @@ from drivers.errors import DriverError, MoveFailed, OutsideLimits
 from drivers.stage import AxisLimits
 from drivers.stage.text import TextAxis, TextStage
 from tests.hil.direct_stages import VirtualClock
-from tests.hil.text_wire import LINES, SPEED, Motor, Wire
-
-HEAD = "format: starbench/stage-protocol/1\nmaker: Maker\nmodel: Model\n"
+from tests.hil.text_wire import LINES, SPEED, Motor, Wire, described
 
 
 def opened(
-    wire: Wire, tmp_path, description: str, *axes: tuple[str, float], serial: str = "", **limits: float
+    wire: Wire, description: Path, *axes: tuple[str, float], serial: str = "", **limits: float
 ) -> TextStage:
     """Open a stage of these axes: addresses and counts per degree."""
-    (tmp_path / "stage.yaml").write_text(HEAD + description)
-    protocol = read_stage_protocol(tmp_path / "stage.yaml").value.for_driver()
+    protocol = read_stage_protocol(description).value.for_driver()
     limit = AxisLimits(
         **{"lowest_deg": -15.0, "highest_deg": 15.0, "speed_deg_s": SPEED, "acceleration_deg_s2": 1e3}
         | limits
@@ -33,30 +31,14 @@ def opened(
     return TextStage(wire, described, protocol, serial=serial, clock=wire.clock)
 
 
-@pytest.fixture
-def clock() -> VirtualClock:
-    return VirtualClock()
+def changed(folder: Path, device: str, old: str, new: str) -> Path:
+    """Change the description of a device, in a file of its own."""
+    path = folder / "changed.yaml"
+    path.write_text(described(device).read_text().replace(old, new))
+    return path
 
 
 # ------------------------------------------------------------ commands without a reply
-
-SMC100 = """
-line: {baudrate: 57600, request_end: CRLF, reply_end: CRLF}
-identity: {send: 1VE, reply: "1VE {firmware:text}"}
-stop: {send: 1ST}
-axis:
-  position: {send: "{address}TP", reply: "{address}TP{counts:number}"}
-  idle: {send: "{address}TS", reply: "{address}TS{errors:hex.4}{state:word}", when: ["0A", "0B", "32", "33", "34", "35"]}
-  reference: {send: "{address}TS", reply: "{address}TS{errors:hex.4}{state:word}", when: ["32", "33", "34", "35", "28"]}
-  faults: {send: "{address}TS", reply: "{address}TS{state:hex.4}{rest:word}", when: [0], bits: [0, 1, 2, 3, 4, 5, 6, 7, 8, 9]}
-  move: {send: "{address}PA{target:number.4}"}
-  home: {send: "{address}OR"}
-  settings:
-    - quantity: speed
-      set: {send: "{address}VA{value:number.3}"}
-      query: {send: "{address}VA?", reply: "{address}VA{value:number}"}
-"""
-"""Newport SMC100CC/PP, User's Manual, commands TS, TP, PA, OR, ST, VA: only queries are answered; 4 + 2 hexadecimal digits."""
 
 
 def smc100(clock: VirtualClock) -> tuple[Wire, Motor]:
@@ -86,9 +68,9 @@ def smc100(clock: VirtualClock) -> tuple[Wire, Motor]:
     return wire, motor
 
 
-def test_commands_that_are_not_answered_are_checked_by_what_follows(tmp_path, clock) -> None:
+def test_commands_that_are_not_answered_are_checked_by_what_follows(clock) -> None:
     wire, motor = smc100(clock)
-    stage = opened(wire, tmp_path, SMC100, ("1", 1.0))
+    stage = opened(wire, described("smc100"), ("1", 1.0))
     assert not stage.is_homed()
     stage.home()
     assert stage.is_homed()
@@ -98,9 +80,9 @@ def test_commands_that_are_not_answered_are_checked_by_what_follows(tmp_path, cl
     assert "1VA20.000" in wire.sent
 
 
-def test_bits_of_an_answer_tell_a_fault(tmp_path, clock) -> None:
+def test_bits_of_an_answer_tell_a_fault(clock) -> None:
     wire, _ = smc100(clock)
-    stage = opened(wire, tmp_path, SMC100, ("1", 1.0))
+    stage = opened(wire, described("smc100"), ("1", 1.0))
     stage.home()
     wire.known["errors"] = "0400"  # a bit that does not count
     assert stage.faults() == []
@@ -110,9 +92,9 @@ def test_bits_of_an_answer_tell_a_fault(tmp_path, clock) -> None:
         stage.move_to({"pan": 1.0})
 
 
-def test_a_command_that_the_device_ignored_in_silence_is_a_failed_move(tmp_path, clock) -> None:
+def test_a_command_that_the_device_ignored_in_silence_is_a_failed_move(clock) -> None:
     wire, _ = smc100(clock)
-    stage = opened(wire, tmp_path, SMC100, ("1", 1.0))
+    stage = opened(wire, described("smc100"), ("1", 1.0))
     stage.home()
     answer = wire.answer
     wire.answer = lambda request: "" if "PA" in request else answer(request)
@@ -121,24 +103,6 @@ def test_a_command_that_the_device_ignored_in_silence_is_a_failed_move(tmp_path,
 
 
 # ------------------------------------------------------------ a target, then a start; one answer of two axes
-
-GSC02 = """
-line: {baudrate: 9600, rtscts: true, request_end: CRLF, reply_end: CRLF}
-identity: {send: "?:V", reply: "{firmware:text}"}
-refusals: [{reply: NG, means: the controller does not take this command now}]
-stop: {send: "L:W", reply: OK}
-axis:
-  position: {send: "Q:", reply: "{counts_1:integer},{counts_2:integer},{command:word},{stop:word},{ready:word}"}
-  idle: {send: "!:", reply: "{state:word}", when: [R]}
-  move: {send: "A:{address}{target:sign}P{target:size}", reply: OK}
-  start: {send: "G:", reply: OK}
-  home: {send: "H:{address}-", reply: OK}
-  settings:
-    - quantity: speed
-      set: {send: "D:{address}S100F{value:integer}R50", reply: OK}
-      query: {send: "?:D{address}", reply: "S100F{value:integer}R50"}
-"""
-"""OptoSigma and Sigma Koki GSC-02, User's Manual, commands A, G, Q, !, H, L, D; PySigmaKoki shows an answer to Q."""
 
 
 def gsc02(clock: VirtualClock) -> tuple[Wire, dict[str, Motor]]:
@@ -179,9 +143,9 @@ def gsc02(clock: VirtualClock) -> tuple[Wire, dict[str, Motor]]:
     return wire, motors
 
 
-def test_a_target_is_set_and_then_started_and_each_axis_finds_its_own_value(tmp_path, clock) -> None:
+def test_a_target_is_set_and_then_started_and_each_axis_finds_its_own_value(clock) -> None:
     wire, motors = gsc02(clock)
-    stage = opened(wire, tmp_path, GSC02, ("1", 400.0), ("2", 400.0))
+    stage = opened(wire, described("gsc02"), ("1", 400.0), ("2", 400.0))
     stage.home()
     stage.move_to({"pan": -10.0, "tilt": 4.0})
     assert [motor.position_deg for motor in motors.values()] == [-10.0, 4.0]
@@ -191,23 +155,6 @@ def test_a_target_is_set_and_then_started_and_each_axis_finds_its_own_value(tmp_
 
 # ------------------------------------------------------------ hexadecimal positions, and an answer when the move has ended
 
-ELL14 = """
-line: {baudrate: 9600, request_end: none, reply_end: CRLF}
-identity: {send: "0in", reply: "0IN{firmware:word}"}
-stop: {send: "0st", reply: "0GS{state:hex.2}"}
-axis:
-  position: {send: "{address}gp", reply: "{address}PO{counts:signed_hex.8}"}
-  idle: {send: "{address}gs", reply: "{address}GS{state:hex.2}", when: [0]}
-  move: {send: "{address}ma{target:signed_hex.8}", reply: "{address}PO{counts:signed_hex.8}", reply_comes: at_end}
-  home: {send: "{address}ho0", reply: "{address}PO{counts:signed_hex.8}", reply_comes: at_end}
-  settings:
-    - quantity: constant
-      value: 100
-      set: {send: "{address}sv{value:hex.2}", reply: "{address}GS00"}
-      query: {send: "{address}gv", reply: "{address}GV{value:hex.2}"}
-"""
-"""Thorlabs ELLx modules, Protocol Manual, commands in, gs, gp, ma, ho, sv, gv: positions are signed numbers of 32 bits; no end
-of a request; the position comes once the move has ended. An ELL14 has 143360 counts a turn."""
 ELL14_COUNTS_PER_DEG = 143360 / 360
 
 
@@ -246,9 +193,9 @@ def ell14(clock: VirtualClock) -> tuple[Wire, Motor]:
     return wire, motor
 
 
-def test_positions_in_hexadecimal_digits_come_when_the_move_has_ended(tmp_path, clock) -> None:
+def test_positions_in_hexadecimal_digits_come_when_the_move_has_ended(clock) -> None:
     wire, motor = ell14(clock)
-    stage = opened(wire, tmp_path, ELL14, ("0", ELL14_COUNTS_PER_DEG))
+    stage = opened(wire, described("ell14"), ("0", ELL14_COUNTS_PER_DEG))
     stage.home()
     stage.move_to({"pan": -10.0})
     assert motor.position_deg == pytest.approx(-10.0, abs=2e-3)
@@ -258,12 +205,8 @@ def test_positions_in_hexadecimal_digits_come_when_the_move_has_ended(tmp_path, 
 
 def test_a_position_that_has_more_digits_than_the_device_takes_is_not_sent(tmp_path, clock) -> None:
     wire, _ = ell14(clock)
-    stage = opened(
-        wire,
-        tmp_path,
-        ELL14.replace("{target:signed_hex.8}", "{target:signed_hex.3}"),
-        ("0", ELL14_COUNTS_PER_DEG),
-    )
+    short = changed(tmp_path, "ell14", "{target:signed_hex.8}", "{target:signed_hex.3}")
+    stage = opened(wire, short, ("0", ELL14_COUNTS_PER_DEG))
     stage.home()
     with pytest.raises(OutsideLimits, match="3 hexadecimal digits"):
         stage.move_to({"pan": -10.0})
@@ -272,29 +215,8 @@ def test_a_position_that_has_more_digits_than_the_device_takes_is_not_sent(tmp_p
 
 # ------------------------------------------------------------ PI's general command set
 
-MERCURY = """
-line: {baudrate: 115200, request_end: LF, reply_end: LF}
-identity: {send: "*IDN?", reply: "{firmware:text}"}
-stop: {send: STP}
-axis:
-  position: {send: "POS? {address}", reply: "{address}={counts:number}"}
-  idle: {send: "ONT? {address}", reply: "{address}={state:integer}", when: [1]}
-  reference: {send: "FRF? {address}", reply: "{address}={state:integer}", when: [1]}
-  faults: {send: "ERR?", reply: "{state:integer}", when: [0, 10]}   # 10: stopped by command
-  move: {send: "MOV {address} {target:number.4}"}
-  home: {send: "FRF {address}"}
-  lowest: {send: "TMN? {address}", reply: "{address}={counts:number}"}
-  highest: {send: "TMX? {address}", reply: "{address}={counts:number}"}
-  settings:
-    - quantity: constant
-      value: 1
-      set: {send: "SVO {address} {value:integer}"}
-      query: {send: "SVO? {address}", reply: "{address}={value:integer}"}
-"""
-"""PI C-863 Mercury, User Manual (GCS 2.0), commands MOV, POS?, ONT?, FRF, ERR?, SVO, STP, TMN?, TMX?."""
 
-
-def test_a_controller_of_pi_moves_by_its_general_command_set(tmp_path, clock) -> None:
+def test_a_controller_of_pi_moves_by_its_general_command_set(clock) -> None:
     wire, motor = Wire(clock, LINES), Motor(clock)
     known = {"SVO": "0", "FRF": "0", "ERR": "0"}
 
@@ -324,7 +246,7 @@ def test_a_controller_of_pi_moves_by_its_general_command_set(tmp_path, clock) ->
         return f"1={shown[verb]}\n" if verb in shown else ""
 
     wire.answer = answer
-    stage = opened(wire, tmp_path, MERCURY, ("1", 1.0))
+    stage = opened(wire, described("c863"), ("1", 1.0))
     stage.home()
     stage.move_to({"pan": -7.25})
     assert stage.position_deg() == {"pan": -7.25}
@@ -335,26 +257,8 @@ def test_a_controller_of_pi_moves_by_its_general_command_set(tmp_path, clock) ->
 
 # ------------------------------------------------------------ a code in each reply, and lines that nobody asked for
 
-MCS = """
-line: {baudrate: 9600, request_end: LF, reply_end: LF}
-identity: {send: ":GSI", reply: ":ID{firmware:text}"}
-refusals: [{reply: ":E{channel:integer},{code:integer}", fine: ["0"], codes: {"140": no sensor}}]
-unasked: ["T={celsius:number}"]
-stop: {send: ":S0", reply: ":E0,0"}
-axis:
-  position: {send: ":GA{address}", reply: ":A{address},{counts:integer},{turns:integer}"}
-  idle: {send: ":GS{address}", reply: ":S{address},{state:integer}", when: [0, 3]}
-  reference: {send: ":GPPK{address}", reply: ":PPK{address},{state:integer}", when: [1]}
-  move: {send: ":MAA{address},{target:integer},0,0", reply: ":E{address},0"}
-  home: {send: ":FRM{address},2,0,1", reply: ":E{address},0"}
-"""
-"""SmarAct MCS, ASCII Programming Guide: a command is answered by its channel and an error code, of which 0 is none. The lines of a
-temperature are those of many a board of one's own."""
 
-
-def test_a_code_of_success_is_no_refusal_and_lines_that_nobody_asked_for_are_left_out(
-    tmp_path, clock
-) -> None:
+def test_a_code_of_success_is_no_refusal_and_lines_that_nobody_asked_for_are_left_out(clock) -> None:
     wire, motor = Wire(clock, LINES), Motor(clock)
     state = {"referenced": 0, "told_s": clock.now_s}
 
@@ -385,7 +289,7 @@ def test_a_code_of_success_is_no_refusal_and_lines_that_nobody_asked_for_are_lef
         return "T=24.5\n"
 
     wire.answer, wire.unasked = answer, unasked
-    stage = opened(wire, tmp_path, MCS, ("0", 1e6))
+    stage = opened(wire, described("mcs"), ("0", 1e6))
     stage.home()
     stage.move_to({"pan": -4.25})
     assert stage.position_deg() == {"pan": -4.25}
@@ -397,25 +301,8 @@ def test_a_code_of_success_is_no_refusal_and_lines_that_nobody_asked_for_are_lef
 
 # ------------------------------------------------------------ a prompt behind each reply
 
-GALIL = """
-line: {baudrate: 19200, request_end: CR, prompt: ":"}
-identity: {send: "ID", reply: "{firmware:word} :"}
-stop: {send: ST, reply: ":"}
-axis:
-  position: {send: "TP{address}", reply: "{counts:integer} :"}
-  idle: {send: "MG _BG{address}", reply: "{state:number} :", when: [0]}
-  move: {send: "PA{address}={target:integer}", reply: ":"}
-  start: {send: "BG{address}", reply: ":"}
-  home: {send: "HM{address};BG{address}", reply: ":"}
-  settings:
-    - quantity: speed
-      set: {send: "SP{address}={value:integer.6}", reply: ":"}
-      query: {send: "MG _SP{address}", reply: "{value:number} :"}
-"""
-"""Galil DMC-40x0, User Manual, "Controller Response to Commands": data, CR, LF and a colon; a question mark for what it refuses."""
 
-
-def test_a_prompt_ends_each_reply(tmp_path, clock) -> None:
+def test_a_prompt_ends_each_reply(clock) -> None:
     wire, motor = Wire(clock, LINES), Motor(clock)
     known = {"SP": 25000.0, "PA": 0.0}
 
@@ -439,29 +326,14 @@ def test_a_prompt_ends_each_reply(tmp_path, clock) -> None:
         return ":"
 
     wire.answer = answer
-    stage = opened(wire, tmp_path, GALIL, ("A", 1000.0))
+    stage = opened(wire, described("dmc4020"), ("A", 1000.0))
     stage.home()
     stage.move_to({"pan": -3.5})
     assert motor.position_deg == -3.5
     assert "SPA=020000" in wire.sent
 
 
-XPS = """
-line: {baudrate: 115200, request_end: none, prompt: ",EndOfAPI"}
-identity: {send: "FirmwareVersionGet(char *)", reply: "0,{firmware:text}"}
-refusals: [{reply: "{code:integer},,EndOfAPI", fine: ["0"], codes: {"-22": the group is in another state}}]
-stop: {send: "GroupMoveAbort(Gimbal)", reply: "0,,EndOfAPI"}
-axis:
-  position: {send: "GroupPositionCurrentGet(Gimbal.{address},double *)", reply: "0,{counts:number},EndOfAPI"}
-  idle: {send: "GroupStatusGet(Gimbal,int *)", reply: "0,{state:integer},EndOfAPI", when: [11, 12, 42]}
-  reference: {send: "GroupStatusGet(Gimbal,int *)", reply: "0,{state:integer},EndOfAPI", when: [11, 12]}
-  move: {send: "GroupMoveAbsolute(Gimbal.{address},{target:number.5})", reply: "0,,EndOfAPI", reply_comes: at_end}
-  home: {send: "GroupHomeSearch(Gimbal)", reply: "0,,EndOfAPI", reply_comes: at_end}
-"""
-"""Newport XPS-C and XPS-D, Programmer's Manual: an error, the values, and EndOfAPI; a move is answered when it has ended."""
-
-
-def test_a_word_ends_each_reply_and_a_refused_move_has_its_reason(tmp_path, clock) -> None:
+def test_a_word_ends_each_reply_and_a_refused_move_has_its_reason(clock) -> None:
     wire, motor = Wire(clock, re.compile(rb"(\w+\([^()]*\))")), Motor(clock)
     known = {"state": "42", "awaited": ""}
 
@@ -486,7 +358,7 @@ def test_a_word_ends_each_reply_and_a_refused_move_has_its_reason(tmp_path, cloc
         return "0,,EndOfAPI"
 
     wire.answer, wire.unasked = answer, unasked
-    stage = opened(wire, tmp_path, XPS, ("Pan", 1.0))
+    stage = opened(wire, described("xps"), ("Pan", 1.0))
     stage.home()
     stage.move_to({"pan": -6.125})
     assert stage.position_deg() == {"pan": -6.125}

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
+from pathlib import Path
 
 from tests.hil.direct_stages import VirtualClock
 
 SPEED = 20.0
 """Degrees a second of all these stages."""
+
+
+def described(device: str) -> Path:
+    """Return the description of a device, as a user has written it from the maker's manual."""
+    return Path(__file__).parents[1] / "data" / "descriptions" / f"{device}.yaml"
 
 
 class Motor:
