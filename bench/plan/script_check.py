@@ -38,6 +38,10 @@ FEWEST_POSES = 2
 """Fewest directions from which a focal length can be determined."""
 SOME_LENS_TERMS = tuple(term for family in LENS_FAMILIES for term in family)
 """Coefficients that ``distortion: auto`` may choose."""
+SMALLEST_SHARE_PERCENT = 1.0
+"""A duty or level up to this is remarked: 0.5 and 1 are what half and all are as shares."""
+LEAST_SPREAD_DEG = 1.0
+"""Poses that are all nearer to each other are remarked: 20 degrees to each side are less than 1 in radians."""
 WHOLE_PERIOD_SLACK = 0.02
 """A window may be shorter than a period by this fraction and still mean a whole period (16.6 ms at 60 Hz)."""
 
@@ -71,7 +75,15 @@ def check_script(
     ]
     return Findings(
         tuple(sorted(set(faults))),
-        tuple(sorted({*_remarks(document, steps), *_steady_remarks(document, steps, station)})),
+        tuple(
+            sorted(
+                {
+                    *_remarks(document, steps),
+                    *_unit_remarks(document, steps),
+                    *_steady_remarks(document, steps, station),
+                }
+            )
+        ),
     )
 
 
@@ -159,7 +171,7 @@ def _event_recording_faults(
     if periods < 1 - WHOLE_PERIOD_SLACK:
         path = setting_path(document, step.path, "window_ms", "record")
         message = f"{step.window_ms:g} ms is shorter than a period of {flicker.frequency_hz:g} Hz"
-        yield document.fault(path, f"{message}: use at least {1e3 / flicker.frequency_hz:.4g} ms.")
+        yield document.fault(path, f"{message}: use at least {1e3 / flicker.frequency_hz:.2f} ms.")
     if step.gates.require_triggers and not station.light.sync_output:
         path = setting_path(document, step.path, "gates", "record")
         message = (
@@ -271,6 +283,31 @@ def _remarks(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[F
         yield document.fault(unsolved.path, "recorded after the last solve: no result uses this recording.")
     if not any(isinstance(step, ReportStep) for step in steps):
         yield document.fault(("steps",), "there is no report step: the run ends without a report.")
+
+
+def _unit_remarks(document: Located[Sequence], steps: tuple[Step, ...]) -> Iterator[Fault]:
+    """Yield where a value looks as if it were in another unit: radians, or a share in place of per cent."""
+    angles: list[tuple[float, ...]] = []
+    for step in steps:
+        if isinstance(step, LightStep) and step.flicker is not None:
+            for name in ("duty_percent", "level_percent"):
+                value = getattr(step.flicker, name)
+                if value <= SMALLEST_SHARE_PERCENT:
+                    path = setting_path(document, step.path, name, "light")
+                    yield document.fault(path, f"{value:g} means {value:g} per cent; all is 100.")
+        elif isinstance(step, RecordStep):
+            angles.append(tuple(step.pose.angles_deg.get(axis, 0.0) for axis in AXES))
+        elif isinstance(step, SolveStep) and 0 < (widest := _widest_deg(angles)) < LEAST_SPREAD_DEG:
+            yield document.fault(
+                step.path,
+                f"all poses lie within {widest:.2g} degrees. Angles are in degrees, not in radians. Such poses hardly"
+                " tell the lens from the collimator: spread them over the field.",
+            )
+
+
+def _widest_deg(angles: list[tuple[float, ...]]) -> float:
+    """Return the longest way of an axis over all poses."""
+    return max((max(of_axis) - min(of_axis) for of_axis in zip(*angles, strict=True)), default=0.0)
 
 
 def _steady_remarks(

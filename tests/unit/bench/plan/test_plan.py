@@ -278,6 +278,24 @@ def test_what_somebody_should_know_is_said_and_forbids_nothing():
     ]
 
 
+@pytest.mark.parametrize(
+    ("written", "remarked"),
+    [
+        ("defaults: {light: {duty_percent: 0.5}}", ["0.5 means 0.5 per cent; all is 100."]),
+        ("defaults: {light: {level_percent: 1}}", ["1 means 1 per cent; all is 100."]),
+        ("defaults: {light: {duty_percent: 20}}", []),
+        ("", []),
+    ],
+)
+def test_a_share_in_place_of_per_cent_is_remarked(written, remarked):
+    assert [remark.message for remark in planned(f"{written}\n{GOOD}").remarks] == remarked
+
+
+def test_angles_that_look_like_radians_are_remarked():
+    (remark,) = planned(GOOD.replace("pan_deg: 2", "pan_deg: 0.79")).remarks
+    assert "all poses lie within 0.21 degrees" in remark.message
+
+
 def test_twenty_faults_planted_in_both_files_are_reported_at_once(tmp_path):
     sequence = tmp_path / "sequence.yaml"
     sequence.write_text(
