@@ -1,6 +1,6 @@
 """Supervises one worker process, and makes the bench safe if the worker cannot do so any more.
 
-The end of a worker is noticed at once, a hang within ``SILENCE_S`` (docs/decisions/0041-one-time-out.md). A hanging
+The end of a worker is noticed at once, a hang within ``SILENCE_S`` (docs/decisions/0021-survival.md). A hanging
 worker is ended by SIGABRT, at which it writes its position in the program to a file, or else by SIGKILL; then its
 devices are opened again and made safe. A worker whose supervisor was killed is supervised by the next one.
 """
