@@ -10,18 +10,26 @@ from pydantic import AfterValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from sequences.schema import Name
-from sequences.strict_model import StrictModel
+from sequences.strict_model import Form, StrictModel
 
-Key = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$")]
-SettingPath = Annotated[str, Field(max_length=200, pattern=r"^(sequence|station)(\.[A-Za-z0-9_]+)+$")]
-Value = Annotated[str, Field(max_length=1000, pattern=r"^[^\r\n]*$")]
+Key = Annotated[
+    str,
+    Form(r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$", "up to 40 letters from A to Z, digits, - and _, such as cam-7"),
+]
+SettingPath = Annotated[
+    str,
+    Field(max_length=200),
+    Form(
+        r"^(sequence|station)(\.[A-Za-z0-9_]+)+$",
+        "a path into the sequence or the station, such as sequence.defaults.record.window_ms",
+    ),
+]
+Value = Annotated[str, Field(max_length=1000), Form(r"^[^\r\n]*$", "one line of text")]
 File = Annotated[str, Field(min_length=1, max_length=500)]
 TimeOfDay = Annotated[
     str,
-    Field(
-        pattern=r"^([01][0-9]|2[0-3]):[0-5][0-9]$",
-        description="Local time such as 22:30; the next occurrence counts.",
-    ),
+    Form(r"^([01][0-9]|2[0-3]):[0-5][0-9]$", "a time of day from 00:00 to 23:59, such as 07:30"),
+    Field(description="Local time such as 22:30; the next occurrence counts."),
 ]
 
 

@@ -13,7 +13,7 @@ from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
 from sequences.solve_schema import CheckConfig, DistortionTerm, Limit, SolveConfig
-from sequences.strict_model import StrictModel, Within
+from sequences.strict_model import Form, StrictModel, Within
 
 LimitedResult = Literal["fx", "fy", "cx", "cy", "x", "y", "r", DistortionTerm]
 Bound = Annotated[float, Field(ge=-1e12, le=1e12)]
@@ -26,7 +26,11 @@ Answer = Literal["continue", "abort"]
 OnFailure = Literal["fail", "skip", "hold"]
 
 Angle = Annotated[float, Field(ge=-360, le=360)]
-Name = Annotated[str, Field(min_length=1, max_length=80, pattern=r"^\S(.*\S)?$")]
+Name = Annotated[
+    str,
+    Field(min_length=1, max_length=80),
+    Form(r"^\S(.*\S)?$", "one line of text without blanks at its ends"),
+]
 
 NotNegative = Annotated[float, Field(ge=0)]
 

@@ -83,6 +83,30 @@ class Within:
         )
 
 
+@dataclass(frozen=True)
+class Form:
+    """The form of a text, for ``Annotated``: a message says it in words, and the exported schema by its pattern."""
+
+    pattern: str
+    words: str  # What the text must be, with an example
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        """Add the check of the form after the check of the type."""
+        return core_schema.no_info_after_validator_function(self.check, handler(source))
+
+    def __get_pydantic_json_schema__(
+        self, schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        """State the pattern in the exported schema."""
+        return {**handler(schema), "pattern": self.pattern}
+
+    def check(self, text: str) -> str:
+        """Refuse a text of another form."""
+        if re.fullmatch(self.pattern, text):
+            return text
+        raise PydanticCustomError("form", "must be {words}", {"words": self.words})
+
+
 def with_plain_numbers(schema: Any) -> Any:
     """Return a schema of pydantic in which every number that is given as text must be a plain decimal number."""
     if isinstance(schema, list):

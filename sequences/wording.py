@@ -37,7 +37,7 @@ MESSAGES = {
     "dict_type": "must be a mapping (key: value)",
     "model_type": "must be a mapping (key: value)",
     "model_attributes_type": "must be a mapping (key: value)",
-    "string_pattern_mismatch": "must be of the form {pattern}",
+    "form": "must be {words}",
     "greater_than": "must be more than {gt:g}",
     "greater_than_equal": "must be {ge:g} or more",
     "less_than": "must be less than {lt:g}",

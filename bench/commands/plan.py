@@ -245,6 +245,7 @@ def begin_utc(queue: Queue, begin: datetime | None) -> datetime:
 
 
 def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None]) -> Iterator[str]:
+    from bench.extras.batch.batch_record import NEVER_S
     from bench.wording.numbers import duration
     from bench.wording.plan_text import size_text
 
@@ -254,6 +255,8 @@ def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None])
         return f"{night.moment(at_s).astimezone(zone):%a %H:%M}"
 
     begins = f"{night.moment(night.bounds.opens_s).astimezone(zone):%a %Y-%m-%d %H:%M %Z}"
+    if night.bounds.done_by_s != NEVER_S:  # the next such time may be tomorrow's
+        begins += f"; no run that would end after {clock(night.bounds.done_by_s)}"
     yield from (f"{text}\n" for text in night.slow)
     most = "at most " if any(planned.untils for planned in night.plans.values()) else ""
     takes = f"takes {most}".strip()

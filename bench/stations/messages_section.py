@@ -12,11 +12,17 @@ from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from bench.stations.station_fields import Text, Variable
-from sequences.strict_model import StrictModel
+from sequences.strict_model import Form, StrictModel
 
 Occasion = Literal["failure", "hold", "end"]
-Address = Annotated[str, Field(max_length=254, pattern=r"^[^\s@<>\"]+@[^\s@<>\"]+$")]
-Url = Annotated[str, Field(max_length=2000, pattern=r"^https?://[^\s]+$")]
+Address = Annotated[
+    str,
+    Field(max_length=254),
+    Form(r"^[^\s@<>\"]+@[^\s@<>\"]+$", "one address such as lab@example.org, without a name"),
+]
+Url = Annotated[
+    str, Field(max_length=2000), Form(r"^https?://[^\s]+$", "an address that begins with http:// or https://")
+]
 
 
 class MailConfig(StrictModel):

@@ -34,7 +34,7 @@ from drivers.stage import Stage
 from drivers.wire_log import WireLog
 from sequences.schema import Angle, Axis
 from sequences.script import Flicker
-from sequences.strict_model import Within
+from sequences.strict_model import Form, Within
 
 _BAUD_RATES = Within(50, 20_000_000, "Bd")
 Scale = Annotated[
@@ -104,7 +104,10 @@ class ZaberAxisConfig(AxisConfig):
         int, Field(ge=1, le=256, description="Microsteps a step for which microsteps_per_deg holds.")
     ] = 64
     settings: Annotated[
-        dict[Annotated[str, Field(pattern=r"^[a-z][a-z0-9.]{1,60}$")], float],
+        dict[
+            Annotated[str, Form(r"^[a-z][a-z0-9.]{1,60}$", "the name of a setting, such as driver.dir")],
+            float,
+        ],
         Field(
             max_length=40, description="Settings that change angles, such as driver.dir, and their values."
         ),
@@ -199,7 +202,10 @@ class GrblStageConfig(SerialLine, AnyStage):
         Field(description="Name given to the board with $I=.... Without it, any board is accepted."),
     ] = None
     settings: Annotated[
-        dict[Annotated[str, Field(pattern=r"^\$([0-9]{1,4}|/[a-z0-9_/]{1,80})$")], float],
+        dict[
+            Annotated[str, Form(r"^\$([0-9]{1,4}|/[a-z0-9_/]{1,80})$", "the name of a setting, such as $3")],
+            float,
+        ],
         Field(max_length=40, description="Settings that change angles, such as $3, and their values."),
     ] = Field(default_factory=dict)
     axes: Annotated[dict[Axis, GrblAxisConfig], Field(min_length=1), differing("letter")]

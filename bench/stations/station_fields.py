@@ -10,7 +10,7 @@ from pydantic_core import PydanticCustomError
 from calib.errors import InputMismatch
 from calib.target import StarTarget
 from drivers.port_address import PORT_REMEDY, SOURCE_REMEDY, refused_port, refused_source
-from sequences.strict_model import StrictModel, Within
+from sequences.strict_model import Form, StrictModel, Within
 
 SIMULATED_PREFIX = "sim:"
 SIMULATED_PORTS = (
@@ -24,7 +24,14 @@ SIMULATED_PORTS = (
 )
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 
-Variable = Annotated[str, Field(max_length=100, pattern=r"^[A-Za-z_][A-Za-z0-9_]*$")]
+Variable = Annotated[
+    str,
+    Field(max_length=100),
+    Form(
+        r"^[A-Za-z_][A-Za-z0-9_]*$",
+        "the name of an environment variable, such as BENCH_MAIL, not the secret itself",
+    ),
+]
 """Name of an environment variable, which holds a secret in place of the station file."""
 
 Serial = Annotated[

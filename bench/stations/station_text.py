@@ -32,7 +32,7 @@ from drivers.wire_log import WireLog
 from sequences.errors import DocumentFaults
 from sequences.reader import Located, find_document, read_document
 from sequences.schema import Axis
-from sequences.strict_model import Within
+from sequences.strict_model import Form, Within
 from sequences.tree import Fault
 
 SHIPPED_DESCRIPTIONS: Final = Path(__file__).parent / "descriptions"
@@ -81,9 +81,9 @@ class TextAxisConfig(AxisConfig):
     scale_key: ClassVar[str] = "counts_per_deg"
     address: Annotated[
         str,
+        Form(r"^[!-z|~]*$", "ASCII characters without blanks and braces"),
         Field(
             max_length=20,
-            pattern=r"^[!-z|~]*$",
             description="The controller's word for the axis: {address} of the description.",
         ),
     ] = ""

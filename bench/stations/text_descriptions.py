@@ -26,7 +26,7 @@ from bench.stations.described_exchanges import (
 )
 from bench.stations.station_fields import Text
 from drivers.described import description as of
-from sequences.strict_model import StrictModel, Within, is_plain_number
+from sequences.strict_model import Form, StrictModel, Within, is_plain_number
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -105,9 +105,9 @@ class LineConfig(StrictModel):
     reply_end: Annotated[Literal["CR", "LF", "CRLF"], Field(description="Ends each reply.")] = "LF"
     prompt: Annotated[
         str,
+        Form(r"^[ -~]*$", "ASCII characters"),
         Field(
             max_length=20,
-            pattern=r"^[ -~]*$",
             description="Ends each reply in place of `reply_end`, and stands in it.",
         ),
     ] = ""
@@ -127,9 +127,9 @@ class LineConfig(StrictModel):
     ] = "none"
     clear: Annotated[
         str,
+        Form(r"^[!-~]*$", "ASCII characters without blanks"),
         Field(
             max_length=8,
-            pattern=r"^[!-~]*$",
             description="Text that makes a request invalid that was cut on its way; then it is ended.",
         ),
     ] = ""
@@ -154,7 +154,7 @@ class RefusalConfig(StrictModel):
 class NoticeConfig(StrictModel):
     """A text that the device sends without a request."""
 
-    text: Annotated[str, Field(min_length=2, max_length=100, pattern=r"^[ -~]+$")]
+    text: Annotated[str, Field(min_length=2, max_length=100), Form(r"^[ -~]+$", "ASCII characters")]
     means: Annotated[Text | None, Field(description="What has happened; a move then fails.")] = None
 
 

@@ -30,7 +30,7 @@ from bench.stations.station_budget import Date
 from bench.stations.station_fields import Serial
 from sequences.reader import Located, check_document, read_document
 from sequences.schema import RuleConfig
-from sequences.strict_model import StrictModel
+from sequences.strict_model import Form, StrictModel
 from sequences.wording import MESSAGES
 
 EXAMPLE = Path(__file__).with_name("example_lab.yaml")
@@ -39,7 +39,11 @@ PLACEHOLDER = "REPLACE"
 """Stands in the example for every value that only the laboratory knows."""
 Kind = TypeVar("Kind")
 
-Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$", description="SHA-256 of the certificate's file.")]
+Sha256 = Annotated[
+    str,
+    Form(r"^[0-9a-f]{64}$", "64 digits 0 to 9 and a to f, as `sha256sum` prints them"),
+    Field(description="SHA-256 of the certificate's file."),
+]
 Number = Annotated[float, Field(ge=-1e12, le=1e12)]
 NotNegative = Annotated[float, Field(ge=0, le=1e12)]
 Factor = Annotated[float, Field(ge=1, le=10, description="Coverage factor of the uncertainty.")]
@@ -114,14 +118,22 @@ class Address(StrictModel):
     street: OrEmpty[Text] = ""
     post_code: OrEmpty[Text] = ""
     city: Text
-    country: Annotated[str, Field(pattern=r"^[A-Z]{2}$", description="Two letters, ISO 3166-1.")]
+    country: Annotated[
+        str,
+        Form(r"^[A-Z]{2}$", "two capital letters by ISO 3166-1, such as DE"),
+        Field(description="Two letters, ISO 3166-1."),
+    ]
 
 
 class Contact(StrictModel):
     """How to reach somebody: at least one of mail and telephone."""
 
     name: OrEmpty[Text] = ""
-    email: OrEmpty[Annotated[str, Field(pattern=r"^[^@\s]+@[^@\s]+$", max_length=254)]] = ""
+    email: OrEmpty[
+        Annotated[
+            str, Field(max_length=254), Form(r"^[^@\s]+@[^@\s]+$", "an address such as lab@example.org")
+        ]
+    ] = ""
     phone: OrEmpty[Text] = ""
 
     @model_validator(mode="after")
@@ -305,8 +317,10 @@ class AuthorisedBy(StrictModel):
     role: Text
     key: Annotated[
         str,
+        Form(
+            r"^SHA256:[A-Za-z0-9+/]{43}$", "SHA256: and 43 characters, as `ssh-keygen -l -f KEY` prints them"
+        ),
         Field(
-            pattern=r"^SHA256:[A-Za-z0-9+/]{43}$",
             validation_alias=AliasChoices("key", "key_fingerprint"),
             serialization_alias="key_fingerprint",
             description="Fingerprint of the person's key, as `ssh-keygen -l` prints it.",
