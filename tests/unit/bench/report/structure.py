@@ -2,16 +2,18 @@
 
 from html.parser import HTMLParser
 
+from lxml import html
+
 VOID = {"meta", "link", "br", "img", "hr", "input"}
 
 
 class Structure(HTMLParser):
     """Tags, attributes and whether every element is closed where it should be."""
 
-    def __init__(self, html):
+    def __init__(self, page):
         super().__init__()
         self.tags, self.attributes, self.open, self.wrong = [], [], [], []
-        self.feed(html)
+        self.feed(page)
         self.close()
 
     @property
@@ -35,34 +37,14 @@ class Structure(HTMLParser):
             self.wrong.append((tag, self.getpos()))
 
 
-class Cells(HTMLParser):
-    """Rows of the table with an accessible name: the text of each cell, "[class] " before what stands in a pill."""
-
-    def __init__(self, page, name):
-        super().__init__()
-        self.name, self.rows, self.inside, self.cell = name, [], False, False
-        self.feed(page)
-
-    def handle_starttag(self, tag, attrs):
-        told = dict(attrs)
-        self.inside |= told.get("aria-label") == self.name
-        if tag == "tr" and self.inside:
-            self.rows.append([])
-        elif tag == "td" and self.inside:
-            self.rows[-1].append("")
-            self.cell = True
-        elif self.cell and (told.get("class") or "").startswith(("pill", "drift")):
-            self.rows[-1][-1] += f"[{told['class'].removeprefix('pill ')}] "
-
-    def handle_data(self, data):
-        if self.cell:
-            self.rows[-1][-1] += data
-
-    def handle_endtag(self, tag):
-        self.cell &= tag != "td"
-        self.inside &= tag != "table"
-
-
 def cells(page, name):
-    """The rows of the table, without its heading."""
-    return [row for row in Cells(page, name).rows if row]
+    """The rows of the table with an accessible name, without its heading: the text of each cell."""
+    rows = html.fromstring(page).xpath(f'//*[@aria-label="{name}"]//tr[td]')
+    return [[_shown(cell) for cell in row.findall("td")] for row in rows]
+
+
+def _shown(element):
+    """The text of an element, "[class] " before what stands in a pill."""
+    kind = element.get("class", "")
+    mark = f"[{kind.removeprefix('pill ')}] " if kind.startswith(("pill", "drift")) else ""
+    return mark + (element.text or "") + "".join(_shown(child) + (child.tail or "") for child in element)
