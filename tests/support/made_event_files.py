@@ -2,8 +2,25 @@
 
 import numpy as np
 
+from drivers.camera.event_arrays import Events, Triggers
+
 EVT2_HEAD = b"% evt 2.0\n% format EVT2;height=720;width=1280\n% end\n"
 DAT_HEAD = b"% Data file containing CD events.\n% Version 2\n% Height 720\n% Width 1280\n"
+
+
+def drawn_stream():
+    """Events over three turns of the 24-bit clock with a gap between, and edges among them."""
+    rng = np.random.default_rng(3)
+    t = np.sort(rng.integers(9_000_000, 9_100_000, 5000))
+    t[2500:] += 45_000_000
+    events = Events(
+        t.astype(np.int64),
+        rng.integers(0, 1280, 5000).astype(np.uint16),
+        rng.integers(0, 720, 5000).astype(np.uint16),
+        rng.integers(0, 2, 5000).astype(np.uint8),
+    )
+    edges = np.sort(rng.integers(8_990_000, 54_200_000, 40)).astype(np.int64)
+    return events, Triggers(edges, (np.arange(40) % 2).astype(np.uint8), np.zeros(40, np.uint8))
 
 
 def some_events(n=5000, *, step_us=7):

@@ -19,7 +19,7 @@ from drivers.camera.formats.event_conversion import KINDS, Evt3Encoder, convert
 from drivers.camera.raw_file import RawFile
 from drivers.camera.raw_writer import new_file
 from drivers.errors import NotARecording, RecordingFileError
-from tests.support.made_event_files import same
+from tests.support.made_event_files import drawn_stream, same
 
 NOW = datetime(2026, 11, 20, 4, 5, 6, tzinfo=UTC)
 HEADER = (
@@ -28,25 +28,10 @@ HEADER = (
 )
 
 
-def stream(n=5000, seed=3):
-    """Events over three turns of the 24-bit clock with a gap between, and edges among them."""
-    rng = np.random.default_rng(seed)
-    t = np.sort(rng.integers(9_000_000, 9_100_000, n))
-    t[n // 2 :] += 45_000_000
-    events = Events(
-        t.astype(np.int64),
-        rng.integers(0, 1280, n).astype(np.uint16),
-        rng.integers(0, 720, n).astype(np.uint16),
-        rng.integers(0, 2, n).astype(np.uint8),
-    )
-    edges = np.sort(rng.integers(8_990_000, 54_200_000, 40)).astype(np.int64)
-    return events, Triggers(edges, (np.arange(40) % 2).astype(np.uint8), np.zeros(40, np.uint8))
-
-
 @pytest.fixture
 def raw(tmp_path):
     path = tmp_path / "pose.raw"
-    path.write_bytes(HEADER + Evt3Encoder().words(*stream()).tobytes())
+    path.write_bytes(HEADER + Evt3Encoder().words(*drawn_stream()).tobytes())
     return path
 
 
@@ -59,7 +44,7 @@ READ_TOO = [kind for kind in KINDS if kind != "parquet"]
 @pytest.mark.parametrize("first", [kind for kind in READ_TOO if kind != "raw"])
 @pytest.mark.parametrize("second", READ_TOO)
 def test_every_way_between_kinds_keeps_every_event_and_edge(raw, tmp_path, first, second):
-    events, triggers = stream()
+    events, triggers = drawn_stream()
     between, end = tmp_path / f"between{ENDINGS[first]}", tmp_path / f"end{ENDINGS[second]}"
     convert(raw, between, first)
     summary = convert(between, end, second)

@@ -6,35 +6,27 @@ import sys
 import numpy as np
 import pytest
 
-from drivers.camera.event_arrays import Events, Triggers
+from drivers.camera.event_arrays import Triggers
 from drivers.camera.formats import parquet_export
 from drivers.camera.formats.event_conversion import Evt3Encoder, convert
 from drivers.errors import CameraSoftwareMissing, RecordingFileError
-from tests.support.made_event_files import same
+from tests.support.made_event_files import drawn_stream, same
 
 parquet = pytest.importorskip("pyarrow.parquet")
 HEADER = b"% format EVT3;height=720;width=1280\n% serial_number 00051234\n% end\n"
 
 
-def stream(n=5000):
-    """Events of a second, and edges among them."""
-    rng = np.random.default_rng(3)
-    t, edges = (np.sort(rng.integers(0, 1_000_000, count)).astype(np.int64) for count in (n, 40))
-    x, y, p = (rng.integers(0, end, n).astype(kind) for end, kind in ((1280, "u2"), (720, "u2"), (2, "u1")))
-    return Events(t, x, y, p), Triggers(edges, (np.arange(40) % 2).astype(np.uint8), np.zeros(40, np.uint8))
-
-
 @pytest.fixture
 def raw(tmp_path):
     path = tmp_path / "pose.raw"
-    path.write_bytes(HEADER + Evt3Encoder().words(*stream()).tobytes())
+    path.write_bytes(HEADER + Evt3Encoder().words(*drawn_stream()).tobytes())
     return path
 
 
 def test_columns_and_metadata_hold_what_was_recorded(raw, tmp_path, monkeypatch):
     monkeypatch.setattr("drivers.camera.formats.event_exports.GROUP_EVENTS", 700)
     summary = convert(raw, tmp_path / "pose.parquet", "parquet")
-    events, triggers = stream()
+    events, triggers = drawn_stream()
     assert (summary.events, summary.triggers) == (len(events.t), len(triggers.t))
     table = parquet.read_table(tmp_path / "pose.parquet")
     assert {name: str(table.schema.field(name).type) for name in table.column_names} == {
@@ -52,7 +44,7 @@ def test_pandas_reads_the_file(raw, tmp_path):
     pandas = pytest.importorskip("pandas")
     convert(raw, tmp_path / "pose.parquet", "parquet")
     frame = pandas.read_parquet(tmp_path / "pose.parquet")
-    assert same([frame[name].to_numpy() for name in "txyp"], stream()[0])
+    assert same([frame[name].to_numpy() for name in "txyp"], drawn_stream()[0])
 
 
 def test_more_edges_than_metadata_should_hold_are_refused(raw, tmp_path, monkeypatch):

@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from drivers.errors import ReplyGarbled
 from drivers.stage.zaber_protocol import (
     FLAGS,
-    checksum,
     describe_flag,
     is_fault,
     is_unsolicited,
@@ -72,11 +71,6 @@ def test_noise_is_refused_and_nothing_else_happens(noise) -> None:
     assert not is_unsolicited(noise)
 
 
-def test_a_missing_checksum_comes_with_its_remedy() -> None:
-    with pytest.raises(ReplyGarbled, match=r"port: a reply without a checksum: .*has switched checksums off"):
-        parse_reply(b"@01 1 05 OK IDLE -- 0\r\n", "port")
-
-
 def test_alerts_and_information_lines_are_told_from_replies() -> None:
     assert is_unsolicited(b"!" + sealed("01 1 IDLE FS")[1:])
     assert not is_unsolicited(GOOD)
@@ -98,8 +92,3 @@ def test_faults_are_those_an_axis_must_not_be_moved_with() -> None:
     assert is_fault("WM")
     assert not any(map(is_fault, ["--", "NI", "WR", "WT"]))
     assert describe_flag("ZZ") == "unknown warning (ZZ)"
-
-
-def test_the_checksum_makes_the_sum_of_all_bytes_zero() -> None:
-    body = b"1 1 05 move abs 50000"
-    assert (sum(body) + checksum(body)) % 256 == 0

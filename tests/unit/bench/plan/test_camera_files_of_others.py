@@ -330,6 +330,9 @@ REFUSED = {
     "large XML": ("<opencv_storage>" + "<a>" * 200_000, "too large"),
     "nested YAML": ("%YAML:1.0\n---\na: " + "[" * 100_000, "no YAML"),
     "nested Python": ("# x\n{'lensmodel': " + "[" * 100_000, "no complete dictionary"),
+    "coefficients, but no matrix": (
+        "f: 900\ncx: 640\ncy: 360\nk1: -0.1\nk2: 0.02\nwidth: 1280\nheight: 720\n", "it has no camera matrix",
+    ),
     "a list": ("- 1\n- 2\n", "names with values"),
     "only a comment": ("# nothing\n", "names with values"),
 }  # fmt: skip
@@ -346,24 +349,27 @@ def test_what_is_not_read_is_refused_with_its_real_cause(tmp_path, text, why):
 
 
 @pytest.mark.parametrize(
-    ("data", "why"),
+    ("data", "why", "way"),
     [
-        (b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + bytes(90), "MATLAB"),
-        (b"\x93NUMPY\x01\x00v\x00", "numpy"),
-        (b"PK\x03\x04\x14\x00", "numpy's .npz"),
-        (b"\x80\x04\x95\x00", "pickle"),
-        (b"\x1f\x8b\x08\x00", "compressed"),
-        (b"% evt 3.0\n% end\n\x00\x80", "recording"),
-        (b"\x89PNG\r\n\x1a\n", "picture"),
-        (b"\x00\x01\x02\x03", "binary"),
-        (b" " * 20_000_001, "at most 20000000 bytes"),
-        ("Brennweite für 3".encode("latin-1"), "UTF-8"),
+        (b"MATLAB 5.0 MAT-file, Platform: GLNXA64" + bytes(90), "MATLAB", "jsonencode"),
+        (b"\x93NUMPY\x01\x00v\x00", "numpy", "FileStorage"),
+        (b"PK\x03\x04\x14\x00", "numpy's .npz", "FileStorage"),
+        (b"\x80\x04\x95\x00", "pickle", "FileStorage"),
+        (b"\x1f\x8b\x08\x00", "compressed", "FileStorage"),
+        (b"% evt 3.0\n% end\n\x00\x80", "recording", ""),
+        (b"\x89PNG\r\n\x1a\n", "picture", "FileStorage"),
+        (b"\x89HDF\r\n", "HDF5", "FileStorage"),
+        (b"#ROSBAG V2.0\n", "ROS bag", "rostopic echo"),
+        (b"\x00\x01\x02\x03", "binary", "FileStorage"),
+        (b" " * 20_000_001, "at most 20000000 bytes", ""),
+        ("Brennweite für 3".encode("latin-1"), "UTF-8", ""),
     ],
 )  # fmt: skip
-def test_a_file_that_is_no_text_is_named_as_what_it_is(tmp_path, data, why):
+def test_a_file_that_is_no_text_is_named_as_what_it_is_with_the_way_to_its_camera(tmp_path, data, why, way):
     (tmp_path / "file").write_bytes(data)
-    with pytest.raises(NotACamera, match=why):
+    with pytest.raises(NotACamera, match=why) as error:
         read_camera_file(tmp_path / "file")
+    assert way in error.value.remedy
 
 
 @pytest.mark.parametrize(
@@ -425,10 +431,3 @@ def test_the_size_of_the_image_has_the_names_of_programs(size):
     camera = parse_camera(json.dumps({"K": K, "dist": D5, **size}).encode(), Path("a.json")).camera
     assert camera.image_size == SIZE
     assert off_px(camera, D5) < 1e-3
-
-
-def test_the_coefficients_k1_and_k2_are_no_cameras():
-    values = {"f": 900, "cx": 640, "cy": 360, "k1": -0.1, "k2": 0.02, "width": 1280, "height": 720}
-    text = "".join(f"{name}: {value}\n" for name, value in values.items())
-    with pytest.raises(NotACamera, match="it has no camera matrix"):
-        parse_camera(text.encode(), Path("a.yaml"))

@@ -437,18 +437,3 @@ def test_a_stated_skew_is_used():
     found = parse({**FOUR, **SIDES, **NAMED, "skew": 2.0})
     assert found.camera.skew == 2.0
     assert "skew" in found.remarks[0]
-
-
-@pytest.mark.parametrize(
-    ("data", "way"),
-    [
-        (b"MATLAB 5.0 MAT-file" + bytes(90), "jsonencode"),
-        (b"PK\x03\x04\x14\x00", "FileStorage"),
-        (b"\x89HDF\r\n", "FileStorage"),
-        (b"#ROSBAG V2.0\n", "rostopic echo"),
-    ],
-)
-def test_a_binary_file_is_refused_with_the_way_to_its_camera(data, way):
-    with pytest.raises(NotACamera) as error:
-        parse_camera(data, Path("f"))
-    assert way in error.value.remedy

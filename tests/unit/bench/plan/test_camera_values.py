@@ -23,32 +23,12 @@ def refusal(**content):
     return str(caught.value)
 
 
-@pytest.mark.parametrize("lens", [NAMED, {"distortion": NAMED}, {"distortion_model": "plumb_bob", **NAMED}])
-def test_coefficients_with_a_name_each_are_used(lens):
-    found = camera(K=K, **SIZE, **lens)
-    assert found.distortion == NAMED
-
-
-def test_focal_lengths_and_principal_point_with_a_name_each_are_used():
-    found = camera(fx=900.0, fy=905.0, cx=640.0, cy=360.0, dist=D, **SIZE)
-    assert (found.fx, found.fy, found.cx, found.cy) == (900.0, 905.0, 640.0, 360.0)
-
-
-def test_named_coefficients_of_a_fisheye_have_its_order():
-    lens = {"model": "fisheye", "k1": -0.1, "k2": 0.02, "k3": 0.003, "k4": 0.004}
-    assert list(camera(K=K, **SIZE, **lens).distortion.values()) == [-0.1, 0.02, 0.003, 0.004]
-
-
 def test_k4_without_a_model_is_asked_for():
     assert "--lens fisheye" in refusal(K=K, **SIZE, k1=-0.1, k2=0.02, k3=0.003, k4=0.004)
 
 
 def test_a_named_coefficient_that_the_model_lacks_is_refused():
     assert "no coefficient p1" in refusal(K=K, **SIZE, model="fisheye", k1=-0.1, p1=0.02)
-
-
-def test_a_model_without_its_coefficients_is_refused():
-    assert "no distortion coefficients" in refusal(K=K, **SIZE, model="opencv")
 
 
 HALF_K = [[450.0, 0.0, 320.0], [0.0, 452.5, 180.0], [0.0, 0.0, 1.0]]
