@@ -394,6 +394,6 @@ def few_cases(run: Path) -> list[Case]:
         "station:spy-url",
     }
     wanted |= {"camera:check:opencv-torn", "camera:rig:infinite-size", "camera:undistort:many-pixels"}
-    wanted |= {"camera:step:fisheye", "station:limits-crossed", "certificate-check:only-dcc"}
+    wanted |= {"camera:step:fisheye", "station:limits-crossed"}
     wanted |= {"picture:bomb.png", "picture:loop.tif", "name:escape-sequences", "plan-sequence:tag"}
     return [*chosen, *(case for case in cases if case.name in wanted)]

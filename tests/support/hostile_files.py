@@ -275,15 +275,3 @@ CAMERAS = {
         covariance={"names": list(_VALUES), "matrix": (1e308 * np.eye(5)).tolist()}
     ),
 }
-
-# ---------------------------------------------------------------- XML
-
-_DCC = "https://ptb.de/dcc"
-XML = {
-    "external-entity": '<?xml version="1.0"?><!DOCTYPE a [<!ENTITY b SYSTEM "file:///etc/passwd">]><a>&b;</a>',
-    "deep-xml": "<a>" * 200_000,
-    "wide-xml": "<a>" + "<b/>" * 500_000 + "</a>",
-    "other-root": "<html><body/></html>",
-    "only-dcc": f'<digitalCalibrationCertificate xmlns="{_DCC}" schemaVersion="3.2.1"/>',
-    "utf-7": '<?xml version="1.0" encoding="UTF-7"?><a/>',
-}

@@ -24,8 +24,6 @@ Value = object
 _CACHES = re.compile(
     r"(^|/)(kept-views|kept-answers|locks|\.cache|tmp|__pycache__|\.config|numba)(/|$)|\.sqlite3|\.lock$|bench_key$"
 )
-#: Files that hold only hashes of others, or a signature of them: their names and number of lines count.
-_SIGNATURES = (".sig", ".tsr")
 
 
 def read_folder(folder: Path, folders: Folders) -> dict[str, Value]:
