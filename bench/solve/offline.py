@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
+from bench.base.encoding import counted
 from bench.base.errors import BenchError, UsageError
 from bench.measure.kept_views import KeptViews
 from bench.measure.views_file import StoredView
@@ -19,7 +20,14 @@ from bench.record.results import CalibrationData, ConformityData, GimbalReadings
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.solution import calibrated
 from bench.solve.solve_options import readings_result
-from bench.solve.view_sources import ViewSource, jobs_of, left_beside, view_sources
+from bench.solve.view_sources import (
+    ViewSource,
+    cut_recordings,
+    first_names,
+    jobs_of,
+    left_beside,
+    view_sources,
+)
 from bench.stations.station_budget import CollimatorConfig
 from calib.boards.board import Board
 from calib.calibration import CalibrationOptions
@@ -161,7 +169,14 @@ def calibrate_sources(
     chosen = [sources[n - 1] for n in choices.view_numbers] if choices.view_numbers else sources
     views, used, skipped = read_views(chosen, progress)
     options, passport, cautions = _engine_options(used, choices)
-    calibration, planar = calibrated(views, options, cautions, board=choices.board is not None)
+    cautions += cut_recordings(used)
+    try:
+        calibration, planar = calibrated(views, options, cautions, board=choices.board is not None)
+    except DegenerateViews as error:
+        if not skipped:
+            raise
+        left_out = f"{counted(len(skipped), 'file')} left out: {_first(skipped)}"
+        raise DegenerateViews(error.what, where=error.where, remedy=f"{left_out} {error.remedy}") from error
     targets = [source.job.target if source.job else choices.target for source in used]
     target = targets[0] if all(other == targets[0] for other in targets) else None
     return OfflineResult(
@@ -250,12 +265,6 @@ def read_views(
     return _distinct(views_of_one_size(views, [source.sized for source in used])), used, skipped
 
 
-def _some(names: Sequence[str]) -> str:
-    """Return the first names, and the number of the others."""
-    more = len(names) - _MOST_NAMES
-    return ", ".join(names[:_MOST_NAMES]) + (f" and {more} more" if more > 0 else "")
-
-
 def _first(skipped: Sequence[str]) -> str:
     """Return the first reasons why files were left out, and the number of the others."""
     more = len(skipped) - _MOST_NAMES
@@ -289,7 +298,7 @@ def views_of_one_size(views: Sequence[View], sized: Sequence[bool]) -> list[View
             for size in sorted(sizes)
         ]
         named.sort(key=lambda group: len(group[0]))
-        listed = ", ".join(f"{w} x {h} px ({_some(names)})" for names, (w, h) in named)
+        listed = ", ".join(f"{w} x {h} px ({first_names(names)})" for names, (w, h) in named)
         raise BenchError(
             f"The views have different image sizes: {listed}.",
             remedy="Calibrate each camera separately, with original images: not rotated, not cropped.",

@@ -72,7 +72,9 @@ def require_enough_views(views: Sequence[View], options: CalibrationOptions, *, 
     """Refuse one view without a passport (there is none for a ``board``) that holds the collimator's centre."""
     if len(views) == 1 and not (options.passport and determines_one_view(options.passport)):
         remedy = (
-            "Show the board at more angles." if board else f"Record the target from more angles. {ONE_VIEW}"
+            "Show the board at more angles."
+            if board
+            else f"Record the target from more angles, each in a file of its own. {ONE_VIEW}"
         )
         raise DegenerateViews("1 view given; at least 2 needed.", remedy=remedy)
 

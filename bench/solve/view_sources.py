@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -112,9 +112,14 @@ def left_beside(path: Path) -> list[str]:
     if not path.is_dir() or (path / JOURNAL).is_file():
         return []
     names = sorted(entry.name for entry in path.iterdir() if entry.is_file() and not _may_be_a_view(entry))
-    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    text = f"{path}: {', '.join(names[:_MOST_NAMED])}{more}: neither recordings nor images nor point files."
+    text = f"{path}: {first_names(names)}: neither recordings nor images nor point files."
     return [f"{text}{_unread_pictures(path)}"] if names else []
+
+
+def first_names(names: Sequence[str]) -> str:
+    """Return the first names, and the number of the others."""
+    more = len(names) - _MOST_NAMED
+    return ", ".join(names[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _unread_pictures(folder: Path) -> str:
@@ -209,22 +214,34 @@ def _decided_by(kind: str, path: Path, choices: OfflineOptions) -> dict[str, Any
 
 
 def refuse_truncated(path: Path) -> None:
-    """Refuse an incomplete recording: its last word is cut, or its size differs from that in the run's journal."""
-    from drivers.camera.raw_file import RawFile
-
+    """Refuse an incomplete recording of a run: its size differs from that in the run's journal."""
     size = path.stat().st_size
     run = path.resolve().parent.parent
     name = path.resolve().relative_to(run).as_posix()
     stored = StoredRun(run).captures if (run / JOURNAL).is_file() else {}
-    half_a_word = path.suffix.lower() in RECORDINGS and RawFile.open(path).truncated
-    if half_a_word or (name in stored and stored[name].size != size):
-        whole = f": {stored[name].size} bytes were recorded" if name in stored else ": it ends within a word"
+    if name in stored and stored[name].size != size:
         raise RecordingCorrupt(
-            f"The recording is incomplete{whole}.",
+            f"The recording is incomplete: {stored[name].size} bytes were recorded.",
             offset=size,
             where=str(path),
             remedy="Copy it again from its origin, or leave it out.",
         )
+
+
+def cut_recordings(sources: Iterable[ViewSource]) -> list[str]:
+    """Return a sentence on the RAW files that end in the middle of a word, as after a crash; none if none does."""
+    from drivers.camera.raw_check import ends_within_word
+
+    cut = dict.fromkeys(
+        source.path
+        for source in sources
+        if source.job is None and source.path.suffix.lower() in RECORDINGS and ends_within_word(source.path)
+    )
+    return (
+        [f"Cut in the middle of a word, and used up to there: {first_names([*map(str, cut)])}."]
+        if cut
+        else []
+    )
 
 
 def _view_of_run(job: Job, path: Path, step: RecordStep, expected_grid: ExpectedGrid | None) -> View:
@@ -327,16 +344,17 @@ def _view_of_other_recording(path: Path, choices: OfflineOptions) -> View:
     with TemporaryDirectory(prefix="starbench-") as folder:
         raw = Path(folder) / f"{path.stem}.raw"
         convert(path, raw, "raw", ReadingChoices(choices.image_size))
-        return _view_of_recording(raw, choices)
+        return _view_of_recording(raw, choices, path)
 
 
-def _view_of_recording(path: Path, choices: OfflineOptions) -> View:
+def _view_of_recording(path: Path, choices: OfflineOptions, shown: Path | None = None) -> View:
+    """Find the target in a recording, which messages name ``shown`` if it was made from another file."""
     from bench.measure.measure import measure, recorded_image
 
     refuse_truncated(path)
     if choices.board is not None:
         image = recorded_image(path, choices.image)
-        return _detected_board(image, choices.board, path)
+        return _detected_board(image, choices.board, shown or path)
     measured = measure(
         path,
         name=path.stem,
@@ -346,7 +364,7 @@ def _view_of_recording(path: Path, choices: OfflineOptions) -> View:
         expected_hz=None,
         motion=False,
     )
-    return _view(measured, path)
+    return _view(measured, shown or path)
 
 
 def picture_of(path: Path) -> NDArray[Any]:

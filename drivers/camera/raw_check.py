@@ -12,7 +12,7 @@ import stat
 from pathlib import Path
 from typing import Final
 
-from drivers.camera.raw_header import MAX_HEADER_BYTES
+from drivers.camera.raw_header import MAX_HEADER_BYTES, encoding_of, header_fields
 from drivers.errors import NotARecording, RecordingCorrupt
 
 _SMALL_BYTES: Final = 1 << 20
@@ -26,6 +26,10 @@ _KINDS: Final = (
     (stat.S_ISCHR, "a device"),
     (stat.S_ISBLK, "a device"),
 )
+
+
+WORD_BYTES: Final = {"EVT2": 4, "EVT21": 8, "EVT21-legacy": 8, "EVT3": 2}
+"""Bytes of a word by encoding."""
 
 
 def require_regular(path: Path) -> None:
@@ -42,6 +46,13 @@ def read_start(path: Path) -> bytes:
     require_regular(path)
     with path.open("rb") as file:
         return file.read(MAX_HEADER_BYTES)
+
+
+def ends_within_word(path: Path) -> bool:
+    """Return whether a RAW file ends in the middle of a word, as most files do that were cut off."""
+    fields, size_bytes = header_fields(read_start(path))
+    unit = WORD_BYTES.get(encoding_of(fields), 0)
+    return bool(unit and size_bytes) and (path.stat().st_size - (size_bytes or 0)) % unit != 0
 
 
 def require_whole(path: Path) -> None:

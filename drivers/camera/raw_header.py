@@ -100,9 +100,13 @@ def parse_header(
         )
     fields, size_bytes = header_fields(start)
     if size_bytes is None:
-        raise NotARecording(
-            f"The header does not end within {MAX_HEADER_BYTES} bytes.", where=where, remedy=_COPY_AGAIN
+        is_cut = len(start) < MAX_HEADER_BYTES
+        end = (
+            "ends within its header"
+            if is_cut
+            else f"has a header that does not end within {MAX_HEADER_BYTES} bytes"
         )
+        raise NotARecording(f"The file {end}.", where=where, remedy=_COPY_AGAIN)
     if "index_version" in fields:  # OpenEB, i_events_stream.cpp
         raise NotARecording(
             "This file holds no events. It is the index that Metavision writes beside a recording.",

@@ -31,6 +31,7 @@ from drivers.camera.event_arrays import (
     empty_events,
     empty_triggers,
 )
+from drivers.camera.raw_check import ends_within_word
 from drivers.camera.raw_header import RawHeader, header_fields, stated_size
 from drivers.errors import NotARecording
 
@@ -140,9 +141,9 @@ def from_evt2(path: Path, header: RawHeader) -> EventSource:
         for data in _blocks(path, header.size_bytes, state):
             yield decoder.decode(data)
 
-    unit = Evt2Decoder(header.encoding).word_bytes
-    truncated = (path.stat().st_size - header.size_bytes) % unit != 0
-    return EventSource(header.width, header.height, header.fields, pieces, truncated, state=state)
+    return EventSource(
+        header.width, header.height, header.fields, pieces, ends_within_word(path), state=state
+    )
 
 
 def from_dat(path: Path, start: bytes, choices: ReadingChoices) -> EventSource:

@@ -224,7 +224,7 @@ def test_words_that_look_like_a_header_line_are_words_after_its_end():
         (b"% format EVT3;height=0;width=1280\n", "invalid size of the sensor: '1280' x '0'"),
         (b"% format EVT3;height=4000;width=1280\n", "'4000'"),
         (b"% evt 3.0\n% geometry wide\n", "'wide' x ''"),
-        (b"% format EVT3;height=720;width=1280", "does not end"),
+        (b"% format EVT3;height=720;width=1280", "ends within its header"),
     ],
 )
 def test_other_files_are_told_by_what_they_are(tmp_path, start, message):
@@ -234,6 +234,12 @@ def test_other_files_are_told_by_what_they_are(tmp_path, start, message):
         RawFile.open(path)
     assert "what.raw" in str(caught.value)
     assert caught.value.remedy
+
+
+def test_a_file_that_ends_within_its_header_is_told_as_such(tmp_path):
+    (tmp_path / "cut.raw").write_bytes(b"% evt 3.0\n% geom")
+    with pytest.raises(NotARecording, match="The file ends within its header"):
+        RawFile.open(tmp_path / "cut.raw")
 
 
 @pytest.mark.parametrize("line", [b"% a b\n", b"% a bcd\n"])

@@ -22,7 +22,7 @@ from bench.solve.passports import write_passport
 from bench.solve.point_files import read_point_file
 from bench.solve.recalculated_again import check_recalculated
 from bench.solve.solve_options import ONE_VIEW
-from bench.solve.view_sources import ViewSource, refuse_truncated_jpeg
+from bench.solve.view_sources import ViewSource, cut_recordings, refuse_truncated_jpeg
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.passport import Passport
 from calib.view import View
@@ -106,6 +106,29 @@ def test_a_jpeg_that_is_cut_off_is_no_picture(tmp_path, share):
     (tmp_path / "a.jpg").write_bytes(whole[: int(share * len(whole))])
     with pytest.raises(RecordingCorrupt, match="incomplete"):
         refuse_truncated_jpeg(tmp_path / "a.jpg")
+
+
+@pytest.mark.parametrize("encoding", ["EVT2", "EVT21", "EVT3"])
+def test_a_recording_that_ends_within_a_word_is_named_once_and_belongs_to_no_run(tmp_path, encoding):
+    path = tmp_path / "a.raw"
+    path.write_bytes(f"% format {encoding};height=720;width=1280\n% end\n".encode() + bytes(16))
+    source = ViewSource(path, lambda: None)
+    assert cut_recordings([source]) == []
+    path.write_bytes(path.read_bytes()[:-1])
+    assert cut_recordings([source, source]) == [f"Cut in the middle of a word, and used up to there: {path}."]
+
+
+def test_too_few_views_are_told_with_the_files_that_were_left_out_by_their_own_names(tmp_path):
+    words = np.full(2000, 0x80000000, "<u4")  # EVT2: the time alone, so no event shows a target
+    (tmp_path / "dark.raw").write_bytes(b"% format EVT2;height=720;width=1280\n% end\n" + words.tobytes())
+    (tmp_path / "points.txt").write_text("".join(f"{x} {y} {x} {y} {n}\n" for n, (x, y) in enumerate(GRID)))
+    with pytest.raises(DegenerateViews, match=r"1 view given.* 1 file left out: ") as refused:
+        calibrate_paths([tmp_path], OfflineOptions(image_size=(64, 48)))
+    assert f"left out: {tmp_path / 'dark.raw'}: " in str(refused.value)
+    assert str(refused.value).count("dark.raw") == 1
+
+
+GRID = [(x, y) for x in range(5, 60, 10) for y in range(5, 45, 10)]
 
 
 # ---------------------------------------------------------------- point files of other programs
