@@ -27,7 +27,9 @@ MAX_SIDE_PX: Final = 2048
 
 _COPY_AGAIN: Final = "Copy the file again from the computer that recorded it."
 _CORRECT: Final = "Correct its header in a copy of the file."
-_GIVE_SIZE: Final = "Say the size: starbench convert --sensor-size WIDTHxHEIGHT, in px."
+GIVE_SIZE: Final = (
+    "State the size, px: `convert --sensor-size WIDTHxHEIGHT`, or `calibrate --image-size WIDTHxHEIGHT`."
+)
 _FIRST_LITTLE_ENDIAN: Final = 55
 """Smallest ``system_ID`` whose EVT2.1 words are little-endian if the header does not say it."""
 _ENCODINGS: Final = {
@@ -220,15 +222,15 @@ def agreed_size(
     sizes: Mapping[str, tuple[int, int]], given: tuple[int, int] | None, where: str
 ) -> tuple[int, int]:
     """Return the size of the sensor on which what a file states (by name) and what the user says agree."""
-    every = {**sizes, **({"--sensor-size": given} if given else {})}
+    every = {**sizes, **({"your option": given} if given else {})}
     if not every:
-        raise NotARecording("The file does not state the sensor's size.", where=where, remedy=_GIVE_SIZE)
+        raise NotARecording("The file does not state the sensor's size.", where=where, remedy=GIVE_SIZE)
     if len(set(every.values())) > 1:
         stated = ", ".join(f"{key} states {width} x {height}" for key, (width, height) in every.items())
         raise NotARecording(
             f"The sizes of the sensor contradict each other: {stated}.",
             where=where,
-            remedy="Leave out --sensor-size." if len(set(sizes.values())) == 1 else _CORRECT,
+            remedy="Leave out your option." if len(set(sizes.values())) == 1 else _CORRECT,
         )
     return next(iter(every.values()))
 

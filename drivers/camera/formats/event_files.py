@@ -204,12 +204,12 @@ def _outside(x: int, y: int, of: EventSource) -> NotARecording:
         return NotARecording(
             f"An event at column {x} or row {y} lies outside {size}, and within {of.height} x {of.width}: the height"
             " stands before the width, or y before x.",
-            remedy=f"Say --sensor-size {of.height}x{of.width}, or write x, the column, and y in a copy of the file.",
+            remedy=f"State the size as {of.height}x{of.width}, or write x, the column, and y in a copy of the file.",
         )
     counted = ", as if columns and rows were counted from 1" if x <= of.width and y <= of.height else ""
     return NotARecording(
         f"An event at column {x} or row {y} lies outside {size}{counted}.",
-        remedy="Check the size of the sensor that the file, or --sensor-size, states.",
+        remedy="Check the size of the sensor that the file, or your option, states.",
     )
 
 

@@ -41,6 +41,7 @@ from drivers.camera.formats.event_columns import (
     unit_of_name,
 )
 from drivers.camera.formats.parquet_export import require_pyarrow
+from drivers.camera.raw_header import GIVE_SIZE
 from drivers.errors import NotARecording, UnreadableEvents
 
 NPY_MAGIC: Final = b"\x93NUMPY"
@@ -220,7 +221,7 @@ def from_text(path: Path, choices: ReadingChoices) -> EventSource:
     if not layout.sizes and choices.sensor_size is None:
         raise NotARecording(
             "This is a text file of events, which does not state the sensor's size.",
-            remedy="Say the size: starbench convert --sensor-size WIDTHxHEIGHT, in px.",
+            remedy=GIVE_SIZE,
         )
 
     def parts() -> Iterator[Parts]:

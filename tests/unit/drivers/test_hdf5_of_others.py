@@ -229,7 +229,9 @@ def test_our_own_layout_without_edges_states_its_size(written):
 
 
 def test_a_missing_size_is_told_with_the_way_to_state_it(written):
-    with pytest.raises(NotARecording, match=r"does not state the sensor's size\. .*--sensor-size"):
+    with pytest.raises(
+        NotARecording, match=r"does not state the sensor's size\. .*--sensor-size.*--image-size"
+    ):
         written(dsec, ReadingChoices())
 
 
