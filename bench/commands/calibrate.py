@@ -27,7 +27,7 @@ from bench.commands.calibrations import (
 )
 from bench.commands.keys import key_or_draft
 from bench.commands.options import ExistingPath, OutputFolder, command, epilog
-from bench.commands.output import JSON, NOT_KEPT, show, wants_json
+from bench.commands.output import JSON, NOT_KEPT, left_out_lines, show, wants_json
 from bench.commands.workers import WORKERS, LiveLine, open_workers, views_line
 from bench.extras.many.places import find_places
 from bench.extras.many.recalculation import Counts, Recalculation
@@ -277,8 +277,8 @@ def _calibrate_together(
         write_offline_results(result, output, key)
     baselines = compare_methods(result) if compare else None
     if not wants_json():
-        for line in result.skipped:
-            click.echo(f"left out: {line}", err=True)
+        for line in left_out_lines(result.skipped):
+            click.echo(line, err=True)
     show(lambda: offline_dict(result, baselines), offline_lines(result, baselines))
     if output is not None and not wants_json():
         click.echo(f"Report: {output / REPORT}")
@@ -371,8 +371,7 @@ def _check_by_one(stated: CameraFile, view: View, *, board: bool) -> int:
 def _lines(
     checked: CameraCheck, stated: CameraFile, calibration: Calibration, skipped: list[str]
 ) -> Iterator[str]:
-    for reason in skipped:
-        yield f"Left out: {reason}"
+    yield from left_out_lines(skipped)
     from bench.wording.camera_check import check_sentences
 
     yield from check_sentences(cast("CheckData", checked.to_dict()))

@@ -81,6 +81,13 @@ def print_findings(faults: Sequence[str], notes: Sequence[str] = ()) -> int:
     return 1 if faults else 0
 
 
+def left_out_lines(reasons: Sequence[str]) -> list[str]:
+    """Return a line on each of the first files that were left out, and one on the number of the others."""
+    lines = [f"left out: {reason}" for reason in reasons[:_MOST_SHOWN]]
+    more = len(reasons) - _MOST_SHOWN
+    return [*lines, f"left out: {more} more files"] if more > 0 else lines
+
+
 def print_json(value: Mapping[str, Any]) -> None:
     """Print one object on standard output. Raises ValueError when a number is not finite."""
     click.echo(json.dumps(value, indent=1, allow_nan=False))

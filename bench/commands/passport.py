@@ -13,7 +13,7 @@ import click
 from bench.base.home import home_folder
 from bench.commands.calibrations import collimator_options, offline_lines
 from bench.commands.options import ExistingFile, ExistingPath, Family, NewFile, epilog
-from bench.commands.output import JSON, ask_passphrase, show
+from bench.commands.output import JSON, ask_passphrase, left_out_lines, show
 from bench.commands.values import Number
 from bench.commands.workers import views_line
 from bench.evidence.keys import BenchKey, usable_key
@@ -73,8 +73,8 @@ def passport_make(
         seals=seals_of(paths),
     )
     write_passport(output, made, key)
-    for reason in result.skipped:
-        click.echo(f"left out: {reason}", err=True)
+    for line in left_out_lines(result.skipped):
+        click.echo(line, err=True)
     for line in (*offline_lines(result, None), f"Passport: {output}"):
         click.echo(line)
     return 0

@@ -13,7 +13,7 @@ import click
 from bench.base.errors import UsageError
 from bench.commands.calibrations import BOARD, LENS, rig_options, stated_camera
 from bench.commands.options import ExistingPath, OutputFolder, command
-from bench.commands.output import JSON, show, wants_json
+from bench.commands.output import JSON, left_out_lines, show, wants_json
 from bench.commands.workers import views_line
 from bench.wording.numbers import with_uncertainty
 
@@ -135,8 +135,7 @@ def _comparison(off: RigDifference, path: str, *, known: bool) -> Iterator[str]:
 
 def _lines(solved: RigFound) -> Iterator[str]:
     rig = solved.rig
-    for reason in solved.skipped:
-        yield f"Left out: {reason}"
+    yield from left_out_lines(solved.skipped)
     seen = [(rig.views, "poses behind the collimator"), (rig.boards, "boards")]
     by = " and ".join(f"{len(names)} {what}" for names, what in seen if names)
     if rig.half_turned:

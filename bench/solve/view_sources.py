@@ -210,6 +210,7 @@ def _decided_by(kind: str, path: Path, choices: OfflineOptions) -> dict[str, Any
         "image": choices.image,
         "target": repr(choices.target),
         "board": repr(choices.board),
+        "image_size": choices.image_size,
     }
 
 
@@ -288,10 +289,14 @@ def _view_of_picture(moving: MovingRecording, number: int, name: str, board: Boa
 
 def _file_source(path: Path, choices: OfflineOptions) -> ViewSource:
     ending = path.suffix.lower()
-    if ending in POINTS:
+    if ending in POINTS and not _is_text_of_events(path):
         read = partial(read_point_file, path, image_size=choices.image_size, origin=choices.origin)
         return ViewSource(path, read, sized=choices.image_size is not None)
-    if ending in OTHER_RECORDINGS or path.is_dir() or (ending in RECORDINGS and not _is_recording(path)):
+    if (
+        ending in OTHER_RECORDINGS | POINTS
+        or path.is_dir()
+        or (ending in RECORDINGS and not _is_recording(path))
+    ):
         kind, find = f"other {ending}", _view_of_other_recording
     elif ending in RECORDINGS:
         kind, find = "recording", _view_of_recording
@@ -334,6 +339,14 @@ def _is_recording(path: Path) -> bool:
     from drivers.camera.raw_file import is_recording
 
     return is_recording(path)
+
+
+def _is_text_of_events(path: Path) -> bool:
+    """Return whether a file is text with a line for each event: points have five columns, events four."""
+    from drivers.camera.formats.table_files import is_table_of_text
+    from drivers.camera.raw_check import read_start
+
+    return is_table_of_text(read_start(path))
 
 
 def _view_of_other_recording(path: Path, choices: OfflineOptions) -> View:

@@ -13,6 +13,7 @@ from station_texts import PLAIN
 from bench.base.errors import BenchError, StorageError, UsageError
 from bench.commands.cli import cli
 from bench.commands.keys import key_or_draft
+from bench.commands.output import left_out_lines
 from bench.evidence.keys import create_key
 from bench.evidence.verify import verify_folder
 from bench.solve.offline import calibrate_paths, odd_sizes, views_of_one_size
@@ -22,7 +23,7 @@ from bench.solve.passports import write_passport
 from bench.solve.point_files import read_point_file
 from bench.solve.recalculated_again import check_recalculated
 from bench.solve.solve_options import ONE_VIEW
-from bench.solve.view_sources import ViewSource, cut_recordings, refuse_truncated_jpeg
+from bench.solve.view_sources import ViewSource, cut_recordings, refuse_truncated_jpeg, view_sources
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.passport import Passport
 from calib.view import View
@@ -126,6 +127,24 @@ def test_too_few_views_are_told_with_the_files_that_were_left_out_by_their_own_n
         calibrate_paths([tmp_path], OfflineOptions(image_size=(64, 48)))
     assert f"left out: {tmp_path / 'dark.raw'}: " in str(refused.value)
     assert str(refused.value).count("dark.raw") == 1
+
+
+def test_text_with_a_line_for_each_event_is_a_recording_and_is_found_again_with_another_size(tmp_path):
+    path, points = tmp_path / "a.csv", tmp_path / "b.csv"
+    path.write_text("757,201,0,1\n566,568,1,7\n")
+    points.write_text("757,201,4,8,1\n")
+    (at_first,) = view_sources(path, OfflineOptions(image_size=(1280, 720)))
+    (then,) = view_sources(path, OfflineOptions(image_size=(1300, 800)))
+    assert at_first.decided_by["kind"] == "other .csv"
+    assert at_first.decided_by != then.decided_by
+    assert next(view_sources(points, OfflineOptions())).decided_by is None
+
+
+def test_of_many_files_that_were_left_out_some_are_listed():
+    lines = left_out_lines([f"{number}.txt: no points" for number in range(1000)])
+    assert lines[0] == "left out: 0.txt: no points"
+    assert lines[-1] == f"left out: {1000 - len(lines) + 1} more files"
+    assert len(lines) < 50
 
 
 GRID = [(x, y) for x in range(5, 60, 10) for y in range(5, 45, 10)]
