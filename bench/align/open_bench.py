@@ -25,7 +25,6 @@ from bench.measure.camera_kinds import camera_kind
 from bench.record.device_end import DeviceEnd, DeviceName
 from bench.simulated import SimulatedBench
 from bench.stations.devices import Camera, Devices
-from bench.stations.orphans import SeparateDevices
 from bench.stations.sections import EventCameraConfig, FrameCameraConfig
 from bench.stations.stages_and_lights import LightConfig
 from bench.stations.station import OpenCvCameraConfig, Station
@@ -376,11 +375,6 @@ class Bench:
     camera: CameraControl
     loop: LiveLoop
     hands: SimulatedHands  # Hands at the camera of a simulated bench
-
-
-def open_devices(station: Station, seed: int, clock: BenchClock) -> Devices:
-    """Open a station's camera; stage and light open meanwhile. Nothing moves."""
-    return SeparateDevices(station, seed=seed, clock=clock)
 
 
 def open_bench(

@@ -22,13 +22,13 @@ from bench.align.open_bench import (
     close_bench,
     follow,
     open_bench,
-    open_devices,
     try_again,
 )
 from bench.align.owners import Owners
 from bench.base.errors import ControlRefused
 from bench.base.failure import FORESEEN, Failure
 from bench.record.device_end import DeviceEnd
+from bench.stations.orphans import SeparateDevices
 from bench.stations.station import Station
 from bench.web.server_sent import Changes
 from drivers.errors import DriverError
@@ -83,7 +83,7 @@ class Session:
         station: Located[Station],
         *,
         seed: int = 1,
-        opener: OpenDevices = open_devices,
+        opener: OpenDevices = SeparateDevices,
         make_meter: Callable[[], Meter] = MeterProcess,
     ) -> None:
         self.station = station

@@ -31,11 +31,11 @@ from bench.evidence.key_trust import Trust, read_trust
 from bench.evidence.keys import BenchKey, usable_key
 from bench.evidence.ledger_check import is_sealed_by, own_public_keys
 from bench.evidence.states import standing_of
-from bench.extras.certificate.certificate_data import CERTIFICATE, Certificate
+from bench.extras.certificate.certificate_data import Certificate
 from bench.extras.certificate.dcc_signature import signer_of_files
 from bench.extras.certificate.series import Numbered, amending, declare_void, numbers, one_at_a_time
 from bench.record.ledger import Ledger, bench_ledger
-from bench.record.run_folder import MANIFEST
+from bench.record.run_folder import CERTIFICATE, MANIFEST
 from bench.record.storage import read_bounded, sha256_of, storage_errors, write_atomic
 
 if TYPE_CHECKING:

@@ -51,7 +51,7 @@ from bench.evidence.timestamp import (
 )
 from bench.evidence.tsa_client import ask_authority, check_url, make_request
 from bench.record.ledger import bench_ledger
-from bench.record.run_folder import MANIFEST, SIGNATURE
+from bench.record.run_folder import CERTIFICATE, MANIFEST, SIGNATURE
 from bench.record.storage import read_json, storage_errors, write_atomic
 from bench.record.stored_run import StoredRun
 
@@ -281,7 +281,7 @@ def _enter(folder: Path, person: str, fingerprint: str) -> bool:
 def facts_of(folder: Path) -> dict[str, str]:
     """Return what a person must see before signing, in order: kind, number, item, run, and the seal's hash."""
     kind = kind_of(folder)
-    certificate = _read_json(folder / "certificate.json")
+    certificate = _read_json(folder / CERTIFICATE)
     results = _results(folder)
     run = _part(certificate, "run") or _part(results, "run")
     camera = _part(_part(certificate, "item"), "camera") or _part(_part(results, "devices"), "camera")

@@ -19,10 +19,8 @@ from bench.evidence.seal import AUTHORISATION
 from bench.evidence.signers import AUTHORISATION_NAMESPACE
 from bench.evidence.ssh_keys import fingerprint
 from bench.evidence.sshsig import SigningKey, SshSignature, is_valid, read_signature
-from bench.record.run_folder import MANIFEST, SIGNATURE
+from bench.record.run_folder import CERTIFICATE, MANIFEST, SIGNATURE
 from bench.record.storage import read_json, storage_errors
-
-_CERTIFICATE = "certificate.json"
 
 
 @dataclass(frozen=True)
@@ -121,14 +119,14 @@ def require_unauthorised(folder: Path) -> None:
 
 def named_person(folder: Path) -> NamedPerson | None:
     """Return the person whom a certificate names for its authorisation; None if the folder is no certificate."""
-    path = folder / _CERTIFICATE
+    path = folder / CERTIFICATE
     if not path.is_file():
         return None
     try:
         person = read_json(path)["authorised_by"]
         return NamedPerson(str(person["name"]), str(person["key_fingerprint"]))
     except (StorageError, ValueError, LookupError, TypeError) as error:
-        raise EvidenceError(f"{_CERTIFICATE} does not name the person who is to authorise it") from error
+        raise EvidenceError(f"{CERTIFICATE} does not name the person who is to authorise it") from error
 
 
 def _wrong_person(folder: Path, public_key: bytes, seal_key: bytes | None, trust: Trust) -> str:

@@ -18,11 +18,11 @@ from bench.evidence.findings import State
 from bench.evidence.key_trust import Trust
 from bench.evidence.seal import AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP
 from bench.evidence.states import home_trust, shown_state
-from bench.record.run_folder import JOURNAL, MANIFEST, RESULTS, SIGNATURE
+from bench.record.run_folder import CERTIFICATE, JOURNAL, MANIFEST, RESULTS, SIGNATURE
 from bench.record.run_index import COMMIT_EVERY, RunIndex
 
 _OF_SEAL = (".", MANIFEST, SIGNATURE)
-_OF_PERSON = (AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP, JOURNAL, RESULTS, "certificate.json")
+_OF_PERSON = (AUTHORISATION, AUTHORISATION_TIMESTAMP, TIMESTAMP, JOURNAL, RESULTS, CERTIFICATE)
 """Files from which it follows, with the trusted keys, whether a person may have authorised a seal."""
 _NOTHING = ("", "")
 _SETTLED_NS = 2_000_000_000

@@ -19,11 +19,11 @@ from bench.base.pasteable import pasteable
 from bench.evidence.keys import BenchKey
 from bench.evidence.signers import NAMESPACE
 from bench.record.journal import CAPTURES
-from bench.record.run_folder import JOURNAL, MANIFEST, SIGNATURE, RunFolder, is_sealed
+from bench.record.run_folder import CERTIFICATE, JOURNAL, MANIFEST, SIGNATURE, SOURCES, RunFolder, is_sealed
 from bench.record.storage import TEMPORARY, sha256_of, storage_errors, write_atomic
 from drivers.durable import sync_file
 
-KINDS = {JOURNAL: "run", "certificate.json": "certificate", "sources.json": "results"}
+KINDS = {JOURNAL: "run", CERTIFICATE: "certificate", SOURCES: "results"}
 """Kind of a sealed folder by the file that only this kind has."""
 
 _WHAT = {

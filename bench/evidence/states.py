@@ -24,11 +24,20 @@ from bench.evidence.signers import NAMESPACE
 from bench.evidence.ssh_keys import fingerprint
 from bench.evidence.sshsig import is_valid, read_signature
 from bench.evidence.timestamp import Stamp, check_timestamps
-from bench.record.run_folder import JOURNAL, MANIFEST, PAGE_SIGNATURE, REPORT, RESULTS, SIGNATURE, is_sealed
+from bench.record.run_folder import (
+    CERTIFICATE,
+    JOURNAL,
+    MANIFEST,
+    PAGE_SIGNATURE,
+    REPORT,
+    RESULTS,
+    SIGNATURE,
+    is_sealed,
+)
 from bench.record.storage import read_json, storage_errors
 from bench.record.stored_run import StoredRun
 
-_PLACES = (("certificate.json", ("issued_utc",)), (RESULTS, ("run", "calibrated_utc")))
+_PLACES = ((CERTIFICATE, ("issued_utc",)), (RESULTS, ("run", "calibrated_utc")))
 _LAST_BYTES = 1 << 20
 """The last line of a journal is shorter than this."""
 _STAMPED = {SIGNATURE: "The seal", AUTHORISATION: "The authorisation"}

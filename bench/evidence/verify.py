@@ -23,12 +23,14 @@ from bench.evidence.signers import Signer
 from bench.evidence.states import LARGEST_SEAL_BYTES, standing_of
 from bench.record.journal import Capture
 from bench.record.run_folder import (
+    CERTIFICATE,
     JOURNAL,
     MANIFEST,
     PLAN,
     REPORT,
     RESULTS,
     SEQUENCE_COPY,
+    SOURCES,
     STATION_COPY,
 )
 from bench.record.storage import read_bounded, read_json, sha256_of, storage_errors
@@ -51,7 +53,7 @@ FILES = {
     ),
 }
 """Names of the files that a sealed folder of each kind may have."""
-_CANONICAL = {RESULTS: True, PLAN: True, "sources.json": True, "certificate.json": False}
+_CANONICAL = {RESULTS: True, PLAN: True, SOURCES: True, CERTIFICATE: False}
 """JSON files that the program writes in one form only; whether other letters than ASCII are escaped in them."""
 _FOLDERS = {"run": "run folder", "results": "folder of recalculated results", "certificate": "certificate"}
 

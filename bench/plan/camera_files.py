@@ -21,6 +21,7 @@ from bench.plan.camera_values import Array, LensFamily, camera_of_values
 from bench.plan.possible_camera import LARGEST, is_far_from_middle, require_possible_camera
 from bench.plan.stated_values import OF_OTHER_FORM, Values, numbers_of, size_of_values
 from bench.record.results import CameraData
+from bench.record.run_folder import RESULTS
 from bench.record.storage import read_bounded
 from bench.record.stored_calibration import camera_covariance, camera_of
 from calib.model.camera import CameraModel
@@ -29,7 +30,6 @@ _MOST_BYTES = 20_000_000
 _NEGATIVE = 1e-6
 """Least eigenvalue of a covariance, as a share of the largest: rounding."""
 _REGION = ("x_offset", "y_offset", "width", "height")
-_RESULTS = "results.json"
 _KNOWN = (
     "Known are results.json of a run, and files of OpenCV (YAML, XML, JSON), ROS (camera_info, ost.txt), Kalibr, mrcal,"
     " COLMAP, Metavision, DV, Basalt, ORB-SLAM, VINS, MATLAB, Metashape and others (docs/check.md)."
@@ -72,10 +72,10 @@ def read_camera_file(path: Path, name: str | None = None, lens: LensFamily | Non
 
     ``name`` is that of the camera if the file holds several; ``lens`` the family of the coefficients if it states none.
     """
-    file = path / _RESULTS if path.is_dir() else path
+    file = path / RESULTS if path.is_dir() else path
     if file != path and not file.is_file():
         raise NotACamera(
-            f"This folder holds no {_RESULTS}.", where=str(path), remedy="Name a run folder or a file in it."
+            f"This folder holds no {RESULTS}.", where=str(path), remedy="Name a run folder or a file in it."
         )
     if file.is_file() and file.stat().st_size > _MOST_BYTES:
         raise NotACamera(f"A calibration has at most {_MOST_BYTES} bytes.", where=str(file), remedy=_KNOWN)

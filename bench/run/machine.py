@@ -47,6 +47,8 @@ READY: tuple[State, ...] = (
 """States whose work, once done, leaves the bench ready for the next step of the script."""
 
 END_STATES: tuple[State, ...] = ("finished", "aborted", "failed")
+MAX_HOLD_S = 8 * 3600.0
+"""A run that an operator holds for longer than this is aborted safely, s."""
 
 _BUSY = tuple(s for s in STATES if s not in {*END_STATES, "aborting"})
 

@@ -22,7 +22,7 @@ from bench.record.recovery import recover, written_files
 from bench.record.storage import storage_errors
 from bench.run.interlocks import Trip, interlock_text
 from bench.run.last_view import leave_view
-from bench.run.machine import State
+from bench.run.machine import MAX_HOLD_S, State
 from bench.run.run_context import RunContext
 from bench.stations.devices import Devices
 from drivers.camera import CameraIdentity
@@ -43,8 +43,6 @@ from sequences.script import (
 OPTIONAL: Final = ("firmware_built", "link_mbit_s")
 """Parts of a camera's identity that are left out where the camera does not state them."""
 NOT_STATED: Final = "not stated by the device"
-MAX_HOLD_S = 8 * 3600.0
-"""A run that an operator holds for longer than this is aborted safely, s."""
 HOLD_POLL_S = 0.1  # A person does not notice it
 
 

@@ -20,7 +20,7 @@ from bench.evidence.seal import seal_folder
 from bench.measure.views_file import VIEWS, views_file
 from bench.plan.job import Job
 from bench.record.recovery import EXPORTS
-from bench.record.run_folder import MANIFEST, PASSPORT_COPY, RESULTS, is_sealed
+from bench.record.run_folder import MANIFEST, PASSPORT_COPY, RESULTS, SOURCES, is_sealed
 from bench.record.storage import make_folder, sha256_of, storage_errors, write_atomic
 from bench.solve import results_content
 from bench.solve.offline import OfflineResult
@@ -30,7 +30,6 @@ from bench.solve.software import files_software
 from bench.solve.sources import options_data
 from bench.solve.view_sources import PHOTOGRAPHS, ViewSource, jobs_of
 
-SOURCES = "sources.json"
 SCHEMA = "starbench/sources/1"
 RECALCULATION = (
     "These results are a recalculation: they were calculated from existing files, without devices, and are not the"

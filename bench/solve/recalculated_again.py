@@ -12,11 +12,7 @@ from bench.base.errors import BenchError, StorageError
 from bench.evidence.findings import UNREADABLE, Findings
 from bench.evidence.ssh_keys import fingerprint
 from bench.evidence.sshsig import read_signature
-from bench.record.run_folder import (
-    PASSPORT_COPY,
-    RESULTS,
-    SIGNATURE,
-)
+from bench.record.run_folder import PASSPORT_COPY, RESULTS, SIGNATURE, SOURCES
 from bench.record.storage import read_json, sha256_of
 from bench.record.stored_run import StoredRun
 from bench.solve.compare_numbers import differences
@@ -27,7 +23,7 @@ from bench.solve.compare_trees import (
     compare_trees,
 )
 from bench.solve.offline import OfflineResult, Reached, calibrate_paths, nothing_shown
-from bench.solve.offline_folder import SOURCES, SealedBy, offline_files, source_data
+from bench.solve.offline_folder import SealedBy, offline_files, source_data
 from bench.solve.offline_options import StationFile, passport_of_file
 from bench.solve.results_content import (
     other_engine,

@@ -121,7 +121,7 @@ class LateDevice:
 class SeparateDevices(Devices):
     """A camera that is open, and a stage and a light that open meanwhile."""
 
-    def __init__(self, station: Station, *, seed: int, clock: BenchClock) -> None:
+    def __init__(self, station: Station, seed: int, clock: BenchClock) -> None:
         self._clock = clock
         self._simulation: SimulatedBench | None = None
 

@@ -10,6 +10,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 
 from pydantic import AfterValidator, Field, PrivateAttr
 
+from bench.record.run_folder import STATION_COPY
 from bench.stations.placeholders import ToFillIn, not_zero
 from bench.stations.sections import (
     AnyLight,
@@ -38,7 +39,6 @@ from sequences.tree import Fault
 SHIPPED_DESCRIPTIONS: Final = Path(__file__).parent / "descriptions"
 PROTOCOL_COPIES: Final = {"stage": "protocol-stage.yaml", "light": "protocol-light.yaml"}
 """Byte-exact copies of the descriptions in a run folder, by section."""
-_STATION_COPY: Final = "station.yaml"
 
 _BaudRate = Annotated[
     Annotated[int, Within(50, 20_000_000, "Bd")] | None,
@@ -236,7 +236,7 @@ def _use(station: Located[Any], name: str, section: TextStageConfig | TextLightC
 
 def _copy_in_run_folder(station: Located[Any], name: str) -> Path | None:
     """Return the run folder's copy of a description, if the station file is a run folder's copy too."""
-    if station.folder is None or Path(station.file).name != _STATION_COPY:
+    if station.folder is None or Path(station.file).name != STATION_COPY:
         return None
     copy = station.folder / PROTOCOL_COPIES[name]
     return copy if copy.is_file() else None

@@ -16,6 +16,7 @@ import numpy as np
 
 from bench.base.bounded_json import parse_json
 from bench.base.clock import BenchClock
+from bench.measure.gates import FILTERS_TO_DISABLE
 from bench.plan.plan import HOMING_EXTRA_S, LIGHT_OFF_S, LIGHT_ON_S, MOVE_EXTRA_S, RECORD_EXTRA_S
 from bench.record.storage import read_bounded
 from bench.simulated import make_rehearsed_world
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
 MAKER = "Starbench"
 MODEL = "virtual, for rehearsals"
 FIRST_LINE = b"% REHEARSAL: stars as a rehearsed world gave them; no camera and no events\n"
-_FILTERS = ("afk", "stc", "trail", "erc")
 
 
 class VirtualDevices(Devices):
@@ -197,7 +197,7 @@ class VirtualCamera:
 
     def filters(self) -> Mapping[str, bool]:
         """See `EventCamera.filters`. All are off."""
-        return dict.fromkeys(_FILTERS, False)
+        return dict.fromkeys(FILTERS_TO_DISABLE, False)
 
     def temperature_c(self) -> float:
         """See `EventCamera.temperature_c`. Temperature of the rehearsed world at this time."""

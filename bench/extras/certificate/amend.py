@@ -10,7 +10,7 @@ from bench.base.bounded_json import leaves, parse_json
 from bench.base.errors import EvidenceError
 from bench.base.pasteable import pasteable
 from bench.evidence.findings import Verification
-from bench.extras.certificate.certificate_data import CERTIFICATE, Amends, Certificate, Change
+from bench.extras.certificate.certificate_data import Amends, Certificate, Change
 from bench.extras.certificate.certificate_folder import (
     PLOTS,
     refuse_occupied,
@@ -23,7 +23,7 @@ from bench.extras.certificate.series import (
     numbers,
     refuse_old,
 )
-from bench.record.run_folder import MANIFEST, RESULTS
+from bench.record.run_folder import CERTIFICATE, MANIFEST, RESULTS
 from bench.record.storage import (
     read_bounded,
     sha256_of,

@@ -8,8 +8,8 @@ from pathlib import Path
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError
 from bench.evidence.ledger_check import is_sealed_by
-from bench.extras.certificate.certificate_data import CERTIFICATE
 from bench.extras.certificate.series import number_pattern
+from bench.record.run_folder import CERTIFICATE
 from bench.record.storage import read_bounded, storage_errors
 
 

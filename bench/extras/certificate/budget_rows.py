@@ -14,6 +14,7 @@ from typing import Any
 from bench.base.errors import EvidenceError
 from bench.extras.certificate.certificate_data import Budget, BudgetRow
 from bench.record.results import CalibrationData
+from bench.record.run_folder import RESULTS
 from bench.report.calibration_tables import overlap
 from bench.wording.numbers import MINUS, number, with_uncertainty
 from calib.model.result_parts import COVERAGE, PASSPORT
@@ -127,7 +128,7 @@ def budget_of(
         raise BudgetDiffers(
             f"The rows of the uncertainty budget of {symbol} give u = {combined:.4g} {unit}, but {stated.u:.4g} is"
             " stated.",
-            where="results.json",
+            where=RESULTS,
         )
     remarks = [_OVERLAP, *filter(None, [overlap(calibration)])]
     if stated.nu_eff is not None:

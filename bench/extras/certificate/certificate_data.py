@@ -26,16 +26,18 @@ from bench.extras.certificate.lab_config import (
     PlaceKind,
 )
 from bench.record.results import Verdict
+from bench.record.run_folder import CERTIFICATE
 from sequences.tree import path_text
 from sequences.wording import MESSAGES
 
 if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
+PDF = "certificate.pdf"
+DCC = "dcc.xml"
 FORMAT: Literal["starbench/certificate/1"] = "starbench/certificate/1"
 _LATER = {("run", "sequence_sha256"), ("run", "station_sha256"), ("method", "sequence_sha256")}
 """Fields that certificates of earlier versions do not have."""
-CERTIFICATE = "certificate.json"
 
 _MOST_FAULTS = 20  # More are mended after the first
 _FORMS = {

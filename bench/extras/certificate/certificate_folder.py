@@ -13,16 +13,14 @@ from pathlib import Path
 from bench.base.errors import UsageError
 from bench.evidence.keys import BenchKey
 from bench.evidence.seal import remove_unnamed, seal_folder
-from bench.extras.certificate.certificate_data import CERTIFICATE, Certificate
+from bench.extras.certificate.certificate_data import DCC, PDF, Certificate
 from bench.extras.certificate.dcc import render_dcc
 from bench.extras.certificate.dcc_xml import library
 from bench.record.results import Results
-from bench.record.run_folder import MANIFEST, RESULTS, is_sealed
+from bench.record.run_folder import CERTIFICATE, MANIFEST, RESULTS, is_sealed
 from bench.record.storage import make_folder, sha256_of, storage_errors, write_atomic
 from drivers.durable import sync_folder
 
-PDF = "certificate.pdf"
-DCC = "dcc.xml"
 LAB = "lab.yaml"
 PLOTS = "plots"
 _UNFINISHED = ".tmp"

@@ -12,8 +12,8 @@ from bench.base.errors import BenchError, UsageError
 from bench.evidence.findings import UNREADABLE, Findings
 from bench.evidence.ledger_check import is_sealed_by, own_public_keys, sealed_strangers
 from bench.extras.certificate.amend import changes_of, plots_in
-from bench.extras.certificate.certificate_data import CERTIFICATE, Certificate, sha256
-from bench.extras.certificate.certificate_folder import DCC, LAB, PDF, certificate_files, require_libraries
+from bench.extras.certificate.certificate_data import DCC, PDF, Certificate, sha256
+from bench.extras.certificate.certificate_folder import LAB, certificate_files, require_libraries
 from bench.extras.certificate.clauses import faults_of_lab
 from bench.extras.certificate.compose import FURTHER, Identity, compose
 from bench.extras.certificate.lab_config import LabConfig, lab_of
@@ -21,7 +21,7 @@ from bench.extras.certificate.limits import passes_over_fail
 from bench.extras.certificate.sealed_run import is_statement, other_writer, stated_run
 from bench.extras.certificate.series import SIMULATED, Numbered, is_number_format, number_pattern, numbers
 from bench.record.ledger import LEDGER, Ledger
-from bench.record.run_folder import MANIFEST, RESULTS, SEQUENCE_COPY, STATION_COPY
+from bench.record.run_folder import CERTIFICATE, MANIFEST, RESULTS, SEQUENCE_COPY, STATION_COPY
 from bench.record.storage import read_bounded, sha256_of
 from sequences.errors import DocumentFaults
 from sequences.reader import Located

@@ -20,7 +20,7 @@ from bench.evidence.seal import remove_unnamed
 from bench.extras.certificate import facts_of_run
 from bench.extras.certificate.beside import count_beside
 from bench.extras.certificate.budget_rows import BudgetDiffers
-from bench.extras.certificate.certificate_data import CERTIFICATE, Amends, Certificate
+from bench.extras.certificate.certificate_data import Amends, Certificate
 from bench.extras.certificate.certificate_folder import (
     certificate_files,
     refuse_occupied,
@@ -45,7 +45,7 @@ from bench.extras.certificate.series import (
     reserve,
 )
 from bench.record.ledger import Ledger
-from bench.record.run_folder import MANIFEST, RESULTS, is_sealed
+from bench.record.run_folder import CERTIFICATE, MANIFEST, RESULTS, is_sealed
 from bench.record.storage import (
     read_bounded,
     sha256_of,

@@ -25,10 +25,12 @@ from typing import TYPE_CHECKING, Any, Literal
 from bench import __version__
 from bench.base.bounded_json import leaves, mapped
 from bench.base.errors import BenchError, UsageError
-from bench.extras.certificate.certificate_data import Certificate
+from bench.evidence.seal import AUTHORISATION
+from bench.extras.certificate.certificate_data import DCC, PDF, Certificate
 from bench.extras.certificate.dcc_xml import library
 from bench.record.coverage import coverage_factor
 from bench.record.results import Results
+from bench.record.run_folder import CERTIFICATE, RESULTS
 from bench.wording.numbers import MINUS, NOTHING, exact, moment, number
 from sequences.tree import path_text
 
@@ -50,21 +52,19 @@ CODE_NOTE = (
     "A code in square brackets, such as [U+5C71], stands for a character that the fonts of this document do not have."
     " The exact text is in certificate.json."
 )
-PDF = "certificate.pdf"
 STANDARDS: tuple[Literal["a-3a"], Literal["ua-1"]] = ("a-3a", "ua-1")
 """PDF/A-3a (ISO 19005-3) for the archive, and PDF/UA-1 (ISO 14289-1) for screen readers."""
 _KINDS = {
-    "dcc.xml": (
+    DCC: (
         "application/xml",
         "alternative",
         "This certificate as a digital calibration certificate (DCC)",
     ),
-    "certificate.json": ("application/json", "source", "All values of this certificate"),
-    "results.json": ("application/json", "source", "Results of the sealed run"),
+    CERTIFICATE: ("application/json", "source", "All values of this certificate"),
+    RESULTS: ("application/json", "source", "Results of the sealed run"),
 }
 _HEADER = 120
 """Most characters of the laboratory's name in the head of a page."""
-AUTHORISATION = "SHA256SUMS.authorised.sig"
 _PLAIN_FROM, _PLAIN_TO = 1e-4, 1e7  # Outside, zeros are counted more easily as a power of ten
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _OTHER = ("application/octet-stream", "supplement", "Supplement to this certificate")

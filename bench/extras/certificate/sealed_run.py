@@ -17,11 +17,11 @@ from bench.base.errors import BenchError, EvidenceError
 from bench.base.pasteable import pasteable
 from bench.base.program import differing_software, hash_of_files, installed_versions
 from bench.evidence.findings import PARTS, Findings, Part, Verification
-from bench.extras.certificate.certificate_data import CERTIFICATE, Certificate, Run, Software, sha256
+from bench.extras.certificate.certificate_data import Certificate, Run, Software, sha256
 from bench.extras.certificate.series import amending
 from bench.record.ledger import Ledger
 from bench.record.results import Results
-from bench.record.run_folder import MANIFEST, RESULTS, SEQUENCE_COPY, STATION_COPY, is_sealed
+from bench.record.run_folder import CERTIFICATE, MANIFEST, RESULTS, SEQUENCE_COPY, STATION_COPY, is_sealed
 from bench.record.storage import read_bounded, sha256_of, storage_errors
 from bench.record.stored_run import StoredRun
 

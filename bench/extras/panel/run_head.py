@@ -27,13 +27,11 @@ from bench.record.history import History
 from bench.record.run_folder import is_sealed
 from bench.run.heartbeat import CONTROL, HEARTBEAT, SLOW_STALL_LIMIT_S, SLOW_STATES
 from bench.run.interlocks import interlock_text
-from bench.run.machine import END_STATES
+from bench.run.machine import END_STATES, MAX_HOLD_S
 from bench.run.status import evidence_text
 from bench.wording.causes import cause_sentences
 
 _QUIET_LIMIT_S = 15.0
-MAX_HOLD_H = 8
-"""As `bench.run.states.MAX_HOLD_S`, in hours; that module opens devices, which this one must not."""
 _GIGABYTE = 1e9  # Bytes, as disks are sold
 _POSES_OF_A_SERIES = 3  # One bad pose is chance, three in a row a cause
 
@@ -164,7 +162,7 @@ def _hold_text(model: RunModel) -> str:
     holder, states = model.history.holder, model.history.states
     if not states or states[-1]["state"] != "holding":
         return f"{holder} has asked for a hold. The run holds at its next safe point."
-    return f"{holder} holds the run. It waits for a release; after {MAX_HOLD_H} h of holding it is aborted."
+    return f"{holder} holds the run. It waits for a release; after {MAX_HOLD_S / 3600:g} h of holding it is aborted."
 
 
 def _needs_one_later(model: RunModel, now: datetime) -> LeaveData:

@@ -32,7 +32,7 @@ from drivers.camera.event_arrays import (
 from drivers.camera.formats import prophesee_words
 from drivers.camera.formats.event_columns import UnitCheck
 from drivers.camera.formats.hdf5_events import opened_hdf5
-from drivers.camera.formats.library_process import source_of_library
+from drivers.camera.formats.library_process import NO_EVENTS, source_of_library
 from drivers.camera.formats.library_reader import AEDAT4_MAGIC, is_bag
 from drivers.camera.formats.table_files import NPY_MAGIC, PARQUET_MAGIC, is_table_of_text
 from drivers.camera.raw_check import read_start, require_whole
@@ -44,7 +44,6 @@ _MOST_BACK_STEP_US: Final = 10_000
 """Times of one camera may step back by the length of a packet or two, which a computer has mixed up."""
 _EVENT_FILES: Final = "Give a file of events: RAW, HDF5, .npz, .npy, Parquet, text, DAT, AEDAT4 or a ROS bag."
 _COPY_AGAIN: Final = "Copy it again from its origin, or export it again from the original recording."
-_NO_EVENTS: Final = "The file holds no readable events"
 _HDF5: Final = b"\x89HDF\r\n\x1a\n"
 _UNREADABLE: Final = (
     *(TypeError, LookupError, ValueError, OverflowError, RuntimeError, EOFError, NotImplementedError),
@@ -141,17 +140,17 @@ def _errors_of(path: Path) -> Iterator[None]:
         if error.where:
             raise
         named = error.remedy and not isinstance(error, UnreadableEvents)
-        what = error.what if named else f"{_NO_EVENTS}: {error.what}"
+        what = error.what if named else f"{NO_EVENTS}: {error.what}"
         raise NotARecording(what, where=str(path), remedy=error.remedy or _EVENT_FILES) from error
     except _UNREADABLE as error:
-        what = f"{_NO_EVENTS}: it is damaged, or has another layout than its first bytes say."
+        what = f"{NO_EVENTS}: it is damaged, or has another layout than its first bytes say."
         raise NotARecording(what, where=str(path), remedy=_COPY_AGAIN) from error
     except MemoryError as error:
         what = "The file states more events than fit into memory."
         raise RecordingFileError(what, where=str(path), remedy=_COPY_AGAIN) from error
     except OSError as error:
         if error.errno is None:  # of HDF5
-            what = f"{_NO_EVENTS}: it is damaged or incomplete."
+            what = f"{NO_EVENTS}: it is damaged or incomplete."
             raise NotARecording(what, where=str(path), remedy=_COPY_AGAIN) from error
         raise unreadable(path, error) from error
 

@@ -42,9 +42,9 @@ MOST_EVENTS: Final = 1 << 20
 _PROGRAM: Final = "drivers.camera.formats.library_reader"
 HEAD: Final = struct.Struct("<III")
 _MOST_TEXT: Final = 1 << 20  # Facts of a file are some hundred bytes
-_NO_EVENTS: Final = "The file holds no readable events"
+NO_EVENTS: Final = "The file holds no readable events"
 _OUT_OF_MEMORY: Final = (
-    f"{_NO_EVENTS}: reading it needs more than {MOST_BYTES >> 30} GiB of memory, or crashes its library"
+    f"{NO_EVENTS}: reading it needs more than {MOST_BYTES >> 30} GiB of memory, or crashes its library"
 )
 _DAMAGED: Final = (
     "The file is probably damaged: copy it again from its origin, or export it again in smaller parts."
@@ -122,7 +122,7 @@ def _raise_told(text: Mapping[str, Any], path: Path) -> None:
         case "memory":
             raise NotARecording(_OUT_OF_MEMORY, remedy=_DAMAGED)
         case "unreadable":
-            raise NotARecording(f"{_NO_EVENTS}: its library cannot read it.", remedy=_DAMAGED)
+            raise NotARecording(f"{NO_EVENTS}: its library cannot read it.", remedy=_DAMAGED)
 
 
 def _exactly(stream: IO[bytes], size: int, allowed_s: float) -> bytes:
@@ -130,7 +130,7 @@ def _exactly(stream: IO[bytes], size: int, allowed_s: float) -> bytes:
     data = bytearray()
     while len(data) < size:
         if not select.select([stream], [], [], allowed_s)[0]:
-            what = f"{_NO_EVENTS}: reading it takes longer than {allowed_s:.0f} s."
+            what = f"{NO_EVENTS}: reading it takes longer than {allowed_s:.0f} s."
             raise NotARecording(what, remedy=_DAMAGED)
         part = stream.read(min(size - len(data), 1 << 20))
         if not part:

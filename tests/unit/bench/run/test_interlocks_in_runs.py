@@ -148,7 +148,7 @@ def test_the_status_states_what_holds_the_run(tmp_path, monkeypatch):
     scene.hook = hook
     assert scene.run().how == "finished"
     assert any("HELD by the door interlock: it is open" in text for text in texts)
-    assert any("continues by itself" in text for text in texts)
+    assert any("the run continues when this is over" in text for text in texts)
     assert "HELD" not in status_text(read_status(scene.folder))
 
 
