@@ -119,7 +119,16 @@ class CalibrationOptions:
                 raise InputMismatch(
                     f"Unknown {what} {value!r}.", remedy=f"Known: {', '.join(filter(None, known))}."
                 )
+        if not isinstance(self.distortion, str | Sequence):
+            raise InputMismatch(
+                f"The distortion is {self.distortion!r}.", remedy='Name the lens, such as "k1k2".'
+            )
         object.__setattr__(self, "distortion", distortion_names(self.distortion))
+        if not isinstance(self.passport, Passport | None):
+            raise InputMismatch(
+                f"The passport is a {type(self.passport).__name__}.",
+                remedy="Make it: calib.Passport.of_radius(r_mm, sigma_mm), or read a file of it.",
+            )
         if not self.max_iterations >= 1:
             raise InputMismatch(f"max_iterations is {self.max_iterations}; it must be at least 1.")
         if not 0 < self.guard_band <= 1:

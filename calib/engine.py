@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 from calib.calibration import DEFAULT_DISTORTION, REFERENCE_MODELS, Calibration, CalibrationOptions
-from calib.diagnosis.checks import check_image_size, check_views
+from calib.diagnosis.checks import check_image_size, check_views, require_one_target
 from calib.diagnosis.gross_stars import find_gross_stars, without_gross_stars
 from calib.errors import DegenerateViews, InputMismatch
 from calib.fit import fit_model, summarize
@@ -22,7 +22,7 @@ __all__ = ["Calibration", "CalibrationOptions", "calibrate"]
 
 
 @on_one_thread
-def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) -> Calibration:
+def calibrate(views: Iterable[View] | View, options: CalibrationOptions | None = None) -> Calibration:
     """Calibrate a camera from views of the star target through a collimator.
 
     The geometry is that of arXiv:2512.16092; the adjustment is that of docs/adjustment.md.
@@ -51,7 +51,8 @@ def calibrate(views: Sequence[View], options: CalibrationOptions | None = None) 
     NotConverged
         If the adjustment did not reach an optimum.
     """
-    options = options or CalibrationOptions()
+    views, options = [views] if isinstance(views, View) else list(views), options or CalibrationOptions()
+    _require_kinds(views, options)
     if options.passport and options.model in REFERENCE_MODELS:
         raise InputMismatch(
             f"The {options.model} model is a method of reference: it uses no passport or certificate.",
@@ -96,6 +97,21 @@ def _remarks(options: CalibrationOptions, camera: CameraModel) -> list[str]:
     return remarks
 
 
+def _require_kinds(views: Sequence[object], options: object) -> None:
+    """Refuse what is no view and what are no options: a user's own lists, words or numbers."""
+    other = next((view for view in views if not isinstance(view, View)), None)
+    if other is not None:
+        raise InputMismatch(
+            f"A view is a {type(other).__name__}.",
+            remedy="Make each: calib.View(name, image_size, ids, points_px, target_mm, covariances_px2).",
+        )
+    if not isinstance(options, CalibrationOptions):
+        raise InputMismatch(
+            f"The options are a {type(options).__name__}.",
+            remedy='Make them: calib.CalibrationOptions(distortion="k1k2").',
+        )
+
+
 def _check(views: Sequence[View], fewest: int) -> None:
     """Refuse views that do not belong together, or are too few."""
     if len(views) < fewest:
@@ -113,3 +129,4 @@ def _check(views: Sequence[View], fewest: int) -> None:
     name, times = Counter(view.name for view in views).most_common(1)[0]
     if times > 1:
         raise InputMismatch(f"{times} views are named {name!r}.", remedy="Give each view its own name.")
+    require_one_target(views)

@@ -16,6 +16,14 @@ T = TypeVar("T")
 _ASYMMETRY = 1e-9
 _ARRAYS = {"ids": np.int64, **dict.fromkeys(("points_px", "target_mm", "covariances_px2"), np.float64)}
 
+_SHAPES: dict[str, tuple[tuple[int, ...], str]] = {
+    "ids": ((), "Give one number for each point, in a row."),
+    "points_px": ((2,), "Points as OpenCV has them, (N, 1, 2): give points.reshape(-1, 2)."),
+    "target_mm": ((2,), "Object points as OpenCV has them, (N, 3): leave out Z, points[:, :2]."),
+    "covariances_px2": ((2, 2), "The same for every point: np.tile(0.02**2 * np.eye(2), (N, 1, 1))."),
+}
+#: Shape of each array after its first axis, and what to do with another one.
+
 
 @dataclass(frozen=True)
 class RimPoints:
@@ -80,13 +88,9 @@ class View:
             own = self._numbers(name).astype(kind)  # a copy
             own.setflags(write=False)
             object.__setattr__(self, name, own)
-        object.__setattr__(self, "image_size", tuple(self.image_size))
+        object.__setattr__(self, "image_size", self._sides())
         n = self.ids.size
-        shapes = (self.points_px.shape, self.target_mm.shape, self.covariances_px2.shape)
-        if (self.ids.shape, shapes) != ((n,), ((n, 2), (n, 2), (n, 2, 2))):
-            raise InputMismatch(
-                f"The view has {n} ids, but its arrays have shapes {shapes}.", where=f"view {self.name}"
-            )
+        self._require_shapes(n)
         if len(set(self.ids.tolist())) != n:  # np.unique would load NumPy's masked arrays
             raise InputMismatch("The view holds a point twice.", where=f"view {self.name}")
         if not all(np.isfinite(a).all() for a in (self.points_px, self.target_mm, self.covariances_px2)):
@@ -108,6 +112,28 @@ class View:
                     remedy="Give each point the whole number that names it on the target.",
                 )
         return given
+
+    def _sides(self) -> tuple[int, int]:
+        """Return width and height as whole numbers."""
+        sides = np.ravel(np.asarray(self.image_size))
+        if sides.dtype.kind in "iuf" and sides.size == 2 and (sides >= 1).all() and (sides % 1 == 0).all():
+            return int(sides[0]), int(sides[1])
+        raise InputMismatch(
+            f"Its image_size is {self.image_size}.",
+            where=f"view {self.name}",
+            remedy="Give width and height, px; of a NumPy image: image.shape[1::-1].",
+        )
+
+    def _require_shapes(self, n: int) -> None:
+        """Refuse arrays of other shapes than those of ``n`` points."""
+        for name, (shape, remedy) in _SHAPES.items():
+            given, needed = getattr(self, name).shape, (n, *shape)
+            if given != needed:
+                raise InputMismatch(
+                    f"Its {name} have the shape {given}, and {n} ids need {needed}.",
+                    where=f"view {self.name}",
+                    remedy=remedy,
+                )
 
     def _require_covariances(self) -> None:
         """Refuse covariances that are not symmetric, or have no positive variance along some axis."""

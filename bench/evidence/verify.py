@@ -111,7 +111,7 @@ def _files(findings: Findings, folder: Path, manifest: Mapping[str, str]) -> Non
         if kind != "file":
             findings.fault("link" if kind == "link" else "added", name, f"this is a {kind}, not a file")
         elif name not in manifest:
-            findings.fault("added", name, "the file was added after sealing")
+            findings.fault("added", name, "the file was added after sealing: move it out of the folder")
         elif of_kind is not None and not of_kind.fullmatch(name):
             findings.fault("kind", name, f"no {_FOLDERS[kind_of(folder)]} has this file")
     for name, sha256 in manifest.items():

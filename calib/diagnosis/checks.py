@@ -56,6 +56,10 @@ KNOWN_SIZES: tuple[Size, ...] = (
 #: Points up to this far outside of the outermost pixel centres are inside of the image, px: half a pixel, and another
 #: half for points whose origin is the corner.
 _OUTSIDE_PX = 1.0
+#: Points that all lie within this are shares of the image: no target of four points is as small, px.
+_SHARES_PX = 2.0
+#: Places of one point of the target may differ by this share of its extent, as roundings do: a pitch is a hundredth.
+_SAME_PLACE = 1e-3
 #: A principal point this share of the width or height away from the middle is implausible.
 _FAR_FROM_MIDDLE = 0.15
 #: A size explains the views if its middle is within this share of the principal point ...
@@ -187,8 +191,37 @@ def _unit(ratio: float) -> str:
     return name if near[name] < np.log(_TOLERANCE) else ""
 
 
+def require_one_target(views: Sequence[View]) -> None:
+    """Refuse views in which one number names points at different places of the target."""
+    ids = np.concatenate([view.ids for view in views])
+    places = np.concatenate([view.target_mm for view in views])
+    names = [view.name for view in views for _ in view.ids]
+    if not ids.size:
+        return
+    order = np.argsort(ids, kind="stable")
+    apart = np.abs(np.diff(places[order], axis=0)).max(axis=1, initial=0.0)
+    wrong = np.flatnonzero((np.diff(ids[order]) == 0) & (apart > _SAME_PLACE * np.ptp(places)))
+    if wrong.size:
+        first, then = order[wrong[0]], order[wrong[0] + 1]
+        at = [
+            f"({x:g}, {y:g}) mm in view {name}"
+            for (x, y), name in zip(places[[first, then]], (names[first], names[then]), strict=True)
+        ]
+        raise InputMismatch(
+            f"On the target, point {ids[first]} is at {at[0]}, and at {at[1]}.",
+            remedy="Give each point of the target a number of its own, the same in every view. Check also that points"
+            " of the image and of the target are not exchanged.",
+        )
+
+
 def require_points_inside(views: Sequence[View]) -> None:
     """Refuse views with points outside of their image size; names the first one, and a known size that holds all."""
+    if all(np.ptp(view.points_px, axis=0).max(initial=0.0) < _SHARES_PX for view in views if len(view)):
+        raise InputMismatch(
+            f"All points of a view lie within {_SHARES_PX:g} px: they look like shares of the image.",
+            where=f"view {views[0].name}",
+            remedy="Give px.",
+        )
     for view in views:
         limit = np.array(view.image_size) - 1.0 + _OUTSIDE_PX
         outside = ((view.points_px < -_OUTSIDE_PX) | (view.points_px > limit)).any(axis=1)

@@ -214,6 +214,12 @@ class CameraModel:
         Array
             (N, 2) image points, px. NaN for points that are not in front of the camera (Z <= 0).
         """
+        points = np.asarray(points, float)
+        if points.ndim != 2 or points.shape[1] != 3:
+            raise InputMismatch(
+                f"The points have the shape {points.shape}, not (N, 3).",
+                remedy="Give X, Y and Z of each point.",
+            )
         return self.project_with_jacobians(np.where(points[:, 2:] > 0, points, np.nan))[0]
 
     def project_with_jacobians(self, points: Array) -> tuple[Array, Array, Array]:

@@ -113,8 +113,18 @@ class Passport:
         InputMismatch
             If the length is not positive, its uncertainty negative, or its kind unknown.
         """
+        if isinstance(r_mm, str) or isinstance(sigma_mm, str):
+            raise InputMismatch(
+                "Its radius or its sigma is a text.", where="passport", remedy="Give numbers."
+            )
         if not sigma_mm >= 0:
             raise InputMismatch(f"Its sigma is {sigma_mm} mm; it must not be negative.", where="passport")
+        if sigma_mm > abs(r_mm):
+            raise InputMismatch(
+                f"Its sigma, {sigma_mm} mm, is larger than its radius, {r_mm} mm.",
+                where="passport",
+                remedy="Give the radius first, then its standard uncertainty.",
+            )
         if length not in list(CertifiedLength):
             raise InputMismatch(
                 f"Unknown length {length!r}.",

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.arrays import Array, Bools
+from calib.errors import InputMismatch
 from calib.model.camera import CameraModel
 from calib.model.rotation import ARCSEC, exp_map, skew
 
@@ -82,6 +83,12 @@ def projection_uncertainty(camera: CameraModel, covariance: Array, points_across
     ProjectionMap
         Uncertainty at each grid point.
     """
+    shape, k = np.shape(covariance), len(camera.parameter_names)
+    if shape != (k, k):
+        raise InputMismatch(
+            f"The covariance has the shape {shape}, and the {k} parameters of the camera need {(k, k)}.",
+            remedy="Give the covariance of the camera alone: `camera_covariance` of a run or a calibration.",
+        )
     grid = sensor_grid(camera.image_size, points_across)
     pixels = grid.reshape(-1, 2)
     left, by_ray, rays, seen = _without_turn(camera, pixels)

@@ -22,6 +22,34 @@ def noisy():
     return views, calibrate(views)
 
 
+def test_views_may_come_from_a_generator(noisy):
+    views, result = noisy
+    assert calibrate(view for view in views).values == result.values
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (
+            lambda view: replace(view, ids=np.arange(len(view))),
+            r"point 0 is at .* in view .*, and at .* in view ",
+        ),
+        (
+            lambda view: replace(view, points_px=view.target_mm, target_mm=view.points_px),
+            "points of the image and of the target are not exchanged",
+        ),
+        (
+            lambda view: replace(view, points_px=view.points_px / view.image_size),
+            "shares of the image. Give px",
+        ),
+    ],
+    ids=["numbers counted in each view", "image and target exchanged", "shares of the image"],
+)
+def test_points_that_are_not_what_they_are_given_as_are_refused(noisy, change, says):
+    with pytest.raises(InputMismatch, match=says):
+        calibrate([change(view) for view in noisy[0]])
+
+
 def thinned(views, step):
     """Every step-th star of each view."""
     return [view.part(np.arange(len(view)) % step == 0) for view in views]

@@ -7,8 +7,8 @@ from operator import methodcaller
 import numpy as np
 import pytest
 
-from calib import CalibrationOptions, View
-from calib.errors import InputMismatch
+from calib import CalibrationOptions, Passport, View, calibrate, projection_uncertainty
+from calib.errors import CalibrationError, InputMismatch
 from tests.support.exported_camera import calibration
 
 N = 6
@@ -21,7 +21,7 @@ def view(**changed):
         "target_mm": np.arange(2.0 * N).reshape(N, 2),
         "covariances_px2": np.tile(0.04 * np.eye(2), (N, 1, 1)),
     }
-    return View("left", (640, 480), **{**given, **changed})
+    return View("left", **{"image_size": (640, 480), **given, **changed})
 
 
 @pytest.fixture
@@ -78,7 +78,12 @@ def test_views_are_compared_by_identity_and_own_their_arrays():
         ({"ids": np.arange(N) + 0.7}, "The id 0.7 is not a whole number"),
         ({"ids": np.full(N, np.nan)}, "The id nan is not a whole number"),
         ({"ids": [str(i) for i in range(N)]}, "ids are not numbers"),
-        ({"ids": np.arange(N).reshape(N, 1)}, "arrays have shapes"),
+        ({"ids": np.arange(N).reshape(N, 1)}, r"ids have the shape \(6, 1\), and 6 ids need \(6,\)"),
+        ({"points_px": np.zeros((N, 1, 2))}, r"points_px have the shape \(6, 1, 2\).*reshape\(-1, 2\)"),
+        ({"target_mm": np.zeros((N, 3))}, r"target_mm have the shape \(6, 3\).*leave out Z"),
+        ({"covariances_px2": 0.04 * np.eye(2)}, r"covariances_px2 have the shape \(2, 2\).*np.tile"),
+        ({"image_size": (480, 640, 3)}, r"image_size is \(480, 640, 3\)\. Give width and height"),
+        ({"image_size": (640.5, 480)}, "Give width and height"),
         ({"covariances_px2": np.zeros((N, 2, 2))}, "covariance of point 0 is not symmetric with positive"),
         ({"covariances_px2": np.tile([[1.0, 0.5], [0.0, 1.0]], (N, 1, 1))}, "not symmetric"),
         ({"covariances_px2": np.tile([[1.0, 2.0], [2.0, 1.0]], (N, 1, 1))}, "positive variances"),
@@ -88,6 +93,32 @@ def test_views_are_compared_by_identity_and_own_their_arrays():
 def test_a_view_that_is_none_is_refused_when_it_is_made(changed, says):
     with pytest.raises(InputMismatch, match=says):
         view(**changed)
+
+
+def test_an_image_size_of_any_kind_of_whole_numbers_is_two_integers():
+    assert view(image_size=np.array([640.0, 480.0])).image_size == (640, 480)
+
+
+@pytest.mark.parametrize(
+    ("call", "says"),
+    [
+        (lambda: calibrate(view()), "1 view given; at least 2 needed"),
+        (
+            lambda: calibrate([(np.zeros((N, 2)), np.zeros((N, 2)))] * 2),
+            "A view is a tuple. Make each: calib.View",
+        ),
+        (lambda: calibrate([view()], {"distortion": "k1k2"}), "The options are a dict. Make them"),
+        (lambda: CalibrationOptions(passport=255.0), "The passport is a float. Make it"),
+        (lambda: CalibrationOptions(distortion=2), "The distortion is 2. Name the lens"),
+        (lambda: Passport.of_radius("255", 0.05), "is a text. Give numbers"),
+        (lambda: Passport.of_radius(0.05, 255.0), "larger than its radius, 0.05 mm. Give the radius first"),
+        (lambda: calibration("k1k2").camera.project(np.zeros((N, 2))), r"the shape \(6, 2\), not \(N, 3\)"),
+        (lambda: projection_uncertainty(calibration("k1k2").camera, np.eye(9)), r"\(9, 9\).*need \(6, 6\)"),
+    ],
+)
+def test_what_is_of_another_kind_is_refused_in_words(call, says):
+    with pytest.raises(CalibrationError, match=says):
+        call()
 
 
 def test_whole_numbers_of_any_type_name_stars():
