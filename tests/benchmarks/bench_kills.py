@@ -26,7 +26,7 @@ from unittest import mock
 import measured
 from certificate_lab import FIRST, Lab
 from quick_runs import write_sequence, write_station
-from running import journal, starbench, start
+from running import has_ended, journal, starbench, start
 from virtual_bench import VirtualBench
 
 from bench.record.storage import sha256_of
@@ -138,14 +138,6 @@ def kills_of(kind: type[ARun | ACertificate], kills: int, folder: Path, chance: 
 def children(pid: int) -> list[int]:
     """Return the processes that a process has begun."""
     return [int(p) for p in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
-
-
-def has_ended(pid: int) -> bool:
-    """Return whether a process is gone, or waits for its parent only."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
-    except OSError:
-        return True
 
 
 def seconds_alone(workers: list[int]) -> float:

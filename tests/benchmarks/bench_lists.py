@@ -12,8 +12,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -57,19 +55,6 @@ def make_home(home: Path, runs: list[Path]) -> None:
     write_own_mark(home, OwnMark(LedgerMark(lines, before + len(runs), last.hash, last.utc)))
 
 
-def command_s(source: Path, home: Path, *words: str) -> float:
-    """Return the CPU time of a command of a version."""
-    environment = os.environ | {"STARBENCH_HOME": str(home), "PYTHONPATH": str(source)}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "bench", *words], env=environment, cwd=source, stdout=subprocess.DEVNULL
-    )
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise SystemExit(f"{' '.join(words)}: status {process.returncode}")
-    return usage.ru_utime + usage.ru_stime
-
-
 def looks_s(folder: Path) -> list[float]:
     """Return the CPU times of the panel's looks at a folder: until all is listed, then twice again."""
     from bench.extras.panel.folder_list import FolderList
@@ -89,11 +74,11 @@ def one_round(source: Path, home: Path, runs: list[Path]) -> Iterator[tuple[str,
     folder = str(runs[0].parent)
     for part_of_index in home.glob(f"{INDEX}*"):
         part_of_index.unlink()
-    yield "runs FOLDER, first time", command_s(source, home, "runs", folder)
-    yield "runs FOLDER", command_s(source, home, "runs", folder)
-    yield "runs of the ledger", command_s(source, home, "runs")
+    yield "runs FOLDER, first time", measured.command_s(source, home, "runs", folder)
+    yield "runs FOLDER", measured.command_s(source, home, "runs", folder)
+    yield "runs of the ledger", measured.command_s(source, home, "runs")
     os.utime(runs[-1])
-    yield "runs FOLDER, one run changed", command_s(source, home, "runs", folder)
+    yield "runs FOLDER, one run changed", measured.command_s(source, home, "runs", folder)
     first, *again = json.loads(measured.in_checkout(source, folder, "--looks"))
     yield "panel, first time", first
     yield from (("panel, a look", took) for took in again)

@@ -10,9 +10,6 @@ of a rehearsal, whose clock no other work on the computer changes.
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 import tempfile
 from pathlib import Path
 
@@ -52,7 +49,19 @@ def main() -> None:
 
 def real_run(source: Path, folder: Path) -> Times:
     """Return what a run in real time took, and the CPU time of its command."""
-    cpu_s = command_s(source, folder, "run", "nine_pose", "--seed", SEED, "-s", "simulated", "-o", "run")
+    cpu_s = measured.command_s(
+        source,
+        folder / "home",
+        "run",
+        "nine_pose",
+        "--seed",
+        SEED,
+        "-s",
+        "simulated",
+        "-o",
+        "run",
+        cwd=folder,
+    )
     cycle_s, whole_s = journal_s(folder / "run" / "journal.jsonl")
     return {
         "real time, first to last recording": cycle_s,
@@ -64,26 +73,12 @@ def real_run(source: Path, folder: Path) -> Times:
 def rehearsal(source: Path, folder: Path) -> Times:
     """Return what a run takes on the virtual clock."""
     (folder / "queue.yaml").write_text(QUEUE, encoding="utf-8")
-    command_s(source, folder, "rehearse", "queue.yaml", "-o", "rehearsed")
+    measured.command_s(source, folder / "home", "rehearse", "queue.yaml", "-o", "rehearsed", cwd=folder)
     run = next(
         path for path in (folder / "rehearsed").rglob("journal.jsonl") if path.parent.name != "rehearsed"
     )
     cycle_s, whole_s = journal_s(run)
     return {"virtual clock, first to last recording": cycle_s, "virtual clock, whole run": whole_s}
-
-
-def command_s(source: Path, folder: Path, *words: str) -> float:
-    """Call a command of a version in a folder, with a home of its own; return its CPU time."""
-    environment = os.environ | {"STARBENCH_HOME": str(folder / "home"), "PYTHONPATH": str(source)}
-    process = subprocess.Popen(
-        [sys.executable, "-m", "bench", *words],
-        cwd=folder, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
-    _, status, usage = os.wait4(process.pid, 0)
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise SystemExit(f"{' '.join(words)}: status {process.returncode}")
-    return usage.ru_utime + usage.ru_stime
 
 
 def journal_s(path: Path) -> tuple[float, float]:

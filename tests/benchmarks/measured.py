@@ -51,6 +51,23 @@ def in_checkout(folder: Path, *words: str) -> str:
     ).stdout
 
 
+def command_s(source: Path, home: Path, *words: str, cwd: Path | None = None) -> float:
+    """Call a command of the version in a folder, with a home; return its CPU time. It works in ``cwd``, if not there."""
+    environment = os.environ | {"STARBENCH_HOME": str(home), "PYTHONPATH": str(source)}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "bench", *words],
+        cwd=cwd or source,
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    _, status, usage = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    if process.returncode:
+        raise SystemExit(f"{' '.join(words)}: status {process.returncode}")
+    return usage.ru_utime + usage.ru_stime
+
+
 def seeds(text: str) -> range:
     """Read seeds: first-last, or one seed."""
     first, _, last = text.partition("-")

@@ -9,6 +9,7 @@ import math
 import threading
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
@@ -145,6 +146,20 @@ class DirectLine:
 def direct_line(device: Dialect, clock: VirtualClock) -> DirectLine:
     """Plug a simulated device into a line of faults without faults yet."""
     return DirectLine(FaultLine(device, clock.monotonic, np.random.default_rng(1)), clock)
+
+
+class HomedStage:
+    """A simulated stage on its line, for which ``open`` makes the driver."""
+
+    open: Callable[..., Any]
+    line: DirectLine
+
+    def homed(self, **changes: Any) -> Any:
+        """Open the stage and home it; what was sent for that is forgotten."""
+        stage = self.open(**changes)
+        stage.home()
+        self.line.sent.clear()
+        return stage
 
 
 @dataclass

@@ -14,6 +14,17 @@ FLICKER = LightState(output=True, sync=True)
 COMPUTING = b'{"event": "computing"}'
 
 
+def exactly(link, n):
+    """So many bytes from a socket."""
+    data = b""
+    while len(data) < n:
+        part = link.recv(n - len(data))
+        if not part:
+            raise ConnectionResetError
+        data += part
+    return data
+
+
 class Host:
     """A host as small as can be."""
 
@@ -35,17 +46,8 @@ class Host:
         return frame
 
     def any_frame(self):
-        kind, length = struct.unpack("<cI", self._exactly(5))
-        return kind, self._exactly(length)
-
-    def _exactly(self, n):
-        data = b""
-        while len(data) < n:
-            part = self.link.recv(n - len(data))
-            if not part:
-                raise ConnectionResetError
-            data += part
-        return data
+        kind, length = struct.unpack("<cI", exactly(self.link, 5))
+        return kind, exactly(self.link, length)
 
     def ask(self, cmd, **more):
         self.send(b"Q", json.dumps({"id": 7, "cmd": cmd, **more}).encode())

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 from quick_runs import THREE_NAMED, write_sequence, write_station
-from running import PATIENCE_S, entering, journal, results, start, wait_for
+from running import PATIENCE_S, entering, has_ended, journal, results, start, wait_for
 from servers import WebServer, serving
 from station_texts import PLAIN
 
@@ -102,14 +102,6 @@ def test_a_worker_that_is_killed_and_one_that_hangs_are_noticed_told_and_the_run
     assert "No device was asked after that." in server.posts[0][1]["text"]  # they ended with the process
 
 
-def ended(pid):
-    """Whether a process is gone, or waits for its parent as a zombie only."""
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
-    except OSError:
-        return True
-
-
 def test_a_worker_ends_safely_with_the_group_of_its_supervisor_and_its_run_is_resumed(tmp_path, night):
     queue, folder, server = night
     process = start("batch", queue, "-o", folder, home=tmp_path / "home")
@@ -118,7 +110,7 @@ def test_a_worker_ends_safely_with_the_group_of_its_supervisor_and_its_run_is_re
     (worker,) = children(process.pid)
     process.kill()
     process.communicate()
-    while not ended(worker):
+    while not has_ended(worker):
         time.sleep(0.01)
     end = journal(run)[-1]
     assert (end["event"], end["how"], end["why"]) == ("run_ended", "aborted", "its supervisor has ended")

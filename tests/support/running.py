@@ -59,6 +59,14 @@ def start(*words, home: Path) -> subprocess.Popen[str]:
     )
 
 
+def has_ended(pid: int) -> bool:
+    """Whether a process is gone, or waits for its parent as a zombie only."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
+    except OSError:
+        return True
+
+
 def journal(folder: Path) -> list[dict]:
     """Whole lines of a run's journal; empty while there is none."""
     path = folder / "journal.jsonl"

@@ -90,37 +90,17 @@ def _glass(**changed: Any) -> ChangeWorld:
     return lambda world: replace(world, glass=replace(world.glass, **changed))
 
 
-def _pupil_in_front(world: World) -> World:
-    """The pupil is 12 mm in front of the pivot; stated is 2 +- .5."""
-    terms = {**world.glass.terms, "defocus": 0.05}
-    return replace(
+def _defocused(stated_mm: float, stated: float = 0.05, **mount: float) -> ChangeWorld:
+    """A defocus of .05, and where the pupil is; stated are a defocus, and the pupil in front of the pivot to .5 mm."""
+    return lambda world: replace(
         world,
-        glass=replace(world.glass, terms=terms),
-        mount=replace(world.mount, off_pivot_mm=12.0),
-        stated=replace(world.stated, off_pivot_mm=(2.0, 0.5), defocus=(0.05, 0.005)),
+        glass=replace(world.glass, terms={**world.glass.terms, "defocus": 0.05}),
+        mount=replace(world.mount, **mount),
+        stated=replace(world.stated, off_pivot_mm=(stated_mm, 0.5), defocus=(stated, 0.005)),
     )
 
 
-def _moved_by_hand(world: World) -> World:
-    """A hand moves the camera; the station states the pupil 2 +- .5 mm in front of the pivot of a gimbal."""
-    terms = {**world.glass.terms, "defocus": 0.05}
-    return replace(
-        world,
-        glass=replace(world.glass, terms=terms),
-        mount=replace(world.mount, off_pivot_mm=44.0, wander_mm=8.5),
-        stated=replace(world.stated, off_pivot_mm=(2.0, 0.5), defocus=(0.05, 0.005)),
-    )
-
-
-def _wrong_defocus(world: World) -> World:
-    """The defocus is stated with the wrong sign, the pupil 5 mm in front of the pivot rightly."""
-    terms = {**world.glass.terms, "defocus": 0.05}
-    return replace(
-        world,
-        glass=replace(world.glass, terms=terms),
-        mount=replace(world.mount, off_pivot_mm=5.0),
-        stated=replace(world.stated, off_pivot_mm=(5.0, 0.5), defocus=(-0.05, 0.005)),
-    )
+_BY_HAND = _defocused(2.0, off_pivot_mm=44.0, wander_mm=8.5)
 
 
 def _bow(world: World) -> World:
@@ -226,10 +206,10 @@ _ATTACKS |= {
     "gimbal scale of pan .5 %": Attack(SCALE, world=_gimbal_scale(0.005, 0.0)),
     "gimbal scale of pan .5 %, no certificate": Attack(SCALE, "r", world=_gimbal_scale(0.005, 0.0)),
     "gimbal scale 1 %, no certificate": Attack(SCALE, "r", world=_gimbal_scale(0.01, 0.01), seen=False),
-    "pupil 12 mm, stated 2": Attack(PARALLAX, world=_pupil_in_front),
-    "moved by hand, stated on a gimbal": Attack(PARALLAX, world=_moved_by_hand),
-    "moved by hand, stated on a gimbal, three poses": Attack(PARALLAX, world=_moved_by_hand, poses=THREE),
-    "defocus of the wrong sign": Attack(PARALLAX, world=_wrong_defocus),
+    "pupil 12 mm, stated 2": Attack(PARALLAX, world=_defocused(2.0, off_pivot_mm=12.0)),
+    "moved by hand, stated on a gimbal": Attack(PARALLAX, world=_BY_HAND),
+    "moved by hand, stated on a gimbal, three poses": Attack(PARALLAX, world=_BY_HAND, poses=THREE),
+    "defocus of the wrong sign": Attack(PARALLAX, world=_defocused(5.0, -0.05, off_pivot_mm=5.0)),
     "anisotropic print .3 %": Attack(PRINT, world=_glass(print_scale=np.array([0.003, 0.0]))),
     "anisotropic print .3 %, three poses": Attack(
         PRINT, world=_glass(print_scale=np.array([0.003, 0.0])), poses=THREE

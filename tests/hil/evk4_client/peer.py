@@ -8,6 +8,8 @@ from datetime import UTC, datetime
 
 from camera_words import words_of
 
+from tests.hil.evk4_host import exactly
+
 WHO = {
     "maker": "Prophesee",
     "model": "EVK4 (simulated)",
@@ -61,25 +63,16 @@ class Peer:
             with self.link:
                 while True:
                     self._handle(self._request())
-        except (OSError, EOFError):
+        except OSError:
             self.closed.set()
 
     def _request(self):
-        head = self._exactly(5)
+        head = exactly(self.link, 5)
         assert head[:1] == b"Q"
-        request = json.loads(self._exactly(struct.unpack("<I", head[1:])[0]))
+        request = json.loads(exactly(self.link, struct.unpack("<I", head[1:])[0]))
         self.asked.append(request["cmd"])
         self.kept = request.get("frames")
         return request
-
-    def _exactly(self, n):
-        data = b""
-        while len(data) < n:
-            more = self.link.recv(n - len(data))
-            if not more:
-                raise EOFError
-            data += more
-        return data
 
     def _handle(self, request):
         if request["cmd"] not in self.deaf_to:

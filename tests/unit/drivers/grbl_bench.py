@@ -8,7 +8,7 @@ from drivers.stage import AxisLimits
 from drivers.stage.grbl import GrblAxis, GrblStage
 from simulators.stages.axis_motion import AxisModel, Mechanics
 from simulators.stages.grbl import GrblController
-from tests.hil.direct_stages import VirtualClock, direct_line
+from tests.hil.direct_stages import HomedStage, VirtualClock, direct_line
 
 LIMITS = AxisLimits(-15.0, 15.0, 10.0, 50.0)
 RESET, CANCEL = b"\x18", b"\x85"
@@ -22,7 +22,7 @@ def axes(letters: str = "XY") -> list[GrblAxis]:
     ]
 
 
-class Bench:
+class Bench(HomedStage):
     """A board of two axes, or of those with these letters, on a line, and the driver for it."""
 
     def __init__(self, letters: str = "XY") -> None:
@@ -35,12 +35,6 @@ class Bench:
 
     def open(self, letters: str = "XY", **more) -> GrblStage:
         return GrblStage(self.line, axes(letters), clock=self.clock, **more)
-
-    def homed(self) -> GrblStage:
-        stage = self.open()
-        stage.home()
-        self.line.sent.clear()
-        return stage
 
     def somebody_says(self, data: bytes) -> None:
         """Bytes that somebody else sends; the driver hears what is said to them."""

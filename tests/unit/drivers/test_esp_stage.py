@@ -19,7 +19,7 @@ from drivers.stage import AxisLimits
 from drivers.stage.esp import EspAxis, EspStage
 from simulators.stages.axis_motion import AxisModel, Mechanics, MotionFault
 from simulators.stages.esp301 import EspController
-from tests.hil.direct_stages import VirtualClock, direct_line
+from tests.hil.direct_stages import HomedStage, VirtualClock, direct_line
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
@@ -30,7 +30,7 @@ AXES = [
 ]
 
 
-class Bench:
+class Bench(HomedStage):
     """A controller of two axes on a line, and the driver for it."""
 
     def __init__(self) -> None:
@@ -43,12 +43,6 @@ class Bench:
 
     def open(self) -> EspStage:
         return EspStage(self.line, AXES, clock=self.clock)
-
-    def homed(self) -> EspStage:
-        stage = self.open()
-        stage.home()
-        self.line.sent.clear()
-        return stage
 
     def motions(self) -> list[str]:
         sent = b"".join(self.line.sent).decode().split("\r")

@@ -9,7 +9,7 @@ from drivers.stage import AxisLimits
 from drivers.stage.zaber import ZaberAxis, ZaberStage
 from simulators.stages.axis_motion import AxisModel, Mechanics
 from simulators.stages.zaber import ZaberChain, ZaberController
-from tests.hil.direct_stages import VirtualClock, direct_line
+from tests.hil.direct_stages import HomedStage, VirtualClock, direct_line
 from tests.hil.mutated import put
 
 SCALE = 1000
@@ -24,7 +24,7 @@ def axes(**changes) -> list[ZaberAxis]:
     ]
 
 
-class Bench:
+class Bench(HomedStage):
     """Two chained controllers on a line, and the driver for them."""
 
     def __init__(self) -> None:
@@ -39,12 +39,6 @@ class Bench:
 
     def open(self, **changes) -> ZaberStage:
         return ZaberStage(self.line, axes(**changes), clock=self.clock)
-
-    def homed(self) -> ZaberStage:
-        stage = self.open()
-        stage.home()
-        self.line.sent.clear()
-        return stage
 
     def said(self, word: str) -> list[str]:
         """Requests with a word, without their checksums."""

@@ -3,7 +3,6 @@
 import json
 
 import pytest
-from align_fakes import fake_session
 
 from bench.align import readiness
 from bench.align.open_bench import SimulatedHands
@@ -32,14 +31,6 @@ class Kind:
 
     def judge(self, facts, step, frequency_hz, found):
         return self.gates, self.others
-
-
-@pytest.fixture
-def opened():
-    session, devices = fake_session()
-    session.open()
-    yield session, devices
-    session.close()
 
 
 def _checked(session, monkeypatch, kind):

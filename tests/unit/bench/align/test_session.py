@@ -15,14 +15,6 @@ from bench.base.errors import ControlRefused
 from drivers.errors import CameraBusy, CameraLost, DriverError, PortLost, StillOpening
 
 
-@pytest.fixture
-def opened():
-    session, devices = fake_session()
-    assert session.open() is None
-    yield session, devices
-    session.close()
-
-
 def _rest(session):
     wait_until(lambda: not session.bench.stage.moving)
 

@@ -191,6 +191,10 @@ def test_the_rays_of_a_camera_file_are_those_of_opencv(tmp_path, text, coefficie
 
 
 FISHEYE_FILES = {
+    "Kalibr": (
+        f"cam0:\n  camera_model: pinhole\n  intrinsics: {FOCAL_AND_CENTRE}\n  distortion_model: equidistant\n"
+        f"  distortion_coeffs: {FISHEYE}\n  resolution: [1280, 720]\n  rostopic: /cam0/events\n"
+    ),
     "flag": opencv_yaml(FISHEYE, more="fisheye_model: 1\n"),
     "flag in XML": opencv_file("xml", FISHEYE, fisheye_model=1),
     "another name of the model": opencv_yaml(FISHEYE, more="calibration_model: fisheye\n"),
@@ -286,6 +290,8 @@ def test_the_cameras_of_opencvs_stereo_file_are_named_by_number(tmp_path):
     assert read_camera_file(tmp_path / "intrinsics.json", "2").camera.fx == 900.0
 
 
+#: Metavision's camera-geometry.json
+GEOMETRY = {"type": "pinhole", "width": 1280, "height": 720, "K": FLAT_K, "D": D5}
 REFUSED = {
     "plumb_bob with 8": (ros_yaml(D14[:8]), "plumb_bob has 5 coefficients, but the file states 8: coefficient 6 is 0.01, not 0"),
     "radtan with 5": (CHAIN["Kalibr"].replace(str(D5[:4]), str(D5)).partition("cam1")[0], "radtan has 4 coefficients"),
@@ -335,6 +341,15 @@ REFUSED = {
     ),
     "a list": ("- 1\n- 2\n", "names with values"),
     "only a comment": ("# nothing\n", "names with values"),
+    "omni of Kalibr": (CHAIN["Kalibr"].partition("cam1")[0].replace("pinhole", "omni"), "'omni'"),
+    "another type of camera-geometry.json": (json.dumps({**GEOMETRY, "type": "kannala"}), "only `pinhole` is known"),
+    "three numbers as matrix": (json.dumps({**GEOMETRY, "K": [1, 2, 3]}), "the camera matrix has 3 numbers"),
+    "no width": (json.dumps({**GEOMETRY, "width": 0}), "not possible"),
+    "a name of JSON twice": ('{"type": "pinhole", "type": "pinhole"}', "the key 'type' is there twice"),
+    "empty JSON": ("{}", "it has no camera matrix"),
+    "empty": ("", "it is empty"),
+    "a width alone": ("%YAML:1.0\n---\nimage_width: 3\n", "no camera matrix"),
+    "a model that nobody knows": ("K: [1, 1, 1, 1]\nD: []\ndistortion_model: magic\n", "'magic'"),
 }  # fmt: skip
 
 
@@ -344,6 +359,7 @@ def test_what_is_not_read_is_refused_with_its_real_cause(tmp_path, text, why):
     with pytest.raises(NotACamera) as error:
         read_camera_file(tmp_path / "file")
     assert why in error.value.what
+    assert error.value.where == str(tmp_path / "file")
     assert error.value.remedy
     assert error.value.exit_status == 2
 
