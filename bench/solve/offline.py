@@ -17,13 +17,12 @@ from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
 from bench.record.conformity import conformity
 from bench.record.results import CalibrationData, ConformityData, GimbalReadingsData
+from bench.solve.loose_recordings import first_names, used_recordings
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.solution import calibrated
 from bench.solve.solve_options import readings_result
 from bench.solve.view_sources import (
     ViewSource,
-    cut_recordings,
-    first_names,
     jobs_of,
     left_beside,
     view_sources,
@@ -169,7 +168,7 @@ def calibrate_sources(
     chosen = [sources[n - 1] for n in choices.view_numbers] if choices.view_numbers else sources
     views, used, skipped = read_views(chosen, progress)
     options, passport, cautions = _engine_options(used, choices)
-    cautions += cut_recordings(used)
+    cautions += used_recordings(source.path for source in used if source.job is None)
     try:
         calibration, planar = calibrated(views, options, cautions, board=choices.board is not None)
     except DegenerateViews as error:

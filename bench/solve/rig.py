@@ -27,9 +27,10 @@ from bench.solve.exports import (
     opencv_coefficients,
     yaml_bytes,
 )
+from bench.solve.loose_recordings import RECORDINGS
 from bench.solve.offline import Reached, calibrate_paths, nothing_shown, read_views, require_common_views
 from bench.solve.offline_options import OfflineOptions
-from bench.solve.view_sources import RECORDINGS, left_beside, view_sources
+from bench.solve.view_sources import left_beside, view_sources
 from calib.model.rotation import exp_map, log_map
 from calib.studies.clock_offset import ClockOffset, clock_offset, common_rate
 from calib.studies.rig import Rig, stated_cameras, through_collimator

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -20,6 +20,7 @@ from bench.record.events import RunStarted
 from bench.record.history import Attempt
 from bench.record.run_folder import JOURNAL
 from bench.record.stored_run import StoredRun
+from bench.solve.loose_recordings import MOST_EVENTS, RECORDINGS, first_names, used_part
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.point_files import read_point_file
 from calib.boards.board import Board
@@ -34,7 +35,6 @@ if TYPE_CHECKING:  # what finds stars is loaded where stars are found: views may
     from bench.measure.measure import ExpectedGrid, Measurement
     from bench.measure.moving_recording import MovingRecording
 
-RECORDINGS = {".raw"}
 PHOTOGRAPHS = {".png", ".jpg", ".jpeg", ".jfif", ".tif", ".tiff", ".bmp", ".pgm", ".ppm"}
 POINTS = {".txt", ".csv"}
 OTHER_RECORDINGS = {".dat", ".aedat4", ".bag", ".db3", ".mcap", ".hdf5", ".h5", ".npz", ".npy", ".parquet"}
@@ -114,12 +114,6 @@ def left_beside(path: Path) -> list[str]:
     names = sorted(entry.name for entry in path.iterdir() if entry.is_file() and not _may_be_a_view(entry))
     text = f"{path}: {first_names(names)}: neither recordings nor images nor point files."
     return [f"{text}{_unread_pictures(path)}"] if names else []
-
-
-def first_names(names: Sequence[str]) -> str:
-    """Return the first names, and the number of the others."""
-    more = len(names) - _MOST_NAMED
-    return ", ".join(names[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _unread_pictures(folder: Path) -> str:
@@ -211,6 +205,7 @@ def _decided_by(kind: str, path: Path, choices: OfflineOptions) -> dict[str, Any
         "target": repr(choices.target),
         "board": repr(choices.board),
         "image_size": choices.image_size,
+        "most_events": MOST_EVENTS,
     }
 
 
@@ -227,22 +222,6 @@ def refuse_truncated(path: Path) -> None:
             where=str(path),
             remedy="Copy it again from its origin, or leave it out.",
         )
-
-
-def cut_recordings(sources: Iterable[ViewSource]) -> list[str]:
-    """Return a sentence on the RAW files that end in the middle of a word, as after a crash; none if none does."""
-    from drivers.camera.raw_check import ends_within_word
-
-    cut = dict.fromkeys(
-        source.path
-        for source in sources
-        if source.job is None and source.path.suffix.lower() in RECORDINGS and ends_within_word(source.path)
-    )
-    return (
-        [f"Cut in the middle of a word, and used up to there: {first_names([*map(str, cut)])}."]
-        if cut
-        else []
-    )
 
 
 def _view_of_run(job: Job, path: Path, step: RecordStep, expected_grid: ExpectedGrid | None) -> View:
@@ -365,18 +344,19 @@ def _view_of_recording(path: Path, choices: OfflineOptions, shown: Path | None =
     from bench.measure.measure import measure, recorded_image
 
     refuse_truncated(path)
-    if choices.board is not None:
-        image = recorded_image(path, choices.image)
-        return _detected_board(image, choices.board, shown or path)
-    measured = measure(
-        path,
-        name=path.stem,
-        target=choices.target,
-        image=choices.image,
-        periods=None,
-        expected_hz=None,
-        motion=False,
-    )
+    with used_part(path) as begin:
+        if choices.board is not None:
+            image = recorded_image(begin, choices.image)
+            return _detected_board(image, choices.board, shown or path)
+        measured = measure(
+            begin,
+            name=path.stem,
+            target=choices.target,
+            image=choices.image,
+            periods=None,
+            expected_hz=None,
+            motion=False,
+        )
     return _view(measured, shown or path)
 
 

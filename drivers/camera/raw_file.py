@@ -134,6 +134,16 @@ class RawFile:
             triggers.append(edges)
         return events.part(0, n), join_triggers(triggers)
 
+    def bytes_of(self, most_events: int) -> int:
+        """Return how many bytes of the file, from its begin, hold at most so many events: all of a short one."""
+        size, n = self.raw_header.size_bytes, 0
+        for words in self.words():
+            n += max_event_count(words)
+            if n > most_events:
+                return size
+            size += words.nbytes
+        return self._size()
+
     def triggers(self) -> Triggers:
         """Decode all trigger edges, in the order of the file; errors as ``pieces``."""
         decoder = self.decoder()

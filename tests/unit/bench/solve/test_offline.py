@@ -16,6 +16,8 @@ from bench.commands.keys import key_or_draft
 from bench.commands.output import left_out_lines
 from bench.evidence.keys import create_key
 from bench.evidence.verify import verify_folder
+from bench.solve import loose_recordings
+from bench.solve.loose_recordings import used_part, used_recordings
 from bench.solve.offline import calibrate_paths, odd_sizes, views_of_one_size
 from bench.solve.offline_folder import require_new, write_offline_results
 from bench.solve.offline_options import OfflineOptions
@@ -23,7 +25,7 @@ from bench.solve.passports import write_passport
 from bench.solve.point_files import read_point_file
 from bench.solve.recalculated_again import check_recalculated
 from bench.solve.solve_options import ONE_VIEW
-from bench.solve.view_sources import ViewSource, cut_recordings, refuse_truncated_jpeg, view_sources
+from bench.solve.view_sources import ViewSource, refuse_truncated_jpeg, view_sources
 from calib.errors import DegenerateViews, InputMismatch
 from calib.model.passport import Passport
 from calib.view import View
@@ -113,10 +115,25 @@ def test_a_jpeg_that_is_cut_off_is_no_picture(tmp_path, share):
 def test_a_recording_that_ends_within_a_word_is_named_once_and_belongs_to_no_run(tmp_path, encoding):
     path = tmp_path / "a.raw"
     path.write_bytes(f"% format {encoding};height=720;width=1280\n% end\n".encode() + bytes(16))
-    source = ViewSource(path, lambda: None)
-    assert cut_recordings([source]) == []
+    assert used_recordings([path]) == []
     path.write_bytes(path.read_bytes()[:-1])
-    assert cut_recordings([source, source]) == [f"Cut in the middle of a word, and used up to there: {path}."]
+    assert used_recordings([path, path]) == [f"Cut in the middle of a word, and used up to there: {path}."]
+
+
+def test_of_a_long_recording_the_first_events_are_used_and_that_is_told(tmp_path, monkeypatch):
+    path = tmp_path / "a.raw"
+    head = b"% format EVT3;height=720;width=1280\n% end\n"
+    path.write_bytes(head + np.full(200_000, 0x2000, "<u2").tobytes())  # an event each
+    with used_part(path) as whole:
+        assert whole == path
+    assert used_recordings([path]) == []
+    monkeypatch.setattr(loose_recordings, "MOST_EVENTS", 100_000)
+    with used_part(path) as begin:
+        size = begin.stat().st_size
+        assert begin.read_bytes() == path.read_bytes()[:size]
+    assert 0 < (size - len(head)) // 2 <= 100_000
+    (told,) = used_recordings([path])
+    assert told.endswith(f"{path} ({size / path.stat().st_size:.0%}).")
 
 
 def test_too_few_views_are_told_with_the_files_that_were_left_out_by_their_own_names(tmp_path):

@@ -1,0 +1,55 @@
+"""Recordings that are of no run: what is used of long ones and of those that were cut, and how that is told."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+RECORDINGS = {".raw"}
+MOST_EVENTS = 50_000_000
+"""Events of a recording that are used: a second of a bright target, in 1.5 GB of memory. A run records two periods."""
+_MOST_NAMED = 5
+_PART_BYTES = 1 << 20
+
+
+@contextmanager
+def used_part(path: Path) -> Iterator[Path]:
+    """Yield a RAW file of EVT3 words itself, or a file with its first events if it has more than `MOST_EVENTS`."""
+    used = _used_bytes(path)
+    if used == path.stat().st_size:
+        yield path
+        return
+    with TemporaryDirectory(prefix="starbench-") as folder:
+        begin = Path(folder) / path.name
+        with path.open("rb") as whole, begin.open("wb") as file:
+            while (left := used - file.tell()) > 0:
+                file.write(whole.read(min(_PART_BYTES, left)))
+        yield begin
+
+
+def used_recordings(paths: Iterable[Path]) -> list[str]:
+    """Return a sentence on the RAW files that end within a word, and on those of which only the begin is used."""
+    from drivers.camera.raw_check import ends_within_word
+    from drivers.camera.raw_file import is_recording
+
+    files = [path for path in dict.fromkeys(paths) if path.suffix.lower() in RECORDINGS]
+    cut = [str(path) for path in files if ends_within_word(path)]
+    shares = {path: _used_bytes(path) / path.stat().st_size for path in files if is_recording(path)}
+    long = [f"{path} ({share:.0%})" for path, share in shares.items() if share < 1.0]
+    begin = f"Of long recordings, the first {MOST_EVENTS // 1_000_000} million events are used"
+    sentences = {"Cut in the middle of a word, and used up to there": cut, begin: long}
+    return [f"{sentence}: {first_names(names)}." for sentence, names in sentences.items() if names]
+
+
+def _used_bytes(path: Path) -> int:
+    from drivers.camera.raw_file import RawFile
+
+    return RawFile.open(path).bytes_of(MOST_EVENTS)
+
+
+def first_names(names: Sequence[str]) -> str:
+    """Return the first names, and the number of the others."""
+    more = len(names) - _MOST_NAMED
+    return ", ".join(names[:_MOST_NAMED]) + (f" and {more} more" if more > 0 else "")
