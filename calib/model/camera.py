@@ -213,6 +213,11 @@ class CameraModel:
         -------
         Array
             (N, 2) image points, px. NaN for points that are not in front of the camera (Z <= 0).
+
+        Raises
+        ------
+        InputMismatch
+            If the points have another shape.
         """
         points = np.asarray(points, float)
         if points.ndim != 2 or points.shape[1] != 3:

@@ -82,6 +82,11 @@ def projection_uncertainty(camera: CameraModel, covariance: Array, points_across
     -------
     ProjectionMap
         Uncertainty at each grid point.
+
+    Raises
+    ------
+    InputMismatch
+        If the covariance is not that of the camera's parameters.
     """
     shape, k = np.shape(covariance), len(camera.parameter_names)
     if shape != (k, k):
