@@ -73,8 +73,8 @@ def suspended_process(path: Path) -> int:
 def resume_process(process: int) -> str:
     """Return what a person does with a suspended process."""
     return (
-        f"Process {process} of this run is suspended, as Ctrl-Z does it: nothing watches stage and light. To let it"
-        f" continue: `fg` in its terminal, or `kill -CONT {process}`."
+        f"Process {process}, which works here, is suspended, as Ctrl-Z does it: nothing watches stage and light. To"
+        f" let it continue: `fg` in its terminal, or `kill -CONT {process}`."
     )
 
 

@@ -17,7 +17,7 @@ from bench.extras.batch.batch_plan import planned_duration_s
 from bench.extras.batch.batch_record import BatchRecord, Item, UpcomingRun, look_ahead
 from bench.extras.batch.batch_summary import RUNS, missed_goals, read_batch
 from bench.record.device_end import NO_END
-from bench.record.folder_lock import is_locked
+from bench.record.folder_lock import is_locked, resume_process, suspended_process
 from bench.record.run_folder import JOURNAL
 from bench.record.storage import storage_errors
 from bench.run.status import read_plan, read_status
@@ -193,7 +193,9 @@ def batch_status_text(status: BatchStatus) -> str:
     if status.current_run:
         lines.append(f"In progress: {status.current_run}")
     lines += _upcoming_lines(status)
-    if status.end is not None and status.running:
+    if status.running and (suspended := suspended_process(Path(status.folder))):
+        lines.append(resume_process(suspended))
+    elif status.end is not None and status.running:
         lines.append(f"Expected end: {_clock(status.end, status.zone, day=True)}")
     if not status.running and status.ended != "finished":
         again = pasteable("batch", status.file or "QUEUE", "--output", status.folder)

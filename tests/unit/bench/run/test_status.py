@@ -1,15 +1,12 @@
 """Status of a run, read from its folder alone; its last picture; commands at the last moment."""
 
 import json
-import os
-import signal
-import subprocess
-import sys
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
+from locking_process import locking, suspend
 from rehearsed import Scene, with_runner
 
 from bench.base.errors import RunFolderError
@@ -331,29 +328,15 @@ def test_the_verdict_and_its_causes_are_told_before_the_numbers(run):
     run.die()
 
 
-LOCKED = """
-import fcntl, os, sys
-fcntl.flock(os.open(sys.argv[1], os.O_RDONLY), fcntl.LOCK_EX)
-print("locked", flush=True)
-sys.stdin.read()
-"""
-
-
 def test_a_run_whose_process_is_suspended_is_told_as_such_and_how_it_continues(run):
     run.tell(Event.ENTERING, state="recording", pose=2)
     run.die()
     inbox_of(run.path).folder.mkdir()
-    words = [sys.executable, "-c", LOCKED, str(run.path)]
-    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
-        process.stdout.readline()
-        try:
-            assert run.status().advice.endswith("abort")
-            process.send_signal(signal.SIGSTOP)
-            os.waitpid(process.pid, os.WUNTRACED)
-            status = run.status()
-            with pytest.raises(RunFolderError, match=f"kill -CONT {process.pid}"):
-                send(run.path, Command(word="abort", by="somebody"), patience_s=0.01)
-        finally:
-            process.kill()
+    with locking(run.path) as process:
+        assert run.status().advice.endswith("abort")
+        suspend(process)
+        status = run.status()
+        with pytest.raises(RunFolderError, match=f"kill -CONT {process.pid}"):
+            send(run.path, Command(word="abort", by="somebody"), patience_s=0.01)
     assert f"HELD by the suspended process {process.pid}" in status_text(status)
     assert f"kill -CONT {process.pid}" in status.advice

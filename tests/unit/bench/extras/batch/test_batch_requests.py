@@ -6,6 +6,7 @@ import time
 from datetime import UTC, datetime
 
 import pytest
+from locking_process import locking, suspend
 from nights import NightClock, Workers, begun, hows, job_words, queue
 
 from bench.base.errors import RunFolderError, ScriptError
@@ -187,6 +188,14 @@ def test_the_status_tells_what_is_done_and_when_the_rest_comes(tmp_path):
     ended = read_batch_status(tmp_path, clock.utc_now)
     assert (ended.running, ended.ended) == (False, "stopped")
     assert json.loads(json.dumps(ended.to_dict()))["coming"] == []
+
+
+def test_a_batch_whose_process_is_suspended_is_told_as_such_and_how_it_continues(tmp_path):
+    clock = NightClock()
+    Batch(tmp_path, queue(("a", ", times: 2")), clock, lambda _: None, Workers(clock)).run()
+    with locking(tmp_path) as process:
+        suspend(process)
+        assert f"kill -CONT {process.pid}" in batch_status_text(read_batch_status(tmp_path, clock.utc_now))
 
 
 def test_a_request_that_cannot_be_judged_is_refused_and_ends_no_night(tmp_path, monkeypatch):
