@@ -6,8 +6,9 @@ import time
 
 import pytest
 from align_browser import Tab
-from align_fakes import served_bench, wait_until
+from align_fakes import served_bench
 from pages import served
+from waiting import wait_until
 
 from bench.align.align_app import align_app
 from bench.align.page_requests import PageFiles

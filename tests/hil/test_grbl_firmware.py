@@ -10,13 +10,13 @@ from __future__ import annotations
 import os
 import re
 import shutil
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from waiting import wait_until
 
 from drivers.clock import SystemClock
 from drivers.errors import DriverError, MoveFailed, NotHomed, OutsideLimits
@@ -103,10 +103,7 @@ def once_it_moves(board: NativeBoard, act: Callable[[], None]) -> Iterator[None]
     start_deg = board.angles_below()[0]
 
     def wait() -> None:
-        deadline_s = time.monotonic() + PATIENCE_S
-        while abs(board.angles_below()[0] - start_deg) < 1.0:
-            assert time.monotonic() < deadline_s
-            time.sleep(0.005)
+        wait_until(lambda: abs(board.angles_below()[0] - start_deg) >= 1.0, PATIENCE_S)
         act()
 
     with ThreadPoolExecutor(1) as pool:

@@ -6,6 +6,7 @@ import threading
 import time
 
 import pytest
+from waiting import wait_until
 
 from drivers.clock import SystemClock
 from drivers.errors import DriverError, LightFault, PortLost, ReplyTimeout
@@ -40,10 +41,7 @@ class Network:
 
     def pass_time(self, seconds: float) -> None:
         self.ahead_s += seconds
-        end = time.monotonic() + 5.0
-        while self.port.client is not None and time.monotonic() < end:
-            time.sleep(0.005)
-        assert self.port.client is None
+        wait_until(lambda: self.port.client is None)
 
     def close(self) -> None:
         self.light.close()

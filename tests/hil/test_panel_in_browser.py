@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 import signal
 import threading
-import time
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
@@ -14,6 +13,7 @@ from journals import MadeRun, at_work, made_batch
 from pages import served
 from quick_runs import write_sequence, write_station
 from running import end_when, entering, journal, start
+from waiting import wait_until
 
 from bench.extras.panel.panel_app import panel_app
 from bench.record.journal import read_journal
@@ -49,15 +49,12 @@ def tabs(chromium):
     )
 
 
-def wait(holds, what=""):
-    end_s = time.monotonic() + PATIENCE_S
-    while not holds():
-        assert time.monotonic() < end_s, what
-        time.sleep(0.02)
+def wait(holds, what="it"):
+    wait_until(holds, PATIENCE_S, what)
 
 
 def wait_text(tab, selector, words):
-    wait(lambda: words in tab.inner_text(selector), f"{words!r} is not in {selector}")
+    wait(lambda: words in tab.inner_text(selector), f"{words!r} in {selector}")
 
 
 def log_lines(tab):

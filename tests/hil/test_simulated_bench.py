@@ -7,11 +7,11 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 import serial
+from waiting import wait_until
 
 from simulators.bench import Bench, main
 from simulators.config import bench_config
@@ -176,9 +176,7 @@ def test_faults_of_the_configuration_happen(tmp_path):
         with serial.Serial(bench.endpoints["light"], 9600, timeout=5.0) as line:
             line.write(b"FUNC SQU;:VOLT:HIGH 2;:OUTP ON\n")
             assert ask(line, "OUTP?") == "1"
-        deadline = time.monotonic() + 10.0
-        while bench.world.light(bench.world.now_s()).high > 0.0:
-            assert time.monotonic() < deadline
+        wait_until(lambda: bench.world.light(bench.world.now_s()).high == 0.0, 10.0)
 
 
 def test_without_pseudo_terminals_the_lines_run_over_tcp(tmp_path):

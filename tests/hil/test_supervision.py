@@ -13,6 +13,7 @@ from quick_runs import THREE_NAMED, write_sequence, write_station
 from running import PATIENCE_S, entering, has_ended, journal, results, start, wait_for
 from servers import WebServer, serving
 from station_texts import PLAIN
+from waiting import wait_until
 
 from bench.base.clock import Aborted, BenchClock
 from bench.extras.batch.supervisor import OUT_OF_MEMORY, POLL_S, SILENCE_S, adopt, supervise
@@ -110,8 +111,7 @@ def test_a_worker_ends_safely_with_the_group_of_its_supervisor_and_its_run_is_re
     (worker,) = children(process.pid)
     process.kill()
     process.communicate()
-    while not has_ended(worker):
-        time.sleep(0.01)
+    wait_until(lambda: has_ended(worker), PATIENCE_S)
     end = journal(run)[-1]
     assert (end["event"], end["how"], end["why"]) == ("run_ended", "aborted", "its supervisor has ended")
     assert {device["state"] for device in end["devices"]} == {"confirmed safe"}

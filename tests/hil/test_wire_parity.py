@@ -9,6 +9,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
+from waiting import wait_until
 
 from drivers.clock import SystemClock
 from drivers.light import LightSettings
@@ -50,10 +51,7 @@ class Tap:
 
     def wait_for(self, request, split: Callable[[bytes], set]) -> None:
         """Wait until a request was heard that its sender waits for no reply to."""
-        deadline_s = time.monotonic() + PATIENCE_S
-        while request not in split(b"".join(self.heard)):
-            assert time.monotonic() < deadline_s, self.heard
-            time.sleep(0.005)
+        wait_until(lambda: request in split(b"".join(self.heard)), PATIENCE_S)
 
 
 @contextmanager

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from align_fakes import wait_until
+from waiting import wait_until
 
 CHROMIUM = os.environ.get("STARBENCH_CHROMIUM", "/usr/bin/chromium")
 FLAGS = [

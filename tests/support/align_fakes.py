@@ -208,11 +208,3 @@ def served_bench(folder):
     with served(align_app(session, PageFiles(str(path), folder))) as server:
         yield server, session, devices
     session.close()
-
-
-def wait_until(condition, timeout_s=5.0):
-    """Wait for a condition; fail if it does not come true."""
-    end_s = time.monotonic() + timeout_s
-    while not condition():
-        assert time.monotonic() < end_s, "it did not happen in time"
-        time.sleep(0.005)

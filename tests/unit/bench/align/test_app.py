@@ -5,7 +5,8 @@ import threading
 
 import httpx
 import pytest
-from align_fakes import served_bench, wait_until
+from align_fakes import served_bench
+from waiting import wait_until
 
 from bench.align.live_figures import LiveMeter
 

@@ -7,7 +7,8 @@ import time
 
 import httpx
 import pytest
-from align_fakes import FakeDevices, fake_session, wait_until
+from align_fakes import FakeDevices, fake_session
+from waiting import wait_until
 
 from bench.align import serve
 from bench.base.errors import ScriptError

@@ -4,7 +4,8 @@ import threading
 import time
 
 import pytest
-from align_fakes import FakeDevices, FakeStage, fake_session, wait_until
+from align_fakes import FakeDevices, FakeStage, fake_session
+from waiting import wait_until
 
 from bench.align import live_loop
 from bench.align.controls import StageControl

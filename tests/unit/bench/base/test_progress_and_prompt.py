@@ -3,11 +3,11 @@
 import io
 import os
 import re
-import time
 from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from waiting import wait_until
 
 from bench.base.clock import Aborted, BenchClock, VirtualClock
 from bench.base.encoding import clock_text
@@ -30,13 +30,6 @@ class Typed(Terminal):
         line = self.lines.readline()
         self.read += 1
         return line
-
-
-def wait_until(done):
-    deadline = time.monotonic() + 30
-    while not done():
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
 
 
 def test_without_a_terminal_each_change_is_a_line_with_state_pose_and_time_left():
@@ -186,7 +179,7 @@ def test_what_a_thread_read_before_the_question_does_not_count():
         keyboard.write("y\n")
         assert asked(terminal) == ("continue", "operator")
         keyboard.write("y\n")
-        wait_until(lambda: terminal.read == 2)
+        wait_until(lambda: terminal.read == 2, 30)
         assert asked(terminal, timeout_s=0.5) == ("abort", "time-out")
 
 

@@ -15,6 +15,7 @@ from dataclasses import replace
 
 import pytest
 from terminal_screen import Screen
+from waiting import wait_until
 
 from bench.base.clock import BenchClock
 from bench.base.text_block import Block
@@ -169,10 +170,7 @@ def test_elsewhere_each_line_is_printed_once(run, tmp_path):
     out = tmp_path / "out.txt"
     with out.open("w") as stream:
         process = subprocess.Popen([*FOLLOW, str(run.path)], stdout=stream)
-    until = time.monotonic() + WAIT_S
-    while "pose 1" not in out.read_text():
-        assert time.monotonic() < until
-        time.sleep(0.02)
+    wait_until(lambda: "pose 1" in out.read_text(), WAIT_S)
     for number in range(12):
         run.tell(Event.DEVIATION, what=f"number {number}")
     run.tell(Event.RUN_ENDED, how="failed", why="the lamp is broken")

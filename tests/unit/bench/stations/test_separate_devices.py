@@ -3,7 +3,8 @@
 import threading
 
 import pytest
-from align_fakes import FakeCamera, FakeLight, FakeStage, wait_until
+from align_fakes import FakeCamera, FakeLight, FakeStage
+from waiting import wait_until
 
 from bench.base.clock import BenchClock
 from bench.stations import orphans as opening

@@ -13,6 +13,7 @@ import pytest
 from pages import served
 from starlette.responses import JSONResponse, PlainTextResponse
 from starlette.routing import Route
+from waiting import wait_until
 
 from bench.base.errors import UsageError
 from bench.web.pages import page_app, read_object
@@ -79,10 +80,7 @@ def test_a_stream_ends_when_its_reader_leaves_also_while_nothing_happens():
             lines = answer.iter_lines()
             assert any(line == "event: beat" for line in lines)
             assert (counter.open, counter.closed) == (1, 0)
-        end = time.monotonic() + 5.0
-        while counter.closed == 0 and time.monotonic() < end:
-            time.sleep(0.01)
-        assert counter.closed == 1
+        wait_until(lambda: counter.closed == 1)
 
 
 def test_the_server_ends_at_once_although_streams_are_open():
@@ -123,9 +121,7 @@ def test_only_a_token_that_was_made_stands_in_the_printed_address_and_the_browse
         assert server.address == f"{server.url}sign-in#token=made-now-123456"
         assert httpx.get(f"{server.url}").status_code == 401
         server.open_browser()
-        end = time.monotonic() + 5.0
-        while not opened and time.monotonic() < end:
-            time.sleep(0.01)
+        wait_until(lambda: opened)
         path = Path(urlsplit(opened[0]).path)
         assert "made-now-123456" not in opened[0]
         assert server.address in path.read_text()

@@ -2,12 +2,12 @@
 
 import json
 import threading
-import time
 from datetime import UTC, datetime
 
 import pytest
 from locking_process import locking, suspend
 from nights import NightClock, Workers, begun, hows, job_words, queue
+from waiting import wait_until
 
 from bench.base.errors import RunFolderError, ScriptError
 from bench.commands.status import tell
@@ -41,9 +41,7 @@ class Asked(Workers):
     def __call__(self, item, run, log):
         while self.requests:
             leave(self.folder, self.requests.pop(0), number=len(self.requests))
-        deadline = time.monotonic() + 20
-        while any((self.folder / REQUESTS).glob("*.json")) and time.monotonic() < deadline:
-            time.sleep(0.01)
+        wait_until(lambda: not any((self.folder / REQUESTS).glob("*.json")), 20)
         return super().__call__(item, run, log)
 
 
@@ -137,9 +135,7 @@ def test_the_answer_is_waited_for_where_a_process_works_on_the_batch(tmp_path):
     thread = threading.Thread(target=one_run(tmp_path, Held(NightClock())).run)
     thread.start()
     try:
-        deadline = time.monotonic() + 20
-        while not (tmp_path / "journal.jsonl").exists() and time.monotonic() < deadline:
-            time.sleep(0.01)
+        wait_until((tmp_path / "journal.jsonl").exists, 20)
         answers.append(send_request(tmp_path, add("b")))
     finally:
         gate.set()

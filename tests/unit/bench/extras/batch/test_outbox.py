@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from waiting import wait_until
 
 from bench.base.clock import VirtualClock
 from bench.base.errors import StorageError
@@ -191,10 +192,7 @@ def test_a_working_webhook_gets_its_messages_while_another_one_hangs(tmp_path, s
     courier = courier_to(tmp_path, "hangs", "works", say=said.append)
     for key in ("first", "second"):
         courier.write("end", "s", "t", run="r", folder=Path("/r"), key=key, place=(7, "b" * 64))
-        begun = time.monotonic()
-        while key not in servers.get("works", []) and time.monotonic() - begun < 10:
-            time.sleep(0.01)
-        assert key in servers["works"]
+        wait_until(lambda key=key: key in servers.get("works", []), 10)
     begun = time.monotonic()
     courier.close(0.2)
     assert time.monotonic() - begun < 2

@@ -11,6 +11,7 @@ import httpx
 import pytest
 from journals import MadeRun, at_work
 from pages import served
+from waiting import wait_until
 
 from bench.base.clock import Aborted
 from bench.extras.panel.journal_tail import JournalTail
@@ -18,7 +19,6 @@ from bench.extras.panel.panel_app import Panel, panel_app
 from bench.record.events import Asked
 from bench.record.journal import read_journal
 from bench.web.token import PageToken
-from tests.support.align_fakes import wait_until
 
 PATIENCE_S = 20.0
 
