@@ -194,7 +194,8 @@ class ReplyReader:
         raise ReplyTimeout(
             f"no complete reply within {self._deadline_s:g} s{cut}.",
             where=self._link.name,
-            remedy="Check that the device is switched on and that the station file has its baud rate.",
+            remedy="Check that the device is switched on, and that the station file has its port, its baud rate, and"
+            " the addresses of a chain.",
         )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from calib.arrays import Array, rms_length
 from calib.diagnosis.gimbal_faults import GimbalFault
 from calib.diagnosis.gimbal_model import FaultKind, PairRatios
+from calib.model.cause import exchanged
 from calib.model.gimbal_readings import AXES
 from calib.model.likelihood_ratio import DECISIVE
 
@@ -45,7 +46,7 @@ _DISAGREE = 1.5
 
 _WRONG_SIGN = (
     "The sign of {} is reversed: as they are, the readings fit no mounting in which the camera looks forward. Check "
-    "the signs of the axes in the station file."
+    "the signs of the axes in the station file.{}"
 )
 _AMBIGUOUS = (
     "Different mountings of the camera explain the rotations equally well, so no scale is stated. Add poses that turn "
@@ -115,7 +116,7 @@ def _judged(check: HandEyeCheck) -> Verdict:
     """Return the verdict: faults come first, then reasons not to claim a scale, then the scale, then scatter."""
     judged = [_fault(check, fault) for fault in check.faults]
     if check.reversed_axes:
-        judged.append(("wrong_sign", _WRONG_SIGN.format(check.reversed_axes)))
+        judged.append(("wrong_sign", _WRONG_SIGN.format(check.reversed_axes, exchanged(check.reversed_axes))))
     if check.ambiguous:
         judged.append(("ambiguous", _AMBIGUOUS))
     judged += filter(None, (_scale(check), _scatter(check)))

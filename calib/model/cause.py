@@ -120,10 +120,18 @@ def _one_pose(cause: Cause) -> str:
     )
 
 
+def exchanged(axes: str) -> str:
+    """Return a sentence, after a space, on what readings cannot tell from a wrong sign of one of several axes.
+
+    Exchanged axes are that and a camera that is mounted a quarter turn further.
+    """
+    return " Two axes whose cables or addresses are exchanged look the same." if " or " in axes else ""
+
+
 def _reversed(cause: Cause) -> str:
     return (
         f"The sign of {cause.axis} is wrong in the station file: with these readings, the camera would look backwards. "
-        "Correct the sign, and run again."
+        f"Correct the sign, and run again.{exchanged(cause.axis)}"
     )
 
 

@@ -8,6 +8,7 @@ from calib.diagnosis import gimbal_faults
 from calib.diagnosis.hand_eye import check_hand_eye
 from calib.diagnosis.hand_eye_verdict import HandEyeCheck, angle, angle_and_uncertainty
 from calib.errors import DegenerateViews, InputMismatch
+from calib.model.cause import REVERSED, Cause, cause_sentence
 from calib.model.rotation import euler_zxy, exp_map
 
 
@@ -295,6 +296,19 @@ def test_a_wrong_sign_is_named(signs, axes):
     found = check_hand_eye(rotations, np.eye(30) * sigma**2, readings, focal_uncertainty=4e-4)
     assert found.verdict.kind == ("wrong_sign" if axes else "agrees")
     assert not axes or text_of(found).startswith(f"The sign of {axes} is reversed")
+
+
+def test_exchanged_axes_are_told_with_a_wrong_sign_which_looks_the_same():
+    rng = np.random.default_rng(3)
+    true = rng.uniform(-1, 1, (10, 2)) * (6, 4)
+    mounted, standing = exp_map(np.array([0.02, -0.03, 0.4])), euler_zxy(3, -4, 12)
+    rotations = np.array([mounted @ euler_zxy(*row, 0.0) @ standing for row in true])
+    readings = [dict(zip(AXES[:2], row[::-1], strict=True)) for row in true]
+    found = check_hand_eye(rotations, np.eye(30) * 1e-10, readings, focal_uncertainty=4e-4)
+    assert found.verdict.kind == "wrong_sign"
+    assert "Two axes whose cables or addresses are exchanged look the same" in text_of(found)
+    assert "exchanged look the same" in cause_sentence(Cause(REVERSED, 50.0, axis="pan or of tilt"))
+    assert "exchanged" not in cause_sentence(Cause(REVERSED, 50.0, axis="roll"))
 
 
 def test_mountings_that_cannot_be_told_apart_give_no_scale():
