@@ -29,7 +29,7 @@ DEFAULT_DISTORTION = ("k1", "k2")
 #: Models of earlier versions, which are refused: what they describe is part of the joint adjustment.
 EARLIER_MODELS = ("radial", "pupil", "rim", "field", "coma", "drift")
 #: The version of each engine: results of another version are not compared with those of this one.
-ENGINES = {"joint": 31, "reference": 2}
+ENGINES = {"joint": 32, "reference": 2}
 
 
 _ONLY_JOINT = {

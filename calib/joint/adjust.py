@@ -74,6 +74,7 @@ class _End(NamedTuple):
 
     optimum: Optimum
     near: State  # What the views alone show, near the optimum
+    begin: tuple[Problem, State]
 
 
 def adjust(
@@ -113,7 +114,7 @@ def optima(
             f"These views do not determine the camera. {why}",
             remedy="Add views turned about other axes, with the stars elsewhere in the image.",
         ) from error
-    return [_more_probable_place(end.optimum, end.near, CERTIFICATE, options.max_iterations) for end in ends]
+    return [_with_certificate(end, options.max_iterations) for end in ends]
 
 
 def _searched_ends(task: Task, start: AdjustmentParameters) -> list[_End]:
@@ -217,7 +218,7 @@ def _searched(task: Task, start: AdjustmentParameters) -> _End:
             if not _is_clearly_more_probable(optimum, again):
                 optimum = again
             optimum = replace(optimum, iterations=rounds_done)
-    return _End(optimum, near)
+    return _End(optimum, near, (problem, state))
 
 
 def _is_clearly_more_probable(end: Optimum, other: Optimum) -> bool:
@@ -263,6 +264,25 @@ def _more_probable_place(optimum: Optimum, near: State, name: str, rounds: int) 
             there = optimum_with_faults(optimum, faults, rounds, near)
             return there if odds_of(there, faults, optimum) > 1.0 else optimum
     return optimum
+
+
+def _with_certificate(end: _End, rounds: int) -> Optimum:
+    """Return the optimum, or that to which a fault of the certificate leads, if that is more probable.
+
+    Without the certificate, what the views hardly determine can lead the state far away, and the fields follow it. So
+    before the certificate is doubted, it is held to from the start on. One of another collimator has been tried so.
+    """
+    place = _more_probable_place(end.optimum, end.near, CERTIFICATE, rounds)
+    if place is end.optimum:
+        return place
+    problem, start = end.begin
+    certificate = problem.knowledge.witnesses[CERTIFICATE]
+    if not _is_far(problem, end.near, float(certificate.values[0])):
+        with suppress(NotConverged, np.linalg.LinAlgError):
+            held = _square_or_stretched(problem, start, rounds)
+            if odds_of(place, _far_fault(problem, end.near, CERTIFICATE), held) < 1.0:
+                return replace(held, iterations=place.iterations + held.iterations)
+    return place
 
 
 def _approached(problem: Problem, start: State, task: Task) -> State:

@@ -184,6 +184,8 @@ def posterior(modes: Modes, rounds: int, *, follow: bool = True) -> Posterior:
     ``rounds`` linearisations. They do not count if these equations lead far away again, or if ``follow`` is false.
     """
     optimum, nodes = modes.optimum, modes.nodes
+    if optimum.fault_eta is not None and (held := [node for node in nodes if _holds(optimum, node)]):
+        return _mixture(modes, held)  # the fault was more probable than the optimum without it
     undoubted = max((node for node in nodes if not node.faults), key=_weight)
     begins = (0.0, undoubted.solution.step)  # doubts hold where their amplitudes do without doubts
     far = [node for node in nodes if node.faults and not any(_holds(optimum, node, at) for at in begins)]

@@ -21,6 +21,7 @@ from calib.joint.knowledge import CERTIFICATE, DOUBTED, PARALLAX, WRONG
 from calib.joint.modes import modes_of
 from calib.joint.posterior import posterior
 from calib.joint.samples import log_odds
+from calib.joint.solve import optimum_with_faults
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.type_b_terms import TypeBTerm
 from tests.benchmarks.worlds import polynomial
@@ -105,6 +106,17 @@ def test_parts_of_the_budget_add_up_to_the_variance(optimum):
     parts = variances(found, np.eye(len(found.mean))[at])
     assert sum(parts.values()) == pytest.approx(np.diag(found.covariance)[at], rel=1e-6)
     assert all((part >= 0).all() for part in parts.values())
+
+
+def test_at_the_state_of_a_fault_nothing_is_said_of_a_state_far_away(views):
+    """Before, what is expected without the fault was extrapolated over 6 % of the radius, and could count for most."""
+    certified = replace(KNOWN, passport=Passport.of_radius(240.0, 0.05, length="seen"))
+    there = optimum_with_faults(adjust(views, certified), ((CERTIFICATE, WRONG),), 30)
+    assert abs(there.solution.step[there.marginal.problem.bench.layout.index["r"]]) > 10.0
+    result = posterior(modes_of(there), 30)
+    at = there.marginal.problem.bench.layout.index["r"]
+    assert np.abs(result.means[:, at] - 255.0).max() < 3.0
+    assert result.faults[CERTIFICATE] == pytest.approx(1.0)
 
 
 @pytest.mark.parametrize("name", [CERTIFICATE, "scale of pan", "pupil and defocus", "square pixels"])
@@ -301,7 +313,7 @@ def test_a_certificate_that_the_fields_could_take_up_is_doubted_and_pulls_nothin
     assert abs(result.camera.fx - bench.truth.camera.fx) < result.U["fx"] < 20.0
     alone = calibrate(bench.views, CalibrationOptions())
     assert result.rms_px == pytest.approx(alone.rms_px, rel=0.05)
-    assert result.left_out_rms_px == pytest.approx(alone.left_out_rms_px, rel=0.05)
+    assert result.left_out_rms_px < 1.05 * alone.left_out_rms_px
 
 
 def test_result_has_amplitudes_witnesses_and_factors(views):
