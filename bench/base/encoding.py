@@ -96,6 +96,17 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
+def size_text(size_bytes: float) -> str:
+    """Write a size in MB or GB (powers of 10).
+
+    >>> size_text(17_650_000), size_text(2.5e9)
+    ('18 MB', '2.5 GB')
+    """
+    if size_bytes < 1e9:
+        return f"{size_bytes / 1e6:.0f} MB"
+    return f"{size_bytes / 1e9:.1f} GB"
+
+
 def times(number: int) -> str:
     """Return how often something was done.
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from bench.base.encoding import size_text
 from bench.base.errors import BenchError, UsageError
 from bench.commands.options import BEGIN, SEQUENCE_NAME, SET, STATION_NAME, command, settings_of
 from bench.commands.output import JSON, show
@@ -247,7 +248,6 @@ def begin_utc(queue: Queue, begin: datetime | None) -> datetime:
 def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None]) -> Iterator[str]:
     from bench.extras.batch.batch_record import NEVER_S
     from bench.wording.numbers import duration
-    from bench.wording.plan_text import size_text
 
     zone = night.queue.tzinfo
 
@@ -285,7 +285,6 @@ def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None])
 def _job_lines(name: str, planned: Plan, forecast: PlanForecast | None) -> Iterator[str]:
     """Yield what a run of a job takes and reaches; with an ``until``, the most that it takes, and how it will end."""
     from bench.wording.numbers import duration
-    from bench.wording.plan_text import size_text
 
     most = "at most " if planned.untils else ""
     takes, size = f"{most}{duration(planned.duration_s)}", f"{most}{size_text(planned.size_bytes)}"

@@ -14,6 +14,7 @@ from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Self
 
+from bench.base.encoding import size_text
 from bench.base.errors import RunFolderError, StorageError, UsageError
 from bench.base.pasteable import pasteable
 from bench.record.folder_lock import lock_folder
@@ -243,11 +244,11 @@ def _refuse_full(path: Path, bytes_needed: int, bytes_kept_free: int) -> None:
     with storage_errors(path):
         free = shutil.disk_usage(path).free
     if free < bytes_needed + bytes_kept_free:
-        needs = f"{bytes_needed / 1e6:.0f} MB"
+        needs = size_text(bytes_needed)
         if bytes_kept_free:
-            needs += f" and {bytes_kept_free / 1e6:.0f} MB must stay free (disk: min_free_gb of the station)"
+            needs += f" and {size_text(bytes_kept_free)} must stay free (disk: min_free_gb of the station)"
         raise StorageError(
-            f"The run needs {needs}, but the disk has only {free / 1e6:.0f} MB left.",
+            f"The run needs {needs}, but the disk has only {size_text(free)} left.",
             where=str(path),
             remedy="Make room, or choose --output on another disk.",
         )

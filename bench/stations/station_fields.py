@@ -213,7 +213,8 @@ class TargetConfig(StrictModel):
         Serial | None, Field(description="Serial number of the target; the drawing shows it.")
     ] = None
     squares: tuple[Squares, Squares] = (50, 72)
-    pitch_mm: Annotated[float, Within(0.001, 1000, "mm")] = 144.5 / 36
+    # Squares that a camera can tell apart behind a collimator: those in metres or micrometres are refused.
+    pitch_mm: Annotated[float, Within(0.05, 500, "mm")] = 144.5 / 36
     segments: int = 16
     tag_family: str = "36h11"
     tag_id: int = 3

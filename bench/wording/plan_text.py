@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 
-from bench.base.encoding import counted
+from bench.base.encoding import counted, size_text
 from bench.plan.passports import PassportInUse
 from bench.plan.plan import Plan, PlannedStep
 from bench.wording.goals import meaning_of_goal
@@ -34,17 +34,6 @@ def render_plan(plan: Plan) -> str:
         lines += [*_passport_lines(plan.passport.in_use), ""]
     lines.append(_totals(plan))
     return "\n".join(lines)
-
-
-def size_text(size_bytes: float) -> str:
-    """Write a size in MB or GB (powers of 10).
-
-    >>> size_text(17_650_000), size_text(2.5e9)
-    ('18 MB', '2.5 GB')
-    """
-    if size_bytes < 1e9:
-        return f"{size_bytes / 1e6:.0f} MB"
-    return f"{size_bytes / 1e9:.1f} GB"
 
 
 def _steps(plan: Plan) -> str:

@@ -95,8 +95,8 @@ def test_too_little_space_is_told_before_anything_starts(tmp_path, monkeypatch):
     monkeypatch.setattr(shutil, "disk_usage", lambda _path: SimpleNamespace(free=5_000_000))
     with pytest.raises(StorageError, match=r"needs 80 MB, but the disk has only 5 MB left"):
         RunFolder.create(tmp_path / "run", bytes_needed=80_000_000)
-    with pytest.raises(StorageError, match=r"needs 1 MB and 9 MB must stay free \(disk: min_free_gb"):
-        RunFolder.create(tmp_path / "run", bytes_needed=1_000_000, bytes_kept_free=9_000_000)
+    with pytest.raises(StorageError, match=r"needs 1 MB and 9.0 GB must stay free \(disk: min_free_gb"):
+        RunFolder.create(tmp_path / "run", bytes_needed=1_000_000, bytes_kept_free=9_000_000_000)
 
 
 def test_a_second_process_is_refused_and_the_first_one_s_end_frees_the_folder(run, journal):

@@ -72,6 +72,11 @@ def test_every_shipped_station_reads_without_a_fault():
             "microsteps_per_deg: 0\n      limits_deg: [-15",
             "stage.axes.pan.microsteps_per_deg: a scale of 0 moves nothing.",
         ),
+        (
+            "simulation: {}",
+            "simulation: {}\ntarget: {pitch_mm: 0.004}",
+            "target.pitch_mm: must be from 0.05 to 500 mm (got '0.004').",
+        ),
         ("high_v: 5", "high_v: 0", "light: low_v must be below high_v."),
         (
             "serial: SG0042",
