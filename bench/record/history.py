@@ -28,6 +28,7 @@ from bench.record.events import (
 from bench.record.journal import CLOCK_JUMPED
 from bench.record.journal_line import Entry
 from bench.record.measured_facts import GateData, MeasuredFacts
+from bench.record.run_folder import SEQUENCE_COPY, STATION_COPY
 from drivers.lateness import LatenessData
 
 P = ParamSpec("P")
@@ -138,6 +139,11 @@ class History:
         self._last_mono_s = 0.0
         for attempt in stored:
             self.add(attempt)
+
+    @property
+    def failure(self) -> FailureData | None:
+        """Why the run failed; None if it did not."""
+        return self.failures[-1] if self.ended == "failed" and self.failures else None
 
     @property
     def chosen(self) -> Mapping[int, Mapping[str, float]]:
@@ -332,7 +338,7 @@ def way_on(history: History, folder: Path) -> tuple[str, str]:
 
     A resumed run uses its own copies of the files, so it ends in the same way if one of them was wrong.
     """
-    kind = history.failures[-1]["kind"] if history.ended == "failed" and history.failures else ""
+    kind = history.failure["kind"] if history.failure else ""
     if kind and issubclass(getattr(calib.errors, kind, type(None)), calib.errors.CalibrationError):
         return (
             "All recordings are kept. With the same model they are refused again. With the joint adjustment:",
@@ -341,7 +347,7 @@ def way_on(history: History, folder: Path) -> tuple[str, str]:
     if kind and (not history.attempts or (kind == "PoseFailed" and not history.accepted())):
         nothing = "accepted" if history.attempts else "recorded"
         begun = history.started.get("begun_with")  # which earlier versions did not write
-        files = begun or (str(folder / "sequence.yaml"), "--station", str(folder / "station.yaml"))
+        files = begun or (str(folder / SEQUENCE_COPY), "--station", str(folder / STATION_COPY))
         look = f" See what the camera sees: `{pasteable('align', *files[1:3])}`." if history.attempts else ""
         known = (
             f"Nothing was {nothing}.{look} If the cause is on the bench, remove it and continue: "

@@ -18,7 +18,7 @@ from bench.record.events import CauseData, DeviceData, Event, LightSettingsData,
 from bench.record.history import Attempt, History
 from bench.record.journal_line import Entry
 from bench.record.results import Results
-from bench.record.run_folder import RESULTS
+from bench.record.run_folder import RESULTS, SEQUENCE_COPY
 from bench.record.storage import read_bounded
 from bench.record.stored_run import object_of
 
@@ -189,7 +189,7 @@ def journal_details(
         "poses_skipped": len(history.skipped),
         "seed": history.started.get("seed"),
         "software": dict(history.started.get("software", {})),
-        "sequence_sha256": hashes.get("sequence.yaml"),
+        "sequence_sha256": hashes.get(SEQUENCE_COPY),
         "station_sha256": hashes.get("station.yaml"),
         "passport_sha256": hashes.get("passport.json"),
         "journal_head": entries[-1].hash if entries else None,

@@ -19,7 +19,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from bench.base.errors import BenchError, JournalBroken, StorageError
+from bench.base.errors import BenchError, JournalBroken, RunFolderError, StorageError
 from bench.record.coverage import Estimate
 from bench.record.folder_lock import is_locked
 from bench.record.ledger_marks import KnownRun
@@ -65,6 +65,16 @@ _exists, _stat, _is_link = os.path.exists, os.stat, os.path.islink
 def is_batch(folder: Path) -> bool:
     """Return whether a folder is a batch's: it holds a queue and a journal."""
     return (folder / QUEUE_COPY).is_file() and (folder / JOURNAL).is_file()
+
+
+def require_batch(folder: Path) -> None:
+    """Refuse a folder that is not a batch's."""
+    if not is_batch(folder):
+        raise RunFolderError(
+            "There is no batch in this folder.",
+            where=str(folder),
+            remedy="Give the --output folder of `starbench batch`.",
+        )
 
 
 def is_rehearsal(folder: Path) -> bool:

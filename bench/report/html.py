@@ -184,7 +184,7 @@ def render_ended(
 
     ``picture`` is the image of the recording that was refused last, as PNG.
     """
-    failure = history.failures[-1] if history.ended == "failed" and history.failures else None
+    failure = history.failure
     reason = {
         "what": failure["what"] if failure else history.why,
         "where": failure["where"] if failure else "",

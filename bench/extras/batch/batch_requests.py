@@ -27,7 +27,7 @@ from bench.record.folder_lock import is_locked
 from bench.record.inbox import Inbox, KnownBy, MessageId, Poller
 from bench.record.journal import read_journal
 from bench.record.run_folder import JOURNAL
-from bench.record.run_index import QUEUE_COPY, is_rehearsal
+from bench.record.run_index import is_rehearsal, require_batch
 from bench.record.storage import make_folder
 from sequences.queue import JobConfig, Key
 
@@ -120,12 +120,7 @@ def send_request(folder: Path, request: Request, *, patience_s: float = _PATIENC
     None if no process works on the batch: the request then stays until it continues. A rehearsal that has ended takes
     none.
     """
-    if not (folder / JOURNAL).is_file() or not (folder / QUEUE_COPY).is_file():
-        raise RunFolderError(
-            "There is no batch in this folder.",
-            where=str(folder),
-            remedy="Give the --output folder of `starbench batch`.",
-        )
+    require_batch(folder)
     if not is_locked(folder) and is_rehearsal(folder):
         raise RunFolderError(
             "This batch is a rehearsal, which cannot be continued.",

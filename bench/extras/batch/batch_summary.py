@@ -27,7 +27,7 @@ from bench.record.folder_lock import is_locked
 from bench.record.journal import read_journal
 from bench.record.run_facts import IndexedRun, RunDetails
 from bench.record.run_folder import JOURNAL, REPORT
-from bench.record.run_index import QUEUE_COPY, is_batch, read_run_and_details
+from bench.record.run_index import QUEUE_COPY, read_run_and_details, require_batch
 from bench.record.storage import write_atomic
 from bench.record.stored_run import StoredRun
 from bench.record.summaries import (
@@ -58,12 +58,7 @@ _K = 2.0  # of a change per hour
 
 def read_batch(folder: Path) -> BatchRecord:
     """Read the state of a batch from its folder; changes nothing and disturbs no process."""
-    if not is_batch(folder):
-        raise RunFolderError(
-            "There is no batch in this folder.",
-            where=str(folder),
-            remedy="Give the --output folder of `starbench batch`.",
-        )
+    require_batch(folder)
     try:
         queue = read_document(folder / QUEUE_COPY, Queue).value
     except DocumentFaults as error:

@@ -19,7 +19,7 @@ from bench.base.failure import FORESEEN
 from bench.extras.many.places import Place
 from bench.extras.many.work import require_program_of
 from bench.measure.kept_views import KeptViews
-from bench.record.run_folder import JOURNAL, RESULTS
+from bench.record.run_folder import JOURNAL, PASSPORT_COPY, RESULTS, SEQUENCE_COPY, STATION_COPY
 from bench.record.storage import sha256_of, storage_errors
 from bench.record.stored_run import StoredRun
 from bench.solve.offline import OfflineResult, calibrate_sources, with_kept_views
@@ -32,7 +32,7 @@ from calib.view import View
 from drivers.camera.raw_check import require_regular, require_whole
 
 ROW_FORMAT = "starbench/recalibration/1"
-_READ = (JOURNAL, "sequence.yaml", "station.yaml", "passport.json")
+_READ = (JOURNAL, SEQUENCE_COPY, STATION_COPY, PASSPORT_COPY)
 """Files of a run, besides its recordings, that decide its calibration. The journal states the recordings' hashes."""
 
 

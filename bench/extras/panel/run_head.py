@@ -240,7 +240,7 @@ def brief_of(model: RunModel, process: ProcessState, now: datetime) -> RunBrief:
 def head_of(model: RunModel, process: ProcessState, now: datetime) -> RunHead:
     """Return the upper part of a run's page."""
     history = model.history
-    failure = history.failures[-1] if history.ended == "failed" and history.failures else None
+    failure = history.failure
     left_s = _left_s(model, process, now)
     return {
         **brief_of(model, process, now),
