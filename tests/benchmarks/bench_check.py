@@ -21,32 +21,21 @@ from calib.model.passport import Passport
 from calib.studies.camera_check import check_camera
 from simulators.world.gimbal import GimbalTruth
 from simulators.world.truth import CameraTruth
-from tests.support.drawn_benches import TWENTY_FIVE, draw_bench
+from tests.support.drawn_benches import SCALE_SIGMA, TWENTY_FIVE, draw_bench, gimbal_truth
 
 ONE = [{"pan": 3.0, "tilt": 2.0}]
 CHANGES = (0.0, 0.5, 1.0, 2.0, 3.0)
 CERTIFICATE_MM = (255.0, 0.05)
-SCALE_SIGMA = 2e-4  # of the gimbal, as its station states it
 KINDS = {"scale": ("fx", "fy"), "principal point": ("cx",)}
 
 
-def gimbal_errors(seed: int) -> GimbalTruth:
-    """Draw the errors of a gimbal, of the sizes that its readings state."""
-    rng = np.random.default_rng((seed, 11))
-    return GimbalTruth(
-        wobble_deg=0.001,
-        eccentricity_deg=0.001,
-        scale=tuple((SCALE_SIGMA * rng.normal(size=3)).tolist()),
-        backlash_deg=(0.001, 0.001, 0.001),
-        nonorthogonality_deg=float(0.02 * rng.normal()),
-        reading_sigma_deg=0.002,
-        seed=seed,
-    )
+def _gimbal(seed: int) -> GimbalTruth:
+    return gimbal_truth(np.random.default_rng((seed, 11)), seed)
 
 
 def stated(profile: str, seed: int) -> Calibration:
     """Return the calibration of the run of 25 poses."""
-    bench = draw_bench(profile, TWENTY_FIVE, seed, gimbal=gimbal_errors(seed))
+    bench = draw_bench(profile, TWENTY_FIVE, seed, gimbal=_gimbal(seed))
     r, sigma = CERTIFICATE_MM
     drawn = r + sigma * np.random.default_rng((seed, 21)).normal()
     readings = GimbalReadings(tuple(bench.readings_deg), 0.002, SCALE_SIGMA, 0.001, None, "drawn")
@@ -56,7 +45,7 @@ def stated(profile: str, seed: int) -> Calibration:
 
 def later(profile: str, seed: int, camera: CameraTruth, passport: Passport, again: int) -> Calibration:
     """Return the calibration of one pose, recorded later."""
-    bench = draw_bench(profile, ONE, seed, camera=camera, noise_seed=again, gimbal=gimbal_errors(seed))
+    bench = draw_bench(profile, ONE, seed, camera=camera, noise_seed=again, gimbal=_gimbal(seed))
     return calibrate(bench.views, CalibrationOptions(passport=passport))
 
 

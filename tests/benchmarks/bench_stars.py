@@ -29,42 +29,21 @@ from typing import Any
 import cv2
 import measured
 import numpy as np
-from star_scores import event_images, star_scores, whole_stars
+from short_recordings import WINDOW_US, images_of, record
+from star_scores import star_scores, whole_stars
 
 from calib.errors import CalibrationError
 from calib.events.event_image import EventImages
 from calib.events.grey_image import to_uint8
 from calib.stars.detect import detect_view
 from calib.view import View
-from simulators.optics.picture import TARGET, pose_rotation, render
-from simulators.pixels.sensor import simulate
+from simulators.optics.picture import TARGET, pose_rotation
 from simulators.world.truth import NOISE_LEVELS, CollimatorTruth, Truth
-from simulators.world.world import LightState
 
-WINDOW_US = 33_000.0
 REPETITIONS = 4
 IMAGES = ("best", "last-polarity")
 SCALE, FAR_PX = 500, 0.04
 """Enlargement of drawn errors, and error from which they are red, px."""
-
-
-def simulated(
-    truth: Truth, noise: str, waveform: Any, rotation: Any, seed: int
-) -> tuple[Any, LightState, float]:
-    """Return the events of a simulated recording, the light, and its phase at the start, in periods."""
-    light = LightState(waveform=waveform, output=True, sync=True)
-    phase = float(np.random.default_rng(seed).random())
-    picture = render(truth, rotation)
-    events = simulate(
-        picture, light, WINDOW_US, phase=phase, noise=NOISE_LEVELS[noise], camera_seed=7, seed=seed
-    )
-    return events, light, phase
-
-
-def record(truth: Truth, noise: str, waveform: Any, rotation: Any, seed: int) -> EventImages:
-    """Return the event images of a simulated recording."""
-    size = (truth.camera.width, truth.camera.height)
-    return event_images(*simulated(truth, noise, waveform, rotation, seed), size, WINDOW_US)
 
 
 def measure(
@@ -177,12 +156,15 @@ def compare_checkouts(old: Path, truth: Truth, poses: list[Any], given: list[Pat
         for number, (waveform, noise) in enumerate((w, n) for w in ("square", "sine") for n in NOISE_LEVELS):
             for pose, rotation in enumerate(poses):
                 seed = 1 + number * len(poses) + pose
-                events, light, phase = simulated(truth, noise, waveform, rotation, seed)
-                period_us = light.period_us
-                edges = np.arange(-phase * period_us % period_us, WINDOW_US, period_us / 2.0).astype(np.int64)
+                events, flicker = record(truth, rotation, waveform, seed, NOISE_LEVELS[noise])
+                edges = np.arange(flicker.phase_us, WINDOW_US, flicker.period_us / 2.0).astype(np.int64)
                 size = (truth.camera.width, truth.camera.height)
                 np.savez(
-                    Path(folder) / "r.npz", **events._asdict(), edges=edges, size=size, hz=1e6 / period_us
+                    Path(folder) / "r.npz",
+                    **events._asdict(),
+                    edges=edges,
+                    size=size,
+                    hz=flicker.frequency_hz,
                 )
                 rows += compare(old, [(f"{waveform} {noise} {pose}", Path(folder) / "r.npz")], Path(folder))
     before, after = np.mean(rows, axis=0)
@@ -222,7 +204,7 @@ def main() -> None:
         for noise in ("clean", "typical", "heavy"):
             figures: dict[str, list[dict[str, float]]] = {kind: [] for kind in IMAGES}
             for number, rotation in enumerate(poses):
-                images = record(truth, noise, waveform, rotation, seed=number + 1)
+                images = images_of(truth, *record(truth, rotation, waveform, number + 1, NOISE_LEVELS[noise]))
                 for kind in IMAGES:
                     try:
                         view, errors, found = measure(truth, images, kind, rotation)

@@ -33,6 +33,7 @@ from simulators.world.truth import (
 FloatArray = NDArray[np.float64]
 
 STAR_SIGMA_PX = 0.014
+SCALE_SIGMA = 2e-4  # Of the axes of a gimbal, as its station states it
 BORDER_PX = 14.0
 #: Time from pose to pose, s.
 POSE_S = 30.0
@@ -69,6 +70,19 @@ class DrawnBench:
     views: list[View] = field(repr=False)  # Views of the poses, in their order
     readings_deg: list[dict[str, float]] = field(repr=False)  # Readings of the axes for each view, degrees
     camera_from_head: FloatArray = field(repr=False)  # (3, 3) how the camera is mounted
+
+
+def gimbal_truth(rng: np.random.Generator, seed: int | None = None) -> GimbalTruth:
+    """Draw the errors of a gimbal, of the sizes that its readings state."""
+    return GimbalTruth(
+        wobble_deg=0.001,
+        eccentricity_deg=0.001,
+        scale=tuple((SCALE_SIGMA * rng.normal(size=3)).tolist()),
+        backlash_deg=(0.001, 0.001, 0.001),
+        nonorthogonality_deg=float(0.02 * rng.normal()),
+        reading_sigma_deg=0.002,
+        seed=int(rng.integers(1, 2**30)) if seed is None else seed,
+    )
 
 
 def draw_bench(

@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from simulators.world.gimbal import GimbalTruth
 from simulators.world.truth import COLLIMATORS, CameraTruth, CollimatorTruth, MountTruth, ReticleTruth
-from tests.support.drawn_benches import DrawnBench, draw_repeats
+from tests.support.drawn_benches import DrawnBench, draw_repeats, gimbal_truth
 
 from .bench import Bench, Camera, Pose, Seen, Stated
 from .polynomial import draw_camera
@@ -58,7 +57,7 @@ def draw(
         int(rng.integers(1, 2**30)) + other_camera,
         times,
         camera=CameraTruth(**values),
-        gimbal=_gimbal(own),
+        gimbal=gimbal_truth(own),
         reticle=ReticleTruth(bow_mm=bow * rng.uniform(-1, 1)),
         mount=MountTruth(drift_arcsec_per_min=tuple(own.normal(0, 0.3, 2).tolist())),
         star_sigma_px=star,
@@ -83,18 +82,6 @@ def draw_glass(rng: np.random.Generator, profile: CollimatorTruth, size: float) 
     }
     changed |= {name: float(size * getattr(profile, name)) for name in IRREGULAR}
     return replace(profile, r=float(rng.uniform(250, 260)), **changed)
-
-
-def _gimbal(rng: np.random.Generator) -> GimbalTruth:
-    return GimbalTruth(
-        wobble_deg=0.001,
-        eccentricity_deg=0.001,
-        scale=tuple((2e-4 * rng.normal(size=3)).tolist()),
-        backlash_deg=(0.001, 0.001, 0.001),
-        nonorthogonality_deg=float(0.02 * rng.normal()),
-        reading_sigma_deg=0.002,
-        seed=int(rng.integers(1, 2**30)),
-    )
 
 
 def _bench(drawn: DrawnBench, stated: Stated, camera: Camera, off: float, facts: dict[str, Any]) -> Bench:
