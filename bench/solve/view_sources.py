@@ -375,7 +375,8 @@ def picture_of(path: Path) -> NDArray[Any]:
             " writes RAW files from event files of others.",
         )
     refuse_truncated(path)
-    return recorded_image(path)
+    with used_part(path) as begin:
+        return recorded_image(begin)
 
 
 def _view(measurement: Measurement, path: Path) -> View:
