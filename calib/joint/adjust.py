@@ -270,17 +270,21 @@ def _with_certificate(end: _End, rounds: int) -> Optimum:
     """Return the optimum, or that to which a fault of the certificate leads, if that is more probable.
 
     Without the certificate, what the views hardly determine can lead the state far away, and the fields follow it. So
-    before the certificate is doubted, it is held to from the start on. One of another collimator has been tried so.
+    a certificate that they do not clearly contradict is held to from the start on before it is doubted.
     """
     place = _more_probable_place(end.optimum, end.near, CERTIFICATE, rounds)
-    if place is end.optimum:
-        return place
     problem, start = end.begin
+    faults = _far_fault(problem, end.near, CERTIFICATE)
+    if place is end.optimum or place.fault_eta is None or faults != ((CERTIFICATE, WRONG),):
+        return place
     certificate = problem.knowledge.witnesses[CERTIFICATE]
-    if not _is_far(problem, end.near, float(certificate.values[0])):
+    alone = place.marginal.solve(place.fault_eta, faults)
+    off = certificate.values - certificate.rows @ (place.state.shared + alone.step)
+    sigmas = np.sqrt(np.diag(certificate.rows @ alone.covariance @ certificate.rows.T))
+    if float(np.abs(off / sigmas).max()) < _CLEARLY:
         with suppress(NotConverged, np.linalg.LinAlgError):
             held = _square_or_stretched(problem, start, rounds)
-            if odds_of(place, _far_fault(problem, end.near, CERTIFICATE), held) < 1.0:
+            if odds_of(place, faults, held) < 1.0:
                 return replace(held, iterations=place.iterations + held.iterations)
     return place
 
