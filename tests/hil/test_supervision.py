@@ -93,11 +93,11 @@ def test_a_worker_that_is_killed_and_one_that_hangs_are_noticed_told_and_the_run
     crashes = [line.get("crash") for line in journal(run) if line["event"] == "run_resumed"]
     assert crashes == [None, "Fatal Python error: Aborted"]
     told = subjects(server)
-    assert told[0] == "Starbench: run cam-001 died: by SIGKILL"
+    assert told[0] == "Starbench: run cam-001 (SIMULATED) died: by SIGKILL"
     silent = f"gave no sign of life for {ends[1]['noticed_s']:.1f} s"
-    assert told[1].startswith(f"Starbench: run cam-001 hung: {silent}")
+    assert told[1].startswith(f"Starbench: run cam-001 (SIMULATED) hung: {silent}")
     assert sorted(told[2:]) == [
-        "Starbench: batch Night finished",
+        "Starbench: batch Night (SIMULATED) finished",
         "Starbench: run cam-001 (SIMULATED) finished",
     ]
     assert "No device was asked after that." in server.posts[0][1]["text"]  # they ended with the process

@@ -14,13 +14,14 @@ from pathlib import Path
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError
 from bench.extras.batch.batch_summary import (
+    batch_name,
     summary_lines,
 )
 from bench.extras.batch.messages import Courier, bench_courier
 from bench.extras.batch.supervisor import WorkerEnd
 from bench.record.stored_run import StoredRun
 from bench.record.summaries import BatchSummary, newest_place
-from bench.run.status import read_status, status_text
+from bench.run.status import read_plan, read_status, status_text
 from bench.stations.station import load_station
 from sequences.errors import DocumentFaults
 
@@ -45,7 +46,8 @@ class BatchMessages:
         if end.how != "failed":
             answers = [device.text for device in end.devices] or ["No device was asked after that."]
             text = "\n".join([f"Its process {what}", *answers, "", text])
-        subject = f"Starbench: run {key} {what}"
+        simulated = " (SIMULATED)" if read_plan(run).simulated else ""
+        subject = f"Starbench: run {key}{simulated} {what}"
         own_message = _journal_head(run) if end.how == "failed" else ""
         courier.write("failure", subject, text, run=key, folder=run, key=own_message or line, place=place)
 
@@ -57,7 +59,7 @@ class BatchMessages:
         for courier in self._couriers.values():
             courier.write(
                 "end" if how in {"finished", "aborted"} else "failure",
-                f"Starbench: batch {name} {what}",
+                f"Starbench: batch {batch_name(summary)} {what}",
                 text,
                 run=name,
                 folder=folder,

@@ -266,7 +266,7 @@ def summary_lines(summary: BatchSummary) -> Iterator[str]:
     """Return the end of a batch, its runs, and means with their U."""
     how = summary["how"] or "not ended"
     rehearsal = "REHEARSAL of batch" if summary["rehearsal"] else "Batch"
-    yield f"{rehearsal} {summary['queue']}: {how}{': ' if summary['why'] else ''}{summary['why']}"
+    yield f"{rehearsal} {batch_name(summary)}: {how}{': ' if summary['why'] else ''}{summary['why']}"
     for item in summary["items"]:
         why = f": {item['why']}" if item["why"] else ""
         verdict = f"  {item['conformity']}" if item["conformity"] else ""
@@ -277,6 +277,12 @@ def summary_lines(summary: BatchSummary) -> Iterator[str]:
         yield from _mean_lines(camera)
     for group in filter(needs_attention, summary["charts"]["groups"]):
         yield f"{group['title']}: {group['verdict']}"
+
+
+def batch_name(summary: BatchSummary) -> str:
+    """Return the name of a batch, and that its devices are simulated, as messages and the terminal show it."""
+    mark = " (SIMULATED)" if summary["simulated"] and not summary["rehearsal"] else ""
+    return f"{summary['queue']}{mark}"
 
 
 def _mean_lines(camera: CameraData) -> list[str]:

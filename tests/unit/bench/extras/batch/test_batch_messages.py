@@ -106,6 +106,7 @@ def summary(how, items, cameras=(), charts=None):
         "how": how,
         "why": "",
         "rehearsal": False,
+        "simulated": False,
         "items": items,
         "cameras": cameras,
         "charts": charts or {"groups": []},
@@ -166,6 +167,18 @@ def test_everybody_hears_how_the_batch_ended(tmp_path, outbox, messages, how, oc
         f"Starbench: batch Night {how}",
     )
     assert re.search("cam-001 +finished +1 attempt", delivery.message.text)
+
+
+def test_the_message_of_a_simulated_batch_and_its_end_on_the_terminal_say_so(
+    tmp_path, outbox, messages, capsys
+):
+    ended = {**summary("finished", [item("cam-001")]), "simulated": True}
+    messages.add_recipients([station(tmp_path)])
+    messages.batch_ended(ended, tmp_path, "b" * 64)
+    show_summary(tmp_path, ended)
+    (delivery,) = outbox.deliveries()
+    assert delivery.message.subject == "Starbench: batch Night (SIMULATED) finished"
+    assert "Batch Night (SIMULATED): finished" in capsys.readouterr().out
 
 
 def test_a_message_holds_the_place_of_the_newest_run_in_the_ledger(tmp_path, outbox, messages):
