@@ -43,6 +43,15 @@ def used_recordings(paths: Iterable[Path]) -> list[str]:
     return [f"{sentence}: {first_names(names)}." for sentence, names in sentences.items() if names]
 
 
+def camera_serial(path: Path) -> str:
+    """Return the serial number of the camera by the header of a RAW file, without zeros before it; empty if none is."""
+    from drivers.camera.raw_check import read_start
+    from drivers.camera.raw_header import header_fields
+
+    fields, _ = header_fields(read_start(path))
+    return fields.get("serial_number", "").lstrip("0")
+
+
 def _used_bytes(path: Path) -> int:
     from drivers.camera.raw_file import RawFile
 

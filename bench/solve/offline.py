@@ -17,7 +17,7 @@ from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
 from bench.record.conformity import conformity
 from bench.record.results import CalibrationData, ConformityData, GimbalReadingsData
-from bench.solve.loose_recordings import first_names, used_recordings
+from bench.solve.loose_recordings import RECORDINGS, camera_serial, first_names, used_recordings
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.solution import calibrated
 from bench.solve.solve_options import readings_result
@@ -167,6 +167,7 @@ def calibrate_sources(
         )
     chosen = [sources[n - 1] for n in choices.view_numbers] if choices.view_numbers else sources
     views, used, skipped = read_views(chosen, progress)
+    require_one_camera(used)
     options, passport, cautions = _engine_options(used, choices)
     cautions += used_recordings(source.path for source in used if source.job is None)
     try:
@@ -197,6 +198,24 @@ def require_common_views(first: Path, second: Path, choices: OfflineOptions) -> 
         raise DegenerateViews(
             f"The two cameras share no pose: {shown[0]} and {shown[1]}.",
             remedy="Give the two views of one pose the same name.",
+        )
+
+
+def require_one_camera(sources: Sequence[ViewSource]) -> None:
+    """Refuse recordings of different cameras, by the stations of their runs or by their headers."""
+    names: dict[str, list[str]] = {}
+    for source in sources:
+        if source.job is not None:  # its recording may be gone, if it came from a URL
+            serial = (source.job.station.camera.serial or "").lstrip("0")
+        else:
+            serial = camera_serial(source.path) if source.path.suffix.lower() in RECORDINGS else ""
+        if serial:
+            names.setdefault(serial, []).append(source.name)
+    if len(names) > 1:
+        shown = ", ".join(f"{serial} ({first_names(of_camera)})" for serial, of_camera in names.items())
+        raise BenchError(
+            f"The recordings are of {len(names)} cameras, by their serial numbers: {shown}.",
+            remedy="Calibrate each camera by itself: give its recordings alone.",
         )
 
 

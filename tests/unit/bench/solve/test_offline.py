@@ -18,7 +18,7 @@ from bench.evidence.keys import create_key
 from bench.evidence.verify import verify_folder
 from bench.solve import loose_recordings
 from bench.solve.loose_recordings import used_part, used_recordings
-from bench.solve.offline import calibrate_paths, odd_sizes, views_of_one_size
+from bench.solve.offline import calibrate_paths, odd_sizes, require_one_camera, views_of_one_size
 from bench.solve.offline_folder import require_new, write_offline_results
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.passports import write_passport
@@ -134,6 +134,17 @@ def test_of_a_long_recording_the_first_events_are_used_and_that_is_told(tmp_path
     assert 0 < (size - len(head)) // 2 <= 100_000
     (told,) = used_recordings([path])
     assert told.endswith(f"{path} ({size / path.stat().st_size:.0%}).")
+
+
+def test_recordings_of_different_cameras_are_refused_by_their_serial_numbers(tmp_path):
+    serials = {"a": "00051", "b": "51", "c": "", "d": "00052"}
+    for name, serial in serials.items():
+        line = f"% serial_number {serial}\n" if serial else ""
+        (tmp_path / f"{name}.raw").write_bytes(f"% format EVT3;height=720;width=1280\n{line}% end\n".encode())
+    sources = [ViewSource(tmp_path / f"{name}.raw", lambda: None) for name in serials]
+    require_one_camera(sources[:3])
+    with pytest.raises(BenchError, match=r"are of 2 cameras, .*: 51 \(a, b\), 52 \(d\)\. Calibrate each"):
+        require_one_camera(sources)
 
 
 def test_too_few_views_are_told_with_the_files_that_were_left_out_by_their_own_names(tmp_path):
