@@ -88,18 +88,27 @@ def label_by_tag(image: Array32, grown: StarGrid, sign: float, target: StarTarge
     white, black = _white_and_black(image, grown, h, sign)
     centre = np.array(target.tag_centre_mm) / target.pitch_mm
     matches: list[tuple[float, StarLabels]] = []
+    mirrored = 0.0
     for middle in _gaps(nodes, target):
         modules = _modules(image, grown, h, middle, target)
         if modules is None:
             continue
         white_here = np.where(np.isfinite(modules), sign * modules > (white + black) / 2.0, False)
         for quarter, turn in enumerate(_QUARTER_TURNS):
-            right = np.rot90(white_here, -quarter) == (target.tag_print > 0)
-            share = float(right[np.rot90(np.isfinite(modules), -quarter)].mean())
+            share = _right_share(white_here, modules, quarter, target)
+            in_mirror = _right_share(white_here[::-1], modules[::-1], quarter, target)
+            mirrored = max(
+                mirrored, in_mirror, 1.0 - in_mirror
+            )  # a mirrored star is one of the other polarity
             shift = np.round(centre - turn @ middle).astype(np.int64)
             matches.append((share, StarLabels(turn, shift)))
     matches.sort(key=lambda f: -f[0])
     if not matches or matches[0][0] < 1.0 - MAX_WRONG_MODULES:
+        if mirrored >= 1.0 - MAX_WRONG_MODULES:
+            raise StarsUnnamed(
+                f"The image shows {len(nodes)} stars, and the tag as in a mirror.",
+                remedy="Turn the target over, or switch off the mirrored picture in the camera's software.",
+            )
         what = "no readable part of the tag."
     elif len(matches) > 1 and matches[1][0] > matches[0][0] - MIN_MARGIN:
         what = "the visible part of the tag agrees with more than one labelling."
@@ -109,6 +118,12 @@ def label_by_tag(image: Array32, grown: StarGrid, sign: float, target: StarTarge
         f"The image shows {len(nodes)} stars, but {what}",
         remedy="Turn the camera so that more of the tag is in view, or give the expected pose.",
     )
+
+
+def _right_share(white_here: Bools, modules: Array, quarter: int, target: StarTarget) -> float:
+    """Return the share of the modules in view that are as the print has them, after quarter turns."""
+    right = np.rot90(white_here, -quarter) == (target.tag_print > 0)
+    return float(right[np.rot90(np.isfinite(modules), -quarter)].mean())
 
 
 def _gaps(nodes: Ints, target: StarTarget) -> Array:

@@ -271,6 +271,13 @@ def test_without_the_tag_stars_are_not_labelled():
         detect_view(image, TARGET)
 
 
+@pytest.mark.parametrize("axis", [0, 1])
+def test_a_mirrored_picture_is_told_as_such(axis):
+    _, image = drawn(roll=20, pitch_px=48.0, size=(800, 700))
+    with pytest.raises(TargetNotFound, match=r"stars, and the tag as in a mirror\. Turn the target over"):
+        detect_view(np.flip(image, axis), TARGET)
+
+
 @pytest.mark.parametrize("bright", [True, False])
 @pytest.mark.parametrize("off", [(0.0, 0.0), (0.25, -0.2)])
 def test_without_the_tag_the_expected_pose_labels_the_stars(off, bright):
