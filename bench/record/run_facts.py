@@ -18,7 +18,7 @@ from bench.record.events import CauseData, DeviceData, Event, LightSettingsData,
 from bench.record.history import Attempt, History
 from bench.record.journal_line import Entry
 from bench.record.results import Results
-from bench.record.run_folder import RESULTS, SEQUENCE_COPY
+from bench.record.run_folder import PASSPORT_COPY, RESULTS, SEQUENCE_COPY, STATION_COPY
 from bench.record.storage import read_bounded
 from bench.record.stored_run import object_of
 
@@ -190,8 +190,8 @@ def journal_details(
         "seed": history.started.get("seed"),
         "software": dict(history.started.get("software", {})),
         "sequence_sha256": hashes.get(SEQUENCE_COPY),
-        "station_sha256": hashes.get("station.yaml"),
-        "passport_sha256": hashes.get("passport.json"),
+        "station_sha256": hashes.get(STATION_COPY),
+        "passport_sha256": hashes.get(PASSPORT_COPY),
         "journal_head": entries[-1].hash if entries else None,
         "deviations": list(history.deviations),
         "untils": list(history.decisions),
