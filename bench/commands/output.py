@@ -13,6 +13,7 @@ from typing import Any
 
 import click
 
+from bench.base.encoding import counted
 from bench.base.errors import EvidenceError, ScriptError, StorageError, UsageError
 from bench.base.failure import FORESEEN, INVALID_FILES, Failure
 from bench.base.home import home_folder
@@ -85,7 +86,7 @@ def left_out_lines(reasons: Sequence[str]) -> list[str]:
     """Return a line on each of the first files that were left out, and one on the number of the others."""
     lines = [f"left out: {reason}" for reason in reasons[:_MOST_SHOWN]]
     more = len(reasons) - _MOST_SHOWN
-    return [*lines, f"left out: {more} more files"] if more > 0 else lines
+    return [*lines, f"left out: {counted(more, 'more file')}"] if more > 0 else lines
 
 
 def print_json(value: Mapping[str, Any]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -24,19 +24,23 @@ def used_part(path: Path) -> Iterator[Path]:
     with TemporaryDirectory(prefix="starbench-") as folder:
         begin = Path(folder) / path.name
         with path.open("rb") as whole, begin.open("wb") as file:
-            while (left := used - file.tell()) > 0:
-                file.write(whole.read(min(_PART_BYTES, left)))
+            while part := whole.read(min(_PART_BYTES, used - file.tell())):
+                file.write(part)
         yield begin
 
 
-def used_recordings(paths: Iterable[Path]) -> list[str]:
-    """Return a sentence on the RAW files that end within a word, and on those of which only the begin is used."""
+def used_recordings(paths: Iterable[Path], in_pieces: Container[Path] = ()) -> list[str]:
+    """Return a sentence on the RAW files that end within a word, and on those of which only the begin is used.
+
+    Files that are read ``in_pieces`` are used whole, however long they are.
+    """
     from drivers.camera.raw_check import ends_within_word
     from drivers.camera.raw_file import is_recording
 
     files = [path for path in dict.fromkeys(paths) if path.suffix.lower() in RECORDINGS]
     cut = [str(path) for path in files if ends_within_word(path)]
-    shares = {path: _used_bytes(path) / path.stat().st_size for path in files if is_recording(path)}
+    may_be_long = [path for path in files if path not in in_pieces and is_recording(path)]
+    shares = {path: _used_bytes(path) / path.stat().st_size for path in may_be_long}
     long = [f"{path} ({share:.0%})" for path, share in shares.items() if share < 1.0]
     begin = f"Of long recordings, the first {MOST_EVENTS // 1_000_000} million events are used"
     sentences = {"Cut in the middle of a word, and used up to there": cut, begin: long}

@@ -169,7 +169,8 @@ def calibrate_sources(
     views, used, skipped = read_views(chosen, progress)
     require_one_camera(used)
     options, passport, cautions = _engine_options(used, choices)
-    cautions += used_recordings(source.path for source in used if source.job is None)
+    moving = {source.path for source in used if source.view_name}
+    cautions += used_recordings((source.path for source in used if source.job is None), moving)
     try:
         calibration, planar = calibrated(views, options, cautions, board=choices.board is not None)
     except DegenerateViews as error:

@@ -321,11 +321,17 @@ def _is_recording(path: Path) -> bool:
 
 
 def _is_text_of_events(path: Path) -> bool:
-    """Return whether a file is text with a line for each event: points have five columns, events four."""
+    """Return whether a file is text with a line for each event: points have five columns, events four.
+
+    False if it cannot be read: then its reader says why.
+    """
     from drivers.camera.formats.table_files import is_table_of_text
     from drivers.camera.raw_check import read_start
 
-    return is_table_of_text(read_start(path))
+    try:
+        return is_table_of_text(read_start(path))
+    except (OSError, RecordingFileError):
+        return False
 
 
 def _view_of_other_recording(path: Path, choices: OfflineOptions) -> View:

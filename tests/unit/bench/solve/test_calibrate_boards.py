@@ -11,6 +11,7 @@ from calling import call
 
 from bench.commands.calibrate import run_text
 from bench.measure.moving_recording import MovingRecording
+from bench.solve import loose_recordings
 from calib.model.camera import CameraModel
 from calib.model.rotation import exp_map
 from drivers.camera.formats.event_conversion import convert
@@ -200,13 +201,15 @@ def moving_folder(tmp_path_factory):
     return moving_folder
 
 
-def test_pictures_of_a_moving_camera_become_views(moving_folder, capsys):
+def test_pictures_of_a_moving_camera_become_views(moving_folder, capsys, monkeypatch):
+    monkeypatch.setattr(loose_recordings, "MOST_EVENTS", 1000)  # of recordings that are no pictures
     words = ("--board", PATTERN, "--json", "--reconstruct")
     said = call(capsys, "calibrate", moving_folder / "moving.raw", *words)
     found = json.loads(said.out)
     names = [view["name"] for view in found["views"]]
     assert set(names) <= {f"moving-at-0.{ms}s" for ms in ("030", "090", "149", "150", "209", "210")}
     assert len(names) >= 3
+    assert "Of long recordings" not in said.out
     assert abs(found["camera"]["fx"] - FOCAL_PX) < 2.0 * found["sigma"]["fx"] + 3.0
 
 

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import os
 from pathlib import Path
 
 import cv2
@@ -134,6 +135,19 @@ def test_of_a_long_recording_the_first_events_are_used_and_that_is_told(tmp_path
     assert 0 < (size - len(head)) // 2 <= 100_000
     (told,) = used_recordings([path])
     assert told.endswith(f"{path} ({size / path.stat().st_size:.0%}).")
+    assert used_recordings([path], in_pieces={path}) == []
+
+
+@pytest.mark.parametrize(
+    "make",
+    [Path.mkdir, lambda path: path.symlink_to("nowhere"), os.mkfifo],
+    ids=["folder", "lost link", "pipe"],
+)
+def test_what_only_has_the_name_of_a_point_file_is_left_out_of_its_folder(tmp_path, make):
+    make(tmp_path / "a.csv")
+    (tmp_path / "points.txt").write_text("".join(f"{x} {y} {x} {y} {n}\n" for n, (x, y) in enumerate(GRID)))
+    with pytest.raises(DegenerateViews, match=r"1 view given.* 1 file left out: .*a\.csv"):
+        calibrate_paths([tmp_path], OfflineOptions(image_size=(64, 48)))
 
 
 def test_recordings_of_different_cameras_are_refused_by_their_serial_numbers(tmp_path):
