@@ -70,12 +70,27 @@ class Steering:
 def protect_output() -> None:
     """Keep standard output and standard error plain, and let them outlive their readers.
 
-    Streams of tests and files are left as they are.
+    Streams of tests and files are left as they are. What a service or ``2>&-`` has closed goes to nowhere; else the
+    first line would end the work, and a file of the run would take the place of standard error.
     """
+    _replace_closed()
     for name, descriptor in _STANDARD.items():
         stream = getattr(sys, name)
         if isinstance(stream, io.TextIOWrapper) and _is_descriptor(stream, descriptor):
             setattr(sys, name, _reopened(stream, descriptor))
+
+
+def _replace_closed() -> None:
+    for descriptor, (name, mode) in enumerate([("stdin", "r"), ("stdout", "w"), ("stderr", "w")]):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            nowhere = os.open(os.devnull, os.O_RDWR)  # takes the lowest place that is free
+            if nowhere != descriptor:
+                os.dup2(nowhere, descriptor)
+                os.close(nowhere)
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(descriptor, mode, encoding="utf-8", closefd=False))
 
 
 def output_is_lost() -> bool:

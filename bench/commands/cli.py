@@ -190,8 +190,8 @@ def main(arguments: list[str] | None = None) -> None:
     from bench.base.lost_output import protect_output
     from bench.base.supervised import end_with_supervisor
 
+    protect_output()  # first: what is opened before may take the place of a closed stream
     end_with_supervisor()
-    protect_output()
     set_kernel_cache(os.environ)
     remove_stale_kernels()
     replace_unencodable(sys.stdout, sys.stderr)

@@ -116,7 +116,7 @@ def label_by_tag(image: Array32, grown: StarGrid, sign: float, target: StarTarge
         return matches[0][1]
     raise StarsUnnamed(
         f"The image shows {len(nodes)} stars, but {what}",
-        remedy="Turn the camera so that more of the tag is in view, or give the expected pose.",
+        remedy="Turn the camera so that more of the tag is in view.",
     )
 
 

@@ -190,6 +190,26 @@ def test_the_work_goes_on_after_the_readers_of_its_output_have_gone(both):
     assert said == (None if both else b"error 0\nerror 1\nerror 2\n")
 
 
+CLOSED = """
+import os, sys
+from bench.base.lost_output import protect_output
+protect_output()
+print("line", flush=True)
+print("error", file=sys.stderr, flush=True)
+file = os.open(sys.argv[1], os.O_WRONLY | os.O_CREAT)
+assert sys.stdin.read() == "", "something to read"
+sys.exit(file)
+"""
+
+
+@pytest.mark.parametrize("closed", ["2>&-", ">&-", "<&-", "<&- >&- 2>&-"])
+def test_a_stream_that_was_closed_before_the_start_takes_no_file_and_ends_no_work(tmp_path, closed):
+    words = ["sh", "-c", f'exec "$0" -c "$1" "$2" {closed}', sys.executable, CLOSED, str(tmp_path / "file")]
+    ended = subprocess.run(words, check=False, stdin=subprocess.DEVNULL, capture_output=True)
+    assert ended.returncode > 2, ended.stderr
+    assert (tmp_path / "file").read_bytes() == b""
+
+
 def test_a_reader_that_stays_gets_all():
     said, errors = (process := started(subprocess.PIPE)).communicate(b"begin\n")
     assert process.returncode == 8
