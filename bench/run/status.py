@@ -296,9 +296,6 @@ def _status(run: StoredRun, now: datetime, *, running: bool, sealed: bool) -> St
     poses = plan.count_poses(history)
     going_on = running and not _is_over(history)
     suspended = suspended_process(folder) if going_on else 0
-    advice = (
-        resume_process(suspended) if suspended else _advice(folder, history, running=running, sealed=sealed)
-    )
     return Status(
         run_id=str(history.started.get("id", folder.name)),
         folder=str(folder),
@@ -321,14 +318,14 @@ def _status(run: StoredRun, now: datetime, *, running: bool, sealed: bool) -> St
         result=_result_text(history),
         verdict=history.verdict["headline"] if history.verdict else "",
         causes=cause_sentences(history.solved.get("causes", ())),
-        left_s=_left_s(history, plan, entries, now) if going_on else None,
+        left_s=_left_s(history, plan, entries, now) if going_on and not suspended else None,
         held_by=_held_by(history, suspended) if running else "",
         question=history.question if running else "",
         resumed=history.resumed,
         deviations=tuple(history.deviations),
         last=_last_lines(entries, history.why),
         report=str(folder / REPORT) if (folder / REPORT).is_file() else "",
-        advice=advice,
+        advice=_advice(folder, history, suspended, running=running, sealed=sealed),
         devices=() if going_on else _devices_left(history),
         busy=history.busy,
         lateness=history.lateness,
@@ -394,7 +391,9 @@ def _held_by(history: History, suspended: int) -> str:
     return history.holder
 
 
-def _advice(folder: Path, history: History, *, running: bool, sealed: bool) -> str:
+def _advice(folder: Path, history: History, suspended: int, *, running: bool, sealed: bool) -> str:
+    if suspended:
+        return resume_process(suspended)
     if running and not sealed:
         return _advice_while_running(folder, history)
     if sealed:

@@ -287,7 +287,7 @@ def read_views(
 def _first(skipped: Sequence[str]) -> str:
     """Return the first reasons why files were left out, and the number of the others."""
     more = len(skipped) - _MOST_NAMES
-    return " ".join(skipped[:_MOST_NAMES]) + (f" And {more} more files." if more > 0 else "")
+    return " ".join(skipped[:_MOST_NAMES]) + (f" And {counted(more, 'more file')}." if more > 0 else "")
 
 
 def odd_sizes(views: Sequence[View], sources: Sequence[ViewSource]) -> list[tuple[int, str]]:

@@ -97,9 +97,8 @@ def label_by_tag(image: Array32, grown: StarGrid, sign: float, target: StarTarge
         for quarter, turn in enumerate(_QUARTER_TURNS):
             share = _right_share(white_here, modules, quarter, target)
             in_mirror = _right_share(white_here[::-1], modules[::-1], quarter, target)
-            mirrored = max(
-                mirrored, in_mirror, 1.0 - in_mirror
-            )  # a mirrored star is one of the other polarity
+            # A mirrored star is one of the other polarity, so the sign may be wrong.
+            mirrored = max(mirrored, in_mirror, 1.0 - in_mirror)
             shift = np.round(centre - turn @ middle).astype(np.int64)
             matches.append((share, StarLabels(turn, shift)))
     matches.sort(key=lambda f: -f[0])

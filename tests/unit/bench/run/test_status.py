@@ -334,8 +334,10 @@ def test_a_run_whose_process_is_suspended_is_told_as_such_and_how_it_continues(r
     inbox_of(run.path).folder.mkdir()
     with locking(run.path) as process:
         assert run.status().advice.endswith("abort")
+        assert run.status().left_s is not None
         suspend(process)
         status = run.status()
+        assert status.left_s is None
         with pytest.raises(RunFolderError, match=f"kill -CONT {process.pid}"):
             send(run.path, Command(word="abort", by="somebody"), patience_s=0.01)
     assert f"HELD by the suspended process {process.pid}" in status_text(status)

@@ -133,8 +133,8 @@ def test_of_a_long_recording_the_first_events_are_used_and_that_is_told(tmp_path
         size = begin.stat().st_size
         assert begin.read_bytes() == path.read_bytes()[:size]
     assert 0 < (size - len(head)) // 2 <= 100_000
-    (told,) = used_recordings([path])
-    assert told.endswith(f"{path} ({size / path.stat().st_size:.0%}).")
+    (sentence,) = used_recordings([path])
+    assert sentence.endswith(f"{path} ({size / path.stat().st_size:.0%}).")
     assert used_recordings([path], in_pieces={path}) == []
 
 
