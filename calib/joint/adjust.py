@@ -262,7 +262,8 @@ def _more_probable_place(optimum: Optimum, near: State, name: str, rounds: int) 
     if faults:
         with suppress(NotConverged, np.linalg.LinAlgError):
             there = optimum_with_faults(optimum, faults, rounds, near)
-            return there if odds_of(there, faults, optimum) > 1.0 else optimum
+            odds = odds_of(there, faults, optimum)
+            return replace(there, fault_odds=odds) if odds > 1.0 else optimum
     return optimum
 
 

@@ -63,9 +63,9 @@ class Optimum:
     solution: Solution
     iterations: int
     converged: bool
-    fault_eta: Array | None = (
-        None  # (A,) amplitudes with the fault that leads to this state (`optimum_with_faults`)
-    )
+    # (A,) amplitudes with the faults that lead to this state (`optimum_with_faults`)
+    fault_eta: Array | None = None
+    fault_odds: float = np.inf  # Of these faults here against none at another optimum
 
     @property
     def marginal(self) -> Marginal:
