@@ -256,7 +256,7 @@ def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None])
 
     begins = f"{night.moment(night.bounds.opens_s).astimezone(zone):%a %Y-%m-%d %H:%M %Z}"
     if night.bounds.done_by_s != NEVER_S:  # the next such time may be tomorrow's
-        begins += f"; no run that would end after {clock(night.bounds.done_by_s)}"
+        begins += f"; no run is begun that would end after {clock(night.bounds.done_by_s)}"
     yield from (f"{text}\n" for text in night.slow)
     most = "at most " if any(planned.untils for planned in night.plans.values()) else ""
     takes = f"takes {most}".strip()

@@ -44,7 +44,7 @@ def test_a_queue_is_planned_with_its_times_and_what_there_is_no_time_for(night):
     words = ("plan", folder / "queue.yaml", "--begin", "2026-03-01T20:30")
     said = called(*words, home=folder / "home")
     assert said.returncode == 0, said.stderr
-    assert "from Sun 2026-03-01 21:00 CET; no run that would end after Sun 21:45" in said.stdout
+    assert "from Sun 2026-03-01 21:00 CET; no run is begun that would end after Sun 21:45" in said.stdout
     assert "No time for 1: a-003" in said.stdout
     assert "2 runs, until Sun 21:30 CET" in said.stdout
     told = json.loads(called(*words, "--json", home=folder / "home").stdout)
