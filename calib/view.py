@@ -132,7 +132,7 @@ class View:
                 raise InputMismatch(
                     f"Its {name} have the shape {given}, and {n} ids need {needed}.",
                     where=f"view {self.name}",
-                    remedy=remedy,
+                    remedy=remedy if given[1:] != shape else "Give one row for each id.",
                 )
 
     def _require_covariances(self) -> None:

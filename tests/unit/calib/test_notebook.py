@@ -80,6 +80,10 @@ def test_views_are_compared_by_identity_and_own_their_arrays():
         ({"ids": [str(i) for i in range(N)]}, "ids are not numbers"),
         ({"ids": np.arange(N).reshape(N, 1)}, r"ids have the shape \(6, 1\), and 6 ids need \(6,\)"),
         ({"points_px": np.zeros((N, 1, 2))}, r"points_px have the shape \(6, 1, 2\).*reshape\(-1, 2\)"),
+        (
+            {"points_px": np.zeros((N + 1, 2))},
+            r"points_px have the shape \(7, 2\), and 6 ids .*one row for each id",
+        ),
         ({"target_mm": np.zeros((N, 3))}, r"target_mm have the shape \(6, 3\).*leave out Z"),
         ({"covariances_px2": 0.04 * np.eye(2)}, r"covariances_px2 have the shape \(2, 2\).*np.tile"),
         ({"image_size": (480, 640, 3)}, r"image_size is \(480, 640, 3\)\. Give width and height"),
