@@ -85,10 +85,8 @@ def _replace_closed() -> None:
         try:
             os.fstat(descriptor)
         except OSError:
-            nowhere = os.open(os.devnull, os.O_RDWR)  # takes the lowest place that is free
-            if nowhere != descriptor:
-                os.dup2(nowhere, descriptor)
-                os.close(nowhere)
+            nowhere = os.open(os.devnull, os.O_RDWR)  # takes the lowest place that is free: this one
+            os.set_inheritable(nowhere, True)  # else a file of a child process would take it
         if getattr(sys, name) is None:
             setattr(sys, name, os.fdopen(descriptor, mode, encoding="utf-8", closefd=False))
 

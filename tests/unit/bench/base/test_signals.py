@@ -191,13 +191,14 @@ def test_the_work_goes_on_after_the_readers_of_its_output_have_gone(both):
 
 
 CLOSED = """
-import os, sys
+import os, subprocess, sys
 from bench.base.lost_output import protect_output
 protect_output()
 print("line", flush=True)
 print("error", file=sys.stderr, flush=True)
 file = os.open(sys.argv[1], os.O_WRONLY | os.O_CREAT)
 assert sys.stdin.read() == "", "something to read"
+subprocess.run([sys.executable, "-c", "import os; [os.fstat(n) for n in range(3)]"], check=True)
 sys.exit(file)
 """
 
