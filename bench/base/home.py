@@ -24,3 +24,8 @@ def home_folder(environ: Mapping[str, str] = os.environ) -> Path:
     if configuration := environ.get("XDG_CONFIG_HOME"):
         return Path(configuration) / "starbench"
     return Path(environ.get("HOME") or Path.home()) / ".config" / "starbench"
+
+
+def expand_home(path: str) -> str:
+    """Return a path with the user's folder for ``~/`` at its begin, which shells leave alone in ``--output=~/run``."""
+    return os.path.expanduser(path) if path.startswith("~/") else path  # noqa: PTH111 - Path's fails without a home

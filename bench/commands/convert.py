@@ -13,6 +13,7 @@ from bench.base.clock import reliable_interrupts
 from bench.base.errors import UsageError
 from bench.commands.calibrations import CAMERA, LENS, stated_camera
 from bench.commands.options import (
+    AnyPath,
     EventFile,
     ExistingFile,
     ExistingPath,
@@ -46,7 +47,7 @@ _ASSUMED = {
     "starbench convert captures/*.raw converted/ --as hdf5",
 )
 @click.argument("sources", metavar="SOURCE...", nargs=-1, type=EventFile())
-@click.argument("output", type=click.Path(path_type=Path))
+@click.argument("output", type=AnyPath())
 @click.option(
     "--as",
     "kind",

@@ -14,6 +14,7 @@ from bench.base.encoding import counted
 from bench.base.errors import UsageError
 from bench.base.home import home_folder
 from bench.commands.options import (
+    AnyPath,
     RunChoice,
     command,
     run_options,
@@ -79,7 +80,7 @@ _TAKES = {"baseline": _CHARTS, "factors": _CAPABILITY}
 @click.option(
     "--output",
     "-o",
-    type=click.Path(path_type=Path),
+    type=AnyPath(),
     metavar="FILE",
     help="charts: file for the page [default: runs-charts.html]. table: a new .parquet or .csv file.",
 )

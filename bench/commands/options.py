@@ -16,6 +16,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from bench.base.errors import UsageError
+from bench.base.home import expand_home
 from bench.base.pasteable import pasteable
 from bench.commands.values import Moment, WholeNumber
 from sequences.kinds import kind_of_file
@@ -115,7 +116,7 @@ class _Path(click.ParamType, ABC):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
         """Return the path after checking it. Raises UsageError, OSError."""
         del param, ctx
-        path = Path(value)
+        path = Path(expand_home(str(value)))
         self.check(path)
         return path
 
@@ -170,6 +171,13 @@ class ExistingPath(_Path):
             raise UsageError("There is no such file or folder.", where=str(path), remedy="Check the path.")
         _require_no_device(path)
         _require_no_document(path)
+
+
+class AnyPath(_Path):
+    """A path that the command checks by itself."""
+
+    def check(self, path: Path) -> None:
+        """Check nothing yet."""
 
 
 class NewFile(_Path):
@@ -294,7 +302,7 @@ class _NameOrFile(click.ParamType):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """See `click.ParamType.convert`."""
         del param, ctx
-        return str(value)
+        return expand_home(str(value))
 
     def shell_complete(
         self, ctx: click.Context, param: click.Parameter, incomplete: str
@@ -321,8 +329,9 @@ class CheckedStation(_NameOrFile):
         """Return the value after reading the station. Raises DocumentFaults."""
         from bench.stations.station import load_station
 
-        load_station(value)
-        return super().convert(value, param, ctx)
+        name = super().convert(value, param, ctx)
+        load_station(name)
+        return name
 
 
 ALLOWED_SIGNERS = click.option(

@@ -490,3 +490,13 @@ def test_the_command_that_is_offered_next_can_be_pasted(capsys, tmp_path, words,
     path = tmp_path / "Müller's bench 2.yaml"
     offered = shlex.split(out_of(capsys, *words, path).partition("starbench ")[2])
     assert offered[offered.index(option) + 1] == str(path)
+
+
+def test_the_home_folder_is_expanded_where_the_shell_does_not(capsys, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path / "me"))
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "me").mkdir()
+    out_of(capsys, "station", "new", "~/bench.yaml", "--stand-ins", "keysight")
+    assert (tmp_path / "me" / "bench.yaml").is_file()
+    assert "Three poses on My bench" in out_of(capsys, "plan", "three_pose", "--station=~/bench.yaml")
+    assert not (tmp_path / "~").exists()
