@@ -85,7 +85,10 @@ class Within:
 
 @dataclass(frozen=True)
 class Form:
-    """The form of a text, for ``Annotated``: a message says it in words, and the exported schema by its pattern."""
+    """The form of a text, for ``Annotated``: a message says it in words, and the exported schema by its pattern.
+
+    A `Field` with lengths stands before it: behind it, its messages would speak of entries.
+    """
 
     pattern: str
     words: str  # What the text must be, with an example

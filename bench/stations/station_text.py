@@ -81,11 +81,11 @@ class TextAxisConfig(AxisConfig):
     scale_key: ClassVar[str] = "counts_per_deg"
     address: Annotated[
         str,
-        Form(r"^[!-z|~]*$", "ASCII characters without blanks and braces"),
         Field(
             max_length=20,
             description="The controller's word for the axis: {address} of the description.",
         ),
+        Form(r"^[!-z|~]*$", "ASCII characters without blanks and braces"),
     ] = ""
     counts_per_deg: Annotated[
         float,

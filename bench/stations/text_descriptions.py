@@ -105,11 +105,11 @@ class LineConfig(StrictModel):
     reply_end: Annotated[Literal["CR", "LF", "CRLF"], Field(description="Ends each reply.")] = "LF"
     prompt: Annotated[
         str,
-        Form(r"^[ -~]*$", "ASCII characters"),
         Field(
             max_length=20,
             description="Ends each reply in place of `reply_end`, and stands in it.",
         ),
+        Form(r"^[ -~]*$", "ASCII characters"),
     ] = ""
     reply_s: Annotated[float, Within(0.05, 10, "s"), Field(description="Longest wait for a reply.")] = 0.75
     quiet_s: Annotated[
@@ -127,11 +127,11 @@ class LineConfig(StrictModel):
     ] = "none"
     clear: Annotated[
         str,
-        Form(r"^[!-~]*$", "ASCII characters without blanks"),
         Field(
             max_length=8,
             description="Text that makes a request invalid that was cut on its way; then it is ended.",
         ),
+        Form(r"^[!-~]*$", "ASCII characters without blanks"),
     ] = ""
     setup: Annotated[
         tuple[RequestText, ...],

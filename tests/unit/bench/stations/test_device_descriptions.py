@@ -62,6 +62,8 @@ def test_every_shipped_description_is_read(path) -> None:
         ("quantity: speed", "quantity: constant", "axis.settings[3]: a constant needs value"),
         ("stop: {", "halt: {", "halt: unknown key"),
         ("reply_s: 0.75", "reply_s: 60", "line.reply_s: must be from 0.05 to 10 s"),
+        ("reply_s: 0.75", f"reply_s: 0.75\n  prompt: {'x' * 21}", "line.prompt: must have 20 or fewer characters"),
+        ("reply_s: 0.75", "reply_s: 0.75\n  prompt: é", "line.prompt: must be ASCII characters"),
         ("send: H", 'send: "H{target:integer}"', "stop.send: there is no value 'target' here"),
         ("baudrate: 9600", "baudrate: !!python/object:os.system 9600", "line"),
     ],
