@@ -170,14 +170,14 @@ def calibrate_sources(
     require_one_camera(used)
     options, passport, cautions = _engine_options(used, choices)
     moving = {source.path for source in used if source.view_name}
-    cautions += used_recordings((source.path for source in used if source.job is None), moving)
+    used_parts = used_recordings((source.path for source in used if source.job is None), moving)
+    cautions += used_parts
     try:
         calibration, planar = calibrated(views, options, cautions, board=choices.board is not None)
     except DegenerateViews as error:
-        if not skipped:
-            raise
-        left_out = f"{counted(len(skipped), 'file')} left out: {_first(skipped)}"
-        raise DegenerateViews(error.what, where=error.where, remedy=f"{left_out} {error.remedy}") from error
+        told = [f"{counted(len(skipped), 'file')} left out: {_first(skipped)}"] if skipped else []
+        remedy = " ".join([*told, *used_parts, error.remedy])
+        raise DegenerateViews(error.what, where=error.where, remedy=remedy) from error
     targets = [source.job.target if source.job else choices.target for source in used]
     target = targets[0] if all(other == targets[0] for other in targets) else None
     return OfflineResult(
@@ -274,9 +274,11 @@ def read_views(
             skipped.append(str(error) if str(source.path) in str(error) else f"{source.path}: {error}")
         progress(number, len(sources))
     if not views:
+        loose = [source.path for source in sources if source.job is None and source.path.is_file()]
+        told = [*([_first(skipped)] if skipped else []), *used_recordings(loose, in_pieces=loose)]
         raise BenchError(
             "There is no usable view.",
-            remedy=_first(skipped) or "Give run folders, captures, images or point files.",
+            remedy=" ".join(told) or "Give run folders, captures, images or point files.",
         )
     for at, sentence in reversed(odd_sizes(views, used)):
         del views[at], used[at]

@@ -49,8 +49,11 @@ def read_start(path: Path) -> bytes:
 
 
 def ends_within_word(path: Path) -> bool:
-    """Return whether a RAW file ends in the middle of a word, as most files do that were cut off."""
-    fields, size_bytes = header_fields(read_start(path))
+    """Return whether a RAW file ends in the middle of a word, as most files do that were cut off; no if unreadable."""
+    try:
+        fields, size_bytes = header_fields(read_start(path))
+    except OSError:
+        return False
     unit = WORD_BYTES.get(encoding_of(fields), 0)
     return bool(unit and size_bytes) and (path.stat().st_size - (size_bytes or 0)) % unit != 0
 

@@ -52,9 +52,10 @@ def test_recordings_that_are_none_or_cut_short_are_named(capsys, evk4_recording)
     write("text.raw", "this is no recording")
     whole = evk4_recording.read_bytes()
     Path("half.raw").write_bytes(whole[:-100_001])  # words have two bytes
-    for name, words in (("text.raw", "not a"), ("half.raw", "is incomplete")):
-        status, (_, said) = ended(capsys, "calibrate", name)
-        assert status == 2
+    cut = "cut in the middle of a word, and used up to there: half.raw."
+    for name, words, status in (("text.raw", "not a", 2), ("half.raw", cut, 1)):
+        end, (_, said) = ended(capsys, "calibrate", name)
+        assert end == status
         assert name in said
         assert words in said.lower()
 

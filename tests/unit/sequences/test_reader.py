@@ -173,6 +173,15 @@ def test_what_is_no_mapping_is_one_fault(text):
     assert said.startswith("t.yaml:1:1: the document must be a mapping")
 
 
+def test_a_file_of_another_program_is_one_fault_and_a_forgotten_format_hides_no_other():
+    (said,) = faults("cam0:\n  camera_model: pinhole\nrostopic: /events\n", Sequence)
+    assert said.startswith(
+        "t.yaml:1:1: format: this is a file of something else: it has no 'format: starbench/sequence/1'"
+    )
+    both = faults("name: x\nstep: [light]\nposes: {}\n", Sequence)
+    assert [each.partition(": ")[2].partition(":")[0] for each in both] == ["format", "steps", "step"]
+
+
 def test_a_document_of_another_kind_is_one_fault_not_one_a_line():
     (said,) = faults("format: starbench/station/1\nname: x\nstage: {}\n", Sequence)
     assert said.startswith("t.yaml:1:9: format: wrong kind of document")
