@@ -42,8 +42,8 @@ def calibrate(views: Iterable[View] | View, options: CalibrationOptions | None =
     Raises
     ------
     InputMismatch
-        If views contradict each other (image sizes, names) or show the target mirrored, or if ``spherical`` or
-        ``planar`` is given a passport.
+        If views contradict each other (image sizes, names, places on the target), are no views or show the target
+        mirrored, or if ``spherical`` or ``planar`` is given a passport.
     TooFewStars
         If a view has fewer than 4 stars.
     DegenerateViews

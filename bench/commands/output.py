@@ -84,9 +84,9 @@ def print_findings(faults: Sequence[str], notes: Sequence[str] = ()) -> int:
 
 def left_out_lines(reasons: Sequence[str]) -> list[str]:
     """Return a line on each of the first files that were left out, and one on the number of the others."""
-    lines = [f"left out: {reason}" for reason in reasons[:_MOST_SHOWN]]
+    lines = [f"Left out: {reason}" for reason in reasons[:_MOST_SHOWN]]
     more = len(reasons) - _MOST_SHOWN
-    return [*lines, f"left out: {counted(more, 'more file')}"] if more > 0 else lines
+    return [*lines, f"Left out: {counted(more, 'more file')}"] if more > 0 else lines
 
 
 def print_json(value: Mapping[str, Any]) -> None:

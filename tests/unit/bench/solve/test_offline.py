@@ -184,8 +184,8 @@ def test_text_with_a_line_for_each_event_is_a_recording_and_is_found_again_with_
 
 def test_of_many_files_that_were_left_out_some_are_listed():
     lines = left_out_lines([f"{number}.txt: no points" for number in range(1000)])
-    assert lines[0] == "left out: 0.txt: no points"
-    assert lines[-1] == f"left out: {1000 - len(lines) + 1} more files"
+    assert lines[0] == "Left out: 0.txt: no points"
+    assert lines[-1] == f"Left out: {1000 - len(lines) + 1} more files"
     assert len(lines) < 50
 
 
