@@ -175,8 +175,8 @@ def calibrate_sources(
     try:
         calibration, planar = calibrated(views, options, cautions, board=choices.board is not None)
     except DegenerateViews as error:
-        told = [f"{counted(len(skipped), 'file')} left out: {_first(skipped)}"] if skipped else []
-        remedy = " ".join([*told, *used_parts, error.remedy])
+        left_out = [f"{counted(len(skipped), 'file')} left out: {_first(skipped)}"] if skipped else []
+        remedy = " ".join([*left_out, *used_parts, error.remedy])
         raise DegenerateViews(error.what, where=error.where, remedy=remedy) from error
     targets = [source.job.target if source.job else choices.target for source in used]
     target = targets[0] if all(other == targets[0] for other in targets) else None
@@ -275,10 +275,10 @@ def read_views(
         progress(number, len(sources))
     if not views:
         loose = [source.path for source in sources if source.job is None and source.path.is_file()]
-        told = [*([_first(skipped)] if skipped else []), *used_recordings(loose, in_pieces=loose)]
+        reasons = [*([_first(skipped)] if skipped else []), *used_recordings(loose, in_pieces=loose)]
         raise BenchError(
             "There is no usable view.",
-            remedy=" ".join(told) or "Give run folders, captures, images or point files.",
+            remedy=" ".join(reasons) or "Give run folders, captures, images or point files.",
         )
     for at, sentence in reversed(odd_sizes(views, used)):
         del views[at], used[at]

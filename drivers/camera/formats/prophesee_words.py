@@ -31,7 +31,7 @@ from drivers.camera.event_arrays import (
     empty_events,
     empty_triggers,
 )
-from drivers.camera.raw_check import ends_within_word
+from drivers.camera.raw_check import WORD_BYTES, ends_within_word
 from drivers.camera.raw_header import RawHeader, header_fields, stated_size
 from drivers.errors import NotARecording
 
@@ -86,12 +86,12 @@ class Evt2Decoder:
         self._state = np.array([-1, 0, 0, 0], np.int64)
         # Place of the word with the type in a unit of one or two words, and most events of a unit.
         self._place = {"EVT2": 0, "EVT21": 1, "EVT21-legacy": 0}[encoding]
-        self.word_bytes, self._most = (4, 1) if encoding == "EVT2" else (8, 32)
+        self._word_bytes, self._most = WORD_BYTES[encoding], 1 if encoding == "EVT2" else 32
 
     def decode(self, data: bytes) -> Piece:
         """Decode words; an incomplete one at the end is left out."""
-        units = np.frombuffer(data, "<u4", count=len(data) // self.word_bytes * (self.word_bytes // 4))
-        units = units.reshape(-1, self.word_bytes // 4)
+        units = np.frombuffer(data, "<u4", count=len(data) // self._word_bytes * (self._word_bytes // 4))
+        units = units.reshape(-1, self._word_bytes // 4)
         heads = np.ascontiguousarray(units[:, self._place])
         columns = np.ascontiguousarray(units[:, 1 - self._place]) if self._most > 1 else np.ones_like(heads)
         events, edges = empty_events(self._most * len(heads)), empty_triggers(len(heads))
