@@ -236,7 +236,10 @@ def _of_this_format(tree: Tree, model: type[BaseModel]) -> dict[str, Any]:
     )
     known = model.model_fields.keys() & tree.value.keys()
     if wanted is not None and "format" not in tree.value and len(tree.value) > 2 * len(known):
-        message = f"this is a file of something else: it has no 'format: {wanted}', and most of its keys are unknown."
+        message = (
+            f"this is a file of something else: it has no 'format: {wanted}', and most of its keys are unknown. Give"
+            " another file, or begin this one with that line."
+        )
         raise DocumentFaults([*tree.faults, Fault(tree.file, *tree.spot(()), "format", message)])
     stated = tree.value.get("format", wanted)
     if stated != wanted:
