@@ -141,17 +141,17 @@ def _compared(
     )
 
 
-def _reversed_axes(free: set[int], backwards: bool, mirrored: bool) -> str:
-    """Return the axes of which the sign of one is reversed, in words; empty if no sign is.
+def _reversed_axes(free: set[int], backwards: bool, mirrored: bool) -> tuple[str, ...]:
+    """Return the axes of which the sign of one is reversed, each in words; empty if no sign is.
 
     Half a turn of the mounting about x reverses pan and roll, about y tilt and roll, about z pan and tilt. So a wrong
     sign shows as a camera that looks backwards, or, with three axes, as readings that fit only if roll is mirrored.
     """
     if free >= {0, 1} and backwards != mirrored and not mirrored:
-        return "pan or of tilt" if 2 not in free else "roll and of one other axis"
+        return ("pan", "tilt") if 2 not in free else ("roll and of one other axis",)
     if mirrored and free == {0, 1, 2}:
-        return "pan or of tilt" if backwards else "roll"
-    return "roll" if backwards and 2 in free and len(free) == 2 else ""
+        return ("pan", "tilt") if backwards else ("roll",)
+    return ("roll",) if backwards and 2 in free and len(free) == 2 else ()
 
 
 def _ambiguous(seen: SeenRotations, last: Explanation, sigma: Array) -> bool:

@@ -15,7 +15,7 @@ import numpy as np
 from calib.arrays import Array, rms_length
 from calib.diagnosis.gimbal_faults import GimbalFault
 from calib.diagnosis.gimbal_model import FaultKind, PairRatios
-from calib.model.cause import exchanged
+from calib.model.cause import AXES_EXCHANGED, one_of
 from calib.model.gimbal_readings import AXES
 from calib.model.likelihood_ratio import DECISIVE
 
@@ -81,8 +81,8 @@ class HandEyeCheck:
     difference_sigma: float  # The same of the largest difference between the scales of two axes
     pairs: PairRatios | None  # Ratios from the pairs of poses; None if no pair turned far enough
     ambiguous: bool  # Whether another optimum fits nearly as well
-    # Name of the axis whose sign is reversed, or of the axes of which one is; empty if the signs are right.
-    reversed_axes: str
+    # The axes of which the sign of one is reversed, each in words; empty if the signs are right.
+    reversed_axes: tuple[str, ...]
     # 1-sigma of the scatter, for each component of a rotation, that the stated uncertainties and the faults do
     # not explain, arc seconds.
     excess_arcsec: float
@@ -116,7 +116,8 @@ def _judged(check: HandEyeCheck) -> Verdict:
     """Return the verdict: faults come first, then reasons not to claim a scale, then the scale, then scatter."""
     judged = [_fault(check, fault) for fault in check.faults]
     if check.reversed_axes:
-        judged.append(("wrong_sign", _WRONG_SIGN.format(check.reversed_axes, exchanged(check.reversed_axes))))
+        axes, also = one_of(check.reversed_axes), AXES_EXCHANGED if len(check.reversed_axes) > 1 else ""
+        judged.append(("wrong_sign", _WRONG_SIGN.format(axes, also)))
     if check.ambiguous:
         judged.append(("ambiguous", _AMBIGUOUS))
     judged += filter(None, (_scale(check), _scatter(check)))

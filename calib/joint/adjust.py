@@ -268,7 +268,7 @@ def _more_probable_place(optimum: Optimum, near: State, name: str, rounds: int) 
 
 
 def _with_certificate(end: _End, rounds: int) -> Optimum:
-    """Return the optimum, or that to which a fault of the certificate leads, if that is more probable.
+    """Return the most probable of the optimum, that to which a fault of the certificate leads, and that near the start.
 
     Without the certificate, what the views hardly determine can lead the state far away, and the fields follow it. So
     a certificate that they do not clearly contradict is held to from the start on before it is doubted.
@@ -281,12 +281,16 @@ def _with_certificate(end: _End, rounds: int) -> Optimum:
     certificate = problem.knowledge.witnesses[CERTIFICATE]
     alone = place.marginal.solve(place.fault_eta, faults)
     off = certificate.values - certificate.rows @ (place.state.shared + alone.step)
-    sigmas = np.sqrt(np.diag(certificate.rows @ alone.covariance @ certificate.rows.T))
+    sigmas = np.sqrt(
+        np.diag(certificate.rows @ alone.covariance @ certificate.rows.T + certificate.covariance)
+    )
     if float(np.abs(off / sigmas).max()) < _CLEARLY:
         with suppress(NotConverged, np.linalg.LinAlgError):
             held = _square_or_stretched(problem, start, rounds)
-            if odds_of(place, faults, held) < 1.0:
+            odds = odds_of(place, faults, held)
+            if odds < 1.0:
                 return replace(held, iterations=place.iterations + held.iterations)
+            return replace(place, fault_odds=min(odds, place.fault_odds))
     return place
 
 

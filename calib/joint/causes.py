@@ -211,7 +211,8 @@ def _of_gimbal(result: Calibration, stated: CalibrationOptions) -> tuple[Cause, 
             Cause(
                 kinds.REVERSED,
                 LARGEST_EVIDENCE,
-                axis=check.reversed_axes,
+                axis=kinds.one_of(check.reversed_axes),
+                beside=(kinds.EXCHANGED,) if len(check.reversed_axes) > 1 else (),
                 explains=(READINGS,),
             ),
         )

@@ -181,7 +181,8 @@ def posterior(modes: Modes, rounds: int, *, follow: bool = True) -> Posterior:
     """Return the posterior by the modes about an optimum, or about the most probable faults if these lead far from it.
 
     The equations at the state that such faults lead to say how much they count; the search of that state takes at most
-    ``rounds`` linearisations. They do not count if these equations lead far away again, or if ``follow`` is false.
+    ``rounds`` linearisations. They do not count if these equations lead far away again, or if ``follow`` is false. By
+    the equations of a fault's state, what is far away counts as they were compared when the fault was chosen.
     """
     optimum, nodes = modes.optimum, modes.nodes
     if optimum.fault_eta is not None and any(_holds(optimum, node) for node in nodes):

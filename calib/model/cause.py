@@ -6,14 +6,14 @@ run is shown quickly.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 #: Kinds that the views show (`calib.joint.causes`).
 TURNED, FOCUSED, SCALED = "camera turned in its mount", "focal length changed", "target of another scale"
 SLIPPED, ONE_POSE = "axis slipped", "one pose does not fit"
-REVERSED, AXIS_SCALE = "sign of an axis", "scale of an axis"
+REVERSED, EXCHANGED, AXIS_SCALE = "sign of an axis", "axes exchanged", "scale of an axis"
 #: The statement of the station that parallax contradicts (`calib.joint.knowledge`).
 PARALLAX: Final = "pupil and defocus"
 #: No odds are stated that are larger than these, 2 log: beyond them, no model of the errors is that good.
@@ -120,18 +120,19 @@ def _one_pose(cause: Cause) -> str:
     )
 
 
-def exchanged(axes: str) -> str:
-    """Return a sentence, after a space, on what readings cannot tell from a wrong sign of one of several axes.
+#: What readings cannot tell from a wrong sign of one of two axes: with a camera that is mounted a quarter turn further.
+AXES_EXCHANGED: Final = " Two axes whose cables or addresses are exchanged look the same."
 
-    Exchanged axes are that and a camera that is mounted a quarter turn further.
-    """
-    return " Two axes whose cables or addresses are exchanged look the same." if " or " in axes else ""
+
+def one_of(axes: Sequence[str]) -> str:
+    """Return names of axes after "the sign of"."""
+    return " or of ".join(axes)
 
 
 def _reversed(cause: Cause) -> str:
     return (
         f"The sign of {cause.axis} is wrong in the station file: with these readings, the camera would look backwards. "
-        f"Correct the sign, and run again.{exchanged(cause.axis)}"
+        f"Correct the sign, and run again.{AXES_EXCHANGED if EXCHANGED in cause.beside else ''}"
     )
 
 

@@ -8,7 +8,7 @@ from calib.diagnosis import gimbal_faults
 from calib.diagnosis.hand_eye import check_hand_eye
 from calib.diagnosis.hand_eye_verdict import HandEyeCheck, angle, angle_and_uncertainty
 from calib.errors import DegenerateViews, InputMismatch
-from calib.model.cause import REVERSED, Cause, cause_sentence
+from calib.model.cause import EXCHANGED, REVERSED, Cause, cause_sentence
 from calib.model.rotation import euler_zxy, exp_map
 
 
@@ -307,7 +307,9 @@ def test_exchanged_axes_are_told_with_a_wrong_sign_which_looks_the_same():
     found = check_hand_eye(rotations, np.eye(30) * 1e-10, readings, focal_uncertainty=4e-4)
     assert found.verdict.kind == "wrong_sign"
     assert "Two axes whose cables or addresses are exchanged look the same" in text_of(found)
-    assert "exchanged look the same" in cause_sentence(Cause(REVERSED, 50.0, axis="pan or of tilt"))
+    assert "exchanged look the same" in cause_sentence(
+        Cause(REVERSED, 50.0, axis="pan or of tilt", beside=(EXCHANGED,))
+    )
     assert "exchanged" not in cause_sentence(Cause(REVERSED, 50.0, axis="roll"))
 
 
