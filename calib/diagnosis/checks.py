@@ -9,7 +9,7 @@ the points and the principal point.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import combinations
+from itertools import combinations, pairwise
 
 import numpy as np
 
@@ -58,8 +58,8 @@ KNOWN_SIZES: tuple[Size, ...] = (
 _OUTSIDE_PX = 1.0
 #: Points that all lie within this are shares of the image: no target of four points is as small, px.
 _SHARES_PX = 2.0
-#: Places of one point of the target may differ by this share of its extent, as roundings do: a pitch is a hundredth.
-_SAME_PLACE = 1e-3
+#: Places of one point of the target may differ by this share of a pitch, beside whole columns and rows.
+_SAME_PLACE = 0.4
 #: A principal point this share of the width or height away from the middle is implausible.
 _FAR_FROM_MIDDLE = 0.15
 #: A size explains the views if its middle is within this share of the principal point ...
@@ -192,26 +192,27 @@ def _unit(ratio: float) -> str:
 
 
 def require_one_target(views: Sequence[View]) -> None:
-    """Refuse views in which one number names points at different places of the target."""
-    ids = np.concatenate([view.ids for view in views])
-    places = np.concatenate([view.target_mm for view in views])
-    names = [view.name for view in views for _ in view.ids]
-    if not ids.size:
-        return
-    order = np.argsort(ids, kind="stable")
-    apart = np.abs(np.diff(places[order], axis=0)).max(axis=1, initial=0.0)
-    wrong = np.flatnonzero((np.diff(ids[order]) == 0) & (apart > _SAME_PLACE * np.ptp(places)))
-    if wrong.size:
-        first, then = order[wrong[0]], order[wrong[0] + 1]
-        at = [
-            f"({x:g}, {y:g}) mm in view {name}"
-            for (x, y), name in zip(places[[first, then]], (names[first], names[then]), strict=True)
-        ]
-        raise InputMismatch(
-            f"On the target, point {ids[first]} is at {at[0]}, and at {at[1]}.",
-            remedy="Give each point of the target a number of its own, the same in every view. Check also that points"
-            " of the image and of the target are not exchanged.",
-        )
+    """Refuse views in which one number names points at different places of the target.
+
+    Numbers that are shifted by whole columns and rows in all of a view are found with the camera, and named then.
+    """
+    for view, other in pairwise(views):
+        _, here, there = np.intersect1d(view.ids, other.ids, return_indices=True)
+        if not here.size:
+            continue
+        apart = (other.target_mm[there] - view.target_mm[here]) / neighbours_of(view).spacing
+        wrong = np.abs(apart - np.round(np.median(apart, axis=0))).max(axis=1) > _SAME_PLACE
+        if wrong.any():
+            at = int(wrong.argmax())
+            places = [
+                f"({of.target_mm[k, 0]:g}, {of.target_mm[k, 1]:g}) mm in view {of.name}"
+                for of, k in ((view, here[at]), (other, there[at]))
+            ]
+            raise InputMismatch(
+                f"On the target, point {view.ids[here[at]]} is at {places[0]}, and at {places[1]}.",
+                remedy="Give each point of the target a number of its own, the same in every view. Check also that"
+                " points of the image and of the target are not exchanged.",
+            )
 
 
 def require_points_inside(views: Sequence[View]) -> None:

@@ -14,6 +14,8 @@ from typing import Any, Final
 TURNED, FOCUSED, SCALED = "camera turned in its mount", "focal length changed", "target of another scale"
 SLIPPED, ONE_POSE = "axis slipped", "one pose does not fit"
 REVERSED, EXCHANGED, AXIS_SCALE = "sign of an axis", "axes exchanged", "scale of an axis"
+#: What readings cannot tell from a wrong sign of one of two axes: with a camera that is mounted a quarter turn further.
+AXES_EXCHANGED: Final = " Two axes whose cables or addresses are exchanged look the same."
 #: The statement of the station that parallax contradicts (`calib.joint.knowledge`).
 PARALLAX: Final = "pupil and defocus"
 #: No odds are stated that are larger than these, 2 log: beyond them, no model of the errors is that good.
@@ -118,10 +120,6 @@ def _one_pose(cause: Cause) -> str:
         f"The pose '{cause.pose}' does not fit: its reading and its stars differ by {cause.size}{also}. Leave the pose "
         "out, or record it again."
     )
-
-
-#: What readings cannot tell from a wrong sign of one of two axes: with a camera that is mounted a quarter turn further.
-AXES_EXCHANGED: Final = " Two axes whose cables or addresses are exchanged look the same."
 
 
 def one_of(axes: Sequence[str]) -> str:
