@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera.event_arrays import Events, Triggers, empty_events, join_triggers
-from drivers.camera.evt3_kernel import MARGIN, add_events, run
+from drivers.camera.evt3_kernel import MARGIN, add_events, max_event_count, run
 from drivers.camera.evt3_state import S, StopReason, new_state
 from drivers.errors import RecordingCorrupt
 
@@ -129,8 +129,8 @@ class Evt3Decoder:
         """
         start = 0
         while start < len(words):
-            # Few words hold more events than one: then another piece takes the rest.
-            out = empty_events(max(min(max_events, len(words) - start + MARGIN), MARGIN))
+            most = min(max_events, max_event_count(words[start : start + max_events]) + MARGIN)
+            out = empty_events(max(most, MARGIN))
             stop = self._run(words, start, out)
             yield out.part(0, int(self._state[S.TAKEN])), self._copied_triggers()
             start = self._advance(words, start, stop)
