@@ -186,7 +186,7 @@ def posterior(modes: Modes, rounds: int, *, follow: bool = True) -> Posterior:
     """
     optimum, nodes = modes.optimum, modes.nodes
     if optimum.fault_eta is not None and any(_holds(optimum, node) for node in nodes):
-        return _mixture(modes, _as_compared(optimum, nodes))
+        return _mixture(modes, _limited_by_odds(optimum, nodes))
     undoubted = max((node for node in nodes if not node.faults), key=_weight)
     begins = (0.0, undoubted.solution.step)  # doubts hold where their amplitudes do without doubts
     far = [node for node in nodes if node.faults and not any(_holds(optimum, node, at) for at in begins)]
@@ -212,7 +212,7 @@ def posterior(modes: Modes, rounds: int, *, follow: bool = True) -> Posterior:
     return _mixture(modes, [*near, *lowered])
 
 
-def _as_compared(optimum: Optimum, modes: Sequence[Node]) -> list[Node]:
+def _limited_by_odds(optimum: Optimum, modes: Sequence[Node]) -> list[Node]:
     """Return modes by the equations of a fault's state. Far ones count no more than the fault's odds leave to them."""
     held = [mode for mode in modes if _holds(optimum, mode)]
     far = [mode for mode in modes if not _holds(optimum, mode)]

@@ -135,7 +135,7 @@ class ReadingState:
     """How far a file has been read, and what its events fill so far."""
 
     share: float = 0.0  # Of the file, 0 to 1
-    sides: tuple[int, int] = 0, 0  # Columns and rows up to the last that holds an event, px
+    filled_px: tuple[int, int] = 0, 0  # Width and height that the events need
     times_us: tuple[int, int] | None = None  # Of the first and the last event; None before any
     unknown_words: int = 0  # Number of words left out because EVT3 does not define their type
 

@@ -110,7 +110,7 @@ def convert(
         else:
             written = write_raw(opened, target, source=source, progress=progress)
         first_us, last_us = opened.state.times_us or (0, 0)
-        assumed = {**opened.assumed, **_too_large(choices, opened.state.sides)}
+        assumed = {**opened.assumed, **_too_large(choices, opened.state.filled_px)}
         return replace(written, span_us=last_us - first_us, assumed=assumed)
 
 

@@ -161,13 +161,13 @@ def _require_possible(events: Events, of: EventSource) -> None:
         raise _outside(x, y, of)
     if p > 1:
         raise UnreadableEvents(f"an event has the polarity {p}; 0 and 1 are possible.")
-    of.state.sides = max(of.state.sides[0], x + 1), max(of.state.sides[1], y + 1)
+    of.state.filled_px = max(of.state.filled_px[0], x + 1), max(of.state.filled_px[1], y + 1)
 
 
 def _checked(pieces: Iterator[Piece], of: EventSource) -> Iterator[Piece]:
     """Check that events lie on the sensor and follow each other, that none is missing, and the number of edges."""
     read = edges = 0
-    of.state.sides, of.state.times_us = (0, 0), None
+    of.state.filled_px, of.state.times_us = (0, 0), None
     unit = UnitCheck(of)
     for events, triggers in pieces:
         if len(events.t):
