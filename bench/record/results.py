@@ -295,7 +295,7 @@ class HalvesData(TypedDict):
     worst_px: float
     expected_px: float
     ratio: NotRequired[float]
-    cameras: NotRequired[Sequence[Numbers]]  # Of both halves
+    cameras: NotRequired[Sequence[Numbers]]  # Of both halves, in results of before
 
 
 class PoseData(TypedDict):

@@ -23,7 +23,6 @@ from bench.report.pictured_poses import pictured_poses, thinned
 from bench.report.pose_tables import courses
 from bench.report.residual_words import rim_text
 from bench.report.run_tables import left
-from bench.report.state_diagram import state_diagram
 from bench.report.verdict import change, verdict
 from bench.wording import numbers, parameters
 from bench.wording.numbers import NOTHING, moment, number, value_text
@@ -74,7 +73,7 @@ def render_report(data: ReportData) -> str:
 
 def _result_parts(results: Results, words: TargetWords) -> dict[str, Any]:
     """Return what the template prints about the calibration."""
-    calibration, halves = results["calibration"], results.get("halves")
+    calibration = results["calibration"]
     k = coverage_factor(calibration)
     return {
         "calibration": calibration,
@@ -99,7 +98,6 @@ def _result_parts(results: Results, words: TargetWords) -> dict[str, Any]:
             *run_tables.boresight_rows(results),
             *calibration_tables.checks(results),
         ],
-        "halves": bool(halves and halves.get("cameras")),
         "comparison": results.get("comparison") or [],
     }
 
@@ -121,7 +119,6 @@ def _run_parts(results: Results) -> dict[str, Any]:
         "deviations": run_tables.deviations(results),
         "holds": [str(hold) for hold in results.get("holds") or ()],
         "sources": results.get("sources") or [],
-        "walk": state_diagram(results["states"]) if results.get("states") else "",
     }
 
 

@@ -1,4 +1,4 @@
-"""Maps over the sensor as contours at round numbers: uncertainty, difference of halves, change since another result."""
+"""Maps over the sensor as contours at round numbers: uncertainty, change since another result."""
 
 from __future__ import annotations
 

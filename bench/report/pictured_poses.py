@@ -18,8 +18,7 @@ _WORST = 3  # Views that somebody looks at first
 _NOT_PASSED = ("fail", "marginal")
 
 PLOTS = (
-    "uncertainty", "direction", "halves", "distortion", "scene", "vectors", "radial", "coverage", "regions", "change",
-    "change_ratio",
+    "uncertainty", "direction", "distortion", "scene", "vectors", "coverage", "regions", "change", "change_ratio",
 )  # fmt: skip
 """Names of the plots in the template."""
 MOST_STARS = 12_000

@@ -22,18 +22,13 @@ from bench.report.pictured_poses import PLOTS, thinned
 from bench.report.pose_scene import pose_scene
 from bench.report.svg_plot import (
     INK,
-    PANEL,
     POSE_COLOURS,
     WIDE,
     Axes,
     Key,
-    Picture,
-    Words,
-    axes_in,
     painted,
     shade,
 )
-from bench.report.svg_scale import Scale
 from bench.wording.target_words import STARS, TargetWords, words_of
 from calib.model.result_parts import WORST_CORNER
 from calib.uncertainty.projection_uncertainty import (
@@ -45,7 +40,6 @@ from calib.uncertainty.projection_uncertainty import (
 Array = NDArray[np.float64]
 
 _REGIONS = (4, 3)  # Columns and rows, near the shape of sensors; each has stars enough for a mean
-_LENGTH_PERCENTILE = 99.5  # A few gross residuals must not make all others a dot
 _WIDE_ANGLE_DEG = 25.0  # From here a pixel at the rim is a fifth less angle than in the middle: cos^2
 
 
@@ -64,36 +58,6 @@ def residual_vectors(
         axes.strokes(detected, detected + magnification * residuals, colour, 1.0)
     _scale_bar(axes, image_size, magnification)
     return axes.picture.svg()
-
-
-def residual_radial(views: Sequence[ViewPicture], principal_point: tuple[float, float]) -> str:
-    """Draw the lengths of the residuals against the distance from the principal point (cx, cy), px."""
-    lengths, limit = _lengths(views)
-    radius = np.concatenate([np.linalg.norm(view.detected - principal_point, axis=1) for view in views])
-    running = _running_rms(radius, lengths)
-    words = Words(
-        ("Length of the residuals; the line is their RMS",),
-        "distance from the principal point, px",
-        "length, px",
-    )
-    about = (
-        f"Residuals are {running[0, 1]:.2g} px RMS in the middle and {running[-1, 1]:.2g} px RMS at the rim."
-    )
-    picture = Picture(*PANEL, "radial", "Residuals against the distance from the principal point", about)
-    axes = axes_in(picture, Scale(0.0, 1.03 * float(radius.max())), Scale(0.0, limit), words)
-    for colour, detected, shown in _by_colour(thinned(views)):
-        points = np.column_stack(
-            [np.linalg.norm(detected - principal_point, axis=1), np.linalg.norm(shown, axis=1)]
-        )
-        axes.dots(points[points[:, 1] <= limit], colour, 2.2, 0.6)
-    axes.line(running, INK, 1.6)
-    return picture.svg()
-
-
-def _lengths(views: Sequence[ViewPicture]) -> tuple[Array, float]:
-    """Return the lengths of all residuals, and the largest length that is drawn, px."""
-    lengths = np.concatenate([np.linalg.norm(view.residuals, axis=1) for view in views])
-    return lengths, 1.15 * max(float(np.percentile(lengths, _LENGTH_PERCENTILE)), 1e-6)
 
 
 def coverage(
@@ -171,13 +135,6 @@ def _scale_bar(axes: Axes, image_size: tuple[int, int], magnification: float) ->
     axes.picture.text(left - 5.0, y + 3.0, text, colour=INK, anchor="end")
 
 
-def _running_rms(radius: Array, lengths: Array) -> Array:
-    """Return mean radius and RMS length of groups of neighbours, as points of a line."""
-    order = np.argsort(radius, kind="stable")
-    groups = [group for group in np.array_split(order, max(1, min(14, len(order) // 12))) if len(group)]
-    return np.array([(radius[group].mean(), np.sqrt(np.mean(lengths[group] ** 2))) for group in groups])
-
-
 def _whole(size: Sequence[float]) -> Array:
     """Return the corners of a sensor, or of a part of it at its upper left, with pixel centres at integers."""
     right, bottom = size[0] - 0.5, size[1] - 0.5
@@ -230,7 +187,6 @@ def star_plots(results: Results, views: Sequence[ViewPicture]) -> dict[str, str]
     centre, words = (camera["cx"], camera["cy"]), words_of(results)
     return {
         "vectors": residual_vectors(views, (width, height), words),
-        "radial": residual_radial(views, centre),
         "coverage": coverage(views, (width, height), centre, words),
         "regions": regions(views, (width, height), words),
     }
@@ -262,14 +218,6 @@ def camera_plots(
         plots["direction"] = over_sensor(
             uncertainty.grid_px, scale * uncertainty.sigma_arcsec, f"U of a direction, {unit}",
             "direction", "Uncertainty of a direction over the sensor", stars=points,
-        )  # fmt: skip
-    halves = results.get("halves")
-    if halves and (cameras := halves.get("cameras")):
-        first, second = (camera_of(half, calibration["image_size"]) for half in cameras)
-        difference = camera_difference(first, second)
-        plots["halves"] = over_sensor(
-            difference.grid_px, np.linalg.norm(difference.offset_px, axis=2), "Difference of the halves, px",
-            "halves", "Difference between two halves of the poses", arrows=difference,
         )  # fmt: skip
     return plots
 

@@ -38,7 +38,7 @@ _CONTRADICTED = 2.5
 def split_half_check(views: Sequence[View], options: CalibrationOptions) -> HalvesData | None:
     """Calibrate every other pose and the rest separately; compare the projections of both cameras at infinity.
 
-    ``rms_px worst_px expected_px ratio cameras``; None with fewer than four views, or if a half determines no camera.
+    ``rms_px worst_px expected_px ratio``; None with fewer than four views, or if a half determines no camera.
     """
     try:
         split = split_half(views, options)
@@ -49,7 +49,6 @@ def split_half_check(views: Sequence[View], options: CalibrationOptions) -> Halv
         "worst_px": split.difference.worst_px,
         "expected_px": split.expected_px,
         "ratio": split.ratio,
-        "cameras": [half.camera.to_dict() for half in split.halves],
     }
 
 

@@ -25,7 +25,7 @@ from calib.adjustment.initialization import pose_start
 from calib.adjustment.levenberg_marquardt import refine
 from calib.adjustment.loss import Loss
 from calib.arrays import Array, Bools
-from calib.calibration import Calibration, CalibrationOptions
+from calib.calibration import CalibrationOptions
 from calib.engine import calibrate
 from calib.errors import DegenerateViews
 from calib.model.camera import PINHOLE, CameraModel, require_image_size
@@ -302,9 +302,8 @@ def _seen_from(camera: CameraModel, moved: Array, inverse: Array, limit: float) 
 
 @dataclass(frozen=True)
 class SplitHalf:
-    """Two calibrations of one camera, and their difference at infinity."""
+    """How two calibrations of one camera differ, at infinity."""
 
-    halves: tuple[Calibration, Calibration]
     difference: CameraDifference
     # Root mean square difference over the sensor that their uncertainties let expect, px.
     expected_px: float
@@ -329,7 +328,7 @@ def split_half(views: Sequence[View], options: CalibrationOptions | None = None)
     first, second = (calibrate(views[begin::2], _every_other(options, begin)) for begin in (0, 1))
     maps = [projection_uncertainty(half.camera, half.camera_covariance).sigma_px for half in (first, second)]
     expected = float(np.sqrt(np.nanmean(maps[0] ** 2 + maps[1] ** 2)))
-    return SplitHalf((first, second), camera_difference(first.camera, second.camera), expected)
+    return SplitHalf(camera_difference(first.camera, second.camera), expected)
 
 
 def _every_other(options: CalibrationOptions | None, begin: int) -> CalibrationOptions | None:

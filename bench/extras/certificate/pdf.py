@@ -69,18 +69,16 @@ _PLAIN_FROM, _PLAIN_TO = 1e-4, 1e7  # Outside, zeros are counted more easily as 
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _OTHER = ("application/octet-stream", "supplement", "Supplement to this certificate")
 
-PLOTS = ("uncertainty", "direction", "coverage", "vectors", "radial", "regions", "distortion", "halves")
-"""Names of the plots, in their order; the directions only of a wide lens, the halves only of many poses."""
+PLOTS = ("uncertainty", "direction", "coverage", "vectors", "regions", "distortion")
+"""Names of the plots, in their order; the directions only of a wide lens."""
 _WIDE = frozenset({"vectors"})
 _CAPTIONS = {
     "uncertainty": "Expanded uncertainty U of an image point over the sensor.",
     "direction": "Expanded uncertainty U of the direction that belongs to a pixel.",
     "coverage": "Stars of all poses on the sensor. The results are extrapolated where no star supports them.",
     "vectors": "Residual of each star at its place on the sensor, magnified.",
-    "radial": "Length of the residuals against the distance from the principal point.",
     "regions": "RMS residual and number of stars for each region of the sensor.",
     "distortion": "Radial displacement by the lens against the field angle, with its expanded uncertainty.",
-    "halves": "Difference between the cameras from two halves of the poses.",
 }
 
 

@@ -31,7 +31,7 @@ def test_result_uncertainty_poses_and_gates_are_on_the_page_and_the_rest_is_fold
         assert re.search(f"<h[23][^>]*>{heading}</h", folded), heading
     assert html.count("<details") == 1
     assert page.count('class="plot"') <= 7
-    assert folded.count('class="plot"') >= 4
+    assert folded.count('class="plot"') >= 3
 
 
 def residuals(*, rim_px, middle_px=0.1, stars=400):

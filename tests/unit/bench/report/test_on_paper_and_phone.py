@@ -23,7 +23,7 @@ FLAGS = (
 )
 CUT = """() => [...document.querySelectorAll('main *')].filter(e => {
   const r = e.getBoundingClientRect();
-  return r.width > 0 && r.right > innerWidth + 1 && !e.closest('.wide, .walk-scroll, svg');
+  return r.width > 0 && r.right > innerWidth + 1 && !e.closest('.wide, svg');
 }).map(e => e.outerHTML.slice(0, 80))"""
 SCROLLS = """() => [...document.querySelectorAll('.wide')].filter(e =>
   e.scrollWidth > e.clientWidth + 1 && getComputedStyle(e).overflowX === 'visible').length"""

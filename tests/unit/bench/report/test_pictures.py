@@ -1,19 +1,14 @@
-"""The report's pictures and plots show stars, residuals and states where and as they are."""
+"""The report's pictures and plots show stars and residuals where and as they are."""
 
 import re
-from itertools import pairwise
 
 import cv2
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from report_sample import SMALL
 
 from bench.measure.view_picture import ViewPicture
 from bench.report.plots import residual_vectors
-from bench.report.state_diagram import state_diagram
-from tests.unit.bench.report.structure import Structure
 
 
 def test_each_pose_is_pictured_with_its_stars_where_they_are(data, html):
@@ -70,21 +65,3 @@ def test_residuals_are_drawn_from_the_star_in_their_direction():
     (right,) = [s for s in strokes if s[2] > s[0] + 1 and abs(s[3] - s[1]) < 0.1]
     (down,) = [s for s in strokes if s[3] > s[1] + 1 and abs(s[2] - s[0]) < 0.1]
     assert right[2] - right[0] == pytest.approx(2 * (down[3] - down[1]), rel=0.02)
-
-
-@given(st.lists(st.sampled_from(["homing", "slewing", "settling", "<b>"]), max_size=12))
-def test_any_walk_can_be_drawn(names):
-    states = [{"state": name, "utc": f"2026-03-01T12:00:{i:02d}Z"} for i, name in enumerate(names)]
-    svg = state_diagram(states)
-    found = Structure(svg)
-    assert (found.wrong, found.open) == ([], [])
-    assert found.tags.count("rect") == len(set(names))
-    assert svg.count('class="edge"') == len(set(pairwise(names)))
-
-
-def test_a_walk_tells_how_often_and_how_long():
-    names = ["slewing", "recording", "slewing", "recording", "solving"]
-    states = [{"state": name, "utc": f"2026-03-01T12:00:{2 * i:02d}Z"} for i, name in enumerate(names)]
-    texts = re.findall(r"<text[^>]*>([^<]*)</text>", state_diagram(states))
-    assert texts.count("\N{MULTIPLICATION SIGN}2, 4.0 s") == 2
-    assert "\N{MULTIPLICATION SIGN}2" in texts

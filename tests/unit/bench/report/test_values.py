@@ -13,7 +13,7 @@ from report_sample import COLLIMATOR, SIGMA, SMALL, TRUE
 from bench.record.stored_calibration import camera_of
 from bench.report.html import ReportData, render_report
 from bench.wording.numbers import with_uncertainty
-from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
+from calib.uncertainty.projection_uncertainty import projection_uncertainty
 from tests.support.printed_text import printed_text
 
 
@@ -117,14 +117,6 @@ def test_the_uncertainty_of_a_direction_is_drawn_from_the_covariance(data, html)
     covariance = np.array(calibration["covariance"]["matrix"])[:6, :6]
     found = projection_uncertainty(camera_of(calibration["camera"], SMALL), covariance)
     assert shown_of(html, "U of an image point") == [f"{2 * found.worst_px:.2g}"]
-
-
-def test_beside_it_stands_how_far_halves_of_the_poses_lie_apart(data, html):
-    first, second = (camera_of(half, SMALL) for half in data.results["halves"]["cameras"])
-    worst = camera_difference(first, second).worst_px
-    assert shown_of(html, "Difference of the halves") == [f"{worst:.2g}"]
-    alone = {name: part for name, part in data.results.items() if name != "halves"}
-    assert "Difference of the halves" not in render_report(ReportData(alone, data.views))
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-9, 1e5))

@@ -237,7 +237,7 @@ class TestPlots:
         points = np.random.default_rng(1).uniform((0, 0), (1279, 719), (80, 2))
         views = [ViewPicture("pose", None, points, points + 0.1, np.arange(80))]
         plots = draw_plots(sample_results(), views)
-        assert set(plots) == {"uncertainty", "coverage", "vectors", "radial", "regions", "distortion"}
+        assert set(plots) == {"uncertainty", "coverage", "vectors", "regions", "distortion"}
         shown = pictures(full_certificate(), plots)
         assert [one["name"] for one in shown] == [name for name in PLOTS if name in plots]
         assert all("0.46 px" in one["alt"] and "boresight" not in one["alt"] for one in shown)
