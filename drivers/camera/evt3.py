@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.event_arrays import Events, Triggers, empty_events, join_triggers
-from drivers.camera.evt3_kernel import MARGIN, add_events, max_event_count, run
+from drivers.camera.event_arrays import Events, Triggers, empty_events, empty_triggers, join_triggers
+from drivers.camera.evt3_kernel import MARGIN, add_events, run
 from drivers.camera.evt3_state import S, StopReason, new_state
 from drivers.errors import RecordingCorrupt
 
@@ -26,6 +26,8 @@ GAPS_KEPT: Final = 64
 """Number of gaps whose times are kept; further gaps are only counted."""
 
 _TRIGGERS_AT_ONCE: Final = 4096
+_ROOM: Final = 1.25
+"""Room for the events of words, times the number that as many words before them held; counting them first takes longer."""
 _COUNTED_AT_ONCE: Final = 1 << 14
 """Number of events that are decoded at once where they are only counted: these stay in the processor's caches."""
 
@@ -121,19 +123,23 @@ class Evt3Decoder:
         self._where = where
         self._edges = np.empty((_TRIGGERS_AT_ONCE, 3), np.int64)
         self._passing = empty_events(0)
+        self._room_a_word = 1.0
 
     def decode(self, words: Words, *, max_events: int = 1_000_000) -> Iterator[tuple[Events, Triggers]]:
         """Decode words, (N,) uint16, in pieces of at most ``max_events`` events, of which 32 is the least.
 
         At a malformed word, it first yields what came before, then raises `RecordingCorrupt`.
         """
-        start = 0
+        start = events = 0
+        room = MARGIN + int(self._room_a_word * len(words))
         while start < len(words):
-            most = min(max_events, max_event_count(words[start : start + max_events]) + MARGIN)
-            out = empty_events(max(most, MARGIN))
+            out = empty_events(max(min(room, max_events), MARGIN))
             stop = self._run(words, start, out)
-            yield out.part(0, int(self._state[S.TAKEN])), self._copied_triggers()
+            taken = int(self._state[S.TAKEN])
+            yield out.part(0, taken), self._copied_triggers()
             start = self._advance(words, start, stop)
+            events, room = events + taken, 2 * room
+        self._room_a_word = _ROOM * events / max(len(words), 1)
 
     def decode_into(self, words: Words, events: Events, at: int) -> tuple[int, Triggers]:
         """Decode words, (N,) uint16, into the caller's arrays from index ``at``; return the index after the last event.
@@ -189,7 +195,10 @@ class Evt3Decoder:
 
     def _copied_triggers(self) -> Triggers:
         """Return a copy of the trigger edges of the last run."""
-        t, value, channel = self._edges[: self._state[S.TAKEN_EDGES]].T
+        n = int(self._state[S.TAKEN_EDGES])
+        if not n:
+            return empty_triggers(0)  # as nearly always, and quicker than copies
+        t, value, channel = self._edges[:n].T
         return Triggers(t.copy(), value.astype(np.uint8), channel.astype(np.uint8))
 
     def _advance(self, words: Words, start: int, stop: int) -> int:
