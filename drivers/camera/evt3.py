@@ -27,7 +27,7 @@ GAPS_KEPT: Final = 64
 
 _TRIGGERS_AT_ONCE: Final = 4096
 _ROOM: Final = 1.25
-"""Room for the events of words, times the number that as many words before them held; counting them first takes longer."""
+"""Room for the events of words, over the number that as many words before them held; to count them takes longer."""
 _COUNTED_AT_ONCE: Final = 1 << 14
 """Number of events that are decoded at once where they are only counted: these stay in the processor's caches."""
 
