@@ -72,63 +72,19 @@ _CALCULATES = {
     **dict.fromkeys(("verify", "calibrate", "check", "passport", "rig"), ("stars",)),
 }
 """Parts with compiled loops that a command uses (`bench.base.kernel_cache.PARTS`)."""
-_RENAMED = {
-    "recalibrate": "calibrate RUN... --each",
-    "hold": "tell RUN hold",
-    "release": "tell RUN release",
-    "skip": "tell RUN skip",
-    "abort": "tell RUN abort",
-    "answer": "tell RUN yes` or `starbench tell RUN no",
-    "batch run": "batch QUEUE -o FOLDER",
-    "batch add": "tell FOLDER add JOB",
-    "batch withdraw": "tell FOLDER withdraw NAME",
-    "batch summary": "status FOLDER --summary",
-    "ledger check": "ledger",
-    "ledger explain": "ledger --explain TEXT",
-    "ledger forget-place": "ledger --forget PLACE --reason TEXT",
-    "keys list": "keys show",
-    "certificate list": "certificate show",
-    "certificate amend": "certificate issue FOLDER --reason TEXT",
-    "runs --chart": "history charts",
-    "runs --compare": "history agreement",
-    "runs --capability": "history capability",
-    "runs --output": "history table -o FILE",
-    "passport seal": "passport show FILE --seal NEW",
-    "target draw": "target -s STATION -o FILE",
-    "target show": "target -s STATION",
-}
-"""Commands of earlier versions, and what does their work now."""
 _GONE = {
     "compare": "The comparison of methods is a benchmark now: `make table1` in the source folder.",
+    "study": "The check of the stated uncertainties is a benchmark now: `make coverage` in the source folder.",
     "certificate check": "`starbench verify` checks a certificate of Starbench; xmllint and xmlsec1 check any digital "
     "certificate (docs/certificates.md).",
     "certificate from-dcc": "Copy focal length, uncertainty and number of the certificate into the station file "
     "(docs/stations.md#collimator).",
-    "study": "The check of the stated uncertainties is a benchmark now: `make coverage` in the source folder.",
-    "passport certificate": "Copy focal length, uncertainty and number of the certificate into the station file "
-    "(docs/stations.md#collimator).",
-    "station --name": "Change the name in the new station file.",
-    **dict.fromkeys(
-        ("target --focal-length-mm", "target --r-mm", "target --pixel-um"),
-        "State `expected` and the collimator in the station file (docs/target.md).",
-    ),
-    **dict.fromkeys(
-        ("calibrate --guard-band", "calibrate --readings"),
-        "A calibration of a run takes this from the step `solve` of its sequence (docs/sequences.md).",
-    ),
-    "calibrate --image": "The sequence of a run says which kind of event image is made. For other files it is `auto`.",
-    "calibrate --no-seal": "Results that are written are sealed; without --output they are only printed.",
-    "rig --passport": "Calibrate each camera alone with it, from other views, and name the results: "
-    "`starbench rig FIRST SECOND --calibration`.",
-    "rig --views": "Name two folders that hold only the views to use.",
-    "undistort --board": "`starbench check PHOTOS --calibration RUN --board BOARD` says whether the calibration is "
-    "right.",
-    "align --set": "Change the station file; light and biases can also be set on the page.",
-    **dict.fromkeys(
-        ("align --token-file", "panel --token-file"), "Put the token into the variable STARBENCH_PAGE_TOKEN."
-    ),
+    "runs --chart": "`runs --chart` is now `starbench history charts`.",
+    "runs --compare": "`runs --compare` is now `starbench history agreement`.",
+    "runs --capability": "`runs --capability` is now `starbench history capability`.",
+    "runs --output": "`runs --output` is now `starbench history table -o FILE`.",
 }
-"""Commands and options of earlier versions that nothing replaces, and where their work is done."""
+"""Commands and options that left, and where their work is done (docs/decisions/0058)."""
 
 
 class LazyCommands(click.Group):
@@ -146,11 +102,9 @@ class LazyCommands(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """See `click.Group.resolve_command`. A name of an earlier version is refused with what replaces it."""
+        """See `click.Group.resolve_command`. What left is refused with where its work is done."""
         options = [f"{args[0]} {word.partition('=')[0]}" for word in args[1:] if word.startswith("--")]
         for words in (" ".join(args[:2]), *options, args[0]):
-            if words in _RENAMED:
-                raise click.UsageError(f"`{words}` is now `starbench {_RENAMED[words]}`.", ctx)
             if words in _GONE:
                 raise click.UsageError(_GONE[words], ctx)
         return super().resolve_command(ctx, args)

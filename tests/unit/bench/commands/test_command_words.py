@@ -319,22 +319,14 @@ def test_a_home_folder_that_cannot_be_written_gets_a_hint_to_choose_another(caps
 @pytest.mark.parametrize(
     ("words", "where"),
     [
-        (("recalibrate", "runs/"), "is now `starbench calibrate RUN... --each`."),
-        (("hold", "runs/cam7"), "is now `starbench tell RUN hold`."),
-        (("batch", "add", "runs/night", "job.yaml"), "is now `starbench tell FOLDER add JOB`."),
-        (("keys", "list"), "is now `starbench keys show`."),
-        (("passport", "seal", "p.json"), "is now `starbench passport show FILE --seal NEW`."),
         (("runs", "--chart", "fx"), "is now `starbench history charts`."),
         (("compare", "table1"), "`make table1`"),
         (("study", "--runs", "9"), "`make coverage`"),
-        (("passport", "certificate", "--radius", "255"), "docs/stations.md#collimator"),
-        (("calibrate", "runs/cam7", "--guard-band=0.8"), "the step `solve` of its sequence"),
-        (("panel", "--token-file", "token"), "STARBENCH_PAGE_TOKEN"),
         (("certificate", "check", "dcc.xml"), "xmllint"),
         (("certificate", "from-dcc", "dcc.xml"), "station file"),
     ],
 )
-def test_a_command_of_an_earlier_version_is_refused_with_where_its_work_is_done(say, words, where):
+def test_a_command_that_left_is_refused_with_where_its_work_is_done(say, words, where):
     status, out, err = say(*words)
     assert (status, out) == (2, "")
     assert where in err
