@@ -18,6 +18,7 @@ from bench.plan.camera_values import (
     CALIBRATE_ANEW,
     LENS,
     LONGEST_NAME,
+    is_like_a_lens,
     plain_name,
     states_a_matrix,
 )
@@ -35,7 +36,7 @@ _PAIRS = (("left", "right"), ("l", "r"))
 """Before or after each name of a camera; both are there."""
 _OF_VIKIT = ("d0", "d1", "d2", "d3", "d4")
 """Coefficients of vikit, of which the last one may be missing."""
-_MATRICES = re.compile("(camera)?(intrinsics?|matrix|parameters|params)|projectionparameters|k")
+_MATRICES = re.compile("(camera)?(intrinsics?|matrix|parameters|params)|projectionparameters|pinhole|k")
 _WORDS = re.compile(r"[A-Za-z][A-Za-z _.-]{3,}\d?")  # no list of numbers, nor one of NaN
 _FOUR_ELSEWHERE = (set(_FOUR), {"mu", "mv", "u0", "v0"}, {"fx", "fy", "ppx", "ppy"})
 _MODELS_WITH_COEFFICIENTS = ("distortionmodel", "lensmodel", "distmodel")
@@ -71,7 +72,7 @@ class _Layout:
 
 
 def _of_matlab(values: dict[str, Any]) -> dict[str, Any]:
-    """Return MATLAB's cameraParameters: height before width, matrix in either order, 2 or 3 radial coefficients."""
+    """Return MATLAB's camera: height before width, matrix in either order, 2 or 3 radial coefficients or a fisheye."""
     matrix = numbers_of("the camera matrix", values.pop("k", values.pop("intrinsicmatrix", [])))
     if "focallength" in values:
         focal, middle = values.pop("focallength"), values.pop("principalpoint")
@@ -82,21 +83,33 @@ def _of_matlab(values: dict[str, Any]) -> dict[str, Any]:
     else:
         fx, skew, cx, _, fy, cy, *_ = matrix
         values.setdefault("skew", skew)
-    radial = numbers_of("RadialDistortion", values["radialdistortion"])
-    tangential = numbers_of("TangentialDistortion", values.get("tangentialdistortion", [0.0, 0.0]))
+    lens: dict[str, Any] = {"distortionmodel": "fisheye"}  # of cameraIntrinsicsKB
+    if "radialdistortion" in values:
+        radial = numbers_of("RadialDistortion", values.pop("radialdistortion"))
+        tangential = numbers_of("TangentialDistortion", values.pop("tangentialdistortion", [0.0, 0.0]))
+        coefficients = [*radial[:2], *tangential, *radial[2:]]
+        lens = {"distortioncoefficients": coefficients, "distortionmodel": "plumb_bob"}
     return values | {
         **dict(zip(_FOUR, (fx, fy, cx, cy), strict=True)),
-        "distortioncoefficients": [*radial[:2], *tangential, *radial[2:]],
         "imagesize": numbers_of("the size of the image", values["imagesize"])[::-1],
-        "distortionmodel": "plumb_bob",
+        **lens,
     }
+
+
+_BEYOND_OPENCV = ("k4", "p3", "p4")
+"""Metashape's coefficients of r^8, and of the growth of the tangential terms."""
 
 
 def _of_metashape(values: dict[str, Any]) -> dict[str, Any]:
     """Return Metashape's camera: p1 and p2 interchanged, principal point from the middle, affinity b1 and b2."""
     if values["projection"] != "frame":
         raise OtherForm(
-            f"the lens model {str(values['projection'])[:LONGEST_NAME]!r} is not read", CALIBRATE_ANEW
+            f"Metashape's projection {str(values['projection'])[:LONGEST_NAME]!r} is not read", CALIBRATE_ANEW
+        )
+    if beyond := [name for name in _BEYOND_OPENCV if any(numbers_of(name, values.pop(name, 0.0)))]:
+        raise OtherForm(
+            f"Metashape's coefficient {beyond[0]} is a term that OpenCV's lens has not",
+            "In Metashape keep K4, P3 and P4 at zero, optimize the camera again, and save it.",
         )
     names = ("f", "width", "height", "cx", "cy", "b1", "b2", "p1", "p2")
     f, width, height, cx, cy, b1, b2, p1, p2 = (numbers_of(name, values.pop(name, 0.0))[0] for name in names)
@@ -149,6 +162,7 @@ _LAYOUTS = (
     _Layout("pycolmap", frozenset({"params", "width", "height"}), change=_of_pycolmap),
     _Layout("aniposelib", frozenset({"matrix", "distortions", "size"}), {"matrix": "cameramatrix"}),
     _Layout("MATLAB", frozenset({"RadialDistortion", "ImageSize"}), {}, _ONE_PX, _of_matlab),
+    _Layout("MATLAB", frozenset({"DistortionCoefficients", "ImageSize", "K"}), {}, _ONE_PX, _of_matlab),
     _Layout("Metashape", frozenset({"projection", "f", "width"}), {}, _HALF_PX, _of_metashape),
     _Layout("PhotoScan", frozenset({"projection", "fx", "skew", "k1"}), change=_of_photoscan),
     _Layout(
@@ -175,7 +189,12 @@ def cameras_of(content: Values) -> dict[str, Values]:
     cameras = _numbered(values) | _of_basalt(values)
     if cameras:
         return cameras
-    shared = {key: value for key, value in values.items() if not isinstance(value, Mapping | list)}
+    # Coefficients may stand beside the camera's part of a file.
+    shared = {
+        key: value
+        for key, value in values.items()
+        if is_like_a_lens(key) or not isinstance(value, Mapping | list)
+    }
     for name, part, is_listed in _parts(content):
         below = cameras_of(part) or ({"": plain(part)} if re.fullmatch(r"cam\d+", name) else {})
         for own_name, camera in below.items():

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ast
 import codecs
+import configparser
 import json
 import re
 import struct
@@ -16,6 +17,7 @@ from typing import Any
 from xml.etree import ElementTree as ET
 
 from bench.base.bounded_json import parse_json
+from drivers.camera.file_kinds import in_place_of_file
 from sequences.yaml_text import MOST_BYTES, parse
 
 _MOST_LEVELS = 40  # Far above camera files; a hostile one ends here
@@ -38,7 +40,7 @@ _BINARY = {
     b"\x89PNG": "a picture (PNG)",
     b"\xff\xd8\xff": "a picture (JPEG)",
     b"#ROSBAG": "a ROS bag",
-    b"SQLite": "a ROS 2 bag (SQLite)",
+    b"SQLite": "a database (SQLite), such as a ROS 2 bag or COLMAP's",
     b"\x89MCAP": "a ROS 2 bag (MCAP)",
 }
 WRITE_OPENCV = (
@@ -48,7 +50,8 @@ _AS_TEXT = {
     b"MATLAB": 'In MATLAB write it as text: writelines(jsonencode(toStruct(cameraParams)), "camera.json").',
     b"% ": "",
     b"#ROSBAG": "Give what `rostopic echo -n 1` prints of its camera_info.",
-    b"SQLite": "Give what `ros2 topic echo --once` prints of its camera_info.",
+    b"SQLite": "Give what `ros2 topic echo --once` prints of camera_info, or the cameras.txt of COLMAP's model.",
+    b"\x1f\x8b": "Unpack it first.",
     b"\x89MCAP": "Give what `ros2 topic echo --once` prints of its camera_info.",
 }
 """How a camera in such a file is written as text, if not by OpenCV."""
@@ -66,7 +69,6 @@ _TOOLBOX = re.compile(r"^(\w+)\s*=\s*\[?([-+.\deE;\s]+)\]?;", re.MULTILINE)
 _OF_MATLAB = re.compile(rb"^\w+\s*=\s*\[", re.MULTILINE)
 """A line of a file of MATLAB, whose comments begin as a recording does."""
 _TOML = re.compile(r"\A(?:\s|#.*\n)*(?:\[[\w. \"'-]+\]\s*$|\w+\s*=)", re.MULTILINE)
-_ONLY_NUMBERS = re.compile(r"[-+]?\d[-+.\deE]*(?:[,\s]+[-+]?\d[-+.\deE]*)+")
 _OTHER_TEXTS = {
     **dict.fromkeys(
         ("Camera-system parameters", "\nReprojection error (cam0)"),
@@ -86,6 +88,10 @@ _OTHER_TEXTS = {
     ),
     'Intrinsic of "': ("it is what rs-enumerate-devices prints of a RealSense", WRITE_OPENCV),
     "# hugin project file": ("it is a project of Hugin", WRITE_OPENCV),
+    "ParGroup: Cam": ("it is a camera of HALCON, whose lenses are others than OpenCV's", WRITE_OPENCV),
+    **dict.fromkeys(
+        ("np.array(", "array([["), ("it is Python code, or a print of numpy's arrays", WRITE_OPENCV)
+    ),
     "<fov_video ": ("it is a calibration of Qualisys, which counts in 1/64 px", WRITE_OPENCV),
     "#polynomial coefficients": ("it is a fisheye of OCamCalib (Scaramuzza)", WRITE_OPENCV),
 }
@@ -97,6 +103,7 @@ _NUMBERS = re.compile(r"\[([-+.\deE,\s]*)\]")
 _NOT_A_NUMBER = re.compile(r"\.(nan|inf)", re.IGNORECASE)  # as YAML writes it
 _NO_BLANK = re.compile(r"^([ \t]*[\w.]+):(?=[^\s:])", re.MULTILINE)
 """A name and its value without a blank between, which OpenCV's FileStorage reads, as in ORB-SLAM2's own files."""
+_TAB = re.compile(r"(?<=[^\s#])\t+")  # behind a name, which yaml-cpp reads
 _BETWEEN = re.compile(r"[][,;]")  # as numpy and MATLAB print an array
 _SEPARATOR = re.compile(r"^(?:---|\.\.\.)(?:[ \t].*)?$", re.MULTILINE)
 #: Lines of a message of ROS that differ although the camera is the same.
@@ -135,11 +142,6 @@ def values_of(data: bytes) -> tuple[str, list[dict[str, Any]]]:
     for is_syntax, syntax, read in _SYNTAXES:
         if is_syntax(text):
             return syntax, [read(text)]
-    if _ONLY_NUMBERS.fullmatch(text):
-        raise OtherForm(
-            "it holds numbers without names, as calib.txt of the RPG data sets does: fx fy cx cy k1 k2 p1 p2 k3",
-            WRITE_OPENCV,
-        )
     return "YAML", _yaml(text)
 
 
@@ -149,16 +151,25 @@ def _toolbox(text: str) -> dict[str, Any]:
 
 
 def _toml(text: str) -> dict[str, Any]:
-    """Read TOML, and INI whose values are numbers."""
+    """Read TOML, and INI, whose lists may have blanks between their numbers."""
     if len(text) > MOST_BYTES:
         raise OtherForm("it is too large for a camera")
     try:
         return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        raise OtherForm(f"it is no complete TOML: {str(error)[:80]}", WRITE_OPENCV) from None
+        if text.count("[") != text.count("]"):  # it is torn
+            raise OtherForm(f"it is no complete TOML: {str(error)[:80]}", WRITE_OPENCV) from None
+    ini = configparser.ConfigParser(interpolation=None)
+    try:
+        ini.read_string(f"[{ini.default_section}]\n{text}")
+    except configparser.Error:
+        raise OtherForm("it is no complete TOML, and no INI", WRITE_OPENCV) from None
+    return {name: dict(ini[name]) for name in ini.sections()} or dict(ini.defaults())
 
 
 def _text(data: bytes) -> str:
+    if in_place := in_place_of_file(data):
+        raise OtherForm(f"it is {in_place[0]}", in_place[1])
     for begin, what in _BINARY.items():
         if data.startswith(begin) and not (begin == b"% " and _OF_MATLAB.search(data)):
             raise OtherForm(f"it is {what}, which is not read as a camera", _AS_TEXT.get(begin, WRITE_OPENCV))
@@ -166,7 +177,7 @@ def _text(data: bytes) -> str:
     try:
         text = data.decode(codec)
     except UnicodeDecodeError:
-        raise OtherForm("it is no text in UTF-8") from None
+        raise OtherForm("it is no text in UTF-8", "Write it again as UTF-8.") from None
     if "\0" in text:
         raise OtherForm("it is a binary file", WRITE_OPENCV)
     return text.replace("\r\n", "\n").strip()
@@ -197,6 +208,11 @@ def _python(text: str) -> dict[str, Any]:
 def _mapping(document: Any) -> dict[str, Any]:
     if isinstance(document, list) and document and all(isinstance(element, dict) for element in document):
         return {"camera": document}
+    if isinstance(document, str):
+        raise OtherForm(
+            "it holds words or numbers without names, as calib.txt of the RPG data sets and camera.txt of DSO do",
+            WRITE_OPENCV,
+        )
     if not isinstance(document, dict):
         raise OtherForm("it holds no names with values")
     return {str(name): value for name, value in document.items()}
@@ -207,7 +223,7 @@ def _yaml(text: str) -> list[dict[str, Any]]:
     if "tag:yaml.org,2002:python/object" in text or "!!python/object" in text:
         raise OtherForm("it is a dump of Python objects, such as numpy arrays", WRITE_OPENCV)
     spaced = _NO_BLANK.sub(r"\1: ", text) if text.startswith("%YAML:") else text
-    body = _TIMES.sub("", _NUMBERS.sub(_as_text, re.sub(r"\A%YAML.*", "", spaced)))
+    body = _TIMES.sub("", _NUMBERS.sub(_as_text, re.sub(r"\A%YAML.*", "", _TAB.sub(" ", spaced))))
     lines, documents = 1, dict[str, int]()
     for document in _SEPARATOR.split(body):
         documents.setdefault(document.strip(), lines + document.count("\n") - document.lstrip().count("\n"))

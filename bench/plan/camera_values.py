@@ -6,7 +6,7 @@ Coefficients have names, or the order of their lens model.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final, Literal
 
@@ -44,6 +44,8 @@ LENS = re.compile(
 """Names of the coefficients of a lens."""
 _LIKE_A_LENS = re.compile(".*(dist(?!an)|coef|radial|tangential|lens)")
 """Names that may be those of coefficients."""
+_BESIDE = re.compile(".*(prism|tilt|radial|tangential)")
+"""Names of those that some programs write beside the others."""
 _MODEL = re.compile(
     "(distortion|dist|lens|camera|cam|projection|calibration|usefisheye|fisheye)?model(type)?"
     "|(distortion|dist|lens|camera|projection)type|(use|is)?fisheye"
@@ -95,6 +97,7 @@ _TYPES = {
     "doublesphere",
     "ucm",
     "eucm",
+    "unifiedprojection",
     "fov",
     "atan",
 }
@@ -112,14 +115,13 @@ _ASK_ORDER = "Give --lens brown for the first order. For the other, give each it
 
 def camera_of_values(values: Values, family: LensFamily | None) -> CameraModel:
     """Return the camera of one set of values."""
-    matrix, four_more = _matrix(values)
     model, names = _stated_lens(values)
+    matrix, four_more = _matrix(values)
     stated = _distortion(values, four_more, is_fisheye=names is FISHEYE or family == "fisheye")
-    if stated is None:
-        _require_no_coefficients(
-            values, may_be_without="program" in values or names == () or _is_rectified(values)
-        )
-        stated = []
+    _require_no_more(values, is_like_a_lens if stated is None else _BESIDE.match)
+    if stated is None and not ("program" in values or names == () or _is_rectified(values)):
+        _require_no_lens(values)
+    stated = stated or []
     if family is not None:
         if names is not None and (names is FISHEYE) != (family == "fisheye"):
             raise OtherForm(f"its lens model is {model}, not {family}", "Leave out --lens.")
@@ -161,24 +163,32 @@ def _skew_px(values: Values, of_matrix_px: float) -> float:
     return of_matrix_px or skews[0]
 
 
-def _require_no_coefficients(values: Values, *, may_be_without: bool) -> None:
-    """Raise OtherForm if a file must state coefficients, or has some under a name that is not known."""
+def is_like_a_lens(name: str) -> bool:
+    """Return whether a plain name may be that of coefficients."""
+    return bool(LENS.fullmatch(name) or _LIKE_A_LENS.match(name))
+
+
+def _require_no_more(values: Values, is_of_lens: Callable[[str], object]) -> None:
+    """Raise OtherForm if numbers have a name that may be one of coefficients, but is not known."""
     for name, value in values.items():
-        if (LENS.fullmatch(name) or _LIKE_A_LENS.match(name)) and _holds_numbers(value):
+        if is_of_lens(name) and _holds_numbers(value):
             raise OtherForm(
                 f"{name[:LONGEST_NAME]!r} may be distortion coefficients, but is no name or form of theirs",
                 "Write them as distortion_coefficients, in the order k1 k2 p1 p2 k3.",
             )
-    if not may_be_without and "alpha" in values:
+
+
+def _require_no_lens(values: Values) -> None:
+    """Raise OtherForm, because a file must state coefficients."""
+    if "alpha" in values:
         raise OtherForm(
             "it states alpha and no distortion coefficients, as a unified camera (UCM, EUCM) does, which is not read",
             CALIBRATE_ANEW,
         )
-    if not may_be_without:
-        raise OtherForm(
-            "it states no distortion coefficients",
-            "Add distortion_coefficients; zeros are without distortion.",
-        )
+    raise OtherForm(
+        "it states no distortion coefficients",
+        "Add distortion_coefficients; zeros are without distortion.",
+    )
 
 
 def _holds_numbers(value: Any) -> bool:

@@ -23,7 +23,7 @@ _SAME = 1e-6
 _TIMES = re.compile("[xX*]")
 """Between width and height: 1280x720."""
 _SIZES = (
-    "imagesize", "imgsize", "resolution", "imagersize", "imageresolution", "cameraresolution", "imagedimension",
+    "imagesize", "imgsize", "resolution", "imagersize", "imageresolution", "cameraresolution", "imagedimension", "dim",
 )  # fmt: skip
 _SIZES_OF_ANYTHING = ("size", "dimensions")
 _SIDES_OF_ANYTHING = ("cols", "rows")
@@ -82,7 +82,9 @@ def size_of_values(values: Values) -> tuple[int, int]:
     sizes = {name: numbers_of("the size of the image", value) for name, value in words.items()}
     sides = agreed("the size of the image", sizes)
     if len(sides) != 2 or any(side != int(side) for side in sides):
-        raise OtherForm("the size of the image is not a width and a height")
+        raise OtherForm(
+            "the size of the image is not a width and a height", "Write image_width and image_height, px."
+        )
     return int(sides[0]), int(sides[1])
 
 

@@ -23,6 +23,15 @@ _AS_NPZ: Final = "Save its columns with NumPy: an .npz file of t (us), x, y and 
 _AS_UTF8: Final = "Write it again as UTF-8."
 _OLD_AEDAT: Final = "Starbench reads AEDAT4; iniVation's program DV writes it from older files."
 _UNPACK: Final = "Unpack it first."
+_IN_PLACE: Final = (
+    (
+        rb"version https://git-lfs",
+        "a pointer of Git LFS, not the file itself",
+        "Fetch the file: git lfs pull",
+    ),
+    (rb"\s*<(?:!doctype )?html", "a web page", "Download the file itself, on GitHub by `Raw`."),
+)
+"""What a download leaves in place of a file."""
 _OTHERS: Final = (
     (b"% Data file containing", "a DAT file", ""),
     (b"\x89HDF", "an HDF5 file", ""),
@@ -69,12 +78,19 @@ def unread_picture(start: bytes, ending: str = "") -> tuple[str, str] | None:
     return None
 
 
+def in_place_of_file(start: bytes) -> tuple[str, str] | None:
+    """Return what a download has left in place of the file, and what to do; None if it is a file."""
+    return next(
+        ((what, remedy) for begin, what, remedy in _IN_PLACE if re.match(begin, start, re.IGNORECASE)), None
+    )
+
+
 def kind_of_file(start: bytes, ending: str = "") -> tuple[str, str]:
     """Return what a file is that is no RAW file, and what to do with it, or ""."""
     if not start:
         return "empty", ""
-    if picture := unread_picture(start, ending):
-        return picture
+    if known := unread_picture(start, ending) or in_place_of_file(start):
+        return known
     for begin, what, remedy in _OTHERS:
         if start.startswith(begin):
             return what, remedy

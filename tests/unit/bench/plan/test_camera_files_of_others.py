@@ -371,14 +371,15 @@ def test_what_is_not_read_is_refused_with_its_real_cause(tmp_path, text, why):
         (b"\x93NUMPY\x01\x00v\x00", "numpy", "FileStorage"),
         (b"PK\x03\x04\x14\x00", "numpy's .npz", "FileStorage"),
         (b"\x80\x04\x95\x00", "pickle", "FileStorage"),
-        (b"\x1f\x8b\x08\x00", "compressed", "FileStorage"),
+        (b"\x1f\x8b\x08\x00", "compressed", "Unpack"),
+        (b"SQLite format 3\x00", "COLMAP's", "cameras.txt"),
         (b"% evt 3.0\n% end\n\x00\x80", "recording", ""),
         (b"\x89PNG\r\n\x1a\n", "picture", "FileStorage"),
         (b"\x89HDF\r\n", "HDF5", "FileStorage"),
         (b"#ROSBAG V2.0\n", "ROS bag", "rostopic echo"),
         (b"\x00\x01\x02\x03", "binary", "FileStorage"),
         (b" " * 20_000_001, "at most 20000000 bytes", ""),
-        ("Brennweite für 3".encode("latin-1"), "UTF-8", ""),
+        ("Brennweite für 3".encode("latin-1"), "UTF-8", "as UTF-8"),
     ],
 )  # fmt: skip
 def test_a_file_that_is_no_text_is_named_as_what_it_is_with_the_way_to_its_camera(tmp_path, data, why, way):

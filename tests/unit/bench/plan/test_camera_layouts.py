@@ -31,6 +31,12 @@ def lines(values, before="", sign=":"):
     return "".join(f"{before}{name}{sign} {value}\n" for name, value in values.items())
 
 
+def xml(values):
+    return (
+        f"<calibration>{''.join(f'<{name}>{value}</{name}>' for name, value in values.items())}</calibration>"
+    )
+
+
 def basalt(camera_type, intrinsics):
     """Basalt's calibration.json (basalt-headers, cereal), as TUM-VIE publishes it."""
     one = {"camera_type": camera_type, "intrinsics": {**FOUR, **intrinsics}}
@@ -80,6 +86,10 @@ TOOLBOX = (
     f"%-- Distortion coefficients:\nkc = [ {' ; '.join(map(str, D5))} ];\n\n"
     "%-- Focal length uncertainty:\nfc_error = [ 0.5 ; 0.6 ];\n\n%-- Image size:\nnx = 1280;\nny = 720;\n"
 )
+#: Metashape, the XML of one calibration.
+METASHAPE = {"projection": "frame", **SIDES, "f": FY, "cx": 4.7, "cy": -1.6}
+#: BoofCV, CalibrationIO: t1 and t2 are OpenCV's p1 and p2.
+BOOFCV = {"model": "pinhole_radial_tangential", "pinhole": {**FOUR, **SIDES, "skew": 0.0}}
 #: aniposelib, calibration.toml.
 ANIPOSE = (
     f'[cam_0]\nname = "A"\nsize = [ 1280, 720,]\nmatrix = {K}\ndistortions = {D5}\nrotation = [ 0.0, 0.0, 0.0,]\n\n'
@@ -134,6 +144,10 @@ BROWN = {
     "MATLAB, IntrinsicMatrix": ({**MATLAB, "IntrinsicMatrix": np.array(MATLAB_K).T.tolist()}, D5),
     "MATLAB, two coefficients": ({**MATLAB, "RadialDistortion": [K1, K2], "K": MATLAB_K}, D5[:4]),
     "toolbox for MATLAB": (TOOLBOX, D5),
+    "a tab behind a name": (lines({"camera_matrix": K, "image_size": [*SIZE], "D": D5}).replace(": ", ":\t"), D5),
+    # mrpt::img::TCamera
+    "MRPT": (f"[CAMERA_PARAMS]\nresolution=[1280 720]\n{lines(FOUR, sign='=')}dist=[{' '.join(map(str, D5))}]\n", D5),
+    "coefficients beside the camera": ({"color": {**FOUR, **SIDES, "ppx": CX, "ppy": CY}, "distortion_coeffs": D5}, D5),
     # Coco-LIC, config/r3live/camera.yaml
     "vikit with five coefficients": (
         f"{YAML}image_width: 1280\nimage_height: 720\n" + lines({**FOUR, **{f"d{at}": value for at, value in enumerate(D5)}}, "cam_"), D5,
@@ -209,6 +223,10 @@ FISHEYES = {
     "OKVIS 2": okvis("equidistant", FISHEYE),
     "nerfstudio": {**{name: value for name, value in NERFSTUDIO.items() if name not in NAMED}, **KANNALA_BRANDT, "camera_model": "OPENCV_FISHEYE"},
     "aniposelib": ANIPOSE.replace(str(D5), str(FISHEYE)).replace("rotation", "fisheye = true\nrotation"),
+    # cameraIntrinsicsKB
+    "MATLAB": {"K": MATLAB_K, "DistortionCoefficients": FISHEYE, "ImageSize": [720, 1280]},
+    # scripts around cv2.fisheye
+    "DIM": {"DIM": SIZE, "K": K, "D": [[value] for value in FISHEYE], "model": "fisheye"},
 }  # fmt: skip
 
 
@@ -364,6 +382,20 @@ def test_cameras_with_numbers_state_their_size_by_number_too(text):
 
 
 DOUBTFUL = {
+    "omni of Kalibr with its five numbers": (lines({"camera_model": "omni", "intrinsics": [1.2, *FOCAL_AND_CENTRE], "resolution": SIZE}), "'omni'"),
+    "unified projection of maplab": ({"type": "unified-projection", "intrinsics": [1.2, *FOCAL_AND_CENTRE], **SIDES}, "'unified-projection'"),
+    "k4 of Metashape": (xml({**METASHAPE, "k1": K1, "k4": 0.1}), "Metashape's coefficient k4"),
+    "p3 of Metashape": (xml({**METASHAPE, "k1": K1, "p3": 0.1}), "Metashape's coefficient p3"),
+    "fisheye of Metashape": (xml({**METASHAPE, "projection": "fisheye"}), "Metashape's projection 'fisheye'"),
+    "thin prism beside": ({**LISTS, "distortion_coefficients": D5, "thin_prism": [0.004, -0.003]}, "'thinprism' may be"),
+    "tangential beside": ({**LISTS, "distortion_coefficients": [K1, K2, 0.0, 0.0, K3], "tangential": [P1, P2]}, "'tangential' may be"),
+    "a lens beside the camera": ({"color": {**FOUR, **SIDES, "ppx": CX, "ppy": CY}, "lens": {"radial": [K1, K2]}}, "'lens' may be"),
+    "BoofCV": ({**BOOFCV, "radial_tangential": {"radial": [K1, K2], "t1": P1, "t2": P2}}, "'radialtangential' may be"),
+    "camera.txt of DSO": (f"FOV {lines({1280: 720}, sign='')}0.53 0.67 0.49 0.5 0.9\ncrop\n640 480\n", "numbers without names"),
+    "HALCON": ('ParGroup: Cam: Parameter\n    "Internal camera parameters";\n  Focus:foc: 0.008;\n', "HALCON"),
+    "numpy's print": (f"{{'mtx': array([[{FX}, 0., {CX}]])}}", "numpy's arrays"),
+    "a web page": ("<!DOCTYPE html>\n<html><body>Raw</body></html>", "a web page"),
+    "a pointer of Git LFS": ("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 12\n", "Git LFS"),
     "a pinhole with coefficients of an unknown name": ({**LISTS, "camera_model": "pinhole", "distortion_coefficents": D5}, "distortioncoefficents"),
     "a pinhole with radial coefficients": ({**LISTS, "camera_model": "pinhole", "radial": [K1, K2]}, "'radial'"),
     "a pinhole with a lens below": ({**LISTS, "camera_model": "pinhole", "lens": {"k1": K1}}, "'lens'"),
@@ -395,10 +427,7 @@ DOUBTFUL = {
         "# iKalibr\nConfigor:\n  DataStream:\n    CameraTopics:\n      - key: /cam\n        value:\n          Intrinsics: a.yaml\n",
         "names the files of its cameras",
     ),
-    "PhotoScan before 1.2": (
-        f"<calibration>{''.join(f'<{name}>{value}</{name}>' for name, value in {'projection': 'frame', **SIDES, **FOUR, 'skew': 0, 'k1': K1}.items())}</calibration>",
-        "PhotoScan before 1.2",
-    ),
+    "PhotoScan before 1.2": (xml({"projection": "frame", **SIDES, **FOUR, "skew": 0, "k1": K1}), "PhotoScan before 1.2"),
     "Meshroom's cameras.sfm": (
         {"version": ["1", "2", "3"], "intrinsics": [{"type": "radial3", "initializationMode": "estimated", "focalLength": "4.3", "principalPoint": ["-3.5", "12.2"]}]},
         "AliceVision",
