@@ -77,6 +77,7 @@ def test_the_view_and_the_shift_are_named(place, shift):
     assert named_shift(views) == {(f"pose-{place + 1:03d}", *shift)}
 
 
+@pytest.mark.slow  # a dozen searches
 def test_the_right_view_is_named_where_a_shift_of_another_would_explain_much():
     views = bench(5, count=5)
     views[0] = misnamed(views[0], 2, 0)
