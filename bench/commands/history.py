@@ -248,7 +248,7 @@ def _verdict_lines(group: ChartGroupData) -> list[str]:
 
 def _told(group: ChartGroupData) -> dict[str, Any]:
     """Return a group as ``--json`` prints it: without the values of every run."""
-    long = {"values", "sigmas", "expanded", "ranges", "ewma"}
+    long = {"values", "sigmas", "expanded", "ewma"}
     charts = [
         {name: value for name, value in chart.items() if name not in long} for chart in group["parameters"]
     ]

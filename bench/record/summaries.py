@@ -147,17 +147,13 @@ class DriftData(TypedDict):
 
 
 class LimitsData(TypedDict):
-    """Chart of individuals and of moving ranges; places count from 0."""
+    """Chart of individuals; places count from 0."""
 
     lower: float
     upper: float
     centre: float  # Mean of the baseline
     sigma: float  # Its short-term standard deviation: mean moving range over `bench.extras.history.statistics.D2`
     beyond: Sequence[int]  # Places of the values beyond the limits
-    ranges: Sequence[float]  # |x_i - x_(i-1)|, one less than values
-    range_mean: float
-    range_upper: float
-    ranges_beyond: Sequence[int]  # Places of the values too far from the value before
     baseline: int
 
 

@@ -1,4 +1,4 @@
-"""The five pictures of one parameter: values, moving ranges, EWMA, drift with time, drift with temperature.
+"""The four pictures of one parameter: values, EWMA, drift with time, drift with temperature.
 
 Each run shows its stated expanded uncertainty.
 """
@@ -35,7 +35,7 @@ def pictures(chart: ChartData, group: ChartGroupData) -> list[str]:
     """Draw one parameter of a group as SVG elements; with too few runs, only the values."""
     drawn = [_values(chart, group)]
     if has_limits(chart):
-        drawn += [_ranges(chart, group), _averages(chart, group)]
+        drawn.append(_averages(chart, group))
     if (by_day := chart["drift"]["per_day"]) is not None:
         drawn.append(_over_time(chart, group, by_day))
     if (by_c := chart["drift"]["per_c"]) is not None:
@@ -57,19 +57,6 @@ def _values(chart: ChartData, group: ChartGroupData) -> str:
         if chart["baseline"] < len(runs):
             axes.upright(chart["baseline"] + 0.5, "limits from here back")
     axes.dots(runs, values, _texts(chart, group), chart["beyond"] if has_limits(chart) else ())
-    return axes.svg()
-
-
-def _ranges(chart: LimitedChart, group: ChartGroupData) -> str:
-    places = list(range(2, len(chart["values"]) + 1))
-    values = [0.0, *chart["ranges"], chart["range_upper"]]
-    axes = Chart(_titled("Moving ranges", chart), [1, places[-1]], values, _dates(group))
-    _join(axes, places, chart["ranges"])
-    upper, _ = with_uncertainty(chart["range_upper"], chart["sigma"] or 1.0)
-    axes.rule(chart["range_upper"], f"≤ {upper}")
-    axes.rule(chart["range_mean"], "mean", dashed=False)
-    texts = [f"{group['runs'][p - 1]['run']}: {r:.6g}" for p, r in zip(places, chart["ranges"], strict=True)]
-    axes.dots(places, chart["ranges"], texts, [place - 1 for place in chart["ranges_beyond"]])
     return axes.svg()
 
 

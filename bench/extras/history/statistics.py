@@ -25,12 +25,8 @@ Array = NDArray[np.float64]
 
 D2 = 2.0 / math.sqrt(math.pi)
 """Mean of the range of two normal values, in standard deviations: 1.128 in the published tables."""
-_D3 = math.sqrt(2.0 - 4.0 / math.pi)
-"""Standard deviation of this range: 0.853."""
 E2 = 3.0 / D2
 """Distance of the limits of individuals from the centre, in mean moving ranges: 2.660."""
-D4 = 1.0 + 3.0 * _D3 / D2
-"""Upper limit of moving ranges, in mean moving ranges: 3.267. The lower limit is 0."""
 EWMA_WEIGHT = 0.2
 EWMA_LIMIT = 2.86
 """With `EWMA_WEIGHT`, one false alarm in 370 runs on average, as with three sigma (Crowder, J. Quality Technology 21
@@ -57,15 +53,15 @@ _GOOD, _CONDITIONAL = 10.0, 30.0
 
 
 def individuals(values: Sequence[float], baseline: int | None = None) -> LimitsData:
-    """Compute the chart of individuals and moving ranges of at least two finite values in the order of time.
+    """Compute the chart of individuals of at least two finite values in the order of time.
 
     Montgomery, Introduction to Statistical Quality Control, section 6.4; ISO 7870-2. The standard deviation comes from
     the moving ranges of two, so a shift or a slow drift of the mean hardly widens the limits. They come from the first
     ``baseline`` values; all where None.
 
     >>> chart = individuals([10.0, 12.0, 11.0, 13.0])
-    >>> [round(chart[name], 4) for name in ("centre", "range_mean", "upper", "range_upper")]
-    [11.5, 1.6667, 15.9311, 5.4442]
+    >>> [round(chart[name], 4) for name in ("centre", "sigma", "upper")]
+    [11.5, 1.477, 15.9311]
     """
     x = np.asarray(values, float)
     first = len(x) if baseline is None else max(2, min(baseline, len(x)))
@@ -79,10 +75,6 @@ def individuals(values: Sequence[float], baseline: int | None = None) -> LimitsD
         "centre": centre,
         "sigma": range_mean / D2,
         "beyond": _places((x < lower - slack) | (x > upper + slack)),
-        "ranges": ranges.tolist(),
-        "range_mean": range_mean,
-        "range_upper": D4 * range_mean,
-        "ranges_beyond": tuple(place + 1 for place in _places(ranges > D4 * range_mean + slack)),
         "baseline": first,
     }
 
