@@ -47,7 +47,7 @@ def test_a_picture_that_is_not_read_is_named_with_the_way_out(tmp_path, name):
     [
         (b"\0\0\0\x18ftypheic" + bytes(200), "a HEIC picture"),
         (b"", "empty"),
-        (b"<html>not found</html>", "a text file"),
+        (b"<html>not found</html>", "a web page"),
     ],
 )
 def test_a_file_with_the_ending_of_another_format_is_named_as_what_it_is(tmp_path, content, why):
