@@ -26,7 +26,7 @@ from bench.solve.point_files import read_point_file
 from calib.boards.board import Board
 from calib.errors import InputMismatch, TargetNotFound, TooFewStars
 from calib.view import View
-from drivers.camera.file_kinds import kind_of_file, unread_picture
+from drivers.camera.file_kinds import in_place_of_file, kind_of_file, unread_picture
 from drivers.errors import DriverError, RecordingCorrupt, RecordingFileError
 from sequences.schema import ImageKind
 from sequences.script import RecordStep
@@ -409,7 +409,7 @@ def _other_contents(path: Path) -> tuple[str, str]:
     if not path.is_file():
         return "", ""
     start = _start(path)
-    what, remedy = unread_picture(start) or (kind_of_file(start)[0], "")
+    what, remedy = unread_picture(start) or in_place_of_file(start) or (kind_of_file(start)[0], "")
     return (f"The file is {what}.", remedy) if remedy or what in {"empty", "a text file"} else ("", "")
 
 
