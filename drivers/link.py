@@ -148,10 +148,14 @@ def _disagreement(what: str, where: str) -> ReplyGarbled:
 
 
 class ReplyReader:
-    """Reads the reply to one request, whole within ``deadline_s``, for ``read_reply``; this thread holds the line."""
+    """Reads the reply to one request, whole within ``deadline_s``, for ``read_reply``; this thread holds the line.
 
-    def __init__(self, link: Link, deadline_s: float) -> None:
+    ``unknown`` is the request, if the device does not know it should it be silent: it has just answered another one.
+    """
+
+    def __init__(self, link: Link, deadline_s: float, unknown: bytes = b"") -> None:
         self._link = link
+        self._unknown = unknown
         self._deadline_s = deadline_s
         self._deadline = Deadline(deadline_s, link.name)
 
@@ -183,20 +187,16 @@ class ReplyReader:
             longer_s += max(left_s, 0.0)
         have = self._link.unread
         cut = f"; only {have[:40]!r} came" if have else ""
+        what, remedy = f"no complete reply within {self._deadline_s:g} s{cut}", self._link.SILENT_REMEDY
         late_s = self._deadline.starved_s()
         if late_s:
-            raise ReplyTimeout(
-                f"no complete reply within {self._deadline_s:g} s{cut}; {busy_text(late_s)}.",
-                where=self._link.name,
-                remedy=BUSY_REMEDY,
-                late_s=late_s,
+            what, remedy = f"{what}; {busy_text(late_s)}", BUSY_REMEDY
+        elif self._unknown and not have:
+            what += f", after the request {self._unknown[:40]!r}; another one was answered just before"
+            remedy = (
+                "The line works: check that the station file names the right driver, model and addresses."
             )
-        raise ReplyTimeout(
-            f"no complete reply within {self._deadline_s:g} s{cut}.",
-            where=self._link.name,
-            remedy="Check that the device is switched on, and that the station file has its port, its baud rate, and"
-            " the addresses of a chain.",
-        )
+        raise ReplyTimeout(f"{what}.", where=self._link.name, remedy=remedy, late_s=late_s)
 
 
 class Link(ABC):
@@ -208,6 +208,10 @@ class Link(ABC):
     terminator: bytes = b"\n"
     """End of a line that the device sends."""
     GARBLED_REMEDY: ClassVar[str] = "Check the cable, the port and the baud rate."
+    SILENT_REMEDY: ClassVar[str] = (
+        "Check that the device is switched on, and that the station file has its port, its baud rate, and"
+        " the addresses of a chain."
+    )
     reply_s: float = 1.0
     """Longest time for a whole reply, unless an exchange has its own, in seconds; most of it is for a busy computer."""
     quiet_s: float = 0.05
@@ -223,6 +227,7 @@ class Link(ABC):
         self._buffer = bytearray()
         self._in_step = True
         """Whether the next reply belongs to the next request, as far as is known."""
+        self._proven = False  # Whether the device has just answered the marker of ``prove_in_step``
         self.connections = 1
         """How often the port was opened."""
         self._urgent = False
@@ -304,14 +309,16 @@ class Link(ABC):
         self, request: bytes, read_reply: Callable[[ReplyReader], T], deadline_s: float | None
     ) -> T:
         with self.lock:
+            self._proven = False
             self.bring_into_step()
+            unknown = request if self._proven else b""
             if deadline_s is None:
                 deadline_s = self.reply_s if self._urgent_reply_s is None else self._urgent_reply_s
             in_step_before = self._in_step
             # Whatever ends this exchange early, an interrupt included, leaves a reply unread.
             self._in_step = False
             self.write(request)
-            reply = read_reply(ReplyReader(self, deadline_s))
+            reply = read_reply(ReplyReader(self, deadline_s, unknown))
             self._in_step = in_step_before
             return reply
 
@@ -420,6 +427,7 @@ class Link(ABC):
                 continue
             followed = silence_after and not self.is_filler(self.drain())
             if expected and not followed:
+                self._proven = True
                 return
         raise ReplyGarbled(failed, where=self.name, remedy=remedy)
 

@@ -176,7 +176,10 @@ class DescribedLine(Link):
                 raise DeviceRefused(
                     f"the device refuses '{request}': {meaning or text}{raw}.",
                     where=self.name,
-                    remedy="Check the limits and ranges in the station file and in the device's description.",
+                    remedy="Check the limits and ranges in the station file and in the device's description."
+                    if values.keys() - {"address"}
+                    else "Check that the description is that of this model and firmware, and that the device is free"
+                    " to do it.",
                 )
         assert exchange.reply is not None
         match = exchange.reply.match(text, known)

@@ -38,6 +38,8 @@ _AFTER_ALARM_S = 2.0
 _WAKE_RESETS = 4
 """The firmware pauses for 0.5 s after an alarm, and then forgets a reset that came meanwhile; so it is sent again."""
 
+_SHOWN = 60  # Most bytes of an answer in a message
+_FIRMWARES = "The firmware must be Grbl 1.1, grblHAL or FluidNC; Grbl 0.9 reports otherwise, as Marlin, Smoothie and TinyG do."
 _CLEAR_ALARM = (
     "Clear the cause (move the axis off its limit switch, release the emergency stop), then home the stage."
 )
@@ -119,10 +121,22 @@ class GrblController(Link):
                 remedy=_CLEAR_ALARM,
             )
         if self.restarts == restarts:
+            self._require_silence()
             raise ReplyTimeout(
                 "the board does not answer, and a reset brings no welcome message.",
                 where=self.name,
                 remedy="Check that the board is switched on, its cable, and that the station file has its baud rate.",
+            )
+
+    def _require_silence(self) -> None:
+        """Refuse a device that answers the end of a line, as no mute board does: another firmware, or another rate."""
+        self.write(b"\n")
+        self.receive(self.reply_s)
+        if heard := self.drain():
+            raise ReplyGarbled(
+                f"the device answers {heard[:_SHOWN]!r}, and no status report.",
+                where=self.name,
+                remedy=f"{_FIRMWARES} Check the port and the baud rate, too.",
             )
 
     def start_homing(self) -> None:
@@ -219,7 +233,7 @@ class GrblController(Link):
                 raise ReplyGarbled(
                     f"{line[:80]!r} came instead of a status report.",
                     where=self.name,
-                    remedy="The firmware must be Grbl 1.1, grblHAL or FluidNC; Grbl 0.9 reports otherwise."
+                    remedy=_FIRMWARES
                     if line.startswith(b"<") and line.rstrip().endswith(b">")
                     else "Check the cable.",
                 )
@@ -328,8 +342,15 @@ class GrblController(Link):
     def _read_to_error(self, reader: ReplyReader) -> None:
         """Read until an error comes: the answers to older lines come first."""
         response = None
-        while response is None or not response.code:
-            response = grbl_protocol.parse_response(reader.read_line())
+        try:
+            while response is None or not response.code:
+                response = grbl_protocol.parse_response(reader.read_line())
+        except ReplyTimeout as error:
+            if response is None or error.late_s:
+                raise
+            raise ReplyGarbled(
+                "the board answers ok to a line that is no command.", where=self.name, remedy=_FIRMWARES
+            ) from error
 
     def _read_single_ok(self, reader: ReplyReader) -> None:
         line = reader.read_line()

@@ -27,6 +27,9 @@ from drivers.wire_log import WireLog
 HOST: Final = 0x01  # Address of the computer
 UNIT: Final = 0x50
 """Address of a controller with its own USB port."""
+_RACKS: Final = frozenset({0x11, *range(0x21, 0x2B)})
+"""Addresses of a controller with bays, and of its bays."""
+_NO_BAYS: Final = "BSC20x and BBD20x, such as those of an HDR50, do not work: use a controller of one axis."
 CHANNEL: Final = 1  # Controllers of one axis have this one alone
 HEAD_SIZE: Final = 6  # Bytes of a message without data
 _LONG: Final = 0x80  # Bit of the destination: data follow the head
@@ -236,6 +239,12 @@ def long(message: int, data: bytes) -> bytes:
 def size(head: bytes, where: str) -> int:
     """Return the size, bytes, of the message with these first six bytes; else raise `ReplyGarbled`."""
     _, length, destination, source = struct.unpack("<HHBB", head)
+    if source in _RACKS and destination & ~_LONG in {0, HOST}:
+        raise DeviceRefused(
+            f"a controller with bays answers (address {source:#x}), which this driver does not know.",
+            where=where,
+            remedy=_NO_BAYS,
+        )
     if destination & ~_LONG not in {0, HOST} or source != UNIT:
         raise _garbled(f"{head.hex(' ')} came, which is not from a controller to this computer.", where)
     if not destination & _LONG:
@@ -288,6 +297,7 @@ class ThorlabsController(AxisController):
     reported against the latest command, in words. An unknown model is refused.
     """
 
+    SILENT_REMEDY = f"Check that the controller is switched on, and its port. {_NO_BAYS}"
     reply_s = 0.5
 
     def __init__(self, port: Port, *, clock: Clock, wire_log: WireLog | None = None) -> None:

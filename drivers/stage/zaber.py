@@ -26,6 +26,9 @@ from drivers.stage.zaber_protocol import Reply
 from drivers.wire_log import WireLog
 
 _MARKER_S = 0.5
+_MESSAGE_IDS = 100
+_ANSWERED_ALREADY = frozenset({1, _MESSAGE_IDS - 1})
+"""Ids, against that of a request, of the request before it and of the marker between the two."""
 SPEED_UNITS = 1.6384
 """maxspeed = 1.6384 x microsteps/s (ASCII Protocol Manual, setting maxspeed)."""
 ACCELERATION_UNITS = 1.6384e-4
@@ -43,11 +46,16 @@ class ZaberChain(Link):
     ``devices`` are the addresses that this driver uses; others in the chain are stopped by ``stop_all`` only.
     """
 
+    SILENT_REMEDY = (
+        f"{Link.SILENT_REMEDY} A device that was set to the binary protocol (9600 baud) stays silent: set it to ASCII"
+        " with Zaber Launcher."
+    )
+
     def __init__(
         self, port: Port, devices: Collection[int], *, clock: Clock, wire_log: WireLog | None = None
     ) -> None:
         self._devices = sorted(set(devices))
-        self._ids = itertools.cycle(range(100))
+        self._ids = itertools.cycle(range(_MESSAGE_IDS))
         super().__init__(port, clock=clock, wire_log=wire_log)
 
     def take_unsolicited(self, line: bytes) -> bool:
@@ -140,6 +148,13 @@ class ZaberChain(Link):
             line = reader.read_line()
             reply = zaber_protocol.parse_reply(line, self.name, without_checksum=not strict)
             if (reply.device, reply.axis, reply.message_id) != (device, axis, message_id):
+                if (reply.message_id - message_id) % _MESSAGE_IDS in _ANSWERED_ALREADY:
+                    raise ReplyGarbled(
+                        f"a second answer to one request came from device {reply.device}.",
+                        where=self.name,
+                        remedy="Two devices of the chain may have this address, as they come from the factory: send"
+                        " 'renumber', then correct the addresses in the station file.",
+                    )
                 raise ReplyGarbled(
                     f"the answer to another request came: {reply}.",
                     where=self.name,

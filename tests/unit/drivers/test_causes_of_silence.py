@@ -1,0 +1,106 @@
+"""Devices that answer otherwise than the driver's family: the message names that, and does not blame the cable."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+
+import pytest
+
+from drivers.errors import DeviceRefused, DriverError, ReplyTimeout
+from drivers.light import LightSettings
+from drivers.light.scpi import ScpiLight
+from drivers.stage.thorlabs_controller import INFORMATION_LAYOUT, ThorlabsController
+from drivers.stage.zaber import ZaberStage
+from tests.hil.direct_stages import VirtualClock
+from tests.unit.drivers.grbl_bench import Bench as GrblBench
+from tests.unit.drivers.zaber_bench import Bench as ZaberBench
+from tests.unit.drivers.zaber_bench import axes
+
+pytestmark = pytest.mark.usefixtures("never_late")
+
+
+class OtherDevice:
+    """A port at which each piece of bytes is answered as a function says."""
+
+    name = "other"
+
+    def __init__(self, clock: VirtualClock, answer: Callable[[bytes], bytes]) -> None:
+        self.clock, self.answer = clock, answer
+        self.ready = b""
+
+    def write(self, data: bytes) -> None:
+        self.ready += self.answer(data)
+
+    def read(self, timeout_s: float) -> bytes:
+        data, self.ready = self.ready, b""
+        self.clock.sleep(0.0 if data else timeout_s)
+        return data
+
+    def close(self) -> None:
+        """Close nothing."""
+
+
+def answers_lines(answer: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
+    """Return what answers each whole line."""
+    held = [b""]
+
+    def receive(data: bytes) -> bytes:
+        *lines, held[0] = (held[0] + data).split(b"\n")
+        return b"".join(map(answer, lines))
+
+    return receive
+
+
+@pytest.mark.parametrize(
+    ("firmware", "told"),
+    [
+        (answers_lines(lambda line: b'echo:Unknown command: "' + line + b'"\nok\n'), "answers ok"),  # Marlin
+        (answers_lines(lambda _line: b'{"r":{},"f":[1,0,5,9123]}\n'), '"r":{}'),  # TinyG
+        (answers_lines(lambda _line: b"ERROR\r\n"), "ERROR"),  # a modem
+    ],
+)
+def test_another_firmware_in_the_place_of_grbl_is_told_by_its_answer(firmware, told) -> None:
+    bench = GrblBench()
+    bench.line = OtherDevice(bench.clock, firmware)
+    with pytest.raises(DriverError) as caught:
+        bench.open()
+    assert told in caught.value.what
+    assert "Grbl 1.1" in caught.value.remedy
+
+
+def test_two_zaber_devices_with_one_address_are_told() -> None:
+    """All devices have the address 1 when they come from the factory, and each passes on what it hears."""
+    bench = ZaberBench()
+    bench.line.spoil = lambda reply: reply + reply
+    with pytest.raises(DriverError, match="a second answer to one request came from device 1") as caught:
+        bench.open()
+    assert "renumber" in caught.value.remedy
+
+
+def test_a_silent_zaber_device_may_have_the_binary_protocol() -> None:
+    clock = VirtualClock()
+    with pytest.raises(ReplyTimeout, match="binary protocol"):
+        ZaberStage(OtherDevice(clock, lambda _data: b""), axes(), clock=clock)
+
+
+def test_a_thorlabs_controller_with_bays_is_told_by_name() -> None:
+    """The report of pyLabLib, issue 49: an HDR50 at a BSC201, whose answers come from the address 0x11."""
+    clock = VirtualClock()
+    data = INFORMATION_LAYOUT.pack(40_330_594, b"BSC201\0\0", 44, 1, 0, 2, 0, b"", 1, 0, 1)
+    message = struct.pack("<HHBB", 0x0006, len(data), 0x81, 0x11) + data
+    port = OtherDevice(clock, lambda sent: message if sent[:2] == b"\x05\x00" else b"")
+    with pytest.raises(DeviceRefused, match="a controller with bays answers") as caught:
+        ThorlabsController(port, clock=clock)
+    assert "BSC20x" in caught.value.remedy
+
+
+def test_a_generator_that_knows_no_such_query_is_not_told_to_be_without_power() -> None:
+    """An instrument of another make answers ``*IDN?``, is silent to what it does not know, and has no queue."""
+    clock = VirtualClock()
+    identity = b"UNI-T Technologies,UTG962E,AWG1234567,1.08\n"
+    port = OtherDevice(clock, answers_lines(lambda line: identity if line == b"*IDN?" else b""))
+    light = ScpiLight(port, dialect="numbered", clock=clock)
+    with pytest.raises(ReplyTimeout, match=r"after the request b'SOUR1:VOLT:LOW\?") as caught:
+        light.apply(LightSettings())
+    assert "The line works" in caught.value.remedy
