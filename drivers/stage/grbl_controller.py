@@ -39,7 +39,7 @@ _WAKE_RESETS = 4
 """The firmware pauses for 0.5 s after an alarm, and then forgets a reset that came meanwhile; so it is sent again."""
 
 _SHOWN = 60  # Most bytes of an answer in a message
-_FIRMWARES = "The firmware must be Grbl 1.1, grblHAL or FluidNC; Grbl 0.9 reports otherwise, as Marlin, Smoothie and TinyG do."
+_FIRMWARES = "The firmware must be Grbl 1.1, grblHAL or FluidNC; Grbl 0.9 reports otherwise, as Marlin and Smoothie do."
 _CLEAR_ALARM = (
     "Clear the cause (move the axis off its limit switch, release the emergency stop), then home the stage."
 )
