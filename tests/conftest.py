@@ -49,8 +49,8 @@ def evk4_recording() -> Path:
 @pytest.fixture(scope="session")
 def collimator_recordings() -> Path:
     """Folder of 20 views of a real collimator. They were published without a licence, so they are not in the project."""
-    beside = Path(__file__).resolve().parents[2] / "shared" / "data"
-    folder = Path(os.environ.get("STARBENCH_REFERENCE_DATA", beside)) / "collimator_real"
+    shared_data = Path(__file__).resolve().parents[2] / "shared" / "data"
+    folder = Path(os.environ.get("STARBENCH_REFERENCE_DATA", shared_data)) / "collimator_real"
     if not folder.is_dir():
         pytest.skip(
             "the published collimator recordings have no licence and are not in the project; "

@@ -57,14 +57,14 @@ def main() -> None:
                 left = "; ".join(figures.advice)
             except AssertionError as error:
                 left = str(error)
-        rings = sum("urn the focus ring" in one for one in person.said)
-        stages = sum(one.startswith(("Turn pan", "Turn tilt")) for one in person.said)
+        rings = sum("urn the focus ring" in line for line in person.instructions)
+        stages = sum(line.startswith(("Turn pan", "Turn tilt")) for line in person.instructions)
         print(
-            f"{start} | {len(person.said):7d} {rings:5d} {stages:6d} {signed_blur_px(person.truth()):8.2f}"
+            f"{start} | {len(person.instructions):7d} {rings:5d} {stages:6d} {signed_blur_px(person.truth()):8.2f}"
             f" {figures.focus.edge_width_px or float('nan'):8.2f}  {left[:90] or 'nothing'}",
             flush=True,
         )
-        counts.append(len(person.said))
+        counts.append(len(person.instructions))
         bad += bool(left)
     print(
         f"{len(counts) - bad} of {len(counts)} end with nothing to do; actions: median {np.median(counts):g}, most {max(counts)}"

@@ -49,9 +49,9 @@ def later(profile: str, seed: int, camera: CameraTruth, passport: Passport, agai
     return calibrate(bench.views, CalibrationOptions(passport=passport))
 
 
-def expanded(one: Calibration, other: Calibration, name: str) -> float:
+def expanded(calibration: Calibration, other: Calibration, name: str) -> float:
     """Return the expanded uncertainty of the difference of a value, k = 2."""
-    return float(2.0 * np.hypot(one.sigma[name], other.sigma[name]))
+    return float(2.0 * np.hypot(calibration.sigma[name], other.sigma[name]))
 
 
 def main() -> None:
@@ -71,9 +71,9 @@ def main() -> None:
             unit = expanded(before, unmoved, names[0])
             sizes[kind].append(unit)
             moved = replace(truth, **{name: getattr(truth, name) + change * unit for name in names})
-            found = later(given.profile, seed, moved, passport, again)
+            camera_check = later(given.profile, seed, moved, passport, again)
             checked = check_camera(
-                before.camera, before.camera_covariance, found.camera, found.camera_covariance,
+                before.camera, before.camera_covariance, camera_check.camera, camera_check.camera_covariance,
                 np.random.default_rng(seed),
             )  # fmt: skip
             called[kind, change] += not checked.right

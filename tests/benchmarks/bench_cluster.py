@@ -191,14 +191,14 @@ class Kills:
 
 def _workers_below(parent: int) -> list[int]:
     """Return the spawned processes below a process, without those that only track resources."""
-    found = []
+    pids = []
     for status in Path("/proc").glob("[0-9]*/stat"):
         with contextlib.suppress(OSError, ValueError, IndexError):
             above = int(status.read_text().rpartition(")")[2].split()[1])
             words = (status.parent / "cmdline").read_bytes()
             if above == parent and b"spawn_main" in words:
-                found.append(int(status.parent.name))
-    return found
+                pids.append(int(status.parent.name))
+    return pids
 
 
 def _doubled(table: Path) -> int:
@@ -214,7 +214,7 @@ def _doubled(table: Path) -> int:
 def report(name: str, rows: list[dict], expected: Mapping[str, Mapping], kills: Kills) -> None:
     """Print what was lost, doubled and different; fail if anything was."""
     count = Counter(row["folder"] for row in rows)
-    lost = [one for one in expected if one not in count]
+    lost = [folder for folder in expected if folder not in count]
     doubled = sum(n > 1 for n in count.values()) + kills.doubled
     different = [row["folder"] for row in rows if row != expected.get(row["folder"])]
     killed = ", ".join(f"{n} {what}" for what, n in sorted(kills.counts.items()))
@@ -312,9 +312,9 @@ def scaling(base: Path, pieces: int) -> None:
     captures = sorted(path.relative_to(base).as_posix() for path in (base / "captures").glob("*.raw"))
     busy: dict[int, list[float]] = {1: [], 2: []}
     cpu: dict[int, list[float]] = {1: [], 2: []}
-    with Processes(1) as one, Processes(2) as two:
+    with Processes(1) as one_worker, Processes(2) as two:
         for turn in range(5):  # in turns, because the load of the computer changes; the first turn warms up
-            for workers in (one, two):
+            for workers in (one_worker, two):
                 ends = _find_all(workers, place, captures, task, pieces if turn else 4)
                 if turn:
                     cpu[workers.size] += [end[3] for end in ends]

@@ -64,7 +64,7 @@ def convert_again(source: Path, kind: str, rounds: int) -> list[Conversion]:
     """Convert a file once without a clock, which warms up, and then so many rounds with one."""
     from drivers.camera.formats.event_conversion import convert
 
-    found = []
+    conversions = []
     with tempfile.TemporaryDirectory() as folder:
         for number in range(rounds + 1):
             target = Path(folder) / f"{number}"
@@ -73,9 +73,9 @@ def convert_again(source: Path, kind: str, rounds: int) -> list[Conversion]:
             took = time.process_time() - cpu_s, time.perf_counter() - real_s
             memory_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
             if number:
-                found.append(Conversion(*took, summary.events, target.stat().st_size, memory_mb))
+                conversions.append(Conversion(*took, summary.events, target.stat().st_size, memory_mb))
             target.unlink()
-    return found
+    return conversions
 
 
 def convert_all(source: Path, rounds: int) -> dict[str, list[Conversion]]:
@@ -88,7 +88,10 @@ def convert_all(source: Path, rounds: int) -> dict[str, list[Conversion]]:
 def in_version(folder: Path, source: Path, rounds: int) -> dict[str, list[Conversion]]:
     """Let the packages of a checkout convert a file."""
     text = measured.in_checkout(folder, "--one", str(source.resolve()), "--rounds", str(rounds))
-    return {kind: [Conversion(*one) for one in found] for kind, found in json.loads(text).items()}
+    return {
+        kind: [Conversion(*fields) for fields in conversions]
+        for kind, conversions in json.loads(text).items()
+    }
 
 
 def main() -> None:
@@ -124,25 +127,31 @@ def main() -> None:
         for name, path in paths.items():
             taken: dict[str, dict[str, list[Conversion]]] = {version: {} for version in versions}
             for version, where in [*versions.items()] * TURNS:
-                for kind, found in in_version(where, path, options.rounds).items():
-                    taken[version].setdefault(kind, []).extend(found)
+                for kind, conversions in in_version(where, path, options.rounds).items():
+                    taken[version].setdefault(kind, []).extend(conversions)
             for kind, shown in KINDS.items():
-                show(f"{name}, {shown}", {version: found.get(kind, []) for version, found in taken.items()})
+                show(
+                    f"{name}, {shown}",
+                    {version: of_kinds.get(kind, []) for version, of_kinds in taken.items()},
+                )
 
 
 def show(what: str, taken: dict[str, list[Conversion]]) -> None:
     """Print the rows of a recording and a format."""
     before = None
-    for version, found in taken.items():
-        if not found:
+    for version, conversions in taken.items():
+        if not conversions:
             print(f"| {what} | {version} | cannot | | | | |", flush=True)
             continue
-        cpu, real = measured.spread(one.cpu_s for one in found), measured.spread(one.real_s for one in found)
+        cpu, real = (
+            measured.spread(conversion.cpu_s for conversion in conversions),
+            measured.spread(conversion.real_s for conversion in conversions),
+        )
         ratio = f"{cpu.median_s / before.median_s:.2f}" if before else ""
         before = before or cpu
         print(
-            f"| {what} | {version} | {cpu.rates(found[0].events / 1e6)} | {real.rates(found[0].events / 1e6)} |"
-            f" {ratio} | {found[0].bytes / found[0].events:.2f} | {max(one.memory_mb for one in found):.0f} MB |",
+            f"| {what} | {version} | {cpu.rates(conversions[0].events / 1e6)} | {real.rates(conversions[0].events / 1e6)} |"
+            f" {ratio} | {conversions[0].bytes / conversions[0].events:.2f} | {max(conversion.memory_mb for conversion in conversions):.0f} MB |",
             flush=True,
         )
 

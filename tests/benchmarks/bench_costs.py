@@ -84,7 +84,7 @@ def main() -> None:
     poses = len(sources)
     paths = [source.path for source in sources]
     found_s, checked_s = measured.cpu_times_in_turns(
-        rounds, lambda: [one.read() for one in sources], lambda: [_check(path) for path in paths]
+        rounds, lambda: [source.read() for source in sources], lambda: [_check(path) for path in paths]
     )
     pose = {
         "hash of the recording": measured.cpu_times(rounds, lambda: [sha256_of(path) for path in paths])

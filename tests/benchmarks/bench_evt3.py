@@ -65,7 +65,7 @@ def times_of(works: dict[str, Callable[[], object]]) -> dict[str, measured.Sprea
             work()
             if k:
                 times[name].append(time.process_time() - begin)
-    return {name: measured.spread(found) for name, found in times.items()}
+    return {name: measured.spread(cpu_s) for name, cpu_s in times.items()}
 
 
 def works(path: Path) -> dict[str, Callable[[], object]]:
@@ -78,7 +78,7 @@ def works(path: Path) -> dict[str, Callable[[], object]]:
         for _ in Evt3Decoder(1280, 720).decode(words):
             pass
 
-    found: dict[str, Callable[[], object]] = {
+    calls: dict[str, Callable[[], object]] = {
         "words in memory -> events, in chunks": decode,
         "words in memory -> ON/OFF counts": lambda: Evt3Decoder(1280, 720).count(words, image),
         "words in memory -> tally only": lambda: Evt3Decoder(1280, 720).tally(words),
@@ -89,10 +89,10 @@ def works(path: Path) -> dict[str, Callable[[], object]]:
         import evt3
     except ImportError:
         print("evt3 is not installed: no peer to compare with")
-        return found
-    found["evt3: file -> all events"] = lambda: evt3.decode_file_with_triggers(str(path))
-    found["evt3: file -> events, in batches"] = lambda: [len(b) for b in evt3.decode_file_batches(str(path))]
-    return found
+        return calls
+    calls["evt3: file -> all events"] = lambda: evt3.decode_file_with_triggers(str(path))
+    calls["evt3: file -> events, in batches"] = lambda: [len(b) for b in evt3.decode_file_batches(str(path))]
+    return calls
 
 
 def main() -> None:

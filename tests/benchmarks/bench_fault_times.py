@@ -155,17 +155,19 @@ def measure(folder: Path, fault: str, state: str, kind: str | None) -> str:
                     message_s = now_s
                 time.sleep(0.01)
             ended_s = time.monotonic() - began_s
-            _, said = process.communicate()
+            _, errors = process.communicate()
             if not journal(run):
-                raise SystemExit(f"the run did not begin: {said}")
+                raise SystemExit(f"the run did not begin: {errors}")
             if message_s is None and server.posts:
                 message_s = ended_s
         finally:
             bench.process.kill()
             bench.process.communicate()
     end = journal(run)[-1]
-    states = ", ".join(f"{one['device']} {one['state']}" for one in end.get("devices", ()))
-    times = "".join("       -" if one is None else f" {one:7.1f}" for one in (seen_s, message_s, ended_s))
+    states = ", ".join(f"{device['device']} {device['state']}" for device in end.get("devices", ()))
+    times = "".join(
+        "       -" if after_s is None else f" {after_s:7.1f}" for after_s in (seen_s, message_s, ended_s)
+    )
     return f"{fault:28}{state:10}{times}  {end.get('how', '?'):9} {what[:110]!r} {states}"
 
 

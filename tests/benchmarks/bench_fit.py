@@ -59,7 +59,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true", help="print the numbers only")
     given = parser.parse_args()
     seconds("polynomial", 3, 0)  # imports and compiled loops
-    found = {
+    spreads = {
         f"{world}, {poses}": [
             measured.spread(part)
             for part in zip(*(seconds(world, poses, seed) for seed in given.seeds), strict=True)
@@ -67,7 +67,7 @@ def main() -> None:
         for world, poses in product(given.worlds, given.poses)
     }
     if given.json:
-        print(json.dumps(found))
+        print(json.dumps(spreads))
         return
     other = {}
     if given.checkout:
@@ -82,10 +82,10 @@ def main() -> None:
     names = ("world, poses", *("joint adjustment", "95 %"), *("OpenCV, planar", "95 %"))
     names += ("other over this one", "95 %") if other else ()
     print(f"| {' | '.join(names)} |\n|{' --- |' * len(names)}")
-    for name, (joint, planar) in found.items():
+    for name, (joint, planar) in spreads.items():
         ratios = [before / now for before, now in zip(other[name][0], joint, strict=True)] if other else []
         print(
-            f"| {name} | {joint.cells(2)} | {planar.cells(2)} |{''.join(f' {one:.2f} |' for one in ratios)}"
+            f"| {name} | {joint.cells(2)} | {planar.cells(2)} |{''.join(f' {ratio:.2f} |' for ratio in ratios)}"
         )
 
 

@@ -88,7 +88,7 @@ def stated(drawn: DrawnBench, profile: str, asked: str) -> tuple[float, float, f
 def row(profile: str, poses: int, asked: str, seeds: range) -> dict[str, Any]:
     """One row of the table."""
     began = time.process_time()
-    found = expected(profile, poses, asked)
+    forecast = expected(profile, poses, asked)
     solved = []
     for seed in seeds:
         try:
@@ -97,9 +97,9 @@ def row(profile: str, poses: int, asked: str, seeds: range) -> dict[str, Any]:
             print(f"  {profile} {poses} {asked}, seed {seed}: {error}")
     fx, corner, errors = np.array(solved).T if solved else np.full((3, 1), np.nan)
     return {
-        "expected": found.limited["expanded_fx"],
+        "expected": forecast.limited["expanded_fx"],
         "stated": float(np.median(fx)),
-        "expected_corner": found.limited["worst_corner"],
+        "expected_corner": forecast.limited["worst_corner"],
         "stated_corner": float(np.median(corner)),
         "error": float(np.sqrt(np.mean(errors**2))),
         "cpu_s": time.process_time() - began,
@@ -121,13 +121,16 @@ def main() -> None:
     for poses in given.poses:
         for profile in given.profiles:
             for asked in given.asked:
-                one = row(profile, poses, asked, given.seeds)
-                ratio, corner = one["expected"] / one["stated"], one["expected_corner"] / one["stated_corner"]
+                cells = row(profile, poses, asked, given.seeds)
+                ratio, corner = (
+                    cells["expected"] / cells["stated"],
+                    cells["expected_corner"] / cells["stated_corner"],
+                )
                 rows, within = rows + 1, within + (1 / FACTOR <= ratio <= FACTOR)
                 print(
-                    f"{profile:<11}{poses:>5}  {asked:<12}{one['expected']:>8.2f}{one['stated']:>8.2f}{ratio:>7.2f}"
-                    f"{one['expected_corner']:>8.3f}{one['stated_corner']:>8.3f}{corner:>7.2f}"
-                    f"{one['error']:>8.2f}{one['expected'] / one['error']:>9.2f}{one['cpu_s']:>7.1f}",
+                    f"{profile:<11}{poses:>5}  {asked:<12}{cells['expected']:>8.2f}{cells['stated']:>8.2f}{ratio:>7.2f}"
+                    f"{cells['expected_corner']:>8.3f}{cells['stated_corner']:>8.3f}{corner:>7.2f}"
+                    f"{cells['error']:>8.2f}{cells['expected'] / cells['error']:>9.2f}{cells['cpu_s']:>7.1f}",
                     flush=True,
                 )
     print(f"{within} of {rows} forecasts of U(fx) are within a factor of {FACTOR:g} of the stated one.")

@@ -122,12 +122,12 @@ def kills_of(kind: type[ARun | ACertificate], kills: int, folder: Path, chance: 
     killed, fallen, tries = 0, [], 0
     while killed < kills:
         tries += 1
-        one = kind(folder / f"{kind.name}-{tries}")
-        if not done_or_killed(one.work, chance.uniform(0.0, takes_s)):
+        trial = kind(folder / f"{kind.name}-{tries}")
+        if not done_or_killed(trial.work, chance.uniform(0.0, takes_s)):
             continue
         killed += 1
         try:
-            one.goes_on()
+            trial.goes_on()
         except Exception as error:  # noqa: BLE001 - whatever comes of a kill is told
             fallen.append(repr(error)[:500])
     for text in fallen:

@@ -88,8 +88,8 @@ def try_pose(row: dict[str, Any], angles_deg: dict[str, float], seed: int) -> di
     size = truth.camera.width, truth.camera.height
     try:
         images = event_images(events, light, phase, size, length_us, periods)
-        found = detect_stars(images.best().image, TARGET)
-        view, width_px = found.view, found.edge_width_px
+        detection = detect_stars(images.best().image, TARGET)
+        view, width_px = detection.view, detection.edge_width_px
     except CalibrationError:
         return figures
     scores = star_scores(view, truth, rotation, whole_stars(truth, rotation))[1]
@@ -126,20 +126,22 @@ def main() -> None:
             row = ROW | changed
             row["window_ms"] = max(row["window_ms"], 1e3 / row["frequency_hz"])
             tried = [try_pose(row, pose, seed) for seed, pose in enumerate(poses, start=1)]
-            found = [one for one in tried if "square" in one]
-            mean = {key: float(np.mean([one[key] for one in found])) for key in (found[0] if found else {})}
-            link = [np.mean([one[key] for one in tried]) for key in ("rate", "gbit_s", "waited")]
+            solved = [pose for pose in tried if "square" in pose]
+            mean = {
+                key: float(np.mean([pose[key] for pose in solved])) for key in (solved[0] if solved else {})
+            }
+            link = [np.mean([pose[key] for pose in tried]) for key in ("rate", "gbit_s", "waited")]
             text = (
                 f"{row['waveform']:8s} {row['noise']:7s} {row['frequency_hz']:3d} {row['level_percent']:4d} "
                 f"{row['window_ms']:3.0f} {row['psf_px']:5.2f} "
                 f"{'-' if row['roll_deg'] is None else row['roll_deg']:>4} | {link[0]:5.0f} {link[1]:6.2f} {link[2]:6.2f} "
             )
-            if found:
+            if solved:
                 text += (
                     f"{mean['per_edge']:4.1f} | {mean['square'] ** 0.5:.4f} {mean['sigma']:.4f} "
-                    f"{mean['z_square'] ** 0.5:5.2f} {sum(one['missed'] for one in found):6.0f} {mean['width']:5.2f} "
+                    f"{mean['z_square'] ** 0.5:5.2f} {sum(pose['missed'] for pose in solved):6.0f} {mean['width']:5.2f} "
                 )
-            print(text + f"{len(tried) - len(found):7d}", flush=True)
+            print(text + f"{len(tried) - len(solved):7d}", flush=True)
 
 
 if __name__ == "__main__":

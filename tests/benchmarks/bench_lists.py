@@ -32,10 +32,10 @@ LINKED = ("journal.jsonl", "results.json", "SHA256SUMS", "SHA256SUMS.sig")
 def make_runs(run: Path, folder: Path, number: int) -> list[Path]:
     """Make many runs of one: folders whose files are links to its own."""
     made = [folder / f"run-{n:05}" for n in range(1, number + 1)]
-    for one in made:
-        one.mkdir(parents=True)
+    for run_folder in made:
+        run_folder.mkdir(parents=True)
         for name in LINKED:
-            os.link(run / name, one / name)
+            os.link(run / name, run_folder / name)
     return made
 
 
@@ -109,10 +109,10 @@ def main() -> None:
                 took.setdefault(what, {}).setdefault(version, []).append(cpu_s)
     print(f"| {options.runs:,} runs | now | 95 % |" + (" before | 95 % | ratio |" if options.old else ""))
     print("| --- |" + " ---: |" * (5 if options.old else 2))
-    for what, found in took.items():
-        now, *before = (measured.spread(found[version]) for version in versions)
-        beside = "".join(f" {old.cells(2)} | {now.median_s / old.median_s:.2f} |" for old in before)
-        print(f"| {what} | {now.cells(2)} |{beside}")
+    for what, by_version in took.items():
+        now, *before = (measured.spread(by_version[version]) for version in versions)
+        before_cells = "".join(f" {old.cells(2)} | {now.median_s / old.median_s:.2f} |" for old in before)
+        print(f"| {what} | {now.cells(2)} |{before_cells}")
 
 
 if __name__ == "__main__":

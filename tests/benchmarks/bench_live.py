@@ -39,19 +39,19 @@ def focus_rows(folder: Path) -> None:
     print("light        circle px | measured  edge px  sharpness  stars")
     for waveform, level in (("square", 100.0), ("square", 30.0), ("square", 10.0), ("sine", 100.0)):
         for circle in (0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 14.0, 18.0, 24.0):
-            found = []
+            live_figures = []
             for number, roll in enumerate((10.0, 17.0, 33.0)):
                 truth = bench(circle_px=circle, roll_deg=roll)
                 angles = {"pan": 1.0 - number, "tilt": 0.5 * number}
                 light = drive(level, waveform=waveform)
-                found.append(
+                live_figures.append(
                     figures(folder, truth, angles, light, LiveMeter(stars_every_s=0.0), float(number))
                 )
             columns = []
             for key, form in (("blur_circle_px", ".1f"), ("edge_width_px", ".2f"), ("sharpness", ".3f")):
-                values = [value for f in found if (value := getattr(f.focus, key)) is not None]
+                values = [value for f in live_figures if (value := getattr(f.focus, key)) is not None]
                 columns.append(f"{min(values):{form}}-{max(values):{form}}" if values else "-")
-            stars = "/".join(str(len(f.stars)) for f in found)
+            stars = "/".join(str(len(f.stars)) for f in live_figures)
             print(f"{waveform} {level:4.0f} % {circle:7.0f} | {'  '.join(columns)}  {stars}", flush=True)
 
 
@@ -107,7 +107,7 @@ def time_rows(folder: Path) -> None:
             ]
             for k in range(4)
         ][1:]
-        whole, quick = ({k: min(one[i][k] for one in both) for k in both[0][i]} for i in (0, 1))
+        whole, quick = ({k: min(took_ms[i][k] for took_ms in both) for k in both[0][i]} for i in (0, 1))
         stages = ", ".join(f"{k} {v:.0f}" for k, v in whole.items())
         print(f"{name:24s} | {stages} | {sum(quick.values()):.0f}, {sum(whole.values()):.0f}", flush=True)
 

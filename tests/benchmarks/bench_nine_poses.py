@@ -42,8 +42,8 @@ def main() -> None:
                 for what, took_s in times.items() if number else ():
                     taken.setdefault(what, {}).setdefault(version, []).append(took_s)
     print(f"| {options.rounds} rounds | now | 95 % | before | 95 % | ratio |\n| --- |" + " ---: |" * 5)
-    for what, found in taken.items():
-        now, before = (measured.spread(found[version]) for version in versions)
+    for what, by_version in taken.items():
+        now, before = (measured.spread(by_version[version]) for version in versions)
         print(f"| {what} | {now.cells(1)} | {before.cells(1)} | {now.median_s / before.median_s:.2f} |")
 
 

@@ -60,11 +60,11 @@ def try_move(family: str, order: str) -> str:
 
 def arrival(rig: DirectStage) -> str:
     """Tell whether the readings, encoder before counter, are where the load points, and at the target."""
-    told = {**rig.stage.position_deg(), **rig.stage.encoder_deg()}["pan"]
-    off_deg = rig.true_deg() - told
+    read_deg = {**rig.stage.position_deg(), **rig.stage.encoder_deg()}["pan"]
+    off_deg = rig.true_deg() - read_deg
     if abs(off_deg) > 0.06:
         return f"NOT NOTICED ({off_deg:+.2f} deg)"
-    return "arrived" if abs(told + 10.0) < 0.01 else f"seen by encoder {told + 10.0:+.2f} deg"
+    return "arrived" if abs(read_deg + 10.0) < 0.01 else f"seen by encoder {read_deg + 10.0:+.2f} deg"
 
 
 def main() -> None:

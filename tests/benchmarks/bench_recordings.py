@@ -41,7 +41,7 @@ def main() -> None:
     if given.output:
         given.output.write_text("".join(json.dumps(line) + "\n" for line in [whole, *lines]))
     kept = [line for line in lines if "refused" not in line]
-    chosen = np.array([one for one, line in zip(drawn, lines, strict=True) if "refused" not in line])
+    chosen = np.array([triple for triple, line in zip(drawn, lines, strict=True) if "refused" not in line])
     print(f"{len(lines)} triples, {len(lines) - len(kept)} refused")
     for name in ("fx", "fy", "cx", "cy"):
         values, u, k = (np.array([line[key] for line in kept]) for key in (name, f"u_{name}", "k"))

@@ -34,7 +34,7 @@ def main() -> int:
     changes = {attack.name: lambda forger, _job, do=attack.do: do(forger) for attack in ATTACKS}
     changes |= {name: attack for name, (attack, _where) in AGAIN.items()}
     changes |= ONLY_A_NEW_RECORDING
-    found: dict[str, list[str]] = {
+    changes_of: dict[str, list[str]] = {
         "`verify`": [],
         "`verify --again` only": [],
         UNSEEN: [],
@@ -53,15 +53,15 @@ def main() -> int:
             forger.seal()
             plain, again = checked(forger.folder, trusted, again=False), checked(forger.folder, trusted)
             column = 0 if plain.faults else 1 if again.faults else 2
-            list(found.values())[column].append(name)
+            list(changes_of.values())[column].append(name)
             by_ledger += bool(ledger_faults_of_run(forger.folder, ledger))
     print("| found by | changes | which |\n| --- | --- | --- |")
-    for column, names in found.items():
+    for column, names in changes_of.items():
         print(f"{column}: {'; '.join(names)}", file=sys.stderr)
         named = names if column == UNSEEN else [*names[:5], "and others"]
         print(f"| {column} | {len(names)} | {'; '.join(named)} |")
     print(f"| the ledger of the bench that made the run | {by_ledger} | |")
-    return set(found[UNSEEN]) != set(ONLY_A_NEW_RECORDING)
+    return set(changes_of[UNSEEN]) != set(ONLY_A_NEW_RECORDING)
 
 
 if __name__ == "__main__":

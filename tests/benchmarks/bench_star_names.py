@@ -87,8 +87,12 @@ def try_pose(seed: int, number: int) -> Pose:
     rng = np.random.default_rng([seed, number])
     optics = dataclasses.replace(Truth().optics, psf_px=float(rng.uniform(0.4, 1.0)))
     truth = dataclasses.replace(Truth(), optics=optics)
-    away, towards = FURTHEST_DEG * rng.random() ** 0.5, rng.uniform(0, 2 * np.pi)
-    pose = {"pan": away * np.cos(towards), "tilt": away * np.sin(towards), "roll": rng.uniform(0, 360)}
+    off_axis_deg, towards = FURTHEST_DEG * rng.random() ** 0.5, rng.uniform(0, 2 * np.pi)
+    pose = {
+        "pan": off_axis_deg * np.cos(towards),
+        "tilt": off_axis_deg * np.sin(towards),
+        "roll": rng.uniform(0, 360),
+    }
     rotation = pose_rotation(pose, optics)
     kind, level = KINDS[rng.integers(len(KINDS))], LEVELS[rng.integers(len(LEVELS))]
     image = image_of(render(truth, rotation), kind, level, rng)
@@ -107,14 +111,14 @@ def try_pose(seed: int, number: int) -> Pose:
 
 def line_of(name: str, poses: Sequence[Pose]) -> str:
     """Return one line of the table."""
-    found = [p for p in poses if "stars" in p]
-    stars, whole = sum(p["stars"] for p in found), sum(p["whole"] for p in found)
-    missed, wrong = sum(p["missed"] for p in found), sum(p["wrong"] for p in found)
+    named = [p for p in poses if "stars" in p]
+    stars, whole = sum(p["stars"] for p in named), sum(p["whole"] for p in named)
+    missed, wrong = sum(p["missed"] for p in named), sum(p["wrong"] for p in named)
     share = 100.0 * (1.0 - missed / max(whole, 1))
-    z, rms = (sum(p[key] for p in found) / max(stars, 1) for key in ("z_square", "square"))
-    took = measured.spread([p["cpu_s"] for p in found] or [0.0])
+    z, rms = (sum(p[key] for p in named) / max(stars, 1) for key in ("z_square", "square"))
+    took = measured.spread([p["cpu_s"] for p in named] or [0.0])
     return (
-        f"{name:26s} {len(poses):6d} {len(found):6d} {len(poses) - len(found):7d} {whole:7d} {missed:6d} {share:7.2f} "
+        f"{name:26s} {len(poses):6d} {len(named):6d} {len(poses) - len(named):7d} {whole:7d} {missed:6d} {share:7.2f} "
         f"{wrong:5d} {z**0.5:5.2f} {(rms / 2) ** 0.5:7.4f} {took.median_s:6.2f} {took.p95_s:5.2f}"
     )
 

@@ -78,7 +78,7 @@ def draw(path: Path, image: Any, view: View, errors: Any) -> None:
     cv2.imwrite(str(path), np.hstack([seen, shown]))
 
 
-def solve(recording: Path, found: Path) -> None:
+def solve(recording: Path, target: Path) -> None:
     """Find the stars of a recording some times; write the CPU seconds and the view. Runs in a process of its own."""
     from bench.measure.measure import EventData, find_stars, read_events, whole_image
     from calib.stars.rim import downweight_vignetted
@@ -112,7 +112,7 @@ def solve(recording: Path, found: Path) -> None:
         view = downweight_vignetted(view, TARGET)
         seconds.append((middle - begin, time.process_time() - middle))
     np.savez(
-        found,
+        target,
         seconds=min(seconds, key=sum),
         ids=view.ids,
         points=view.points_px,
@@ -124,18 +124,19 @@ def compare(old: Path, recordings: list[tuple[str, Path]], folder: Path) -> list
     """Print a row for each recording; return the CPU seconds of both checkouts, the old one first."""
     rows = []
     for name, recording in recordings:
-        found = []
+        solved = []
         for side, checkout in enumerate((old, measured.ROOT)):
             measured.in_checkout(checkout, "--solve", str(recording), str(folder / f"{side}.npz"))
             with np.load(folder / f"{side}.npz") as kept:
-                found.append(dict(kept))
-        (before, after), ids = found, np.intersect1d(found[0]["ids"], found[1]["ids"])
-        a, b = (np.searchsorted(one["ids"], ids) for one in found)
+                solved.append(dict(kept))
+        (before, after), ids = solved, np.intersect1d(solved[0]["ids"], solved[1]["ids"])
+        a, b = (np.searchsorted(side["ids"], ids) for side in solved)
         apart_px = np.linalg.norm(before["points"][a] - after["points"][b], axis=1).max()
         traces = [
-            np.trace(one["covariances"][at], axis1=1, axis2=2) for one, at in zip(found, (a, b), strict=True)
+            np.trace(side["covariances"][at], axis1=1, axis2=2)
+            for side, at in zip(solved, (a, b), strict=True)
         ]
-        times = [one["seconds"] for one in found]
+        times = [side["seconds"] for side in solved]
         rows.append((times[0].sum(), times[1].sum()))
         print(
             f"{name:24s} {len(ids):5d} {len(before['ids']) + len(after['ids']) - 2 * len(ids):6d} {apart_px:9.1e} "
@@ -207,20 +208,20 @@ def main() -> None:
                 images = images_of(truth, *record(truth, rotation, waveform, number + 1, NOISE_LEVELS[noise]))
                 for kind in IMAGES:
                     try:
-                        view, errors, found = measure(truth, images, kind, rotation)
+                        view, errors, sums = measure(truth, images, kind, rotation)
                     except CalibrationError as error:
                         print(f"        pose {number}: {kind}: {error}")
                         continue
-                    figures[kind].append(found)
+                    figures[kind].append(sums)
                     if options.pictures and number == 0:
                         options.pictures.mkdir(parents=True, exist_ok=True)
                         image = images.best().image if kind == "best" else images.named(kind)
                         draw(options.pictures / f"{waveform}-{noise}-{kind}.png", image, view, errors)
-            for kind, found in figures.items():
-                total = {key: sum(f[key] for f in found) for key in found[0]}
+            for kind, sums in figures.items():
+                total = {key: sum(f[key] for f in sums) for key in sums[0]}
                 rms = (total["square"] / total["stars"] / 2.0) ** 0.5
                 z = (total["z_square"] / total["stars"]) ** 0.5
-                took = measured.spread(f["cpu_s"] for f in found)
+                took = measured.spread(f["cpu_s"] for f in sums)
                 print(
                     f"{waveform:7s} {noise:8s} {kind:14s} {rms:7.4f} {z:5.2f} {total['missed']:6.0f}/"
                     f"{total['whole']:<6.0f} {total['wrong']:5.0f} {total['stars']:6.0f} {took.median_s:8.2f} {took.p95_s:6.2f}",

@@ -63,12 +63,12 @@ def ways(part: str, seed: int, knowns: Sequence[str]) -> list[tuple[str, list[di
     if part == "poses":
         return [(known, more_poses(seed, known)) for known in knowns]
     if part == "knowledge":
-        found = [
+        labelled = [
             (label, more_knowledge(seed, poses)) for label, poses in (("3 poses", THREE), ("9 poses", NINE))
         ]
         return [
             (f"{label} {' '.join(chain)}", [results[known] for known in chain])
-            for label, results in found
+            for label, results in labelled
             for chain in CHAINS
         ]
     return [*((known, [_over_bound(seed, known)]) for known in knowns), (ONE_POSE, [_one_pose(seed)])]

@@ -126,16 +126,16 @@ def verdict(words: list[str], axis: AxisController) -> str:
     if ended.returncode != 0:
         last = ended.stderr.decode(errors="replace").strip().splitlines()
         return f"refuses {took} {last[-1].split(':')[0].rsplit('.', 1)[-1][:24] if last else ''}"
-    told = float(ended.stdout.split()[-1])
+    read_deg = float(ended.stdout.split()[-1])
     true = axis.axis.pointing.angle_deg(time.monotonic())
-    if abs(true - TARGET_DEG) < 0.01 and abs(told - true) < 0.01:
+    if abs(true - TARGET_DEG) < 0.01 and abs(read_deg - true) < 0.01:
         return f"arrives {took}"
-    return f"RETURNS {took} says {told:.2f}, is {true:.2f}"
+    return f"RETURNS {took} says {read_deg:.2f}, is {true:.2f}"
 
 
 def both(family: str, wrap: Callable[[Dialect, AxisController], tuple[Dialect, list[str]]]) -> list[str]:
     """Try a controller, wrapped, with its maker's client and with our driver."""
-    told = []
+    verdicts = []
     for script in (FAMILIES[family].script, OURS):
         with tempfile.TemporaryDirectory() as folder:
             dialect, axis = FAMILIES[family].make(time.monotonic)
@@ -145,15 +145,15 @@ def both(family: str, wrap: Callable[[Dialect, AxisController], tuple[Dialect, l
                     parts = {"pan": axis}, {"gimbal": port}, {"gimbal": dialect}, {"pan": "gimbal"}
                     bench = BenchParts(*parts, light=None, lamp=None, camera=None, clock=time.monotonic)
                     fault_action(fault_order_from_text(order), bench)()
-                told.append(verdict([sys.executable, "-c", script, port.address, folder, family], axis))
-    return told
+                verdicts.append(verdict([sys.executable, "-c", script, port.address, folder, family], axis))
+    return verdicts
 
 
 def mutations(family: str) -> None:
     """Print what becomes of controllers with one thing wrong."""
-    for name, change in {"nothing wrong": lambda said: said, **FAMILIES[family].changes}.items():
-        told = both(family, lambda dialect, _axis, change=change: (Mutated(dialect, change), []))
-        print(f"  {name:28}{told[0]:46}{told[1]}", flush=True)
+    for name, change in {"nothing wrong": lambda answer: answer, **FAMILIES[family].changes}.items():
+        verdicts = both(family, lambda dialect, _axis, change=change: (Mutated(dialect, change), []))
+        print(f"  {name:28}{verdicts[0]:46}{verdicts[1]}", flush=True)
 
 
 def faults(family: str) -> None:
@@ -163,8 +163,8 @@ def faults(family: str) -> None:
         def wrap(dialect: Dialect, _axis: AxisController, order: str = order) -> tuple[Dialect, list[str]]:
             return FaultLine(dialect, time.monotonic, np.random.default_rng(1)), [order]
 
-        told = both(family, wrap)
-        print(f"  {name:28}{told[0]:46}{told[1]}", flush=True)
+        verdicts = both(family, wrap)
+        print(f"  {name:28}{verdicts[0]:46}{verdicts[1]}", flush=True)
 
 
 def main() -> None:

@@ -35,23 +35,27 @@ def errors_of(glass: Collimator, widest: float) -> dict[str, float]:
         return np.asarray(glass.print_mm(places, h) / glass.efl_mm)
 
     middle = seen((0.0, 0.0))
-    one = np.ones_like(square)
+    ones = np.ones_like(square)
     # a shift and a scale, distortion, and what is about a shifted axis along X and Y
     columns = [h, square * h, square**2 * h]
     for e in np.eye(2):
-        columns += [one * e, square * e, (h @ e)[:, None] * h, square**2 * e, square * (h @ e)[:, None] * h]
-    found = _fitted(columns, middle)
-    answer = {"radial": found[1], "radial_4": found[2], "shifted": float(np.hypot(found[4], found[9]))}
+        columns += [ones * e, square * e, (h @ e)[:, None] * h, square**2 * e, square * (h @ e)[:, None] * h]
+    coefficients = _fitted(columns, middle)
+    answer = {
+        "radial": coefficients[1],
+        "radial_4": coefficients[2],
+        "shifted": float(np.hypot(coefficients[4], coefficients[9])),
+    }
     curvature, astigmatism, coma = [], [], []
     for e in np.eye(2):
         more, less = seen(tuple(ASIDE * e)), seen(tuple(-ASIDE * e))
         along = (h @ e)[:, None]
         part = _fitted(
-            [one * e, square * e, along * h, square**2 * e, square * along * h], (more - less) / (2 * ASIDE)
+            [ones * e, square * e, along * h, square**2 * e, square * along * h], (more - less) / (2 * ASIDE)
         )
         curvature.append(part[1])
         astigmatism.append(part[2])
-        both = _fitted([h, along * e, square * h, one * e], (more + less - 2 * middle) / (2 * ASIDE**2))
+        both = _fitted([h, along * e, square * h, ones * e], (more + less - 2 * middle) / (2 * ASIDE**2))
         coma.append(both[0])
     return answer | {
         "curvature": float(np.mean(curvature)),
@@ -75,7 +79,7 @@ def table(seeds: int) -> None:
             rng = np.random.default_rng((seed, 91))
             glass = collimator(name, FOCAL_MM, rng, Tolerances(), (0.0, np.zeros(2)))
             drawn.append(errors_of(glass, widest))
-        rms = {term: float(np.sqrt(np.mean([one[term] ** 2 for one in drawn]))) for term in TERMS}
+        rms = {term: float(np.sqrt(np.mean([sizes_of[term] ** 2 for sizes_of in drawn]))) for term in TERMS}
         print(f"{name:18}" + "".join(f"{rms[term]:13.3g}" for term in TERMS))
         for term in TERMS:
             sizes[term].append(rms[term])

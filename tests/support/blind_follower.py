@@ -35,7 +35,7 @@ class BlindFollower:
     on: bool = False
     turn: float = FIRST_TURN  # Last turn of the ring, 1/m
     looks_s: float = 4.0  # Time after an action at which the person looks up, s
-    said: list[str] = field(default_factory=list)
+    instructions: list[str] = field(default_factory=list)
     turned: bool = False  # Whether the last action has turned the stage
     ring_before: float | None = (
         None  # Where the ring stood before the last action, 1/m; None if it was another one
@@ -55,7 +55,7 @@ class BlindFollower:
         meter, time_s = LiveMeter(stars_every_s=0.0), 0.0
         path = folder / "slice.raw"
         figures = LiveFigures()
-        while len(self.said) <= most:
+        while len(self.instructions) <= most:
             looks = 0
             for number in range(4 * PICTURES):
                 moving = self.turned and number == 0
@@ -90,7 +90,7 @@ class BlindFollower:
     def obey(self, figures: LiveFigures) -> None:
         """Do what the first sentence says. Raises AssertionError if nobody can do it."""
         first = figures.advice[0]
-        self.said.append(first)
+        self.instructions.append(first)
         before, self.last_was_ring = (
             self.last_was_ring,
             "urn the focus ring" in first and figures.ring is not None,

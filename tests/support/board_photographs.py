@@ -20,7 +20,7 @@ def photograph(camera, corners, turn_deg, place_mm, *, dark=30.0, bright=220.0):
     centre = middle - rotation.T @ np.array(place_mm, float)
     for du, dv in np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2):
         x, y, z = (camera.rays(np.column_stack([(u + du).ravel(), (v + dv).ravel()])) @ rotation).T
-        column, row = ((centre[i] - one * centre[2] / z) / SQUARE_MM for i, one in ((0, x), (1, y)))
+        column, row = ((centre[i] - at_mm * centre[2] / z) / SQUARE_MM for i, at_mm in ((0, x), (1, y)))
         inside = (column > -1) & (column < corners[0]) & (row > -1) & (row < corners[1])
         is_dark = inside & ((np.floor(column) + np.floor(row)) % 2 == 0)
         picture += np.where(is_dark, dark, bright).reshape(picture.shape) / 16

@@ -230,8 +230,8 @@ def placed_board(truth: Truth, board: ShownBoard, angles_deg: Mapping[Any, float
     rotation = optics.true_rotation(angles_deg, truth)
     own = np.asarray(cv2.Rodrigues(np.radians(np.asarray(board.turn_deg, np.float64)))[0], np.float64)
     middle = np.array([*(0.5 * (board.points_mm.min(axis=0) + board.points_mm.max(axis=0))), 0.0])
-    (x, y), (right, down, away) = truth.mount.shift_mm, board.position_mm
-    place = np.asarray((right - x, down - y, away), np.float64)
+    (x, y), (right, down, forward) = truth.mount.shift_mm, board.position_mm
+    place = np.asarray((right - x, down - y, forward), np.float64)
     return PlacedBoard(rotation @ own, rotation @ (place - own @ middle))
 
 

@@ -9,16 +9,16 @@ def ended(capsys, *words):
     """Call a command, which must end without a traceback; return its exit status and what it said, `out` and `err`."""
     with pytest.raises(SystemExit) as end:
         main([str(word) for word in words])
-    said = capsys.readouterr()
-    assert "Traceback" not in said.err
-    return end.value.code or 0, said
+    captured = capsys.readouterr()
+    assert "Traceback" not in captured.err
+    return end.value.code or 0, captured
 
 
 def call(capsys, *words, status=0):
     """Call a command, which must end with a status; return what it said, `out` and `err`."""
-    code, said = ended(capsys, *words)
-    assert code == status, said.err
-    return said
+    code, captured = ended(capsys, *words)
+    assert code == status, captured.err
+    return captured
 
 
 def out_of(capsys, *words, status=0):

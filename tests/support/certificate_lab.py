@@ -38,16 +38,16 @@ class Lab:
         return amend(self.path / old, self.lab, self.path / name, self.laboratory(), reason=reason)
 
     def numbers(self):
-        return {one.number: one.how for one in numbers(self.ledger.entries()).values()}
+        return {entry.number: entry.how for entry in numbers(self.ledger.entries()).values()}
 
     def faults(self, text):
         self.lab.write_text(text, encoding="utf-8")
-        with pytest.raises(DocumentFaults) as found:
+        with pytest.raises(DocumentFaults) as refused:
             self.issue()
         assert self.numbers() == {}, "a number was taken for a refused certificate"
-        return [str(fault) for fault in found.value.faults]
+        return [str(fault) for fault in refused.value.faults]
 
 
-def quick_files(certificate, found, results, lab, plots, sign=None):
+def quick_files(certificate, content, results, lab, plots, sign=None):
     """The files without PDF, DCC and plots, which take half a second."""
     return {"certificate.json": certificate.to_json(), "results.json": results, "lab.yaml": lab}

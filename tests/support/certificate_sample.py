@@ -121,7 +121,9 @@ def small_certificate() -> Certificate:
         laboratory=dataclasses.replace(full.laboratory, accreditation=None),
         before_adjustment=None,
         amends=None,
-        statements=tuple(one for one in full.statements if one.id not in ("simulated", "customer_data")),
+        statements=tuple(
+            statement for statement in full.statements if statement.id not in ("simulated", "customer_data")
+        ),
         item=dataclasses.replace(full.item, customer_id=""),
         **nothing,
     )

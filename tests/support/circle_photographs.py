@@ -30,8 +30,8 @@ def photograph(board, radius_mm, camera, placed, size, *, light_on_dark=False, b
         rays = np.column_stack([rays, np.ones(len(rays))])
         rotation = cv2.Rodrigues(np.asarray(turn, float))[0]
         meets = rays * ((rotation[:, 2] @ shift) / (rays @ rotation[:, 2]))[:, None]
-        away = np.hypot(*((meets - shift) @ rotation[:, :2] - [x, y]).T)
-        cells = (away < radius_mm).reshape(bottom - top, RAYS, right - left, RAYS)
+        from_centre_mm = np.hypot(*((meets - shift) @ rotation[:, :2] - [x, y]).T)
+        cells = (from_centre_mm < radius_mm).reshape(bottom - top, RAYS, right - left, RAYS)
         covered[top:bottom, left:right] += cells.mean(axis=(1, 3))
     first, second = (DARK, LIGHT) if light_on_dark else (LIGHT, DARK)
     picture = first + (second - first) * covered

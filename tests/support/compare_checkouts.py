@@ -62,24 +62,24 @@ _DONE = "played.txt"
 
 def main(words: list[str] | None = None) -> int:
     options = _options(words)
-    played = [one for one in SCENARIOS if not options.only or one.name in options.only]
+    played = [scenario for scenario in SCENARIOS if not options.only or scenario.name in options.only]
     old = options.old.resolve()
     sides = [
         Side(name, path.resolve(), options.work / name) for name, path in (("old", old), ("new", options.new))
     ]
     marks = {side.name: _mark(side, old) for side in sides}
-    expected, found = read_expected(EXPECTED), []
+    expected, sorted_out = read_expected(EXPECTED), []
     for scenario in played:
         try:
             left = [_play(side, scenario, old, marks[side.name], again=options.again) for side in sides]
         except (RuntimeError, OSError, subprocess.SubprocessError) as error:
-            found.append((Difference(scenario.name, "(scenario)", f"cannot be played: {error}"), None))
+            sorted_out.append((Difference(scenario.name, "(scenario)", f"cannot be played: {error}"), None))
             continue
         read = [read_folder(side.folder, side.folders()) for side in left]
         differences = compare(scenario.name, *read)
-        found += sort_out(differences, expected)
+        sorted_out += sort_out(differences, expected)
         print(f"{scenario.name}: {len(read[0])} places, {len(differences)} differ", flush=True)
-    return _tell(found, expected)
+    return _tell(sorted_out, expected)
 
 
 def _options(words: list[str] | None) -> argparse.Namespace:
@@ -88,7 +88,7 @@ def _options(words: list[str] | None) -> argparse.Namespace:
     )
     parser.add_argument("--old", type=Path, required=True, help="checkout that is right by definition")
     parser.add_argument("--new", type=Path, default=Path(), help="checkout to compare with it")
-    names = [one.name for one in SCENARIOS]
+    names = [scenario.name for scenario in SCENARIOS]
     parser.add_argument(
         "--only", nargs="+", choices=names, default=[], help="scenarios to play; default: all"
     )
@@ -127,13 +127,13 @@ def _play(side: Side, scenario: Scenario, old: Path, mark: str, *, again: bool) 
     return inside
 
 
-def _tell(found: list[tuple[Difference, str | None]], expected: list[Expected]) -> int:
+def _tell(sorted_out: list[tuple[Difference, str | None]], expected: list[Expected]) -> int:
     """Print what differs; return the exit status."""
-    for reason, count in Counter(reason for _, reason in found if reason is not None).items():
+    for reason, count in Counter(reason for _, reason in sorted_out if reason is not None).items():
         print(f"on purpose: {reason}: {count} places")
-    surprises = [one for one, reason in found if reason is None]
-    for one in surprises:
-        print(one)
+    surprises = [difference for difference, reason in sorted_out if reason is None]
+    for difference in surprises:
+        print(difference)
     for entry in expected:
         if not entry.matched:
             print(f"explains nothing: {entry.scenario}: {entry.place}: {entry.reason}")

@@ -62,9 +62,11 @@ def parties(root):
 
 def dates(root):
     names = ("receiptDate", "beginPerformanceDate", "endPerformanceDate", "issueDate")
-    found = [date.fromisoformat(told[:10]) for name in names if (told := text(root, f"{CORE}/dcc:{name}"))]
-    if found != sorted(found) or len(found) < 3:
-        yield f"dates are missing or out of order: {found}"
+    dates = [
+        date.fromisoformat(stated[:10]) for name in names if (stated := text(root, f"{CORE}/dcc:{name}"))
+    ]
+    if dates != sorted(dates) or len(dates) < 3:
+        yield f"dates are missing or out of order: {dates}"
 
 
 def amendments(root):
@@ -73,29 +75,29 @@ def amendments(root):
         yield "reportAmendedSubstituted and previousReport name two certificates"
     if replaced == text(root, f"{CORE}/dcc:uniqueIdentifier"):
         yield "the certificate replaces itself"
-    for one in find(root, "//dcc:previousReport | //dcc:certificate | //dcc:linkedReport"):
-        if text(one, "dcc:procedure") != "SHA-256" or not re.fullmatch(
-            "[0-9a-f]{64}", text(one, "dcc:value")
+    for linked in find(root, "//dcc:previousReport | //dcc:certificate | //dcc:linkedReport"):
+        if text(linked, "dcc:procedure") != "SHA-256" or not re.fullmatch(
+            "[0-9a-f]{64}", text(linked, "dcc:value")
         ):
-            yield f"line {one.sourceline}: this is not a hash by SHA-256"
+            yield f"line {linked.sourceline}: this is not a hash by SHA-256"
 
 
 def references(root):
     ids = Counter(find(root, "//@id"))
-    referred = {word for told in find(root, "//@refId") for word in told.split()}
-    yield from (f"refId {one} refers to no id" for one in referred - set(ids))
-    yield from (f"nothing refers to the id {one}" for one in set(ids) - referred)
-    yield from (f"id {one} stands {count} times" for one, count in ids.items() if count > 1)
+    referred = {word for refs in find(root, "//@refId") for word in refs.split()}
+    yield from (f"refId {name} refers to no id" for name in referred - set(ids))
+    yield from (f"nothing refers to the id {name}" for name in set(ids) - referred)
+    yield from (f"id {name} stands {count} times" for name, count in ids.items() if count > 1)
 
 
 def texts(root):
-    declared = {one.text for one in find(root, f"{CORE}/dcc:usedLangCodeISO639_1")}
-    for one in find(root, "//dcc:content"):
-        if one.get("lang", "en") not in declared or not (one.text or "").strip():
-            yield f"line {one.sourceline}: an empty text, or one of another language"
-    for one in find(root, "//dcc:release"):
-        if not re.fullmatch(r"[A-Za-z] ?(\d{1,3}\.){0,3}\d{1,3}", one.text):
-            yield f"the release {one.text} has not PTB's form v1.2.3"
+    declared = {language.text for language in find(root, f"{CORE}/dcc:usedLangCodeISO639_1")}
+    for content in find(root, "//dcc:content"):
+        if content.get("lang", "en") not in declared or not (content.text or "").strip():
+            yield f"line {content.sourceline}: an empty text, or one of another language"
+    for content in find(root, "//dcc:release"):
+        if not re.fullmatch(r"[A-Za-z] ?(\d{1,3}\.){0,3}\d{1,3}", content.text):
+            yield f"the release {content.text} has not PTB's form v1.2.3"
 
 
 def simulated(root):
@@ -104,7 +106,7 @@ def simulated(root):
         "number": SIMULATED in text(root, f"{CORE}/dcc:uniqueIdentifier"),
         "title": SIMULATED in text(root, ".//dcc:measurementResult/dcc:name/dcc:content"),
         "item": SIMULATED in text(root, ".//dcc:item/dcc:name/dcc:content"),
-        "statement": any(SIMULATED in one.text for one in find(root, "//dcc:statement//dcc:content")),
+        "statement": any(SIMULATED in content.text for content in find(root, "//dcc:statement//dcc:content")),
         "comment": bool(find(root, "dcc:comment/*[@simulated='true']")),
     }
     if len(set(signs.values())) != 1:
@@ -112,8 +114,8 @@ def simulated(root):
 
 
 def units_and_numbers(root):
-    for one in find(root, "//si:*[not(*)]"):
-        name, words = etree.QName(one).localname, (one.text or "").split()
+    for number in find(root, "//si:*[not(*)]"):
+        name, words = etree.QName(number).localname, (number.text or "").split()
         if "nit" in name:
             yield from (
                 f"{name}: {word} is not a unit of D-SI" for word in words or [""] if not is_unit(word)
@@ -156,46 +158,48 @@ class Result:
 
 
 def results(root) -> list[Result]:
-    return [Result(one) for one in find(root, OF_RESULTS) if not kinds(one) & WITHOUT_UNCERTAINTY]
+    return [Result(node) for node in find(root, OF_RESULTS) if not kinds(node) & WITHOUT_UNCERTAINTY]
 
 
 def uncertainties(root):
     """U, k, p and digits of each result (JCGM 100:2008, 7.2.6 and annex G)."""
     if not results(root):
         yield "there is no result"
-    for one in results(root):
-        if not one.stated or one.U <= 0:
-            yield f"{one.label} has no uncertainty"
+    for result in results(root):
+        if not result.stated or result.U <= 0:
+            yield f"{result.label} has no uncertainty"
             continue
-        if one.of_posterior and one.k >= 2.0:  # with long tails, k is any number above that of a normal one
+        if (
+            result.of_posterior and result.k >= 2.0
+        ):  # with long tails, k is any number above that of a normal one
             continue
-        quantile = 0.5 * (1.0 + one.p)
-        factors = [float(stdtrit(nu, quantile)) for nu in (one.nu, np.floor(one.nu)) if nu < 1e9]
-        if all(abs(one.k - exact) > 0.03 * exact for exact in factors or [float(stdtrit(1e9, quantile))]):
-            yield f"{one.label}: k = {one.k} does not belong to p = {one.p} and {one.nu} degrees of freedom"
-        digits = str(one.U).replace(".", "").lstrip("0")
-        if len(digits.rstrip("0") if one.U.to_integral() == one.U else digits) > 2:
-            yield f"{one.label}: U = {one.U} has too many digits"
-        if one.step < 1 and one.value.as_tuple().exponent != one.U.as_tuple().exponent:
-            yield f"{one.label} = {one.value} and U = {one.U} do not end at the same digit"
+        quantile = 0.5 * (1.0 + result.p)
+        factors = [float(stdtrit(nu, quantile)) for nu in (result.nu, np.floor(result.nu)) if nu < 1e9]
+        if all(abs(result.k - exact) > 0.03 * exact for exact in factors or [float(stdtrit(1e9, quantile))]):
+            yield f"{result.label}: k = {result.k} does not belong to p = {result.p} and {result.nu} degrees of freedom"
+        digits = str(result.U).replace(".", "").lstrip("0")
+        if len(digits.rstrip("0") if result.U.to_integral() == result.U else digits) > 2:
+            yield f"{result.label}: U = {result.U} has too many digits"
+        if result.step < 1 and result.value.as_tuple().exponent != result.U.as_tuple().exponent:
+            yield f"{result.label} = {result.value} and U = {result.U} do not end at the same digit"
 
 
 def joint_list(root):
     """The list with all digits has the results' labels, values and units, and a covariance that gives their U."""
-    (quantity,) = [one for one in find(root, "//dcc:quantity") if JOINT in kinds(one)]
-    stated = {one.id: one for one in results(root) if one.id}
-    members = [stated.pop(one) for one in quantity.get("refId").split()]
+    (quantity,) = [listed for listed in find(root, "//dcc:quantity") if JOINT in kinds(listed)]
+    stated = {result.id: result for result in results(root) if result.id}
+    members = [stated.pop(member) for member in quantity.get("refId").split()]
     if stated:
         yield f"the joint covariance lacks {sorted(stated)}"
-    if text(quantity, f"{LIST}/si:labelXMLList").split() != [one.label for one in members]:
+    if text(quantity, f"{LIST}/si:labelXMLList").split() != [member.label for member in members]:
         yield "the joint list has other labels"
-    units = [one.unit for one in members]
+    units = [member.unit for member in members]
     if text(quantity, f"{LIST}/si:unitXMLList").split() not in (units, sorted(set(units))):
         yield "the joint list has other units"
     values = map(float, text(quantity, f"{LIST}/si:valueXMLList").split())
-    for one, value in zip(members, values, strict=True):
-        if abs(value - float(one.value)) > 0.51 * one.step:
-            yield f"{one.label} is {one.value} as a result and {value} in the joint list"
+    for member, value in zip(members, values, strict=True):
+        if abs(value - float(member.value)) > 0.51 * member.step:
+            yield f"{member.label} is {member.value} as a result and {value} in the joint list"
     columns = [find(column, "si:covariance") for column in find(quantity, ".//si:column")]
     matrix = np.array([[float(text(row, "si:value")) for row in column] for column in columns])
     for i, column in enumerate(columns):
@@ -206,9 +210,9 @@ def joint_list(root):
     correlation = matrix / np.outer(sigma, sigma)
     if not np.allclose(matrix, matrix.T, rtol=1e-9, atol=0) or np.linalg.eigvalsh(correlation)[0] < -1e-9:
         yield "the covariance is not symmetric or not positive semi-definite"
-    for one, each in zip(members, sigma, strict=True):
-        if not one.is_expanded(each):
-            yield f"U = {one.U} of {one.label} is not k times the root of the diagonal, {each}"
+    for member, each in zip(members, sigma, strict=True):
+        if not member.is_expanded(each):
+            yield f"U = {member.U} of {member.label} is not k times the root of the diagonal, {each}"
     region = find(quantity, ".//si:ellipsoidalRegionXMLList")[0]
     k, p = (float(text(region, f"si:{name}")) for name in ("coverageFactor", "coverageProbability"))
     if k < 0.97 * math.sqrt(chdtri(len(members), 1.0 - p)):  # JCGM 102:2011, 6.5
@@ -217,27 +221,27 @@ def joint_list(root):
 
 def powers(unit: str) -> dict[str, int]:
     r"""Return the power of each unit, with its prefix, in a unit of D-SI; without ``\one``."""
-    found: dict[str, int] = {}
+    powers_of: dict[str, int] = {}
     prefix = last = ""
     sign = 1
     for word in unit.split("\\")[1:]:
         if word.startswith("tothe"):
-            found[last] += sign * (int(word[6:-1]) - 1)
+            powers_of[last] += sign * (int(word[6:-1]) - 1)
         elif word == "per":
             sign = -1
         elif word in PREFIXES:
             prefix = word
         else:
             last, prefix = prefix + word, ""
-            found[last] = found.get(last, 0) + sign
-    return {name: power for name, power in found.items() if power and name != "one"}
+            powers_of[last] = powers_of.get(last, 0) + sign
+    return {name: power for name, power in powers_of.items() if power and name != "one"}
 
 
 def budgets(root):
     """The rows of a budget add up to its result's uncertainty (JCGM 100:2008, 5.1)."""
-    stated = {one.id: one for one in results(root)}
+    stated = {result.id: result for result in results(root)}
     for budget in find(root, "//dcc:result[@refId]"):
-        one = stated[budget.get("refId")]
+        result = stated[budget.get("refId")]
         rows, (combined,) = (
             [
                 float(text(quantity, "si:real/si:value"))
@@ -246,26 +250,26 @@ def budgets(root):
             ]
             for name in (CONTRIBUTION, COMBINED)
         )
-        if abs(math.hypot(*rows) - combined) > 0.01 * combined or not one.is_expanded(combined):
-            yield f"the budget of {one.label}: rows {math.hypot(*rows)}, sum {combined}, U = {one.U}"
+        if abs(math.hypot(*rows) - combined) > 0.01 * combined or not result.is_expanded(combined):
+            yield f"the budget of {result.label}: rows {math.hypot(*rows)}, sum {combined}, U = {result.U}"
 
 
 def verdicts(root):
     """The verdict on each result with limits is that of the guard band (ILAC-G8:09/2019, 4.2)."""
-    stated = {one.id: one for one in results(root)}
+    stated = {result.id: result for result in results(root)}
     for statement in find(root, "//dcc:statement[dcc:conformity]"):
-        told = {
-            text(one, "dcc:name/dcc:content"): float(text(one, "si:real/si:value"))
-            for one in find(statement, "dcc:data/dcc:quantity")
+        limits = {
+            text(limit, "dcc:name/dcc:content"): float(text(limit, "si:real/si:value"))
+            for limit in find(statement, "dcc:data/dcc:quantity")
         }
-        one = stated[statement.get("refId").split()[0]]
-        lower, upper = told.get("lower limit", -math.inf), told.get("upper limit", math.inf)
-        margin, guard = min(float(one.value) - lower, upper - float(one.value)), told["guard band w"]
+        result = stated[statement.get("refId").split()[0]]
+        lower, upper = limits.get("lower limit", -math.inf), limits.get("upper limit", math.inf)
+        margin, guard = min(float(result.value) - lower, upper - float(result.value)), limits["guard band w"]
         expected = "pass" if margin >= 0 else "fail"
         if abs(margin) < guard:
             expected = f"conditional{expected.title()}"
         if text(statement, "dcc:conformity") != expected or not text(statement, "dcc:convention"):
-            yield f"{one.label}: the verdict is not {expected}, or has no decision rule"
+            yield f"{result.label}: the verdict is not {expected}, or has no decision rule"
 
 
 CHECKS = (

@@ -58,10 +58,10 @@ class Documented:
 
     def section(self, title: str) -> str | None:
         """Return the text of a section of the docstring, or None where it has none."""
-        found = list(_HEADING.finditer(self.docstring))
-        for here, match in enumerate(found):
+        headings = list(_HEADING.finditer(self.docstring))
+        for here, match in enumerate(headings):
             if match.group(1) == title:
-                end = found[here + 1].start() if here + 1 < len(found) else None
+                end = headings[here + 1].start() if here + 1 < len(headings) else None
                 return self.docstring[match.end() : end]
         return None
 
@@ -142,12 +142,12 @@ def calib_api() -> dict[str, str]:
         for node in tree.body
         if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "_MODULES"
     )
-    found: dict[str, str] = {}
+    names_of: dict[str, str] = {}
     for name, module in table.items():
         file = f"{module.replace('.', '/')}.py"
         file = file if (ROOT / file).is_file() else f"{module.replace('.', '/')}/__init__.py"
-        found[file] = f"{found.get(file, '')} {name}"
-    return found
+        names_of[file] = f"{names_of.get(file, '')} {name}"
+    return names_of
 
 
 def documented(source: str, place: str = "here") -> list[Documented]:
@@ -165,18 +165,18 @@ def split_by_api() -> tuple[list[Documented], list[Documented]]:
         for file in sorted((ROOT / package).rglob("*.py")):
             place = str(file.relative_to(ROOT))
             wanted = names.get(place, "").split()
-            for one in documented(file.read_text(encoding="utf-8"), place):
-                outer = one.name.split(".")[0]
-                (api if wanted == ["*"] or outer in wanted else inner).append(one)
+            for documented_name in documented(file.read_text(encoding="utf-8"), place):
+                outer = documented_name.name.split(".")[0]
+                (api if wanted == ["*"] or outer in wanted else inner).append(documented_name)
     return api, inner
 
 
-def must_be_complete(one: Documented) -> bool:
+def must_be_complete(documented: Documented) -> bool:
     """Return whether a name of the API is documented by itself, not by its base, its property or its framework."""
-    decorators = " ".join(ast.unparse(d) for d in one.node.decorator_list)
+    decorators = " ".join(ast.unparse(d) for d in documented.node.decorator_list)
     return not (
-        isinstance(one.node, ast.ClassDef)
-        or any(part.startswith(("_", "test_")) for part in one.name.split("."))
+        isinstance(documented.node, ast.ClassDef)
+        or any(part.startswith(("_", "test_")) for part in documented.name.split("."))
         or _DOCUMENTED_ELSEWHERE.search(decorators)
-        or _REFERS.match(one.docstring)
+        or _REFERS.match(documented.docstring)
     )

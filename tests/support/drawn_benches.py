@@ -142,7 +142,7 @@ def draw_bench(
             {
                 f"{axis}_deg": pose.get(axis, 0.0) / scale
                 for axis, scale in zip(("pan", "tilt", "roll"), scales, strict=True)
-                if axis != "roll" or any("roll" in one for one in poses)
+                if axis != "roll" or any("roll" in pose for pose in poses)
             }
         )
     return DrawnBench(truth, views, readings, head)
@@ -166,10 +166,10 @@ def draw_repeats(
     rounds = [draw_bench(profile, poses, seed, noise_seed=number, **drawn) for number in range(times)]
     views = [
         replace(view, name=f"{view.name} round {number}" if number > 1 else view.name)
-        for number, one in enumerate(rounds, 1)
-        for view in one.views
+        for number, bench in enumerate(rounds, 1)
+        for view in bench.views
     ]
-    readings = [pose for one in rounds for pose in one.readings_deg]
+    readings = [pose for bench in rounds for pose in bench.readings_deg]
     return DrawnBench(rounds[0].truth, views, readings, rounds[0].camera_from_head)
 
 

@@ -108,7 +108,7 @@ def _rim(truth: Truth, rotation: Array, rng: np.random.Generator) -> RimPoints:
 def _framed(truth: Truth, rotation: Array, places_mm: Array) -> NDArray[np.bool_]:
     """Return which points of the target lie in the frame, for a lens without distortion."""
     c = truth.collimator
-    away = np.column_stack([places_mm - [c.x, c.y], np.full(len(places_mm), c.r)]) @ rotation.T
-    tangents = np.abs(away[:, :2] / away[:, 2:])
+    rays = np.column_stack([places_mm - [c.x, c.y], np.full(len(places_mm), c.r)]) @ rotation.T
+    tangents = np.abs(rays[:, :2] / rays[:, 2:])
     half = np.array([truth.camera.width, truth.camera.height]) / 2.0
     return np.asarray((tangents * truth.camera.fx < half).all(axis=1))

@@ -127,19 +127,19 @@ def strike(fault: Fault, state: str, folder: Path, patch: pytest.MonkeyPatch) ->
 
 def _with_a_hold(scene, happens, patch, *, stop_there):
     """Have an operator hold the run before its second pose, for some seconds; or stop it there."""
-    sleep, told = VirtualClock.sleep, []
+    sleep, orders = VirtualClock.sleep, []
 
     def passing(clock, seconds):
         runner = scene.runner
         if runner is not None and not scene.dead:
-            if not told and runner.state == "settling":
-                told.append("hold")
+            if not orders and runner.state == "settling":
+                orders.append("hold")
                 if stop_there:
                     clock.request_stop("SIGTERM received")
                 else:
                     command(scene, "hold")
-            elif len(told) == 1 and runner.state == "holding":
-                told.append("release")
+            elif len(orders) == 1 and runner.state == "holding":
+                orders.append("release")
                 command(scene, "release")
         happens("tick")
         sleep(clock, seconds)
@@ -270,8 +270,8 @@ def _named(states):
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as made:
-        found = list(matrix(Path(made)))
-        for fault, state, cell in found:
+        rows = list(matrix(Path(made)))
+        for fault, state, cell in rows:
             if cell.wrong:
                 print(f"{fault.name} in {state}: {'; '.join(cell.wrong)}", file=sys.stderr)
-        print(text(found), end="")
+        print(text(rows), end="")

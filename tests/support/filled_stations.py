@@ -27,7 +27,7 @@ def filled(text: str) -> str:
     """Return a station file with a value in place of every placeholder."""
     text = re.sub(
         rf"(\w+): {UNKNOWN_NUMBER}",
-        lambda found: f"{found[1]}: {'2.5' if found[1] == 'high_v' else '6400'}",
+        lambda match: f"{match[1]}: {'2.5' if match[1] == 'high_v' else '6400'}",
         text,
     )
     text = text.replace(
@@ -35,10 +35,10 @@ def filled(text: str) -> str:
     )
     count = 0
 
-    def next_value(found: re.Match[str]) -> str:
+    def next_value(match: re.Match[str]) -> str:
         nonlocal count
         count += 1
-        return _TEXTS[found[0]].format(count)
+        return _TEXTS[match[0]].format(count)
 
     return re.sub("|".join(map(re.escape, _TEXTS)), next_value, text)
 

@@ -372,7 +372,7 @@ def controls(run: Path) -> Iterator[Case]:
 
 def all_cases(run: Path) -> list[Case]:
     """All cases, in a fixed order."""
-    found = [
+    cases = [
         *controls(run),
         *wrong_files(run),
         *spoilt_files(),
@@ -380,7 +380,7 @@ def all_cases(run: Path) -> list[Case]:
         *run_folders(run),
         *odd_folders(run),
     ]
-    return [*found, *homes(run)]
+    return [*cases, *homes(run)]
 
 
 def few_cases(run: Path) -> list[Case]:

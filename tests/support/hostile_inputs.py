@@ -31,12 +31,12 @@ _ADDRESS_SPACE = 4 << 30
 
 def prints(folder: Path) -> dict[str, tuple[int, int]]:
     """Size and time of change of every file below a folder."""
-    found = {}
+    prints_of = {}
     for at, folders, files in os.walk(folder):
         for name in (*folders, *files):
             facts = (Path(at) / name).lstat()
-            found[str(Path(at) / name)] = (facts.st_size, facts.st_mtime_ns)
-    return found
+            prints_of[str(Path(at) / name)] = (facts.st_size, facts.st_mtime_ns)
+    return prints_of
 
 
 def _child(case: Case, folder: Path, words: list[str]) -> None:
@@ -73,8 +73,8 @@ def _address_space_now() -> int:
 def _wait(pid: int) -> tuple[int, resource.struct_rusage, bool]:
     end = time.monotonic() + MOST_WALL_S
     while time.monotonic() < end:
-        found, status, usage = os.wait4(pid, os.WNOHANG)
-        if found:
+        ended_pid, status, usage = os.wait4(pid, os.WNOHANG)
+        if ended_pid:
             return status, usage, False
         time.sleep(0.005)
     os.killpg(pid, signal.SIGKILL)
@@ -104,47 +104,47 @@ def run_case(case: Case, where: Path, watched: Path) -> dict[str, object]:
     if not (pid := os.fork()):
         _child(case, folder, words)
     status, usage, hung = _wait(pid)
-    said = {
+    streams = {
         name: (folder / name).read_bytes()[:_TEXT_LIMIT].decode("utf-8", "replace")
         if (folder / name).exists()
         else ""
         for name in ("stdout", "stderr")
     }
-    found = {
+    report = {
         "name": case.name,
         "status": os.waitstatus_to_exitcode(status),
         "mb": round((usage.ru_maxrss - base) / 1024),
         "cpu_s": round(usage.ru_utime + usage.ru_stime, 2),
-        "said": said["stderr"] or said["stdout"],
+        "said": streams["stderr"] or streams["stdout"],
     }
-    wrong = list(_wrong(case, found, words, said, hung))
+    wrong = list(_wrong(case, report, words, streams, hung))
     if prints(watched) != before:
         wrong.append("a file outside was changed")
     if (folder / "executed").exists():
         wrong.append("code was executed")
     shutil.rmtree(folder)
-    return {**found, "wrong": wrong}
+    return {**report, "wrong": wrong}
 
 
-def _wrong(case, found, words, said, hung) -> Iterator[str]:
-    both = said["stdout"] + said["stderr"]
+def _wrong(case, report, words, streams, hung) -> Iterator[str]:
+    both = streams["stdout"] + streams["stderr"]
     if hung:
         yield "it hung"
-    if found["status"] not in case.exits:
-        yield f"status {found['status']}"
+    if report["status"] not in case.exits:
+        yield f"status {report['status']}"
     if "Traceback" in both or "defect" in both:
         yield "a traceback or a defect"
-    if found["mb"] > MOST_MB:
-        yield f"{found['mb']} MB"
-    if found["cpu_s"] > MOST_CPU_S:
-        yield f"{found['cpu_s']} s"
-    if found["status"] and not both.strip():
+    if report["mb"] > MOST_MB:
+        yield f"{report['mb']} MB"
+    if report["cpu_s"] > MOST_CPU_S:
+        yield f"{report['cpu_s']} s"
+    if report["status"] and not both.strip():
         yield "nothing was said"
     if any((ord(letter) < 32 and letter not in "\n\t") or 0x7F <= ord(letter) < 0xA0 for letter in both):
         yield "a control character was printed"
     if len(both) > 6000:
         yield f"a message of {len(both)} characters"
-    if found["status"] in (1, 2) and case.named and not any(word in both for word in words if "bad" in word):
+    if report["status"] in (1, 2) and case.named and not any(word in both for word in words if "bad" in word):
         yield "the message does not name the file"
 
 

@@ -98,7 +98,7 @@ def key_pem(key, passphrase=None):
 
 def pem(*certificates):
     """Return certificates as PEM."""
-    return b"".join(one.public_bytes(serialization.Encoding.PEM) for one in certificates)
+    return b"".join(certificate.public_bytes(serialization.Encoding.PEM) for certificate in certificates)
 
 
 def signed_at(days=200):

@@ -93,32 +93,32 @@ def figures(views: Sequence[View]) -> Figures:
     discs = visible_discs(views)
     fits = {name: calibrate(views, CalibrationOptions(model=name, loss="l2")) for name in MODELS}
     spherical, joint, planar = fits.values()
-    found: Figures = {f"{name}_rms": fit.rms_px for name, fit in fits.items()}
-    found |= {f"{name}_left_out": float(fit.left_out_rms_px or math.nan) for name, fit in fits.items()}
+    numbers: Figures = {f"{name}_rms": fit.rms_px for name, fit in fits.items()}
+    numbers |= {f"{name}_left_out": float(fit.left_out_rms_px or math.nan) for name, fit in fits.items()}
     rho = np.concatenate(
         [
             np.linalg.norm(view.target_mm - disc.centre_mm, axis=1) / disc.radius_mm
             for view, disc in zip(views, discs, strict=True)
         ]
     )
-    found |= {f"{name}_outer_tenth": _share(fit, rho > OUTER) for name, fit in fits.items()}
+    numbers |= {f"{name}_outer_tenth": _share(fit, rho > OUTER) for name, fit in fits.items()}
     assert spherical.collimator is not None
     drift = 100.0 * planar.centres / spherical.collimator.r
     places = np.array([disc.centre_mm for disc in discs])
-    found |= {f"drift_{axis}": float(drift[:, k].std()) for k, axis in enumerate("xyz")}
-    found |= {
+    numbers |= {f"drift_{axis}": float(drift[:, k].std()) for k, axis in enumerate("xyz")}
+    numbers |= {
         f"disc_{axis}": float(np.corrcoef(drift[:, k], places[:, k])[0, 1]) for k, axis in enumerate("xy")
     }
-    found["stars"], found["beyond"] = float(len(rho)), float(np.mean(rho > 1.0))
-    found["planar_focal_gap"] = 100.0 * (planar.camera.fx / joint.camera.fx - 1.0)
-    found["spherical_focal_gap"] = 100.0 * (spherical.camera.fx / joint.camera.fx - 1.0)
-    return found
+    numbers["stars"], numbers["beyond"] = float(len(rho)), float(np.mean(rho > 1.0))
+    numbers["planar_focal_gap"] = 100.0 * (planar.camera.fx / joint.camera.fx - 1.0)
+    numbers["spherical_focal_gap"] = 100.0 * (spherical.camera.fx / joint.camera.fx - 1.0)
+    return numbers
 
 
 def mean_and_scatter(several: Sequence[Figures]) -> tuple[Figures, Figures]:
     """Mean and standard deviation of each figure."""
-    mean = {name: float(np.mean([one[name] for one in several])) for name in several[0]}
-    return mean, {name: float(np.std([one[name] for one in several])) for name in several[0]}
+    mean = {name: float(np.mean([figures_of[name] for figures_of in several])) for name in several[0]}
+    return mean, {name: float(np.std([figures_of[name] for figures_of in several])) for name in several[0]}
 
 
 def _seen(name: str, ids: NDArray[np.int64], points_px: FloatArray) -> View:

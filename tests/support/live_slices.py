@@ -25,11 +25,11 @@ HEADER = (
 def bench(*, psf_px: float = 0.7, roll_deg: float = 10.0, circle_px: float = 0.0, **truth: Any) -> Truth:
     """Return the simulated bench, its camera rolled against the target, its lens out of focus by a blur circle."""
     optics = OpticsTruth(psf_px=psf_px, mounting_deg=(0.31, -0.22, roll_deg))
-    found = dataclasses.replace(Truth(), optics=optics, **truth)
+    focused = dataclasses.replace(Truth(), optics=optics, **truth)
     if circle_px <= 0.0:
-        return found
-    at_1_m = blur_px(dataclasses.replace(found, lens=LensTruth(focus_distance_m=1.0)))
-    return dataclasses.replace(found, lens=LensTruth(focus_distance_m=at_1_m / circle_px))
+        return focused
+    at_1_m = blur_px(dataclasses.replace(focused, lens=LensTruth(focus_distance_m=1.0)))
+    return dataclasses.replace(focused, lens=LensTruth(focus_distance_m=at_1_m / circle_px))
 
 
 def seen(truth: Truth, **angles_deg: float) -> NDArray[np.float32]:

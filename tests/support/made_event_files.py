@@ -36,11 +36,11 @@ def same(ours, theirs):
     return all(np.array_equal(a, b) for a, b in zip(ours, theirs, strict=True))
 
 
-def assert_same(found, rows, origin_us=0):
-    assert np.array_equal(found.events.t + origin_us, rows["t"].astype(np.int64))
-    assert np.array_equal(found.events.x, rows["x"])
-    assert np.array_equal(found.events.y, rows["y"])
-    assert np.array_equal(found.events.p, rows["on"])
+def assert_same(recording, rows, origin_us=0):
+    assert np.array_equal(recording.events.t + origin_us, rows["t"].astype(np.int64))
+    assert np.array_equal(recording.events.x, rows["x"])
+    assert np.array_equal(recording.events.y, rows["y"])
+    assert np.array_equal(recording.events.p, rows["on"])
 
 
 def evt2_words(*words):

@@ -123,8 +123,8 @@ class BenchOfRuns:
             RUN_BEGUN, number=self.number, run=folder.name, folder=str(folder), camera=serial, simulated=self.simulated
         )  # fmt: skip
         place = {"number": self.number, "head": self.journal.head, "of_camera": {}}
-        told = {"station": self.station, "simulated": self.simulated, **facts}
-        write_run(folder, begun=begun, serial=serial, place=place, **told)
+        stated = {"station": self.station, "simulated": self.simulated, **facts}
+        write_run(folder, begun=begun, serial=serial, place=place, **stated)
         self.journal.append(RUN_ENDED, number=self.number, how=facts.get("ended", "finished"), seal=None)
         return folder
 

@@ -102,15 +102,15 @@ def calibrate_once(
 
 def study_of(bench: ExpectedBench, outcomes: Sequence[Repetition]) -> MonteCarloStudy:
     """Put the runs of a study together, in their order; at least one must have a result."""
-    good = [one for one in outcomes if not one.failed]
-    failed = tuple(one.failed for one in outcomes if one.failed)
+    good = [outcome for outcome in outcomes if not outcome.failed]
+    failed = tuple(outcome.failed for outcome in outcomes if outcome.failed)
     if not good:
         raise NotConverged(
             f"None of the {len(outcomes)} calibrations has a result. The first one: {failed[0]}",
             remedy="Give less noise, fewer outliers, or more poses.",
         )
     kinds, true = ("values", "sigmas", "factors"), {**bench.camera.to_dict(), **bench.collimator.to_dict()}
-    values, sigmas, factors = (np.array([getattr(one, kind) for one in good]) for kind in kinds)
+    values, sigmas, factors = (np.array([getattr(outcome, kind) for outcome in good]) for kind in kinds)
     truth = np.array([true.get(name, 0.0) for name in good[-1].names])  # what the bench does not have is zero
     return MonteCarloStudy(good[-1].names, truth, values, sigmas, factors, failed)
 

@@ -15,7 +15,7 @@ def value_of(expression, data=None):
         '#import "content.typ"\n#import "content_numbers.typ"\n#let d = json("document.json")\n'
         f"#metadata({expression}) <found>"
     )
-    files = {one.name: one.read_bytes() for one in folder.iterdir() if one.name.endswith(".typ")}
+    files = {file.name: file.read_bytes() for file in folder.iterdir() if file.name.endswith(".typ")}
     files |= {"main.typ": main.encode(), "document.json": json.dumps(data).encode()}
     return json.loads(typst.Compiler(files).query("<found>", field="value", one=True))
 

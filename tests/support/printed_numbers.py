@@ -16,20 +16,20 @@ def leaves(certificate):
     yield from _leaves(json.loads(certificate.to_json()), "")
 
 
-def _leaves(found, path):
-    if isinstance(found, dict):
-        for name, value in found.items():
+def _leaves(node, path):
+    if isinstance(node, dict):
+        for name, value in node.items():
             yield from _leaves(value, f"{path}.{name}".removeprefix("."))
-    elif isinstance(found, list | tuple):
-        for number, value in enumerate(found):
+    elif isinstance(node, list | tuple):
+        for number, value in enumerate(node):
             yield from _leaves(value, f"{path}[{number}]")
     else:
-        yield path, found
+        yield path, node
 
 
 def numbers_of(text):
     """Each number of a text: its value, and half a unit of its last digit."""
-    found = set()
+    numbers = set()
     for token in NUMBER.findall(text):
         plain, _, power = (
             token.replace("\u2212", "-").replace("·10", "e").translate(SUPERSCRIPTS).partition("e")
@@ -37,12 +37,12 @@ def numbers_of(text):
         scale = 10.0 ** int(power or 0)
         decimals = len(plain.partition(".")[2])
         digits = len(plain.lstrip("-0.").replace(".", ""))
-        found.add((float(plain) * scale, 0.5000001 * 10.0**-decimals * scale, digits))
+        numbers.add((float(plain) * scale, 0.5000001 * 10.0**-decimals * scale, digits))
         zeros = (
             0 if decimals else len(plain) - len(plain.rstrip("0"))
         )  # of 2910, the last digit may be rounded
-        found.add((float(plain) * scale, 0.5000001 * 10.0 ** (zeros - decimals) * scale, digits - zeros))
-    return found
+        numbers.add((float(plain) * scale, 0.5000001 * 10.0 ** (zeros - decimals) * scale, digits - zeros))
+    return numbers
 
 
 def missing_numbers(certificate, text):
@@ -105,13 +105,13 @@ def squash(text):
     return "".join(unicodedata.normalize("NFKC", text).replace("\u2212", "-").split()).casefold()
 
 
-def texts_of(found):
+def texts_of(node):
     """Each text of a document as the layout gets it."""
-    if isinstance(found, str):
-        yield found
-    elif isinstance(found, dict):
-        for value in found.values():
+    if isinstance(node, str):
+        yield node
+    elif isinstance(node, dict):
+        for value in node.values():
             yield from texts_of(value)
-    elif isinstance(found, list | tuple):
-        for value in found:
+    elif isinstance(node, list | tuple):
+        for value in node:
             yield from texts_of(value)

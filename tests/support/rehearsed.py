@@ -32,8 +32,8 @@ class Hooked:
 
     def _call(self, method, name, *words, **more):
         change = self._hook(name)
-        found = method(*words, **more)
-        return change(found) if change is not None else found
+        answer = method(*words, **more)
+        return change(answer) if change is not None else answer
 
 
 class Scene:
@@ -85,11 +85,11 @@ class Scene:
     def events(self):
         return [(e.event, e.data) for e in read_journal(self.folder / "journal.jsonl")[0]]
 
-    def told(self, event):
+    def data_of(self, event):
         return [data for name, data in self.events() if name == event]
 
     def states(self):
-        return [data["state"] for data in self.told(Event.ENTERING)]
+        return [data["state"] for data in self.data_of(Event.ENTERING)]
 
 
 def with_runner(scene, monkeypatch):

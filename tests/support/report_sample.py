@@ -38,31 +38,31 @@ def sample(*, size=(1280, 720), seed=1, simulated=True):
 
 def of_many_poses(views):
     """Data of a report with these poses, each with all its facts."""
-    found = _results(views[:3], simulated=True)
-    found["poses"] = [_pose(number, view) for number, view in enumerate(views, 1)]
-    return ReportData(found, views, "5f" * 32)
+    results = _results(views[:3], simulated=True)
+    results["poses"] = [_pose(number, view) for number, view in enumerate(views, 1)]
+    return ReportData(results, views, "5f" * 32)
 
 
 def _results(views, *, simulated):
     """Results of a run with these views."""
-    found = json.loads(RESULTS.read_bytes())
-    for part in (found["calibration"], found["previous"]["calibration"]):
+    results = json.loads(RESULTS.read_bytes())
+    for part in (results["calibration"], results["previous"]["calibration"]):
         part["image_size"] = list(views[0].image.shape[::-1])
-    for row, pose, view in zip(found["calibration"]["views"], found["poses"], views, strict=True):
+    for row, pose, view in zip(results["calibration"]["views"], results["poses"], views, strict=True):
         row |= {"name": view.name, "n": len(view.ids)}
         pose |= {"name": view.name, "stars": len(view.ids)}
     if not simulated:
-        found["run"] |= {"simulated": False, "seed": None}
-        found |= {"truth": None, "comparison": []}
-    return found
+        results["run"] |= {"simulated": False, "seed": None}
+        results |= {"truth": None, "comparison": []}
+    return results
 
 
 def _pose(number, view):
     """A pose like the first one of the run, with recordings of its own."""
-    found = json.loads(RESULTS.read_bytes())["poses"][0]
-    (attempt,) = found["attempts"]
+    pose = json.loads(RESULTS.read_bytes())["poses"][0]
+    (attempt,) = pose["attempts"]
     attempt |= {"capture": f"captures/pose-{number:03d}-attempt-1.raw", "sha256": f"{number}1" * 32}
-    return found | {"index": number, "name": view.name, "stars": len(view.ids)}
+    return pose | {"index": number, "name": view.name, "stars": len(view.ids)}
 
 
 def _view(name, camera, rotation, rng):

@@ -44,8 +44,8 @@ def called(*words, home: Path) -> subprocess.CompletedProcess[str]:
             main([str(word) for word in words])
         except SystemExit as end:
             status = int(end.code or 0)
-    told = [stream.buffer.getvalue().decode() for stream in (out, err)]
-    return subprocess.CompletedProcess(words, status, *told)
+    outputs = [stream.buffer.getvalue().decode() for stream in (out, err)]
+    return subprocess.CompletedProcess(words, status, *outputs)
 
 
 def start(*words, home: Path) -> subprocess.Popen[str]:
@@ -110,11 +110,11 @@ def results(folder: Path) -> dict:
 
 def numbers(folder: Path) -> dict:
     """What a run measured, without its times and names."""
-    told = results(folder)
-    images = [{k: v for k, v in pose["image"].items() if k != "window_us"} for pose in told["poses"]]
+    answers = results(folder)
+    images = [{k: v for k, v in pose["image"].items() if k != "window_us"} for pose in answers["poses"]]
     return {
-        "calibration": told["calibration"],
-        "stars": [pose["stars"] for pose in told["poses"]],
+        "calibration": answers["calibration"],
+        "stars": [pose["stars"] for pose in answers["poses"]],
         "images": images,
-        "accepted": [sum(a["accepted"] for a in pose["attempts"]) for pose in told["poses"]],
+        "accepted": [sum(a["accepted"] for a in pose["attempts"]) for pose in answers["poses"]],
     }

@@ -36,11 +36,13 @@ def write_solved_run(folder, *, model="spherical", poses=POSES, end=END):
     measure = RehearsedKind.measure
 
     def measured(self, *words):
-        found = measure(self, *words)
-        if found.view is None:
-            return found
+        measured_pose = measure(self, *words)
+        if measured_pose.view is None:
+            return measured_pose
         return Measurement(
-            found.view, StoredImage.from_image(image_of(found.view)), {**found.facts, "image": IMAGE}
+            measured_pose.view,
+            StoredImage.from_image(image_of(measured_pose.view)),
+            {**measured_pose.facts, "image": IMAGE},
         )
 
     with (

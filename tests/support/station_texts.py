@@ -8,8 +8,8 @@ from bench.stations.station import SHIPPED_STATIONS
 def without(text: str, *sections: str) -> str:
     """The text of a station file without some sections and the comments directly before them."""
     for name in sections:
-        text, found = re.subn(rf"(?m)(^#.*\n)*^{name}:.*\n((?=[ #]).*\n|\n(?= ))*", "", text)
-        assert found == 1, name
+        text, replaced = re.subn(rf"(?m)(^#.*\n)*^{name}:.*\n((?=[ #]).*\n|\n(?= ))*", "", text)
+        assert replaced == 1, name
     return text
 
 

@@ -56,9 +56,9 @@ def make_runs(base: Path, folder: Path, count: int) -> list[Path]:
         recordings = {name: pool / str(n) / name for name, n in zip(captures, chosen, strict=True)}
         run = folder / f"run-{number:04d}"
         run.mkdir(parents=True)
-        for one in base.iterdir():
-            if one.suffix in {".yaml", ".json"}:
-                shutil.copy(one, run / one.name)
+        for file in base.iterdir():
+            if file.suffix in {".yaml", ".json"}:
+                shutil.copy(file, run / file.name)
         for name, path in recordings.items():
             (run / name).parent.mkdir(exist_ok=True)
             os.link(path, run / name)

@@ -91,7 +91,7 @@ def test_a_file_an_event_and_a_byte_on_the_wire_that_are_missing_are_found(tmp_p
     journal.write_text(journal.read_text().splitlines()[0] + "\n")
     wire.write_text(wire.read_text().replace("move abs 5", "move abs 6"))
     read = [read_folder(folder, [(str(folder), "folder")]) for folder in (old, new)]
-    found = {one.place: one.told for one in compare("made_up", *read)}
+    found = {one.place: one.words for one in compare("made_up", *read)}
     assert found["run/exports/opencv.yaml"].startswith("only old")
     assert "-attempt_checked" in found["run/journal.jsonl (events)"]
     assert "move abs 6" in found["run/wire.jsonl/gimbal"]

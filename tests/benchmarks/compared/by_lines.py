@@ -74,8 +74,8 @@ def calibrate_by_lines(
     covariance = np.linalg.pinv(jacobian.T @ jacobian, hermitian=True) * (residuals @ residuals / freedom)
     sigma = dict(zip(camera.parameter_names, adjustment.scale * np.sqrt(np.diag(covariance)), strict=False))
     lengths = rms_and_mean(np.abs(residuals * adjustment.sigma_px))
-    found = adjustment.camera(values)
-    return MethodResult("lines", found, sigma, *lengths, None)
+    fitted = adjustment.camera(values)
+    return MethodResult("lines", fitted, sigma, *lengths, None)
 
 
 def _start(
@@ -85,7 +85,9 @@ def _start(
     lines = [np.array([edge.line for edge in view.edges]) for view in views]
     maps = [projection_of_lines(line, view.ends_mm) for line, view in zip(lines, views, strict=True)]
     if maps[0].shape[1] == 3:
-        homographies = np.array([_ahead(one, view.inside_mm) for one, view in zip(maps, views, strict=True)])
+        homographies = np.array(
+            [_ahead(projection, view.inside_mm) for projection, view in zip(maps, views, strict=True)]
+        )
         matrix = zhang_matrix(homographies, image_size, free_principal_point=False)
         if matrix is None:
             raise DegenerateViews("The closed form has no real camera.", remedy="Tilt the sheet more.")
@@ -93,8 +95,13 @@ def _start(
         poses = [(r, -r @ c) for r, c in zip(rotations, centres, strict=True)]
         return CameraModel.of_matrix(matrix, image_size), poses
     # One view of a small box says little about the principal point: it is the image's centre at first.
-    matrices = [camera_of_projection(one, view.inside_mm)[0] for one, view in zip(maps, views, strict=True)]
-    matrix = central_matrix(float(np.median([one[[0, 1], [0, 1]].mean() for one in matrices])), image_size)
+    matrices = [
+        camera_of_projection(projection, view.inside_mm)[0]
+        for projection, view in zip(maps, views, strict=True)
+    ]
+    matrix = central_matrix(
+        float(np.median([matrix_of_view[[0, 1], [0, 1]].mean() for matrix_of_view in matrices])), image_size
+    )
     poses = []
     for line, view in zip(lines, views, strict=True):
         _, rotation, translation = camera_of_projection(
@@ -211,7 +218,7 @@ class _Adjustment:
             every[free] = own
             return every
 
-        found = least_squares(
+        fit = least_squares(
             lambda own: self.residuals(full(own)),
             values[free],
             lambda own: self.jacobian(full(own))[:, free],
@@ -220,6 +227,6 @@ class _Adjustment:
             x_scale="jac",
             max_nfev=200,
         )
-        if not found.success:
+        if not fit.success:
             raise NotConverged("The adjustment over lines did not converge.", remedy="Add views.")
-        return full(found.x)
+        return full(fit.x)

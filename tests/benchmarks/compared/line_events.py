@@ -62,10 +62,10 @@ def edge_points(
     length = float(np.linalg.norm(along))
     along = along / length
     normal = np.array([-along[1], along[0]])
-    away = np.column_stack([x, y]) - begin
-    s, d, late = away @ along, away @ normal, 1e-3 * (t - at_us)
-    beside = (s > _ENDS_PX) & (s < length - _ENDS_PX) & (np.abs(d) < _BAND_PX)
-    swept = [np.column_stack([s, d, late])[beside & ((p > 0) == on)] for on in (False, True)]
+    from_begin = np.column_stack([x, y]) - begin
+    s, d, late = from_begin @ along, from_begin @ normal, 1e-3 * (t - at_us)
+    in_band = (s > _ENDS_PX) & (s < length - _ENDS_PX) & (np.abs(d) < _BAND_PX)
+    swept = [np.column_stack([s, d, late])[in_band & ((p > 0) == on)] for on in (False, True)]
     of_plane = [_on_plane(each, length, rng) for each in swept]
     brighter = len(of_plane[True]) > len(of_plane[False])
     s, d, late = of_plane[brighter].T

@@ -110,26 +110,26 @@ def _numbers(result: MethodResult, calibration: Calibration | None) -> Row:
 
 
 def compare_with_truth(
-    found: CameraModel,
+    camera: CameraModel,
     true: CameraModel,
     sigma: Mapping[str, float],
     k: float,
     calibration: Calibration | None = None,
 ) -> Row:
     """Compare a calibrated camera with the true one; the worst corner needs the covariance of a ``calibration``."""
-    offset = np.asarray(camera_difference(found, true, _ACROSS).offset_px)
-    away = np.linalg.norm(offset, axis=2) / true.fx * 1e6
-    corners = away[[0, 0, -1, -1], [0, -1, 0, -1]]
+    offset = np.asarray(camera_difference(camera, true, _ACROSS).offset_px)
+    off_urad = np.linalg.norm(offset, axis=2) / true.fx * 1e6
+    corners = off_urad[[0, 0, -1, -1], [0, -1, 0, -1]]
     errors = {
-        name: found.to_dict()[name] - value
+        name: camera.to_dict()[name] - value
         for name, value in true.to_dict().items()
-        if name in found.to_dict()
+        if name in camera.to_dict()
     }
     compared: Row = {
         "errors": errors,
-        "direction_rms_urad": float(np.sqrt(np.nanmean(away**2))),
-        "direction_worst_urad": float(np.nanmax(away)),
-        "centre_urad": float(away[away.shape[0] // 2, away.shape[1] // 2]),
+        "direction_rms_urad": float(np.sqrt(np.nanmean(off_urad**2))),
+        "direction_worst_urad": float(np.nanmax(off_urad)),
+        "centre_urad": float(off_urad[off_urad.shape[0] // 2, off_urad.shape[1] // 2]),
         "corner_urad": float(np.nanmax(corners)),
         "covered": {
             name: bool(abs(errors[name]) <= k * sigma[name])
@@ -140,7 +140,7 @@ def compare_with_truth(
     if calibration is not None:
         stated = projection_uncertainty(calibration.camera, calibration.camera_covariance, _ACROSS).sigma_px
         place = np.unravel_index(int(np.nanargmax(stated)), stated.shape)
-        compared["covered"]["corner"] = bool(away[place] <= k * stated[place] / true.fx * 1e6)
+        compared["covered"]["corner"] = bool(off_urad[place] <= k * stated[place] / true.fx * 1e6)
     return compared
 
 
@@ -192,7 +192,7 @@ def _options(column: Column, images: Images, seed: int) -> CalibrationOptions:
         first = column.model_copy(update={"known_collimator": None, "passport": True, "readings": True})
         known = calibrate(images.reference.views, _options(first, images.reference, seed))
         return CalibrationOptions(model="auto", distortion=column.lens, passport=known.passport({}))
-    angles = tuple(dict(one) for one in images.readings_deg)
+    angles = tuple(dict(readings) for readings in images.readings_deg)
     return CalibrationOptions(
         model="auto",
         distortion=column.lens,

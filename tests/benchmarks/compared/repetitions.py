@@ -88,7 +88,7 @@ def repeated(comparison: str, given: argparse.Namespace) -> list[list[Row]]:
     if not given.ready:
         measured.add_missing(given.kept, done, asked, _do, given.jobs)
     rows: dict[str, list[Row]] = defaultdict(list)
-    for key in (one for one in asked if one in done):
+    for key in (wanted for wanted in asked if wanted in done):
         for name, row in done[key]["rows"].items():
             rows[name].append(row)
     return [rows[column.name] for column in columns_here(comparison)]

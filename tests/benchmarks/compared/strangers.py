@@ -40,10 +40,10 @@ def camera_model(camera: Camera, image_size: tuple[int, int]) -> CameraModel:
     rays = camera.rays(pixels)
     pinhole = (camera.values[name] for name in ("fx", "fy", "cx", "cy"))
     plain = CameraModel(*pinhole, image_size, {name: 0.0 for name in OPENCV if name in _TERMS})
-    found = plain
+    model = plain
     for _ in range(3):
-        at, _, by_parameters = found.project_with_jacobians(rays)
+        at, _, by_parameters = model.project_with_jacobians(rays)
         columns = by_parameters[:, :, 4:].reshape(2 * len(rays), -1)
         step = np.linalg.lstsq(columns, (pixels - at).ravel(), rcond=None)[0]
-        found = found.with_values(found.values + np.concatenate([np.zeros(4), step]))
-    return found
+        model = model.with_values(model.values + np.concatenate([np.zeros(4), step]))
+    return model

@@ -72,7 +72,7 @@ def one_view(change: Callable[[Seen], Seen]) -> ChangeBench:
 def readings(change: Callable[[int, dict[str, float]], dict[str, float]]) -> ChangeBench:
     """Change each reading, counted from 0."""
     return lambda bench: replace(
-        bench, readings_deg=[change(i, dict(one)) for i, one in enumerate(bench.readings_deg)]
+        bench, readings_deg=[change(i, dict(reading)) for i, reading in enumerate(bench.readings_deg)]
     )
 
 
@@ -148,9 +148,9 @@ def shifted(view: Seen) -> Seen:
     column = np.round(view.mm[:, 0] / mm[1, 0]).astype(int)
     right = {tuple(np.round(at, 3)): star for at, star in zip(mm, ids, strict=True)}
     moved = view.mm + np.array([mm[1, 0], 0.0])
-    found = np.array([right.get(tuple(np.round(at, 3)), -1) for at in moved])
-    kept = (found >= 0) & (column < COLUMNS - 1)
-    return Seen(view.name, found[kept], view.px[kept], mm[found[kept]], view.sigma_px[kept])
+    places = np.array([right.get(tuple(np.round(at, 3)), -1) for at in moved])
+    kept = (places >= 0) & (column < COLUMNS - 1)
+    return Seen(view.name, places[kept], view.px[kept], mm[places[kept]], view.sigma_px[kept])
 
 
 def _duplicate(bench: Bench) -> Bench:
@@ -169,26 +169,28 @@ def _shuffled(bench: Bench) -> Bench:
     return replace(bench, readings_deg=[bench.readings_deg[i] for i in order])
 
 
-def _swapped(_: int, one: dict[str, float]) -> dict[str, float]:
-    return {"pan_deg": one["tilt_deg"], "tilt_deg": one["pan_deg"]}
+def _swapped(_: int, reading: dict[str, float]) -> dict[str, float]:
+    return {"pan_deg": reading["tilt_deg"], "tilt_deg": reading["pan_deg"]}
 
 
 def _signs(pan: float, tilt: float) -> ChangeBench:
-    return readings(lambda _, one: {"pan_deg": pan * one["pan_deg"], "tilt_deg": tilt * one["tilt_deg"]})
+    return readings(
+        lambda _, reading: {"pan_deg": pan * reading["pan_deg"], "tilt_deg": tilt * reading["tilt_deg"]}
+    )
 
 
 def _slip(deg: float) -> ChangeBench:
-    return readings(lambda i, one: {**one, "pan_deg": one["pan_deg"] + (deg if i > 4 else 0.0)})
+    return readings(lambda i, reading: {**reading, "pan_deg": reading["pan_deg"] + (deg if i > 4 else 0.0)})
 
 
 def _one_reading(deg: float) -> ChangeBench:
-    return readings(lambda i, one: {**one, "pan_deg": one["pan_deg"] + (deg if i == 4 else 0.0)})
+    return readings(lambda i, reading: {**reading, "pan_deg": reading["pan_deg"] + (deg if i == 4 else 0.0)})
 
 
-def _noisy_readings(i: int, one: dict[str, float]) -> dict[str, float]:
+def _noisy_readings(i: int, reading: dict[str, float]) -> dict[str, float]:
     return {
         name: angle + 0.012 * float(np.random.default_rng((i, len(name))).normal())
-        for name, angle in one.items()
+        for name, angle in reading.items()
     }
 
 
@@ -274,8 +276,8 @@ def attacked(name: str, seed: int) -> dict[str, Any]:
     world = attack.world(draw_world(seed))
     bench = attack.bench(record(world, seed, attack.poses, attack.times, changed=attack.each_pose))
     line = {"attack": name, "seed": seed, "seen": attack.seen, **judged(bench, attack.known, "right")}
-    told = _sentences(line) - _told_without(seed, attack.known, tuple(attack.poses), attack.times)
-    line["named"] = bool(attack.named_by and re.search(attack.named_by, " ".join(told), re.IGNORECASE))
+    sentences = _sentences(line) - _told_without(seed, attack.known, tuple(attack.poses), attack.times)
+    line["named"] = bool(attack.named_by and re.search(attack.named_by, " ".join(sentences), re.IGNORECASE))
     if "refused" not in line:
         line["worst"] = max(abs(line["error"][what]) / u for what, u in line["U"].items())
         line["right"] = line["worst"] <= RIGHT_WITHIN
@@ -285,8 +287,10 @@ def attacked(name: str, seed: int) -> dict[str, Any]:
 def _sentences(line: Mapping[str, Any]) -> frozenset[str]:
     """What the engine says, without numbers and without what it says that the data do not show."""
     texts = [*line.get("notes", ()), line.get("refused", "")]
-    sentences = {re.sub(r"\d+(\.\d+)?", "#", one) for text in texts for one in re.split(r"(?<=\.) ", text)}
-    return frozenset(one for one in sentences if not one.startswith("They do not show"))
+    sentences = {
+        re.sub(r"\d+(\.\d+)?", "#", sentence) for text in texts for sentence in re.split(r"(?<=\.) ", text)
+    }
+    return frozenset(sentence for sentence in sentences if not sentence.startswith("They do not show"))
 
 
 @lru_cache

@@ -116,8 +116,10 @@ def _reading_information(world: World, reading: dict[str, float], sigma_deg: flo
     still = read(np.zeros(9))
 
     def off(values: Array) -> Array:
-        away = turn(values[9:]) @ still @ read(values[:9]).T
-        return 0.5 * np.array([away[2, 1] - away[1, 2], away[0, 2] - away[2, 0], away[1, 0] - away[0, 1]])
+        turned = turn(values[9:]) @ still @ read(values[:9]).T
+        return 0.5 * np.array(
+            [turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]
+        )
 
     jacobian = np.array([_slope(off, np.zeros(12), i, _STEP) for i in range(12)]).T / (DEG * sigma_deg)
     return np.asarray(jacobian.T @ jacobian)

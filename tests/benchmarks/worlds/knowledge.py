@@ -121,23 +121,23 @@ def solve(bench: Bench, options: calib.CalibrationOptions) -> Answer:
 
     Raises CalibrationError: If the engine refuses.
     """
-    found = calib.calibrate(views_of(bench), options)
-    camera = found.camera
+    calibration = calib.calibrate(views_of(bench), options)
+    camera = calibration.camera
     names = camera.parameter_names
     values = dict(zip(names, camera.values.tolist(), strict=True))
-    covariance = np.asarray(found.camera_covariance)
+    covariance = np.asarray(calibration.camera_covariance)
     largest = calib.projection_uncertainty(camera, covariance).worst_px
     return Answer(
         values,
         covariance,
-        float(found.coverage_factor),
-        dict(getattr(found, "coverage_factors", {})),  # an engine may have one k for all
-        tuple(found.notes),
-        found.model,
-        float(found.rms_px),
-        found.left_out_rms_px,
+        float(calibration.coverage_factor),
+        dict(getattr(calibration, "coverage_factors", {})),  # an engine may have one k for all
+        tuple(calibration.notes),
+        calibration.model,
+        float(calibration.rms_px),
+        calibration.left_out_rms_px,
         float(largest),
-        found,
+        calibration,
     )
 
 

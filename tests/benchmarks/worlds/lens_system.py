@@ -34,9 +34,9 @@ class Bumps:
 
     def slopes(self, at_mm: Array) -> Array:
         """Slopes (N, 2) of the surface at points (N, 2)."""
-        away = at_mm[:, None] - self.middles_mm
-        heights = self.heights_mm * np.exp(-0.5 * (away**2).sum(axis=2) / self.widths_mm**2)
-        return -np.einsum("nm,nmi->ni", heights / self.widths_mm**2, away)
+        from_middles_mm = at_mm[:, None] - self.middles_mm
+        heights = self.heights_mm * np.exp(-0.5 * (from_middles_mm**2).sum(axis=2) / self.widths_mm**2)
+        return -np.einsum("nm,nmi->ni", heights / self.widths_mm**2, from_middles_mm)
 
 
 @dataclass(frozen=True)
@@ -63,12 +63,12 @@ class LensSystem:
 
         scale_mm: About the focal length; each step is that of a collimator without errors.
         """
-        found = print_mm / scale_mm
+        tangents = print_mm / scale_mm
         for _ in range(60):
-            off = print_mm - self.print_mm(from_mm, found)
-            found = found + off / scale_mm
+            off = print_mm - self.print_mm(from_mm, tangents)
+            tangents = tangents + off / scale_mm
             if np.abs(off).max() < 1e-9:
-                return found
+                return tangents
         raise ArithmeticError("The rays do not converge.")
 
 

@@ -222,18 +222,24 @@ def mistaken_run(name: str, seed: int) -> dict[str, Any]:
         home, folder = _healthy_before(base, seed), base / "run"
         station = _station()
         mistake.change(station)
-        code, told = _run(folder, home, _words(base / "files", station, mistake.light or {}, seed), mistake)
+        code, output = _run(folder, home, _words(base / "files", station, mistake.light or {}, seed), mistake)
         results = json.loads((folder / RESULTS).read_text()) if (folder / RESULTS).exists() else None
         if results is not None:
-            told = called("status", folder, home=home).stdout
+            output = called("status", folder, home=home).stdout
     if code or results is None:
-        right = bool(mistake.refused and re.search(mistake.refused, told, re.DOTALL))
-        return {**line, "causes": [], "told": [told], "right": right, "wrong": not right}
+        right = bool(mistake.refused and re.search(mistake.refused, output, re.DOTALL))
+        return {**line, "causes": [], "told": [output], "right": right, "wrong": not right}
     causes = results["causes"]
     first = {causes[0]["kind"], *causes[0]["beside"]} if causes else set()
     right = bool(first & set(mistake.named)) if mistake.named else not causes and not mistake.refused
     wrong = bool(causes) and not right
-    return {**line, "causes": [one["kind"] for one in causes], "told": [told], "right": right, "wrong": wrong}
+    return {
+        **line,
+        "causes": [cause["kind"] for cause in causes],
+        "told": [output],
+        "right": right,
+        "wrong": wrong,
+    }
 
 
 def _healthy_before(base: Path, seed: int) -> Path:

@@ -75,19 +75,21 @@ def _pitch(factor: float) -> Change:
 def _slip(axis: str, deg: float) -> Change:
     def change(bench: Bench, rng: np.random.Generator) -> Bench:
         first = _after(rng)
-        return readings(lambda i, one: {**one, axis: one[axis] + deg * (i >= first)})(bench)
+        return readings(lambda i, reading: {**reading, axis: reading[axis] + deg * (i >= first)})(bench)
 
     return change
 
 
 def _scale(axis: str, factor: float) -> Change:
-    return lambda bench, _: readings(lambda _i, one: {**one, axis: factor * one[axis]})(bench)
+    return lambda bench, _: readings(lambda _i, reading: {**reading, axis: factor * reading[axis]})(bench)
 
 
 def _one_reading(deg: float) -> Change:
     def change(bench: Bench, rng: np.random.Generator) -> Bench:
         at = _after(rng)
-        return readings(lambda i, one: {**one, "pan_deg": one["pan_deg"] + deg * (i == at)})(bench)
+        return readings(lambda i, reading: {**reading, "pan_deg": reading["pan_deg"] + deg * (i == at)})(
+            bench
+        )
 
     return change
 
@@ -135,15 +137,15 @@ MISTAKES: Mapping[str, Mistake] = {
 def mistaken(name: str, seed: int) -> dict[str, Any]:
     """Calibrate a bench with a mistake; ``healthy`` for none. ``right``: its cause is first, or none is named."""
     bench = product.draw(seed, NINE)
-    mistake = MISTAKES.get(name, Mistake(lambda one, _: one))
+    mistake = MISTAKES.get(name, Mistake(lambda bench, _: bench))
     changed = mistake.change(bench, np.random.default_rng((seed, 93)))
     line: dict[str, Any] = {"mistake": name, "seed": seed}
     try:
         answer = solve(changed, options_for(changed, "cr", "right"))
     except CalibrationError as error:
-        told = bool(mistake.refused and mistake.refused in str(error))
-        return {**line, "causes": [], "told": [str(error)], "right": told, "wrong": not told}
-    causes = [one.kind for one in answer.raw.causes]
+        is_right = bool(mistake.refused and mistake.refused in str(error))
+        return {**line, "causes": [], "told": [str(error)], "right": is_right, "wrong": not is_right}
+    causes = [cause.kind for cause in answer.raw.causes]
     # A cause that the data cannot tell from another is told with the other.
     first = {causes[0], *answer.raw.causes[0].beside} if causes else set()
     right = bool(first & set(mistake.named)) if mistake.named else not causes

@@ -84,7 +84,8 @@ class Glass:
         h = (print_mm - self.foot_mm) / self.r
         place = pupil + along * h
         hh, hb, bb = (
-            (one * other).sum(axis=1, keepdims=True) for one, other in ((h, h), (h, place), (place, place))
+            (first * other).sum(axis=1, keepdims=True)
+            for first, other in ((h, h), (h, place), (place, place))
         )
         t = self.terms
         by_pupil = (t["defocus"] + 2 * t["coma"] * hb + 2 * t["curvature"] * hh) * place
@@ -94,9 +95,9 @@ class Glass:
         decentred = hh * self.decentring + 2 * (h @ self.decentring)[:, None] * h
         bow = self.bow_mm * (self.r / BOW_RADIUS_MM) ** 2 / self.r * hh * h
         rim = np.tan(HALF_ANGLE_DEG * DEG)
-        away = (h - pupil) / rim
-        rho = np.linalg.norm(away, axis=1, keepdims=True)
-        roll = self.roll_off_mm * np.minimum(rho, 1.2) ** 3 * away
+        in_rims = (h - pupil) / rim
+        rho = np.linalg.norm(in_rims, axis=1, keepdims=True)
+        roll = self.roll_off_mm * np.minimum(rho, 1.2) ** 3 * in_rims
         field = self.r * (by_pupil + by_field + decentred + bow) + roll
         # The glass is a lens: where a ray meets it depends on its direction and on the pupil's place.
         return print_mm + field + self.waves_mm * self.waves.at(h - place), rho[:, 0]
@@ -265,14 +266,14 @@ def _gimbal(rng: np.random.Generator, draws: Mapping[str, Any]) -> Gimbal:
     )
 
 
-def _mount(rng: np.random.Generator, kind: str, beside: Array) -> Mount:
+def _mount(rng: np.random.Generator, kind: str, beside_mm: Array) -> Mount:
     off, aside = float(rng.normal(0, 3)), rng.normal(0, 4, 2)
     if kind == "far":
         off = float(rng.choice([-1, 1]) * rng.uniform(*FAR_MM))
     if kind in ("S1", "S2"):
-        return Mount(float(44 * rng.choice([-1, 1])), aside, beside, 8.5 if kind == "S1" else 0.0)
+        return Mount(float(44 * rng.choice([-1, 1])), aside, beside_mm, 8.5 if kind == "S1" else 0.0)
     real = float(kind != "ideal")
-    return Mount(real * off, real * aside, real * beside)
+    return Mount(real * off, real * aside, real * beside_mm)
 
 
 def record(

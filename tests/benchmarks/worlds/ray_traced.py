@@ -222,8 +222,8 @@ def measured(lens: LensSystem, pupil_mm: Array, half_angle_deg: float = 4.0) -> 
     x, y = h.T
     powers = [x**i * y**j for i in range(4) for j in range(4 - i)]
     linear = [(i, j) for i in range(4) for j in range(4 - i)]
-    found = np.linalg.lstsq(np.stack(powers, axis=1), seen, rcond=None)[0]
-    r = 0.5 * (found[linear.index((1, 0)), 0] + found[linear.index((0, 1)), 1])
+    coefficients = np.linalg.lstsq(np.stack(powers, axis=1), seen, rcond=None)[0]
+    r = 0.5 * (coefficients[linear.index((1, 0)), 0] + coefficients[linear.index((0, 1)), 1])
     moves = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
     at = lens.print_mm(pupil_mm + moves, np.zeros((4, 2)))
     return float(r), float(0.25 * (at[0, 0] - at[1, 0] + at[2, 1] - at[3, 1]))
@@ -271,8 +271,10 @@ def _coefficients(tangent: Array, radius: Array, family: str) -> tuple[float, di
     columns = np.stack([base ** (2 * i + 1) for i in range(len(names) + 1)], axis=1)
     sizes = np.abs(columns).max(axis=0)
     area = np.sqrt(tangent + tangent[1])  # a sensor has more points farther out
-    found = np.linalg.lstsq(columns / sizes * area[:, None], radius * area, rcond=None)[0] / sizes
-    return float(found[0]), dict(zip(names, (found[1:] / found[0]).tolist(), strict=True))
+    coefficients = np.linalg.lstsq(columns / sizes * area[:, None], radius * area, rcond=None)[0] / sizes
+    return float(coefficients[0]), dict(
+        zip(names, (coefficients[1:] / coefficients[0]).tolist(), strict=True)
+    )
 
 
 def _gimbal(rng: np.random.Generator) -> Screws:
@@ -294,8 +296,8 @@ def directions(world: World, pupil_mm: Array, print_mm: Array, radius_mm: float)
     """Tangents (6, N, 2) of the rays of each star at six places of the entrance pupil."""
     places = pupil_mm + radius_mm * np.column_stack([_RING, np.zeros(len(_RING))])
     from_mm = np.repeat(places, len(print_mm), axis=0)
-    found = world.lens.tangents(from_mm, np.tile(print_mm, (len(places), 1)), world.r)
-    return found.reshape(len(places), -1, 2)
+    tangents = world.lens.tangents(from_mm, np.tile(print_mm, (len(places), 1)), world.r)
+    return tangents.reshape(len(places), -1, 2)
 
 
 def record(world: World, seed: int, poses: Sequence[Pose], times: int = 1, other_camera: int = 0) -> Bench:
@@ -335,5 +337,5 @@ def _field(rng: np.random.Generator, px: Array) -> Array:
     """A smooth field (N, 2) over the sensor of about unit mean square: five hills for each axis."""
     middles, widths = rng.uniform((0, 0), SIZE, (5, 2)), rng.uniform(250, 700, 5)
     heights = rng.normal(size=(5, 2))
-    away = ((px[:, None] - middles) ** 2).sum(axis=2)
-    return np.exp(-0.5 * away / widths**2) @ heights
+    squares_px2 = ((px[:, None] - middles) ** 2).sum(axis=2)
+    return np.exp(-0.5 * squares_px2 / widths**2) @ heights

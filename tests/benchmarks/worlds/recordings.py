@@ -18,14 +18,14 @@ TRIPLES_SEED = 90210
 
 def read(folder: Path) -> list[calib.View]:
     """Read the views (tests/data/README.md); their points count from the corner of the first pixel."""
-    found = []
+    views = []
     for path in (folder / f"image{i}.txt" for i in range(1, COUNT + 1)):
         rows = np.loadtxt(path)
         points, covariances = rows[:, :2] - 0.5, np.tile(np.eye(2), (len(rows), 1, 1))
-        found.append(
+        views.append(
             calib.View(path.stem, SIZE, rows[:, 4].astype(np.int64), points, rows[:, 2:4], covariances)
         )
-    return found
+    return views
 
 
 def triples(count: int) -> list[tuple[int, ...]]:
@@ -37,17 +37,17 @@ def triples(count: int) -> list[tuple[int, ...]]:
 def solved(views: list[calib.View], chosen: tuple[int, ...]) -> dict[str, Any]:
     """Calibrate some of the views with nothing known."""
     try:
-        found = calib.calibrate([views[i] for i in chosen], calib.CalibrationOptions(model="auto"))
+        calibration = calib.calibrate([views[i] for i in chosen], calib.CalibrationOptions(model="auto"))
     except CalibrationError as error:
         return {"views": chosen, "refused": str(error)}
     return {
         "views": chosen,
-        "model": found.model,
-        "rms_px": found.rms_px,
-        "left_out_px": found.left_out_rms_px,
-        "k": found.coverage_factor,
-        **{name: getattr(found.camera, name) for name in ("fx", "fy", "cx", "cy")},
-        **{f"u_{name}": found.sigma[name] for name in ("fx", "fy", "cx", "cy")},
+        "model": calibration.model,
+        "rms_px": calibration.rms_px,
+        "left_out_px": calibration.left_out_rms_px,
+        "k": calibration.coverage_factor,
+        **{name: getattr(calibration.camera, name) for name in ("fx", "fy", "cx", "cy")},
+        **{f"u_{name}": calibration.sigma[name] for name in ("fx", "fy", "cx", "cy")},
     }
 
 

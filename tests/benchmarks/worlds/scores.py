@@ -64,9 +64,9 @@ def page(lines: Sequence[Line]) -> str:
     for key in sorted({(line["world"], line["known"]) for line in lines}):
         solved = [line for line in lines if (line["world"], line["known"]) == key and "refused" not in line]
         over = [ratios(solved, what) for what in WHAT]
-        covered = " ".join(f"{100 * np.mean(one <= 1):.0f}" for one in over)
-        rms = " ".join(f"{2 * np.sqrt(np.mean(one**2)):.2f}" for one in over)
-        largest = max(float(one.max()) for one in over)
+        covered = " ".join(f"{100 * np.mean(ratios <= 1):.0f}" for ratios in over)
+        rms = " ".join(f"{2 * np.sqrt(np.mean(ratios**2)):.2f}" for ratios in over)
+        largest = max(float(ratios.max()) for ratios in over)
         sizes = [
             f"{np.quantile([abs(line['error'][what]) for line in solved], 0.95):.2f}, "
             f"{np.median([line['U'][what] for line in solved]):.2f} px"
@@ -94,11 +94,11 @@ def _lens(lines: Sequence[Line]) -> str:
     """The coefficients of the lens, of all results whose truth has them: error over U."""
     over: dict[str, list[float]] = {}
     for line in lines:
-        for name, one in line.get("lens_over", {}).items():
-            over.setdefault(name, []).append(abs(one))
+        for name, over_u in line.get("lens_over", {}).items():
+            over.setdefault(name, []).append(abs(over_u))
     text = ["lens: covered, %; rms of 2 error/U; largest error/U"]
-    for name, found in over.items():
-        ratio = np.array(found)
+    for name, overs in over.items():
+        ratio = np.array(overs)
         rms = 2 * np.sqrt(np.mean(ratio**2))
         text.append(
             f"  {name:5s} {len(ratio):4d} {100 * np.mean(ratio <= 1):4.0f} {rms:5.2f} {ratio.max():5.1f}"

@@ -21,12 +21,12 @@ class Difference:
 
     scenario: str
     place: str
-    told: str
+    words: str
     relative: float | None = None
 
     def __str__(self) -> str:
         amount = "" if self.relative is None else f" (relative {self.relative:.2g})"
-        return f"{self.scenario}: {self.place}: {self.told}{amount}"
+        return f"{self.scenario}: {self.place}: {self.words}{amount}"
 
 
 @dataclass
@@ -40,11 +40,13 @@ class Expected:
     relative: float | None = None
     matched: int = field(default=0, compare=False)
 
-    def explains(self, one: Difference) -> bool:
-        fits = fnmatchcase(one.scenario, self.scenario) and fnmatchcase(one.place, self.place)
-        if not fits or (self.says and not re.search(self.says, one.told)):
+    def explains(self, difference: Difference) -> bool:
+        fits = fnmatchcase(difference.scenario, self.scenario) and fnmatchcase(difference.place, self.place)
+        if not fits or (self.says and not re.search(self.says, difference.words)):
             return False
-        return self.relative is None or (one.relative is not None and one.relative <= self.relative)
+        return self.relative is None or (
+            difference.relative is not None and difference.relative <= self.relative
+        )
 
 
 def read_expected(path: Path) -> list[Expected]:
@@ -55,29 +57,29 @@ def read_expected(path: Path) -> list[Expected]:
 
 def compare(scenario: str, old: Mapping[str, Value], new: Mapping[str, Value]) -> list[Difference]:
     """Every place that differs, in the order of the places."""
-    found = []
+    differences = []
     for place in sorted({*old, *new}):
         if place not in new:
-            found.append(Difference(scenario, place, f"only old: {_short(old[place])}"))
+            differences.append(Difference(scenario, place, f"only old: {_short(old[place])}"))
         elif place not in old:
-            found.append(Difference(scenario, place, f"only new: {_short(new[place])}"))
+            differences.append(Difference(scenario, place, f"only new: {_short(new[place])}"))
         elif not equal(old[place], new[place]):
-            told = _told(old[place], new[place])
-            found.append(Difference(scenario, place, told, relative(old[place], new[place])))
-    return found
+            words = _told(old[place], new[place])
+            differences.append(Difference(scenario, place, words, relative(old[place], new[place])))
+    return differences
 
 
 def sort_out(
-    found: Iterable[Difference], expected: Iterable[Expected]
+    differences: Iterable[Difference], expected: Iterable[Expected]
 ) -> list[tuple[Difference, str | None]]:
     """Each difference with the reason of the first entry that explains it, or None."""
     entries = list(expected)
     sorted_out = []
-    for one in found:
-        entry = next((entry for entry in entries if entry.explains(one)), None)
+    for difference in differences:
+        entry = next((entry for entry in entries if entry.explains(difference)), None)
         if entry is not None:
             entry.matched += 1
-        sorted_out.append((one, entry.reason if entry is not None else None))
+        sorted_out.append((difference, entry.reason if entry is not None else None))
     return sorted_out
 
 
@@ -85,11 +87,11 @@ def relative(old: Value, new: Value) -> float | None:
     """Largest difference of the numbers, over the largest of them; None where they cannot be compared."""
     if not (_is_number(old) and _is_number(new)):
         return None
-    one, other = np.asarray(old, float), np.asarray(new, float)
-    if one.shape != other.shape or not np.array_equal(np.isnan(one), np.isnan(other)):
+    before, other = np.asarray(old, float), np.asarray(new, float)
+    if before.shape != other.shape or not np.array_equal(np.isnan(before), np.isnan(other)):
         return None
-    size = max(float(np.nanmax(abs(one), initial=0.0)), float(np.nanmax(abs(other), initial=0.0)))
-    return float(np.nanmax(abs(one - other), initial=0.0)) / size if size else 0.0
+    size = max(float(np.nanmax(abs(before), initial=0.0)), float(np.nanmax(abs(other), initial=0.0)))
+    return float(np.nanmax(abs(before - other), initial=0.0)) / size if size else 0.0
 
 
 def _is_number(value: Value) -> bool:

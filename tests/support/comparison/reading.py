@@ -29,12 +29,12 @@ _CACHES = re.compile(
 def read_folder(folder: Path, folders: Folders) -> dict[str, Value]:
     """Every place in the files of a folder."""
     folders = list(folders)
-    found: dict[str, Value] = {}
+    values: dict[str, Value] = {}
     for path in sorted(folder.rglob("*")):
         name = path.relative_to(folder).as_posix()
         if path.is_file() and not _CACHES.search(name):
-            found |= {f"{normal_text(name)}{place}": value for place, value in _read(path, folders)}
-    return found
+            values |= {f"{normal_text(name)}{place}": value for place, value in _read(path, folders)}
+    return values
 
 
 def _read(path: Path, folders: Folders) -> Iterator[tuple[str, Value]]:
@@ -96,19 +96,21 @@ def _wire(path: Path, _folders: Folders) -> Iterator[tuple[str, Value]]:
 
 
 def _hdf5(path: Path, folders: Folders) -> Iterator[tuple[str, Value]]:
-    found: list[tuple[str, Value]] = []
+    values: list[tuple[str, Value]] = []
 
     def visit(name: str, node: h5py.Group | h5py.Dataset) -> None:
         place = f"/{name}" if name else ""
         for key, value in node.attrs.items():
-            found.append((f"{place}@{key}", normal_text(value, folders) if isinstance(value, str) else value))
+            values.append(
+                (f"{place}@{key}", normal_text(value, folders) if isinstance(value, str) else value)
+            )
         if isinstance(node, h5py.Dataset):
-            found.append((place, _data(node)))
+            values.append((place, _data(node)))
 
     with h5py.File(path) as file:
         visit("", file)
         file.visititems(visit)
-    yield from found
+    yield from values
 
 
 def _data(node: h5py.Dataset) -> Value:
@@ -118,7 +120,10 @@ def _data(node: h5py.Dataset) -> Value:
     except OSError:
         chunks = range(node.id.get_num_chunks())
         stored = [node.id.read_direct_chunk(node.id.get_chunk_info(i).chunk_offset)[1] for i in chunks]
-        return [f"{len(one)} bytes, {hashlib.sha256(one).hexdigest()}" for one in stored]
+        return [
+            f"{len(stored_bytes)} bytes, {hashlib.sha256(stored_bytes).hexdigest()}"
+            for stored_bytes in stored
+        ]
 
 
 def _raw(path: Path, folders: Folders) -> Iterator[tuple[str, Value]]:
@@ -150,15 +155,15 @@ def _text(path: Path, folders: Folders) -> Iterator[tuple[str, Value]]:
     yield "", normal_text(text, folders).splitlines()
 
 
-def equal(one: Value, other: Value) -> bool:
+def equal(value: Value, other: Value) -> bool:
     """Whether two values are the same to the last bit, not-a-number and types included."""
-    if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
-        return one.dtype == other.dtype and one.shape == other.shape and _dump(one) == _dump(other)
-    if type(one) is not type(other):
+    if isinstance(value, np.ndarray) and isinstance(other, np.ndarray):
+        return value.dtype == other.dtype and value.shape == other.shape and _dump(value) == _dump(other)
+    if type(value) is not type(other):
         return False
-    if isinstance(one, float):
-        return repr(one) == repr(other)
-    return bool(np.all(one == other))
+    if isinstance(value, float):
+        return repr(value) == repr(other)
+    return bool(np.all(value == other))
 
 
 def _dump(array: np.ndarray) -> bytes:

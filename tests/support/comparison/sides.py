@@ -122,23 +122,23 @@ class Side:
 
     def say_many(self, commands: dict[str, list[str]]) -> None:
         """Run short commands, each in a fork of one process; the dictionary names them."""
-        said = self.folder / "said"
-        said.mkdir(exist_ok=True)
-        listed = [[str(said / name), words] for name, words in commands.items()]
+        folder = self.folder / "said"
+        folder.mkdir(exist_ok=True)
+        listed = [[str(folder / name), words] for name, words in commands.items()]
         self.write("tmp/commands.json", json.dumps(listed))
         subprocess.run(
             [sys.executable, "-c", _MANY, str(self.folder / "tmp" / "commands.json")],
             env=self.environment(), cwd=self.folder, stdin=subprocess.DEVNULL, check=True, timeout=PATIENCE_S,
         )  # fmt: skip
         for name, words in commands.items():
-            self._sort_json(said / name, words)
+            self._sort_json(folder / name, words)
 
     def _keep(self, process: subprocess.Popen[str], said_words: list[str], out: str, err: str) -> int:
         self._count += 1
-        said = self.folder / "said"
-        said.mkdir(exist_ok=True)
+        folder = self.folder / "said"
+        folder.mkdir(exist_ok=True)
         words = [word for word in said_words if not word.startswith("-")]
-        stem = said / f"{self._count:02d}-{words[0]}"
+        stem = folder / f"{self._count:02d}-{words[0]}"
         for name, text in (("stdout", out), ("stderr", err), ("exit", f"{process.returncode}\n")):
             stem.with_name(f"{stem.name}.{name}").write_text(text, encoding="utf-8")
         self._sort_json(stem, said_words)

@@ -21,26 +21,26 @@ _QUESTION = re.compile(
 
 def exchanges(lines: Iterable[str]) -> dict[str, list[tuple[str, str]]]:
     """Each line's requests with their answers, in order, without numbers of messages."""
-    found: dict[str, list[list[str]]] = {}
+    ports: dict[str, list[list[str]]] = {}
     for line in lines:
-        one = json.loads(line)
-        if "bytes" not in one:
-            found.setdefault("notes", []).append([json.dumps({**one, "t": 0}, sort_keys=True), ""])
+        event = json.loads(line)
+        if "bytes" not in event:
+            ports.setdefault("notes", []).append([json.dumps({**event, "t": 0}, sort_keys=True), ""])
             continue
-        port = found.setdefault(one["port"].rpartition("/")[2], [])
-        if one["dir"] == ">":
-            port.append([one["bytes"], ""])
+        port = ports.setdefault(event["port"].rpartition("/")[2], [])
+        if event["dir"] == ">":
+            port.append([event["bytes"], ""])
         else:
             if not port:
                 port.append(["", ""])
-            port[-1][1] += one["bytes"]
-    return {port: [_plain(sent, got) for sent, got in all_] for port, all_ in found.items()}
+            port[-1][1] += event["bytes"]
+    return {port: [_plain(sent, got) for sent, got in all_] for port, all_ in ports.items()}
 
 
-def without_repeats(found: Iterable[tuple[str, str]]) -> Iterator[str]:
+def without_repeats(pairs: Iterable[tuple[str, str]]) -> Iterator[str]:
     """One text an exchange; of the questions between two commands, each once, with its last answer."""
     asked: dict[str, str] = {}
-    for sent, got in found:
+    for sent, got in pairs:
         if _QUESTION.match(sent):
             asked[sent] = got
             continue

@@ -30,14 +30,14 @@ def test_opening_moves_nothing_and_programs_what_differs(bench) -> None:
     assert bench.motions() == []
     assert stage.axes == ("pan", "tilt")
     assert not stage.is_homed()
-    assert [text.split("set ")[1] for text in bench.said("set") if text.startswith("/1")] == [
+    assert [text.split("set ")[1] for text in bench.requests("set") if text.startswith("/1")] == [
         "comm.checksum 1",
         "maxspeed 16384",
         "accel 8",
     ]
     bench.line.sent.clear()
     bench.open()
-    assert bench.said("set") == []
+    assert bench.requests("set") == []
 
 
 def test_a_firmware_that_knows_the_new_name_of_the_model_alone_is_opened(bench) -> None:
@@ -50,7 +50,7 @@ def test_a_firmware_that_knows_the_new_name_of_the_model_alone_is_opened(bench) 
 def test_counter_zero_and_direction_are_the_station_files(bench) -> None:
     limits = AxisLimits(-5.0, 5.0, 10.0, 50.0)
     stage = bench.open(microsteps_per_deg=-SCALE, zero_deg=2.0, limits=limits)
-    assert [text.split("limit.")[1] for text in bench.said("set limit") if text.startswith("/1")] == [
+    assert [text.split("limit.")[1] for text in bench.requests("set limit") if text.startswith("/1")] == [
         "min -3000",
         "max 7000",
     ]
@@ -86,7 +86,9 @@ def test_another_serial_number_is_refused_and_nothing_is_set(bench) -> None:
     bench.clock.sleep(1.0)
     with pytest.raises(WrongDevice, match="100102 for tilt, but device 2 has 999999"):
         bench.open()
-    assert not [text for text in bench.said("set") if "comm.checksum" not in text or text.startswith("/2")]
+    assert not [
+        text for text in bench.requests("set") if "comm.checksum" not in text or text.startswith("/2")
+    ]
     assert bench.line.closed
 
 
@@ -194,7 +196,7 @@ def test_an_acceleration_too_small_to_be_told_is_refused_not_made_infinite(bench
     """``accel`` 0 would switch the ramp off."""
     with pytest.raises(OutsideLimits, match="6 deg/s"):
         bench.open(limits=AxisLimits(-15.0, 15.0, 10.0, 6.0))
-    assert bench.said("set accel") == []
+    assert bench.requests("set accel") == []
 
 
 def test_an_axis_that_somebody_parked_or_moves_is_left_alone(bench) -> None:
@@ -267,7 +269,7 @@ def test_a_stop_reaches_all_axes_with_one_line(bench) -> None:
     bench.go("tilt")
     bench.clock.sleep(0.1)
     stage.stop()
-    assert re.fullmatch(r"/0 0 \d\d stop", bench.said("stop")[0])
+    assert re.fullmatch(r"/0 0 \d\d stop", bench.requests("stop")[0])
     assert bench.line.sent[0].startswith(b"/0 0 ")
     assert not bench.busy()
 
@@ -301,4 +303,4 @@ def test_a_stop_that_one_device_did_not_hear_is_sent_again(bench) -> None:
 
     bench.line.spoil = lose_one
     stage.stop()
-    assert len(bench.said("stop")) == 2
+    assert len(bench.requests("stop")) == 2

@@ -40,13 +40,13 @@ class Bench(HomedStage):
     def open(self, **changes) -> ZaberStage:
         return ZaberStage(self.line, axes(**changes), clock=self.clock)
 
-    def said(self, word: str) -> list[str]:
+    def requests(self, word: str) -> list[str]:
         """Requests with a word, without their checksums."""
         sent = [line.decode().split(":")[0] for line in self.line.sent]
         return [text for text in sent if re.search(rf" {word}\b", text)]
 
     def motions(self) -> list[str]:
-        return [*self.said("move"), *self.said("home")]
+        return [*self.requests("move"), *self.requests("home")]
 
     def position(self, name: str) -> int:
         return round(getattr(self, name).axis.counter(self.clock.now_s))
@@ -64,7 +64,7 @@ class Bench(HomedStage):
         device, _, asked = words.partition(" ")
 
         def spoil(reply: bytes) -> bytes:
-            is_meant = self.said(asked)[-1:] == [self.line.sent[-1].decode().split(":")[0]]
+            is_meant = self.requests(asked)[-1:] == [self.line.sent[-1].decode().split(":")[0]]
             return changed(reply) if is_meant and reply.startswith(f"@{device}".encode()) else reply
 
         self.line.spoil = spoil

@@ -25,8 +25,8 @@ def test_the_advice_leads_to_a_recording_that_passes(tmp_path, ring):
     person = BlindFollower(ring, {"pan": 5.0, "tilt": -3.0})
     assert blur_px(person.truth()) > 4.0
     figures = person.align(STATION, tmp_path)
-    assert figures.advice == (), person.said
-    assert len(person.said) <= 10, person.said
+    assert figures.advice == (), person.instructions
+    assert len(person.instructions) <= 10, person.instructions
     assert abs(signed_blur_px(person.truth())) < 4.0
     path = tmp_path / "end.raw"
     write_slice(path, seen(person.truth(), **person.angles), light=drive(person.level), periods=2)

@@ -70,7 +70,7 @@ def test_a_run_that_failed_keeps_kind_place_and_remedy_up_to_journal_and_json(tm
     scene = scene_with(tmp_path, {"stage.move_to": slipped()})
     end = scene.run()
     assert end.failure == Failure(**SLIPPED)
-    (told,) = scene.told(Event.RUN_ENDED)
+    (told,) = scene.data_of(Event.RUN_ENDED)
     assert told["error"] == SLIPPED
     assert with_json(show_run, end) == 1
     said = json.loads(capsys.readouterr().out)["error"]
@@ -101,7 +101,7 @@ def test_how_each_device_was_left_stands_in_the_journal_and_in_json(tmp_path, ca
     silent = ReplyTimeout("no complete reply within 2 s.")
     scene = scene_with(tmp_path, {"stage.move_to": slipped(), "light.off": silent})
     end = scene.run()
-    (told,) = scene.told(Event.RUN_ENDED)
+    (told,) = scene.data_of(Event.RUN_ENDED)
     states = {one["device"]: one["state"] for one in told["devices"]}
     assert states == {"stage": "confirmed safe", "light": "not confirmed", "camera": "confirmed safe"}
     assert with_json(show_run, end) == 1
@@ -122,7 +122,7 @@ def test_a_camera_that_has_gone_is_not_said_to_be_safe(tmp_path, capsys):
     scene = Scene(tmp_path)
     scene.hook = hook
     end = scene.run()
-    (told,) = scene.told(Event.RUN_ENDED)
+    (told,) = scene.data_of(Event.RUN_ENDED)
     states = {one["device"]: one["state"] for one in told["devices"]}
     assert states == {"stage": "confirmed safe", "light": "confirmed safe", "camera": "not confirmed"}
     assert told["devices"][2]["said"].startswith("the camera does not answer: camera 7: the connection")
@@ -135,7 +135,7 @@ def test_a_camera_that_has_gone_is_not_said_to_be_safe(tmp_path, capsys):
 def test_a_finished_run_states_what_each_device_confirmed(tmp_path):
     scene = Scene(tmp_path)
     assert scene.run().how == "finished"
-    (told,) = scene.told(Event.RUN_ENDED)
+    (told,) = scene.data_of(Event.RUN_ENDED)
     assert [one["state"] for one in told["devices"]] == ["confirmed safe"] * 3
     assert told["devices"][0]["said"].startswith("it confirmed the stop and reads pan ")
     assert told["devices"][1]["said"] == "it was read back as off"
@@ -205,7 +205,7 @@ def test_a_run_that_was_aborted_has_no_failure(tmp_path):
     scene.hook = lambda name: scene.clock.request_stop("enough") if name == "stage.move_to" else None
     end = scene.run()
     assert (end.how, end.failure) == ("aborted", None)
-    assert "error" not in scene.told(Event.RUN_ENDED)[0]
+    assert "error" not in scene.data_of(Event.RUN_ENDED)[0]
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ def test_between_attempts_it_waits_twice_as_long_each_time(tmp_path):
     end = scene.run()
     assert (end.how, scene.states()[-1]) == ("failed", "failed")
     assert "Pose 1 (doomed) failed 4 attempts: stars" in end.why
-    entered = scene.told(Event.ENTERING)
+    entered = scene.data_of(Event.ENTERING)
     assert [told["wait_s"] for told in entered if told["state"] == "backing_off"] == [0.1, 0.2, 0.4, 0.0]
 
 
@@ -49,10 +49,10 @@ def test_a_pose_that_is_held_with_nobody_there_ends_the_run_safely_and_resumable
     assert scene.run().how == "aborted"
     assert not scene.light_is_on()
     first = scene.events()
-    (asked,) = scene.told(Event.ASKED)
+    (asked,) = scene.data_of(Event.ASKED)
     assert "Try it again?" in asked["text"]
     assert scene.run().how == "aborted"
-    assert [told["attempt"] for told in scene.told(Event.CAPTURE_STORED)] == [1, 2, 3, 4]
+    assert [told["attempt"] for told in scene.data_of(Event.CAPTURE_STORED)] == [1, 2, 3, 4]
     assert scene.events()[: len(first)] == first  # nothing written is written over
 
 
@@ -66,7 +66,7 @@ def test_a_skipped_pose_is_left_out_and_the_results_say_who_asked(tmp_path, monk
 
     scene.hook = skip
     assert scene.run().how == "finished"
-    answers = scene.told(Event.COMMANDED)
+    answers = scene.data_of(Event.COMMANDED)
     assert [answer["taken"] for answer in answers] == [True, False]
     assert "already skipped" in answers[1]["why"]
     found = content(scene)

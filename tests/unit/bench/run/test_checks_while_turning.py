@@ -55,11 +55,11 @@ def see_each_pose_once(scene):
     """Each pose is accepted once, where it was commanded, and every step is done once."""
     history = replay(read_journal(scene.folder / "journal.jsonl")[0])
     assert sorted(history.accepted()) == [1, 2, 3]
-    accepted = [data["pose"] for data in scene.told(Event.ATTEMPT_CHECKED) if data["accepted"]]
+    accepted = [data["pose"] for data in scene.data_of(Event.ATTEMPT_CHECKED) if data["accepted"]]
     assert sorted(accepted) == [1, 2, 3]
-    done = [data["step"] for data in scene.told(Event.STEP_DONE)]
+    done = [data["step"] for data in scene.data_of(Event.STEP_DONE)]
     assert len(done) == len({*done})
-    for stored in scene.told(Event.CAPTURE_STORED):
+    for stored in scene.data_of(Event.CAPTURE_STORED):
         for axis, angle_deg in stored["commanded_deg"].items():
             assert stored["measured_deg"][axis] == pytest.approx(angle_deg, abs=0.05)
 
@@ -113,7 +113,7 @@ def test_a_run_killed_after_any_line_keeps_every_pose_and_repeats_none(reject, t
         assert cut.run().how == "finished", count
         see_each_pose_once(cut)
         stored = len(re.findall(rb'"event":"capture_stored"', b"".join(lines[:count])))
-        assert len(cut.told(Event.CAPTURE_STORED)) - stored <= 4 - stored, count
+        assert len(cut.data_of(Event.CAPTURE_STORED)) - stored <= 4 - stored, count
 
 
 def test_a_stop_while_the_stage_turns_leaves_the_recording_to_be_checked_on_resuming(scene, monkeypatch):
@@ -129,10 +129,10 @@ def test_a_stop_while_the_stage_turns_leaves_the_recording_to_be_checked_on_resu
     scene.hook = stop
     assert scene.run().how == "aborted"
     assert not scene.light_is_on()
-    assert scene.told(Event.ATTEMPT_CHECKED) == []
+    assert scene.data_of(Event.ATTEMPT_CHECKED) == []
     scene.hook = lambda _name: None
     assert scene.run().how == "finished"
-    assert len(scene.told(Event.CAPTURE_STORED)) == 3
+    assert len(scene.data_of(Event.CAPTURE_STORED)) == 3
     see_each_pose_once(scene)
 
 
@@ -153,7 +153,7 @@ def test_an_interlock_while_the_stage_turns_holds_the_run_and_the_check_counts_a
 
     scene.hook = lose
     assert scene.run().how == "finished"
-    assert len(scene.told(Event.CAPTURE_STORED)) == 3
+    assert len(scene.data_of(Event.CAPTURE_STORED)) == 3
     see_each_pose_once(scene)
 
 

@@ -65,14 +65,16 @@ def test_a_door_opened_at_any_moment_holds_the_run_dark_until_it_is_closed(tmp_p
     assert dark
     assert all(dark)
     assert not scene.light_is_on()
-    (released,) = scene.told(Event.INTERLOCK_RELEASED)
+    (released,) = scene.data_of(Event.INTERLOCK_RELEASED)
     assert released["rule"] == "door"
     assert 30 <= released["held_s"] < 32
-    assert [d for d in scene.told(Event.DEVIATION) if "door interlock held for 30 s: it is open" in d["what"]]
-    stored = [(d["pose"], d["attempt"]) for d in scene.told(Event.CAPTURE_STORED)]
+    assert [
+        d for d in scene.data_of(Event.DEVIATION) if "door interlock held for 30 s: it is open" in d["what"]
+    ]
+    stored = [(d["pose"], d["attempt"]) for d in scene.data_of(Event.CAPTURE_STORED)]
     assert [pose for pose, _ in stored] == [1, 2]
     if when == "camera.record":  # what exists of it is kept in quarantine, and counted
-        (lost,) = scene.told(Event.ATTEMPT_LOST)
+        (lost,) = scene.data_of(Event.ATTEMPT_LOST)
         assert "door interlock" in lost["why"]
         assert stored == [(1, 2), (2, 1)]
     held = scene.states().index("holding")
@@ -119,7 +121,7 @@ def test_holds_are_added_up(tmp_path, monkeypatch):
     end = scene.run()
     assert end.how == "failed"
     assert "has held the run for 100 s" in end.why
-    assert len(scene.told(Event.INTERLOCK_RELEASED)) == 3
+    assert len(scene.data_of(Event.INTERLOCK_RELEASED)) == 3
 
 
 def test_a_door_that_opens_repeatedly_is_notified_once_in_ten_minutes(tmp_path, monkeypatch):
@@ -131,7 +133,7 @@ def test_a_door_that_opens_repeatedly_is_notified_once_in_ten_minutes(tmp_path, 
         lambda clock, _notify: HoldNotifier(clock, lambda *words: told.append(words)),
     )
     assert scene.run().how == "finished"
-    assert len(scene.told(Event.INTERLOCK_RELEASED)) == 6
+    assert len(scene.data_of(Event.INTERLOCK_RELEASED)) == 6
     assert [occasion for occasion, _, _ in told] == ["hold", "hold"]
 
 
@@ -164,7 +166,7 @@ def test_a_warm_camera_cools_down_and_the_run_continues(tmp_path):
         patch.setattr("bench.extras.batch.virtual_devices.VirtualCamera.temperature_c", celsius)
         end = scene.run()
     assert end.how == "finished", end.why
-    (released,) = scene.told(Event.INTERLOCK_RELEASED)
+    (released,) = scene.data_of(Event.INTERLOCK_RELEASED)
     assert released["rule"] == "camera_temperature"
     assert 140 < released["held_s"] < 160
 
@@ -186,7 +188,7 @@ def test_stray_light_holds_the_run_until_it_is_dark_again(tmp_path, monkeypatch)
     monkeypatch.setattr(VirtualCamera, "record", bright)
     end = scene.run()
     assert end.how == "finished", end.why
-    (released,) = scene.told(Event.INTERLOCK_RELEASED)
+    (released,) = scene.data_of(Event.INTERLOCK_RELEASED)
     assert released["rule"] == "event_rate"
     assert 80 < released["held_s"] < 100
     assert not list(scene.folder.glob("probe*"))

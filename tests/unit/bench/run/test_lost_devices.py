@@ -103,14 +103,14 @@ def test_a_lost_device_is_waited_for_identified_and_used_again(tmp_path, when, e
     lost_at(scene, when, error, 31)
     end = scene.run()
     assert end.how == "finished", end.why
-    (released,) = scene.told(Event.INTERLOCK_RELEASED)
+    (released,) = scene.data_of(Event.INTERLOCK_RELEASED)
     assert 30 < released["held_s"] < 40
     held = scene.states().index("holding")
     assert scene.states()[held + 1 : held + 3] == ["preflight", "homing"]
-    assert [d["pose"] for d in scene.told(Event.CAPTURE_STORED)] == [1, 2]
+    assert [d["pose"] for d in scene.data_of(Event.CAPTURE_STORED)] == [1, 2]
     assert any(
         "CHECK" not in d["what"] and "device lost interlock held" in d["what"]
-        for d in scene.told(Event.DEVIATION)
+        for d in scene.data_of(Event.DEVIATION)
     )
 
 
@@ -168,7 +168,7 @@ def journaled(scene):
 
 
 def left(scene):
-    (told,) = scene.told(Event.DEVICES_LEFT)
+    (told,) = scene.data_of(Event.DEVICES_LEFT)
     return {end["device"]: (end["state"], end["said"]) for end in told["devices"]}
 
 
@@ -206,8 +206,8 @@ def test_a_camera_unplugged_after_the_last_recording_is_stated_and_the_run_finis
 def test_a_run_that_needs_no_further_step_states_it_at_its_end_only(tmp_path):
     scene = Scene(tmp_path, poses=TWO)
     assert scene.run().how == "finished"
-    assert not scene.told(Event.DEVICES_LEFT)
-    assert [end["state"] for end in scene.told(Event.RUN_ENDED)[0]["devices"]] == ["confirmed safe"] * 3
+    assert not scene.data_of(Event.DEVICES_LEFT)
+    assert [end["state"] for end in scene.data_of(Event.RUN_ENDED)[0]["devices"]] == ["confirmed safe"] * 3
 
 
 @pytest.mark.parametrize("ended", [True, False])

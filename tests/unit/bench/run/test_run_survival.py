@@ -12,7 +12,7 @@ from bench.record.journal import CLOCK_JUMPED, read_journal
 
 
 def accepted(scene):
-    return sorted(d["pose"] for d in scene.told(Event.ATTEMPT_CHECKED) if d["accepted"])
+    return sorted(d["pose"] for d in scene.data_of(Event.ATTEMPT_CHECKED) if d["accepted"])
 
 
 # ---------------------------------------------------------------- cut off at any byte
@@ -37,10 +37,10 @@ def test_a_run_interrupted_after_any_line_resumes_to_the_same_end(lived, tmp_pat
         again.folder = folder
         assert again.run().how == "finished", count
         assert accepted(again) == [1, 2]
-        assert again.told(Event.RUN_RESUMED)[0]["torn_bytes"] == 7
+        assert again.data_of(Event.RUN_RESUMED)[0]["torn_bytes"] == 7
         told = b"".join(lines[:count]).count(b'"event":"capture_stored"')
-        kept = [d["sha256"] for d in again.told(Event.CAPTURE_STORED)]
-        assert kept[:told] == [d["sha256"] for d in scene.told(Event.CAPTURE_STORED)][:told]
+        kept = [d["sha256"] for d in again.data_of(Event.CAPTURE_STORED)]
+        assert kept[:told] == [d["sha256"] for d in scene.data_of(Event.CAPTURE_STORED)][:told]
         assert len(list((folder / "captures").iterdir())) == 2
 
 
@@ -60,7 +60,7 @@ def test_a_changed_system_clock_is_reported_and_changes_nothing_else(tmp_path, m
 
     scene.hook = hook
     assert scene.run().how == "finished"
-    (jump,) = scene.told(CLOCK_JUMPED)
+    (jump,) = scene.data_of(CLOCK_JUMPED)
     assert jump["jump_s"] == pytest.approx(3600 * hours, abs=2)
     assert accepted(scene) == [1, 2]
     entries, _ = read_journal(scene.folder / "journal.jsonl")

@@ -297,7 +297,7 @@ def test_an_answer_accepted_at_the_last_moment_counts(scene, monkeypatch):
 
     monkeypatch.setattr("bench.run.states.ask", asked_in_vain)
     assert one.run().how == "finished"
-    assert [(d["answer"], d["by"]) for d in one.told(Event.ANSWERED)] == [("continue", "ada")]
+    assert [(d["answer"], d["by"]) for d in one.data_of(Event.ANSWERED)] == [("continue", "ada")]
 
 
 def test_a_pose_skipped_during_its_last_attempt_is_skipped_and_does_not_end_the_run(scene):
@@ -311,7 +311,7 @@ def test_a_pose_skipped_during_its_last_attempt_is_skipped_and_does_not_end_the_
 
     one.hook = hook
     assert one.run().how == "finished"
-    assert [d["pose"] for d in one.told(Event.POSE_SKIPPED)] == [1]
+    assert [d["pose"] for d in one.data_of(Event.POSE_SKIPPED)] == [1]
 
 
 def test_the_verdict_and_its_causes_are_told_before_the_numbers(run):

@@ -45,14 +45,14 @@ def raising(scene, recording, error):
 def decisions(scene):
     return [
         {name: value for name, value in told.items() if name != "worked_s"}
-        for told in scene.told(Event.UNTIL_DECIDED)
+        for told in scene.data_of(Event.UNTIL_DECIDED)
     ]
 
 
 def angles(scene):
     """Commanded angles of the accepted recordings, by pose."""
-    accepted = {told["pose"] for told in scene.told(Event.ATTEMPT_CHECKED) if told["accepted"]}
-    stored = scene.told(Event.CAPTURE_STORED)
+    accepted = {told["pose"] for told in scene.data_of(Event.ATTEMPT_CHECKED) if told["accepted"]}
+    stored = scene.data_of(Event.CAPTURE_STORED)
     return {one["pose"]: one["commanded_deg"] for one in stored if one["pose"] in accepted}
 
 
@@ -145,7 +145,7 @@ def test_a_pose_that_fails_is_left_behind_and_not_chosen_again(tmp_path):
     assert len(chosen) == 3
     assert all(chosen[0] != other for other in chosen[1:])
     assert sorted(angles(scene)) == [1, 2, 3, 5, 6]
-    assert "skipped" in scene.told(Event.DEVIATION)[0]["what"]
+    assert "skipped" in scene.data_of(Event.DEVIATION)[0]["what"]
 
 
 def test_a_failed_pose_ends_the_run_if_the_sequence_says_so_and_a_resumed_run_tries_it_again(tmp_path):
@@ -161,7 +161,7 @@ def test_a_failed_pose_ends_the_run_if_the_sequence_says_so_and_a_resumed_run_tr
 def test_the_minutes_end_it_and_only_worked_time_counts(tmp_path):
     scene = until_scene(tmp_path, NEVER.replace("at_most: 5", "minutes: 0.05, at_most: 9"))
     assert scene.run().how == "finished"
-    last = scene.told(Event.UNTIL_DECIDED)[-1]
+    last = scene.data_of(Event.UNTIL_DECIDED)[-1]
     assert last["ended"] == "minutes"
     assert last["recorded"] < 9
     history = replay(read_journal(scene.folder / "journal.jsonl")[0])
@@ -179,7 +179,7 @@ def test_time_between_two_processes_does_not_count(tmp_path):
     scene.hook = lambda _name: None
     scene.clock.sleep(3600)
     assert scene.run().how == "finished"
-    assert scene.told(Event.UNTIL_DECIDED)[-1]["worked_s"] < 60
+    assert scene.data_of(Event.UNTIL_DECIDED)[-1]["worked_s"] < 60
 
 
 def test_intentions_and_status_name_the_goal(tmp_path):
@@ -223,7 +223,7 @@ def test_a_chosen_pose_can_be_skipped_by_command_and_a_later_one_not_yet(tmp_pat
             inbox = scene.runner.inbox
             inbox.decide(Command(word="skip", by="ada", pose=9), "one")
             inbox.decide(Command(word="skip", by="ada", pose=4), "two")
-            refused.extend(scene.told(Event.COMMANDED))
+            refused.extend(scene.data_of(Event.COMMANDED))
 
     scene.hook = skip_fourth
     assert scene.run().how == "finished"
