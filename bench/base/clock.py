@@ -108,6 +108,12 @@ class BenchClock:
         """Return the system's time in UTC."""
         return datetime.now(UTC)
 
+    def asleep_s(self) -> float:
+        """Return for how long, s, this computer was suspended since it started; 0 where the system does not tell."""
+        if not hasattr(time, "CLOCK_BOOTTIME"):
+            return 0.0
+        return time.clock_gettime(time.CLOCK_BOOTTIME) - time.clock_gettime(time.CLOCK_MONOTONIC)
+
     def sleep(self, seconds: float) -> None:
         """Wait, s (negative: 0). Unless shielded, `Aborted`, `Interrupted` or a failure ends the wait."""
         self._asleep = True
@@ -220,6 +226,10 @@ class VirtualClock(BenchClock):
             return outcome.result()
 
         return result
+
+    def asleep_s(self) -> float:
+        """See `BenchClock.asleep_s`."""
+        return 0.0
 
     def lateness(self) -> LatenessData:
         """See `BenchClock.lateness`."""

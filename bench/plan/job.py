@@ -215,6 +215,8 @@ class Job:
         ]
         failed = [gate for gate in gates if measurement.view is not None or gate.name != "stars"]
         reasons = [*filter(None, [measurement.fault]), *failed_gate_texts(failed), *other_reasons]
+        if "asleep_s" in stored:
+            reasons.insert(0, f"the computer was suspended for {stored['asleep_s']:g} s during the recording")
         return {
             "pose": stored["pose"],
             "attempt": stored["attempt"],

@@ -223,6 +223,7 @@ class CaptureStored(TypedDict):
     measured_after_deg: Mapping[str, float]
     light: LightSettingsData
     facts: RecordedData
+    asleep_s: NotRequired[float]  # How long the computer was suspended meanwhile, s; only if it was
 
 
 class StepDone(TypedDict):

@@ -44,6 +44,7 @@ OPTIONAL: Final = ("firmware_built", "link_mbit_s")
 """Parts of a camera's identity that are left out where the camera does not state them."""
 NOT_STATED: Final = "not stated by the device"
 HOLD_POLL_S = 0.1  # A person does not notice it
+_ASLEEP_S = 0.5  # No computer wakes sooner, and the two clocks are not read at once
 
 
 def preflight(devices: Devices, job: Job) -> events.Devices:
@@ -185,10 +186,11 @@ class StateWork:
         before = self._position_as_commanded(pose.angles_deg)
         light = devices.light.read()
         name = capture_name(pose.index, attempt, kind.ending)
-        part = self._run.folder.part_path(name)
+        part, asleep_before_s = self._run.folder.part_path(name), self._run.clock.asleep_s()
         with storage_errors(part):
             facts = kind.record(devices.camera, part, step, self._run.job.frequency_hz(step))
         after = self._position_as_commanded(pose.angles_deg)
+        asleep_s = self._run.clock.asleep_s() - asleep_before_s
         capture = self._run.folder.commit(name, self._run.clock.monotonic)
         self._run.log.write(
             events.CaptureStored,
@@ -203,6 +205,7 @@ class StateWork:
             measured_after_deg=after,
             light=cast("events.LightSettingsData", asdict(light)),
             facts=cast("events.RecordedData", asdict(facts)),
+            **({"asleep_s": round(asleep_s, 1)} if asleep_s > _ASLEEP_S else {}),
         )
         self._begun = {capture.name: self._begin_measuring(step, attempt)}
 

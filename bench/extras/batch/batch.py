@@ -152,7 +152,6 @@ class Batch:
             )
         else:
             self._say(resume_text(self._record))
-        self._begun_s = self._clock.monotonic() - max(0.0, self._record.seconds(self._clock.utc_now()))
         if not self._rehearsal:
             self._messages.add_recipients(job.station for job in self._queue.value.jobs)
         requests = RequestInbox(self.folder, self._answer, self._clock)
@@ -196,13 +195,16 @@ class Batch:
                     f"{request.word} {what} by {request.by}: {f'refused, {why}' if why else 'accepted'}"
                 )
 
+    def _at_s(self) -> float:
+        """Return the time since the begin, s, by the system's time: it goes on while the computer sleeps."""
+        return max(0.0, self._record.seconds(self._clock.utc_now()))
+
     def _choose_next(self) -> Item | float | None:
         with self._lock:
             record = self._record
-            at_s = self._clock.monotonic() - self._begun_s
             return choose_next(
                 record.pending(),
-                at_s,
+                self._at_s(),
                 record.bounds,
                 lambda item: record.expected_duration_s(item, planned_duration_s(item.job)),
             )
@@ -253,7 +255,7 @@ class Batch:
 
     def _time_after(self, wait_s: float) -> str:
         """Return the time of day at the end of a wait."""
-        moment = self._record.moment(self._clock.monotonic() - self._begun_s + wait_s)
+        moment = self._record.moment(self._at_s() + wait_s)
         return f"{moment.astimezone(self._queue.value.tzinfo):%a %H:%M %Z}"
 
     def _run_item(self, item: Item) -> None:

@@ -274,11 +274,7 @@ class RunAttempt:
     ended: datetime
     how: str  # How it ended, as in ``WorkerEnd``
     why: str
-
-    @property
-    def duration_s(self) -> float:
-        """Duration, s."""
-        return (self.ended - self.begun).total_seconds()
+    duration_s: float  # While the computer was awake, s
 
 
 @dataclass
@@ -288,6 +284,7 @@ class RunState:
     item: Item
     withdrawn: bool = False  # Before it began
     begun: list[datetime] = field(default_factory=list)  # Begin of each attempt
+    begun_mono_s: float = 0.0  # Begin of the last attempt by the monotonic clock, s
     ended: list[RunAttempt] = field(default_factory=list)  # The attempts that have an end
     recorded: int = 0  # Number of poses that it had recorded when its last attempt began
     failures: int = 0  # Failures of its own processes since it last recorded a further pose
@@ -378,9 +375,9 @@ class BatchRecord:
             case BatchEvent.BEGUN:
                 self._begin(cast("BatchBegun", entry.data), now)
             case BatchEvent.ITEM_BEGUN:
-                self._begin_run(cast("ItemBegun", entry.data), now)
+                self._begin_run(cast("ItemBegun", entry.data), now, entry.mono_s)
             case BatchEvent.ITEM_ENDED:
-                self._end_run(cast("ItemEnded", entry.data), now)
+                self._end_run(cast("ItemEnded", entry.data), now, entry.mono_s)
             case BatchEvent.REQUESTED:
                 self._answer(cast("Requested", entry.data), now)
             case BatchEvent.ENDED:
@@ -394,7 +391,7 @@ class BatchRecord:
         jobs = [_with_files(job, data.get("files", {})) for job in self.queue.jobs]
         self._add(items_of(jobs, now, self.bounds.opens_s, self.queue.zone))
 
-    def _begin_run(self, data: ItemBegun, now: datetime) -> None:
+    def _begin_run(self, data: ItemBegun, now: datetime, mono_s: float) -> None:
         run, recorded = self.runs[data["item"]], data.get("recorded", 0)
         if (
             self.current_run == data["item"]
@@ -404,10 +401,11 @@ class BatchRecord:
             run.failures = run.cuts = 0
         run.recorded = recorded
         run.begun.append(now)
+        run.begun_mono_s = mono_s
         self.current_run = data["item"]
         self.ended = self.why = ""
 
-    def _end_run(self, data: ItemEnded, now: datetime) -> None:
+    def _end_run(self, data: ItemEnded, now: datetime, mono_s: float) -> None:
         run = self.runs[data["item"]]
         if data.get("outside"):
             run.cuts += 1
@@ -415,8 +413,12 @@ class BatchRecord:
             run.failures += 1
         if not run.ended:
             self.with_end.append(run)
-        since = run.begun[-1] if self.current_run == data["item"] else now
-        run.ended.append(RunAttempt(since, now, data["how"], data["why"]))
+        since, took_s = now, 0.0
+        if self.current_run == data["item"]:
+            since, took_s = run.begun[-1], mono_s - run.begun_mono_s
+            if took_s < 0:  # the computer has started anew, and its monotonic clock, too
+                took_s = (now - since).total_seconds()
+        run.ended.append(RunAttempt(since, now, data["how"], data["why"], took_s))
         self.current_run = ""
 
     def _answer(self, data: Requested, now: datetime) -> None:

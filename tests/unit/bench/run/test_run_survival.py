@@ -66,3 +66,26 @@ def test_a_changed_system_clock_is_reported_and_changes_nothing_else(tmp_path, m
     entries, _ = read_journal(scene.folder / "journal.jsonl")
     assert [e.mono_s for e in entries] == sorted(e.mono_s for e in entries)
     assert entries[-1].mono_s - entries[0].mono_s < 60
+
+
+@pytest.mark.parametrize(("asleep_s", "attempts"), [(0.1, 2), (1800.0, 3)])
+def test_a_recording_in_which_the_computer_was_suspended_is_made_again(
+    tmp_path, monkeypatch, asleep_s, attempts
+):
+    """CLOCK_MONOTONIC stands still while a computer is suspended: nothing else notices the gap."""
+    scene = Scene(tmp_path)
+    slept_s, left_s = [0.0], [asleep_s]
+    monkeypatch.setattr(VirtualClock, "asleep_s", lambda _clock: slept_s[0])
+
+    def hook(name):
+        if name == "camera.record":
+            slept_s[0] += left_s.pop() if left_s else 0.0
+
+    scene.hook = hook
+    assert scene.run().how == "finished"
+    checked = scene.told(Event.ATTEMPT_CHECKED)
+    assert len(checked) == attempts
+    assert accepted(scene) == [1, 2]
+    reasons = [reason for attempt in checked for reason in attempt["reasons"]]
+    told = ["the computer was suspended for 1800 s during the recording"]
+    assert reasons == (told if attempts == 3 else [])

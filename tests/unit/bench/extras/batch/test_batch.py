@@ -3,7 +3,7 @@
 import json
 import re
 import shutil
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
@@ -353,3 +353,36 @@ def test_a_run_that_is_tried_again_is_in_progress_and_not_failed(tmp_path):
 
     Batch(tmp_path, queue(("a", ", attempts: 2")), clock, lambda _: None, work).run()
     assert [(item["how"], item["why"]) for item in seen] == [("in progress", ""), ("in progress", "")]
+
+
+# ---------------------------------------------------------------- the time of the system
+
+
+class SetClock(NightClock):
+    """A clock that somebody sets, or whose computer sleeps: the time of day goes on by ``set_by_s``, and no other."""
+
+    set_by_s = 0.0
+
+    def utc_now(self):
+        return super().utc_now() + timedelta(seconds=self.set_by_s)
+
+
+@pytest.mark.parametrize(
+    ("set_by_s", "runs"),
+    [(0.0, 4), (3600.0, 1), (1500.0, 2), (-3600.0, 4)],
+    ids=["never", "asleep for an hour", "put forward", "put back"],
+)
+def test_no_run_is_begun_that_would_end_after_the_time_of_day(tmp_path, set_by_s, runs):
+    """The clock moves during the first run, at 20:00; each takes 10 minutes, and nothing may end after 20:45."""
+    jobs = queue(("a", ", times: 4"), top='zone: UTC\nstop_by: "20:45"\n')
+    clock = SetClock()
+    workers = Workers(clock)
+
+    def work(*words):
+        end = workers(*words)
+        clock.set_by_s = set_by_s
+        return end
+
+    Batch(tmp_path, jobs, clock, lambda _: None, work).run()
+    assert len(workers.begun) == runs
+    assert read_batch(tmp_path).runs["a-001"].ended[0].duration_s == pytest.approx(600.0, abs=1.0)
