@@ -149,7 +149,8 @@ def _say(source: Path, output: Path, written: Mapping[str, Any]) -> None:
         click.echo(f"{source}: {what}: {written['unknown_words']}.", err=True)
     if written["cut_off"]:
         click.echo(
-            f"{source}: the file ends in the middle of a word; everything before it was converted.", err=True
+            f"{source}: the file ends in the middle of a word or a line; everything before it was converted.",
+            err=True,
         )
 
 

@@ -120,6 +120,8 @@ class ReadingChoices:
                 return name
         if self.stream is None and len(names) == 1:
             return names[0]
+        if not names:
+            raise NotARecording("The file holds no stream of events.", remedy="Give a file of events.")
         held = f"{len(names)} streams of events" if len(names) != 1 else "one stream of events"
         held += f": {', '.join(names[:_MOST_NAMED])}{', ...' if len(names) > _MOST_NAMED else ''}"
         raise NotARecording(

@@ -18,10 +18,15 @@ _UNREAD_PICTURES: Final = (
     (rb"\0{3}\x0cjP  |\xff\x4f\xff\x51", "a JPEG 2000 picture", _CONVERT),
     (rb"8BPS", "a Photoshop picture", _CONVERT),
 )
-_JOIN: Final = "If it is a part of a recording that was split, join the parts in their order first."
+_JOIN: Final = (
+    "If it is a part of a recording that was split, join the parts in their order first. If it holds a camera's words"
+    " alone, write their header before them, such as lines of `% evt 3.0`, `% geometry 1280x720` and `% end`."
+)
+_NAME_COLUMNS: Final = "If it holds events, write the names of its columns above them: t, x, y, p."
 _AS_NPZ: Final = "Save its columns with NumPy: an .npz file of t (us), x, y and p."
 _AS_UTF8: Final = "Write it again as UTF-8."
 _OLD_AEDAT: Final = "Starbench reads AEDAT4; iniVation's program DV writes it from older files."
+_AS_PARQUET: Final = "Write its table as Parquet."
 _UNPACK: Final = "Unpack it first."
 _IN_PLACE: Final = (
     (
@@ -51,10 +56,11 @@ _OTHERS: Final = (
     (b"Event Stream", "an Event Stream file (.es)", "Convert it with the program faery."),
     (b"MATLAB", "a MATLAB file", _AS_NPZ),
     (b"\x93NUMPY", "a NumPy array", ""),
-    (b"\x80\x04", "a Python pickle", _AS_NPZ),
-    (b"\x80\x05", "a Python pickle", _AS_NPZ),
+    *((bytes((0x80, protocol)), "a Python pickle", _AS_NPZ) for protocol in range(2, 6)),
     (b"PAR1", "a Parquet file", ""),
-    (b"ARROW1", "a Feather file of Arrow", "Write its table as Parquet."),
+    (b"ARROW1", "a Feather file of Arrow", _AS_PARQUET),
+    (b"FEA1", "a Feather file of Arrow", _AS_PARQUET),
+    (b"rosbag2_bagfile_information", "the description of a ROS 2 bag", "Give the bag's folder."),
     (b"SQLite format 3\x00", "a SQLite database", "If it is of a ROS 2 bag, give the bag's folder."),
     (b"II*\x00", "a TIFF image", ""),
     (b"MM\x00*", "a TIFF image", ""),
@@ -96,6 +102,6 @@ def kind_of_file(start: bytes, ending: str = "") -> tuple[str, str]:
             return what, remedy
     if not start.strip(b"\0"):
         return "nothing but zeros", "Copy the file again: its contents are lost here."
-    if all(byte in b"\t\r\n" or 32 <= byte < 127 for byte in start[:512]):
-        return "a text file", _AS_NPZ
+    if all(byte in b"\t\r\n" or 32 <= byte != 127 for byte in start[:512]):
+        return "a text file", _NAME_COLUMNS
     return "binary data without a RAW header", _JOIN

@@ -2,8 +2,8 @@
 
 - Metavision: ``/CD/events`` (x, y, p, t), ``/EXT_TRIGGER/events`` (p, t, id), the header's keys as attributes.
 - Columns of one length in a group, or a table with names: ``t, x, y, p``, or ``ts, xs, ys, ps``. Our own plain layout,
-  DSEC, e2calib and M3ED are such; ``triggers/t, value, id``, ``width`` and ``height``, ``calib/resolution``,
-  ``sensor_resolution`` (height, width) and ``t_offset`` (us) beside them are read if they are there.
+  DSEC, e2calib, M3ED and RVT are such; ``triggers/t, value, id``, ``width`` and ``height`` of the file or the group,
+  ``calib/resolution``, ``sensor_resolution`` (height, width) and ``t_offset`` (us) are read if they are there.
 - A table ``events`` of N x 4: t, x, y, p (v2e), x, y, t, p (MVSEC) or x, y, p, t; the column that rises has the times.
 
 `event_columns` has the unit of times. Times of 32 bits begin anew after 71.6 minutes.
@@ -210,14 +210,17 @@ def _edges(file: Any, path: str) -> NDArray[Any]:
 def _size(file: Any, name: str, header: Mapping[str, str], choices: ReadingChoices) -> tuple[int, int]:
     """Return width and height, px, wherever the file states them, else as given."""
     sizes = {}
-    if {"width", "height"} <= set(file.attrs):
-        sizes["the attributes"] = (_number(file.attrs["width"]), _number(file.attrs["height"]))
+    groups = {"the file": file, name: file[name]} if name and name != _CD else {"the file": file}
+    for path, group in groups.items():
+        sides = {"width", "height"}
+        if sides <= set(group.attrs):
+            sizes[f"an attribute of {path}"] = _number(group.attrs["width"]), _number(group.attrs["height"])
+        if isinstance(group, h5py.Group) and sides <= set(group):
+            width, height = (whole(dataset(group, side), 64) for side in ("width", "height"))
+            sizes[path] = _number(width), _number(height)
     if "sensor_resolution" in file.attrs:  # of event_utils, in the order of an array's shape
         height, width = np.ravel(file.attrs["sensor_resolution"])[:2]
         sizes["sensor_resolution"] = (_number(width), _number(height))
-    if has_member(file, "width") and has_member(file, "height"):
-        width, height = (whole(dataset(file, side), 64) for side in ("width", "height"))
-        sizes["width and height"] = (_number(width), _number(height))
     resolution = f"{name}/calib/resolution"
     if name and name != _CD and resolution in file:
         width, height = whole(dataset(file, resolution), 64)

@@ -89,7 +89,7 @@ def _source(stream: IO[bytes], path: Path) -> EventSource:
     size = int(text["width"]), int(text["height"])
     count = None if text["count"] is None else int(text["count"])
     assumed = {str(key): str(value) for key, value in text["assumed"].items()}
-    return EventSource(*size, header, pieces, count=count, assumed=assumed)
+    return EventSource(*size, header, pieces, bool(text["truncated"]), count, assumed=assumed)
 
 
 def _message(stream: IO[bytes], path: Path) -> tuple[Mapping[str, Any], Events, Triggers]:

@@ -102,8 +102,8 @@ def main(kind: str, path: Path, choices: ReadingChoices) -> None:
         of_tables = {"npz": from_npz, "npy": from_npy, "parquet": from_parquet, "text": from_text}
         open_file = {**of_tables, "hdf5": _from_hdf5, "aedat4": _from_aedat4, "bag": _from_bag}[kind]
         source = open_file(path, choices)
-        size = {"count": source.count, "width": source.width, "height": source.height}
-        _write({**size, "header": dict(source.header), "assumed": dict(source.assumed)})
+        facts = {name: getattr(source, name) for name in ("count", "width", "height", "truncated")}
+        _write({**facts, "header": dict(source.header), "assumed": dict(source.assumed)})
         for events, edges in source.pieces():
             for begin in range(0, max(len(events.t), len(edges.t)), _PIECE):
                 _write({}, events.part(begin, begin + _PIECE), edges.part(begin, begin + _PIECE))

@@ -12,9 +12,10 @@ from __future__ import annotations
 import json
 import re
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
-from itertools import chain, islice
+from dataclasses import replace
+from itertools import chain, islice, pairwise
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -51,6 +52,11 @@ _MOST_ARRAYS: Final = 32
 """An archive with more arrays is none of events."""
 _HEAD_BYTES: Final = 4096
 _GEOMETRY: Final = re.compile(r"[%# ]*geometry *[:=]? *(\d{1,5}) *[,x ] *(\d{1,5}) *", re.IGNORECASE)
+_UNIT: Final = re.compile(r"[ \t]+(?=[\[(])")
+"""Between a name and its unit: ``timestamp [us]``."""
+_OF_DECIMAL_COMMAS: Final = (";", "\t")
+"""Delimiters of the spreadsheets of countries that write 0,5."""
+_LONGEST_LINE: Final = 60  # Of a message
 _SIZE: Final = 2
 """Numbers of a line that states the size."""
 _TRUTH: Final = {"true": "1", "false": "0", "on": "1", "off": "0"}
@@ -90,13 +96,28 @@ def _events_of(file: Mapping[str, Any], choices: ReadingChoices) -> tuple[Parts,
     """Return the columns of an archive, or its one table, and the unit that the name of the times states."""
     names = named(file)
     if None in names and len(file) <= _MOST_ARRAYS:
-        tables = {name: table for name in file if is_table((table := _array(file, name)).shape, table.dtype)}
+        unread: list[UnreadableEvents] = []
+        tables = dict(_tables(file, unread))
         if tables:
             return [tables[choices.chosen(tables)]], None
+        if unread:
+            raise unread[0]
     own = [name or missing for name, missing in zip(names, Events._fields, strict=True)]
     arrays = [_array(file, name) for name in own]
     require_one_length({name: len(column) for name, column in zip(own, arrays, strict=True)})
     return arrays, unit_of_name(own[0])
+
+
+def _tables(file: Mapping[str, Any], unread: list[UnreadableEvents]) -> Iterator[tuple[str, Any]]:
+    """Yield the tables of events of an archive; the errors of its other arrays, such as of objects, are collected."""
+    for name in file:
+        try:
+            table = _array(file, name)
+        except UnreadableEvents as error:
+            unread.append(error)
+        else:
+            if is_table(table.shape, table.dtype):
+                yield name, table
 
 
 def _array(file: Mapping[str, Any], name: str) -> Any:
@@ -160,8 +181,8 @@ class _TextLayout(NamedTuple):
 
     skipped: int  # Lines above the first event
     delimiter: str | None
-    names: list[str | None]  # Of t, x, y and p; empty without names
-    places: list[int]  # Of t, x, y and p; empty without names
+    names: list[str]  # Of the columns; empty without names
+    places: Sequence[int]  # Of t, x, y and p; without names, of the four columns
     sizes: dict[str, tuple[int, int]]
     has_truths: bool  # Whether polarities are the words true and false
 
@@ -173,28 +194,25 @@ def is_table_of_text(start: bytes) -> bool:
 
 def _text_layout(start: bytes) -> _TextLayout | None:
     sizes, names, delimiter = dict[str, tuple[int, int]](), list[str](), None
-    try:
-        lines = start[:_HEAD_BYTES].decode("utf-8-sig").splitlines()
-    except UnicodeDecodeError:
+    if b"\0" in start[:_HEAD_BYTES]:
         return None
-    for number, line in enumerate(lines):
+    for number, line in enumerate(start[:_HEAD_BYTES].decode("utf-8-sig", "replace").splitlines()):
         if not line.strip("# \t"):
             continue
-        delimiter = next((sign for sign in ",;\t" if sign in line), None)
-        words = [word.strip(' "') for word in line.strip("# \t").split(delimiter)]
+        delimiter = next((sign for sign in ";\t," if sign in line.strip()), None)
+        words = _words(line, delimiter)
         are_numbers = bool(words[0]) and all(_NUMBER.fullmatch(word) for word in words if word)
         if geometry := _GEOMETRY.fullmatch(line.strip()):
             sizes["geometry"] = (int(geometry[1]), int(geometry[2]))
         elif are_numbers and len(words) == _SIZE and not number:
             sizes["the first line"] = (int(float(words[0])), int(float(words[1])))
         elif are_numbers and not line.startswith("#"):
-            own = _of_header(names)
-            if None in own and (len(words) != COLUMNS or (any(own) and len(names) == COLUMNS)):
+            names = names if len(names) == len(words) else []  # else they are words of a comment
+            own = [name for name in _of_header(names) if name is not None]
+            if len(own) < COLUMNS and (own or len(words) != COLUMNS):
                 return None
-            places = [] if None in own else [names.index(name or "") for name in own]
-            return _TextLayout(
-                number, delimiter, own if places else [], places, sizes, bool(_TRUTHS.search(line))
-            )
+            places = [names.index(name) for name in own] or range(COLUMNS)
+            return _TextLayout(number, delimiter, own, places, sizes, bool(_TRUTHS.search(line)))
         else:
             names = [word.partition("@")[0] for word in words]
             sides = [
@@ -203,6 +221,13 @@ def _text_layout(start: bytes) -> _TextLayout | None:
             if len(sides) == _SIZE and all(map(str.isdecimal, sides)):
                 sizes["the names of columns"] = (int(sides[0]), int(sides[1]))
     return None
+
+
+def _words(line: str, delimiter: str | None) -> list[str]:
+    """Return the cells of a line: none for blanks behind its last delimiter, and numbers with a decimal point."""
+    line = _UNIT.sub("", line.strip("# \t\r\n"))
+    words = [word.strip(' "') for word in line.rstrip(delimiter).split(delimiter)]
+    return [word.replace(",", ".") for word in words] if delimiter in _OF_DECIMAL_COMMAS else words
 
 
 def _of_header(names: list[str]) -> list[str | None]:
@@ -217,7 +242,10 @@ def from_text(path: Path, choices: ReadingChoices) -> EventSource:
     """Open text with a line for each event."""
     with path.open("rb") as file:
         layout = _text_layout(file.read(_HEAD_BYTES))
-    assert layout is not None
+        assert layout is not None
+        file.seek(max(0, path.stat().st_size - _HEAD_BYTES))
+        last_line = file.read().rpartition(b"\n")[2].decode("utf-8", "replace")
+    truncated = bool(last_line) and len(_words(last_line, layout.delimiter)) <= max(layout.places)
     if not layout.sizes and choices.sensor_size is None:
         raise NotARecording(
             "This is a text file of events, which does not state the sensor's size.",
@@ -225,34 +253,48 @@ def from_text(path: Path, choices: ReadingChoices) -> EventSource:
         )
 
     def parts() -> Iterator[Parts]:
-        with path.open(encoding="utf-8-sig") as file:
+        with path.open(encoding="utf-8-sig", errors="replace") as file:
             lines: Iterator[str] = islice(file, layout.skipped, None)
+            if truncated:
+                lines = (line for line, _ in pairwise(lines))
+            if layout.delimiter in _OF_DECIMAL_COMMAS:
+                lines = (line.replace(",", ".") for line in lines)
             if layout.has_truths:
                 lines = (_TRUTHS.sub(lambda word: _TRUTH[word[0].lower()], line) for line in lines)
-            read = 0
             for first in filter(str.strip, lines):
-                table = _rows(chain([first], lines), layout, read)
-                read += len(table)
-                yield [table[:, k] for k in range(COLUMNS)] if layout.places else [table]
+                table = _rows(chain([first], lines), path, layout)
+                yield [table[:, k] for k in range(COLUMNS)] if layout.names else [table]
 
-    unit = unit_of_name(layout.names[0] or "") if layout.names else None
-    return Columns(parts, None, layout.sizes, unit=unit).source(choices)
+    unit = unit_of_name(layout.names[0]) if layout.names else None
+    return replace(Columns(parts, None, layout.sizes, unit=unit).source(choices), truncated=truncated)
 
 
-def _rows(lines: Iterator[str], layout: _TextLayout, before: int) -> Any:
+def _rows(lines: Iterator[str], path: Path, layout: _TextLayout) -> Any:
     """Return the next rows. Raises NotARecording if a line does not hold the numbers of an event."""
     try:
         return np.loadtxt(
             lines,
             delimiter=layout.delimiter,
-            usecols=layout.places or None,
+            usecols=layout.places,
             comments="#",
             quotechar='"',
             max_rows=PIECE_EVENTS,
             ndmin=2,
         )
     except ValueError as error:
-        last = before + PIECE_EVENTS
-        raise UnreadableEvents(
-            f"a line of events {before} to {last} does not hold the numbers of an event."
+        number, line = _line_of_no_event(path, layout)
+        raise NotARecording(
+            f"Line {number} does not hold the numbers of an event: {line.strip()[:_LONGEST_LINE]!r}.",
+            remedy="Correct it or take it out in a copy of the file.",
         ) from error
+
+
+def _line_of_no_event(path: Path, layout: _TextLayout) -> tuple[int, str]:
+    """Return number and text of the first line that does not hold the numbers of an event."""
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        for number, line in islice(enumerate(file, 1), layout.skipped, None):
+            words = dict(enumerate(_words(line, layout.delimiter)))
+            are_numbers = all(_NUMBER.fullmatch(words.get(place, "")) for place in layout.places)
+            if line.partition("#")[0].strip() and not are_numbers:
+                return number, line
+    return 0, ""  # numbers in a form that Python reads and NumPy does not

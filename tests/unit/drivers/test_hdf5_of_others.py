@@ -228,6 +228,28 @@ def test_our_own_layout_without_edges_states_its_size(written):
     assert (found.width, found.height) == SIZE
 
 
+@pytest.mark.parametrize("as_attributes", [True, False])
+def test_a_size_beside_the_columns_is_that_of_the_sensor(written, as_attributes):
+    """RVT writes height and width into the group of the events."""
+
+    def fill(file):
+        group = file.create_group("events")
+        columns(group)
+        sides = dict(zip(("width", "height"), SIZE, strict=True))
+        (group.attrs if as_attributes else group).update(sides)
+
+    found = written(fill, ReadingChoices())
+    assert_same(found)
+    assert (found.width, found.height) == SIZE
+    with pytest.raises(NotARecording, match="contradict each other"):
+        written(fill, ReadingChoices((1280, 720)))
+
+
+def test_a_file_without_any_stream_says_so():
+    with pytest.raises(NotARecording, match="no stream of events"):
+        ReadingChoices().chosen([])
+
+
 def test_a_missing_size_is_told_with_the_way_to_state_it(written):
     with pytest.raises(
         NotARecording, match=r"does not state the sensor's size\. .*--sensor-size.*--image-size"

@@ -7,6 +7,7 @@ from imported import import_events
 from drivers.camera.event_arrays import ReadingChoices
 from drivers.camera.formats import table_files
 from drivers.camera.formats.event_conversion import convert
+from drivers.camera.formats.event_files import open_events
 from drivers.errors import NotARecording
 
 N = 3000
@@ -73,6 +74,13 @@ def test_one_of_several_arrays_is_chosen(tmp_path):
     with pytest.raises(NotARecording, match="2 streams of events: left, right"):
         import_events(tmp_path / "a.npz", SIZED)
     assert_same(import_events(tmp_path / "a.npz", ReadingChoices((WIDTH, HEIGHT), "left")))
+
+
+def test_objects_beside_the_events_are_no_hindrance(tmp_path):
+    """EV-IMO keeps a dictionary beside its table."""
+    meta = np.array({"frames": 1}, dtype=object)
+    np.savez(tmp_path / "a.npz", events=plain_table("txyp", 1e-6), meta=meta)
+    assert_same(import_events(tmp_path / "a.npz", SIZED))
 
 
 def test_an_array_of_other_things_is_refused(tmp_path):
@@ -178,9 +186,56 @@ def test_text_without_a_size_or_with_a_torn_line_is_refused(tmp_path):
     path = text(tmp_path / "a.txt", "", "txyp", " ")
     with pytest.raises(NotARecording, match=r"text file of events, which does not state.*--sensor-size"):
         import_events(path)
-    path.write_text(path.read_text() + "45000 3")
-    with pytest.raises(NotARecording, match="a line of events 0 to 500000 does not hold the numbers"):
+    path.write_text(path.read_text() + "45000 3\n45001 2 3 1\n")
+    with pytest.raises(NotARecording, match=f"Line {N + 1} does not hold the numbers of an event: '45000 3'"):
         import_events(path, SIZED)
+
+
+def test_the_last_line_of_text_that_was_cut_off_is_left_out_and_told(tmp_path):
+    path = text(tmp_path / "a.txt", "", "txyp", " ")
+    path.write_text(path.read_text() + "45000 3")
+    assert_same(import_events(path, SIZED))
+    with open_events(path, SIZED) as opened:
+        assert opened.truncated
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_numbers_with_a_decimal_comma_stand_between_semicolons_or_tabs(tmp_path, separator):
+    """Spreadsheets of many countries write so."""
+    path = text(tmp_path / "a.csv", f"{separator.join('txyp')}\n", "txyp", separator, 1e-6)
+    path.write_text(path.read_text().replace(".", ","))
+    assert_same(import_events(path, SIZED))
+
+
+@pytest.mark.parametrize("head", ["# timestamp [us] x y polarity\n", "# rows of t x y p\n", "t x y p \n"])
+def test_a_comment_above_the_events_names_no_column_beyond_the_last(tmp_path, head):
+    assert_same(import_events(text(tmp_path / "a.txt", head, "txyp", " "), SIZED))
+
+
+def test_delimiters_behind_the_last_column_are_none(tmp_path):
+    path = text(tmp_path / "a.csv", "", "txyp", ",")
+    path.write_text(path.read_text().replace("\n", ",\n"))
+    assert_same(import_events(path, SIZED))
+
+
+def test_names_of_a_row_without_a_name_are_not_taken_for_others(tmp_path):
+    """R's `write.table` numbers the rows, and has no name for the numbers."""
+    rows = zip(*(ROWS[name] for name in "txyp"), strict=True)
+    (tmp_path / "a.txt").write_text(
+        "".join(["t x y p\n", *(f"{k} {t} {x} {y} {p}\n" for k, (t, x, y, p) in enumerate(rows))])
+    )
+    with pytest.raises(NotARecording, match="it is a text file") as error:
+        import_events(tmp_path / "a.txt", SIZED)
+    assert "names of its columns" in error.value.remedy
+
+
+@pytest.mark.parametrize("codec", ["utf-8", "cp1252"])
+def test_names_in_another_language_are_asked_for(tmp_path, codec):
+    (tmp_path / "a.csv").write_bytes("Zeit;Spalte;Zeile;Polarität\n1;2;3;1\n".encode(codec))
+    assert len(import_events(tmp_path / "a.csv", SIZED).events.t) == 1
+    (tmp_path / "a.csv").write_bytes("Zeit;x;y;Polarität\n1;2;3;1\n".encode(codec))
+    with pytest.raises(NotARecording, match="it is a text file"):
+        import_events(tmp_path / "a.csv", SIZED)
 
 
 # ------------------------------------------------------------ Parquet
