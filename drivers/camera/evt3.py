@@ -7,14 +7,14 @@ byte offset. This module opens no files and no devices. ``evt3_kernel`` lists th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.camera.event_arrays import Events, Triggers, empty_events, empty_triggers, join_triggers
+from drivers.camera.event_arrays import Events, Triggers, empty_events, join_triggers
 from drivers.camera.evt3_kernel import MARGIN, add_events, run
 from drivers.camera.evt3_state import S, StopReason, new_state
 from drivers.errors import RecordingCorrupt
@@ -22,12 +22,14 @@ from drivers.errors import RecordingCorrupt
 Words = NDArray[np.uint16]
 """EVT3 words, (N,) uint16."""
 
+PIECE_EVENTS: Final = 1 << 15
+"""Events of a piece, which stay in the processor's caches."""
 GAPS_KEPT: Final = 64
 """Number of gaps whose times are kept; further gaps are only counted."""
 
+_MOST_BLOCKS: Final = 16
+"""Most blocks of words in a piece, so that a long file without events shows how far it has been read."""
 _TRIGGERS_AT_ONCE: Final = 4096
-_ROOM: Final = 1.25
-"""Room for the events of words, over the number that as many words before them held; to count them takes longer."""
 _COUNTED_AT_ONCE: Final = 1 << 14
 """Number of events that are decoded at once where they are only counted: these stay in the processor's caches."""
 
@@ -102,7 +104,7 @@ class Evt3Decoder:
     (``skip_unknown``): in a new recording they are a fault of the transfer, in a file of others often a maker's own.
 
     >>> words = np.array([0x8001, 0x6002, 0x0005, 0x2803], np.uint16)
-    >>> [(events, _)] = Evt3Decoder(1280, 720).decode(words)
+    >>> [(events, _)] = Evt3Decoder(1280, 720).decode([words])
     >>> [int(field[0]) for field in events]
     [4098, 3, 5, 1]
     """
@@ -123,23 +125,30 @@ class Evt3Decoder:
         self._where = where
         self._edges = np.empty((_TRIGGERS_AT_ONCE, 3), np.int64)
         self._passing = empty_events(0)
-        self._room_a_word = 1.0
 
-    def decode(self, words: Words, *, max_events: int = 1_000_000) -> Iterator[tuple[Events, Triggers]]:
-        """Decode words, (N,) uint16, in pieces of at most ``max_events`` events, of which 32 is the least.
+    def decode(
+        self, blocks: Iterable[Words], *, max_events: int = PIECE_EVENTS
+    ) -> Iterator[tuple[Events, Triggers]]:
+        """Decode blocks of words, (N,) uint16, in pieces of at most ``max_events`` events, of which 32 is the least.
 
         At a malformed word, it first yields what came before, then raises `RecordingCorrupt`.
         """
-        start = events = 0
-        room = MARGIN + int(self._room_a_word * len(words))
-        while start < len(words):
-            out = empty_events(max(min(room, max_events), MARGIN))
-            stop = self._run(words, start, out)
-            taken = int(self._state[S.TAKEN])
-            yield out.part(0, taken), self._copied_triggers()
-            start = self._advance(words, start, stop)
-            events, room = events + taken, 2 * room
-        self._room_a_word = _ROOM * events / max(len(words), 1)
+        size = max(max_events, MARGIN)
+        out, n, edges, blocks_read = empty_events(size), 0, list[Triggers](), 0
+        for words in blocks:
+            start, blocks_read = 0, blocks_read + 1
+            while start < len(words):
+                stop = self._run(words, start, out.part(n, size))
+                n += int(self._state[S.TAKEN])
+                if self._state[S.TAKEN_EDGES]:
+                    edges.append(self._copied_triggers())
+                is_last = stop == len(words) and blocks_read >= _MOST_BLOCKS
+                if n > size - MARGIN or self._state[S.STOP_REASON] != StopReason.NONE or is_last:
+                    yield out.part(0, n), join_triggers(edges)
+                    out, n, edges, blocks_read = empty_events(size), 0, [], 0
+                start = self._advance(words, start, stop)
+        if n or edges or blocks_read:
+            yield out.part(0, n), join_triggers(edges)
 
     def decode_into(self, words: Words, events: Events, at: int) -> tuple[int, Triggers]:
         """Decode words, (N,) uint16, into the caller's arrays from index ``at``; return the index after the last event.
@@ -195,10 +204,7 @@ class Evt3Decoder:
 
     def _copied_triggers(self) -> Triggers:
         """Return a copy of the trigger edges of the last run."""
-        n = int(self._state[S.TAKEN_EDGES])
-        if not n:
-            return empty_triggers(0)  # as nearly always, and quicker than copies
-        t, value, channel = self._edges[:n].T
+        t, value, channel = self._edges[: self._state[S.TAKEN_EDGES]].T
         return Triggers(t.copy(), value.astype(np.uint8), channel.astype(np.uint8))
 
     def _advance(self, words: Words, start: int, stop: int) -> int:

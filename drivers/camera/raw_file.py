@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera.event_arrays import Events, Triggers, empty_events, join_triggers
-from drivers.camera.evt3 import Evt3Decoder, StreamStatistics, Words
+from drivers.camera.evt3 import PIECE_EVENTS, Evt3Decoder, StreamStatistics, Words
 from drivers.camera.evt3_kernel import MARGIN, max_event_count
 from drivers.camera.raw_check import read_start, require_whole
 from drivers.camera.raw_header import RawHeader, parse_header
@@ -109,16 +109,14 @@ class RawFile:
         except OSError as error:
             raise unreadable(self.path, error) from error
 
-    def pieces(self, *, max_events: int = 1_000_000) -> Iterator[tuple[Events, Triggers]]:
+    def pieces(self, *, max_events: int = PIECE_EVENTS) -> Iterator[tuple[Events, Triggers]]:
         """Decode events and triggers in the order of the file, at most ``max_events`` events in a piece.
 
         At a malformed word, it first yields what came before, then raises `RecordingCorrupt`.
         """
-        decoder = self.decoder()
-        for words in self.words():
-            yield from decoder.decode(words, max_events=max_events)
+        return self.decoder().decode(self.words(), max_events=max_events)
 
-    def chunks(self, *, max_events: int = 1_000_000) -> Iterator[Events]:
+    def chunks(self, *, max_events: int = PIECE_EVENTS) -> Iterator[Events]:
         """Decode events in the order of the file, 1 to ``max_events`` in a piece; errors as ``pieces``."""
         for events, _ in self.pieces(max_events=max_events):
             if len(events.t):

@@ -75,7 +75,7 @@ def works(path: Path) -> dict[str, Callable[[], object]]:
     image = np.zeros((2, 720, 1280), np.uint16)
 
     def decode() -> None:
-        for _ in Evt3Decoder(1280, 720).decode(words):
+        for _ in Evt3Decoder(1280, 720).decode([words]):
             pass
 
     calls: dict[str, Callable[[], object]] = {

@@ -29,6 +29,7 @@ from drivers.camera.event_arrays import (
     ReadingState,
     too_many_edges,
 )
+from drivers.camera.evt3 import Words
 from drivers.camera.formats import prophesee_words
 from drivers.camera.formats.event_columns import UnitCheck
 from drivers.camera.formats.hdf5_events import opened_hdf5
@@ -113,13 +114,16 @@ def _of_recording(recording: RawFile) -> EventSource:
     state = ReadingState()
     total_bytes = recording.path.stat().st_size
 
+    def words() -> Iterator[Words]:
+        read_bytes = recording.raw_header.size_bytes
+        for block in recording.words():
+            yield block
+            read_bytes += block.nbytes
+            state.share = read_bytes / total_bytes
+
     def pieces() -> Iterator[Piece]:
         decoder = recording.decoder(skip_unknown=True)
-        read_bytes = recording.raw_header.size_bytes
-        for words in recording.words():
-            yield from decoder.decode(words)
-            read_bytes += words.nbytes
-            state.share = read_bytes / total_bytes
+        yield from decoder.decode(words())
         state.unknown_words = decoder.statistics().unknown_words
 
     size = recording.width, recording.height

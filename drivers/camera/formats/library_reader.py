@@ -361,7 +361,7 @@ def _decoder_of(encoding: str, size: tuple[int, int], where: str) -> Callable[[A
         from drivers.camera.evt3 import Evt3Decoder  # its compiler takes a second, and memory
 
         of_words = Evt3Decoder(*size, where=where)
-        return lambda message: map(_copied, of_words.decode(np.frombuffer(_bytes(message), "<u2")))
+        return lambda message: map(_copied, of_words.decode([np.frombuffer(_bytes(message), "<u2")]))
     if encoding == "evt21":
         from drivers.camera.formats.prophesee_words import Evt2Decoder
 

@@ -52,7 +52,7 @@ def rows(events):
 def decode(*words, decoder=None, max_events=1_000_000):
     decoder = decoder or Evt3Decoder(WIDTH, HEIGHT)
     found, edges = [], []
-    for events, triggers in decoder.decode(np.array(words, np.uint16), max_events=max_events):
+    for events, triggers in decoder.decode([np.array(words, np.uint16)], max_events=max_events):
         found += rows(events)
         edges += rows(triggers)
     return found, edges, decoder.statistics()

@@ -91,7 +91,7 @@ def test_what_is_encoded_in_pieces_is_decoded_the_same(rows, edges, piece):
         done = until
     if rows:
         words.append(encoder.words(empty_events(0), Triggers(*(field[done:] for field in triggers))))
-    found = [piece for part in words for piece in decoder.decode(part)]
+    found = [piece for part in words for piece in decoder.decode([part])]
     assert encoder.moved_events == 0
     assert all(
         np.array_equal(np.concatenate([getattr(e, name) for e, _ in found] or [[]]), getattr(events, name))
@@ -108,7 +108,7 @@ def test_a_step_back_of_some_us_is_kept_and_a_longer_one_counted():
     flat = np.zeros(4, np.uint16)
     encoder = Evt3Encoder()
     words = encoder.words(Events(t, flat, flat, np.zeros(4, np.uint8)), empty_triggers(0))
-    [(found, _)] = Evt3Decoder(1280, 720).decode(words)
+    [(found, _)] = Evt3Decoder(1280, 720).decode([words])
     assert found.t.tolist() == [10_000, 9_990, 9_990, 10_001]
     assert encoder.moved_events == 1
 

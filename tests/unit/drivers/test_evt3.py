@@ -25,7 +25,7 @@ from tests.unit.drivers.evt3_words import (
 
 
 def test_arrays_have_the_types_they_promise():
-    [(events, triggers)] = Evt3Decoder(WIDTH, HEIGHT).decode(np.array([high(1), low(2)], np.uint16))
+    [(events, triggers)] = Evt3Decoder(WIDTH, HEIGHT).decode([np.array([high(1), low(2)], np.uint16)])
     assert [field.dtype for field in events] == [np.int64, np.uint16, np.uint16, np.uint8]
     assert [field.dtype for field in triggers] == [np.int64, np.uint8, np.uint8]
 
@@ -94,7 +94,7 @@ def test_words_of_other_types_are_counted_and_left_out_where_that_is_asked_for()
 
 def test_events_before_a_malformed_word_are_handed_out():
     decoder = Evt3Decoder(WIDTH, HEIGHT)
-    pieces = decoder.decode(np.array([high(0), low(0), row(0), event(7), 0x9000], np.uint16))
+    pieces = decoder.decode([np.array([high(0), low(0), row(0), event(7), 0x9000], np.uint16)])
     assert rows(next(pieces)[0]) == [(0, 7, 0, 0)]
     with pytest.raises(RecordingCorrupt):
         next(pieces)

@@ -113,7 +113,7 @@ def test_where_a_stream_is_cut_does_not_matter(stream, cuts, max_events):
 
 @given(streams(), st.integers(32, 70))
 def test_no_piece_is_larger_than_asked_for(stream, max_events):
-    pieces = Evt3Decoder(WIDTH, HEIGHT).decode(np.array(stream[0], np.uint16), max_events=max_events)
+    pieces = Evt3Decoder(WIDTH, HEIGHT).decode([np.array(stream[0], np.uint16)], max_events=max_events)
     assert all(len(events.t) <= max_events for events, _ in pieces)
 
 
@@ -193,7 +193,7 @@ def test_garbage_ends_in_an_error_or_in_events_inside_the_sensor(data):
     pieces: list[tuple[Events, Triggers]] = []
     refused_at = None
     try:
-        pieces.extend(decoder.decode(words))
+        pieces.extend(decoder.decode([words]))
     except RecordingCorrupt as error:
         refused_at = error.offset
     if refused_at is not None:
