@@ -69,8 +69,6 @@ def offline_lines(
         yield "\n" + comparison_text(baselines)
         if words.is_board:
             yield "The published recipe is left out: it needs a target at infinity, not a board."
-    elif result.planar is not None:
-        yield "\n" + _planar_text(cast("CalibrationData", result.planar.to_dict()))
 
 
 def calibration_text(calibration: CalibrationData, words: TargetWords) -> str:
@@ -96,20 +94,6 @@ def calibration_text(calibration: CalibrationData, words: TargetWords) -> str:
     if not calibration["converged"]:
         lines.append("NOT CONVERGED: do not use these numbers.")
     return "\n".join([*lines, *(f"Note: {note}" for note in calibration["notes"])])
-
-
-def _planar_text(calibration: CalibrationData) -> str:
-    """Return the planar calibration in a few lines, without its notes: it is not the result."""
-    shown = []
-    for name in ("fx", "fy", "cx", "cy"):
-        k = coverage_factor(calibration, name)
-        value, expanded = with_uncertainty(calibration["camera"][name], k * calibration["sigma"][name])
-        shown.append(f"{name} {value} ± {expanded} px")
-    return (
-        "Only for comparison, not the result: the planar model (Zhang) on the same stars. It does not know that a\n"
-        "collimator stands between them and the camera.\n"
-        f"  {', '.join(shown)}; rms {calibration['rms_px']:.4f} px"
-    )
 
 
 def _baseline_dict(row: MethodResult | MethodFailure) -> dict[str, Any]:

@@ -475,7 +475,7 @@ class Results(TypedDict):
     conditions: NotRequired[Conditions]
     calibration: CalibrationData
     projection: NotRequired[ProjectionData | None]
-    planar: NotRequired[CalibrationData | None]
+    planar: NotRequired[CalibrationData | None]  # Of the same stars, in results of before
     passport: NotRequired[PassportData | None]
     gimbal_readings: NotRequired[GimbalReadingsData]
     halves: NotRequired[HalvesData]

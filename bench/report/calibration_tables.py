@@ -238,23 +238,6 @@ def correlation(calibration: CalibrationData) -> tuple[list[str], list[list[Cell
     return list(covariance["names"]), rows
 
 
-def planar_comparison(
-    calibration: CalibrationData, planar: CalibrationData | None
-) -> list[tuple[str, str, str, str, str]]:
-    """Return name, value, U, planar value, planar U of each common parameter; last the RMS residuals."""
-    if planar is None:
-        return []
-    k_planar = coverage_factor(planar)
-    rows = []
-    for name, sigma in planar["sigma"].items():
-        if name in calibration["camera"] and name in calibration["sigma"]:
-            k = coverage_factor(calibration, name)
-            own = with_uncertainty(calibration["camera"][name], k * calibration["sigma"][name])
-            rows.append((name, *own, *with_uncertainty(planar["camera"][name], k_planar * sigma)))
-    rms = (number(calibration["rms_px"], 3), "", number(planar["rms_px"], 3), "")
-    return [*rows, ("RMS, px", *rms)]
-
-
 def checks(results: Results) -> list[tuple[str, str]]:
     """Describe the checks that do not influence the result: split half, the gimbal's readings, the parallax."""
     rows = []

@@ -84,7 +84,6 @@ def _result_parts(results: Results, words: TargetWords) -> dict[str, Any]:
         "values": calibration_tables.values(calibration),
         "fit_statistics": calibration_tables.fit_statistics(calibration, words),
         "correlation": calibration_tables.correlation(calibration),
-        "planar": calibration_tables.planar_comparison(calibration, results.get("planar")),
         "budget": calibration_tables.budget(calibration, words),
         "budget_rows": calibration_tables.budget_rows(calibration, words),
         "combined": calibration_tables.combined(calibration),

@@ -325,7 +325,7 @@ def _check_attempts(evidence: _Evidence, findings: Findings, progress: Reached) 
         excused = other and had["accepted"] == due["accepted"]
         if excused:  # another program may have other words for the reasons
             had, due = ({**content, "reasons": []} for content in (had, due))
-        seen = list(differences(had, due, tolerance({}, {}), where))
+        seen = list(differences(had, due, tolerance({}), where))
         if excused:
             seen = [difference for difference in seen if not is_excused(difference, {})]
         for difference in seen[:MOST_SHOWN]:
@@ -388,7 +388,7 @@ def _check_solved(
         {"calibration": {**numbers, "camera": numbers.get("values"), "values": None}}
         for numbers in (solved, again)
     )
-    seen = list(differences(had, must, tolerance(sigma, {})))
+    seen = list(differences(had, must, tolerance(sigma)))
     if other_software(evidence.used):
         seen = [difference for difference in seen if not is_excused(difference, sigma)]
     add_faults("journal", JOURNAL, "the recordings do not give what it states: ", seen, findings)

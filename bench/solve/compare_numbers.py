@@ -27,9 +27,6 @@ TOLERANCE_SIGMAS = 1e-3
 """Values that differ by less than this fraction of their standard uncertainty count as equal."""
 TOLERANCE_SHARE = 1e-6
 """Other numbers that differ by less than this fraction of themselves count as equal."""
-TOLERANCE_PLANAR = 1e-2
-"""The same for all numbers of the planar model, which is there for comparison. Three views hardly determine it: points
-that are moved by 1e-11 px change its standard uncertainties by up to 0.6 %."""
 _COUNTED = ("iterations",)
 """Numbers of work, not of results: rounding may change them by a few."""
 MOST_SHOWN = 12
@@ -48,7 +45,6 @@ _VALUES = ("calibration.camera.", "calibration.collimator.")
 _SIGMA = "calibration.sigma."
 _FOLLOWS = (
     "calibration.",
-    "planar.",
     "projection.",
     "halves.",
     "comparison[",
@@ -61,7 +57,6 @@ _TABLES = ("calibration.budget_rows[", "calibration.not_included[")
 """Tables whose rows another program may order and name otherwise."""
 _WORDS = (".notes[", ".says[")
 """Sentences that another program may write otherwise."""
-_TABLES_OF_PLANAR = tuple(name.replace("calibration.", "planar.") for name in _TABLES)
 _MEASURED = ("poses[", "pose ", "gates[")
 _NUMBER = re.compile(r"\d+(\.\d+)?")
 _SMALL_PX = 0.01
@@ -153,8 +148,8 @@ def check_numbers(
     if not rounded:
         findings.remarks.append(f"calculated again from the {source}: every number is equal to the last bit")
         return
-    sigma, planar = again["calibration"]["sigma"], again.get("planar") or {"sigma": {}}
-    every = list(differences(stored, again, tolerance(sigma, planar["sigma"])))
+    sigma = again["calibration"]["sigma"]
+    every = list(differences(stored, again, tolerance(sigma)))
     excused = [difference for difference in every if other and is_excused(difference, sigma)]
     seen = [difference for difference in every if difference not in excused]
     if excused:
@@ -187,15 +182,11 @@ def add_faults(kind: str, name: str, what: str, seen: Sequence[Difference], find
         findings.fault(kind, name, f"{len(seen) - MOST_SHOWN} further values differ")
 
 
-def tolerance(sigma: Mapping[str, float], planar_sigma: Mapping[str, float]) -> Tolerance:
-    """Return the tolerance for numbers of results.json, with the standard uncertainties of both calibrations."""
+def tolerance(sigma: Mapping[str, float]) -> Tolerance:
+    """Return the tolerance for numbers of results.json, with the standard uncertainties of the calibration."""
     parameters = {
-        f"{which}.{part}.{name}": share * value
-        for which, share, stated in (
-            ("calibration", TOLERANCE_SIGMAS, sigma),
-            ("planar", TOLERANCE_PLANAR, planar_sigma),
-        )
-        for name, value in stated.items()
+        f"calibration.{part}.{name}": TOLERANCE_SIGMAS * value
+        for name, value in sigma.items()
         for part in ("camera", "collimator", "sigma")
     }
 
@@ -204,8 +195,7 @@ def tolerance(sigma: Mapping[str, float], planar_sigma: Mapping[str, float]) -> 
             return abs(stored - derived) <= max(2.0, 0.1 * abs(derived))
         if where in parameters:
             return abs(stored - derived) <= parameters[where]
-        share = TOLERANCE_PLANAR if where.startswith("planar.") else TOLERANCE_SHARE
-        return abs(stored - derived) <= share * scale
+        return abs(stored - derived) <= TOLERANCE_SHARE * scale
 
     return equal
 
@@ -213,7 +203,7 @@ def tolerance(sigma: Mapping[str, float], planar_sigma: Mapping[str, float]) -> 
 def is_excused(difference: Difference, sigma: Mapping[str, float]) -> bool:
     """Return whether a difference beyond rounding may come from another program: it is within these limits."""
     words = any(part in difference.where for part in _WORDS)
-    if difference.kind != "value" or words or difference.where.startswith((*_TABLES, *_TABLES_OF_PLANAR)):
+    if difference.kind != "value" or words or difference.where.startswith(_TABLES):
         return True
     if isinstance(difference.stored, str) and isinstance(difference.derived, str):
         return _same_words(difference.stored, difference.derived)
@@ -257,7 +247,7 @@ def described(excused: Sequence[Difference], sigma: Mapping[str, float], most: i
 
 def _place(where: str) -> str:
     """Return the place of a value; of one in a table the table."""
-    return where.partition("[")[0] if where.startswith((*_TABLES, *_TABLES_OF_PLANAR)) else where
+    return where.partition("[")[0] if where.startswith(_TABLES) else where
 
 
 def _sizes(numbers: Sequence[Difference], sigma: Mapping[str, float]) -> str:

@@ -210,7 +210,7 @@ def compare_plan(folder: Path, due: Mapping[str, Any], used: Mapping[str, Any], 
     """Compare plan.json with the plan of the run's documents, except the names of files: the copies have others."""
     try:
         stored = read_json(folder / PLAN)
-        seen = list(differences(_without_names(stored), _without_names(due), tolerance({}, {})))
+        seen = list(differences(_without_names(stored), _without_names(due), tolerance({})))
     except (StorageError, *UNREADABLE) as error:
         findings.fault("plan", PLAN, f"the file cannot be read ({error!r})")
         return

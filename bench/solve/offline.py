@@ -50,7 +50,6 @@ class OfflineResult:
     """Result of an offline calibration."""
 
     calibration: Calibration
-    planar: Calibration | None  # The planar calibration of the same points; None if there is none
     skipped: Sequence[str]  # For each file that was left out, a sentence with the reason
     views: Sequence[View]
     options: CalibrationOptions = field(default_factory=CalibrationOptions)
@@ -107,10 +106,9 @@ class OfflineResult:
         return self.choices.board
 
     def to_dict(self) -> dict[str, Any]:
-        """Return the calibration's content, and ``planar passport gimbal_readings skipped``, for ``--json``."""
+        """Return the calibration's content, and ``passport gimbal_readings skipped``, for ``--json``."""
         return {
             **self.calibration.to_dict(),
-            "planar": self.planar.to_dict() if self.planar else None,
             "passport": self.passport.to_dict() if self.passport else None,
             "gimbal_readings": self.readings,
             "skipped": list(self.skipped),
@@ -173,16 +171,14 @@ def calibrate_sources(
     used_parts = used_recordings((source.path for source in used if source.job is None), moving)
     cautions += used_parts
     try:
-        calibration, planar = calibrated(views, options, cautions, board=choices.board is not None)
+        calibration = calibrated(views, options, cautions, board=choices.board is not None)
     except DegenerateViews as error:
         left_out = [f"{counted(len(skipped), 'file')} left out: {_first(skipped)}"] if skipped else []
         remedy = " ".join([*left_out, *used_parts, error.remedy])
         raise DegenerateViews(error.what, where=error.where, remedy=remedy) from error
     targets = [source.job.target if source.job else choices.target for source in used]
     target = targets[0] if all(other == targets[0] for other in targets) else None
-    return OfflineResult(
-        calibration, planar, skipped, views, options, used, passport, target, choices=choices
-    )
+    return OfflineResult(calibration, skipped, views, options, used, passport, target, choices=choices)
 
 
 def require_common_views(first: Path, second: Path, choices: OfflineOptions) -> None:

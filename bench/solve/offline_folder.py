@@ -134,7 +134,7 @@ def offline_results(
         "schema": results_content.SCHEMA,
         "run": _run_facts(result, name, sealed_by),
         "devices": {},
-        **calculated(result.calibration, result.planar, result.passport, result.readings, result.views),
+        **calculated(result.calibration, result.passport, result.readings, result.views),
         "poses": _pose_rows(result),
         "gates": [],
         **({"conformity": conformity} if (conformity := result.conformity) else {}),

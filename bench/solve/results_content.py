@@ -109,7 +109,7 @@ def results_content(
     calibration = solution.calibration
     of_journal = journal_content(job, history, calibration.views)
     views = [view.view for view in solution.views]
-    numbers = calculated(calibration, solution.planar, solution.passport, solution.readings, views)
+    numbers = calculated(calibration, solution.passport, solution.readings, views)
     judged = [gate.as_data() for gate in solution.judged]
     gates = [*judged, *of_journal.pop("gates")]
     failed = [gate["name"] for gate in gates if gate["verdict"] == "fail"]
@@ -135,7 +135,6 @@ def results_content(
 
 def calculated(
     calibration: Calibration,
-    planar: Calibration | None,
     passport: PassportInUse | None,
     readings: GimbalReadingsData | None,
     views: Sequence[View],
@@ -144,7 +143,6 @@ def calculated(
     return {
         "calibration": calibration.to_dict(),
         "projection": projection(calibration, views),
-        "planar": planar.to_dict() if planar else None,
         "passport": passport.to_dict() if passport else None,
         "gimbal_readings": readings,
     }

@@ -27,7 +27,6 @@ from bench.record.results import CheckData, ComparisonRow, GimbalReadingsData
 from bench.solve.checks import gimbal_check, mount_faces, parallax_check, split_half_check
 from bench.solve.solve_options import limited_numbers, readings_result, require_enough_views, solve_options
 from calib.engine import Calibration, CalibrationOptions, calibrate
-from calib.errors import CalibrationError
 from calib.studies.camera_check import CameraCheck, check_camera
 from calib.view import View
 from sequences.script import SolveStep
@@ -46,23 +45,12 @@ def calibrated(
     check: Callable[[], None] = lambda: None,
     *,
     board: bool = False,
-) -> tuple[Calibration, Calibration | None]:
-    """Calibrate, with further notes; then, if that is another model, as planar. ``board``: the views show a board."""
+) -> Calibration:
+    """Calibrate, with further notes. ``board``: the views show a board."""
     require_enough_views(views, options, board=board)
     calibration = calibrate(views, options)
     check()
-    calibration = replace(calibration, notes=(*calibration.notes, *notes))
-    return calibration, planar_calibration(views, options) if calibration.model != "planar" else None
-
-
-def planar_calibration(views: Sequence[View], options: CalibrationOptions) -> Calibration | None:
-    """Calibrate with the planar model of Zhang (2000) on the same points; None if they do not determine it."""
-    try:
-        return calibrate(
-            views, CalibrationOptions("planar", options.distortion, options.loss, options.huber_px)
-        )
-    except CalibrationError:
-        return None
+    return replace(calibration, notes=(*calibration.notes, *notes))
 
 
 def compare_with_truth(calibration: Calibration, truth: Mapping[str, Any]) -> list[ComparisonRow]:
@@ -131,8 +119,6 @@ class Solution:
     """A calibration, the data that it was made of, and how it was judged."""
 
     calibration: Calibration
-    # Calibration by the planar model on the same points; None if that is the calibration's own model.
-    planar: Calibration | None
     views: Sequence[StoredView]
     judged: Sequence[Gate]
     # `halves`, `gimbal`, `parallax` and `mount_faces` of the results, as far as they can be calculated.
@@ -155,7 +141,7 @@ def solve_run(
     views = views_in(measurements)
     options = solve_options(job, step, readings)
     notes = _notes(job, step, history, measurements)
-    calibration, planar = calibrated(views, options, notes, check)
+    calibration = calibrated(views, options, notes, check)
     checks: dict[str, Any] = {
         "halves": split_half_check(views, options),
         "gimbal": gimbal_check(calibration, readings, job.station.gimbal),
@@ -167,7 +153,6 @@ def solve_run(
     check()
     return Solution(
         calibration,
-        planar,
         _stored_views(measurements, calibration),
         [*solution_gates(step.limits, limited_numbers(calibration)), *check_gates(compared)],
         {name: outcome for name, outcome in checks.items() if outcome is not None},

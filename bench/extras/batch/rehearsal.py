@@ -111,7 +111,7 @@ class RehearsedResults(ResultWriter):
         measured: MutableMapping[int, Measurement],
         check: Callable[[], None],
     ) -> Solved:
-        """See `ResultWriter.solve`. Without checks and planar comparison."""
+        """See `ResultWriter.solve`. Without checks."""
         check()
         self._clock.sleep(SOLVE_S)
         measurements, readings = accepted_measurements(self._job, self._folder.path, history, measured)

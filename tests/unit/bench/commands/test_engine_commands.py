@@ -41,15 +41,11 @@ def test_other_methods_are_compared_on_the_same_points(capsys, points):
     )
 
 
-def test_values_stand_in_columns_and_the_planar_model_in_few_lines(capsys, points):
+def test_values_stand_in_columns(capsys, points):
     said = out_of(capsys, "calibrate", points[0], "--image-size", "1280x720")
-    result, _, planar = said.partition("Only for comparison, not the result")
-    values = [line for line in result.splitlines() if "±" in line and line.startswith("  ")]
+    values = [line for line in said.splitlines() if "±" in line and line.startswith("  ")]
     assert any(line.startswith("  radial_4 ") for line in values)
     assert len({line.index("±") for line in values}) == 1
-    assert result.count("Note:") == said.count("Note:")
-    assert planar.rstrip().splitlines()[-1].lstrip().startswith("fx 3")
-    assert len(planar.rstrip().splitlines()) == 3
 
 
 def test_a_method_without_a_result_has_a_row_with_the_reason(capsys, points, tmp_path):

@@ -52,7 +52,6 @@ AGAIN = {
     "stars moved in the views": (in_views(move_star), "views.h5"),
     "image painted over": (paint, "views.h5"),
     "truth of the simulated world": (other_truth, "results.json"),
-    "planar comparison": (in_results(lambda r: r["planar"].update(rms_px=0.01)), "results.json"),
     "witnesses removed": (in_results(lambda r: r["calibration"].update(witnesses=[])), "results.json"),
     "gate of a recording in journal and results": (other_gate, "journal.jsonl"),
     "recordings exchanged, every hash put right": (swap_captures, "journal.jsonl"),

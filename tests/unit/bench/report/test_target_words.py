@@ -23,7 +23,7 @@ def of_board(**run):
         row["source"] = row["source"].replace("stars", "points")
     for pose in results["poses"]:  # it is calibrated from files: no attempts, no gates
         pose.pop("attempts", None)
-    results |= {"gates": [], "planar": None, "passport": None, "deviations": []}
+    results |= {"gates": [], "passport": None, "deviations": []}
     return ReportData(results, data.views, data.journal_head)
 
 

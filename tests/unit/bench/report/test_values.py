@@ -61,8 +61,6 @@ def test_each_value_is_printed_with_its_uncertainty(html):
         ("halves", "worst_px"),
         ("gimbal", "rms_arcsec"),
         ("gimbal", "scale_sigma", "pan_deg"),
-        ("planar", "camera", "fx"),
-        ("planar", "sigma", "fx"),
         ("comparison", 0, "error_sigmas"),
         ("comparison", 3, "truth"),
         ("poses", 1, "measured_deg", "pan"),
