@@ -36,6 +36,10 @@ _SLACK_PX = 1.0  # points with the other origin are shifted by half a pixel: no 
 _SPLIT = re.compile(r"[,;\s]+")
 _SPLIT_OF_COMMAS = re.compile(r"[;\s]+")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+(?:,\d+)?(?:[eE][-+]?\d+)?")
+_QUOTED = re.compile(r'"([-+]?\d+),(\d+(?:[eE][-+]?\d+)?)"')
+"""A number with a decimal comma that a spreadsheet has put between quotes."""
+_NO_DATA = re.compile(r"#(?![A-Z0-9/]+[!?]?[,;\t])|sep=.?$|$")
+"""What is no row: a comment, but for a cell that a spreadsheet could not compute (#DIV/0!); its `sep=;`; nothing."""
 _UNITS = re.compile(r"[ _]*[\[(]?(?:px|mm)[\])]?$")
 _MARKS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 _SHARES = 1.5
@@ -123,11 +127,10 @@ def _rows(path: Path) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
         raise StorageError(f"The file cannot be read: {error.strerror}.", where=str(path)) from error
     except UnicodeDecodeError as error:
         raise BenchError(
-            "The file is not UTF-8 text.", where=str(path), remedy="Point files have lines x y X Y id."
+            "The file is not UTF-8 text.", where=str(path), remedy="Save it as text in UTF-8."
         ) from error
-    data_lines = [
-        (number, line.strip().replace('"', "")) for number, line in enumerate(lines, 1) if _is_data(line)
-    ]
+    plain = (_QUOTED.sub(r"\1.\2", line).replace('"', "") for line in lines)
+    data_lines = [(number, line.strip()) for number, line in enumerate(plain, 1) if _is_data(line)]
     names: Sequence[str] = _COLUMNS
     if data_lines and not any(map(_is_number, header := _header(data_lines[0][1]))):
         names = _names(header, f"{path}:{data_lines.pop(0)[0]}")
@@ -146,7 +149,7 @@ def _rows(path: Path) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
 
 
 def _is_data(line: str) -> bool:
-    return bool(line.strip()) and not line.lstrip().startswith("#")
+    return _NO_DATA.match(line.strip().rstrip(",;")) is None
 
 
 def _header(line: str) -> list[str]:
@@ -161,6 +164,7 @@ def _is_number(text: str) -> bool:
 def _names(header: Sequence[str], where: str) -> list[str]:
     """Return the names of the columns as the first line has them; each of `_COLUMNS` must be there once."""
     names = [_UNITS.sub("", name.strip()) for name in header]
+    names = ["id" if name.lower() == "id" else name for name in names]
     if not set(_COLUMNS) & set(names):
         raise BenchError(
             "This text is no list of points: its first line has neither numbers nor names of columns.",

@@ -29,6 +29,9 @@ SAME = {
     "decimal commas, semicolons": COMMAS,
     "decimal commas, tabs": COMMAS.replace(";", "\t"),
     "quoted": text(ROWS, '"{0}","{1}","{2}","{3}","{4}"', '"x","y","X","Y","id"'),
+    "quoted decimal commas": text(ROWS, '"{0}";"{1}";"{2}";"{3}";"{4}"').replace(".", ",").replace(";", ","),
+    "a line for a spreadsheet, and rows without content": f"sep=;\n{COMMAS}\n;;;;\n;;;;\n",
+    "ID": text(ROWS, header="x,y,X,Y,ID"),
     "a comma at the end": text(ROWS, "{0},{1},{2},{3},{4},"),
     "UTF-16 of a spreadsheet": text(ROWS, "{0}\t{1}\t{2}\t{3}\t{4}").encode("utf-16"),
 }
@@ -56,6 +59,11 @@ WRONG = {
     "a target in m by its header": (text(ROWS, header="x,y,X_m,Y_m,id"), "no column 'X'"),
     "a note of a person": ("taken on Monday\n", "no list of points"),
     "a target that is not flat": (text(ROWS, "{0},{1},{2},{3},5,{4}", "x,y,X,Y,Z,id"), "plane Z = 0"),
+    "a cell that was not computed": (f"{text(ROWS)}\n#DIV/0!,2,3,4,25\n", "Not a number"),
+    "umlauts of a spreadsheet": (
+        text(ROWS, header="x,y,X,Y,id,H\u00f6he").encode("cp1252"),
+        "not UTF-8 text",
+    ),
     "a column too many": (text(ROWS, "{0},{1},{2},{3},0,{4}"), "6 columns instead of 5"),
     "points and commas as decimal marks": ("1.000,5;2,5;3,5;4,5;6\n", "8 columns|9 columns"),
 }
