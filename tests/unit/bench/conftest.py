@@ -88,7 +88,7 @@ def make_a_run(path, *, serial="00050423"):
         hashes = {name: hashlib.sha256(text).hexdigest() for name, text in documents.items()}
         journal.append("run_started", id="run-1", sha256=hashes)
         for pose, attempts in ((1, 2), (2, 1)):
-            told = []
+            recorded = []
             for attempt in range(1, attempts + 1):
                 folder.part_path(capture_name(pose, attempt)).write_bytes(
                     f"recording {pose} {attempt}".encode()
@@ -97,8 +97,8 @@ def make_a_run(path, *, serial="00050423"):
                 journal.append(
                     CAPTURE_STORED, pose=pose, pose_name=str(pose), attempt=attempt, **capture.as_data()
                 )
-                told.append({"attempt": attempt, "capture": capture.name, "sha256": capture.sha256})
-            poses.append({"index": pose, "attempts": told})
+                recorded.append({"attempt": attempt, "capture": capture.name, "sha256": capture.sha256})
+            poses.append({"index": pose, "attempts": recorded})
         results = {
             "run": {"id": "run-1", "simulated": True},
             "devices": {"camera": {"serial": serial}},

@@ -67,9 +67,9 @@ def bench(tmp_path):
 @pytest.fixture
 def page(bench):
     bench[2].stage.step_deg = 0.02
-    one = Page(bench[0], ONE)
-    yield one
-    one.close()
+    first_page = Page(bench[0], ONE)
+    yield first_page
+    first_page.close()
 
 
 def test_the_page_and_its_files_are_served(bench):
@@ -230,36 +230,36 @@ def test_the_stop_of_the_ring_reaches_the_measurement(bench, page, monkeypatch):
 
 
 def test_the_checks_say_what_is_not_checked_yet(bench, page):
-    found = {one["name"]: one for one in page.do("check", sequence="three_pose").json()["result"]}
-    assert found["stage: identity"]["verdict"] == "good"
-    assert found["recording"]["verdict"] == "open"
-    assert "light on" in found["recording"]["remedy"]
-    assert found["sequence"]["verdict"] == "good"
+    checks = {check["name"]: check for check in page.do("check", sequence="three_pose").json()["result"]}
+    assert checks["stage: identity"]["verdict"] == "good"
+    assert checks["recording"]["verdict"] == "open"
+    assert "light on" in checks["recording"]["remedy"]
+    assert checks["sequence"]["verdict"] == "good"
     bench[2].stage.fault = "pan: stalled"
-    found = {one["name"]: one for one in page.do("check").json()["result"]}
-    assert found["stage: faults"]["verdict"] == "bad"
-    assert "stalled" in found["stage: faults"]["found"]
-    assert found["stage: faults"]["remedy"]
+    checks = {check["name"]: check for check in page.do("check").json()["result"]}
+    assert checks["stage: faults"]["verdict"] == "bad"
+    assert "stalled" in checks["stage: faults"]["found"]
+    assert checks["stage: faults"]["remedy"]
 
 
 def test_the_list_says_what_was_done_and_by_which_page(bench):
     url, session, _ = bench
-    one = Page(url, ONE)
+    page = Page(url, ONE)
     name = session.owners.name(ONE)
     assert name.startswith("Page 1")
-    assert one.do("light", on=True).status_code == 200
+    assert page.do("light", on=True).status_code == 200
     for level in (50, 10):
-        assert one.do("light", level_percent=level).status_code == 200
-    assert one.do("jog", steps_deg={"pan": 0.5}).status_code == 200
+        assert page.do("light", level_percent=level).status_code == 200
+    assert page.do("jog", steps_deg={"pan": 0.5}).status_code == 200
     wait_until(lambda: not session.bench.stage.moving)
-    assert one.do("stop").status_code == 200
-    assert one.refused("bias", name="bias_diff_on", value=0.5)  # what is refused is not listed
-    assert one.do("propose", kind="station", what=["zero"]).status_code == 200
-    mark = one.do("propose", kind="station", what=["zero"]).json()["result"]["mark"]
-    assert one.do("write", kind="station", what=["zero"], mark=mark).status_code == 200
-    one.close()
-    said = [entry["text"] for entry in session.state()["messages"]]
-    assert said[1:] == [
+    assert page.do("stop").status_code == 200
+    assert page.refused("bias", name="bias_diff_on", value=0.5)  # what is refused is not listed
+    assert page.do("propose", kind="station", what=["zero"]).status_code == 200
+    mark = page.do("propose", kind="station", what=["zero"]).json()["result"]["mark"]
+    assert page.do("write", kind="station", what=["zero"], mark=mark).status_code == 200
+    page.close()
+    texts = [entry["text"] for entry in session.state()["messages"]]
+    assert texts[1:] == [
         f"{name} switched the light on.",
         f"{name} set the light to square, 60 Hz, duty 50 %, level 10 %.",
         f"{name} asked for pan 0.50°.",

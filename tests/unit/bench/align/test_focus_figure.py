@@ -29,10 +29,10 @@ def test_the_edge_width_falls_while_the_ring_is_turned_to_focus():
 def test_regions_show_a_tilted_field():
     sharp, soft = seen(bench(psf_px=0.6)), seen(bench(psf_px=1.1))
     right = np.linspace(0.0, 1.0, 1280, dtype=np.float32)[None, :] > 0.55
-    found = figures_of(fired(np.where(right, soft, sharp)))
-    assert found.regions["top right"] > found.regions["top left"] + 0.2
-    assert "on the right" in found.tilt
-    assert found.tilt.index("right") < found.tilt.index("left")
+    figures = figures_of(fired(np.where(right, soft, sharp)))
+    assert figures.regions["top right"] > figures.regions["top left"] + 0.2
+    assert "on the right" in figures.tilt
+    assert figures.tilt.index("right") < figures.tilt.index("left")
 
 
 def test_tilt_needs_both_sides():
@@ -45,9 +45,9 @@ def test_tilt_needs_both_sides():
 def test_without_stars_the_sharpness_remains():
     image = np.ones((720, 1280), np.float32)
     image[300:400, 500:700] = 0.0
-    found = figures_of(image)
-    assert (found.edge_width_px, found.blur_circle_px) == (None, None)
-    assert found.sharpness > 0.0
+    figures = figures_of(image)
+    assert (figures.edge_width_px, figures.blur_circle_px) == (None, None)
+    assert figures.sharpness > 0.0
 
 
 def test_the_course_keeps_the_best_but_no_single_outlier():
@@ -207,6 +207,6 @@ def test_the_trend_by_coarse_detail_alone():
 
 
 def test_edges_that_look_sharp_in_dim_light_do_not_count():
-    found = figures_of(fired(seen(bench(circle_px=13.0)), level_percent=10.0))
-    assert found.regions["centre"] < 2.2  # thresholded edges of stars
-    assert found.edge_width_px == pytest.approx(13.0 / 4.0, abs=0.6)
+    figures = figures_of(fired(seen(bench(circle_px=13.0)), level_percent=10.0))
+    assert figures.regions["centre"] < 2.2  # thresholded edges of stars
+    assert figures.edge_width_px == pytest.approx(13.0 / 4.0, abs=0.6)

@@ -30,14 +30,14 @@ def test_the_advice_leads_to_a_recording_that_passes(tmp_path, ring):
     assert abs(signed_blur_px(person.truth())) < 4.0
     path = tmp_path / "end.raw"
     write_slice(path, seen(person.truth(), **person.angles), light=drive(person.level), periods=2)
-    found = measure(
+    measurement = measure(
         path, name="end", target=STATION.target.pattern(), image="auto", periods=2, expected_hz=60.0
     )
-    assert found.fault == ""
-    assert edge_angle_deg(np.array(found.facts["grid"])) > 5.0
+    assert measurement.fault == ""
+    assert edge_angle_deg(np.array(measurement.facts["grid"])) > 5.0
     events, triggers = RawFile.open(path).read()
     facts = RecordingFacts("1", "EVK4", 1280, 720, 1, 0.051, len(events.t), len(triggers.t), {}, {})
     step = type("Step", (), {"gates": Gates.from_settings(dict(GateConfig()))})
-    gates, reasons = EventKind({}).judge(dataclasses.asdict(facts), step, 60.0, found)
+    gates, reasons = EventKind({}).judge(dataclasses.asdict(facts), step, 60.0, measurement)
     assert [gate.name for gate in gates if gate.verdict == "fail"] == []
     assert reasons == []

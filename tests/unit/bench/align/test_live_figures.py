@@ -253,9 +253,9 @@ def test_the_turn_of_the_ring_is_told_as_data_and_as_a_sentence(focus, ring, tex
     seen_now = types.SimpleNamespace(
         focus=FocusFigures(**{"edge_width_px": 2.0, **focus}), count=200, is_dim=lambda _: False
     )
-    told = focus_advice(seen_now, SETTING)
-    assert told.ring == ring
-    assert told.text.endswith(text) or text in told.text
+    advice = focus_advice(seen_now, SETTING)
+    assert advice.ring == ring
+    assert advice.text.endswith(text) or text in advice.text
 
 
 def test_a_picture_that_needs_a_turn_of_the_ring_holds_it(tmp_path):
@@ -385,7 +385,7 @@ def test_stars_at_rest_are_followed_and_a_turned_camera_is_noticed_in_the_next_p
     _, second = meter.measure(LiveSlice(good, 10.0), SETTING)
     assert (first.stars_time_s, second.stars_time_s) == (0.0, 10.0)
     assert (first.stars_followed, second.stars_followed) == (False, True)
-    assert [one[0] for one in second.stars] == [one[0] for one in first.stars]
+    assert [star[0] for star in second.stars] == [star[0] for star in first.stars]
     apart = np.array(second.stars)[:, 1:] - np.array(first.stars)[:, 1:]
     assert np.abs(apart).max() < 0.1
     assert second.focus.edge_width_px == pytest.approx(first.focus.edge_width_px, abs=0.05)

@@ -109,15 +109,15 @@ def raw_of(path, t, origin_us=0):
 @pytest.mark.parametrize("origin_us", [0, 4096 * 4095])  # the clock wraps in the second slice
 def test_events_of_whole_periods_are_counted(tmp_path, origin_us):
     t = np.arange(0, 10_500, 50)
-    found = count_slice(raw_of(tmp_path / "slice.raw", t, origin_us), 4000.0)
-    assert found.periods == 2
-    assert found.counts[1, 1, 1] == found.counts.sum() == np.count_nonzero(t < 8000)
-    assert found.statistics.events == len(t)
+    counted = count_slice(raw_of(tmp_path / "slice.raw", t, origin_us), 4000.0)
+    assert counted.periods == 2
+    assert counted.counts[1, 1, 1] == counted.counts.sum() == np.count_nonzero(t < 8000)
+    assert counted.statistics.events == len(t)
 
 
 def test_a_slice_shorter_than_a_period_is_counted_as_a_whole(tmp_path):
-    found = count_slice(raw_of(tmp_path / "slice.raw", [0, 900, 3000]), 4000.0)
-    assert (found.periods, int(found.counts.sum())) == (0, 3)
+    counted = count_slice(raw_of(tmp_path / "slice.raw", [0, 900, 3000]), 4000.0)
+    assert (counted.periods, int(counted.counts.sum())) == (0, 3)
     assert whole_periods(np.zeros(0, "<u2"), 4000.0) == (0, 0)
 
 
@@ -173,21 +173,23 @@ def edges(count, jitter_us=0.0):
 
 
 def test_rates_and_frequencies():
-    found = measure_signal(events_of(2000 + PERIOD_US * np.arange(12)), edges(12), 1_000_000, 60.0)
-    assert found.trigger_hz == pytest.approx(1e6 / PERIOD_US, rel=1e-6)
-    assert found.event_hz == pytest.approx(1e6 / PERIOD_US, rel=1e-3)
-    assert found.on_share == pytest.approx(2 / 3)
-    assert (found.triggers, found.triggers_expected) == (12, 12)
+    signal = measure_signal(events_of(2000 + PERIOD_US * np.arange(12)), edges(12), 1_000_000, 60.0)
+    assert signal.trigger_hz == pytest.approx(1e6 / PERIOD_US, rel=1e-6)
+    assert signal.event_hz == pytest.approx(1e6 / PERIOD_US, rel=1e-3)
+    assert signal.on_share == pytest.approx(2 / 3)
+    assert (signal.triggers, signal.triggers_expected) == (12, 12)
     duration_s = 12 * PERIOD_US * 1e-6
-    assert found.events_per_s == pytest.approx(12 * 600 / duration_s, rel=0.05)
-    assert found.link_share == pytest.approx(8e-3 / (duration_s * LINK_GBIT_S), rel=0.05)
-    assert found.jitter_us == pytest.approx(0.3, abs=0.3)
-    assert found.sync_fault == ""
+    assert signal.events_per_s == pytest.approx(12 * 600 / duration_s, rel=0.05)
+    assert signal.link_share == pytest.approx(8e-3 / (duration_s * LINK_GBIT_S), rel=0.05)
+    assert signal.jitter_us == pytest.approx(0.3, abs=0.3)
+    assert signal.sync_fault == ""
 
 
 def test_the_jitter_of_the_sync_is_the_drawn_one():
-    found = measure_signal(events_of(2000 + PERIOD_US * np.arange(40)), edges(40, jitter_us=25.0), 1000, None)
-    assert found.jitter_us == pytest.approx(25.0, rel=0.25)
+    signal = measure_signal(
+        events_of(2000 + PERIOD_US * np.arange(40)), edges(40, jitter_us=25.0), 1000, None
+    )
+    assert signal.jitter_us == pytest.approx(25.0, rel=0.25)
 
 
 def test_the_jitter_of_the_bursts_is_the_drawn_one():
@@ -205,17 +207,17 @@ EMPTY = Events(np.zeros(0, np.int64), np.zeros(0, np.uint16), np.zeros(0, np.uin
 def test_missing_sync_edges_are_counted():
     some = edges(12)
     kept = [0, 1, 2, 3, 20, 21, 22, 23]
-    found = measure_signal(
+    signal = measure_signal(
         events_of(2000 + PERIOD_US * np.arange(12)), triggers_of(some.t[kept], some.value[kept]), 1000, 60.0
     )
-    assert (found.triggers, found.triggers_expected) == (4, 12)
+    assert (signal.triggers, signal.triggers_expected) == (4, 12)
 
 
 def test_nothing_is_nothing():
     none = triggers_of([], [])
-    found = measure_signal(EMPTY, none, 0, 60.0)
-    assert found.flicker is None
-    assert (found.events_per_s, found.link_share, found.on_share, found.trigger_hz) == (
+    signal = measure_signal(EMPTY, none, 0, 60.0)
+    assert signal.flicker is None
+    assert (signal.events_per_s, signal.link_share, signal.on_share, signal.trigger_hz) == (
         None,
         None,
         None,
@@ -225,11 +227,11 @@ def test_nothing_is_nothing():
 
 def test_edges_without_a_period_are_named():
     odd = triggers_of([1000, 1700, 9000, 9800, 40_000, 41_000], [1, 0, 1, 0, 1, 0])
-    found = measure_signal(events_of(2000 + PERIOD_US * np.arange(4)), odd, 1000, 60.0)
-    assert found.sync_fault
+    signal = measure_signal(events_of(2000 + PERIOD_US * np.arange(4)), odd, 1000, 60.0)
+    assert signal.sync_fault
 
 
 def test_a_short_slice_takes_the_set_frequency_for_its_image_only():
-    found = measure_signal(events_of([3000.0]), triggers_of([], []), 1000, 60.0)
-    assert found.flicker.frequency_hz == pytest.approx(60.0)
-    assert (found.trigger_hz, found.event_hz) == (None, None)
+    signal = measure_signal(events_of([3000.0]), triggers_of([], []), 1000, 60.0)
+    assert signal.flicker.frequency_hz == pytest.approx(60.0)
+    assert (signal.trigger_hz, signal.event_hz) == (None, None)

@@ -29,19 +29,19 @@ class Kind:
         assert path.exists()
         return Measurement(None, None, {}, self.fault)
 
-    def judge(self, facts, step, frequency_hz, found):
+    def judge(self, facts, step, frequency_hz, measurement):
         return self.gates, self.others
 
 
 def _checked(session, monkeypatch, kind):
     monkeypatch.setattr(readiness, "camera_kind", lambda _station: kind)
-    return {one.name: one for one in check_readiness(session)}
+    return {check.name: check for check in check_readiness(session)}
 
 
 def test_a_dark_bench_is_checked_as_far_as_it_can_be(opened):
     session, devices = opened
-    found = {one.name: one for one in check_readiness(session)}
-    assert {name: one.verdict for name, one in found.items()} == {
+    checks = {check.name: check for check in check_readiness(session)}
+    assert {name: check.verdict for name, check in checks.items()} == {
         "station file": "good",
         "stage: identity": "good",
         "stage: faults": "good",
@@ -61,12 +61,12 @@ def test_the_recording_is_judged_by_the_gates_of_a_run(opened, monkeypatch):
     gates = [Gate("stars", 12, "", ">= 40", "fail"), Gate("edge width", 2.5, "px", "<= 1.2", "fail"),
              Gate("event rate", 90, "Mev/s", "<= 200", "pass")]  # fmt: skip
     kind = Kind(gates, others=["the rate controller is on"])
-    found = _checked(session, monkeypatch, kind)
-    assert found["recording: stars"].verdict == "bad"
-    assert found["recording: stars"].found == "12; a run needs at least 40."
-    assert "focus the lens" in found["recording: edge width"].remedy
-    assert found["recording: event rate"].verdict == "good"
-    assert found["recording"].verdict == "bad"
+    checks = _checked(session, monkeypatch, kind)
+    assert checks["recording: stars"].verdict == "bad"
+    assert checks["recording: stars"].found == "12; a run needs at least 40."
+    assert "focus the lens" in checks["recording: edge width"].remedy
+    assert checks["recording: event rate"].verdict == "good"
+    assert checks["recording"].verdict == "bad"
     assert not kind.paths[0].exists()  # the recording is not kept
     assert devices.light.lit  # the light stays as it is
 
@@ -75,18 +75,18 @@ def test_a_recording_without_stars_says_so_once(opened, monkeypatch):
     session, _ = opened
     session.light(on=True)
     kind = Kind([Gate("stars", 0, "", ">= 40", "fail")], fault="no star was found.")
-    found = _checked(session, monkeypatch, kind)
-    assert found["recording: stars"].found == "no star was found."
-    assert found["recording: stars"].verdict == "bad"
+    checks = _checked(session, monkeypatch, kind)
+    assert checks["recording: stars"].found == "no star was found."
+    assert checks["recording: stars"].verdict == "bad"
 
 
 def test_a_stage_that_is_not_homed_is_no_fault(opened):
     session, devices = opened
     devices.stage.homed = False
     devices.stage.fault = "pan: no reference position"
-    found = {one.name: one for one in check_readiness(session)}
-    assert found["stage: faults"].verdict == "open"
-    assert found["stage: faults"].remedy == "Press Home."
+    checks = {check.name: check for check in check_readiness(session)}
+    assert checks["stage: faults"].verdict == "open"
+    assert checks["stage: faults"].remedy == "Press Home."
 
 
 def test_a_device_that_does_not_answer_is_red_and_the_others_are_checked(opened):
@@ -96,10 +96,10 @@ def test_a_device_that_does_not_answer_is_red_and_the_others_are_checked(opened)
         raise LightFault("it does not answer.", where="light", remedy="Plug it in.")
 
     devices.light.identify = fail
-    found = {one.name: one for one in check_readiness(session)}
-    assert found["light: identity"].verdict == "bad"
-    assert found["light: identity"].remedy == "Plug it in."
-    assert found["camera: identity"].verdict == "good"
+    checks = {check.name: check for check in check_readiness(session)}
+    assert checks["light: identity"].verdict == "bad"
+    assert checks["light: identity"].remedy == "Plug it in."
+    assert checks["camera: identity"].verdict == "good"
 
 
 class Simulation:
@@ -151,14 +151,14 @@ def test_a_sequence_is_planned_and_its_light_compared_with_the_present_one(opene
     kind = Kind([])
     kind.light_for = lambda flicker: flicker
     monkeypatch.setattr(readiness, "camera_kind", lambda _station: kind)
-    found = {one.name: one for one in check_readiness(session, sequence="three_pose")}
-    assert found["sequence"].verdict == "good"
-    assert found["light of the sequence"].verdict == "good"
+    checks = {check.name: check for check in check_readiness(session, sequence="three_pose")}
+    assert checks["sequence"].verdict == "good"
+    assert checks["light of the sequence"].verdict == "good"
     session.light(frequency_hz=80.0, level_percent=40.0)
-    found = {one.name: one for one in check_readiness(session, sequence="three_pose")}
-    assert found["light of the sequence"].verdict == "open"
-    assert "square 60 Hz" in found["light of the sequence"].found
-    assert "square 80 Hz" in found["light of the sequence"].found
+    checks = {check.name: check for check in check_readiness(session, sequence="three_pose")}
+    assert checks["light of the sequence"].verdict == "open"
+    assert "square 60 Hz" in checks["light of the sequence"].found
+    assert "square 80 Hz" in checks["light of the sequence"].found
 
 
 def test_a_sequence_that_cannot_run_is_red(opened, tmp_path):
@@ -166,6 +166,6 @@ def test_a_sequence_that_cannot_run_is_red(opened, tmp_path):
     path.write_text(
         "format: starbench/sequence/1\nname: far\nsteps: [light, {move: {pan_deg: 99}}, record]\n"
     )
-    found = {one.name: one for one in check_readiness(opened[0], sequence=str(path))}
-    assert found["sequence"].verdict == "bad"
-    assert "99" in found["sequence"].found
+    checks = {check.name: check for check in check_readiness(opened[0], sequence=str(path))}
+    assert checks["sequence"].verdict == "bad"
+    assert "99" in checks["sequence"].found

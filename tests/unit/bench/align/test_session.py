@@ -378,7 +378,7 @@ def test_pictures_come_while_the_stage_opens_and_after_it_has_failed():
         late.end(PortLost("no such port.", where="gimbal", remedy="Plug it in."))
         assert session.state()["stage"]["failure"]["remedy"] == "Plug it in."
         assert session.bench.stage.failure.kind == "PortLost"
-        assert "The stage could not be opened. gimbal: no such port." in said(session)
+        assert "The stage could not be opened. gimbal: no such port." in messages_of(session)
         session.light(on=True)
         with pytest.raises(PortLost):
             session.bench.stage.move_by({"pan": 0.5})
@@ -389,22 +389,22 @@ def test_pictures_come_while_the_stage_opens_and_after_it_has_failed():
         assert not devices.closed
         late.end()
         assert session.state()["stage"]["failure"] is None
-        assert "All devices are open." in said(session)
+        assert "All devices are open." in messages_of(session)
         session.bench.stage.move_by({"pan": 0.5})
     finally:
         session.close()
 
 
-def said(session):
-    return " ".join(one["text"] for one in session.state()["messages"])
+def messages_of(session):
+    return " ".join(message["text"] for message in session.state()["messages"])
 
 
 def test_a_page_is_told_of_a_move_that_fails_where_the_stage_stands():
-    stage, told = FakeStage(), []
-    control = StageControl(stage, lambda: told.append(control.state), lambda _words: None)
+    stage, states = FakeStage(), []
+    control = StageControl(stage, lambda: states.append(control.state), lambda _words: None)
     control.look(thoroughly=True)
     stage.fault, stage.faults = "the motor is stuck", list
     control.home()
-    wait_until(lambda: told[-1].failure is not None and told[-1].work is None)
+    wait_until(lambda: states[-1].failure is not None and states[-1].work is None)
     control.close()
-    assert "the motor is stuck" in told[-1].failure.what
+    assert "the motor is stuck" in states[-1].failure.what

@@ -92,9 +92,9 @@ def test_a_large_file_is_refused_before_it_is_read(tmp_path, monkeypatch):
 
 def test_nobody_in_the_bench_parses_json_without_bounds():
     root = Path(bench.__file__).parent
-    found = {
+    files = {
         path.relative_to(root).as_posix()
         for path in root.rglob("*.py")
         if re.search(r"json\.loads?\(|model_validate_json\(", path.read_text(encoding="utf-8"))
     }
-    assert found <= OWN_DATA, f"use parse_json or read_json: {sorted(found - OWN_DATA)}"
+    assert files <= OWN_DATA, f"use parse_json or read_json: {sorted(files - OWN_DATA)}"

@@ -70,11 +70,11 @@ def test_a_run_that_failed_keeps_kind_place_and_remedy_up_to_journal_and_json(tm
     scene = scene_with(tmp_path, {"stage.move_to": slipped()})
     end = scene.run()
     assert end.failure == Failure(**SLIPPED)
-    (told,) = scene.data_of(Event.RUN_ENDED)
-    assert told["error"] == SLIPPED
+    (run_end,) = scene.data_of(Event.RUN_ENDED)
+    assert run_end["error"] == SLIPPED
     assert with_json(show_run, end) == 1
-    said = json.loads(capsys.readouterr().out)["error"]
-    assert said == {**SLIPPED, "message": "pan: The axis slipped. Tighten the clamp."}
+    error = json.loads(capsys.readouterr().out)["error"]
+    assert error == {**SLIPPED, "message": "pan: The axis slipped. Tighten the clamp."}
 
 
 @pytest.mark.parametrize(
@@ -91,24 +91,24 @@ def test_a_failed_run_is_called_safe_only_if_devices_were_opened(tmp_path, capsy
     assert text in capsys.readouterr().err.splitlines()
     ends = [DeviceEnd("stage", "confirmed safe", "at rest"), DeviceEnd("light", "not confirmed", "no answer")]
     assert show_run(replace(end, devices=ends)) == 1
-    said = capsys.readouterr().err
-    assert "The bench is safe" not in said
-    assert "  light: not confirmed: no answer. The light may be on." in said.splitlines()
-    assert "  stage: confirmed safe: at rest." in said.splitlines()
+    errors = capsys.readouterr().err
+    assert "The bench is safe" not in errors
+    assert "  light: not confirmed: no answer. The light may be on." in errors.splitlines()
+    assert "  stage: confirmed safe: at rest." in errors.splitlines()
 
 
 def test_how_each_device_was_left_stands_in_the_journal_and_in_json(tmp_path, capsys):
     silent = ReplyTimeout("no complete reply within 2 s.")
     scene = scene_with(tmp_path, {"stage.move_to": slipped(), "light.off": silent})
     end = scene.run()
-    (told,) = scene.data_of(Event.RUN_ENDED)
-    states = {one["device"]: one["state"] for one in told["devices"]}
+    (run_end,) = scene.data_of(Event.RUN_ENDED)
+    states = {device["device"]: device["state"] for device in run_end["devices"]}
     assert states == {"stage": "confirmed safe", "light": "not confirmed", "camera": "confirmed safe"}
     assert with_json(show_run, end) == 1
-    said = json.loads(capsys.readouterr().out)
-    assert said["devices"] == told["devices"]
-    assert "no complete reply" in said["devices"][1]["said"]
-    assert said["unsafe"] == [said["devices"][1]["said"]]
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["devices"] == run_end["devices"]
+    assert "no complete reply" in answer["devices"][1]["said"]
+    assert answer["unsafe"] == [answer["devices"][1]["said"]]
     assert line_text(read_journal(scene.folder / "journal.jsonl")[0][-1]).endswith("The light may be on.")
 
 
@@ -122,31 +122,31 @@ def test_a_camera_that_has_gone_is_not_said_to_be_safe(tmp_path, capsys):
     scene = Scene(tmp_path)
     scene.hook = hook
     end = scene.run()
-    (told,) = scene.data_of(Event.RUN_ENDED)
-    states = {one["device"]: one["state"] for one in told["devices"]}
+    (run_end,) = scene.data_of(Event.RUN_ENDED)
+    states = {device["device"]: device["state"] for device in run_end["devices"]}
     assert states == {"stage": "confirmed safe", "light": "confirmed safe", "camera": "not confirmed"}
-    assert told["devices"][2]["said"].startswith("the camera does not answer: camera 7: the connection")
+    assert run_end["devices"][2]["said"].startswith("the camera does not answer: camera 7: the connection")
     assert show_run(end) == 1
-    said = "".join(capsys.readouterr())
-    assert "Stage and light confirmed that they are safe:" in said
-    assert "CHECK THE BENCH" not in said
+    output = "".join(capsys.readouterr())
+    assert "Stage and light confirmed that they are safe:" in output
+    assert "CHECK THE BENCH" not in output
 
 
 def test_a_finished_run_states_what_each_device_confirmed(tmp_path):
     scene = Scene(tmp_path)
     assert scene.run().how == "finished"
-    (told,) = scene.data_of(Event.RUN_ENDED)
-    assert [one["state"] for one in told["devices"]] == ["confirmed safe"] * 3
-    assert told["devices"][0]["said"].startswith("it confirmed the stop and reads pan ")
-    assert told["devices"][1]["said"] == "it was read back as off"
+    (run_end,) = scene.data_of(Event.RUN_ENDED)
+    assert [device["state"] for device in run_end["devices"]] == ["confirmed safe"] * 3
+    assert run_end["devices"][0]["said"].startswith("it confirmed the stop and reads pan ")
+    assert run_end["devices"][1]["said"] == "it was read back as off"
 
 
 def test_what_is_not_known_of_devices_never_opened_is_said(capsys, tmp_path):
     end = RunEnd("failed", "the port is missing", tmp_path, None)
     assert show_run(end) == 1
-    told = capsys.readouterr().err
-    assert "Look at the bench: the stage may turn, and the light may be on." in told
-    assert not re.search("moved nothing|may be moving", told)
+    errors = capsys.readouterr().err
+    assert "Look at the bench: the stage may turn, and the light may be on." in errors
+    assert not re.search("moved nothing|may be moving", errors)
 
 
 def test_a_run_that_fails_again_on_a_full_disk_and_needs_no_device_keeps_what_each_confirmed(
@@ -166,12 +166,12 @@ def test_a_run_that_fails_again_on_a_full_disk_and_needs_no_device_keeps_what_ea
     ):
         end = scene.run()
         assert (end.how, end.opened) == ("failed", opened)
-        assert [one.state for one in end.devices] == ["confirmed safe"] * 3
+        assert [device.state for device in end.devices] == ["confirmed safe"] * 3
         show_run(end)
-        said = capsys.readouterr().err
-        assert head in said.splitlines()
-        assert "Look at the bench" not in said
-        assert [one["state"] for one in read_status(scene.folder).devices] == ["confirmed safe"] * 3
+        errors = capsys.readouterr().err
+        assert head in errors.splitlines()
+        assert "Look at the bench" not in errors
+        assert [device["state"] for device in read_status(scene.folder).devices] == ["confirmed safe"] * 3
     history = replay(read_journal(scene.folder / "journal.jsonl")[0])
     assert (
         "(failed: views.h5: The disk is full. Make room). 3 of 3" in intentions(scene.task, history, None)[0]
@@ -183,12 +183,12 @@ def test_a_sequence_without_a_report_step_has_not_failed(capsys, tmp_path):
     for name in ("pose-001-attempt-1.raw", "pose-002-attempt-1.raw"):
         (tmp_path / "captures" / name).touch()
     assert show_run(RunEnd("finished", "", tmp_path, None, opened=True)) == 0
-    said = capsys.readouterr()
-    assert "Recordings (2):\n  captures/pose-001-attempt-1.raw\n  captures/pose-002" in said.out
-    assert f"starbench calibrate {tmp_path} --output" in said.out
-    assert "finished and sealed. Its sequence has no report step, so there is no result." in said.out
-    assert "resume" not in said.out + said.err
-    assert "failed" not in said.out + said.err
+    captured = capsys.readouterr()
+    assert "Recordings (2):\n  captures/pose-001-attempt-1.raw\n  captures/pose-002" in captured.out
+    assert f"starbench calibrate {tmp_path} --output" in captured.out
+    assert "finished and sealed. Its sequence has no report step, so there is no result." in captured.out
+    assert "resume" not in captured.out + captured.err
+    assert "failed" not in captured.out + captured.err
 
 
 def test_a_resumed_run_knows_the_error_that_ended_it_before(tmp_path):
@@ -221,6 +221,6 @@ def test_a_camera_that_does_not_answer_is_no_reason_to_check_the_bench(tmp_path,
     ends = [DeviceEnd("stage", "confirmed safe"), DeviceEnd("light", light), DeviceEnd("camera", camera)]
     end = RunEnd("failed", "no camera", tmp_path, None, devices=ends, opened=False)
     show_run(end)
-    said = "".join(capsys.readouterr())
-    assert head in said
-    assert ("The light may be on" in said) is (light != "confirmed safe")
+    output = "".join(capsys.readouterr())
+    assert head in output
+    assert ("The light may be on" in output) is (light != "confirmed safe")

@@ -70,8 +70,8 @@ def test_the_command_line_asks_before_numba_is_imported():
         "from bench.commands.cli import main; main(['--version'])"
     )
     command = [sys.executable, "-c", program]
-    said = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
-    assert said.stdout.splitlines()[0] == "False"
+    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True)
+    assert ended.stdout.splitlines()[0] == "False"
 
 
 def test_kernels_older_than_a_source_beside_them_or_without_one_are_removed(tmp_path):
@@ -113,7 +113,7 @@ def test_parts_that_no_process_has_compiled_are_named(tmp_path):
 
 
 def test_missing_parts_are_compiled_in_processes_of_their_own_and_told(monkeypatch):
-    begun, said, real = [], [], subprocess.Popen
+    begun, messages, real = [], [], subprocess.Popen
 
     def begin(words, **options):
         begun.append(words[1:])
@@ -121,11 +121,13 @@ def test_missing_parts_are_compiled_in_processes_of_their_own_and_told(monkeypat
 
     monkeypatch.setattr(compiling, "missing_parts", lambda parts, _environ: tuple(parts))
     monkeypatch.setattr("subprocess.Popen", begin)
-    compiling.compile_missing(("good", "stars"), said.append)
+    compiling.compile_missing(("good", "stars"), messages.append)
     assert begun == [["-m", "bench.warm_up", part] for part in ("good", "stars")]
-    assert said[0].startswith("Compiling loops for this processor, once after an installation or an update")
-    assert any(text.startswith("  good: compiled, ") for text in said[1:])
-    assert any(text.startswith("  stars: could not be compiled beforehand, ") for text in said[1:])
+    assert messages[0].startswith(
+        "Compiling loops for this processor, once after an installation or an update"
+    )
+    assert any(text.startswith("  good: compiled, ") for text in messages[1:])
+    assert any(text.startswith("  stars: could not be compiled beforehand, ") for text in messages[1:])
 
 
 def test_nothing_is_said_where_all_is_compiled(monkeypatch):

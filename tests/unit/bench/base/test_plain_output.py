@@ -25,11 +25,11 @@ def folder(tmp_path):
 def test_a_hostile_name_of_a_folder_is_printed_as_text(folder, tmp_path, words):
     place = folder.parent if words == ["runs"] else folder
     command = [sys.executable, "-m", "bench", *words, str(place)]
-    told = subprocess.run(command, env=environment(tmp_path), capture_output=True, text=True, check=False)
-    assert told.returncode == 0, told.stderr
-    text = told.stdout + told.stderr
+    ended = subprocess.run(command, env=environment(tmp_path), capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    text = ended.stdout + ended.stderr
     assert not {"\x1b", "\x9b", "\u202e"} & set(text)
     if "--json" in words:
-        assert HOSTILE in json.loads(told.stdout)["folder"]
+        assert HOSTILE in json.loads(ended.stdout)["folder"]
     else:
         assert r"\x9b31m\u202etxt" in text  # of a pipe, click takes the first part away

@@ -124,22 +124,22 @@ def selected(monkeypatch):
 
 
 def test_where_nobody_is_there_the_default_counts_after_the_time_out():
-    said, clock = [], Night()
-    assert asked(io.StringIO(), timeout_s=600, clock=clock, say=said.append) == ("abort", "time-out")
-    assert "Go?" in said[0]
+    messages, clock = [], Night()
+    assert asked(io.StringIO(), timeout_s=600, clock=clock, say=messages.append) == ("abort", "time-out")
+    assert "Go?" in messages[0]
     assert 600 <= clock.monotonic() < 601
 
 
 def test_an_answer_from_another_terminal_counts_at_once():
-    said, clock = [], Night()
+    messages, clock = [], Night()
 
     def elsewhere():
         return Reply("continue", "ada") if clock.monotonic() > 30 else None
 
-    found = asked(io.StringIO(), timeout_s=600, clock=clock, say=said.append, elsewhere=elsewhere)
-    assert found == ("continue", "ada")
+    answer = asked(io.StringIO(), timeout_s=600, clock=clock, say=messages.append, elsewhere=elsewhere)
+    assert answer == ("continue", "ada")
     assert clock.monotonic() < 31
-    assert said[1:] == ["ada: continue"]
+    assert messages[1:] == ["ada: continue"]
 
 
 @pytest.mark.usefixtures("selected")
@@ -165,11 +165,11 @@ def test_where_select_takes_no_terminals_a_thread_reads(typed, word):
 
 @pytest.mark.parametrize("waits_for_terminals", [True, False])
 def test_a_terminal_that_was_closed_answers_nothing(request, waits_for_terminals):
-    terminal, said = Terminal(""), []
+    terminal, messages = Terminal(""), []
     if waits_for_terminals:
         request.getfixturevalue("selected").append(terminal)
-    assert asked(terminal, timeout_s=1, say=said.append) == ("abort", "time-out")
-    assert "`starbench tell 'runs/cam 7' yes` (or no)" in said[-1]
+    assert asked(terminal, timeout_s=1, say=messages.append) == ("abort", "time-out")
+    assert "`starbench tell 'runs/cam 7' yes` (or no)" in messages[-1]
 
 
 def test_what_a_thread_read_before_the_question_does_not_count():

@@ -36,10 +36,10 @@ print(stopped)
 
 
 def test_a_signal_at_any_moment_of_a_wait_stops_it():
-    said = subprocess.run(
+    ended = subprocess.run(
         [sys.executable, "-c", MANY_SIGNALS], capture_output=True, text=True, timeout=120, check=False
     )
-    assert said.stdout == "400\n", said.stderr
+    assert ended.stdout == "400\n", ended.stderr
 
 
 CUT_OFF = """
@@ -51,8 +51,8 @@ print("ends")
 
 
 def test_a_program_ends_after_the_work_that_its_clock_began():
-    said = subprocess.run([sys.executable, "-c", CUT_OFF], capture_output=True, text=True, check=False)
-    assert said.stdout == "ends\ncomputed\n", said.stderr
+    ended = subprocess.run([sys.executable, "-c", CUT_OFF], capture_output=True, text=True, check=False)
+    assert ended.stdout == "ends\ncomputed\n", ended.stderr
 
 
 def test_the_first_signal_ends_a_long_wait():
@@ -150,11 +150,11 @@ def test_being_ended_breaks_off_as_an_interrupt_does():
 
 
 def test_other_errors_in_clearing_up_go_where_they_went(monkeypatch):
-    told = []
-    monkeypatch.setattr(sys, "unraisablehook", told.append)
+    unraisable = []
+    monkeypatch.setattr(sys, "unraisablehook", unraisable.append)
     with reliable_interrupts():
         _cleared_up_with(ValueError)
-    assert [one.exc_type for one in told] == [ValueError]
+    assert [error.exc_type for error in unraisable] == [ValueError]
 
 
 # ---------------------------------------------------------------- output whose reader has gone
@@ -185,9 +185,9 @@ def test_the_work_goes_on_after_the_readers_of_its_output_have_gone(both):
     process = started(write, write if both else subprocess.PIPE)
     os.close(write)
     os.close(read)
-    _, said = process.communicate(b"begin\n")
+    _, errors = process.communicate(b"begin\n")
     assert process.returncode == 7
-    assert said == (None if both else b"error 0\nerror 1\nerror 2\n")
+    assert errors == (None if both else b"error 0\nerror 1\nerror 2\n")
 
 
 CLOSED = """
@@ -212,9 +212,9 @@ def test_a_stream_that_was_closed_before_the_start_takes_no_file_and_ends_no_wor
 
 
 def test_a_reader_that_stays_gets_all():
-    said, errors = (process := started(subprocess.PIPE)).communicate(b"begin\n")
+    output, errors = (process := started(subprocess.PIPE)).communicate(b"begin\n")
     assert process.returncode == 8
-    assert said.splitlines()[-1] == b"a program that this one starts"
+    assert output.splitlines()[-1] == b"a program that this one starts"
     assert errors.count(b"error") == 3
 
 
@@ -228,6 +228,6 @@ def test_a_full_disk_behind_the_output_is_one_message():
             check=False,
         )
     assert ended.returncode == 1
-    said = ended.stderr.decode()
-    assert said.startswith("starbench: standard output: No space left on device. Make room on the disk.")
-    assert said.count("\n") == 1
+    errors = ended.stderr.decode()
+    assert errors.startswith("starbench: standard output: No space left on device. Make room on the disk.")
+    assert errors.count("\n") == 1

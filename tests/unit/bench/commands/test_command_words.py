@@ -69,8 +69,8 @@ def _here(tmp_path, monkeypatch):
 @pytest.fixture
 def say(capsys):
     def called(*words):
-        status, said = ended(capsys, *words)
-        return status, said.out, said.err
+        status, captured = ended(capsys, *words)
+        return status, captured.out, captured.err
 
     return called
 
@@ -85,19 +85,19 @@ def batch_folder(path, run="cam7-001"):
 
 @pytest.mark.parametrize("words", sorted(ALL))
 def test_help_of_a_command_has_a_purpose_an_example_and_its_statuses(say, words):
-    status, said, _ = say(*words.split(), "--help")
+    status, text, _ = say(*words.split(), "--help")
     assert status == 0
-    assert "Example" in said
-    assert f"starbench {words}" in said
-    assert "Exit status: 0" in said
+    assert "Example" in text
+    assert f"starbench {words}" in text
+    assert "Exit status: 0" in text
     for option in ALL[words].params:
         assert not isinstance(option, click.Option) or option.hidden or option.help, option.name
 
 
 @pytest.mark.parametrize("words", [("certificate", "authorise"), ("devices",), ("run",)])
 def test_a_command_that_can_be_stopped_or_refused_says_with_which_status(say, words):
-    _, said, _ = say(*words, "--help")
-    assert re.search(r"Exit status: 0 [^.]* 3 ", " ".join(said.split()))
+    _, text, _ = say(*words, "--help")
+    assert re.search(r"Exit status: 0 [^.]* 3 ", " ".join(text.split()))
 
 
 def test_the_list_of_commands_is_complete_and_not_truncated(say):
@@ -149,9 +149,9 @@ def test_a_call_in_the_documents_uses_existing_arguments_and_options(line):
 
 @pytest.mark.parametrize("words", [*RUN_COMMANDS, ("verify",)], ids=" ".join)
 def test_a_missing_run_folder_is_an_invalid_argument(say, words):
-    status, _, said = say(words[0], "nowhere", *words[1:])
+    status, _, message = say(words[0], "nowhere", *words[1:])
     assert status == 2
-    assert "nowhere: There is no such run folder." in said
+    assert "nowhere: There is no such run folder." in message
 
 
 @pytest.mark.parametrize("words", [*RUN_COMMANDS, ("verify",)], ids=" ".join)
@@ -159,26 +159,26 @@ def test_a_folder_of_runs_is_refused_and_its_runs_are_named(say, words, tmp_path
     run = tmp_path / "runs" / "cam7"
     run.mkdir(parents=True)
     (run / "journal.jsonl").write_text("")
-    status, _, said = say(words[0], "runs", *words[1:])
+    status, _, message = say(words[0], "runs", *words[1:])
     assert status == 2
-    assert "not a run folder" in said
-    assert "runs/cam7" in said
+    assert "not a run folder" in message
+    assert "runs/cam7" in message
 
 
 @pytest.mark.parametrize("words", [*RUN_COMMANDS[:2], *RUN_COMMANDS[3:], ("verify",)], ids=" ".join)
 def test_a_batch_in_place_of_a_run_is_refused_with_the_command_that_continues_it(say, words, tmp_path):
     batch_folder(tmp_path / "night")
-    status, _, said = say(words[0], "night", *words[1:])
+    status, _, message = say(words[0], "night", *words[1:])
     assert status == 2
-    assert "starbench batch QUEUE.yaml --output night" in said
+    assert "starbench batch QUEUE.yaml --output night" in message
 
 
 def test_a_file_of_a_run_is_refused_and_the_run_is_named(say, tmp_path):
     (tmp_path / "cam7").mkdir()
     (tmp_path / "cam7" / "journal.jsonl").write_text("")
-    status, _, said = say("status", "cam7/journal.jsonl")
+    status, _, message = say("status", "cam7/journal.jsonl")
     assert status == 2
-    assert "Did you mean cam7?" in said
+    assert "Did you mean cam7?" in message
 
 
 @pytest.mark.parametrize("output", ["file", "file/inside"])
@@ -188,10 +188,10 @@ def test_a_file_of_a_run_is_refused_and_the_run_is_named(say, tmp_path):
 def test_an_output_that_is_a_file_is_refused(say, tmp_path, words, output):
     (tmp_path / "file").write_text("")
     (tmp_path / "queue.yaml").write_text("")
-    status, _, said = say(*words, "--output", output)
+    status, _, message = say(*words, "--output", output)
     assert status == 2
-    assert "is a file, not a folder" in said
-    assert "--output" in said
+    assert "is a file, not a folder" in message
+    assert "--output" in message
 
 
 @pytest.mark.parametrize(
@@ -207,12 +207,12 @@ def test_a_new_file_that_cannot_be_created_is_refused_before_any_work(say, tmp_p
     (tmp_path / "source").write_text("")
     taken = tmp_path / "taken.npz"
     taken.write_text("as it was")
-    status, out, said = say(*words, "missing/new.npz")
+    status, out, message = say(*words, "missing/new.npz")
     assert (status, out) == (2, "")
-    assert "There is no folder missing" in said
-    status, out, said = say(*words, taken)
+    assert "There is no folder missing" in message
+    status, out, message = say(*words, taken)
     assert (status, out) == (2, "")
-    assert "already" in said
+    assert "already" in message
     assert taken.read_text() == "as it was"
 
 
@@ -227,10 +227,10 @@ def test_a_new_file_that_cannot_be_created_is_refused_before_any_work(say, tmp_p
 )  # fmt: skip
 def test_a_missing_path_is_named_and_is_an_invalid_argument(say, words):
     more = ("new.npz",) if words == ("convert",) else ()
-    status, _, said = say(*words, "nowhere", *more)
+    status, _, message = say(*words, "nowhere", *more)
     assert status == 2
-    assert "nowhere: " in said
-    assert "no such" in said
+    assert "nowhere: " in message
+    assert "no such" in message
 
 
 @pytest.mark.parametrize("number", ["nan", "inf", "-1", "much"])
@@ -243,77 +243,77 @@ def test_a_missing_path_is_named_and_is_an_invalid_argument(say, words):
     ids=lambda words: " ".join((words[0], words[-1])),
 )
 def test_an_impossible_number_is_an_invalid_argument(say, tmp_path, words, number):
-    status, out, said = say(*words, number)
+    status, out, message = say(*words, number)
     assert (status, out) == (2, "")
-    assert words[-1] in said
+    assert words[-1] in message
     assert not (tmp_path / "new.json").exists()
 
 
 def test_a_line_without_a_key_is_an_invalid_argument(say):
-    status, _, said = say("keys", "trust", "nonsense")
+    status, _, message = say("keys", "trust", "nonsense")
     assert status == 2
-    assert "ssh-ed25519" in said
+    assert "ssh-ed25519" in message
 
 
 @pytest.mark.parametrize(
     "words", [("run", "three_pose"), ("status",), ("calibrate", "--origin", "none", ".")]
 )
 def test_with_json_an_invalid_argument_is_an_object_too(say, words):
-    status, out, said = say(*words, "--json")
+    status, out, message = say(*words, "--json")
     assert status == 2
-    assert json.loads(out)["error"]["message"] in said.replace("Error: ", "")
+    assert json.loads(out)["error"]["message"] in message.replace("Error: ", "")
 
 
 def test_characters_that_a_stream_cannot_show_are_replaced():
     program = "from bench.base.encoding import replace_unencodable as s; import sys; s(sys.stdout);"
     program += "print('3345.3 \u00b1 1.2, \u22120.9, \u674e')"
-    said = subprocess.run(
+    ended = subprocess.run(
         [sys.executable, "-c", program],
         cwd=ROOT,
         env={**os.environ, "PYTHONIOENCODING": "ascii"},
         capture_output=True,
         check=False,
     )
-    assert said.stdout == b"3345.3 +/- 1.2, -0.9, ?\n", said.stderr
+    assert ended.stdout == b"3345.3 +/- 1.2, -0.9, ?\n", ended.stderr
 
 
 def test_ctrl_c_while_the_program_loads_prints_one_word(tmp_path):
     (tmp_path / "sitecustomize.py").write_text(INTERRUPTED)
-    said = subprocess.run(
+    ended = subprocess.run(
         [sys.executable, "-m", "bench", "--help"],
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])},
         capture_output=True, text=True, check=False,
     )  # fmt: skip
-    assert (said.returncode, said.stdout, said.stderr) == (130, "", "Stopped.\n")
+    assert (ended.returncode, ended.stdout, ended.stderr) == (130, "", "Stopped.\n")
 
 
 @pytest.mark.parametrize("system", ["win32", "darwin"])
 def test_a_batch_is_refused_on_systems_other_than_linux(say, monkeypatch, tmp_path, system):
     (tmp_path / "queue.yaml").write_text("")
     monkeypatch.setattr("sys.platform", system)
-    status, _, said = say("batch", "queue.yaml", "-o", "out")
+    status, _, message = say("batch", "queue.yaml", "-o", "out")
     assert status == 2
-    assert "only on Linux" in said
-    assert "starbench run" in said
+    assert "only on Linux" in message
+    assert "starbench run" in message
     assert not (tmp_path / "out").exists()
 
 
 def test_files_of_the_bench_that_cannot_be_used_are_named(capsys, tmp_path):
     error = sqlite3.OperationalError("database or disk is full")
     assert print_error(error, []) == 1
-    said = capsys.readouterr().err
-    assert str(tmp_path / "home") in said
-    assert "STARBENCH_HOME" in said
-    assert "Traceback" not in said
+    errors = capsys.readouterr().err
+    assert str(tmp_path / "home") in errors
+    assert "STARBENCH_HOME" in errors
+    assert "Traceback" not in errors
 
 
 def test_a_home_folder_that_cannot_be_written_gets_a_hint_to_choose_another(capsys, tmp_path):
-    for where, told in (
+    for where, hints in (
         (tmp_path / "home" / "ledger.jsonl", True),
         (tmp_path / "run" / "journal.jsonl", False),
     ):
         print_error(StorageError("No permission.", where=str(where)), [])
-        assert ("STARBENCH_HOME" in capsys.readouterr().err) is told
+        assert ("STARBENCH_HOME" in capsys.readouterr().err) is hints
 
 
 @pytest.mark.parametrize(
@@ -405,8 +405,8 @@ def test_help_and_version_have_the_words_of_other_programs(capsys):
 
 
 def test_the_same_verb_takes_the_same_arguments(capsys, tmp_path):
-    told = out_of(capsys, "certificate", "new", tmp_path / "lab.yaml")
-    assert told.startswith(f"Written: {tmp_path / 'lab.yaml'}.")
+    output = out_of(capsys, "certificate", "new", tmp_path / "lab.yaml")
+    assert output.startswith(f"Written: {tmp_path / 'lab.yaml'}.")
     assert "REPLACE" in (tmp_path / "lab.yaml").read_text()
     assert "exists" in refusal(capsys, "certificate", "new", tmp_path / "lab.yaml", status=2)
 
@@ -414,14 +414,14 @@ def test_the_same_verb_takes_the_same_arguments(capsys, tmp_path):
 def test_a_finished_run_is_told_as_finished_and_an_interrupted_one_how_it_goes_on(capsys, tmp_path):
     run = MadeRun(tmp_path / "run7").begin()
     run.record(1)
-    said = refusal(capsys, "tell", run.folder, "hold")
-    assert f"starbench resume {run.folder}" in said
+    message = refusal(capsys, "tell", run.folder, "hold")
+    assert f"starbench resume {run.folder}" in message
     run.record_all().end()
     (run.folder / "SHA256SUMS").write_text("")
-    said = refusal(capsys, "tell", run.folder, "hold")
-    assert "The run has finished, so it takes no more commands." in said
-    assert f"starbench status {run.folder}" in said
-    assert "resume" not in said
+    message = refusal(capsys, "tell", run.folder, "hold")
+    assert "The run has finished, so it takes no more commands." in message
+    assert f"starbench status {run.folder}" in message
+    assert "resume" not in message
 
 
 @pytest.mark.parametrize(

@@ -30,20 +30,20 @@ def points(tmp_path_factory):
 
 
 def test_other_methods_are_compared_on_the_same_points(capsys, points):
-    told = json.loads(
+    answer = json.loads(
         out_of(capsys, "calibrate", points[0], "--image-size", "1280x720", "--compare", "--json")
     )
-    names = [row["name"] for row in told["compared"]]
+    names = [row["name"] for row in answer["compared"]]
     assert [name.split(",")[0] for name in names] == ["Starbench", "published recipe", "OpenCV"]
-    assert all(abs(row["camera"]["fx"] - 3300) < 10 for row in told["compared"])
+    assert all(abs(row["camera"]["fx"] - 3300) < 10 for row in answer["compared"])
     assert "OpenCV, planar (Zhang)" in out_of(
         capsys, "calibrate", points[0], "--image-size", "1280x720", "--compare"
     )
 
 
 def test_values_stand_in_columns(capsys, points):
-    said = out_of(capsys, "calibrate", points[0], "--image-size", "1280x720")
-    values = [line for line in said.splitlines() if "±" in line and line.startswith("  ")]
+    output = out_of(capsys, "calibrate", points[0], "--image-size", "1280x720")
+    values = [line for line in output.splitlines() if "±" in line and line.startswith("  ")]
     assert any(line.startswith("  radial_4 ") for line in values)
     assert len({line.index("±") for line in values}) == 1
 
@@ -94,9 +94,9 @@ def test_a_camera_that_did_not_change_is_right_within_u(capsys, points, camera_i
 
 def test_a_lens_that_became_longer_is_told_with_its_place_and_cause(capsys, points, camera_info):
     words = ["check", points[0], "--image-size", "1280x720", "--calibration", camera_info(longer=1.01)]
-    told = json.loads(out_of(capsys, *words, "--json", status=1))
-    assert (told["right"], told["cause"]) == (False, "scale")
-    assert max(one["normalised"] for one in told["regions"]) > 1
+    answer = json.loads(out_of(capsys, *words, "--json", status=1))
+    assert (answer["right"], answer["cause"]) == (False, "scale")
+    assert max(region["normalised"] for region in answer["regions"]) > 1
     assert "NOT RIGHT" in (shown := out_of(capsys, *words, status=1))
     assert "A change of scale explains it" in shown
 
@@ -109,17 +109,17 @@ def test_one_view_without_a_known_collimator_says_what_it_can_see(capsys, points
     )
     assert "RIGHT as far as this view can tell" in shown
     assert "A change of one value alone would be seen from: scale" in shown
-    told = json.loads(out_of(capsys, *words, camera_info(), "--json"))
-    assert (told["one_view"], told["right"]) == (True, True)
-    assert told["seen_from"]["scale"] > 0.001
+    answer = json.loads(out_of(capsys, *words, camera_info(), "--json"))
+    assert (answer["one_view"], answer["right"]) == (True, True)
+    assert answer["seen_from"]["scale"] > 0.001
 
 
 def test_a_rig_without_a_common_pose_is_refused_before_any_calibration(capsys, points, tmp_path, monkeypatch):
     for file in points[0].iterdir():
         (tmp_path / f"other-{file.name}").write_bytes(file.read_bytes())
     monkeypatch.setattr("bench.solve.solution.calibrate", lambda *_: pytest.fail("calibrated"))
-    said = refusal(capsys, "rig", points[0], tmp_path, "--image-size", "1280x720")
-    assert "share no pose: view1, view2, view3, view4, view5 and other-view1," in said
+    message = refusal(capsys, "rig", points[0], tmp_path, "--image-size", "1280x720")
+    assert "share no pose: view1, view2, view3, view4, view5 and other-view1," in message
 
 
 def test_with_a_passport_one_view_is_enough_and_the_focal_length_is_more_certain(capsys, points, tmp_path):
@@ -158,9 +158,9 @@ def test_a_passport_is_never_overwritten_and_only_a_passport_is_read(capsys, poi
 
 
 def test_a_plan_shows_the_expected_uncertainty_and_suggests_poses(capsys):
-    told = json.loads(out_of(capsys, "plan", "three_pose", "-s", "simulated", "--suggest", "2", "--json"))
-    assert 0.1 < told["expected"]["sigma"]["fx"] < 10
-    assert len(told["suggested"]) == 2
+    answer = json.loads(out_of(capsys, "plan", "three_pose", "-s", "simulated", "--suggest", "2", "--json"))
+    assert 0.1 < answer["expected"]["sigma"]["fx"] < 10
+    assert len(answer["suggested"]) == 2
     planned = make_plan(*load_documents("three_pose", "simulated"))
     limits = planned.station.value.axes
     for pose in suggest_poses(planned, 2):
@@ -168,7 +168,7 @@ def test_a_plan_shows_the_expected_uncertainty_and_suggests_poses(capsys):
             assert words.limits_deg[0] <= pose.angles_deg[f"{axis}_deg"] <= words.limits_deg[1]
     nine = expected_uncertainty(make_plan(*load_documents("nine_pose", "simulated")))
     assert nine is not None
-    assert nine.forecast.projection_map.worst_px < told["expected"]["worst_px"]
+    assert nine.forecast.projection_map.worst_px < answer["expected"]["worst_px"]
 
 
 @pytest.mark.parametrize("kind", ["metavision", "hdf5", "numpy"])

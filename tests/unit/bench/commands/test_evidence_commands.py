@@ -204,9 +204,9 @@ def test_a_time_stamp_without_a_network(run, home, tmp_path):
     trusted = ("--tsa-certificates", tsa.root)
     call(*stamp, "--token", tmp_path / "other.tsr", *trusted, fails="time stamp of another file")
     shutil.copy(tsa.root, home / "tsa_laboratory.pem")
-    said = call(*stamp, "--token", tmp_path / "token")
-    assert said.startswith("SHA256SUMS.tsr: SHA256SUMS.sig existed at ")
-    assert "by the laboratory's clock (Example TSA)" in said
+    output = call(*stamp, "--token", tmp_path / "token")
+    assert output.startswith("SHA256SUMS.tsr: SHA256SUMS.sig existed at ")
+    assert "by the laboratory's clock (Example TSA)" in output
     assert tsa.accepts(run, "SHA256SUMS.tsr", "SHA256SUMS.sig")
     assert stat.S_IMODE(run.stat().st_mode) == 0o555
     call(*stamp, "--token", tmp_path / "token", fails="never replaced")
@@ -221,7 +221,7 @@ def other_request(tmp_path):
 
 
 def test_an_address_with_a_password_is_refused_first(run, home):
-    said = call(
+    output = call(
         "certificate",
         "timestamp",
         run,
@@ -229,7 +229,7 @@ def test_an_address_with_a_password_is_refused_first(run, home):
         "https://ada:secret@tsa.example",
         fails="must not contain a user or a password",
     )
-    assert "secret" not in said
+    assert "secret" not in output
 
 
 # ------------------------------------------------------------------ keys
@@ -253,16 +253,16 @@ def test_keys_are_listed_with_purpose_and_validity(home, tmp_path):
 
 def test_keys_are_replaced_and_revoked(home):
     old = load_key(home)
-    said = call("keys", "rotate", "--old-key", "delete")
-    assert f"Old key: {old.fingerprint}" in said
+    output = call("keys", "rotate", "--old-key", "delete")
+    assert f"Old key: {old.fingerprint}" in output
     new = load_key(home)
-    assert f"New key: {new.fingerprint}" in said
+    assert f"New key: {new.fingerprint}" in output
     assert not (home / "old_keys").exists()
     assert new.principal == "bench1@lab.example"
     call("keys", "revoke", "SHA256:unknown", "--reason", "lost", fails="No trusted key has the fingerprint")
     call("keys", "revoke", old.fingerprint, fails="--reason")
-    said = call("keys", "revoke", old.fingerprint, "--reason", "laptop stolen", "--since", "2026-02-03")
-    assert "This is this bench's own key" not in said
+    output = call("keys", "revoke", old.fingerprint, "--reason", "laptop stolen", "--since", "2026-02-03")
+    assert "This is this bench's own key" not in output
     assert "REVOKED 2026-02-03 00:00 UTC (laptop stolen)" in call("keys", "show")
     assert "own key. Replace it now" in call("keys", "revoke", new.fingerprint, "--reason", "lost")
 
@@ -282,9 +282,9 @@ def test_keys_show_asks_for_no_passphrase(tmp_path, monkeypatch):
 
     monkeypatch.setattr("bench.commands.keys.ask_passphrase", never)
     key = create_key(tmp_path, principal="bench1@lab.example", passphrase=b"secret")
-    said = call("keys", "show")
-    assert key.fingerprint in said
-    assert f"  {key.signers_line}\n" in said
+    output = call("keys", "show")
+    assert key.fingerprint in output
+    assert f"  {key.signers_line}\n" in output
     (tmp_path / "bench_key").write_text("no key")
     call("keys", "show", fails="The key cannot be read: it is not in OpenSSH's format.")
 

@@ -28,7 +28,7 @@ class LaterClock(datetime):
         return LATER.astimezone(tz)
 
 
-def quick_files(certificate, found, results, lab, plots, *, sign):
+def quick_files(certificate, content, results, lab, plots, *, sign):
     assert sign is None
     return {"certificate.json": certificate.to_json(), "results.json": results, "lab.yaml": lab}
 
@@ -60,10 +60,10 @@ def run(*arguments):
 
 
 def test_a_certificate_is_issued_listed_and_shown(bench):
-    said = run("issue", "run", "-c", "lab.yaml", "-o", "first")
-    assert said.startswith(f"SIMULATED calibration certificate {FIRST}\nState:      SEALED\n")
-    assert "  fx   3346.0 px \N{PLUS-MINUS SIGN} 2.0 px  (k = 2.02)" in said
-    assert "SEALED, not authorised. Dr. Grace Hopper authorises it: starbench certificate authorise" in said
+    output = run("issue", "run", "-c", "lab.yaml", "-o", "first")
+    assert output.startswith(f"SIMULATED calibration certificate {FIRST}\nState:      SEALED\n")
+    assert "  fx   3346.0 px \N{PLUS-MINUS SIGN} 2.0 px  (k = 2.02)" in output
+    assert "SEALED, not authorised. Dr. Grace Hopper authorises it: starbench certificate authorise" in output
     heads, row = run("show").splitlines()
     assert heads.split() == ["number", "state", "camera", "customer", "date"]
     assert row.split("  ") == [FIRST, "SEALED", "00050423", "Customer & Sons <GmbH>", "2026-12-01"]
@@ -81,9 +81,10 @@ def test_json_is_one_object(bench):
 def test_an_amended_certificate_is_shown_as_superseded(bench):
     run("issue", "run", "-c", "lab.yaml", "-o", "first")
     (bench / "lab.yaml").write_text(LAB.replace("Mill Lane 3", "Mill Lane 4"), encoding="utf-8")
-    said = run("issue", "first", "-c", "lab.yaml", "-o", "second", "--reason", "wrong address")
+    output = run("issue", "first", "-c", "lab.yaml", "-o", "second", "--reason", "wrong address")
     assert (
-        f"Replaces {FIRST}: wrong address\n  customer.address.street: 'Mill Lane 3' -> 'Mill Lane 4'" in said
+        f"Replaces {FIRST}: wrong address\n  customer.address.street: 'Mill Lane 3' -> 'Mill Lane 4'"
+        in output
     )
     assert f"SUPERSEDED by {SECOND}" in run("show", "first")
     assert f"replaced by {SECOND}" in run("show")
@@ -122,9 +123,9 @@ def test_a_certificate_that_was_moved_or_changed_is_not_claimed_to_be_sealed(ben
 
 def test_the_example_is_written_and_refused_until_it_is_filled_in(bench):
     assert "Replace every REPLACE" in run("new", "mine.yaml")
-    with pytest.raises(DocumentFaults) as found:
+    with pytest.raises(DocumentFaults) as refused:
         run("issue", "run", "-c", "mine.yaml", "-o", "first")
-    assert len(found.value.faults) > 30
+    assert len(refused.value.faults) > 30
     with pytest.raises(UsageError, match="already exists"):
         run("new", "mine.yaml")
     assert run("show") == "The ledger of this bench has no certificates.\n"

@@ -112,9 +112,9 @@ def test_the_files_hold_the_rig_as_other_programs_read_it(capsys, drawn, tmp_pat
     t_m = np.array(held["translation"]) / 1000.0
     assert np.abs(np.array(held["translation"]) - rig.translation).max() < 0.5
 
-    (one,) = json.loads((tmp_path / "rig" / "extrinsics.json").read_text())["T_slave_master"]
-    assert one["tvec"] == pytest.approx(t_m)
-    assert exp_map(np.array(one["rvec"])) == pytest.approx(np.array(held["rotation"]))
+    (slave,) = json.loads((tmp_path / "rig" / "extrinsics.json").read_text())["T_slave_master"]
+    assert slave["tvec"] == pytest.approx(t_m)
+    assert exp_map(np.array(slave["rvec"])) == pytest.approx(np.array(held["rotation"]))
 
     chain = yaml.safe_load((tmp_path / "rig" / "kalibr_camchain.yaml").read_text())
     pose = np.array(chain["cam1"]["T_cn_cnm1"])
@@ -146,12 +146,12 @@ def test_the_files_hold_the_rig_as_other_programs_read_it(capsys, drawn, tmp_pat
 
 
 def sdk_file(path, rotation, translation_mm, times=1):
-    one = {
+    slave = {
         "camera": "right",
         "rvec": log_map(rotation[None])[0].tolist(),
         "tvec": (translation_mm / 1000.0).tolist(),
     }
-    path.write_text(json.dumps({"T_slave_master": [one] * times}))
+    path.write_text(json.dumps({"T_slave_master": [slave] * times}))
     return path
 
 
@@ -162,9 +162,9 @@ def test_a_stated_rig_is_right_until_a_camera_moves(capsys, drawn, tmp_path):
     shown = out_of(capsys, *words, still)
     assert "RIGHT within U" in shown
     assert "The file states no uncertainty" in shown
-    told = json.loads(out_of(capsys, *words, still, "--json"))["stated"]
-    assert told["right"]
-    assert told["arcsec"] < 600.0
+    check = json.loads(out_of(capsys, *words, still, "--json"))["stated"]
+    assert check["right"]
+    assert check["arcsec"] < 600.0
 
     turned = exp_map(np.radians([[0.0, 1.0, 0.0]]))[0] @ rig.rotation
     shown = out_of(capsys, *words, sdk_file(tmp_path / "turned.json", turned, rig.translation), status=1)
@@ -177,13 +177,13 @@ def test_a_rig_of_an_earlier_day_is_right_with_both_uncertainties(capsys, drawn,
     _, folder = drawn
     words = ("rig", folder / "left", folder / "right", *BOARD)
     out_of(capsys, *words, "-o", tmp_path / "rig")
-    told = json.loads(out_of(capsys, *words, "--stated", tmp_path / "rig" / "rig.json", "--json"))["stated"]
-    assert told["has_covariance"]
-    assert told["normalised"] < 1e-3
+    check = json.loads(out_of(capsys, *words, "--stated", tmp_path / "rig" / "rig.json", "--json"))["stated"]
+    assert check["has_covariance"]
+    assert check["normalised"] < 1e-3
 
 
 @pytest.mark.parametrize(
-    ("content", "told"),
+    ("content", "fault"),
     [
         ("{}", "it has no 'vector_deg'"),
         ("[1]", "does not hold a rig"),
@@ -198,12 +198,12 @@ def test_a_rig_of_an_earlier_day_is_right_with_both_uncertainties(capsys, drawn,
         ),
     ],
 )
-def test_a_file_without_a_rig_is_refused(capsys, drawn, tmp_path, content, told):
+def test_a_file_without_a_rig_is_refused(capsys, drawn, tmp_path, content, fault):
     _, folder = drawn
     (tmp_path / "bad.json").write_text(content)
     stated = ("--stated", tmp_path / "bad.json")
     message = refusal(capsys, "rig", folder / "left", folder / "right", *BOARD, *stated, status=2)
-    assert told in message
+    assert fault in message
     assert "Known are rig.json" in message
 
 
@@ -215,13 +215,14 @@ def test_boards_that_the_second_camera_saw_upside_down_are_numbered_anew_and_it_
         x, y, across, down, number = np.loadtxt(file, delimiter=",").T
         rows = np.column_stack([1280 - x, 720 - y, 200.0 - across, 120.0 - down, 76 - number])
         np.savetxt(tmp_path / file.name, rows, delimiter=",")
-    told = json.loads(out_of(capsys, "rig", folder / "left", tmp_path, *BOARD, "--json"))
-    assert len(told["half_turned"]) == 10
+    rig_found = json.loads(out_of(capsys, "rig", folder / "left", tmp_path, *BOARD, "--json"))
+    assert len(rig_found["half_turned"]) == 10
     half = np.diag([-1.0, -1.0, 1.0])
-    off = 206265 * log_map(np.array(told["rotation"]) @ (half @ rig.rotation).T)
-    assert (np.abs(off) < 4.0 * np.array(told["sigma_arcsec"])).all()
+    off = 206265 * log_map(np.array(rig_found["rotation"]) @ (half @ rig.rotation).T)
+    assert (np.abs(off) < 4.0 * np.array(rig_found["sigma_arcsec"])).all()
     assert (
-        np.abs(np.array(told["translation"]) - half @ rig.translation) < 4.0 * np.array(told["sigma_mm"])
+        np.abs(np.array(rig_found["translation"]) - half @ rig.translation)
+        < 4.0 * np.array(rig_found["sigma_mm"])
     ).all()
     shown = out_of(capsys, "rig", folder / "left", tmp_path, *BOARD)
     assert "10 of 10 boards from the other end" in shown
@@ -233,15 +234,15 @@ def test_the_intrinsics_of_one_chain_are_named(capsys, drawn, tmp_path):
     out_of(capsys, *words, "-o", tmp_path / "rig")
     chain = tmp_path / "rig" / "kalibr_camchain.yaml"
     given = ("--calibration", chain, chain, "--camera", "cam0", "cam1", "--json")
-    told = json.loads(out_of(capsys, *words, *given))
+    answer = json.loads(out_of(capsys, *words, *given))
     stated = yaml.safe_load(chain.read_text())
-    assert [one["fx"] for one in told["cameras"]] == pytest.approx(
+    assert [camera["fx"] for camera in answer["cameras"]] == pytest.approx(
         [stated[name]["intrinsics"][0] for name in ("cam0", "cam1")], abs=1e-3
     )
 
 
 @pytest.mark.parametrize(
-    ("words", "told", "status"),
+    ("words", "fault", "status"),
     [
         (("{}/left", "{}/right", "--boards", "{}/left", "{}/right"), "--boards needs --board", 2),
         (
@@ -276,7 +277,7 @@ def test_the_intrinsics_of_one_chain_are_named(capsys, drawn, tmp_path):
         ),
     ],
 )
-def test_wrong_input_is_one_error_and_writes_nothing(capsys, drawn, tmp_path, words, told, status):
+def test_wrong_input_is_one_error_and_writes_nothing(capsys, drawn, tmp_path, words, fault, status):
     _, folder = drawn
     (folder / "blank").mkdir(exist_ok=True)
     cv2.imwrite(str(folder / "blank" / "board-0.png"), np.full((720, 1280), 90, np.uint8))
@@ -296,7 +297,7 @@ def test_wrong_input_is_one_error_and_writes_nothing(capsys, drawn, tmp_path, wo
     (folder / "two.yaml").write_text(yaml.safe_dump({"cam0": camera, "cam1": deepcopy(camera)}))
     words = (*(word.format(folder) for word in words), "-o", tmp_path / "new")
     message = refusal(capsys, "rig", *words, status=status)
-    assert told in message
+    assert fault in message
     assert message.count("Error") <= 1
     assert not (tmp_path / "new").exists()
 
@@ -358,15 +359,15 @@ def folder(tmp_path_factory):
 
 def test_the_offset_of_the_clocks_comes_from_the_trigger_edges(capsys, folder, tmp_path):
     words = ("rig", folder / "left", folder / "right", *WORDS, "--sync", "-o", tmp_path / "rig")
-    told = json.loads(out_of(capsys, *words, "--json"))
+    answer = json.loads(out_of(capsys, *words, "--json"))
     held = json.loads((tmp_path / "rig" / "rig.json").read_text())
-    assert held["clocks"] == told["clocks"]
-    assert len(told["clocks"]["recordings"]) == 4
-    for one in told["clocks"]["recordings"]:
-        assert one["offset_us"] == pytest.approx(OFFSET_US, abs=3.0 * one["sigma_us"])
-        assert one["period_us"] == pytest.approx(PERIOD_US, abs=1.0)
-        assert one["edges"] == PERIODS
-    assert told["clocks"]["rate_ppm"] == pytest.approx(60.0, abs=3.0 * told["clocks"]["sigma_rate_ppm"])
+    assert held["clocks"] == answer["clocks"]
+    assert len(answer["clocks"]["recordings"]) == 4
+    for recording in answer["clocks"]["recordings"]:
+        assert recording["offset_us"] == pytest.approx(OFFSET_US, abs=3.0 * recording["sigma_us"])
+        assert recording["period_us"] == pytest.approx(PERIOD_US, abs=1.0)
+        assert recording["edges"] == PERIODS
+    assert answer["clocks"]["rate_ppm"] == pytest.approx(60.0, abs=3.0 * answer["clocks"]["sigma_rate_ppm"])
     shown = out_of(capsys, *words[:-2])
     assert "second - first = 1700" in shown
     assert "us: the offsets may differ by whole periods. The values nearest zero are given." in shown

@@ -117,8 +117,8 @@ def followed(run):
         return opened[-1]
 
     yield follow
-    for one in opened:
-        one.close()
+    for follower in opened:
+        follower.close()
 
 
 def test_one_block_stays_to_the_end_of_the_run(run, followed):

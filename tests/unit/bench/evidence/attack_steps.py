@@ -44,12 +44,12 @@ def remove(*names):
     return lambda f: [(f / name).unlink() for name in names]
 
 
-def told(*attacks):
+def with_hashes(*attacks):
     """The attacks, and then every hash in the journal is put right."""
 
     def attack(f):
-        for one in attacks:
-            one(f)
+        for attack_step in attacks:
+            attack_step(f)
         f.tell_of_files()
 
     return attack
@@ -65,15 +65,15 @@ def result(*path, to):
         assert part[path[-1]] != to
         part[path[-1]] = to
 
-    return told(lambda f: f.edit_results(change))
+    return with_hashes(lambda f: f.edit_results(change))
 
 
 def line(event, change, nth=0):
-    return told(lambda f: f.edit_line(event, change, nth=nth))
+    return with_hashes(lambda f: f.edit_line(event, change, nth=nth))
 
 
 def drop(*events):
-    return told(lambda f: f.edit_journal(lambda one: None if one[0] in events else one))
+    return with_hashes(lambda f: f.edit_journal(lambda entry: None if entry[0] in events else entry))
 
 
 def without_program(f):
@@ -95,7 +95,7 @@ def shifted_clock(f):
 def without_pose(f):
     """The third pose never happened: not in the journal, not in the results, no recording."""
     (f / (CAPTURE % 3)).unlink()
-    f.edit_journal(lambda one: None if one[3].get("pose") == 3 else one)
+    f.edit_journal(lambda entry: None if entry[3].get("pose") == 3 else entry)
     f.edit_results(lambda results: results["poses"].pop())
     f.tell_of_files()
 
@@ -105,9 +105,9 @@ def without_results(f):
     remove("results.json", "views.h5", "report.html")(f)
     shutil.rmtree(f / "exports")
     (f / "exports").mkdir()
-    lines = [one for one in f.lines if one[0] != "written" and one[3].get("state") != "reporting"]
-    last = max(one[3]["step"] for one in lines if one[0] == "step_done")
-    f.chain([one for one in lines if one[0] != "step_done" or one[3]["step"] != last])
+    lines = [entry for entry in f.lines if entry[0] != "written" and entry[3].get("state") != "reporting"]
+    last = max(entry[3]["step"] for entry in lines if entry[0] == "step_done")
+    f.chain([entry for entry in lines if entry[0] != "step_done" or entry[3]["step"] != last])
 
 
 def other_serial(f):
@@ -170,9 +170,9 @@ def paint(f):
 
 
 def swap_captures(f):
-    one, two = (f / (CAPTURE % n) for n in (1, 2))
-    data = one.read_bytes(), two.read_bytes()
-    one.write_bytes(data[1])
+    first, two = (f / (CAPTURE % n) for n in (1, 2))
+    data = first.read_bytes(), two.read_bytes()
+    first.write_bytes(data[1])
     two.write_bytes(data[0])
 
     def with_its_size(line):
@@ -187,7 +187,7 @@ def swap_captures(f):
 def in_results(f):
     """Put the hashes of the recordings into results.json too."""
     f.tell_of_files()
-    sums = {one[3]["capture"]: one[3]["sha256"] for one in f.lines if one[0] == "capture_stored"}
+    sums = {entry[3]["capture"]: entry[3]["sha256"] for entry in f.lines if entry[0] == "capture_stored"}
 
     def change(results):
         for pose in results["poses"]:

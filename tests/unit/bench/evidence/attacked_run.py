@@ -55,9 +55,9 @@ def kept_in_memory():
 
     def solve_one(job, folder, step, history, measured):
         kept = [(folder / name).read_bytes() for name in DOCUMENTS if (folder / name).is_file()]
-        found = [(index, one.image.decoded().tobytes()) for index, one in sorted(measured.items())]
-        states = [one.stored["measured_deg"] for _, one in sorted(history.accepted().items())]
-        key = repr((kept, found, states, history.started["sequence"], history.started_utc[:10]))
+        images = [(index, pose.image.decoded().tobytes()) for index, pose in sorted(measured.items())]
+        states = [pose.stored["measured_deg"] for _, pose in sorted(history.accepted().items())]
+        key = repr((kept, images, states, history.started["sequence"], history.started_utc[:10]))
         return once("solved", key, lambda: solve(job, folder, step, history, measured))
 
     def read_truth(job):

@@ -101,8 +101,8 @@ class Forger:
     def edit_line(self, event, change, *, nth=0):
         """Change the data of the nth line of an event."""
         lines = self.lines
-        found = [line for line in lines if line[0] == event]
-        change(found[nth][3])
+        of_event = [line for line in lines if line[0] == event]
+        change(of_event[nth][3])
         self.chain(lines)
 
     # ------------------------------------------------------------------ what follows
@@ -136,7 +136,7 @@ class Forger:
             (self.folder / "exports" / name).write_bytes(data)
         names = pictured_poses(results).names
         held = read_views(self.folder / "views.h5")
-        shown = [one.shown(pictured=one.view.name in names) for one in held]
+        shown = [held_view.shown(pictured=held_view.view.name in names) for held_view in held]
         html = render_report(ReportData(results, shown, self.head))
         (self.folder / "report.html").write_text(html, encoding="utf-8")
 

@@ -25,7 +25,7 @@ from tests.unit.bench.evidence.attack_steps import (
     remove,
     result,
     shifted_clock,
-    told,
+    with_hashes,
     without_pose,
     without_program,
     without_results,
@@ -55,18 +55,18 @@ DIFF = "reading results.json beside journal.jsonl"
 ATTACKS = [
     # documents
     Attack("station edited", edit("station.yaml", "laboratory: ", "laboratory: Other "), "station.yaml", "plan", HASH),
-    Attack("station edited, told", told(edit("station.yaml", "laboratory: ", "laboratory: Other ")), "results.json", "results", DIFF),
-    Attack("station's name, told", told(edit("station.yaml", "name: ", "name: My ")), "journal.jsonl:1", "journal", DIFF),
-    Attack("biases of the station, told", told(edit("station.yaml", "speed_deg_s: 90", "speed_deg_s: 45")), "plan.json", "plan"),
+    Attack("station edited, told", with_hashes(edit("station.yaml", "laboratory: ", "laboratory: Other ")), "results.json", "results", DIFF),
+    Attack("station's name, told", with_hashes(edit("station.yaml", "name: ", "name: My ")), "journal.jsonl:1", "journal", DIFF),
+    Attack("biases of the station, told", with_hashes(edit("station.yaml", "speed_deg_s: 90", "speed_deg_s: 45")), "plan.json", "plan"),
     Attack("sequence edited", edit("sequence.yaml", "Quick poses", "Other poses"), "sequence.yaml", "plan", HASH),
-    Attack("settling time, told", told(edit("sequence.yaml", "duration_s: 0.3", "duration_s: 3.0")), "plan.json", "plan"),
-    Attack("pose added to the sequence, told", told(edit("sequence.yaml", "tilt_deg: -3}", "tilt_deg: -3}, {name: more, pan_deg: 1}")), "journal.jsonl", "journal"),
+    Attack("settling time, told", with_hashes(edit("sequence.yaml", "duration_s: 0.3", "duration_s: 3.0")), "plan.json", "plan"),
+    Attack("pose added to the sequence, told", with_hashes(edit("sequence.yaml", "tilt_deg: -3}", "tilt_deg: -3}, {name: more, pan_deg: 1}")), "journal.jsonl", "journal"),
     Attack("passport edited", edit("passport.json", "255", "256"), "passport.json", "plan", HASH),
-    Attack("passport edited, told", told(edit("passport.json", "255", "256")), "results.json", "results", DIFF),
+    Attack("passport edited, told", with_hashes(edit("passport.json", "255", "256")), "results.json", "results", DIFF),
     Attack("passport removed", remove("passport.json"), "passport.json", "plan", HASH),
-    Attack("passport removed, told", told(remove("passport.json")), "station.yaml", "plan"),
+    Attack("passport removed, told", with_hashes(remove("passport.json")), "station.yaml", "plan"),
     Attack("plan edited", edit("plan.json", '"duration_s"', '"Duration_s"'), "plan.json", "plan", HASH),
-    Attack("plan edited, told", told(edit("plan.json", '"size_bytes": ', '"size_bytes": 1')), "plan.json", "plan"),
+    Attack("plan edited, told", with_hashes(edit("plan.json", '"size_bytes": ', '"size_bytes": 1')), "plan.json", "plan"),
     Attack("plan removed", remove("plan.json"), "plan.json", "plan", HASH),
     Attack("instructions that trust any key", edit("VERIFY.txt", "-Y verify -f allowed_signers -I", "-Y check-novalidate -I"), "VERIFY.txt", "instructions"),
     Attack("instructions with another key", edit("VERIFY.txt", "SHA256:", "SHA256:x"), "VERIFY.txt", "instructions", "ssh-keygen -lf"),
@@ -93,7 +93,7 @@ ATTACKS = [
     Attack("clock moved within the run", shifted_clock, "journal.jsonl:21", "journal"),
     Attack("a pose never happened", without_pose, "journal.jsonl", "journal"),
     Attack("devices never named", drop("devices"), "results.json", "results", DIFF),
-    Attack("a second begin", told(lambda f: f.chain([*f.lines[:5], f.lines[0], *f.lines[5:]])), "journal.jsonl:6", "journal"),
+    Attack("a second begin", with_hashes(lambda f: f.chain([*f.lines[:5], f.lines[0], *f.lines[5:]])), "journal.jsonl:6", "journal"),
     # results
     Attack("results edited", edit("results.json", '"operator": "Ada"', '"operator": "Eve"'), "results.json", "results", WRITTEN),
     Attack("focal length", result("calibration", "camera", "fx", to=1675.0), "results.json", "results", DIFF),
@@ -106,32 +106,32 @@ ATTACKS = [
     Attack("gates emptied", result("gates", to=[]), "results.json", "results", DIFF),
     Attack("error against the truth", result("comparison", 0, "error", to=0.0), "results.json", "results"),
     Attack("passport's hash", result("passport", "sha256", to="0" * 64), "results.json", "results", "sha256sum passport.json"),
-    Attack("an approval that nobody gave", told(lambda f: f.edit_results(lambda r: r.update(approved_by="QA"))), "results.json", "results"),
+    Attack("an approval that nobody gave", with_hashes(lambda f: f.edit_results(lambda r: r.update(approved_by="QA"))), "results.json", "results"),
     Attack("results removed", remove("results.json"), "results.json", "results", "ls"),
     Attack("results never written", without_results, "journal.jsonl", "journal"),
-    Attack("results that are no results", told(write("results.json", b"[]\n")), "results.json", "results", "jq"),
+    Attack("results that are no results", with_hashes(write("results.json", b"[]\n")), "results.json", "results", "jq"),
     # views
     Attack("views replaced", write("views.h5", b"x" * 1000), "views.h5", "views", WRITTEN),
-    Attack("views replaced, told", told(write("views.h5", b"x" * 1000)), "views.h5", "views", "h5ls"),
+    Attack("views replaced, told", with_hashes(write("views.h5", b"x" * 1000)), "views.h5", "views", "h5ls"),
     Attack("residual of a star", in_views(lambda h: h["pose-001/residuals_px"].__setitem__(0, (9.0, 9.0))), "views.h5", "views"),
     Attack("hidden data in the views", in_views(lambda h: h.create_dataset("secret", data=[1])), "views.h5", "views", "h5ls"),
-    Attack("hidden bytes after the views", told(lambda f: f.replace("views.h5", (f / "views.h5").read_bytes(), (f / "views.h5").read_bytes() + b"x")), "views.h5", "views"),
+    Attack("hidden bytes after the views", with_hashes(lambda f: f.replace("views.h5", (f / "views.h5").read_bytes(), (f / "views.h5").read_bytes() + b"x")), "views.h5", "views"),
     # exports
     *(
-        Attack(f"export {name}", told(edit(f"exports/{name}", "167", "168")), f"exports/{name}", "exports", DIFF)
+        Attack(f"export {name}", with_hashes(edit(f"exports/{name}", "167", "168")), f"exports/{name}", "exports", DIFF)
         for name in ("camera-geometry.json", "colmap_cameras.txt", "kalibr_camchain.yaml", "metavision.json", "mrcal.cameramodel", "opencv.yaml", "ros_camera_info.yaml")
     ),
     Attack("export, not told", edit("exports/opencv.yaml", "167", "168"), "exports/opencv.yaml", "exports", WRITTEN),
-    Attack("export removed, told", told(remove("exports/opencv.yaml")), "exports/opencv.yaml", "exports", "ls"),
+    Attack("export removed, told", with_hashes(remove("exports/opencv.yaml")), "exports/opencv.yaml", "exports", "ls"),
     Attack("export added", write("exports/more.yaml", b"fx: 1\n"), "exports/more.yaml", "exports", WRITTEN),
-    Attack("export added, told", told(write("exports/more.yaml", b"fx: 1\n")), "exports/more.yaml", "kind", "ls"),
+    Attack("export added, told", with_hashes(write("exports/more.yaml", b"fx: 1\n")), "exports/more.yaml", "kind", "ls"),
     # report
     Attack("report, not told", edit("report.html", "Calibration report", "Calibration Report"), "report.html", "report", WRITTEN),
-    Attack("number in the report", told(edit("report.html", '<td class="u"', '<td class="n">9</td><td class="u"')), "report.html", "report", DIFF),
-    Attack("number by CSS", told(edit("report.html", "</style>", "td.value::before{content:'9'}</style>")), "report.html", "report"),
-    Attack("image in the report", told(edit("report.html", "base64,iVBORw0KGgo", "base64,iVBORw0KGgp")), "report.html", "report"),
-    Attack("script in the report", told(edit("report.html", "</body>", "<script>1</script></body>")), "report.html", "report"),
-    Attack("report empty", told(write("report.html", b"")), "report.html", "report"),
+    Attack("number in the report", with_hashes(edit("report.html", '<td class="u"', '<td class="n">9</td><td class="u"')), "report.html", "report", DIFF),
+    Attack("number by CSS", with_hashes(edit("report.html", "</style>", "td.value::before{content:'9'}</style>")), "report.html", "report"),
+    Attack("image in the report", with_hashes(edit("report.html", "base64,iVBORw0KGgo", "base64,iVBORw0KGgp")), "report.html", "report"),
+    Attack("script in the report", with_hashes(edit("report.html", "</body>", "<script>1</script></body>")), "report.html", "report"),
+    Attack("report empty", with_hashes(write("report.html", b"")), "report.html", "report"),
     # recordings
     Attack("recording exchanged", write(CAPTURE % 2, b"% end\n"), CAPTURE % 2, "recording", CHAIN),
     Attack("recording removed", remove(CAPTURE % 2), CAPTURE % 2, "recording", "ls"),
@@ -140,7 +140,7 @@ ATTACKS = [
     # wires
     Attack("wire log emptied", write("wire.jsonl", b""), "wire.jsonl", "wire", "ls -l"),
     Attack("wire log cut, told", half_wire, "wire.jsonl", "wire"),
-    Attack("wire log of nothing", told(write("wire.jsonl", b"nothing\n")), "wire.jsonl", "wire", "jq"),
+    Attack("wire log of nothing", with_hashes(write("wire.jsonl", b"nothing\n")), "wire.jsonl", "wire", "jq"),
     Attack("wire edited", edit("wire.jsonl", "100101", "100109"), "wire.jsonl", "wire", WRITTEN),
     Attack("another stage, everywhere but on the wire", other_stage, "wire.jsonl", "wire", "grep wire.jsonl"),
     Attack("real ports, not simulated", not_simulated, "wire.jsonl", "wire", "grep wire.jsonl"),
@@ -155,6 +155,8 @@ ATTACKS = [
 def test_a_resealed_change_is_found(forger, trusted, attack):
     attack.do(forger)
     forger.seal()
-    found = checked(forger.folder, trusted)
-    assert not {"signature", "key", "changed", "added", "missing"} & {fault.kind for fault in found.faults}
-    assert (attack.kind, attack.where) in kinds(found), [str(fault) for fault in found.faults]
+    verification = checked(forger.folder, trusted)
+    assert not {"signature", "key", "changed", "added", "missing"} & {
+        fault.kind for fault in verification.faults
+    }
+    assert (attack.kind, attack.where) in kinds(verification), [str(fault) for fault in verification.faults]

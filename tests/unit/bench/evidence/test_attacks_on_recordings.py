@@ -28,11 +28,11 @@ pytestmark = pytest.mark.usefixtures("made_once")
 
 
 def test_the_untouched_run_is_valid_and_follows_from_its_recordings(run_once, trusted):
-    found = checked(run_once, trusted)
-    assert (found.faults, found.not_compared) == ([], [])
-    assert found.complete
-    assert found.state == "SEALED"
-    assert any("equal to the last bit" in remark for remark in found.remarks)
+    verification = checked(run_once, trusted)
+    assert (verification.faults, verification.not_compared) == ([], [])
+    assert verification.complete
+    assert verification.state == "SEALED"
+    assert any("equal to the last bit" in remark for remark in verification.remarks)
 
 
 QUICK = ("focal length in every file", "image painted over", "gate of a recording in journal and results")
@@ -74,8 +74,8 @@ ONLY_A_NEW_RECORDING = {
 def test_what_only_a_new_recording_could_tell_is_told_by_the_ledger(forger, trusted, job, name, bench_home):
     ONLY_A_NEW_RECORDING[name](forger, job)
     forger.seal()
-    found = checked(forger.folder, trusted)
-    assert found.faults == [], [str(fault) for fault in found.faults]
+    verification = checked(forger.folder, trusted)
+    assert verification.faults == [], [str(fault) for fault in verification.faults]
     assert ledger_faults_of_run(forger.folder, Ledger(bench_home, utc_now=None, monotonic=None))
 
 
@@ -90,8 +90,10 @@ def test_what_is_consistent_in_all_other_files_is_found_from_the_recordings(forg
     forger.seal()
     plain = checked(forger.folder, trusted, again=False)
     assert (plain.faults, plain.again) == ([], False)
-    found = checked(forger.folder, trusted)
-    assert where in {fault.where for fault in found.faults}, [str(fault) for fault in found.faults]
+    verification = checked(forger.folder, trusted)
+    assert where in {fault.where for fault in verification.faults}, [
+        str(fault) for fault in verification.faults
+    ]
 
 
 @pytest.mark.slow
@@ -106,8 +108,10 @@ def test_any_changed_digit_of_the_results_is_found(run_once, trusted, tmp_path, 
         (forger / "results.json").write_text(changed)
         forger.tell_of_files()
         forger.seal()
-        found = checked(forger.folder, trusted)
-        told_of = found.faults or [remark for remark in found.remarks if "by rounding only" in remark]
+        verification = checked(forger.folder, trusted)
+        told_of = verification.faults or [
+            remark for remark in verification.remarks if "by rounding only" in remark
+        ]
         same = json.loads(changed) == json.loads(text)
         assert same or told_of, f"not found: {text[max(0, at - 60) : at + 20]!r}"
 
@@ -115,5 +119,5 @@ def test_any_changed_digit_of_the_results_is_found(run_once, trusted, tmp_path, 
 @pytest.mark.slow
 def test_a_recording_without_stars_is_told_in_words(forger):
     (forger / (CAPTURE % 2)).write_bytes(b"% nothing\n")
-    said = [str(fault) for fault in check_run_again(forger.folder).faults]
-    assert any("cannot be calibrated again" in one for one in said), said
+    faults = [str(fault) for fault in check_run_again(forger.folder).faults]
+    assert any("cannot be calibrated again" in fault for fault in faults), faults

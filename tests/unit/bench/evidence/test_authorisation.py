@@ -64,15 +64,15 @@ def test_draft_sealed_authorised(make_run, key, tmp_path, ada, trust):
     assert shown_state(run, trust, NOW).text == "SEALED by bench1@lab.example"
     before = {path.name: path.read_bytes() for path in run.rglob("*") if path.is_file()}
     assert authorise(run, ada[0], trust, NOW) == "ada@lab.example"
-    found = standing_of(run, trust, NOW)
-    assert (found.state, found.person, found.faults, found.remarks) == (
+    standing = standing_of(run, trust, NOW)
+    assert (standing.state, standing.person, standing.faults, standing.remarks) == (
         State.AUTHORISED,
         "ada@lab.example",
         [],
         [],
     )
     assert shown_state(run, trust, NOW).text == "AUTHORISED by ada@lab.example, sealed by bench1@lab.example"
-    assert found.statements == [f"Authorised by ada@lab.example ({fingerprint(ada[0].public_key)})"]
+    assert standing.statements == [f"Authorised by ada@lab.example ({fingerprint(ada[0].public_key)})"]
     after = {path.name: path.read_bytes() for path in run.rglob("*") if path.is_file()}
     assert before.items() < after.items()
     assert set(after) - set(before) == {"SHA256SUMS.authorised.sig"}
@@ -217,9 +217,9 @@ def test_an_authorisation_does_not_mend_a_seal_that_does_not_hold(sealed, ada, t
     if broken == "list":
         (sealed / "SHA256SUMS").chmod(0o644)
         (sealed / "SHA256SUMS").write_text("")
-    found = standing_of(sealed, trust, NOW)
-    assert (found.state, found.person) == (State.DRAFT, None)
-    assert [(fault.kind, fault.where) for fault in found.faults] == [("signature", "SHA256SUMS.sig")]
+    standing = standing_of(sealed, trust, NOW)
+    assert (standing.state, standing.person) == (State.DRAFT, None)
+    assert [(fault.kind, fault.where) for fault in standing.faults] == [("signature", "SHA256SUMS.sig")]
     assert shown_state(sealed, trust, NOW).text == "DRAFT: the seal does not hold; see `starbench verify`"
 
 
@@ -228,9 +228,9 @@ def test_a_person_who_left_stays_the_authorising_person_and_one_who_came_later_n
 ):
     authorise(sealed, ada[0], Trust((*signers, ada[1])), NOW)  # the run ended on 2026-03-01
     left = Signer(**{**vars(ada[1]), "valid_before": datetime(2026, 4, 1, tzinfo=UTC)})
-    found = standing_of(sealed, Trust((*signers, left)), NOW)
-    assert found.state is State.AUTHORISED
-    assert "may have been authorised then. No trusted time stamp proves it" in found.remarks[0]
+    standing = standing_of(sealed, Trust((*signers, left)), NOW)
+    assert standing.state is State.AUTHORISED
+    assert "may have been authorised then. No trusted time stamp proves it" in standing.remarks[0]
     gone = Signer(**{**vars(ada[1]), "valid_before": datetime(2026, 2, 1, tzinfo=UTC)})
     assert "expired 2026-02-01" in faults(sealed, Trust((*signers, gone)))[0][2]
     later = Signer(**{**vars(ada[1]), "valid_after": NOW + timedelta(days=1)})

@@ -85,10 +85,10 @@ STOLEN = "revoked 2026-01-17 00:00 UTC (stolen), and no trusted time"
     ],
 )
 def test_the_moment_of_a_key(case, accepted, says):
-    found = judged(**case)
-    assert (found.principal == "bench@lab") is accepted, found
-    assert says in (found.remark or found.fault)
-    assert bool(found.remark or found.fault) is bool(says)
+    judgement = judged(**case)
+    assert (judgement.principal == "bench@lab") is accepted, judgement
+    assert says in (judgement.remark or judgement.fault)
+    assert bool(judgement.remark or judgement.fault) is bool(says)
 
 
 def test_one_of_several_lines_of_a_key_is_enough():
@@ -149,9 +149,9 @@ def test_what_the_old_key_sealed_stays_valid_and_nothing_new_does(tmp_path):
     after = sealed_at(tmp_path, "after", new, later)
     stolen = sealed_at(tmp_path, "stolen", old, later)
     listed = read_trust(home)
-    found = standing_of(before, listed, later)
-    assert (found.signer, found.faults) == (old.principal, [])
-    assert "No trusted time stamp proves it" in found.remarks[0]
+    standing = standing_of(before, listed, later)
+    assert (standing.signer, standing.faults) == (old.principal, [])
+    assert "No trusted time stamp proves it" in standing.remarks[0]
     assert standing_of(after, listed, later).remarks == []
     assert "expired" in standing_of(stolen, listed, later).faults[0].what
     for folder, when, accepted in (
@@ -226,8 +226,8 @@ def test_a_key_that_was_replaced_during_a_run_is_loaded_again(tmp_path):
 def test_a_clock_that_was_set_back_is_told(tmp_path):
     create_key(tmp_path / "home")
     rotate(tmp_path / "home", datetime.now(UTC), passphrase=None, keep_old=False)
-    told = r"not valid before.*Check the clock of this computer: it is 2001-02-03"
-    with pytest.raises(EvidenceError, match=told):
+    message = r"not valid before.*Check the clock of this computer: it is 2001-02-03"
+    with pytest.raises(EvidenceError, match=message):
         usable_key(tmp_path / "home", datetime(2001, 2, 3, tzinfo=UTC))
 
 
@@ -236,7 +236,7 @@ def test_a_validity_that_ends_earlier_is_not_prolonged(tmp_path):
     (tmp_path / "allowed_signers").write_text("\n".join(["# kept", *lines, ""]))
     replace_lines(tmp_path, KEY, day(5), [])
     assert (tmp_path / "allowed_signers").read_text().startswith("# kept\n")
-    assert [one.valid_before for one in read_signers(tmp_path / "allowed_signers")] == [day(3), day(5)]
+    assert [signer.valid_before for signer in read_signers(tmp_path / "allowed_signers")] == [day(3), day(5)]
 
 
 def test_there_must_be_a_key_to_replace(tmp_path):
@@ -259,8 +259,8 @@ def test_a_revoked_key_is_refused_here_and_by_ssh_keygen(tmp_path):
     revoke(home, RevokedKey(key.public_key, now, "laptop stolen"))
     with pytest.raises(EvidenceError, match="revoked already"):
         revoke(home, RevokedKey(key.public_key, now, "again"))
-    (one,) = read_revoked(home / "revoked_keys")
-    assert (one.public_key, one.reason) == (key.public_key, "laptop stolen")
+    (revoked,) = read_revoked(home / "revoked_keys")
+    assert (revoked.public_key, revoked.reason) == (key.public_key, "laptop stolen")
     (fault,) = standing_of(folder, read_trust(home), now).faults
     assert fault.kind == "key"
     assert "laptop stolen" in fault.what
@@ -276,7 +276,7 @@ def test_a_revoked_key_is_refused_here_and_by_ssh_keygen(tmp_path):
 def test_a_list_of_revoked_keys_of_another_form_is_refused(tmp_path, key):
     path = tmp_path / "revoked_keys"
     path.write_text(f"# by hand\n{key.public_text}\n")
-    assert [one.text for one in read_revoked(path)] == ["without a date"]
+    assert [revoked.text for revoked in read_revoked(path)] == ["without a date"]
     for data, mode, why in (
         (b"SSHKRL\n\0\0\0\0\x01\xff\xfe", 0o644, "KRL"),
         (b"SHA256:abc\n", 0o644, r"revoked_keys:1: This is not a line of a revoked key"),

@@ -134,8 +134,8 @@ def read_one(tmp_path, line):
     ],
 )
 def test_options_of_a_trusted_key_are_heeded(tmp_path, options, rejection):
-    found = read_one(tmp_path, f"bench1@lab {options}{LINE} comment").rejection("starbench-report@v1", NOW)
-    assert (found is None) if rejection is None else (rejection in found)
+    rejected = read_one(tmp_path, f"bench1@lab {options}{LINE} comment").rejection("starbench-report@v1", NOW)
+    assert (rejected is None) if rejection is None else (rejection in rejected)
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ def test_a_failed_run_cannot_be_hidden_by_a_ledger_that_was_written_anew(bench, 
     """Whoever computes all hashes anew and changes ledger_high as well has changed the lines of the later runs."""
     for name, how in (("a", "finished"), ("b", "failed"), ("c", "finished")):
         bench.run(tmp_path / name, how=how)
-    assert [one.how for one in bench.ledger.runs()] == ["finished", "failed", "finished"]
+    assert [run.how for run in bench.ledger.runs()] == ["finished", "failed", "finished"]
     forged = Ledger(tmp_path / "forged", **CLOCKS)
     for name in ("a", "c"):
         place = forged.begin(run_id=name, folder=tmp_path / name, camera="1", simulated=True)
@@ -172,14 +172,16 @@ OF_JOURNAL = "The journal of this run states {year}-03-01T00:00:00"
 OF_SEAL = "The ledger took the end and the seal of this run at 2026-03-01T00:00:00"
 
 
-@pytest.mark.parametrize(("year", "told"), [(2026, []), (2025, [OF_JOURNAL]), (2027, [OF_JOURNAL, OF_SEAL])])
-def test_dates_of_journal_and_seal_that_contradict_each_other_are_told(bench, tmp_path, year, told):
+@pytest.mark.parametrize(
+    ("year", "faults"), [(2026, []), (2025, [OF_JOURNAL]), (2027, [OF_JOURNAL, OF_SEAL])]
+)
+def test_dates_of_journal_and_seal_that_contradict_each_other_are_told(bench, tmp_path, year, faults):
     bench.run(tmp_path / "run")
     clocks = {**CLOCKS, "utc_now": lambda: datetime(year, 3, 1, tzinfo=UTC)}
     folder = written_anew(bench, tmp_path / "run", {}, clocks)
     dates = [f for f in ledger_faults_of_run(folder, bench.ledger) if "-03-01T" in f]
-    for found, due in zip(dates, told, strict=True):
-        assert found.startswith(due.format(year=year))
+    for fault, due in zip(dates, faults, strict=True):
+        assert fault.startswith(due.format(year=year))
 
 
 def written_anew(bench, path, changed, clocks=CLOCKS):

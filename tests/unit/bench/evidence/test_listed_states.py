@@ -81,7 +81,7 @@ def test_an_authorisation_counts_while_its_key_is_trusted(sealed, reader, signer
 
 
 def test_a_list_tells_how_many_are_judged(sealed, reader):
-    told = []
-    listed_states([str(sealed)], reader, later(), told.append)
-    listed_states([str(sealed)], reader, later(), told.append)
-    assert told == [0, 1, 1]
+    counts = []
+    listed_states([str(sealed)], reader, later(), counts.append)
+    listed_states([str(sealed)], reader, later(), counts.append)
+    assert counts == [0, 1, 1]

@@ -150,8 +150,8 @@ def test_everything_is_listed_with_what_it_is(tmp_path):
     for name, target in links.items():
         (tmp_path / name).symlink_to(target)
     os.mkfifo(tmp_path / "pipe")
-    found = {"a/b/file": "file", **dict.fromkeys(links, "link"), "pipe": "special file"}
-    assert list_files(tmp_path) == found
+    kinds = {"a/b/file": "file", **dict.fromkeys(links, "link"), "pipe": "special file"}
+    assert list_files(tmp_path) == kinds
 
 
 H = "0" * 64

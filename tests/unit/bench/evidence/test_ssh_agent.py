@@ -59,9 +59,9 @@ def test_a_key_in_the_agent_signs(agent, tmp_path, kind):
     path = make_key(tmp_path, kind=kind)
     add(agent, path)
     path.unlink()  # the agent alone has it now
-    (found,) = agent_keys(agent)
-    assert found.comment == "ada"
-    for name in (None, fingerprint(found.public_key), str(path.with_suffix(".pub"))):
+    (agent_key,) = agent_keys(agent)
+    assert agent_key.comment == "ada"
+    for name in (None, fingerprint(agent_key.public_key), str(path.with_suffix(".pub"))):
         key = find_key(name, agent, lambda _: b"")
         assert is_valid(read_signature(key.sign(b"message", "a@v1")), b"message")
 

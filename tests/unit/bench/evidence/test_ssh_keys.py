@@ -134,7 +134,9 @@ def test_a_security_token_signs_only_when_touched(key, public):
 def test_short_rsa_keys_and_sha_1_are_refused():
     openssh = (serialization.Encoding.OpenSSH, serialization.PublicFormat.OpenSSH)
     short, key = (rsa.generate_private_key(65537, size) for size in (1024, 2048))
-    blobs = [base64.b64decode(one.public_key().public_bytes(*openssh).split()[1]) for one in (short, key)]
+    blobs = [
+        base64.b64decode(private.public_key().public_bytes(*openssh).split()[1]) for private in (short, key)
+    ]
     with pytest.raises(ValueError, match="2048"):
         check_key(blobs[0])
     signed = key.sign(signed_data(b"data"), padding.PKCS1v15(), hashes.SHA1())

@@ -61,11 +61,11 @@ def test_a_request_is_that_of_openssl(authority):
 
 def test_a_time_stamp_proves_when_the_seal_existed(sealed, signers, authority, others):
     stamped(sealed, authority)
-    found = standing_of(sealed, Trust(signers, (), others), datetime.now(UTC))
-    assert (found.faults, found.not_compared) == ([], [])
+    standing = standing_of(sealed, Trust(signers, (), others), datetime.now(UTC))
+    assert (standing.faults, standing.not_compared) == ([], [])
     (stamp,) = check_timestamps(sealed, others, Findings()).values()
     assert abs(stamp.utc - datetime.now(UTC)) < timedelta(minutes=1)
-    assert found.statements == [
+    assert standing.statements == [
         f"The seal existed at {stamp.utc:%Y-%m-%d %H:%M:%S} UTC by the clock of Example TSA"
     ]
     assert authority.accepts(sealed, "SHA256SUMS.tsr", "SHA256SUMS.sig")
@@ -73,19 +73,19 @@ def test_a_time_stamp_proves_when_the_seal_existed(sealed, signers, authority, o
 
 def test_without_a_trusted_certificate_it_is_not_checked(sealed, signers, authority):
     stamped(sealed, authority)
-    found = standing_of(sealed, Trust(signers), NOW)
-    assert (found.faults, found.statements) == ([], [])
+    standing = standing_of(sealed, Trust(signers), NOW)
+    assert (standing.faults, standing.statements) == ([], [])
     assert (
         "no certificate of a time stamping authority is trusted here; it names Example TSA"
-        " (give its root with --tsa-certificates FILE)" in found.not_compared[0]
+        " (give its root with --tsa-certificates FILE)" in standing.not_compared[0]
     )
 
 
 def test_without_the_package_it_is_not_checked(sealed, signers, authority, others, monkeypatch):
     stamped(sealed, authority)
     monkeypatch.setitem(sys.modules, "rfc3161_client", None)
-    found = standing_of(sealed, Trust(signers, (), others), NOW)
-    assert found.not_compared == ["SHA256SUMS.tsr: the package for time stamps is not installed"]
+    standing = standing_of(sealed, Trust(signers, (), others), NOW)
+    assert standing.not_compared == ["SHA256SUMS.tsr: the package for time stamps is not installed"]
     with pytest.raises(UncheckedError, match=r"pip install 'starbench\[certificate\]'"):
         make_request(b"signature", nonce=False)
 
@@ -159,9 +159,9 @@ def test_a_file_of_authorities_that_others_can_change_is_refused(tmp_path, autho
 def test_a_clock_that_contradicts_a_time_stamp_is_told(sealed, signers, authority, others, monkeypatch):
     stamped(sealed, authority)
     monkeypatch.setattr("bench.evidence.states.stated_time", lambda _: NOW + timedelta(days=2))
-    found = standing_of(sealed, Trust(signers, (), others), NOW)
-    assert any("One of both clocks was wrong" in remark for remark in found.remarks)
-    assert any("a time in the future" in remark for remark in found.remarks)
+    standing = standing_of(sealed, Trust(signers, (), others), NOW)
+    assert any("One of both clocks was wrong" in remark for remark in standing.remarks)
+    assert any("a time in the future" in remark for remark in standing.remarks)
 
 
 # ------------------------------------------------------------------ over the network
@@ -273,7 +273,7 @@ def test_an_address_that_is_none_is_refused(url):
 
 
 def expiring(signers):
-    return tuple(replace(one, valid_before=datetime.now(UTC) + timedelta(hours=1)) for one in signers)
+    return tuple(replace(signer, valid_before=datetime.now(UTC) + timedelta(hours=1)) for signer in signers)
 
 
 def test_a_stamped_authorisation_proves_the_time_of_the_seal(sealed, signers, authority, others, ada):
@@ -283,9 +283,9 @@ def test_a_stamped_authorisation_proves_the_time_of_the_seal(sealed, signers, au
     later = datetime.now(UTC) + timedelta(days=1)
     assert "No trusted time stamp proves it" in standing_of(sealed, trust, later).remarks[0]
     stamped(sealed, authority, "SHA256SUMS.authorised.tsr", "SHA256SUMS.authorised.sig")
-    found = standing_of(sealed, trust, later)
-    assert (found.faults, found.remarks, found.signer) == ([], [], "bench1@lab.example")
-    assert any(s.startswith("The authorisation existed at") for s in found.statements)
+    standing = standing_of(sealed, trust, later)
+    assert (standing.faults, standing.remarks, standing.signer) == ([], [], "bench1@lab.example")
+    assert any(s.startswith("The authorisation existed at") for s in standing.statements)
     assert authority.accepts(sealed, "SHA256SUMS.authorised.tsr", "SHA256SUMS.authorised.sig")
     (sealed / "SHA256SUMS.authorised.sig").unlink()
     faults = [fault for fault in standing_of(sealed, trust, NOW).faults if fault.kind == "timestamp"]
@@ -308,9 +308,9 @@ def test_a_stamped_signature_that_is_not_accepted_proves_nothing(sealed, signers
     stamped(sealed, authority, "SHA256SUMS.authorised.tsr", "SHA256SUMS.authorised.sig")
     people = (line,) if by == "a person of another seal" else ()
     trust = Trust((*expiring(signers), *people), (), others)
-    found = standing_of(sealed, trust, datetime.now(UTC) + timedelta(days=1))
-    assert [fault.kind for fault in found.faults] == ["authorisation"]
-    assert "No trusted time stamp proves it" in found.remarks[0]
+    standing = standing_of(sealed, trust, datetime.now(UTC) + timedelta(days=1))
+    assert [fault.kind for fault in standing.faults] == ["authorisation"]
+    assert "No trusted time stamp proves it" in standing.remarks[0]
 
 
 @pytest.mark.parametrize("times", range(4))

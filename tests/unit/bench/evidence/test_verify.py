@@ -24,12 +24,16 @@ def other_key(tmp_path):
 
 
 def test_the_untouched_bundle_passes(sealed_once, signers, key):
-    found = verify_folder(sealed_once, signers, camera_serial="00050423")
-    assert found.ok
-    assert found.signer == "bench1@lab.example"
-    assert found.fingerprint == key.fingerprint
-    assert (found.run_id, found.camera_serial, found.simulated) == ("run-1", "00050423", True)
-    assert found.files == 12
+    verification = verify_folder(sealed_once, signers, camera_serial="00050423")
+    assert verification.ok
+    assert verification.signer == "bench1@lab.example"
+    assert verification.fingerprint == key.fingerprint
+    assert (verification.run_id, verification.camera_serial, verification.simulated) == (
+        "run-1",
+        "00050423",
+        True,
+    )
+    assert verification.files == 12
 
 
 # ------------------------------------------------------------------ attacks
@@ -53,25 +57,25 @@ def test_a_missing_file_is_found(sealed, signers):
 def test_a_list_made_again_under_the_old_signature_is_found(sealed, signers):
     (sealed / "results.json").write_bytes((sealed / "results.json").read_bytes().replace(b"run-1", b"run-2"))
     (sealed / "SHA256SUMS").write_bytes(make_manifest(sealed))
-    found = kinds(verify_folder(sealed, signers))
-    assert found == [("results", "results.json"), ("signature", "SHA256SUMS.sig")]
+    faults = kinds(verify_folder(sealed, signers))
+    assert faults == [("results", "results.json"), ("signature", "SHA256SUMS.sig")]
 
 
 def test_a_bundle_signed_by_another_key_is_found(sealed, signers, other_key):
     (sealed / "exports/opencv.yaml").write_text("fx: 1\n")
     reseal(sealed, other_key)
-    found = verify_folder(sealed, signers)
-    assert kinds(found) == [("exports", "exports/opencv.yaml"), ("key", "SHA256SUMS.sig")]
-    assert other_key.fingerprint in found.faults[0].what
-    assert found.signer is None
+    verification = verify_folder(sealed, signers)
+    assert kinds(verification) == [("exports", "exports/opencv.yaml"), ("key", "SHA256SUMS.sig")]
+    assert other_key.fingerprint in verification.faults[0].what
+    assert verification.signer is None
 
 
 def test_a_report_passed_off_for_another_camera_is_found(make_run, key, signers, tmp_path):
     with make_run(tmp_path / "run", serial="00050999") as folder:
         seal(folder, key)
-    found = verify_folder(tmp_path / "run", signers, camera_serial="00050423")
-    assert kinds(found) == [("item", "results.json")]
-    assert "belong to camera 00050999; 00050423 was requested" in str(found.faults[0])
+    verification = verify_folder(tmp_path / "run", signers, camera_serial="00050423")
+    assert kinds(verification) == [("item", "results.json")]
+    assert "belong to camera 00050999; 00050423 was requested" in str(verification.faults[0])
 
 
 @pytest.mark.parametrize("target", ["copy", "nowhere"])
@@ -88,10 +92,10 @@ def test_a_seal_that_was_stripped_or_is_a_link_is_none(sealed, signers, tmp_path
     shutil.move(sealed / name, tmp_path / "elsewhere")
     if linked:
         (sealed / name).symlink_to(tmp_path / "elsewhere")
-    found = verify_folder(sealed, signers)
-    assert kinds(found) == [("unsealed", name)]
-    assert found.state == "DRAFT"
-    assert json.loads(json.dumps(found.to_dict()))["ok"] is False
+    verification = verify_folder(sealed, signers)
+    assert kinds(verification) == [("unsealed", name)]
+    assert verification.state == "DRAFT"
+    assert json.loads(json.dumps(verification.to_dict()))["ok"] is False
 
 
 @pytest.mark.parametrize("line", [b"../../etc/passwd", b"/etc/passwd", b"a/../b"])
@@ -104,9 +108,9 @@ def test_a_listed_path_that_leads_out_is_found(sealed, signers, key, line):
 
 def test_a_signature_for_another_purpose_is_found(sealed, signers, key):
     reseal(sealed, key, namespace="git")
-    found = verify_folder(sealed, signers)
-    assert kinds(found) == [("signature", "SHA256SUMS.sig")]
-    assert "'git'" in found.faults[0].what
+    verification = verify_folder(sealed, signers)
+    assert kinds(verification) == [("signature", "SHA256SUMS.sig")]
+    assert "'git'" in verification.faults[0].what
 
 
 def test_nobody_trusted_means_not_verified(sealed_once):
@@ -125,8 +129,8 @@ def test_a_capture_lost_before_sealing_is_found(make_run, key, signers, tmp_path
     with make_run(tmp_path / "run") as folder:
         (folder.path / "captures/pose-002-attempt-1.raw").unlink()
         seal(folder, key)
-    found = verify_folder(tmp_path / "run", signers)
-    assert [str(f) for f in found.faults] == [
+    verification = verify_folder(tmp_path / "run", signers)
+    assert [str(f) for f in verification.faults] == [
         "captures/pose-002-attempt-1.raw: the journal names this recording; it is missing",
         "results.json: SHA256SUMS does not name captures/pose-002-attempt-1.raw with this hash",
     ]
@@ -154,8 +158,8 @@ def test_results_that_are_none_or_could_be_read_in_two_ways_are_found(
     path.write_bytes(change(path.read_bytes()))
     if sealed_again:
         reseal(sealed, key)
-    said = [fault.what for fault in verify_folder(sealed, signers).faults if fault.where == "results.json"]
-    assert any(what in one for one in said), said
+    faults = [fault.what for fault in verify_folder(sealed, signers).faults if fault.where == "results.json"]
+    assert any(what in fault for fault in faults), faults
 
 
 @pytest.mark.parametrize(
@@ -168,16 +172,16 @@ def test_a_sealed_file_that_no_run_folder_has_is_named(make_run, key, signers, t
         path.parent.mkdir(exist_ok=True)
         path.write_text("added before the seal")
         seal(folder, key)
-    found = verify_folder(tmp_path / "run", signers)
-    assert ("kind", name) in kinds(found)
-    assert "no run folder has this file" in str(found.faults[0])
+    verification = verify_folder(tmp_path / "run", signers)
+    assert ("kind", name) in kinds(verification)
+    assert "no run folder has this file" in str(verification.faults[0])
 
 
 def test_of_a_folder_of_another_kind_only_the_seal_is_verified_and_that_is_told(tmp_path, key, signers):
     (tmp_path / "passport.txt").write_text("R 255 mm")
     seal_folder(tmp_path, key)
-    found = verify_folder(tmp_path, signers, derivations={})
-    assert (found.kind, found.ok, found.complete) == ("files", True, False)
+    verification = verify_folder(tmp_path, signers, derivations={})
+    assert (verification.kind, verification.ok, verification.complete) == ("files", True, False)
     assert verify_folder(tmp_path, signers).complete  # nothing was to be derived
 
 
@@ -249,11 +253,11 @@ def test_whatever_is_done_to_a_sealed_folder_is_found_and_told_without_a_crash(
         tamper(folder, tampering)
     after = {p.relative_to(folder): p.read_bytes() for p in files_of(folder)}
     try:
-        found = verify_folder(folder, signers)
+        verification = verify_folder(folder, signers)
     except RunFolderError:
         assert not {"SHA256SUMS", "journal.jsonl"} & {p.name for p in after}
         return
-    if found.ok != (after == before):  # the armour of a signature may end in spaces and be the same
+    if verification.ok != (after == before):  # the armour of a signature may end in spaces and be the same
         assert {p.name for p in before if before.get(p) != after.get(p)} == {"SHA256SUMS.sig"}
         assert read_signature(after[Path("SHA256SUMS.sig")]) == read_signature(before[Path("SHA256SUMS.sig")])
-    json.dumps(found.to_dict())
+    json.dumps(verification.to_dict())

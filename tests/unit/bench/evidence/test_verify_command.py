@@ -23,22 +23,22 @@ def told_by_command(folder, home, *words):
 
 
 def test_the_command_says_first_what_the_folder_is_worth(run_once, bench_home):
-    said = told_by_command(run_once, bench_home)
-    assert said.return_value == 0, said.output
-    assert said.stdout.startswith("SEALED: ")
-    assert "The numbers were not compared with the recordings" in said.stdout.splitlines()[0]
-    assert "by the bench's own clock" in said.stdout.splitlines()[1]
-    assert "SIMULATED" in said.stdout
+    ended = told_by_command(run_once, bench_home)
+    assert ended.return_value == 0, ended.output
+    assert ended.stdout.startswith("SEALED: ")
+    assert "The numbers were not compared with the recordings" in ended.stdout.splitlines()[0]
+    assert "by the bench's own clock" in ended.stdout.splitlines()[1]
+    assert "SIMULATED" in ended.stdout
 
 
 def test_the_command_lists_every_fault_and_ends_with_1(forger, bench_home):
     edit("results.json", '"operator": "Ada"', '"operator": "Eve"')(forger)
     forger.seal()
-    said = told_by_command(forger.folder, bench_home)
-    assert said.return_value == 1
-    assert said.stderr.startswith("NOT VERIFIED:")
-    assert "results.json: run.operator is" not in said.stderr  # the journal's hash comes first
-    assert "results.json: by the journal, it is another file than the one that was written" in said.stderr
+    ended = told_by_command(forger.folder, bench_home)
+    assert ended.return_value == 1
+    assert ended.stderr.startswith("NOT VERIFIED:")
+    assert "results.json: run.operator is" not in ended.stderr  # the journal's hash comes first
+    assert "results.json: by the journal, it is another file than the one that was written" in ended.stderr
 
 
 def test_the_command_ends_with_4_if_a_part_was_not_compared(forger, bench_home, tmp_path):
@@ -46,34 +46,34 @@ def test_the_command_ends_with_4_if_a_part_was_not_compared(forger, bench_home, 
     forger.replace("report.html", "Calibration report", "Report of a calibration")
     forger.tell_of_files()
     forger.seal()
-    said = told_by_command(forger.folder, bench_home, "--json", "--again")
-    assert said.return_value == 1  # the ledger of the bench holds the hash of the first seal
-    assert {fault["kind"] for fault in json.loads(said.stdout)["faults"]} == {"ledger"}
+    ended = told_by_command(forger.folder, bench_home, "--json", "--again")
+    assert ended.return_value == 1  # the ledger of the bench holds the hash of the first seal
+    assert {fault["kind"] for fault in json.loads(ended.stdout)["faults"]} == {"ledger"}
     elsewhere = (tmp_path / "elsewhere", "--allowed-signers", str(bench_home / "allowed_signers"))
-    said = told_by_command(forger.folder, *elsewhere, "--json")
-    assert said.return_value == 0  # nothing was to be compared
-    assert json.loads(said.stdout)["again"] is False
-    said = told_by_command(forger.folder, *elsewhere, "--json", "--again")
-    assert said.return_value == 4, said.output
-    found = json.loads(said.stdout)
-    assert (found["ok"], found["complete"]) == (True, False)
-    assert found["not_compared"][0].startswith("report.html with results.json: it was made with report form")
-    said = told_by_command(forger.folder, *elsewhere, "--again")
-    assert "NOT COMPARED. Only the seal protects these parts" in said.stdout
+    ended = told_by_command(forger.folder, *elsewhere, "--json")
+    assert ended.return_value == 0  # nothing was to be compared
+    assert json.loads(ended.stdout)["again"] is False
+    ended = told_by_command(forger.folder, *elsewhere, "--json", "--again")
+    assert ended.return_value == 4, ended.output
+    answer = json.loads(ended.stdout)
+    assert (answer["ok"], answer["complete"]) == (True, False)
+    assert answer["not_compared"][0].startswith("report.html with results.json: it was made with report form")
+    ended = told_by_command(forger.folder, *elsewhere, "--again")
+    assert "NOT COMPARED. Only the seal protects these parts" in ended.stdout
 
 
 def test_another_bench_has_no_ledger_for_the_run_and_that_is_no_fault(run_once, bench_home, tmp_path):
     create_key(tmp_path / "elsewhere", principal="other@lab.example")
     signers = str(bench_home / "allowed_signers")
-    said = told_by_command(run_once, tmp_path / "elsewhere", "--allowed-signers", signers)
-    assert said.return_value == 0, said.output
-    assert "no ledger confirms its number" in said.stdout
+    ended = told_by_command(run_once, tmp_path / "elsewhere", "--allowed-signers", signers)
+    assert ended.return_value == 0, ended.output
+    assert "no ledger confirms its number" in ended.stdout
 
 
 def test_again_says_first_that_the_numbers_were_compared(run_once, bench_home):
-    said = told_by_command(run_once, bench_home, "--again")
-    assert said.return_value == 0, said.output
-    assert "The results were made again from the recordings and compared." in said.stdout.splitlines()[0]
+    ended = told_by_command(run_once, bench_home, "--again")
+    assert ended.return_value == 0, ended.output
+    assert "The results were made again from the recordings and compared." in ended.stdout.splitlines()[0]
 
 
 # ---------------------------------------------------------------- what happens to any archive
@@ -119,8 +119,8 @@ ARCHIVED = {
 @pytest.mark.parametrize("how", ARCHIVED)
 def test_what_happens_to_any_archive_leaves_it_valid(run_once, trusted, tmp_path, monkeypatch, how):
     monkeypatch.chdir(tmp_path)
-    found = checked(ARCHIVED[how](copied(run_once, tmp_path / "run")), trusted)
-    assert (found.faults, found.not_compared, found.complete) == ([], [], True)
+    verification = checked(ARCHIVED[how](copied(run_once, tmp_path / "run")), trusted)
+    assert (verification.faults, verification.not_compared, verification.complete) == ([], [], True)
 
 
 # ---------------------------------------------------------------- other versions of the program
@@ -139,18 +139,18 @@ def test_a_run_on_a_plugin_that_is_not_here_is_not_compared_and_no_fault(forger,
     (forger / "station.yaml").write_text(station)
     forger.tell_of_files()
     forger.seal()
-    found = checked(forger.folder, trusted)
-    assert found.faults == []
-    (what,) = found.not_compared
+    verification = checked(forger.folder, trusted)
+    assert verification.faults == []
+    (what,) = verification.not_compared
     assert "the station needs starbench-turntable 1.0, which this computer does not have" in what
 
 
 def test_a_plugin_that_the_station_does_not_use_is_found(forger, trusted):
     with_a_plugin(forger)
     forger.seal()
-    found = checked(forger.folder, trusted)
-    assert "journal.jsonl:1" in {fault.where for fault in found.faults}
-    assert "the stage turntable was driven by a plug-in: starbench-turntable 1.0" in found.remarks
+    verification = checked(forger.folder, trusted)
+    assert "journal.jsonl:1" in {fault.where for fault in verification.faults}
+    assert "the stage turntable was driven by a plug-in: starbench-turntable 1.0" in verification.remarks
 
 
 def test_another_program_that_writes_the_same_bytes_is_compared(forger, trusted, job):
@@ -158,9 +158,9 @@ def test_another_program_that_writes_the_same_bytes_is_compared(forger, trusted,
     forger.render(job)
     forger.tell_of_files()
     forger.seal()
-    found = checked(forger.folder, trusted)
-    assert found.complete
-    assert any("program 0000000000000000 (here " in remark for remark in found.remarks)
+    verification = checked(forger.folder, trusted)
+    assert verification.complete
+    assert any("program 0000000000000000 (here " in remark for remark in verification.remarks)
 
 
 def test_another_program_does_not_excuse_what_both_state(forger, trusted):

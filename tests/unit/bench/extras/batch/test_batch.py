@@ -115,13 +115,13 @@ def test_a_batch_that_was_cut_off_goes_on_and_does_nothing_twice(tmp_path):
 def test_a_batch_says_what_it_will_do_before_it_goes_on(tmp_path):
     jobs = queue(("a", ""), ("b", ""), ("c", ", times: 10"))
     cut_off(tmp_path, jobs, "finished")
-    said = []
-    batch, workers = night(tmp_path, jobs, say=lambda line: said.append((line, len(workers.begun))))
+    lines = []
+    batch, workers = night(tmp_path, jobs, say=lambda line: lines.append((line, len(workers.begun))))
     batch.run()
     fresh = ", ".join(f"c-00{n}" for n in range(1, 9))
     will_do = f"1 of 12 runs are done; to resume: b-001; to begin: {fresh} and 2 more."
-    assert said[0][1] == 0
-    assert said[0][0].endswith(f" continues: {will_do}")
+    assert lines[0][1] == 0
+    assert lines[0][0].endswith(f" continues: {will_do}")
 
 
 @pytest.mark.parametrize(
@@ -274,7 +274,7 @@ def miss_a_goal(run):
 
 
 def test_the_line_at_the_end_of_a_run_names_the_goal_that_it_missed(tmp_path):
-    clock, said = NightClock(), []
+    clock, lines = NightClock(), []
     workers = Workers(clock)
 
     def work(item, run, log):
@@ -282,9 +282,9 @@ def test_the_line_at_the_end_of_a_run_names_the_goal_that_it_missed(tmp_path):
         miss_a_goal(run)
         return end
 
-    Batch(tmp_path, queue(("a", "")), clock, said.append, work).run()
-    told = "The goal of a step was not met. U(fx) is 3 px; the goal is 2 px."
-    assert said == ["a-001: begun", f"a-001: finished: {told}"]
+    Batch(tmp_path, queue(("a", "")), clock, lines.append, work).run()
+    missed = "The goal of a step was not met. U(fx) is 3 px; the goal is 2 px."
+    assert lines == ["a-001: begun", f"a-001: finished: {missed}"]
 
 
 def test_summary_and_status_name_a_run_whose_goal_was_missed(tmp_path):
@@ -292,16 +292,16 @@ def test_summary_and_status_name_a_run_whose_goal_was_missed(tmp_path):
     batch.run()
     miss_a_goal(tmp_path / "runs" / "a-001")
     summary = write_summary(tmp_path, read_batch(tmp_path))
-    told = "The goal of a step was not met. U(fx) is 3 px; the goal is 2 px."
-    assert [item["goals_missed"] for item in summary["items"]] == [[told], []]
+    missed = "The goal of a step was not met. U(fx) is 3 px; the goal is 2 px."
+    assert [item["goals_missed"] for item in summary["items"]] == [[missed], []]
     _, first, below, second = list(summary_lines(summary))[:4]
-    assert ("a-001" in first, below.strip(), "b-001" in second) == (True, told, True)
-    assert f"<b>a-001:</b> {told}" in (tmp_path / "summary.html").read_text()
+    assert ("a-001" in first, below.strip(), "b-001" in second) == (True, missed, True)
+    assert f"<b>a-001:</b> {missed}" in (tmp_path / "summary.html").read_text()
     status = read_batch_status(tmp_path)
-    assert [run["goals_missed"] for run in status.to_dict()["done"]] == [(told,), ()]
+    assert [run["goals_missed"] for run in status.to_dict()["done"]] == [(missed,), ()]
     assert batch_status_text(status).splitlines()[1:] == [
         "2 runs with a result, 0 without",
-        f"  a-001: finished: {told}",
+        f"  a-001: finished: {missed}",
     ]
 
 

@@ -41,7 +41,7 @@ def station(folder, more=""):
     return str(path)
 
 
-def told(outbox):
+def delivered(outbox):
     return [(d.message.occasion, d.message.subject) for d in outbox.deliveries()]
 
 
@@ -51,7 +51,7 @@ def told(outbox):
 def test_what_a_worker_cannot_tell_itself_is_told_once(tmp_path, outbox, messages, how, count):
     for _ in range(2):
         messages.run_ended("cam-001", station(tmp_path), tmp_path / "run", WorkerEnd(how, "so"), "a" * 64)
-    assert told(outbox) == [("failure", f"Starbench: run cam-001 {how}: so")] * count
+    assert delivered(outbox) == [("failure", f"Starbench: run cam-001 {how}: so")] * count
 
 
 def test_what_a_failed_run_told_itself_is_not_told_again(tmp_path, outbox, messages):
@@ -66,7 +66,7 @@ def test_what_a_failed_run_told_itself_is_not_told_again(tmp_path, outbox, messa
         channels_of(load_station(words).value.messages),
     )
     messages.run_ended("cam-001", words, tmp_path / "run", WorkerEnd("failed", "so"), "a" * 64)
-    assert told(outbox) == [("failure", "by itself")]
+    assert delivered(outbox) == [("failure", "by itself")]
 
 
 def test_what_could_not_be_made_safe_is_in_the_message(tmp_path, outbox, messages):
@@ -194,11 +194,11 @@ def test_a_message_holds_the_place_of_the_newest_run_in_the_ledger(tmp_path, out
 def test_who_does_not_want_to_hear_of_failures_does_not(tmp_path, outbox, messages):
     words = station(tmp_path, ", occasions: [end]")
     messages.run_ended("cam-001", words, tmp_path / "run", WorkerEnd("died", "so"), "a" * 64)
-    assert told(outbox) == []
+    assert delivered(outbox) == []
 
 
 def test_a_station_file_that_is_gone_does_not_end_the_batch(tmp_path, outbox):
-    said = []
-    messages = BatchMessages(VirtualClock(NOW), said.append)
+    lines = []
+    messages = BatchMessages(VirtualClock(NOW), lines.append)
     messages.run_ended("cam-001", str(tmp_path / "gone.yaml"), tmp_path, WorkerEnd("died", "so"), "a" * 64)
-    assert "no message can be sent" in said[0]
+    assert "no message can be sent" in lines[0]

@@ -208,7 +208,7 @@ def test_a_request_that_cannot_be_judged_is_refused_and_ends_no_night(tmp_path, 
 
 def test_a_rehearsal_does_not_say_that_it_continues_before_it_is_refused(tmp_path):
     one_run(tmp_path, rehearsal=True).run()
-    said = []
+    lines = []
     with pytest.raises(RunFolderError, match="cannot continue in the same folder"):
-        one_run(tmp_path, say=said.append).run()
-    assert said == []
+        one_run(tmp_path, say=lines.append).run()
+    assert lines == []

@@ -89,9 +89,9 @@ def test_a_channel_that_hangs_is_given_up_and_holds_up_no_other(outbox, monkeypa
     over.set()
     assert receiver.taken == [("k1", "up"), ("k2", "up")]
     assert tried == ["k1"]  # the next one waits for the next round
-    found = {(d.message.key, d.channel): d for d in outbox.deliveries()}
-    assert found["k1", "hangs"].perhaps_twice
-    assert "not complete within 0.3 s" in found["k1", "hangs"].last_error
+    deliveries = {(d.message.key, d.channel): d for d in outbox.deliveries()}
+    assert deliveries["k1", "hangs"].perhaps_twice
+    assert "not complete within 0.3 s" in deliveries["k1", "hangs"].last_error
 
 
 def test_a_process_killed_while_sending_loses_nothing(outbox):
@@ -188,8 +188,8 @@ def courier_to(home, *servers, say=print):
 
 
 def test_a_working_webhook_gets_its_messages_while_another_one_hangs(tmp_path, servers):
-    said = []
-    courier = courier_to(tmp_path, "hangs", "works", say=said.append)
+    lines = []
+    courier = courier_to(tmp_path, "hangs", "works", say=lines.append)
     for key in ("first", "second"):
         courier.write("end", "s", "t", run="r", folder=Path("/r"), key=key, place=(7, "b" * 64))
         wait_until(lambda key=key: key in servers.get("works", []), 10)
@@ -197,7 +197,7 @@ def test_a_working_webhook_gets_its_messages_while_another_one_hangs(tmp_path, s
     courier.close(0.2)
     assert time.monotonic() - begun < 2
     assert servers == {"works": ["first", "second"]}
-    assert said == ["Messages not delivered yet: 2. See `starbench messages`."]
+    assert lines == ["Messages not delivered yet: 2. See `starbench messages`."]
     assert Outbox(tmp_path).deliveries()[0].message.text == f"t\nLedger: run 7 of this bench, line {'b' * 64}"
 
 

@@ -61,9 +61,9 @@ def test_a_time_of_day_is_its_next_occurrence_on_the_clocks_of_its_zone(after, a
 )
 def test_the_next_occurrence_lies_within_a_day_and_shows_that_time(after, hour, minute, zone):
     after = EVENING - timedelta(days=365) + timedelta(minutes=after)
-    found = next_time(f"{hour:02d}:{minute:02d}", after, zone)
-    assert timedelta(0) < found - after <= timedelta(hours=26)
-    shown = found.astimezone(ZoneInfo(zone))
+    next_begin = next_time(f"{hour:02d}:{minute:02d}", after, zone)
+    assert timedelta(0) < next_begin - after <= timedelta(hours=26)
+    shown = next_begin.astimezone(ZoneInfo(zone))
     usual = (shown.hour, shown.minute) == (hour, minute)
     assert usual or shown.utcoffset() != (shown - timedelta(hours=2)).utcoffset()  # put forward over it
 
@@ -115,7 +115,7 @@ jobs_drawn = st.lists(
     ),
     min_size=1,
     max_size=5,
-    unique_by=lambda one: one.name,
+    unique_by=lambda drawn: drawn.name,
 )
 
 
@@ -132,13 +132,13 @@ def test_the_look_ahead_is_what_a_batch_does_that_takes_as_long_as_expected(
     bounds = Bounds(opens_s=opens_s, done_by_s=done_by_s)
     items = items_of(jobs, EVENING, opens_s)
     undone, at_s, begun = list(items), 0.0, []
-    while (found := choose_next(undone, at_s, bounds, lambda _: expected_duration_s)) is not None:
-        if isinstance(found, Item):
-            begun.append((found.key, at_s))
-            undone.remove(found)
+    while (choice := choose_next(undone, at_s, bounds, lambda _: expected_duration_s)) is not None:
+        if isinstance(choice, Item):
+            begun.append((choice.key, at_s))
+            undone.remove(choice)
             at_s += expected_duration_s
         else:
-            at_s += min(found, 97.0)
+            at_s += min(choice, 97.0)
     slots = look_ahead(items, 0.0, bounds, lambda _: expected_duration_s)
     assert [slot.item.key for slot in slots if slot.begin_s is not None] == [key for key, _ in begun]
     assert [slot.begin_s for slot in slots if slot.begin_s is not None] == pytest.approx(
@@ -202,5 +202,5 @@ def test_the_forecast_has_this_pace_and_says_why_from_twice_on(factor, runs, sta
     assert slot.end_s - slot.begin_s == pytest.approx(factor * planned_duration_s(job))
     place = f"On station {station}" if station else "On this computer"
     last = "the last run" if runs == 1 else "the last 7 runs"
-    told = [text.startswith(f"{place}, {last} took 2.5 times") for text in night.slow]
-    assert told == ([True] if factor > 2 else [])
+    is_told = [text.startswith(f"{place}, {last} took 2.5 times") for text in night.slow]
+    assert is_told == ([True] if factor > 2 else [])

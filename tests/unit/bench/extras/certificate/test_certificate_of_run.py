@@ -26,8 +26,8 @@ def test_deviations_of_the_run_enter_by_themselves(lab):
     results["run"]["resumed"] = 2
     results["gates"][0] |= {"verdict": "fail"}
     lab.run = write_sealed_run(lab.path / "run2", lab.home, results=results)
-    found = [(one.text, one.source) for one in lab.issue().certificate.deviations]
-    assert found == [
+    deviations = [(deviation.text, deviation.source) for deviation in lab.issue().certificate.deviations]
+    assert deviations == [
         ("Pose 2 (right) was skipped by ada.", "run"),
         ("The run was resumed 2 times.", "run"),
         ("Limit not met: pose 1: stars is 200, limit >= 40.", "run"),
@@ -70,7 +70,11 @@ def test_a_pass_over_a_sealed_fail_with_a_reason_says_so_itself(failed):
         " reason:"
     )
     assert made.statement("limits_reason") == "the customer waived the drawing"
-    assert [(one.lower, one.upper, one.verdict) for one in made.conformity if one.symbol == "fx"] == [
+    assert [
+        (statement.lower, statement.upper, statement.verdict)
+        for statement in made.conformity
+        if statement.symbol == "fx"
+    ] == [
         (3300.0, 3400.0, "pass"),
         (None, 3300.0, "fail"),
     ]
@@ -99,7 +103,8 @@ def test_the_verifier_asks_for_the_statement_and_for_a_date_after_the_run(failed
         return " ".join(map(str, check_certificate(issued.folder).faults))
 
     silent = dataclasses.replace(
-        whole, statements=tuple(one for one in whole.statements if one.id != "limits_reason")
+        whole,
+        statements=tuple(statement for statement in whole.statements if statement.id != "limits_reason"),
     )
     assert "pass over a FAIL of the run" in faults(silent)
     early = dataclasses.replace(whole, issued_utc="2025-11-21T08:30:00Z")
@@ -128,8 +133,8 @@ def test_sequence_and_station_are_bound_by_hash_and_compared_with_the_run(lab):
     (issued.folder / "certificate.json").chmod(0o644)
     changed = dataclasses.replace(issued.certificate, run=run)
     (issued.folder / "certificate.json").write_bytes(changed.to_json())
-    found = check_certificate(issued.folder, lab.ledger)
-    assert "names another sequence.yaml" in " ".join(map(str, found.faults))
+    verification = check_certificate(issued.folder, lab.ledger)
+    assert "names another sequence.yaml" in " ".join(map(str, verification.faults))
 
 
 # ---------------------------------------------------------------- a home that was restored
@@ -167,7 +172,7 @@ def test_of_two_numbers_with_one_count_the_part_of_the_ledgers_head_differs(lab)
     first = restored(lab, lambda: lab.issue("certificates/first")).certificate
     lab.now += timedelta(hours=1)
     again = lab.issue("elsewhere/first").certificate
-    assert [re.sub("[0-9a-f]{4}$", "head", one.number) for one in (first, again)] == [
+    assert [re.sub("[0-9a-f]{4}$", "head", certificate.number) for certificate in (first, again)] == [
         "SIMULATED-SB-2026-00001-head"
     ] * 2
     assert first.number != again.number

@@ -45,7 +45,9 @@ def test_the_table_of_the_documentation_has_the_clauses_and_fields_of_a_certific
     rows = [
         line.split(" | ") for line in PAGE.read_text(encoding="utf-8").splitlines() if line.startswith("| 7.")
     ]
-    assert {(one.number, one.item) for one in CLAUSES} < {(row[0].removeprefix("| "), row[1]) for row in rows}
+    assert {(clause.number, clause.item) for clause in CLAUSES} < {
+        (row[0].removeprefix("| "), row[1]) for row in rows
+    }
     known = set(Certificate.__dataclass_fields__)
     for row in rows:
         for field in row[2].split(", "):
@@ -69,9 +71,9 @@ def test_the_documentation_names_every_key_of_lab_yaml():
 
 
 def test_the_example_has_every_section_and_names_every_placeholder():
-    with pytest.raises(DocumentFaults) as found:
+    with pytest.raises(DocumentFaults) as refused:
         read_lab(EXAMPLE)
-    lines = [str(fault) for fault in found.value.faults]
+    lines = [str(fault) for fault in refused.value.faults]
     assert len(lines) == EXAMPLE.read_text(encoding="utf-8").split("laboratory:", 1)[1].count("REPLACE")
     assert all("REPLACE" in line or "replace this placeholder" in line for line in lines)
 
@@ -130,9 +132,9 @@ def test_the_schema_of_lab_yaml_takes_what_the_reader_takes():
 )
 def test_a_fault_of_lab_yaml_is_named_with_its_place(old, new, named):
     assert old in LAB
-    with pytest.raises(DocumentFaults) as found:
+    with pytest.raises(DocumentFaults) as refused:
         sample_lab(LAB.replace(old, new))
-    lines = [str(fault) for fault in found.value.faults]
+    lines = [str(fault) for fault in refused.value.faults]
     assert any(named in line and line.startswith("lab.yaml:") for line in lines), lines
 
 

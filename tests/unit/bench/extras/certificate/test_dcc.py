@@ -28,7 +28,7 @@ def dcc_of(certificate):
 
 
 def texts(root, path):
-    return [one.text for one in root.xpath(path, namespaces=NAMESPACES)]
+    return [element.text for element in root.xpath(path, namespaces=NAMESPACES)]
 
 
 @pytest.mark.parametrize("dcc", [certificate_sample.full_dcc, certificate_sample.small_dcc])
@@ -76,17 +76,19 @@ def test_every_number_of_the_certificate_is_in_the_dcc():
 
 def test_every_text_of_the_certificate_is_in_the_dcc():
     certificate = certificate_sample.full_certificate()
-    said = " ".join(" ".join(etree.fromstring(render_dcc(certificate)).itertext()).split())
+    in_dcc = " ".join(" ".join(etree.fromstring(render_dcc(certificate)).itertext()).split())
     not_said = {certificate.format, certificate.series}
-    not_said |= {one.id for one in certificate.further} | {one.id for one in certificate.statements}
-    not_said |= {one.text for one in certificate.further}  # the numbers behind them are stated
+    not_said |= {entry.id for entry in certificate.further} | {
+        statement.id for statement in certificate.statements
+    }
+    not_said |= {entry.text for entry in certificate.further}  # the numbers behind them are stated
     not_said |= {certificate.run.sequence, certificate.run.station}
     units = {"px", "mm", "1", "%", "°C", "Hz", "arcsec", "lx", "Mev/s", "px/mm", "1/mm", "", "starbench"}
     for _, text in leaves(json.loads(certificate.to_json())):
         if not isinstance(text, str) or text in not_said or text in units or "/ (" in text:
             continue
         dated = re.fullmatch(r"\d{4}-\d\d-\d\dT.*Z", text)
-        assert " ".join(text.split()) in said or (dated and text[:10] in said), text
+        assert " ".join(text.split()) in in_dcc or (dated and text[:10] in in_dcc), text
 
 
 def test_text_of_a_customer_stays_text():
@@ -120,7 +122,7 @@ def test_the_ellipsoid_of_a_posterior_is_as_much_wider_than_a_normal_one_as_its_
     k, distribution
 ):
     full = certificate_sample.full_certificate()
-    first, *others = (dataclasses.replace(one, nu_eff=None, k=2.0) for one in full.results)
+    first, *others = (dataclasses.replace(result, nu_eff=None, k=2.0) for result in full.results)
     root = dcc_of(dataclasses.replace(full, results=(dataclasses.replace(first, k=k), *others)))
     region = "//si:ellipsoidalRegionXMLList/si:"
     assert texts(root, f"{region}distribution") == [distribution]
@@ -152,15 +154,15 @@ def test_numbers_are_finite_and_coverage_factors_have_no_exponent():
     for value in (float("nan"), float("inf"), -float("inf")):
         with pytest.raises(ValueError, match="is not a number"):
             number_text(value)
-    assert [plain_number(one, 4) for one in (2, 2.22151, 100.0, 0.00012)] == ["2", "2.2215", "100", "0.0001"]
+    assert [plain_number(k, 4) for k in (2, 2.22151, 100.0, 0.00012)] == ["2", "2.2215", "100", "0.0001"]
 
 
 def test_the_run_is_named_for_programs():
     run = certificate_sample.full_certificate().run
-    told = dcc_of(certificate_sample.full_certificate()).find("dcc:comment/starbench:run", NAMESPACES)
-    said = {one.tag.rpartition("}")[2]: one.text for one in told}
+    comment = dcc_of(certificate_sample.full_certificate()).find("dcc:comment/starbench:run", NAMESPACES)
+    facts = {element.tag.rpartition("}")[2]: element.text for element in comment}
     wanted = {"sealSHA256": run.seal_sha256, "resultsSHA256": run.results_sha256, "ledgerNumber": "1"}
-    assert {name: said[name] for name in wanted} == wanted
+    assert {name: facts[name] for name in wanted} == wanted
 
 
 def test_what_wrote_the_certificate_is_told_apart_from_what_measured():

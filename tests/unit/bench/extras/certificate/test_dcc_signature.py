@@ -37,8 +37,8 @@ def test_signed_twice_gives_the_same_bytes(kind):
     signed = sign_dcc(certificate_sample.full_dcc(), key, [certificate], signed_utc=WHEN)
     assert signed == sign_dcc(certificate_sample.full_dcc(), key, [certificate], signed_utc=WHEN)
     assert without_signature(signed) == certificate_sample.full_dcc()
-    found = verify_signature(signed, "dcc.xml")
-    assert (found.signer, found.stated_utc) == (f"CN=Lab seal {kind},O=Lab", WHEN)
+    signature = verify_signature(signed, "dcc.xml")
+    assert (signature.signer, signature.stated_utc) == (f"CN=Lab seal {kind},O=Lab", WHEN)
     assert check_dcc(signed) == []
 
 
@@ -79,7 +79,7 @@ def wrap_original(root):
 
 
 def add_comment(root):
-    value = next(one for one in root.iter("{https://ptb.de/si}value") if one.text == "3346.0")
+    value = next(element for element in root.iter("{https://ptb.de/si}value") if element.text == "3346.0")
     value.text = "33"
     hidden = etree.Comment("")
     hidden.tail = "46.0"
@@ -141,16 +141,16 @@ def test_without_its_signature_a_dcc_is_as_it_was_and_text_hidden_behind_it_is_n
 
 
 @pytest.mark.parametrize(
-    ("options", "when", "said"),
+    ("options", "when", "fault"),
     [
         ({}, lab_pki.signed_at(-1), "not at 2025-12-31"),
         ({}, lab_pki.signed_at(3 * 365), "is valid from 2026-01-01 to 2028-01-01"),
         ({"signs": False}, WHEN, "not meant for signatures"),
     ],
 )
-def test_unfit_certificates_sign_nothing(options, when, said):
+def test_unfit_certificates_sign_nothing(options, when, fault):
     key, certificate = lab_pki.seal(**options)
-    with pytest.raises(EvidenceError, match=said):
+    with pytest.raises(EvidenceError, match=fault):
         sign_dcc(certificate_sample.small_dcc(), key, [certificate], signed_utc=when)
 
 
@@ -212,9 +212,9 @@ UNFIT_KEYS = [
 ]
 
 
-@pytest.mark.parametrize(("content", "mode", "said"), UNFIT_KEYS)
-def test_unfit_keys_are_refused(tmp_path, content, mode, said):
-    with pytest.raises(EvidenceError, match=said) as caught:
+@pytest.mark.parametrize(("content", "mode", "fault"), UNFIT_KEYS)
+def test_unfit_keys_are_refused(tmp_path, content, mode, fault):
+    with pytest.raises(EvidenceError, match=fault) as caught:
         load_signing_key(write(tmp_path / "key.pem", content, mode))
     assert caught.value.where.endswith("key.pem")
 

@@ -45,8 +45,8 @@ def copied(real, tmp_path):
 
 
 def test_what_was_issued_is_derived_again_to_the_byte(real):
-    found = check_certificate(real.issued.folder, real.ledger)
-    assert (found.faults, found.not_compared) == ([], [])
+    verification = check_certificate(real.issued.folder, real.ledger)
+    assert (verification.faults, verification.not_compared) == ([], [])
     assert real.issued.certificate.run.seal_sha256 == sha256_of(real.run / "SHA256SUMS")
 
 
@@ -96,8 +96,8 @@ def test_a_statement_that_issuing_does_not_make_is_found(copied):
     old = "Before the issue the sealed run was verified: its seal"
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, "Calibrated again by an independent laboratory: its seal"))
-    said = [fault.what for fault in check_certificate(copied).faults]
-    assert said == ["it does not state what was verified before the issue as issuing does"]
+    faults = [fault.what for fault in check_certificate(copied).faults]
+    assert faults == ["it does not state what was verified before the issue as issuing does"]
 
 
 def by_another_program():
@@ -110,16 +110,16 @@ def test_documents_and_words_of_another_version_are_no_fault_but_named(copied):
     pdf, path = copied / "certificate.pdf", copied / "certificate.json"
     pdf.write_bytes(pdf.read_bytes().replace(b"\n%%EOF", b"\n%%EOG"))
     with by_another_program():
-        found = check_certificate(copied)
-    assert found.faults == []
+        verification = check_certificate(copied)
+    assert verification.faults == []
     named = r"certificate\.pdf: it was written with certificate form \w{16} \(here 0{16}\)"
-    assert re.fullmatch(named, found.not_compared[0])
+    assert re.fullmatch(named, verification.not_compared[0])
     path.write_bytes(path.read_bytes().replace(b"Nothing was adjusted", b"Nobody adjusted anything"))
     assert "does not follow" in str(check_certificate(copied).faults[0])
     with by_another_program():
-        found = check_certificate(copied)
-    assert found.faults == []
-    assert found.not_compared[0].startswith(
+        verification = check_certificate(copied)
+    assert verification.faults == []
+    assert verification.not_compared[0].startswith(
         "certificate.json, certificate.pdf and dcc.xml: they were written with"
     )
 
@@ -178,10 +178,10 @@ def test_a_run_that_could_not_be_compared_is_refused_unless_that_is_accepted_and
     assert "not compared, and protected by the seal alone: report." in text
 
 
-@pytest.mark.parametrize(("again", "said"), [(True, "are the same"), (False, "were not made again")])
-def test_a_certificate_states_whether_the_results_were_made_again(lab, again, said):
+@pytest.mark.parametrize(("again", "words"), [(True, "are the same"), (False, "were not made again")])
+def test_a_certificate_states_whether_the_results_were_made_again(lab, again, words):
     lab.says = {"again": again}
-    assert said in lab.issue().certificate.statement("verification")
+    assert words in lab.issue().certificate.statement("verification")
 
 
 @pytest.mark.parametrize(
@@ -384,13 +384,15 @@ def superseded(real, lab):
 
 def test_a_superseded_certificate_says_so(real, lab):
     folder, second = superseded(real, lab)
-    found = check_certificate(folder, lab.ledger)
-    said = f"SUPERSEDED: {second.certificate.number} replaces this certificate"
-    assert (found.faults, found.remarks) == ([], [said])
+    verification = check_certificate(folder, lab.ledger)
+    remark = f"SUPERSEDED: {second.certificate.number} replaces this certificate"
+    assert (verification.faults, verification.remarks) == ([], [remark])
     lab.ledger.path.write_bytes(b"")
     (lab.home / "ledger_high").unlink()
-    said = [fault.what for fault in check_certificate(folder, lab.ledger).faults]
-    assert any("this bench has sealed" in what and "its ledger does not contain it" in what for what in said)
+    faults = [fault.what for fault in check_certificate(folder, lab.ledger).faults]
+    assert any(
+        "this bench has sealed" in what and "its ledger does not contain it" in what for what in faults
+    )
 
 
 def cut(ledger, lines):
@@ -407,9 +409,9 @@ def test_a_replaced_certificate_is_not_valid_after_a_rollback_and_not_known_when
     assert "2 are missing" in fault.what
     assert "a lost line may have replaced this certificate" in fault.what
     lab.ledger.explain("The disk was restored from a copy.", "Ada")
-    found = check_certificate(folder, lab.ledger)
-    assert found.faults == []
-    assert "whether it was replaced or declared void" in found.not_compared[0]
+    verification = check_certificate(folder, lab.ledger)
+    assert verification.faults == []
+    assert "whether it was replaced or declared void" in verification.not_compared[0]
 
 
 def test_an_amendment_that_the_ledger_does_not_know_is_found(real, lab):
@@ -419,5 +421,5 @@ def test_an_amendment_that_the_ledger_does_not_know_is_found(real, lab):
     path = second.folder / "certificate.json"
     path.chmod(0o644)
     path.write_bytes(path.read_bytes().replace(real.issued.seal.encode(), b"0" * 64))
-    said = [fault.what for fault in check_certificate(second.folder, lab.ledger).faults]
-    assert f"the ledger does not say that it replaces {FIRST} with this seal" in said
+    faults = [fault.what for fault in check_certificate(second.folder, lab.ledger).faults]
+    assert f"the ledger does not say that it replaces {FIRST} with this seal" in faults

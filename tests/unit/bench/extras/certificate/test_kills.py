@@ -48,13 +48,13 @@ def killed_at(work, number):
             os._exit(code)
     os.close(writing)
     with os.fdopen(reading, "rb") as stream:
-        said = stream.read()
+        count_text = stream.read()
     _, status = os.waitpid(child, 0)
     if os.WIFSIGNALED(status):
         assert os.WTERMSIG(status) == signal.SIGKILL
         return -1
     assert os.WEXITSTATUS(status) == 0
-    return int(said)
+    return int(count_text)
 
 
 def kills_of(work, folder, backup):
@@ -91,7 +91,7 @@ def test_a_certificate_killed_anywhere_has_one_number(lab):
         whole = (lab.path / "certificate").exists()
         issued = lab.issue("again", **({"also": "whole"} if whole else {}))
         assert issued.certificate.number == FIRST or whole, kill
-        found = lab.numbers()
-        assert set(found.values()) == {"issued"}, (kill, found)
-        assert len(found) == 1 + whole
+        states = lab.numbers()
+        assert set(states.values()) == {"issued"}, (kill, states)
+        assert len(states) == 1 + whole
         assert [path.name for path in lab.path.iterdir() if path.name.endswith(".tmp")] == []

@@ -78,8 +78,8 @@ SYMBOLS = ["fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3"]
 def test_a_reader_can_calculate_every_uncertainty_from_the_rows(symbol):
     """By the formula of the GUM: u from the rows. k is that of the posterior, which has no degrees of freedom."""
     certificate = full_certificate()
-    result = next(one for one in certificate.results if one.symbol == symbol)
-    budget = next(one for one in certificate.budgets if one.symbol == symbol)
+    result = next(result for result in certificate.results if result.symbol == symbol)
+    budget = next(budget for budget in certificate.budgets if budget.symbol == symbol)
     stated = sample_results()["calibration"]
     assert math.sqrt(sum(row.u**2 for row in budget.rows)) == pytest.approx(result.u, rel=1e-6)
     assert {row.nu for row in budget.rows} == {None}
@@ -129,7 +129,7 @@ def test_rows_name_their_certificates():
 
 def test_of_a_coefficient_a_row_of_a_single_source_states_its_value_with_its_certificate():
     """The engine splits the variance of k1 by groups alone; certificates belong to single sources."""
-    k1 = next(one for one in full_certificate().budgets if one.symbol == "k1")
+    k1 = next(budget for budget in full_certificate().budgets if budget.symbol == "k1")
     rows = {row.name: row for row in k1.rows}
     passport = rows["passport of the collimator"]
     assert (passport.value, passport.number) == (0.1, "SIM-2026-01")
@@ -148,9 +148,9 @@ def changed(change):
 
 
 def changed_data(change):
-    found = json.loads(full_certificate().to_json())
-    change(found)
-    return json.dumps(found).encode()
+    content = json.loads(full_certificate().to_json())
+    change(content)
+    return json.dumps(content).encode()
 
 
 def test_rows_that_do_not_add_up_and_results_without_a_budget_are_refused():
@@ -164,7 +164,7 @@ def test_rows_that_do_not_add_up_and_results_without_a_budget_are_refused():
 def test_data_of_the_customer_mark_the_results_that_depend_on_them():
     text = LAB.replace('data sheet of the camera."}', 'data sheet of the camera.", results: [k1]}')
     certificate = compose(sample_results(), sample_lab(text).value, identity())
-    assert [one.symbol for one in certificate.results if one.customer_supplied] == ["k1"]
+    assert [result.symbol for result in certificate.results if result.customer_supplied] == ["k1"]
     assert "customer" in certificate.statement("customer_data")
     assert dataclasses.replace(certificate) == certificate
 
@@ -172,7 +172,7 @@ def test_data_of_the_customer_mark_the_results_that_depend_on_them():
 def run_with_limits(*limits):
     """The results of the sample, whose run states these limits, and a laboratory that states none."""
     results = json.loads(json.dumps(sample_results()))
-    rules = [ResultLimitConfig(**one) for one in limits]
+    rules = [ResultLimitConfig(**limit) for limit in limits]
     results["conformity"] = conformity(results["calibration"], {"sequence": rules}, [])
     head, _, rest = LAB.partition("decision_rules:\n")
     return results, sample_lab(
@@ -185,19 +185,23 @@ def test_the_limits_of_the_run_are_stated_where_the_laboratory_states_no_others(
         {"result": "fx", "upper": 3350.0}, {"result": "r", "lower": 9999.0}, {"result": "cx", "lower": 9999.0}
     )
     certificate = compose(results, lab, identity())
-    stated = {one["result"]: one["verdict"] for one in results["conformity"]["statements"]}
-    assert [(one.symbol, one.verdict) for one in certificate.conformity] == [
+    stated = {statement["result"]: statement["verdict"] for statement in results["conformity"]["statements"]}
+    assert [(statement.symbol, statement.verdict) for statement in certificate.conformity] == [
         ("fx", stated["fx"]), ("cx", "fail"),
     ]  # fmt: skip
     assert certificate.conformity[0].specification == "limits of the run's sequence"
-    assert [one.specification for one in compose(sample_results(), sample_lab().value, identity()).conformity] == [
+    assert [statement.specification for statement in compose(sample_results(), sample_lab().value, identity()).conformity] == [
         "Customer drawing 4711, focal length", "Customer drawing 4711",
     ]  # fmt: skip
 
 
 def test_limits_of_a_value_that_the_run_did_not_determine_are_not_left_out_in_silence():
     results, lab = run_with_limits({"result": "kb1", "upper": 1.0, "specification": "drawing 4711"})
-    texts = [one.text for one in compose(results, lab, identity()).deviations if one.source == "run"]
+    texts = [
+        deviation.text
+        for deviation in compose(results, lab, identity()).deviations
+        if deviation.source == "run"
+    ]
     assert "kb1: this calibration did not estimate it (limit: at most 1 by drawing 4711)." in texts
 
 
@@ -205,12 +209,12 @@ def test_limits_of_the_collimator_that_the_run_does_not_keep_are_deviations():
     results, lab = run_with_limits({"result": "r", "lower": 9999.0}, {"result": "r", "lower": 1.0})
     certificate = compose(results, lab, identity())
     assert certificate.conformity == ()
-    (text,) = [one.text for one in certificate.deviations if one.text.startswith("r ")]
+    (text,) = [deviation.text for deviation in certificate.deviations if deviation.text.startswith("r ")]
     assert "outside by more than U" in text
 
 
 def with_own_limits(results, lab, *limits):
-    rules = tuple(LabRuleConfig(**one) for one in limits)
+    rules = tuple(LabRuleConfig(**limit) for limit in limits)
     return results, lab.model_copy(update={"decision_rules": rules})
 
 
@@ -220,7 +224,7 @@ WIDE = {"result": "fx", "specification": "drawing 4711", "lower": 3300.0, "upper
 def test_limits_of_the_laboratory_stand_beside_those_of_the_run():
     results, lab = run_with_limits({"result": "fx", "upper": 3300.0, "specification": "drawing 4711"})
     certificate = compose(*with_own_limits(results, lab, WIDE), identity())
-    assert [(one.specification, one.verdict) for one in certificate.conformity] == [
+    assert [(statement.specification, statement.verdict) for statement in certificate.conformity] == [
         ("drawing 4711", "pass"),
         ("drawing 4711 (limits of the run's sequence)", "fail"),
     ]
@@ -230,7 +234,7 @@ def test_limits_that_the_laboratory_states_as_the_run_does_stand_there_once():
     results, lab = run_with_limits({"result": "fx", "lower": 3300.0, "upper": 3400.0})
     results, lab = with_own_limits(results, lab, WIDE)
     certificate = compose(results, lab, identity())
-    assert [one.specification for one in certificate.conformity] == ["drawing 4711"]
+    assert [statement.specification for statement in certificate.conformity] == ["drawing 4711"]
     assert passes_over_fail(results, lab, certificate.conformity) == []
 
 
@@ -292,7 +296,7 @@ def test_refuses_what_is_no_json_mapping(text):
 def test_refuses_numbers_that_are_not_finite():
     with pytest.raises(EvidenceError, match="NaN"):
         Certificate.from_json(changed_data(lambda c: c["results"][0].update(value=float("nan"))))
-    one = full_certificate()
-    broken = dataclasses.replace(one, results=(dataclasses.replace(one.results[0], value=float("inf")),))
+    full = full_certificate()
+    broken = dataclasses.replace(full, results=(dataclasses.replace(full.results[0], value=float("inf")),))
     with pytest.raises(ValueError, match="Out of range"):
         broken.to_json()

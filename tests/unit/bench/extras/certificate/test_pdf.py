@@ -80,7 +80,7 @@ class TestTheAnnexStandsBehind:
 
     def test_budgets_and_covariance_are_the_annex(self):
         sections = sections_of(full_certificate(), ATTACHED)
-        titles = {one["title"]: one["annex"] for one in sections}
+        titles = {section["title"]: section["annex"] for section in sections}
         assert [title for title, annex in titles.items() if annex][:2] == [
             "Uncertainty budgets",
             "Covariance and correlation of the results",
@@ -88,8 +88,8 @@ class TestTheAnnexStandsBehind:
 
     def test_the_variance_of_one_value_is_no_matrix(self):
         full = full_certificate()
-        one = changed(full, covariance=Covariance(("fx",), ("px",), ((1.0,),)))
-        assert "Covariance" not in " ".join(part["title"] for part in sections_of(one, ATTACHED))
+        single = changed(full, covariance=Covariance(("fx",), ("px",), ((1.0,),)))
+        assert "Covariance" not in " ".join(part["title"] for part in sections_of(single, ATTACHED))
 
 
 class TestEveryValueIsPrinted:
@@ -111,10 +111,12 @@ class TestEveryValueIsPrinted:
             tuple(1e-9 * (1 + min(i, j)) + 0.1234567 * (i == j) for j in range(19)) for i in range(19)
         )
         large = changed(full_certificate(), covariance=Covariance(names, ("1",) * 19, matrix))
-        (section,) = (one for one in sections_of(large, {}) if one["title"].startswith("Covariance"))
+        (section,) = (
+            section for section in sections_of(large, {}) if section["title"].startswith("Covariance")
+        )
         parts = [part for block in section["blocks"] for part in block.get("blocks", [])]
         tables = [part for part in parts if part["kind"] == "table"]
-        assert [len(one["head"]) for one in tables] == [8, 8, 6] * 2  # about as many columns in each
+        assert [len(table["head"]) for table in tables] == [8, 8, 6] * 2  # about as many columns in each
         shown = numbers_of("\n".join(texts_of(tables)))
         for row in matrix:
             for value in row:
@@ -125,8 +127,8 @@ class TestWhatAnAssessorLooksFor:
     def test_simulated_and_amended_stand_before_the_results_and_a_real_one_says_neither(self):
         opening = " ".join(texts_of(opening_of(full_certificate())))
         small = words(small_certificate())
-        for said in ("SIMULATED", "replaces certificate SIMULATED-SB-2026-00016"):
-            assert said in opening
+        for text in ("SIMULATED", "replaces certificate SIMULATED-SB-2026-00016"):
+            assert text in opening
         assert not re.search("SIMULATED|replaces", small)
         assert not re.search(r"\bdue\b|recalibrat|valid until", small, re.IGNORECASE)
 
@@ -147,15 +149,15 @@ class TestWhatAnAssessorLooksFor:
         assert value_of("content.end-mark(d)", data) == "END OF CERTIFICATE SB-2026-00018"
 
     def test_order_of_the_sections(self):
-        titles = [one["title"] for one in sections_of(full_certificate(), {})]
+        titles = [section["title"] for section in sections_of(full_certificate(), {})]
         assert titles[:2] == ["Results", "Statement of conformity"]
         assert titles.index("Metrological traceability") < titles.index("Uncertainty budgets")
         assert titles.index("Authorisation") < titles.index("How to verify this certificate")
 
     def test_the_rule_stands_once_if_it_is_the_same(self):
-        one = Conformity("fx", "Drawing", 3300.0, 3340.0, "px", 2.5, "Guard band w = U.", "fail")
-        two = changed(one, symbol="fy", verdict="conditionalFail")
-        text = words(changed(small_certificate(), conformity=(one, two)))
+        of_fx = Conformity("fx", "Drawing", 3300.0, 3340.0, "px", 2.5, "Guard band w = U.", "fail")
+        two = changed(of_fx, symbol="fy", verdict="conditionalFail")
+        text = words(changed(small_certificate(), conformity=(of_fx, two)))
         assert text.count("Guard band w = U.") == 1
         assert {"fail", "conditionalFail"} <= set(text.split("\n"))
 
@@ -191,9 +193,9 @@ class TestCharacters:
         data = render_pdf(customer_named("Ω Հ ქ א ع"), sample_results(), {})
         with pikepdf.open(io.BytesIO(data)) as read:
             fonts = [
-                one for one in read.objects if isinstance(one, pikepdf.Dictionary) and "/FontName" in one
+                item for item in read.objects if isinstance(item, pikepdf.Dictionary) and "/FontName" in item
             ]
-            names = {str(one.FontName).partition("+")[2].partition("-")[0] for one in fonts}
+            names = {str(font.FontName).partition("+")[2].partition("-")[0] for font in fonts}
         assert names == {"LibertinusSerif", "DejaVuSansMono"}
 
     @pytest.mark.parametrize(
@@ -204,7 +206,7 @@ class TestCharacters:
         with pytest.raises(UsageError) as caught:
             render_pdf(customer_named(text), {}, {}, NO_PLOTS)
         assert "customer.name" in str(caught.value)
-        assert all(f"U+{ord(one):04X}" in str(caught.value) for one in pdf.missing(text))
+        assert all(f"U+{ord(character):04X}" in str(caught.value) for character in pdf.missing(text))
 
     def test_all_fields_that_the_laboratory_states_are_named_at_once(self):
         stated = changed(customer_named("山"), opinions=("田",), deviations=(Deviation("山", "laboratory"),))
@@ -239,8 +241,8 @@ class TestPlots:
         plots = draw_plots(sample_results(), views)
         assert set(plots) == {"uncertainty", "coverage", "vectors", "regions", "distortion"}
         shown = pictures(full_certificate(), plots)
-        assert [one["name"] for one in shown] == [name for name in PLOTS if name in plots]
-        assert all("0.46 px" in one["alt"] and "boresight" not in one["alt"] for one in shown)
+        assert [plot["name"] for plot in shown] == [name for name in PLOTS if name in plots]
+        assert all("0.46 px" in plot["alt"] and "boresight" not in plot["alt"] for plot in shown)
         assert render_pdf(full_certificate(), {}, {}, plots)
 
     def test_without_a_covariance_there_are_none(self):

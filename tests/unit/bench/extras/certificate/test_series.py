@@ -64,7 +64,7 @@ def test_simulated_certificates_and_each_year_have_a_series_of_their_own(bench):
 
 def test_numbers_go_on_behind_those_that_only_a_second_place_knows(bench):
     bench.issue("a")
-    (series,) = {one.series for one in bench.numbers().values()}
+    (series,) = {certificate.series for certificate in bench.numbers().values()}
     known = [{"place": "a disk elsewhere", "head": "0" * 64, "runs": 0, "counts": {series: 7}}]
     bench.ledger.append(
         LEDGER_BROKEN, what=["lines are missing"], known=known, kept=None, reason="lost", by="ada"
@@ -158,7 +158,7 @@ def test_numbers_lost_with_lines_of_the_ledger_are_not_given_again(bench):
         bench.reserve("c")
     bench.ledger.explain("restored from the backup of yesterday", "Ada")
     assert bench.issue("c") == "SB-2026-00003"
-    assert [one.how for one in bench.numbers().values()] == ["issued", "lost", "issued"]
+    assert [certificate.how for certificate in bench.numbers().values()] == ["issued", "lost", "issued"]
 
 
 def test_two_processes_take_turns(bench):
@@ -231,10 +231,14 @@ class Laboratory(RuleBasedStateMachine):
 
     @invariant()
     def numbers_have_no_gap(self):
-        found = self.bench.numbers()
-        assert [one.count for one in found.values()] == list(range(1, len(found) + 1))
-        assert {one.number for one in found.values() if one.how != "reserved"} == set(self.given)
-        assert [one.number for one in open_numbers(found)] == ([self.left[0]] if self.left else [])
+        numbers = self.bench.numbers()
+        assert [certificate.count for certificate in numbers.values()] == list(range(1, len(numbers) + 1))
+        assert {
+            certificate.number for certificate in numbers.values() if certificate.how != "reserved"
+        } == set(self.given)
+        assert [certificate.number for certificate in open_numbers(numbers)] == (
+            [self.left[0]] if self.left else []
+        )
 
 
 def test_any_order_of_commands_and_kills_leaves_no_gap(tmp_path):

@@ -21,17 +21,17 @@ PLACE = RunPlace("bench@lab", "abc", "entered")
 
 
 def run(n, *, fx=3345.0, sigma=1.0, **facts):
-    told = {
+    defaults = {
         "folder": f"/runs/{n}", "id": f"run-{n}", "sequence": "Three", "station": "Bench 1", "camera": "1", "operator": None,
         "simulated": False, "rehearsal": False, "begun_utc": (BEGUN + timedelta(hours=n)).isoformat(), "how": "finished",
         "sealed": True, "accepted": 3, "recordings": 3, "deviations": 0, "temperature_c": 40.0, "model": "radial",
         "rms_px": 0.1, "parameters": {"fx": Estimate(fx, sigma, 2.2)}, "coverage_factor": 2.2,
     }  # fmt: skip
-    return IndexedRun(**{**told, **facts})
+    return IndexedRun(**{**defaults, **facts})
 
 
-def found(*runs, details=DETAILS, place=PLACE):
-    return [(one, details, place) for one in runs]
+def indexed(*runs, details=DETAILS, place=PLACE):
+    return [(run, details, place) for run in runs]
 
 
 def steady(count, rng, parameters=("fx",), shift=lambda n, name: 0.0, warm=True):
@@ -66,20 +66,20 @@ def chart_of(page, name="fx"):
     ],
 )
 def test_what_cannot_be_compared_is_never_in_one_chart(other, details, place):
-    grouped = group_runs([*found(run(0)), *found(other, details=details, place=place)])
+    grouped = group_runs([*indexed(run(0)), *indexed(other, details=details, place=place)])
     assert [len(group.runs) for group in grouped.groups] == [1, 1]
 
 
 def test_a_type_has_charts_of_its_own_if_it_has_several_cameras():
-    both = found(run(0), run(1, camera="2"), run(2, camera="2"))
+    both = indexed(run(0), run(1, camera="2"), run(2, camera="2"))
     levels = [(g.key.level, g.key.serial, len(g.runs)) for g in group_runs(both).groups]
     assert levels == [("type", "", 3), ("camera", "1", 1), ("camera", "2", 2)]
     assert [g.key.level for g in group_runs(both, "type").groups] == ["type"]
-    assert [g.key.level for g in group_runs(found(run(0)), "type").groups] == ["type"]
+    assert [g.key.level for g in group_runs(indexed(run(0)), "type").groups] == ["type"]
 
 
 def test_runs_in_no_chart_are_counted_and_named():
-    runs = found(
+    runs = indexed(
         run(0), run(1, parameters={}), run(2, fx=math.nan), run(3, sigma=0.0), run(4, sigma=math.inf),
         run(5, begun_utc=""), run(6, fx=math.inf),
     )  # fmt: skip
@@ -142,20 +142,20 @@ def test_runs_without_temperatures_have_no_picture_over_temperature():
 
 def test_a_camera_whose_runs_scatter_more_than_stated_is_told():
     group = steady(30, np.random.default_rng(8))
-    stated = [{"fx": one.parameters["fx"]._replace(sigma=0.2)} for one in group.runs]
-    group.runs = [replace(one, parameters=fx) for one, fx in zip(group.runs, stated, strict=True)]
+    stated = [{"fx": run.parameters["fx"]._replace(sigma=0.2)} for run in group.runs]
+    group.runs = [replace(run, parameters=fx) for run, fx in zip(group.runs, stated, strict=True)]
     assert "times as much as their stated uncertainties predict" in chart_of(find_charts([group]))["verdict"]
 
 
 def test_the_page_loads_nothing_and_no_text_becomes_markup():
     evil = "<script>alert(1)</script>"
     group = steady(10, np.random.default_rng(9))
-    runs = [replace(one, run=evil) for one in group.runs]
+    runs = [replace(run, run=evil) for run in group.runs]
     group = ChartGroup(group.key._replace(serial=evil, station=evil), runs)
     html = render_charts(find_charts([group]), [evil], [evil])
-    found = Structure(html)
-    assert "script" not in found.tags
-    assert found.links == []
+    structure = Structure(html)
+    assert "script" not in structure.tags
+    assert structure.links == []
     assert "@import" not in html
 
 
@@ -172,8 +172,8 @@ def test_simulated_runs_are_marked_and_mixed_pages_say_so():
 
 def test_a_page_of_many_runs_and_charts_stays_small():
     rng = np.random.default_rng(11)
-    one = render_charts(find_charts([steady(3000, rng)]))
-    assert len(one) < 600_000
+    html = render_charts(find_charts([steady(3000, rng)]))
+    assert len(html) < 600_000
     many = [steady(6, rng, [f"p{n}" for n in range(10)]) for _ in range(MOST_DRAWN // 10 + 2)]
     page = render_charts(find_charts(many))
     assert page.count('<section class="chart">') == MOST_DRAWN

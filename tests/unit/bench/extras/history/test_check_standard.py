@@ -53,8 +53,8 @@ def test_a_standard_out_of_control_or_not_measured_in_time_is_a_problem(
     home, tmp_path, last, days_later, problem
 ):
     now = measured(home, tmp_path, last) + timedelta(days=days_later)
-    said = standard_problem(station(), home, now)
-    assert said == (f"The check standard, camera 00050001, {problem}" if problem else "")
+    message = standard_problem(station(), home, now)
+    assert message == (f"The check standard, camera 00050001, {problem}" if problem else "")
     assert standard_problem(station(""), home, now) == ""
 
 

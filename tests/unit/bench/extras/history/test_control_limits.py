@@ -53,8 +53,8 @@ def test_another_program_finds_the_same_limits():
         (chart["centre"], chart["lower"], chart["upper"]), abs=1e-3
     )
     averages = ewma(VISCOSITY, chart["centre"], chart["sigma"], weight=0.2, limit=3.0)
-    found, centre, lower, upper, _ = ewma_of().plot(data, 1)
-    assert found == pytest.approx(averages["values"])
+    plotted, centre, lower, upper, _ = ewma_of().plot(data, 1)
+    assert plotted == pytest.approx(averages["values"])
     assert lower == pytest.approx(averages["lower"], abs=1e-3)
     assert upper == pytest.approx(averages["upper"], abs=1e-3)
 
@@ -76,18 +76,18 @@ def test_values_that_do_not_vary_are_in_control_and_a_change_is_not():
 def run_lengths(shift, rng, charts=4000, most=6000):
     """Number of runs until a value is beyond three sigma, and until the average is beyond its limits."""
     alive, average = np.ones((2, charts), bool), np.zeros(charts)
-    found = np.full((2, charts), float(most))
+    lengths = np.full((2, charts), float(most))
     for number in range(1, most + 1):
         x = rng.standard_normal(charts) + shift
         average = EWMA_WEIGHT * x + (1 - EWMA_WEIGHT) * average
         half = EWMA_LIMIT * float(ewma_sigma(np.array([float(number)]), 1.0, EWMA_WEIGHT)[0])
         for place, beyond in enumerate((np.abs(x) > E2 * D2, np.abs(average) > half)):
             now = alive[place] & beyond
-            found[place, now] = number
+            lengths[place, now] = number
             alive[place] &= ~beyond
         if not alive.any():
             break
-    return found.mean(axis=1)
+    return lengths.mean(axis=1)
 
 
 def test_a_parameter_in_control_leaves_its_limits_once_in_370_runs():
@@ -131,11 +131,11 @@ def test_another_program_finds_the_same_slope_and_uncertainty():
     rng = np.random.default_rng(1)
     days, u = np.arange(30.0), rng.uniform(1.5, 4.5, 30)
     y = 3345.0 + 0.2 * days + rng.normal(0, 0.5 * u)  # scatters less than stated: tau is 0
-    found = find_drift(days, NO_WARMTH[:30], y, u)
+    drift = find_drift(days, NO_WARMTH[:30], y, u)
     fit = api.WLS(y, api.add_constant(days), weights=1 / u**2).fit()
-    assert found.between_runs == 0.0
-    assert (found.per_day["value"], found.per_day["sigma"]) == pytest.approx((fit.params[1], fit.bse[1]))
-    assert found.per_day["p"] == pytest.approx(fit.pvalues[1])
+    assert drift.between_runs == 0.0
+    assert (drift.per_day["value"], drift.per_day["sigma"]) == pytest.approx((fit.params[1], fit.bse[1]))
+    assert drift.per_day["p"] == pytest.approx(fit.pvalues[1])
 
 
 def test_another_program_finds_the_same_scatter_between_runs():
@@ -145,37 +145,37 @@ def test_another_program_finds_the_same_scatter_between_runs():
     y = rng.normal(0, 3.0, 4)
     # With fewer than five runs there is no fit, so the mean alone is compared, with more runs and no slope.
     u, y = np.tile(u, 5), np.concatenate([y + n for n in rng.normal(0, 2.0, 5)])
-    found = find_drift([0.0] * 20, NO_WARMTH[:20], y, u)
+    drift = find_drift([0.0] * 20, NO_WARMTH[:20], y, u)
     combined = analysis.combine_effects(y, u**2, method_re="iterated")
-    assert found.between_runs**2 == pytest.approx(combined.tau2, rel=1e-4)
-    assert found.per_day is None
+    assert drift.between_runs**2 == pytest.approx(combined.tau2, rel=1e-4)
+    assert drift.per_day is None
 
 
 def test_both_slopes_are_found_together_and_told_apart():
     rng = np.random.default_rng(3)
     days, warm = np.arange(60.0), 40 + rng.normal(0, 1.0, 60)
     y = 3345 + 0.05 * days - 0.8 * warm + rng.normal(0, 0.5, 60)
-    found = find_drift(days, list(warm), y, np.full(60, 0.5))
-    assert found.joint
-    assert found.per_day["value"] == pytest.approx(0.05, abs=4 * found.per_day["sigma"])
-    assert found.per_c["value"] == pytest.approx(-0.8, abs=4 * found.per_c["sigma"])
-    assert max(found.per_day["p"], found.per_c["p"]) < 1e-6
+    drift = find_drift(days, list(warm), y, np.full(60, 0.5))
+    assert drift.joint
+    assert drift.per_day["value"] == pytest.approx(0.05, abs=4 * drift.per_day["sigma"])
+    assert drift.per_c["value"] == pytest.approx(-0.8, abs=4 * drift.per_c["sigma"])
+    assert max(drift.per_day["p"], drift.per_c["p"]) < 1e-6
 
 
 def test_a_warm_up_is_not_separated_from_time():
     days = np.arange(20.0)
-    found = find_drift(days, list(40 + 0.1 * days), 3345 + 0.3 * days, np.ones(20))
-    assert not found.separable
-    assert not found.joint
-    assert found.per_day["p"] < 0.001
-    assert found.per_c["p"] < 0.001
+    drift = find_drift(days, list(40 + 0.1 * days), 3345 + 0.3 * days, np.ones(20))
+    assert not drift.separable
+    assert not drift.joint
+    assert drift.per_day["p"] < 0.001
+    assert drift.per_c["p"] < 0.001
 
 
 def test_runs_without_a_temperature_are_left_out_of_that_test_only():
     rng = np.random.default_rng(4)
     warm = [None if n % 3 == 0 else 40 + float(rng.normal()) for n in range(30)]
-    found = find_drift(np.arange(30.0), warm, rng.normal(0, 1, 30), np.ones(30))
-    assert (found.per_day["runs"], found.per_c["runs"], found.joint) == (30, 20, False)
+    drift = find_drift(np.arange(30.0), warm, rng.normal(0, 1, 30), np.ones(30))
+    assert (drift.per_day["runs"], drift.per_c["runs"], drift.joint) == (30, 20, False)
 
 
 @pytest.mark.parametrize(
@@ -183,8 +183,8 @@ def test_runs_without_a_temperature_are_left_out_of_that_test_only():
     [([0.0, 1, 2, 3], [None] * 4), ([1.0] * 9, [40.0] * 9), ([1.0] * 9, [40.0, 40.1] * 4 + [40.0])],
 )
 def test_without_runs_or_without_change_there_is_no_slope(days, warm):
-    found = find_drift(days, warm, [3345.0] * len(days), [1.0] * len(days))
-    assert (found.per_day, found.per_c) == (None, None)
+    drift = find_drift(days, warm, [3345.0] * len(days), [1.0] * len(days))
+    assert (drift.per_day, drift.per_c) == (None, None)
 
 
 def test_values_on_a_line_and_values_without_any_scatter():

@@ -59,62 +59,62 @@ def test_the_table_of_aiag_to_its_printed_digits():
     for name, (degrees, squares, mean, ratio) in printed.items():
         term = table[name]
         decimals = len(ratio.partition(".")[2])
-        found = f"{term.sum_of_squares:.4f}", f"{term.mean_square:.5f}", f"{term.f:.{decimals}f}"
-        assert (term.degrees_of_freedom, *found) == (degrees, squares, mean, ratio)
+        cells = f"{term.sum_of_squares:.4f}", f"{term.mean_square:.5f}", f"{term.f:.{decimals}f}"
+        assert (term.degrees_of_freedom, *cells) == (degrees, squares, mean, ratio)
     equipment = table["repeatability"]
     assert equipment.degrees_of_freedom == 60
     assert (f"{equipment.sum_of_squares:.4f}", f"{equipment.mean_square:.5f}") == ("2.7589", "0.04598")
 
 
 def test_the_components_of_aiag_to_their_printed_digits():
-    found = of_aiag()
-    assert found.pooled == ("camera x operator",)
-    sigmas = found.repeatability, found.reproducibility, found.components["camera"], found.gauge
-    assert [f"{one:.6f}" for one in sigmas[:3]] == ["0.199933", "0.226838", "1.042327"]
-    assert found.gauge == pytest.approx(0.302373, abs=2e-6)  # the root of its own parts is 0.302372
-    assert f"{found.total:.3f}" == "1.085"
-    assert [f"{100 * one / found.total:.1f}" for one in sigmas] == ["18.4", "20.9", "96.0", "27.9"]
-    assert found.categories == 4
-    assert found.verdict == "conditional"
+    aiag = of_aiag()
+    assert aiag.pooled == ("camera x operator",)
+    sigmas = aiag.repeatability, aiag.reproducibility, aiag.components["camera"], aiag.gauge
+    assert [f"{sigma:.6f}" for sigma in sigmas[:3]] == ["0.199933", "0.226838", "1.042327"]
+    assert aiag.gauge == pytest.approx(0.302373, abs=2e-6)  # the root of its own parts is 0.302372
+    assert f"{aiag.total:.3f}" == "1.085"
+    assert [f"{100 * sigma / aiag.total:.1f}" for sigma in sigmas] == ["18.4", "20.9", "96.0", "27.9"]
+    assert aiag.categories == 4
+    assert aiag.verdict == "conditional"
 
 
 def test_the_table_of_nist_to_its_printed_digits():
     machine, operator, both, error = of_nist().terms
-    assert [f"{one.sum_of_squares:.3g}" for one in (machine, operator, both, error)] == [
+    assert [f"{term.sum_of_squares:.3g}" for term in (machine, operator, both, error)] == [
         "0.000303",
         "3.92e-06",
         "1.47e-05",
         "0.000346",
     ]
-    assert [one.degrees_of_freedom for one in (machine, operator, both, error)] == [4, 1, 4, 40]
-    assert [f"{one.f:.2g}" for one in (machine, operator, both)] == ["8.8", "0.45", "0.42"]
+    assert [term.degrees_of_freedom for term in (machine, operator, both, error)] == [4, 1, 4, 40]
+    assert [f"{term.f:.2g}" for term in (machine, operator, both)] == ["8.8", "0.45", "0.42"]
 
 
 @pytest.mark.parametrize(
     ("lower", "upper", "cp", "cpk"), [(8, 20, 1.0, 0.6667), (8, None, None, 8 / 6), (None, 24, None, 8 / 6)]
 )
 def test_cp_and_cpk_are_those_of_nist_and_one_limit_has_no_cp(lower, upper, cp, cpk):
-    found = capability(lower, upper, 16, 2)
-    assert (found.cp, found.tolerance_percent is None) == (cp, cp is None)
-    assert found.cpk == pytest.approx(cpk, abs=5e-5)
+    able = capability(lower, upper, 16, 2)
+    assert (able.cp, able.tolerance_percent is None) == (cp, cp is None)
+    assert able.cpk == pytest.approx(cpk, abs=5e-5)
 
 
 def test_unequal_repeats_and_three_factors_give_the_scatter_that_was_put_in():
     rng = np.random.default_rng(3)
     true = {"camera": 5.0, "operator": 0.6, "bench": 0.8, "day": 0.4, "repeatability": 0.3}
-    found = []
+    variances = []
     for _ in range(40):
         shape = {"camera": 8, "operator": 4, "bench": 3, "day": 6}
         effects = {name: rng.normal(0, true[name], count) for name, count in shape.items()}
         levels = {name: rng.integers(0, count, 160) for name, count in shape.items()}
         y = sum(effects[name][levels[name]] for name in shape) + rng.normal(0, 0.3, 160)
-        named = {name: [str(one) for one in levels[name]] for name in shape}
+        named = {name: [str(level) for level in levels[name]] for name in shape}
         cameras = named.pop("camera")
-        one = study(y, cameras, named)
-        found.append({name: one.components.get(name, 0.0) ** 2 for name in true})
+        result = study(y, cameras, named)
+        variances.append({name: result.components.get(name, 0.0) ** 2 for name in true})
     for name, sigma in true.items():
-        squares = np.array([one[name] for one in found])
-        assert abs(squares.mean() - sigma**2) < 3.5 * squares.std() / np.sqrt(len(found)) + 0.01
+        squares = np.array([of_study[name] for of_study in variances])
+        assert abs(squares.mean() - sigma**2) < 3.5 * squares.std() / np.sqrt(len(variances)) + 0.01
 
 
 @pytest.mark.parametrize(

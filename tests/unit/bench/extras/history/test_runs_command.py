@@ -29,7 +29,7 @@ def bench(folder, count=8, **facts):
 
 def test_the_runs_of_two_benches_are_listed_and_exported(tmp_path, capsys, home):
     homes = [bench(tmp_path / "a", 2), bench(tmp_path / "b", 3)]
-    ledgers = [word for one in homes for word in ("--ledger", one)]
+    ledgers = [word for home in homes for word in ("--ledger", home)]
     status, (out, err) = ended(capsys, "runs", *ledgers)
     assert (status, len(out.splitlines()), err) == (0, 6, "")
     status, (out, _) = ended(capsys, *TABLE, *ledgers, "--output", "runs.csv", "--serial", "00050001")
@@ -117,8 +117,8 @@ def benches(folder, operators=("ada", "bob"), cameras=5, repeats=2, days=2, **fa
             fx = 3345.0 + true[camera] + at + rng.normal(0, 0.5)
             others = {n: VALUES[n] + rng.normal(0, 0.1) for n in ("fy", "cx", "cy", "k1", "k2")}
             begun = BEGIN + timedelta(days=repeat % days, minutes=minute)
-            told = {"serial": f"0005000{camera}", "operator": operator, "limits": LIMITS, **facts}
-            made.run(begun=begun, values={**VALUES, **others, "fx": fx}, **told)
+            facts_of_run = {"serial": f"0005000{camera}", "operator": operator, "limits": LIMITS, **facts}
+            made.run(begun=begun, values={**VALUES, **others, "fx": fx}, **facts_of_run)
         homes.append(made.close())
     return [word for home in homes for word in ("--ledger", home)]
 
@@ -133,7 +133,7 @@ def test_the_study_tells_the_share_of_the_bench_and_the_capability(tmp_path, cap
     assert lines[2].endswith("good")
     assert not any(line.startswith("r ") for line in lines)  # the collimator is no camera
     _, (out, _) = ended(capsys, *CAPABILITY, "--factors", "operator,bench,day", *ledgers, "--json")
-    fx = next(one for one in json.loads(out)["parameters"] if one["name"] == "fx")
+    fx = next(parameter for parameter in json.loads(out)["parameters"] if parameter["name"] == "fx")
     assert set(json.loads(out)["factors"]) == {"operator", "bench", "day"}
     assert fx["repeatability"] == pytest.approx(0.5, rel=0.4)
     assert fx["components"]["operator"] == pytest.approx(np.sqrt(0.5), rel=0.4)
@@ -141,7 +141,7 @@ def test_the_study_tells_the_share_of_the_bench_and_the_capability(tmp_path, cap
     assert fx["gauge_percent"] < 20
     assert fx["cp"] == pytest.approx(90 / 6 / fx["total"])
     assert fx["tolerance_percent"] == pytest.approx(100 * 6 * fx["gauge"] / 90)
-    cx = next(one for one in json.loads(out)["parameters"] if one["name"] == "cx")
+    cx = next(parameter for parameter in json.loads(out)["parameters"] if parameter["name"] == "cx")
     assert (cx["cp"], cx["tolerance_percent"]) == (None, None)
     assert cx["verdict"] == "not good"
 

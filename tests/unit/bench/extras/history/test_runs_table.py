@@ -88,16 +88,16 @@ def test_a_row_has_parameters_uncertainties_conditions_and_devices(rows):
 def test_pandas_reads_it(table, rows):
     pandas = pytest.importorskip("pandas")
     if table.suffix == ".csv":
-        found = pandas.read_csv(table, dtype={"camera_serial": str}, parse_dates=["begun_utc"])
+        frame = pandas.read_csv(table, dtype={"camera_serial": str}, parse_dates=["begun_utc"])
     else:
-        found = pandas.read_parquet(table)
-        assert found["warnings"].tolist()[0].tolist() == rows[0]["warnings"]
-    assert list(found.columns) == [column.name for column in COLUMNS]
-    assert found["fx_px"].tolist()[:4] == [3345.0, 3346.0, 3347.0, 3348.0]
-    assert math.isnan(found["fx_px"].tolist()[4])
-    assert found["simulated"].tolist() == [False] * 5
-    assert found["camera_serial"][0] == "00050001"
-    assert found["begun_utc"][0].to_pydatetime() == rows[0]["begun_utc"]
+        frame = pandas.read_parquet(table)
+        assert frame["warnings"].tolist()[0].tolist() == rows[0]["warnings"]
+    assert list(frame.columns) == [column.name for column in COLUMNS]
+    assert frame["fx_px"].tolist()[:4] == [3345.0, 3346.0, 3347.0, 3348.0]
+    assert math.isnan(frame["fx_px"].tolist()[4])
+    assert frame["simulated"].tolist() == [False] * 5
+    assert frame["camera_serial"][0] == "00050001"
+    assert frame["begun_utc"][0].to_pydatetime() == rows[0]["begun_utc"]
 
 
 def test_duckdb_reads_it(table):
@@ -129,7 +129,7 @@ def test_rows_are_written_in_blocks_and_a_failure_leaves_the_old_file(tmp_path, 
     with pytest.raises(Exception, match="full"):
         write_table(path, failing())
     assert path.read_bytes() == before
-    assert [one.name for one in tmp_path.iterdir()] == ["runs.parquet"]
+    assert [file.name for file in tmp_path.iterdir()] == ["runs.parquet"]
 
 
 def test_what_is_no_number_is_empty_and_named(tmp_path):

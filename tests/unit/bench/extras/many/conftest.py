@@ -9,7 +9,7 @@ import pytest
 @pytest.fixture
 def cluster(monkeypatch, tmp_path):
     distributed = pytest.importorskip("distributed")
-    path = os.pathsep.join(one for one in sys.path if one)
+    path = os.pathsep.join(folder for folder in sys.path if folder)
     monkeypatch.setenv("PYTHONPATH", path)
     made = distributed.LocalCluster(
         n_workers=2,

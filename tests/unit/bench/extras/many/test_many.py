@@ -74,7 +74,7 @@ def converted(recordings, folder, ended=lambda _one: None):
     ends = []
     with KeptRows(folder, "converted.jsonl") as kept:
         pairs = plan_targets(recordings, folder, "numpy")
-        convert_many(pairs, "numpy", Serial(), kept, lambda one: (ends.append(one), ended(one)))
+        convert_many(pairs, "numpy", Serial(), kept, lambda end: (ends.append(end), ended(end)))
     return ends
 
 
@@ -87,34 +87,34 @@ def test_an_interrupted_conversion_goes_on_and_replaces_nothing_of_others(record
         converted(recordings, out, interrupt)
     assert [path.name for path in sorted(out.iterdir())] == ["converted.jsonl", "p1.npz"]
     (out / ".part-p2.npz").write_text("half")
-    assert [(one.before, one.failure) for one in converted(recordings, out)] == [(True, None), (False, None)]
-    assert [one.before for one in converted(recordings, out)] == [True, True]
+    assert [(end.before, end.failure) for end in converted(recordings, out)] == [(True, None), (False, None)]
+    assert [end.before for end in converted(recordings, out)] == [True, True]
     assert not list(out.glob(".part*"))
     with np.load(out / "p2.npz") as arrays:
         assert len(arrays["t"]) == 4000
     monkeypatch.setattr("bench.extras.many.conversions.forms", lambda: {"program": "newer"})
     monkeypatch.setattr("bench.extras.many.conversions.require_program_of", lambda _program: None)
-    assert [one.before for one in converted(recordings, out)] == [False, False], "by another program, again"
+    assert [end.before for end in converted(recordings, out)] == [False, False], "by another program, again"
     before = (out / "p1.npz").read_bytes()
     recordings[0].write_bytes(recordings[1].read_bytes())
     (out / "p2.npz").write_bytes(b"changed")
     ends = converted(recordings, out)
-    assert ["not the conversion" in one.failure.what for one in ends] == [True, True]
+    assert ["not the conversion" in end.failure.what for end in ends] == [True, True]
     assert (out / "p1.npz").read_bytes() == before
 
 
 def test_the_command_converts_many_into_a_folder(recordings, tmp_path, monkeypatch):
     monkeypatch.setattr("bench.commands.convert.open_workers", lambda *_, **__: Serial())
     words = ["convert", *recordings, tmp_path / "out", "--as", "numpy"]
-    found = run(*words)
-    assert "2 of 2 files converted." in found.stdout
-    assert "4000 events, 2 triggers" in found.stdout
+    ended = run(*words)
+    assert "2 of 2 files converted." in ended.stdout
+    assert "4000 events, 2 triggers" in ended.stdout
     recordings[1].write_bytes(b"no events")
     shutil.rmtree(tmp_path / "out")
-    found = run(*words)
-    assert found.return_value == 1
-    assert "1 of 2 files converted; 1 FAILED." in found.stdout
-    assert "FAILED" in found.stderr
+    ended = run(*words)
+    assert ended.return_value == 1
+    assert "1 of 2 files converted; 1 FAILED." in ended.stdout
+    assert "FAILED" in ended.stderr
     assert "format of the new files" in str(run("convert", *recordings, tmp_path / "out2").exception)
     twice = [recordings[0], tmp_path / "p1.raw"]
     with pytest.raises(UsageError, match=r"would become p1\.npz"):
@@ -159,7 +159,7 @@ def test_the_command_checks_many_folders_and_names_each(sealed, home, tmp_path, 
     shutil.copytree(sealed, tmp_path / "other")
     (tmp_path / "other" / "results.json").write_text("{}")
     monkeypatch.setattr("bench.commands.verify.open_workers", lambda *_, **__: Serial())
-    found = run("verify", sealed, tmp_path / "other", "-o", tmp_path / "kept")
-    assert found.return_value == 1
-    assert "other: NOT VERIFIED." in found.stdout
-    assert "2 folders:" in found.stdout
+    ended = run("verify", sealed, tmp_path / "other", "-o", tmp_path / "kept")
+    assert ended.return_value == 1
+    assert "other: NOT VERIFIED." in ended.stdout
+    assert "2 folders:" in ended.stdout

@@ -103,7 +103,7 @@ def test_a_run_behind_a_url_gives_what_it_gives_on_a_disk(remote, run, monkeypat
     )
     assert {**far.row, "results_sha256": 0} == {**near.row, "results_sha256": 0}
     assert far.files["views.h5"] == near.files["views.h5"]
-    results = [json.loads(one.files["results.json"]) for one in (far, near)]
+    results = [json.loads(run.files["results.json"]) for run in (far, near)]
     assert results[0]["sources"][0]["path"] == f"{url}/run2/{list_recordings(here, TASK).captures[0]}"
     assert results[0]["run"]["of_runs"][0]["folder"] == f"{url}/run2"
     assert results[0]["calibration"] == results[1]["calibration"]

@@ -52,7 +52,7 @@ def task(**given):
 
 def recalculate(folders, output=None, workers=None, **calls):
     return Recalculation(
-        find_places([str(one) for one in folders]), task(), workers or Serial(), output, **calls
+        find_places([str(folder) for folder in folders]), task(), workers or Serial(), output, **calls
     ).run()
 
 
@@ -162,7 +162,7 @@ def test_a_row_without_its_folder_counts_as_not_done(folders, tmp_path, monkeypa
         with pytest.raises(KeyboardInterrupt):
             recalculate(folders[:1], output)
         monkeypatch.undo()
-    assert not [one for one in (tmp_path / "out").iterdir() if one.name.startswith("cam1")]
+    assert not [path for path in (tmp_path / "out").iterdir() if path.name.startswith("cam1")]
     monkeypatch.setattr("bench.solve.result.render_report", lambda _data: "<!DOCTYPE html>")
     with ResultsFolders(tmp_path / "out", None) as output:
         (row,) = recalculate(folders[:1], output)
@@ -204,8 +204,8 @@ def test_workers_with_another_program_refuse(folders):
 def test_the_key_covers_recordings_options_and_program(folders):
     place = Place(str(folders[0]))
     keys = {
-        list_recordings(place, one).key
-        for one in (
+        list_recordings(place, recalculated).key
+        for recalculated in (
             task(),
             Task(OfflineOptions(model="joint", distortion="k1", image_size=(1280, 720)), task().program, ""),
             Task(CHOICES, "0" * 16, ""),
@@ -247,13 +247,13 @@ def test_the_command_gives_the_same_to_the_last_digit_by_processes(folders):
     ]
     shutil.rmtree(folders[1])
     folders[1].mkdir()
-    found = CliRunner().invoke(
+    ended = CliRunner().invoke(
         cli, ["calibrate", *map(str, folders), "--each", *options], standalone_mode=False
     )
-    assert found.return_value == 1
-    assert "cam1: fx" in found.stderr
-    assert "cam2: FAILED. The folder contains no run" in found.stderr
-    stated = json.loads(found.stdout)
+    assert ended.return_value == 1
+    assert "cam1: fx" in ended.stderr
+    assert "cam2: FAILED. The folder contains no run" in ended.stderr
+    stated = json.loads(ended.stdout)
     assert (stated["done"], stated["failed"]) == (2, 1)
     for number in (0, 2):
         row = stated["runs"][number]

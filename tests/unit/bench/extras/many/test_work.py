@@ -15,22 +15,22 @@ def ends(workers, *works):
     """Do the work, and return its ends by key."""
     for work in works:
         workers.submit(work)
-    found = {}
+    ends_by_key = {}
     until = time.monotonic() + 90
-    while len(found) < len(works):
-        assert time.monotonic() < until, found
+    while len(ends_by_key) < len(works):
+        assert time.monotonic() < until, ends_by_key
         for end in workers.finished(0.5):
-            assert end.key not in found
-            found[end.key] = end
-    return found
+            assert end.key not in ends_by_key
+            ends_by_key[end.key] = end
+    return ends_by_key
 
 
 def test_errors_become_part_of_the_result():
-    found = ends(Serial(), Work("a", cluster_work.refuse, ()))["a"]
-    assert found.failure.message == "here: No such thing. Do nothing."
-    assert not found.defect
-    found = ends(Serial(), Work("b", cluster_work.defect, ()))["b"]
-    assert "KeyError" in found.defect
+    done = ends(Serial(), Work("a", cluster_work.refuse, ()))["a"]
+    assert done.failure.message == "here: No such thing. Do nothing."
+    assert not done.defect
+    done = ends(Serial(), Work("b", cluster_work.defect, ()))["b"]
+    assert "KeyError" in done.defect
 
 
 def test_a_map_reads_no_more_items_than_it_hands_out():
@@ -72,10 +72,10 @@ def test_workers_that_die_are_replaced_and_their_work_is_done(workers, tmp_path)
     works = [Work(f"double {n}", cluster_work.double, (n,)) for n in range(5)]
     works.append(Work("dies once", cluster_work.die_once, (str(tmp_path / "marker"), 7)))
     works.append(Work("refused", cluster_work.refuse, ()))
-    found = ends(workers, *works)
-    assert [found[f"double {n}"].value for n in range(5)] == [0, 2, 4, 6, 8]
-    assert found["dies once"].value == 7
-    assert found["refused"].failure.where == "here"
+    done = ends(workers, *works)
+    assert [done[f"double {n}"].value for n in range(5)] == [0, 2, 4, 6, 8]
+    assert done["dies once"].value == 7
+    assert done["refused"].failure.where == "here"
     pid = ends(workers, Work("pid", cluster_work.rest, (0.01,)))["pid"].value
     os.kill(pid, signal.SIGKILL)
     assert ends(workers, Work("after", cluster_work.double, (21,)))["after"].value == 42
@@ -87,8 +87,8 @@ def test_work_with_which_every_worker_dies_fails(workers):
 
 def test_processes_end_with_their_workers_and_count_those_that_died():
     with Processes(2) as workers:
-        found = ends(workers, Work("dies", cluster_work.die, ()))
-        assert "10 workers died" in found["dies"].failure.what
+        done = ends(workers, Work("dies", cluster_work.die, ()))
+        assert "10 workers died" in done["dies"].failure.what
         assert workers.replaced == 10
         assert ends(workers, Work("again", cluster_work.double, (5,)))["again"].value == 10
         pids = workers.pids
@@ -100,14 +100,14 @@ def test_processes_end_with_their_workers_and_count_those_that_died():
 
 def test_work_that_needs_too_much_memory_fails_and_says_so():
     with Processes(1, memory_bytes=1 << 30) as workers:
-        found = ends(
+        done = ends(
             workers,
             Work("much", cluster_work.take_memory, (3 << 30,)),
             Work("few", cluster_work.double, (1,)),
         )
-        assert found["much"].failure.kind == "MemoryError"
-        assert "--workers" in found["much"].failure.remedy
-        assert found["few"].value == 2
+        assert done["much"].failure.kind == "MemoryError"
+        assert "--workers" in done["much"].failure.remedy
+        assert done["few"].value == 2
         assert workers.replaced == 0
 
 

@@ -41,11 +41,11 @@ def test_a_batch_is_told_again_only_when_something_is_new(batch, monkeypatch):
     assert view.text() == (first, lines)
     assert (len(made), lines) == (1, 2)
     batch.write("item_ended", item="one-001", how="failed", why="no light", noticed_s=0.0, unsafe=[])
-    found = json.loads(view.text()[0])
+    content = json.loads(view.text()[0])
     assert len(made) == 2
-    worst = found["items"][0]
+    worst = content["items"][0]
     assert (worst["item"], worst["how"], worst["why"]) == ("one-001", "failed", "no light")
-    assert found["status"]["running"] is False
+    assert content["status"]["running"] is False
 
 
 def test_a_damaged_batch_says_so(batch):
@@ -98,11 +98,11 @@ def test_too_few_stars_have_no_residuals():
 
 def test_the_picture_that_a_run_left_is_shown_with_its_stars():
     png = StoredImage.from_image(np.random.default_rng(1).random((36, 64))).png
-    found = picture_of_view(LastView(1, 1, NODES.tolist(), _points(NODES).tolist(), "", png))
-    assert found["size"] == [64, 36]
-    assert len(found["stars"]) == len(found["residuals"]) == 140
-    assert found["rms_px"] < 0.01
-    json.dumps(found, allow_nan=False)
+    picture = picture_of_view(LastView(1, 1, NODES.tolist(), _points(NODES).tolist(), "", png))
+    assert picture["size"] == [64, 36]
+    assert len(picture["stars"]) == len(picture["residuals"]) == 140
+    assert picture["rms_px"] < 0.01
+    json.dumps(picture, allow_nan=False)
     nothing = picture_of_view(LastView(1, 1, [], [], "no stars", png))
     assert (nothing["stars"], nothing["residuals"], nothing["fault"]) == ([], None, "no stars")
 

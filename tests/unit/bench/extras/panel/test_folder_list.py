@@ -15,9 +15,9 @@ from bench.record.folder_lock import lock_folder
 
 
 def _look(root):
-    found = FolderList(root).look()
-    json.dumps(found, allow_nan=False)
-    return found
+    listing = FolderList(root).look()
+    json.dumps(listing, allow_nan=False)
+    return listing
 
 
 def test_runs_of_all_kinds_newest_first(tmp_path):
@@ -26,8 +26,8 @@ def test_runs_of_all_kinds_newest_first(tmp_path):
     MadeRun(tmp_path / "deeper" / "c").begin()
     (tmp_path / "notes.txt").write_text("nothing")
     (tmp_path / "empty").mkdir()
-    found = _look(tmp_path)
-    rows = {row["key"]: row for row in found["runs"]}
+    listing = _look(tmp_path)
+    rows = {row["key"]: row for row in listing["runs"]}
     assert {key: row["verdict"] for key, row in rows.items()} == {
         "a": "not sealed",
         "b": "failed",
@@ -36,7 +36,7 @@ def test_runs_of_all_kinds_newest_first(tmp_path):
     assert rows["b"]["why"] == "the lamp is broken"
     assert rows["a"]["accepted"] == 3
     assert rows["a"]["camera"] == "42"
-    assert found["faults"] == []
+    assert listing["faults"] == []
 
 
 def test_a_run_in_progress_is_read_on_and_an_ended_one_only_once(tmp_path, monkeypatch):
@@ -81,10 +81,12 @@ def test_a_damaged_run_is_listed_with_its_fault(tmp_path):
 def test_a_batch_is_one_entry_and_its_runs_belong_to_its_page(tmp_path):
     batch = made_batch(tmp_path / "night")
     MadeRun(batch.folder / "runs" / "cam-001").begin()
-    found = _look(tmp_path)
-    assert found["runs"] == []
-    assert [(row["key"], row["queue"], row["coming"]) for row in found["batches"]] == [("night", "Night", 1)]
-    assert found["batches"][0]["ended_utc"] == ""
+    listing = _look(tmp_path)
+    assert listing["runs"] == []
+    assert [(row["key"], row["queue"], row["coming"]) for row in listing["batches"]] == [
+        ("night", "Night", 1)
+    ]
+    assert listing["batches"][0]["ended_utc"] == ""
 
 
 @pytest.fixture
@@ -118,9 +120,9 @@ def test_a_damaged_batch_does_not_hide_the_runs(tmp_path):
     MadeRun(tmp_path / "a").begin()
     broken = MadeRun(tmp_path / "night")
     (broken.folder / "queue.yaml").write_text("nonsense: [")
-    found = _look(tmp_path)
-    assert [row["key"] for row in found["runs"]] == ["a"]
-    assert "queue.yaml cannot be read" in found["faults"][0]
+    listing = _look(tmp_path)
+    assert [row["key"] for row in listing["runs"]] == ["a"]
+    assert "queue.yaml cannot be read" in listing["faults"][0]
 
 
 def test_a_folder_that_refuses_is_named(tmp_path, monkeypatch):
@@ -134,10 +136,10 @@ def test_a_folder_that_refuses_is_named(tmp_path, monkeypatch):
         return real(path)
 
     monkeypatch.setattr(os, "scandir", scandir)
-    found = _look(tmp_path)
-    assert "No permission" in found["faults"][0]
-    assert "secret" in found["faults"][0]
-    assert len(found["runs"]) == 1
+    listing = _look(tmp_path)
+    assert "No permission" in listing["faults"][0]
+    assert "secret" in listing["faults"][0]
+    assert len(listing["runs"]) == 1
 
 
 @pytest.mark.parametrize(
@@ -157,7 +159,7 @@ def test_of_very_many_runs_some_are_read_at_each_look_until_all_are_listed(tmp_p
         MadeRun(tmp_path / name).begin().end()
     listed = FolderList(tmp_path)
     looks = [listed.look() for _ in range(3)]
-    assert [(len(one["runs"]), one["unread"]) for one in looks] == [(2, 3), (4, 1), (5, 0)]
+    assert [(len(listing["runs"]), listing["unread"]) for listing in looks] == [(2, 3), (4, 1), (5, 0)]
 
 
 def test_a_run_that_another_replaces_in_its_folder_is_read_again(tmp_path):

@@ -51,9 +51,9 @@ def test_a_list_that_is_the_same_is_no_new_version():
     st.lists(st.dictionaries(st.sampled_from("abcd"), st.integers(0, 3)), max_size=8),
     st.lists(st.booleans(), min_size=8, max_size=8),
 )
-def test_a_page_that_is_told_now_and_then_has_the_list(lists, told):
+def test_a_page_that_is_told_now_and_then_has_the_list(lists, told_now):
     changes, page = ListChanges(), Page()
-    for runs, tell in zip(lists, told, strict=False):
+    for runs, tell in zip(lists, told_now, strict=False):
         changes.take(content(runs))
         if tell:
             page.take(changes.since(page.version))

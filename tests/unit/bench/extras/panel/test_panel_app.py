@@ -46,13 +46,13 @@ class Stream:
 
     def until(self, holds):
         """Messages up to the first that meets a condition."""
-        found = []
+        messages = []
         deadline = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline:
-            found.append(self.next())
-            if holds(found[-1]):
-                return found
-        raise AssertionError(f"it never came: {found[-1]}")
+            messages.append(self.next())
+            if holds(messages[-1]):
+                return messages
+        raise AssertionError(f"it never came: {messages[-1]}")
 
 
 @contextmanager
@@ -213,7 +213,7 @@ def test_a_hold_and_a_release_reach_the_run_with_the_name(run, server):
         skipped = _post(server, {"word": "skip", "pose": 3, "by": "Ada"}).json()
         assert skipped["text"] == "Accepted: pose 3 is skipped."
     commands = [entry.data for entry in read_journal(run.path)[0] if entry.event == "commanded"]
-    assert [(one["word"], one["by"], one["taken"]) for one in commands] == [
+    assert [(command["word"], command["by"], command["taken"]) for command in commands] == [
         ("hold", "Ada", True),
         ("release", "Ben", False),
         ("release", "Ben", True),

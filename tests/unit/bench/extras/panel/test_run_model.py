@@ -152,9 +152,9 @@ def test_a_killed_run_is_not_called_safe(run):
 def test_a_question_ahead_ends_the_time_alone(tmp_path):
     run = MadeRun(tmp_path / "run", prompt=True).begin()
     run.record(1)
-    found = _head(run)["leave"]
-    assert not found["safe"]
-    assert found["until_utc"] > BEGIN.isoformat()
+    leave = _head(run)["leave"]
+    assert not leave["safe"]
+    assert leave["until_utc"] > BEGIN.isoformat()
     run.write("step_done", step=7)  # the question is answered
     assert _head(run)["leave"]["safe"]
 
@@ -169,9 +169,9 @@ def test_a_question_ahead_ends_the_time_alone(tmp_path):
 )  # fmt: skip
 def test_what_needs_a_person_says_so(run, event, text):
     run.write(event.pop("event"), **event)
-    found = _head(run)["leave"]
-    assert not found["safe"]
-    assert text in found["text"]
+    leave = _head(run)["leave"]
+    assert not leave["safe"]
+    assert text in leave["text"]
 
 
 def test_a_hold_says_how_long_it_may_last(run):
@@ -259,8 +259,8 @@ def test_without_a_plan_the_page_says_so(run):
 
 def test_a_folder_without_a_process_is_looked_at(tmp_path):
     run = MadeRun(tmp_path / "run").begin()
-    found = look_at_process(run.folder, "slewing")
-    assert found == ProcessState()
+    process = look_at_process(run.folder, "slewing")
+    assert process == ProcessState()
     assert "No such file" in look_at_process(tmp_path / "none", "idle").fault
 
 
