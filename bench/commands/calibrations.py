@@ -129,10 +129,18 @@ def comparison_text(baselines: list[MethodResult | MethodFailure]) -> str:
 
 
 class _Model(click.Choice):
-    """The models; ``auto`` is another word for joint."""
+    """The models of this version; ``auto`` is another word for joint, and a name of an earlier version says so."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """See `click.ParamType.convert`."""
+        from sequences.solve_schema import EARLIER_MODELS  # needed for this alone
+
+        if value in EARLIER_MODELS:
+            self.fail(
+                f"{value} is a model of an earlier version. Its effects are part of joint: --model joint.",
+                param,
+                ctx,
+            )
         return str(super().convert("joint" if value == "auto" else value, param, ctx))
 
 

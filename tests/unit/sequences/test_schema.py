@@ -50,6 +50,10 @@ from flat import faults_of
             "steps: [{solve: {model: sphere}}]",
             "steps[0].solve.model: must be 'auto', 'joint', 'spherical' or 'planar' (got ",
         ),
+        (
+            "steps: [{solve: {model: radial}}]",
+            "steps[0].solve.model: radial is a model of an earlier version; write joint, which has its effects",
+        ),
         ("steps: [{solve: {passport: ''}}]", "steps[0].solve.passport: must not be empty (got '')."),
         (
             "steps: [{solve: {readings: always}}]",
