@@ -209,8 +209,8 @@ class Link(ABC):
     """End of a line that the device sends."""
     GARBLED_REMEDY: ClassVar[str] = "Check the cable, the port and the baud rate."
     SILENT_REMEDY: ClassVar[str] = (
-        "Check that the device is switched on, and that the station file has its port, its baud rate, and"
-        " the addresses of a chain."
+        "Check that the device is switched on, and that the station file has its port, its baud rate, its"
+        " frame, and the addresses of a chain."
     )
     reply_s: float = 1.0
     """Longest time for a whole reply, unless an exchange has its own, in seconds; most of it is for a busy computer."""

@@ -98,16 +98,20 @@ class Port(Protocol):
 class SerialPort:
     """An open serial port, locked for this program.
 
-    Opening sends nothing and leaves the modem lines as the system sets them. It uses 8 data bits and no parity. The
+    Opening sends nothing and leaves the modem lines as the system sets them. ``frame`` is data bits, parity (N, E or O)
+    and stop bits, ``xonxoff`` whether the bytes XON and XOFF hold the sender. The
     address is a device file, preferably below ``/dev/serial/by-id/``, a port name of the system, ``socket://host:port``
     or ``rfc2217://host:port``; other URLs of pyserial are refused. ``rtscts``: the device uses the lines RTS and CTS to
     hold the sender, which a pseudo-terminal and ``socket://`` do not have and ignore.
     """
 
-    def __init__(self, address: str, *, baudrate: int, stopbits: int = 1, rtscts: bool = False) -> None:
+    def __init__(
+        self, address: str, *, baudrate: int, rtscts: bool = False, frame: str = "8N1", xonxoff: bool = False
+    ) -> None:
         self._name = address
         self._rtscts = rtscts
-        self._open: Callable[[], Any] = lambda: _open(address, baudrate, stopbits, rtscts)
+        settings = LineSettings(baudrate, rtscts, frame, xonxoff)
+        self._open: Callable[[], Any] = lambda: _open(address, settings)
         self._serial = self._open()
         self._lost = False
 
@@ -226,15 +230,27 @@ class ReopeningPort(SerialPort):
         self._lost = False
 
 
-def _open(address: str, baudrate: int, stopbits: int, rtscts: bool) -> Any:
+class LineSettings(NamedTuple):
+    """Settings of a serial line."""
+
+    baudrate: int  # Bits per second
+    rtscts: bool = False  # Whether the device uses the lines RTS and CTS
+    frame: str = "8N1"  # Data bits, parity (none, even, odd) and stop bits
+    xonxoff: bool = False  # Whether the bytes XON and XOFF hold the sender
+
+
+def _open(address: str, settings: LineSettings) -> Any:
     if (refused := refused_port(address)) is not None:
         raise PortNotFound(refused, where=address, remedy=PORT_REMEDY)
     try:
         port: Any = serial.serial_for_url(
             address,
-            baudrate=baudrate,
-            stopbits=stopbits,
-            rtscts=rtscts,
+            baudrate=settings.baudrate,
+            bytesize=int(settings.frame[0]),
+            parity=settings.frame[1],
+            stopbits=int(settings.frame[2]),
+            rtscts=settings.rtscts,
+            xonxoff=settings.xonxoff,
             timeout=_SLICE_S,
             write_timeout=None if "://" in address else _WRITE_S,  # device servers have no such timeout
             exclusive=True,  # flock, before pyserial touches a line setting
@@ -319,13 +335,6 @@ def closed_on_error(*ports: Port) -> Iterator[None]:
         raise
 
 
-class LineSettings(NamedTuple):
-    """Settings of a serial line."""
-
-    baudrate: int  # Bits per second
-    rtscts: bool  # Whether the device uses the lines RTS and CTS
-
-
 class OnOnePort:
     """A device on one port. Open it with ``open``; its constructor takes a port that is open already."""
 
@@ -339,27 +348,26 @@ class OnOnePort:
         *arguments: Any,
         baudrate: int | None = None,
         rtscts: bool | None = None,
+        frame: str | None = None,
+        xonxoff: bool | None = None,
         clock: Clock,
         wire_log: WireLog | None = None,
         **more: Any,
     ) -> Self:
         """Open the port and the device on it. `SerialPort` raises the errors of opening.
 
-        ``baudrate`` and ``rtscts`` None stand for the device's own; the other arguments are those of the constructor.
+        Settings of the line that are None stand for the device's own; the other arguments are those of the constructor.
         """
         construct: Any = cls
-        usual = cls._line_settings(*arguments)
-        opened = cls._opened(
-            port,
-            baudrate=usual.baudrate if baudrate is None else baudrate,
-            rtscts=usual.rtscts if rtscts is None else rtscts,
-        )
+        stated = {"baudrate": baudrate, "rtscts": rtscts, "frame": frame, "xonxoff": xonxoff}
+        given: dict[str, Any] = {name: value for name, value in stated.items() if value is not None}
+        opened = cls._opened(port, cls._line_settings(*arguments)._replace(**given))
         device: Self = construct(opened, *arguments, clock=clock, wire_log=wire_log, **more)
         return device
 
     @classmethod
-    def _opened(cls, address: str, *, baudrate: int, rtscts: bool) -> Port:
-        return SerialPort(address, baudrate=baudrate, rtscts=rtscts)
+    def _opened(cls, address: str, settings: LineSettings) -> Port:
+        return SerialPort(address, **settings._asdict())
 
     @classmethod
     def _line_settings(cls, *_arguments: Any) -> LineSettings:

@@ -17,7 +17,7 @@ from pydantic import (
 from pydantic_core import PydanticCustomError
 
 from bench.stations.placeholders import UNKNOWN_PORT
-from bench.stations.station_fields import SIMULATED_PREFIX, Serial, Text
+from bench.stations.station_fields import SIMULATED_PREFIX, Frame, Serial, Text
 from drivers.camera import EventCamera
 from drivers.camera.frames import FrameCamera, FrameSettings
 from drivers.clock import Clock
@@ -97,8 +97,10 @@ class AxisConfig(StrictModel):
 class LineParameters(TypedDict):
     """How a driver opens a serial line, as its parameters."""
 
-    baudrate: int | None  # None, of this and of rtscts: as the controller's family has it
+    baudrate: int | None  # None, of all four: as the controller's family has it
     rtscts: bool | None
+    frame: str | None
+    xonxoff: bool | None
     clock: Clock
     wire_log: WireLog | None
 
@@ -112,6 +114,13 @@ class SerialLine(StrictModel):
             description="Whether the lines RTS and CTS hold the sender. Default: as the maker of the device says."
         ),
     ] = None
+    frame: Annotated[
+        Frame | None,
+        Field(description="Data bits, parity and stop bits. Default: as the maker of the device says."),
+    ] = None
+    xonxoff: Annotated[
+        bool | None, Field(description="Whether the bytes XON and XOFF hold the sender. Default: false.")
+    ] = None
 
     if TYPE_CHECKING:
 
@@ -120,7 +129,14 @@ class SerialLine(StrictModel):
 
     def line(self, clock: Clock, wire_log: WireLog | None) -> LineParameters:
         """Return how the driver opens the line, as its parameters by name."""
-        return {"baudrate": self.baudrate, "rtscts": self.rtscts, "clock": clock, "wire_log": wire_log}
+        return {
+            "baudrate": self.baudrate,
+            "rtscts": self.rtscts,
+            "frame": self.frame,
+            "xonxoff": self.xonxoff,
+            "clock": clock,
+            "wire_log": wire_log,
+        }
 
 
 class _Section(StrictModel):

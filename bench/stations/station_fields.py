@@ -24,6 +24,11 @@ SIMULATED_PORTS = (
 )
 Text = Annotated[str, Field(min_length=1, max_length=200)]
 
+Frame = Annotated[
+    str,
+    Form(r"^[78][NEO][12]$", "data bits (7, 8), parity (N, E, O) and stop bits (1, 2), such as 7E1"),
+]
+
 Variable = Annotated[
     str,
     Field(max_length=100),

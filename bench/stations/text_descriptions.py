@@ -24,8 +24,9 @@ from bench.stations.described_exchanges import (
     parsed_reply,
     parsed_request,
 )
-from bench.stations.station_fields import Text
+from bench.stations.station_fields import Frame, Text
 from drivers.described import description as of
+from drivers.serial_port import LineSettings
 from sequences.strict_model import Form, StrictModel, Within, is_plain_number
 
 if TYPE_CHECKING:
@@ -99,6 +100,8 @@ class LineConfig(StrictModel):
     rtscts: Annotated[
         bool, Field(description="Whether the device uses the lines RTS and CTS to hold the sender.")
     ] = False
+    frame: Annotated[Frame, Field(description="Data bits, parity and stop bits.")] = "8N1"
+    xonxoff: Annotated[bool, Field(description="Whether the bytes XON and XOFF hold the sender.")] = False
     request_end: Annotated[
         Literal["CR", "LF", "CRLF", "space", "none"], Field(description="Ends each request.")
     ] = "LF"
@@ -179,6 +182,7 @@ class Described(StrictModel):
             of.LineDescription,
             self,
             self.line,
+            settings=LineSettings(self.line.baudrate, self.line.rtscts, self.line.frame, self.line.xonxoff),
             request_end=_ENDS[self.line.request_end],
             reply_end=_ENDS[self.line.reply_end],
             prompt=self.line.prompt.encode("ascii"),

@@ -18,6 +18,7 @@ from functools import lru_cache
 from typing import Final, Literal
 
 from drivers.errors import OutsideLimits
+from drivers.serial_port import LineSettings
 
 LONGEST: Final = 200
 """Characters of a template at most."""
@@ -278,8 +279,7 @@ class LineDescription:
 
     maker: str
     model: str
-    baudrate: int  # Bits per second, where the station file gives none
-    rtscts: bool  # Whether the device uses the lines RTS and CTS, where the station file does not say
+    settings: LineSettings  # Where the station file does not say otherwise
     request_end: bytes
     reply_end: bytes
     prompt: bytes  # Ends each reply in place of ``reply_end``, and is a part of it; empty for none

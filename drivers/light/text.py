@@ -51,7 +51,7 @@ class TextLight(WatchedLight):
 
     @classmethod
     def _line_settings(cls, description: LightDescription, *_arguments: Any) -> LineSettings:
-        return LineSettings(description.line.baudrate, description.line.rtscts)
+        return description.line.settings
 
     def identify(self) -> LightIdentity:
         """See `Light.identify`; the serial number is compared with the one in the station file."""

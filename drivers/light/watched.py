@@ -13,7 +13,7 @@ from typing import ClassVar, Final, TypeVar
 from drivers.errors import LightFault, ReplyTimeout, SettingRefused
 from drivers.light import LightIdentity, LightSettings
 from drivers.link import Link, read_until_agreed
-from drivers.serial_port import OnOnePort, Port, ReopeningPort
+from drivers.serial_port import LineSettings, OnOnePort, Port, ReopeningPort
 from drivers.visa_port import VISA_PREFIX, VisaPort, socket_url
 
 FULL_SCALE_V: Final = 5.0
@@ -45,11 +45,11 @@ class WatchedLight(OnOnePort, ABC):
         self._connections_checked = 0
 
     @classmethod
-    def _opened(cls, address: str, *, baudrate: int, rtscts: bool) -> Port:
+    def _opened(cls, address: str, settings: LineSettings) -> Port:
         url = socket_url(address) or address
         if url.startswith(VISA_PREFIX):
             return VisaPort(url)
-        return ReopeningPort(url, baudrate=baudrate, rtscts=rtscts)
+        return ReopeningPort(url, **settings._asdict())
 
     # ------------------------------------------------------------ what a family implements
 

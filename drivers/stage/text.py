@@ -90,7 +90,7 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
 
     @classmethod
     def _line_settings(cls, _axes: Sequence[TextAxis], description: StageDescription) -> LineSettings:
-        return LineSettings(description.line.baudrate, description.line.rtscts)
+        return description.line.settings
 
     def identify(self) -> Sequence[AxisIdentity]:
         """See `Stage.identify`; the serial number is compared with the one in the station file."""

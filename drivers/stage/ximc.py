@@ -181,7 +181,7 @@ class XimcStage(LinePerAxisStage[XimcAxis, XimcController]):
     Limits, speed or acceleration beyond the controller's raise `OutsideLimits`.
     """
 
-    PORT: ClassVar = {"baudrate": 115200, "stopbits": 2}
+    PORT: ClassVar = {"baudrate": 115200, "frame": "8N2"}
     CONTROLLER = XimcController
 
     def _set_up(self) -> None:

@@ -81,7 +81,7 @@ def test_closing_leaves_the_modem_lines_up(plug, port) -> None:
 
 
 def test_two_stop_bits_reach_the_line(plug) -> None:
-    port = SerialPort(str(plug.link), baudrate=115200, stopbits=2)
+    port = SerialPort(str(plug.link), baudrate=115200, frame="8N2")
     assert termios.tcgetattr(plug.theirs)[2] & termios.CSTOPB
     port.close()
 

@@ -30,7 +30,7 @@ from drivers.camera.usb_permission import (
 from drivers.clock import SystemClock
 from drivers.errors import CameraSoftwareMissing, PortDenied, PortError, PortLost, PortNotFound
 from drivers.file_lock import DeviceHold
-from drivers.serial_port import SerialPort
+from drivers.serial_port import LineSettings, SerialPort
 
 
 @pytest.fixture
@@ -81,18 +81,19 @@ SECTIONS = {
 
 
 @pytest.mark.parametrize(
-    ("stage", "more", "baudrate", "rtscts"),
+    ("stage", "more", "settings"),
     [
-        ("esp", "", 19_200, True),
-        ("esp", ", rtscts: false, baudrate: 921600", 921_600, False),
-        ("zaber", "", 115_200, False),
-        ("zaber", ", rtscts: true", 115_200, True),
-        ("text", "", 9600, False),
-        ("text", ", rtscts: true", 9600, True),
+        ("esp", "", (19_200, True)),
+        ("esp", ", rtscts: false, baudrate: 921600", (921_600,)),
+        ("zaber", "", (115_200,)),
+        ("zaber", ", rtscts: true", (115_200, True)),
+        ("text", "", (9600,)),
+        ("text", ", rtscts: true", (9600, True)),
+        ("text", ", frame: 7E1, xonxoff: true", (9600, False, "7E1", True)),
     ],
 )
-def test_flow_control_is_the_maker_s_unless_the_station_says_otherwise(
-    monkeypatch, stage, more, baudrate, rtscts
+def test_the_line_is_the_maker_s_unless_the_station_says_otherwise(
+    monkeypatch, stage, more, settings
 ) -> None:
     """A published ESP300 was silent without it."""
     limits = "limits_deg: [-1, 1], speed_deg_s: 1, acceleration_deg_s2: 1}}"
@@ -107,7 +108,20 @@ def test_flow_control_is_the_maker_s_unless_the_station_says_otherwise(
     monkeypatch.setattr(serial_port, "SerialPort", record)
     with pytest.raises(PortNotFound):
         section.open_device(str, clock=SystemClock(), wire_log=None)
-    assert opened == [{"baudrate": baudrate, "rtscts": rtscts}]
+    assert opened == [LineSettings(*settings)._asdict()]
+
+
+@pytest.mark.parametrize(
+    ("frame", "settings"),
+    [("8N1", (8, "N", 1)), ("7E1", (7, "E", 1)), ("7O2", (7, "O", 2)), ("8N2", (8, "N", 2))],
+)
+def test_data_bits_parity_and_stop_bits_are_those_of_the_frame(monkeypatch, frame, settings) -> None:
+    """A 33120A has 2 stop bits, an SMC100 holds the sender by XON and XOFF, older instruments have 7 data bits."""
+    recorder = Recorder()
+    monkeypatch.setattr(serial_port.serial, "serial_for_url", recorder)
+    SerialPort("COM3", baudrate=9600, frame=frame, xonxoff=True)
+    assert tuple(recorder.settings[name] for name in ("bytesize", "parity", "stopbits")) == settings
+    assert recorder.settings["xonxoff"]
 
 
 @pytest.mark.parametrize(("rtscts", "cause"), [(True, "line CTS was off"), (False, "Write timeout")])
