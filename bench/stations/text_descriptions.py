@@ -105,7 +105,10 @@ class LineConfig(StrictModel):
     request_end: Annotated[
         Literal["CR", "LF", "CRLF", "space", "none"], Field(description="Ends each request.")
     ] = "LF"
-    reply_end: Annotated[Literal["CR", "LF", "CRLF"], Field(description="Ends each reply.")] = "LF"
+    reply_end: Annotated[
+        Literal["CR", "LF", "CRLF", "none"],
+        Field(description="Ends each reply; none: a silence of `quiet_s` ends it."),
+    ] = "LF"
     prompt: Annotated[
         str,
         Field(

@@ -281,7 +281,7 @@ class LineDescription:
     model: str
     settings: LineSettings  # Where the station file does not say otherwise
     request_end: bytes
-    reply_end: bytes
+    reply_end: bytes  # Empty where a silence of ``quiet_s`` ends each reply
     prompt: bytes  # Ends each reply in place of ``reply_end``, and is a part of it; empty for none
     reply_s: float  # Longest wait for a reply, in seconds
     quiet_s: float  # After this time without a byte, the line counts as silent; in seconds

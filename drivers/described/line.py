@@ -14,7 +14,7 @@ from functools import reduce
 from drivers.clock import Clock
 from drivers.described.description import Exchange, LineDescription, Notice, Switch, Template, Value
 from drivers.errors import DeviceRefused, ReplyError, ReplyTimeout, WrongDevice
-from drivers.link import TRIES, Link, ReplyReader, repeat
+from drivers.link import LONGEST_LINE, TRIES, Link, ReplyReader, repeat
 from drivers.serial_port import Port
 from drivers.wire_log import WireLog
 
@@ -98,6 +98,14 @@ class DescribedLine(Link):
                     return True
                 line = self.take_line()
         return False
+
+    def take_line(self) -> bytes | None:
+        """See `Link.take_line`. A reply without an end is what came before a silence."""
+        if self.terminator:
+            return super().take_line()
+        while 0 < len(self.unread) <= LONGEST_LINE and self.receive(self.quiet_s):
+            pass
+        return self.take(len(self.unread)) or None
 
     def take_unsolicited(self, line: bytes) -> bool:
         """Take a line of a form that the device sends without a request."""
