@@ -83,7 +83,7 @@ def test_a_recording_in_which_the_computer_was_suspended_is_made_again(
 
     scene.hook = hook
     assert scene.run().how == "finished"
-    checked = scene.told(Event.ATTEMPT_CHECKED)
+    checked = scene.data_of(Event.ATTEMPT_CHECKED)
     assert len(checked) == attempts
     assert accepted(scene) == [1, 2]
     reasons = [reason for attempt in checked for reason in attempt["reasons"]]
