@@ -276,7 +276,8 @@ def _flat(values: dict[str, Any]) -> dict[str, Any]:
             del flat[name]
             coefficients = next((inner.pop(key) for key in _NAMES_OF_COEFFICIENTS if key in inner), None)
             model = inner.pop("type", inner.pop("model", None))
-            own = {"distortioncoefficients": coefficients, "distortionmodel": model, **inner}
+            own = {"distortioncoefficients": coefficients, "distortionmodel": model}
+            own |= {_of_lens(key, name): value for key, value in inner.items()}
         elif _MATRICES.fullmatch(name) and any(four <= set(inner) for four in _FOUR_ELSEWHERE):
             del flat[name]
             own = inner | ({"program": "camodocal"} if name == "projectionparameters" else {})
@@ -286,6 +287,11 @@ def _flat(values: dict[str, Any]) -> dict[str, Any]:
             if value is not None and flat.setdefault(key, value) != value:
                 raise OtherForm(f"it states {key[:LONGEST_NAME]!r} twice, with different values")
     return flat
+
+
+def _of_lens(key: str, lens: str) -> str:
+    """Return the name of a number below a lens; an unknown one keeps the name of the lens: ``distortion_rk1``."""
+    return key if ALIKE_A_COEFFICIENT.fullmatch(key) or not key[-1:].isdigit() else lens + key
 
 
 def _numbered(values: dict[str, Any]) -> dict[str, Values]:

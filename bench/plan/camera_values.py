@@ -39,7 +39,7 @@ _MATRIX = (
     "cameraintrinsics", "cameraintrinsic", "intrinsicsmatrix",
 )  # fmt: skip
 LENS = re.compile(
-    "(lens|camera|cam)?(d|dist|distortions?)(coef|coefs|coeffs?|coefficients?|params?|parameters?|vect?|vector)?|kc|coeffs"
+    "(lens|camera|cam)?(d|dist|distortions?)(coef|coefs|coeffs?|coefficients?|params?|parameters?|factors?|vect?|vector)?|kc|coeffs"
 )
 """Names of the coefficients of a lens."""
 _LIKE_A_LENS = re.compile(".*(dist(?!an)|coef|radial|tangential|lens)")
@@ -56,20 +56,25 @@ _EQUIDISTANT = (
     "equidistant", "equi", "fisheye", "opencvfisheye", "pinholeequidistant", "equidistantcamera", "kannalabrandt",
     "kannalabrandt4", "kannalabrandt8", "kb4",
 )  # fmt: skip
-_WITHOUT = ("none", "pinholenodistortion", "lensmodelpinhole", "inversebrownconrady", "modifiedbrownconrady")
+_WITHOUT = (
+    "none", "nodistortion", "pinholenodistortion", "lensmodelpinhole", "inversebrownconrady", "modifiedbrownconrady",
+)  # fmt: skip
 """Lens models of which only coefficients of zero are read."""
 _PICTURES = ("gray", "rgb", "graydepth", "rgbdepth", "mono", "color", "frame", "event", "dvs")
 """What ``camera_type`` is in files of OKVIS and of DSEC: it says nothing of the lens."""
+_STATES_ALL = "RealSense"
+"""A program whose files hold coefficients of zero too; most leave them out."""
 _MASKED = "camodocal"
 """A program whose files belong to VINS: ``fisheye`` there asks for a round mask, and ``model_type`` has the lens."""
 #: Coefficients of each lens model, by its name in any program; None: the name says nothing of the distortion.
 _LENSES: Mapping[str, tuple[str, ...] | None] = {
     **dict.fromkeys(
-        ("plumbbob", "radialtangential", "lensmodelopencv5", "rectilinear", "standard"), OPENCV[:5]
+        ("plumbbob", "radialtangential", "radtan5", "lensmodelopencv5", "rectilinear", "standard"), OPENCV[:5]
     ),
-    **dict.fromkeys(("radtan", "pinholeradialtangential", "lensmodelopencv4"), OPENCV[:4]),
+    **dict.fromkeys(("radtan", "radtan4", "pinholeradialtangential", "lensmodelopencv4"), OPENCV[:4]),
     **dict.fromkeys(
-        ("lensmodelopencv8", "pinholeradtan8", "radialtangential8", "pinholefull", "rational"), OPENCV[:8]
+        ("lensmodelopencv8", "radtan8", "pinholeradtan8", "radialtangential8", "pinholefull", "rational"),
+        OPENCV[:8],
     ),
     "lensmodelopencv12": OPENCV[:12],
     **dict.fromkeys(("rationalpolynomial", "opencv", "brown", "brownconrady"), OPENCV),
@@ -119,7 +124,8 @@ def camera_of_values(values: Values, family: LensFamily | None) -> CameraModel:
     matrix, four_more = _matrix(values)
     stated = _distortion(values, four_more, is_fisheye=names is FISHEYE or family == "fisheye")
     _require_no_more(values, is_like_a_lens if stated is None else _BESIDE.match)
-    if stated is None and not ("program" in values or names == () or _is_rectified(values)):
+    may_be_without = values.get("program", _STATES_ALL) != _STATES_ALL or names == () or _is_rectified(values)
+    if stated is None and not may_be_without:
         _require_no_lens(values)
     stated = stated or []
     if family is not None:
@@ -169,12 +175,15 @@ def is_like_a_lens(name: str) -> bool:
 
 
 def _require_no_more(values: Values, is_of_lens: Callable[[str], object]) -> None:
-    """Raise OtherForm if numbers have a name that may be one of coefficients, but is not known."""
+    """Raise OtherForm if numbers have a name that may be one of coefficients, but is not known.
+
+    A number alone is one if its name is numbered: ``radial_distortion_1``, not the number of coefficients.
+    """
     for name, value in values.items():
-        if is_of_lens(name) and _holds_numbers(value):
+        if is_of_lens(name) and _holds_numbers([value] if name[-1:].isdigit() else value):
             raise OtherForm(
                 f"{name[:LONGEST_NAME]!r} may be distortion coefficients, but is no name or form of theirs",
-                "Write them as distortion_coefficients, in the order k1 k2 p1 p2 k3.",
+                "Write all as distortion_coefficients, in the order k1 k2 p1 p2 k3 k4 k5 k6 s1 s2 s3 s4 tauX tauY.",
             )
 
 

@@ -144,6 +144,10 @@ BROWN = {
     "MATLAB, IntrinsicMatrix": ({**MATLAB, "IntrinsicMatrix": np.array(MATLAB_K).T.tolist()}, D5),
     "MATLAB, two coefficients": ({**MATLAB, "RadialDistortion": [K1, K2], "K": MATLAB_K}, D5[:4]),
     "toolbox for MATLAB": (TOOLBOX, D5),
+    # VSLAM-LAB
+    "radtan5": ({"distortion_type": "radtan5", "focal_length": [FX, FY], "principal_point": [CX, CY], "image_dimension": SIZE, "D": D5}, D5),
+    # CannyEVIT and others of VECtor's
+    "distortion_factors": ({"Event": {"img_width": 1280, "img_height": 720, "intrinsic": {"rows": 3, "cols": 3, "data": FLAT_K}, "distortion_factors": D5}}, D5),
     "a tab behind a name": (lines({"camera_matrix": K, "image_size": [*SIZE], "D": D5}).replace(": ", ":\t"), D5),
     # mrpt::img::TCamera
     "MRPT": (f"[CAMERA_PARAMS]\nresolution=[1280 720]\n{lines(FOUR, sign='=')}dist=[{' '.join(map(str, D5))}]\n", D5),
@@ -388,6 +392,11 @@ DOUBTFUL = {
     "p3 of Metashape": (xml({**METASHAPE, "k1": K1, "p3": 0.1}), "Metashape's coefficient p3"),
     "fisheye of Metashape": (xml({**METASHAPE, "projection": "fisheye"}), "Metashape's projection 'fisheye'"),
     "thin prism beside": ({**LISTS, "distortion_coefficients": D5, "thin_prism": [0.004, -0.003]}, "'thinprism' may be"),
+    # Viam
+    "rk1 below the distortion": ({"ppx": CX, "ppy": CY, "fx": FX, "fy": FY, **SIDES, "distortion_parameters": {"rk1": K1}}, "'distortionparametersrk1' may be"),
+    # Theia
+    "radial_distortion_1": ({"focal_length": [FX, FY], "principal_point": [CX, CY], **SIDES, "radial_distortion_1": K1, "k1": 0.0}, "'radialdistortion1' may be"),
+    "RealSense under a name that nobody knows": ({**FOUR, **SIDES, "ppx": CX, "ppy": CY, "kappa": [K1, K2]}, "states no distortion"),
     "tangential beside": ({**LISTS, "distortion_coefficients": [K1, K2, 0.0, 0.0, K3], "tangential": [P1, P2]}, "'tangential' may be"),
     "a lens beside the camera": ({"color": {**FOUR, **SIDES, "ppx": CX, "ppy": CY}, "lens": {"radial": [K1, K2]}}, "'lens' may be"),
     "BoofCV": ({**BOOFCV, "radial_tangential": {"radial": [K1, K2], "t1": P1, "t2": P2}}, "'radialtangential' may be"),
