@@ -61,7 +61,8 @@ _COLMAP_HEAD = struct.Struct("<iiQQ")
 """Of each camera there: its number, its model, width and height; the values follow as doubles."""
 _COLMAP_NUMBERS = (
     "SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "OPENCV_FISHEYE", "FULL_OPENCV", "FOV",
-    "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE",
+    "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE", "SIMPLE_DIVISION",
+    "DIVISION", "SIMPLE_FISHEYE", "FISHEYE", "EUCM", "EQUIRECTANGULAR",
 )  # fmt: skip
 """Names of its models by their numbers."""
 _TOOLBOX = re.compile(r"^(\w+)\s*=\s*\[?([-+.\deE;\s]+)\]?;", re.MULTILINE)
@@ -118,6 +119,7 @@ _INI_MATRIX = re.compile(r"^camera matrix\s*$", re.MULTILINE)
 _COLMAP_MODELS = {
     "SIMPLE_PINHOLE": (1, 0), "PINHOLE": (2, 0), "SIMPLE_RADIAL": (1, 1), "RADIAL": (1, 2), "OPENCV": (2, 4),
     "FULL_OPENCV": (2, 8), "SIMPLE_RADIAL_FISHEYE": (1, 1), "RADIAL_FISHEYE": (1, 2), "OPENCV_FISHEYE": (2, 4),
+    "SIMPLE_FISHEYE": (1, 0), "FISHEYE": (2, 0),
 }  # fmt: skip
 
 
@@ -336,7 +338,9 @@ def _colmap_binary(data: bytes) -> dict[str, Any]:
 def colmap_camera(number: str, model: str, size: Sequence[Any], values: Sequence[float]) -> dict[str, Any]:
     """Return a camera of COLMAP: the pixel centres lie at half integers there."""
     if model not in _COLMAP_MODELS:
-        raise OtherForm(f"COLMAP's model {model[:40]} is not read", WRITE_OPENCV)
+        raise OtherForm(
+            f"COLMAP's model {model[:40]} is not read", "Reconstruct with its model OPENCV or OPENCV_FISHEYE."
+        )
     focal, count = _COLMAP_MODELS[model]
     if len(values) != focal + 2 + count:
         raise OtherForm(

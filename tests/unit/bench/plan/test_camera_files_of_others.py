@@ -212,6 +212,11 @@ def test_the_rays_of_a_fisheye_file_are_those_of_opencv(tmp_path, text):
     assert off_px(read_camera_file(tmp_path / "file").camera, FISHEYE, fisheye=True) < 1e-6
 
 
+def test_a_fisheye_of_colmap_without_coefficients_is_equidistant(tmp_path):
+    (tmp_path / "file").write_text(colmap("FISHEYE", []))
+    assert off_px(read_camera_file(tmp_path / "file").camera, [0.0] * 4, fisheye=True) < 1e-6
+
+
 @pytest.mark.parametrize("codec", ["utf-8-sig", "utf-16"])
 def test_a_message_that_powershell_redirected_is_read(tmp_path, codec):
     (tmp_path / "ci.yaml").write_bytes(ros_echo(2).encode(codec))
