@@ -119,7 +119,7 @@ class EventKind:
         """Judge a recording by its numbers: stars, event rate, triggers, flicker and motion."""
         recorded = _of_events(facts)
         gates = recording_gates(recorded, step.gates, frequency_hz, measurement.facts, measurement.stars)
-        return gates, rejection_reasons(recorded, step.gates, ())
+        return gates, rejection_reasons(recorded, step.gates)
 
     def counts(self, facts: RecordedData) -> RecordingCounts:
         """Return what results state about a recording: events, triggers, duration and event rate."""

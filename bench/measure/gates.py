@@ -184,10 +184,9 @@ def failed_gate_texts(judged: Sequence[Gate]) -> list[str]:
     ]
 
 
-def rejection_reasons(facts: RecordingFacts, gates: Gates, judged: Sequence[Gate]) -> list[str]:
-    """Return why a recording is rejected; empty if it is accepted."""
-    reasons = failed_gate_texts(judged)
-    reasons += [f"data lost: {gap}" for gap in facts.gaps]
+def rejection_reasons(facts: RecordingFacts, gates: Gates) -> list[str]:
+    """Return why a recording is rejected, besides its failed gates; empty if nothing else is wrong."""
+    reasons = [f"data lost: {gap}" for gap in facts.gaps]
     active = [f for f in FILTERS_TO_DISABLE if facts.filters.get(f)]
     if active:
         reasons.append(f"on-chip filters were on: {', '.join(active)}")

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from bench.measure.gates import recording_gates, rejection_reasons
+from bench.measure.gates import failed_gate_texts, recording_gates, rejection_reasons
 from bench.measure.measure import measure
 from drivers.camera import RecordingFacts
 from drivers.camera.raw_file import RawFile
@@ -76,9 +76,8 @@ def judge(path, recording, said=LIMITS):
     )  # fmt: skip
     found = measure(path, name="p", target=TARGET, image="auto", periods=2, expected_hz=60.0)
     gates = Gates.from_settings(dict(GateConfig(**said)))
-    return found, rejection_reasons(
-        facts, gates, recording_gates(facts, gates, 60.0, found.facts, found.stars)
-    )
+    failed = failed_gate_texts(recording_gates(facts, gates, 60.0, found.facts, found.stars))
+    return found, [*failed, *rejection_reasons(facts, gates)]
 
 
 def rows_missing(r):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from bench.measure import measure as measuring
-from bench.measure.gates import recording_gates, rejection_reasons
+from bench.measure.gates import failed_gate_texts, recording_gates, rejection_reasons
 from bench.measure.measure import WholeImage, aligned_poses, measure
 from calib.target import StarTarget
 from drivers.camera import RecordingFacts
@@ -27,7 +27,8 @@ def facts(**changes):
 
 def reasons(*, stars=300, measured=MEASURED, gates=GATES, frequency_hz=60.0, **changes):
     told = facts(**changes)
-    return rejection_reasons(told, gates, recording_gates(told, gates, frequency_hz, measured, stars))
+    failed = failed_gate_texts(recording_gates(told, gates, frequency_hz, measured, stars))
+    return [*failed, *rejection_reasons(told, gates)]
 
 
 @pytest.mark.parametrize(
