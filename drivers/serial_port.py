@@ -296,7 +296,7 @@ def _why_not_opened(address: str, error: BaseException) -> PortError:
         return PortBusy(
             f"another program holds the port{_holder_of(address)}.",
             where=address,
-            remedy="Close that program, then start again.",
+            remedy="Close that program, then start again. ModemManager leaves a new port after half a minute.",
         )
     if code in {errno.EACCES, errno.EPERM}:
         return PortDenied(
@@ -309,7 +309,7 @@ def _why_not_opened(address: str, error: BaseException) -> PortError:
             "there is no such port.",
             where=address,
             remedy="Check that the device is plugged in and that the station file names its port. On Linux, the program"
-            " brltty may have taken an adapter with a CH340 or FTDI chip: remove it, then plug the device in again.",
+            " brltty may have taken an adapter with a CH340, CP210x or FTDI chip: remove it, then plug the device in again.",
         )
     if getattr(error.__context__, "args", ())[:1] == (errno.ENOTTY,):  # pyserial's own error has no number
         return PortNotFound(

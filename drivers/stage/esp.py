@@ -53,6 +53,8 @@ _NO_SUCH_COMMAND = 6
 _LEFT_BEHIND = {"TJ": 1.0, "SH": 0.0, "BA": 0.0, "CO": 0.0}
 """What another program may have left otherwise: the profile of moves (1: a trapezoid; from 4 on, an axis follows
 another one), the position at the reference, the corrections of backlash and of the scale."""
+_DECIMALS = range(4, 7)
+"""Values of ``FP`` that print positions finely: with less, a move seems to stop short; 7 prints powers of ten."""
 _DEGREES = 7
 """Value of ``SN`` for an axis that counts in degrees."""
 _RESOLUTION = 1e-4
@@ -138,6 +140,8 @@ class EspStage(OneLineStage[EspAxis, TextLine]):
         self._time_cycles = self._restarts = 0
         self._read_errors()
         self.identify()
+        for axis in self._axes.values():
+            self._print_all_digits(axis)
         self._bring_to_rest()
         for axis in self._axes.values():
             self._program(axis)
@@ -279,6 +283,7 @@ class EspStage(OneLineStage[EspAxis, TextLine]):
                 remedy=f"Set its unit with {axis.number}SN{_DEGREES}, then its limits and speeds in degrees.",
             )
         self._check_resolution(axis)
+        self._print_all_digits(axis)
         limits = axis.limits
         ends = sorted(map(axis.to_controller_deg, (limits.lowest_deg, limits.highest_deg)))
         travel = self._line.query_number(f"{axis.number}SL?"), self._line.query_number(f"{axis.number}SR?")
@@ -295,6 +300,15 @@ class EspStage(OneLineStage[EspAxis, TextLine]):
                 self._set(axis, name, value)
         for name, value in wanted.items():
             self._set(axis, name, value)
+
+    def _print_all_digits(self, axis: EspAxis) -> None:
+        """Let the controller print positions with as many decimals as the driver compares."""
+        decimals = self._read_known(axis, "FP")
+        if decimals is None or decimals in _DECIMALS:
+            return
+        self._command(axis, f"FP{_DECIMALS[0]}")
+        if (got := self._line.query_number(f"{axis.number}FP?")) not in _DECIMALS:
+            raise reads_otherwise(axis, "FP", f"{_DECIMALS[0]}", f"{got:g}")
 
     def _check_resolution(self, axis: EspAxis) -> None:
         """Compare the degrees of an encoder count with the station's, if that states them."""

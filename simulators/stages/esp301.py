@@ -30,6 +30,8 @@ _NUMBER: Final = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[Ee][+-]?\d)?")
 _QUEUE_LENGTH: Final = 10  # Errors that the controller keeps
 _MAX_LINE: Final = 256
 _BOOT_S: Final = 1.0
+_AS_POWER = 7
+"""Value of ``FP`` that prints positions as powers of ten."""
 _FOLLOWS_ANOTHER: Final = 4
 """Profile from which on an axis follows another one."""
 _HOME_SPEED_DEG_S: Final = 20.0  # Of a homing; below, the largest of a move: those of a small rotary stage
@@ -92,6 +94,11 @@ class EspAxis(AxisOfController):
         """Counts per degree that the controller counts."""
         return self.model.mechanics.counts_per_deg * (1.0 + self.settings.get("CO", 0.0) / 100.0)
 
+    def printed(self, position_deg: float) -> str:
+        """Return a position as ``FP`` has it: with so many decimals, or as a power of ten."""
+        decimals = int(self.settings.get("FP", 5.0))
+        return f"{position_deg:.6E}" if decimals == _AS_POWER else f"{position_deg:.{decimals}f}"
+
 
 class EspController(Controller):
     """The controller; ``models`` are its axes, from number 1."""
@@ -136,6 +143,7 @@ class EspController(Controller):
                 "SH": 0.0,
                 "BA": 0.0,
                 "CO": 0.0,
+                "FP": 5.0,
             }
 
     # ------------------------------------------------------------------ the line
@@ -222,8 +230,10 @@ class EspController(Controller):
             "ID": lambda esp_axis, _rest, _now: (
                 f"{esp_axis.model.name or 'URS75BCC'}, SN{esp_axis.model.serial}"
             ),
-            "TP": lambda esp_axis, _rest, now: f"{esp_axis.axis.encoder(now) / esp_axis.scale:.5f}",
-            "DP": lambda esp_axis, _rest, now: f"{esp_axis.axis.rest_counter(now) / esp_axis.scale:.5f}",
+            "TP": lambda esp_axis, _rest, now: esp_axis.printed(esp_axis.axis.encoder(now) / esp_axis.scale),
+            "DP": lambda esp_axis, _rest, now: esp_axis.printed(
+                esp_axis.axis.rest_counter(now) / esp_axis.scale
+            ),
             "TV": lambda esp_axis, _rest, now: f"{esp_axis.axis.velocity(now) / esp_axis.scale:.5f}",
             "MD": lambda esp_axis, _rest, now: str(int(not esp_axis.axis.reports_busy(now))),
             "MO": self._motor_on,

@@ -122,7 +122,19 @@ def esp() -> DirectStage:
 
 @pytest.mark.parametrize(
     "left",
-    ["1SH5", "1SH-2.5", "1CO2.5", "1TJ2", "1TJ6", "1BA0.2", "1VA1;1AC1", "1SH3;1CO-1;1TJ4"],
+    [
+        "1SH5",
+        "1SH-2.5",
+        "1CO2.5",
+        "1TJ2",
+        "1TJ6",
+        "1BA0.2",
+        "1VA1;1AC1",
+        "1SH3;1CO-1;1TJ4",
+        "1FP0",
+        "1FP1",
+        "1FP7",
+    ],
 )
 @pytest.mark.parametrize("when", ["before opening", "before homing"])
 def test_an_axis_points_right_whatever_another_client_has_set(esp, left, when) -> None:
@@ -144,7 +156,7 @@ def test_limits_within_those_of_the_station_may_be_those_of_the_mechanics(esp, w
 
 
 def test_a_command_that_a_controller_does_not_know_is_no_fault(esp) -> None:
-    for name in ("TJ", "SH", "BA", "CO", "OH"):
+    for name in ("TJ", "SH", "BA", "CO", "OH", "FP"):
         del esp.controller.settings[name]
     esp.controller.settings |= {"OH": 20.0}
     stage = esp.reopen()
@@ -309,6 +321,7 @@ ANY_COMMAND = {
     ),
     "esp": numbered(
         *("1SH{}\r", "1CO{}\r", "1TJ{}\r", "1BA{}\r", "1VA{}\r", "1AC{}\r", "1OH{}\r", "1PA{}\r", "1DH{}\r"),
+        *("1FP0\r", "1FP7\r"),
         *("1MO\r", "1MF\r"),
         largest=12,
     ),
@@ -329,12 +342,16 @@ def test_whatever_other_programs_have_sent_opening_moves_nothing_and_an_angle_is
         rig.line.clock.sleep(data.draw(st.sampled_from([0.0, 0.2, 200.0])))
         rig.line.device.unsolicited()
     rig.line.clock.sleep(200.0)
+    before_deg = rig.true_deg()
+    rig.line.clock.sleep(1.0)
     stood_deg = rig.true_deg()
+    # A command such as CV PS3 still creeps here, for the second at most until the driver has stopped it.
+    crept_deg = abs(stood_deg - before_deg)
     try:
         stage = rig.reopen()
         rig.line.clock.sleep(5.0)
         # A motor that is stopped while it presses against its end comes to rest at a whole count.
-        assert rig.true_deg() == pytest.approx(stood_deg, abs=COARSEST_COUNT_DEG)
+        assert rig.true_deg() == pytest.approx(stood_deg, abs=COARSEST_COUNT_DEG + crept_deg)
         stage.home()
         stage.move_to({"pan": 5.0})
     except DriverError:
