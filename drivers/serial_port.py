@@ -308,8 +308,8 @@ def _why_not_opened(address: str, error: BaseException) -> PortError:
         return PortNotFound(
             "there is no such port.",
             where=address,
-            remedy="Check that the device is plugged in and that the station file names its port. On Linux, the program"
-            " brltty may have taken an adapter with a CH340, CP210x or FTDI chip: remove it, then plug the device in again.",
+            remedy="Check that the device is plugged in and that the station file names its port. On Linux,"
+            " brltty may have taken an adapter with a CH340, CP210x or FTDI chip: remove it, then plug the device in.",
         )
     if getattr(error.__context__, "args", ())[:1] == (errno.ENOTTY,):  # pyserial's own error has no number
         return PortNotFound(
