@@ -42,7 +42,7 @@ from drivers.camera.formats.event_columns import (
     unit_of_name,
 )
 from drivers.camera.formats.parquet_export import require_pyarrow
-from drivers.camera.raw_header import GIVE_SIZE
+from drivers.camera.raw_header import GIVE_SIZE, encoding_of, header_fields
 from drivers.errors import NotARecording, UnreadableEvents
 
 NPY_MAGIC: Final = b"\x93NUMPY"
@@ -50,8 +50,9 @@ PARQUET_MAGIC: Final = b"PAR1"
 PIECE_EVENTS: Final = 500_000  # Read at once
 _MOST_ARRAYS: Final = 32
 """An archive with more arrays is none of events."""
-_HEAD_BYTES: Final = 4096
+_HEAD_BYTES: Final = 1 << 16
 _GEOMETRY: Final = re.compile(r"[%# ]*geometry *[:=]? *(\d{1,5}) *[,x ] *(\d{1,5}) *", re.IGNORECASE)
+_MARKS_OF_COMMENTS: Final = "#% \t\r\n"
 _UNIT: Final = re.compile(r"[ \t]+(?=[\[(])")
 """Between a name and its unit: ``timestamp [us]``."""
 _OF_DECIMAL_COMMAS: Final = (";", "\t")
@@ -189,7 +190,8 @@ class _TextLayout(NamedTuple):
 
 def is_table_of_text(start: bytes) -> bool:
     """Return whether a file that starts with these bytes is text with a line of four or more numbers an event."""
-    return not start.startswith(b"% ") and _text_layout(start) is not None
+    is_recording = bool(encoding_of(header_fields(start)[0]))
+    return not is_recording and _text_layout(start) is not None
 
 
 def _text_layout(start: bytes) -> _TextLayout | None:
@@ -197,7 +199,7 @@ def _text_layout(start: bytes) -> _TextLayout | None:
     if b"\0" in start[:_HEAD_BYTES]:
         return None
     for number, line in enumerate(start[:_HEAD_BYTES].decode("utf-8-sig", "replace").splitlines()):
-        if not line.strip("# \t"):
+        if not line.strip(_MARKS_OF_COMMENTS):
             continue
         delimiter = next((sign for sign in ";\t," if sign in line.strip()), None)
         words = _words(line, delimiter)
@@ -206,7 +208,7 @@ def _text_layout(start: bytes) -> _TextLayout | None:
             sizes["geometry"] = (int(geometry[1]), int(geometry[2]))
         elif are_numbers and len(words) == _SIZE and not number:
             sizes["the first line"] = (int(float(words[0])), int(float(words[1])))
-        elif are_numbers and not line.startswith("#"):
+        elif are_numbers and line[0] not in "#%":
             names = names if len(names) == len(words) else []  # else they are words of a comment
             own = [name for name in _of_header(names) if name is not None]
             if len(own) < COLUMNS and (own or len(words) != COLUMNS):
@@ -225,7 +227,7 @@ def _text_layout(start: bytes) -> _TextLayout | None:
 
 def _words(line: str, delimiter: str | None) -> list[str]:
     """Return the cells of a line: none for blanks behind its last delimiter, and numbers with a decimal point."""
-    line = _UNIT.sub("", line.strip("# \t\r\n"))
+    line = _UNIT.sub("", line.strip(_MARKS_OF_COMMENTS))
     words = [word.strip(' "') for word in line.rstrip(delimiter).split(delimiter)]
     return [word.replace(",", ".") for word in words] if delimiter in _OF_DECIMAL_COMMAS else words
 

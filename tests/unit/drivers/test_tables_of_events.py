@@ -207,7 +207,16 @@ def test_numbers_with_a_decimal_comma_stand_between_semicolons_or_tabs(tmp_path,
     assert_same(import_events(path, SIZED))
 
 
-@pytest.mark.parametrize("head", ["# timestamp [us] x y polarity\n", "# rows of t x y p\n", "t x y p \n"])
+@pytest.mark.parametrize(
+    "head",
+    [
+        "# timestamp [us] x y polarity\n",
+        "# rows of t x y p\n",
+        "t x y p \n",
+        "% t x y p\n",
+        "# note\n" * 5000,
+    ],
+)
 def test_a_comment_above_the_events_names_no_column_beyond_the_last(tmp_path, head):
     assert_same(import_events(text(tmp_path / "a.txt", head, "txyp", " "), SIZED))
 
