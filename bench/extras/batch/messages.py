@@ -164,10 +164,12 @@ class Outbox:
 
     def _due(self, channel: str, now_s: float, *, all_waiting: bool) -> list[Delivery]:
         query = (
-            "SELECT * FROM deliveries WHERE channel = ? AND state = 'waiting' AND (? OR next_try <= ?)"
-            " ORDER BY utc, key"
+            "SELECT * FROM deliveries WHERE channel = ? AND state = 'waiting'"
+            " AND (? OR next_try <= ? OR next_try > ?) ORDER BY utc, key"
         )
-        return [_delivery(row) for row in self._rows(query, channel, all_waiting, now_s)]
+        # A time beyond the longest pause was noted before somebody set the system's time back.
+        rows = self._rows(query, channel, all_waiting, now_s, now_s + LONGEST_PAUSE_S)
+        return [_delivery(row) for row in rows]
 
     def _rows(self, query: str, *values: Any) -> list[Sequence[Any]]:
         """Return the rows of a query; none before the first message."""

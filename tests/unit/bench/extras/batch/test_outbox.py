@@ -69,6 +69,14 @@ def test_what_does_not_go_through_is_tried_again_ever_more_seldom(outbox):
     assert outbox.deliveries()[0].last_error == ""
 
 
+def test_a_system_time_that_was_set_back_keeps_no_message(outbox):
+    outbox.put(message(), ["mail"])
+    receiver = Receiver(failures=1)
+    outbox.deliver(receiver, NOW)
+    assert outbox.deliver(receiver, NOW - timedelta(hours=5)) == 0
+    assert len(receiver.taken) == 1
+
+
 def test_a_channel_that_hangs_is_given_up_and_holds_up_no_other(outbox, monkeypatch):
     monkeypatch.setattr("bench.extras.batch.messages.DEADLINE_S", 0.3)
     for key in ("k1", "k2"):
