@@ -67,13 +67,22 @@ class Placeholder:
     # One of `_SHAPES` or `_HEX`; empty for a value that is known when the template is used.
     kind: str = ""
     # Of a number that is sent: digits after the point, None for as many as needed. All digits of a hexadecimal number;
-    # least number of digits of a whole one.
+    # least number of digits of a whole one; all letters of a word.
     digits: int | None = None
 
     @property
     def shape(self) -> re.Pattern[str]:
         """The characters that its value may have."""
-        return re.compile(f"[0-9A-Fa-f]{{{self.digits}}}") if self.kind in _HEX else _SHAPES[self.kind]
+        if self.kind in _HEX:
+            return re.compile(f"[0-9A-Fa-f]{{{self.digits}}}")
+        if self.kind == "word" and self.digits:
+            return re.compile(f"[A-Za-z0-9_.+-]{{{self.digits}}}", re.ASCII)
+        return _SHAPES[self.kind]
+
+    @property
+    def has_fixed_length(self) -> bool:
+        """Whether its end is known, whatever follows."""
+        return self.kind in {*_HEX, "sign"} or (self.kind == "word" and bool(self.digits))
 
 
 @dataclass(frozen=True)
@@ -180,7 +189,7 @@ def _placeholder(inner: str, known: frozenset[str], readable: frozenset[str] | N
         return Placeholder(name, kind, int(digits))
     if not point:
         return Placeholder(name, kind)
-    if kind == "integer" and digits.isdecimal() and 0 < int(digits) <= _MOST_DIGITS:
+    if kind in {"integer", "word"} and digits.isdecimal() and 0 < int(digits) <= _MOST_DIGITS:
         return Placeholder(name, kind, int(digits))
     if kind != "number" or not digits.isdecimal() or int(digits) > MOST_DECIMALS:
         raise TemplateFault(f"decimals are written {{{name}:number.3}}, at most {MOST_DECIMALS}.")
@@ -200,7 +209,7 @@ def _check_names(read: Sequence[Placeholder]) -> None:
 
 def _check_end(part: Placeholder, following: str | Placeholder | None) -> None:
     """Check that it is clear where a value ends."""
-    if following is None or part.kind == "sign" or part.kind in _HEX:
+    if following is None or part.has_fixed_length:
         return
     if part.kind == "text":
         raise TemplateFault(f"{{{part.name}:text}} takes the rest of the line, so nothing may follow it.")

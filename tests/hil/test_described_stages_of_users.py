@@ -203,6 +203,24 @@ def test_positions_in_hexadecimal_digits_come_when_the_move_has_ended(clock) -> 
     assert {"0maFFFFF072", "0sv64"} <= set(wire.sent)
 
 
+@pytest.mark.parametrize(
+    ("status", "told"), [("0GS02", "mechanical time-out"), ("0GS0D", "too much current")]
+)
+def test_a_status_in_the_place_of_the_position_is_told_and_the_stage_must_be_homed(
+    clock, status, told
+) -> None:
+    """A mount that is blocked, or has too weak a power supply, ends its move by a status."""
+    wire, motor = ell14(clock)
+    stage = opened(wire, described("ell14"), ("0", ELL14_COUNTS_PER_DEG))
+    stage.home()
+    position = wire.unasked
+    wire.unasked = lambda: f"{status}\r\n" if position() else ""
+    with pytest.raises(DriverError, match=told):
+        stage.move_to({"pan": -10.0})
+    assert not stage.is_homed()
+    assert not motor.is_busy
+
+
 def test_a_position_that_has_more_digits_than_the_device_takes_is_not_sent(tmp_path, clock) -> None:
     wire, _ = ell14(clock)
     short = changed(tmp_path, "ell14", "{target:signed_hex.8}", "{target:signed_hex.3}")
