@@ -28,6 +28,7 @@ _AS_UTF8: Final = "Write it again as UTF-8."
 _OLD_AEDAT: Final = "Starbench reads AEDAT4; iniVation's program DV writes it from older files."
 _AS_PARQUET: Final = "Write its table as Parquet."
 _UNPACK: Final = "Unpack it first."
+_AS_TEXT: Final = "Save its table as text (CSV)."
 _IN_PLACE: Final = (
     (
         rb"version https://git-lfs",
@@ -35,8 +36,11 @@ _IN_PLACE: Final = (
         "Fetch the file: git lfs pull",
     ),
     (rb"\s*<(?:!doctype )?html", "a web page", "Download the file itself, on GitHub by `Raw`."),
+    (rb"PK\x03\x04.{26}(?:\[Content_Types\]|_rels/|xl/)", "a spreadsheet", _AS_TEXT),
+    (rb"PK\x03\x04.{26}mimetypeapplication/vnd\.oasis", "a spreadsheet", _AS_TEXT),
+    (rb"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "a document of an office program", _AS_TEXT),
 )
-"""What a download leaves in place of a file."""
+"""What people have in place of the file that a program wrote."""
 _OTHERS: Final = (
     (b"% Data file containing", "a DAT file", ""),
     (b"\x89HDF", "an HDF5 file", ""),
@@ -85,10 +89,9 @@ def unread_picture(start: bytes, ending: str = "") -> tuple[str, str] | None:
 
 
 def in_place_of_file(start: bytes) -> tuple[str, str] | None:
-    """Return what a download has left in place of the file, and what to do; None if it is a file."""
-    return next(
-        ((what, remedy) for begin, what, remedy in _IN_PLACE if re.match(begin, start, re.IGNORECASE)), None
-    )
+    """Return what people have in place of the file that a program wrote, and what to do; None if it is none."""
+    flags = re.IGNORECASE | re.DOTALL
+    return next(((what, remedy) for begin, what, remedy in _IN_PLACE if re.match(begin, start, flags)), None)
 
 
 def kind_of_file(start: bytes, ending: str = "") -> tuple[str, str]:

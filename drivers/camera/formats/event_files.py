@@ -30,6 +30,7 @@ from drivers.camera.event_arrays import (
     too_many_edges,
 )
 from drivers.camera.evt3 import Words
+from drivers.camera.file_kinds import in_place_of_file
 from drivers.camera.formats import prophesee_words
 from drivers.camera.formats.event_columns import UnitCheck
 from drivers.camera.formats.hdf5_events import opened_hdf5
@@ -96,7 +97,7 @@ def _of_library(path: Path, start: bytes) -> dict[str, bool]:
     """Return by kind whether a file is to be read by its library."""
     return {
         "bag": is_bag(path, start),
-        "npz": start[:4] == b"PK\x03\x04",
+        "npz": start[:4] == b"PK\x03\x04" and in_place_of_file(start) is None,
         "npy": start.startswith(NPY_MAGIC),
         "aedat4": start[:12] == AEDAT4_MAGIC,
         "parquet": start.startswith(PARQUET_MAGIC),

@@ -201,6 +201,8 @@ def test_words_that_look_like_a_header_line_are_words_after_its_end():
         (b"version https://git-lfs.github.com/spec/v1\noid", "a pointer of Git LFS"),
         (b"rosbag2_bagfile_information:\n  version: 9\n", "ROS 2 bag.* folder"),
         (b"FEA1\0\0\0\0", "a Feather file"),
+        (b"PK\x03\x04" + bytes(26) + b"[Content_Types].xml", "a spreadsheet.*CSV"),
+        (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "an? .*office program.*CSV"),
         (b"\x80\x02}q\0", "a Python pickle"),
         (b"\0" * 100, "nothing but zeros"),
         (b"#!AER-DAT2.0\r\n# created by v2e\r\n\0\1", "an AEDAT 2.0 file.* Starbench reads AEDAT4"),

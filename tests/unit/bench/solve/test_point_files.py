@@ -64,6 +64,10 @@ WRONG = {
         text(ROWS, header="x,y,X,Y,id,H\u00f6he").encode("cp1252"),
         "not UTF-8 text",
     ),
+    "a spreadsheet's own file": (
+        b"PK\x03\x04" + bytes(26) + b"[Content_Types].xml",
+        "The file is a spreadsheet",
+    ),
     "a column too many": (text(ROWS, "{0},{1},{2},{3},0,{4}"), "6 columns instead of 5"),
     "points and commas as decimal marks": ("1.000,5;2,5;3,5;4,5;6\n", "8 columns|9 columns"),
 }
