@@ -10,7 +10,6 @@ from typing import Any
 
 from bench.record.coverage import coverage_factor
 from bench.record.results import (
-    AmplitudeData,
     BudgetRowData,
     CalibrationData,
     GimbalCheckData,
@@ -144,11 +143,6 @@ def witness_rows(calibration: CalibrationData) -> list[dict[str, str]]:
     return [_row(witness) for witness in by_doubt]
 
 
-def amplitude_rows(calibration: CalibrationData) -> list[tuple[str, str]]:
-    """List the sizes of the errors that the adjustment estimated, with their uncertainty and what was expected."""
-    return [(amplitude["name"], _size(amplitude)) for amplitude in calibration["amplitudes"]]
-
-
 def _row(witness: WitnessData) -> dict[str, str]:
     size = abs(witness["innovation"])
     doubted = witness["fault_probability"] >= _DOUBTED or size >= _CONTRADICTION
@@ -168,12 +162,6 @@ def _value(value: float | None, sigma: float | None, unit: str) -> str:
         return NOTHING
     shown, uncertainty = with_uncertainty(value, sigma)
     return f"{shown} \N{PLUS-MINUS SIGN} {uncertainty} {'' if unit == '1' else unit}".strip()
-
-
-def _size(amplitude: AmplitudeData) -> str:
-    unit = {"urad": " \N{MICRO SIGN}rad", "1": ""}.get(amplitude["unit"], f" {amplitude['unit']}")
-    factor, expected = number(math.exp(amplitude["log_sigma"]), 2), number(amplitude["expected"], 2)
-    return f"{number(amplitude['value'], 2)}{unit}, known to a factor of {factor}; expected {expected}{unit}"
 
 
 def values(calibration: CalibrationData) -> list[tuple[str, str, str, str, str]]:

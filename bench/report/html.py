@@ -17,7 +17,7 @@ from bench.record.coverage import coverage_factor
 from bench.record.history import History
 from bench.record.results import Results
 from bench.report import calibration_tables, pose_tables, run_tables
-from bench.report.calibration_tables import amplitude_rows, witness_rows
+from bench.report.calibration_tables import witness_rows
 from bench.report.phone_tables import label_cells
 from bench.report.pictured_poses import pictured_poses, thinned
 from bench.report.pose_tables import courses
@@ -90,7 +90,6 @@ def _result_parts(results: Results, words: TargetWords) -> dict[str, Any]:
         "overlap": calibration_tables.overlap(calibration),
         "own_factors": bool(calibration.get("coverage_factors")),
         "witnesses": witness_rows(calibration),
-        "amplitudes": amplitude_rows(calibration),
         "not_included": calibration_tables.not_included(calibration),
         "checks": [
             *run_tables.check_rows(results.get("check")),

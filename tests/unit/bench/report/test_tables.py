@@ -11,7 +11,6 @@ from report_sample import SMALL, sample
 
 from bench.extras.certificate.facts_of_run import further_of, results_of
 from bench.report.calibration_tables import (
-    amplitude_rows,
     budget_rows,
     checks,
     combined,
@@ -177,14 +176,6 @@ def test_statements_have_their_standard_uncertainties_and_the_one_most_at_odds_c
     assert plain["innovation"] == "\N{MINUS SIGN}0.3"
     assert joint["stated"] == joint["expected"]
     assert "mm" not in joint["stated"]
-
-
-def test_sizes_are_printed_with_their_unit_and_expectation():
-    size = {"name": "field of a pose", "value": 12.34, "log_sigma": 0.2, "unit": "urad", "expected": 5.0}
-    assert amplitude_rows({"amplitudes": [size]}) == [
-        ("field of a pose", "12 µrad, known to a factor of 1.2; expected 5.0 µrad")
-    ]
-    assert witness_rows({"witnesses": []}) == amplitude_rows({"amplitudes": []}) == []
 
 
 # ---------------------------------------------------------------- passport, readings and input files
