@@ -143,8 +143,8 @@ class ColumnReader:
 
     def events(self, parts: Parts) -> Events:
         """Return the events of the next rows. Raises NotARecording if they are none."""
-        t, *others = self._columns(parts)
-        return as_events(self._times(t), *map(_whole_of, others))
+        t, x, y, p = self._columns(parts)
+        return as_events(self._times(t), *map(_whole_of, (x, y, _signed(p))))
 
     def _columns(self, parts: Parts) -> list[NDArray[Any]]:
         """Return t, x, y and p of rows of a table, or of columns."""
@@ -177,11 +177,16 @@ def _order(table: NDArray[Any]) -> Sequence[int]:
     Raises NotARecording if no column can be that of polarities.
     """
     usual = _OF_WHOLE if table.dtype.kind in "iu" else _OF_FRACTIONS
-    fitting = [order for order in (usual, *_ORDERS) if np.isin(table[:, order[3]], (-1, 0, 1)).all()]
+    fitting = [order for order in (usual, *_ORDERS) if np.isin(_signed(table[:, order[3]]), (-1, 0, 1)).all()]
     if not fitting:
         raise UnreadableEvents("no column of its table holds polarities, which are -1, 0 or 1.")
     rising = [order for order in fitting if _rises(table[:, order[0]])]
     return (rising or fitting)[0]
+
+
+def _signed(p: NDArray[Any]) -> NDArray[Any]:
+    """Return polarities of which -1 may have been written as the largest unsigned number; 255 may as well mean ON."""
+    return p.astype(f"i{p.itemsize}") if p.dtype.kind == "u" and p.itemsize > 1 else p
 
 
 def _rises(column: NDArray[Any]) -> bool:

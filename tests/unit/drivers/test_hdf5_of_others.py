@@ -145,6 +145,23 @@ def test_the_table_of_v2e_is_read(written):
     assert_same(written(lambda file: file.create_dataset("events", data=table, compression="gzip")))
 
 
+def test_polarities_of_minus_1_may_be_the_largest_unsigned_number(written):
+    """v2e writes its table as unsigned numbers."""
+    negative = np.where(ROWS["p"], 1, -1)
+
+    def table(file):
+        rows = np.stack([ROWS["t"], ROWS["x"], ROWS["y"], negative], axis=1)
+        file["events"] = rows.astype(np.int64).astype(np.uint32)
+
+    def parts(file):
+        columns(file.create_group("events"))
+        del file["events/p"]
+        file["events/p"] = negative.astype(np.int64).astype(np.uint16)
+
+    assert_same(written(table))
+    assert_same(written(parts))
+
+
 @pytest.mark.parametrize("shape", [(N, 1), (1, N)])
 @pytest.mark.parametrize("chunks", [None, True])
 def test_the_columns_of_matlab_have_two_sides(written, shape, chunks):
