@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from drivers.clock import Clock
-from drivers.described.description import AxisSetting, Exchange, StageDescription, Value
+from drivers.described.description import AxisSetting, Exchange, StageDescription, Switch, Value
 from drivers.described.line import DescribedLine, shown
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyError, ReplyTimeout
 from drivers.link import TRIES, read_until_agreed
@@ -29,6 +29,8 @@ from drivers.wire_log import WireLog
 
 _STOPS_IN_SILENCE = 2
 """How often a stop is sent at once while no reply comes."""
+_HOMING_BEGINS_S = 1.0
+"""A controller that does not answer the command to home may need this time until it shows the motion; in seconds."""
 _SCALE_SLACK = 2e-4
 """Largest relative difference between the scale of the station file and the controller's: it prints few digits."""
 
@@ -69,6 +71,7 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
     ) -> None:
         self._description = description
         self._serial = serial
+        self._homing_since_s = 0.0
         self._awaited: list[tuple[Exchange, dict[str, Value], str]] = []
         """Commands whose late reply has not come, with their values and what was sent; only the first is sent."""
         super().__init__(port, axes, clock=clock, wire_log=wire_log)
@@ -170,6 +173,7 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
         super()._start_homing(check_not_stopped)
 
     def _begin_homing(self, axis: TextAxis) -> None:
+        self._homing_since_s = self._clock.monotonic()
         is_late = self._description.home_replies_at_end
         self._order(self._description.home, self._of(axis), is_late=is_late)
 
@@ -204,13 +208,40 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
         idle, _ = self._line.switch(self._description.idle, self._of(axis))
         counts = self._line.query(self._description.position, self._of(axis))["counts"]
         problem = "" if homing else "; ".join(self._line.take_notices())
-        return AxisState(axis.to_angle_deg(float(counts)), not idle, problem)
+        busy = not idle or (homing and self._may_still_home(axis))
+        return AxisState(axis.to_angle_deg(float(counts)), busy, problem)
+
+    def _may_still_home(self, axis: TextAxis) -> bool:
+        """Whether an idle axis has just been told to home: a controller may need a moment until it moves."""
+        is_new = self._clock.monotonic() - self._homing_since_s < _HOMING_BEGINS_S
+        return is_new and bool(self._without_reference(axis))
+
+    def _without_reference(self, axis: TextAxis) -> str:
+        """Return the answer of a controller that has no reference, as the end of a sentence; else empty."""
+        reference = self._description.reference
+        if reference is None:
+            return ""
+        has_reference, answer = self._line.switch(reference, self._of(axis))
+        return "" if has_reference else self._answered(reference, axis, answer)
+
+    def _answered(self, switch: Switch, axis: TextAxis, answer: str) -> str:
+        return f": '{switch.query.send.render(self._of(axis))}' is answered by '{answer}'"
+
+    def _what_says_busy(self) -> str:
+        idle = self._description.idle
+        answers = [(axis, *self._line.switch(idle, self._of(axis))) for axis in self._axes.values()]
+        axis, _, answer = next(
+            ((a, is_idle, said) for a, is_idle, said in answers if not is_idle), answers[0]
+        )
+        return f"{self._answered(idle, axis, answer)}, which is not under idle in its description"
 
     def _read_final_state(self, axis: TextAxis, *, homing: bool) -> AxisState:
         """Read the settings and the faults too: a restart undoes the settings."""
         state = self._read_state(axis, homing=homing)
         if self._changed_settings(with_positions=not homing):
             return state._replace(problem="the controller restarted during the move: its position is lost")
+        if homing and (without := self._without_reference(axis)):
+            return state._replace(problem=f"homing ended without a reference{without}")
         if homing:
             self._line.take_notices()  # a search of the reference may touch the limit switches
         faults = self.faults()

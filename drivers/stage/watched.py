@@ -159,6 +159,10 @@ class WatchedStage(ABC, Generic[A]):
     def _send_stop(self) -> None:
         """Stop all axes at once, without resynchronising, and check that the controller received the stop."""
 
+    def _what_says_busy(self) -> str:
+        """Return what a stage that stays busy answers, as the end of a sentence; empty where busy has one meaning."""
+        return ""
+
     def _read_encoder(self, axis: A) -> AxisState | None:  # noqa: ARG002 - most controllers have none
         """Read the encoder of an axis; None when it has none."""
         return None
@@ -252,7 +256,11 @@ class WatchedStage(ABC, Generic[A]):
             if not any(self._read_state(axis).busy for axis in self._axes.values()):
                 return
             next(iter(self._lines.values())).listen(_STOP_POLL_S)
-        raise MoveTimeout("still busy after a stop.", where=self._where, remedy="Cut the stage's power.")
+        raise MoveTimeout(
+            f"still busy after a stop{self._what_says_busy()}.",
+            where=self._where,
+            remedy="Cut the stage's power, if it moves.",
+        )
 
     # ------------------------------------------------------------ inside
 

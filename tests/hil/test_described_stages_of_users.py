@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from bench.stations.station_text import read_stage_protocol
-from drivers.errors import DriverError, MoveFailed, OutsideLimits
+from drivers.errors import DriverError, MoveFailed, MoveTimeout, OutsideLimits
 from drivers.stage import AxisLimits
 from drivers.stage.text import TextAxis, TextStage
 from tests.hil.direct_stages import VirtualClock
@@ -100,6 +100,45 @@ def test_a_command_that_the_device_ignored_in_silence_is_a_failed_move(clock) ->
     wire.answer = lambda request: "" if "PA" in request else answer(request)
     with pytest.raises(MoveFailed, match="stopped at 0"):
         stage.move_to({"pan": 5.0})
+
+
+def test_a_homing_that_was_refused_in_silence_is_told_with_the_state(clock) -> None:
+    wire, _ = smc100(clock)
+    wire.known["state"] = "3C"  # disabled, at its keypad or by another program: it then takes no OR
+    answer = wire.answer
+    wire.answer = lambda request: "" if "OR" in request else answer(request)
+    stage = opened(wire, described("smc100"), ("1", 1.0))
+    with pytest.raises(MoveFailed, match="homing ended without a reference: '1TS' is answered by '3C'"):
+        stage.home()
+    assert not stage.is_homed()
+
+
+def test_a_homing_that_begins_late_is_waited_for(clock) -> None:
+    wire, motor = smc100(clock)
+    stage = opened(wire, described("smc100"), ("1", 1.0))
+    motor.move(2.0)
+    answer, asked_s = wire.answer, [0.0]
+
+    def late(request: str) -> str:
+        if "OR" in request:
+            asked_s[0] = clock.now_s
+            return ""
+        if asked_s[0] and clock.now_s > asked_s[0] + 0.5:
+            asked_s[0] = 0.0
+            answer("1OR")
+        return answer(request)
+
+    wire.answer = late
+    stage.home()
+    assert stage.is_homed()
+    assert stage.position_deg() == {"pan": 0.0}
+
+
+def test_a_state_that_is_neither_idle_nor_a_motion_is_named(clock) -> None:
+    wire, _ = smc100(clock)
+    wire.known["state"] = "14"  # configuration
+    with pytest.raises(MoveTimeout, match="'1TS' is answered by '14', which is not under idle"):
+        opened(wire, described("smc100"), ("1", 1.0))
 
 
 # ------------------------------------------------------------ a target, then a start; one answer of two axes
