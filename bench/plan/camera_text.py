@@ -105,7 +105,7 @@ _NOT_A_NUMBER = re.compile(r"\.(nan|inf)", re.IGNORECASE)  # as YAML writes it
 _NO_BLANK = re.compile(r"^([ \t]*[\w.]+):(?=[^\s:])", re.MULTILINE)
 """A name and its value without a blank between, which OpenCV's FileStorage reads, as in ORB-SLAM2's own files."""
 _TAB = re.compile(r"(?<=[^\s#])\t+")  # behind a name, which yaml-cpp reads
-_BETWEEN = re.compile(r"[][,;]")  # as numpy and MATLAB print an array
+_BETWEEN = re.compile(r"[][(),;]")  # as numpy, MATLAB and Python print lists
 _SEPARATOR = re.compile(r"^(?:---|\.\.\.)(?:[ \t].*)?$", re.MULTILINE)
 #: Lines of a message of ROS that differ although the camera is the same.
 _TIMES = re.compile(r"^ *(?:seq|secs|nsecs|sec|nanosec): *\d+[ \t]*$", re.MULTILINE)

@@ -84,7 +84,10 @@ _LENSES: Mapping[str, tuple[str, ...] | None] = {
     **dict.fromkeys(_PICTURES, None),
 }
 #: Whether the lens is a fisheye, in a key that asks for it.
-_IS_FISHEYE: Mapping[str, tuple[str, ...]] = {"0": OPENCV, "false": OPENCV, "1": FISHEYE, "true": FISHEYE}
+_IS_FISHEYE: Mapping[str, tuple[str, ...]] = {
+    **dict.fromkeys(("0", "false", "no"), OPENCV),
+    **dict.fromkeys(("1", "true", "yes"), FISHEYE),
+}
 _OF_MC_CALIB = "distortionvector"
 """Only MC-Calib has this name. There, a `distortion_type` of 1 means a fisheye."""
 _IN_ANY_ORDER = "brown"

@@ -67,9 +67,12 @@ def size_of_values(values: Values) -> tuple[int, int]:
         " and ".join(names): [values[name] for name in names] for names in _SIDES if set(names) <= set(values)
     }
     stated |= {
-        name: [values[name]["width"], values[name]["height"]]
+        name: [named[width], named[height]]
         for name in _SIZES
-        if isinstance(values.get(name), Mapping) and {"width", "height"} <= set(values[name])
+        if isinstance(values.get(name), Mapping)
+        and (named := {str(side).lower(): length for side, length in values[name].items()})
+        for width, height in (("width", "height"), ("w", "h"))
+        if {width, height} <= set(named)
     }
     stated = stated or listed(values, _SIZES_OF_ANYTHING)
     if not stated and set(_SIDES_OF_ANYTHING) <= set(values):

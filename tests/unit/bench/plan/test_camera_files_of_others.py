@@ -447,6 +447,8 @@ def test_a_principal_point_far_from_the_middle_is_remarked(tmp_path):
         {"dimensions": SIZE},
         {"res_x": SIZE[0], "res_y": SIZE[1]},  # EV-IMO
         {"image_size": SIZE, "size": [9, 6]},  # of a board
+        {"ImageSize": {"Width": SIZE[0], "Height": SIZE[1]}},
+        {"image_size": "(1280, 720)"},  # Python's print
     ],
 )
 def test_the_size_of_the_image_has_the_names_of_programs(size):

@@ -227,6 +227,7 @@ FISHEYES = {
     "OKVIS 2": okvis("equidistant", FISHEYE),
     "nerfstudio": {**{name: value for name, value in NERFSTUDIO.items() if name not in NAMED}, **KANNALA_BRANDT, "camera_model": "OPENCV_FISHEYE"},
     "aniposelib": ANIPOSE.replace(str(D5), str(FISHEYE)).replace("rotation", "fisheye = true\nrotation"),
+    "yes": {**LISTS, "D": FISHEYE, "fisheye": "yes"},
     # cameraIntrinsicsKB
     "MATLAB": {"K": MATLAB_K, "DistortionCoefficients": FISHEYE, "ImageSize": [720, 1280]},
     # scripts around cv2.fisheye
