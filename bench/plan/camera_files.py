@@ -35,18 +35,21 @@ _KNOWN = (
     " COLMAP, Metavision, DV, Basalt, ORB-SLAM, VINS, MATLAB, Metashape and others (docs/check.md)."
 )
 
-#: What a file is, in words, by its syntax or by a name that only one program has.
-_KINDS = {
-    "XML": "OpenCV's XML",
-    "COLMAP": "COLMAP's cameras",
-    "INI": "ROS's ost.txt",
-    "TOML": "TOML",
-    "lensmodel": "mrcal's cameramodel",
-    "sensortype": "EuRoC's sensor.yaml",
-    "distortioncoeffs": "Kalibr's camchain",
-    "distortionmodel": "ROS's camera_info",
-    "nkeptviews": "Metavision's intrinsics.json",
-}
+#: What a file is, in words: the first whose syntax and names it has.
+_KINDS = (
+    ("OpenCV's XML", {"XML"}),
+    ("COLMAP's cameras", {"COLMAP"}),
+    ("ROS's ost.txt", {"INI"}),
+    ("mrcal's cameramodel", {"lensmodel"}),
+    ("EuRoC's sensor.yaml", {"sensortype"}),
+    ("Metavision's intrinsics.json", {"nkeptviews"}),
+    ("Metavision's camera-geometry.json", {"type", "k", "JSON"}),
+    ("Kalibr's camchain", {"distortioncoeffs", "distortionmodel", "intrinsics", "YAML"}),
+    ("ROS's camera_info", {"distortionmodel", "cameramatrix", "cameraname"}),
+    ("ROS's camera_info", {"distortionmodel", "k", "d", "p"}),
+    ("OpenCV's YAML", {"cameramatrix", "distortioncoefficients", "YAML"}),
+    ("OpenCV's JSON", {"cameramatrix", "distortioncoefficients", "JSON"}),
+)
 _Found = tuple[str, CameraModel, Array | None, tuple[str, ...]]
 
 
@@ -143,8 +146,7 @@ def _recognised(data: bytes, name: str | None, lens: LensFamily | None) -> _Foun
             f"{len(cameras)} different cameras follow one another", "Copy one of them to a file of its own."
         )
     values = cameras_values[0]
-    otherwise = "Metavision's camera-geometry.json" if {"type", "k"} <= set(values) else f"OpenCV's {syntax}"
-    kind = next((words for key, words in _KINDS.items() if key in (syntax, *values)), otherwise)
+    kind = next((words for words, marks in _KINDS if marks <= {syntax, *values}), f"the {syntax} file")
     kind = f"the file of {values['program']}" if "program" in values else kind
     camera, covariance = _with_covariance(cameras[0], values)
     return kind, camera, covariance, tuple(_remarks_on_region(values))

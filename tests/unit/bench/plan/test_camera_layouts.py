@@ -472,6 +472,11 @@ def test_what_can_be_read_in_two_ways_or_in_none_is_refused(text, why):
     assert error.value.remedy
 
 
+def test_a_file_whose_writer_nobody_knows_is_called_by_its_syntax():
+    assert parse({**LISTS, "distortion_coeffs": D5}).kind == "the JSON file"
+    assert parse(RPG).kind == "the YAML file"
+
+
 def test_a_stated_skew_is_used():
     found = parse({**FOUR, **SIDES, **NAMED, "skew": 2.0})
     assert found.camera.skew == 2.0
