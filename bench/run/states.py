@@ -27,7 +27,7 @@ from bench.run.run_context import RunContext
 from bench.stations.devices import Devices
 from drivers.camera import CameraIdentity
 from drivers.camera.usb_permission import LEAST_MBIT_S
-from drivers.errors import NotHomed
+from drivers.errors import LightFault, NotHomed
 from drivers.light import Light, StatesSyncPolarity
 from sequences.script import (
     ChooseStep,
@@ -113,6 +113,7 @@ class StateWork:
     def __init__(self, run: RunContext) -> None:
         self._run = run
         self._measured: dict[int, Measurement] = {}
+        self._lit = False  # Whether the last light step has switched the light on
         self._begun: dict[str, Callable[[], Measurement]] = {}
         """What waits for the measurement of a recording that has begun, by the recording's file."""
 
@@ -163,6 +164,7 @@ class StateWork:
     def lighting(self, step: LightStep, **_: Any) -> None:
         """Set the light as the step says."""
         light = self._run.devices.opened.light
+        self._lit = step.flicker is not None
         if step.flicker is None:
             light.off()
             return
@@ -190,6 +192,7 @@ class StateWork:
         with storage_errors(part):
             facts = kind.record(devices.camera, part, step, self._run.job.frequency_hz(step))
         after = self._position_as_commanded(pose.angles_deg)
+        self._require_light(devices.light)
         asleep_s = self._run.clock.asleep_s() - asleep_before_s
         capture = self._run.folder.commit(name, self._run.clock.monotonic)
         self._run.log.write(
@@ -282,6 +285,15 @@ class StateWork:
         self._run.devices.make_safe()
 
     # ------------------------------------------------------------------ recording
+
+    def _require_light(self, light: Light) -> None:
+        """Raise `LightFault` if a light that was switched on is dark: neither camera nor cable is to blame then."""
+        if self._lit and not light.is_on():
+            raise LightFault(
+                "the light was switched on, and is dark after a recording, which is not used.",
+                where="light",
+                remedy="Find the cause (its supply, its overload protection, a person at it). Then resume the run.",
+            )
 
     def _position_as_commanded(self, commanded_deg: Mapping[str, float]) -> dict[str, float]:
         """Read all angles; raise `NotHomed` if an axis does not stand where it was sent: its reference is lost.

@@ -15,6 +15,7 @@ from drivers.stage.line_per_axis import LinePerAxisStage
 from drivers.stage.motion import Axis
 from drivers.stage.refusals import CHECK_PORTS, not_movable
 from drivers.stage.thorlabs_controller import (
+    CONNECTED,
     FORWARD,
     REVERSE,
     SWITCHES,
@@ -151,7 +152,11 @@ class ThorlabsStage(LinePerAxisStage[ThorlabsAxis, ThorlabsController]):
             return state._replace(position_deg=self._agreed_position_deg(axis, self._read_state))
         begun = self._begun.get(axis.name)
         if begun is not None and not begun.seen and self._lines[axis.name].homings == begun.homings:
-            return state._replace(problem=state.problem or "the controller did not begin to home")
+            controller = self._lines[axis.name]
+            status = controller.read_status()
+            reported = "; ".join(controller.reports) or self._problem(status, homing=True)
+            why = "" if status.bits & CONNECTED else ": it recognises no motor, so check the stage's cable"
+            return state._replace(problem=reported or f"the controller did not begin to home{why}")
         return state
 
     def _note_motion(self, axis: ThorlabsAxis, status: Status, position_deg: float) -> bool:

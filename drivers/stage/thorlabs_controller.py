@@ -71,6 +71,7 @@ _REFUSED_LAYOUT: Final = struct.Struct("<HH64s")
 
 # Bits of the status.
 _MOVING: Final = 0x0000_00F0
+CONNECTED: Final = 0x0000_0100  # A motor is recognised
 _HOMING: Final = 0x0000_0200
 _HOMED: Final = 0x0000_0400
 LIMITS: Final = {
@@ -92,7 +93,7 @@ FAULTS: Final = {
     0x4000_0000: "the controller reports an error",
 }
 """Meanings of the status bits with which this driver moves no axis."""
-_USED: Final = _MOVING | _HOMING | _HOMED | sum(LIMITS) | sum(FAULTS)
+_USED: Final = _MOVING | CONNECTED | _HOMING | _HOMED | sum(LIMITS) | sum(FAULTS)
 _STEPPER: Final = (53.68, 53.68 * 204.94e-6)  # Units of the protocol for a count/s, and for a count/s^2
 
 FORWARD: Final = 1  # Directions of a homing

@@ -66,6 +66,21 @@ def test_opening_a_controller_sends_no_motion_and_switches_no_motor_on() -> None
         ThorlabsStage([line], [axis], clock=clock)
 
 
+def test_a_controller_without_its_motor_says_so_when_homing_does_not_begin(rig) -> None:
+    """Bit 0x100 of the status: the cable of a PRM1Z8 at a KDC101 is off, so that nothing turns and nothing is an error."""
+
+    def without_motor(reply: bytes) -> bytes:
+        if reply[:2] != b"\x2a\x04":
+            return reply
+        return reply[:9] + bytes([reply[9] & ~0x01]) + reply[10:]
+
+    rig.line.spoil = without_motor
+    rig.line.lose = lambda sent: sent[:2] == b"\x43\x04"
+    with pytest.raises(MoveFailed, match="did not begin to home: it recognises no motor"):
+        rig.stage.home()
+    assert not rig.stage.is_homed()
+
+
 def test_a_command_that_is_lost_is_no_homing_and_no_move(rig) -> None:
     rig.stage.home()
     rig.line.lose_next(apt.short(apt.HOME, 1))
