@@ -39,6 +39,8 @@ _OF_VIKIT = ("d0", "d1", "d2", "d3", "d4")
 _MATRICES = re.compile("(camera)?(intrinsics?|matrix|parameters|params)|projectionparameters|pinhole|k")
 _WORDS = re.compile(r"[A-Za-z][A-Za-z _.-]{3,}\d?")  # no list of numbers, nor one of NaN
 _FOUR_ELSEWHERE = (set(_FOUR), {"mu", "mv", "u0", "v0"}, {"fx", "fy", "ppx", "ppy"})
+_BEYOND_OPENCV = ("k4", "p3", "p4")
+"""Metashape's coefficients of r^8, and of the growth of the tangential terms."""
 _MODELS_WITH_COEFFICIENTS = ("distortionmodel", "lensmodel", "distmodel")
 """Names of a lens model, below which some programs write its coefficients."""
 _NAMES_OF_COEFFICIENTS = ("parameters", "params", "coefficients", "coeffs")
@@ -94,10 +96,6 @@ def _of_matlab(values: dict[str, Any]) -> dict[str, Any]:
         "imagesize": numbers_of("the size of the image", values["imagesize"])[::-1],
         **lens,
     }
-
-
-_BEYOND_OPENCV = ("k4", "p3", "p4")
-"""Metashape's coefficients of r^8, and of the growth of the tangential terms."""
 
 
 def _of_metashape(values: dict[str, Any]) -> dict[str, Any]:
