@@ -86,9 +86,9 @@ def test_the_settings_of_a_station_reach_its_camera():
     kind = camera_kind(station_of("driver: opencv\n  source: /dev/video3\n  exposure: 120\n  pictures: 5"))
     assert kind.prepare(camera) == ({"exposure": 120.0, "gain": None}, [])
     camera.apply.assert_called_once_with(FrameSettings(120.0, None))
-    told = asdict(replace(TAKEN, frames=5, bits=12, saturated_share=0.0002))
-    assert kind.conditions([told]) == {"pictures": 5, "bits": 12, "exposure": 120.0}
-    assert kind.counts(told) == {"pictures": 5, "bits": 12, "saturated_percent": pytest.approx(0.02)}
+    recording = asdict(replace(TAKEN, frames=5, bits=12, saturated_share=0.0002))
+    assert kind.conditions([recording]) == {"pictures": 5, "bits": 12, "exposure": 120.0}
+    assert kind.counts(recording) == {"pictures": 5, "bits": 12, "saturated_percent": pytest.approx(0.02)}
 
 
 def test_reasons_against_an_event_camera_are_reported_before_a_run():
@@ -117,9 +117,9 @@ def test_reasons_against_an_event_camera_are_reported_before_a_run():
 def test_frames_are_judged_by_saturation_and_by_the_motion_that_the_sequence_allows(
     gate, share, most_px, verdict
 ):
-    found, limits = Measurement(None, None, {"motion_px": 0.2}), {"max_motion_px": most_px}
-    gates = frame_gates(replace(TAKEN, saturated_share=share), Gates(0, 200.0, True, limits), found)
-    assert {one.name: one.verdict for one in gates}[gate] == verdict
+    measurement, limits = Measurement(None, None, {"motion_px": 0.2}), {"max_motion_px": most_px}
+    gates = frame_gates(replace(TAKEN, saturated_share=share), Gates(0, 200.0, True, limits), measurement)
+    assert {judged.name: judged.verdict for judged in gates}[gate] == verdict
 
 
 def test_an_incomplete_series_of_frames_is_rejected():
@@ -131,8 +131,8 @@ def test_an_incomplete_series_of_frames_is_rejected():
 
 def test_frames_without_a_target_and_other_files_report_a_fault(tmp_path):
     write_frames(tmp_path / "dark.tif", [np.zeros((240, 320), np.uint8)] * 2)
-    found = measure_frames(tmp_path / "dark.tif", name="dark", target=StarTarget())
-    assert (found.view, found.facts["image"]["pictures"]) == (None, 2)
-    assert found.fault
+    measurement = measure_frames(tmp_path / "dark.tif", name="dark", target=StarTarget())
+    assert (measurement.view, measurement.facts["image"]["pictures"]) == (None, 2)
+    assert measurement.fault
     (tmp_path / "bad.tif").write_bytes(b"hello")
     assert "no images" in measure_frames(tmp_path / "bad.tif", name="bad", target=StarTarget()).fault

@@ -26,9 +26,9 @@ def facts(**changes):
 
 
 def reasons(*, stars=300, measured=MEASURED, gates=GATES, frequency_hz=60.0, **changes):
-    told = facts(**changes)
-    failed = failed_gate_texts(recording_gates(told, gates, frequency_hz, measured, stars))
-    return [*failed, *rejection_reasons(told, gates)]
+    recording = facts(**changes)
+    failed = failed_gate_texts(recording_gates(recording, gates, frequency_hz, measured, stars))
+    return [*failed, *rejection_reasons(recording, gates)]
 
 
 @pytest.mark.parametrize(
@@ -82,15 +82,15 @@ def test_triggers_are_not_needed_if_the_sequence_does_not_require_them():
     ],
 )
 def test_a_limit_is_judged_only_if_the_recording_has_the_number(limits, words):
-    told = {"on_share": 0.4, "first_on_spread_us": 139.0, "silent_rows": 0, "hot_pixels": None}
+    image = {"on_share": 0.4, "first_on_spread_us": 139.0, "silent_rows": 0, "hot_pixels": None}
     measured = MEASURED | {
-        "image": told,
+        "image": image,
         "flicker_hz": 60.0006,
         "trigger_jitter_us": 2.0,
         "edge_width_px": 1.8,
     }
     refused = reasons(gates=replace(GATES, limits=limits), measured=measured)
-    assert [one.split(" (")[0] for one in refused] == ([words.split(" (")[0]] if words else [])
+    assert [reason.split(" (")[0] for reason in refused] == ([words.split(" (")[0]] if words else [])
     assert not words or refused[0].startswith(words)
 
 
@@ -134,22 +134,22 @@ PIXELS = (720, 1280)
 
 
 @pytest.mark.parametrize(
-    ("lit", "source", "told"),
+    ("lit", "source", "reason"),
     [
         (12, "triggers", "The picture is dark: the sync signal comes, but only 0.0013 % of the pixels follow the light."),
         (12, "events", "The picture is dark: some events flicker, but only 0.0013 % of the pixels follow the light."),
         (400_000, "triggers", "Tag 3 of family 36h11 is not in the image, and no stars are either."),
     ],
 )  # fmt: skip
-def test_a_dark_picture_is_told_from_one_without_target(tmp_path, monkeypatch, lit, source, told):
+def test_a_dark_picture_is_told_from_one_without_target(tmp_path, monkeypatch, lit, source, reason):
     def picture(_data, _image, _periods, _hz, facts, **_):
         facts["flicker_source"], facts["image"] = source, {"lit_pixels": lit}
         return WholeImage(np.zeros(PIXELS, np.float32), lambda: iter(()))
 
     monkeypatch.setattr(measuring, "read_events", lambda _path: ())
     monkeypatch.setattr(measuring, "whole_image", picture)
-    found = measure(
+    measurement = measure(
         tmp_path / "a.raw", name="left", target=StarTarget(), image="auto", periods=None, expected_hz=60.0
     )
-    assert found.fault.startswith(f"view left: {told}")
-    assert found.fault.index("lamp is lit" if lit < 100 else "Turn the camera") > 0
+    assert measurement.fault.startswith(f"view left: {reason}")
+    assert measurement.fault.index("lamp is lit" if lit < 100 else "Turn the camera") > 0

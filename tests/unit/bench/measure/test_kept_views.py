@@ -25,7 +25,7 @@ from bench.solve.view_sources import view_sources
 OPTIONS = {"kind": "recording", "name": "left", "image": "auto"}
 
 
-def same(one, other):
+def same(first, other):
     """Whether two views are equal to the last bit."""
 
     def parts(view):
@@ -33,7 +33,7 @@ def same(one, other):
         arrays = {n: (a.dtype, a.shape, a.tobytes()) for n, a in fields.items() if isinstance(a, np.ndarray)}
         return arrays, view.name, view.image_size, fields.get("level_sigma_mm")
 
-    return parts(one) == parts(other)
+    return parts(first) == parts(other)
 
 
 class Finder:

@@ -35,14 +35,14 @@ def test_views_residuals_and_images_are_read_back_bit_for_bit(tmp_path_factory, 
 
     stored = read_views(path)
     assert [s.view.name for s in stored] == [v.name for v in views]
-    for number, (found, view, had) in enumerate(zip(stored, views, written, strict=True), 1):
-        assert found.view.image_size == view.image_size
+    for number, (kept, view, had) in enumerate(zip(stored, views, written, strict=True), 1):
+        assert kept.view.image_size == view.image_size
         for field in ("ids", "points_px", "target_mm", "covariances_px2"):
-            assert np.array_equal(getattr(found.view, field), getattr(view, field))
-            assert getattr(found.view, field).dtype == getattr(view, field).dtype
-        assert np.array_equal(found.residuals_px, had.residuals_px)
+            assert np.array_equal(getattr(kept.view, field), getattr(view, field))
+            assert getattr(kept.view, field).dtype == getattr(view, field).dtype
+        assert np.array_equal(kept.residuals_px, had.residuals_px)
         assert np.array_equal(read_picture(path, number), had.picture())
-        assert np.array_equal(found.picture(), had.picture())
+        assert np.array_equal(kept.picture(), had.picture())
 
 
 def test_a_thousand_poses_keep_their_order(tmp_path):
@@ -58,12 +58,12 @@ def test_a_rim_is_read_back_and_a_view_without_one_has_none(tmp_path, points, li
     views = [made_view("one", 5, size=SIZE, rim=rim), made_view("two", 5, size=SIZE)]
     path = tmp_path / "views.h5"
     path.write_bytes(views_file([stored_of(view) for view in views]))
-    found, none = (stored.view.rim for stored in read_views(path))
+    kept_rim, none = (stored.view.rim for stored in read_views(path))
     assert none is None
-    assert found.level_sigma_mm == rim.level_sigma_mm
+    assert kept_rim.level_sigma_mm == rim.level_sigma_mm
     for field in ("points_mm", "sigmas_mm", "lit_mm"):
-        assert np.array_equal(getattr(found, field), getattr(rim, field))
-        assert getattr(found, field).shape == getattr(rim, field).shape
+        assert np.array_equal(getattr(kept_rim, field), getattr(rim, field))
+        assert getattr(kept_rim, field).shape == getattr(rim, field).shape
 
 
 @pytest.fixture

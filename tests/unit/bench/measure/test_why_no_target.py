@@ -34,6 +34,6 @@ def beam(square_px: int, blur_px: float = 0.0) -> np.ndarray:
 )
 def test_the_reason_is_told_and_where(image, words):
     facts = {"image": {"lit_pixels": int(np.count_nonzero(image))}, "flicker_source": "triggers"}
-    told = why_no_target(SAID, facts, image)
-    assert words in told.what
-    assert told.where == "view left"
+    reason = why_no_target(SAID, facts, image)
+    assert words in reason.what
+    assert reason.where == "view left"

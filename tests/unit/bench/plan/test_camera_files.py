@@ -30,17 +30,21 @@ def test_an_export_holds_the_camera_of_the_run(run, stated, name):
     assert file.is_file() or name == "kalibr_camchain.yaml", "the run has this export"
     if not file.is_file():
         pytest.skip("Kalibr's lens has no k3")
-    found = read_camera_file(file)
+    camera_file = read_camera_file(file)
     for key, value in stated["camera"].items():
-        own = getattr(found.camera, key) if key in ("fx", "fy", "cx", "cy") else found.camera.distortion[key]
+        own = (
+            getattr(camera_file.camera, key)
+            if key in ("fx", "fy", "cx", "cy")
+            else camera_file.camera.distortion[key]
+        )
         assert own == pytest.approx(value, rel=1e-12)
-    assert list(found.camera.image_size) == stated["image_size"]
-    assert (found.covariance is not None) == (name == "opencv.yaml")
+    assert list(camera_file.camera.image_size) == stated["image_size"]
+    assert (camera_file.covariance is not None) == (name == "opencv.yaml")
 
 
 @pytest.mark.parametrize("place", ["", "results.json", "exports/opencv.yaml"])
 def test_a_run_and_its_opencv_export_state_the_covariance(run, stated, place):
-    found = read_camera_file(run / place)
-    sigmas = np.sqrt(np.diag(found.covariance))
-    expected = [stated["sigma"][name] for name in found.camera.parameter_names]
+    camera_file = read_camera_file(run / place)
+    sigmas = np.sqrt(np.diag(camera_file.covariance))
+    expected = [stated["sigma"][name] for name in camera_file.camera.parameter_names]
     assert sigmas == pytest.approx(expected, rel=1e-9)

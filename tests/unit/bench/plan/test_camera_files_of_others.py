@@ -226,9 +226,9 @@ def test_a_message_that_powershell_redirected_is_read(tmp_path, codec):
 def test_the_skew_of_a_fisheye_calibration_is_used_and_said(tmp_path):
     matrix = [FLAT_K[0], -0.96635, *FLAT_K[2:]]
     (tmp_path / "ost.yaml").write_text(ros_yaml(FISHEYE, "equidistant", matrix))
-    found = read_camera_file(tmp_path / "ost.yaml")
-    assert off_px(found.camera, FISHEYE, fisheye=True, skew_px=-0.96635) < 1e-6
-    assert "-0.96635" in found.remarks[0]
+    camera_file = read_camera_file(tmp_path / "ost.yaml")
+    assert off_px(camera_file.camera, FISHEYE, fisheye=True, skew_px=-0.96635) < 1e-6
+    assert "-0.96635" in camera_file.remarks[0]
 
 
 def test_four_coefficients_without_a_lens_model_are_not_guessed(tmp_path):
@@ -287,10 +287,10 @@ def test_one_camera_of_several_is_named(tmp_path, text):
 
 
 def test_the_cameras_of_opencvs_stereo_file_are_named_by_number(tmp_path):
-    one = json.dumps(
+    matrices = json.dumps(
         {"M1": K, "D1": D5, "M2": [[900.0, 0, 640], [0, 900.0, 360], [0, 0, 1]], "D2": D5, "image_size": SIZE}
     )
-    (tmp_path / "intrinsics.json").write_text(one)
+    (tmp_path / "intrinsics.json").write_text(matrices)
     assert off_px(read_camera_file(tmp_path / "intrinsics.json", "1").camera, D5) < 1e-6
     assert read_camera_file(tmp_path / "intrinsics.json", "2").camera.fx == 900.0
 
@@ -406,9 +406,9 @@ def test_a_file_that_is_no_text_is_named_as_what_it_is_with_the_way_to_its_camer
 )
 def test_a_camera_of_binned_or_cropped_images_is_that_of_the_whole_image_and_says_so(tmp_path, more, why):
     (tmp_path / "ci.yaml").write_text(ros_echo(1, more=more))
-    found = read_camera_file(tmp_path / "ci.yaml")
-    assert off_px(found.camera, D5) < 1e-6
-    assert why in found.remarks[0]
+    camera_file = read_camera_file(tmp_path / "ci.yaml")
+    assert off_px(camera_file.camera, D5) < 1e-6
+    assert why in camera_file.remarks[0]
 
 
 @given(st.binary(max_size=400))
@@ -421,8 +421,8 @@ def test_any_bytes_are_a_camera_or_refused(data):
 def test_a_file_with_a_part_missing_is_a_camera_or_refused(text, drawn):
     begin, end = sorted(drawn.draw(st.tuples(*[st.integers(0, len(text))] * 2)))
     with contextlib.suppress(NotACamera):
-        found = parse_camera((text[:begin] + text[end:]).encode(), Path("file"))
-        assert np.isfinite(found.camera.values).all()
+        camera_file = parse_camera((text[:begin] + text[end:]).encode(), Path("file"))
+        assert np.isfinite(camera_file.camera.values).all()
 
 
 def test_the_whole_image_as_region_of_interest_is_not_remarkable(tmp_path):

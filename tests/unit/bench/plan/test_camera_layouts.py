@@ -39,8 +39,14 @@ def xml(values):
 
 def basalt(camera_type, intrinsics):
     """Basalt's calibration.json (basalt-headers, cereal), as TUM-VIE publishes it."""
-    one = {"camera_type": camera_type, "intrinsics": {**FOUR, **intrinsics}}
-    return {"value0": {"T_imu_cam": [{"px": 0.0, "qw": 1.0}], "intrinsics": [one], "resolution": [SIZE]}}
+    model = {"camera_type": camera_type, "intrinsics": {**FOUR, **intrinsics}}
+    return {
+        "value0": {
+            "T_imu_cam": [{"px": 0.0, "qw": 1.0}],
+            "intrinsics": [model],
+            "resolution": [SIZE],
+        }
+    }
 
 
 def okvis(lens, coefficients):
@@ -248,15 +254,15 @@ def test_the_rays_of_metashape_are_those_of_its_manual():
         "p1": 3e-4, "p2": -9e-4, "date": "2026-01-01T00:00:00Z",
     }  # fmt: skip
     text = "".join(f"  <{name}>{value}</{name}>\n" for name, value in stated.items())
-    found = parse(f'<?xml version="1.0" encoding="UTF-8"?>\n<calibration>\n{text}</calibration>\n')
-    x, y = (found.camera.rays(POINTS)[:, :2] / found.camera.rays(POINTS)[:, 2:]).T
+    camera_file = parse(f'<?xml version="1.0" encoding="UTF-8"?>\n<calibration>\n{text}</calibration>\n')
+    x, y = (camera_file.camera.rays(POINTS)[:, :2] / camera_file.camera.rays(POINTS)[:, 2:]).T
     r2 = x**2 + y**2
     radial = 1 + K1 * r2 + K2 * r2**2 + K3 * r2**3
     bent_x = x * radial + 3e-4 * (r2 + 2 * x**2) + 2 * -9e-4 * x * y
     bent_y = y * radial + -9e-4 * (r2 + 2 * y**2) + 2 * 3e-4 * x * y
     u, v = 640 + cx + bent_x * f + bent_x * b1 + bent_y * b2, 360 + cy + bent_y * f
     assert np.abs(np.column_stack([u, v]) - 0.5 - POINTS).max() < 1e-6
-    assert "Metashape" in found.kind
+    assert "Metashape" in camera_file.kind
 
 
 def test_the_cameras_of_an_orb_slam_stereo_file_are_named():
@@ -343,9 +349,9 @@ def test_coefficients_of_event_driven_may_be_those_of_a_fisheye():
 def test_the_two_cameras_of_icub_are_read():
     sides = [yarp(f"CAMERA_CALIBRATION_{side}", "projection         pinhole\n") for side in ("LEFT", "RIGHT")]
     text = "".join([*sides, "[STEREO_DISPARITY]\nHN (1 0 0 -0.068 0 1 0 0 0 0 1 0 0 0 0 1)\n"])
-    found = parse(text, "CAMERA_CALIBRATION_LEFT")
-    assert off_px(found.camera, D5[:4]) < 1e-6
-    assert "event-driven or iCub" in found.kind
+    camera_file = parse(text, "CAMERA_CALIBRATION_LEFT")
+    assert off_px(camera_file.camera, D5[:4]) < 1e-6
+    assert "event-driven or iCub" in camera_file.kind
     with pytest.raises(NotACamera, match="2 cameras"):
         parse(text)
 
@@ -478,6 +484,6 @@ def test_a_file_whose_writer_nobody_knows_is_called_by_its_syntax():
 
 
 def test_a_stated_skew_is_used():
-    found = parse({**FOUR, **SIDES, **NAMED, "skew": 2.0})
-    assert found.camera.skew == 2.0
-    assert "skew" in found.remarks[0]
+    camera_file = parse({**FOUR, **SIDES, **NAMED, "skew": 2.0})
+    assert camera_file.camera.skew == 2.0
+    assert "skew" in camera_file.remarks[0]

@@ -51,8 +51,8 @@ def test_what_is_stated_twice_and_is_the_same_is_read():
     """``M`` is a matrix of extrinsics here; the second list of coefficients has more zeros."""
     pose = [[0.0, 1.0, 0.0, 5.0], [1.0, 0.0, 0.0, 6.0], [0.0, 0.0, 1.0, 7.0], [0.0, 0.0, 0.0, 1.0]]
     lens = {"distortion_coefficients": D, "dist": [*D, 0.0, 0.0, 0.0], "k1": -0.1, "k2": 0.01, "p1": 0.001}
-    found = camera(K=K, camera_matrix=K, M=pose, **SIZE, resolution=[1280, 720], **lens, p2=-0.002, k3=0.3)
-    assert found.distortion == NAMED
+    model = camera(K=K, camera_matrix=K, M=pose, **SIZE, resolution=[1280, 720], **lens, p2=-0.002, k3=0.3)
+    assert model.distortion == NAMED
 
 
 @pytest.mark.parametrize(
@@ -65,17 +65,17 @@ def test_what_is_stated_twice_and_is_the_same_is_read():
 )
 def test_a_pose_under_the_name_of_a_camera_matrix_is_none(pose):
     """OpenPose, models/cameraParameters: ``CameraMatrix`` is the pose, in m, beside ``Intrinsics``."""
-    found = camera(CameraMatrix=pose, Intrinsics=K, Distortion=[*D, 0.0, 0.0, 0.0], **SIZE)
-    assert (found.fx, found.fy, found.cx, found.cy) == (900.0, 905.0, 640.0, 360.0)
+    model = camera(CameraMatrix=pose, Intrinsics=K, Distortion=[*D, 0.0, 0.0, 0.0], **SIZE)
+    assert (model.fx, model.fy, model.cx, model.cy) == (900.0, 905.0, 640.0, 360.0)
     assert "no camera matrix" in refusal(CameraMatrix=pose, Distortion=D, **SIZE)
 
 
 @pytest.mark.parametrize("skew", [0.0, 0.7])
 def test_a_fifth_number_after_focal_lengths_and_centre_is_the_skew(skew):
     """IC-GVINS, config/gvins.yaml: ``intrinsic`` is [fx, fy, cx, cy(, skew)]."""
-    found = camera(intrinsic=[900.0, 905.0, 640.0, 360.0, skew], distortion=D, resolution=[1280, 720])
-    assert (found.fx, found.fy, found.cx, found.cy) == (900.0, 905.0, 640.0, 360.0)
-    assert found.distortion == NAMED | ({"skew": skew} if skew else {})
+    model = camera(intrinsic=[900.0, 905.0, 640.0, 360.0, skew], distortion=D, resolution=[1280, 720])
+    assert (model.fx, model.fy, model.cx, model.cy) == (900.0, 905.0, 640.0, 360.0)
+    assert model.distortion == NAMED | ({"skew": skew} if skew else {})
 
 
 def test_a_fifth_number_that_is_no_skew_is_refused():
@@ -89,14 +89,14 @@ def test_the_name_of_a_lens_model_is_found_by_any_usual_key():
 
 
 def test_a_height_before_the_width_is_refused():
-    told = refusal(K=K, dist=D, image_size=[720, 1280])
-    assert "720 x 1280 px" in told
-    assert "Write the width first" in told
+    message = refusal(K=K, dist=D, image_size=[720, 1280])
+    assert "720 x 1280 px" in message
+    assert "Write the width first" in message
 
 
 @pytest.mark.parametrize("factor", [0.005, 1 / 1280])
 def test_a_focal_length_in_mm_or_as_a_share_is_refused(factor):
-    small = [[factor * one for one in row] for row in K[:2]]
+    small = [[factor * number for number in row] for row in K[:2]]
     assert "some programs state them in mm" in refusal(K=[*small, K[2]], dist=D, **SIZE)
 
 

@@ -8,21 +8,21 @@ from bench.plan.job import Job
 
 
 @pytest.fixture
-def told(tmp_path):
+def departures_with(tmp_path):
     sequence, station = (
         write_sequence(tmp_path / "sequence.yaml", THREE),
         write_station(tmp_path / "station.yaml"),
     )
 
-    def departures_with(settings):
+    def with_settings(settings):
         job = Job.from_files(str(sequence), str(station), seed=1, operator=None, settings=settings)
         return departures(job, settings)
 
-    return departures_with
+    return with_settings
 
 
-def test_a_run_as_its_files_say_departs_from_nothing(told):
-    assert told({}) == []
+def test_a_run_as_its_files_say_departs_from_nothing(departures_with):
+    assert departures_with({}) == []
 
 
 GATES = "sequence.defaults.record.gates"
@@ -44,17 +44,17 @@ GATES = "sequence.defaults.record.gates"
         ({f"{GATES}.require_triggers": "false"}, "The gate require_triggers was off."),
     ],
 )
-def test_a_looser_gate_and_the_setting_that_loosened_it_are_each_told_once(told, settings, gate):
+def test_a_looser_gate_and_the_setting_that_loosened_it_are_each_told_once(departures_with, settings, gate):
     ((path, text),) = settings.items()
-    assert told(settings) == [f"{path} was set to {text} for this run.", gate]
+    assert departures_with(settings) == [f"{path} was set to {text} for this run.", gate]
 
 
 @pytest.mark.parametrize("settings", [{f"{GATES}.max_motion_px": "0.01"}, {f"{GATES}.min_stars": "100"}])
-def test_a_stricter_gate_is_told_as_a_setting_only(told, settings):
-    (only,) = told(settings)
+def test_a_stricter_gate_is_told_as_a_setting_only(departures_with, settings):
+    (only,) = departures_with(settings)
     assert only.endswith("for this run.")
 
 
-def test_a_long_setting_is_cut(told):
-    (only,) = told({"sequence.description": f'"{"long " * 100}"'})
+def test_a_long_setting_is_cut(departures_with):
+    (only,) = departures_with({"sequence.description": f'"{"long " * 100}"'})
     assert len(only) < 260

@@ -139,7 +139,7 @@ def test_the_sequence_wins_over_the_station_and_none_switches_it_off(bench, tmp_
 
 
 @pytest.mark.parametrize(
-    ("content", "said"),
+    ("content", "fault_text"),
     [
         (None, "There is no such passport file."),
         ("{", "not JSON, line 1, column 2: "),
@@ -161,12 +161,12 @@ def test_the_sequence_wins_over_the_station_and_none_switches_it_off(bench, tmp_
         ),
     ],
 )
-def test_a_file_that_is_no_passport_is_a_fault_where_it_is_named(bench, tmp_path, content, said):
+def test_a_file_that_is_no_passport_is_a_fault_where_it_is_named(bench, tmp_path, content, fault_text):
     if content is not None:
         (tmp_path / "a" / "p.json").write_text(content, encoding="latin-1")
     (fault,) = bench("{passport: p.json}").faults
     assert (fault.line, fault.column, fault.path) == (12, 23, "steps[8].solve.passport")
-    assert said in fault.message
+    assert fault_text in fault.message
     (tmp_path / "a" / "folder").mkdir()
     assert "This is a folder, not a passport file." in str(bench("{passport: folder}").faults)
 
@@ -311,10 +311,10 @@ def test_no_byte_of_a_sealed_passport_can_be_changed(key, data):
     place = data.draw(st.integers(0, len(sealed) - 1))
     sealed[place] ^= data.draw(st.integers(1, 255))
     try:
-        found = read_passport_seal(bytes(sealed))
+        passport_seal = read_passport_seal(bytes(sealed))
     except EvidenceError:
         return
-    if found is not None:  # the changed byte is not within what base64 counts
+    if passport_seal is not None:  # the changed byte is not within what base64 counts
         raise AssertionError(bytes(sealed[place - 20 : place + 20]))
     with pytest.raises(UsageError):
         parse_passport(bytes(sealed), "p")
@@ -390,5 +390,5 @@ def test_a_passport_without_a_seal_gets_one_in_a_new_file(tmp_path, key):
 def test_a_passport_names_the_seals_of_its_runs(sealed_once, tmp_path):
     import hashlib
 
-    found = seals_of([sealed_once, tmp_path, tmp_path / "points.csv"])
-    assert found == {"sealed": hashlib.sha256((sealed_once / "SHA256SUMS").read_bytes()).hexdigest()}
+    seals = seals_of([sealed_once, tmp_path, tmp_path / "points.csv"])
+    assert seals == {"sealed": hashlib.sha256((sealed_once / "SHA256SUMS").read_bytes()).hexdigest()}

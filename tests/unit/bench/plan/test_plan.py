@@ -126,13 +126,13 @@ def test_the_time_of_a_plan_is_the_sum_of_its_steps_and_moves_count_from_where_t
 
 
 def test_disk_is_counted_for_every_pose_and_every_attempt():
-    one = planned(GOOD)
+    once = planned(GOOD)
     more = planned("defaults: {record: {attempts: 4}}\n" + GOOD)
     longer = planned("defaults: {record: {window_ms: 330}}\n" + GOOD)
     fixed = REPORT_BYTES + 2 * POSE_BYTES
-    assert more.size_bytes == one.size_bytes
-    assert more.most_bytes - fixed == 2 * (one.most_bytes - fixed)
-    assert longer.size_bytes > one.size_bytes > fixed
+    assert more.size_bytes == once.size_bytes
+    assert more.most_bytes - fixed == 2 * (once.most_bytes - fixed)
+    assert longer.size_bytes > once.size_bytes > fixed
 
 
 @pytest.mark.parametrize(
@@ -178,8 +178,8 @@ def test_a_step_that_cannot_be_done_on_the_station_is_a_fault_at_its_place(befor
         "light", before, "{move: {pan_deg: 1}}", "settle", "record", "{move: {pan_deg: 2}}", "record", after,
         "solve", "report",
     ]  # fmt: skip
-    said = faults(f"steps: [{', '.join(filter(None, steps))}]\n")
-    assert any(fault in line for line in said), said
+    messages = faults(f"steps: [{', '.join(filter(None, steps))}]\n")
+    assert any(fault in line for line in messages), messages
 
 
 @pytest.mark.parametrize(
@@ -197,8 +197,8 @@ def test_a_step_that_cannot_be_done_on_the_station_is_a_fault_at_its_place(befor
     ],
 )
 def test_steps_left_out_because_of_a_fault_give_no_second_fault(recorded, fault):
-    (said,) = faults(f"steps: [light, {recorded}, {{light: off}}, solve, report]\n")
-    assert said.endswith(fault)
+    (message,) = faults(f"steps: [light, {recorded}, {{light: off}}, solve, report]\n")
+    assert message.endswith(fault)
 
 
 def test_two_directions_are_the_fewest_and_the_same_one_twice_is_one():
@@ -231,12 +231,14 @@ def test_how_many_angles_a_span_has_is_no_angle():
 def test_a_turntable_runs_what_is_written_for_one_axis_and_nothing_else():
     begin, end = PLAIN.index("    tilt:"), PLAIN.index("light:\n")
     turntable = check_document((PLAIN[:begin] + PLAIN[end:]).encode(), "b.yaml", Station)
-    found = {
+    faults_of = {
         path.stem: make_plan(load_documents(path.stem, "simulated")[0], turntable).faults
         for path in SEQUENCES
     }
-    assert found["turntable"] == ()
-    assert {fault.path for fault in found["three_pose"]} == {f"poses.three[{i}].tilt_deg" for i in range(3)}
+    assert faults_of["turntable"] == ()
+    assert {fault.path for fault in faults_of["three_pose"]} == {
+        f"poses.three[{i}].tilt_deg" for i in range(3)
+    }
 
 
 def test_a_grid_outside_the_limits_is_blamed_at_the_angles_it_is_made_of():
@@ -251,8 +253,8 @@ def test_a_grid_outside_the_limits_is_blamed_at_the_angles_it_is_made_of():
 
 def test_a_limit_on_what_is_not_estimated_is_blamed():
     solve = "{solve: {model: planar, distortion: [k1], limits: {rms_px: 1, sigma_k1: 1, sigma_k2: 1, sigma_r_mm: 1}}}"
-    said = faults(GOOD.replace("solve", solve))
-    assert [line.split(": ")[1] for line in said] == [
+    messages = faults(GOOD.replace("solve", solve))
+    assert [line.split(": ")[1] for line in messages] == [
         "steps[7].solve.limits.sigma_k2",
         "steps[7].solve.limits.sigma_r_mm",
     ]
@@ -430,8 +432,8 @@ steps:
     ],
 )
 def test_a_limit_of_a_result_that_the_run_does_not_estimate_is_refused(result, model, fault):
-    found = faults(SOLVED % (result, model, "  - report\n"))
-    assert found == ([] if fault is None else [f"s.yaml:3:19: limits[0].result: {fault}"])
+    messages = faults(SOLVED % (result, model, "  - report\n"))
+    assert messages == ([] if fault is None else [f"s.yaml:3:19: limits[0].result: {fault}"])
 
 
 def test_a_limit_of_the_station_counts_too_and_needs_a_result():
@@ -446,7 +448,7 @@ def test_a_limit_of_the_station_counts_too_and_needs_a_result():
 
 
 @pytest.mark.parametrize(
-    ("section", "said"),
+    ("section", "fault_text"),
     [
         ("{stge: {}}", "simulation.stge: Unknown key. Known are: "),
         (
@@ -459,14 +461,14 @@ def test_a_limit_of_the_station_counts_too_and_needs_a_result():
         ("{stage: {pan: {limit_deg: 20}}}", ""),
     ],
 )
-def test_a_wrong_key_of_the_simulation_is_found_by_the_plan_at_its_place(section, said):
+def test_a_wrong_key_of_the_simulation_is_found_by_the_plan_at_its_place(section, fault_text):
     text = (SHIPPED_STATIONS / "simulated_ideal.yaml").read_text()
     station = check_document(
         text.replace("simulation: {}", f"simulation: {section}").encode(), "b.yaml", Station
     )
-    found = faults(GOOD, station)
-    assert len(found) == bool(said)
-    assert all(said in fault and fault.startswith("b.yaml:8:") for fault in found)
+    messages = faults(GOOD, station)
+    assert len(messages) == bool(fault_text)
+    assert all(fault_text in fault and fault.startswith("b.yaml:8:") for fault in messages)
 
 
 def test_an_axis_that_the_simulated_stage_lacks_is_named_by_the_plan():
@@ -479,13 +481,13 @@ def test_an_axis_that_the_simulated_stage_lacks_is_named_by_the_plan():
 
 
 def test_a_loss_that_the_model_does_not_use_is_said_by_the_plan_and_not_listed_as_used():
-    def told(settings):
+    def printed_with(settings):
         made = planned(GOOD.replace("solve,", f"{{solve: {settings}}},"))
         return [remark.message for remark in made.remarks], render_plan(made)
 
-    remarks, text = told("{loss: cauchy}")
+    remarks, text = printed_with("{loss: cauchy}")
     assert remarks == ["The joint model does not use: the loss."]
     assert "solve auto, k1 k2 " in text
-    remarks, text = told("{model: spherical, loss: cauchy}")
+    remarks, text = printed_with("{model: spherical, loss: cauchy}")
     assert remarks == []
     assert "solve spherical, k1 k2, cauchy" in text

@@ -56,13 +56,13 @@ def test_fewer_recordings_or_minutes_make_it_shorter_and_smaller(tmp_path):
 
 
 def test_plan_json_names_the_rounds_and_the_bounds(plan):
-    told = plan.to_dict()
-    (until,) = told["untils"]
-    assert told["most_poses"] == until["at_most"] == 25
+    data = plan.to_dict()
+    (until,) = data["untils"]
+    assert data["most_poses"] == until["at_most"] == 25
     assert (until["starts"], until["minutes"]) == (3, 20)
     assert until["goals"] == {"expanded_fx_px": 2.5, "worst_corner_px": 1.5}
-    assert len(told["poses"]) == 3
-    assert told["steps"][until["first"] - 1]["what"] == "move"
+    assert len(data["poses"]) == 3
+    assert data["steps"][until["first"] - 1]["what"] == "move"
 
 
 def test_the_stage_parks_after_the_last_round(plan):
@@ -86,14 +86,14 @@ def test_it_cannot_begin_from_nothing_without_expectations(tmp_path):
     station = tmp_path / "b.yaml"
     station.write_text("\n".join(kept) + "\n")
     assert not planned(tmp_path, "{expanded_fx_px: 1}").faults
-    found = {fault.message for fault in planned(tmp_path, "{expanded_fx_px: 1}", station=station).faults}
-    (message,) = found
+    messages = {fault.message for fault in planned(tmp_path, "{expanded_fx_px: 1}", station=station).faults}
+    (message,) = messages
     assert "record at least 2 poses before (start:), or add an expected section" in message
 
 
 def test_a_start_outside_the_limits_and_recordings_in_the_dark_are_refused(tmp_path):
-    found = planned(tmp_path, "{expanded_fx_px: 1, start: [{pan_deg: 40}, {pan_deg: 1}]}").faults
-    assert any("pan 40 deg is outside the limits" in fault.message for fault in found)
+    faults = planned(tmp_path, "{expanded_fx_px: 1, start: [{pan_deg: 40}, {pan_deg: 1}]}").faults
+    assert any("pan 40 deg is outside the limits" in fault.message for fault in faults)
     path = tmp_path / "dark.yaml"
     path.write_text(
         "format: starbench/sequence/1\nname: t\n"
@@ -223,9 +223,9 @@ def camera(**words):
 
 
 def test_the_source_of_a_camera_may_be_an_environment_variable():
-    found = camera(source_env="CAM")
-    assert found.ports == ()
-    assert found.source_in_use({"CAM": "rtsp://admin:pw@10.0.0.9/"}) == "rtsp://admin:pw@10.0.0.9/"
+    config = camera(source_env="CAM")
+    assert config.ports == ()
+    assert config.source_in_use({"CAM": "rtsp://admin:pw@10.0.0.9/"}) == "rtsp://admin:pw@10.0.0.9/"
     assert camera(source="/dev/video0").source_in_use({}) == "/dev/video0"
 
 

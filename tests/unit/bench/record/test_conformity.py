@@ -15,7 +15,7 @@ def calibration(**changes):
 
 
 def judged(*limits, failed=(), **changes):
-    rules = tuple(ResultLimitConfig(**one) for one in limits)
+    rules = tuple(ResultLimitConfig(**limit) for limit in limits)
     return conformity(calibration(**changes), {"sequence": rules}, failed)
 
 
@@ -24,9 +24,9 @@ def judged(*limits, failed=(), **changes):
     [(1602.0, "pass"), (1601.9, "conditionalPass"), (1598.0, "conditionalFail"), (1597.9, "fail")],
 )
 def test_a_value_passes_only_if_it_is_inside_by_its_expanded_uncertainty(upper, verdict):
-    found = judged({"result": "fx", "upper": upper})
-    assert found["statements"][0]["verdict"] == verdict
-    assert found["passed"] is (verdict == "pass")
+    judgement = judged({"result": "fx", "upper": upper})
+    assert judgement["statements"][0]["verdict"] == verdict
+    assert judgement["passed"] is (verdict == "pass")
 
 
 def test_each_value_has_the_guard_band_of_its_own_coverage_factor():
@@ -37,18 +37,18 @@ def test_each_value_has_the_guard_band_of_its_own_coverage_factor():
 
 def test_limits_of_the_station_count_as_those_of_the_sequence():
     loose, tight = (ResultLimitConfig(result="r", lower=low) for low in (200.0, 254.9))
-    found = conformity(calibration(), {"station": (tight,), "sequence": (loose,)}, ())
-    assert [(one["stated_by"], one["verdict"]) for one in found["statements"]] == [
+    judgement = conformity(calibration(), {"station": (tight,), "sequence": (loose,)}, ())
+    assert [(statement["stated_by"], statement["verdict"]) for statement in judgement["statements"]] == [
         ("station", "conditionalPass"),
         ("sequence", "pass"),
     ]
-    assert not found["passed"]
+    assert not judgement["passed"]
 
 
 def test_a_value_that_was_not_estimated_does_not_pass():
-    found = judged({"result": "k2", "upper": 1.0})
-    assert not found["passed"]
-    assert "k2: this calibration did not estimate it" in conformity_sentences(found)[0]
+    judgement = judged({"result": "k2", "upper": 1.0})
+    assert not judgement["passed"]
+    assert "k2: this calibration did not estimate it" in conformity_sentences(judgement)[0]
 
 
 @pytest.mark.parametrize(
@@ -59,20 +59,20 @@ def test_a_value_that_was_not_estimated_does_not_pass():
     ],
 )
 def test_values_that_must_not_be_used_do_not_pass(changes, reason):
-    found = judged({"result": "fx", "lower": 1500.0}, **changes)
-    assert found["statements"][0]["verdict"] == "pass"
-    assert not found["passed"]
-    assert reason in conformity_sentences(found)
+    judgement = judged({"result": "fx", "lower": 1500.0}, **changes)
+    assert judgement["statements"][0]["verdict"] == "pass"
+    assert not judgement["passed"]
+    assert reason in conformity_sentences(judgement)
 
 
 def test_the_words_begin_with_what_is_not_kept():
-    found = judged(
+    judgement = judged(
         {"result": "fx", "lower": 1500.0},
         {"result": "r", "lower": 254.9, "upper": 300.0, "specification": "drawing 7"},
     )
-    assert conformity_headline(found) == "FAIL: 1 of 2 limits kept."
-    said = conformity_sentences(found)
-    assert said[0].startswith(
+    assert conformity_headline(judgement) == "FAIL: 1 of 2 limits kept."
+    sentences = conformity_sentences(judgement)
+    assert sentences[0].startswith(
         "r 255.00 ± 0.20 mm (at least 254.9 and at most 300 mm by drawing 7): inside, but"
     )
-    assert said[1] == "fx 1600.0 ± 2.0 px (at least 1500 px): inside by U or more."
+    assert sentences[1] == "fx 1600.0 ± 2.0 px (at least 1500 px): inside by U or more."

@@ -10,7 +10,7 @@ from drivers.errors import PortNotFound, ReplyTimeout
 
 
 @pytest.mark.parametrize(
-    ("device", "state", "said", "text"),
+    ("device", "state", "reason", "text"),
     [
         ("light", "confirmed safe", "it was read back as off", "it was read back as off."),
         ("light", "not confirmed", "no reply.", "no reply. The light may be on."),
@@ -20,15 +20,15 @@ from drivers.errors import PortNotFound, ReplyTimeout
         ("camera", "never opened", "", ""),
     ],
 )
-def test_the_text_says_what_may_be_the_case(device, state, said, text):
-    end = DeviceEnd(device, state, said)
-    assert end.text == f"{device}: {state}{':' if said else '.'} {text}".rstrip()
+def test_the_text_says_what_may_be_the_case(device, state, reason, text):
+    end = DeviceEnd(device, state, reason)
+    assert end.text == f"{device}: {state}{':' if reason else '.'} {text}".rstrip()
     assert DeviceEnd.from_dict(end.to_dict()) == end
 
 
 def test_a_device_that_nobody_mentions_was_never_opened():
     light = DeviceEnd("light", "confirmed safe", "off")
-    assert [one.state for one in all_ends([light])] == ["never opened", "confirmed safe", "never opened"]
+    assert [end.state for end in all_ends([light])] == ["never opened", "confirmed safe", "never opened"]
 
 
 class Stage:
@@ -52,13 +52,13 @@ class MuteStage(Stage):
 
 
 @pytest.mark.parametrize(
-    ("stage", "state", "said"),
+    ("stage", "state", "reason"),
     [
         (Stage(), "confirmed safe", "it confirmed the stop and reads pan 1.250 deg"),
         (MuteStage(), "not confirmed", "the stage did not confirm its stop: no complete reply within 2 s."),
     ],
 )
-def test_a_light_that_cannot_be_opened_leaves_a_stopped_stage_and_says_so(monkeypatch, stage, state, said):
+def test_a_light_that_cannot_be_opened_leaves_a_stopped_stage_and_says_so(monkeypatch, stage, state, reason):
     """The run said "nothing was moved or switched", whatever had been opened before."""
     station = load_station("example_evk4").value
     monkeypatch.setattr(devices, "open_stage", lambda *_: stage)
@@ -71,6 +71,6 @@ def test_a_light_that_cannot_be_opened_leaves_a_stopped_stage_and_says_so(monkey
     with pytest.raises(PortNotFound) as caught:
         devices.Devices(station, seed=1, clock=BenchClock(), wire_log=None)
     (left,) = devices.left_devices(caught.value)
-    assert (left.device, left.state, left.said) == ("stage", state, said)
+    assert (left.device, left.state, left.said) == ("stage", state, reason)
     assert stage.closed == 1
     assert devices.left_devices(ValueError()) == []

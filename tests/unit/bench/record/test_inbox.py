@@ -21,9 +21,9 @@ def inbox(tmp_path):
 
 
 def drained(inbox):
-    found = []
-    inbox.drain(lambda note, name: found.append((note.text if note else None, name)))
-    return found
+    notes = []
+    inbox.drain(lambda note, name: notes.append((note.text if note else None, name)))
+    return notes
 
 
 def test_messages_are_answered_in_the_order_of_sending_and_removed(inbox):
@@ -65,7 +65,7 @@ def test_a_folder_that_is_gone_holds_no_message_and_takes_none(inbox):
 
 
 def test_a_poller_calls_until_it_is_closed_and_passes_on_an_error_once():
-    calls, errors, called, told = [], [], threading.Event(), threading.Event()
+    calls, errors, called, refused = [], [], threading.Event(), threading.Event()
 
     def look():
         calls.append(1)
@@ -81,9 +81,9 @@ def test_a_poller_calls_until_it_is_closed_and_passes_on_an_error_once():
     count = len(calls)
     assert poller.closed
     assert not errors
-    failing = Poller(fail, lambda error: (errors.append(error), told.set()), name="test", period_s=0.001)
+    failing = Poller(fail, lambda error: (errors.append(error), refused.set()), name="test", period_s=0.001)
     failing.start()
-    assert told.wait(10)
+    assert refused.wait(10)
     failing.close()
     assert [str(error) for error in errors] == ["broken"]
     assert len(calls) == count

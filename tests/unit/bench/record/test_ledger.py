@@ -89,7 +89,7 @@ def test_processes_that_begin_at_once_get_numbers_of_their_own(tmp_path):
         ).stdout
 
     with ThreadPoolExecutor(3) as pool:
-        numbers = sorted(int(n) for said in pool.map(process, range(3)) for n in said.split())
+        numbers = sorted(int(n) for output in pool.map(process, range(3)) for n in output.split())
     assert numbers == list(range(1, 16))
     assert len(Ledger(tmp_path, **CLOCKS).runs()) == 15
 

@@ -68,8 +68,8 @@ def test_a_rollback_that_has_grown_again_to_its_old_length_is_noticed(ledger):
     cut(ledger, 2)
     mark = (ledger.home / MARK).read_bytes()
     (ledger.home / MARK).unlink()
-    with mock.patch("bench.record.ledger.find_breaks") as found:
-        found.return_value = mock.Mock(what=(), known=(), warnings=())
+    with mock.patch("bench.record.ledger.find_breaks") as find_breaks:
+        find_breaks.return_value = mock.Mock(what=(), known=(), warnings=())
         runs(ledger, 2)
     (ledger.home / MARK).write_bytes(mark)
     assert len(ledger.path.read_bytes().splitlines()) == len(copy.splitlines())
@@ -146,9 +146,9 @@ def test_an_explained_break_stands_in_the_ledger_and_is_no_fault_any_more(ledger
     with pytest.raises(EvidenceError, match="starbench ledger --explain"):  # recorded, but not explained
         begin(ledger, strict=True)
     assert "2 are missing" in ledger.explain("The disk was restored from a copy of Monday.", "Ada")[0]
-    found, explained = ledger.breaks()
-    assert found == []
-    assert [(one.reason, one.by) for one in explained] == [
+    breaks, explained = ledger.breaks()
+    assert breaks == []
+    assert [(explanation.reason, explanation.by) for explanation in explained] == [
         ("The disk was restored from a copy of Monday.", "Ada")
     ]
     assert begin(ledger, strict=True)["number"] == 4

@@ -18,11 +18,11 @@ OTHER_JOURNALS = {
 
 
 def test_a_run_folder_is_read_in_one_place():
-    found = [
+    lines = [
         f"{path.relative_to(BENCH)}: {line.strip()}"
         for path in sorted(BENCH.rglob("*.py"))
         if path.relative_to(BENCH).as_posix() not in OTHER_JOURNALS
         for line in path.read_text(encoding="utf-8").splitlines()
         if READS.search(line) and "def " not in line
     ]
-    assert found == []
+    assert lines == []

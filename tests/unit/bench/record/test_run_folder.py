@@ -257,7 +257,7 @@ def moved_behind_a_link(path):
 
 
 @pytest.mark.parametrize(
-    ("told", "harm", "said"),
+    ("named", "harm", "state"),
     [
         (True, Path.exists, "intact"),
         (True, lambda path: path.write_bytes(b"abd"), "changed"),
@@ -268,17 +268,17 @@ def moved_behind_a_link(path):
         (False, Path.exists, "unnamed"),
     ],
 )
-def test_after_a_crash_only_a_whole_capture_that_the_journal_names_stays(run, journal, told, harm, said):
+def test_after_a_crash_only_a_whole_capture_that_the_journal_names_stays(run, journal, named, harm, state):
     capture = record(run, 1, 1, b"abc")
-    if told:
+    if named:
         journal.append(CAPTURE_STORED, pose=1, attempt=1, **capture.as_data())
         assert stored_captures(journal.entries) == {capture.name: capture}
     path = run.path / capture.name
     harm(path)
     notes = recover(run, journal)
-    assert {name: found for name, found in notes.items() if found} == {said: [capture.name]}
-    assert path.exists() is (said == "intact")
-    if not told:
+    assert {name: captures for name, captures in notes.items() if captures} == {state: [capture.name]}
+    assert path.exists() is (state == "intact")
+    if not named:
         assert (run.path / "quarantine/pose-001-attempt-1.raw.1").read_bytes() == b"abc"
         assert not any(recover(run, journal).values())
         journal.append(CAPTURE_STORED, capture="captures/x.raw")

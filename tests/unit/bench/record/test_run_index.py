@@ -21,10 +21,10 @@ DAYS = [datetime(2026, 3, day, 20, 0, tzinfo=UTC) for day in (1, 2, 3)]
 
 
 def make(path, begun=DAYS[0], *, fx=3345.0, **facts):
-    told = {"serial": "00050423", "simulated": True, "poses": 2, "deviations": ["so"], **facts}
+    stated = {"serial": "00050423", "simulated": True, "poses": 2, "deviations": ["so"], **facts}
     solved = {"coverage_factors": {"r": 2.4}, "shared": {"fx": 0.3}}
     values = {"fx": fx, "r": 255.0} if fx else None
-    return write_run(path, begun=begun, values=values, sigmas={"fx": 0.5, "r": 0.1}, solved=solved, **told)
+    return write_run(path, begun=begun, values=values, sigmas={"fx": 0.5, "r": 0.1}, solved=solved, **stated)
 
 
 @pytest.fixture
@@ -117,9 +117,9 @@ def test_a_run_is_listed_once_also_where_a_link_leads_to_it(index, tmp_path, thr
     link = tmp_path / "runs" / "link"
     link.symlink_to(three[0], target_is_directory=True)
     (tmp_path / "other").symlink_to(tmp_path / "runs", target_is_directory=True)
-    found, faults = index.runs([*three, link, tmp_path / "other" / "a", three[1] / ".." / "a"])
+    runs, faults = index.runs([*three, link, tmp_path / "other" / "a", three[1] / ".." / "a"])
     assert faults == []
-    assert [run.folder for run in found] == [
+    assert [run.folder for run in runs] == [
         str(folder.resolve()) for folder in (three[1], three[2], three[0])
     ]
 
@@ -127,9 +127,9 @@ def test_a_run_is_listed_once_also_where_a_link_leads_to_it(index, tmp_path, thr
 def test_a_list_tells_how_far_it_is(index, tmp_path, monkeypatch):
     monkeypatch.setattr("bench.record.run_index.COMMIT_EVERY", 2)
     folders = [make(tmp_path / "runs" / name) for name in "abcde"]
-    told = []
-    index.runs(folders, progress=told.append)
-    assert told == [2, 2, 2]
+    counts = []
+    index.runs(folders, progress=counts.append)
+    assert counts == [2, 2, 2]
 
 
 @pytest.mark.parametrize("harm", ["garbage", "older", "deleted"])
@@ -211,13 +211,13 @@ def test_an_index_that_cannot_be_made_is_not_to_be_deleted(index):
 
 
 def test_the_better_known_value_weighs_more_and_runs_that_scatter_as_they_say_have_a_birge_ratio_near_one():
-    found = agreement("fx", [Estimate(100.0 + d, 1.0) for d in (-1.0, 1.0, -1.0, 1.0)])
-    assert (found.mean, found.sigma) == (100.0, 0.5)
-    assert found.birge == pytest.approx((4 / 3) ** 0.5)
-    assert found.deviations[0] == pytest.approx(-1 / 0.75**0.5)
-    found = agreement("r", [Estimate(255.0, 0.1), Estimate(256.0, 1.0)])
-    assert found.mean == pytest.approx(255.0 + 1 / 101)
-    assert found.deviations == pytest.approx([-1 / 1.01**0.5, 1 / 1.01**0.5])
+    agreed = agreement("fx", [Estimate(100.0 + d, 1.0) for d in (-1.0, 1.0, -1.0, 1.0)])
+    assert (agreed.mean, agreed.sigma) == (100.0, 0.5)
+    assert agreed.birge == pytest.approx((4 / 3) ** 0.5)
+    assert agreed.deviations[0] == pytest.approx(-1 / 0.75**0.5)
+    agreed = agreement("r", [Estimate(255.0, 0.1), Estimate(256.0, 1.0)])
+    assert agreed.mean == pytest.approx(255.0 + 1 / 101)
+    assert agreed.deviations == pytest.approx([-1 / 1.01**0.5, 1 / 1.01**0.5])
 
 
 def test_only_runs_of_one_camera_and_one_model_are_compared(index, tmp_path, three):

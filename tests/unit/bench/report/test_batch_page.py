@@ -36,7 +36,7 @@ def test_cameras_are_kept_apart_and_runs_without_a_result_left_out():
 
 
 def item(key, how="finished", why="", **facts):
-    told = {
+    as_data = {
         "item": key, "job": key.rpartition("-")[0], "folder": f"runs/{key}", "how": how, "why": why, "attempts": 1,
         "begun_utc": "2026-03-01T19:00:00+00:00", "ended_utc": "2026-03-01T19:10:00+00:00", "took_s": 600.0,
         "report": None, "camera": "1", "poses": 9, "accepted": 9, "recordings": 10, "deviations": 0,
@@ -44,8 +44,8 @@ def item(key, how="finished", why="", **facts):
         "parameters": parameters_data({"fx": Estimate(3300.0, 0.5)}), "ledger_number": None, "ledger_head": None,
         "conformity": None, "goals_missed": [],
     }  # fmt: skip
-    told["tries"] = [{"begun_utc": told["begun_utc"], "ended_utc": told["ended_utc"], "how": how}]
-    return {**told, **facts}
+    as_data["tries"] = [{"begun_utc": as_data["begun_utc"], "ended_utc": as_data["ended_utc"], "how": how}]
+    return {**as_data, **facts}
 
 
 def summary(*items, cameras=(), **facts):
@@ -64,7 +64,7 @@ def summary(*items, cameras=(), **facts):
 def of_runs(runs):
     return {
         "camera": "1", "model": "spherical", "runs": len(runs),
-        "parameters": [one.to_dict() for one in agreements(runs)],
+        "parameters": [parameter.to_dict() for parameter in agreements(runs)],
     }  # fmt: skip
 
 

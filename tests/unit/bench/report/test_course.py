@@ -74,8 +74,8 @@ def test_a_run_without_such_a_step_has_no_course():
 @pytest.mark.parametrize("how", ["unreachable", "at_most", "minutes", "failures", "no_pose"])
 def test_a_goal_that_was_not_met_is_named_before_the_values(how):
     course = [*COURSE[:2], decided(5, 2.9, 0.4, ended=how, why="Because of the lamp.")]
-    told = alerts({"untils": course, "calibration": {"notes": []}})
-    assert told == ["The goal of a step was not met. Because of the lamp."]
+    sentences = alerts({"untils": course, "calibration": {"notes": []}})
+    assert sentences == ["The goal of a step was not met. Because of the lamp."]
     end = courses(course)[0]["end"]
     assert not end.startswith("The goals are met")
     assert "Because of the lamp." in end

@@ -43,11 +43,11 @@ def residuals(*, rim_px, middle_px=0.1, stars=400):
     return [ViewPicture("one", None, points, points - errors, np.arange(stars))]
 
 
-@pytest.mark.parametrize(("rim_px", "said"), [(0.1, False), (0.12, False), (0.25, True)])
-def test_residuals_at_the_rim_are_told_only_if_they_stand_out(rim_px, said):
+@pytest.mark.parametrize(("rim_px", "stands_out"), [(0.1, False), (0.12, False), (0.25, True)])
+def test_residuals_at_the_rim_are_told_only_if_they_stand_out(rim_px, stands_out):
     text = rim_text(residuals(rim_px=rim_px), {"cx": 640.0, "cy": 360.0}, STARS)
-    assert bool(text) == said
-    if said:
+    assert bool(text) == stands_out
+    if stands_out:
         assert "px RMS, and 0.14 px in the middle" in text  # two numbers each
 
 
@@ -77,8 +77,8 @@ def test_each_cell_carries_the_head_of_its_column():
         '<tr><td>fx</td><td>focal length</td><td class="n">3346</td></tr>'
         '<tr><td colspan="2">sum</td><td>1</td></tr></tbody></table>'
     )
-    found = label_cells(table)
-    assert "<td>fx</td><td>focal length</td>" in found
-    assert '<td class="n" data-label="Value, &quot;px&quot;">3346</td>' in found
-    assert '<td colspan="2">sum</td><td data-label="Value, &quot;px&quot;">1</td>' in found
+    labelled = label_cells(table)
+    assert "<td>fx</td><td>focal length</td>" in labelled
+    assert '<td class="n" data-label="Value, &quot;px&quot;">3346</td>' in labelled
+    assert '<td colspan="2">sum</td><td data-label="Value, &quot;px&quot;">1</td>' in labelled
     assert label_cells("<table><tr><td>1</td></tr></table>") == "<table><tr><td>1</td></tr></table>"

@@ -17,12 +17,14 @@ from tests.unit.bench.report.structure import Structure
 
 
 def test_every_element_is_closed_and_every_id_is_unique(html):
-    found = Structure(html)
-    assert (found.wrong, found.open) == ([], [])
-    ids = [value for _, name, value in found.attributes if name == "id"]
+    structure = Structure(html)
+    assert (structure.wrong, structure.open) == ([], [])
+    ids = [value for _, name, value in structure.attributes if name == "id"]
     assert len(ids) == len(set(ids))
     references = {
-        value[1:] for _, name, value in found.attributes if name.endswith("href") and value.startswith("#")
+        value[1:]
+        for _, name, value in structure.attributes
+        if name.endswith("href") and value.startswith("#")
     }
     assert references <= set(ids)
 
@@ -35,12 +37,12 @@ def test_every_picture_has_a_name_for_those_who_do_not_see_it(html):
 
 
 def test_it_needs_no_network_and_runs_no_script(html):
-    found = Structure(html)
-    assert not {"script", "iframe", "object", "embed", "link", "form", "base"} & set(found.tags)
-    assert not [a for a in found.attributes if a[1].startswith("on")]
+    structure = Structure(html)
+    assert not {"script", "iframe", "object", "embed", "link", "form", "base"} & set(structure.tags)
+    assert not [a for a in structure.attributes if a[1].startswith("on")]
     loaded = [
         value
-        for _, name, value in found.attributes
+        for _, name, value in structure.attributes
         if name in {"src", "href", "xlink:href", "data", "action"}
     ]
     assert loaded
@@ -78,14 +80,14 @@ def test_names_cannot_become_markup(data):
     results["gates"][0] |= {"name": evil, "limit": evil, "unit": evil}
     views = [ViewPicture(evil, v.image, v.detected, v.reprojected, v.ids) for v in data.views]
     html = render_report(ReportData(results, views, evil))
-    found = Structure(html)
-    assert (found.wrong, found.open) == ([], [])
-    assert "script" not in found.tags
+    structure = Structure(html)
+    assert (structure.wrong, structure.open) == ([], [])
+    assert "script" not in structure.tags
     (page_rule,) = re.findall(r"@page \{.*?\n\}", html, re.DOTALL)
     assert re.findall(r"Calibration report [^;]*;", page_rule) == [
         'Calibration report ??style??script?alert?1???script??? onload?x ?? 7?7 ?? ??alpha";'
     ]
-    assert not [a for a in found.attributes if a[1].startswith("on")]
+    assert not [a for a in structure.attributes if a[1].startswith("on")]
     assert "{{ 7*7 }}" in html
 
 

@@ -9,13 +9,13 @@ from lxml.html import fromstring
 from bench.report.html import ReportData, environment, render_report
 
 
-def told(data, **more):
+def page_with(data, **more):
     return render_report(ReportData({**data.results, **more}))
 
 
 def test_gates_that_did_not_pass_and_deviations_stand_before_the_result(data):
     gate = {"name": "rms", "value": 0.31, "unit": "px", "limit": "<= 0.2", "verdict": "fail"}
-    html = told(data, gates=[gate], deviations=["Held by ada for 3 s."])
+    html = page_with(data, gates=[gate], deviations=["Held by ada for 3 s."])
     before = html.partition("<h2>Result</h2>")[0]
     assert "Gate rms: fail (0.310, limit ≤ 0.2 px; 0 of 1 passed)." in before
     assert "Held by ada for 3 s." in before
@@ -24,7 +24,7 @@ def test_gates_that_did_not_pass_and_deviations_stand_before_the_result(data):
 
 
 def test_a_run_without_either_has_no_warning(data):
-    html = told(data, gates=[], failures=[], deviations=[])
+    html = page_with(data, gates=[], failures=[], deviations=[])
     assert "Read this before" not in html
     assert 'class="verdict pass"' in html
     assert ">Calibrated.<" in html
@@ -32,13 +32,13 @@ def test_a_run_without_either_has_no_warning(data):
 
 def test_an_error_that_ended_the_run_before_it_was_resumed_keeps_its_kind_and_place(data):
     error = {"kind": "PortLost", "what": "The port is gone.", "where": "/dev/gimbal", "remedy": "Plug it in."}
-    html = told(data, gates=[], deviations=[], failures=[error])
+    html = page_with(data, gates=[], deviations=[], failures=[error])
     text = "The run failed and was resumed. PortLost (/dev/gimbal): The port is gone."
     assert html.count(text) == 2  # before the result, and among the deviations
 
 
 def test_many_deviations_are_counted_before_the_result_and_all_told_below(data):
-    html = told(data, gates=[], failures=[], deviations=[f"Deviation {n}." for n in range(20)])
+    html = page_with(data, gates=[], failures=[], deviations=[f"Deviation {n}." for n in range(20)])
     before, _, after = html.partition("<h2>Result</h2>")
     assert before.count("<li>Deviation") == 6
     assert "and 14 more" in before
@@ -46,7 +46,7 @@ def test_many_deviations_are_counted_before_the_result_and_all_told_below(data):
 
 
 def test_a_truth_is_printed_to_the_digits_of_its_value(data):
-    shown = told(data).partition("Comparison with the simulated truth</h2>")[2].partition("</table>")[0]
+    shown = page_with(data).partition("Comparison with the simulated truth</h2>")[2].partition("</table>")[0]
     rows = [re.findall(r'<td class="n"[^>]*>(.*?)</td>', row) for row in shown.split("</tr>")[1:-1]]
     assert len(rows) == 9
     for value, _, truth, *_ in rows:
@@ -81,8 +81,8 @@ def luminance(colour):
     return 0.2126 * r + 0.7152 * g + 0.0722 * b
 
 
-def contrast(one, other):
-    high, low = sorted((luminance(one), luminance(other)), reverse=True)
+def contrast(first, other):
+    high, low = sorted((luminance(first), luminance(other)), reverse=True)
     return (high + 0.05) / (low + 0.05)
 
 

@@ -72,9 +72,9 @@ def test_a_picture_says_in_words_what_it_shows_and_words_cannot_become_markup():
     axes, picture = framed(words=Words((evil,), evil, evil, [Key(evil, "#000000")]))
     axes.text((1, 1), evil)
     picture.label = picture.about = evil
-    found = Structure(picture.svg())
-    assert (found.wrong, found.open) == ([], [])
-    assert "script" not in found.tags
+    structure = Structure(picture.svg())
+    assert (structure.wrong, structure.open) == ([], [])
+    assert "script" not in structure.tags
 
 
 def test_a_high_sensor_keeps_its_shape():
@@ -109,13 +109,13 @@ FINITE = st.floats(-1e6, 1e6)
 @given(FINITE, st.floats(1e-3, 1e6), st.integers(2, 12))
 @example(1.0, 400_001.0, 2)  # the round number next to it, 500,000, lies outside
 def test_ticks_are_few_round_numbers_within_the_range(low, span, most):
-    found = ticks(low, low + span, most)
-    assert 1 <= len(found) <= most + 1
-    step = found[1] - found[0] if len(found) > 1 else 1.0
-    assert all(low - 1e-6 * step - 1e-9 <= value <= low + span + 1e-6 * step + 1e-9 for value in found)
-    if len(found) > 1:
+    places = ticks(low, low + span, most)
+    assert 1 <= len(places) <= most + 1
+    step = places[1] - places[0] if len(places) > 1 else 1.0
+    assert all(low - 1e-6 * step - 1e-9 <= value <= low + span + 1e-6 * step + 1e-9 for value in places)
+    if len(places) > 1:
         assert float(f"{step:.0e}") == pytest.approx(step, rel=1e-6)
-        assert len(set(tick_labels(found))) == len(found)
+        assert len(set(tick_labels(places))) == len(places)
 
 
 def test_a_range_that_is_upside_down_has_its_first_value_at_the_bottom():
@@ -148,8 +148,8 @@ def area(points):
     return 0.5 * float(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y))
 
 
-def total(found):
-    return abs(sum(area(one.points) for one in found))
+def total(lines):
+    return abs(sum(area(outline.points) for outline in lines))
 
 
 def test_a_plane_is_cut_where_it_reaches_the_level():
@@ -182,10 +182,10 @@ def test_a_map_that_reaches_the_level_everywhere_is_whole_and_without_contours()
 def test_where_the_map_is_not_known_nothing_is_inside():
     values = np.ones((len(Y), len(X)))
     values[10:20, 10:20] = np.nan
-    found = outlines(X, Y, values, 0.5)
-    assert total(found) == pytest.approx(160 * 90 - (X[20] - X[9]) * (Y[20] - Y[9]), rel=0.01)
-    assert [one.lines() for one in found] == [[], []]
-    assert all(np.isfinite(one.points).all() for one in found)
+    inside = outlines(X, Y, values, 0.5)
+    assert total(inside) == pytest.approx(160 * 90 - (X[20] - X[9]) * (Y[20] - Y[9]), rel=0.01)
+    assert [outline.lines() for outline in inside] == [[], []]
+    assert all(np.isfinite(outline.points).all() for outline in inside)
 
 
 @settings(max_examples=30, deadline=None)

@@ -74,13 +74,13 @@ def test_rows_that_can_hold_the_same_errors_are_named(calibration):
     rows = [row for row in stated if row["name"] != COMMON_ERRORS and row["unit"] != "urad"]
     for alone in ([*rows, own], [*rows, wavefront], []):
         assert overlap({"budget_rows": alone}) == ""
-    said = overlap({"budget_rows": [*rows, own, wavefront]})
-    assert "slopes of the wavefront" in said
-    assert COMMON_ERRORS in said
-    assert said.endswith("the uncertainty is an upper limit.")
+    sentence = overlap({"budget_rows": [*rows, own, wavefront]})
+    assert "slopes of the wavefront" in sentence
+    assert COMMON_ERRORS in sentence
+    assert sentence.endswith("the uncertainty is an upper limit.")
     data = sample(size=SMALL)
     data.results["calibration"]["budget_rows"] = [*rows, own, wavefront]
-    assert said in render_report(data)
+    assert sentence in render_report(data)
 
 
 # ---------------------------------------------------------------- the gimbal: no blame without evidence
@@ -89,7 +89,7 @@ def test_rows_that_can_hold_the_same_errors_are_named(calibration):
 @pytest.mark.parametrize("verdict", get_args(VerdictKind))
 def test_every_verdict_has_a_heading(data, verdict):
     gimbal = dict(data.results["gimbal"]) | {"verdict": verdict, "says": ["What was found."]}
-    (heading,) = [name for name, said in checks({"gimbal": gimbal}) if said == "What was found."]
+    (heading,) = [name for name, remark in checks({"gimbal": gimbal}) if remark == "What was found."]
     assert heading.startswith("Gimbal: ")
 
 
@@ -136,8 +136,8 @@ def test_the_certificate_states_the_boresight_with_its_u():
     results["calibration"].pop("boresight")
     before = further_of(results)
     results["calibration"]["boresight"] = BORESIGHT.to_dict()
-    stated = {one.id: one for one in further_of(results)}
-    assert {one.id for one in before} < set(stated)
+    stated = {further.id: further for further in further_of(results)}
+    assert {further.id for further in before} < set(stated)
     assert (stated["boresight_y"].text, stated["boresight_y"].unit) == ("-1.250 deg", "deg")
     assert stated["boresight_y_expanded"].text == "0.046 deg"
     assert stated["boresight_down"].value == pytest.approx(-0.573, abs=1e-3)
@@ -213,7 +213,7 @@ def test_a_certificate_states_the_skew_in_pixels_and_coefficients_as_pure_number
     calibration = data.results["calibration"]
     camera, sigma = ({**calibration[key], "skew": 0.1} for key in ("camera", "sigma"))
     stated = results_of({**data.results, "calibration": {**calibration, "camera": camera, "sigma": sigma}})
-    units = {one.symbol: one.unit for one in stated}
+    units = {result.symbol: result.unit for result in stated}
     assert (units["skew"], units["fx"], units["k1"]) == ("px", "px", "1")
 
 

@@ -36,8 +36,8 @@ def test_nothing_in_the_report_of_a_board_is_called_a_star(camera):
     words = " ".join(printed_text(html))
     assert "stars" not in words
     assert "Gimbal readings" not in words
-    for said in ("residuals of the points", "checkerboard:11x7:20mm"):
-        assert said in words
+    for phrase in ("residuals of the points", "checkerboard:11x7:20mm"):
+        assert phrase in words
     assert "the board\N{RIGHT SINGLE QUOTATION MARK}s nominal dimensions" in words
 
 

@@ -113,8 +113,8 @@ def test_the_uncertainty_of_a_direction_is_drawn_from_the_covariance(data, html)
     # of the shown digits, "at most" is k times what the engine's own map says
     calibration = data.results["calibration"]
     covariance = np.array(calibration["covariance"]["matrix"])[:6, :6]
-    found = projection_uncertainty(camera_of(calibration["camera"], SMALL), covariance)
-    assert shown_of(html, "U of an image point") == [f"{2 * found.worst_px:.2g}"]
+    uncertainty = projection_uncertainty(camera_of(calibration["camera"], SMALL), covariance)
+    assert shown_of(html, "U of an image point") == [f"{2 * uncertainty.worst_px:.2g}"]
 
 
 @given(st.floats(-1e6, 1e6), st.floats(1e-9, 1e5))

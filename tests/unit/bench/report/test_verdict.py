@@ -7,14 +7,14 @@ from bench.report.verdict import change, verdict
 from calib.model.cause import FOCUSED, Cause, cause_sentence
 
 
-def told(data, **more):
+def verdict_with(data, **more):
     return verdict({**data.results, "gates": [], "failures": [], "deviations": [], **more})
 
 
 def test_a_good_result_says_so_with_its_worst_corner_and_its_factor(data):
-    found = told(data)
-    assert (found.kind, found.headline, found.reasons) == ("pass", "Calibrated.", ())
-    assert found.sentences == (
+    judged = verdict_with(data)
+    assert (judged.kind, judged.headline, judged.reasons) == ("pass", "Calibrated.", ())
+    assert judged.sentences == (
         "fx 3346.4 ± 4.3 px, fy 3346.7 ± 4.3 px (k = 2, about 95 %).",
         (
             "Error of a direction: at most 71 µrad = 0.25 px in the worst corner (top left); "
@@ -34,22 +34,22 @@ def test_a_good_result_says_so_with_its_worst_corner_and_its_factor(data):
 def test_gates_that_fail_and_reservations_change_it(data):
     gate = {"name": "rms", "value": 0.31, "unit": "px", "limit": "<= 0.2", "verdict": "fail"}
     good = {**gate, "name": "mean", "verdict": "pass"}
-    found = told(data, gates=[gate, good])
-    assert (found.kind, found.headline) == ("fail", "Calibrated, but 1 of 2 gates fails.")
-    assert found.reasons[0].startswith("Gate rms: fail")
-    found = told(data, deviations=["Pose 2 was skipped."])
-    assert (found.kind, found.headline) == ("marginal", "Calibrated, with reservations.")
-    assert found.reasons == ("Pose 2 was skipped.",)
+    judged = verdict_with(data, gates=[gate, good])
+    assert (judged.kind, judged.headline) == ("fail", "Calibrated, but 1 of 2 gates fails.")
+    assert judged.reasons[0].startswith("Gate rms: fail")
+    judged = verdict_with(data, deviations=["Pose 2 was skipped."])
+    assert (judged.kind, judged.headline) == ("marginal", "Calibrated, with reservations.")
+    assert judged.reasons == ("Pose 2 was skipped.",)
 
 
 def test_a_note_that_doubts_the_values_is_on_the_first_screen_and_a_pause_is_not(data):
     results = copy.deepcopy(dict(data.results)) | {"holds": ["Held by ada@lab for 24 s before step 26."]}
     doubt, remark = "Views differ 3.5 times more than star noise explains.", "The radial model predicts best."
     results["calibration"] |= {"notes": [doubt, remark], "remarks": [remark]}
-    found = told(type(data)(results))
-    assert (found.kind, found.reasons) == ("marginal", (doubt,))
+    judged = verdict_with(type(data)(results))
+    assert (judged.kind, judged.reasons) == ("marginal", (doubt,))
     results["calibration"]["notes"] = [remark]
-    assert told(type(data)(results)).kind == "pass"
+    assert verdict_with(type(data)(results)).kind == "pass"
     page = render_report(type(data)(results))
     assert "<h3>Pauses</h3>" in page
     assert "Held by ada@lab" in page
@@ -58,10 +58,10 @@ def test_a_note_that_doubts_the_values_is_on_the_first_screen_and_a_pause_is_not
 def test_without_convergence_no_value_is_stated(data):
     results = copy.deepcopy(dict(data.results))
     results["calibration"]["converged"] = False
-    found = verdict(results)
-    assert (found.kind, found.headline) == ("fail", "Not calibrated.")
-    assert found.sentences == ("The optimisation did not converge: do not use the values.",)
-    assert found.sentences[0] in render_report(type(data)(results))
+    judged = verdict(results)
+    assert (judged.kind, judged.headline) == ("fail", "Not calibrated.")
+    assert judged.sentences == ("The optimisation did not converge: do not use the values.",)
+    assert judged.sentences[0] in render_report(type(data)(results))
 
 
 def test_results_of_earlier_versions_still_name_a_worst_corner(data):
@@ -70,15 +70,15 @@ def test_results_of_earlier_versions_still_name_a_worst_corner(data):
     assert any(sentence.startswith(worst) for sentence in verdict(results).sentences)
     assert change(results) is None
     first = {"run": None, "why_not": "This is the first calibration of this camera on this bench."}
-    assert told(data, previous=first).sentences[-1] == first["why_not"]
+    assert verdict_with(data, previous=first).sentences[-1] == first["why_not"]
 
 
 def test_a_change_beyond_its_uncertainty_is_told_with_its_size(data):
     results = copy.deepcopy(dict(data.results))
     results["previous"]["change"] |= {"largest_ratio": 2.4, "px_there": 0.31, "largest_px": 0.44}
     results["previous"]["calibration"]["camera"]["fx"] -= 20
-    said = ": changed by up to 0.31 px = 2.4 U at one place; largest change 0.44 px."
-    assert verdict(results).sentences[-1].endswith(said)
+    change_text = ": changed by up to 0.31 px = 2.4 U at one place; largest change 0.44 px."
+    assert verdict(results).sentences[-1].endswith(change_text)
     (fx, *others) = change(results).rows
     assert (fx["name"], fx["change"]) == ("fx", ("21.5", "6.0"))  # U = hypot(4.26, 4.26)
     assert (fx["normalised"], fx["verdict"]) == ("3.57", "marginal")
@@ -90,9 +90,9 @@ def test_what_a_person_did_stands_first_once_and_a_right_result_is_not_called_go
     sentence = cause_sentence(cause)
     results = copy.deepcopy(dict(data.results)) | {"causes": [cause.to_dict()]}
     results["calibration"] |= {"notes": [sentence]}
-    found = told(type(data)(results))
-    assert (found.kind, found.headline) == ("marginal", "Calibrated, with reservations.")
-    assert (found.causes, found.reasons) == ((sentence,), ())
+    judged = verdict_with(type(data)(results))
+    assert (judged.kind, judged.headline) == ("marginal", "Calibrated, with reservations.")
+    assert (judged.causes, judged.reasons) == ((sentence,), ())
     page = render_report(type(data)(results))
     assert page.index("The focal length is 0.1400 ± 0.0020 % (k = 2) longer after the pose") < page.index(
         "4.3 px"

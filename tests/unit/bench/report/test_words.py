@@ -86,8 +86,8 @@ def test_a_planar_calibration_without_devices_is_reported_too(data):
     results["calibration"] |= {"model": "planar", "collimator": None}
     results["calibration"]["sigma"] = {name: SIGMA[name] for name in TRUE}
     html = render_report(ReportData(results))
-    found = Structure(html)
-    assert (found.wrong, found.open) == ([], [])
+    structure = Structure(html)
+    assert (structure.wrong, structure.open) == ([], [])
     assert "its own position and its own rotation" in html
     assert not {"Poses", "Gates", "Recordings", "Devices", "Comparison with the simulated truth"} & set(
         printed_text(html)

@@ -27,10 +27,10 @@ def content(scene):
 def test_a_pose_that_keeps_failing_is_skipped_where_the_sequence_says_so(tmp_path):
     scene = doomed(tmp_path, "skip")
     assert scene.run().how == "finished"
-    found = content(scene)
-    attempts = [[attempt["accepted"] for attempt in pose["attempts"]] for pose in found["poses"]]
+    results = content(scene)
+    attempts = [[attempt["accepted"] for attempt in pose["attempts"]] for pose in results["poses"]]
     assert attempts == [[False, False], [True], [True]]
-    (deviation,) = found["deviations"]
+    (deviation,) = results["deviations"]
     assert deviation.startswith("Pose 1 (doomed) failed 2 attempts: stars 2")
     assert deviation.endswith("It was skipped, as the sequence specifies.")
 
@@ -41,7 +41,7 @@ def test_between_attempts_it_waits_twice_as_long_each_time(tmp_path):
     assert (end.how, scene.states()[-1]) == ("failed", "failed")
     assert "Pose 1 (doomed) failed 4 attempts: stars" in end.why
     entered = scene.data_of(Event.ENTERING)
-    assert [told["wait_s"] for told in entered if told["state"] == "backing_off"] == [0.1, 0.2, 0.4, 0.0]
+    assert [state["wait_s"] for state in entered if state["state"] == "backing_off"] == [0.1, 0.2, 0.4, 0.0]
 
 
 def test_a_pose_that_is_held_with_nobody_there_ends_the_run_safely_and_resumable(tmp_path):
@@ -52,7 +52,7 @@ def test_a_pose_that_is_held_with_nobody_there_ends_the_run_safely_and_resumable
     (asked,) = scene.data_of(Event.ASKED)
     assert "Try it again?" in asked["text"]
     assert scene.run().how == "aborted"
-    assert [told["attempt"] for told in scene.data_of(Event.CAPTURE_STORED)] == [1, 2, 3, 4]
+    assert [capture["attempt"] for capture in scene.data_of(Event.CAPTURE_STORED)] == [1, 2, 3, 4]
     assert scene.events()[: len(first)] == first  # nothing written is written over
 
 
@@ -69,7 +69,7 @@ def test_a_skipped_pose_is_left_out_and_the_results_say_who_asked(tmp_path, monk
     answers = scene.data_of(Event.COMMANDED)
     assert [answer["taken"] for answer in answers] == [True, False]
     assert "already skipped" in answers[1]["why"]
-    found = content(scene)
-    assert [pose["index"] for pose in found["poses"]] == [1, 3]
-    (deviation,) = found["deviations"]
+    results = content(scene)
+    assert [pose["index"] for pose in results["poses"]] == [1, 3]
+    (deviation,) = results["deviations"]
     assert deviation.endswith("was skipped: ada asked for it.")

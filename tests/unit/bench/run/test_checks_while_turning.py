@@ -32,8 +32,8 @@ def reject(monkeypatch):
     measure = bench.extras.batch.rehearsal.RehearsedKind.measure
 
     def measured(kind, path, *given, **more):
-        found = measure(kind, path, *given, **more)
-        return Measurement(None, None, found.facts, "spoilt") if path.stem in rejected else found
+        measurement = measure(kind, path, *given, **more)
+        return Measurement(None, None, measurement.facts, "spoilt") if path.stem in rejected else measurement
 
     monkeypatch.setattr(bench.extras.batch.rehearsal.RehearsedKind, "measure", measured)
     return rejected.update
@@ -42,13 +42,13 @@ def reject(monkeypatch):
 def story(scene):
     """What the run did, in order: ``slew 2``, ``record 2``, ``accept 2``, ``reject 2``."""
     words = {"slewing": "slew", "recording": "record"}
-    told = []
+    steps = []
     for event, data in scene.events():
         if event == Event.ENTERING and data["state"] in words:
-            told.append(f"{words[data['state']]} {data['pose']}")
+            steps.append(f"{words[data['state']]} {data['pose']}")
         elif event == Event.ATTEMPT_CHECKED:
-            told.append(f"{'accept' if data['accepted'] else 'reject'} {data['pose']}")
-    return ", ".join(told)
+            steps.append(f"{'accept' if data['accepted'] else 'reject'} {data['pose']}")
+    return ", ".join(steps)
 
 
 def see_each_pose_once(scene):
@@ -89,12 +89,12 @@ def test_a_run_waits_only_for_what_is_left_of_a_check_and_the_plan_counts_so(sce
 def test_a_rejected_pose_is_taken_again_at_once_and_then_the_run_goes_on(scene, reject, pose):
     reject({f"pose-{pose:03d}-attempt-1"})
     assert scene.run().how == "finished"
-    told = story(scene)
+    course = story(scene)
     onward = f"slew {pose + 1}, " if pose < 3 else ""
     back = f"slew {pose}, " if pose < 3 else ""
-    assert f"record {pose}, {onward}reject {pose}, {back}record {pose}, accept {pose}" in told
+    assert f"record {pose}, {onward}reject {pose}, {back}record {pose}, accept {pose}" in course
     if pose < 3:
-        assert f"accept {pose}, slew {pose + 1}, record {pose + 1}" in told
+        assert f"accept {pose}, slew {pose + 1}, record {pose + 1}" in course
     see_each_pose_once(scene)
 
 

@@ -68,9 +68,9 @@ TAKEN_UP = {"take_over": True}
     ],
 )
 def test_a_command_that_a_person_may_not_give_now_is_refused_with_the_reason(word, more, history, why):
-    said = refusal(command(word, **{"by": "ben", **more}), history, POSES)
-    assert why in said
-    assert bool(said) == bool(why)
+    reason = refusal(command(word, **{"by": "ben", **more}), history, POSES)
+    assert why in reason
+    assert bool(reason) == bool(why)
 
 
 def test_every_answer_has_a_text():
@@ -84,20 +84,20 @@ def test_every_answer_has_a_text():
 # ---------------------------------------------------------------- what a journal of commands amounts to
 
 
-def told(journal, word, taken=True, **more):
+def commanded(journal, word, taken=True, **more):
     journal.append(Event.COMMANDED, id="x", word=word, by="ada", taken=taken, why="", **more)
 
 
 def test_holds_last_from_hold_to_release_and_not_beyond_the_process(tmp_path):
     with Journal.create(tmp_path / "j", **CLOCKS) as journal:
-        told(journal, "hold", taken=False)
+        commanded(journal, "hold", taken=False)
         assert replay(journal.entries).holder == ""
-        told(journal, "hold")
+        commanded(journal, "hold")
         assert replay(journal.entries).holder == "ada"
-        told(journal, "release")
+        commanded(journal, "release")
         assert replay(journal.entries).holder == ""
-        told(journal, "hold")
-        told(journal, "skip", pose=2)
+        commanded(journal, "hold")
+        commanded(journal, "skip", pose=2)
         journal.append(Event.RUN_RESUMED)
         assert replay(journal.entries).holder == ""
         assert replay(journal.entries).to_skip == {2: "ada"}

@@ -112,9 +112,9 @@ def run_once(path, acknowledged, key=None):
 
 def see_that_nothing_acknowledged_is_lost(path, acknowledged):
     entries, _ = read_journal(path / "journal.jsonl") if (path / "journal.jsonl").exists() else ([], b"")
-    told = stored_captures(entries)
+    stored = stored_captures(entries)
     for pose, capture in acknowledged.items():
-        assert told[capture.name] == capture
+        assert stored[capture.name] == capture
         assert (path / capture.name).read_bytes() == recording(pose)
 
 

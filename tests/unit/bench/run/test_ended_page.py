@@ -92,18 +92,18 @@ def test_a_run_whose_journal_says_that_it_finished_keeps_its_report(folder, key)
 
 
 def verified(folder, tmp_path):
-    found = verify_folder(folder.path, read_signers(tmp_path / "home" / "allowed_signers"), now=NOW)
-    assert not found.ok
-    assert ("unsealed", "SHA256SUMS") in {(fault.kind, fault.where) for fault in found.faults}
-    return {(fault.kind, fault.where) for fault in found.faults[1:]}, found.statements
+    verification = verify_folder(folder.path, read_signers(tmp_path / "home" / "allowed_signers"), now=NOW)
+    assert not verification.ok
+    assert ("unsealed", "SHA256SUMS") in {(fault.kind, fault.where) for fault in verification.faults}
+    return {(fault.kind, fault.where) for fault in verification.faults[1:]}, verification.statements
 
 
 def test_verify_says_that_the_bench_signed_the_page(folder, key, tmp_path):
     write_ended_page(folder, lambda: key, pytest.fail)
-    faults, said = verified(folder, tmp_path)
+    faults, statements = verified(folder, tmp_path)
     assert faults == set()
-    assert said[0].startswith("report.html is the page of a run that did not finish, signed by ")
-    assert key.fingerprint in said[0]
+    assert statements[0].startswith("report.html is the page of a run that did not finish, signed by ")
+    assert key.fingerprint in statements[0]
 
 
 def test_verify_finds_a_changed_page_a_foreign_key_and_another_journal(folder, key, tmp_path):
@@ -135,6 +135,6 @@ def test_a_page_that_cannot_be_signed_is_said(folder):
     def no_key():
         raise EvidenceError("The key expired.")
 
-    said = []
-    write_ended_page(folder, no_key, said.append)
-    assert said == ["The page of the run could not be written: The key expired."]
+    lines = []
+    write_ended_page(folder, no_key, lines.append)
+    assert lines == ["The page of the run could not be written: The key expired."]

@@ -44,9 +44,9 @@ def run_with(bench, calls):
 def see_that_it_goes_on(bench, calls, usual):
     """Run with a failing call, then do what an operator does next; nothing is lost, and nothing looks changed."""
     run_with(bench, calls)
-    told = bench.stored()
+    stored = bench.stored()
     bench.finish()
-    assert bench.stored()[: len(told)] == told
+    assert bench.stored()[: len(stored)] == stored
     assert bench.faults() == usual
     assert bench.breaks() == []
     with_lost_log = any("wire_log_ended_s" in entry.data for entry in bench.entries())
@@ -135,8 +135,8 @@ def test_whichever_call_of_an_issue_fails_the_same_command_ends_it_with_the_same
         elif not done:
             lab.issue()
         assert lab.numbers() == {FIRST: "issued"}
-        (one,) = numbers(lab.ledger.entries()).values()
-        assert one.seal == sha256_of(lab.path / "certificate" / "SHA256SUMS")
+        (certificate,) = numbers(lab.ledger.entries()).values()
+        assert certificate.seal == sha256_of(lab.path / "certificate" / "SHA256SUMS")
         assert lab.ledger.breaks() == ([], [])
 
     with (

@@ -30,20 +30,20 @@ def ends_in(document):
         for line in document[document.index("| fault |") :].splitlines()
         if line.startswith("|")
     ]
-    told = {(row[0], state): "" for row in rows[2:] for state in STATES}
+    end_of = {(row[0], state): "" for row in rows[2:] for state in STATES}
     for name, *cells in rows[2:]:
         for shown, cell in zip(rows[0][1:], cells, strict=True):
             for state in STATES if cell == "every state" else filter(None, cell.split(", ")):
-                assert told[name, state] == "", (name, state)
-                told[name, state] = ends[shown]
-    return told
+                assert end_of[name, state] == "", (name, state)
+                end_of[name, state] = ends[shown]
+    return end_of
 
 
 def test_the_document_has_every_fault_and_every_state():
-    told = ends_in(DOCUMENT.read_text())
-    assert set(told) == {(fault.name, state) for fault in FAULTS for state in STATES}
+    end_of = ends_in(DOCUMENT.read_text())
+    assert set(end_of) == {(fault.name, state) for fault in FAULTS for state in STATES}
     for fault in FAULTS:
-        assert any(told[fault.name, state] for state in STATES), fault.name
+        assert any(end_of[fault.name, state] for state in STATES), fault.name
 
 
 @pytest.mark.parametrize(("name", "state"), SOME)

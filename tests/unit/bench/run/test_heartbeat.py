@@ -164,9 +164,9 @@ def test_a_supervisor_that_ended_before_its_worker_looked_is_lost_too(monkeypatc
     assert HeartbeatWriter(tmp_path, BenchClock()).supervisor_is_gone()
 
 
-@pytest.mark.parametrize("told", ["", "1x"])
-def test_a_process_without_a_supervisor_loses_none(monkeypatch, tmp_path, told):
-    monkeypatch.setenv(SUPERVISOR, told)
+@pytest.mark.parametrize("pid", ["", "1x"])
+def test_a_process_without_a_supervisor_loses_none(monkeypatch, tmp_path, pid):
+    monkeypatch.setenv(SUPERVISOR, pid)
     pulse = HeartbeatWriter(tmp_path, BenchClock())
     monkeypatch.setattr(os, "getppid", lambda: 1)
     assert not pulse.supervisor_is_gone()

@@ -49,9 +49,9 @@ def test_a_silent_sensor_and_a_report_from_the_future_count_as_an_open_door(
     sensor.write_text("closed")
     os.utime(sensor, (5000.0, 5000.0))
     words = DoorConfig(path=str(sensor), closed="closed", max_age_s=max_age_s)
-    said = Door(words, utc_s=lambda: 5000.0 + later_s).why(held=False)
-    assert why in said
-    assert bool(said) == bool(why)
+    reason = Door(words, utc_s=lambda: 5000.0 + later_s).why(held=False)
+    assert why in reason
+    assert bool(reason) == bool(why)
 
 
 def test_a_pipe_in_place_of_a_sensor_is_an_open_door_and_does_not_block(tmp_path):
@@ -112,7 +112,7 @@ interlocks: %s
 
 
 @pytest.mark.parametrize(
-    ("said", "wrong"),
+    ("limits", "wrong"),
     [
         ("{door: {path: /x, closed: 1, max_hold_s: 0}}", "max_hold_s"),
         ("{window: {path: /x}}", "window"),
@@ -122,17 +122,17 @@ interlocks: %s
         ("{device_lost: {retry: 5}}", "retry"),
     ],
 )
-def test_a_station_file_with_contradictory_interlock_limits_is_refused(said, wrong):
+def test_a_station_file_with_contradictory_interlock_limits_is_refused(limits, wrong):
     with pytest.raises(DocumentFaults) as caught:
-        check_document((STATION % said).encode(), "station.yaml", Station)
+        check_document((STATION % limits).encode(), "station.yaml", Station)
     assert any(wrong in str(fault) for fault in caught.value.faults)
 
 
 def test_a_station_has_the_interlocks_that_it_names(tmp_path):
     text = "{door: {path: /x}, device_lost: {retry_s: 7}, disk_space: {min_free_gb: 1, release_gb: 2, max_hold_s: 90}}"
-    said = check_document((STATION % text).encode(), "station.yaml", Station).value.interlocks
+    configured = check_document((STATION % text).encode(), "station.yaml", Station).value.interlocks
     sensors = SimpleNamespace(camera_c=None, last_mev_s=None, dark_mev_s=None, reopen=None)
-    door, space, lost = interlocks_of(said, tmp_path, sensors)
+    door, space, lost = interlocks_of(configured, tmp_path, sensors)
     assert [i.name for i in (door, space, lost)] == ["door", "disk_space", "device_lost"]
     assert (door.poll_s, lost.poll_s, space.max_hold_s) == (0.1, 7, 90)
     assert interlocks_of(InterlocksConfig(), tmp_path, sensors) == []

@@ -127,14 +127,14 @@ def test_holds_are_added_up(tmp_path, monkeypatch):
 def test_a_door_that_opens_repeatedly_is_notified_once_in_ten_minutes(tmp_path, monkeypatch):
     scene, sensor = scene_with_door(tmp_path, monkeypatch, max_hold_s=3600)
     flapping(scene, sensor, monkeypatch, lambda nth: 601 if nth == 4 else 1, times=6)
-    told = []
+    messages = []
     monkeypatch.setattr(
         "bench.run.runner.HoldNotifier",
-        lambda clock, _notify: HoldNotifier(clock, lambda *words: told.append(words)),
+        lambda clock, _notify: HoldNotifier(clock, lambda *words: messages.append(words)),
     )
     assert scene.run().how == "finished"
     assert len(scene.data_of(Event.INTERLOCK_RELEASED)) == 6
-    assert [occasion for occasion, _, _ in told] == ["hold", "hold"]
+    assert [occasion for occasion, _, _ in messages] == ["hold", "hold"]
 
 
 def test_the_status_states_what_holds_the_run(tmp_path, monkeypatch):

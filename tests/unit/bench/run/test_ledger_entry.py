@@ -38,7 +38,7 @@ def test_a_whole_ledger_is_not_worth_a_word(ledger, tmp_path):
     place = run(ledger, tmp_path / "a", job())
     assert set(place) == {"number", "head", "of_camera"}
     assert ledger_lines(place) == []
-    assert [one.how for one in ledger.runs()] == ["aborted"]
+    assert [run.how for run in ledger.runs()] == ["aborted"]
     names = [name for name, _ in identification({"run": {"ledger": place}})]
     assert "Line of the ledger" in names
     assert "Ledger" not in names

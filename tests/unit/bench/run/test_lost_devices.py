@@ -23,7 +23,7 @@ EVK4 = CameraIdentity("Prophesee", "EVK4", "IMX636", "00051234", "3.9.0", 1280, 
 
 
 @pytest.mark.parametrize(
-    ("link_mbit_s", "told"),
+    ("link_mbit_s", "link_text"),
     [
         (None, NOT_STATED),
         (480, "480 Mbit/s (USB 2)"),
@@ -31,9 +31,9 @@ EVK4 = CameraIdentity("Prophesee", "EVK4", "IMX636", "00051234", "3.9.0", 1280, 
         (10000, "10000 Mbit/s (USB 3)"),
     ],
 )
-def test_the_speed_of_the_connection_is_told(link_mbit_s, told):
+def test_the_speed_of_the_connection_is_told(link_mbit_s, link_text):
     camera = CameraIdentity(**{**vars(EVK4), "link_mbit_s": link_mbit_s})
-    assert connections(camera, {"trigger_in": True}, SimpleNamespace())["camera_link"] == told
+    assert connections(camera, {"trigger_in": True}, SimpleNamespace())["camera_link"] == link_text
 
 
 def test_what_a_device_does_not_state_is_said_to_be_so():
@@ -50,9 +50,9 @@ def test_what_a_device_does_not_state_is_said_to_be_so():
 def test_firmware_and_polarity_are_told_and_printed():
     camera = CameraIdentity(**{**vars(EVK4), "firmware_built": "Thu Jan  5 10:11:12 2023"})
     light = SimpleNamespace(sync_polarity=lambda: "normal")
-    found = connections(camera, {"trigger_in": True}, light)
-    assert found["camera_firmware"] == "3.9.0, built Thu Jan  5 10:11:12 2023"
-    rows = dict(run_tables.connections({"connections": found}))
+    facts = connections(camera, {"trigger_in": True}, light)
+    assert facts["camera_firmware"] == "3.9.0, built Thu Jan  5 10:11:12 2023"
+    rows = dict(run_tables.connections({"connections": facts}))
     assert rows["sync polarity"] == "normal"
     assert rows["trigger input"] == "on"
     assert run_tables.connections({}) == []
@@ -70,9 +70,9 @@ def test_a_bench_that_is_not_ready_and_whose_stage_falls_silent_is_not_said_to_h
 
     scene.hook = hook
     show_run(scene.run())
-    said = "".join(capsys.readouterr())
-    assert "The bench is not ready: light: the lamp is hot. Correct this and run again.\n" in said
-    assert "The stage may be moving." in said
+    output = "".join(capsys.readouterr())
+    assert "The bench is not ready: light: the lamp is hot. Correct this and run again.\n" in output
+    assert "The stage may be moving." in output
 
 
 # ---------------------------------------------------------------- lost
@@ -168,8 +168,8 @@ def journaled(scene):
 
 
 def left(scene):
-    (told,) = scene.data_of(Event.DEVICES_LEFT)
-    return {end["device"]: (end["state"], end["said"]) for end in told["devices"]}
+    (devices_left,) = scene.data_of(Event.DEVICES_LEFT)
+    return {end["device"]: (end["state"], end["said"]) for end in devices_left["devices"]}
 
 
 def test_what_each_device_confirmed_stands_before_the_results(tmp_path):
@@ -195,10 +195,12 @@ def test_a_camera_unplugged_after_the_last_recording_is_stated_and_the_run_finis
     scene.hook = hook
     end = scene.run()
     assert end.how == "finished"
-    told = ("not confirmed", "the camera does not answer: gone")
-    assert left(scene)["camera"] == told
+    end_of_camera = ("not confirmed", "the camera does not answer: gone")
+    assert left(scene)["camera"] == end_of_camera
     assert {left(scene)[device][0] for device in ("stage", "light")} == {"confirmed safe"}
-    assert [(one.state, one.said) for one in end.devices if one.device == "camera"] == [told]
+    assert [(device.state, device.said) for device in end.devices if device.device == "camera"] == [
+        end_of_camera
+    ]
     shown = status_text(read_status(scene.folder))
     assert "camera: not confirmed: the camera does not answer: gone." in shown
 
@@ -236,8 +238,8 @@ def test_a_resumed_run_without_devices_claims_only_what_was_seen(tmp_path, monke
     opened = len(scene.opened)
     scene.run()
     assert len(scene.opened) == opened  # no device is opened for a calculation
-    state, said = left(scene)["light"]
+    state, reason = left(scene)["light"]
     assert state == ("confirmed safe" if ended else "not confirmed")
-    assert (said == NOT_ASKED) is not ended
+    assert (reason == NOT_ASKED) is not ended
     history = replay(read_journal(scene.folder / "journal.jsonl")[0])
     assert [end["device"] for end in history.devices_left] == list(DEVICES)

@@ -17,18 +17,18 @@ TARGETS = {(source, trigger): target for trigger, sources, target in EDGES for s
 class Told:
     """Keeps what it is told, in a list of (event, data); a subclass may refuse it."""
 
-    def __init__(self, told=None):
-        self.told = [] if told is None else told
+    def __init__(self, events=None):
+        self.events = [] if events is None else events
 
     def entering(self, data):
-        self.told.append(("entering", data))
+        self.events.append(("entering", data))
 
     def left_off(self, data):
-        self.told.append(("left_off", data))
+        self.events.append(("left_off", data))
 
 
-def machine_in(state, work=None, told=None):
-    machine = RunMachine(work or {}, Told(told))
+def machine_in(state, work=None, events=None):
+    machine = RunMachine(work or {}, Told(events))
     machine.state = state
     return machine
 
@@ -46,13 +46,13 @@ def test_each_edge_leads_where_the_table_says_and_runs_the_work_of_that_state(so
 
 @pytest.mark.parametrize(("source", "trigger"), sorted(set(product(STATES, TRIGGERS)) - set(TARGETS)))
 def test_no_other_edge_exists(source, trigger):
-    told = []
-    machine = machine_in(source, told=told)
+    events = []
+    machine = machine_in(source, events=events)
     assert not machine.can(trigger)
     with pytest.raises(MachineError):
         machine.fire(trigger)
     assert machine.state == source
-    assert told == []
+    assert events == []
 
 
 def test_every_state_but_the_end_states_can_be_aborted():
@@ -70,16 +70,16 @@ def test_no_state_can_be_jumped_to():
 
 
 def test_intent_is_reported_before_the_work_and_the_outcome_after_it_even_if_it_fails():
-    told = []
+    events = []
 
     def fail(*_, **__):
-        told.append("work")
+        events.append("work")
         raise OSError("lamp on fire")
 
-    machine = machine_in("homing", {"lighting": fail}, told)
+    machine = machine_in("homing", {"lighting": fail}, events)
     with pytest.raises(OSError, match="lamp on fire"):
         machine.fire("set_light", SimpleNamespace(number=3))
-    assert told == [
+    assert events == [
         ("entering", {"state": "lighting", "from": "homing", "step": 3}),
         "work",
         ("left_off", {"state": "lighting", "error": "OSError: lamp on fire"}),

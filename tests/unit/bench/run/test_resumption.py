@@ -29,8 +29,8 @@ def steps(job):
     return job.steps
 
 
-def numbers(found):
-    return [step.number for step in found]
+def numbers(steps):
+    return [step.number for step in steps]
 
 
 def test_a_new_run_has_every_step_to_do(steps):
@@ -124,21 +124,21 @@ def test_one_crash_at_a_pose_is_allowed_and_two_are_not(tmp_path):
 
 def test_resuming_states_what_is_kept_recorded_and_skipped(job):
     history = History(done_steps={1, 2, 3, 4, 5}, at_pose=2, crashes={2: 1}, to_skip={3: "ada"})
-    said = "\n".join(intentions(job, history, "Fatal Python error: Aborted"))
-    assert "Fatal Python error: Aborted" in said
-    assert "Skip pose 2 (right), because the process crashed 2 times" in said
-    assert "Skip pose 3 (below), because ada asked for it." in said
-    assert "Record pose" not in said
-    assert said.endswith("Then: solve, report, seal.")
+    text = "\n".join(intentions(job, history, "Fatal Python error: Aborted"))
+    assert "Fatal Python error: Aborted" in text
+    assert "Skip pose 2 (right), because the process crashed 2 times" in text
+    assert "Skip pose 3 (below), because ada asked for it." in text
+    assert "Record pose" not in text
+    assert text.endswith("Then: solve, report, seal.")
     assert history.crashes == {2: 1}
 
 
 def test_resuming_names_each_pose_to_record_and_the_repeated_move(job):
-    said = intentions(job, History(done_steps={1, 2, 3, 4, 5}), None)
-    assert "killed, power lost or disk full" in said[0]
-    assert "Record pose 2 (right)." in said
-    assert "Record pose 3 (below)." in said
-    assert "Move to pose right again." in said
+    sentences = intentions(job, History(done_steps={1, 2, 3, 4, 5}), None)
+    assert "killed, power lost or disk full" in sentences[0]
+    assert "Record pose 2 (right)." in sentences
+    assert "Record pose 3 (below)." in sentences
+    assert "Move to pose right again." in sentences
 
 
 def test_a_finished_run_is_only_sealed(job):

@@ -38,9 +38,9 @@ def test_a_run_interrupted_after_any_line_resumes_to_the_same_end(lived, tmp_pat
         assert again.run().how == "finished", count
         assert accepted(again) == [1, 2]
         assert again.data_of(Event.RUN_RESUMED)[0]["torn_bytes"] == 7
-        told = b"".join(lines[:count]).count(b'"event":"capture_stored"')
+        captures = b"".join(lines[:count]).count(b'"event":"capture_stored"')
         kept = [d["sha256"] for d in again.data_of(Event.CAPTURE_STORED)]
-        assert kept[:told] == [d["sha256"] for d in scene.data_of(Event.CAPTURE_STORED)][:told]
+        assert kept[:captures] == [d["sha256"] for d in scene.data_of(Event.CAPTURE_STORED)][:captures]
         assert len(list((folder / "captures").iterdir())) == 2
 
 
@@ -87,8 +87,8 @@ def test_a_recording_in_which_the_computer_was_suspended_is_made_again(
     assert len(checked) == attempts
     assert accepted(scene) == [1, 2]
     reasons = [reason for attempt in checked for reason in attempt["reasons"]]
-    told = ["the computer was suspended for 1800 s during the recording"]
-    assert reasons == (told if attempts == 3 else [])
+    suspended = ["the computer was suspended for 1800 s during the recording"]
+    assert reasons == (suspended if attempts == 3 else [])
 
 
 def test_a_light_that_went_dark_is_named_and_not_the_cable_of_the_camera(tmp_path):

@@ -122,7 +122,7 @@ def test_a_killed_run_is_not_running_and_not_held(run):
     status = run.status()
     assert (status.running, status.held_by, status.left_s) == (False, "", None)
     assert "interrupted (killed, power lost or disk full): slewing, pose 1 of 3 (left)" in status_text(status)
-    assert [one["state"] for one in status.to_dict()["devices"]] == ["not confirmed"] * 3
+    assert [device["state"] for device in status.to_dict()["devices"]] == ["not confirmed"] * 3
     assert "CHECK THE BENCH" in status_text(status)
     assert "The stage may be moving. The light may be on." in status_text(status)
     assert "starbench resume" in status.advice
@@ -149,7 +149,7 @@ def test_a_run_that_has_ended_says_how_each_device_was_left_and_how_late_the_com
 
 def test_a_run_that_never_began_claims_nothing_of_the_devices(run):
     run.die()
-    assert [one["state"] for one in run.status().devices] == ["never opened"] * 3
+    assert [device["state"] for device in run.status().devices] == ["never opened"] * 3
     assert "CHECK" not in status_text(run.status())
 
 
@@ -172,13 +172,13 @@ def test_the_last_lines_are_shown_as_text(run):
 
 
 @pytest.mark.parametrize(
-    ("how", "why", "told"), [("finished", "", "finished"), ("failed", "the lamp", "failed: as above")]
+    ("how", "why", "last_line"), [("finished", "", "finished"), ("failed", "the lamp", "failed: as above")]
 )
-def test_the_end_is_shown_once(run, how, why, told):
+def test_the_end_is_shown_once(run, how, why, last_line):
     run.tell(Event.ENTERING, state="reporting", pose=None)
     run.tell(Event.ENTERING, state=how, pose=None)
     run.tell(Event.RUN_ENDED, how=how, why=why)
-    assert [line[14:] for line in run.status().last[-2:]] == ["reporting", told]
+    assert [line[14:] for line in run.status().last[-2:]] == ["reporting", last_line]
 
 
 def test_the_reason_of_a_failure_is_told_once_and_its_page_is_named(run):
@@ -229,13 +229,13 @@ def _measurement(fault=""):
 
 def test_a_picture_is_left_and_read_again(tmp_path):
     (tmp_path / CONTROL).mkdir()
-    found = _measurement()
-    leave_view(tmp_path, 2, 1, found, StarTarget())
+    measurement = _measurement()
+    leave_view(tmp_path, 2, 1, measurement, StarTarget())
     left = read_last_view(tmp_path)
     assert (left.pose, left.attempt) == (2, 1)
     assert left.nodes == StarTarget().node_of([3, 4, 9]).tolist()
     assert left.points_px[0] == [1.235, 2.0]
-    assert left.png == found.image.png
+    assert left.png == measurement.image.png
     leave_view(tmp_path, 2, 2, _measurement("no stars"), StarTarget())
     left = read_last_view(tmp_path)
     assert (left.attempt, left.nodes, left.fault) == (2, [], "no stars")
@@ -289,29 +289,29 @@ def commanded(scene, word, **more):
 
 
 def test_an_answer_accepted_at_the_last_moment_counts(scene, monkeypatch):
-    one = scene(end=PROMPT)
+    played = scene(end=PROMPT)
 
     def asked_in_vain(*_, **__):
-        commanded(one, "answer", answer="continue")
+        commanded(played, "answer", answer="continue")
         return Reply("abort", "time-out")
 
     monkeypatch.setattr("bench.run.states.ask", asked_in_vain)
-    assert one.run().how == "finished"
-    assert [(d["answer"], d["by"]) for d in one.data_of(Event.ANSWERED)] == [("continue", "ada")]
+    assert played.run().how == "finished"
+    assert [(d["answer"], d["by"]) for d in played.data_of(Event.ANSWERED)] == [("continue", "ada")]
 
 
 def test_a_pose_skipped_during_its_last_attempt_is_skipped_and_does_not_end_the_run(scene):
-    one = scene(attempts=1)
+    played = scene(attempts=1)
 
     def hook(name):
-        if name == "camera.record" and one.calls.count("camera.record") == 1:
-            commanded(one, "skip", pose=1)
+        if name == "camera.record" and played.calls.count("camera.record") == 1:
+            commanded(played, "skip", pose=1)
             return lambda facts: replace(facts, complete=False)
         return None
 
-    one.hook = hook
-    assert one.run().how == "finished"
-    assert [d["pose"] for d in one.data_of(Event.POSE_SKIPPED)] == [1]
+    played.hook = hook
+    assert played.run().how == "finished"
+    assert [d["pose"] for d in played.data_of(Event.POSE_SKIPPED)] == [1]
 
 
 def test_the_verdict_and_its_causes_are_told_before_the_numbers(run):

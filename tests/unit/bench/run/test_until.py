@@ -44,27 +44,27 @@ def raising(scene, recording, error):
 
 def decisions(scene):
     return [
-        {name: value for name, value in told.items() if name != "worked_s"}
-        for told in scene.data_of(Event.UNTIL_DECIDED)
+        {name: value for name, value in decision.items() if name != "worked_s"}
+        for decision in scene.data_of(Event.UNTIL_DECIDED)
     ]
 
 
 def angles(scene):
     """Commanded angles of the accepted recordings, by pose."""
-    accepted = {told["pose"] for told in scene.data_of(Event.ATTEMPT_CHECKED) if told["accepted"]}
+    accepted = {checked["pose"] for checked in scene.data_of(Event.ATTEMPT_CHECKED) if checked["accepted"]}
     stored = scene.data_of(Event.CAPTURE_STORED)
-    return {one["pose"]: one["commanded_deg"] for one in stored if one["pose"] in accepted}
+    return {capture["pose"]: capture["commanded_deg"] for capture in stored if capture["pose"] in accepted}
 
 
 def test_a_run_chooses_poses_until_its_bound_and_leaves_out_the_rest(tmp_path, capsys):
     scene = until_scene(tmp_path, NEVER)
     end = scene.run()
     assert end.how == "finished"
-    told = decisions(scene)
-    assert [one["recorded"] for one in told] == [3, 4, 5]
-    assert all("chosen" in one for one in told[:-1])
-    assert told[-1]["ended"] == "at_most"
-    assert "U(fx) is" in told[-1]["why"]
+    decided = decisions(scene)
+    assert [decision["recorded"] for decision in decided] == [3, 4, 5]
+    assert all("chosen" in decision for decision in decided[:-1])
+    assert decided[-1]["ended"] == "at_most"
+    assert "U(fx) is" in decided[-1]["why"]
     assert len(angles(scene)) == 5
     states = scene.states()
     assert states.count("choosing") == 3
@@ -72,7 +72,7 @@ def test_a_run_chooses_poses_until_its_bound_and_leaves_out_the_rest(tmp_path, c
     assert not scene.light_is_on()
     results = json.loads((scene.folder / "results.json").read_text())
     assert results["untils"][-1]["ended"] == "at_most"
-    missed = f"The goal of a step was not met. {told[-1]['why']}"
+    missed = f"The goal of a step was not met. {decided[-1]['why']}"
     assert "; the goal is 0.001 px." in missed
     assert missed in status_text(read_status(scene.folder)).splitlines()
     show_run(end)
@@ -82,9 +82,9 @@ def test_a_run_chooses_poses_until_its_bound_and_leaves_out_the_rest(tmp_path, c
 def test_a_goal_that_is_met_at_once_needs_no_further_pose(tmp_path):
     scene = until_scene(tmp_path, f"{{expanded_fx_px: 500, worst_corner_px: 500, start: {THREE}}}")
     assert scene.run().how == "finished"
-    (told,) = decisions(scene)
-    assert told["ended"] == "met"
-    assert "chosen" not in told
+    (decision,) = decisions(scene)
+    assert decision["ended"] == "met"
+    assert "chosen" not in decision
 
 
 def test_the_count_of_poses_is_the_same_in_all_words_and_known_when_it_has_ended(tmp_path, monkeypatch):
@@ -115,7 +115,9 @@ def cut_and_go_on(folder, whole, cut):
     (scene.folder / "journal.jsonl").write_bytes(b"".join(lines[:cut]))
     assert scene.run().how == "finished"
     assert decisions(scene)[0] == decisions(whole)[0], cut
-    assert [one["step"] for one in decisions(scene)] == [one["step"] for one in decisions(whole)], cut
+    assert [decision["step"] for decision in decisions(scene)] == [
+        decision["step"] for decision in decisions(whole)
+    ], cut
     assert angles(scene) == angles(whole), cut  # a recording made again has other noise, but not another pose
 
 
@@ -141,7 +143,7 @@ def test_a_pose_that_fails_is_left_behind_and_not_chosen_again(tmp_path):
     scene = until_scene(tmp_path, NEVER)
     scene.hook = raising(scene, 4, RecordingFailed("Cable out.", where="camera", remedy="Record again."))
     assert scene.run().how == "finished"
-    chosen = [one["chosen"]["angles_deg"] for one in decisions(scene) if "chosen" in one]
+    chosen = [decision["chosen"]["angles_deg"] for decision in decisions(scene) if "chosen" in decision]
     assert len(chosen) == 3
     assert all(chosen[0] != other for other in chosen[1:])
     assert sorted(angles(scene)) == [1, 2, 3, 5, 6]
@@ -203,15 +205,17 @@ def test_beside_a_coarse_certificate_poses_are_recorded_as_long_as_they_help(tmp
     until = NEVER.replace("0.001", "1").replace("at_most: 5", "at_most: 9")
     scene = until_scene(tmp_path, until, "joint", settings=certificate)
     assert scene.run().how == "finished"
-    *before, told = decisions(scene)
-    assert told["ended"] == "unreachable"
-    assert told["poses"] < 9
-    assert told["at_end"]["expanded_fx_px"] > 0.95 * told["now"]["expanded_fx_px"]
-    assert all(one["at_end"]["expanded_fx_px"] < 0.95 * one["now"]["expanded_fx_px"] for one in before)
-    assert told["why"].startswith("U(fx) is ")
-    assert "the goal is 1 px. With all 9 poses, U(fx) would still be about " in told["why"]
-    assert told["why"].count("the goal") == 1
-    assert "The largest part of U(fx) comes from: passport of the collimator, " in told["why"]
+    *before, last = decisions(scene)
+    assert last["ended"] == "unreachable"
+    assert last["poses"] < 9
+    assert last["at_end"]["expanded_fx_px"] > 0.95 * last["now"]["expanded_fx_px"]
+    assert all(
+        decision["at_end"]["expanded_fx_px"] < 0.95 * decision["now"]["expanded_fx_px"] for decision in before
+    )
+    assert last["why"].startswith("U(fx) is ")
+    assert "the goal is 1 px. With all 9 poses, U(fx) would still be about " in last["why"]
+    assert last["why"].count("the goal") == 1
+    assert "The largest part of U(fx) comes from: passport of the collimator, " in last["why"]
 
 
 def test_a_chosen_pose_can_be_skipped_by_command_and_a_later_one_not_yet(tmp_path, monkeypatch):
@@ -247,7 +251,9 @@ def test_a_hold_between_choice_and_move_goes_on_at_the_chosen_pose(tmp_path, mon
     assert "holding" in scene.states()
     assert len(angles(scene)) == 5
     chosen = {
-        one["chosen"]["pose"]: one["chosen"]["angles_deg"] for one in decisions(scene) if "chosen" in one
+        decision["chosen"]["pose"]: decision["chosen"]["angles_deg"]
+        for decision in decisions(scene)
+        if "chosen" in decision
     }
     assert all(angles(scene)[pose] == at for pose, at in chosen.items())
 
@@ -255,10 +261,10 @@ def test_a_hold_between_choice_and_move_goes_on_at_the_chosen_pose(tmp_path, mon
 def test_without_a_start_it_begins_with_what_the_station_expects(tmp_path):
     scene = until_scene(tmp_path, "{expanded_fx_px: 0.001, at_most: 4}")
     assert scene.run().how == "finished"
-    told = decisions(scene)
-    assert [one["recorded"] for one in told] == [0, 1, 2, 3, 4]
-    assert told[0]["now"] == told[1]["now"] == {}
-    assert told[-1]["now"]["expanded_fx_px"] > 0
+    decided = decisions(scene)
+    assert [decision["recorded"] for decision in decided] == [0, 1, 2, 3, 4]
+    assert decided[0]["now"] == decided[1]["now"] == {}
+    assert decided[-1]["now"]["expanded_fx_px"] > 0
     assert len(angles(scene)) == 4
 
 
@@ -268,7 +274,11 @@ def test_poses_recorded_before_it_count_in_the_calibration_but_not_in_its_bound(
     (tmp_path / "s.yaml").write_text(text.replace("  - until:", before))
     scene = Scene(tmp_path, sequence=tmp_path / "s.yaml")
     assert scene.run().how == "finished"
-    assert [(one["poses"], one["recorded"]) for one in decisions(scene)] == [(3, 0), (4, 1), (5, 2)]
+    assert [(decision["poses"], decision["recorded"]) for decision in decisions(scene)] == [
+        (3, 0),
+        (4, 1),
+        (5, 2),
+    ]
 
 
 def test_a_stop_while_it_chooses_ends_the_run_safely_and_it_goes_on(tmp_path, monkeypatch):
@@ -284,4 +294,4 @@ def test_a_stop_while_it_chooses_ends_the_run_safely_and_it_goes_on(tmp_path, mo
     assert scene.run().how == "aborted"
     assert not scene.light_is_on()
     assert scene.run().how == "finished"
-    assert [one["step"] for one in decisions(scene)] == [11, 15, 19]
+    assert [decision["step"] for decision in decisions(scene)] == [11, 15, 19]

@@ -41,10 +41,10 @@ def checked(folder, signers, *, again=True):
 
 
 def test_the_numbers_of_untouched_results_are_calculated_again_from_their_sources(results_once, signers):
-    found = checked(results_once, signers)
-    assert (found.faults, found.not_compared) == ([], [])
-    assert found.kind == "results"
-    assert any("every number is equal to the last bit" in remark for remark in found.remarks)
+    verification = checked(results_once, signers)
+    assert (verification.faults, verification.not_compared) == ([], [])
+    assert verification.kind == "results"
+    assert any("every number is equal to the last bit" in remark for remark in verification.remarks)
 
 
 def test_a_recalculation_that_does_not_follow_from_its_sources_is_found_only_by_calculating_again(
@@ -53,15 +53,15 @@ def test_a_recalculation_that_does_not_follow_from_its_sources_is_found_only_by_
     """Every file of the folder follows from the others: the whole was written anew from a changed calibration."""
 
     def better(views, options):
-        found = calibrate(views, options)
-        return replace(found, covariance=found.covariance / 100)
+        calibration = calibrate(views, options)
+        return replace(calibration, covariance=calibration.covariance / 100)
 
     with mock.patch("bench.solve.solution.calibrate", better):
         result = calibrate_paths([points], OfflineOptions(image_size=(1280, 720)))
     write_offline_results(result, tmp_path / "forged", key)
     assert checked(tmp_path / "forged", signers, again=False).ok
-    found = checked(tmp_path / "forged", signers)
-    assert "the sources do not give it" in " ".join(str(fault) for fault in found.faults)
+    verification = checked(tmp_path / "forged", signers)
+    assert "the sources do not give it" in " ".join(str(fault) for fault in verification.faults)
 
 
 HARM = {
@@ -71,17 +71,17 @@ HARM = {
 }
 
 
-@pytest.mark.parametrize("told", HARM)
+@pytest.mark.parametrize("harm", HARM)
 def test_where_the_sources_are_not_what_they_were_the_numbers_are_not_compared(
-    points, tmp_path, signers, key, told
+    points, tmp_path, signers, key, harm
 ):
     copy = Path(shutil.copytree(points, tmp_path / "points"))
     result = calibrate_paths([copy], OfflineOptions(image_size=(1280, 720)))
     write_offline_results(result, tmp_path / "out", key)
-    HARM[told](copy / "left.csv")
-    found = checked(tmp_path / "out", signers)
-    assert (found.ok, found.complete) == (True, False)
-    assert told in " ".join(found.not_compared)
+    HARM[harm](copy / "left.csv")
+    verification = checked(tmp_path / "out", signers)
+    assert (verification.ok, verification.complete) == (True, False)
+    assert harm in " ".join(verification.not_compared)
 
 
 @pytest.mark.parametrize("made", [None, {"name": "joint", "version": 99}])
@@ -94,9 +94,9 @@ def test_results_of_another_engine_are_not_compared(forger, signers, key, made):
 
     in_json("results.json", change)(forger)
     forger.seal()
-    found = checked(forger.folder, signers)
-    assert any("made by another calibration engine" in one for one in found.not_compared)
-    assert not found.complete
+    verification = checked(forger.folder, signers)
+    assert any("made by another calibration engine" in reason for reason in verification.not_compared)
+    assert not verification.complete
 
 
 def test_options_of_a_later_version_are_refused_by_name():

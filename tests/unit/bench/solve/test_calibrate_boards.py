@@ -47,14 +47,14 @@ def folder(tmp_path_factory):
 
 def test_photographs_of_a_checkerboard_give_the_camera_within_its_uncertainty(folder, tmp_path, capsys):
     out = tmp_path / "out"
-    said = call(capsys, "calibrate", folder, "--board", "checkerboard:7x5:20mm", "-o", out, "--json")
-    told = json.loads(said.out)
-    assert told["model"] == "planar"
-    k = told["coverage_factor"]
+    captured = call(capsys, "calibrate", folder, "--board", "checkerboard:7x5:20mm", "-o", out, "--json")
+    answer = json.loads(captured.out)
+    assert answer["model"] == "planar"
+    k = answer["coverage_factor"]
     for name, true in TRUE.items():
-        assert abs(told["camera"][name] - true) <= k * told["sigma"][name]
-    assert told["sigma"]["fx"] < 0.5
-    (left_out,) = told["skipped"]
+        assert abs(answer["camera"][name] - true) <= k * answer["sigma"][name]
+    assert answer["sigma"]["fx"] < 0.5
+    (left_out,) = answer["skipped"]
     assert "nothing" in left_out
     assert "No checkerboard of 7 x 5 inner corners was found" in left_out
     report = (out / "report.html").read_text()
@@ -86,27 +86,29 @@ def test_files_of_others_in_a_folder_are_named_and_change_nothing(folder, tmp_pa
     }
     for name, content in strangers.items():
         (tmp_path / name).write_bytes(content)
-    told = json.loads(call(capsys, "calibrate", tmp_path, *words).out)
-    assert told["camera"] == alone["camera"]
-    left_out = " ".join(told["skipped"])
+    answer = json.loads(call(capsys, "calibrate", tmp_path, *words).out)
+    assert answer["camera"] == alone["camera"]
+    left_out = " ".join(answer["skipped"])
     assert all(name in left_out for name in strangers)
 
 
 def test_a_folder_fails_only_if_too_little_is_left(folder, tmp_path, capsys):
     (tmp_path / "README.txt").write_text("Pictures of the board.\n")
-    said = call(capsys, "calibrate", tmp_path, "--board", "checkerboard:7x5:20mm", status=1)
-    assert "There is no usable view." in said.err
-    assert "README.txt" in said.err
-    said = call(capsys, "calibrate", tmp_path / "README.txt", "--board", "checkerboard:7x5:20mm", status=1)
-    assert "README.txt:1" in said.err
+    captured = call(capsys, "calibrate", tmp_path, "--board", "checkerboard:7x5:20mm", status=1)
+    assert "There is no usable view." in captured.err
+    assert "README.txt" in captured.err
+    captured = call(
+        capsys, "calibrate", tmp_path / "README.txt", "--board", "checkerboard:7x5:20mm", status=1
+    )
+    assert "README.txt:1" in captured.err
 
 
 def test_a_comparison_on_a_board_has_no_recipe_for_stars(folder, capsys):
-    said = call(capsys, "calibrate", folder, "--board", "checkerboard:7x5:20mm", "--compare")
-    assert "OpenCV, planar (Zhang)" in said.out
-    assert "no result" not in said.out
-    assert "The published recipe is left out: it needs a target at infinity, not a board." in said.out
-    assert "points; U with" in said.out
+    captured = call(capsys, "calibrate", folder, "--board", "checkerboard:7x5:20mm", "--compare")
+    assert "OpenCV, planar (Zhang)" in captured.out
+    assert "no result" not in captured.out
+    assert "The published recipe is left out: it needs a target at infinity, not a board." in captured.out
+    assert "points; U with" in captured.out
 
 
 @pytest.mark.parametrize(
@@ -118,8 +120,8 @@ def test_a_comparison_on_a_board_has_no_recipe_for_stars(folder, capsys):
     ],
 )
 def test_options_that_contradict_a_board_are_refused(folder, capsys, more, reason):
-    said = call(capsys, "calibrate", folder, "--board", "checkerboard:7x5:20mm", *more, status=2)
-    assert reason in said.err
+    captured = call(capsys, "calibrate", folder, "--board", "checkerboard:7x5:20mm", *more, status=2)
+    assert reason in captured.err
 
 
 # ---------------------------------------------------------------- a board has points
@@ -167,7 +169,7 @@ def picture_at(shift_px, roll_deg):
 
 def events(turns_deg):
     """Events of an ideal pixel with a threshold of 0.3, for boards that pass one after the other."""
-    found, level = [], picture_at(-WAY_PX / 2, turns_deg[0])
+    pieces, level = [], picture_at(-WAY_PX / 2, turns_deg[0])
     steps = int(WAY_PX)
     for number, turn in enumerate(turns_deg):
         for step in range(steps):
@@ -179,8 +181,8 @@ def events(turns_deg):
             t_us = int(1e6 * (number * steps + step) / SPEED_PX_S)
             where = np.repeat(np.arange(len(rows)), count)
             times = np.sort(t_us + (np.arange(len(where)) * 997) % 900)
-            found.append((times, columns[where], rows[where], crossed[rows, columns][where] > 0))
-    return [np.concatenate(each) for each in zip(*found, strict=True)]
+            pieces.append((times, columns[where], rows[where], crossed[rows, columns][where] > 0))
+    return [np.concatenate(each) for each in zip(*pieces, strict=True)]
 
 
 @pytest.fixture(scope="module")
@@ -204,13 +206,13 @@ def moving_folder(tmp_path_factory):
 def test_pictures_of_a_moving_camera_become_views(moving_folder, capsys, monkeypatch):
     monkeypatch.setattr(loose_recordings, "MOST_EVENTS", 1000)  # of recordings that are no pictures
     words = ("--board", PATTERN, "--json", "--reconstruct")
-    said = call(capsys, "calibrate", moving_folder / "moving.raw", *words)
-    found = json.loads(said.out)
-    names = [view["name"] for view in found["views"]]
+    captured = call(capsys, "calibrate", moving_folder / "moving.raw", *words)
+    answer = json.loads(captured.out)
+    names = [view["name"] for view in answer["views"]]
     assert set(names) <= {f"moving-at-0.{ms}s" for ms in ("030", "090", "149", "150", "209", "210")}
     assert len(names) >= 3
-    assert "Of long recordings" not in said.out
-    assert abs(found["camera"]["fx"] - FOCAL_PX) < 2.0 * found["sigma"]["fx"] + 3.0
+    assert "Of long recordings" not in captured.out
+    assert abs(answer["camera"]["fx"] - FOCAL_PX) < 2.0 * answer["sigma"]["fx"] + 3.0
 
 
 def test_pictures_do_not_depend_on_the_order_in_which_they_are_asked_for(moving_folder):
@@ -222,15 +224,15 @@ def test_pictures_do_not_depend_on_the_order_in_which_they_are_asked_for(moving_
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--reconstruct"], "for boards only"),
         (["--board", PATTERN, "--reconstruct", "moving.raw"], "after the paths"),
         (["--board", PATTERN, "--reconstruct", "nan"], "not a frequency"),
     ],
 )
-def test_what_does_not_fit_is_refused(moving_folder, capsys, words, said):
-    assert said in call(capsys, "calibrate", moving_folder / "moving.raw", *words, status=2).err
+def test_what_does_not_fit_is_refused(moving_folder, capsys, words, message):
+    assert message in call(capsys, "calibrate", moving_folder / "moving.raw", *words, status=2).err
 
 
 def test_the_events_of_another_program_are_converted_first(moving_folder, capsys):
@@ -241,8 +243,8 @@ def test_the_events_of_another_program_are_converted_first(moving_folder, capsys
 
 def test_a_board_that_moves_along_its_edges_or_too_little_is_named_with_what_to_do(moving_folder, capsys):
     words = ("--board", "checkerboard:9x6:10mm", "--reconstruct")
-    said = call(capsys, "calibrate", moving_folder / "moving.raw", *words, status=1)
-    assert "Move the camera obliquely" in said.err
+    captured = call(capsys, "calibrate", moving_folder / "moving.raw", *words, status=1)
+    assert "Move the camera obliquely" in captured.err
 
 
 @pytest.mark.slow

@@ -147,9 +147,9 @@ def test_a_run_as_the_last_one_has_no_cause():
     ],
 )
 def test_each_is_told_with_both_numbers(case, kind, words):
-    (found,) = causes(**case)
-    assert found.kind == kind
-    assert words in sentence_of(found)
+    (cause,) = causes(**case)
+    assert cause.kind == kind
+    assert words in sentence_of(cause)
 
 
 def test_a_sine_has_no_delay_and_later_events_of_another_waveform_are_not_compared():
@@ -163,24 +163,24 @@ def test_earlier_events_are_no_sign_of_a_weak_image():
 
 
 def test_the_most_probable_cause_is_first():
-    found = causes(focal_px=10300.0, light={**LIGHT, "high_v": 2.0})
-    assert [one.kind for one in found] == [kinds.LENS, kinds.LIGHT]
+    found_causes = causes(focal_px=10300.0, light={**LIGHT, "high_v": 2.0})
+    assert [cause.kind for cause in found_causes] == [kinds.LENS, kinds.LIGHT]
 
 
 def test_another_lens_explains_another_number_of_stars_and_another_light():
-    (found,) = causes(focal_px=5100.0, stars=300, lit=300_000)
-    assert found.kind == kinds.LENS
+    (cause,) = causes(focal_px=5100.0, stars=300, lit=300_000)
+    assert cause.kind == kinds.LENS
 
 
 def test_another_level_of_the_light_explains_a_weak_image():
-    (found,) = causes(light={**LIGHT, "high_v": 0.5}, stars=300, lit=300_000)
-    assert found.kind == kinds.LIGHT
+    (cause,) = causes(light={**LIGHT, "high_v": 0.5}, stars=300, lit=300_000)
+    assert cause.kind == kinds.LIGHT
 
 
 def test_a_station_that_expects_no_lens_has_that_of_the_last_run():
     assert causes(focal_px=None) == []
-    (found,) = causes(focal_px=None, last=earlier(fx=5000.0, stars=300))
-    assert "is 3345 px, and was 5000 px in run run-7: another lens" in sentence_of(found)
+    (cause,) = causes(focal_px=None, last=earlier(fx=5000.0, stars=300))
+    assert "is 3345 px, and was 5000 px in run run-7: another lens" in sentence_of(cause)
 
 
 @pytest.mark.parametrize(
@@ -194,18 +194,18 @@ def test_a_station_that_expects_no_lens_has_that_of_the_last_run():
 )
 def test_the_first_run_of_a_bench_has_what_its_station_expects(monkeypatch, seen, kind, words):
     monkeypatch.setattr("bench.solve.causes.expected_stars", lambda *_: 600.0)
-    found = causes(first=True, **seen)
-    assert [one.kind for one in found] == [kind] * bool(kind)
-    assert all(words in sentence_of(one) for one in found)
+    found_causes = causes(first=True, **seen)
+    assert [cause.kind for cause in found_causes] == [kind] * bool(kind)
+    assert all(words in sentence_of(cause) for cause in found_causes)
 
 
 SLEPT = (("slewing", "2026-03-01T10:00:00+00:00", 100.0), ("settling", "2026-03-01T10:30:00+00:00", 101.0))
 
 
 def test_a_computer_whose_clock_stood_still_while_it_slept_is_told():
-    (found,) = causes(states=SLEPT)
-    assert found.kind == kinds.ASLEEP
-    assert "stood still for 1799 s" in sentence_of(found)
+    (cause,) = causes(states=SLEPT)
+    assert cause.kind == kinds.ASLEEP
+    assert "stood still for 1799 s" in sentence_of(cause)
 
 
 @pytest.mark.parametrize(

@@ -62,7 +62,7 @@ def test_a_lens_that_became_longer_fails_the_run_and_the_folder_holds_all_that_d
     text = check_rows(results["check"])[0][1]
     assert "NOT RIGHT" in text
     assert text.endswith("the file states no uncertainty.")
-    gate = next(one for one in results["gates"] if one["name"] == "largest E_n of the check")
+    gate = next(gate for gate in results["gates"] if gate["name"] == "largest E_n of the check")
     assert (gate["verdict"], gate["value"] > 1.0) == ("fail", True)
     again = Job.from_run_folder(run)  # by the copy, wherever the file is by now
     assert again.plan.checked.in_use.to_dict() == results["check"]["stated"]
@@ -75,11 +75,13 @@ def planned(folder, *steps):
     head = "format: starbench/sequence/1\nname: Check\nsteps:"
     text = "\n  - ".join([head, "record", *steps, "report\n"])
     (folder / "sequence.yaml").write_text(text)
-    return [str(one) for one in make_plan(*load_documents(str(folder / "sequence.yaml"), "simulated")).faults]
+    return [
+        str(fault) for fault in make_plan(*load_documents(str(folder / "sequence.yaml"), "simulated")).faults
+    ]
 
 
 @pytest.mark.parametrize(
-    ("steps", "said"),
+    ("steps", "fault_text"),
     [
         (["check: {calibration: gone.yaml}"], "There is no such file or folder. Check the path."),
         (["check: {calibration: other.yaml}"], "does not hold a calibrated camera"),
@@ -91,14 +93,16 @@ def planned(folder, *steps):
         (["check: {calibration: a.yaml}", "check: {calibration: b.yaml}"], "a run checks one"),
     ],
 )
-def test_a_calibration_that_cannot_be_checked_is_a_fault_before_anything_moves(tmp_path, steps, said):
+def test_a_calibration_that_cannot_be_checked_is_a_fault_before_anything_moves(tmp_path, steps, fault_text):
     (tmp_path / "other.yaml").write_text("a: 1\n")
     (tmp_path / "two.yaml").write_text("cam0: {}\ncam1: {}\n")
     matrix = [800, 0, 320, 0, 800, 240, 0, 0, 1]
     small = {"type": "pinhole", "width": 640, "height": 480, "K": matrix, "D": [0, 0, 0, 0, 0]}
     (tmp_path / "small.json").write_text(json.dumps(small))
     faults = planned(tmp_path, *steps)
-    assert any(said in fault and f"sequence.yaml:{4 + len(steps)}:" in fault for fault in faults), faults
+    assert any(fault_text in fault and f"sequence.yaml:{4 + len(steps)}:" in fault for fault in faults), (
+        faults
+    )
 
 
 def test_a_check_needs_a_calibration_and_results_without_one_have_no_row(tmp_path, solved):

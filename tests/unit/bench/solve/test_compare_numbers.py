@@ -20,9 +20,9 @@ from simulators.config import bench_config
 
 def compared(stored, again):
     """What is said of stored results beside those calculated again: faults, and what was found."""
-    found, other = Findings(), other_software(stored["run"]["software"])
-    check_numbers(stored, again, found, other, "recordings")
-    return [str(fault) for fault in found.faults], found
+    findings, other = Findings(), other_software(stored["run"]["software"])
+    check_numbers(stored, again, findings, other, "recordings")
+    return [str(fault) for fault in findings.faults], findings
 
 
 def changed(results, part, name, sigmas):
@@ -45,9 +45,9 @@ def by_another(stored):
 
 
 def test_the_same_numbers_are_equal_to_the_last_bit(stored):
-    faults, found = compared(stored, copy.deepcopy(stored))
+    faults, findings = compared(stored, copy.deepcopy(stored))
     assert faults == []
-    assert any("equal to the last bit" in remark for remark in found.remarks)
+    assert any("equal to the last bit" in remark for remark in findings.remarks)
 
 
 @pytest.mark.parametrize(("part", "name"), [("camera", "k2"), ("collimator", "r"), ("sigma", "fx")])
@@ -97,9 +97,9 @@ def test_the_number_of_iterations_may_differ_by_rounding(stored):
 
 def test_what_another_program_does_not_state_is_not_compared_and_that_is_told(by_another):
     less = {name: value for name, value in by_another.items() if name != "gates"}
-    faults, found = compared(less, by_another)
+    faults, findings = compared(less, by_another)
     assert faults == []
-    assert found.not_compared == [
+    assert findings.not_compared == [
         "results.json with the recordings: another program calculated it, with differences in gates"
     ]
     assert compared(changed(by_another, "camera", "fx", 1), by_another)[
@@ -112,10 +112,10 @@ def test_notes_of_another_program_may_have_other_words_but_not_those_of_the_same
         return {**results, "calibration": {**results["calibration"], "notes": [note]}}
 
     assert compared(noted(stored, "As it is."), noted(stored, "As it was."))[0]
-    faults, found = compared(noted(by_another, "As it is."), noted(by_another, "As it was."))
+    faults, findings = compared(noted(by_another, "As it is."), noted(by_another, "As it was."))
     assert faults == []
-    assert "calibration.notes[0]" in found.not_compared[0]
-    assert not any("rounding" in remark for remark in found.remarks)
+    assert "calibration.notes[0]" in findings.not_compared[0]
+    assert not any("rounding" in remark for remark in findings.remarks)
 
 
 # ---------------------------------------------------------------- how far numbers may differ
@@ -124,7 +124,10 @@ def results(fx, rms_px):
 
 
 def places(stored, derived):
-    return [one.where for one in differences(stored, derived, tolerance(derived["calibration"]["sigma"]))]
+    return [
+        difference.where
+        for difference in differences(stored, derived, tolerance(derived["calibration"]["sigma"]))
+    ]
 
 
 def test_values_may_differ_by_a_thousandth_of_their_uncertainty():
@@ -153,10 +156,10 @@ def rows(collimator: str):
 
 
 def test_each_value_is_compared_in_its_unit_and_in_its_uncertainty():
-    found = rows("ideal")
-    assert tuple(found) == NAMES
-    assert found["fx"]["error"] == pytest.approx(1.0 - 3345.06)
-    assert found["fx"]["error_sigmas"] == pytest.approx(2 * (1.0 - 3345.06))
+    row_of = rows("ideal")
+    assert tuple(row_of) == NAMES
+    assert row_of["fx"]["error"] == pytest.approx(1.0 - 3345.06)
+    assert row_of["fx"]["error_sigmas"] == pytest.approx(2 * (1.0 - 3345.06))
 
 
 def test_the_apparent_centre_is_not_compared_with_that_of_an_ideal_collimator():
@@ -169,26 +172,26 @@ def test_the_apparent_centre_is_not_compared_with_that_of_an_ideal_collimator():
 def test_a_value_of_another_program_within_a_quarter_of_its_uncertainty_is_not_compared_beyond_it_is_a_fault(
     by_another,
 ):
-    faults, found = compared(by_another, changed(by_another, "camera", "fx", 0.2))
+    faults, findings = compared(by_another, changed(by_another, "camera", "fx", 0.2))
     assert faults == []
-    assert found.not_compared == [
+    assert findings.not_compared == [
         (
             "results.json with the recordings: another program calculated it, with differences in 1 number (fx differs "
             "most, by 0.2 of its standard uncertainty)"
         )
     ]
-    (fault,), found = compared(by_another, changed(by_another, "camera", "fx", 0.3))
+    (fault,), findings = compared(by_another, changed(by_another, "camera", "fx", 0.3))
     assert "calibration.camera.fx is " in fault
-    assert any("the results were made with program an earlier one" in remark for remark in found.remarks)
+    assert any("the results were made with program an earlier one" in remark for remark in findings.remarks)
 
 
 @pytest.mark.parametrize(
     ("factor", "faulty"), [(1.3, False), (3.9, False), (4.2, True), (0.2, True), (0.0, True)]
 )
 def test_an_uncertainty_may_differ_by_a_factor(by_another, factor, faulty):
-    faults, found = compared(by_another, changed(by_another, "sigma", "fx", factor - 1))
+    faults, findings = compared(by_another, changed(by_another, "sigma", "fx", factor - 1))
     assert bool(faults) == faulty
-    assert bool(found.not_compared) != faulty
+    assert bool(findings.not_compared) != faulty
 
 
 def test_words_may_hold_other_numbers_but_not_other_words(by_another):
@@ -207,9 +210,9 @@ def test_a_table_is_named_once(by_another):
     again = copy.deepcopy(by_another)
     for row in again["calibration"]["budget_rows"]:
         row["name"] = "of another name"
-    faults, found = compared(by_another, again)
+    faults, findings = compared(by_another, again)
     assert not faults
-    assert found.not_compared[0].count("budget_rows") == 1
+    assert findings.not_compared[0].count("budget_rows") == 1
 
 
 def view(shift_px=0.0, count=100):
@@ -229,30 +232,30 @@ def test_stars_of_another_program_lie_at_the_same_places(other, same):
 
 def stored_views(*views):
     """Views named ``pose 1`` and so on, without residuals worth the name and without images."""
-    named = (replace(one, name=f"pose {number}") for number, one in enumerate(views, 1))
-    return [StoredView(one, np.zeros((len(one), 2))) for one in named]
+    named = (replace(view, name=f"pose {number}") for number, view in enumerate(views, 1))
+    return [StoredView(view, np.zeros((len(view), 2))) for view in named]
 
 
 def test_views_that_another_program_found_are_told_in_one_sentence(tmp_path):
     rounder = replace(view(), covariances_px2=2 * view().covariances_px2)
     (tmp_path / "views.h5").write_bytes(views_file(stored_views(rounder, rounder, view())))
     again, used = stored_views(view(), view(), view()), {**software(), "program": "an earlier one"}
-    found = Findings()
-    compare_views(tmp_path / "views.h5", again, used, "recordings", found)
-    assert (found.faults, found.not_compared) == (
+    findings = Findings()
+    compare_views(tmp_path / "views.h5", again, used, "recordings", findings)
+    assert (findings.faults, findings.not_compared) == (
         [],
         [
             "pose 1, pose 2 of views.h5 with the recordings: another program found the stars, with other covariances"
         ],
     )
-    found = Findings()
+    findings = Findings()
     compare_views(
         tmp_path / "views.h5",
         again[:2] + stored_views(view(), view(), view(1.0))[2:],
         used,
         "recordings",
-        found,
+        findings,
     )
-    assert [str(fault) for fault in found.faults] == [
+    assert [str(fault) for fault in findings.faults] == [
         "views.h5: the recordings of pose 3 give other image points"
     ]

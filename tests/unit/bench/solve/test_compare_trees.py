@@ -27,13 +27,13 @@ def held_views(results):
     """Stars and images for the sample's poses."""
     rng = np.random.default_rng(1)
 
-    def one(name):
+    def held_view(name):
         points = rng.uniform(0, 150, (30, 2))
         view = View(name, (160, 90), np.arange(30), points, points / 10, np.tile(np.eye(2), (30, 1, 1)))
         picture = rng.integers(0, 255, (90, 160)).astype(np.uint8)
         return StoredView(view, rng.normal(0, 0.1, (30, 2)), lambda: picture)
 
-    return [one(view["name"]) for view in results["calibration"]["views"]]
+    return [held_view(view["name"]) for view in results["calibration"]["views"]]
 
 
 def write(folder, results, held):
@@ -57,7 +57,7 @@ def made(tmp_path_factory):
     for view in results["calibration"]["views"]:
         view |= {"rotation": np.eye(3).tolist(), "centre_mm": [0.0, 0.0, -255.0]}
     held = held_views(results)
-    drawn = plots.report_plots(results, [one.shown() for one in held])
+    drawn = plots.report_plots(results, [stored.shown() for stored in held])
     folder = tmp_path_factory.mktemp("made")
     with mock.patch("bench.report.plots.report_plots", return_value=drawn):
         write(folder, results, held)
@@ -73,10 +73,10 @@ def compared(folder, made, **used):
     """Compare a folder; ``used`` is what results and journal state of the program."""
     results = copy.deepcopy(made[1])
     results["run"]["software"] |= used
-    found = Findings()
+    findings = Findings()
     made_again = MadeAgain(results, made[2], "camera", TARGET, results["run"]["software"], HEAD)
-    compare_trees(folder, made_again, found)
-    return found
+    compare_trees(folder, made_again, findings)
+    return findings
 
 
 def edited(folder, name, old, new):
@@ -86,9 +86,9 @@ def edited(folder, name, old, new):
 
 
 def test_the_same_tree_is_confirmed(folder, made):
-    found = compared(folder, made)
-    assert (found.faults, found.not_compared) == ([], [])
-    assert any("equal to the last bit" in remark for remark in found.remarks)
+    findings = compared(folder, made)
+    assert (findings.faults, findings.not_compared) == ([], [])
+    assert any("equal to the last bit" in remark for remark in findings.remarks)
 
 
 @pytest.mark.parametrize(
@@ -127,9 +127,9 @@ def test_what_another_program_made_otherwise_is_not_compared_and_that_is_told(
     results["run"]["software"][part] = "x"
     write(folder, results, made[2])
     edited(folder, name, old, f"{old} ")
-    found = compared(folder, made, **{part: "x"})
-    assert found.faults == []
-    assert any(one.startswith(what) for one in found.not_compared), found.not_compared
+    findings = compared(folder, made, **{part: "x"})
+    assert findings.faults == []
+    assert any(reason.startswith(what) for reason in findings.not_compared), findings.not_compared
 
 
 def test_a_missing_and_an_added_export_are_faults(folder, made):

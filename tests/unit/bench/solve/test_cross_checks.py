@@ -22,10 +22,10 @@ def views():
 @pytest.mark.slow
 def test_halves_differ_by_no_more_than_their_uncertainties_say(views):
     """By less, where what is not known is the same in both: the glass, here of two views each."""
-    told = split_half_check(views, CalibrationOptions())
-    assert 0.0 < told["ratio"] < 2.5
-    assert told["worst_px"] >= told["rms_px"] > 0
-    first, second = told["cameras"]
+    check = split_half_check(views, CalibrationOptions())
+    assert 0.0 < check["ratio"] < 2.5
+    assert check["worst_px"] >= check["rms_px"] > 0
+    first, second = check["cameras"]
     assert first != second
     assert first["fx"] == pytest.approx(second["fx"], rel=0.01)
     assert split_half_check(views[:3], CalibrationOptions()) is None
@@ -37,13 +37,13 @@ def test_the_gimbal_is_held_against_the_rotations_by_its_encoders(views):
         {"pan": pan + 1.0, "tilt": tilt, "pan_encoder": pan / 0.998, "tilt_encoder": tilt}
         for pan, tilt in POSES
     ]
-    told = gimbal_check(calibration, readings)
+    check = gimbal_check(calibration, readings)
     for axis, scale in (("pan_deg", 0.998), ("tilt_deg", 1.0)):
-        assert told["scale"][axis] == pytest.approx(scale, abs=4 * told["scale_sigma"][axis])
-    assert (told["verdict"], told["agrees"]) == ("scale_or_parallax", False)
-    assert (told["slip"], told["faults"]) == (None, [])
-    assert told["pairs"]["count"] == 28
-    assert json.loads(json.dumps(told, allow_nan=False)) == told
+        assert check["scale"][axis] == pytest.approx(scale, abs=4 * check["scale_sigma"][axis])
+    assert (check["verdict"], check["agrees"]) == ("scale_or_parallax", False)
+    assert (check["slip"], check["faults"]) == (None, [])
+    assert check["pairs"]["count"] == 28
+    assert json.loads(json.dumps(check, allow_nan=False)) == check
     assert gimbal_check(calibration, [{"pan": 0.0}] * len(POSES)) is None
 
 
@@ -51,9 +51,9 @@ def test_a_slip_among_small_angles_is_stated_with_pose_size_and_what_looks_the_s
     readings = [
         {"pan": pan, "tilt": tilt + (0.2 if index >= 5 else 0.0)} for index, (pan, tilt) in enumerate(POSES)
     ]
-    told = gimbal_check(calibrate(views, CalibrationOptions()), readings)
-    (fault,) = told["faults"]
-    assert (told["verdict"], told["agrees"], fault["pose"], fault["claimed"]) == (
+    check = gimbal_check(calibrate(views, CalibrationOptions()), readings)
+    (fault,) = check["faults"]
+    assert (check["verdict"], check["agrees"], fault["pose"], fault["claimed"]) == (
         "camera_turned",
         False,
         5,
@@ -61,9 +61,9 @@ def test_a_slip_among_small_angles_is_stated_with_pose_size_and_what_looks_the_s
     )
     assert fault["size_deg"] == pytest.approx(0.2, abs=5 * fault["sigma_deg"])
     # Pan within 6 degrees: a slip of the tilt axis and a camera that turned about it differ by .001 degrees.
-    assert "between pose 5 (-4 -2) and pose 6 (5 -2)" in told["says"][0]
-    assert "a slipped axis explains the data nearly as well" in told["says"][0]
-    assert json.loads(json.dumps(told, allow_nan=False)) == told
+    assert "between pose 5 (-4 -2) and pose 6 (5 -2)" in check["says"][0]
+    assert "a slipped axis explains the data nearly as well" in check["says"][0]
+    assert json.loads(json.dumps(check, allow_nan=False)) == check
 
 
 # ---------------------------------------------------------------- corners
@@ -77,22 +77,22 @@ def test_the_worst_corner_has_px_and_microradians_with_the_factor():
     stars = np.stack(np.meshgrid(np.arange(300, 990, 40.0), np.arange(100, 620, 40.0)), axis=-1).reshape(
         -1, 2
     )
-    found = projection_facts(CAMERA, COVARIANCE, 2.0, [stars])
-    worst = found["worst_corner"]
+    facts = projection_facts(CAMERA, COVARIANCE, 2.0, [stars])
+    worst = facts["worst_corner"]
     assert worst["corner"] in {"top left", "top right", "bottom left", "bottom right"}
     # at the corner, a px is 1/f of the tangent, less the cosine squared of 12.4 degrees
     assert worst["expanded_urad"] == pytest.approx(1e6 * worst["expanded_px"] / 3345.0, rel=0.06)
-    assert worst["expanded_px"] > found["median"]["expanded_px"]
+    assert worst["expanded_px"] > facts["median"]["expanded_px"]
     once = projection_facts(CAMERA, COVARIANCE, 1.0, [stars])
     assert worst["expanded_px"] == pytest.approx(2 * once["worst_corner"]["expanded_px"])
-    supported = found["supported"]
+    supported = facts["supported"]
     assert 0.4 < supported["share"] < 0.75
     assert supported["expanded_px"] < worst["expanded_px"]
 
 
 def test_stars_at_one_place_support_little_and_no_stars_nothing():
-    found = projection_facts(CAMERA, COVARIANCE, 2.0, [np.array([[640.0, 360.0]])])
-    assert found["supported"]["share"] == pytest.approx(
-        np.pi * found["supported"]["reach_px"] ** 2 / (1280 * 720), rel=0.01
+    facts = projection_facts(CAMERA, COVARIANCE, 2.0, [np.array([[640.0, 360.0]])])
+    assert facts["supported"]["share"] == pytest.approx(
+        np.pi * facts["supported"]["reach_px"] ** 2 / (1280 * 720), rel=0.01
     )
     assert projection_facts(CAMERA, COVARIANCE, 2.0, [])["supported"] is None

@@ -31,9 +31,9 @@ def ledger(monkeypatch):
 
 
 def test_a_run_is_compared_with_the_last_of_its_sequence_on_its_own_bench(ledger):
-    found = earlier_runs.last_results(ledger, {"number": 7}, "Three poses", "Bench 1")
-    assert found is not None
-    assert found["run"]["id"] == "right"
+    last = earlier_runs.last_results(ledger, {"number": 7}, "Three poses", "Bench 1")
+    assert last is not None
+    assert last["run"]["id"] == "right"
 
 
 def test_the_first_run_on_a_bench_is_compared_with_none(ledger):

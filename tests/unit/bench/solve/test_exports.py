@@ -108,9 +108,9 @@ def test_every_format_that_has_a_lens_holds_the_same_camera(name, lens):
     files = exports(wanted, camera_name="evk4_00050423")
     if name in NOT_IN.get(lens, ()):
         assert name not in files
-        told = [line for line in files["not-written.txt"].decode().splitlines() if line.startswith(name)]
-        assert len(told) == 1
-        assert f"cannot represent {'a fisheye lens' if lens in FISHEYES else 'k4'}" in told[0]
+        reasons = [line for line in files["not-written.txt"].decode().splitlines() if line.startswith(name)]
+        assert len(reasons) == 1
+        assert f"cannot represent {'a fisheye lens' if lens in FISHEYES else 'k4'}" in reasons[0]
         return
     fisheye, *camera = READERS[name](files[name])
     assert fisheye is (lens in FISHEYES)
@@ -209,9 +209,13 @@ def test_metavision_s_json_is_not_written_for_views_of_several_targets():
 
 def test_metavision_s_json_holds_the_places_of_the_target_in_metres():
     wanted = calibration("k1k2")
-    found = json.loads(exports(wanted, camera_name="c")["metavision.json"])
-    assert (found["n_kept_views"], found["image_size"], found["selected_views"]) == (2, [1280, 720], [1, 1])
-    translation = found["tvecs"][0]["data"]
+    intrinsics = json.loads(exports(wanted, camera_name="c")["metavision.json"])
+    assert (intrinsics["n_kept_views"], intrinsics["image_size"], intrinsics["selected_views"]) == (
+        2,
+        [1280, 720],
+        [1, 1],
+    )
+    translation = intrinsics["tvecs"][0]["data"]
     np.testing.assert_allclose(
         np.multiply(translation, 1000), -wanted.rotations[0] @ wanted.centres[0], atol=1e-9
     )
@@ -221,28 +225,28 @@ def test_metavision_s_json_holds_the_places_of_the_target_in_metres():
 def test_a_serial_number_of_any_letters_leaves_every_file_readable(name):
     files = exports(calibration("k1k2"), camera_name=name)
     storage = file_storage(files["opencv.yaml"], ".yml")
-    told = storage.getNode("camera_name").string()
-    assert told.isascii()
-    assert told.replace("_", "a").isalnum()
-    assert yaml.safe_load(files["ros_camera_info.yaml"])["camera_name"] == told
-    assert yaml.safe_load(files["kalibr_camchain.yaml"])["cam0"]["rostopic"] == f"/{told}/events"
-    assert json.loads(files["metavision.json"])["camera_name"] == told
+    camera_name = storage.getNode("camera_name").string()
+    assert camera_name.isascii()
+    assert camera_name.replace("_", "a").isalnum()
+    assert yaml.safe_load(files["ros_camera_info.yaml"])["camera_name"] == camera_name
+    assert yaml.safe_load(files["kalibr_camchain.yaml"])["cam0"]["rostopic"] == f"/{camera_name}/events"
+    assert json.loads(files["metavision.json"])["camera_name"] == camera_name
     assert len(files["colmap_cameras.txt"].decode().splitlines()) == 3
     for format_name, read in READERS.items():
         assert read(files[format_name])[1] == 3345.06
 
 
 def test_the_same_calibration_gives_the_same_bytes():
-    one, two = (exports(calibration("rational"), camera_name="c") for _ in range(2))
-    assert one == two
+    first, second = (exports(calibration("rational"), camera_name="c") for _ in range(2))
+    assert first == second
 
 
 def test_the_boresight_is_a_transform_as_ros_publishes_it():
     turned = cv2.Rodrigues(np.array([0.02, -0.5, 0.1]))[0]
-    found = Boresight(turned, np.eye(3), np.ones(3), turned.T[:, 2], np.eye(2), np.ones(2))
-    assert Boresight.from_dict(json.loads(json.dumps(found.to_dict()))).to_dict() == found.to_dict()
+    boresight = Boresight(turned, np.eye(3), np.ones(3), turned.T[:, 2], np.eye(2), np.ones(2))
+    assert Boresight.from_dict(json.loads(json.dumps(boresight.to_dict()))).to_dict() == boresight.to_dict()
     assert "boresight.yaml" not in exports(calibration("k1k2"), camera_name="c")
-    files = exports(replace(calibration("k1k2"), boresight=found), camera_name="cam 1")
+    files = exports(replace(calibration("k1k2"), boresight=boresight), camera_name="cam 1")
     content = yaml.safe_load(files["boresight.yaml"])
     assert (content["frame_id"], content["child_frame_id"]) == ("flange", "cam_1_optical_frame")
     x, y, z, w = (content["rotation"][name] for name in "xyzw")
@@ -267,5 +271,5 @@ def test_a_thin_prism_and_a_tilted_sensor_are_written_whole_or_not_at_all(monkey
     files = exports(known, camera_name="cam")
     assert set(files) == {*written, NOT_WRITTEN}
     for name in written:
-        found = parse_camera(files[name], Path(name)).camera
-        assert found.project(RAYS) == pytest.approx(known.camera.project(RAYS), abs=1e-9)
+        camera = parse_camera(files[name], Path(name)).camera
+        assert camera.project(RAYS) == pytest.approx(known.camera.project(RAYS), abs=1e-9)

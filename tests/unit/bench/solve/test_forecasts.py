@@ -62,8 +62,8 @@ def test_a_plan_is_forecast_as_its_last_solve_step_calibrates(solved):
 
 def test_a_limit_that_cannot_be_met_is_named_with_its_term(solved):
     solve = "{passport: none, readings: witness, limits: {expanded_fx_px: 1, sigma_k2: 1e-9, rms_px: 9}}"
-    found = expected_uncertainty(solved(solve))
-    k2, fx, alone = found.remarks
+    forecast = expected_uncertainty(solved(solve))
+    k2, fx, alone = forecast.remarks
     assert fx.startswith("U(fx) of at most 1 px will not be met")
     assert "Its largest part is: " in fx
     expected = float(re.search(r": (\S+) expected", fx).group(1))
@@ -86,10 +86,11 @@ def test_poses_that_a_run_chooses_are_forecast_and_a_term_that_no_pose_lowers_is
     (tmp_path / "until.yaml").write_text(
         text.replace("  - report", "  - solve: {limits: {expanded_fx_px: 1}}\n  - report")
     )
-    found = expected_uncertainty(plan(str(tmp_path / "until.yaml")))
-    assert found.chosen == found.poses - 3 > 0
+    forecast = expected_uncertainty(plan(str(tmp_path / "until.yaml")))
+    assert forecast.chosen == forecast.poses - 3 > 0
     assert re.search(
-        "not be met: 1.[5-9] expected. Its largest part is: (parallax|scale and|readings)", found.remarks[0]
+        "not be met: 1.[5-9] expected. Its largest part is: (parallax|scale and|readings)",
+        forecast.remarks[0],
     )
 
 
@@ -111,12 +112,12 @@ def test_the_plan_prints_the_expected_uncertainty_with_its_largest_terms(capsys)
     assert re.search(r"U\(fx\) [\d.]+ px instead of [\d.]+ px, .* \(k = 2[.\d]*\)$", suggested)
     assert "1 sigma" not in printed
     assert "\N{MICRO SIGN}rad" in printed
-    found = json.loads(out_of(capsys, "plan", "nine_pose", "-s", "simulated", "--suggest", "1", "--json"))
-    expected = found["expected"]
+    answer = json.loads(out_of(capsys, "plan", "nine_pose", "-s", "simulated", "--suggest", "1", "--json"))
+    expected = answer["expected"]
     assert expected["poses"] == 9
     assert 1 < expected["expanded_fx_px"] < 2.5
     assert {row["name"] for row in expected["budget_rows"]} >= {"stars", "parallax"}
-    assert found["suggested"][0].keys() == {"pan_deg", "tilt_deg", "worst_px", "rim_share", "why"}
+    assert answer["suggested"][0].keys() == {"pan_deg", "tilt_deg", "worst_px", "rim_share", "why"}
 
 
 # ---------------------------------------------------------------- poses that an until is expected to need
@@ -130,9 +131,9 @@ def expected(sequence="until_good", station="simulated", **settings):
 
 
 def test_on_an_ideal_bench_the_first_poses_suffice():
-    found = expected(station="simulated_ideal")
-    (course,) = found.courses
-    assert course.poses == found.poses == 3
+    forecast = expected(station="simulated_ideal")
+    (course,) = forecast.courses
+    assert course.poses == forecast.poses == 3
     assert course.reached["expanded_fx_px"] < 2.5
     assert course.text == (
         "Expected: about 3 poses until U(fx) is at most 2.5 px and U at the corners at most 1.5 px."
@@ -141,8 +142,8 @@ def test_on_an_ideal_bench_the_first_poses_suffice():
 
 @pytest.mark.usefixtures("coarse")
 def test_a_smaller_goal_takes_more_poses_and_one_that_cannot_be_reached_is_said():
-    found = expected(expanded_fx_px=1.8)
-    (course,) = found.courses
+    forecast = expected(expanded_fx_px=1.8)
+    (course,) = forecast.courses
     assert 4 <= course.poses <= 15
     assert course.to_dict()["poses"] == course.poses
     (below,) = expected(expanded_fx_px=0.5).courses
@@ -160,11 +161,11 @@ def test_a_smaller_goal_takes_more_poses_and_one_that_cannot_be_reached_is_said(
 @pytest.mark.usefixtures("coarse")
 def test_one_forecast_is_behind_all_that_a_plan_says_of_an_until():
     for goal in (1.8, 0.5):
-        found = expected(expanded_fx_px=goal)
-        (course,) = found.courses
-        assert course.reached["expanded_fx_px"] == found.forecast.limited["expanded_fx"]
-        assert found.chosen == found.poses - 3 > 0
-        assert f"about {found.poses} poses" in course.text
+        forecast = expected(expanded_fx_px=goal)
+        (course,) = forecast.courses
+        assert course.reached["expanded_fx_px"] == forecast.forecast.limited["expanded_fx"]
+        assert forecast.chosen == forecast.poses - 3 > 0
+        assert f"about {forecast.poses} poses" in course.text
 
 
 @pytest.mark.usefixtures("coarse")
@@ -187,22 +188,22 @@ def test_the_plan_of_a_night_says_when_an_until_ends_and_that_its_time_is_the_mo
         "{name: b, sequence: nine_pose, station: simulated}",
     ]
     (tmp_path / "night.yaml").write_text(f"format: starbench/queue/1\nname: N\njobs: [{', '.join(jobs)}]\n")
-    said = out_of(capsys, "plan", str(tmp_path / "night.yaml")).splitlines()
-    place = next(place for place, line in enumerate(said) if line.startswith("a  "))
-    job, until, nine = said[place : place + 3]
+    lines = out_of(capsys, "plan", str(tmp_path / "night.yaml")).splitlines()
+    place = next(place for place, line in enumerate(lines) if line.startswith("a  "))
+    job, until, nine = lines[place : place + 3]
     assert re.search(r"^a +at most .* at most .* \(k = 2[.\d]*\), with about \d+ poses$", job)
     assert until.strip().startswith("Expected: about ")
     assert "at most" not in nine
-    assert "at the latest, at most about" in said[-1]
-    assert any(line.split() == ["begin", "end", "takes", "at", "most", "run"] for line in said)
+    assert "at the latest, at most about" in lines[-1]
+    assert any(line.split() == ["begin", "end", "takes", "at", "most", "run"] for line in lines)
 
 
 def test_the_first_suggestion_is_told_before_the_next_is_weighed(monkeypatch):
     weighed = []
     monkeypatch.setattr(forecasts, "forecast_if_enough", lambda _, poses: weighed.append(len(poses)))
     further = [SimpleNamespace(angles_deg={"pan_deg": angle, "tilt_deg": 0.0}) for angle in (1.0, 2.0)]
-    told = forecasts.forecasts_with(plan("three_pose"), further)
-    next(told)
+    suggestions = forecasts.forecasts_with(plan("three_pose"), further)
+    next(suggestions)
     assert weighed == [4]
-    next(told)
+    next(suggestions)
     assert weighed == [4, 5]

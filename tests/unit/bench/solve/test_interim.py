@@ -72,8 +72,10 @@ def calibration(fx=1.0, corner=0.2, gimbal=None, **parts):
         BudgetRow(name.replace("_", " "), "A", "test", contribution={"fx": part, "worst_corner": part / 10})
         for name, part in (parts or {"stars": fx / 2}).items()
     ]
-    told = (fx, corner)
-    return SimpleNamespace(coverage_factor=2.0, model="radial", gimbal=gimbal, budget_rows=rows, told=told)
+    expanded = (fx, corner)
+    return SimpleNamespace(
+        coverage_factor=2.0, model="radial", gimbal=gimbal, budget_rows=rows, expanded=expanded
+    )
 
 
 CHOSEN = Choice(
@@ -90,46 +92,49 @@ def numbers(monkeypatch):
     monkeypatch.setattr(
         interim,
         "limited_numbers",
-        lambda found: dict(zip(("expanded_fx", "worst_corner"), found.told, strict=True)),
+        lambda calibrated: dict(zip(("expanded_fx", "worst_corner"), calibrated.expanded, strict=True)),
     )
     monkeypatch.setattr(interim, "choose_pose", lambda *_, **__: CHOSEN)
 
 
-def decided(job, history, found, *, last=False):
+def decided(job, history, calibrated, *, last=False):
     steps = [step for step in job.steps if isinstance(step, ChooseStep)]
     return decide(
-        steps[-1] if last else steps[0], job, history, Interim([], found, "" if found else "Too few stars.")
+        steps[-1] if last else steps[0],
+        job,
+        history,
+        Interim([], calibrated, "" if calibrated else "Too few stars."),
     )
 
 
 @pytest.mark.usefixtures("numbers")
 def test_it_chooses_while_one_goal_is_missed_and_ends_when_every_goal_is_met(job):
-    told = decided(job, HistoryOf([1, 2, 3], worked_s=7.5), calibration(1.9, 0.31))
-    assert "ended" not in told
+    decision = decided(job, HistoryOf([1, 2, 3], worked_s=7.5), calibration(1.9, 0.31))
+    assert "ended" not in decision
     pose = {"pose": 4, "pose_name": "chosen 1", "angles_deg": {"pan": 1.25, "tilt": -2.0}}
-    assert told["chosen"] == {**pose, "expected": {"expanded_fx_px": 1.5}, "why": "it"}
-    assert (told["recorded"], told["poses"], told["worked_s"]) == (3, 3, 7.5)
-    told = decided(job, HistoryOf([1, 2, 3]), calibration(1.9, 0.3))
-    assert (told["ended"], told["why"]) == ("met", "The goals are met.")
-    assert "chosen" not in told
+    assert decision["chosen"] == {**pose, "expected": {"expanded_fx_px": 1.5}, "why": "it"}
+    assert (decision["recorded"], decision["poses"], decision["worked_s"]) == (3, 3, 7.5)
+    decision = decided(job, HistoryOf([1, 2, 3]), calibration(1.9, 0.3))
+    assert (decision["ended"], decision["why"]) == ("met", "The goals are met.")
+    assert "chosen" not in decision
 
 
 @pytest.mark.usefixtures("numbers")
 def test_a_goal_out_of_reach_ends_it_when_poses_hardly_help_and_the_largest_part_is_named(job, monkeypatch):
-    found = calibration(2.6, 0.5, stars=0.5, passport_of_the_collimator=1.2, print_scale=0.5)
+    calibrated = calibration(2.6, 0.5, stars=0.5, passport_of_the_collimator=1.2, print_scale=0.5)
 
     def with_all_poses(fx_px):
         late = replace(CHOSEN, at_end={"expanded_fx_px": fx_px, "worst_corner_px": 0.2})
         monkeypatch.setattr(interim, "choose_pose", lambda *_, **__: late)
-        return decided(job, HistoryOf([1, 2, 3]), found)
+        return decided(job, HistoryOf([1, 2, 3]), calibrated)
 
     assert "chosen" in with_all_poses(2.4)  # further poses help
     unknown = with_all_poses(np.inf)
     assert "chosen" in unknown
     assert unknown["at_end"] == {"worst_corner_px": 0.2}
-    told = with_all_poses(2.55)
-    assert (told["ended"], told["at_end"]["expanded_fx_px"]) == ("unreachable", 2.55)
-    assert told["why"] == (
+    decision = with_all_poses(2.55)
+    assert (decision["ended"], decision["at_end"]["expanded_fx_px"]) == ("unreachable", 2.55)
+    assert decision["why"] == (
         "U(fx) is 2.6 px; the goal is 2 px. U at the corners is 0.5 px; the goal is 0.3 px. "
         "With all 25 poses, U(fx) would still be about 2.5 px. The largest part of U(fx) comes from: passport of the "
         "collimator, 2.4 px."
@@ -155,31 +160,31 @@ def test_more_poses_allowed_leave_less_and_stop_at_what_a_certificate_leaves():
 
 @pytest.mark.usefixtures("numbers")
 def test_the_bounds_end_it_with_what_is_missed_and_what_contributes_most(job):
-    found = calibration(4.5, 0.2, stars=1.0, disagreement_of_the_views=2.0)
-    told = decided(job, HistoryOf(range(1, 26)), found)
-    assert told["ended"] == "at_most"
-    assert told["why"] == (
+    calibrated = calibration(4.5, 0.2, stars=1.0, disagreement_of_the_views=2.0)
+    decision = decided(job, HistoryOf(range(1, 26)), calibrated)
+    assert decision["ended"] == "at_most"
+    assert decision["why"] == (
         "U(fx) is 4.5 px; the goal is 2 px. 25 recordings are accepted; the step takes no more. The largest part of U(fx) "
         "comes from: disagreement of the views, 4 px."
     )
-    assert decided(job, HistoryOf([1, 2, 3], chosen=10), found)["ended"] == "failures"
-    assert "chosen" in decided(job, HistoryOf([1, 2, 3], chosen=9), found)
-    assert decided(job, HistoryOf([1, 2, 3], worked_s=1200.0), found)["ended"] == "minutes"
-    assert "chosen" in decided(job, HistoryOf([1, 2, 3], worked_s=1199.0), found)
+    assert decided(job, HistoryOf([1, 2, 3], chosen=10), calibrated)["ended"] == "failures"
+    assert "chosen" in decided(job, HistoryOf([1, 2, 3], chosen=9), calibrated)
+    assert decided(job, HistoryOf([1, 2, 3], worked_s=1200.0), calibrated)["ended"] == "minutes"
+    assert "chosen" in decided(job, HistoryOf([1, 2, 3], worked_s=1199.0), calibrated)
 
 
 @pytest.mark.usefixtures("numbers")
 def test_without_a_calibration_it_goes_on_and_names_its_goals_and_why_at_the_end(job, monkeypatch):
     assert "chosen" in decided(job, HistoryOf([1]), None)
     monkeypatch.setattr(interim, "choose_pose", lambda *_, **__: "No pose is left.")
-    told = decided(job, HistoryOf([1]), None)
-    assert told["ended"] == "no_pose"
-    assert told["why"] == (
+    decision = decided(job, HistoryOf([1]), None)
+    assert decision["ended"] == "no_pose"
+    assert decision["why"] == (
         "U(fx) is not known; the goal is 2 px. U at the corners is not known; the goal is 0.3 px. Too few stars. "
         "No pose is left."
     )
-    assert told["now"] == {}
-    assert told["problem"] == "Too few stars."
+    assert decision["now"] == {}
+    assert decision["problem"] == "Too few stars."
 
 
 def test_the_choice_is_the_same_each_time_and_within_the_limits():
@@ -197,7 +202,7 @@ def test_no_pose_is_repeated_and_no_failed_pose_chosen_again():
     for number in range(7):
         angles = dict(choose(taken, refused).angles_deg)
         others = [*taken, *refused]
-        assert all(max(abs(angles[axis] - one[axis]) for axis in angles) >= 0.2 for one in others)
+        assert all(max(abs(angles[axis] - other[axis]) for axis in angles) >= 0.2 for other in others)
         (refused if number % 3 == 2 else taken).append(angles)
 
 
@@ -205,13 +210,13 @@ def test_no_pose_is_repeated_and_no_failed_pose_chosen_again():
 def test_readings_that_enter_count_in_the_choice_of_the_next_pose():
     station = load_station("simulated")
     readings = gimbal_readings(station.value, [])
-    told = {
+    after_px = {
         entering: choose_pose(
             station, None, None, taken_deg=TAKEN, refused_deg=[], wish=wish(), readings=entering
         ).expected["expanded_fx_px"]
         for entering in (None, readings)
     }
-    assert told[readings] < 0.97 * told[None]
+    assert after_px[readings] < 0.97 * after_px[None]
 
 
 @pytest.mark.usefixtures("numbers")
@@ -222,7 +227,7 @@ def test_readings_are_given_to_the_choice_as_the_calibrations_use_them(job, monk
     )
     decided(job, HistoryOf([1, 2, 3]), calibration(3.0, 0.5))
     assert asked
-    assert all(one is not None for one in asked)
+    assert all(readings is not None for readings in asked)
 
 
 def test_no_pose_left_is_said():
@@ -232,10 +237,10 @@ def test_no_pose_left_is_said():
 def test_without_calibration_and_expectations_nothing_can_be_predicted(tmp_path):
     shipped = load_station("simulated")
     value = shipped.value.model_copy(update={"expected": None})
-    found = choose_pose(
+    reason = choose_pose(
         replace(shipped, value=value), None, None, taken_deg=TAKEN, refused_deg=[], wish=wish()
     )
-    assert "no expected section" in found
+    assert "no expected section" in reason
 
 
 def test_a_mounting_turned_by_a_quarter_is_found_from_the_views():
@@ -270,6 +275,6 @@ def test_poses_that_turn_an_axis_by_little_are_weighed_with_the_readings_of_the_
     weigher = PoseWeigher(bench, Gimbal(), TAKEN)
     wide = [{"pan_deg": pan, "tilt_deg": 3.0} for pan in (-4.0, 1.0, 4.0)]
     close = [{"pan_deg": 1.0 + off, "tilt_deg": 3.0} for off in (0.0, 0.1)]
-    alone, beside = weigher.weigh(close)[0], weigher.weigh(wide)[1]
-    assert alone.after.fx_px == pytest.approx(beside.after.fx_px, rel=1e-3)
+    alone, with_readings = weigher.weigh(close)[0], weigher.weigh(wide)[1]
+    assert alone.after.fx_px == pytest.approx(with_readings.after.fx_px, rel=1e-3)
     assert alone.after.fx_px < weigher.before.fx_px

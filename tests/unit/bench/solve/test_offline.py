@@ -69,7 +69,7 @@ def test_a_few_images_of_another_size_are_left_out_with_a_word(large, left_out):
         *(view(f"{n}", (1280, 720)) for n in range(large)),
         view("on end", (720, 1280)),
     ]
-    odd = odd_sizes(views, [sized(one.name) for one in views])
+    odd = odd_sizes(views, [sized(view.name) for view in views])
     assert [views[at].name for at, _ in odd] == left_out
     for (at, sentence), name in zip(odd, left_out, strict=True):
         width, height = views[at].image_size
@@ -86,9 +86,9 @@ def test_point_files_whose_size_nobody_stated_are_never_odd():
 
 def test_point_files_take_the_size_of_the_pictures_beside_them_and_else_the_largest():
     views = [view("picture", (1280, 720)), view("points", (900, 600))]
-    assert [one.image_size for one in views_of_one_size(views, [True, False])] == [(1280, 720)] * 2
+    assert [view.image_size for view in views_of_one_size(views, [True, False])] == [(1280, 720)] * 2
     views = [view("a", (1200, 600)), view("b", (900, 700))]
-    assert [one.image_size for one in views_of_one_size(views, [False, False])] == [(1200, 700)] * 2
+    assert [view.image_size for view in views_of_one_size(views, [False, False])] == [(1200, 700)] * 2
 
 
 @pytest.mark.parametrize("word", ["0x0", "0x720", "1280x0", "1280", "-1280x720"])
@@ -281,26 +281,26 @@ def test_the_folder_holds_results_report_exports_and_the_hashes_of_the_inputs(
 ):
     out = tmp_path / "out"
     write_offline_results(certified, out)
-    found = json.loads((out / "results.json").read_text())
-    assert found["schema"] == "starbench/results/1"
-    assert (found["run"]["offline"], found["run"]["simulated"]) == (True, False)
-    assert found["calibration"]["camera"] == certified.calibration.to_dict()["camera"]
+    results = json.loads((out / "results.json").read_text())
+    assert results["schema"] == "starbench/results/1"
+    assert (results["run"]["offline"], results["run"]["simulated"]) == (True, False)
+    assert results["calibration"]["camera"] == certified.calibration.to_dict()["camera"]
     sources = json.loads((out / "sources.json").read_text())["sources"]
-    assert sources == found["sources"]
+    assert sources == results["sources"]
     for source in sources:
         data = (points / f"{source['view']}.csv").read_bytes()
         assert (source["size_bytes"], source["sha256"]) == (len(data), hashlib.sha256(data).hexdigest())
     assert (out / "passport.json").read_bytes() == Path(passport).read_bytes()
-    assert found["passport"]["source"] == "command line"
+    assert results["passport"]["source"] == "command line"
     assert len(list((out / "exports").iterdir())) >= 5
     text = " ".join(printed_text((out / "report.html").read_text()))
-    for said in (
+    for phrase in (
         "OFFLINE: calibrated from existing files, without devices.",
         sources[0]["sha256"],
         "DRAFT: Starbench made this report from existing files, and no seal protects it",
         "number T-1",
     ):
-        assert said in text
+        assert phrase in text
     assert not (out / "SHA256SUMS").exists()
 
 
@@ -355,20 +355,20 @@ def test_the_station_file_of_the_target_is_stated_with_its_hash(points, tmp_path
     hashed = hashlib.sha256(PLAIN.encode()).hexdigest()
     assert described["station"] == {"name": str(station), "path": str(station), "sha256": hashed}
 
-    def found():
+    def of_station_file():
         checked = check_recalculated(tmp_path / "out")
         remarks = [remark for remark in checked.remarks if "station file" in remark]
         return " ".join(remarks), " ".join(map(str, checked.faults))
 
-    assert found() == ("", "")
+    assert of_station_file() == ("", "")
     described["option_target"]["pitch_mm"] += 1
     sources.chmod(0o644)
     sources.write_text(json.dumps(described))
-    assert f"by the station file {station}" in found()[1]
+    assert f"by the station file {station}" in of_station_file()[1]
     station.write_text(OWN_TARGET)
-    assert "another station file lies there now" in found()[0]
+    assert "another station file lies there now" in of_station_file()[0]
     station.unlink()
-    assert "is not there any more" in found()[0]
+    assert "is not there any more" in of_station_file()[0]
 
 
 def test_an_included_station_is_stated_and_none_is_none():
@@ -382,9 +382,9 @@ def test_a_folder_with_anything_in_it_is_refused_before_anything_is_calibrated(p
     require_new(tmp_path / "none")
     require_new(tmp_path)
     (tmp_path / "note.txt").touch()
-    found = CliRunner().invoke(cli, ["calibrate", str(points), "-o", str(tmp_path)])
-    assert found.exit_code != 0
-    assert "note.txt" in f"{found.output} {found.exception}"
+    ended = CliRunner().invoke(cli, ["calibrate", str(points), "-o", str(tmp_path)])
+    assert ended.exit_code != 0
+    assert "note.txt" in f"{ended.output} {ended.exception}"
     assert not (tmp_path / "results.json").exists()
 
 
@@ -405,8 +405,8 @@ def test_one_view_without_a_passport_of_the_centre_says_what_one_would_give(
             calibrate_paths([points / "left.csv"], options(passport=given))
         assert ONE_VIEW in str(caught.value)
     write_passport(tmp_path / "whole.json", uncertified.calibration.passport())
-    one = calibrate_paths([points / "left.csv"], options(passport=str(tmp_path / "whole.json")))
-    assert one.calibration.sigma["fx"] < 0.02 * one.calibration.camera.fx
+    single = calibrate_paths([points / "left.csv"], options(passport=str(tmp_path / "whole.json")))
+    assert single.calibration.sigma["fx"] < 0.02 * single.calibration.camera.fx
 
 
 def test_a_board_gives_tangential_terms_unless_other_coefficients_are_asked_for():

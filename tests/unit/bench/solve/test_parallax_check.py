@@ -35,7 +35,7 @@ def calibration(collimator=COLLIMATOR):
 
 
 @pytest.fixture
-def found(monkeypatch):
+def find_pupil(monkeypatch):
     """Let the study find a pupil."""
 
     def find(off, sigma, error=None, without=()):
@@ -55,60 +55,60 @@ def test_the_shipped_sequence_has_the_name_that_must_have_a_result():
     assert make_plan(*load_documents("parallax_test", "simulated")).sequence.value.name == PARALLAX_TEST
 
 
-def test_a_pupil_that_the_station_does_not_state_is_to_be_written_into_it(found):
-    found(44.0, 2.0)
-    told = parallax_check(calibration(), [], station(off=""), "Nine poses")
-    assert told["pupil_off_pivot_mm"] == {"value": 44.0, "sigma": 2.0}
-    assert told["stated_mm"] is None
-    assert told["parallax"]["value"] == pytest.approx(-0.066 * 44 / 255)
-    assert told["fx_px"]["value"] == pytest.approx(38.1, abs=0.1)
-    assert told["defocus"]["source"] == "station"
-    entry = yaml.safe_load(told["station_entry"])["gimbal"]
+def test_a_pupil_that_the_station_does_not_state_is_to_be_written_into_it(find_pupil):
+    find_pupil(44.0, 2.0)
+    check = parallax_check(calibration(), [], station(off=""), "Nine poses")
+    assert check["pupil_off_pivot_mm"] == {"value": 44.0, "sigma": 2.0}
+    assert check["stated_mm"] is None
+    assert check["parallax"]["value"] == pytest.approx(-0.066 * 44 / 255)
+    assert check["fx_px"]["value"] == pytest.approx(38.1, abs=0.1)
+    assert check["defocus"]["source"] == "station"
+    entry = yaml.safe_load(check["station_entry"])["gimbal"]
     stated = GimbalConfig.model_validate({"reading_sigma_deg": 0.002, "source": "this test", **entry})
     assert (stated.pupil_off_pivot_mm.value, stated.pupil_off_pivot_mm.sigma) == (44.0, 2.0)
-    assert any(said.endswith(told["station_entry"]) for said in told["says"])
-    assert json.loads(json.dumps(told, allow_nan=False)) == told
+    assert any(sentence.endswith(check["station_entry"]) for sentence in check["says"])
+    assert json.loads(json.dumps(check, allow_nan=False)) == check
 
 
 @pytest.mark.parametrize(
     ("off", "sigma", "word", "advised"),
     [(44.0, 2.0, "contradicts", True), (3.0, 1.0, "agrees with", False), (2.1, 0.2, "agrees with", True)],
 )
-def test_the_pupil_is_compared_with_the_station(found, off, sigma, word, advised):
-    found(off, sigma)
-    told = parallax_check(calibration(), [], station(), "Parallax test")
-    says = " ".join(told["says"])
+def test_the_pupil_is_compared_with_the_station(find_pupil, off, sigma, word, advised):
+    find_pupil(off, sigma)
+    check = parallax_check(calibration(), [], station(), "Parallax test")
+    says = " ".join(check["says"])
     assert f"This {word} the station file, which states 2 mm" in says
-    assert (told["station_entry"] in says) == advised
+    assert (check["station_entry"] in says) == advised
     assert ("keep it" in says) != advised
 
 
 def test_a_pupil_that_contradicts_along_one_axis_only_is_noticed(monkeypatch):
     walk = PupilWalk(np.array([-39.2, -2.0]), np.diag([32.0, 76.0]), 20.6, 19.0, 15, ())
     monkeypatch.setattr(checked, "pupil_walk", lambda *_arguments: walk)
-    told = parallax_check(calibration(), [], station(), "Parallax test")
-    assert "contradicts the station file" in " ".join(told["says"])
+    check = parallax_check(calibration(), [], station(), "Parallax test")
+    assert "contradicts the station file" in " ".join(check["says"])
 
 
-def test_without_a_stated_defocus_there_is_no_parallax(found):
-    found(2.0, 1.0)
+def test_without_a_stated_defocus_there_is_no_parallax(find_pupil):
+    find_pupil(2.0, 1.0)
     bare = parallax_check(calibration(), [], station(defocus=""), "Parallax test")
     assert (bare["defocus"], bare["parallax"], bare["fx_px"]) == (None, None, None)
     assert "which the station file does not state" in bare["says"][-1]
 
 
-def test_only_the_parallax_test_says_why_there_is_no_result(found):
-    found(0.0, 1.0, REFUSED)
+def test_only_the_parallax_test_says_why_there_is_no_result(find_pupil):
+    find_pupil(0.0, 1.0, REFUSED)
     assert parallax_check(calibration(), [], station(), "Nine poses") is None
-    told = parallax_check(calibration(), [], station(), "Parallax test")
-    assert told == {"why_not": "parallax test: 1 of 9 views show the rim. Turn farther."}
-    assert parallax_rows(told) == [("Parallax test: no result", told["why_not"])]
+    check = parallax_check(calibration(), [], station(), "Parallax test")
+    assert check == {"why_not": "parallax test: 1 of 9 views show the rim. Turn farther."}
+    assert parallax_rows(check) == [("Parallax test: no result", check["why_not"])]
     planar = parallax_check(calibration(collimator=None), [], station(), "Parallax test")
     assert planar["why_not"].startswith("The planar model has no collimator")
 
 
-def test_the_report_states_the_place_of_the_pupil_and_the_poses_without_rim(found):
-    found(2.7, 1.0, without=("left", "right"))
+def test_the_report_states_the_place_of_the_pupil_and_the_poses_without_rim(find_pupil):
+    find_pupil(2.7, 1.0, without=("left", "right"))
     rows = dict(parallax_rows(parallax_check(calibration(), [], station(), "Parallax test")))
     assert rows["Entrance pupil in front of the pivot"] == "2.7 ± 2.0 mm (k = 2)"
     assert "-2.7 ± 1.4 mm along x" in rows["Parallax: how the beam moves when the camera turns"]
@@ -117,16 +117,16 @@ def test_the_report_states_the_place_of_the_pupil_and_the_poses_without_rim(foun
 
 
 def test_faces_of_the_mount_get_their_angle_to_the_ray_through_the_middle():
-    found = Boresight(
+    boresight = Boresight(
         np.eye(3), 1e-8 * np.eye(3), np.ones(3), np.array([0, 0, 1.0]), 1e-8 * np.eye(2), np.ones(2)
     )
     faces = "{front: {normal: [0, 0.1, 5]}, side: {normal: [-2, 0, 0], sigma_deg: 1}}"
     settings = {"station.gimbal": f"{{reading_sigma_deg: 0.002, source: G-3, faces: {faces}}}"}
     stated = make_plan(*load_documents("three_pose", "simulated", settings)).station.value
-    front, side = mount_faces(SimpleNamespace(boresight=found), stated)
+    front, side = mount_faces(SimpleNamespace(boresight=boresight), stated)
     assert (front["name"], side["name"]) == ("front", "side")
     assert front["angle_deg"] == pytest.approx(np.degrees(np.arctan(0.02)))
     assert (side["angle_deg"], side["normal_in_camera"]) == (pytest.approx(90.0), [-1.0, 0.0, 0.0])
     assert side["expanded_deg"] > 50 * front["expanded_deg"] > 0
     assert mount_faces(SimpleNamespace(boresight=None), stated) is None
-    assert mount_faces(SimpleNamespace(boresight=found), station()) is None
+    assert mount_faces(SimpleNamespace(boresight=boresight), station()) is None

@@ -60,17 +60,17 @@ def test_the_first_calibration_is_called_so(bench):
 def test_the_last_one_is_copied_with_its_hashes_and_compared(bench):
     bench.run("first", change=lambda r: r["calibration"]["camera"].update(fx=9999.0))
     bench.run("second", change=lambda r: r["calibration"]["camera"].update(cy=360.0))
-    found = bench.of("now")
-    assert (found["run"], found["number"], found["temperature_c"]) == ("second", 2, 41.27)
+    previous = bench.of("now")
+    assert (previous["run"], previous["number"], previous["temperature_c"]) == ("second", 2, 41.27)
     data = (bench.path / "second" / "results.json").read_bytes()
-    assert found["results_sha256"] == hashlib.sha256(data).hexdigest()
+    assert previous["results_sha256"] == hashlib.sha256(data).hexdigest()
     seal = (bench.path / "second" / "SHA256SUMS").read_bytes()
-    assert found["seal"] == hashlib.sha256(seal).hexdigest()
-    assert found["calibration"]["camera"]["cy"] == 360.0
-    assert list(found["calibration"]["sigma"]) == ["fx", "fy", "cx", "cy", "k1", "k2"]
-    assert found["change"]["largest_px"] >= found["change"]["rms_px"] > 0
-    assert found["change"]["largest_ratio"] > 0
-    assert json.loads(json.dumps(found, allow_nan=False)) == found
+    assert previous["seal"] == hashlib.sha256(seal).hexdigest()
+    assert previous["calibration"]["camera"]["cy"] == 360.0
+    assert list(previous["calibration"]["sigma"]) == ["fx", "fy", "cx", "cy", "k1", "k2"]
+    assert previous["change"]["largest_px"] >= previous["change"]["rms_px"] > 0
+    assert previous["change"]["largest_ratio"] > 0
+    assert json.loads(json.dumps(previous, allow_nan=False)) == previous
 
 
 def test_a_camera_that_is_only_turned_has_not_changed(bench):
@@ -91,7 +91,7 @@ def in_calibration(**facts):
 
 
 @pytest.mark.parametrize(
-    ("run", "spoil", "told"),
+    ("run", "spoil", "reason"),
     [
         ({}, lambda f: (f / "results.json").write_text("{}"), "its results were changed after sealing."),
         ({}, lambda f: (f / "results.json").unlink(), "its folder cannot be read."),
@@ -107,13 +107,13 @@ def in_calibration(**facts):
         ({"change": lambda r: r.pop("calibration")}, None, "its results are not readable."),
     ],
 )
-def test_what_cannot_be_compared_is_named_and_gives_way_to_an_earlier_one(bench, run, spoil, told):
+def test_what_cannot_be_compared_is_named_and_gives_way_to_an_earlier_one(bench, run, spoil, reason):
     bench.run("bad", **run)
     if spoil:
         spoil(bench.path / "bad")
-    found = bench.of("now")
-    assert found["run"] is None
-    assert found["why_not"] == f"The last calibration of this camera, bad, cannot be compared: {told}"
+    previous = bench.of("now")
+    assert previous["run"] is None
+    assert previous["why_not"] == f"The last calibration of this camera, bad, cannot be compared: {reason}"
     bench.run("good")
     bench.run("worse", **run)
     if run:

@@ -47,8 +47,8 @@ def checked(tmp_path):
 
 
 def test_what_a_camera_writes_is_confirmed_with_times_behind_its_last_event(checked):
-    found = checked()
-    assert (found.faults, found.remarks) == ([], [])
+    check = checked()
+    assert (check.faults, check.remarks) == ([], [])
 
 
 @pytest.mark.parametrize(
@@ -76,8 +76,8 @@ def test_times_and_what_the_camera_says_of_itself_may_follow_the_last_event(chec
 
 
 def test_another_camera_or_size_in_the_head_is_found(checked):
-    found = checked((HEAD.replace("00051234", "00050999")).encode() + EVENTS)
-    assert "its head names the serial 00050999" in found.faults[0].what
+    check = checked((HEAD.replace("00051234", "00050999")).encode() + EVENTS)
+    assert "its head names the serial 00050999" in check.faults[0].what
 
 
 def test_another_camera_in_the_facts_is_found(checked):
@@ -89,11 +89,11 @@ def test_another_date_in_the_head_is_told(checked):
     assert "its head states the time 1999-01-01 13:02:05, the journal 2026-03-01 12:02 UTC" in remark
 
 
-@pytest.mark.parametrize(("date", "told"), [("2026-03-02 02:02:05", 0), ("2026-03-02 03:32:05", 1)])
-def test_a_date_that_a_time_zone_explains_is_not_told(checked, date, told):
+@pytest.mark.parametrize(("date", "remarks"), [("2026-03-02 02:02:05", 0), ("2026-03-02 03:32:05", 1)])
+def test_a_date_that_a_time_zone_explains_is_not_told(checked, date, remarks):
     """Local time differs from UTC by 14 h at most. The journal says 12:02:06 UTC."""
     head = HEAD.replace("2026-03-01 13:02:05", date)
-    assert len(checked(head.encode() + EVENTS).remarks) == told
+    assert len(checked(head.encode() + EVENTS).remarks) == remarks
 
 
 def test_what_no_camera_writes_into_the_head_is_told(checked):

@@ -49,10 +49,10 @@ def solved(task: Job, measured_deg=None, **settings):
 
 def test_encoders_replace_the_readings_of_their_axes():
     task = job(GIMBAL % OFF_PIVOT)
-    found = gimbal_readings(task.station, [{"pan": 1.0, "pan_encoder": 1.1, "tilt": 2.0}])
-    assert found.angles_deg == ({"pan_deg": 1.1, "tilt_deg": 2.0},)
-    assert (found.reading_sigma_deg, found.scale_sigma, found.source) == (0.002, 1e-4, "G-3")
-    assert (found.parallax.defocus, found.parallax.pupil_off_pivot_sigma_mm) == (0.06, 0.5)
+    statement = gimbal_readings(task.station, [{"pan": 1.0, "pan_encoder": 1.1, "tilt": 2.0}])
+    assert statement.angles_deg == ({"pan_deg": 1.1, "tilt_deg": 2.0},)
+    assert (statement.reading_sigma_deg, statement.scale_sigma, statement.source) == (0.002, 1e-4, "G-3")
+    assert (statement.parallax.defocus, statement.parallax.pupil_off_pivot_sigma_mm) == (0.06, 0.5)
 
 
 @pytest.mark.parametrize(
@@ -66,20 +66,20 @@ def test_encoders_replace_the_readings_of_their_axes():
     ids=["no section", "spherical", "witness", "planar"],
 )
 def test_readings_that_do_not_enter_say_why_not(task, settings, why):
-    _, _, found = solved(task, **settings)
-    assert found["entered"] is False
-    assert found["why_not"].startswith(why)
-    (first, *_) = readings_rows(found, None)
+    _, _, readings = solved(task, **settings)
+    assert readings["entered"] is False
+    assert readings["why_not"].startswith(why)
+    (first, *_) = readings_rows(readings, None)
     assert first[0] == "Gimbal readings"
     assert why in first[1]
 
 
 def test_readings_with_a_bound_enter_and_the_report_says_how_they_agree():
-    calibration, options, found = solved(job(GIMBAL % OFF_PIVOT))
-    assert found["entered"] is True
-    assert found["statement"]["source"] == "G-3"
-    assert found["bound"]["parallax"] == pytest.approx(-0.06 * 2 / calibration.collimator.r)
-    rows = dict(readings_rows(found, calibration.to_dict()["gimbal"]))
+    calibration, options, readings = solved(job(GIMBAL % OFF_PIVOT))
+    assert readings["entered"] is True
+    assert readings["statement"]["source"] == "G-3"
+    assert readings["bound"]["parallax"] == pytest.approx(-0.06 * 2 / calibration.collimator.r)
+    rows = dict(readings_rows(readings, calibration.to_dict()["gimbal"]))
     assert "chi-square" in rows["Gimbal readings"]
     assert "\N{MINUS SIGN}0.047 % of the focal length" in rows["Uncertainty of the readings"]
     assert options.gimbal is not None
@@ -87,9 +87,9 @@ def test_readings_with_a_bound_enter_and_the_report_says_how_they_agree():
 
 def test_readings_with_a_wrong_scale_are_named():
     scaled = [{"pan": 1.05 * pan, "tilt": float(tilt)} for pan, tilt in POSES]
-    _, _, found = solved(job(GIMBAL % OFF_PIVOT), scaled)
-    assert found["entered"] is False
-    assert "They contradict the stars" in found["why_not"]
+    _, _, readings = solved(job(GIMBAL % OFF_PIVOT), scaled)
+    assert readings["entered"] is False
+    assert "They contradict the stars" in readings["why_not"]
 
 
 def test_limits_judge_expanded_uncertainties_and_the_worst_corner():

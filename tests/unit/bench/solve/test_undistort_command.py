@@ -41,14 +41,14 @@ def calibrated(request, tmp_path):
 
 
 def say(capsys, *words, status=0):
-    said = call(capsys, "undistort", *words, status=status)
-    return said.err if status else said.out
+    captured = call(capsys, "undistort", *words, status=status)
+    return captured.err if status else captured.out
 
 
 def test_a_board_is_straight_in_the_image_that_the_tables_give(capsys, calibrated):
     camera, folder = calibrated
     words = (folder / "info.yaml", "-o", folder / "new", "--preview", folder / "board.png")
-    told = json.loads(say(capsys, *words, "--json"))
+    answer = json.loads(say(capsys, *words, "--json"))
     with np.load(folder / "new" / "undistort.npz") as file:
         tables = dict(file)
     # a stranger's way from the same tables: remap with the pair, find the corners again
@@ -57,15 +57,15 @@ def test_a_board_is_straight_in_the_image_that_the_tables_give(capsys, calibrate
     preview = cv2.imread(str(folder / "new" / "preview.png"), cv2.IMREAD_GRAYSCALE)
     assert preview.shape == (SIZE[1], 2 * SIZE[0] + 8)
     assert np.corrcoef(preview[:, -SIZE[0] :].ravel(), flat.ravel())[0, 1] > 0.999
-    found, corners = cv2.findChessboardCornersSB(flat, (9, 6))
-    assert found
+    whole, corners = cv2.findChessboardCornersSB(flat, (9, 6))
+    assert whole
     rows = corners.reshape(6, 9, 2)
     off = [np.linalg.svd(row - row.mean(axis=0), compute_uv=False)[-1] / 3.0 for row in rows]
     assert max(off) < 0.1
     info = yaml.safe_load((folder / "new" / "camera_info.yaml").read_text())
     projection = np.reshape(info["projection_matrix"]["data"], (3, 4))
     assert np.array_equal(projection, tables["projection_matrix"])
-    assert np.array_equal(projection[:, :3], told["camera_matrix"])
+    assert np.array_equal(projection[:, :3], answer["camera_matrix"])
     assert tables["rays"][150, 200] == pytest.approx(camera.rays(np.array([[200.0, 150.0]]))[0], abs=1e-6)
 
 
@@ -122,8 +122,8 @@ def test_a_fault_is_one_clear_error_and_nothing_is_written(capsys, tmp_path, cal
     ]
     for status, text, file, *words in faults:
         here = [folder / word if word.endswith((".png", ".csv")) else word for word in words]
-        said = say(capsys, folder / file, "-o", folder / "new", *here, status=status)
-        assert text in said
+        message = say(capsys, folder / file, "-o", folder / "new", *here, status=status)
+        assert text in message
         assert not (folder / "new").exists()
 
 
@@ -133,5 +133,8 @@ def test_one_photograph_of_a_board_checks_a_calibration(capsys, calibrated):
     text = (folder / "info.yaml").read_text()
     changed = text.replace("-0.25", "-0.2").replace("-0.05", "0.02")
     (folder / "changed.yaml").write_text(changed)
-    for name, status, said in (("info.yaml", 0, "RIGHT as far as"), ("changed.yaml", 1, "NOT RIGHT: after")):
-        assert said in call(capsys, *words, folder / name, status=status).out
+    for name, status, verdict in (
+        ("info.yaml", 0, "RIGHT as far as"),
+        ("changed.yaml", 1, "NOT RIGHT: after"),
+    ):
+        assert verdict in call(capsys, *words, folder / name, status=status).out

@@ -38,8 +38,8 @@ def test_a_picture_that_is_not_read_is_named_with_the_way_out(tmp_path, name):
         next(view_sources(tmp_path, CHOICES))
     assert f"{name} is {what}" in folder.value.remedy
     assert remedy in folder.value.remedy
-    (said,) = left_beside(tmp_path)
-    assert f"{name} is {what}" in said
+    (line,) = left_beside(tmp_path)
+    assert f"{name} is {what}" in line
 
 
 @pytest.mark.parametrize(

@@ -35,7 +35,7 @@ camera: {driver: metavision, serial: 00051234}
 """
 
 
-def said(path: Path, read=read_stage_protocol) -> str:
+def faults_of(path: Path, read=read_stage_protocol) -> str:
     with pytest.raises(DocumentFaults) as caught:
         read(path)
     return str(caught.value)
@@ -72,10 +72,10 @@ def test_every_fault_of_a_description_is_named_at_its_place(tmp_path, old, new, 
     assert old in PTU
     path = tmp_path / "mine.yaml"
     path.write_text(PTU.replace(old, new, 1))
-    told = said(path)
-    assert fault in told
+    message = faults_of(path)
+    assert fault in message
     first = PTU[: PTU.index(old)].count("\n") + 1
-    assert any(f"mine.yaml:{line}:" in told for line in range(first - 3, first + 4))
+    assert any(f"mine.yaml:{line}:" in message for line in range(first - 3, first + 4))
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_a_lights_faults_are_named_too(tmp_path, old, new, fault) -> None:
     assert old in LIGHT
     path = tmp_path / "mine.yaml"
     path.write_text(LIGHT.replace(old, new, 1))
-    assert fault in said(path, read_light_protocol)
+    assert fault in faults_of(path, read_light_protocol)
 
 
 def test_a_missing_shipped_description_is_named() -> None:

@@ -25,7 +25,9 @@ from bench.stations.station_draft import CAMERAS, draft_station, ports_to_ask
 from drivers.camera import FoundCamera
 from drivers.errors import ReplyTimeout
 
-CHOICES = {one.name: one.type.choices for one in station_new.params if hasattr(one.type, "choices")}
+CHOICES = {
+    option.name: option.type.choices for option in station_new.params if hasattr(option.type, "choices")
+}
 PORTS = (
     FoundPort("/dev/serial/by-id/zaber", "/dev/ttyUSB0", "X-USBDC", "A1", ""),
     FoundPort("/dev/ttyS0", "/dev/ttyS0", "", "", ""),
@@ -42,17 +44,17 @@ def test_a_port_is_called_by_its_id_where_it_has_one(tmp_path, monkeypatch):
     infos = [types.SimpleNamespace(device=str(device), description="X-USBDC", serial_number="A1")]
     monkeypatch.setattr(discovery.list_ports, "comports", lambda: infos)
     monkeypatch.setattr(discovery, "find_cameras", lambda: ([FoundCamera("metavision", "00051", "EVK4")], []))
-    found = discover(by_id)
-    assert [(port.name, port.note) for port in found.ports] == [(str(by_id / "usb-Zaber-if00"), "")]
-    assert found.cameras[0].serial == "00051"
-    assert found.missing == ()
+    connected = discover(by_id)
+    assert [(port.name, port.note) for port in connected.ports] == [(str(by_id / "usb-Zaber-if00"), "")]
+    assert connected.cameras[0].serial == "00051"
+    assert connected.missing == ()
 
 
 def test_what_is_missing_is_said(monkeypatch, tmp_path):
     monkeypatch.setattr(discovery.list_ports, "comports", list)
     monkeypatch.setattr(discovery, "find_cameras", lambda: ([], ["OpenEB is not installed."]))
-    found = discover(tmp_path / "none")
-    assert found.missing == (
+    connected = discover(tmp_path / "none")
+    assert connected.missing == (
         "OpenEB is not installed.",
         "No serial port was found: connect the adapters of stage and light.",
         "No camera was found: connect one. A network camera is named by its URL (driver: opencv).",
@@ -63,9 +65,9 @@ def test_what_is_missing_is_said(monkeypatch, tmp_path):
 @pytest.mark.parametrize("light", CHOICES["light"])
 @pytest.mark.parametrize("ports", [(), PORTS])
 def test_a_draft_reads_without_a_fault_and_names_what_is_connected(tmp_path, stage, light, ports):
-    found = Discovery(ports, (FoundCamera("neuromorphic_evk4", "00051", "EVK4"),) if ports else (), ())
+    discovery = Discovery(ports, (FoundCamera("neuromorphic_evk4", "00051", "EVK4"),) if ports else (), ())
     path = tmp_path / "bench.yaml"
-    path.write_text(draft_station(found, stage=stage, light=light))
+    path.write_text(draft_station(discovery, stage=stage, light=light))
     station = load_station(str(path)).value
     assert (station.stage.driver, station.light.driver) == (stage, light)
     assert station.camera.serial == ("00051" if ports else UNKNOWN_SERIAL)
@@ -102,10 +104,10 @@ def test_a_draft_takes_the_camera_that_is_connected_or_asked_for(tmp_path, camer
 
 def test_each_camera_is_listed_in_the_words_of_a_station_file(capsys):
     show_devices(Discovery(PORTS, (WEBCAM, TROUBLED), ("Something.",)))
-    said = capsys.readouterr().out
-    assert "driver: opencv  source: /dev/v4l/by-id/usb-Maker  serial: 8A0A3C5F  # video device" in said
-    assert "driver: metavision  serial: 00051  # EVK4  (access denied)" in said
-    assert "missing      Something." in said
+    output = capsys.readouterr().out
+    assert "driver: opencv  source: /dev/v4l/by-id/usb-Maker  serial: 8A0A3C5F  # video device" in output
+    assert "driver: metavision  serial: 00051  # EVK4  (access denied)" in output
+    assert "missing      Something." in output
 
 
 @pytest.mark.parametrize("stage", CHOICES["stage"])
@@ -113,14 +115,14 @@ def test_each_camera_is_listed_in_the_words_of_a_station_file(capsys):
 def test_a_draft_cannot_be_planned_before_all_of_it_is_filled_in(tmp_path, stage, light):
     path = tmp_path / "bench.yaml"
     path.write_text(draft_station(Discovery((), (), ()), stage=stage, light=light))
-    told = [str(fault) for fault in make_plan(*load_documents("turntable", str(path))).faults]
-    assert len(told) == len(re.findall("ASK-THE|CHOOSE-A|NAME-THE|YOUR-LAB", path.read_text()))
+    faults = [str(fault) for fault in make_plan(*load_documents("turntable", str(path))).faults]
+    assert len(faults) == len(re.findall("ASK-THE|CHOOSE-A|NAME-THE|YOUR-LAB", path.read_text()))
     row = next(n for n, line in enumerate(path.read_text().splitlines(), 1) if UNKNOWN_PORT in line)
     place = "stage.axes.pan.port" if stage in {"ximc", "thorlabs_apt"} else "stage.port"
     assert any(
         told_here.startswith(f"{path}:{row}:")
         and f"{place}: this value is missing (placeholder {UNKNOWN_PORT})." in told_here
-        for told_here in told
+        for told_here in faults
     )
     path.write_text(filled(path.read_text()))
     assert make_plan(*load_documents("turntable", str(path))).faults == ()
@@ -185,9 +187,9 @@ def test_stage_and_light_are_found_at_whichever_port_they_answer(tmp_path):
         stage, light = ask_stage("zaber_ascii", ports, clock), ask_light("scpi", ports, clock)
     assert (stage.port, light.port) == (ports[1], ports[0])
     assert [axis.microsteps_per_deg for axis in stage.axes] == [None, None]  # a goniometer does not know it
-    found = Discovery((FoundPort(ports[1], ports[1], "", "", ""),), (), ())
+    discovery = Discovery((FoundPort(ports[1], ports[1], "", "", ""),), (), ())
     path = tmp_path / "bench.yaml"
-    path.write_text(draft_station(found, stage="zaber_ascii", asked=(stage, light)))
+    path.write_text(draft_station(discovery, stage="zaber_ascii", asked=(stage, light)))
     text = path.read_text()
     assert "tilt: the controller allows -64000 to 64000 microsteps" in text
     assert load_station(str(path)).value.light.port == ports[0]
@@ -202,8 +204,8 @@ def test_a_stage_that_counts_in_degrees_states_its_limits_and_a_strobe_controlle
         stage, light = ask_stage("esp30x", ports, clock), ask_light("gardasoft", ports, clock)
     assert (stage.port, light.port) == (ports[1], ports[0])
     path = tmp_path / "bench.yaml"
-    found = Discovery((), (), ())
-    path.write_text(draft_station(found, stage="esp30x", light="gardasoft", asked=(stage, light)))
+    discovery = Discovery((), (), ())
+    path.write_text(draft_station(discovery, stage="esp30x", light="gardasoft", asked=(stage, light)))
     station = load_station(str(path)).value
     assert {
         name: (axis.number, axis.serial, axis.limits_deg) for name, axis in station.stage.axes.items()
@@ -265,9 +267,9 @@ def refused_link(*_, **__):
 
 def test_where_nobody_can_agree_a_board_is_not_asked(capsys, tmp_path):
     words = ("--stage", "grbl", "--port", "/dev/none")
-    told = call(capsys, "station", "new", tmp_path / "a.yaml", *words).err
-    assert "may restart it: it then loses its position" in told
-    assert "The board was not asked" in told
+    errors = call(capsys, "station", "new", tmp_path / "a.yaml", *words).err
+    assert "may restart it: it then loses its position" in errors
+    assert "The board was not asked" in errors
 
 
 @pytest.mark.parametrize(("stage", "asked"), [("thorlabs_apt", [1]), ("ximc", []), ("zaber_ascii", [0, 1])])
@@ -304,6 +306,6 @@ def test_the_plan_tells_a_missing_package(capsys, monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "neuromorphic_drivers", None)
     path = tmp_path / "bench.yaml"
     path.write_text(filled_example("example_evk4").replace("driver: metavision", "driver: neuromorphic_evk4"))
-    told = out_of(capsys, "plan", "three_pose", "-s", path)
-    assert "Missing for a run on this computer: The package neuromorphic-drivers cannot be imported" in told
-    assert "pip install 'starbench[evk4]'" in told
+    output = out_of(capsys, "plan", "three_pose", "-s", path)
+    assert "Missing for a run on this computer: The package neuromorphic-drivers cannot be imported" in output
+    assert "pip install 'starbench[evk4]'" in output

@@ -123,8 +123,8 @@ def test_every_shipped_station_reads_without_a_fault():
     ids=lambda text: text[:25].strip(),
 )
 def test_what_makes_no_sense_is_refused_with_what_would(old, new, fault):
-    said = faults(changed(old, new))
-    assert any(fault in line for line in said), said
+    messages = faults(changed(old, new))
+    assert any(fault in line for line in messages), messages
 
 
 @pytest.mark.parametrize(
@@ -151,14 +151,14 @@ def test_what_makes_no_sense_is_refused_with_what_would(old, new, fault):
     ],
 )
 def test_a_target_that_cannot_be_is_refused(target, fault):
-    said = faults(changed("simulation: {}", f"target: {target}\nsimulation: {{}}"))
-    assert any(fault in line for line in said), said
+    messages = faults(changed("simulation: {}", f"target: {target}\nsimulation: {{}}"))
+    assert any(fault in line for line in messages), messages
 
 
 def test_simulated_ports_are_refused_where_nothing_is_simulated():
-    said = faults(changed("simulation: {}\n", ""))
-    assert [line.split(": ")[1] for line in said] == ["stage.port", "light.port", "camera.address"]
-    assert all("needs a simulation section (simulation: {} is enough)" in line for line in said)
+    messages = faults(changed("simulation: {}\n", ""))
+    assert [line.split(": ")[1] for line in messages] == ["stage.port", "light.port", "camera.address"]
+    assert all("needs a simulation section (simulation: {} is enough)" in line for line in messages)
 
 
 @pytest.mark.parametrize(
@@ -174,8 +174,8 @@ def test_simulated_ports_are_refused_where_nothing_is_simulated():
     ],
 )  # fmt: skip
 def test_other_stages_are_checked_in_their_own_terms(stage, fault):
-    said = faults(with_stage(stage))
-    assert any(fault in line for line in said), said
+    messages = faults(with_stage(stage))
+    assert any(fault in line for line in messages), messages
 
 
 MOTION = "limits_deg: [-1, 1], speed_deg_s: 1, acceleration_deg_s2: 1"
@@ -192,8 +192,8 @@ MOTION = "limits_deg: [-1, 1], speed_deg_s: 1, acceleration_deg_s2: 1"
 )
 def test_two_axes_must_differ_in_what_tells_them_apart(driver, axis, shared):
     both = f"{{pan: {{{axis}, {MOTION}}}, tilt: {{{axis}, {MOTION}}}}}"
-    (said,) = faults(with_stage(f"{{driver: {driver}, axes: {both}}}"))
-    assert said.endswith(f"stage.axes: two axes have the same {shared}.")
+    (message,) = faults(with_stage(f"{{driver: {driver}, axes: {both}}}"))
+    assert message.endswith(f"stage.axes: two axes have the same {shared}.")
 
 
 def test_a_run_with_the_simulated_camera_of_another_process_counts_as_simulated():

@@ -54,8 +54,8 @@ def test_a_station_without_a_budget_states_nothing():
 
 
 def test_each_part_is_a_term_with_value_distribution_and_source():
-    found = terms(FULL)
-    assert list(found) == [
+    term_of = terms(FULL)
+    assert list(term_of) == [
         "print_scale",
         "print_bow",
         "thermal",
@@ -63,7 +63,7 @@ def test_each_part_is_a_term_with_value_distribution_and_source():
         "effective_radius",
         "wavefront",
     ]
-    scale = found["print_scale"]
+    scale = term_of["print_scale"]
     assert (scale.value, scale.distribution, scale.source, scale.correction) == (
         20e-6,
         "rectangular",
@@ -71,11 +71,11 @@ def test_each_part_is_a_term_with_value_distribution_and_source():
         1e-4,
     )
     assert scale.standard_uncertainty == pytest.approx(20e-6 / 3**0.5)
-    assert (found["print_bow"].value, found["print_bow"].radius_mm) == (0.01, 40)
-    assert found["effective_radius"].standard_uncertainty == pytest.approx(3e-4)
-    assert found["effective_radius"].degrees_of_freedom == 8
-    assert found["print_bow"].degrees_of_freedom == float("inf")
-    assert found["wavefront"].value == 5
+    assert (term_of["print_bow"].value, term_of["print_bow"].radius_mm) == (0.01, 40)
+    assert term_of["effective_radius"].standard_uncertainty == pytest.approx(3e-4)
+    assert term_of["effective_radius"].degrees_of_freedom == 8
+    assert term_of["print_bow"].degrees_of_freedom == float("inf")
+    assert term_of["wavefront"].value == 5
 
 
 def test_temperatures_come_from_the_section_then_from_the_collimator():
@@ -92,7 +92,7 @@ def test_temperatures_come_from_the_section_then_from_the_collimator():
 
 
 @pytest.mark.parametrize(
-    ("section", "column", "said"),
+    ("section", "column", "fault_text"),
     [
         ("print_scale: {value: -1e-5, source: x}", 24, "must be 0 or more"),
         ("print_scale: {value: 1e-5, distribution: gaussian, source: x}", 44, "triangular"),
@@ -111,11 +111,11 @@ def test_temperatures_come_from_the_section_then_from_the_collimator():
         ("bow: {value_mm: 1}", 3, "bow"),
     ],
 )
-def test_a_fault_names_line_and_column(section, column, said):
+def test_a_fault_names_line_and_column(section, column, fault_text):
     (fault,) = faults(f"\nbudget:\n  {section}\n")
     line = PLAIN.count("\n") + 3
     assert fault.startswith(f"b.yaml:{line}:{column}: budget")
-    assert said in fault
+    assert fault_text in fault
 
 
 FLAT = """
@@ -183,7 +183,7 @@ def test_the_gimbal_states_what_its_readings_are_worth():
 
 
 @pytest.mark.parametrize(
-    ("section", "said"),
+    ("section", "fault_text"),
     [
         ("collimator: {certificate: {r_mm: 255, number: 1}}", "collimator.certificate.uncertainty_mm: this key is req"),
         ("collimator: {certificate: {r_mm: 0, number: 1, uncertainty_mm: 1}}", "collimator.certificate.r_mm: must be from 1 to 100000 mm"),
@@ -207,7 +207,7 @@ def test_the_gimbal_states_what_its_readings_are_worth():
         ("gimbal: {source: x, reading_sigma_deg: 1, pupil_off_pivot: 1}", "Did you mean 'pupil_off_pivot_mm'?"),
     ],
 )  # fmt: skip
-def test_what_makes_no_sense_is_refused_in_its_place(section, said):
+def test_what_makes_no_sense_is_refused_in_its_place(section, fault_text):
     with pytest.raises(DocumentFaults) as caught:
         knowing(section)
-    assert any(said in str(fault) for fault in caught.value.faults), str(caught.value)
+    assert any(fault_text in str(fault) for fault in caught.value.faults), str(caught.value)

@@ -87,13 +87,15 @@ def test_the_same_station_gives_the_same_bytes_in_another_process(ending):
         f"sys.stdout.buffer.write(drawing_file(TargetConfig(**{SMALL}), pathlib.Path('x{ending}')))"
     )
     seeded = [{**os.environ, "PYTHONHASHSEED": seed} for seed in ("1", "4")]
-    first, again = (subprocess.check_output([sys.executable, "-c", code], env=one) for one in seeded)
+    first, again = (
+        subprocess.check_output([sys.executable, "-c", code], env=environment) for environment in seeded
+    )
     assert first == again
     assert first != drawing_file(TargetConfig(**(SMALL | {"serial": "a-8"})), Path(f"x{ending}"))
 
 
 @pytest.mark.parametrize(
-    ("change", "name", "said"),
+    ("change", "name", "message"),
     [
         ({"serial": "Ä7"}, "x.svg", "letters that cannot be drawn: Ä"),
         (
@@ -109,8 +111,8 @@ def test_the_same_station_gives_the_same_bytes_in_another_process(ending):
         ({"squares": (400, 400), "tag_square": (100, 100)}, "x.svg", "more than 1000000 areas"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused_with_what_to_do(change, name, said):
-    with pytest.raises(UsageError, match=said):
+def test_what_cannot_be_drawn_is_refused_with_what_to_do(change, name, message):
+    with pytest.raises(UsageError, match=message):
         drawing_file(TargetConfig(**(SMALL | change)), Path(name))
 
 
@@ -135,14 +137,14 @@ def test_the_command_writes_a_new_file_and_never_over_an_old_one(tmp_path):
 
 def test_what_the_simulated_target_is_good_for():
     done = CliRunner().invoke(cli, ["target", "-s", "simulated", "--json"], standalone_mode=False)
-    said = json.loads(done.output)
-    assert said["pitch_px"] == pytest.approx(3300 * 144.5 / 36 / 255)
-    assert said["stars_in_view"] == 274
-    assert said["warnings"] == []
+    answer = json.loads(done.output)
+    assert answer["pitch_px"] == pytest.approx(3300 * 144.5 / 36 / 255)
+    assert answer["stars_in_view"] == 274
+    assert answer["warnings"] == []
 
 
 @pytest.mark.parametrize(
-    ("change", "focal_px", "said"),
+    ("change", "focal_px", "warning_text"),
     [
         ({}, 12_000.0, "0 stars in view are fewer than a recording needs"),
         ({}, 6000.0, "stars in view are few for poses at the edge"),
@@ -158,10 +160,10 @@ def test_what_the_simulated_target_is_good_for():
         ({"squares": (20, 20), "tag_square": (8, 8)}, 3300.0, "The target ends 8.5 degrees from the tag"),
     ],
 )
-def test_what_speaks_against_a_target_is_said(change, focal_px, said):
+def test_what_speaks_against_a_target_is_said(change, focal_px, warning_text):
     optics = optics_of(load_station("simulated").value)
-    found = use_of(TargetConfig(**change), replace(optics, focal_px=focal_px))
-    assert any(said in warning for warning in found.warnings), found.warnings
+    use = use_of(TargetConfig(**change), replace(optics, focal_px=focal_px))
+    assert any(warning_text in warning for warning in use.warnings), use.warnings
 
 
 def test_a_station_must_state_the_lens():

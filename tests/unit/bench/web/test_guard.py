@@ -120,7 +120,8 @@ def test_a_browser_is_led_to_a_host_of_this_start_alone_and_keeps_path_and_port_
     asked = {"Host": "localhost:9911", **HTML}
     moved = [client.get("/run/x?pose=3", headers=asked).headers["Location"] for client in (first, second)]
     assert all(
-        re.fullmatch(r"http://starbench-[0-9a-f]{16}\.localhost:9911/run/x\?pose=3", one) for one in moved
+        re.fullmatch(r"http://starbench-[0-9a-f]{16}\.localhost:9911/run/x\?pose=3", address)
+        for address in moved
     )
     assert moved[0] != moved[1]
 

@@ -48,13 +48,13 @@ class _Counter:
 
 
 def _ids(lines, count):
-    found = []
+    ids = []
     for line in lines:
         if line.startswith("id: "):
-            found.append(int(line[4:]))
-        if len(found) == count:
+            ids.append(int(line[4:]))
+        if len(ids) == count:
             break
-    return found
+    return ids
 
 
 def test_a_stream_tells_changes_of_another_thread_and_continues_where_a_reader_stopped():
@@ -141,9 +141,9 @@ def test_a_head_that_does_not_end_is_closed_after_a_time(monkeypatch, begun):
     ):
         half.sendall(begun.replace(b"{host}", f"127.0.0.1:{server.port}".encode()))
         if begun.endswith(b"GET /"):
-            found = b""
-            while not found.endswith(b"page"):
-                found += half.recv(65536)
+            answer = b""
+            while not answer.endswith(b"page"):
+                answer += half.recv(65536)
             half.sendall(b" HTT")
         begin = time.monotonic()
         assert half.recv(65536) == b""
