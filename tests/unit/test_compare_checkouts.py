@@ -13,7 +13,7 @@ SEALED = "5e" * 32
 
 
 def write_run(
-    folder, *, fx=1671.25, seconds=0, key="accepted", said="The port is not there.", polls=1, value=0.5
+    folder, *, fx=1671.25, seconds=0, key="accepted", message="The port is not there.", polls=1, value=0.5
 ):
     """A run, and what a command said of it, at a time and in a folder of their own."""
     (folder / "run" / "exports").mkdir(parents=True)
@@ -46,7 +46,7 @@ def write_run(
     (folder / "run" / "capture.raw").write_bytes(
         f"% date {utc[:10]} {utc[11:19]}\n% end\n".encode() + b"\0\1\2"
     )
-    (folder / "said.stderr").write_text(f"{folder}/station.yaml: {said}\n")
+    (folder / "said.stderr").write_text(f"{folder}/station.yaml: {message}\n")
     return folder
 
 
@@ -54,14 +54,14 @@ def write_run(
 def differences(tmp_path):
     """Compare the run of a function's first words with that of its second ones."""
 
-    def found(**changes):
+    def differences_with(**changes):
         read = []
         for name, more in (("old", {}), ("new", {"seconds": 7, **changes})):
             folder = write_run(tmp_path / name, **more)
             read.append(read_folder(folder, [(str(folder), "folder")]))
         return compare("made_up", *read)
 
-    return found
+    return differences_with
 
 
 def test_times_hashes_folders_and_more_polls_are_no_differences(differences):
@@ -81,7 +81,7 @@ def test_times_hashes_folders_and_more_polls_are_no_differences(differences):
     ],
 )
 def test_a_number_a_message_an_array_and_a_key_are_found_at_their_places(differences, changed, places):
-    assert [one.place for one in differences(**changed)] == places
+    assert [difference.place for difference in differences(**changed)] == places
 
 
 def test_a_file_an_event_and_a_byte_on_the_wire_that_are_missing_are_found(tmp_path):
@@ -91,20 +91,20 @@ def test_a_file_an_event_and_a_byte_on_the_wire_that_are_missing_are_found(tmp_p
     journal.write_text(journal.read_text().splitlines()[0] + "\n")
     wire.write_text(wire.read_text().replace("move abs 5", "move abs 6"))
     read = [read_folder(folder, [(str(folder), "folder")]) for folder in (old, new)]
-    found = {one.place: one.words for one in compare("made_up", *read)}
-    assert found["run/exports/opencv.yaml"].startswith("only old")
-    assert "-attempt_checked" in found["run/journal.jsonl (events)"]
-    assert "move abs 6" in found["run/wire.jsonl/gimbal"]
+    words_at = {difference.place: difference.words for difference in compare("made_up", *read)}
+    assert words_at["run/exports/opencv.yaml"].startswith("only old")
+    assert "-attempt_checked" in words_at["run/journal.jsonl (events)"]
+    assert "move abs 6" in words_at["run/wire.jsonl/gimbal"]
 
 
 def test_differences_on_purpose_are_told_apart_by_place_words_and_size(differences):
-    found = differences(fx=1671.25 * (1 + 1e-9), said="The port is missing.")
+    differing = differences(fx=1671.25 * (1 + 1e-9), message="The port is missing.")
     entries = [
         Expected("made_up", "*/camera/fx", "one loop", relative=1e-8),
         Expected("*", "said.stderr", "plainer", says="is gone"),
         Expected("other", "*", "never played"),
     ]
-    reasons = {one.place: reason for one, reason in sort_out(found, entries)}
+    reasons = {difference.place: reason for difference, reason in sort_out(differing, entries)}
     assert reasons["run/results.json/calibration/camera/fx"] == "one loop"
     assert reasons["said.stderr"] is None
     assert [entry.matched for entry in entries] == [1, 0, 0]

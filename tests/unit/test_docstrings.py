@@ -4,26 +4,32 @@ import documented_api as api
 
 
 def gaps(source):
-    (one,) = api.documented(source)
-    return list(one.gaps())
+    (documented,) = api.documented(source)
+    return list(documented.gaps())
 
 
 def test_the_api_leaves_nothing_out():
     names, _ = api.split_by_api()
-    complete = [one for one in names if api.must_be_complete(one)]
+    complete = [documented for documented in names if api.must_be_complete(documented)]
     assert len(complete) > 60
-    assert [f"{one.place}: {one.name}: {gap}" for one in complete for gap in one.gaps()] == []
+    assert [
+        f"{documented.place}: {documented.name}: {gap}"
+        for documented in complete
+        for gap in documented.gaps()
+    ] == []
 
 
 def test_every_name_of_calib_is_found_with_its_docstring():
     names, _ = api.split_by_api()
     offered = {name for names_of_file in api.calib_api().values() for name in names_of_file.split()}
-    assert offered <= {one.name for one in names if one.docstring}
+    assert offered <= {documented.name for documented in names if documented.docstring}
 
 
 def test_only_the_api_has_sections():
     _, inner = api.split_by_api()
-    assert [f"{one.place}: {one.name}" for one in inner if one.has_sections()] == []
+    assert [
+        f"{documented.place}: {documented.name}" for documented in inner if documented.has_sections()
+    ] == []
 
 
 def test_the_check_sees_what_is_left_out():

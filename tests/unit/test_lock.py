@@ -18,9 +18,9 @@ def _wanted(extras: list[str]) -> list[Requirement]:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     named = [
         *project["dependencies"],
-        *(one for extra in extras for one in project["optional-dependencies"][extra]),
+        *(text for extra in extras for text in project["optional-dependencies"][extra]),
     ]
-    return [Requirement(one) for one in named]
+    return [Requirement(text) for text in named]
 
 
 @pytest.mark.parametrize(
@@ -33,12 +33,14 @@ def test_the_lock_has_a_version_of_every_dependency_within_its_range(lock, extra
         versions.setdefault(canonicalize_name(name), []).append(version)
     wanted = _wanted(extras)
     assert len(wanted) > 10
-    outside = {str(one) for one in wanted if not versions.get(canonicalize_name(one.name))}
+    outside = {
+        str(requirement) for requirement in wanted if not versions.get(canonicalize_name(requirement.name))
+    }
     outside |= {
-        str(one)
-        for one in wanted
-        for each in versions.get(canonicalize_name(one.name), ())
-        if each not in one.specifier
+        str(requirement)
+        for requirement in wanted
+        for each in versions.get(canonicalize_name(requirement.name), ())
+        if each not in requirement.specifier
     }
     assert outside == set(), "run: make lock"
 
@@ -47,5 +49,5 @@ def test_the_lock_has_a_version_of_every_dependency_within_its_range(lock, extra
 def test_every_locked_file_is_known_by_its_hash_and_none_by_an_address(lock):
     text = (ROOT / lock).read_text()
     packages = re.split(r"^(?=[a-zA-Z0-9])", text, flags=re.MULTILINE)[1:]
-    assert all("--hash=sha256:" in one for one in packages)
+    assert all("--hash=sha256:" in package for package in packages)
     assert "://" not in text

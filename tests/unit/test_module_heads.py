@@ -77,12 +77,12 @@ def no_names(text):
 
 @pytest.mark.parametrize("scan", [late_constants, second_heads])
 def test_a_module_has_one_head_and_one_thing(scan):
-    found = [
+    lines = [
         f"{path.relative_to(ROOT).as_posix()}:{line}"
         for path in FILES
         for line in scan(path.read_text(encoding="utf-8"))
     ]
-    assert found == []
+    assert lines == []
 
 
 def test_the_scan_sees_a_late_constant_and_a_second_head():

@@ -28,7 +28,7 @@ def used_names(tree):
         elif isinstance(node, ast.Attribute):
             yield node.attr, node.lineno
         elif isinstance(node, ast.Call):
-            words = [one.value for one in node.args if isinstance(one, ast.Constant)]
+            words = [word.value for word in node.args if isinstance(word, ast.Constant)]
             yield from ((str(word).rpartition(".")[2], node.lineno) for word in words if " " not in str(word))
 
 

@@ -28,7 +28,9 @@ def spelled(node):
     if isinstance(node, ast.Constant) and isinstance(node.value, str):
         return node.value
     if isinstance(node, ast.JoinedStr):
-        return "".join(str(one.value) if isinstance(one, ast.Constant) else ANYTHING for one in node.values)
+        return "".join(
+            str(part.value) if isinstance(part, ast.Constant) else ANYTHING for part in node.values
+        )
     return None
 
 
@@ -39,7 +41,7 @@ def errors_of(path):
         return
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.Call):
-            remedies = [spelled(one.value) for one in node.keywords if one.arg == "remedy"]
+            remedies = [spelled(keyword.value) for keyword in node.keywords if keyword.arg == "remedy"]
             if remedies and node.args:
                 yield spelled(node.args[0]), remedies[0], node.lineno
 
@@ -60,13 +62,15 @@ def ended(text):
 
 def test_each_message_in_the_sources_is_a_sentence(messages):
     assert len(messages) > 500
-    assert [one for one in messages if not ended(one[1]) and one[1] not in NO_SENTENCE] == []
-    assert [one for one in messages if not ended(one[2]) and not COMMAND_OR_FORM.search(one[2])] == []
+    assert [message for message in messages if not ended(message[1]) and message[1] not in NO_SENTENCE] == []
+    assert [
+        message for message in messages if not ended(message[2]) and not COMMAND_OR_FORM.search(message[2])
+    ] == []
 
 
 def test_no_message_in_the_sources_has_two_full_stops(messages):
     twice = re.compile(r"(?<!\.)\.\.(?![./\w])")
-    assert [one for one in messages if any(text and twice.search(text) for text in one[1:])] == []
+    assert [message for message in messages if any(text and twice.search(text) for text in message[1:])] == []
 
 
 MOST_WORDS = 32
@@ -101,16 +105,18 @@ def test_no_sentence_of_a_message_needs_a_second_reading(messages):
 @pytest.fixture(scope="module")
 def spoken():
     """Every text of more than some words that the sources print or show, by its place."""
-    found = []
+    texts = []
     for path in [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]:
         tree = ast.parse(path.read_text())
-        parts = {id(one) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for one in node.values}
+        parts = {
+            id(part) for node in ast.walk(tree) if isinstance(node, ast.JoinedStr) for part in node.values
+        }
         parts |= {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Expr)}  # docstrings
         for node in ast.walk(tree):
             text = spelled(node) if id(node) not in parts else None
             if text and len(text.split()) > 6:
-                found.append((f"{path.relative_to(ROOT)}:{node.lineno}", text))
-    return found
+                texts.append((f"{path.relative_to(ROOT)}:{node.lineno}", text))
+    return texts
 
 
 def test_no_text_of_the_sources_has_a_word_of_papers_and_contracts(spoken):

@@ -91,11 +91,11 @@ def many_poses():
 
 def test_edges_of_a_sheet_give_the_camera_that_saw_them():
     views = [seen_sheet(number, *pose) for number, pose in enumerate(many_poses())]
-    found = calibrate_by_lines(views, SIZE)
-    assert found.camera.fx == pytest.approx(TRUE.fx, abs=0.01)
-    assert found.camera.cy == pytest.approx(TRUE.cy, abs=0.01)
-    assert found.camera.distortion["k2"] == pytest.approx(-0.9, abs=1e-3)
-    assert found.rms_px < 1e-4
+    calibration = calibrate_by_lines(views, SIZE)
+    assert calibration.camera.fx == pytest.approx(TRUE.fx, abs=0.01)
+    assert calibration.camera.cy == pytest.approx(TRUE.cy, abs=0.01)
+    assert calibration.camera.distortion["k2"] == pytest.approx(-0.9, abs=1e-3)
+    assert calibration.rms_px < 1e-4
 
 
 def test_a_sheet_that_looks_larger_than_it_is_gives_the_right_camera_if_this_is_estimated():

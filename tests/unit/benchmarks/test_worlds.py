@@ -90,14 +90,14 @@ def test_the_judges_corner_is_that_of_the_projection_map(family):
     camera = polynomial.draw_camera(np.random.default_rng(3), family)
     lens = {name: value for name, value in camera.values.items() if name not in judge.CENTRE}
     centre = [camera.values[name] for name in judge.CENTRE]
-    found = calib.CameraModel(*centre, geometry.SIZE, lens)
+    model = calib.CameraModel(*centre, geometry.SIZE, lens)
     spread = np.random.default_rng(4).normal(size=(len(camera.values), len(camera.values)))
-    sizes = np.diag([1.0 if name in judge.CENTRE else 1e-3 for name in found.parameter_names])
+    sizes = np.diag([1.0 if name in judge.CENTRE else 1e-3 for name in model.parameter_names])
     covariance = sizes @ spread @ spread.T @ sizes
-    values = {name: camera.values[name] for name in found.parameter_names}
+    values = {name: camera.values[name] for name in model.parameter_names}
     answer = Answer(values, covariance, 2.0, {}, (), "", 0.0, None, 0.0, None)
     error, sigma = judge.corner(answer, camera)
-    mapped = calib.projection_uncertainty(found, covariance).sigma_px[[0, 0, -1, -1], [0, -1, 0, -1]]
+    mapped = calib.projection_uncertainty(model, covariance).sigma_px[[0, 0, -1, -1], [0, -1, 0, -1]]
     assert sigma == pytest.approx(mapped.max(), rel=0.02)
     assert error == pytest.approx(0.0, abs=1e-6)
     turned = replace(camera, image_of=lambda rays: camera.project(rays @ geometry.turn([1e-4, 2e-4, 3e-4]).T))
@@ -165,19 +165,19 @@ def test_the_products_world_draws_both_signs_of_each_error():
 
 @pytest.mark.parametrize("world", ["raytraced", "product", "S1"])
 def test_the_same_seed_gives_the_same_bench(world):
-    one, other = (catalogue.WORLDS[world](3, 3, 1, 0) for _ in range(2))
-    assert [v.px.tolist() for v in one.views] == [v.px.tolist() for v in other.views]
-    assert one.stated == other.stated
-    assert min(len(v.ids) for v in one.views) > 40
+    first, other = (catalogue.WORLDS[world](3, 3, 1, 0) for _ in range(2))
+    assert [v.px.tolist() for v in first.views] == [v.px.tolist() for v in other.views]
+    assert first.stated == other.stated
+    assert min(len(v.ids) for v in first.views) > 40
 
 
 def test_the_bound_is_what_an_adjustment_of_the_same_model_states_and_follows_what_is_known():
     world = polynomial.draw_world(5, "ideal")
     bench = polynomial.record(world, 5, NINE)
-    found = calib.calibrate(views_of(bench), calib.CalibrationOptions(model="spherical", loss="l2"))
+    calibration = calib.calibrate(views_of(bench), calib.CalibrationOptions(model="spherical", loss="l2"))
     least = {known: bound.bound_px(world, bench, known) for known in ("0", "c", "r", "cr")}
     for name in judge.CENTRE:
-        stated = 2 * found.sigma[name] / np.sqrt(found.variance_factor)
+        stated = 2 * calibration.sigma[name] / np.sqrt(calibration.variance_factor)
         assert least["0"][name] == pytest.approx(stated, rel=0.03)
     assert least["cr"]["fx"] < min(least["c"]["fx"], least["r"]["fx"])
     flat = replace(bench, stated=replace(bench.stated, print_bow_mm=1e-6))

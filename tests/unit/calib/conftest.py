@@ -71,11 +71,11 @@ class Bench:
         pixels = self.project(target, turn, centre)
         inside = (pixels > 8).all(axis=1) & (pixels < np.array(self.size) - 9).all(axis=1)
         seen = inside & (radius < -centre[2] * np.tan(np.deg2rad(self.half_angle_deg)))
-        found = pixels[seen]
+        points_px = pixels[seen]
         if rng is not None:
-            found = found + sigma_px * rng.standard_normal(found.shape)
-        covariances = np.tile(np.eye(2) * max(sigma_px, 1e-2) ** 2, (len(found), 1, 1))
-        return View(name, self.size, ids[seen], found, target[seen], covariances)
+            points_px = points_px + sigma_px * rng.standard_normal(points_px.shape)
+        covariances = np.tile(np.eye(2) * max(sigma_px, 1e-2) ** 2, (len(points_px), 1, 1))
+        return View(name, self.size, ids[seen], points_px, target[seen], covariances)
 
     def views(self, rng=None, sigma_px=0.0, poses=None, centres=None):
         poses = self.poses if poses is None else poses

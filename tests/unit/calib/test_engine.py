@@ -208,9 +208,10 @@ def test_what_the_model_of_a_calibration_does_not_use_is_a_note_and_a_remark(ben
 
 def test_a_method_of_reference_says_that_readings_and_budget_are_not_used():
     readings = GimbalReadings(({"pan_deg": 1.0},), 0.002, 0.0, 0.0, None, "test")
-    told = CalibrationOptions("planar", gimbal=readings, budget=(object(),)).unused
+    unused = CalibrationOptions("planar", gimbal=readings, budget=(object(),)).unused
     assert (
-        told == "The planar model does not use: the readings of the gimbal, the uncertainties of the budget."
+        unused
+        == "The planar model does not use: the readings of the gimbal, the uncertainties of the budget."
     )
 
 
@@ -237,22 +238,22 @@ WIDE = {"fx": 420.0, "fy": 420.4, "poses": tuple((p, t) for t in (-20, 20) for p
 
 
 @pytest.mark.parametrize(
-    ("lens", "told", "named"),
+    ("lens", "distortion", "named"),
     [
         (FisheyeBench, "k1k2", "fisheye"),
         pytest.param(FisheyeBench, "fisheye", "", marks=pytest.mark.slow),
         (Bench, "k1k2", ""),
     ],
 )
-def test_in_a_wide_field_the_other_family_of_lenses_is_named_if_it_is_the_right_one(lens, told, named):
+def test_in_a_wide_field_the_other_family_of_lenses_is_named_if_it_is_the_right_one(lens, distortion, named):
     views = thinned(lens(**WIDE, k=(-0.05, 0.01)).views(np.random.default_rng(9), 0.03), 3)
     try:
-        said = " ".join(calibrate(views, CalibrationOptions(distortion=told)).notes)
+        text = " ".join(calibrate(views, CalibrationOptions(distortion=distortion)).notes)
     except DegenerateViews as error:  # so wrong a lens may leave the focal length undetermined
-        said = str(error)
-    assert ("The lens is of another model" in said) == bool(named)
-    assert f"the distortion {named} explains" in said or not named
-    assert "Add views" not in said
+        text = str(error)
+    assert ("The lens is of another model" in text) == bool(named)
+    assert f"the distortion {named} explains" in text or not named
+    assert "Add views" not in text
 
 
 def test_sigmas_of_stars_in_another_unit_change_the_result_little(noisy):
@@ -286,8 +287,8 @@ def test_a_true_certificate_is_not_refused_for_poses_that_only_roll(make_bench):
     rolled = make_bench(poses=((0, 0), (0, 0, 40), (0, 0, 90), (0, 0, 135)))
     for seed in range(3):
         views = rolled.views(np.random.default_rng(seed), 0.05)
-        found = calibrate(views, CalibrationOptions(passport=Passport.of_radius(255.0, 0.05)))
-        assert abs(found.camera.fx - rolled.fx) < 2.0 * found.coverage_factors["fx"] * found.sigma["fx"]
+        result = calibrate(views, CalibrationOptions(passport=Passport.of_radius(255.0, 0.05)))
+        assert abs(result.camera.fx - rolled.fx) < 2.0 * result.coverage_factors["fx"] * result.sigma["fx"]
 
 
 def test_views_that_hardly_determine_the_focal_length_are_named_weak(make_bench, noisy):

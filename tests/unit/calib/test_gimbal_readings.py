@@ -80,7 +80,7 @@ def certified():
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "words"),
     [
         (each(lambda pose: {**pose, "pan_deg": 1.05 * pose["pan_deg"]}), "The pan axis turns 0.95"),
         (
@@ -99,7 +99,7 @@ def certified():
     ],
     ids=["a wrong scale", "an axis that slips", "two poses swapped", "of other poses"],
 )
-def test_readings_that_contradict_the_stars_are_named_and_change_nothing(certified, change, told):
+def test_readings_that_contradict_the_stars_are_named_and_change_nothing(certified, change, words):
     bench, certificate, alone = certified
     result = calibrate(
         bench.views, CalibrationOptions(gimbal=readings(bench, change=change), passport=certificate)
@@ -108,7 +108,7 @@ def test_readings_that_contradict_the_stars_are_named_and_change_nothing(certifi
     assert not result.gimbal.entered
     assert result.camera.fx == alone.camera.fx
     assert result.sigma["fx"] == alone.sigma["fx"]
-    assert any(told in note for note in result.notes)
+    assert any(words in note for note in result.notes)
 
 
 def test_a_wrong_sign_of_one_axis_is_named_and_changes_nothing():
@@ -136,12 +136,12 @@ def test_mounting_and_standing_are_found_however_the_camera_hangs(roll_deg):
     angles = np.array([[p["pan"], p["tilt"], 0.0] for p in NINE])
     mounting = exp_map(np.radians([0.0, 0.0, roll_deg])) @ exp_map(rng.normal(scale=0.02, size=3))
     gimbal = Gimbal(mounting, exp_map(rng.normal(scale=0.05, size=3)))
-    found = aligned_gimbal(gimbal.rotations(angles), angles)
-    assert np.allclose(found.rotations(angles), gimbal.rotations(angles), atol=1e-6)
+    aligned = aligned_gimbal(gimbal.rotations(angles), angles)
+    assert np.allclose(aligned.rotations(angles), gimbal.rotations(angles), atol=1e-6)
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "fault"),
     [
         ({"reading_sigma_deg": 0.0}, "reading_sigma_deg is 0.0; it must be positive"),
         ({"scale_sigma": -1e-4}, "scale_sigma is -0.0001; it must not be negative"),
@@ -154,8 +154,8 @@ def test_mounting_and_standing_are_found_however_the_camera_hangs(roll_deg):
         ),
     ],
 )
-def test_statements_out_of_range_are_refused(changed, said):
-    with pytest.raises(InputMismatch, match=said):
+def test_statements_out_of_range_are_refused(changed, fault):
+    with pytest.raises(InputMismatch, match=fault):
         GimbalReadings(**{"angles_deg": ({"pan_deg": 1.0},), "reading_sigma_deg": 0.002, **changed})
     with pytest.raises(InputMismatch, match="must not be negative"):
         ParallaxBound(0.0, -0.1, 0.0, 0.0)

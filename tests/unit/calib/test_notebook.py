@@ -62,14 +62,14 @@ def test_without_pandas_the_error_says_what_to_do(result, monkeypatch):
 
 def test_views_are_compared_by_identity_and_own_their_arrays():
     points = np.arange(2.0 * N).reshape(N, 2)
-    one = view(points_px=points)
+    own = view(points_px=points)
     points[0] = 99.0
-    assert one.points_px[0, 0] == 0.0
+    assert own.points_px[0, 0] == 0.0
     with pytest.raises(ValueError, match="read-only"):
-        one.points_px[0, 0] = 1.0
-    assert one == one
-    assert one != replace(one)
-    assert len(repr(one)) < 60
+        own.points_px[0, 0] = 1.0
+    assert own == own
+    assert own != replace(own)
+    assert len(repr(own)) < 60
 
 
 @pytest.mark.parametrize(

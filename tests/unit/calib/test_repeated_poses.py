@@ -24,12 +24,14 @@ BENCHES = [
 
 def repeated(benches):
     """The views of benches that differ in nothing but their noise, as repeats of the poses."""
-    return [replace(view, name=f"{view.name} ({k})") for k, one in enumerate(benches) for view in one.views]
+    return [
+        replace(view, name=f"{view.name} ({k})") for k, bench in enumerate(benches) for view in bench.views
+    ]
 
 
 def expanded(views, **options):
-    found = calibrate(views, CalibrationOptions(**options))
-    return np.array([found.sigma[name] * found.coverage_factors[name] for name in ("fx", "cx", "cy", "r")])
+    result = calibrate(views, CalibrationOptions(**options))
+    return np.array([result.sigma[name] * result.coverage_factors[name] for name in ("fx", "cx", "cy", "r")])
 
 
 def test_views_turned_by_less_than_a_fifth_of_a_degree_are_one_pose():
@@ -71,7 +73,7 @@ def test_repeats_of_a_pose_do_not_average_out_what_differs_from_pose_to_pose(pro
     shares, harm = [], []
     for seed in (21, 22):
         benches = [draw_bench(profile, poses, seed, noise_seed=k) for k in range(4)]
-        once = [expanded(one.views, **options) for one in benches[:2]]
+        once = [expanded(bench.views, **options) for bench in benches[:2]]
         often = expanded(repeated(benches), **options)
         shares.append(often / np.mean(once, axis=0))
         harm.append(often / np.max(once, axis=0))
@@ -94,5 +96,5 @@ def test_noise_that_comes_again_in_repeats_does_not_count_as_new(common_share, f
         angles = tuple(again[0].readings_deg) * (len(views) // len(THREE))
         return expanded(views, gimbal=GimbalReadings(angles, 0.5, parallax=bound))[0]
 
-    once = np.median([u_of_fx(one.views) for one in again])
+    once = np.median([u_of_fx(bench.views) for bench in again])
     assert u_of_fx(repeated(again)) == pytest.approx(factor * once, rel=0.25)

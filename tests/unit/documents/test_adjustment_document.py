@@ -52,7 +52,7 @@ def amplitudes_of_the_page():
     """Names of amplitudes with median and 1 sigma of the logarithm, as the page has them."""
     table = PAGE.partition("| amplitude | median |")[2].partition("\n\n")[0]
     for names, medians, sigmas in re.findall(r"^\| ([a-z].+?) \| (.+?) \| (.+?) \|", table, re.MULTILINE):
-        own, values = [one.removesuffix(", by degree") for one in names.split("; ")], medians.split("; ")
+        own, values = [name.removesuffix(", by degree") for name in names.split("; ")], medians.split("; ")
         widths = sigmas.split("; ")
         for k, (name, median) in enumerate(zip(own, values, strict=True)):
             yield name, float(median), float(widths[k % len(widths)])
@@ -91,4 +91,4 @@ def test_the_page_lists_every_hypothesis_with_its_odds():
     stated = {
         name: float(odds) for name, odds in re.findall(r"^\| ([a-z].+?) \| (.+?) \|$", table, re.MULTILINE)
     }
-    assert stated == {one.name: pytest.approx(one.odds, rel=0.02) for one in HYPOTHESES}
+    assert stated == {hypothesis.name: pytest.approx(hypothesis.odds, rel=0.02) for hypothesis in HYPOTHESES}

@@ -59,8 +59,8 @@ def test_a_table_is_replaced_and_all_else_stays(measured, tmp_path):
 
 @pytest.mark.parametrize("status", [0, 1])
 def test_a_benchmark_writes_what_it_printed_unless_it_failed(measured, tmp_path, monkeypatch, capsys, status):
-    told = []
-    monkeypatch.setattr(measured, "write", lambda *words: told.append(words))
+    written = []
+    monkeypatch.setattr(measured, "write", lambda *words: written.append(words))
     program = str(ROOT / "tests" / "benchmarks" / "bench_x.py")
     monkeypatch.setattr(sys, "argv", [program, "--write", "--seed", "3"])
     with pytest.raises(SystemExit) as end:
@@ -68,7 +68,7 @@ def test_a_benchmark_writes_what_it_printed_unless_it_failed(measured, tmp_path,
     assert end.value.code == status
     assert capsys.readouterr().out == "a table\n"
     expected = ("page", "Title", "a table\n", "python tests/benchmarks/bench_x.py --seed 3")
-    assert told == ([] if status else [expected])
+    assert written == ([] if status else [expected])
 
 
 def sentences_with_a_table():
@@ -101,7 +101,7 @@ FIGURE = re.compile(
 @pytest.mark.parametrize(("sentence", "table"), [*sentences_with_a_table()])
 def test_a_figure_beside_a_link_to_a_table_stands_in_that_table(sentence, table):
     """Rounded figures are those of the table, too: 0.014 for 0.0142."""
-    numbers = [float(one.replace(",", "")) for one in re.findall(r"\d[\d,]*(?:\.\d+)?", table)]
+    numbers = [float(number.replace(",", "")) for number in re.findall(r"\d[\d,]*(?:\.\d+)?", table)]
     for figure in FIGURE.findall(sentence):
         digits = len(figure.partition(".")[2])
         shown = float(figure.replace(",", ""))

@@ -32,9 +32,9 @@ def test_every_block_of_code_runs_in_order(in_a_lab, capsys):
     assert len(blocks) >= 5
     for block in blocks:
         exec(compile(block, str(DOCUMENT), "exec"), names)
-    said = capsys.readouterr().out
-    assert "correlation of fx and r" in said
-    assert re.findall(r"^ *(\w+): fx", said, re.MULTILINE) == ["joint", "spherical", "planar"]
+    printed = capsys.readouterr().out
+    assert "correlation of fx and r" in printed
+    assert re.findall(r"^ *(\w+): fx", printed, re.MULTILINE) == ["joint", "spherical", "planar"]
     for name in re.findall(r'savefig\("(.+?)"\)', TEXT):
         assert (in_a_lab / name).stat().st_size > 10_000
 
@@ -44,9 +44,9 @@ def test_the_printed_lines_have_the_form_that_the_document_shows(in_a_lab, capsy
     names = {}
     for block, output in re.findall(r"```python\n(.*?)```\n\n```text\n(.*?)```", TEXT, re.DOTALL):
         exec(compile(block, str(DOCUMENT), "exec"), names)
-        said = capsys.readouterr().out
-        missing = set(re.findall(r"[a-zA-Z]{3,}", output)) - set(re.findall(r"[a-zA-Z]{3,}", said))
-        assert missing <= {"encoder"}, said  # the stage of the smaller run has none
+        printed = capsys.readouterr().out
+        missing = set(re.findall(r"[a-zA-Z]{3,}", output)) - set(re.findall(r"[a-zA-Z]{3,}", printed))
+        assert missing <= {"encoder"}, printed  # the stage of the smaller run has none
 
 
 def test_every_attribute_is_explained_where_it_is_defined():
@@ -55,5 +55,5 @@ def test_every_attribute_is_explained_where_it_is_defined():
         for name, member in vars(cls).items():
             if isinstance(member, property) and not name.startswith("_"):
                 assert member.__doc__, f"{cls.__name__}.{name}"
-        for name in (one for one in cls.__dataclass_fields__ if not one.startswith("_")):
+        for name in (field for field in cls.__dataclass_fields__ if not field.startswith("_")):
             assert re.search(rf"\b{name}\b", cls.__doc__), f"{cls.__name__}.{name}"

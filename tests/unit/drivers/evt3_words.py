@@ -51,8 +51,8 @@ def rows(events):
 
 def decode(*words, decoder=None, max_events=1_000_000):
     decoder = decoder or Evt3Decoder(WIDTH, HEIGHT)
-    found, edges = [], []
+    decoded, edges = [], []
     for events, triggers in decoder.decode([np.array(words, np.uint16)], max_events=max_events):
-        found += rows(events)
+        decoded += rows(events)
         edges += rows(triggers)
-    return found, edges, decoder.statistics()
+    return decoded, edges, decoder.statistics()

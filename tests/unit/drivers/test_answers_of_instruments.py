@@ -22,7 +22,7 @@ FLICKER = LightSettings("square", 60.0, 30.0, 0.0, 3.3, sync_output=True)
 
 
 @pytest.mark.parametrize(
-    ("said", "identity"),
+    ("answer", "identity"),
     [
         (
             "*IDN SDG,SDG1025,SDG10GA1234567,1.01.01.39R5,04-00-00-30-28",
@@ -43,19 +43,21 @@ FLICKER = LightSettings("square", 60.0, 30.0, 0.0, 3.3, sync_output=True)
         ("Maker,Model,,", LightIdentity("Maker", "Model", "", "")),
     ],
 )
-def test_an_identity_has_four_fields_or_more(said, identity) -> None:
+def test_an_identity_has_four_fields_or_more(answer, identity) -> None:
     bench = Bench()
-    bench.answer({"*IDN": said})
+    bench.answer({"*IDN": answer})
     assert bench.open(serial=identity.serial or None).identify() == identity
 
 
-@pytest.mark.parametrize("said", ["+1,2,3,4", "hello", "a,b", ",,1,2", "Agilent Technologies,33220A-SIM,1.0"])
-def test_what_is_no_identity_is_named_and_no_cable_is_blamed(said) -> None:
+@pytest.mark.parametrize(
+    "answer", ["+1,2,3,4", "hello", "a,b", ",,1,2", "Agilent Technologies,33220A-SIM,1.0"]
+)
+def test_what_is_no_identity_is_named_and_no_cable_is_blamed(answer) -> None:
     bench = Bench()
-    bench.answer({"*IDN": said})
+    bench.answer({"*IDN": answer})
     with pytest.raises(ReplyError, match=r"the four fields of IEEE 488\.2, was expected") as caught:
         bench.open()
-    assert repr(said) in caught.value.what
+    assert repr(answer) in caught.value.what
     assert "cable" not in str(caught.value)
     assert bench.line.closed
 

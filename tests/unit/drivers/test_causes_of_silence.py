@@ -53,19 +53,19 @@ def answers_lines(answer: Callable[[bytes], bytes]) -> Callable[[bytes], bytes]:
 
 
 @pytest.mark.parametrize(
-    ("firmware", "told"),
+    ("firmware", "words"),
     [
         (answers_lines(lambda line: b'echo:Unknown command: "' + line + b'"\nok\n'), "answers ok"),  # Marlin
         (answers_lines(lambda _line: b'{"r":{},"f":[1,0,5,9123]}\n'), '"r":{}'),  # TinyG
         (answers_lines(lambda _line: b"ERROR\r\n"), "ERROR"),  # a modem
     ],
 )
-def test_another_firmware_in_the_place_of_grbl_is_told_by_its_answer(firmware, told) -> None:
+def test_another_firmware_in_the_place_of_grbl_is_told_by_its_answer(firmware, words) -> None:
     bench = GrblBench()
     bench.line = OtherDevice(bench.clock, firmware)
     with pytest.raises(DriverError) as caught:
         bench.open()
-    assert told in caught.value.what
+    assert words in caught.value.what
     assert "Grbl 1.1" in caught.value.remedy
 
 

@@ -20,7 +20,7 @@ def reply(text: str):
 
 
 @pytest.mark.parametrize(
-    ("template", "line", "found"),
+    ("template", "line", "values"),
     [
         ("POS={counts:integer}", "POS=-12", {"counts": -12.0}),
         ("POS={counts:integer}", "POS=-12 ", None),
@@ -51,8 +51,8 @@ def reply(text: str):
         ("{x:number}", "1e999", None),
     ],
 )
-def test_a_line_is_read_or_refused(template, line, found) -> None:
-    assert reply(template).match(line, {"request": "PP"}) == found
+def test_a_line_is_read_or_refused(template, line, values) -> None:
+    assert reply(template).match(line, {"request": "PP"}) == values
 
 
 @pytest.mark.parametrize(

@@ -36,7 +36,7 @@ class Bench(HomedStage):
     def __init__(self) -> None:
         self.clock = VirtualClock()
         mechanics = Mechanics(10_000.0, -22.0, 22.0, start_deg=3.0)
-        models = [AxisModel(mechanics, one, 20.0, name="URS75CC") for one in ("1263", "1264")]
+        models = [AxisModel(mechanics, serial, 20.0, name="URS75CC") for serial in ("1263", "1264")]
         self.controller = EspController(models, self.clock.monotonic)
         self.line = direct_line(self.controller, self.clock)
         self.pan, self.tilt = self.controller.axes[1], self.controller.axes[2]
@@ -56,8 +56,8 @@ class Bench(HomedStage):
             if not left or self.line.sent[-1] != f"{query}\r".encode():
                 return reply
             stamp = reply.decode().split(", ")[1]
-            told = left.pop(0) if len(left) > 1 or answers[1:] else left[0]
-            return told.replace("STAMP", stamp).encode() + b"\r\n"
+            answer = left.pop(0) if len(left) > 1 or answers[1:] else left[0]
+            return answer.replace("STAMP", stamp).encode() + b"\r\n"
 
         self.line.spoil = spoil
 
@@ -222,7 +222,7 @@ def test_the_first_axis_alone_is_no_reference(bench) -> None:
 
     def dies_at_the_last_look(reply: bytes) -> bytes:
         nonlocal looks
-        at_rest = not any(one.axis.busy(bench.clock.now_s) for one in (bench.pan, bench.tilt))
+        at_rest = not any(controller.axis.busy(bench.clock.now_s) for controller in (bench.pan, bench.tilt))
         looks += at_rest and bench.line.sent[-1] == b"2MD?\r"
         return b"" if looks > 2 else reply
 
@@ -244,7 +244,7 @@ def test_every_axis_of_ours_is_stopped_by_its_number_as_well(bench) -> None:
     stage.stop()
     assert bench.line.sent[:3] == [b"ST\r", b"1ST\r", b"2ST\r"]
     bench.clock.sleep(1.0)
-    assert not any(one.axis.busy(bench.clock.now_s) for one in (bench.pan, bench.tilt))
+    assert not any(controller.axis.busy(bench.clock.now_s) for controller in (bench.pan, bench.tilt))
     assert max(stage.position_deg()["pan"], -stage.position_deg()["tilt"]) < 9.0
 
 

@@ -50,12 +50,12 @@ def test_every_way_between_kinds_keeps_every_event_and_edge(raw, tmp_path, first
     summary = convert(between, end, second)
     assert (summary.events, summary.triggers, summary.moved_events) == (5000, 40, 0)
     if second == "raw":
-        found = RawFile.open(end).read()
+        streams = RawFile.open(end).read()
     else:
         imported = import_events(end)
-        found = imported.events, imported.triggers
-    assert same(found[0], events)
-    assert same(found[1], triggers)
+        streams = imported.events, imported.triggers
+    assert same(streams[0], events)
+    assert same(streams[1], triggers)
 
 
 def test_a_converted_raw_file_says_so_and_keeps_whose_it_was(raw, tmp_path):
@@ -91,14 +91,14 @@ def test_what_is_encoded_in_pieces_is_decoded_the_same(rows, edges, piece):
         done = until
     if rows:
         words.append(encoder.words(empty_events(0), Triggers(*(field[done:] for field in triggers))))
-    found = [piece for part in words for piece in decoder.decode([part])]
+    pieces = [piece for part in words for piece in decoder.decode([part])]
     assert encoder.moved_events == 0
     assert all(
-        np.array_equal(np.concatenate([getattr(e, name) for e, _ in found] or [[]]), getattr(events, name))
+        np.array_equal(np.concatenate([getattr(e, name) for e, _ in pieces] or [[]]), getattr(events, name))
         for name in Events._fields
     )
     assert all(
-        np.array_equal(np.concatenate([getattr(e, name) for _, e in found] or [[]]), getattr(triggers, name))
+        np.array_equal(np.concatenate([getattr(e, name) for _, e in pieces] or [[]]), getattr(triggers, name))
         for name in Triggers._fields
     )
 
@@ -108,16 +108,16 @@ def test_a_step_back_of_some_us_is_kept_and_a_longer_one_counted():
     flat = np.zeros(4, np.uint16)
     encoder = Evt3Encoder()
     words = encoder.words(Events(t, flat, flat, np.zeros(4, np.uint8)), empty_triggers(0))
-    [(found, _)] = Evt3Decoder(1280, 720).decode([words])
-    assert found.t.tolist() == [10_000, 9_990, 9_990, 10_001]
+    [(events, _)] = Evt3Decoder(1280, 720).decode([words])
+    assert events.t.tolist() == [10_000, 9_990, 9_990, 10_001]
     assert encoder.moved_events == 1
 
 
 @pytest.mark.parametrize("t", [-1, MAX_TIME_US])
 def test_times_that_would_fill_the_disk_with_clock_words_are_refused(tmp_path, t):
-    one = np.zeros(1, np.uint16)
+    zero = np.zeros(1, np.uint16)
     np.savez(
-        tmp_path / "a.npz", t=np.array([t]), x=one, y=one, p=one, size=np.array([1280, 720]),
+        tmp_path / "a.npz", t=np.array([t]), x=zero, y=zero, p=zero, size=np.array([1280, 720]),
         trigger_t=np.zeros(0, int), trigger_value=np.zeros(0, int), trigger_id=np.zeros(0, int),
     )  # fmt: skip
     with pytest.raises(RecordingFileError, match="do not lie within one day from 0 on"):
@@ -127,8 +127,8 @@ def test_times_that_would_fill_the_disk_with_clock_words_are_refused(tmp_path, t
 
 def npz(path, size=(1280, 720), x=0, value=0, channel=0):
     """One event and one edge, as another program may have written them."""
-    one = {"t": 10, "x": x, "y": 0, "p": 1, "trigger_t": 5, "trigger_value": value, "trigger_id": channel}
-    np.savez(path, size=np.array(size), **{name: np.array([number]) for name, number in one.items()})
+    columns = {"t": 10, "x": x, "y": 0, "p": 1, "trigger_t": 5, "trigger_value": value, "trigger_id": channel}
+    np.savez(path, size=np.array(size), **{name: np.array([number]) for name, number in columns.items()})
     return path
 
 

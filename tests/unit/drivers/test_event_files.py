@@ -18,14 +18,16 @@ START_US = 5_000_000
 def words(n, *, step_us=7):
     """So many events in rows of ten, two trigger edges a hundred rows."""
     rng = np.random.default_rng(3)
-    found = [0x8000 | START_US >> 12, 0x6000 | START_US & 0xFFF]
+    stream = [0x8000 | START_US >> 12, 0x6000 | START_US & 0xFFF]
     for k in range(0, n, 10):
         t = START_US + k // 10 * step_us
-        found += [0x8000 | t >> 12 & 0xFFF, 0x6000 | t & 0xFFF, int(rng.integers(720))]
-        found += [0x2000 | int(rng.integers(2)) << 11 | int(x) for x in rng.integers(0, 1280, min(10, n - k))]
+        stream += [0x8000 | t >> 12 & 0xFFF, 0x6000 | t & 0xFFF, int(rng.integers(720))]
+        stream += [
+            0x2000 | int(rng.integers(2)) << 11 | int(x) for x in rng.integers(0, 1280, min(10, n - k))
+        ]
         if k // 10 % 50 == 0:
-            found.append(0xA000 | k // 500 % 2)
-    return found
+            stream.append(0xA000 | k // 500 % 2)
+    return stream
 
 
 @pytest.fixture
@@ -48,12 +50,12 @@ EXPORTS = [("metavision", "h5"), ("hdf5", "h5"), ("numpy", "npz")]
 def test_what_is_exported_comes_back_the_same(tmp_path, export, suffix, n):
     recording, path = make(tmp_path, words(n)), tmp_path / f"pose.{suffix}"
     exported = convert(recording.path, path, export)
-    found = import_events(path)
+    imported = import_events(path)
     events, triggers = recording.read()
-    for ours, theirs in zip((*events, *triggers), (*found.events, *found.triggers), strict=True):
+    for ours, theirs in zip((*events, *triggers), (*imported.events, *imported.triggers), strict=True):
         assert ours.dtype == theirs.dtype
         assert np.array_equal(ours, theirs)
-    assert (found.width, found.height) == (1280, 720)
+    assert (imported.width, imported.height) == (1280, 720)
     assert (exported.events, exported.triggers, exported.moved_events) == (len(events.t), len(triggers.t), 0)
 
 

@@ -32,13 +32,13 @@ def made_errors(source: str) -> Iterator[ast.Call]:
 
 def without_remedy(source: str) -> list[int]:
     """Lines of those that say no remedy, or an empty one."""
-    said = {
+    remedies = {
         call.lineno: [word.value for word in call.keywords if word.arg == "remedy"]
         for call in made_errors(source)
     }
     return [
         line
-        for line, values in said.items()
+        for line, values in remedies.items()
         if not values or (isinstance(values[0], ast.Constant) and not values[0].value)
     ]
 
@@ -49,7 +49,7 @@ def test_the_check_sees_a_missing_and_an_empty_remedy() -> None:
 
 
 def test_every_error_has_a_remedy() -> None:
-    found = {path: path.read_text(encoding="utf-8") for path in FILES if path.name != "errors.py"}
-    assert sum(len(list(made_errors(source))) for source in found.values()) > 100
-    missing = [f"{path.name}:{line}" for path, source in found.items() for line in without_remedy(source)]
+    sources = {path: path.read_text(encoding="utf-8") for path in FILES if path.name != "errors.py"}
+    assert sum(len(list(made_errors(source))) for source in sources.values()) > 100
+    missing = [f"{path.name}:{line}" for path, source in sources.items() for line in without_remedy(source)]
     assert missing == []

@@ -39,8 +39,8 @@ def test_slave_bit_of_a_row_is_no_part_of_the_row():
 
 
 def test_events_before_the_first_time_are_dropped():
-    found, edges, _ = decode(row(5), event(3), base(0), vector12(7), trigger(1), high(1), low(2), event(4))
-    assert found == [(4098, 4, 5, 0)]
+    events, edges, _ = decode(row(5), event(3), base(0), vector12(7), trigger(1), high(1), low(2), event(4))
+    assert events == [(4098, 4, 5, 0)]
     assert edges == []
 
 
@@ -145,14 +145,14 @@ def test_a_new_time_high_starts_at_its_first_microsecond():
 
 
 def test_the_clock_wraps_after_24_bits_and_times_go_on():
-    found, _, statistics = decode(high(0xFFF), low(0xFFF), row(0), event(0), high(0), low(3), event(1))
-    assert [t for t, *_ in found] == [LOOP_US - 1, LOOP_US + 3]
+    events, _, statistics = decode(high(0xFFF), low(0xFFF), row(0), event(0), high(0), low(3), event(1))
+    assert [t for t, *_ in events] == [LOOP_US - 1, LOOP_US + 3]
     assert statistics.gap_count == 0
 
 
 def test_time_low_stepping_back_by_some_microseconds_is_no_wrap():
-    found, _, _ = decode(high(1), low(20), row(0), event(0), low(9), event(1))
-    assert [t for t, *_ in found] == [4116, 4105]
+    events, _, _ = decode(high(1), low(20), row(0), event(0), low(9), event(1))
+    assert [t for t, *_ in events] == [4116, 4105]
 
 
 @pytest.mark.parametrize(("back", "fine"), [(64, True), (65, False)])
@@ -220,8 +220,8 @@ def test_a_time_low_before_the_first_time_high_is_no_time():
 
 
 def test_events_between_the_first_time_high_and_its_time_low_are_at_its_start():
-    found, _, statistics = decode(row(3), high(2), event(7, 1), low(5), event(8))
-    assert found == [(8192, 7, 3, 1), (8197, 8, 3, 0)]
+    events, _, statistics = decode(row(3), high(2), event(7, 1), low(5), event(8))
+    assert events == [(8192, 7, 3, 1), (8197, 8, 3, 0)]
     assert statistics.first_t_us == 8197
 
 
@@ -245,9 +245,9 @@ def test_rate_controller_counts_add_up_with_and_without_the_last_four_bits(parts
         *others(0x016, 4000, parts=parts),
         *others(0x016, 1, parts=parts),
     ]
-    found, _, statistics = decode(high(0), low(0), *words, row(0), event(1))
+    events, _, statistics = decode(high(0), low(0), *words, row(0), event(1))
     assert (statistics.rate_controller_in, statistics.rate_controller_out) == (5000, 4001)
-    assert len(found) == 1
+    assert len(events) == 1
 
 
 def reported(*windows, parts=3):

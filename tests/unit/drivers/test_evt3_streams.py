@@ -89,8 +89,8 @@ def streams(draw):
 @given(streams())
 def test_a_stream_decodes_to_what_was_put_in(stream):
     words, events, triggers, passed = stream
-    found, edges, statistics = decode(*words)
-    assert found == events
+    decoded, edges, statistics = decode(*words)
+    assert decoded == events
     assert edges == triggers
     assert (statistics.events, statistics.on_events) == (len(events), sum(p for *_, p in events))
     assert (statistics.rate_controller_out or 0) == passed
@@ -101,13 +101,13 @@ def test_a_stream_decodes_to_what_was_put_in(stream):
 def test_where_a_stream_is_cut_does_not_matter(stream, cuts, max_events):
     words, events, triggers, _ = stream
     decoder = Evt3Decoder(WIDTH, HEIGHT)
-    found, edges = [], []
+    decoded, edges = [], []
     bounds = [0, *sorted(min(cut, len(words)) for cut in cuts), len(words)]
     for begin, end in itertools.pairwise(bounds):
         piece, piece_edges, _ = decode(*words[begin:end], decoder=decoder, max_events=max_events)
-        found += piece
+        decoded += piece
         edges += piece_edges
-    assert (found, edges) == (events, triggers)
+    assert (decoded, edges) == (events, triggers)
     assert decoder.statistics() == decode(*words)[2]
 
 
@@ -144,17 +144,17 @@ def sparse_words(rng, n):
 @pytest.mark.parametrize("seed", range(4))
 def test_long_stretches_of_a_sparse_stream_decode_as_their_words_one_by_one(seed):
     words = sparse_words(np.random.default_rng(seed), 6000)
-    found, edges, statistics = decode(*words, max_events=700)
+    decoded, edges, statistics = decode(*words, max_events=700)
     one_by_one = Evt3Decoder(WIDTH, HEIGHT)
     pieces = [decode(word, decoder=one_by_one) for word in words]
-    assert found == [one for piece in pieces for one in piece[0]]
-    assert edges == [one for piece in pieces for one in piece[1]]
+    assert decoded == [event_row for piece in pieces for event_row in piece[0]]
+    assert edges == [edge_row for piece in pieces for edge_row in piece[1]]
     assert statistics == one_by_one.statistics()
     image, expected = np.zeros((2, 2, HEIGHT, WIDTH), np.uint16)
     counted = Evt3Decoder(WIDTH, HEIGHT)
     counted.count(words, image)
     assert counted.statistics() == statistics
-    for _, x, y, p in found:
+    for _, x, y, p in decoded:
         expected[p, y, x] += 1
     assert np.array_equal(image, expected)
 
@@ -180,8 +180,8 @@ def test_every_way_to_read_a_stream_tells_the_same(stream, at):
     out = empty_events(at + len(events) + 32)
     end, edges = filled.decode_into(words, out, at)
     assert rows(out.part(at, end)) == events
-    for found in (edges, tallied.tally(words), counted.count(words, image)):
-        assert rows(found) == triggers
+    for edges_found in (edges, tallied.tally(words), counted.count(words, image)):
+        assert rows(edges_found) == triggers
     assert np.array_equal(image, expected)
     assert tallied.statistics() == counted.statistics() == filled.statistics() == decode(*words)[2]
 

@@ -34,9 +34,9 @@ def pictures(n, dtype=np.uint8, size=(48, 64)):
 def test_pictures_come_back_bit_for_bit(tmp_path, dtype, n):
     taken = pictures(n, dtype)
     length = write_frames(tmp_path / "pose.tiff", taken)
-    found = read_frames(tmp_path / "pose.tiff")
-    assert found.dtype == dtype
-    assert np.array_equal(found, taken)
+    picture = read_frames(tmp_path / "pose.tiff")
+    assert picture.dtype == dtype
+    assert np.array_equal(picture, taken)
     assert length == (tmp_path / "pose.tiff").stat().st_size
     assert [file.name for file in tmp_path.iterdir()] == ["pose.tiff"]
 
@@ -310,7 +310,7 @@ def test_every_capture_of_a_network_camera_is_a_new_connection(monkeypatch, tmp_
     camera.capture(tmp_path / "a.tiff", 1)
     camera.capture(tmp_path / "b.tiff", 1)
     camera.close()
-    assert [one.released for one in lives] == [1, 1, 1]
+    assert [life.released for life in lives] == [1, 1, 1]
     assert (read_frames(tmp_path / "b.tiff") == 21).all()
 
 

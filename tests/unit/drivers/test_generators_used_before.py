@@ -111,9 +111,9 @@ LOADS = [
 def test_a_load_that_is_not_taken_would_double_or_halve_the_levels(
     dialect, header, infinite, fifty, load
 ) -> None:
-    for told, is_taken in ((infinite, load == "high-z"), (fifty, load == "50-ohm")):
+    for answer, is_taken in ((infinite, load == "high-z"), (fifty, load == "50-ohm")):
         bench = Bench(dialect)
-        bench.answer({header: told})
+        bench.answer({header: answer})
         light = bench.open(load=load)
         if is_taken:
             light.apply(LightSettings(frequency_hz=60.0))

@@ -105,16 +105,16 @@ def test_a_setting_that_reads_back_otherwise_is_refused(bench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("state", "said"),
+    ("state", "fault"),
     [
         *((state, state[:4]) for state in ("Run", "Hold:0", "Door:0", "Check", "Sleep")),
         ("Waxing", r"in a state that is unknown here \(Waxing\)"),
     ],
 )
-def test_a_board_in_another_state_is_left_alone(bench, state, said) -> None:
+def test_a_board_in_another_state_is_left_alone(bench, state, fault) -> None:
     stage = bench.homed()
     bench.report_as(state)
-    with pytest.raises(MoveFailed, match=said):
+    with pytest.raises(MoveFailed, match=fault):
         stage.move_to({"pan": 1.0})
     assert bench.motions() == []
 
@@ -255,8 +255,8 @@ MUTATIONS = {
 @pytest.mark.parametrize("name", MUTATIONS)
 def test_a_board_with_one_thing_wrong_is_refused(bench, name) -> None:
     bench.change(MUTATIONS[name])
-    said = {"no version": "has no version", "no end": "never ends", "work positions": r"\$10=1"}.get(name)
-    with pytest.raises(ReplyError, match=said):
+    fault = {"no version": "has no version", "no end": "never ends", "work positions": r"\$10=1"}.get(name)
+    with pytest.raises(ReplyError, match=fault):
         bench.open()
     assert bench.motions() == []
 
@@ -272,15 +272,15 @@ def test_a_board_that_another_program_told_to_report_work_positions_is_told_othe
 
 
 @pytest.mark.parametrize(
-    ("report", "said"),
+    ("report", "fault"),
     [
         (b"<Idle,MPos:0.000,0.000,0.000,WPos:0.000,0.000,0.000>\r\n", "Grbl 0.9 reports otherwise"),
         (b"<Idle|M:0.000,0.000,0.000|F:0>\r\n", "no machine position"),
     ],
 )
-def test_a_firmware_with_another_form_of_report_is_named_and_not_the_cable(bench, report, said) -> None:
+def test_a_firmware_with_another_form_of_report_is_named_and_not_the_cable(bench, report, fault) -> None:
     bench.change(lambda line: report if line.startswith(b"<") else line)
-    with pytest.raises(ReplyGarbled, match=said) as caught:
+    with pytest.raises(ReplyGarbled, match=fault) as caught:
         bench.open()
     assert "cable" not in str(caught.value)
     assert bench.motions() == []

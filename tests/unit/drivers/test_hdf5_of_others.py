@@ -32,9 +32,9 @@ def columns(group, names="txyp", kinds=("u4", "u2", "u2", "u1"), **stored):
         group.create_dataset(name, data=ROWS[own].astype(kind), **stored)
 
 
-def assert_same(found, origin_us=0):
-    assert np.array_equal(found.events.t + origin_us, ROWS["t"])
-    assert all(np.array_equal(getattr(found.events, name), ROWS[name]) for name in "xyp")
+def assert_same(imported, origin_us=0):
+    assert np.array_equal(imported.events.t + origin_us, ROWS["t"])
+    assert all(np.array_equal(getattr(imported.events, name), ROWS[name]) for name in "xyp")
 
 
 @pytest.fixture
@@ -55,11 +55,11 @@ def dsec(file, **stored):
 
 
 def test_the_times_of_dsec_keep_their_origin(written):
-    found = written(dsec)
-    assert_same(found)
-    assert (found.width, found.height) == SIZE
-    assert found.header["time_origin_us"] == str(YEAR_2020_US)
-    assert found.header["date"] == "2020-09-13 12:26:40"
+    imported = written(dsec)
+    assert_same(imported)
+    assert (imported.width, imported.height) == SIZE
+    assert imported.header["time_origin_us"] == str(YEAR_2020_US)
+    assert imported.header["date"] == "2020-09-13 12:26:40"
 
 
 @pytest.mark.parametrize("offset", [np.float64(YEAR_2020_US), np.array([YEAR_2020_US])])
@@ -111,11 +111,11 @@ def test_columns_at_the_root_whose_times_count_from_1970_begin_near_0(written):
         del file["t"]
         file["t"] = ROWS["t"] + YEAR_2020_US
 
-    found = written(fill)
-    origin_us = int(found.header["time_origin_us"])
-    assert_same(found, origin_us - YEAR_2020_US)
-    assert found.events.t[0] < 2_000_000
-    assert found.header["date"] == "2020-09-13 12:26:40"
+    imported = written(fill)
+    origin_us = int(imported.header["time_origin_us"])
+    assert_same(imported, origin_us - YEAR_2020_US)
+    assert imported.events.t[0] < 2_000_000
+    assert imported.header["date"] == "2020-09-13 12:26:40"
 
 
 def m3ed(file):
@@ -128,9 +128,9 @@ def m3ed(file):
 
 @pytest.mark.parametrize("name", ["prophesee/left", "/prophesee/left/"])
 def test_one_camera_of_m3ed_is_chosen_and_states_its_size(written, name):
-    found = written(m3ed, ReadingChoices(stream=name))
-    assert_same(found)
-    assert (found.width, found.height) == (1280, 720)
+    imported = written(m3ed, ReadingChoices(stream=name))
+    assert_same(imported)
+    assert (imported.width, imported.height) == (1280, 720)
 
 
 def test_several_cameras_are_listed_with_the_way_to_choose(written):
@@ -221,9 +221,9 @@ def test_metavision_without_edges_and_without_a_size_is_read(written, has_group)
         if has_group:
             file["EXT_TRIGGER/indexes"] = np.zeros(2)
 
-    found = written(fill)
-    assert_same(found)
-    assert len(found.triggers.t) == 0
+    imported = written(fill)
+    assert_same(imported)
+    assert len(imported.triggers.t) == 0
 
 
 def test_a_size_of_metavision_is_found_where_a_header_states_it(written):
@@ -231,8 +231,8 @@ def test_a_size_of_metavision_is_found_where_a_header_states_it(written):
         metavision(file)
         file.attrs["format"] = "EVT3;height=260;width=346"
 
-    found = written(fill, ReadingChoices())
-    assert (found.width, found.height) == SIZE
+    imported = written(fill, ReadingChoices())
+    assert (imported.width, imported.height) == SIZE
 
 
 def test_our_own_layout_without_edges_states_its_size(written):
@@ -240,9 +240,9 @@ def test_our_own_layout_without_edges_states_its_size(written):
         columns(file.create_group("events"))
         file.attrs.update(width=SIZE[0], height=SIZE[1])
 
-    found = written(fill, ReadingChoices())
-    assert_same(found)
-    assert (found.width, found.height) == SIZE
+    imported = written(fill, ReadingChoices())
+    assert_same(imported)
+    assert (imported.width, imported.height) == SIZE
 
 
 @pytest.mark.parametrize("as_attributes", [True, False])
@@ -255,9 +255,9 @@ def test_a_size_beside_the_columns_is_that_of_the_sensor(written, as_attributes)
         sides = dict(zip(("width", "height"), SIZE, strict=True))
         (group.attrs if as_attributes else group).update(sides)
 
-    found = written(fill, ReadingChoices())
-    assert_same(found)
-    assert (found.width, found.height) == SIZE
+    imported = written(fill, ReadingChoices())
+    assert_same(imported)
+    assert (imported.width, imported.height) == SIZE
     with pytest.raises(NotARecording, match="contradict each other"):
         written(fill, ReadingChoices((1280, 720)))
 
@@ -275,8 +275,8 @@ def test_a_missing_size_is_told_with_the_way_to_state_it(written):
 
 
 def test_a_file_of_no_events_is_told(written):
-    told = "no group of this HDF5 file has columns t, x, y and p; it holds left/images"
-    with pytest.raises(NotARecording, match=told) as caught:
+    message = "no group of this HDF5 file has columns t, x, y and p; it holds left/images"
+    with pytest.raises(NotARecording, match=message) as caught:
         written(lambda file: file.create_dataset("left/images", data=np.zeros((2, 3))))
     assert "Copy" not in caught.value.remedy
 

@@ -95,8 +95,8 @@ def huge_chunk(file):
 
 def bomb_in_a_chunk(file):
     """HDF5 would decompress all of it, whatever the size of the chunk."""
-    found = file.create_dataset("events/t", (N,), "i8", chunks=(N,), compression=9)
-    found.id.write_direct_chunk((0,), zlib.compress(bytes(100_000_000), 9))
+    column = file.create_dataset("events/t", (N,), "i8", chunks=(N,), compression=9)
+    column.id.write_direct_chunk((0,), zlib.compress(bytes(100_000_000), 9))
 
 
 def longer(file):
@@ -161,9 +161,9 @@ def test_a_chunk_may_be_stored_without_its_filters(tmp_path):
     values = np.arange(N, dtype="i8") % 2
     with plain(tmp_path / "a.h5") as file:
         del file["events/t"]
-        found = file.create_dataset("events/t", (N,), "i8", chunks=(N // 2,), compression=9, shuffle=True)
-        found.id.write_direct_chunk((0,), values[: N // 2].tobytes(), filter_mask=3)
-        found[N // 2 :] = values[N // 2 :]
+        column = file.create_dataset("events/t", (N,), "i8", chunks=(N // 2,), compression=9, shuffle=True)
+        column.id.write_direct_chunk((0,), values[: N // 2].tobytes(), filter_mask=3)
+        column[N // 2 :] = values[N // 2 :]
     assert np.array_equal(import_events(tmp_path / "a.h5").events.t, values)
 
 

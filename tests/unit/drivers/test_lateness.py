@@ -29,8 +29,8 @@ def test_a_delay_is_counted_while_it_lasts_and_once_afterwards():
     assert measured.lost_s() == pytest.approx(2.0)
     now.now_s += 0.021  # one millisecond late: as on an idle computer
     measured.woken()
-    told = measured.summary()
-    assert (told["lost_s"], told["longest_s"]) == (2.0, 2.0)
+    summary = measured.summary()
+    assert (summary["lost_s"], summary["longest_s"]) == (2.0, 2.0)
 
 
 def test_a_deadline_does_not_count_what_this_process_could_not_use():

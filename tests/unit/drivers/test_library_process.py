@@ -70,8 +70,8 @@ FRAMES = {"lz4": (LZ4, lz4_frame), "zstd": (ZSTD, zstd_frame), "none": (NONE, by
 def test_events_of_every_compression_are_read(written, kind):
     pytest.importorskip("aedat")
     compression, frame = FRAMES[kind]
-    found = import_events(written(compression, frame(events_packet(3000)), frame(events_packet(2000))))
-    assert len(found.events.t) == 5000
+    imported = import_events(written(compression, frame(events_packet(3000)), frame(events_packet(2000))))
+    assert len(imported.events.t) == 5000
 
 
 def zeros_frame(kind, size):

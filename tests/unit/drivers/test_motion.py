@@ -145,9 +145,9 @@ def test_a_search_that_does_not_end_names_the_sensor_and_not_the_station_s_speed
 
 
 def position(readings: list[tuple[float, float, bool]]) -> float:
-    told = iter(readings)
+    remaining = iter(readings)
     return read_position_until_agreed(
-        lambda: Reading(*next(told)),
+        lambda: Reading(*next(remaining)),
         tolerance_deg=0.01,
         speed_deg_s=10.0,
         what="pan's position",

@@ -129,8 +129,8 @@ def test_the_trigger_input_is_off_until_settings_switch_it_on(device, camera):
 
 
 def test_settings_are_sent_and_biases_not_named_are_zero(device, camera):
-    found = camera.apply(CameraSettings({"bias_diff_on": 20, "bias_fo": -5}))
-    assert found.biases == {
+    applied = camera.apply(CameraSettings({"bias_diff_on": 20, "bias_fo": -5}))
+    assert applied.biases == {
         "bias_diff_on": 20,
         "bias_diff_off": 0,
         "bias_fo": -5,
@@ -239,14 +239,14 @@ def test_a_camera_on_usb_2_is_refused_and_free_again(package, clock, monkeypatch
 
 
 @pytest.mark.parametrize(
-    ("on_usb", "told"),
+    ("on_usb", "maker_and_model"),
     [
         (("IDS", "uEye XCP-E"), ("IDS", "uEye XCP-E")),
         (("Prophesee", "EVK4"), ("Prophesee", "EVK4")),
         (None, ("unknown maker", "camera with an IMX636")),
     ],
 )
-def test_a_camera_of_another_maker_is_journaled_as_what_it_is(camera, monkeypatch, on_usb, told):
+def test_a_camera_of_another_maker_is_journaled_as_what_it_is(camera, monkeypatch, on_usb, maker_and_model):
     monkeypatch.setattr("drivers.camera.neuromorphic_evk4.only_camera_kind", lambda: on_usb)
     identity = camera.identify()
-    assert (identity.maker, identity.model) == told
+    assert (identity.maker, identity.model) == maker_and_model

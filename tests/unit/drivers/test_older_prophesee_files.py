@@ -33,11 +33,11 @@ def test_evt2_by_hand(tmp_path):
             0x1000_0000,
         )
     )
-    found = import_events(path)
-    assert found.events.t.tolist() == [133, (1 << 34) - 1, 1 << 34]
-    assert (found.events.x.tolist(), found.events.y.tolist()) == ([3, 1279, 0], [7, 719, 0])
-    assert found.events.p.tolist() == [1, 0, 1]
-    edges = found.triggers
+    imported = import_events(path)
+    assert imported.events.t.tolist() == [133, (1 << 34) - 1, 1 << 34]
+    assert (imported.events.x.tolist(), imported.events.y.tolist()) == ([3, 1279, 0], [7, 719, 0])
+    assert imported.events.p.tolist() == [1, 0, 1]
+    edges = imported.triggers
     assert (edges.t.tolist(), edges.value.tolist(), edges.id.tolist()) == ([134], [1], [1])
 
 
@@ -48,9 +48,9 @@ def test_files_written_by_faery(tmp_path, version):
     stream = faery.events_stream_from_array(rows.astype(faery.EVENTS_DTYPE), dimensions=(640, 480))
     path = tmp_path / ("a.raw" if version == "evt2" else "a.dat")
     stream.to_file(path, version=version)
-    found = import_events(path)
-    assert (found.width, found.height) == (640, 480)
-    assert_same(found, rows, origin_us=int(rows["t"][0]) - int(found.events.t[0]))
+    imported = import_events(path)
+    assert (imported.width, imported.height) == (640, 480)
+    assert_same(imported, rows, origin_us=int(rows["t"][0]) - int(imported.events.t[0]))
 
 
 @pytest.mark.parametrize("kind", ["evt2", "dat"])
@@ -66,18 +66,22 @@ def test_another_reader_finds_the_same_events(tmp_path, kind):
         words |= rows["x"].astype(np.uint64) << 11 | rows["y"]
         path.write_bytes(EVT2_HEAD + np.column_stack((highs, words)).astype("<u4").tobytes())
     theirs = expelliarmus.Wizard(encoding=kind).read(path)
-    found = import_events(path)
-    assert_same(found, rows)
+    imported = import_events(path)
+    assert_same(imported, rows)
     for name in "txyp":
-        assert np.array_equal(theirs[name], getattr(found.events, name))
+        assert np.array_equal(theirs[name], getattr(imported.events, name))
 
 
 def test_events_before_the_first_time_of_evt2_are_dropped(tmp_path):
     """A stream may be joined in its middle."""
     path = tmp_path / "a.raw"
     path.write_bytes(evt2_words(0x1000_0000 | 9 << 11, 0xA000_0001, 0x8000_0002, 0x1000_0000 | 3 << 11 | 7))
-    found = import_events(path)
-    assert (found.events.t.tolist(), found.events.x.tolist(), len(found.triggers.t)) == ([128], [3], 0)
+    imported = import_events(path)
+    assert (imported.events.t.tolist(), imported.events.x.tolist(), len(imported.triggers.t)) == (
+        [128],
+        [3],
+        0,
+    )
 
 
 @pytest.mark.parametrize("order", ["little", "legacy"])
@@ -89,9 +93,9 @@ def test_vectors_of_evt21_are_read_in_both_orders_of_their_halves(tmp_path, orde
     head = f"% evt 2.1\n% format EVT21;endianness={order};height=480;width=640\n% end\n".encode()
     path = tmp_path / "a.raw"
     path.write_bytes(head + evt21_words(rows, legacy=order == "legacy") + b"\0\0\0")
-    found = import_events(path)
-    assert (found.width, found.height) == (640, 480)
-    assert_same(found, rows)
+    imported = import_events(path)
+    assert (imported.width, imported.height) == (640, 480)
+    assert_same(imported, rows)
 
 
 @given(st.binary(max_size=600), st.sampled_from(["EVT2", "EVT21", "EVT21-legacy"]), st.integers(0, 600))
@@ -102,7 +106,7 @@ def test_any_words_are_decoded_the_same_in_pieces_of_any_length(data, encoding, 
     pieces = [parts.decode(data[:cut]), parts.decode(data[cut:])]
     for own, columns in ((events, [piece[0] for piece in pieces]), (edges, [piece[1] for piece in pieces])):
         for name in own._fields:
-            joined = np.concatenate([getattr(one, name) for one in columns])
+            joined = np.concatenate([getattr(piece, name) for piece in columns])
             assert np.array_equal(getattr(own, name), joined)
 
 
@@ -111,11 +115,11 @@ def test_evt21_by_hand(tmp_path):
     words = [0, 0x8FFF_FFFF, 1 << 31 | 1, 0x1000_0000 | 63 << 22 | 32 << 11 | 7, 0, 0x8000_0000]
     words += [0, 0xA000_0000 | 6 << 22 | 1 << 8 | 1, 2, 0, 0xF000_1234, 0xE000_0014]
     path.write_bytes(b"% format EVT21;height=320;width=320\n% end\n" + np.array(words, "<u4").tobytes())
-    found = import_events(path)
-    assert found.events.t.tolist() == [(1 << 34) - 1, (1 << 34) - 1, 1 << 34]
-    assert (found.events.x.tolist(), found.events.y.tolist()) == ([32, 63, 1], [7, 7, 0])
-    assert found.events.p.tolist() == [1, 1, 0]
-    assert (found.triggers.t.tolist(), found.triggers.id.tolist()) == ([(1 << 34) + 6], [1])
+    imported = import_events(path)
+    assert imported.events.t.tolist() == [(1 << 34) - 1, (1 << 34) - 1, 1 << 34]
+    assert (imported.events.x.tolist(), imported.events.y.tolist()) == ([32, 63, 1], [7, 7, 0])
+    assert imported.events.p.tolist() == [1, 1, 0]
+    assert (imported.triggers.t.tolist(), imported.triggers.id.tolist()) == ([(1 << 34) + 6], [1])
 
 
 def dat_head(version, kind=0x0C, size=True):

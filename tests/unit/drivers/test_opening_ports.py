@@ -261,15 +261,15 @@ def test_a_camera_that_may_be_used_is_no_fault(tmp_path):
 def test_a_camera_that_this_user_may_not_open_is_named_with_what_to_do(tmp_path, monkeypatch):
     folders = plug(tmp_path, mode=0o600)
     monkeypatch.setattr(os, "access", lambda path, _how: not str(path).endswith("001/007"))
-    (said,) = unreadable_cameras(*folders)
-    assert "Prophesee camera (EVK4) is connected, but this user may not use it" in said
-    assert "001/007" in said
-    assert "udev rules" in said
+    (message,) = unreadable_cameras(*folders)
+    assert "Prophesee camera (EVK4) is connected, but this user may not use it" in message
+    assert "001/007" in message
+    assert "udev rules" in message
 
 
 def test_an_event_camera_of_another_maker_on_usb_2_is_named(tmp_path):
-    (said,) = slow_cameras(plug(tmp_path, vendor="31f7", product="0003", speed="480")[0])
-    assert said.startswith("A CenturyArks camera (SilkyEvCam HD) is connected at 480 Mbit/s (USB 2)")
+    (message,) = slow_cameras(plug(tmp_path, vendor="31f7", product="0003", speed="480")[0])
+    assert message.startswith("A CenturyArks camera (SilkyEvCam HD) is connected at 480 Mbit/s (USB 2)")
 
 
 @pytest.mark.parametrize("vendor", ["1234", "", "zz"])
@@ -287,11 +287,11 @@ def test_a_system_without_this_list_has_no_fault(tmp_path):
 def test_the_speed_of_the_only_camera_is_read(tmp_path, speed, read):
     devices, _ = plug(tmp_path, speed=speed)
     assert only_camera_mbit_s(devices) == read
-    said = slow_cameras(devices)
-    assert bool(said) is (read is not None and read < 5000)
-    if said:
-        assert f"connected at {read} Mbit/s (USB 2)" in said[0]
-        assert "USB 3 port" in said[0]
+    messages = slow_cameras(devices)
+    assert bool(messages) is (read is not None and read < 5000)
+    if messages:
+        assert f"connected at {read} Mbit/s (USB 2)" in messages[0]
+        assert "USB 3 port" in messages[0]
 
 
 def test_of_two_cameras_the_speed_belongs_to_none(tmp_path):

@@ -40,12 +40,12 @@ def test_aedat4_written_by_dv_processing(tmp_path):
     rows = some_events(2000)
     path = tmp_path / "a.aedat4"
     aedat4_file(path, rows, [(100, 1), (300, 0)])
-    found = import_events(path)
-    assert (found.width, found.height) == (640, 480)
-    origin_us = int(found.header["time_origin_us"])
-    assert_same(found, rows, origin_us - ORIGIN_US)
-    assert (found.triggers.t + origin_us - ORIGIN_US).tolist() == [100, 300]
-    assert found.triggers.value.tolist() == [1, 0]
+    imported = import_events(path)
+    assert (imported.width, imported.height) == (640, 480)
+    origin_us = int(imported.header["time_origin_us"])
+    assert_same(imported, rows, origin_us - ORIGIN_US)
+    assert (imported.triggers.t + origin_us - ORIGIN_US).tolist() == [100, 300]
+    assert imported.triggers.value.tolist() == [1, 0]
 
 
 # ------------------------------------------------------------ ROS
@@ -134,10 +134,10 @@ def bag(
 def test_bags_of_both_versions(tmp_path, version, kind):
     rows = some_events(500)
     path = bag(tmp_path / ("a.bag" if version == 1 else "a"), version, rows, kind)
-    found = import_events(path)
-    assert (found.width, found.height) == (640, 480)
-    assert_same(found, rows, int(found.header["time_origin_us"]) - ORIGIN_US)
-    assert found.header["ros_topic"] == "/events"
+    imported = import_events(path)
+    assert (imported.width, imported.height) == (640, 480)
+    assert_same(imported, rows, int(imported.header["time_origin_us"]) - ORIGIN_US)
+    assert imported.header["ros_topic"] == "/events"
 
 
 def without_definitions(folder):
@@ -153,8 +153,8 @@ def test_bags_without_definitions_are_read_where_the_messages_are_known(tmp_path
     """dv-ros2, dv_ros2_msgs/msg/Event.msg and EventArray.msg: those of ``dvs_msgs``."""
     rows = some_events(60)
     name = f"{package}/msg/EventArray"
-    found = import_events(without_definitions(bag(tmp_path / "a", 2, rows, "struct", name=name)))
-    assert_same(found, rows, int(found.header["time_origin_us"]) - ORIGIN_US)
+    imported = import_events(without_definitions(bag(tmp_path / "a", 2, rows, "struct", name=name)))
+    assert_same(imported, rows, int(imported.header["time_origin_us"]) - ORIGIN_US)
 
 
 def test_a_bag_without_definitions_of_unknown_messages_is_not_called_damaged(tmp_path):
@@ -198,8 +198,8 @@ def test_one_of_two_streams_of_aedat4_is_chosen(tmp_path):
     del writer, side
     with pytest.raises(NotARecording, match="2 streams of events"):
         import_events(tmp_path / "a.aedat4")
-    found = [import_events(tmp_path / "a.aedat4", ReadingChoices(stream=name)) for name in ("0", "1")]
-    assert [(one.width, len(one.events.t), one.header["camera"]) for one in found] == [
+    streams = [import_events(tmp_path / "a.aedat4", ReadingChoices(stream=name)) for name in ("0", "1")]
+    assert [(stream.width, len(stream.events.t), stream.header["camera"]) for stream in streams] == [
         (640, 30, "LEFT_1"),
         (346, 20, "RIGHT_2"),
     ]
@@ -222,8 +222,8 @@ def test_packets_of_evt21_and_libcaer_are_read(tmp_path):
     packed[:, 1] = rows["t"] + (1 << 31) - 1000  # their counter turns over
     packed[:, 1] &= 0x7FFF_FFFF
     path = bag(tmp_path / "b.bag", 1, rows, "libcaer", data=packed.tobytes())
-    found = import_events(path)
-    assert_same(found, rows, int(found.header["time_origin_us"]) - ORIGIN_US - (1 << 31) + 1000)
+    imported = import_events(path)
+    assert_same(imported, rows, int(imported.header["time_origin_us"]) - ORIGIN_US - (1 << 31) + 1000)
 
 
 @pytest.mark.parametrize("version", [1, 2])
@@ -234,9 +234,9 @@ def test_one_of_two_topics_of_a_bag_is_chosen(tmp_path, version):
     with pytest.raises(NotARecording, match=r"/left/events, /right/events\. Choose one"):
         import_events(path)
     for name in ("/right/events", "left/events"):
-        found = import_events(path, ReadingChoices(stream=name))
-        assert_same(found, rows, int(found.header["time_origin_us"]) - ORIGIN_US)
-        assert found.header["ros_topic"].strip("/") == name.strip("/")
+        imported = import_events(path, ReadingChoices(stream=name))
+        assert_same(imported, rows, int(imported.header["time_origin_us"]) - ORIGIN_US)
+        assert imported.header["ros_topic"].strip("/") == name.strip("/")
 
 
 @pytest.mark.parametrize("numbers", [(4, 5), (4, 4), (9, 0)])

@@ -98,10 +98,10 @@ class Bench(RuleBasedStateMachine):
     def read(self) -> None:
         at_rest = not self.bench.busy()  # a lost reply takes time, in which an axis may come to rest
         try:
-            told = self.stage.position_deg()
+            angles_deg = self.stage.position_deg()
         except DriverError:
             return
-        for name, angle in told.items():
+        for name, angle in angles_deg.items():
             assert not at_rest or round(angle * SCALE) == self.bench.position(name)
 
     @rule()

@@ -22,9 +22,9 @@ ROWS = {
 }
 
 
-def assert_same(found):
-    assert all(np.array_equal(getattr(found.events, name), ROWS[name]) for name in "txyp")
-    assert (found.width, found.height) == (WIDTH, HEIGHT)
+def assert_same(imported):
+    assert all(np.array_equal(getattr(imported.events, name), ROWS[name]) for name in "txyp")
+    assert (imported.width, imported.height) == (WIDTH, HEIGHT)
 
 
 def named_table(*names):
@@ -265,9 +265,9 @@ def test_what_is_written_as_parquet_is_read_again_with_its_edges(tmp_path):
     own = {f"trigger_{name}": values for name, values in edges.items()}
     np.savez(tmp_path / "a.npz", **ROWS, **own, size=np.array([WIDTH, HEIGHT]))
     convert(tmp_path / "a.npz", tmp_path / "a.parquet", "parquet")
-    found = import_events(tmp_path / "a.parquet")
-    assert_same(found)
-    assert found.triggers.t.tolist() == [800, 900]
+    imported = import_events(tmp_path / "a.parquet")
+    assert_same(imported)
+    assert imported.triggers.t.tolist() == [800, 900]
 
 
 def test_parquet_without_polarities_is_refused(tmp_path):

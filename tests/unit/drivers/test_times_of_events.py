@@ -64,15 +64,15 @@ def test_packets_that_a_computer_has_mixed_up_are_read(tmp_path):
 
 def test_a_counter_of_32_bits_goes_on_where_it_turns_over(tmp_path):
     begun = 2**32 - 5_400_000
-    found = import_events(hdf5(tmp_path, t=(ROWS["t"] + begun).astype("u4")), SIZED)
-    assert np.array_equal(found.events.t, ROWS["t"] + begun)
+    imported = import_events(hdf5(tmp_path, t=(ROWS["t"] + begun).astype("u4")), SIZED)
+    assert np.array_equal(imported.events.t, ROWS["t"] + begun)
 
 
 @pytest.mark.parametrize("order", ["txyp", "xytp", "xypt"])
 @pytest.mark.parametrize("unit", [1, 1e-6])
 def test_the_column_of_a_table_that_rises_holds_the_times(tmp_path, order, unit):
-    found = import_events(table(tmp_path, order, unit), SIZED)
-    assert all(np.array_equal(getattr(found.events, name), ROWS[name]) for name in "txyp")
+    imported = import_events(table(tmp_path, order, unit), SIZED)
+    assert all(np.array_equal(getattr(imported.events, name), ROWS[name]) for name in "txyp")
 
 
 def test_a_table_without_polarities_is_refused(tmp_path):

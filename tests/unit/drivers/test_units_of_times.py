@@ -51,8 +51,8 @@ def test_times_in_another_unit_are_refused_and_read_once_it_is_said(tmp_path, ma
     path = make(tmp_path, t)
     with pytest.raises(NotARecording, match=f"are probably in {unit}.*--time-unit {unit}"):
         import_events(path, ReadingChoices(SIZE))
-    found = import_events(path, ReadingChoices(SIZE, time_unit=unit)).events.t
-    assert np.abs(found - T_US).max() <= (999 if t.max() == 200 else 1)
+    t_us = import_events(path, ReadingChoices(SIZE, time_unit=unit)).events.t
+    assert np.abs(t_us - T_US).max() <= (999 if t.max() == 200 else 1)
 
 
 @pytest.mark.parametrize("scale", [1000, 1e-3])
@@ -66,9 +66,9 @@ def test_few_events_in_another_unit_are_refused_too(tmp_path, scale):
 @pytest.mark.parametrize("t", [T_US, T_US * 1e-6, T_US.astype("f8")])
 def test_us_and_s_are_read_and_told_as_assumed(tmp_path, t):
     with open_events(npz(tmp_path, t), ReadingChoices(SIZE)) as source:
-        found = np.concatenate([events.t for events, _ in source.pieces()])
+        t_us = np.concatenate([events.t for events, _ in source.pieces()])
         assert source.assumed == {"time_unit": "s" if t.max() < 1000 else "us"}
-    assert np.array_equal(found, T_US)
+    assert np.array_equal(t_us, T_US)
 
 
 def test_the_order_of_a_table_is_told_as_assumed(tmp_path):
@@ -130,8 +130,8 @@ def test_the_size_is_read_where_others_write_it(tmp_path, state):
     path = hdf5(tmp_path, T_US)
     with h5py.File(path, "a") as file:
         state(file)
-    found = import_events(path)
-    assert (found.width, found.height) == SIZE
+    imported = import_events(path)
+    assert (imported.width, imported.height) == SIZE
 
 
 @pytest.mark.parametrize("unit", ["ns", "ms"])
@@ -140,9 +140,9 @@ def test_times_since_1970_in_another_unit_are_read_once_it_is_said(tmp_path, uni
     path = npz(tmp_path, since * 1000 if unit == "ns" else since * 1e-3)
     with pytest.raises(NotARecording, match="after the year 2100: they are not in us"):
         import_events(path, ReadingChoices(SIZE))
-    found = import_events(path, ReadingChoices(SIZE, time_unit=unit))
-    assert np.abs(found.events.t - found.events.t[0] - (T_US - T_US[0])).max() <= 1
-    assert found.header["date"] == "2020-09-13 12:26:40"
+    imported = import_events(path, ReadingChoices(SIZE, time_unit=unit))
+    assert np.abs(imported.events.t - imported.events.t[0] - (T_US - T_US[0])).max() <= 1
+    assert imported.header["date"] == "2020-09-13 12:26:40"
 
 
 def test_times_with_too_few_digits_are_told(tmp_path):

@@ -54,7 +54,7 @@ class Bench:
             XimcController(AxisModel(mechanics, serial, 17.0), self.clock.monotonic)
             for serial in ("12345", "12346")
         ]
-        self.lines = [direct_line(one, self.clock) for one in self.controllers]
+        self.lines = [direct_line(controller, self.clock) for controller in self.controllers]
 
     def open(self, **changes) -> XimcStage:
         return XimcStage(self.lines, axes(**changes), clock=self.clock)
@@ -79,13 +79,13 @@ class Bench:
         return data
 
     def busy(self) -> bool:
-        return any(one.axis.busy(self.clock.now_s) for one in self.controllers)
+        return any(controller.axis.busy(self.clock.now_s) for controller in self.controllers)
 
     def answer(self, number: int, command: bytes, data: bytes) -> None:
         """Let one command of a controller have another answer: data with their CRC, or an error's four letters."""
         line = self.lines[number]
-        told = data if data.startswith(b"err") else command + data + mutated.crc16(data)
-        line.spoil = lambda reply: told if line.sent[-1].startswith(command) else reply
+        answer = data if data.startswith(b"err") else command + data + mutated.crc16(data)
+        line.spoil = lambda reply: answer if line.sent[-1].startswith(command) else reply
 
 
 @pytest.fixture
@@ -120,7 +120,7 @@ def test_the_reference_becomes_the_zero_and_moves_count_from_there(bench) -> Non
     assert stage.position_deg() == {"pan": 0.0, "tilt": 1.0}
     stage.move_to({"pan": -5.1, "tilt": 3.0})
     assert bench.sent(b"move")[0][:10] == b"move" + struct.pack("<ih", -408, 0)
-    assert [round(one.axis.counter(bench.clock.now_s)) for one in bench.controllers] == [
+    assert [round(controller.axis.counter(bench.clock.now_s)) for controller in bench.controllers] == [
         round(-5.1 * SCALE * MICROSTEPS),
         round(-2 * SCALE * MICROSTEPS),
     ]

@@ -52,7 +52,7 @@ class Bench(HomedStage):
         return round(getattr(self, name).axis.counter(self.clock.now_s))
 
     def busy(self) -> bool:
-        return any(one.axis.busy(self.clock.now_s) for one in (self.pan, self.tilt))
+        return any(controller.axis.busy(self.clock.now_s) for controller in (self.pan, self.tilt))
 
     def go(self, name: str, counts: int = 9000) -> None:
         """Somebody else moves an axis."""

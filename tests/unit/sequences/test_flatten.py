@@ -77,8 +77,8 @@ def test_limits_depend_on_the_waveform_and_the_sequence_always_wins():
         if isinstance(step, RecordStep)
     )
     limits = [
-        (one.max_event_rate_mev_s, one.limits["max_flicker_disagreement_percent"])
-        for one in (sine, square, given)
+        (record.max_event_rate_mev_s, record.limits["max_flicker_disagreement_percent"])
+        for record in (sine, square, given)
     ]
     assert limits == [(500, 5), (200, 0.5), (200, 0.5)]
 
@@ -141,7 +141,7 @@ def test_repeats_nest_and_the_inner_pose_wins():
 
 
 def test_all_that_cannot_unfold_is_reported_at_once():
-    said = faults_of(
+    messages = faults_of(
         "poses:\n  three: [{pan_deg: 1}]\n"
         "steps:\n  - record\n  - move\n  - repeat: {poses: tree, steps: [move]}\n"
         "  - repeat: {times: 2, steps: [{move: {name: x}}]}\n"
@@ -152,7 +152,7 @@ def test_all_that_cannot_unfold_is_reported_at_once():
         "s.yaml:8:21: steps[2].repeat.poses: no set of poses has this name (got 'tree'). Did you mean 'three'?",
         "s.yaml:9:39: steps[3].repeat.steps[0].move: no pose to move to",
     ]
-    assert [a.startswith(b) for a, b in zip(said, beginnings, strict=True)] == [True] * 4
+    assert [a.startswith(b) for a, b in zip(messages, beginnings, strict=True)] == [True] * 4
 
 
 @pytest.mark.parametrize(
@@ -213,8 +213,8 @@ def test_numbers_names_and_poses_hold_together_in_any_script(text):
     document = read(
         f"poses: {{a: [{{pan_deg: 1}}, {{name: n, pan_deg: 2}}], g: {{pan_deg: [1, 2]}}}}\nsteps: {text}\n"
     )
-    script, found = unfold(document)
-    assert (script, found) == unfold(document)
+    script, faults = unfold(document)
+    assert (script, faults) == unfold(document)
     assert [step.number for step in script] == list(range(1, len(script) + 1))
     recorded = [step.pose for step in script if isinstance(step, RecordStep)]
     assert [pose.index for pose in recorded] == list(range(1, len(recorded) + 1))

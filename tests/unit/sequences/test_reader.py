@@ -115,8 +115,8 @@ def test_an_unknown_kind_is_met_with_the_known_ones():
     ],
 )
 def test_a_wrong_value_is_met_in_plain_words_with_what_was_got(light, fault):
-    (said,) = faults(f"format: test/1\nlight: {light}\n")
-    assert said.partition(": ")[2] == fault
+    (message,) = faults(f"format: test/1\nlight: {light}\n")
+    assert message.partition(": ")[2] == fault
 
 
 @pytest.mark.parametrize(
@@ -163,19 +163,19 @@ def test_an_unknown_key_is_compared_with_the_keys_of_its_own_kind_only():
 
 
 def test_a_long_value_is_quoted_in_part():
-    (said,) = faults(f"format: test/1\nlight: {{kind: lamp, watts: {'9x' * 500}}}\n")
-    assert len(said) < 150
+    (message,) = faults(f"format: test/1\nlight: {{kind: lamp, watts: {'9x' * 500}}}\n")
+    assert len(message) < 150
 
 
 @pytest.mark.parametrize("text", ["", "# nothing\n", "[a, b]\n", "word\n"])
 def test_what_is_no_mapping_is_one_fault(text):
-    (said,) = faults(text)
-    assert said.startswith("t.yaml:1:1: the document must be a mapping")
+    (message,) = faults(text)
+    assert message.startswith("t.yaml:1:1: the document must be a mapping")
 
 
 def test_a_file_of_another_program_is_one_fault_and_a_forgotten_format_hides_no_other():
-    (said,) = faults("cam0:\n  camera_model: pinhole\nrostopic: /events\n", Sequence)
-    assert said.startswith(
+    (message,) = faults("cam0:\n  camera_model: pinhole\nrostopic: /events\n", Sequence)
+    assert message.startswith(
         "t.yaml:1:1: format: this is a file of something else: it has no 'format: starbench/sequence/1'"
     )
     both = faults("name: x\nstep: [light]\nposes: {}\n", Sequence)
@@ -183,21 +183,21 @@ def test_a_file_of_another_program_is_one_fault_and_a_forgotten_format_hides_no_
 
 
 def test_a_document_of_another_kind_is_one_fault_not_one_a_line():
-    (said,) = faults("format: starbench/station/1\nname: x\nstage: {}\n", Sequence)
-    assert said.startswith("t.yaml:1:9: format: wrong kind of document")
-    assert said.endswith(
+    (message,) = faults("format: starbench/station/1\nname: x\nstage: {}\n", Sequence)
+    assert message.startswith("t.yaml:1:9: format: wrong kind of document")
+    assert message.endswith(
         "a sequence is needed here, and this is a station file. Name a station file with --station."
     )
 
 
 def test_a_document_of_an_unknown_version_is_named_by_its_format():
-    (said,) = faults("format: starbench/sequence/9\nname: x\n", Sequence)
-    assert said.endswith("'starbench/sequence/1' is needed here (got 'starbench/sequence/9').")
+    (message,) = faults("format: starbench/sequence/9\nname: x\n", Sequence)
+    assert message.endswith("'starbench/sequence/1' is needed here (got 'starbench/sequence/9').")
 
 
 def test_a_document_cut_off_by_a_syntax_error_is_not_blamed_for_what_was_not_reached():
-    (said,) = faults("format: test/1\nlight: {kind: lamp, watts: 3\nlegs: {}\n")
-    assert "not valid YAML" in said
+    (message,) = faults("format: test/1\nlight: {kind: lamp, watts: 3\nlegs: {}\n")
+    assert "not valid YAML" in message
 
 
 def test_a_file_that_is_not_there_is_a_folder_or_cannot_be_read_is_one_fault(tmp_path):
@@ -266,9 +266,9 @@ def damaged(draw) -> bytes:
 @settings(max_examples=150)
 @given(damaged())
 def test_a_damaged_sequence_is_a_document_or_faults_with_places_never_anything_else(data):
-    found = []
+    reported = []
     try:
         assert check_document(data, "t.yaml", Sequence).text == data
     except DocumentFaults as error:
-        found = error.faults or ["none"]
-    assert all(str(fault).startswith(f"t.yaml:{fault.line}:{fault.column}: ") for fault in found)
+        reported = error.faults or ["none"]
+    assert all(str(fault).startswith(f"t.yaml:{fault.line}:{fault.column}: ") for fault in reported)

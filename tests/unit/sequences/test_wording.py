@@ -16,10 +16,10 @@ def test_of_thousands_of_names_some_are_compared_and_listed(monkeypatch):
         "get_close_matches",
         lambda word, names, n: compared.append(len(names)) or real(word, names, n),
     )
-    said = did_you_mean("?", [f"set {i}" for i in range(2000)])
+    sentence = did_you_mean("?", [f"set {i}" for i in range(2000)])
     assert compared == [MOST_COMPARED]
-    assert said.count("set ") == MOST_LISTED
-    assert said.endswith(f" and {2000 - MOST_LISTED} more.")
+    assert sentence.count("set ") == MOST_LISTED
+    assert sentence.endswith(f" and {2000 - MOST_LISTED} more.")
 
 
 @pytest.mark.parametrize(

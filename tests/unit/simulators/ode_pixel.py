@@ -185,8 +185,8 @@ def solve_square_by_library(light, period, phase_us, low, high, duty, ambient, q
     times, polarities = [], []
     while t < end:
         reference = -np.log(u)
-        found = None
-        while found is None and t < end:
+        crossing = None
+        while crossing is None and t < end:
             edge = min(next_edge(t), end)
 
             def hits_on(_, y, reference=reference):
@@ -199,11 +199,11 @@ def solve_square_by_library(light, period, phase_us, low, high, duty, ambient, q
             part = relaxed(t, edge, u, (hits_on, hits_off))
             for polarity, hits in ((1, part.t_events[0]), (0, part.t_events[1])):
                 if len(hits):
-                    found = hits[0], polarity
+                    crossing = hits[0], polarity
             t, u = part.t[-1], part.y[0, -1]
-        if found:
-            times.append(found[0])
-            polarities.append(found[1])
+        if crossing:
+            times.append(crossing[0])
+            polarities.append(crossing[1])
             u = after(t, t + dead, u)
             t += dead
     return times, polarities

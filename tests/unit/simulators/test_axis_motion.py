@@ -23,10 +23,10 @@ def axis(**changes) -> Axis:
 
 
 def homed_axis(**changes) -> Axis:
-    one = axis(**changes)
-    one.home(0.0, SPEED, SPEED / 10, ACCELERATION)
-    assert one.referenced(10.0)
-    return one
+    homed = axis(**changes)
+    homed.home(0.0, SPEED, SPEED / 10, ACCELERATION)
+    assert homed.referenced(10.0)
+    return homed
 
 
 numbers = st.floats(-1e5, 1e5, allow_nan=False)
@@ -55,82 +55,82 @@ def test_a_ramp_from_rest_keeps_its_speed_and_acceleration(position, target, spe
 
 
 def test_a_move_takes_the_time_of_its_trapezoid():
-    one = axis()
-    one.move_to(4.0 * SCALE, 1.0, SPEED, ACCELERATION)
+    pan = axis()
+    pan.move_to(4.0 * SCALE, 1.0, SPEED, ACCELERATION)
     expected = 4.0 / 40.0 + 40.0 / 200.0 if 4.0 > 40.0**2 / 200.0 else 2.0 * math.sqrt(4.0 / 200.0)
-    assert one.busy(1.0 + expected - 1e-6)
-    assert not one.busy(1.0 + expected + 1e-6)
-    assert one.counter(1.0 + expected) == 4.0 * SCALE
+    assert pan.busy(1.0 + expected - 1e-6)
+    assert not pan.busy(1.0 + expected + 1e-6)
+    assert pan.counter(1.0 + expected) == 4.0 * SCALE
 
 
 def test_the_load_matches_a_step_by_step_integration():
-    one = homed_axis(settle_s=0.03)
-    one.move_to(2.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    one.move_to(-1.0 * SCALE, 20.15, SPEED, ACCELERATION)
-    dt, load = 2e-5, one.pointing.angle_deg(20.0)
+    pan = homed_axis(settle_s=0.03)
+    pan.move_to(2.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    pan.move_to(-1.0 * SCALE, 20.15, SPEED, ACCELERATION)
+    dt, load = 2e-5, pan.pointing.angle_deg(20.0)
     for t in np.arange(20.0, 20.5, dt):
-        load += dt / 0.03 * (one.motor.position(t + dt / 2) / SCALE - load)
-    assert one.pointing.angle_deg(20.5) == pytest.approx(load, abs=1e-4)
+        load += dt / 0.03 * (pan.motor.position(t + dt / 2) / SCALE - load)
+    assert pan.pointing.angle_deg(20.5) == pytest.approx(load, abs=1e-4)
 
 
 def test_a_new_target_in_motion_is_reached_without_a_jump():
-    one = homed_axis()
-    one.move_to(10.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    before = one.motor.position(20.1), one.motor.velocity(20.1)
-    one.move_to(-5.0 * SCALE, 20.1, SPEED, ACCELERATION)
-    assert (one.motor.position(20.1), one.motor.velocity(20.1)) == pytest.approx(before)
-    assert one.counter(22.0) == -5.0 * SCALE
+    pan = homed_axis()
+    pan.move_to(10.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    before = pan.motor.position(20.1), pan.motor.velocity(20.1)
+    pan.move_to(-5.0 * SCALE, 20.1, SPEED, ACCELERATION)
+    assert (pan.motor.position(20.1), pan.motor.velocity(20.1)) == pytest.approx(before)
+    assert pan.counter(22.0) == -5.0 * SCALE
 
 
 def test_backlash_puts_the_load_behind_the_motor_on_the_side_it_came_from():
-    one = homed_axis(backlash_deg=0.02)
-    one.move_to(3.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    from_below = one.pointing.angle_deg(25.0)
-    one.move_to(5.0 * SCALE, 25.0, SPEED, ACCELERATION)
-    one.move_to(3.0 * SCALE, 30.0, SPEED, ACCELERATION)
+    pan = homed_axis(backlash_deg=0.02)
+    pan.move_to(3.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    from_below = pan.pointing.angle_deg(25.0)
+    pan.move_to(5.0 * SCALE, 25.0, SPEED, ACCELERATION)
+    pan.move_to(3.0 * SCALE, 30.0, SPEED, ACCELERATION)
     assert from_below == pytest.approx(2.99)
-    assert one.pointing.angle_deg(35.0) == pytest.approx(3.01)
+    assert pan.pointing.angle_deg(35.0) == pytest.approx(3.01)
 
 
 def test_a_settled_load_is_within_a_twentieth_of_an_arc_second():
-    one = homed_axis(settle_s=0.05)
-    one.move_to(1.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    settled = one.pointing.settled_from_s
-    assert 1.0 - one.pointing.angle_deg(settled - 1e-6) == pytest.approx(SETTLED_DEG, rel=0.01)
-    assert one.pointing.angle_deg(settled) == 1.0
+    pan = homed_axis(settle_s=0.05)
+    pan.move_to(1.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    settled = pan.pointing.settled_from_s
+    assert 1.0 - pan.pointing.angle_deg(settled - 1e-6) == pytest.approx(SETTLED_DEG, rel=0.01)
+    assert pan.pointing.angle_deg(settled) == 1.0
 
 
 # ---------------------------------------------------------------- what can go wrong
 def move_with(fault: MotionFault | None) -> Axis:
     """Move from 0 to 10 degrees, from second 20 on, with a fault; it takes 0.45 s."""
-    one = homed_axis()
-    one.arm(fault)
-    one.move_to(10.0 * SCALE, 20.0, SPEED, ACCELERATION)
-    return one
+    pan = homed_axis()
+    pan.arm(fault)
+    pan.move_to(10.0 * SCALE, 20.0, SPEED, ACCELERATION)
+    return pan
 
 
 def test_a_slip_shows_in_the_encoder_only_and_stays_until_homing():
-    one = move_with(MotionFault("slip", share=0.5))
-    assert one.counter(30.0) == 10.0 * SCALE
-    assert one.encoder(30.0) == pytest.approx(5.0 * SCALE, abs=1.0)
-    one.move_to(0.0, 30.0, SPEED, ACCELERATION)
-    assert one.pointing.angle_deg(35.0) == pytest.approx(-5.0, abs=1e-3)
-    one.home(40.0, SPEED, SPEED / 10, ACCELERATION)
-    assert one.counter(50.0) == one.encoder(50.0) == 0.0
-    assert one.pointing.angle_deg(50.0) == 0.0
+    pan = move_with(MotionFault("slip", share=0.5))
+    assert pan.counter(30.0) == 10.0 * SCALE
+    assert pan.encoder(30.0) == pytest.approx(5.0 * SCALE, abs=1.0)
+    pan.move_to(0.0, 30.0, SPEED, ACCELERATION)
+    assert pan.pointing.angle_deg(35.0) == pytest.approx(-5.0, abs=1e-3)
+    pan.home(40.0, SPEED, SPEED / 10, ACCELERATION)
+    assert pan.counter(50.0) == pan.encoder(50.0) == 0.0
+    assert pan.pointing.angle_deg(50.0) == 0.0
 
 
 def test_a_report_may_be_false_while_the_motion_is_not():
-    one = move_with(None)
-    one.report_false_idle(2)
-    assert [one.reports_busy(20.1) for _ in range(3)] == [False, False, True]
-    one.stuck_busy = True
-    assert one.reports_busy(30.0)
-    assert not one.busy(30.0)
+    pan = move_with(None)
+    pan.report_false_idle(2)
+    assert [pan.reports_busy(20.1) for _ in range(3)] == [False, False, True]
+    pan.stuck_busy = True
+    assert pan.reports_busy(30.0)
+    assert not pan.busy(30.0)
 
 
 def test_a_push_in_motion_keeps_the_motion():
-    one = move_with(None)
-    one.push(0.25 * SCALE, 20.1)
-    assert one.encoder(30.0) == pytest.approx(10.25 * SCALE)
-    assert one.counter(30.0) == 10.0 * SCALE
+    pan = move_with(None)
+    pan.push(0.25 * SCALE, 20.1)
+    assert pan.encoder(30.0) == pytest.approx(10.25 * SCALE)
+    assert pan.counter(30.0) == 10.0 * SCALE

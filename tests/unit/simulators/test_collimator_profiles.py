@@ -53,18 +53,18 @@ def test_the_random_displacements_of_a_bench_belong_to_the_reticle_and_not_to_th
 
 
 def test_glass_change_sets_how_far_one_must_turn_to_see_other_glass():
-    one = CollimatorTruth(disc_unevenness=0.05)
-    fast = replace(one, glass_change=2.0)
+    plain = CollimatorTruth(disc_unevenness=0.05)
+    fast = replace(plain, glass_change=2.0)
 
     def rotation(tangent):
         axis = np.array([tangent, 0.0, 1.0]) / np.hypot(tangent, 1.0)
         return np.array([[axis[2], 0.0, -axis[0]], [0.0, 1.0, 0.0], axis])
 
     np.testing.assert_allclose(
-        disc_of(fast, rotation(0.05)).edge, disc_of(one, rotation(0.1)).edge, atol=1e-12
+        disc_of(fast, rotation(0.05)).edge, disc_of(plain, rotation(0.1)).edge, atol=1e-12
     )
-    around = np.array([[one.x + 50.0, one.y], [one.x, one.y + 50.0]])
-    still = disc_of(replace(one, glass_change=0.0), rotation(0.1))
+    around = np.array([[plain.x + 50.0, plain.y], [plain.x, plain.y + 50.0]])
+    still = disc_of(replace(plain, glass_change=0.0), rotation(0.1))
     np.testing.assert_array_equal(
-        radius_fraction(*around.T, still), radius_fraction(*around.T, disc_of(one, rotation(0.0)))
+        radius_fraction(*around.T, still), radius_fraction(*around.T, disc_of(plain, rotation(0.0)))
     )

@@ -86,9 +86,9 @@ def test_a_device_survives_everything(kind, data):
     alone, ends = [*WORDS[kind], *NUMBERS], (b"\r", b"\n")
     lines = [word + number + end for word in WORDS[kind] for number in NUMBERS for end in ends]
     piece = st.one_of(st.sampled_from(alone), st.sampled_from(lines), st.binary(max_size=8))
-    for said, wait_s in data.draw(
+    for pieces, wait_s in data.draw(
         st.lists(st.tuples(st.lists(piece, max_size=8), st.floats(0.0, 2.0)), max_size=8)
     ):
-        assert isinstance(device.receive(b"".join(said)), bytes)
+        assert isinstance(device.receive(b"".join(pieces)), bytes)
         now_s += wait_s
         assert isinstance(device.unsolicited(), bytes)

@@ -66,8 +66,8 @@ class Bench:
         self.changes = 0
         self.hands = CameraHands(self.world, self.count_change)
         lines = {
-            name: FaultLine(one, lambda: self.now_s, np.random.default_rng(1))
-            for name, one in self.dialects.items()
+            name: FaultLine(dialect, lambda: self.now_s, np.random.default_rng(1))
+            for name, dialect in self.dialects.items()
         }
         self.parts = BenchParts(
             stage.controllers,
@@ -94,10 +94,10 @@ class Bench:
 
 @pytest.fixture
 def bench() -> Bench:
-    one = Bench()
-    one.say("/0 0 home")
-    assert one.say("/1 0").startswith("@01 0 OK IDLE --")
-    return one
+    homed = Bench()
+    homed.say("/0 0 home")
+    assert homed.say("/1 0").startswith("@01 0 OK IDLE --")
+    return homed
 
 
 @pytest.mark.parametrize(

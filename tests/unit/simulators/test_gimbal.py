@@ -36,8 +36,8 @@ def about(angles):
     ).as_matrix()
 
 
-def apart_deg(one, other):
-    return math.degrees(Rotation.from_matrix(one @ other.T).magnitude())
+def apart_deg(first, other):
+    return math.degrees(Rotation.from_matrix(first @ other.T).magnitude())
 
 
 @given(ANGLES, st.tuples(*[st.floats(-20.0, 20.0)] * 3))
@@ -178,10 +178,10 @@ def test_backlash_stands_in_either_section_but_not_in_both():
 
 def test_without_a_seed_of_its_own_the_gimbal_has_that_of_the_bench():
     config = bench_config({"gimbal": {"wobble_deg": 0.01}})
-    one, other = config.truth_for(4), config.truth_for(5)
-    assert (one.gimbal.seed, other.gimbal.seed) == (4, 5)
+    first, other = config.truth_for(4), config.truth_for(5)
+    assert (first.gimbal.seed, other.gimbal.seed) == (4, 5)
     angles = {"pan": 6.0}
-    assert apart_deg(gimbal_rotation(angles, one.gimbal), gimbal_rotation(angles, other.gimbal)) > 1e-5
+    assert apart_deg(gimbal_rotation(angles, first.gimbal), gimbal_rotation(angles, other.gimbal)) > 1e-5
 
 
 def test_the_truth_file_holds_what_is_needed_to_compute_the_errors():

@@ -144,8 +144,8 @@ def test_every_word_for_infinity_means_the_same():
 def test_the_truth_file_has_strict_numbers():
     for lens in ({}, {"focus_distance_m": "infinity"}, {"focus_distance_m": 1.0}):
         record = truth_record(bench_config({"lens": lens}).truth)
-        told = json.loads(json.dumps(record, allow_nan=False))["lens"]
-        assert told["blur_px"] == pytest.approx(
+        lens_record = json.loads(json.dumps(record, allow_nan=False))["lens"]
+        assert lens_record["blur_px"] == pytest.approx(
             19.74 if lens.get("focus_distance_m") == 1.0 else 0.0, abs=0.01
         )
 

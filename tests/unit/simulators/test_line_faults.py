@@ -55,10 +55,10 @@ class Line:
     ],
 )
 def test_a_fault_affects_one_message_and_then_no_more(fault, answer):
-    one = Line(fault)
-    assert one.ask(b"abc\n") == answer
-    assert one.ask(b"abc\n") == b"ABC\n"
-    assert one.line.faults == ()
+    tried = Line(fault)
+    assert tried.ask(b"abc\n") == answer
+    assert tried.ask(b"abc\n") == b"ABC\n"
+    assert tried.line.faults == ()
 
 
 @given(st.sampled_from(["truncated", "nul"]), st.binary(min_size=1, max_size=50), st.integers(0, 1000))
@@ -75,29 +75,29 @@ def test_a_cut_or_padded_reply_keeps_the_rest(kind, data, seed):
 
 
 def test_an_unsolicited_message_is_sent_once():
-    one = Line()
-    one.line.say(b"!x\n")
-    assert one.line.unsolicited() == b"!x\n"
-    assert one.line.unsolicited() == b""
+    tried = Line()
+    tried.line.say(b"!x\n")
+    assert tried.line.unsolicited() == b"!x\n"
+    assert tried.line.unsolicited() == b""
 
 
 def test_messages_are_skipped_and_counted():
-    one = Line(LineFault("lost", skip=1, count=2))
-    assert [one.ask(b"a") for _ in range(4)] == [b"A", b"", b"", b"A"]
+    tried = Line(LineFault("lost", skip=1, count=2))
+    assert [tried.ask(b"a") for _ in range(4)] == [b"A", b"", b"", b"A"]
 
 
 def test_a_fault_by_chance_affects_a_share_and_the_same_messages_for_the_same_seed():
     def run() -> list[bytes]:
-        one = Line(LineFault("lost", count=None, chance=0.3), seed=7)
-        return [one.ask(b"a") for _ in range(1000)]
+        tried = Line(LineFault("lost", count=None, chance=0.3), seed=7)
+        return [tried.ask(b"a") for _ in range(1000)]
 
     assert run() == run()
     assert 600 < run().count(b"A") < 800
 
 
 def test_any_draws_from_every_fault_that_needs_no_text():
-    one = Line(LineFault("any", count=None))
-    answers = {one.ask(b"abcdefgh") for _ in range(300)}
+    tried = Line(LineFault("any", count=None))
+    answers = {tried.ask(b"abcdefgh") for _ in range(300)}
     assert {b"", b"ABCDEFGHABCDEFGH", b"ABCD"} <= answers
     assert b"ABCDEFGH" not in answers
 

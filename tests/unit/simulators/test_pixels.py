@@ -86,10 +86,10 @@ def test_follower_and_high_pass_are_those_of_their_equations(follower_us, corner
         found_t, found_p = by_pixel(events, 0, y)
         assert list(found_p) == [p for _, p in expected]
         errors.append(np.abs(found_t + 0.5 - np.array([t for t, _ in expected])))
-    found = np.concatenate(errors)
-    assert len(found) > 40
-    assert np.quantile(found, 0.95) <= 0.5 + 2.0  # in the flat tail of an edge, times answer to nothing
-    assert np.median(found) <= 0.5
+    all_errors = np.concatenate(errors)
+    assert len(all_errors) > 40
+    assert np.quantile(all_errors, 0.95) <= 0.5 + 2.0  # in the flat tail of an edge, times answer to nothing
+    assert np.median(all_errors) <= 0.5
 
 
 @pytest.mark.parametrize(

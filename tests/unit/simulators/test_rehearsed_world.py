@@ -32,24 +32,24 @@ def test_the_same_seed_pose_moment_and_number_give_the_same_stars_and_any_other_
 
 
 def test_stars_scatter_about_their_true_places_with_the_configured_sigma():
-    found = world(star_sigma_px=0.1)
-    seen = found.record(POSE, 50.0, 0)
-    truth = found.truth(50.0)
+    rehearsed = world(star_sigma_px=0.1)
+    seen = rehearsed.record(POSE, 50.0, 0)
+    truth = rehearsed.truth(50.0)
     ids, points = star_centres(truth, pose_rotation(POSE, truth.optics), clearance=1.0, border_px=6.0)
     assert (ids == seen.ids).all()
     assert np.std(seen.points_px - points) == pytest.approx(0.1, rel=0.15)
 
 
 def test_the_camera_warms_up_and_follows_its_room():
-    found = world(room_c=20.0, room_c_per_h=-1.0, self_heating_c=10.0, warm_up_min=10.0)
-    assert found.temperature_c(0.0) == 20.0
-    assert found.temperature_c(600.0) == pytest.approx(20.0 - 1 / 6 + 10 * (1 - np.exp(-1)))
-    assert found.temperature_c(36_000.0) == pytest.approx(20.0, abs=1e-6)
+    rehearsed = world(room_c=20.0, room_c_per_h=-1.0, self_heating_c=10.0, warm_up_min=10.0)
+    assert rehearsed.temperature_c(0.0) == 20.0
+    assert rehearsed.temperature_c(600.0) == pytest.approx(20.0 - 1 / 6 + 10 * (1 - np.exp(-1)))
+    assert rehearsed.temperature_c(36_000.0) == pytest.approx(20.0, abs=1e-6)
     assert world(self_heating_c=5.0, warm_up_min=0.0, room_c=20.0).temperature_c(0.0) == 25.0
 
 
-def true_stars(found, angles):
-    truth = found.truth(50.0)
+def true_stars(rehearsed, angles):
+    truth = rehearsed.truth(50.0)
     return star_centres(truth, true_rotation(angles, truth), clearance=1.0, border_px=6.0)[1]
 
 
@@ -62,29 +62,31 @@ def test_the_camera_points_where_the_errors_of_the_gimbal_lead_it():
         "seed": 8,
     }
     config = {"rehearsal": {"star_sigma_px": 0}, "gimbal": errors}
-    found = RehearsedWorld(config, 1)
-    np.testing.assert_array_equal(found.record(POSE, 50.0, 0).points_px, true_stars(found, POSE))
+    rehearsed = RehearsedWorld(config, 1)
+    np.testing.assert_array_equal(rehearsed.record(POSE, 50.0, 0).points_px, true_stars(rehearsed, POSE))
     perfect = RehearsedWorld({"rehearsal": {"star_sigma_px": 0}}, 1)
-    seen, exact = found.record(POSE, 50.0, 0), perfect.record(POSE, 50.0, 0)
-    _, one, other = np.intersect1d(seen.ids, exact.ids, return_indices=True)
-    moved = np.abs(seen.points_px[one] - exact.points_px[other]).max()
+    seen, exact = rehearsed.record(POSE, 50.0, 0), perfect.record(POSE, 50.0, 0)
+    _, here, other = np.intersect1d(seen.ids, exact.ids, return_indices=True)
+    moved = np.abs(seen.points_px[here] - exact.points_px[other]).max()
     assert 0.3 < moved < 40.0
 
 
 def test_with_backlash_the_side_from_which_an_axis_came_matters():
-    found = RehearsedWorld({"rehearsal": {"star_sigma_px": 0}, "gimbal": {"backlash_deg": {"pan": 0.04}}}, 1)
-    from_below = found.record({"pan": 3.0}, 50.0, 0).points_px
-    np.testing.assert_array_equal(from_below, true_stars(found, {"pan": 2.98}))
-    again = found.record({"pan": 3.0}, 60.0, 1).points_px
+    rehearsed = RehearsedWorld(
+        {"rehearsal": {"star_sigma_px": 0}, "gimbal": {"backlash_deg": {"pan": 0.04}}}, 1
+    )
+    from_below = rehearsed.record({"pan": 3.0}, 50.0, 0).points_px
+    np.testing.assert_array_equal(from_below, true_stars(rehearsed, {"pan": 2.98}))
+    again = rehearsed.record({"pan": 3.0}, 60.0, 1).points_px
     np.testing.assert_array_equal(again, from_below)  # it did not move
-    found.record({"pan": 5.0}, 60.0, 2)
-    from_above = found.record({"pan": 3.0}, 60.0, 3).points_px
-    np.testing.assert_array_equal(from_above, true_stars(found, {"pan": 3.02}))
+    rehearsed.record({"pan": 5.0}, 60.0, 2)
+    from_above = rehearsed.record({"pan": 3.0}, 60.0, 3).points_px
+    np.testing.assert_array_equal(from_above, true_stars(rehearsed, {"pan": 3.02}))
 
 
 def test_mishaps_are_as_frequent_as_configured():
-    found = world(covered_share=0.2, lost_share=0.1)
-    mishaps = [found.record(POSE, float(n), n) for n in range(400)]
+    rehearsed = world(covered_share=0.2, lost_share=0.1)
+    mishaps = [rehearsed.record(POSE, float(n), n) for n in range(400)]
     assert sum(m.mishap == "covered" for m in mishaps) == pytest.approx(80, abs=30)
     assert sum(m.mishap == "lost" for m in mishaps) == pytest.approx(40, abs=22)
     assert {len(m.ids) for m in mishaps if m.mishap == "covered"} == {20}

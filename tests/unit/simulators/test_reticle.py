@@ -67,9 +67,9 @@ def test_the_picture_shows_the_same_print_as_the_stars(reticle):
     wrong = Truth(small, optics=OpticsTruth(psf_px=0.0, gradient_x=0.0, gradient_y=0.0), reticle=reticle)
     ids, points = star_centres(wrong, TURN)
     flat_ids, flat = star_centres(replace(wrong, reticle=ReticleTruth()), TURN)
-    shared, one, other = np.intersect1d(ids, flat_ids, return_indices=True)
+    shared, here, other = np.intersect1d(ids, flat_ids, return_indices=True)
     assert len(shared) > 5
-    assert np.abs(points[one] - flat[other]).max() > 0.05
+    assert np.abs(points[here] - flat[other]).max() > 0.05
     pictures = render(wrong, TURN), render(replace(wrong, reticle=ReticleTruth()), TURN)
     assert np.abs(pictures[0] - pictures[1]).max() > 0.1
     # the equivalent collimator gives the same picture
@@ -117,8 +117,8 @@ def test_polynomials_of_a_degree_carry_their_share():
 
 def test_near_poses_have_like_errors_and_distant_poses_do_not():
     drawn = np.array([random_functions(tuple(pose), 60, 1) for pose in POSES])
-    beside = np.array([random_functions((x + 0.02, y), 60, 1) for x, y in POSES])
-    assert np.mean(drawn * beside) / np.mean(drawn**2) > 0.7
+    nearby = np.array([random_functions((x + 0.02, y), 60, 1) for x, y in POSES])
+    assert np.mean(drawn * nearby) / np.mean(drawn**2) > 0.7
     assert abs(np.mean(drawn[1:] * drawn[:-1])) < 0.1
     assert not np.allclose(drawn, [random_functions(tuple(pose), 60, 2) for pose in POSES], atol=0.5)
 
@@ -157,12 +157,12 @@ def test_every_star_of_a_target_of_its_own_is_found_with_its_id(family, tag, sid
     truth = truth_from_config({"target": own, "reticle": {"polarity": polarity}})
     assert truth.target.tag_family == family
     rotation = pose_rotation({"pan": 3.0, "tilt": -2.0}, truth.optics)
-    found = detect_stars(render(truth, rotation), truth.target)
+    detection = detect_stars(render(truth, rotation), truth.target)
     ids, points = star_centres(truth, rotation, clearance=1.0, border_px=36.0)
-    assert found.named_by == "tag"
+    assert detection.named_by == "tag"
     assert len(ids) > 150
-    assert set(ids) <= set(found.view.ids)
-    of_found = found.view.points_px[np.searchsorted(found.view.ids, ids)]
+    assert set(ids) <= set(detection.view.ids)
+    of_found = detection.view.points_px[np.searchsorted(detection.view.ids, ids)]
     assert np.abs(of_found - points).max() < 0.05
 
 

@@ -255,9 +255,9 @@ def test_the_counters_count_what_entered_and_what_the_rate_controller_passed(exa
             kept = Events(*(field[inside][passed] for field in events))
             left += len(kept.t)
             words.append(writer.write(*kept, until_us=end, entered_t=t[inside]))
-        found, _, counters, _ = read(np.concatenate(words))
+        events_out, _, counters, _ = read(np.concatenate(words))
         assert sum(counters[0x14]) == n
-        assert sum(counters[0x16]) == left == len(found)
+        assert sum(counters[0x16]) == left == len(events_out)
         most = np.minimum(np.bincount(t // COUNTER_US), ERC_QUOTA) if erc else np.bincount(t // COUNTER_US)
         assert left == most.sum()
 

@@ -54,7 +54,7 @@ def test_every_collimator_stands_in_the_table_of_profiles():
 @pytest.mark.parametrize("section", [GimbalTruth, ReticleTruth, MountTruth, CollimatorTruth, LensTruth])
 def test_every_key_of_collimator_reticle_mount_and_gimbal_is_documented(section):
     words = set(re.findall(r"\w+", TEXT))
-    assert {one.name for one in fields(section)} <= words
+    assert {field.name for field in fields(section)} <= words
 
 
 def test_the_example_is_a_valid_configuration():
@@ -70,4 +70,4 @@ def test_the_example_orders_are_valid():
         fault_order(yaml.safe_load(line)) if line.startswith("{") else fault_order_from_text(line)
         for line in block
     ]
-    assert [one.fault for one in orders] == ["stall", "late", "wrong_frequency"]
+    assert [order.fault for order in orders] == ["stall", "late", "wrong_frequency"]

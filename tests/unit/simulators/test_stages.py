@@ -22,13 +22,13 @@ class Built:
     def say(self, port: str, *messages: bytes) -> bytes:
         """Send messages one after the other, wait long after each, and return the last answer."""
         dialect: Dialect = self.stage.dialects[port]
-        said = b""
+        answer = b""
         for message in messages:
-            said = dialect.receive(message)
+            answer = dialect.receive(message)
             for _ in range(100):
                 self.now_s += 0.2
-                said += dialect.unsolicited()
-        return said
+                answer += dialect.unsolicited()
+        return answer
 
     def angles(self) -> dict[str, float]:
         return {name: pointing.angle_deg(self.now_s) for name, pointing in self.pointing.items()}

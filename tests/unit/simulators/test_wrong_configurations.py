@@ -84,8 +84,8 @@ target: {tag_id: 999} -> target -> No such target can be printed: .* has tags 0 
 
 @pytest.mark.parametrize("line", WRONG.strip().splitlines())
 def test_a_wrong_configuration_names_its_key(line):
-    sections, where, *said = line.split(" -> ")
-    with pytest.raises(ConfigError, match=said[0] if said else None) as error:
+    sections, where, *message = line.split(" -> ")
+    with pytest.raises(ConfigError, match=message[0] if message else None) as error:
         bench_config(yaml.safe_load(f"{{{sections}}}"))
     assert error.value.where == where
 

@@ -60,7 +60,7 @@ LENSES = [
 def slopes(bundle, parameters):
     """(G + L, N, 2) weighted residuals by each shared parameter and by each local one of all views, by differences."""
     shared, depth = len(bundle.names), 6 if bundle.free_centres else 3
-    found = []
+    slopes_px = []
     for k in range(shared + depth):
         size = np.zeros(shared + depth)
         size[k] = 1e-4 if k < shared + 3 else 1e-2
@@ -74,8 +74,8 @@ def slopes(bundle, parameters):
             )
             for sign in (1.0, -1.0)
         ]
-        found.append((ends[1] - ends[0]) / (2.0 * size[k]))
-    return np.array(found)
+        slopes_px.append((ends[1] - ends[0]) / (2.0 * size[k]))
+    return np.array(slopes_px)
 
 
 @pytest.mark.parametrize("free_centres", [False, True])
@@ -89,15 +89,15 @@ def test_the_equations_are_the_sums_over_the_derivatives_of_all_stars(bench, len
     camera = replace(near.camera, distortion={name: 0.1 * rng.normal() for name in lens})
     parameters = replace(near, camera=camera)
 
-    found = bundle.equations(parameters, Loss("l2"))
+    equations = bundle.equations(parameters, Loss("l2"))
 
     jacobian, residuals = slopes(bundle, parameters), bundle.weighted_residuals(parameters)
     for i, rows in enumerate(obs.slices):
         own = jacobian[:, rows].reshape(len(jacobian), -1)
         along = np.linalg.norm(own, axis=1)
-        assert np.abs((found.normal[i] - own @ own.T) / np.outer(along, along)).max() < 1e-5
+        assert np.abs((equations.normal[i] - own @ own.T) / np.outer(along, along)).max() < 1e-5
         pull = own @ residuals[rows].reshape(-1)
-        assert np.abs((found.right[i] - pull) / along).max() < 1e-5 * np.linalg.norm(residuals[rows])
+        assert np.abs((equations.right[i] - pull) / along).max() < 1e-5 * np.linalg.norm(residuals[rows])
 
 
 def test_the_derivatives_with_distorted_glass_are_those_of_differences(bench):
@@ -121,18 +121,20 @@ def test_a_robust_cost_curves_as_its_differences_do(bench, loss):
     outside = np.linalg.norm(bundle.weighted_residuals(parameters), axis=1) > 1.0
     assert outside.any()
 
-    found = bundle.equations(parameters, loss)
+    equations = bundle.equations(parameters, loss)
 
     def cost(step):
         return bundle.costs(parameters.after_step(NAMES[:4], step, np.zeros((3, 3))), loss).sum()
 
     for i in range(4):
         step = 0.1 * np.eye(4)[i]
-        assert found.right[:, i].sum() == pytest.approx((cost(-step) - cost(step)) / 0.2, rel=1e-3)
+        assert equations.right[:, i].sum() == pytest.approx((cost(-step) - cost(step)) / 0.2, rel=1e-3)
     plain = bundle.equations(parameters, loss, curved=False)
     assert np.array_equal(plain.normal, bundle.equations(parameters, Loss("l2")).normal)
-    assert np.array_equal(plain.right, found.right)
-    assert (np.diagonal(found.normal, axis1=1, axis2=2) < np.diagonal(plain.normal, axis1=1, axis2=2)).all()
+    assert np.array_equal(plain.right, equations.right)
+    assert (
+        np.diagonal(equations.normal, axis1=1, axis2=2) < np.diagonal(plain.normal, axis1=1, axis2=2)
+    ).all()
 
 
 @pytest.mark.parametrize("lens", LENSES)
@@ -142,9 +144,9 @@ def test_the_projection_is_that_of_the_camera(bench, lens):
     near = parameters_near(bench, rng)
     camera = replace(near.camera, distortion={name: 0.1 * rng.normal() for name in lens})
     parameters = replace(near, camera=camera)
-    found = Bundle(obs, NAMES[:4]).residuals_px(parameters)
+    residuals_px = Bundle(obs, NAMES[:4]).residuals_px(parameters)
     for i, rows in enumerate(obs.slices):
         points = (obs.target[rows] - parameters.centres[i]) @ parameters.rotations[i].T
-        assert np.allclose(found[rows], obs.points_px[rows] - camera.project(points), atol=1e-9)
+        assert np.allclose(residuals_px[rows], obs.points_px[rows] - camera.project(points), atol=1e-9)
     behind = replace(parameters, collimator=Collimator(97.5, 140.0, -254.0))
     assert np.isnan(Bundle(obs, NAMES[:4]).residuals_px(behind)).all()

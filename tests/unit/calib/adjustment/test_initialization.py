@@ -62,15 +62,17 @@ def mappings(turns, focal, centre=(97.0, 140.1, -255.0)):
 
 def closed_forms(h):
     """For each closed form that these views suffice for: the camera matrices and centres it gives."""
-    found = {}
+    answers_of = {}
     for free in (True, False):
         if len(h) >= (3 if free else 2):
-            found["linear", free] = [linear_solution(h, SIZE, free_principal_point=free)]
+            answers_of["linear", free] = [linear_solution(h, SIZE, free_principal_point=free)]
         matrix = zhang_matrix(h, SIZE, free_principal_point=free)
-        found["zhang", free] = [None if matrix is None else (matrix, None)]
+        answers_of["zhang", free] = [None if matrix is None else (matrix, None)]
     matrix = camera_matrix_from_centre(h, Collimator(97.0, 140.1, 255.0))
-    found["known centre"] = [None if matrix is None else (matrix, None)]
-    return {name: [one for one in answers if one is not None] for name, answers in found.items()}
+    answers_of["known centre"] = [None if matrix is None else (matrix, None)]
+    return {
+        name: [answer for answer in answers if answer is not None] for name, answers in answers_of.items()
+    }
 
 
 def assert_real(matrix, collimator=None):

@@ -111,21 +111,21 @@ def test_a_picture_out_of_focus_is_named_with_the_width_of_its_edges(kind):
 
 
 @pytest.mark.parametrize(
-    ("image", "columns", "said"),
+    ("image", "columns", "fault"),
     [
-        (lambda one: one, 9, r"7 x 5 inner corners are in view|5 x 7 inner corners are in view"),
-        (lambda one: one[:, :270], 7, "the frame cuts the board"),
+        (lambda photo: photo, 9, r"7 x 5 inner corners are in view|5 x 7 inner corners are in view"),
+        (lambda photo: photo[:, :270], 7, "the frame cuts the board"),
         (
-            lambda one: cv2.dilate(one, np.ones((13, 13))),
+            lambda photo: cv2.dilate(photo, np.ones((13, 13))),
             7,
             "out of focus, or far too bright: .* about 9 px too wide",
         ),
-        (lambda one: np.concatenate([one, one], axis=1), 7, "two boards"),
+        (lambda photo: np.concatenate([photo, photo], axis=1), 7, "two boards"),
     ],
     ids=["another", "cut", "too wide", "two"],
 )
-def test_what_is_wrong_with_a_picture_is_named(image, columns, said):
-    with pytest.raises(TargetNotFound, match=said):
+def test_what_is_wrong_with_a_picture_is_named(image, columns, fault):
+    with pytest.raises(TargetNotFound, match=fault):
         detect_board(image(picture(CHECKERBOARD)), Board("checkerboard", columns, 5, 20.0))
 
 

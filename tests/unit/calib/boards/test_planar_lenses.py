@@ -34,13 +34,13 @@ def views(lens, sigma_px=0.0):
     names = distortion_names(lens)
     camera = CameraModel(1105.0, 1102.0, 633.0, 352.0, SIZE, {name: TRUE[name] for name in names})
     rng = np.random.default_rng(3)
-    found = []
+    seen_views = []
     for number, turn in enumerate(TURNS_DEG):
         rotation = exp_map(np.deg2rad(np.array(turn, float)))
         middle = np.array([30.0 * (number - 3), 20.0 * (number % 3 - 1), 420.0])
         plane = np.column_stack([BOARD.points_mm - BOARD.points_mm.mean(axis=0), np.zeros(54)])
         points = camera.project(plane @ rotation.T + middle) + sigma_px * rng.normal(size=(54, 2))
-        found.append(
+        seen_views.append(
             View(
                 f"placement {number}",
                 SIZE,
@@ -50,7 +50,7 @@ def views(lens, sigma_px=0.0):
                 np.tile(0.01 * np.eye(2), (54, 1, 1)),
             )
         )
-    return found, camera
+    return seen_views, camera
 
 
 @pytest.mark.parametrize("sigma_px", [0.0, 0.1])
@@ -78,8 +78,8 @@ def test_skew_is_found_with_an_uncertainty_that_holds(lens):
 
 
 def test_a_camera_without_skew_gets_none():
-    found = calibrate(views("k1k2")[0], CalibrationOptions("planar", "k1k2skew", "l2"))
-    assert abs(found.camera.skew) < 1e-3
+    calibration = calibrate(views("k1k2")[0], CalibrationOptions("planar", "k1k2skew", "l2"))
+    assert abs(calibration.camera.skew) < 1e-3
 
 
 @pytest.mark.parametrize("text", ["skew", "k2k1skew", "skewk1k2p1p2k3"])
@@ -106,8 +106,8 @@ def test_skew_is_that_of_gtsam():
     )
     theirs = gtsam.Cal3DS2(1105.0, 1102.0, 1.7, 633.0, 352.0, -0.21, 0.13, 8e-4, -6e-4)
     for x, y in np.random.default_rng(1).uniform(-0.5, 0.5, (20, 2)):
-        (found,) = camera.project(np.array([[x, y, 1.0]]))
-        np.testing.assert_allclose(found, theirs.uncalibrate(np.array([x, y])), atol=1e-9)
+        (pixel,) = camera.project(np.array([[x, y, 1.0]]))
+        np.testing.assert_allclose(pixel, theirs.uncalibrate(np.array([x, y])), atol=1e-9)
 
 
 def test_views_that_a_lens_with_too_few_coefficients_fits_badly_say_which_may_help():

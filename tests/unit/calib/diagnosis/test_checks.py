@@ -61,7 +61,9 @@ def test_every_doubt_after_the_adjustment_is_a_note():
 def test_views_of_few_stars_are_not_judged(views):
     few = []
     for view in views:
-        corners = [np.argmin(view.points_px @ away) for away in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
+        corners = [
+            np.argmin(view.points_px @ direction) for direction in ((1, 1), (1, -1), (-1, 1), (-1, -1))
+        ]
         few.append(view.part(np.isin(np.arange(len(view)), corners)))
     assert check_views(few) == ()
     assert not any("ids" in note or "origin" in note for note in after(few))
@@ -128,8 +130,8 @@ def test_a_recording_under_another_name_or_a_part_of_it_in_another_order_is_name
         ("again", len(views[1]), replace(views[1], name="again")),
         ("pose-002-part", 50, part(views[1], some)),
     ):
-        (found,) = find_duplicates([*views, again])
-        assert found.startswith(
+        (sentence,) = find_duplicates([*views, again])
+        assert sentence.startswith(
             f"Views pose-002 and {name} are the same measurement: their {stars} common points"
         )
 
@@ -137,9 +139,11 @@ def test_a_recording_under_another_name_or_a_part_of_it_in_another_order_is_name
 def test_copies_of_one_view_are_named_together():
     views = Bench().views(np.random.default_rng(1), 0.02)
     copies = [replace(views[0], name=f"copy {number}") for number in range(7)]
-    (found,) = find_duplicates([*views, *copies])
-    assert found.startswith(f"Views {views[0].name}, copy 0, copy 1, copy 2, copy 3 and 3 more are the same")
-    assert "all but one" in found
+    (sentence,) = find_duplicates([*views, *copies])
+    assert sentence.startswith(
+        f"Views {views[0].name}, copy 0, copy 1, copy 2, copy 3 and 3 more are the same"
+    )
+    assert "all but one" in sentence
 
 
 def test_many_pairs_that_are_nearly_the_same_are_counted():
@@ -148,17 +152,17 @@ def test_many_pairs_that_are_nearly_the_same_are_counted():
         replace(view, name=f"frame {at}", points_px=view.points_px + 1e-4 * at * np.array([1.0, -1.0]))
         for at in range(6)
     ]
-    found = find_duplicates(near)
-    assert len(found) == 6
-    assert found[-1] == "10 more pairs of views are nearly the same measurement."
+    sentences = find_duplicates(near)
+    assert len(sentences) == 6
+    assert sentences[-1] == "10 more pairs of views are nearly the same measurement."
 
 
 def test_a_copy_with_rounded_points_is_nearly_the_same():
     view = Bench().views(np.random.default_rng(4), 0.02)[0]
     rounded = replace(view, name="rounded", points_px=np.round(view.points_px, 2))
-    (found,) = find_duplicates([view, rounded])
-    assert "are nearly the same measurement" in found
-    rms_px = float(re.search(r"differ by (\S+) px rms", found)[1])
+    (sentence,) = find_duplicates([view, rounded])
+    assert "are nearly the same measurement" in sentence
+    rms_px = float(re.search(r"differ by (\S+) px rms", sentence)[1])
     assert rms_px == pytest.approx(0.01 / np.sqrt(6), rel=0.1)
 
 
@@ -200,8 +204,8 @@ def test_a_certificate_in_another_unit_is_named_and_refused(views, unit, length)
 
 @pytest.mark.parametrize(("unit", "length"), [("metres", 1000.0), ("micrometres", 0.001)])
 def test_an_implausible_pitch_needs_no_known_radius(views, unit, length):
-    found = check_target_units(in_unit(views, length))
-    assert found.endswith(f"The target positions look like {unit}; give them in mm.")
+    sentence = check_target_units(in_unit(views, length))
+    assert sentence.endswith(f"The target positions look like {unit}; give them in mm.")
 
 
 @pytest.mark.parametrize("length", [25.4, 10.0])

@@ -34,23 +34,23 @@ def explained(bench: DrawnGimbal) -> Explanation:
 def found_and_lowest(bench: DrawnGimbal, tries: int) -> tuple[float, float]:
     """Chi-square of the fit, and the lowest one from a grid of random mountings, standings and scales."""
     model = model_of(bench)
-    found = explained(bench)
+    explanation = explained(bench)
     rng = np.random.default_rng(1)
     lowest = np.inf
     for _ in range(tries):
         turned = [exp_map(np.pi * rng.uniform(-1, 1, 3)) for _ in range(2)]
         values = model.start * rng.uniform(0.8, 1.25, len(model.start))
-        other = refine(bench.rotations, model, found.scatter.whitening, (*turned, values))
+        other = refine(bench.rotations, model, explanation.scatter.whitening, (*turned, values))
         if scales_near(other, model.start):
             lowest = min(lowest, other.chi_square)
-    return found.fit.chi_square, lowest
+    return explanation.fit.chi_square, lowest
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_start_leads_to_a_lower_minimum(kind):
     for seed in (0, 3):
-        found, lowest = found_and_lowest(draw_gimbal(seed, **KINDS[kind]), 25)
-        assert found <= lowest + 1e-4 * (1 + lowest), seed
+        chi_square, lowest = found_and_lowest(draw_gimbal(seed, **KINDS[kind]), 25)
+        assert chi_square <= lowest + 1e-4 * (1 + lowest), seed
 
 
 @pytest.mark.slow
@@ -58,8 +58,8 @@ def test_no_start_leads_to_a_lower_minimum(kind):
 @pytest.mark.parametrize("kind", KINDS)
 def test_none_of_hundreds_of_starts_leads_to_a_lower_minimum(kind, poses):
     for seed in range(10, 13):
-        found, lowest = found_and_lowest(draw_gimbal(seed, poses=poses, **KINDS[kind]), 300)
-        assert found <= lowest + 1e-4 * (1 + lowest), seed
+        chi_square, lowest = found_and_lowest(draw_gimbal(seed, poses=poses, **KINDS[kind]), 300)
+        assert chi_square <= lowest + 1e-4 * (1 + lowest), seed
 
 
 def test_the_stated_covariance_alone_leads_to_absurd_scales():
@@ -79,9 +79,9 @@ def test_the_stated_covariance_alone_leads_to_absurd_scales():
     alone = global_fit(bench.rotations, model, whitening, model.start)
     lowest = min(alone, key=lambda fit: fit.chi_square)
     assert np.abs(lowest.values[:2]).max() < 0.9
-    found = check_hand_eye(bench.rotations, bench.covariance, bench.readings)
-    assert list(found.scale.values()) == pytest.approx([1.03, 1.03], abs=0.02)
-    assert found.excess_arcsec == pytest.approx(360, rel=0.5)
+    check = check_hand_eye(bench.rotations, bench.covariance, bench.readings)
+    assert list(check.scale.values()) == pytest.approx([1.03, 1.03], abs=0.02)
+    assert check.excess_arcsec == pytest.approx(360, rel=0.5)
 
 
 def test_the_closed_form_start_is_exact_without_noise():
@@ -89,7 +89,7 @@ def test_the_closed_form_start_is_exact_without_noise():
     model, equal = model_of(bench), np.eye(24)
     pairs = zip(*mountings(bench.rotations, model.turned(model.start)[0]), strict=True)
     off = [fit_at(bench.rotations, model, equal, (*pair, model.start)).off for pair in pairs]
-    assert min(np.abs(one).max() for one in off) < 1e-9
+    assert min(np.abs(by_start).max() for by_start in off) < 1e-9
 
 
 def test_derivatives_are_those_of_differences():
@@ -114,16 +114,16 @@ def test_the_scatter_is_what_the_stated_covariance_leaves_out():
     for stated, unstated in ((5.0, 60.0), (5.0, 15.0), (20.0, 0.0)):
         benches = [draw_gimbal(seed, poses=12, noise_arcsec=np.hypot(stated, unstated)) for seed in range(6)]
         share = (stated**2 + 1e-9) / (stated**2 + unstated**2)
-        found = [
-            check_hand_eye(one.rotations, share * one.covariance, one.readings).excess_arcsec
-            for one in benches
+        scatters = [
+            check_hand_eye(bench.rotations, share * bench.covariance, bench.readings).excess_arcsec
+            for bench in benches
         ]
-        assert np.sqrt(np.mean(np.square(found))) == pytest.approx(unstated, rel=0.2)
+        assert np.sqrt(np.mean(np.square(scatters))) == pytest.approx(unstated, rel=0.2)
 
 
 def test_mirror_images_are_not_rivals():
     # A mounting turned by half a turn about x with a negative scale of pan gives the same rotations.
     bench = draw_gimbal(7, poses=9, raster=True, range_deg=6, noise_arcsec=2)
-    found = check_hand_eye(bench.rotations, bench.covariance, bench.readings)
-    assert found.verdict.kind == "agrees"
-    assert all(scale == pytest.approx(1.0, abs=0.01) for scale in found.scale.values())
+    check = check_hand_eye(bench.rotations, bench.covariance, bench.readings)
+    assert check.verdict.kind == "agrees"
+    assert all(scale == pytest.approx(1.0, abs=0.01) for scale in check.scale.values())

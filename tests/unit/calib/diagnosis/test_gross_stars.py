@@ -29,36 +29,38 @@ def test_gross_errors_are_counted_and_measured(seed, count):
     clean = Bench().views(rng, 0.05)[0]
     stars = rng.choice(len(clean), count, replace=False)
     view, lengths = spoilt(clean, stars, rng)
-    (found,) = find_gross_stars([view])
-    assert set(stars) <= set(np.flatnonzero(found.wrong))
-    assert len(found.distances_px) - count <= 1
-    measured = dict(zip(np.flatnonzero(found.wrong), found.distances_px, strict=True))
+    (gross,) = find_gross_stars([view])
+    assert set(stars) <= set(np.flatnonzero(gross.wrong))
+    assert len(gross.distances_px) - count <= 1
+    measured = dict(zip(np.flatnonzero(gross.wrong), gross.distances_px, strict=True))
     assert [measured[star] for star in stars] == pytest.approx(lengths.tolist(), abs=3.0)
-    (kept,) = without_gross_stars([view], [found])
+    (kept,) = without_gross_stars([view], [gross])
     assert not set(clean.ids[stars]) & set(kept.ids)
-    assert len(kept) == len(clean) - len(found.distances_px)
+    assert len(kept) == len(clean) - len(gross.distances_px)
 
 
 def test_the_sentence_names_the_view_the_number_and_the_distances():
     clean = Bench().views(np.random.default_rng(1), 0.02)[0]
     points = clean.points_px.copy()
     points[[20, 70, 110]] += [[30.0, 0.0], [0.0, 300.0], [100.0, 0.0]]
-    (found,) = find_gross_stars([replace(clean, points_px=points)])
-    assert found.sentence == (
+    (gross,) = find_gross_stars([replace(clean, points_px=points)])
+    assert gross.sentence == (
         f"3 of {len(clean)} points in view pose-001 lie 30 to 300 px from where the neighbours predict them; "
         "they were left out."
     )
     points[[20, 70]] = clean.points_px[[20, 70]]
-    (found,) = find_gross_stars([replace(clean, points_px=points)])
-    assert "1 of" in found.sentence
-    assert "lies 100 px from where the neighbours predict it; it was left out." in found.sentence
+    (gross,) = find_gross_stars([replace(clean, points_px=points)])
+    assert "1 of" in gross.sentence
+    assert "lies 100 px from where the neighbours predict it; it was left out." in gross.sentence
 
 
 def test_views_without_gross_errors_are_the_same_objects():
     views = Bench().views(np.random.default_rng(2), 0.05)
-    found = find_gross_stars(views)
-    assert [one.sentence for one in found] == ["", "", ""]
-    assert all(kept is view for kept, view in zip(without_gross_stars(views, found), views, strict=True))
+    gross_of_views = find_gross_stars(views)
+    assert [gross.sentence for gross in gross_of_views] == ["", "", ""]
+    assert all(
+        kept is view for kept, view in zip(without_gross_stars(views, gross_of_views), views, strict=True)
+    )
 
 
 def test_a_view_of_mostly_wrong_stars_is_refused_by_name():

@@ -23,38 +23,38 @@ def checked(bench: DrawnGimbal) -> HandEyeCheck:
 
 def test_a_true_gimbal_is_consistent_within_the_cameras_own_noise():
     benches = [quiet(seed) for seed in range(30)]
-    found = [checked(bench) for bench in benches]
-    off = [np.deg2rad(one.residuals_arcsec.ravel() / 3600) for one in found]
+    checks = [checked(bench) for bench in benches]
+    off = [np.deg2rad(check.residuals_arcsec.ravel() / 3600) for check in checks]
     squares = [o @ np.linalg.solve(bench.covariance, o) for o, bench in zip(off, benches, strict=True)]
     # 18 components, and 8 unknowns: mounting, standing and two scales.
     assert np.mean(squares) == pytest.approx(10, abs=3.5)
-    assert sum(one.verdict.kind == "agrees" for one in found) >= 29
-    assert found[0].rms_arcsec < 6
+    assert sum(check.verdict.kind == "agrees" for check in checks) >= 29
+    assert checks[0].rms_arcsec < 6
 
 
 def test_a_scale_error_is_found_with_its_uncertainty():
     z = []
     for bench in (quiet(seed, scale_error=2e-3) for seed in range(30)):
-        found = checked(bench)
-        z += [(found.scale[AXES[i]] - bench.scales[i]) / found.scale_sigma[AXES[i]] for i in (0, 1)]
+        check = checked(bench)
+        z += [(check.scale[AXES[i]] - bench.scales[i]) / check.scale_sigma[AXES[i]] for i in (0, 1)]
     assert np.sqrt(np.mean(np.square(z))) == pytest.approx(1.0, abs=0.35)
 
 
 def test_a_reading_that_is_off_shows_in_arc_seconds():
     bench = quiet(5)
     bench.angles[1, 0] += 60.0 / 3600
-    found = checked(bench)
-    assert found.verdict.kind != "agrees"
-    assert np.linalg.norm(found.residuals_arcsec, axis=1).argmax() == 1
-    assert np.abs(found.residuals_arcsec[1]).max() > 25
+    check = checked(bench)
+    assert check.verdict.kind != "agrees"
+    assert np.linalg.norm(check.residuals_arcsec, axis=1).argmax() == 1
+    assert np.abs(check.residuals_arcsec[1]).max() > 25
 
 
 def test_a_turntable_has_one_scale_and_no_more():
     poses, sigma = [-5.0, -2.0, 1.0, 4.0], np.deg2rad(2.0 / 3600)
     turns = np.array([exp_map(np.array([0.01, 0.0, 0.02])) @ euler_zxy(1.001 * pan, 0.0) for pan in poses])
-    found = check_hand_eye(turns, np.eye(12) * sigma**2, [{"pan_deg": pan} for pan in poses])
-    assert list(found.scale) == ["pan_deg"]
-    assert found.scale["pan_deg"] == pytest.approx(1.001, abs=1e-9)
+    check = check_hand_eye(turns, np.eye(12) * sigma**2, [{"pan_deg": pan} for pan in poses])
+    assert list(check.scale) == ["pan_deg"]
+    assert check.scale["pan_deg"] == pytest.approx(1.001, abs=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -89,8 +89,8 @@ def judged(bench: DrawnGimbal, *, birge_ratio: float = 1.0, **options) -> HandEy
     )
 
 
-def text_of(found: HandEyeCheck) -> str:
-    return " ".join(found.verdict.says)
+def text_of(check: HandEyeCheck) -> str:
+    return " ".join(check.verdict.says)
 
 
 @pytest.mark.parametrize(
@@ -106,33 +106,33 @@ def text_of(found: HandEyeCheck) -> str:
     ],
 )
 def test_a_slip_is_named_with_axis_pose_and_size(seed, slip, others):
-    found = judged(draw_gimbal(seed, **(NINE | others), slip=slip))
-    assert found.verdict.kind == "slip"
-    (fault,) = [each for each in found.faults if each.kind == "slip"]
+    check = judged(draw_gimbal(seed, **(NINE | others), slip=slip))
+    assert check.verdict.kind == "slip"
+    (fault,) = [each for each in check.faults if each.kind == "slip"]
     assert (fault.axis, fault.pose) == slip[:2]
     assert fault.size_deg == pytest.approx(-slip[2], abs=5 * fault.sigma_deg)
     assert fault.probability < 1e-4
-    bad = [each.pose for each in found.faults if each.kind == "pose"]
+    bad = [each.pose for each in check.faults if each.kind == "pose"]
     assert bad == ([others["wrong"][0]] if "wrong" in others else [])
-    assert f"between pose {slip[1]} and pose {slip[1] + 1}" in text_of(found)
-    assert ("more" if slip[2] > 0 else "less") + " than the axis turned" in text_of(found)
+    assert f"between pose {slip[1]} and pose {slip[1] + 1}" in text_of(check)
+    assert ("more" if slip[2] > 0 else "less") + " than the axis turned" in text_of(check)
 
 
 def test_a_slip_is_seen_through_the_errors_of_a_collimator():
-    found = judged(draw_gimbal(8, **NINE, bias_deg=0.05, slip=(0, 4, 0.5)), birge_ratio=7.0)
-    assert found.verdict.kind == "slip"
-    assert found.faults[0].size_deg == pytest.approx(-0.5, abs=4 * found.faults[0].sigma_deg)
+    check = judged(draw_gimbal(8, **NINE, bias_deg=0.05, slip=(0, 4, 0.5)), birge_ratio=7.0)
+    assert check.verdict.kind == "slip"
+    assert check.faults[0].size_deg == pytest.approx(-0.5, abs=4 * check.faults[0].sigma_deg)
 
 
 @pytest.mark.parametrize("birge_ratio", [1.0, 7.0])
 @pytest.mark.parametrize("poses", [3, 9])
 def test_biased_views_show_no_fault_of_the_gimbal(poses, birge_ratio):
     for seed in (20, 21):
-        found = judged(draw_gimbal(seed, **(NINE | {"poses": poses}), **BIASED), birge_ratio=birge_ratio)
-        assert not found.faults
-        assert found.verdict.kind in ("agrees", "views_biased", "scatter"), seed
-        assert "slipped between" not in text_of(found)
-        assert all(0.9 < scale < 1.2 for scale in found.scale.values())
+        check = judged(draw_gimbal(seed, **(NINE | {"poses": poses}), **BIASED), birge_ratio=birge_ratio)
+        assert not check.faults
+        assert check.verdict.kind in ("agrees", "views_biased", "scatter"), seed
+        assert "slipped between" not in text_of(check)
+        assert all(0.9 < scale < 1.2 for scale in check.scale.values())
 
 
 def test_without_its_threshold_the_search_finds_faults_that_are_not_there(monkeypatch):
@@ -149,8 +149,8 @@ def test_readings_that_scatter_show_no_fault(poses, noise_arcsec):
             {axis: deg + noise_arcsec / 3600 * rng.standard_normal() for axis, deg in reading.items()}
             for reading in bench.readings
         ]
-        found = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=6e-4)
-        assert not found.faults, seed
+        check = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=6e-4)
+        assert not check.faults, seed
 
 
 def test_scatter_below_what_is_stated_of_the_readings_is_no_fault_and_scatter_above_it_is_told():
@@ -160,21 +160,21 @@ def test_scatter_below_what_is_stated_of_the_readings_is_no_fault_and_scatter_ab
         for reading in bench.readings
     ]
 
-    def said(**stated):
+    def check_with(**stated):
         return check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=6e-4, **stated)
 
-    assert said(reading_sigma_deg=0.006).verdict.kind == "agrees"
-    assert "slipped" not in text_of(said(reading_sigma_deg=0.006))
+    assert check_with(reading_sigma_deg=0.006).verdict.kind == "agrees"
+    assert "slipped" not in text_of(check_with(reading_sigma_deg=0.006))
     for stated in ({}, {"reading_sigma_deg": 0.001}):
-        assert said(**stated).verdict.kind == "scatter"
-        assert "differ more than their stated uncertainties explain, by" in text_of(said(**stated))
+        assert check_with(**stated).verdict.kind == "scatter"
+        assert "differ more than their stated uncertainties explain, by" in text_of(check_with(**stated))
 
 
 def test_an_error_of_the_encoder_that_a_row_of_a_raster_shares_is_no_slip():
     bench = draw_gimbal(31, **(NINE | {"poses": 25}))
     sigma_deg, last = 0.0025, max(reading["tilt_deg"] for reading in bench.readings)
 
-    def said(shared_deg):
+    def check_with(shared_deg):
         rng = np.random.default_rng(5)
         readings = [
             {axis: deg + sigma_deg * rng.standard_normal() for axis, deg in reading.items()}
@@ -186,56 +186,56 @@ def test_an_error_of_the_encoder_that_a_row_of_a_raster_shares_is_no_slip():
             bench.rotations, bench.covariance, readings, reading_sigma_deg=sigma_deg, focal_uncertainty=6e-4
         )
 
-    assert said(3.0 * sigma_deg).verdict.kind == "agrees"
-    assert said(40.0 * sigma_deg).verdict.kind == "slip"
+    assert check_with(3.0 * sigma_deg).verdict.kind == "agrees"
+    assert check_with(40.0 * sigma_deg).verdict.kind == "slip"
 
 
 def test_a_mount_that_creeps_shows_no_fault():
     for seed in range(40, 44):
         bench, rng = draw_gimbal(seed, **NINE), np.random.default_rng(seed)
         creep = np.linspace(0, np.deg2rad(0.02), 9)[:, None] * rng.standard_normal(3)
-        found = check_hand_eye(
+        check = check_hand_eye(
             exp_map(creep) @ bench.rotations, bench.covariance, bench.readings, focal_uncertainty=6e-4
         )
-        assert not found.faults, seed
+        assert not check.faults, seed
 
 
 def test_a_wrong_pose_is_named():
-    found = judged(draw_gimbal(9, **NINE, wrong=(3, 0.2)), names=["a", "b", "c", "left", "e"])
-    assert found.verdict.kind == "wrong_pose"
-    assert [fault.pose for fault in found.faults] == [3]
-    assert found.faults[0].size_deg == pytest.approx(0.2, abs=0.01)
-    assert "Pose 4 (left) does not fit" in text_of(found)
+    check = judged(draw_gimbal(9, **NINE, wrong=(3, 0.2)), names=["a", "b", "c", "left", "e"])
+    assert check.verdict.kind == "wrong_pose"
+    assert [fault.pose for fault in check.faults] == [3]
+    assert check.faults[0].size_deg == pytest.approx(0.2, abs=0.01)
+    assert "Pose 4 (left) does not fit" in text_of(check)
 
 
 def test_two_faults_that_hide_each_other_are_both_named():
     bench, readings = draw_gimbal(16, **NINE, wrong=(2, 0.1)), []
     for number, reading in enumerate(bench.readings):
         readings.append(reading | {"pan_deg": reading["pan_deg"] + 0.1 * (number == 6)})
-    found = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=6e-4)
-    assert {(fault.kind, fault.pose) for fault in found.faults} == {("pose", 2), ("pose", 6)}
+    check = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=6e-4)
+    assert {(fault.kind, fault.pose) for fault in check.faults} == {("pose", 2), ("pose", 6)}
     readings = []
     for number, reading in enumerate(draw_gimbal(17, **NINE).readings):
         slipped = {"pan_deg": 0.1 * (number >= 3), "tilt_deg": -0.15 * (number >= 5)}
         readings.append({axis: deg + slipped[axis] for axis, deg in reading.items()})
     bench = draw_gimbal(17, **NINE)
-    found = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=6e-4)
-    assert {(fault.axis, fault.pose) for fault in found.faults} == {(0, 3), (1, 5)}
+    check = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=6e-4)
+    assert {(fault.axis, fault.pose) for fault in check.faults} == {(0, 3), (1, 5)}
 
 
 def test_axes_that_are_not_at_right_angles_are_measured():
-    found = judged(draw_gimbal(10, **NINE, square_deg=0.1))
-    assert found.verdict.kind == "not_square"
-    assert found.faults[0].size_deg == pytest.approx(0.1, abs=4 * found.faults[0].sigma_deg)
+    check = judged(draw_gimbal(10, **NINE, square_deg=0.1))
+    assert check.verdict.kind == "not_square"
+    assert check.faults[0].size_deg == pytest.approx(0.1, abs=4 * check.faults[0].sigma_deg)
 
 
 def test_a_common_ratio_within_the_uncertainty_of_the_focal_length_is_not_the_gimbals():
     bench = draw_gimbal(11, **NINE, focal_error=0.029, focal_sigma=0.016)
-    found = judged(bench)
-    assert found.verdict.kind == "agrees"
-    assert found.pairs.ratio == pytest.approx(1.029, abs=1e-3)
-    assert "too short" in text_of(found)
-    assert "So the two agree. If the gimbal is right" in text_of(found)
+    check = judged(bench)
+    assert check.verdict.kind == "agrees"
+    assert check.pairs.ratio == pytest.approx(1.029, abs=1e-3)
+    assert "too short" in text_of(check)
+    assert "So the two agree. If the gimbal is right" in text_of(check)
     assert "too long" in text_of(judged(draw_gimbal(11, **NINE, focal_error=-0.029, focal_sigma=0.016)))
     # The same ratio far outside the uncertainty of the focal length is the gimbal's.
     known = check_hand_eye(
@@ -257,20 +257,20 @@ def test_a_scale_within_what_is_stated_of_the_axes_is_no_fault():
 
 def test_a_small_ratio_can_be_parallax_too():
     bench = draw_gimbal(12, **NINE, focal_error=0.008, focal_sigma=1e-4)
-    found = check_hand_eye(
+    check = check_hand_eye(
         bench.rotations, np.eye(27) * np.deg2rad(2 / 3600) ** 2, bench.readings, focal_uncertainty=4e-4
     )
-    assert found.verdict.kind == "scale_or_parallax"
-    assert "Below about 1 % nothing tells the two apart" in " ".join(found.verdict.says)
+    assert check.verdict.kind == "scale_or_parallax"
+    assert "Below about 1 % nothing tells the two apart" in " ".join(check.verdict.says)
 
 
 def test_axes_with_different_ratios_show_the_scale_of_the_gimbal():
     bench = draw_gimbal(13, **NINE)
     readings = [reading | {"pan_deg": reading["pan_deg"] / 1.05} for reading in bench.readings]
-    found = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=4e-4)
-    assert found.verdict.kind == "gimbal_scale"
-    assert found.scale["pan_deg"] == pytest.approx(1.05, abs=0.002)
-    assert "not the same along all axes" in " ".join(found.verdict.says)
+    check = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=4e-4)
+    assert check.verdict.kind == "gimbal_scale"
+    assert check.scale["pan_deg"] == pytest.approx(1.05, abs=0.002)
+    assert "not the same along all axes" in " ".join(check.verdict.says)
 
 
 @pytest.mark.parametrize(
@@ -293,9 +293,9 @@ def test_a_wrong_sign_is_named(signs, axes):
     sigma = np.deg2rad(2 / 3600)
     rotations = exp_map(sigma * rng.standard_normal((10, 3))) @ turns
     readings = [dict(zip(AXES[: 2 + abs(signs[2])], row, strict=False)) for row in true * signs]
-    found = check_hand_eye(rotations, np.eye(30) * sigma**2, readings, focal_uncertainty=4e-4)
-    assert found.verdict.kind == ("wrong_sign" if axes else "agrees")
-    assert not axes or text_of(found).startswith(f"The sign of {axes} is reversed")
+    check = check_hand_eye(rotations, np.eye(30) * sigma**2, readings, focal_uncertainty=4e-4)
+    assert check.verdict.kind == ("wrong_sign" if axes else "agrees")
+    assert not axes or text_of(check).startswith(f"The sign of {axes} is reversed")
 
 
 def test_exchanged_axes_are_told_with_a_wrong_sign_which_looks_the_same():
@@ -304,9 +304,9 @@ def test_exchanged_axes_are_told_with_a_wrong_sign_which_looks_the_same():
     mounted, standing = exp_map(np.array([0.02, -0.03, 0.4])), euler_zxy(3, -4, 12)
     rotations = np.array([mounted @ euler_zxy(*row, 0.0) @ standing for row in true])
     readings = [dict(zip(AXES[:2], row[::-1], strict=True)) for row in true]
-    found = check_hand_eye(rotations, np.eye(30) * 1e-10, readings, focal_uncertainty=4e-4)
-    assert found.verdict.kind == "wrong_sign"
-    assert "Two axes whose cables or addresses are exchanged look the same" in text_of(found)
+    check = check_hand_eye(rotations, np.eye(30) * 1e-10, readings, focal_uncertainty=4e-4)
+    assert check.verdict.kind == "wrong_sign"
+    assert "Two axes whose cables or addresses are exchanged look the same" in text_of(check)
     assert "exchanged look the same" in cause_sentence(
         Cause(REVERSED, 50.0, axis="pan or of tilt", beside=(EXCHANGED,))
     )
@@ -319,19 +319,19 @@ def test_mountings_that_cannot_be_told_apart_give_no_scale():
     sigma = np.deg2rad(2 / 3600)
     rotations = exp_map(sigma * rng.standard_normal((4, 3))) @ np.array([euler_zxy(*row) for row in true])
     readings = [dict(zip(AXES, row, strict=False)) for row in true]
-    found = check_hand_eye(rotations, np.eye(12) * sigma**2, readings)
-    assert found.verdict.kind == "ambiguous"
-    assert found.scale == {}
-    assert found.pairs.ratio == pytest.approx(1.0, abs=1e-3)
+    check = check_hand_eye(rotations, np.eye(12) * sigma**2, readings)
+    assert check.verdict.kind == "ambiguous"
+    assert check.scale == {}
+    assert check.pairs.ratio == pytest.approx(1.0, abs=1e-3)
 
 
 def test_three_poses_that_disagree_are_too_few_to_name_the_cause():
     bench = draw_gimbal(14, **(NINE | {"poses": 3}))
     readings = [dict(reading) for reading in bench.readings]
     readings[1]["pan_deg"] += 0.1
-    found = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=4e-4)
-    assert found.verdict.kind == "scatter"
-    assert "too few to tell which" in " ".join(found.verdict.says)
+    check = check_hand_eye(bench.rotations, bench.covariance, readings, focal_uncertainty=4e-4)
+    assert check.verdict.kind == "scatter"
+    assert "too few to tell which" in " ".join(check.verdict.says)
 
 
 def test_angles_are_degrees_from_a_tenth_on_and_arc_seconds_below():
@@ -345,10 +345,10 @@ def test_angles_are_degrees_from_a_tenth_on_and_arc_seconds_below():
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_camera_that_turned_in_its_mount_is_told_from_a_slipped_axis(seed):
     bench, turn = draw_gimbal(seed, **NINE), exp_map(np.radians([0.1, -0.2, 0.15]))
-    seen = [turn @ one if k >= 4 else one for k, one in enumerate(bench.rotations)]
-    found = check_hand_eye(np.array(seen), bench.covariance, bench.readings, focal_uncertainty=6e-4)
-    assert found.verdict.kind == "camera_turned"
-    (fault,) = found.faults
+    seen = [turn @ rotation if k >= 4 else rotation for k, rotation in enumerate(bench.rotations)]
+    check = check_hand_eye(np.array(seen), bench.covariance, bench.readings, focal_uncertainty=6e-4)
+    assert check.verdict.kind == "camera_turned"
+    (fault,) = check.faults
     assert (fault.kind, fault.pose, fault.rival) == ("mount", 4, None)
     assert fault.size_deg == pytest.approx(np.linalg.norm([0.1, 0.2, 0.15]), abs=0.01)
-    assert "The camera turned in its mount between pose 4 and pose 5" in text_of(found)
+    assert "The camera turned in its mount between pose 4 and pose 5" in text_of(check)

@@ -147,7 +147,7 @@ def test_the_window_begins_just_before_an_edge_where_there_is_room():
 
 
 @pytest.mark.parametrize(
-    ("events", "options", "error", "said"),
+    ("events", "options", "error", "fault"),
     [
         (lit_square(), {"window_us": (0, 9_000)}, TooFewEvents, "9.00 ms hold 0 whole periods of 10.00 ms"),
         (lit_square(), {"periods": 3}, TooFewEvents, "hold 2 whole periods"),
@@ -156,8 +156,8 @@ def test_the_window_begins_just_before_an_edge_where_there_is_room():
         ([(5, 16, 0, 1)], {}, InputMismatch, "column 16"),
     ],
 )
-def test_what_makes_no_image_is_refused(events, options, error, said):
-    with pytest.raises(error, match=said):
+def test_what_makes_no_image_is_refused(events, options, error, fault):
+    with pytest.raises(error, match=fault):
         images(events, **options)
 
 
@@ -194,9 +194,9 @@ def scene(seed=1, shape=(60, 80)):
 @pytest.mark.parametrize("periods", [1, 3])
 def test_one_event_an_edge_is_the_share_of_edges(periods):
     lit = scene()
-    found = make_quick_image(counts_of(periods * lit, periods * lit), periods)
-    assert (found.name, found.hot_pixels) == ("fired-per-edge", 0)
-    np.testing.assert_array_equal(found.image, lit.astype(np.float32))
+    picture = make_quick_image(counts_of(periods * lit, periods * lit), periods)
+    assert (picture.name, picture.hot_pixels) == ("fired-per-edge", 0)
+    np.testing.assert_array_equal(picture.image, lit.astype(np.float32))
     half = make_quick_image(counts_of(periods * lit, 0 * lit), periods)
     np.testing.assert_array_equal(half.image, 0.5 * lit.astype(np.float32))
 
@@ -205,17 +205,17 @@ def test_more_events_of_some_pixels_do_not_show_in_a_black_and_white_image():
     lit = scene()
     on = lit.copy()
     on[:30] *= 2
-    found = make_quick_image(counts_of(on, lit), 1)
-    assert found.name == "fired-per-edge"
-    np.testing.assert_array_equal(found.image, lit.astype(np.float32))
+    picture = make_quick_image(counts_of(on, lit), 1)
+    assert picture.name == "fired-per-edge"
+    np.testing.assert_array_equal(picture.image, lit.astype(np.float32))
 
 
 def test_several_events_an_edge_carry_grey_levels():
     lit = np.tile(np.repeat([1.0, 0.0], 10), (60, 4))  # stripes: a corner with many events looks hot
     grey = np.where(np.arange(80) < 40, 2.0, 4.0) * lit
-    found = make_quick_image(counts_of(2 * grey, 2 * grey), 2)
-    assert found.name == "events-per-edge"
-    np.testing.assert_allclose(found.image, grey)
+    picture = make_quick_image(counts_of(2 * grey, 2 * grey), 2)
+    assert picture.name == "events-per-edge"
+    np.testing.assert_allclose(picture.image, grey)
 
 
 def test_hot_pixels_are_counted_and_replaced():
@@ -224,15 +224,15 @@ def test_hot_pixels_are_counted_and_replaced():
     hot = [(5, 5), (33, 71), (58, 40)]
     for row, column in hot:
         on[row, column] = 60_000
-    found = make_quick_image(counts_of(on, lit), 1)
-    assert found.hot_pixels == len(hot)
-    np.testing.assert_array_equal(found.image, lit.astype(np.float32))
+    picture = make_quick_image(counts_of(on, lit), 1)
+    assert picture.hot_pixels == len(hot)
+    np.testing.assert_array_equal(picture.image, lit.astype(np.float32))
 
 
 def test_nothing_is_dark():
-    found = make_quick_image(np.zeros((2, 6, 8), np.uint16), 1)
-    assert found.name == "fired-per-edge"
-    assert not found.image.any()
+    picture = make_quick_image(np.zeros((2, 6, 8), np.uint16), 1)
+    assert picture.name == "fired-per-edge"
+    assert not picture.image.any()
 
 
 # ---------------------------------------------------------------- grey
@@ -286,9 +286,9 @@ ON.ravel()[rng.choice(ON.size, 150, replace=False)] += np.arange(150, dtype=np.u
 def test_hot_pixels_are_those_of_the_median_filter(allowed):
     count = (ON + OFF).astype(np.int64)
     around = cv2.medianBlur(count.astype(np.uint16), 5)
-    found = accumulation.hot_pixels(ON, OFF, allowed)
-    assert found.any()
-    np.testing.assert_array_equal(found, 2 * count > 5 * around.astype(np.int64) + 2 * allowed)
+    hot = accumulation.hot_pixels(ON, OFF, allowed)
+    assert hot.any()
+    np.testing.assert_array_equal(hot, 2 * count > 5 * around.astype(np.int64) + 2 * allowed)
 
 
 def test_hot_pixels_are_replaced_by_the_median_around_them():

@@ -46,15 +46,15 @@ def test_pictures_of_a_stream_do_not_depend_on_its_pieces(pieces):
     events, alpha_us = random_events(), 2e-6 * math.pi * 20.0
     parts = [tuple(part) for part in zip(*(np.array_split(each, pieces) for each in events), strict=True)]
     at_us = [50_000.0, 50_001.0, 120_000.0, 199_000.0]
-    found = list(reconstruct(parts, SIZE, at_us, cutoff_hz=20.0))
-    assert [one.at_us for one in found] == at_us
+    pictures = list(reconstruct(parts, SIZE, at_us, cutoff_hz=20.0))
+    assert [picture.at_us for picture in pictures] == at_us
     reach_us = -math.log(FORGOTTEN) / alpha_us
     near = tuple(each[events[0] <= 50_000.0 + reach_us] for each in events)
     off, on = (closed_form(near, at_us[0], alpha_us, polarity) for polarity in (0, 1))
     later_off, later_on = (closed_form(near, at_us[0], alpha_us, p, later=True) for p in (0, 1))
     weight = (on + later_on).sum() / (off + later_off).sum()
     expected = 0.5 * ((on - later_on) - weight * (off - later_off))
-    np.testing.assert_allclose(found[0].image, expected, atol=1e-5)
+    np.testing.assert_allclose(pictures[0].image, expected, atol=1e-5)
 
 
 def test_the_filter_is_that_of_dv_processing():
@@ -113,9 +113,9 @@ def test_a_time_that_steps_back_counts_at_the_latest_time_before():
     t, x, y, p = random_events()
     back = t.copy()
     back[2000] -= 40_000
-    (found,) = reconstruct([(back, x, y, p)], SIZE, [100_000.0])
+    (picture,) = reconstruct([(back, x, y, p)], SIZE, [100_000.0])
     (plain,) = reconstruct([(t, x, y, p)], SIZE, [100_000.0])
-    np.testing.assert_allclose(found.image, plain.image, atol=0.01)
+    np.testing.assert_allclose(picture.image, plain.image, atol=0.01)
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,11 @@ def test_the_cause_is_named_first_and_nothing_right_is_accused(name, words):
     line = mistaken(name, 1)
     assert line["causes"] == list(MISTAKES[name].named)
     assert words in line["told"][0]
-    assert not [one for one in line["told"] if "The statement" in one or "contradict the stars" in one]
+    assert not [
+        sentence
+        for sentence in line["told"]
+        if "The statement" in sentence or "contradict the stars" in sentence
+    ]
 
 
 @pytest.mark.parametrize("name", ["healthy", "camera upside down"])

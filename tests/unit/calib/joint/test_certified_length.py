@@ -40,7 +40,7 @@ def solved(certified_mm, length=""):
 
 
 def at_fault(result):
-    return next(one for one in result.witnesses if one.name == CERTIFICATE).fault_probability
+    return next(witness for witness in result.witnesses if witness.name == CERTIFICATE).fault_probability
 
 
 @pytest.mark.parametrize("certified_mm", [255.0, FOCAL_MM])

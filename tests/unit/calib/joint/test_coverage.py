@@ -34,9 +34,9 @@ class Drawn:
     @property
     def expanded(self):
         """U of fx, fy, cx, cy."""
-        found = self.result
+        result = self.result
         return np.array(
-            [found.sigma[name] * found.coverage_factors[name] for name in ("fx", "fy", "cx", "cy")]
+            [result.sigma[name] * result.coverage_factors[name] for name in ("fx", "fy", "cx", "cy")]
         )
 
     @property
@@ -74,7 +74,7 @@ def benches():
 
 
 def test_errors_of_the_camera_lie_within_u_and_fill_it(benches):
-    over = np.array([one.errors / one.expanded for one in benches])
+    over = np.array([bench.errors / bench.expanded for bench in benches])
     assert (np.abs(over) < 1.6).all()
     assert np.mean(np.abs(over) < 1.0) > 0.85
     rms = np.sqrt((4.0 * over**2).mean(axis=0))
@@ -85,17 +85,17 @@ def test_errors_of_the_camera_lie_within_u_and_fill_it(benches):
 def test_the_covariance_holds_for_all_parameters_of_the_camera_together(benches):
     """The errors of fx, fy, cx, cy in the metric of their covariance: a chi-square with four degrees of freedom."""
     squares = [
-        float(one.errors @ np.linalg.solve(one.result.camera_covariance[:4, :4], one.errors))
-        for one in benches
+        float(bench.errors @ np.linalg.solve(bench.result.camera_covariance[:4, :4], bench.errors))
+        for bench in benches
     ]
     assert 1.2 < np.mean(squares) < 6.5
 
 
 def test_the_map_is_as_large_as_the_errors_of_the_directions(benches):
     ratios = []
-    for one in benches:
-        stated = projection_uncertainty(one.result.camera, one.result.camera_covariance)
-        off = camera_difference(one.result.camera, one.true_camera).offset_px
+    for bench in benches:
+        stated = projection_uncertainty(bench.result.camera, bench.result.camera_covariance)
+        off = camera_difference(bench.result.camera, bench.true_camera).offset_px
         ratios.append(np.nanmean((off**2).sum(axis=2)) / np.nanmean(2.0 * stated.sigma_px**2))
     assert 0.15 < np.mean(ratios) < 1.1
 
@@ -103,7 +103,7 @@ def test_the_map_is_as_large_as_the_errors_of_the_directions(benches):
 def test_a_focal_length_that_drifts_from_pose_to_pose_is_named_with_its_size():
     views = draw_bench("like-bench", NINE, 31).views
     steady, moved = (
-        next(one for one in calibrate(some, CalibrationOptions()).witnesses if one.name == STEADY)
+        next(witness for witness in calibrate(some, CalibrationOptions()).witnesses if witness.name == STEADY)
         for some in (views, drifting(views, 1e-3))
     )
     assert steady.fault_probability < 0.1
@@ -111,20 +111,24 @@ def test_a_focal_length_that_drifts_from_pose_to_pose_is_named_with_its_size():
     assert moved.expected - steady.expected == pytest.approx(1e-3, rel=0.2)
 
 
-def boresight_errors(one):
+def boresight_errors(bench):
     """Errors of the rotation about the camera's axes, and of the ray through the middle along its x and y, degrees."""
-    found = one.result.boresight
-    turn = log_map((found.rotation @ one.camera_from_head.T)[None])[0]
-    width, height = one.true_camera.image_size
-    ray = one.true_camera.rays(np.array([[(width - 1) / 2, (height - 1) / 2]]))[0]
-    return np.degrees(turn), np.degrees(found.rotation @ (found.sight - one.camera_from_head.T @ ray))[:2]
+    boresight = bench.result.boresight
+    turn = log_map((boresight.rotation @ bench.camera_from_head.T)[None])[0]
+    width, height = bench.true_camera.image_size
+    ray = bench.true_camera.rays(np.array([[(width - 1) / 2, (height - 1) / 2]]))[0]
+    return np.degrees(turn), np.degrees(
+        boresight.rotation @ (boresight.sight - bench.camera_from_head.T @ ray)
+    )[:2]
 
 
 def test_the_boresight_lies_within_u_of_how_the_camera_is_mounted(benches):
-    found = [one.result.boresight for one in benches]
-    errors = [boresight_errors(one) for one in benches]
-    turns = np.array([turn / own.expanded_deg for (turn, _), own in zip(errors, found, strict=True)])
-    sights = np.array([ray / own.sight_expanded_deg for (_, ray), own in zip(errors, found, strict=True)])
+    boresights = [bench.result.boresight for bench in benches]
+    errors = [boresight_errors(bench) for bench in benches]
+    turns = np.array([turn / own.expanded_deg for (turn, _), own in zip(errors, boresights, strict=True)])
+    sights = np.array(
+        [ray / own.sight_expanded_deg for (_, ray), own in zip(errors, boresights, strict=True)]
+    )
     for over in (turns, sights):
         assert (np.abs(over) < 1.6).all()
         assert np.mean(np.abs(over) < 1.0) > 0.85
@@ -132,11 +136,11 @@ def test_the_boresight_lies_within_u_of_how_the_camera_is_mounted(benches):
 
 
 def test_an_angle_to_a_face_of_the_mount_has_the_u_of_the_ray_and_of_the_face(benches):
-    found = benches[0].result.boresight
-    straight, own = found.angle_to(found.sight, 0.0)
+    boresight = benches[0].result.boresight
+    straight, own = boresight.angle_to(boresight.sight, 0.0)
     assert straight == pytest.approx(0.0, abs=1e-6)
-    assert own >= found.sight_expanded_deg.max() - 1e-9
-    square, wider = found.angle_to(np.cross(found.sight, [0.0, 1.0, 0.0]), np.radians(1.0))
+    assert own >= boresight.sight_expanded_deg.max() - 1e-9
+    square, wider = boresight.angle_to(np.cross(boresight.sight, [0.0, 1.0, 0.0]), np.radians(1.0))
     assert square == pytest.approx(90.0)
     assert 2.0 < wider < 2.5
 

@@ -38,8 +38,8 @@ def optimum(views):
 def test_the_small_matrices_give_the_likelihood_and_the_camera_of_the_whole_solution(optimum):
     there = Unstated(optimum.marginal, optimum.eta)
     camera = slice(0, len(optimum.marginal.problem.bench.layout.pose.camera))
-    for name, one in there.witnesses.items():
-        for doubts in (NO_FAULT, *(((name, doubt),) for doubt in one.doubts)):
+    for name, witness in there.witnesses.items():
+        for doubts in (NO_FAULT, *(((name, doubt),) for doubt in witness.doubts)):
             whole = optimum.marginal.solve(optimum.eta, doubts)
             assert there.value(doubts) == pytest.approx(whole.value, abs=1e-4)
             values, sigmas = there.camera(doubts)
@@ -50,15 +50,15 @@ def test_the_small_matrices_give_the_likelihood_and_the_camera_of_the_whole_solu
 
 
 def test_wider_errors_are_less_probable_and_as_if_nobody_had_stated_it_is_the_end(optimum):
-    for one in optimum.marginal.problem.knowledge.witnesses.values():
+    for witness in optimum.marginal.problem.knowledge.witnesses.values():
         widths = [
             float(np.trace(np.linalg.inv(own) @ doubt.covariance))
-            for own, doubt in ((one.covariance, doubt) for doubt in one.doubts.values())
+            for own, doubt in ((witness.covariance, doubt) for doubt in witness.doubts.values())
         ]
         assert widths == sorted(widths)
-        *ladder, last = [doubt.odds for doubt in one.doubts.values()]
+        *ladder, last = [doubt.odds for doubt in witness.doubts.values()]
         assert ladder == sorted(ladder, reverse=True)
-        assert list(one.doubts)[-1] == WRONG
+        assert list(witness.doubts)[-1] == WRONG
         assert last >= 1e-3
 
 

@@ -29,42 +29,44 @@ def undecided():
     views, options = views_of(bench), options_for(bench, "0")
     first = adjust(views, options, Pupil.WALKS)
     second = adjust(views, options, Pupil.BY_HAND)
-    return posterior_of(views, options), [posterior(modes_of(one), 100) for one in (first, second)]
+    return posterior_of(views, options), [posterior(modes_of(way), 100) for way in (first, second)]
 
 
-def fx_of(found):
-    row = np.eye(len(found.mean))[0]
-    return found.mean[0], found.expanded(row), row
+def fx_of(mixture):
+    row = np.eye(len(mixture.mean))[0]
+    return mixture.mean[0], mixture.expanded(row), row
 
 
 def test_the_result_lies_between_both_ways(undecided):
-    found, ways = undecided
-    low, high = sorted(fx_of(one)[0] for one in ways)
-    assert low < fx_of(found)[0] < high
+    mixture, ways = undecided
+    low, high = sorted(fx_of(way)[0] for way in ways)
+    assert low < fx_of(mixture)[0] < high
     assert high - low > 1.0
 
 
 def test_the_uncertainty_covers_both_ways_by_their_probabilities(undecided):
-    found, _ = undecided
-    middle, expanded, row = fx_of(found)
-    sigmas = [np.sqrt(row @ one @ row) for one in found.covariances]
-    assert expanded == pytest.approx(half_width(found.means[:, 0], sigmas, found.weights, middle), rel=1e-4)
-    assert found.weights.sum() == pytest.approx(1.0)
-    assert 0.01 < found.others[0].share < 0.5
+    mixture, _ = undecided
+    middle, expanded, row = fx_of(mixture)
+    sigmas = [np.sqrt(row @ covariance @ row) for covariance in mixture.covariances]
+    assert expanded == pytest.approx(
+        half_width(mixture.means[:, 0], sigmas, mixture.weights, middle), rel=1e-4
+    )
+    assert mixture.weights.sum() == pytest.approx(1.0)
+    assert 0.01 < mixture.others[0].share < 0.5
 
 
 def test_the_budget_of_both_ways_adds_up_and_says_what_their_difference_makes(undecided):
-    found, _ = undecided
+    mixture, _ = undecided
     names = ("fx", "cx", "r")
-    at = found.optimum.marginal.problem.bench.layout.places(names)
-    parts = variances(found, np.eye(len(found.mean))[at])
-    assert sum(parts.values()) == pytest.approx(np.diag(found.covariance)[at], rel=1e-6)
+    at = mixture.optimum.marginal.problem.bench.layout.places(names)
+    parts = variances(mixture, np.eye(len(mixture.mean))[at])
+    assert sum(parts.values()) == pytest.approx(np.diag(mixture.covariance)[at], rel=1e-6)
 
 
 def test_the_covariance_of_both_ways_is_one(undecided):
-    found, _ = undecided
-    sigmas = np.sqrt(np.diag(found.covariance))
-    assert np.linalg.eigvalsh(found.covariance / np.outer(sigmas, sigmas)).min() > -1e-9
+    mixture, _ = undecided
+    sigmas = np.sqrt(np.diag(mixture.covariance))
+    assert np.linalg.eigvalsh(mixture.covariance / np.outer(sigmas, sigmas)).min() > -1e-9
 
 
 def test_where_the_parallax_is_bounded_there_is_one_way():
@@ -80,21 +82,25 @@ def test_a_bound_of_the_parallax_that_is_not_so_is_named_alone_and_does_no_harm(
     bench = WORLDS[world](seed, poses, 1, 0)
     options = options_for(bench, "cr")
     bound = ParallaxBound(bench.stated.defocus[0], 0.01, 2.0, 0.5)
-    found = calibrate(views_of(bench), replace(options, gimbal=replace(options.gimbal, parallax=bound)))
-    doubted = {one.name: one.fault_probability for one in found.witnesses if one.fault_probability > 0.5}
+    result = calibrate(views_of(bench), replace(options, gimbal=replace(options.gimbal, parallax=bound)))
+    doubted = {
+        witness.name: witness.fault_probability
+        for witness in result.witnesses
+        if witness.fault_probability > 0.5
+    }
     assert list(doubted) == ["pupil and defocus"]
-    assert any("leave the bound out of the station" in note for note in found.notes)
+    assert any("leave the bound out of the station" in note for note in result.notes)
     for name in ("fx", "fy", "cx", "cy"):
-        error = abs(getattr(found.camera, name) - bench.camera.values[name])
-        assert error < RIGHT_WITHIN * found.coverage_factors[name] * found.sigma[name]
+        error = abs(getattr(result.camera, name) - bench.camera.values[name])
+        assert error < RIGHT_WITHIN * result.coverage_factors[name] * result.sigma[name]
 
 
 def test_what_is_expected_of_a_pupil_beside_the_axes_does_not_speak_for_a_bound_that_states_it_too():
     """A hand moved the camera. The odds are even. Where this datum counted for the bound alone, they were 1 to 10 million."""
     bench = WORLDS["product-S2"](77, 3, 1, 0)
     stated = replace(bench.stated, bounded=True, off_pivot_mm=(2.0, 0.5))
-    found = calibrate(views_of(bench), options_for(replace(bench, stated=stated), "cr"))
-    probability = {one.name: one.fault_probability for one in found.witnesses}
+    result = calibrate(views_of(bench), options_for(replace(bench, stated=stated), "cr"))
+    probability = {witness.name: witness.fault_probability for witness in result.witnesses}
     assert 0.2 < probability["pupil and defocus"] < 0.8
 
 
@@ -114,24 +120,24 @@ def test_shifted_ids_of_a_view_do_not_deny_the_bound():
     ("world", "seed"),
     [
         ("S1", 406),
-        *(pytest.param(*one, marks=pytest.mark.slow) for one in (("S1", 407), ("product-S1", 404))),
+        *(pytest.param(*case, marks=pytest.mark.slow) for case in (("S1", 407), ("product-S1", 404))),
     ],
 )
 def test_three_poses_of_a_mount_moved_by_hand_are_covered_with_nothing_stated(world, seed):
     """Each is 1.7 to 2.7 U wrong in one of both ways."""
     bench = WORLDS[world](seed, 3, 1, 0)
-    found = calibrate(views_of(bench), CalibrationOptions())
+    result = calibrate(views_of(bench), CalibrationOptions())
     for name in ("fx", "cx", "cy"):
-        error = abs(getattr(found.camera, name) - bench.camera.values[name])
-        assert error < 1.3 * found.coverage_factors[name] * found.sigma[name]
+        error = abs(getattr(result.camera, name) - bench.camera.values[name])
+        assert error < 1.3 * result.coverage_factors[name] * result.sigma[name]
 
 
 def test_errors_of_poses_on_a_gimbal_are_not_taken_for_a_hand():
     """The places of a hand are free: they explain the errors better, by 17 in 2 log of the likelihood."""
     bench = record(draw_world(0), 0, nested_poses(0)[:4])
-    found = posterior_of(views_of(bench), options_for(bench, "0"))
-    assert found.optimum.marginal.problem.pupils is None
-    assert all(other.share < 0.02 for other in found.others)
+    mixture = posterior_of(views_of(bench), options_for(bench, "0"))
+    assert mixture.optimum.marginal.problem.pupils is None
+    assert all(other.share < 0.02 for other in mixture.others)
 
 
 def test_the_uncertainty_has_no_step_where_discs_begin_to_show_a_gimbal():
@@ -140,18 +146,18 @@ def test_the_uncertainty_has_no_step_where_discs_begin_to_show_a_gimbal():
     expanded = []
     for count in (9, 12):
         bench = record(world, 2, poses[:count])
-        found = calibrate(views_of(bench), CalibrationOptions())
-        expanded.append(found.coverage_factors["fx"] * found.sigma["fx"])
+        result = calibrate(views_of(bench), CalibrationOptions())
+        expanded.append(result.coverage_factors["fx"] * result.sigma["fx"])
     assert expanded[1] < 1.5 * expanded[0]
 
 
 def test_a_lens_that_the_views_do_not_decide_stays_in_the_mixture_by_its_odds():
     """The other family explains these views a third as well; the odds beforehand are 1 to 150."""
     bench = WORLDS["polynomial"](402, 3, 1, 0)
-    found = posterior_of(views_of(bench), replace(options_for(bench, "c"), distortion="auto"))
-    shares = {other.hypothesis: other.share for other in found.others}
+    mixture = posterior_of(views_of(bench), replace(options_for(bench, "c"), distortion="auto"))
+    shares = {other.hypothesis: other.share for other in mixture.others}
     assert 3e-4 < shares[OTHER_LENS] < OTHER_LENS.odds
-    assert found.share == pytest.approx(1.0 - sum(shares.values()))
-    at = found.optimum.marginal.problem.bench.layout.places(("fx", "cx", "k1"))
-    parts = variances(found, np.eye(len(found.mean))[at])
-    assert sum(parts.values()) == pytest.approx(np.diag(found.covariance)[at], rel=1e-6)
+    assert mixture.share == pytest.approx(1.0 - sum(shares.values()))
+    at = mixture.optimum.marginal.problem.bench.layout.places(("fx", "cx", "k1"))
+    parts = variances(mixture, np.eye(len(mixture.mean))[at])
+    assert sum(parts.values()) == pytest.approx(np.diag(mixture.covariance)[at], rel=1e-6)

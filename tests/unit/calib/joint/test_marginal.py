@@ -42,12 +42,12 @@ KNOWN = CalibrationOptions("joint", passport=Passport.of_radius(255.03, 0.05, le
 def views(bench):
     """Four views, of which two show the same pose, with smooth errors that differ between them."""
     rng = np.random.default_rng(5)
-    found = []
+    moved = []
     for view in bench.views(rng, 0.02, POSES):
         x, y = ((view.points_px - [640, 360]) / 500.0).T
         error = 0.02 * (rng.standard_normal(2) * x[:, None] ** 2 + rng.standard_normal(2) * (x * y)[:, None])
-        found.append(replace(view, points_px=view.points_px + error))
-    return found
+        moved.append(replace(view, points_px=view.points_px + error))
+    return moved
 
 
 @pytest.fixture
@@ -91,8 +91,8 @@ def test_search_of_amplitudes_ends_where_that_of_scipy_does(optimum):
     marginal, hyper = optimum.marginal, optimum.marginal.problem.hyper
 
     def target(eta):
-        found = marginal.solve(eta)
-        return found.value, found.gradient
+        solution = marginal.solve(eta)
+        return solution.value, solution.gradient
 
     options = {"maxiter": 400, "maxfun": 800, "ftol": 1e-12, "gtol": 1e-6}
     theirs = minimize(target, hyper.mean, jac=True, method="L-BFGS-B", bounds=hyper.bounds, options=options)
@@ -101,10 +101,10 @@ def test_search_of_amplitudes_ends_where_that_of_scipy_does(optimum):
 
 
 def test_parts_of_the_budget_add_up_to_the_variance(optimum):
-    found = posterior(modes_of(optimum), 30)
+    mixture = posterior(modes_of(optimum), 30)
     at = optimum.marginal.problem.bench.layout.places(["fx", "cx", "r"])
-    parts = variances(found, np.eye(len(found.mean))[at])
-    assert sum(parts.values()) == pytest.approx(np.diag(found.covariance)[at], rel=1e-6)
+    parts = variances(mixture, np.eye(len(mixture.mean))[at])
+    assert sum(parts.values()) == pytest.approx(np.diag(mixture.covariance)[at], rel=1e-6)
     assert all((part >= 0).all() for part in parts.values())
 
 
@@ -121,7 +121,9 @@ def test_at_the_state_of_a_fault_nothing_is_said_of_a_state_far_away(views):
 
 @pytest.mark.parametrize("name", [CERTIFICATE, "scale of pan", "pupil and defocus", "square pixels"])
 def test_innovation_is_what_an_adjustment_says_for_which_nobody_had_stated_it(optimum, name):
-    one = next(one for one in posterior(modes_of(optimum), 30).innovations() if one.name == name)
+    innovation = next(
+        candidate for candidate in posterior(modes_of(optimum), 30).innovations() if candidate.name == name
+    )
     marginal = optimum.marginal
     kept = tuple(
         replace(s, covariance=s.free) if s.name == name and s.free is not None else s
@@ -132,12 +134,14 @@ def test_innovation_is_what_an_adjustment_says_for_which_nobody_had_stated_it(op
         replace(marginal.problem, knowledge=knowledge), marginal.equations, marginal.state
     )
     solution = without.solve(optimum.eta)
-    expected = one.statement.rows @ (optimum.state.shared + solution.step)
-    sigma = np.sqrt(one.statement.rows @ solution.covariance @ one.statement.rows.T)
-    assert one.expected == pytest.approx(expected, rel=1e-4, abs=1e-3 * sigma[0, 0])
-    assert one.sigma[0] == pytest.approx(sigma[0, 0], rel=1e-3)
-    away = (one.statement.values - expected) / np.sqrt(sigma[0, 0] ** 2 + one.statement.covariance[0, 0])
-    assert one.normalised == pytest.approx(away[0], rel=1e-2, abs=1e-3)
+    expected = innovation.statement.rows @ (optimum.state.shared + solution.step)
+    sigma = np.sqrt(innovation.statement.rows @ solution.covariance @ innovation.statement.rows.T)
+    assert innovation.expected == pytest.approx(expected, rel=1e-4, abs=1e-3 * sigma[0, 0])
+    assert innovation.sigma[0] == pytest.approx(sigma[0, 0], rel=1e-3)
+    normalised = (innovation.statement.values - expected) / np.sqrt(
+        sigma[0, 0] ** 2 + innovation.statement.covariance[0, 0]
+    )
+    assert innovation.normalised == pytest.approx(normalised[0], rel=1e-2, abs=1e-3)
 
 
 def lit(bench, discs_mm):
@@ -151,11 +155,13 @@ def lit(bench, discs_mm):
 
 @pytest.mark.parametrize(("mm", "wanders"), [(0.0, False), (15.0, True)])
 def test_a_pupil_that_is_moved_by_hand_is_found_in_the_discs(bench, mm, wanders):
-    away = mm * np.random.default_rng(2).choice([-1.0, 1.0], (9, 2))
-    pupils = adjust(lit(bench, bench.centre[:2] + away), CalibrationOptions("joint")).marginal.problem.pupils
+    steps_mm = mm * np.random.default_rng(2).choice([-1.0, 1.0], (9, 2))
+    pupils = adjust(
+        lit(bench, bench.centre[:2] + steps_mm), CalibrationOptions("joint")
+    ).marginal.problem.pupils
     assert (pupils is not None) == wanders
     if wanders:
-        assert pupils.shown == pytest.approx(12.0 * (away - away.mean(axis=0)) / 255.0, abs=0.15)
+        assert pupils.shown == pytest.approx(12.0 * (steps_mm - steps_mm.mean(axis=0)) / 255.0, abs=0.15)
 
 
 @pytest.mark.parametrize("off_mm", [4.0, 60.0])
@@ -197,15 +203,17 @@ def test_errors_at_the_rim_that_come_again_in_each_pose_do_not_move_the_camera(b
     rng = np.random.default_rng(11)
     views = []
     for view in bench.views(rng, 0.02, angles):
-        away = view.target_mm - np.mean([view.target_mm.max(axis=0), view.target_mm.min(axis=0)], axis=0)
-        rho = np.hypot(*away.T) / 25.0
-        outwards = 0.5 * rho**14 * (1.0 + away[:, 0] / 40.0)
+        from_middle_mm = view.target_mm - np.mean(
+            [view.target_mm.max(axis=0), view.target_mm.min(axis=0)], axis=0
+        )
+        rho = np.hypot(*from_middle_mm.T) / 25.0
+        outwards = 0.5 * rho**14 * (1.0 + from_middle_mm[:, 0] / 40.0)
         bent = view.points_px + outwards[:, None] * [1.0, -0.8]
         views.append(replace(view, points_px=bent).part(rho < 1.05))
     readings = replace(READINGS, angles_deg=tuple({"pan_deg": p, "tilt_deg": t} for p, t in angles))
-    found = calibrate(views, replace(KNOWN, gimbal=readings))
+    result = calibrate(views, replace(KNOWN, gimbal=readings))
     off = {
-        name: (getattr(found.camera, name) - bench.truth[name]) / found.sigma[name]
+        name: (getattr(result.camera, name) - bench.truth[name]) / result.sigma[name]
         for name in ("fx", "fy", "cx", "cy")
     }
     assert max(map(abs, off.values())) < 2.5, off
@@ -223,7 +231,7 @@ def test_ideal_stars_give_the_truth(bench):
 def test_a_statement_of_which_nobody_else_knows_is_not_contradicted(views, exactly):
     exact = replace(READINGS, parallax=ParallaxBound(0.0, exactly, 0.0, 0.5))
     witnesses = calibrate(views, CalibrationOptions("joint", gimbal=exact)).witnesses
-    (pupil,) = (one for one in witnesses if one.name == PARALLAX)
+    (pupil,) = (witness for witness in witnesses if witness.name == PARALLAX)
     assert abs(pupil.innovation) < 1.5
 
 
@@ -256,8 +264,8 @@ def test_a_pupil_before_the_pivot_moves_across_the_beam_as_the_camera_turns(benc
     share = np.zeros(len(layout.names))  # of r, for a full sine: minus defocus times 10 mm
     r_mm = layout.basis.reference[2]
     share[layout.places(layout.names_of(Parallax))[[0, 3]]] = -0.1 * 10.0 / r_mm * UNIT_TURN
-    found = maps @ share
-    shift = r_mm * found[:, layout.pose.shifts]
+    moves = maps @ share
+    shift = r_mm * moves[:, layout.pose.shifts]
     assert shift == pytest.approx(-0.1 * 10.0 * turned[:, 2, :2], abs=1e-9)
 
 
@@ -276,7 +284,7 @@ def test_two_optima_are_compared_with_the_same_weights_of_the_stars(views):
 
 def test_statements_that_agree_are_not_doubted(views):
     result = calibrate(views, KNOWN)
-    assert max(abs(one.innovation) for one in result.witnesses) < 3.0
+    assert max(abs(witness.innovation) for witness in result.witnesses) < 3.0
     assert not [note for note in result.notes if "statement" in note]
 
 
@@ -285,7 +293,7 @@ def test_statements_that_agree_are_not_doubted(views):
 )
 def test_a_wrong_certificate_beside_right_readings_is_named_and_the_camera_right(views, bench, times):
     result = calibrate(views, replace(KNOWN, passport=Passport.of_radius(255.0 * times, 0.05, length="seen")))
-    certificate = next(one for one in result.witnesses if one.name == CERTIFICATE)
+    certificate = next(witness for witness in result.witnesses if witness.name == CERTIFICATE)
     assert abs(certificate.innovation) > 5.0
     assert certificate.fault_probability > DOUBTED
     assert any("certificate" in note.lower() for note in result.notes)
@@ -321,7 +329,11 @@ def test_a_certificate_that_the_fields_could_take_up_is_doubted_and_pulls_nothin
 
 def test_result_has_amplitudes_witnesses_and_factors(views):
     result = calibrate(views, KNOWN)
-    assert {one.name for one in result.amplitudes} >= {"star noise", "readings", "pose field, degree 2"}
+    assert {amplitude.name for amplitude in result.amplitudes} >= {
+        "star noise",
+        "readings",
+        "pose field, degree 2",
+    }
     assert set(result.coverage_factors) == {*result.parameter_names, "worst_corner"}
     assert result.coverage_factor == result.coverage_factors["fx"]
     shares = [row.share["fx"] for row in result.budget_rows]
@@ -344,8 +356,8 @@ def test_passport_of_a_result_calibrates_from_one_view(views, bench):
 
 
 def test_a_passport_allows_that_another_camera_looks_through_the_glass_elsewhere():
-    found = drawn_result("polynomial", 3, 2, "passport")
-    over = [abs(found["error"][name]) / found["U"][name] for name in ("fx", "cx", "cy", "corner")]
+    line = drawn_result("polynomial", 3, 2, "passport")
+    over = [abs(line["error"][name]) / line["U"][name] for name in ("fx", "cx", "cy", "corner")]
     assert max(over) < 1.3
 
 
@@ -376,9 +388,9 @@ def test_scale_of_the_print_is_expected_of_nobody_without_a_certificate(bench):
     views = bench.views(np.random.default_rng(62), 0.02)
     term = TypeBTerm("scale of the print", "print_scale", 2e-5, "station", "rectangular")
     witness = next(
-        one
-        for one in calibrate(views, CalibrationOptions("joint", budget=(term,))).witnesses
-        if one.name == "scale of the print"
+        witness
+        for witness in calibrate(views, CalibrationOptions("joint", budget=(term,))).witnesses
+        if witness.name == "scale of the print"
     )
     assert abs(witness.innovation) < 2.0
     assert abs(witness.expected) < 0.01
@@ -410,8 +422,8 @@ def test_a_pupil_that_moves_along_the_axis_does_not_pass_for_errors_of_the_glass
 def test_a_pupil_beside_the_axes_does_not_pass_for_another_principal_point():
     """It is off by 2 sigma along both. When they turn, it moves along the beam, and imitates cx."""
     world = polynomial.draw_world(7)
-    beside = replace(world, mount=replace(world.mount, beside_mm=np.array([4.0, -4.0])))
-    line = judged(polynomial.record(beside, 7, NINE), "cr", "right")
+    beside_axes = replace(world, mount=replace(world.mount, beside_mm=np.array([4.0, -4.0])))
+    line = judged(polynomial.record(beside_axes, 7, NINE), "cr", "right")
     assert all(abs(line["error"][name]) < line["U"][name] for name in ("fx", "fy", "cx", "cy", "corner"))
 
 

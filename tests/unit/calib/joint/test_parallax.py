@@ -69,9 +69,9 @@ class CurvedField(Bench):
     def project(self, target_mm, turn, centre):
         x, y, z = centre
         h = (target_mm - (x, y)) / -z
-        beside = np.array(self.beside_mm) @ turn[:2, :2]
+        beside_mm = np.array(self.beside_mm) @ turn[:2, :2]
         return super().project(
-            target_mm - self.curvature * (h**2).sum(axis=1, keepdims=True) * beside, turn, centre
+            target_mm - self.curvature * (h**2).sum(axis=1, keepdims=True) * beside_mm, turn, centre
         )
 
 

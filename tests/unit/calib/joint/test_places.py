@@ -53,8 +53,8 @@ def test_places_are_the_most_probable_ones_with_all_else_integrated_out(optimum)
 def test_an_optimum_by_the_state_of_a_fault_has_the_places_of_that_state(optimum):
     """With the places of the start, residuals were as large as these are far away."""
     problem, state = optimum.marginal.problem, optimum.state
-    away = replace(problem, bench=replace(problem.bench, pupils=problem.bench.pupils + 0.01))
-    there = search_with_fault(away, state, ((ASPECT, WRONG),), 100)
+    moved = replace(problem, bench=replace(problem.bench, pupils=problem.bench.pupils + 0.01))
+    there = search_with_fault(moved, state, ((ASPECT, WRONG),), 100)
     assert there.converged
     assert there.marginal.problem.faults == problem.faults
     spread = np.median(np.concatenate(there.marginal.problem.bench.whitened(there.state)))
@@ -86,16 +86,18 @@ def test_prior_information_is_the_inverse_of_the_covariance(optimum):
 def test_a_search_that_begins_badly_ends_where_the_camera_is():
     """Its first steps are long with any amplitudes. If it kept those of the start, fx would be 5 U wrong."""
     bench = WORLDS["S1"](76, 9, 1, 0)
-    found = calibrate(views_of(bench), CalibrationOptions("joint"))
-    assert abs(found.camera.fx - bench.camera.values["fx"]) < 2.0 * found.sigma["fx"]
-    assert found.sigma["fx"] < 100.0
+    result = calibrate(views_of(bench), CalibrationOptions("joint"))
+    assert abs(result.camera.fx - bench.camera.values["fx"]) < 2.0 * result.sigma["fx"]
+    assert result.sigma["fx"] < 100.0
 
 
 def test_three_poses_whose_discs_show_no_gimbal_are_calibrated_without_one():
     """A hand moved the mount. As if on a gimbal, fx was 43 px wrong with U of 32 px."""
     bench = WORLDS["product-S1"](73, 3, 1, 0)
-    found = calibrate(views_of(bench), options_for(bench, "0"))
-    assert abs(found.camera.fx - bench.camera.values["fx"]) < found.coverage_factors["fx"] * found.sigma["fx"]
+    result = calibrate(views_of(bench), options_for(bench, "0"))
+    assert (
+        abs(result.camera.fx - bench.camera.values["fx"]) < result.coverage_factors["fx"] * result.sigma["fx"]
+    )
 
 
 def test_places_elsewhere_come_back(optimum):
@@ -108,10 +110,10 @@ def test_places_elsewhere_come_back(optimum):
 
 
 def test_places_of_the_pupil_are_a_row_of_the_budget_which_adds_up(optimum):
-    found = posterior(modes_of(optimum), 30)
+    mixture = posterior(modes_of(optimum), 30)
     at = optimum.marginal.problem.bench.layout.places(["fx", "cx", "r"])
-    parts = variances(found, np.eye(len(found.mean))[at])
-    assert sum(parts.values()) == pytest.approx(np.diag(found.covariance)[at], rel=1e-6)
+    parts = variances(mixture, np.eye(len(mixture.mean))[at])
+    assert sum(parts.values()) == pytest.approx(np.diag(mixture.covariance)[at], rel=1e-6)
     assert (parts[PUPILS] > 0).all()
 
 
@@ -121,14 +123,14 @@ def test_a_rim_that_differs_from_pose_to_pose_does_not_move_the_camera(seeds):
     over = []
     for seed in seeds:
         bench = draw_bench("like-real", NINE, seed)
-        found = calibrate(
+        result = calibrate(
             bench.views, CalibrationOptions(passport=Passport.of_radius(255.0, 0.05, length="seen"))
         )
-        expanded = {name: found.coverage_factors[name] * found.sigma[name] for name in ("fx", "cx", "cy")}
+        expanded = {name: result.coverage_factors[name] * result.sigma[name] for name in ("fx", "cx", "cy")}
         assert expanded["fx"] < 5.0  # the certificate is right and not doubted
         assert max(expanded.values()) < 15.0
         over += [
-            abs(getattr(found.camera, name) - getattr(bench.truth.camera, name)) / u
+            abs(getattr(result.camera, name) - getattr(bench.truth.camera, name)) / u
             for name, u in expanded.items()
         ]
     assert max(over) < 1.6
@@ -139,16 +141,16 @@ def test_readings_beside_visible_discs_of_a_mount_moved_by_hand_give_a_covarianc
     bench = draw_bench("S1", THREE, 202)
     readings = GimbalReadings(tuple(bench.readings_deg), 0.002, 2e-4, source="drawn")
     known = CalibrationOptions(passport=Passport.of_radius(255.0, 0.05, length="seen"), gimbal=readings)
-    found = calibrate(bench.views, known)
-    assert np.linalg.eigvalsh(found.correlation).min() > 0.0
+    result = calibrate(bench.views, known)
+    assert np.linalg.eigvalsh(result.correlation).min() > 0.0
 
 
 def test_a_search_with_a_rim_about_middles_that_are_hardly_shown_ends():
     """Rim and middle multiply each other: steps that do not bend with them take ever smaller shares."""
     bench = WORLDS["S2"](14, 9, 1, 0)
-    found = calibrate(views_of(bench), CalibrationOptions())
-    assert found.iterations < 40
-    assert found.camera.fx == pytest.approx(bench.camera.values["fx"], rel=0.02)
+    result = calibrate(views_of(bench), CalibrationOptions())
+    assert result.iterations < 40
+    assert result.camera.fx == pytest.approx(bench.camera.values["fx"], rel=0.02)
 
 
 def test_pupils_that_are_known_exactly_add_nothing(optimum):
@@ -189,7 +191,7 @@ def test_spread_is_how_far_the_camera_moves_with_the_pupils(optimum):
     spread = spread_of_places(replace(solution, marginal=tightened))
     expected = np.array(moves).T @ np.linalg.inv(tight) @ np.array(moves)
     camera = slice(0, 4)
-    sigmas, theirs = (np.sqrt(np.diag(one)[camera]) for one in (spread, expected))
+    sigmas, theirs = (np.sqrt(np.diag(covariance)[camera]) for covariance in (spread, expected))
     assert sigmas == pytest.approx(theirs, rel=0.25)  # residuals bend what the differences see
 
 
@@ -199,14 +201,14 @@ def test_places_before_fields_that_are_zero_but_hardly_known_move_the_camera_too
     pupils = marginal.problem.pupils
     tight = replace(pupils, information=1e4 * pupils.information)  # the stars say nothing of the places
     problem = replace(marginal.problem, pupils=tight)
-    found = replace(optimum.solution, step=np.zeros_like(optimum.solution.step))
-    errors = np.linalg.cholesky(found.covariance[columns[:, None], columns])
+    still = replace(optimum.solution, step=np.zeros_like(optimum.solution.step))
+    errors = np.linalg.cholesky(still.covariance[columns[:, None], columns])
 
     def variances_with(fields):
         shared = optimum.state.shared.copy()
         shared[columns] = fields
         there = Marginal(problem, marginal.equations, replace(optimum.state, shared=shared))
-        return np.diag(spread_of_places(replace(found, marginal=there)))[:4]
+        return np.diag(spread_of_places(replace(still, marginal=there)))[:4]
 
     unseen, rng = variances_with(0.0), np.random.default_rng(1)
     drawn = [variances_with(errors @ rng.standard_normal(len(columns))) - unseen for _ in range(100)]

@@ -15,10 +15,10 @@ RASTER = np.array([(x, y) for y in (-0.05, 0.0, 0.05) for x in (-0.1, 0.0, 0.1)]
 def discs(turns, ways, sigma_mm):
     """Discs that move by ``ways``, shares of the radius per unit turn along X and Y, with independent noise."""
     noise = sigma_mm * np.random.default_rng(1).standard_normal((len(turns), 2))
-    one, variances = np.eye(2), np.full(2 * len(turns), sigma_mm**2)
+    unit, variances = np.eye(2), np.full(2 * len(turns), sigma_mm**2)
     middles = R_MM * turns * ways + noise
     return Discs(
-        [Disc(middle, 50.0, one * sigma_mm**2, sigma_mm) for middle in middles],
+        [Disc(middle, 50.0, unit * sigma_mm**2, sigma_mm) for middle in middles],
         np.diag(variances),
         DiscMotion(np.zeros((2, 2)), np.eye(4)),
     )

@@ -29,7 +29,7 @@ def chain(optimum):
     rng, base = np.random.default_rng(1), optimum.solution
     low, high = np.array(base.marginal.problem.hyper.bounds).T
     to_eta = np.linalg.inv(np.linalg.cholesky(0.5 * expected_curvature(base))).T
-    place, log, one, found = np.zeros(len(base.eta)), 0.0, base, []
+    place, log, solution, steps = np.zeros(len(base.eta)), 0.0, base, []
     for _ in range(STEPS):
         tried = math.sqrt(1.0 - KEEPS**2) * place + KEEPS * rng.standard_normal(len(place))
         eta = base.eta + to_eta @ tried
@@ -37,13 +37,13 @@ def chain(optimum):
             other = base.marginal.solve(eta)
             gain = 0.5 * (base.value - other.value + tried @ tried)
             if math.log(rng.random()) < gain - log:
-                place, log, one = tried, gain, other
-        found.append((one.step[0], math.sqrt(one.covariance[0, 0])))
-    return np.array(found).T
+                place, log, solution = tried, gain, other
+        steps.append((solution.step[0], math.sqrt(solution.covariance[0, 0])))
+    return np.array(steps).T
 
 
 def test_the_uncertainty_is_that_of_a_markov_chain_over_the_amplitudes(optimum, chain):
     """At the best amplitudes alone it is a third smaller."""
-    found, (steps, sigmas) = posterior(modes_of(optimum), 100), chain
+    mixture, (steps, sigmas) = posterior(modes_of(optimum), 100), chain
     by_chain = half_width(steps, sigmas, np.full(STEPS, 1.0 / STEPS), steps.mean())
-    assert found.expanded(np.eye(len(found.mean))[0]) == pytest.approx(by_chain, rel=0.1)
+    assert mixture.expanded(np.eye(len(mixture.mean))[0]) == pytest.approx(by_chain, rel=0.1)

@@ -41,26 +41,26 @@ def misnamed(view, columns, rows):
 
 
 def doubts(views, options=None):
-    said = calibrate(views, options or CalibrationOptions()).notes
-    return [note for note in said if "star ids" in note or "origin" in note]
+    notes = calibrate(views, options or CalibrationOptions()).notes
+    return [note for note in notes if "star ids" in note or "origin" in note]
 
 
 def shifts_of(sentence):
     """By the name of each view in a sentence: the columns and rows by which to shift its ids."""
-    said = r"view (pose.?\d+) by (?:(-?\d+) columns?)?(?: and )?(?:(-?\d+) rows?)?"
-    return {(view, int(columns or 0), int(rows or 0)) for view, columns, rows in re.findall(said, sentence)}
+    form = r"view (pose.?\d+) by (?:(-?\d+) columns?)?(?: and )?(?:(-?\d+) rows?)?"
+    return {(view, int(columns or 0), int(rows or 0)) for view, columns, rows in re.findall(form, sentence)}
 
 
 def named_shift(views):
     """The shifts that the note on wrong ids names; none if there is no such note."""
-    found = doubts(views)
-    if not found:
+    notes = doubts(views)
+    if not notes:
         return set()
-    (said,) = found
-    assert said.startswith("The star ids are wrong: shift the ids of view")
-    reached, enough = map(int, re.search(r"ratio\) is (\d+); (\d+) is enough", said).groups())
+    (note,) = notes
+    assert note.startswith("The star ids are wrong: shift the ids of view")
+    reached, enough = map(int, re.search(r"ratio\) is (\d+); (\d+) is enough", note).groups())
     assert reached >= enough  # both are rounded
-    return shifts_of(said)
+    return shifts_of(note)
 
 
 @pytest.mark.parametrize(
@@ -91,13 +91,13 @@ def test_a_shift_that_five_views_do_not_show_does_no_harm(place, shift, seed):
     """With nothing stated, parallax may explain it: then it is in U."""
     views = bench(seed, count=5)
     views[place] = misnamed(views[place], *shift)
-    if found := named_shift(views):
-        assert found == {(f"pose-{place + 1:03d}", *shift)}
+    if shifts := named_shift(views):
+        assert shifts == {(f"pose-{place + 1:03d}", *shift)}
     else:
         result = calibrate(views, CalibrationOptions())
         for name in ("fx", "fy", "cx", "cy"):
-            away = abs(getattr(result.camera, name) - Bench().truth[name])
-            assert away < 1.5 * result.coverage_factors[name] * result.sigma[name]
+            error = abs(getattr(result.camera, name) - Bench().truth[name])
+            assert error < 1.5 * result.coverage_factors[name] * result.sigma[name]
 
 
 @pytest.mark.parametrize("world", [pytest.param("polynomial", marks=pytest.mark.slow), "raytraced"])
@@ -107,8 +107,8 @@ def test_behind_a_real_collimator_a_shifted_view_is_named(world):
     views = views_of(drawn)
     places = np.unique(np.round(views[0].target_mm, 6)[:, 0])
     views[2] = replace(views[2], target_mm=views[2].target_mm + np.median(np.diff(places)) * np.array([1, 0]))
-    (found,) = doubts(views, options_for(drawn, "0"))
-    assert found.startswith("The star ids are wrong: shift the ids of view pose 3 by -1 column. ")
+    (note,) = doubts(views, options_for(drawn, "0"))
+    assert note.startswith("The star ids are wrong: shift the ids of view pose 3 by -1 column. ")
 
 
 @settings(max_examples=4, deadline=None)
@@ -130,8 +130,8 @@ def test_right_ids_behind_a_real_collimator_are_not_doubted(world, count):
 def test_two_shifted_views_of_six_are_named_together():
     views = bench(1)
     views[1], views[4] = misnamed(views[1], 1, 0), misnamed(views[4], 0, -2)
-    (found,) = doubts(views)
-    assert shifts_of(found) == {("pose-002", 1, 0), ("pose-005", 0, -2)}
+    (note,) = doubts(views)
+    assert shifts_of(note) == {("pose-002", 1, 0), ("pose-005", 0, -2)}
 
 
 def test_of_two_views_nobody_can_tell_which_is_shifted():
@@ -140,17 +140,18 @@ def test_of_two_views_nobody_can_tell_which_is_shifted():
     views[0] = misnamed(views[0], 1, 0)
     angles = tuple(dict(zip(AXES, (*pose, 0.0), strict=False)) for pose in POSES[:2])
     rough = GimbalReadings(angles, 0.5, parallax=ParallaxBound(0.0, 0.1, 0.0, 0.01))
-    (found,) = doubts(views, CalibrationOptions(gimbal=rough))
-    assert "do not show which one" in found
-    assert {("pose-001", 1, 0), ("pose-002", -1, 0)} <= shifts_of(found)
+    (note,) = doubts(views, CalibrationOptions(gimbal=rough))
+    assert "do not show which one" in note
+    assert {("pose-001", 1, 0), ("pose-002", -1, 0)} <= shifts_of(note)
 
 
 def test_stars_on_no_lattice_have_no_columns():
     rng, views = np.random.default_rng(5), bench(4, count=5)
     views[1] = misnamed(views[1], 1, 0)
-    away = 0.08 * TARGET.pitch_mm
+    most_mm = 0.08 * TARGET.pitch_mm
     scattered = [
-        replace(view, target_mm=view.target_mm + rng.uniform(-away, away, (len(view), 2))) for view in views
+        replace(view, target_mm=view.target_mm + rng.uniform(-most_mm, most_mm, (len(view), 2)))
+        for view in views
     ]
     assert doubts(scattered) == []
 
@@ -180,8 +181,8 @@ def test_a_few_views_with_another_origin_are_named(by, along):
     for place in (1, 4):
         views[place] = moved(views[place], by)
     (note,) = doubts(views)
-    said = r"The points of views pose-002, pose-005 lie (\S+) px (\w+) and (\S+) px (\w+) of .* \(± (\S+) px, k = 2\)"
-    x, right, y, down, expanded = re.match(said, note).groups()
+    form = r"The points of views pose-002, pose-005 lie (\S+) px (\w+) and (\S+) px (\w+) of .* \(± (\S+) px, k = 2\)"
+    x, right, y, down, expanded = re.match(form, note).groups()
     assert (right, down) == along
     assert [float(x), float(y)] == pytest.approx([0.5, 0.5], abs=2 * float(expanded))
 

@@ -34,8 +34,8 @@ def test_centre_and_radius_are_found_within_the_stated_uncertainty(small_disc):
     ]
     discs = visible_discs(views)
     off = [
-        (disc.centre_mm - one) / np.sqrt(np.diag(disc.covariance_mm2))
-        for disc, one in zip(discs, true, strict=True)
+        (disc.centre_mm - centre_mm) / np.sqrt(np.diag(disc.covariance_mm2))
+        for disc, centre_mm in zip(discs, true, strict=True)
     ]
     assert 0.3 < np.sqrt(np.mean(np.square(off))) < 1.5
     radius = 255.0 * np.tan(np.deg2rad(4.8))
@@ -45,7 +45,7 @@ def test_centre_and_radius_are_found_within_the_stated_uncertainty(small_disc):
 def test_stars_missing_inside_hardly_move_it(small_disc):
     view = small_disc.view("one", small_disc.turn(0.0, 0.0))
     thinned = view.part(np.random.default_rng(52).random(len(view)) > 0.05)
-    whole, thin = (visible_discs([one])[0].centre_mm for one in (view, thinned))
+    whole, thin = (visible_discs([seen])[0].centre_mm for seen in (view, thinned))
     assert np.abs(thin - whole).max() < 1.0
 
 
@@ -66,8 +66,8 @@ def test_stars_that_are_missed_are_no_rim(make_bench, half_angle_deg, missed):
 
 def test_a_few_stars_about_a_missed_one_are_enough_to_go_on(small_disc):
     view = small_disc.view("few", small_disc.turn(0.0, 0.0))
-    away = np.linalg.norm(view.target_mm - view.target_mm[len(view) // 2], axis=1)
-    ring = view.part((away > 0.0) & (away < 1.1 * np.sort(away)[1]))
+    distance_mm = np.linalg.norm(view.target_mm - view.target_mm[len(view) // 2], axis=1)
+    ring = view.part((distance_mm > 0.0) & (distance_mm < 1.1 * np.sort(distance_mm)[1]))
     assert len(ring) == 4
     assert len(visible_discs([ring, view])) == 2
 
@@ -78,7 +78,7 @@ def test_a_tag_without_stars_is_no_rim(make_bench):
     views = bench.views(poses=((-6.0, 3.0), (6.0, 2.0), (0.0, -4.0), (0.0, 0.0)))
     middle = np.mean([view.target_mm.mean(axis=0) for view in views], axis=0)
     tagged = [view.part(np.abs(view.target_mm - middle).max(axis=1) > 10.0) for view in views]
-    assert all(len(one) < len(view) for one, view in zip(tagged, views, strict=True))
+    assert all(len(tag_view) < len(view) for tag_view, view in zip(tagged, views, strict=True))
     for disc in visible_discs(tagged):
         assert np.abs(disc.centre_mm - bench.centre[:2]).max() < 6.0
         assert disc.radius_mm == pytest.approx(255.0 * np.tan(np.deg2rad(8.0)), abs=6.0)

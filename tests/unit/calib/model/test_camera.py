@@ -154,46 +154,48 @@ def small_camera(lens, focal=225.0):
     return CameraModel(focal, 1.01 * focal, 160.5, 90.8, SMALL, LENSES[lens])
 
 
-def opencvs_maps(one, matrix):
-    k, size = one.matrix, SMALL
-    if one.is_fisheye:
+def opencvs_maps(camera, matrix):
+    k, size = camera.matrix, SMALL
+    if camera.is_fisheye:
         return cv2.fisheye.initUndistortRectifyMap(
-            k, one.fisheye_coefficients, np.eye(3), matrix, size, cv2.CV_32FC1
+            k, camera.fisheye_coefficients, np.eye(3), matrix, size, cv2.CV_32FC1
         )
-    return cv2.initUndistortRectifyMap(k, one.coefficients, np.eye(3), matrix, size, cv2.CV_32FC1)
+    return cv2.initUndistortRectifyMap(k, camera.coefficients, np.eye(3), matrix, size, cv2.CV_32FC1)
 
 
-def opencvs_points(one, matrix):
-    pixels, k = EVERY_PIXEL.reshape(-1, 1, 2), one.matrix
+def opencvs_points(camera, matrix):
+    pixels, k = EVERY_PIXEL.reshape(-1, 1, 2), camera.matrix
     often = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 200, 1e-9)
-    if one.is_fisheye:
-        found = cv2.fisheye.undistortPoints(pixels, k, one.fisheye_coefficients, None, None, matrix, often)
+    if camera.is_fisheye:
+        points = cv2.fisheye.undistortPoints(
+            pixels, k, camera.fisheye_coefficients, None, None, matrix, often
+        )
     else:
-        found = ITERATED(pixels, k, one.coefficients, R=np.eye(3), P=matrix, criteria=often)
-    return found.reshape(EVERY_PIXEL.shape)
+        points = ITERATED(pixels, k, camera.coefficients, R=np.eye(3), P=matrix, criteria=often)
+    return points.reshape(EVERY_PIXEL.shape)
 
 
 @pytest.mark.parametrize(
     ("lens", "keep"), [("brown", 0.0), ("rational", 1.0), ("fisheye", 0.0), ("fisheye", 1.0)]
 )
 def test_the_tables_are_those_of_opencv(lens, keep):
-    one = small_camera(lens)
-    found = undistort(one, keep)
-    assert (found.rays.dtype, found.map_px.dtype) == (np.float32, np.float32)
-    seen = found.map_px[..., 0] != -1.0
+    camera = small_camera(lens)
+    tables = undistort(camera, keep)
+    assert (tables.rays.dtype, tables.map_px.dtype) == (np.float32, np.float32)
+    seen = tables.map_px[..., 0] != -1.0
     assert seen.mean() > (0.9 if keep else 0.9999)
-    theirs = np.dstack(opencvs_maps(one, found.camera.matrix))
-    assert found.map_px[seen] == pytest.approx(theirs[seen], abs=1e-3)
-    assert found.rectified_px == pytest.approx(opencvs_points(one, found.camera.matrix), abs=2e-3)
-    again = one.project(found.rays.reshape(-1, 3).astype(float)).reshape(EVERY_PIXEL.shape)
+    theirs = np.dstack(opencvs_maps(camera, tables.camera.matrix))
+    assert tables.map_px[seen] == pytest.approx(theirs[seen], abs=1e-3)
+    assert tables.rectified_px == pytest.approx(opencvs_points(camera, tables.camera.matrix), abs=2e-3)
+    again = camera.project(tables.rays.reshape(-1, 3).astype(float)).reshape(EVERY_PIXEL.shape)
     assert again == pytest.approx(EVERY_PIXEL, abs=1e-3)
 
 
 @pytest.mark.parametrize("keep", [0.0, 0.4, 1.0])
 def test_the_new_matrix_is_that_of_opencv(keep):
-    one = small_camera("brown")
-    theirs, _ = cv2.getOptimalNewCameraMatrix(one.matrix, one.coefficients[:5], SMALL, keep)
-    assert undistort(one, keep).camera.matrix == pytest.approx(theirs, rel=1e-3)
+    camera = small_camera("brown")
+    theirs, _ = cv2.getOptimalNewCameraMatrix(camera.matrix, camera.coefficients[:5], SMALL, keep)
+    assert undistort(camera, keep).camera.matrix == pytest.approx(theirs, rel=1e-3)
 
 
 @pytest.mark.parametrize("lens", LENSES)
@@ -214,10 +216,10 @@ def test_the_tables_tell_how_many_blocks_of_pixels_are_done():
 
 def test_a_lens_that_folds_back_has_pixels_without_a_ray_and_no_ghosts():
     folded = CameraModel(240.0, 240.0, 160.0, 90.0, SMALL, {"k1": -0.3})
-    found = undistort(folded)
-    assert 0.0 < found.without_ray < 0.5
-    assert np.isnan(found.rectified_px[0, 0]).all()
-    taken = found.map_px[found.map_px[..., 0] != -1.0].astype(float)
+    tables = undistort(folded)
+    assert 0.0 < tables.without_ray < 0.5
+    assert np.isnan(tables.rectified_px[0, 0]).all()
+    taken = tables.map_px[tables.map_px[..., 0] != -1.0].astype(float)
     assert np.isfinite(folded.rays(taken)).all(axis=1).mean() > 0.999
 
 

@@ -34,9 +34,9 @@ def test_swapped_ids_are_gross_errors(share, seed):
     pairs = rng.choice(len(clean), (max(1, int(share * len(clean)) // 2), 2), replace=False)
     points = clean.points_px.copy()
     points[pairs] = clean.points_px[pairs[:, ::-1]]
-    found = gross_errors(replace(clean, points_px=points))
-    assert found[pairs].all()
-    assert found.sum() - pairs.size <= 2
+    gross = gross_errors(replace(clean, points_px=points))
+    assert gross[pairs].all()
+    assert gross.sum() - pairs.size <= 2
 
 
 @settings(max_examples=30, deadline=None)
@@ -48,10 +48,10 @@ def test_a_block_of_stars_labelled_one_column_off_is_found(share, seed):
     h, next_column = view_homography(clean), clean.target_mm + np.array([TARGET.pitch_mm, 0.0])
     shifts = np.zeros((len(clean), 2))
     shifts[block] = (apply_homography(h, next_column) - apply_homography(h, clean.target_mm))[block]
-    found = gross_errors(moved(clean, shifts))
-    assert found[block].all()
+    gross = gross_errors(moved(clean, shifts))
+    assert gross[block].all()
     # 1500 drawn blocks: no right star lost in 1450, one or two in 47, three in 3.
-    assert found.sum() - len(block) <= 4
+    assert gross.sum() - len(block) <= 4
 
 
 @settings(max_examples=40, deadline=None)

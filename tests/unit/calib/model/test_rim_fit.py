@@ -37,8 +37,8 @@ def errors_and_scores(seeds, **kwargs):
     """Return all errors along the axes, mm, and all normalised squares of errors."""
     errors, squares = [], []
     for seed in seeds:
-        found, discs, _ = bench(seed, **kwargs)
-        for disc, true in zip(found, discs, strict=True):
+        fitted, discs, _ = bench(seed, **kwargs)
+        for disc, true in zip(fitted, discs, strict=True):
             off = disc.centre_mm - true
             errors.append(off)
             squares.append(off @ np.linalg.solve(disc.covariance_mm2, off) / 2)
@@ -81,19 +81,19 @@ def test_other_views_locate_a_disc_whose_rim_is_out_of_view():
     looks = np.vstack([LOOKS, [[2.0, 1.0]]])
     _, discs, rims = bench(5, walk=-0.05, looks=looks)
     rims[-1] = RimPoints(rims[-1].points_mm[:0], rims[-1].sigmas_mm[:0], rims[-1].lit_mm, 0.0)
-    found = fit_rims(rims, MIDDLE + looks, around(MIDDLE)).of_views
-    assert found[-1].own_sigma_mm > 10.0
-    assert np.abs(found[-1].centre_mm - discs[-1]).max() < 0.5
+    fitted = fit_rims(rims, MIDDLE + looks, around(MIDDLE)).of_views
+    assert fitted[-1].own_sigma_mm > 10.0
+    assert np.abs(fitted[-1].centre_mm - discs[-1]).max() < 0.5
 
 
 def test_bright_points_keep_the_rim_out():
-    found, discs, rims = bench(6, wander=8.0)
+    fitted, discs, rims = bench(6, wander=8.0)
     bare = [RimPoints(r.points_mm, r.sigmas_mm, r.lit_mm[:0], 0.0) for r in rims]
-    with_bright = rms([f.centre_mm - d for f, d in zip(found, discs, strict=True)])
+    with_bright = rms([f.centre_mm - d for f, d in zip(fitted, discs, strict=True)])
     without = fit_rims(bare, MIDDLE + LOOKS, around(MIDDLE)).of_views
     assert with_bright < rms([f.centre_mm - d for f, d in zip(without, discs, strict=True)]) + 0.2
-    for disc, one in zip(found, rims, strict=True):
-        beyond = np.linalg.norm(one.lit_mm - disc.centre_mm, axis=1) - disc.radius_mm
+    for disc, rim in zip(fitted, rims, strict=True):
+        beyond = np.linalg.norm(rim.lit_mm - disc.centre_mm, axis=1) - disc.radius_mm
         assert beyond.max(initial=-1.0) < 1.0
 
 

@@ -32,10 +32,10 @@ def test_the_square_is_where_the_tag_is(circle_px, roll_deg, known, angles, bord
     truth = bench(circle_px=circle_px, roll_deg=roll_deg)
     image = fired(seen(truth, **angles))
     centre, side = true_tag(truth, angles)
-    found = find_dark_square(image, find_beam(image), side_px=float(side) if known else None)
-    assert found.borders == borders
-    assert np.hypot(*(np.array(found.centre_px) - centre)) < 0.05 * side
-    assert found.side_px == pytest.approx(side, rel=0.12)
+    square = find_dark_square(image, find_beam(image), side_px=float(side) if known else None)
+    assert square.borders == borders
+    assert np.hypot(*(np.array(square.centre_px) - centre)) < 0.05 * side
+    assert square.side_px == pytest.approx(side, rel=0.12)
 
 
 def test_a_bright_picture_out_of_focus_shows_a_square_although_no_tag_is_recognised():

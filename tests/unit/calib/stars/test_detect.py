@@ -115,11 +115,11 @@ def assert_found_where_drawn(view, scene, *, rms_px, share=0.995):
 @pytest.mark.parametrize("bright", [True, False])
 def test_stars_are_found_at_any_roll_and_either_contrast(roll, bright):
     scene, image = drawn(roll=roll)
-    found = detect_stars(image if bright else 1.0 - image, TARGET, name="p")
-    assert_found_where_drawn(found.view, scene, rms_px=0.008)
-    assert found.named_by == "tag"
-    assert found.view.image_size == SIZE
-    assert (np.diff(found.view.ids) > 0).all()
+    detection = detect_stars(image if bright else 1.0 - image, TARGET, name="p")
+    assert_found_where_drawn(detection.view, scene, rms_px=0.008)
+    assert detection.named_by == "tag"
+    assert detection.view.image_size == SIZE
+    assert (np.diff(detection.view.ids) > 0).all()
 
 
 @pytest.mark.parametrize("pitch", [20, 28, 55, 80])
@@ -345,7 +345,7 @@ NONE = "view p7: Tag 3 of family 36h11 is not in the image"
 
 
 @pytest.mark.parametrize(
-    ("image", "tag_id", "error", "said"),
+    ("image", "tag_id", "error", "fault"),
     [
         (lambda: np.zeros((400, 500)), 3, TargetNotFound, NONE),
         (lambda: np.full((400, 500), np.nan), 3, TargetNotFound, NONE),
@@ -358,8 +358,8 @@ NONE = "view p7: Tag 3 of family 36h11 is not in the image"
     ],
     ids=["black", "nan", "line", "colours", "another tag", "part of another", "mirrored", "two targets"],
 )
-def test_an_image_without_the_target_is_refused(image, tag_id, error, said):
-    with pytest.raises(error, match=said):
+def test_an_image_without_the_target_is_refused(image, tag_id, error, fault):
+    with pytest.raises(error, match=fault):
         detect_view(image(), StarTarget(tag_id=tag_id), name="p7")
 
 

@@ -47,14 +47,14 @@ def test_edge_widths_follow_the_blur_of_lens_and_pixel(psf_px):
 
 @pytest.mark.parametrize(("level_percent", "pan"), [(100.0, 0.0), (20.0, 8.0)])
 def test_the_sharpness_falls_with_the_blur(level_percent, pan):
-    found = []
+    sharpnesses = []
     for circle_px in (0.0, 5.0, 9.0, 14.0, 22.0):
         image = fired(seen(bench(circle_px=circle_px), pan=pan), level_percent=level_percent)
-        found.append(sharpness(image, find_beam(image).lit))
+        sharpnesses.append(sharpness(image, find_beam(image).lit))
     first = 1 if level_percent < 50 else 0  # in dim light, sharp edges and a little blur look alike
-    steps = np.diff(found[first:])
-    assert (steps < 0.002).all(), found
-    assert found[-1] < 0.6 * found[0]
+    steps = np.diff(sharpnesses[first:])
+    assert (steps < 0.002).all(), sharpnesses
+    assert sharpnesses[-1] < 0.6 * sharpnesses[0]
 
 
 def test_a_flat_image_has_neither_blur_nor_contrast():

@@ -25,8 +25,8 @@ def bend(points):
 
 def test_a_homography_is_recovered():
     nodes = grid(5)
-    found = fit_homography(nodes, apply_homography(H, nodes))
-    assert found / found[2, 2] == pytest.approx(H, rel=1e-4, abs=1e-6)
+    fitted = fit_homography(nodes, apply_homography(H, nodes))
+    assert fitted / fitted[2, 2] == pytest.approx(H, rel=1e-4, abs=1e-6)
 
 
 @pytest.mark.parametrize("nodes", [grid(5)[:3], np.column_stack([np.arange(9.0), np.arange(9.0)])])

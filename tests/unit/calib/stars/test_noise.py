@@ -39,8 +39,8 @@ def test_the_factor_of_noise_is_recovered(factor):
     nodes = grid(25, 25)
     nominal = rng.uniform(0.5, 2.0, len(nodes))[:, None, None] * np.array([[2.0, 0.5], [0.5, 1.0]])
     noise = np.einsum("nij,nj->ni", np.linalg.cholesky(nominal), rng.standard_normal((len(nodes), 2)))
-    found = variance_factor(nodes, 50.0 * nodes + np.sqrt(factor) * noise, nominal, typical=3.0)
-    assert found == pytest.approx(factor, rel=0.12)
+    fitted = variance_factor(nodes, 50.0 * nodes + np.sqrt(factor) * noise, nominal, typical=3.0)
+    assert fitted == pytest.approx(factor, rel=0.12)
 
 
 def test_a_few_gross_stars_do_not_enlarge_the_factor():
@@ -70,12 +70,12 @@ SIZE = (1280, 720)
 def view(radius_mm, *, turn_deg=20.0, without=()):
     """Return a view of a beam of that radius about the tag, with the camera turned about its axis."""
     positions = TARGET.positions_mm(TARGET.ids)
-    away = positions - TARGET.tag_centre_mm
+    from_tag_mm = positions - TARGET.tag_centre_mm
     turn = np.radians(turn_deg)
     rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-    points = away @ rotation.T * (PITCH_PX / TARGET.pitch_mm) + [640.0, 360.0]
+    points = from_tag_mm @ rotation.T * (PITCH_PX / TARGET.pitch_mm) + [640.0, 360.0]
     framed = ((points > 25) & (points < np.array(SIZE) - 26)).all(axis=1)
-    kept = framed & (np.hypot(*away.T) < radius_mm) & ~np.isin(TARGET.ids, without)
+    kept = framed & (np.hypot(*from_tag_mm.T) < radius_mm) & ~np.isin(TARGET.ids, without)
     n = int(kept.sum())
     return View(
         "v", SIZE, TARGET.ids[kept], points[kept], positions[kept], np.tile(0.0004 * np.eye(2), (n, 1, 1))
@@ -90,9 +90,9 @@ def distance_mm(seen):
 def test_the_outermost_ring_of_a_beam_inside_the_frame_is_the_rim_and_no_other_star(turn_deg):
     seen = view(20.0, turn_deg=turn_deg)
     rim = vignetted_stars(seen, TARGET)
-    away = distance_mm(seen)
-    assert rim[away > 20.0 - TARGET.pitch_mm].all()
-    assert not rim[away < 20.0 - 1.5 * TARGET.pitch_mm].any()
+    distances_mm = distance_mm(seen)
+    assert rim[distances_mm > 20.0 - TARGET.pitch_mm].all()
+    assert not rim[distances_mm < 20.0 - 1.5 * TARGET.pitch_mm].any()
 
 
 def test_where_the_frame_or_the_tag_ends_the_stars_there_is_no_rim():

@@ -31,7 +31,7 @@ def black_and_white(share: np.ndarray, seed: int) -> np.ndarray:
 
 def away_px(truth: Truth, *, grey: bool) -> np.ndarray:
     """How far open stars lie from the paper next to them, px: positive away from it."""
-    away = []
+    shifts_px = []
     for seed, pose in enumerate(POSES):
         rotation = pose_rotation(pose, truth.optics)
         share = render(truth, rotation)
@@ -45,8 +45,8 @@ def away_px(truth: Truth, *, grey: bool) -> np.ndarray:
             for sign in (1, -1):
                 beyond = nodes + sign * step
                 alone = (truth.target.id_at(beyond[:, 0], beyond[:, 1]) < 0) & (_lit(view, truth))
-                away.append(-sign * (off * along).sum(axis=1)[alone])
-    return np.concatenate(away)
+                shifts_px.append(-sign * (off * along).sum(axis=1)[alone])
+    return np.concatenate(shifts_px)
 
 
 def _lit(view, truth):
@@ -59,32 +59,33 @@ def _lit(view, truth):
 @pytest.mark.parametrize("polarity", ["positive", "negative"])
 @pytest.mark.parametrize(("target", "segments"), [(OWN, 12), (OWN, 16), (NARROW, 16)])
 def test_open_stars_are_not_drawn_towards_the_paper_nor_pushed_away(polarity, target, segments):
-    away = away_px(bench(polarity, target, segments), grey=False)
-    assert len(away) > 30
-    assert abs(away.mean()) < 0.012
+    shifts_px = away_px(bench(polarity, target, segments), grey=False)
+    assert len(shifts_px) > 30
+    assert abs(shifts_px.mean()) < 0.012
 
 
 @pytest.mark.parametrize("polarity", ["positive", "negative"])
 def test_the_same_in_a_grey_image(polarity):
-    away = away_px(bench(polarity, OWN, 12), grey=True)
-    assert abs(away.mean()) < 0.004
+    shifts_px = away_px(bench(polarity, OWN, 12), grey=True)
+    assert abs(shifts_px.mean()) < 0.004
 
 
 def test_open_are_the_stars_around_the_tag_and_at_the_border():
     target = StarTarget(squares_x=16, squares_y=14, tag_square=(6, 5), tag_squares=4)
     nodes = target.node_of(target.ids)
-    found = {
-        tuple(node): tuple(one) for node, one in zip(nodes.tolist(), open_sides(target, nodes), strict=True)
+    sides_of = {
+        tuple(node): tuple(sides)
+        for node, sides in zip(nodes.tolist(), open_sides(target, nodes), strict=True)
     }
-    assert found[0, 3] == found[14, 8] == (True, False)
-    assert found[7, 0] == found[7, 12] == (False, True)
-    assert found[0, 0] == (True, True)
-    assert found[2, 2] == (False, False)
+    assert sides_of[0, 3] == sides_of[14, 8] == (True, False)
+    assert sides_of[7, 0] == sides_of[7, 12] == (False, True)
+    assert sides_of[0, 0] == (True, True)
+    assert sides_of[2, 2] == (False, False)
     # The tag stands in squares 6 to 9 and 5 to 8; the nodes 5 to 9 and 4 to 8 hold no star.
-    assert found[4, 6] == found[10, 6] == (True, False)
-    assert found[7, 3] == found[7, 9] == (False, True)
-    assert found[4, 3] == found[10, 9] == (True, False)  # touches the paper with a corner
-    assert found[3, 6] == found[7, 2] == (False, False)
+    assert sides_of[4, 6] == sides_of[10, 6] == (True, False)
+    assert sides_of[7, 3] == sides_of[7, 9] == (False, True)
+    assert sides_of[4, 3] == sides_of[10, 9] == (True, False)  # touches the paper with a corner
+    assert sides_of[3, 6] == sides_of[7, 2] == (False, False)
     assert not open_sides(target, np.array([[7, 6], [-1, 3]])).any()  # no stars
 
 

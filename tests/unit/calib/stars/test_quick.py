@@ -21,36 +21,36 @@ def truth():
 
 
 def test_quick_stars_are_where_they_are(truth):
-    found = find_stars_quickly(fired(seen(truth)), TARGET)
-    assert found.named_by == "tag"
-    assert not found.blurred
+    stars = find_stars_quickly(fired(seen(truth)), TARGET)
+    assert stars.named_by == "tag"
+    assert not stars.blurred
     rotation = true_rotation({}, truth)
-    errors = found.points_px - project(np.asarray(TARGET.positions_mm(found.ids)), rotation, truth)
+    errors = stars.points_px - project(np.asarray(TARGET.positions_mm(stars.ids)), rotation, truth)
     assert np.sqrt((errors**2).mean()) < 0.1
     whole, _ = star_centres(truth, rotation, clearance=0.72, border_px=38.0)
-    assert len(np.setdiff1d(whole, found.ids)) <= 2
+    assert len(np.setdiff1d(whole, stars.ids)) <= 2
 
 
 def test_stars_without_a_tag_have_no_ids(truth):
-    found = find_stars_quickly(fired(seen(truth, pan=16.0)), TARGET)
-    assert len(found.points_px) >= 12
-    assert found.tag is None
-    assert found.named_by == ""
-    assert (found.ids == -1).all()
+    stars = find_stars_quickly(fired(seen(truth, pan=16.0)), TARGET)
+    assert len(stars.points_px) >= 12
+    assert stars.tag is None
+    assert stars.named_by == ""
+    assert (stars.ids == -1).all()
 
 
 def test_a_part_of_the_tag_names_the_stars(truth):
-    found = find_stars_quickly(fired(seen(truth, tilt=5.5)), TARGET)
-    assert (found.tag, found.named_by) == (None, "part of the tag")
-    at = project(np.asarray(TARGET.positions_mm(found.ids)), true_rotation({"tilt": 5.5}, truth), truth)
-    assert np.abs(found.points_px - at).max() < 0.7
+    stars = find_stars_quickly(fired(seen(truth, tilt=5.5)), TARGET)
+    assert (stars.tag, stars.named_by) == (None, "part of the tag")
+    at = project(np.asarray(TARGET.positions_mm(stars.ids)), true_rotation({"tilt": 5.5}, truth), truth)
+    assert np.abs(stars.points_px - at).max() < 0.7
 
 
 @pytest.mark.parametrize("image", [np.zeros((720, 1280)), np.ones((720, 1280), np.uint8)])
 def test_an_image_without_a_pattern_has_no_stars(image):
-    found = find_stars_quickly(image, TARGET)
-    assert found.tag is None
-    assert len(found.ids) == len(found.points_px) == len(found.nodes) == 0
+    stars = find_stars_quickly(image, TARGET)
+    assert stars.tag is None
+    assert len(stars.ids) == len(stars.points_px) == len(stars.nodes) == 0
 
 
 def test_another_tag_is_said(truth):
@@ -81,7 +81,7 @@ LINEAR = np.array([[22.0, 6.0], [-7.0, 21.0]])
 def test_the_best_place_is_found(guess, sign):
     """The last guesses are so close to the border that parts of the star lie outside."""
     reach = 3.3
-    found, score = search_stars(IMAGE, np.array([guess]), LINEAR[None], np.array([reach]), TEMPLATE, sign)
+    places_px, score = search_stars(IMAGE, np.array([guess]), LINEAR[None], np.array([reach]), TEMPLATE, sign)
     steps = np.arange(-4, 5)
     moves = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     places = guess + moves[(moves**2).sum(axis=1) <= reach**2 + 0.5]
@@ -89,13 +89,15 @@ def test_the_best_place_is_found(guess, sign):
     expected, _ = star_contrasts(IMAGE, places, shapes, TEMPLATE, sign)
     assert np.isfinite(expected).any()
     assert score[0] == pytest.approx(np.nanmax(expected), abs=1e-4)
-    np.testing.assert_allclose(found[0], places[np.nanargmax(expected)])
+    np.testing.assert_allclose(places_px[0], places[np.nanargmax(expected)])
 
 
 def test_no_place_is_found_outside_of_the_image():
     guesses = np.array([[-20.0, 45.0], [60.0, 110.0]])
-    found, score = search_stars(IMAGE, guesses, np.array([LINEAR, LINEAR]), np.full(2, 3.0), TEMPLATE, 1.0)
-    assert np.isnan(found).all()
+    places_px, score = search_stars(
+        IMAGE, guesses, np.array([LINEAR, LINEAR]), np.full(2, 3.0), TEMPLATE, 1.0
+    )
+    assert np.isnan(places_px).all()
     assert np.isnan(score).all()
 
 
@@ -169,7 +171,7 @@ def test_a_correlation_leaves_out_what_lies_outside(outside: int) -> None:
     template = StarTemplate.of(16)
     seen = np.tile(3.0 + template.values, (4, 1)).astype(np.float32)
     seen[1, : len(template.values) * outside // 100] = np.nan
-    found = correlations(seen, template)
-    assert_allclose(found[[0, 2, 3]], 1.0, atol=1e-5)
-    assert np.isnan(found[1]) == (outside > 20)
-    assert outside > 20 or abs(found[1] - 1.0) < 0.01
+    correlation = correlations(seen, template)
+    assert_allclose(correlation[[0, 2, 3]], 1.0, atol=1e-5)
+    assert np.isnan(correlation[1]) == (outside > 20)
+    assert outside > 20 or abs(correlation[1] - 1.0) < 0.01

@@ -46,21 +46,23 @@ def picture(centre_mm, radius_mm, look_mm, *, wave=0.0, fall_mm=0.0, noise=0.0, 
     )
 
 
-def edge_of(away, radius_mm, wave):
-    return radius_mm * (1 + wave * np.cos(3 * np.arctan2(away[..., 1], away[..., 0])))
+def edge_of(from_centre_mm, radius_mm, wave):
+    return radius_mm * (1 + wave * np.cos(3 * np.arctan2(from_centre_mm[..., 1], from_centre_mm[..., 0])))
 
 
 def light(at, centre_mm, radius_mm, wave, fall_mm):
     """Return 1 inside the disc and 0 outside, falling from 1 to 0 over ``fall_mm``."""
-    away = at - centre_mm
-    inside = edge_of(away, radius_mm, wave) - np.hypot(away[..., 0], away[..., 1])
+    from_centre_mm = at - centre_mm
+    inside = edge_of(from_centre_mm, radius_mm, wave) - np.hypot(
+        from_centre_mm[..., 0], from_centre_mm[..., 1]
+    )
     return np.clip(inside / fall_mm, 0, 1) if fall_mm else (inside > 0).astype(float)
 
 
 def off_mm(rim, centre_mm, radius_mm, wave=0.0, fall_mm=0.0):
     """Return how far the points lie outside of the place of half the light."""
-    away = rim.points_mm - centre_mm
-    return np.hypot(*away.T) - edge_of(away, radius_mm, wave) + 0.5 * fall_mm
+    from_centre_mm = rim.points_mm - centre_mm
+    return np.hypot(*from_centre_mm.T) - edge_of(from_centre_mm, radius_mm, wave) + 0.5 * fall_mm
 
 
 @pytest.mark.parametrize(
@@ -140,9 +142,9 @@ QUADRATIC = np.array([[0.3, -0.2, 0.1], [0.05, 0.2, -0.3]])
 def place_and_tau(centre):
     """Return place and tau of each pixel, (3, H W), by the equations of `gather_edge_pixels`."""
     rows, columns = np.mgrid[0 : LEVELS.shape[0], 0 : LEVELS.shape[1]]
-    away = np.array([columns.ravel() - centre[0], rows.ravel() - centre[1]], float)
-    u, v = np.linalg.inv(LINEAR) @ away
-    u, v = np.linalg.inv(LINEAR) @ (away - QUADRATIC @ [u * u, u * v, v * v])
+    from_centre_px = np.array([columns.ravel() - centre[0], rows.ravel() - centre[1]], float)
+    u, v = np.linalg.inv(LINEAR) @ from_centre_px
+    u, v = np.linalg.inv(LINEAR) @ (from_centre_px - QUADRATIC @ [u * u, u * v, v * v])
     at = [EDGES.half + v * EDGES.samples_per_pitch, EDGES.half + u * EDGES.samples_per_pitch]
     return np.array([u, v, map_coordinates(EDGES.tau.astype(float), at, order=1, mode="nearest")])
 
@@ -151,7 +153,7 @@ def place_and_tau(centre):
 def test_pixels_are_those_of_scipy(centre):
     """The last stars reach beyond the image."""
     local_map = LocalMap(LINEAR[None], QUADRATIC[None])
-    found = gather_edge_pixels(LEVELS, np.array([centre]), local_map, EDGES)
+    edge_pixels = gather_edge_pixels(LEVELS, np.array([centre]), local_map, EDGES)
     u, v, tau = place_and_tau(centre)
     slopes = [
         (place_and_tau(np.add(centre, step))[2] - place_and_tau(np.subtract(centre, step))[2]) / 2e-4
@@ -159,10 +161,17 @@ def test_pixels_are_those_of_scipy(centre):
     ]
     used = (np.abs(tau) < EDGES.limit_px) & (np.abs(u) <= SYMMETRY_REACH) & (np.abs(v) <= SYMMETRY_REACH)
     expected = np.column_stack([u, v, tau, LEVELS.ravel(), *slopes])[used]
-    fields = (found.u, found.v, found.tau, found.level, found.along_x, found.along_y)
+    fields = (
+        edge_pixels.u,
+        edge_pixels.v,
+        edge_pixels.tau,
+        edge_pixels.level,
+        edge_pixels.along_x,
+        edge_pixels.along_y,
+    )
     pixels = np.column_stack(fields).astype(float)
-    assert len(pixels) == len(expected) == found.first[-1]
-    a, b = (one[np.lexsort(one[:, :2].round(3).T)] for one in (pixels, expected))
+    assert len(pixels) == len(expected) == edge_pixels.first[-1]
+    a, b = (rows_of[np.lexsort(rows_of[:, :2].round(3).T)] for rows_of in (pixels, expected))
     np.testing.assert_allclose(a[:, :4], b[:, :4], atol=2e-4)
     # The quadratic part of the map takes no part in the slopes, and they jump from sample to sample.
     assert np.median(np.abs(a[:, 4:] - b[:, 4:])) < 0.01
@@ -170,19 +179,21 @@ def test_pixels_are_those_of_scipy(centre):
 
 
 def test_pixels_are_sorted_by_edges():
-    found = gather_edge_pixels(
+    edge_pixels = gather_edge_pixels(
         LEVELS, np.array([[45.3, 40.6]]), LocalMap(LINEAR[None], QUADRATIC[None]), EDGES
     )
-    edge = np.repeat(np.arange(TARGET.segments), np.diff(found.first))
-    nearest = np.round(np.arctan2(found.v, found.u) / (2.0 * np.pi) * TARGET.segments) % TARGET.segments
+    edge = np.repeat(np.arange(TARGET.segments), np.diff(edge_pixels.first))
+    nearest = (
+        np.round(np.arctan2(edge_pixels.v, edge_pixels.u) / (2.0 * np.pi) * TARGET.segments) % TARGET.segments
+    )
     assert (edge == nearest).mean() > 0.97  # the edge map is sampled
 
 
 def test_without_stars_there_are_no_pixels():
-    found = gather_edge_pixels(
+    edge_pixels = gather_edge_pixels(
         LEVELS, np.zeros((0, 2)), LocalMap(np.zeros((0, 2, 2)), np.zeros((0, 2, 3))), EDGES
     )
-    assert len(found.tau) == 0
+    assert len(edge_pixels.tau) == 0
 
 
 # ---------------------------------------------------------------- the disc of the beam

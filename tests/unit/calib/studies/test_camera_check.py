@@ -41,8 +41,8 @@ def share_not_right(change, n):
         covariance = drawn_covariance(rng)
         moved = 2.0 * change * np.sqrt(2.0) * SIGMA * np.array([1, 1, 0, 0, 0, 0, 0, 0])
         old, new = (rng.multivariate_normal(np.zeros(8), covariance) for _ in range(2))
-        stated, found = with_values(CAMERA.values + old), with_values(CAMERA.values + moved + new)
-        wrong += not check_camera(stated, covariance, found, covariance, rng).right
+        stated, now = with_values(CAMERA.values + old), with_values(CAMERA.values + moved + new)
+        wrong += not check_camera(stated, covariance, now, covariance, rng).right
     return wrong / n
 
 
@@ -51,8 +51,8 @@ def test_a_camera_that_did_not_change_is_called_wrong_in_about_one_case_of_twent
 
 
 def test_the_larger_the_change_the_more_often_it_is_found():
-    half, one, three = (share_not_right(change, 50) for change in (0.5, 1.0, 3.0))
-    assert half <= one <= three
+    half, single, three = (share_not_right(change, 50) for change in (0.5, 1.0, 3.0))
+    assert half <= single <= three
     assert half < 0.35
     assert three > 0.9
 
@@ -76,7 +76,7 @@ def test_one_kind_of_change_is_named(change, cause):
 def test_a_change_of_scale_is_largest_in_a_corner():
     longer = with_values(CAMERA.values + np.array([9.0, 9.0, 0, 0, 0, 0, 0, 0]))
     checked = check_camera(CAMERA, None, longer, np.diag(SIGMA**2), np.random.default_rng(1))
-    offsets = {one.name: one.offset_px for one in checked.regions}
+    offsets = {region.name: region.offset_px for region in checked.regions}
     assert len(offsets) == 9
     corners = [offsets[f"{row} {column}"] for row in ("top", "bottom") for column in ("left", "right")]
     assert min(corners) > 1.5 * offsets["middle centre"]
@@ -134,15 +134,15 @@ def test_false_alarms_are_one_in_twenty(turn):
 def test_a_change_of_twice_the_stated_size_is_seen_and_of_a_tenth_is_not(turn, name):
     least = check_one_view(TRUE, None, view(TRUE, turn, 0)).seen_from[name]
 
-    def found(times):
+    def share_seen(times):
         size = times * least
         by = {"fx": size * TRUE.fx, "fy": size * TRUE.fy} if name == "scale" else {name: size}
         return np.mean(
             [not check_one_view(TRUE, None, view(changed(**by), turn, seed)).right for seed in range(30)]
         )
 
-    assert found(2.0) > 0.9
-    assert found(0.1) < 0.2
+    assert share_seen(2.0) > 0.9
+    assert share_seen(0.1) < 0.2
 
 
 def test_a_frontal_view_sees_a_change_of_scale_far_worse_than_a_tilted_one():
@@ -186,12 +186,12 @@ def test_halves_of_drawn_benches_differ_by_no_more_than_expected():
 def test_a_moving_centre_makes_the_halves_differ_more_than_noise_would(bench):
     rng = np.random.default_rng(3)
     centres = np.array(bench.centre) + rng.normal(scale=0.5, size=(6, 3))
-    found = split_half(bench.views(rng, 0.05, poses=POSES, centres=centres), CalibrationOptions("spherical"))
+    halves = split_half(bench.views(rng, 0.05, poses=POSES, centres=centres), CalibrationOptions("spherical"))
     steady = split_half(
         bench.views(np.random.default_rng(3), 0.05, poses=POSES), CalibrationOptions("spherical")
     )
-    assert found.difference.rms_px > 3 * steady.difference.rms_px
-    assert found.expected_px > 3 * steady.expected_px
+    assert halves.difference.rms_px > 3 * steady.difference.rms_px
+    assert halves.expected_px > 3 * steady.expected_px
 
 
 def test_three_views_make_no_halves(bench):

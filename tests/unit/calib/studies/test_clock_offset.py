@@ -18,7 +18,8 @@ def drawn(seed, intervals, offset_us, *, rate=RATE, missed=0.01, jitter_us=0.5):
     middle = t.mean()
     both = t, t + offset_us + rate * (t - middle)
     seen = [
-        np.floor(one + jitter_us * rng.standard_normal(len(t)))[rng.random(len(t)) > missed] for one in both
+        np.floor(times + jitter_us * rng.standard_normal(len(t)))[rng.random(len(t)) > missed]
+        for times in both
     ]
     return seen[0][seed % 40 :], seen[1][: -(seed % 30) or None], lambda at: offset_us + rate * (at - middle)
 
@@ -32,11 +33,11 @@ def test_a_pattern_gives_the_offset_within_its_uncertainty_however_large_it_is()
     for seed in range(30):
         offset = np.random.default_rng([8, seed]).uniform(-1e5, 1e8)
         first, second, truth = drawn(seed, pattern(seed), offset)
-        found = clock_offset("a", first, second)
-        assert found.period_us is None
-        assert found.sigma_us < 1.0
-        off.append((found.offset_us - truth(found.at_us)) / found.sigma_us)
-        slope.append((found.rate_ppm - 1e6 * RATE) / found.sigma_rate_ppm)
+        clock = clock_offset("a", first, second)
+        assert clock.period_us is None
+        assert clock.sigma_us < 1.0
+        off.append((clock.offset_us - truth(clock.at_us)) / clock.sigma_us)
+        slope.append((clock.rate_ppm - 1e6 * RATE) / clock.sigma_rate_ppm)
     assert np.sqrt(np.mean(np.square(off))) < 1.2
     assert np.abs(slope).max() < 3.0
 
@@ -44,18 +45,18 @@ def test_a_pattern_gives_the_offset_within_its_uncertainty_however_large_it_is()
 @pytest.mark.parametrize("n", [12, 300, 3000])
 def test_a_periodic_signal_gives_the_offset_up_to_whole_periods(n):
     first, second, truth = drawn(3, np.full(n, 4000.0), 1234.5)
-    found = clock_offset("a", first, second)
-    assert found.period_us == pytest.approx(4000.0 * (1 + RATE), abs=1.0)
-    assert found.offset_us == pytest.approx(truth(found.at_us), abs=4.0 * found.sigma_us)
+    clock = clock_offset("a", first, second)
+    assert clock.period_us == pytest.approx(4000.0 * (1 + RATE), abs=1.0)
+    assert clock.offset_us == pytest.approx(truth(clock.at_us), abs=4.0 * clock.sigma_us)
     later = clock_offset("a", first, second + 20_000.0)
-    assert later.offset_us == pytest.approx(found.offset_us, abs=2.0)
+    assert later.offset_us == pytest.approx(clock.offset_us, abs=2.0)
 
 
 def test_rates_of_all_recordings_are_one_rate():
     clocks = [clock_offset(str(seed), *drawn(seed, pattern(seed), 50.0)[:2]) for seed in range(5)]
     rate, sigma = common_rate(clocks)
     assert abs(rate - 1e6 * RATE) < 3.0 * sigma
-    assert sigma < min(one.sigma_rate_ppm for one in clocks)
+    assert sigma < min(clock.sigma_rate_ppm for clock in clocks)
 
 
 def test_many_edges_without_a_common_signal_are_refused_in_seconds():
@@ -66,7 +67,7 @@ def test_many_edges_without_a_common_signal_are_refused_in_seconds():
 
 
 @pytest.mark.parametrize(
-    ("first", "second", "said"),
+    ("first", "second", "fault"),
     [
         (np.arange(100) * 4000, np.arange(100) * 5000, "4000 us apart, the second 100, 5000 us apart"),
         (np.arange(100) * 4000, np.arange(300) * 4004, "do not belong together"),
@@ -76,6 +77,6 @@ def test_many_edges_without_a_common_signal_are_refused_in_seconds():
         ([], [], "recorded 0 rising"),
     ],
 )
-def test_recordings_without_a_common_signal_are_refused(first, second, said):
-    with pytest.raises(InputMismatch, match=said):
+def test_recordings_without_a_common_signal_are_refused(first, second, fault):
+    with pytest.raises(InputMismatch, match=fault):
         clock_offset("pose", first, second)

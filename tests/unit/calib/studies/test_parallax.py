@@ -62,11 +62,11 @@ def test_the_stated_sigma_holds(errors, largest_sigma):
     scores, sigmas = [], []
     for seed in range(10):
         walk = np.random.default_rng((seed, 1)).uniform(-40.0, 40.0) * np.ones(2)
-        found = pupil_walk(*draw(seed, walk, **errors), COLLIMATOR)
-        off = found.walk_mm - walk
-        scores.append(off @ np.linalg.solve(found.covariance_mm2, off) / 2)
-        scores.append(((found.pupil_off_pivot_mm + walk[0]) / found.sigma_mm) ** 2)
-        sigmas.append(found.sigma_mm)
+        walk_found = pupil_walk(*draw(seed, walk, **errors), COLLIMATOR)
+        off = walk_found.walk_mm - walk
+        scores.append(off @ np.linalg.solve(walk_found.covariance_mm2, off) / 2)
+        scores.append(((walk_found.pupil_off_pivot_mm + walk[0]) / walk_found.sigma_mm) ** 2)
+        sigmas.append(walk_found.sigma_mm)
     assert 0.3 < np.sqrt(np.mean(scores)) < 1.5
     assert np.median(sigmas) < largest_sigma
 
@@ -80,15 +80,15 @@ def test_an_error_of_the_radius_is_part_of_the_sigma():
 
 
 def test_separate_pivots_are_noticed_and_covered():
-    found = pupil_walk(*draw(4, (-30.0, -5.0), common=0.02), COLLIMATOR)
-    assert found.axes_differ
-    assert found.difference_in_sigmas > 2.5
-    assert abs(found.pupil_off_pivot_mm - 30.0) < 1.5 * found.sigma_mm
-    assert abs(found.pupil_off_pivot_mm - 5.0) < 1.5 * found.sigma_mm
-    assert any("separate pivots" in said for said in found.says())
+    walk_found = pupil_walk(*draw(4, (-30.0, -5.0), common=0.02), COLLIMATOR)
+    assert walk_found.axes_differ
+    assert walk_found.difference_in_sigmas > 2.5
+    assert abs(walk_found.pupil_off_pivot_mm - 30.0) < 1.5 * walk_found.sigma_mm
+    assert abs(walk_found.pupil_off_pivot_mm - 5.0) < 1.5 * walk_found.sigma_mm
+    assert any("separate pivots" in sentence for sentence in walk_found.says())
     same = pupil_walk(*draw(4, (-30.0, -30.0), common=0.02), COLLIMATOR)
     assert not same.axes_differ
-    assert not any("separate pivots" in said for said in same.says())
+    assert not any("separate pivots" in sentence for sentence in same.says())
 
 
 def test_views_without_rim_are_named_and_do_not_disturb():
@@ -96,11 +96,11 @@ def test_views_without_rim_are_named_and_do_not_disturb():
     near = view_of("near", MIDDLE, MIDDLE, np.zeros(8), 0.1, np.random.default_rng(1))
     bare = replace(near, rim=None)
     more = np.concatenate([rotations, [rotation_of(0, 0)] * 2])
-    found = pupil_walk([*views, near, bare], more, COLLIMATOR)
-    assert found.without_rim == ("near", "near")
-    assert found.views == len(views) + 2
-    assert found.pupil_off_pivot_mm == pytest.approx(10.0, abs=3 * found.sigma_mm)
-    assert "The rim is seen in 15 of 17 views" in found.says()[0]
+    walk_found = pupil_walk([*views, near, bare], more, COLLIMATOR)
+    assert walk_found.without_rim == ("near", "near")
+    assert walk_found.views == len(views) + 2
+    assert walk_found.pupil_off_pivot_mm == pytest.approx(10.0, abs=3 * walk_found.sigma_mm)
+    assert "The rim is seen in 15 of 17 views" in walk_found.says()[0]
 
 
 def test_too_few_rims_are_refused_with_advice():
@@ -131,20 +131,20 @@ def walk_of(off, sigma):
     ],
 )
 def test_the_sentences_state_what_to_write_into_the_station_file(off, sigma, entry, place):
-    found = walk_of(off, sigma)
-    assert found.station_entry == f"gimbal: {{pupil_off_pivot_mm: {entry}}}"
-    assert place in found.says()[1]
-    assert found.advice.endswith(found.station_entry)
+    walk_found = walk_of(off, sigma)
+    assert walk_found.station_entry == f"gimbal: {{pupil_off_pivot_mm: {entry}}}"
+    assert place in walk_found.says()[1]
+    assert walk_found.advice.endswith(walk_found.station_entry)
 
 
 def test_the_parallax_follows_from_the_defocus():
-    found = walk_of(44.0, 2.0).parallax(0.066, 0.01, r_mm=255.0, fx_px=3345.0)
-    assert found.share == pytest.approx(-0.066 * 44 / 255)
+    parallax = walk_of(44.0, 2.0).parallax(0.066, 0.01, r_mm=255.0, fx_px=3345.0)
+    assert parallax.share == pytest.approx(-0.066 * 44 / 255)
     expected = np.sqrt((0.066 * 2) ** 2 + (44 * 0.01) ** 2 + (0.01 * 2) ** 2) / 255
-    assert found.share_sigma == pytest.approx(expected)
-    assert found.fx_px == pytest.approx(38.1, abs=0.1)
-    assert found.fx_sigma_px == pytest.approx(3345 * expected)
-    assert found.bound.pupil_off_pivot_mm == 44.0
+    assert parallax.share_sigma == pytest.approx(expected)
+    assert parallax.fx_px == pytest.approx(38.1, abs=0.1)
+    assert parallax.fx_sigma_px == pytest.approx(3345 * expected)
+    assert parallax.bound.pupil_off_pivot_mm == 44.0
 
 
 def test_correlated_errors_do_not_place_the_mean_beyond_both_values():

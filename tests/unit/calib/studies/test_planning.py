@@ -36,16 +36,16 @@ def test_the_forecast_is_what_a_calibration_then_states(bench):
     expected = forecast(BENCH, [dict(zip(AXES, pose, strict=True)) for pose in poses])
     for name in ("fx", "fy", "cx", "cy", "r"):
         stated = result.coverage_factors[name] * result.sigma[name]
-        told = expected.coverage_factors.get(name, expected.coverage_factor) * expected.sigma[name]
-        assert stated / 1.5 < told < (1.6 if name == "cy" else 1.5) * stated, name
+        forecast_u = expected.coverage_factors.get(name, expected.coverage_factor) * expected.sigma[name]
+        assert stated / 1.5 < forecast_u < (1.6 if name == "cy" else 1.5) * stated, name
     assert expected.stars == pytest.approx([view.n for view in result.views], rel=0.1)
 
 
 def test_the_sizes_of_errors_that_a_run_found_replace_the_expected_ones(bench):
     result = calibrate(bench.views(np.random.default_rng(91), 0.05), CalibrationOptions("joint"))
-    found = {one.name: one.plain for one in result.amplitudes}
+    amplitudes = {amplitude.name: amplitude.plain for amplitude in result.amplitudes}
     wrong = replace(BENCH, errors=CollimatorErrors(rms_px=0.5))
-    known = forecast(replace(wrong, amplitudes=found), POSES)
+    known = forecast(replace(wrong, amplitudes=amplitudes), POSES)
     assert 1 / 1.5 < known.sigma["fx"] / result.sigma["fx"] < 1.5
     assert forecast(wrong, POSES).sigma["fx"] > 5 * known.sigma["fx"]
 
@@ -68,9 +68,9 @@ def test_poses_chosen_at_once_are_as_good_as_those_chosen_one_by_one():
     at_once = next_poses(BENCH, POSES, candidates, 8)
     taken = list(POSES)
     for _ in at_once:
-        (one,) = next_poses(BENCH, taken, candidates)
-        taken.append(one.angles_deg)
-    assert at_once[-1].after.worst_px == pytest.approx(one.after.worst_px, rel=0.01)
+        (choice,) = next_poses(BENCH, taken, candidates)
+        taken.append(choice.angles_deg)
+    assert at_once[-1].after.worst_px == pytest.approx(choice.after.worst_px, rel=0.01)
     assert len({tuple(pose.angles_deg.values()) for pose in at_once}) == 8
 
 
@@ -103,15 +103,15 @@ def test_a_pose_that_loses_the_tag_is_named():
 
 
 @pytest.mark.parametrize(
-    ("poses", "refused", "said"),
+    ("poses", "refused", "fault"),
     [
         ([], DegenerateViews, "No pose is planned"),
         ([{"pan": 5.0}], InputMismatch, "Unknown axis 'pan'"),
         ([{"pan_deg": np.nan}], InputMismatch, "not a finite number"),
     ],
 )
-def test_poses_without_meaning_are_refused(poses, refused, said):
-    with pytest.raises(refused, match=said):
+def test_poses_without_meaning_are_refused(poses, refused, fault):
+    with pytest.raises(refused, match=fault):
         forecast(BENCH, poses)
 
 
@@ -131,8 +131,8 @@ def readings(bound):
     return GimbalReadings((), 0.002, parallax=bound, source="test")
 
 
-def largest(found):
-    return max(found.budget_rows, key=lambda row: row.share["fx"]).name
+def largest(planned):
+    return max(planned.budget_rows, key=lambda row: row.share["fx"]).name
 
 
 def test_errors_of_the_collimator_dominate_and_more_poses_lower_them():
@@ -189,8 +189,8 @@ def test_more_knowledge_never_widens_a_forecast():
 
 
 def test_a_certificate_leaves_its_own_uncertainty():
-    found = forecast(replace(REAL, passport=CERTIFICATE), NINE)
-    rows = {row.name: row.contribution["fx"] for row in found.budget_rows}
+    planned = forecast(replace(REAL, passport=CERTIFICATE), NINE)
+    rows = {row.name: row.contribution["fx"] for row in planned.budget_rows}
     assert rows[PASSPORT] == pytest.approx(3345 * 0.05 / 255, rel=0.1)
 
 
@@ -213,9 +213,9 @@ def test_a_passport_from_views_makes_one_pose_enough():
     names = ("x", "y", "r", "radial", "radial_4")
     values = np.array([97.0, 140.1, 255.0, 0.1, 0.0])
     passport = Passport(names, values, np.diag([0.01, 0.01, 0.01, 1e-4, 1e-2]), (97.0, 140.1, 255.0))
-    found = forecast(replace(REAL, passport=passport), POSES[:1])
-    assert found.sigma["radial"] <= 0.01
-    assert found.sigma["fx"] < 10
+    planned = forecast(replace(REAL, passport=passport), POSES[:1])
+    assert planned.sigma["radial"] <= 0.01
+    assert planned.sigma["fx"] < 10
     with pytest.raises(DegenerateViews):
         forecast(REAL, POSES[:1])
 

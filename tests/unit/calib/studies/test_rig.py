@@ -50,11 +50,11 @@ def test_intrinsics_from_other_views_count_with_their_uncertainty(bench):
     for seed in range(8):
         pair = two_cameras(bench, seed)
         rng, stated = np.random.default_rng([3, seed]), []
-        for one in pair:
-            sigma = 0.3 * np.sqrt(np.diag(one.camera_covariance))
-            true = [bench.truth[name] for name in one.camera.parameter_names]
+        for calibration in pair:
+            sigma = 0.3 * np.sqrt(np.diag(calibration.camera_covariance))
+            true = [bench.truth[name] for name in calibration.camera.parameter_names]
             values = np.array(true) + sigma * rng.standard_normal(len(sigma))
-            stated.append((one.camera.with_values(values), np.diag(sigma**2)))
+            stated.append((calibration.camera.with_values(values), np.diag(sigma**2)))
         rig, alone = through_collimator(*pair, stated), through_collimator(*pair)
         z.append(log_map(rig.rotation @ TURN.T) / np.sqrt(np.diag(rig.pose_covariance)))
         sharper.append(rig.sigma_arcsec <= alone.sigma_arcsec)
@@ -76,9 +76,9 @@ def test_a_rig_that_flexed_is_recognised(bench):
     first, second = two_cameras(bench, 3)
     bent = second.rotations.copy()
     bent[1] = exp_map(np.deg2rad([0.0, 0.0, 0.05])) @ bent[1]
-    found = through_collimator(first, replace(second, rotations=bent))
-    assert not found.rigid
-    assert np.linalg.norm(found.residuals_arcsec, axis=1).argmax() == 1
+    rig_found = through_collimator(first, replace(second, rotations=bent))
+    assert not rig_found.rigid
+    assert np.linalg.norm(rig_found.residuals_arcsec, axis=1).argmax() == 1
 
 
 def test_cameras_that_share_no_pose_have_no_relative_rotation(bench):
@@ -119,7 +119,7 @@ def test_with_held_intrinsics_it_is_what_opencv_finds():
     board = np.column_stack([CORNERS, np.zeros(len(CORNERS))]).astype(np.float32)
     matrices = [(c.matrix, np.array([*c.distortion.values(), 0, 0])) for c in drawn.cameras]
     images = [[view.points_px.astype(np.float32) for view in views] for views in drawn.views]
-    found = cv2.stereoCalibrate(
+    stereo = cv2.stereoCalibrate(
         [board] * len(images[0]),
         *images,
         *matrices[0],
@@ -128,8 +128,8 @@ def test_with_held_intrinsics_it_is_what_opencv_finds():
         flags=cv2.CALIB_FIX_INTRINSIC,
         criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-12),
     )
-    assert log_map(rig.rotation @ found[5].T) == pytest.approx(np.zeros(3), abs=3e-6)
-    assert rig.translation_mm == pytest.approx(found[6].ravel(), abs=5e-3)
+    assert log_map(rig.rotation @ stereo[5].T) == pytest.approx(np.zeros(3), abs=3e-6)
+    assert rig.translation_mm == pytest.approx(stereo[6].ravel(), abs=5e-3)
 
 
 def test_the_collimator_turns_and_the_boards_place():
@@ -179,10 +179,10 @@ def test_boards_that_one_camera_numbered_from_the_other_end_give_the_same_rig(en
     first, second = drawn.views
     turned = [from_the_other_end(view) if end else view for view, end in zip(second, ends, strict=True)]
     right = with_boards(stated_cameras(*drawn.cameras), first, second)
-    found = with_boards(stated_cameras(*drawn.cameras), first, turned, board)
-    assert found.half_turned == tuple(view.name for view, end in zip(second, ends, strict=True) if end)
-    assert found.rotation == pytest.approx(right.rotation, abs=1e-9)
-    assert found.translation_mm == pytest.approx(right.translation_mm, abs=1e-6)
+    rig_found = with_boards(stated_cameras(*drawn.cameras), first, turned, board)
+    assert rig_found.half_turned == tuple(view.name for view, end in zip(second, ends, strict=True) if end)
+    assert rig_found.rotation == pytest.approx(right.rotation, abs=1e-9)
+    assert rig_found.translation_mm == pytest.approx(right.translation_mm, abs=1e-6)
     with pytest.raises(InputMismatch):
         with_boards(stated_cameras(*drawn.cameras), first, turned, Board("checkerboard", 11, 8, 20.0))
 

@@ -76,8 +76,8 @@ def test_a_shift_of_the_principal_point_is_nearly_a_turn_and_hardly_counts():
 
 
 def test_pixels_become_arc_seconds_by_the_focal_length():
-    found = projection_uncertainty(CAMERA, covariance(fx=1.0, fy=1.0))
-    ratio = found.sigma_arcsec[:, 1:-1] / found.sigma_px[:, 1:-1]
+    uncertainty = projection_uncertainty(CAMERA, covariance(fx=1.0, fy=1.0))
+    ratio = uncertainty.sigma_arcsec[:, 1:-1] / uncertainty.sigma_px[:, 1:-1]
     assert np.nanmedian(ratio) == pytest.approx(206265 / 3345, rel=0.03)
 
 
@@ -115,9 +115,9 @@ def test_the_grid_spans_the_sensor():
 
 def test_beyond_the_fold_of_the_lens_there_is_no_number():
     folded = CameraModel(500.0, 500.0, 640.0, 360.0, (1280, 720), {"k1": -0.6})
-    found = projection_uncertainty(folded, np.eye(5) * 1e-4)
-    assert np.isnan(found.sigma_px[0, 0])
-    assert np.isfinite(found.worst_px)
+    uncertainty = projection_uncertainty(folded, np.eye(5) * 1e-4)
+    assert np.isnan(uncertainty.sigma_px[0, 0])
+    assert np.isfinite(uncertainty.worst_px)
 
 
 # ---------------------------------------------------------------- cross validation
@@ -152,7 +152,7 @@ def test_a_view_that_belongs_is_predicted_to_the_noise_and_one_that_does_not_is_
     for i in range(len(views)):
         others = without_pose(bundle, [i], parameters, fitted.loss)
         squares.append((predicted_residuals(bundle, i, parameters, others) ** 2).sum(axis=1))
-    rms = np.sqrt([one.mean() for one in squares])
+    rms = np.sqrt([of_view.mean() for of_view in squares])
     if model == "spherical":
         assert rms.argmax() == 2
     assert rms[2] > 5 * 0.02 * np.sqrt(2)

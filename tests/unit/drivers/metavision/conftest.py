@@ -15,9 +15,9 @@ def device():
 
 @pytest.fixture
 def devices(monkeypatch, device):
-    found = {SERIAL: device}
-    monkeypatch.setitem(sys.modules, "metavision_hal", Hal(found))
-    return found
+    connected = {SERIAL: device}
+    monkeypatch.setitem(sys.modules, "metavision_hal", Hal(connected))
+    return connected
 
 
 @pytest.fixture

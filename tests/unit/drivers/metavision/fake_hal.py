@@ -334,10 +334,10 @@ class Hal(ModuleType):
             @staticmethod
             def open(serial, config):
                 assert config.encoding == "EVT3"
-                found = devices.get(serial or SERIAL)
-                if isinstance(found, Exception):
-                    raise found
-                return found
+                device = devices.get(serial or SERIAL)
+                if isinstance(device, Exception):
+                    raise device
+                return device
 
             @staticmethod
             def list_available_sources():

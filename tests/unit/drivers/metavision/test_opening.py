@@ -143,12 +143,12 @@ OLD = (
 def old_firmware(devices, monkeypatch):
     """A camera that the maker's software leaves out, saying why on standard error, once in a process."""
     devices.clear()
-    hal, said = sys.modules["metavision_hal"], []
+    hal, written = sys.modules["metavision_hal"], []
     monkeypatch.setattr(metavision_discovery, "refused_firmware", set())
 
     def looked(answer):
-        if not said:
-            said.append(os.write(2, OLD))
+        if not written:
+            written.append(os.write(2, OLD))
         return answer
 
     monkeypatch.setattr(hal.DeviceDiscovery, "open", staticmethod(lambda *_: looked(None)))
@@ -171,8 +171,8 @@ def test_a_firmware_that_is_too_old_is_named_at_each_opening(clock, capfd):
 
 @pytest.mark.usefixtures("old_firmware")
 def test_a_camera_with_an_old_firmware_is_listed_with_its_trouble(capfd):
-    (found,) = discover()
-    assert (found.serial, found.trouble) == (
+    (camera,) = discover()
+    assert (camera.serial, camera.trouble) == (
         SERIAL,
         "its firmware is older than 3.8. Update the camera's firmware with the maker's updater (support.prophesee.ai).",
     )
@@ -227,9 +227,9 @@ def test_a_camera_that_another_program_may_use_is_named(devices, clock, monkeypa
 @pytest.mark.usefixtures("capfd")
 def test_a_denial_that_only_standard_error_tells_is_named(devices, clock, monkeypatch):
     devices.clear()
-    said = b"[HAL][WARNING] Unable to open device:\nError fffffffd: LibUSB connection error: LIBUSB_ERROR_ACCESS\n"
+    denial = b"[HAL][WARNING] Unable to open device:\nError fffffffd: LibUSB connection error: LIBUSB_ERROR_ACCESS\n"
     discovery = sys.modules["metavision_hal"].DeviceDiscovery
-    monkeypatch.setattr(discovery, "list_available_sources", staticmethod(lambda: os.write(2, said) and []))
+    monkeypatch.setattr(discovery, "list_available_sources", staticmethod(lambda: os.write(2, denial) and []))
     with pytest.raises(
         CameraNotFound, match=r"this user may not use it \(LIBUSB_ERROR_ACCESS\): install the udev"
     ):

@@ -17,15 +17,15 @@ from tests.unit.drivers.metavision.fake_hal import (
 
 
 def test_settings_are_set_and_read_back_with_all_filters_off(device, camera):
-    found = camera.apply(CameraSettings({"bias_diff_on": 20}, trigger_in=True))
-    assert found.biases == {
+    applied = camera.apply(CameraSettings({"bias_diff_on": 20}, trigger_in=True))
+    assert applied.biases == {
         "bias_diff_on": 20,
         "bias_diff_off": 0,
         "bias_fo": 0,
         "bias_hpf": 0,
         "bias_refr": 0,
     }
-    assert found.trigger_in
+    assert applied.trigger_in
     assert device.facilities["trigger_in"].is_enabled(Channel.MAIN)
     assert camera.filters() == {"afk": False, "stc": False, "trail": False, "erc": False}
     assert device.facilities["roi"].on is False
@@ -152,9 +152,9 @@ def test_the_biases_of_another_sensor_keep_what_it_had_when_it_was_opened(device
     assert ((identity.width, identity.height), identity.sensor) == (size, sensor)
     factory = {name: value for name, (value, _, _) in stated.items()}
     for biases in ({"bias_fo": 60}, {}):
-        found = camera.apply(CameraSettings(biases))
+        applied = camera.apply(CameraSettings(biases))
         assert device.facilities["ll_biases"].values == {**factory, **biases}
-        assert found.biases["bias_fo"] == biases.get("bias_fo", factory["bias_fo"])
+        assert applied.biases["bias_fo"] == biases.get("bias_fo", factory["bias_fo"])
     assert camera.bias_ranges()["bias_hpf"] == stated["bias_hpf"][1:]
     highest = stated["bias_fo"][2]
     with pytest.raises(CameraSettingRefused, match=f"bias_fo from 0 to {highest}, not -1"):
