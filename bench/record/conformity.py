@@ -24,7 +24,7 @@ NO_CONVERGENCE = "The optimisation did not converge."
 def verdict_of(value: str, expanded: str, lower: float | None, upper: float | None) -> Verdict:
     """Return ``pass``, ``conditionalPass``, ``conditionalFail`` or ``fail`` for a value; None stands for no limit.
 
-    >>> [verdict_of(one, "2", 0.0, 10.0) for one in ("5", "8", "9", "10", "11", "12", "13")]
+    >>> [verdict_of(value, "2", 0.0, 10.0) for value in ("5", "8", "9", "10", "11", "12", "13")]
     ['pass', 'pass', 'conditionalPass', 'conditionalPass', 'conditionalFail', 'conditionalFail', 'fail']
     """
     band = Decimal(expanded)

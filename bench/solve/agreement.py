@@ -109,12 +109,12 @@ def agreement(name: str, runs: Sequence[Estimate]) -> Agreement:
     runs: At least two values, each with its standard uncertainty greater than 0.
 
     >>> alone = [Estimate(9.0, 1.0), Estimate(11.0, 1.0), Estimate(10.0, 1.0)]
-    >>> found = agreement("fx", alone)
-    >>> found.mean, round(found.sigma, 4), round(found.birge, 4)
+    >>> agreed = agreement("fx", alone)
+    >>> agreed.mean, round(agreed.sigma, 4), round(agreed.birge, 4)
     (10.0, 0.5774, 1.0)
-    >>> [round(d, 4) for d in found.deviations]
+    >>> [round(d, 4) for d in agreed.deviations]
     [-1.2247, 1.2247, 0.0]
-    >>> shared = [one._replace(sigma=1.25, shared=0.75) for one in alone]
+    >>> shared = [run._replace(sigma=1.25, shared=0.75) for run in alone]
     >>> round(agreement("fx", shared).sigma ** 2, 4) == round(1.0 / 3.0 + 0.75**2, 4)
     True
     """

@@ -30,7 +30,7 @@ def round_expanded(expanded: float) -> Decimal:
 
     Its exponent is that of its last digit.
 
-    >>> [str(round_expanded(one)) for one in (2.4106, 2.451, 0.0164, 9.99, 105.0, 0.000123)]
+    >>> [str(round_expanded(u)) for u in (2.4106, 2.451, 0.0164, 9.99, 105.0, 0.000123)]
     ['2.4', '2.5', '0.017', '10', '1.1E+2', '0.00013']
     """
     exact = Decimal(repr(float(expanded)))

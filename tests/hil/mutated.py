@@ -34,8 +34,8 @@ class Mutated:
         return self.device.baud
 
     def receive(self, data: bytes) -> bytes:
-        said = self.device.receive(data)
-        return self.change(said) if said else said
+        answer = self.device.receive(data)
+        return self.change(answer) if answer else answer
 
     def unsolicited(self) -> bytes:
         return self.device.unsolicited()
@@ -49,8 +49,8 @@ def zaber_line(body: str) -> bytes:
 def each_line(change: Callable[[str], bytes]) -> Change:
     """Change each reply line, given without its first character, checksum and end."""
 
-    def changed(said: bytes) -> bytes:
-        return b"".join(change(body.decode()) for body in re.findall(rb"@(.*?):..\r\n", said))
+    def changed(answer: bytes) -> bytes:
+        return b"".join(change(body.decode()) for body in re.findall(rb"@(.*?):..\r\n", answer))
 
     return changed
 
@@ -72,7 +72,7 @@ def wrong_sum(body: str) -> bytes:
 
 ZABER: Final[dict[str, Change]] = {
     "wrong checksum": each_line(wrong_sum),
-    "CR only": lambda said: said.replace(b"\r\n", b"\r"),
+    "CR only": lambda answer: answer.replace(b"\r\n", b"\r"),
     "no id": words(lambda all_: all_[:2] + all_[3:]),
     "wrong id": put(2, lambda word: f"{(int(word) + 1) % 100:02d}"),
     "wrong device": put(0, lambda word: f"{int(word) + 1:02d}"),
@@ -81,11 +81,11 @@ ZABER: Final[dict[str, Change]] = {
     "no flag field": words(lambda all_: all_[:5] + all_[6:]),
     "state word Idle": put(4, str.capitalize),
     "no checksum": each_line(lambda body: f"@{body}\r\n".encode()),
-    "LF only": lambda said: said.replace(b"\r\n", b"\n"),
+    "LF only": lambda answer: answer.replace(b"\r\n", b"\n"),
     "one-digit address": put(0, lambda word: str(int(word))),
     "always idle": put(4, lambda _word: "IDLE"),
     "never idle": put(4, lambda _word: "BUSY"),
-    "echo": lambda said: b"/1 1 00 get pos:2C\n" + said,
+    "echo": lambda answer: b"/1 1 00 get pos:2C\n" + answer,
 }
 
 
@@ -101,16 +101,16 @@ def crc16(data: bytes) -> bytes:
 
 def with_data(change: Change) -> Change:
     """Change replies that carry data; bare echoes of a command stay."""
-    return lambda said: change(said) if len(said) > 4 else said
+    return lambda answer: change(answer) if len(answer) > 4 else answer
 
 
 def command_state(change: Callable[[int], int]) -> Change:
     """Change the byte of a status that says whether a command is being carried out, and seal it anew."""
 
-    def changed(said: bytes) -> bytes:
-        if said[:4] != b"gets":
-            return said
-        data = bytearray(said[4:-2])
+    def changed(answer: bytes) -> bytes:
+        if answer[:4] != b"gets":
+            return answer
+        data = bytearray(answer[4:-2])
         data[1] = change(data[1])
         return b"gets" + data + crc16(data)
 
@@ -118,13 +118,13 @@ def command_state(change: Callable[[int], int]) -> Change:
 
 
 XIMC: Final[dict[str, Change]] = {
-    "CRC over the wrong span": with_data(lambda said: said[:-2] + crc16(said[:-2])),
-    "CRC bytes swapped": with_data(lambda said: said[:-2] + said[:-3:-1]),
-    "wrong letters": lambda said: b"x" + said[1:] if said.strip(b"\0") else said,
-    "short reply": with_data(lambda said: said[:-1]),
-    "a byte too many": with_data(lambda said: said + b"\x07"),
+    "CRC over the wrong span": with_data(lambda answer: answer[:-2] + crc16(answer[:-2])),
+    "CRC bytes swapped": with_data(lambda answer: answer[:-2] + answer[:-3:-1]),
+    "wrong letters": lambda answer: b"x" + answer[1:] if answer.strip(b"\0") else answer,
+    "short reply": with_data(lambda answer: answer[:-1]),
+    "a byte too many": with_data(lambda answer: answer + b"\x07"),
     "never idle": command_state(lambda state: state | 0x80),
     "always idle": command_state(lambda state: state & ~0x80),
-    "echo": lambda said: b"gets" + said if said.strip(b"\0") else said,
-    "a zero too many": with_data(lambda said: said + b"\0"),
+    "echo": lambda answer: b"gets" + answer if answer.strip(b"\0") else answer,
+    "a zero too many": with_data(lambda answer: answer + b"\0"),
 }

@@ -31,19 +31,19 @@ FILES = [
 def test_faults_of_files_are_placed_and_nothing_is_made(capsys, in_sequence, in_station, place, words):
     sequence = write("sequence.yaml", SEQUENCE.replace(*in_sequence) if in_sequence else SEQUENCE)
     station = write("station.yaml", PLAIN.replace(*in_station) if in_station else PLAIN)
-    status, (_, said) = ended(capsys, "run", sequence, "--station", station, "--output", "out")
+    status, (_, message) = ended(capsys, "run", sequence, "--station", station, "--output", "out")
     assert status == 2
-    assert place in said
-    assert words in said
+    assert place in message
+    assert words in message
     assert not Path("out").exists()
 
 
 def test_another_serial_number_on_the_port_is_refused_before_anything_moves(capsys):
     station = write("station.yaml", PLAIN.replace("serial: 100102", "serial: 999999"))
-    status, (_, said) = ended(capsys, "run", "three_pose", "--station", station, "--output", "out")
+    status, (_, message) = ended(capsys, "run", "three_pose", "--station", station, "--output", "out")
     assert status == 1
-    assert "999999" in said
-    assert "100102" in said
+    assert "999999" in message
+    assert "100102" in message
     assert '"home' not in Path("out/wire.jsonl").read_text()
     assert " move " not in Path("out/wire.jsonl").read_text()
 
@@ -54,10 +54,10 @@ def test_recordings_that_are_none_or_cut_short_are_named(capsys, evk4_recording)
     Path("half.raw").write_bytes(whole[:-100_001])  # words have two bytes
     cut = "cut in the middle of a word, and used up to there: half.raw."
     for name, words, status in (("text.raw", "not a", 2), ("half.raw", cut, 1)):
-        end, (_, said) = ended(capsys, "calibrate", name)
+        end, (_, message) = ended(capsys, "calibrate", name)
         assert end == status
-        assert name in said
-        assert words in said.lower()
+        assert name in message
+        assert words in message.lower()
 
 
 def test_a_changed_sequence_is_not_resumed(capsys):
@@ -65,6 +65,6 @@ def test_a_changed_sequence_is_not_resumed(capsys):
     assert ended(capsys, "run", "three_pose", "--station", station, "--output", "out")[0] == 1
     shutil.copy("out/sequence.yaml", "keep")
     Path("out/sequence.yaml").write_text(SEQUENCE.replace("window_ms: 33", "window_ms: 50"))
-    status, (_, said) = ended(capsys, "resume", "out")
+    status, (_, message) = ended(capsys, "resume", "out")
     assert status == 1
-    assert "was changed after this run began" in said
+    assert "was changed after this run began" in message

@@ -32,28 +32,28 @@ def night(tmp_path_factory):
     folder = tmp_path_factory.mktemp("night")
     (folder / "queue.yaml").write_text(QUEUE)
     (folder / "job.yaml").write_text(JOB)
-    said = called(
+    ended = called(
         "rehearse", folder / "queue.yaml", "-o", folder / "out", "--begin", "2026-03-01T20:30", "--json",
         home=folder / "home",
     )  # fmt: skip
-    return folder, said
+    return folder, ended
 
 
 def test_a_queue_is_planned_with_its_times_and_what_there_is_no_time_for(night):
     folder, _ = night
     words = ("plan", folder / "queue.yaml", "--begin", "2026-03-01T20:30")
-    said = called(*words, home=folder / "home")
-    assert said.returncode == 0, said.stderr
-    assert "from Sun 2026-03-01 21:00 CET; no run is begun that would end after Sun 21:45" in said.stdout
-    assert "No time for 1: a-003" in said.stdout
-    assert "2 runs, until Sun 21:30 CET" in said.stdout
-    told = json.loads(called(*words, "--json", home=folder / "home").stdout)
-    assert (told["opens_utc"], told["runs"], told["no_time_for"]) == (
+    ended = called(*words, home=folder / "home")
+    assert ended.returncode == 0, ended.stderr
+    assert "from Sun 2026-03-01 21:00 CET; no run is begun that would end after Sun 21:45" in ended.stdout
+    assert "No time for 1: a-003" in ended.stdout
+    assert "2 runs, until Sun 21:30 CET" in ended.stdout
+    plan = json.loads(called(*words, "--json", home=folder / "home").stdout)
+    assert (plan["opens_utc"], plan["runs"], plan["no_time_for"]) == (
         "2026-03-01T20:00:00+00:00",
         2,
         ["a-003"],
     )
-    assert 0.1 < told["expected_sigma"]["a"]["fx"] < 5
+    assert 0.1 < plan["expected_sigma"]["a"]["fx"] < 5
 
 
 def test_a_queue_names_its_stations_itself_and_a_sequence_needs_one(night):
@@ -67,12 +67,12 @@ def test_a_queue_names_its_stations_itself_and_a_sequence_needs_one(night):
 
 
 def test_a_rehearsal_ends_as_its_night_would(night):
-    folder, said = night
-    assert said.returncode == 1  # no time was left for a-003
-    told = json.loads(said.stdout)
-    assert (told["how"], told["rehearsal"]) == ("stopped", True)
-    assert told["why"] == "no time was left for 1 runs: a-003"
-    assert "rehearsed in" in said.stderr
+    folder, ended = night
+    assert ended.returncode == 1  # no time was left for a-003
+    summary = json.loads(ended.stdout)
+    assert (summary["how"], summary["rehearsal"]) == ("stopped", True)
+    assert summary["why"] == "no time was left for 1 runs: a-003"
+    assert "rehearsed in" in ended.stderr
     assert (folder / "out" / "summary.html").is_file()
 
 
@@ -96,17 +96,17 @@ def test_a_job_is_stored_for_a_batch_that_no_process_works_on(night, tmp_path):
     clock = BenchClock()
     with Journal.create(tmp_path / JOURNAL, utc_now=clock.utc_now, monotonic=clock.monotonic) as journal:
         journal.append(BatchEvent.BEGUN, queue="Night", files={})
-    said = called("tell", tmp_path, "add", folder / "job.yaml", home=folder / "home")
-    assert said.returncode == 0, said.stderr
-    assert "when it continues" in said.stdout
+    ended = called("tell", tmp_path, "add", folder / "job.yaml", home=folder / "home")
+    assert ended.returncode == 0, ended.stderr
+    assert "when it continues" in ended.stdout
     assert len(list((tmp_path / "requests").iterdir())) == 1
 
 
 def test_a_request_to_a_rehearsal_or_to_no_batch_is_refused(night):
     folder, _ = night
-    said = called("tell", folder / "out", "add", folder / "job.yaml", home=folder / "home")
-    assert said.returncode == 1
-    assert "is a rehearsal" in said.stderr
+    ended = called("tell", folder / "out", "add", folder / "job.yaml", home=folder / "home")
+    assert ended.returncode == 1
+    assert "is a rehearsal" in ended.stderr
     nowhere = called("tell", folder, "withdraw", "a", home=folder / "home")
     assert nowhere.returncode == 1
     assert "There is no batch in this folder" in nowhere.stderr
@@ -115,9 +115,9 @@ def test_a_request_to_a_rehearsal_or_to_no_batch_is_refused(night):
 def test_the_demonstration_is_a_night_of_sixty_runs_of_nine_poses(night):
     folder, _ = night
     words = ("plan", ROOT / "sequences" / "night" / "queue.yaml", "--begin", "2026-03-01T19:30", "--json")
-    told = json.loads(called(*words, home=folder / "home").stdout)
-    assert (told["runs"], told["no_time_for"]) == (60, [])
-    assert told["end_utc"] > "2026-03-02T04:00"
+    plan = json.loads(called(*words, home=folder / "home").stdout)
+    assert (plan["runs"], plan["no_time_for"]) == (60, [])
+    assert plan["end_utc"] > "2026-03-02T04:00"
 
 
 @pytest.mark.parametrize("document", ["queue", "job"])

@@ -61,8 +61,8 @@ class Night:
         return hit
 
     def runs(self):
-        found = (self.folder / "runs").glob("cam-?-001") if self.folder.exists() else ()
-        return sorted(path for path in found if path.is_dir())
+        folders = (self.folder / "runs").glob("cam-?-001") if self.folder.exists() else ()
+        return sorted(path for path in folders if path.is_dir())
 
 
 def children(pid):
@@ -100,12 +100,12 @@ def stored(run):
     return [(e["pose"], e["attempt"], e["sha256"]) for e in journal(run) if e["event"] == "capture_stored"]
 
 
-def see_that_nothing_is_lost(night, told):
+def see_that_nothing_is_lost(night, captures_of):
     """What a journal has told of once, it tells of for ever."""
     for run in night.runs():
         now = stored(run)
-        assert now[: len(told.get(run, ()))] == told.get(run, [])
-        told[run] = now
+        assert now[: len(captures_of.get(run, ()))] == captures_of.get(run, [])
+        captures_of[run] = now
 
 
 def check(run, whole):
@@ -129,14 +129,14 @@ def test_a_batch_killed_at_random_moments_loses_nothing_doubles_nothing_and_ends
     queue = tmp_path / "queue.yaml"
     queue.write_text(QUEUE % "".join(JOB % (number, sequence, station) for number in range(RUNS)))
     undisturbed = tmp_path / "undisturbed"
-    said = starbench("run", sequence, "-s", station, "--seed", 7, "-o", undisturbed, home=home)
-    assert said.returncode == 0, said.stderr
+    ended = starbench("run", sequence, "-s", station, "--seed", 7, "-o", undisturbed, home=home)
+    assert ended.returncode == 0, ended.stderr
     chance = random.Random(1)
     kills, batches, moves_again, began = Counter(), 0, 0, time.monotonic()
     at_state: Counter[str] = Counter()
     while kills.total() < KILLS:
         batches += 1
-        night, told = Night(queue, tmp_path / f"night-{batches}", home), {}
+        night, captures_of = Night(queue, tmp_path / f"night-{batches}", home), {}
         killed_here = 0
         while not night.done():
             wait_for_lines(night, chance)
@@ -155,7 +155,7 @@ def test_a_batch_killed_at_random_moments_loses_nothing_doubles_nothing_and_ends
                             f"{kills.total()} kills after {(time.monotonic() - began) / 60:.1f} min",
                             flush=True,
                         )
-                see_that_nothing_is_lost(night, told)
+                see_that_nothing_is_lost(night, captures_of)
         out, err = night.process.communicate()
         assert night.process.returncode == 0, out + err
         summary = json.loads((night.folder / "summary.json").read_text())

@@ -11,9 +11,9 @@ from running import starbench
 @pytest.mark.slow
 def test_a_certificate_of_a_run_verifies_with_starbench_and_with_stock_programs(tmp_path):
     def done(*words):
-        said = starbench(*words, home=tmp_path / "home")
-        assert said.returncode == 0, said.stdout + said.stderr
-        return said.stdout
+        ended = starbench(*words, home=tmp_path / "home")
+        assert ended.returncode == 0, ended.stdout + ended.stderr
+        return ended.stdout
 
     text = LAB
     for date in ("2026-11-18", "2025-11-20", "2026-01-08"):

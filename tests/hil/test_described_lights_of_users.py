@@ -37,7 +37,7 @@ def test_an_echo_and_a_prompt_around_an_answer_are_described(clock) -> None:
 def test_a_generator_may_read_back_in_other_units_than_it_is_set(clock) -> None:
     protocol = read_light_protocol(described("fy6900")).value.for_driver()
     wire = Wire(clock, LINES)
-    told = {
+    answers = {
         "UMO": "FY6900-60M",
         "UID": "8112345678",
         "RMN": "0",
@@ -50,8 +50,8 @@ def test_a_generator_may_read_back_in_other_units_than_it_is_set(clock) -> None:
     def answer(request: str) -> str:
         name, value = f"R{request[1:3]}", request[3:]
         if not request.startswith("W"):
-            return f"{told.get(request, '')}\n"
-        told[name] = {
+            return f"{answers.get(request, '')}\n"
+        answers[name] = {
             "RMN": lambda: "255" if value == "1" else "0",
             "RMW": lambda: str(int(value)),
             "RMF": lambda: f"{int(value) / 1e6:015.6f}",

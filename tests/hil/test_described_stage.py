@@ -84,15 +84,15 @@ def test_a_query_that_became_a_command_is_noticed_before_the_next_move(rig) -> N
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "fault"),
     [
         ({"counts_per_deg": 801.0}, "the station file gives 801 counts per degree, the controller 800"),
         ({"limits": AxisLimits(-15.0, 15.5, 20.0, 100.0)}, "but the controller allows only"),
         ({"zero_deg": 3.0}, "but the controller allows only"),
     ],
 )
-def test_a_station_that_contradicts_the_device_is_refused(rig, changes, said) -> None:
-    with pytest.raises(OutsideLimits, match=said):
+def test_a_station_that_contradicts_the_device_is_refused(rig, changes, fault) -> None:
+    with pytest.raises(OutsideLimits, match=fault):
         again(rig, axis(**changes))
 
 

@@ -199,7 +199,7 @@ ELL14_COUNTS_PER_DEG = 143360 / 360
 
 def ell14(clock: VirtualClock) -> tuple[Wire, Motor]:
     wire, motor = Wire(clock, re.compile(rb"(0(?:in|gs|gp|st|gv|ho0|sv..|ma.{8}))")), Motor(clock)
-    told = {"late": False, "speed": "32"}
+    state = {"late": False, "speed": "32"}
 
     def position() -> str:
         return f"0PO{round(motor.position_deg * ELL14_COUNTS_PER_DEG) % 2**32:08X}\r\n"
@@ -209,23 +209,23 @@ def ell14(clock: VirtualClock) -> tuple[Wire, Motor]:
         if verb in {"ma", "ho"}:
             counts = int(value, 16) if verb == "ma" else 0
             motor.move((counts - (2**32 if counts >= 2**31 else 0)) / ELL14_COUNTS_PER_DEG)
-            told["late"] = True
+            state["late"] = True
             return ""
         if verb == "sv":
-            told["speed"] = value
+            state["speed"] = value
         if verb == "st":
             motor.stop()
         answers = {
             "in": "0IN0E1140005120231601016800023000\r\n",
             "gp": position(),
-            "gv": f"0GV{told['speed']}\r\n",
+            "gv": f"0GV{state['speed']}\r\n",
         }
         return answers.get(verb, "0GS09\r\n" if motor.is_busy else "0GS00\r\n")
 
     def unasked() -> str:
-        if motor.is_busy or not told["late"]:
+        if motor.is_busy or not state["late"]:
             return ""
-        told["late"] = False
+        state["late"] = False
         return position()
 
     wire.answer, wire.unasked = answer, unasked

@@ -70,11 +70,11 @@ def assert_true_or_error(rig: DirectStage) -> None:
     """Ask for the position: it must be where the axis is, or an error in time."""
     began_s = rig.line.clock.now_s
     try:
-        told = rig.stage.position_deg()["pan"]
+        read_deg = rig.stage.position_deg()["pan"]
     except DriverError:
         assert rig.line.clock.now_s - began_s < LONGEST_S
     else:
-        assert told == pytest.approx(rig.true_deg(), abs=0.01)
+        assert read_deg == pytest.approx(rig.true_deg(), abs=0.01)
 
 
 def test_every_fault_of_the_catalogue_is_spoken_of_here() -> None:
@@ -119,10 +119,10 @@ def test_what_moves_an_axis_that_has_arrived_shows_in_its_readings(rig, fault) -
             move(rig), MoveFailed | None
         )  # where the counter is an encoder, it may show at once
     rig.line.clock.sleep(3.0)
-    told = {**rig.stage.position_deg(), **rig.stage.encoder_deg()}["pan"]
+    read_deg = {**rig.stage.position_deg(), **rig.stage.encoder_deg()}["pan"]
     if rig.family not in WITHOUT_ENCODER:
-        assert told == pytest.approx(rig.true_deg(), abs=0.2)
-        assert abs(told - arrived_deg) > 0.05
+        assert read_deg == pytest.approx(rig.true_deg(), abs=0.2)
+        assert abs(read_deg - arrived_deg) > 0.05
 
 
 @pytest.mark.parametrize("skip", [0, 3, 7])

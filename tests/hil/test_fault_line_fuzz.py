@@ -39,15 +39,15 @@ def test_no_position_and_no_arrival_is_ever_wrong(family, exchanges) -> None:
         goal = float(rng.integers(-15, 15)) if kind == "move" else where
         with spoiled(line, clock, rng):
             try:
-                told = go_and_read(stage, goal) if kind == "move" else stage.position_deg()["pan"]
-                as_asked = told == pytest.approx(goal, abs=0.002)
+                read_deg = go_and_read(stage, goal) if kind == "move" else stage.position_deg()["pan"]
+                as_asked = read_deg == pytest.approx(goal, abs=0.002)
                 if family in UNGUARDED and (kind == "read" or not as_asked):
                     # A disturbed query may have become a motion, also the one after an arrival.
-                    assert told == pytest.approx(rig.present_deg(), abs=0.01)
+                    assert read_deg == pytest.approx(rig.present_deg(), abs=0.01)
                     goal = None
                 else:
                     assert as_asked
-                where = told
+                where = read_deg
                 good[kind] += 1
             except DriverError:
                 bad += 1
@@ -55,10 +55,10 @@ def test_no_position_and_no_arrival_is_ever_wrong(family, exchanges) -> None:
         if not stage.is_homed():
             home_as_told(rig)
             goal = None
-        told = stage.position_deg()["pan"]
-        assert told == pytest.approx(told if goal is None else goal, abs=0.002)
-        assert told == pytest.approx(rig.true_deg(), abs=0.01)
-        where = told
+        read_deg = stage.position_deg()["pan"]
+        assert read_deg == pytest.approx(read_deg if goal is None else goal, abs=0.002)
+        assert read_deg == pytest.approx(rig.true_deg(), abs=0.01)
+        where = read_deg
     assert min(good.values()) > 5
     assert bad > 0
 
@@ -134,9 +134,9 @@ def test_no_setting_of_a_light_is_ever_wrong(kind, exchanges) -> None:
     assert bad > 0
 
 
-def like(told: LightSettings, asked: LightSettings) -> bool:
+def like(read: LightSettings, asked: LightSettings) -> bool:
     """Whether settings are those asked for, within what a strobe controller prints."""
-    return (told.waveform, told.sync_output) == (asked.waveform, asked.sync_output) and all(
-        getattr(told, name) == pytest.approx(getattr(asked, name), rel=1e-3, abs=1e-3)
+    return (read.waveform, read.sync_output) == (asked.waveform, asked.sync_output) and all(
+        getattr(read, name) == pytest.approx(getattr(asked, name), rel=1e-3, abs=1e-3)
         for name in ("frequency_hz", "duty_percent", "low_v", "high_v")
     )

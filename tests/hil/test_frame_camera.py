@@ -29,31 +29,31 @@ STEADY = LightState(low_v=5.0, high_v=5.0, output=True)
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory, home):
     folder = tmp_path_factory.mktemp("runs") / "frames"
-    said = called(
+    ended = called(
         "run", "three_pose", "-s", "simulated_frames", "--seed", SEED, "-o", folder, "--json", home=home
     )
-    assert said.returncode == 0, said.stderr
+    assert ended.returncode == 0, ended.stderr
     return folder
 
 
 DISTORTION = {"k1", "k2", "k3"}
 
 
-def errors(told):
+def errors(answers):
     """Sizes of the errors in sigmas, by name."""
-    return {row["name"]: abs(row["error_sigmas"]) for row in told["comparison"]}
+    return {row["name"]: abs(row["error_sigmas"]) for row in answers["comparison"]}
 
 
 def test_a_run_with_a_frame_camera_ends_with_focal_length_and_principal_point_within_their_uncertainty(
     finished,
 ):
-    told = results(finished)
-    assert told["run"]["camera"] == "frame"
-    assert told["calibration"]["converged"]
-    k = told["calibration"]["coverage_factor"]
-    assert max(size for name, size in errors(told).items() if name not in DISTORTION) <= k
-    assert told["passport"]["number"] == "SIM-2026-01"
-    assert told["calibration"]["rms_px"] < 0.2  # most of it is the collimator's
+    answers = results(finished)
+    assert answers["run"]["camera"] == "frame"
+    assert answers["calibration"]["converged"]
+    k = answers["calibration"]["coverage_factor"]
+    assert max(size for name, size in errors(answers).items() if name not in DISTORTION) <= k
+    assert answers["passport"]["number"] == "SIM-2026-01"
+    assert answers["calibration"]["rms_px"] < 0.2  # most of it is the collimator's
 
 
 def test_the_pictures_are_the_evidence_and_the_light_burnt_steadily(finished):
@@ -61,8 +61,8 @@ def test_the_pictures_are_the_evidence_and_the_light_burnt_steadily(finished):
     assert captures == [f"pose-{n:03d}-attempt-1.tif" for n in (1, 2, 3)]
     assert read_frames(finished / "captures" / captures[0]).shape == (8, 720, 1280)
     stored = [line for line in journal(finished) if line["event"] == "capture_stored"]
-    assert {one["light"]["waveform"] for one in stored} == {"steady"}
-    assert {one["facts"]["frames"] for one in stored} == {8}
+    assert {capture["light"]["waveform"] for capture in stored} == {"steady"}
+    assert {capture["facts"]["frames"] for capture in stored} == {8}
 
 
 def test_the_report_speaks_of_pictures_and_leaves_out_what_only_events_have(finished):
@@ -101,8 +101,8 @@ def test_pictures_of_a_run_played_again_give_the_same_camera(finished, home, tmp
     played = station.replace(camera, f"driver: pictures\n  path: {tmp_path / 'pictures'}")
     (tmp_path / "played.yaml").write_text(played)
     folder = tmp_path / "again"
-    said = starbench("run", "three_pose", "-s", tmp_path / "played.yaml", "-o", folder, home=home)
-    assert said.returncode == 0, said.stderr
+    ended = starbench("run", "three_pose", "-s", tmp_path / "played.yaml", "-o", folder, home=home)
+    assert ended.returncode == 0, ended.stderr
     assert results(folder)["calibration"]["camera"] == results(finished)["calibration"]["camera"]
     assert results(folder)["run"]["simulated"]
 
@@ -152,9 +152,9 @@ def test_pictures_differ_by_their_noise_alone_and_their_stars_stand_still(camera
     frames = read_frames(tmp_path / "pose.tif").astype(float)
     noise = (frames[1] - frames[0]).std()
     assert 0.5 < noise < 5.0
-    found = measure_frames(tmp_path / "pose.tif", name="pose", target=StarTarget())
-    assert found.stars > 100
-    assert found.facts["motion_px"] < 0.02
+    measurement = measure_frames(tmp_path / "pose.tif", name="pose", target=StarTarget())
+    assert measurement.stars > 100
+    assert measurement.facts["motion_px"] < 0.02
 
 
 def test_a_camera_that_turns_while_it_takes_pictures_is_refused_by_its_own_stars(world, camera, tmp_path):
@@ -163,8 +163,8 @@ def test_a_camera_that_turns_while_it_takes_pictures_is_refused_by_its_own_stars
     camera.capture(tmp_path / "turned.tif", 2)
     frames = [*read_frames(tmp_path / "still.tif"), *read_frames(tmp_path / "turned.tif")]
     write_frames(tmp_path / "both.tif", frames)
-    found = measure_frames(tmp_path / "both.tif", name="pose", target=StarTarget())
-    gates = frame_gates(still, Gates(40, 200.0, True), found)
+    measurement = measure_frames(tmp_path / "both.tif", name="pose", target=StarTarget())
+    gates = frame_gates(still, Gates(40, 200.0, True), measurement)
     assert {gate.name: gate.verdict for gate in gates}["stars moved"] == "fail"
 
 

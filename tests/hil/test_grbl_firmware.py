@@ -60,12 +60,12 @@ class Wire:
     def record(self, _t_s: float, _port: str, direction: str, data: bytes) -> None:
         self.parts.append((direction, data))
 
-    def sent_after(self, told: bytes) -> list[bytes]:
+    def sent_after(self, report: bytes) -> list[bytes]:
         """What was sent after the board had told something."""
         heard = b""
         for place, (direction, data) in enumerate(self.parts):
             heard += data if direction == "<" else b""
-            if told in heard:
+            if report in heard:
                 return [later for way, later in self.parts[place:] if way == ">"]
         raise AssertionError(heard)
 
@@ -113,7 +113,7 @@ def once_it_moves(board: NativeBoard, act: Callable[[], None]) -> Iterator[None]
 
 
 def test_identity_homing_moves_and_limits(board: NativeBoard, stage: GrblStage):
-    assert [(one.serial, one.firmware) for one in stage.identify()] == [("GIMBAL", "1.1h.20190830")] * 2
+    assert [(axis.serial, axis.firmware) for axis in stage.identify()] == [("GIMBAL", "1.1h.20190830")] * 2
     with pytest.raises(NotHomed):
         stage.move_to({"pan": 0.0})
     stage.home()
@@ -144,8 +144,8 @@ def test_a_limit_switch_is_named_and_homing_at_once_works(board: NativeBoard, st
         pytest.raises(MoveFailed, match=r"limit switch hit; position lost \(ALARM:1\)"),
     ):
         stage.move_to({"pan": -15.0})
-    told = heard.sent_after(b"ALARM:1\r\n")
-    assert told in ([CANCEL_JOG], [STATUS, CANCEL_JOG]), "a mute board is not asked again and again"
+    sent = heard.sent_after(b"ALARM:1\r\n")
+    assert sent in ([CANCEL_JOG], [STATUS, CANCEL_JOG]), "a mute board is not asked again and again"
     assert "ALARM:1" in stage.faults()[0]
     board.wire("release", "X")
     stage.home()
@@ -227,11 +227,11 @@ class SimulatedBoard:
         self.device.unsolicited()
 
     def say(self, data: bytes | str, quiet_s: float) -> str:
-        said = self.device.receive(data.encode("latin-1") if isinstance(data, str) else data)
+        answer = self.device.receive(data.encode("latin-1") if isinstance(data, str) else data)
         for _ in range(round(quiet_s / 0.02)):
             self.now_s += 0.02
-            said += self.device.unsolicited()
-        return said.decode()
+            answer += self.device.unsolicited()
+        return answer.decode()
 
 
 PLAIN_S = 0.3
@@ -259,17 +259,17 @@ CONVERSATIONS = {
 """What is said, one after the other; behind an ``@``, how long to listen, s."""
 
 
-def comparable(said: str) -> str:
+def comparable(answer: str) -> str:
     """Leave out what our board does not show, and the place where a motion was when it was stopped."""
-    said = re.sub(r"\|(WCO|Ov|Pn|Bf):[^|>]*", "", said)
-    return said.replace("[MSG:Check Limits]\r\n", "")
+    answer = re.sub(r"\|(WCO|Ov|Pn|Bf):[^|>]*", "", answer)
+    return answer.replace("[MSG:Check Limits]\r\n", "")
 
 
 @pytest.mark.parametrize("name", CONVERSATIONS)
 def test_the_simulated_board_answers_as_the_firmware(board: NativeBoard, name: str):
     ours = SimulatedBoard()
-    for said in CONVERSATIONS[name].split("|"):
-        text, _, told_s = said.partition(" @")
+    for exchange in CONVERSATIONS[name].split("|"):
+        text, _, told_s = exchange.partition(" @")
         quiet_s = float(told_s or PLAIN_S)
         sent = text if text in {"?", "!", "~", "\x85", "\x18"} else f"{text}\n"
         assert comparable(ours.say(sent, quiet_s)) == comparable(board.say(sent, quiet_s)), text

@@ -29,7 +29,7 @@ def results_of(folder, run, *options):
     return [json.loads(line) for line in ended.stdout.splitlines()]
 
 
-def told(results):
+def wrong_cases(results):
     wrong = [each for each in results if each["wrong"]]
     return "\n".join(f"{each['name']}: {each['wrong']} {each['said'][-300:]}" for each in wrong)
 
@@ -38,7 +38,7 @@ def told(results):
 def test_a_representative_part_of_the_hostile_inputs(tmp_path, run):
     results = results_of(tmp_path / "cases", run, "--few")
     assert len(results) == len(few_cases(run)) >= 35
-    assert not told(results), told(results)
+    assert not wrong_cases(results), wrong_cases(results)
     assert [each["status"] for each in results if each["name"].startswith("control:")] == [0, 0]
 
 
@@ -48,7 +48,7 @@ def test_a_representative_part_of_the_hostile_inputs(tmp_path, run):
 def test_every_hostile_input(tmp_path, run):
     results = results_of(tmp_path / "cases", run)
     assert len(results) == len(all_cases(run)) >= LEAST_CASES
-    assert not told(results), told(results)
+    assert not wrong_cases(results), wrong_cases(results)
 
 
 def test_the_cases_have_names_of_their_own(run):

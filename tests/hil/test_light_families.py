@@ -47,8 +47,8 @@ def rig(request) -> DirectLight:
 
 def test_a_light_is_identified_set_read_back_and_switched(rig) -> None:
     light, states = rig.light, rig.states
-    told = light.identify()
-    assert (told.maker, told.model, told.serial, told.firmware) == IDENTITIES[rig.kind]
+    identity = light.identify()
+    assert (identity.maker, identity.model, identity.serial, identity.firmware) == IDENTITIES[rig.kind]
     assert not light.is_on()
     got = light.apply(FLICKER)
     assert (got.waveform, got.sync_output) == ("square", True)

@@ -93,7 +93,8 @@ def test_the_firmware_is_identified_set_read_back_and_switched(port) -> None:
 
 def test_the_firmware_goes_dark_when_the_computer_is_silent(port) -> None:
     short = tuple(
-        replace(one, constant=1.0) if one.quantity == "constant" else one for one in DESCRIPTION.settings
+        replace(setting, constant=1.0) if setting.quantity == "constant" else setting
+        for setting in DESCRIPTION.settings
     )
     light = opened(port, description=replace(DESCRIPTION, settings=short))
     light.apply(LightSettings())
@@ -108,7 +109,7 @@ def test_another_serial_number_and_values_out_of_range_are_refused(port) -> None
         opened(port, serial="SB0002")
     with pytest.raises(SettingRefused, match="outside"):
         opened(port).apply(LightSettings(frequency_hz=6000.0))
-    wide = tuple(replace(one, highest=1e9) for one in DESCRIPTION.settings)
+    wide = tuple(replace(setting, highest=1e9) for setting in DESCRIPTION.settings)
     with pytest.raises((SettingRefused, DeviceRefused), match="out of range"):
         opened(port, description=replace(DESCRIPTION, settings=wide)).apply(LightSettings(frequency_hz=6e3))
 
@@ -131,7 +132,7 @@ def test_firmware_and_simulated_light_answer_alike(port) -> None:
     simulated = MicrocontrollerLight("SB0001", time.monotonic)
     for data in [*map(framed, REQUESTS.split("|")), b"FREQ 60\n", b"FREQ 60*00\n"]:
         port.write(data)
-        said = b""
-        while not said.endswith(b"\n"):
-            said += port.read(2.0)
-        assert said == simulated.receive(data), data
+        answer = b""
+        while not answer.endswith(b"\n"):
+            answer += port.read(2.0)
+        assert answer == simulated.receive(data), data

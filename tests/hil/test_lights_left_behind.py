@@ -143,19 +143,19 @@ def _stubborn(device: ScpiGenerator, ignored: bytes) -> None:
 
 
 @pytest.mark.parametrize(
-    ("left", "ignored", "said"),
+    ("left", "ignored", "fault"),
     [
         ("PWM", b"SOUR1:PWM:STAT OFF", r"modulation PWM stays .* 'SOUR1:PWM:STAT\?' is answered by 'ON'"),
         ("SYNC2", b"OUTP:SYNC:SOUR CH1", r"sync output's channel stays .* is answered by 'CH2'"),
     ],
 )
-def test_what_stays_on_although_the_command_was_accepted_is_refused_by_its_name(left, ignored, said) -> None:
+def test_what_stays_on_although_the_command_was_accepted_is_refused_by_its_name(left, ignored, fault) -> None:
     clock = VirtualClock()
     device = ScpiGenerator(GeneratorModel(numbered_channels=True, modulations=("PWM",)), clock.monotonic)
     device.leave(left)
     _stubborn(device, ignored)
     light = ScpiLight(direct_line(device, clock), clock=clock, dialect="numbered")
-    with pytest.raises(SettingRefused, match=said):
+    with pytest.raises(SettingRefused, match=fault):
         light.apply(FLICKER)
 
 

@@ -20,9 +20,9 @@ def run(home, folder, station_limits, sequence_limits):
 
 
 def test_a_run_that_keeps_its_limits_passes(home, tmp_path):
-    said, folder = run(home, tmp_path / "a", "", KEPT)
-    assert said.returncode == 0, said.stderr
-    assert said.stdout.startswith("PASS: 1 of 1 limits kept.\n")
+    ended, folder = run(home, tmp_path / "a", "", KEPT)
+    assert ended.returncode == 0, ended.stderr
+    assert ended.stdout.startswith("PASS: 1 of 1 limits kept.\n")
     assert results(folder)["conformity"]["passed"]
     again = called("calibrate", folder, home=home)
     assert again.returncode == 0, again.stderr
@@ -30,9 +30,9 @@ def test_a_run_that_keeps_its_limits_passes(home, tmp_path):
 
 
 def test_one_limit_that_is_not_kept_fails_the_run_and_not_the_bench(home, tmp_path):
-    said, folder = run(home, tmp_path / "b", MISSED, KEPT)
-    assert said.returncode == 4, said.stderr
-    first, second, *_ = said.stdout.splitlines()
+    ended, folder = run(home, tmp_path / "b", MISSED, KEPT)
+    assert ended.returncode == 4, ended.stderr
+    first, second, *_ = ended.stdout.splitlines()
     assert first == "FAIL: 1 of 2 limits kept."
     assert re.match(r"  cx 3\d\d.* px \(at most 300 px by drawing 7\): outside by more than U\.", second)
     page = (folder / "report.html").read_text()
@@ -54,9 +54,9 @@ def test_a_batch_counts_such_a_run_as_done_and_tells_it(home, tmp_path):
     queue.write_text(
         "format: starbench/queue/1\nname: Q\njobs:\n  - {name: one, sequence: s.yaml, station: b.yaml}\n"
     )
-    said = called("batch", queue, "-o", tmp_path / "night", "--json", home=home)
-    assert said.returncode == 4, said.stderr
-    summary = json.loads(said.stdout)
+    ended = called("batch", queue, "-o", tmp_path / "night", "--json", home=home)
+    assert ended.returncode == 4, ended.stderr
+    summary = json.loads(ended.stdout)
     assert [(item["how"], item["conformity"], item["attempts"]) for item in summary["items"]] == [
         ("finished", "FAIL", 1)
     ]

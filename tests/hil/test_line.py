@@ -183,7 +183,7 @@ def test_a_line_without_limits_does_not_begin(tmp_path, home):
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["--expect-serial", "-"], "No serial number was scanned."),
         (["--expect-serial", "a\tb"], "is no serial number."),
@@ -194,12 +194,12 @@ def test_a_line_without_limits_does_not_begin(tmp_path, home):
     ],
 )
 def test_a_text_that_is_no_serial_number_is_one_clear_error_and_nothing_is_written(
-    tmp_path, home, words, said
+    tmp_path, home, words, message
 ):
-    found = called("run", "three_pose", "-s", "simulated", "-o", tmp_path / "run", *words, home=home)
-    assert (found.returncode, found.stdout) == (2, "")
-    assert said in found.stderr
-    assert len(found.stderr.strip().splitlines()) == 1
+    ended = called("run", "three_pose", "-s", "simulated", "-o", tmp_path / "run", *words, home=home)
+    assert (ended.returncode, ended.stdout) == (2, "")
+    assert message in ended.stderr
+    assert len(ended.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "run").exists()
 
 

@@ -16,11 +16,11 @@ LOWEST = re.compile(r"([A-Za-z0-9._-]+)>=([0-9.]+)")
 def lowest_versions():
     """Return the requirements of the project, each at its lowest version."""
     stated = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
-    return ["{}=={}".format(*LOWEST.match(one).groups()) for one in stated]
+    return ["{}=={}".format(*LOWEST.match(requirement).groups()) for requirement in stated]
 
 
 def test_every_dependency_has_a_lowest_version():
-    assert "numpy" in {one.partition("==")[0] for one in lowest_versions()}
+    assert "numpy" in {requirement.partition("==")[0] for requirement in lowest_versions()}
 
 
 @pytest.mark.slow
@@ -37,8 +37,8 @@ def test_the_lowest_versions_make_a_run(tmp_path):
     environ = {"PATH": "/usr/bin:/bin", "HOME": str(tmp_path), "STARBENCH_HOME": str(tmp_path / "home")}
     starbench = venv / "bin" / "starbench"
     words = [starbench, "run", "three_pose", "-s", "simulated", "--seed", "1", "-o", run]
-    said = subprocess.run(words, env=environ, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert said.returncode == 0, said.stderr
+    ended = subprocess.run(words, env=environ, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
     calibration = json.loads((run / "results.json").read_text())["calibration"]
     assert calibration["camera"]["fx"] == pytest.approx(3345.06, abs=3 * calibration["sigma"]["fx"])
     subprocess.run([starbench, "verify", run], env=environ, cwd=tmp_path, check=True)

@@ -67,9 +67,9 @@ def test_a_recipient_that_the_server_refuses_is_named(to):
 def test_a_webhook_gets_one_object_with_its_key():
     with serving(WebServer()) as server:
         send(MESSAGE, hook_to(url_env="SECRET"), {"SECRET": server.url})
-    ((key, told),) = server.posts
-    assert key == told["id"] == MESSAGE.key
-    assert set(told) == {
+    ((key, post),) = server.posts
+    assert key == post["id"] == MESSAGE.key
+    assert set(post) == {
         "schema", "id", "occasion", "subject", "text", "run", "folder", "utc", "ledger_number", "ledger_head",
     }  # fmt: skip
 
@@ -108,7 +108,7 @@ class Services:
     """Stands for the library apprise: takes what it is told to take."""
 
     def __init__(self, takes):
-        self.takes, self.told = takes, []
+        self.takes, self.messages = takes, []
 
     def Apprise(self):  # noqa: N802 - its name there
         return self
@@ -117,7 +117,7 @@ class Services:
         return url.startswith("json://")
 
     def notify(self, **words):
-        self.told.append(words)
+        self.messages.append(words)
         return self.takes
 
 
@@ -130,7 +130,7 @@ def test_another_service_gets_subject_and_text(monkeypatch):
     services = Services(takes=True)
     monkeypatch.setitem(sys.modules, "apprise", services)
     send(MESSAGE, by_apprise(), {"CHAT": "json://127.0.0.1"})
-    assert services.told == [{"title": MESSAGE.subject, "body": MESSAGE.text}]
+    assert services.messages == [{"title": MESSAGE.subject, "body": MESSAGE.text}]
 
 
 @pytest.mark.parametrize(
@@ -154,19 +154,19 @@ def test_a_dead_network_holds_up_no_run_and_its_message_goes_out_later(tmp_path)
     with serving(WebServer()) as server:
         port, url = server.server_port, server.url
     station = write_station(tmp_path / "station.yaml", f"\nmessages: {{webhooks: [{{url: '{url}'}}]}}\n")
-    said = called("run", sequence, "-s", station, "--seed", 7, "-o", folder, home=home)
-    assert said.returncode == 0, said.stderr
-    assert "Messages not delivered yet: 1" in said.stderr
+    ended = called("run", sequence, "-s", station, "--seed", 7, "-o", folder, home=home)
+    assert ended.returncode == 0, ended.stderr
+    assert "Messages not delivered yet: 1" in ended.stderr
     assert results(folder)["run"]["simulated"]
     with serving(WebServer(port)) as server:
         for _ in range(2):
             assert called("messages", "--send", home=home).returncode == 0
-    ((_, told),) = server.posts
-    assert told["occasion"] == "end"
-    assert told["subject"] == "Starbench: run run (SIMULATED) finished"
-    assert "Finished and sealed" in told["text"]
+    ((_, post),) = server.posts
+    assert post["occasion"] == "end"
+    assert post["subject"] == "Starbench: run run (SIMULATED) finished"
+    assert "Finished and sealed" in post["text"]
     place = results(folder)["run"]["ledger"]
-    assert (told["ledger_number"], told["ledger_head"]) == (1, place["head"])
-    assert f"Ledger: run 1 of this bench, line {place['head']}" in told["text"]
+    assert (post["ledger_number"], post["ledger_head"]) == (1, place["head"])
+    assert f"Ledger: run 1 of this bench, line {place['head']}" in post["text"]
     (kept,) = json.loads(called("messages", "--json", home=home).stdout)["messages"]
     assert (kept["state"], kept["perhaps_twice"]) == ("sent", False)

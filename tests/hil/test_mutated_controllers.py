@@ -47,6 +47,6 @@ def test_a_controller_with_one_thing_wrong_is_refused_in_bounded_time(family, na
 
 @pytest.mark.parametrize("family", ["zaber", "ximc"])
 def test_the_same_controller_with_nothing_wrong_is_used(family) -> None:
-    rig, clock = mutated(family, lambda said: said)
+    rig, clock = mutated(family, lambda answer: answer)
     use(rig)
     assert rig.controller.axis.pointing.angle_deg(clock.now_s + 1.0) == pytest.approx(-9.0, abs=0.002)

@@ -37,7 +37,7 @@ def light_outputs(folder):
     """What the light's output was switched to, in order."""
     sent = [json.loads(line) for line in (folder / "wire.jsonl").read_text().splitlines()]
     switched = [re.search(r"OUTP\S* (ON|OFF|0|1)", line["bytes"]) for line in sent if line["dir"] == ">"]
-    return [found[1] in {"ON", "1"} for found in switched if found]
+    return [match[1] in {"ON", "1"} for match in switched if match]
 
 
 def test_a_held_run_goes_on_where_it_was_and_ends_with_the_same_numbers(home, tmp_path, process):
@@ -62,8 +62,8 @@ def test_a_held_run_goes_on_where_it_was_and_ends_with_the_same_numbers(home, tm
     assert not (folder / "control").exists()
     undisturbed = tmp_path / "undisturbed"
     quick, station = tmp_path / "quick.yaml", tmp_path / "station.yaml"
-    said = called("run", quick, "-s", station, "--seed", SEED, "-o", undisturbed, home=home)
-    assert said.returncode == 0, said.stderr
+    ended = called("run", quick, "-s", station, "--seed", SEED, "-o", undisturbed, home=home)
+    assert ended.returncode == 0, ended.stderr
     assert numbers(folder) == numbers(undisturbed)
     assert called("verify", folder, home=home).returncode == 0
 
@@ -104,9 +104,9 @@ def test_a_question_is_answered_from_another_terminal_once(home, tmp_path):
         status = json.loads(called("status", folder, "--json", home=home).stdout)
         assert status["question"] == "Is the cap off?"
         assert "starbench tell" in status["advice"]
-        said = called("tell", folder, "yes", "--operator", "ada", home=home)
-        assert said.returncode == 0, said.stderr
-        assert said.stdout == "Accepted: continue.\n"
+        ended = called("tell", folder, "yes", "--operator", "ada", home=home)
+        assert ended.returncode == 0, ended.stderr
+        assert ended.stdout == "Accepted: continue.\n"
         wait_for(process, folder, lambda line: line["event"] == "answered")
         answered = next(line for line in journal(folder) if line["event"] == "answered")
         assert (answered["answer"], answered["by"]) == ("continue", "ada")

@@ -31,13 +31,13 @@ def test_a_run_takes_the_size_of_the_sensor_from_the_camera(tmp_path, width, hei
         write_sequence(tmp_path / "s.yaml", POSES, end=END),
         station(tmp_path / "b.yaml", width, height, fx),
     )
-    said = called("run", sequence, "-s", bench, "--seed", 3, "-o", tmp_path / "run", home=tmp_path)
-    assert said.returncode == 0, said.stderr
-    found = results(tmp_path / "run")
-    assert found["calibration"]["image_size"] == [width, height]
-    camera = found["devices"]["camera"]
+    ended = called("run", sequence, "-s", bench, "--seed", 3, "-o", tmp_path / "run", home=tmp_path)
+    assert ended.returncode == 0, ended.stderr
+    answers = results(tmp_path / "run")
+    assert answers["calibration"]["image_size"] == [width, height]
+    camera = answers["devices"]["camera"]
     assert (camera["width"], camera["height"]) == (width, height)
     recording = RawFile.open(next((tmp_path / "run" / "captures").glob("*.raw")))
     assert (recording.width, recording.height) == (width, height)
-    (row,) = (row for row in found["comparison"] if row["name"] == "fx")
+    (row,) = (row for row in answers["comparison"] if row["name"] == "fx")
     assert abs(row["error_sigmas"]) < 3

@@ -15,21 +15,21 @@ def finished(tmp_path_factory):
     station = write_station(folder / "station.yaml", more=TARGET)
     # The lens of the bench has k2 too: without it, the fit is wrong by some sigmas, whatever the target is.
     sequence = write_sequence(folder / "sequence.yaml", THREE, end=END.replace("[k1]", "[k1, k2]"))
-    said = starbench(
+    ended = starbench(
         *("run", sequence, "-s", station, "--seed", 5, "-o", folder / "run"),
         home=tmp_path_factory.mktemp("home"),
     )
-    assert said.returncode == 0, said.stderr
+    assert ended.returncode == 0, ended.stderr
     return folder / "run"
 
 
 @pytest.mark.slow
 def test_the_camera_is_calibrated_with_the_station_s_own_target(finished):
-    told = results(finished)
-    assert told["truth"]["target"]["tag_family"] == "25h9"
-    assert told["truth"]["reticle"]["polarity"] == "negative"
-    (fx,) = [row for row in told["comparison"] if row["name"] == "fx"]
+    answers = results(finished)
+    assert answers["truth"]["target"]["tag_family"] == "25h9"
+    assert answers["truth"]["reticle"]["polarity"] == "negative"
+    (fx,) = [row for row in answers["comparison"] if row["name"] == "fx"]
     assert fx["sigma"] < 1.6
     assert abs(fx["error"]) < 3 * fx["sigma"]
-    assert told["calibration"]["rms_px"] < 0.036
-    assert sum(view["n"] for view in told["calibration"]["views"]) > 400
+    assert answers["calibration"]["rms_px"] < 0.036
+    assert sum(view["n"] for view in answers["calibration"]["views"]) > 400

@@ -115,7 +115,7 @@ def test_it_prints_its_ports_obeys_orders_and_leaves_nothing_behind(simulated):
 def test_each_fault_of_the_cable_is_named():
     clock, station = BenchClock(), load_station("simulated").value
     devices = Devices(station, seed=1, clock=clock, wire_log=None)
-    found = {}
+    faults_of = {}
     try:
         for fault in (
             "",
@@ -129,11 +129,11 @@ def test_each_fault_of_the_cable_is_named():
                 devices.simulation.order(f"light {fault}")
             report = check_wiring(devices, station, clock)
             assert not devices.light.is_on()
-            found[fault.split(" ")[0]] = [one.name for one in report.faults]
+            faults_of[fault.split(" ")[0]] = [named.name for named in report.faults]
             devices.simulation.order("light mend")
     finally:
         devices.close()
-    assert found == {
+    assert faults_of == {
         "": [],
         "no_sync": ["trigger cable missing"],
         "sync_inverted": ["inverted"],

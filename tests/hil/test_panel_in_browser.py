@@ -40,12 +40,12 @@ class Tabs:
 
 @pytest.fixture
 def tabs(chromium):
-    found = Tabs(chromium)
-    yield found
-    found.context.close()
-    assert found.errors == []
+    opened = Tabs(chromium)
+    yield opened
+    opened.context.close()
+    assert opened.errors == []
     assert all(
-        re.fullmatch(r"(127\.0\.0\.1|starbench-[0-9a-f]{16}\.localhost):\d+", host) for host in found.hosts
+        re.fullmatch(r"(127\.0\.0\.1|starbench-[0-9a-f]{16}\.localhost):\d+", host) for host in opened.hosts
     )
 
 
@@ -109,12 +109,12 @@ def test_a_killed_panel_leaves_no_gap(run, tabs):
         wait(lambda: not tab.is_visible("#link"))
         lines = log_lines(tab)
         assert lines == sorted(set(lines))
-        told = [
+        states = [
             n
             for n, text in enumerate(tab.eval_on_selector_all("#log li", "a => a.map(b => b.innerText)"))
             if "stored" in text
         ]
-        assert len(told) == 3
+        assert len(states) == 3
 
 
 def test_the_list_shows_what_changes_in_every_tab_also_after_the_panel_began_anew(run, tabs):

@@ -45,7 +45,8 @@ class OurStage(StageContract):
         stage = make_stage(self.of_bench, axes, clock, lambda *_: None)
         (device,) = stage.dialects.values()
         device.angles_deg = lambda: {
-            name: one.axis.pointing.angle_deg(clock()) for name, one in stage.controllers.items()
+            name: controller.axis.pointing.angle_deg(clock())
+            for name, controller in stage.controllers.items()
         }
         return device
 

@@ -106,17 +106,17 @@ def test_the_example_is_a_driver_like_any_other(installed, tmp_path) -> None:
     path = tmp_path / "bench.yaml"
     path.write_text(STATION)
     (tmp_path / "wrong.yaml").write_text(STATION.replace("serial: T7", "serail: T7"))
-    said = run(installed / "site", "-c", READ, path, tmp_path / "wrong.yaml")
-    assert said.startswith("TurntableConfig\n")
-    assert "wrong.yaml:6:3: stage.serail: unknown key. Did you mean 'serial'?" in said
+    output = run(installed / "site", "-c", READ, path, tmp_path / "wrong.yaml")
+    assert output.startswith("TurntableConfig\n")
+    assert "wrong.yaml:6:3: stage.serail: unknown key. Did you mean 'serial'?" in output
     assert "TurntableConfig" in run(installed / "site", "-m", "bench", "schema", "station")
     assert "turntable" in run(installed / "site", "-m", "bench", "devices")
 
 
 @pytest.mark.slow
 def test_the_example_passes_the_contract_tests(installed) -> None:
-    said = run(installed / "site", "-m", "pytest", "-q", "tests", cwd=installed / "source")
-    assert "18 passed" in said, said
+    output = run(installed / "site", "-m", "pytest", "-q", "tests", cwd=installed / "source")
+    assert "18 passed" in output, output
 
 
 @pytest.mark.parametrize(
@@ -142,11 +142,11 @@ def test_a_broken_plugin_is_named_and_breaks_nothing_else(tmp_path, code, reason
     site.mkdir()
     package(site, code)
     (tmp_path / "bench.yaml").write_text(STATION)
-    said = run(site, "-c", READ, tmp_path / "bench.yaml", "simulated").splitlines()
-    assert "the plug-in 'turntable' of badly 0.3 cannot be used: " in said[0]
-    assert reason in said[0]
-    assert "bench.yaml:4:3: stage" in said[0] or "bench.yaml:3:" in said[0]
-    assert said[-1] == "ZaberStageConfig"
+    lines = run(site, "-c", READ, tmp_path / "bench.yaml", "simulated").splitlines()
+    assert "the plug-in 'turntable' of badly 0.3 cannot be used: " in lines[0]
+    assert reason in lines[0]
+    assert "bench.yaml:4:3: stage" in lines[0] or "bench.yaml:3:" in lines[0]
+    assert lines[-1] == "ZaberStageConfig"
 
 
 LAB = """\
@@ -195,9 +195,9 @@ def lab(tmp_path: Path) -> Path:
 
 def test_a_camera_and_a_light_of_a_package_have_sections_like_any_other(lab, tmp_path) -> None:
     (tmp_path / "wrong.yaml").write_text((tmp_path / "bench.yaml").read_text().replace("wire:", "wier:"))
-    said = run(lab, "-c", READ.replace("stage", "camera"), tmp_path / "bench.yaml", tmp_path / "wrong.yaml")
-    assert said.startswith("Camera\n")
-    assert "light.wier: unknown key. Did you mean 'wire'?" in said
+    output = run(lab, "-c", READ.replace("stage", "camera"), tmp_path / "bench.yaml", tmp_path / "wrong.yaml")
+    assert output.startswith("Camera\n")
+    assert "light.wier: unknown key. Did you mean 'wire'?" in output
     schema = run(lab, "-m", "bench", "schema", "station")
     assert '"labcam"' in schema
     assert '"lablamp"' in schema
@@ -207,7 +207,7 @@ def test_a_camera_and_a_light_of_a_package_have_sections_like_any_other(lab, tmp
 def test_a_run_uses_a_camera_and_a_light_of_a_package(lab, tmp_path, monkeypatch) -> None:
     monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "home"))
     sequence = write_sequence(tmp_path / "sequence.yaml", THREE)
-    said = run(
+    output = run(
         lab,
         "-m",
         "bench",
@@ -220,14 +220,14 @@ def test_a_run_uses_a_camera_and_a_light_of_a_package(lab, tmp_path, monkeypatch
         "--seed",
         "1",
     )
-    assert "Report: " in said, said
+    assert "Report: " in output, output
     run_facts = json.loads((tmp_path / "run" / "results.json").read_bytes())["run"]
     assert run_facts["software"]["lab"] == "0.3"
     assert run_facts["plugins"] == {"lab": ["light lablamp", "camera labcam"]}
     assert "lab 0.3 (plug-in: light lablamp, camera labcam)" in (tmp_path / "run" / "report.html").read_text()
-    said = run(lab, "-m", "bench", "verify", "--again", tmp_path / "run")
-    assert "the light lablamp, camera labcam was driven by a plug-in: lab 0.3" in said, said
-    assert said.startswith("SEALED: ")
+    output = run(lab, "-m", "bench", "verify", "--again", tmp_path / "run")
+    assert "the light lablamp, camera labcam was driven by a plug-in: lab 0.3" in output, output
+    assert output.startswith("SEALED: ")
     elsewhere = run(tmp_path, "-m", "bench", "verify", "--again", tmp_path / "run")
     assert "the station needs lab 0.3, which this computer does not have" in elsewhere, elsewhere
 
@@ -238,6 +238,6 @@ def test_two_packages_of_one_name_are_both_named_and_a_built_in_driver_stays(ins
     package(site, "raise RuntimeError")
     package(site, "raise RuntimeError", name="zaber_ascii", distribution="thief")
     (tmp_path / "bench.yaml").write_text(STATION)
-    said = run(site, "-c", READ, tmp_path / "bench.yaml", "simulated").splitlines()
-    assert "two packages bring this driver" in said[0]
-    assert said[-1] == "ZaberStageConfig"
+    lines = run(site, "-c", READ, tmp_path / "bench.yaml", "simulated").splitlines()
+    assert "two packages bring this driver" in lines[0]
+    assert lines[-1] == "ZaberStageConfig"

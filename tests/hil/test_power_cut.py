@@ -82,9 +82,9 @@ def write_until_cut(disk, path, *, care, frozen, after_s):
             wait_until_stopped(writer.pid)
         disk.cut_power()
         writer.send_signal(signal.SIGKILL)
-        said = writer.stdout.read().splitlines()
+        acknowledged = writer.stdout.read().splitlines()
     disk.mount_again()
-    whole = [int(word) for word in said]
+    whole = [int(word) for word in acknowledged]
     return whole[-1] if whole else 0
 
 
@@ -112,10 +112,10 @@ def test_nothing_acknowledged_is_lost_and_what_is_there_is_whole_when_the_power_
     path, cuts, kept = disk.mounted / "run", 25, 0
     for _ in range(cuts):
         last = write_until_cut(disk, path, care="careful", frozen=frozen, after_s=moments.uniform(0.02, 0.4))
-        found = poses_on_disk(path)
-        assert found >= kept
-        assert found >= last or not frozen
-        kept = found
+        on_disk = poses_on_disk(path)
+        assert on_disk >= kept
+        assert on_disk >= last or not frozen
+        kept = on_disk
     assert kept > 0
 
 

@@ -70,13 +70,13 @@ def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(queue, tmp_p
     rehearsed(short, tmp_path / "one")
     rehearsed(short, tmp_path / "again")
     rehearsed(short, tmp_path / "other", seed=2)
-    one, again, other = (journals(tmp_path / name) for name in ("one", "again", "other"))
-    assert sorted(one) == [
+    first, again, other = (journals(tmp_path / name) for name in ("one", "again", "other"))
+    assert sorted(first) == [
         "journal.jsonl",
         "runs/a-001/journal.jsonl",
     ]
-    assert one == again
-    assert one["runs/a-001/journal.jsonl"] != other["runs/a-001/journal.jsonl"]
+    assert first == again
+    assert first["runs/a-001/journal.jsonl"] != other["runs/a-001/journal.jsonl"]
     assert (tmp_path / "one" / "summary.json").read_bytes() == (
         tmp_path / "again" / "summary.json"
     ).read_bytes()

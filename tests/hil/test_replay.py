@@ -9,14 +9,14 @@ CAMERA = "driver: simulated_evk4\n  address: sim:camera"
 @pytest.mark.slow
 def test_a_run_from_recordings_ends_with_the_numbers_of_the_run_that_made_them(tmp_path):
     home, first, again = (tmp_path / name for name in ("home", "first", "again"))
-    said = starbench("run", "three_pose", "-s", "simulated", "--seed", 7, "-o", first, home=home)
-    assert said.returncode == 0, said.stderr
+    ended = starbench("run", "three_pose", "-s", "simulated", "--seed", 7, "-o", first, home=home)
+    assert ended.returncode == 0, ended.stderr
     text = (first / "station.yaml").read_text()
     assert CAMERA in text
     station = tmp_path / "played.yaml"
     station.write_text(text.replace(CAMERA, f"driver: recorded\n  path: {first / 'captures'}"))
-    said = starbench("run", "three_pose", "-s", station, "-o", again, home=home)
-    assert said.returncode == 0, said.stderr
+    ended = starbench("run", "three_pose", "-s", station, "-o", again, home=home)
+    assert ended.returncode == 0, ended.stderr
     assert results(again)["calibration"]["camera"] == results(first)["calibration"]["camera"]
     assert results(again)["run"]["simulated"]
     assert results(again)["devices"]["camera"]["model"] == "recorded"

@@ -21,29 +21,29 @@ SEED = 7
 def finished(tmp_path_factory, home):
     """A run that nobody disturbed: what the command said, and its folder."""
     folder = tmp_path_factory.mktemp("runs") / "undisturbed"
-    said = starbench(
+    ended = starbench(
         "run", "three_pose", "-s", "simulated", "--seed", SEED, "-o", folder, "--json", home=home
     )
-    assert said.returncode == 0, said.stderr
-    return json.loads(said.stdout), said.stderr, folder
+    assert ended.returncode == 0, ended.stderr
+    return json.loads(ended.stdout), ended.stderr, folder
 
 
 def test_a_run_ends_with_a_report_and_every_parameter_within_its_uncertainty(finished):
-    told, _, folder = finished
+    answer, _, folder = finished
     assert (folder / "report.html").read_text().startswith("<!DOCTYPE html>")
-    assert told["converged"]
-    assert set(told["camera"]) >= {"fx", "fy", "cx", "cy", "k1", "k2"}
-    assert set(told["sigma"]) >= {*["x", "y", "r"], *["fx", "fy", "cx", "cy", "k1", "k2"]}
-    found = told["results"]
-    assert found["run"]["collimator"]["serial"] == "SIM-1"
-    assert found["passport"]["number"] == "SIM-2026-01"
-    assert found["gimbal_readings"]["entered"]
-    k = found["calibration"]["coverage_factor"]
-    expanded = {row["name"]: k * row["sigma"] for row in found["comparison"]}
+    assert answer["converged"]
+    assert set(answer["camera"]) >= {"fx", "fy", "cx", "cy", "k1", "k2"}
+    assert set(answer["sigma"]) >= {*["x", "y", "r"], *["fx", "fy", "cx", "cy", "k1", "k2"]}
+    answers = answer["results"]
+    assert answers["run"]["collimator"]["serial"] == "SIM-1"
+    assert answers["passport"]["number"] == "SIM-2026-01"
+    assert answers["gimbal_readings"]["entered"]
+    k = answers["calibration"]["coverage_factor"]
+    expanded = {row["name"]: k * row["sigma"] for row in answers["comparison"]}
     assert set(expanded) >= {"fx", "fy", "cx", "cy", "k1", "k2", "r"}
-    assert all(abs(row["error"]) <= expanded[row["name"]] for row in found["comparison"])
+    assert all(abs(row["error"]) <= expanded[row["name"]] for row in answers["comparison"])
     assert 0.5 < expanded["fx"] < 15  # what certificate and readings can tell of 3345 px from three poses
-    assert told["rms_px"] < 0.2
+    assert answer["rms_px"] < 0.2
 
 
 def test_progress_tells_state_pose_and_time_left(finished):
@@ -53,10 +53,10 @@ def test_progress_tells_state_pose_and_time_left(finished):
 
 
 def test_a_notebook_reads_the_run_and_finds_its_stars_again_without_its_results(finished, tmp_path):
-    told, _, folder = finished
+    answer, _, folder = finished
     run = load(folder)
-    assert run.camera.to_dict() == told["camera"]
-    assert run.sigma == pytest.approx(told["sigma"])
+    assert run.camera.to_dict() == answer["camera"]
+    assert run.sigma == pytest.approx(answer["sigma"])
     solved_only = shutil.copytree(folder, tmp_path / "solved")
     solved_only.chmod(0o755)
     for name in ("results.json", "views.h5", "report.html"):
@@ -66,11 +66,11 @@ def test_a_notebook_reads_the_run_and_finds_its_stars_again_without_its_results(
     assert again.camera == run.camera
     assert again.collimator == run.collimator
     assert np.array_equal(again.covariance, run.covariance)
-    for one, other in zip(again.poses, run.poses, strict=True):
-        assert (one.index, one.name, one.commanded_deg) == (other.index, other.name, other.commanded_deg)
-        assert one.measured_deg == other.measured_deg
-        assert np.array_equal(one.view.points_px, other.view.points_px)
-        assert np.array_equal(one.residuals_px, other.residuals_px)
+    for pose, other in zip(again.poses, run.poses, strict=True):
+        assert (pose.index, pose.name, pose.commanded_deg) == (other.index, other.name, other.commanded_deg)
+        assert pose.measured_deg == other.measured_deg
+        assert np.array_equal(pose.view.points_px, other.view.points_px)
+        assert np.array_equal(pose.residuals_px, other.residuals_px)
     assert np.array_equal(again.poses[0].picture, run.poses[0].picture)
 
 
@@ -101,21 +101,23 @@ def test_a_second_run_into_the_same_folder_and_a_resume_of_a_sealed_one_are_refu
 
 
 def test_calibrating_again_from_the_run_folder_gives_the_same_numbers(finished, home):
-    told, _, folder = finished
+    answer, _, folder = finished
     again = called("calibrate", folder, "--json", home=home)
     assert again.returncode == 0, again.stderr
-    assert json.loads(again.stdout)["camera"] == told["camera"]
+    assert json.loads(again.stdout)["camera"] == answer["camera"]
 
 
 def test_calibrating_from_bare_captures_comes_within_the_uncertainty(finished, home):
-    told, _, folder = finished
+    answer, _, folder = finished
     captures = sorted((folder / "captures").iterdir())
     again = called("calibrate", *captures, "--json", home=home)
     assert again.returncode == 0, again.stderr
     bare = json.loads(again.stdout)
-    assert bare["sigma"]["fx"] > 3 * told["sigma"]["fx"]  # captures alone hold no certificate and no readings
+    assert (
+        bare["sigma"]["fx"] > 3 * answer["sigma"]["fx"]
+    )  # captures alone hold no certificate and no readings
     assert all(
-        abs(bare["camera"][n] - told["camera"][n]) < 3 * math.hypot(bare["sigma"][n], told["sigma"][n])
+        abs(bare["camera"][n] - answer["camera"][n]) < 3 * math.hypot(bare["sigma"][n], answer["sigma"][n])
         for n in ("fx", "fy", "cx", "cy", "k1", "k2")
     )
 
@@ -134,15 +136,15 @@ def quick(tmp_path_factory, home):
     folder = tmp_path_factory.mktemp("quick")
     sequence = write_sequence(folder / "sequence.yaml", THREE)
     words = "run", sequence, "-s", write_station(folder / "station.yaml"), "--seed", SEED
-    said = called(*words, "-o", folder / "undisturbed", home=home)
-    assert said.returncode == 0, said.stderr
+    ended = called(*words, "-o", folder / "undisturbed", home=home)
+    assert ended.returncode == 0, ended.stderr
     return words, folder / "undisturbed"
 
 
 def test_the_same_seed_gives_the_same_numbers_to_the_last_digit(quick, home, tmp_path):
     words, undisturbed = quick
-    said = called(*words, "-o", tmp_path / "again", home=home)
-    assert said.returncode == 0, said.stderr
+    ended = called(*words, "-o", tmp_path / "again", home=home)
+    assert ended.returncode == 0, ended.stderr
     assert numbers(tmp_path / "again") == numbers(undisturbed)
 
 
@@ -171,16 +173,16 @@ def test_a_killed_run_resumes_to_the_same_numbers(quick, home, tmp_path, reached
 def test_a_signal_stops_the_run_safely_and_it_can_be_resumed(quick, home, tmp_path, number):
     folder = tmp_path / "stopped"
     process = start(*quick[0], "-o", folder, home=home)
-    said = end_when(process, folder, entering("slewing", 2), number)
+    output = end_when(process, folder, entering("slewing", 2), number)
     assert process.returncode == 3
-    assert f"starbench resume {folder}" in said
+    assert f"starbench resume {folder}" in output
     lines = journal(folder)
     assert [line["state"] for line in lines if line["event"] == "entering"][-2:] == ["aborting", "aborted"]
     assert lines[-1]["event"] == "run_ended"
     why = "stopped by Ctrl-C" if number == signal.SIGINT else f"{number.name} received"
     assert lines[-1]["why"] == why
     assert not list((folder / "captures").glob("*.part"))
-    assert f"Report: {folder / 'report.html'}" in said
+    assert f"Report: {folder / 'report.html'}" in output
     assert why in (folder / "report.html").read_text()
 
 
@@ -195,8 +197,8 @@ def test_a_camera_that_creeps_where_no_encoder_sees_it_is_refused_by_its_own_sta
     # Halves of two periods: .12 px. Between halves of one, the stars are seen to move by as much as the limit.
     sequence = write_sequence(tmp_path / "sequence.yaml", THREE_NAMED, attempts=1, window_ms=16.8)
     folder = tmp_path / "run"
-    said = called("run", sequence, "-s", station, "--seed", SEED, "-o", folder, home=home)
-    assert said.returncode == 1
-    assert "Pose 2 (right) failed 1 attempt: stars moved" in said.stderr
+    ended = called("run", sequence, "-s", station, "--seed", SEED, "-o", folder, home=home)
+    assert ended.returncode == 1
+    assert "Pose 2 (right) failed 1 attempt: stars moved" in ended.stderr
     checked = [line for line in journal(folder) if line["event"] == "attempt_checked"]
     assert [line["accepted"] for line in checked] == [True, False]

@@ -38,49 +38,49 @@ def test_one_line_gives_all_addresses_and_the_end_of_input_ends_the_bench(tmp_pa
     config = tmp_path / "config.json"
     config.write_text(json.dumps({"collimator": {"r": 700.0}, "light": {"serial": "SG7"}}))
     process = start(tmp_path / "ports", "--config", str(config), "--seed", "5")
-    said = json.loads(process.stdout.readline())
-    assert said["pid"] == process.pid
-    truth = json.loads(Path(said["truth"]).read_text(encoding="utf-8"))
+    addresses = json.loads(process.stdout.readline())
+    assert addresses["pid"] == process.pid
+    truth = json.loads(Path(addresses["truth"]).read_text(encoding="utf-8"))
     assert truth["collimator"]["r"] == 700.0
     assert truth["camera"]["fx"] == 3345.06
-    with serial.Serial(said["endpoints"]["gimbal"], 115_200, timeout=5.0) as line:
+    with serial.Serial(addresses["endpoints"]["gimbal"], 115_200, timeout=5.0) as line:
         assert "100102" in ask(line, "/2 0 00 get system.serial")
-    with serial.Serial(said["endpoints"]["light"], 9600, timeout=5.0) as line:
+    with serial.Serial(addresses["endpoints"]["light"], 9600, timeout=5.0) as line:
         assert ",SG7," in ask(line, "*IDN?")
-    host, _, port = said["endpoints"]["camera"].partition(":")
+    host, _, port = addresses["endpoints"]["camera"].partition(":")
     assert host == "127.0.0.1"
     assert int(port) > 0
     _, errors = process.communicate(timeout=30)
     assert (process.returncode, errors) == (0, "")
-    assert not os.path.lexists(said["endpoints"]["gimbal"])
-    assert not os.path.lexists(said["endpoints"]["light"])
+    assert not os.path.lexists(addresses["endpoints"]["gimbal"])
+    assert not os.path.lexists(addresses["endpoints"]["light"])
 
 
 @pytest.mark.parametrize(
-    ("kind", "left_behind", "asked", "said"),
+    ("kind", "left_behind", "asked", "answer"),
     [
         ("flir_ptu", ["CV"], b"C ", b"C * PTU is in pure velocity speed control mode\r\n"),
         ("thorlabs_apt", ["10 02 01 02 50 01"], bytes.fromhex("110201005001"), bytes.fromhex("120201020150")),
     ],
 )
-def test_a_stage_is_found_as_another_program_has_left_it(tmp_path, kind, left_behind, asked, said) -> None:
+def test_a_stage_is_found_as_another_program_has_left_it(tmp_path, kind, left_behind, asked, answer) -> None:
     config = bench_config({"stage": {"kind": kind, "left_behind": left_behind}})
     with Bench(tmp_path, config) as bench:
         (address, *_) = (bench.endpoints[name] for name in bench.endpoints if name.startswith("gimbal"))
         baudrate = 9600 if kind == "flir_ptu" else 115_200
         with serial.Serial(address, baudrate, timeout=5.0) as line:
             line.write(asked)
-            assert line.read(len(said)) == said
+            assert line.read(len(answer)) == answer
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_the_bench_and_removes_its_ports(tmp_path, number):
     process = start(tmp_path, until_eof=False)
-    said = json.loads(process.stdout.readline())
+    addresses = json.loads(process.stdout.readline())
     process.send_signal(number)
     _, errors = process.communicate(timeout=30)
     assert (process.returncode, errors) == (0, "")
-    assert not os.path.lexists(said["endpoints"]["gimbal"])
+    assert not os.path.lexists(addresses["endpoints"]["gimbal"])
 
 
 def test_the_bench_runs_in_the_background_of_a_terminal(tmp_path):
@@ -92,15 +92,15 @@ def test_the_bench_runs_in_the_background_of_a_terminal(tmp_path):
         f"while [ ! -s {tmp_path}/said ]; do sleep 0.1; done; sleep 0.3; jobs; kill %1; wait"
     )
     subprocess.run(["/bin/bash", "-c", script], start_new_session=True, check=False, timeout=60)
-    said = os.read(master, 65_536)
+    output = os.read(master, 65_536)
     os.close(slave)
     os.close(master)
-    assert b"Running" in said
-    assert b"Stopped" not in said
+    assert b"Running" in output
+    assert b"Stopped" not in output
 
 
 @pytest.mark.parametrize(
-    ("config", "said"),
+    ("config", "message"),
     [
         ('{"stage": {"pan": {"serial": 5}}}', "stage.pan.serial: Text is expected, not 5."),
         ('{"noise": "loud"}', "noise: Unknown noise level 'loud'."),
@@ -108,14 +108,14 @@ def test_the_bench_runs_in_the_background_of_a_terminal(tmp_path):
         ("[1]", "Expected a JSON object of sections."),
     ],
 )
-def test_an_invalid_configuration_ends_in_one_line(tmp_path, capsys, monkeypatch, config, said):
+def test_an_invalid_configuration_ends_in_one_line(tmp_path, capsys, monkeypatch, config, message):
     monkeypatch.setattr(signal, "signal", lambda _number, _handler: None)
     path = tmp_path / "config.json"
     path.write_text(config)
     assert main(["--folder", str(tmp_path), "--config", str(path)]) == 2
     output, errors = capsys.readouterr()
     assert output == ""
-    assert said in errors
+    assert message in errors
     assert errors.count("\n") == 1
 
 

@@ -216,10 +216,10 @@ def test_an_independent_decoder_reads_the_same_events(camera, tmp_path, monkeypa
     sensor, edges = [], []
     listen_to_edges(monkeypatch, edges)
     taken_by(SensorStream(bench(), CameraState(trigger_in=True), {}), sensor, frames=17)
-    edges = [found for _, found in edges]
+    edges = [edge for _, edge in edges]
     for name in ("t", "x", "y", "p"):
         np.testing.assert_array_equal(
-            getattr(events, name), np.concatenate([getattr(one, name) for one in sensor])
+            getattr(events, name), np.concatenate([getattr(piece, name) for piece in sensor])
         )
     np.testing.assert_array_equal(triggers.timestamp, np.concatenate([e[0] for e in edges]))
     np.testing.assert_array_equal(triggers.value, np.concatenate([e[1] for e in edges]))

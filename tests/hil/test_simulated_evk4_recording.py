@@ -107,7 +107,7 @@ def test_a_recording_over_the_wrap_of_the_clock_is_read_as_any_other(tmp_path):
 
     before_us = 819 * 102_400  # 20 ms before the fifth wrap
     wrapped_us = before_us % (1 << 24)
-    facts, events, triggers, found = recorded_at(0)
+    facts, events, triggers, measurement = recorded_at(0)
     later_facts, later, later_triggers, later_found = recorded_at(before_us - 1)
     assert later.t[0] < 1 << 24 < later.t[-1]
     assert (np.diff(later.t) >= 0).all()
@@ -115,10 +115,10 @@ def test_a_recording_over_the_wrap_of_the_clock_is_read_as_any_other(tmp_path):
     np.testing.assert_array_equal(later.t - wrapped_us, events.t)
     np.testing.assert_array_equal(later_triggers.t - wrapped_us, triggers.t)
     # to the last digit: a run that was interrupted ends as one that was not, whatever the clock said
-    assert np.array_equal(later_found.view.points_px, found.view.points_px)
-    begin_us, end_us = found.facts["image"].pop("window_us")
+    assert np.array_equal(later_found.view.points_px, measurement.view.points_px)
+    begin_us, end_us = measurement.facts["image"].pop("window_us")
     assert later_found.facts["image"].pop("window_us") == [wrapped_us + begin_us, wrapped_us + end_us]
-    assert later_found.facts == found.facts
+    assert later_found.facts == measurement.facts
 
 
 def measured(path):

@@ -14,7 +14,7 @@ from tests.hil.direct_stages import VirtualClock, of_one_port
 
 
 @pytest.mark.parametrize(
-    ("sent", "said"),
+    ("sent", "answer"),
     [
         (b"PP ", b"PP * Current Pan position is 0\r\n"),
         (b"pp\r", b"pp * Current Pan position is 0\r\n"),
@@ -30,18 +30,18 @@ from tests.hil.direct_stages import VirtualClock, of_one_port
         (b"PD ", b"PD * Current Pan speed is 0 positions/sec\r\n"),
     ],
 )
-def test_the_unit_answers_as_in_the_manual(sent, said) -> None:
-    assert of_one_port("flir_ptu", VirtualClock().monotonic)[0].receive(sent) == said
+def test_the_unit_answers_as_in_the_manual(sent, answer) -> None:
+    assert of_one_port("flir_ptu", VirtualClock().monotonic)[0].receive(sent) == answer
 
 
 def test_a_reset_is_answered_at_its_end_and_other_commands_wait() -> None:
     clock = VirtualClock()
-    one, _ = of_one_port("flir_ptu", clock.monotonic)
-    assert one.receive(b"R PP ") == b"R "
+    unit, _ = of_one_port("flir_ptu", clock.monotonic)
+    assert unit.receive(b"R PP ") == b"R "
     clock.sleep(0.1)
-    assert one.unsolicited() == b""
+    assert unit.unsolicited() == b""
     clock.sleep(60.0)
-    assert one.unsolicited() == b"!T!T!P!P*\r\nPP * Current Pan position is 0\r\n"
+    assert unit.unsolicited() == b"!T!T!P!P*\r\nPP * Current Pan position is 0\r\n"
 
 
 @pytest.fixture

@@ -42,18 +42,23 @@ def test_an_independent_client_sets_and_reads(tmp_path):
         adapter = adapters.SerialAdapter(
             device.address, baudrate=9600, timeout=5, write_termination="\n", read_termination="\n"
         )
-        one = keysight.Keysight33250A(adapter)
-        assert one.id.startswith("Keysight Technologies,33250A,SG0042,")
-        one.shape = "SQU"
-        one.frequency = 60
-        one.square_dutycycle = 30
-        one.voltage_high = 4
-        one.voltage_low = 0
-        one.output_enabled = True
-        assert (one.shape, one.frequency, one.square_dutycycle) == ("SQU", 60.0, 30.0)
-        assert (one.voltage_high, one.voltage_low, one.amplitude, one.offset) == (4.0, 0.0, 4.0, 2.0)
-        assert one.output_enabled
-        assert one.check_errors() == []
+        client = keysight.Keysight33250A(adapter)
+        assert client.id.startswith("Keysight Technologies,33250A,SG0042,")
+        client.shape = "SQU"
+        client.frequency = 60
+        client.square_dutycycle = 30
+        client.voltage_high = 4
+        client.voltage_low = 0
+        client.output_enabled = True
+        assert (client.shape, client.frequency, client.square_dutycycle) == ("SQU", 60.0, 30.0)
+        assert (client.voltage_high, client.voltage_low, client.amplitude, client.offset) == (
+            4.0,
+            0.0,
+            4.0,
+            2.0,
+        )
+        assert client.output_enabled
+        assert client.check_errors() == []
         adapter.close()
     assert world.light(world.now_s()).output
 
@@ -149,14 +154,14 @@ def test_the_phase_goes_on_through_a_change_of_frequency(generator):
 
 # ---------------------------------------------------------------- other makes
 def test_a_make_with_numbered_channels_answers_on_and_off():
-    one = Generator(numbered_channels=True, maker="RIGOL TECHNOLOGIES", name="DG4062")
-    one.say(":SOUR1:FUNC SQU", ":SOUR1:FREQ 60", ":OUTPUT1:STATE ON", ":OUTP1:SYNC OFF")
-    assert one.say(":SOUR1:FREQ?") == "+6.0000000000000E+01\n"
-    assert one.say("OUTP1?;:OUTP1:SYNC?") == "ON;OFF\n"
-    assert one.say("SOURCE1:FUNCTION:SHAPE?;*OPC?") == "SQU;1\n"
-    assert one.light.output
-    assert one.say(":SOUR2:FREQ 60;:SYST:ERR?") == ""
-    assert one.say("SYST:ERR?").startswith("-113,")
+    generator = Generator(numbered_channels=True, maker="RIGOL TECHNOLOGIES", name="DG4062")
+    generator.say(":SOUR1:FUNC SQU", ":SOUR1:FREQ 60", ":OUTPUT1:STATE ON", ":OUTP1:SYNC OFF")
+    assert generator.say(":SOUR1:FREQ?") == "+6.0000000000000E+01\n"
+    assert generator.say("OUTP1?;:OUTP1:SYNC?") == "ON;OFF\n"
+    assert generator.say("SOURCE1:FUNCTION:SHAPE?;*OPC?") == "SQU;1\n"
+    assert generator.light.output
+    assert generator.say(":SOUR2:FREQ 60;:SYST:ERR?") == ""
+    assert generator.say("SYST:ERR?").startswith("-113,")
 
 
 def test_a_make_without_numbered_channels_refuses_numbers(generator):
@@ -166,9 +171,9 @@ def test_a_make_without_numbered_channels_refuses_numbers(generator):
 
 @pytest.fixture
 def siglent() -> Generator:
-    one = Generator()
-    one.dialect = SiglentGenerator("SDG1", lambda: one.now_s, one.lights.append)
-    return one
+    generator = Generator()
+    generator.dialect = SiglentGenerator("SDG1", lambda: generator.now_s, generator.lights.append)
+    return generator
 
 
 def test_a_siglent_sets_several_values_at_once_and_reports_all(siglent):

@@ -34,11 +34,11 @@ class Board:
         return self.device.receive(byte).decode()
 
     def wait(self, seconds: float = 30.0) -> str:
-        said = ""
+        answer = ""
         for _ in range(300):
             self.now_s += seconds / 300
-            said += self.device.unsolicited().decode()
-        return said
+            answer += self.device.unsolicited().decode()
+        return answer
 
     def report(self) -> tuple[str, float, float]:
         match = REPORT.fullmatch(self.press(b"?"))

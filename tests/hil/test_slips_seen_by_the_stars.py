@@ -31,12 +31,12 @@ SLIP = "{device: pan, fault: slip, share: 0.98, skip: 4}"
 def test_with_nine_poses_the_slip_is_named(tmp_path) -> None:
     station, folder = tmp_path / "station.yaml", tmp_path / "run"
     station.write_text(STATION.format(faults=SLIP))
-    said = starbench("run", "nine_pose", "-s", station, "--seed", 7, "-o", folder, home=tmp_path / "home")
-    assert said.returncode == 0, said.stderr
-    found = results(folder)
-    assert found["gimbal"]["verdict"] == "slip"
-    slip = found["gimbal"]["slip"]
+    ended = starbench("run", "nine_pose", "-s", station, "--seed", 7, "-o", folder, home=tmp_path / "home")
+    assert ended.returncode == 0, ended.stderr
+    answers = results(folder)
+    assert answers["gimbal"]["verdict"] == "slip"
+    slip = answers["gimbal"]["slip"]
     assert (slip["axis"], slip["pose"]) == ("pan_deg", 4)
     assert slip["size_deg"] * 3600 == pytest.approx(17.5, abs=2)
     assert "The pan axis slipped between pose" in (folder / "report.html").read_text()
-    assert max(abs(row["error_sigmas"]) for row in found["comparison"]) < 4
+    assert max(abs(row["error_sigmas"]) for row in answers["comparison"]) < 4

@@ -40,7 +40,7 @@ def test_a_disk_that_stands_still_is_waited_for(tmp_path, disk):
     disk.freeze()
     time.sleep(STANDS_STILL_S)
     disk.thaw()
-    said = process.communicate(timeout=PATIENCE_S)
-    assert process.returncode == 0, said
+    output = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0, output
     (ended,) = [line for line in journal(night) if line["event"] == "item_ended"]
     assert ended["how"] == "finished", ended

@@ -59,7 +59,7 @@ def changed(r, **arrays):
     return put_in_order(SimpleNamespace(**{**vars(r), **arrays}))
 
 
-def judge(path, recording, said=LIMITS):
+def judge(path, recording, limits=LIMITS):
     """Write the recording, look at it, and give its measurement and what refuses it."""
     writer = Evt3Writer(width=SIZE[0], height=SIZE[1])
     words = writer.write(
@@ -74,10 +74,10 @@ def judge(path, recording, said=LIMITS):
         "1", "EVK4", *SIZE, scan.bytes, SPAN_US / 1e6, scan.events, scan.triggers, {}, {},
         scan.rate_controller_in, scan.rate_controller_out,
     )  # fmt: skip
-    found = measure(path, name="p", target=TARGET, image="auto", periods=2, expected_hz=60.0)
-    gates = Gates.from_settings(dict(GateConfig(**said)))
-    failed = failed_gate_texts(recording_gates(facts, gates, 60.0, found.facts, found.stars))
-    return found, [*failed, *rejection_reasons(facts, gates)]
+    measurement = measure(path, name="p", target=TARGET, image="auto", periods=2, expected_hz=60.0)
+    gates = Gates.from_settings(dict(GateConfig(**limits)))
+    failed = failed_gate_texts(recording_gates(facts, gates, 60.0, measurement.facts, measurement.stars))
+    return measurement, [*failed, *rejection_reasons(facts, gates)]
 
 
 def rows_missing(r):
@@ -140,10 +140,10 @@ def sync_edges_missing(r):
 
 
 def test_a_good_recording_passes_every_gate(good, tmp_path):
-    found, refused = judge(tmp_path / "good.raw", good)
+    measurement, refused = judge(tmp_path / "good.raw", good)
     assert refused == []
-    assert found.stars > 60
-    facts = found.facts
+    assert measurement.stars > 60
+    facts = measurement.facts
     assert facts["flicker_source"] == "triggers"
     assert abs(facts["flicker_from_events_hz"] - 60) < 0.2
     assert facts["image"]["kind"] == "fired-per-edge"
@@ -153,10 +153,12 @@ def test_a_good_recording_passes_every_gate(good, tmp_path):
 
 def test_a_window_of_one_period_shows_stars_but_no_motion(good, tmp_path):
     judge(tmp_path / "good.raw", good)
-    found = measure(tmp_path / "good.raw", name="p", target=TARGET, image="any", periods=1, expected_hz=60.0)
-    assert found.stars > 60
-    assert found.facts["motion_px"] is None
-    assert found.facts["image"]["kind"] == "any"
+    measurement = measure(
+        tmp_path / "good.raw", name="p", target=TARGET, image="any", periods=1, expected_hz=60.0
+    )
+    assert measurement.stars > 60
+    assert measurement.facts["motion_px"] is None
+    assert measurement.facts["image"]["kind"] == "any"
 
 
 @pytest.mark.parametrize(
@@ -178,5 +180,9 @@ def test_a_window_of_one_period_shows_stars_but_no_motion(good, tmp_path):
     ids=lambda value: getattr(value, "__name__", ""),
 )  # fmt: skip
 def test_a_recording_spoilt_in_one_way_is_refused_for_it(good, tmp_path, spoil, words):
-    found, refused = judge(tmp_path / "spoilt.raw", spoil(good))
-    assert any(reason.startswith(words) for reason in refused), (refused, found.fault, found.facts)
+    measurement, refused = judge(tmp_path / "spoilt.raw", spoil(good))
+    assert any(reason.startswith(words) for reason in refused), (
+        refused,
+        measurement.fault,
+        measurement.facts,
+    )

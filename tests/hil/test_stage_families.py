@@ -61,8 +61,8 @@ def rig(request) -> DirectStage:
 def test_a_stage_is_identified_homed_and_moved(rig) -> None:
     (axis,) = rig.stage.identify()
     assert axis.name == "pan"
-    told = (axis.maker, axis.model, axis.serial, axis.firmware)
-    assert told == IDENTITIES.get(rig.family, ("FLIR", "E series pan-tilt unit", "E1042", axis.firmware))
+    identity = (axis.maker, axis.model, axis.serial, axis.firmware)
+    assert identity == IDENTITIES.get(rig.family, ("FLIR", "E series pan-tilt unit", "E1042", axis.firmware))
     assert not rig.stage.is_homed()
     with pytest.raises(NotHomed):
         rig.stage.move_to({"pan": 1.0})

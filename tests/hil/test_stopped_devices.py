@@ -77,11 +77,11 @@ def test_devices_that_stop_answering_end_the_run_in_time_and_it_is_resumed(tmp_p
     wait_for(process, folder, entering("slewing", 2))
     with stopped(world):
         began = time.monotonic()
-        said = process.communicate(timeout=60)[1]
+        errors = process.communicate(timeout=60)[1]
         assert time.monotonic() - began < 40
     assert process.returncode == 1
-    assert "The run failed" in said
-    assert "CHECK THE BENCH" in said  # nobody could be made sure of
+    assert "The run failed" in errors
+    assert "CHECK THE BENCH" in errors  # nobody could be made sure of
     resumed = starbench("resume", folder, home=home)
     assert resumed.returncode == 0, resumed.stderr
     see_that_it_is_safe(station)
@@ -97,8 +97,8 @@ def test_devices_that_pause_are_waited_for_where_the_station_says_so(tmp_path, b
     with stopped(world):
         wait_for(process, folder, entering("holding"))
         time.sleep(5)
-    said = process.communicate(timeout=PATIENCE_S)[1]
-    assert process.returncode == 0, said
+    errors = process.communicate(timeout=PATIENCE_S)[1]
+    assert process.returncode == 0, errors
     released = [line for line in journal(folder) if line["event"] == "interlock_released"]
     assert {line["rule"] for line in released} == {"device_lost"}
     see_that_it_is_safe(station)
@@ -142,7 +142,7 @@ def test_a_worker_killed_by_force_leaves_devices_that_its_supervisor_makes_safe(
     wait_for(process, folder, lambda line: line["event"] == "item_ended")
     ended = next(line for line in journal(folder) if line["event"] == "item_ended")
     assert (ended["how"], ended["unsafe"]) == ("died", [])
-    states = [(one["device"], one["state"]) for one in ended["devices"]]
+    states = [(device["device"], device["state"]) for device in ended["devices"]]
     assert states == [("stage", "confirmed safe"), ("light", "confirmed safe"), ("camera", "not confirmed")]
     process.communicate(timeout=PATIENCE_S)
     see_that_it_is_safe(station)
@@ -168,7 +168,7 @@ def test_worker_and_supervisor_killed_together_leave_a_bench_that_the_next_call_
     sent = [json.loads(line) for line in (run / "wire.jsonl").read_text().splitlines()]
     resumed_s = journal(run)[seen]["mono_s"]
     after = [s["bytes"] for s in sent if s["dir"] == ">" and s["t"] > resumed_s]
-    switched = [found[1] for words in after if (found := re.search(r"OUTP\S* (ON|OFF|0|1)", words))]
+    switched = [match[1] for words in after if (match := re.search(r"OUTP\S* (ON|OFF|0|1)", words))]
     assert switched[0] in {"OFF", "0"}
     see_that_it_is_safe(station)
 
@@ -189,7 +189,7 @@ sys.exit(main(sys.argv[2:]))
 def test_an_exception_in_any_callback_leaves_devices_safe(tmp_path, bench, callback):
     _, station, sequence = bench
     command = [sys.executable, "-c", RAISING, callback, "run", str(sequence), "-s", str(station)]
-    said = subprocess.run(
+    ended_process = subprocess.run(
         [*command, "-o", str(tmp_path / "run")],
         env={**os.environ, "STARBENCH_HOME": str(tmp_path / "home")},
         capture_output=True,
@@ -197,6 +197,6 @@ def test_an_exception_in_any_callback_leaves_devices_safe(tmp_path, bench, callb
         timeout=PATIENCE_S,
         check=False,
     )
-    assert said.returncode == 1, said.stderr
+    assert ended_process.returncode == 1, ended_process.stderr
     assert "a mistake of ours" in journal(tmp_path / "run")[-1]["why"]
     see_that_it_is_safe(station)

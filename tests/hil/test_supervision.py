@@ -66,7 +66,7 @@ def night(tmp_path):
 
 
 def subjects(server):
-    return [told["subject"] for _, told in server.posts]
+    return [post["subject"] for _, post in server.posts]
 
 
 def test_a_worker_that_is_killed_and_one_that_hangs_are_noticed_told_and_the_run_is_finished(tmp_path, night):
@@ -92,11 +92,11 @@ def test_a_worker_that_is_killed_and_one_that_hangs_are_noticed_told_and_the_run
     assert results(run)["run"]["resumed"] == 2
     crashes = [line.get("crash") for line in journal(run) if line["event"] == "run_resumed"]
     assert crashes == [None, "Fatal Python error: Aborted"]
-    told = subjects(server)
-    assert told[0] == "Starbench: run cam-001 (SIMULATED) died: by SIGKILL"
+    messages = subjects(server)
+    assert messages[0] == "Starbench: run cam-001 (SIMULATED) died: by SIGKILL"
     silent = f"gave no sign of life for {ends[1]['noticed_s']:.1f} s"
-    assert told[1].startswith(f"Starbench: run cam-001 (SIMULATED) hung: {silent}")
-    assert sorted(told[2:]) == [
+    assert messages[1].startswith(f"Starbench: run cam-001 (SIMULATED) hung: {silent}")
+    assert sorted(messages[2:]) == [
         "Starbench: batch Night (SIMULATED) finished",
         "Starbench: run cam-001 (SIMULATED) finished",
     ]
@@ -175,7 +175,7 @@ def test_a_driver_that_never_returns_is_noticed_though_its_supervisor_was_killed
         end = adopt(folder, clock, print)
         assert end is not None
         assert clock.saw_it_at_once(end)
-        assert [one.state for one in end.devices] == ["never opened"] * 3
+        assert [device.state for device in end.devices] == ["never opened"] * 3
         assert worker.wait(PATIENCE_S) == -signal.SIGABRT
     assert adopt(folder, BenchClock(), print) is None
 
@@ -226,7 +226,7 @@ def test_the_light_that_a_dead_process_left_on_is_switched_off(tmp_path):
         assert light.is_on()
         light.close()
         ends = make_orphans_safe(station, clock)
-        assert [one.state for one in ends] == ["confirmed safe", "confirmed safe", "not confirmed"]
+        assert [end.state for end in ends] == ["confirmed safe", "confirmed safe", "not confirmed"]
         assert ends[1].said == "it was read back as off"
         light = open_light(station, str, clock, None)
         assert not light.is_on()

@@ -52,27 +52,27 @@ def run(folder, home, poses):
     lines = "\n".join(f"    - {{pan_deg: {pan}, tilt_deg: {tilt}}}" for pan, tilt in poses)
     sequence = folder / "poses.yaml"
     sequence.write_text(SEQUENCE.format(poses=lines))
-    said = starbench(
+    ended = starbench(
         "run", sequence, "-s", "simulated_ideal", "--seed", 5, "-o", folder / "run", "--json", home=home
     )
-    return said, folder / "run"
+    return ended, folder / "run"
 
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory, home):
-    said, folder = run(tmp_path_factory.mktemp("named"), home, [*WITH_TAG, *WITHOUT])
-    assert said.returncode == 0, said.stderr
-    return json.loads(said.stdout), folder
+    ended, folder = run(tmp_path_factory.mktemp("named"), home, [*WITH_TAG, *WITHOUT])
+    assert ended.returncode == 0, ended.stderr
+    return json.loads(ended.stdout), folder
 
 
 @pytest.mark.slow
 def test_poses_without_the_tag_calibrate_and_the_result_says_what_named_their_stars(finished):
-    told, folder = finished
+    answer, folder = finished
     poses = results(folder)["poses"]
     assert [pose["named_by"] for pose in poses] == ["tag"] * 3 + ["gimbal"] * 2
     assert min(pose["stars"] for pose in poses) > 60
     assert max(pose["rms_px"] for pose in poses) < 0.1
-    assert max(abs(row["error_sigmas"]) for row in told["results"]["comparison"]) < 4
+    assert max(abs(row["error_sigmas"]) for row in answer["results"]["comparison"]) < 4
     assert "identified by the gimbal" in (folder / "report.html").read_text()
 
 
@@ -86,8 +86,8 @@ def test_motion_is_judged_in_poses_without_the_tag_too(finished):
 
 @pytest.mark.slow
 def test_without_earlier_poses_that_show_the_tag_the_stars_stay_unnamed(tmp_path, home):
-    said, folder = run(tmp_path, home, [WITHOUT[0], *WITH_TAG])
-    assert said.returncode == 1
-    assert "stars, but no readable part of the tag" in said.stderr
-    assert "Begin with poses that have the tag in view" in said.stderr
+    ended, folder = run(tmp_path, home, [WITHOUT[0], *WITH_TAG])
+    assert ended.returncode == 1
+    assert "stars, but no readable part of the tag" in ended.stderr
+    assert "Begin with poses that have the tag in view" in ended.stderr
     assert not any(line["accepted"] for line in journal(folder) if line["event"] == "attempt_checked")

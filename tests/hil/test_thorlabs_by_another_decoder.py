@@ -32,8 +32,8 @@ REQUEST_STATUS_BITS = bytes.fromhex("29 04 01 00 50 01")
 """From the document: the other package decodes the answer, but has no function for this request."""
 
 
-def decoded(said: bytes) -> list:
-    return list(apt.Unpacker(io.BytesIO(said), on_error="raise"))
+def decoded(answer: bytes) -> list:
+    return list(apt.Unpacker(io.BytesIO(answer), on_error="raise"))
 
 
 def controller(name: str) -> tuple[AptController, VirtualClock]:
@@ -48,8 +48,8 @@ def controller(name: str) -> tuple[AptController, VirtualClock]:
 @pytest.mark.parametrize("name", ["K10CR1", "KDC101"])
 def test_another_client_homes_moves_and_stops_the_simulated_controller(name) -> None:
     device, clock = controller(name)
-    (told,) = decoded(device.receive(apt.hw_req_info(UNIT, HOST)))
-    assert (told.serial_number, told.model_number.rstrip(b"\0")) == (55_000_123, name.encode())
+    (information,) = decoded(device.receive(apt.hw_req_info(UNIT, HOST)))
+    assert (information.serial_number, information.model_number.rstrip(b"\0")) == (55_000_123, name.encode())
 
     device.receive(apt.mot_move_home(UNIT, HOST, 1))
     clock.sleep(0.5)
@@ -96,11 +96,11 @@ def test_a_servo_controller_sends_no_more_updates_without_signs_of_life() -> Non
 def test_updates_come_until_they_are_switched_off() -> None:
     device, clock = controller("KDC101")
     device.receive(apt.hw_start_updatemsgs(UNIT, HOST))
-    said = b""
+    updates = b""
     for _ in range(10):
         clock.sleep(0.11)
-        said += device.unsolicited()
-    assert len(decoded(said)) == 10
+        updates += device.unsolicited()
+    assert len(decoded(updates)) == 10
     device.receive(apt.hw_stop_updatemsgs(UNIT, HOST))
     clock.sleep(1.0)
     assert device.unsolicited() == b""
@@ -131,9 +131,9 @@ def test_the_driver_reads_bits_and_identity_as_the_other_decoder_does() -> None:
         assert ("encoder fault" in mine.faults) == theirs.encoder_fault
         assert ("the motor does not follow (position error)" in mine.faults) == theirs.motion_error
     device, _ = controller("K10CR1")
-    said = device.receive(apt.hw_req_info(UNIT, HOST))
-    (theirs,) = decoded(said)
-    mine = Information.unpack(said[6:])
+    answer = device.receive(apt.hw_req_info(UNIT, HOST))
+    (theirs,) = decoded(answer)
+    mine = Information.unpack(answer[6:])
     assert (mine.serial, mine.model) == (str(theirs.serial_number), "K10CR1")
     assert mine.firmware == ".".join(map(str, theirs.firmware_version))
 
@@ -172,7 +172,7 @@ def test_a_driver_sends_what_the_other_encoder_builds_and_nothing_else(family) -
     built |= {apt.mot_ack_dcstatusupdate(UNIT, HOST)} if of_family.sign_of_life else set()
     rest, unsent = b"".join(rig.line.sent), set(built)
     while rest:
-        message = next((one for one in built if rest.startswith(one)), None)
+        message = next((candidate for candidate in built if rest.startswith(candidate)), None)
         assert message is not None, rest[:20].hex(" ")
         unsent.discard(message)
         rest = rest[len(message) :]

@@ -21,9 +21,9 @@ def files(tmp_path_factory):
 def undisturbed(files, tmp_path_factory):
     home, sequence, station = files
     folder = tmp_path_factory.mktemp("runs") / "undisturbed"
-    said = called("run", sequence, "-s", station, "--seed", SEED, "-o", folder, home=home)
-    assert said.returncode == 0, said.stderr
-    assert re.search(r"3 poses \(k = [\d.]+\): U\(fx\)", said.stderr)
+    ended = called("run", sequence, "-s", station, "--seed", SEED, "-o", folder, home=home)
+    assert ended.returncode == 0, ended.stderr
+    assert re.search(r"3 poses \(k = [\d.]+\): U\(fx\)", ended.stderr)
     return folder
 
 
@@ -36,11 +36,11 @@ def poses(folder):
 
 
 def test_it_measures_until_its_bound_and_the_report_shows_the_course(undisturbed, files):
-    told = results(undisturbed)["untils"]
-    reached = [one["now"]["expanded_fx_px"] for one in told]
-    assert [one["poses"] for one in told] == [3, 4, 5]
+    decisions = results(undisturbed)["untils"]
+    reached = [decision["now"]["expanded_fx_px"] for decision in decisions]
+    assert [decision["poses"] for decision in decisions] == [3, 4, 5]
     assert reached[0] > reached[-1]
-    assert told[-1]["ended"] == "at_most"
+    assert decisions[-1]["ended"] == "at_most"
     page = (undisturbed / "report.html").read_text()
     assert "Until the goal: U(fx) is at most 0.001 px" in page
     assert "course-2-" in page
@@ -51,8 +51,8 @@ def test_it_measures_until_its_bound_and_the_report_shows_the_course(undisturbed
 
 
 def test_the_final_solve_states_what_the_last_decision_reached(undisturbed):
-    told = results(undisturbed)
-    k = told["calibration"]["coverage_factor"]
-    assert told["untils"][-1]["now"]["expanded_fx_px"] == pytest.approx(
-        k * told["calibration"]["sigma"]["fx"]
+    answers = results(undisturbed)
+    k = answers["calibration"]["coverage_factor"]
+    assert answers["untils"][-1]["now"]["expanded_fx_px"] == pytest.approx(
+        k * answers["calibration"]["sigma"]["fx"]
     )

@@ -63,7 +63,7 @@ def line(device, folder: Path) -> Iterator[tuple[str, Tap]]:
 
 def ours(stage: Stage, tap: Tap, split: Callable[[bytes], set]) -> dict[str, set]:
     """Return what each of our operations sends."""
-    told = {}
+    sent_for = {}
     with closing(stage):
         for name, act in {
             "home": stage.home,
@@ -73,8 +73,8 @@ def ours(stage: Stage, tap: Tap, split: Callable[[bytes], set]) -> dict[str, set
         }.items():
             tap.take()
             act()
-            told[name] = split(tap.take())
-    return told
+            sent_for[name] = split(tap.take())
+    return sent_for
 
 
 def zaber_requests(data: bytes) -> set[bytes]:
@@ -89,7 +89,7 @@ def test_zaber_requests_are_those_of_zaber_motion(tmp_path) -> None:
     Library.enable_device_db_store(str(tmp_path))
     with line(of_bench("zaber", 6400)(time.monotonic)[0], tmp_path) as (address, tap):
         axis = ZaberAxis(name="pan", device=1, serial="", microsteps_per_deg=6400, limits=LIMITS)
-        told = ours(ZaberStage.open(address, [axis], clock=SystemClock()), tap, zaber_requests)
+        sent_for = ours(ZaberStage.open(address, [axis], clock=SystemClock()), tap, zaber_requests)
         with ascii_.Connection.open_serial_port(address) as connection:
             theirs = connection.get_device(1).get_axis(1)
             for name, act, request in (
@@ -101,7 +101,7 @@ def test_zaber_requests_are_those_of_zaber_motion(tmp_path) -> None:
                 tap.take()
                 act()
                 assert request in zaber_requests(tap.take())
-                assert request in told[name]
+                assert request in sent_for[name]
 
 
 def ximc_requests(data: bytes) -> set[bytes]:
@@ -113,7 +113,7 @@ def test_ximc_requests_are_those_of_libximc(tmp_path) -> None:
     ximc = pytest.importorskip("libximc.highlevel", reason="the maker's library is not installed")
     with line(of_bench("ximc", 25_600, "4242")(time.monotonic)[0], tmp_path) as (address, tap):
         axis = XimcAxis(name="pan", port=address, serial="", steps_per_deg=100.0, limits=LIMITS)
-        told = ours(XimcStage.open([axis], clock=SystemClock()), tap, ximc_requests)
+        sent_for = ours(XimcStage.open([axis], clock=SystemClock()), tap, ximc_requests)
         theirs = ximc.Axis(f"xi-com://{address}")
         theirs.open_device()
         for name, act in {
@@ -126,18 +126,18 @@ def test_ximc_requests_are_those_of_libximc(tmp_path) -> None:
             act()
             sent = ximc_requests(tap.take())
             assert sent
-            assert sent <= told[name]
+            assert sent <= sent_for[name]
         theirs.close_device()
 
 
 def esp_requests(data: bytes) -> set[tuple[bytes, float | None]]:
     """Commands and questions, numbers by their value."""
-    found = set()
+    requests = set()
     for text in re.split(rb"[\r;]", data):
         match = re.fullmatch(rb"(\d?[A-Z]{2}\??)(-?\d*\.?\d+)?", text.strip())
         if match:
-            found.add((match[1].removesuffix(b"?"), float(match[2]) if match[2] else None))
-    return found
+            requests.add((match[1].removesuffix(b"?"), float(match[2]) if match[2] else None))
+    return requests
 
 
 @pytest.mark.filterwarnings("ignore:It is not known whether:FutureWarning")
@@ -147,7 +147,7 @@ def test_esp_requests_are_those_of_pymeasure(tmp_path) -> None:
 
     with line(of_bench("esp301", 10_000, "1263")(time.monotonic)[0], tmp_path) as (address, tap):
         axis = EspAxis(name="pan", number=1, serial="", limits=LIMITS)
-        told = ours(EspStage.open(address, [axis], clock=SystemClock()), tap, esp_requests)
+        sent_for = ours(EspStage.open(address, [axis], clock=SystemClock()), tap, esp_requests)
         adapter = SerialAdapter(
             address, baudrate=19200, timeout=2.0, write_termination="\r", read_termination="\r\n"
         )
@@ -162,20 +162,20 @@ def test_esp_requests_are_those_of_pymeasure(tmp_path) -> None:
             tap.take()
             act()
             tap.wait_for(request, esp_requests)
-            assert request in told[name]
+            assert request in sent_for[name]
         adapter.close()
 
 
 def scpi_requests(data: bytes) -> set[tuple[str, str | float]]:
     """Settings and questions: headers, with numbers by their value and switches by what they mean."""
-    found: set[tuple[str, str | float]] = set()
+    requests: set[tuple[str, str | float]] = set()
     for text in data.decode("ascii").split("\n"):
         header, _, value = text.strip().partition(" ")
         word: str | float = {"ON": 1.0, "OFF": 0.0}.get(value, value)
         if isinstance(word, str) and re.fullmatch(r"-?\d+(\.\d*)?", word):
             word = float(word)
-        found.add((header.removesuffix(";"), word))
-    return found - {("", "")}
+        requests.add((header.removesuffix(";"), word))
+    return requests - {("", "")}
 
 
 def test_scpi_requests_are_those_of_pymeasure(tmp_path) -> None:
@@ -188,7 +188,7 @@ def test_scpi_requests_are_those_of_pymeasure(tmp_path) -> None:
             light.apply(LightSettings("square", 50.0, 40.0, 0.5, 3.0))
             light.on()
             light.off()
-            told = scpi_requests(tap.take())
+            sent_by_us = scpi_requests(tap.take())
         adapter = SerialAdapter(
             address, baudrate=9600, timeout=5, write_termination="\n", read_termination="\n"
         )
@@ -210,5 +210,5 @@ def test_scpi_requests_are_those_of_pymeasure(tmp_path) -> None:
             assert theirs.id  # a reply: all that was sent before has been heard
             sent = scpi_requests(tap.take()) - {("*IDN?", "")}
             assert sent
-            assert sent <= told
+            assert sent <= sent_by_us
         adapter.close()

@@ -106,11 +106,11 @@ def test_a_file_is_locked_once_and_freed_by_the_death_of_its_process(bare, tmp_p
 @pytest.mark.slow
 def test_a_run_goes_over_tcp_from_a_station_that_says_nothing_of_it(bare, tmp_path) -> None:
     folder = tmp_path / "run"
-    said = python(
+    ended = python(
         bare, *STARBENCH[1:], "run", "three_pose", "-s", "simulated", "--seed", 7, "-o", folder, "--json"
     )
-    assert said.returncode == 0, said.stderr
-    assert json.loads(said.stdout)["converged"]
+    assert ended.returncode == 0, ended.stderr
+    assert json.loads(ended.stdout)["converged"]
     wire = (folder / "wire.jsonl").read_text()
     assert "socket://127.0.0.1:" in wire
     assert "move abs" in wire

@@ -31,12 +31,12 @@ PDFUAID = "{http://www.aiim.org/pdfua/ns/id/}"
 
 
 def program(name):
-    if not (found := shutil.which(name)):
+    if not (path := shutil.which(name)):
         pytest.skip(f"{name} is not installed")
-    return found
+    return path
 
 
-def said(*command, **more):
+def output_of(*command, **more):
     """What a program prints; it must end with status 0."""
     done = subprocess.run(
         [program(command[0]), *map(str, command[1:])], capture_output=True, check=False, timeout=60, **more
@@ -72,7 +72,7 @@ def small(tmp_path_factory):
 
 
 def pages(path):
-    return said("pdftotext", "-raw", path, "-").removesuffix("\f").split("\f")
+    return output_of("pdftotext", "-raw", path, "-").removesuffix("\f").split("\f")
 
 
 def running_text(path):
@@ -92,20 +92,20 @@ class TestPoppler:
 
     @pytest.mark.parametrize("name", ["full", "small"])
     def test_each_page_has_number_and_page_of_pages(self, name, request):
-        found = pages(request.getfixturevalue(name))
+        all_pages = pages(request.getfixturevalue(name))
         number = (full_certificate() if name == "full" else small_certificate()).number
-        for at, page in enumerate(found, 1):
-            assert f"page {at} of {len(found)}" in page
+        for at, page in enumerate(all_pages, 1):
+            assert f"page {at} of {len(all_pages)}" in page
             assert f"Certificate {number}" in page
             assert ("SIMULATED" in page) == (name == "full")
-            assert (f"END OF CERTIFICATE {number}" in page) == (at == len(found))
+            assert (f"END OF CERTIFICATE {number}" in page) == (at == len(all_pages))
 
     def test_attached_files_come_out_with_the_same_bytes(self, full, tmp_path):
-        said("pdfdetach", "-saveall", "-o", tmp_path, full)
-        assert {one.name: one.read_bytes() for one in tmp_path.iterdir()} == ATTACHED
+        output_of("pdfdetach", "-saveall", "-o", tmp_path, full)
+        assert {file.name: file.read_bytes() for file in tmp_path.iterdir()} == ATTACHED
 
     def test_every_font_is_embedded(self, full):
-        rows = said("pdffonts", full).splitlines()[2:]
+        rows = output_of("pdffonts", full).splitlines()[2:]
         assert rows
         for row in rows:
             embedded, subset, unicode = row.split()[-5:-2]
@@ -113,7 +113,7 @@ class TestPoppler:
             assert re.search("LibertinusSerif|DejaVuSansMono", row)
 
     def test_title_language_dates_and_no_script(self, full):
-        shown = said("pdfinfo", full)
+        shown = output_of("pdfinfo", full)
         assert re.search(r"Title: +SIMULATED calibration certificate SIMULATED-SB-2026-00017\n", shown)
         assert re.search(r"JavaScript: +no\n", shown)
         assert re.search(r"Tagged: +yes\n", shown)
@@ -121,16 +121,16 @@ class TestPoppler:
         assert "2026" in re.search(r"CreationDate: +(.*)\n", shown)[1]
 
     def test_pictures_of_the_pages_differ_from_white(self, full, tmp_path):
-        said("pdftoppm", "-r", "20", "-gray", full, tmp_path / "page")
-        found = sorted(tmp_path.iterdir())
-        assert len(found) == len(pages(full))
-        assert all(np.frombuffer(one.read_bytes()[-20000:], np.uint8).std() > 5 for one in found[:-1])
+        output_of("pdftoppm", "-r", "20", "-gray", full, tmp_path / "page")
+        all_pages = sorted(tmp_path.iterdir())
+        assert len(all_pages) == len(pages(full))
+        assert all(np.frombuffer(file.read_bytes()[-20000:], np.uint8).std() > 5 for file in all_pages[:-1])
 
 
 class TestQpdf:
     @pytest.mark.parametrize("name", ["full", "small"])
     def test_check(self, name, request):
-        assert "No syntax or stream encoding errors found" in said(
+        assert "No syntax or stream encoding errors found" in output_of(
             "qpdf", "--check", request.getfixturevalue(name)
         )
 
@@ -139,14 +139,14 @@ class TestPikepdf:
     @pytest.fixture
     def opened(self, full):
         pikepdf = pytest.importorskip("pikepdf", reason="pikepdf is not installed")
-        with pikepdf.open(full) as found:
-            yield found
+        with pikepdf.open(full) as pdf:
+            yield pdf
 
     def test_claims_pdf_a_3a_and_pdf_ua_1(self, opened):
         tree = ET.fromstring(opened.Root.Metadata.read_bytes())
-        assert [one.text for one in tree.iter(f"{PDFAID}part")] == ["3"]
-        assert [one.text for one in tree.iter(f"{PDFAID}conformance")] == ["A"]
-        assert [one.text for one in tree.iter(f"{PDFUAID}part")] == ["1"]
+        assert [element.text for element in tree.iter(f"{PDFAID}part")] == ["3"]
+        assert [element.text for element in tree.iter(f"{PDFAID}conformance")] == ["A"]
+        assert [element.text for element in tree.iter(f"{PDFUAID}part")] == ["1"]
 
     def test_output_intent_with_a_colour_profile(self, opened):
         (intent,) = opened.Root.OutputIntents
@@ -160,19 +160,21 @@ class TestPikepdf:
         assert opened.Root.StructTreeRoot.K is not None
 
     def test_every_figure_has_a_description(self, opened):
-        figures = [one for one in elements(opened.Root.StructTreeRoot) if one.get("/S") == "/Figure"]
+        figures = [
+            element for element in elements(opened.Root.StructTreeRoot) if element.get("/S") == "/Figure"
+        ]
         assert len(figures) == 5
-        assert all(len(str(one.get("/Alt", ""))) > 40 for one in figures)
+        assert all(len(str(element.get("/Alt", ""))) > 40 for element in figures)
 
     def test_tables_have_heads(self, opened):
-        kinds = [str(one.get("/S")) for one in elements(opened.Root.StructTreeRoot)]
+        kinds = [str(element.get("/S")) for element in elements(opened.Root.StructTreeRoot)]
         assert kinds.count("/Table") >= 12
         assert kinds.count("/TH") > 60
 
     def test_attached_files_are_associated_with_the_document(self, opened):
-        found = {str(one.UF): str(one.AFRelationship) for one in opened.Root.AF}
-        assert found == {"dcc.xml": "/Alternative", "results.json": "/Source", "wire.bin": "/Supplement"}
-        assert {str(one.EF.F.Subtype) for one in opened.Root.AF} == {
+        relations = {str(attached.UF): str(attached.AFRelationship) for attached in opened.Root.AF}
+        assert relations == {"dcc.xml": "/Alternative", "results.json": "/Source", "wire.bin": "/Supplement"}
+        assert {str(attached.EF.F.Subtype) for attached in opened.Root.AF} == {
             "/application/xml",
             "/application/json",
             "/application/octet-stream",
@@ -182,8 +184,8 @@ class TestPikepdf:
         assert not {"/OpenAction", "/AA", "/AcroForm"} & set(opened.Root.keys())
         assert "/JavaScript" not in opened.Root.Names
         assert not opened.is_encrypted
-        for one in opened.objects:
-            assert not (hasattr(one, "keys") and {"/JS", "/Launch", "/URI"} & set(one.keys()))
+        for item in opened.objects:
+            assert not (hasattr(item, "keys") and {"/JS", "/Launch", "/URI"} & set(item.keys()))
 
 
 def elements(root):
@@ -208,8 +210,10 @@ class TestOpenSsh:
             ("bench@lab", "starbench-report@v1", "SHA256SUMS"),
             ("grace.hopper", "starbench-authorisation@v1", "SHA256SUMS.sig"),
         ):
-            said("ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-C", name, "-f", tmp_path / name)
-            said("ssh-keygen", "-q", "-Y", "sign", "-f", tmp_path / name, "-n", namespace, tmp_path / signed)
+            output_of("ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-C", name, "-f", tmp_path / name)
+            output_of(
+                "ssh-keygen", "-q", "-Y", "sign", "-f", tmp_path / name, "-n", namespace, tmp_path / signed
+            )
             signers.append(f'{name} namespaces="{namespace}" {(tmp_path / f"{name}.pub").read_text()}')
         (tmp_path / "SHA256SUMS.sig.sig").rename(tmp_path / "SHA256SUMS.authorised.sig")
         (tmp_path / "allowed_signers").write_text("".join(signers))
@@ -218,7 +222,7 @@ class TestOpenSsh:
             r"^(?:ssh-keygen -Y verify|sha256sum --strict)[^<]*?(?:< [\w.]+|SHA256SUMS)$", text, re.MULTILINE
         )
         assert len(commands) == 3
-        answers = [said("sh", "-c", command, cwd=tmp_path) for command in commands]
+        answers = [output_of("sh", "-c", command, cwd=tmp_path) for command in commands]
         assert answers[0].startswith('Good "starbench-report@v1" signature for bench@lab')
         assert answers[1] == "certificate.pdf: OK\n"
         assert answers[2].startswith('Good "starbench-authorisation@v1" signature for grace.hopper')
@@ -248,7 +252,7 @@ class TestLongTexts:
         path.write_bytes(render_pdf(certificate, {}, {}, {}))
         assert set(said_words) <= set(re.split(r"[\s,]+", "\n".join(pages(path))))
         boxes = re.findall(
-            r'xMin="(\S+)" yMin="(\S+)" xMax="(\S+)" yMax="(\S+)"', said("pdftotext", "-bbox", path, "-")
+            r'xMin="(\S+)" yMin="(\S+)" xMax="(\S+)" yMax="(\S+)"', output_of("pdftotext", "-bbox", path, "-")
         )
         at = np.array(boxes, float)
         assert len(at) > len(said_words)

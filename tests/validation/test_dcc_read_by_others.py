@@ -103,7 +103,9 @@ def other_schema():
 @needs_schemas
 @pytest.mark.parametrize("name", DCCS)
 def test_valid_by_xmlschema(name, other_schema):
-    faults = [str(one) for one in other_schema.iter_errors(DCCS[name]().decode(), use_location_hints=False)]
+    faults = [
+        str(fault) for fault in other_schema.iter_errors(DCCS[name]().decode(), use_location_hints=False)
+    ]
     assert faults == []
 
 
@@ -118,12 +120,12 @@ def schematron():
 
 
 def remarks(schematron, data):
-    found = schematron.validate_str(data.decode())
+    report = schematron.validate_str(data.decode())
     stated = [
-        *found.failed_assertions,
-        *(one for one in found.successful_reports if one.role != "information"),
+        *report.failed_assertions,
+        *(remark for remark in report.successful_reports if remark.role != "information"),
     ]
-    return [" ".join(one.text.split()) for one in stated]
+    return [" ".join(remark.text.split()) for remark in stated]
 
 
 @pytest.mark.parametrize("name", DCCS)
@@ -157,6 +159,6 @@ def test_units_are_known_to_dsiunits():
     for unit in sorted(set(OUR_UNITS.values())):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            found = dsi_unit.DsiUnit(unit)
-        assert found.valid, unit
-        assert not found.non_dsi_unit, unit
+            known = dsi_unit.DsiUnit(unit)
+        assert known.valid, unit
+        assert not known.non_dsi_unit, unit

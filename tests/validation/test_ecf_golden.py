@@ -53,8 +53,8 @@ GOLDEN = {
 @pytest.mark.parametrize("name", GOLDEN)
 def test_chunks_of_the_makers_encoder_are_read_right(name):
     events, data = GOLDEN[name]
-    found = decode(bytes.fromhex(data))
-    assert all(np.array_equal(ours, theirs) for ours, theirs in zip(found, events, strict=True))
+    decoded = decode(bytes.fromhex(data))
+    assert all(np.array_equal(ours, theirs) for ours, theirs in zip(decoded, events, strict=True))
 
 
 @pytest.mark.parametrize("name", GOLDEN)

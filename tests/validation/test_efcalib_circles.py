@@ -19,9 +19,9 @@ PLANAR = CalibrationOptions(model="planar", distortion="k1k2p1p2")
 
 @pytest.fixture(scope="module")
 def views():
-    beside = Path(__file__).resolve().parents[3] / "shared" / "data"
+    shared_data = Path(__file__).resolve().parents[3] / "shared" / "data"
     file = (
-        Path(os.environ.get("STARBENCH_REFERENCE_DATA", beside))
+        Path(os.environ.get("STARBENCH_REFERENCE_DATA", shared_data))
         / "efcalib_circles"
         / "event_camera_circles.csv"
     )
@@ -48,10 +48,10 @@ def test_the_planar_calibration_is_that_of_opencv(views):
 
 
 def test_halves_agree_within_their_uncertainty(views):
-    one, other = calibrate(views[::2], PLANAR), calibrate(views[1::2], PLANAR)
+    first, other = calibrate(views[::2], PLANAR), calibrate(views[1::2], PLANAR)
     for name in ("fx", "fy", "cx", "cy", "k1"):
-        apart = one.camera.to_dict()[name] - other.camera.to_dict()[name]
-        assert abs(apart) < 2.5 * np.hypot(one.sigma[name], other.sigma[name])
+        apart = first.camera.to_dict()[name] - other.camera.to_dict()[name]
+        assert abs(apart) < 2.5 * np.hypot(first.sigma[name], other.sigma[name])
 
 
 def test_a_view_left_out_is_predicted_as_well_as_the_others_are_fitted(views):

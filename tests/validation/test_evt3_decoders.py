@@ -87,8 +87,8 @@ def test_what_the_simulated_sensor_writes_is_what_both_decoders_read(tmp_path, d
     path = tmp_path / "simulated.raw"
     path.write_bytes(HEADER + words.tobytes())
     assert assert_same(path) == (len(t), len(edges))
-    found = RawFile.open(path).read()[0]
-    assert all(np.array_equal(ours, theirs) for ours, theirs in zip(found, (t, x, y, p), strict=True))
+    decoded = RawFile.open(path).read()[0]
+    assert all(np.array_equal(ours, theirs) for ours, theirs in zip(decoded, (t, x, y, p), strict=True))
     assert RawFile.open(path).scan().mismatched_windows == 0
 
 
@@ -174,9 +174,9 @@ def test_whole_windows_lost_are_counted_and_their_events_said_to_be_at_least(
     assert lost > 5 * reports
     assert scan.missing_windows == reports
     assert scan.lost_events <= lost
-    said = " ".join(scan.loss_messages())
-    assert f"{reports} event count reports of the sensor are missing" in said
-    assert f"at least {scan.lost_events} events" in said
+    messages = " ".join(scan.loss_messages())
+    assert f"{reports} event count reports of the sensor are missing" in messages
+    assert f"at least {scan.lost_events} events" in messages
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -42,10 +42,10 @@ def measured(collimator, seed):
 @pytest.mark.slow
 @pytest.mark.parametrize(("collimator", "largest_sigma"), [("like-bench", 1.2), ("S2", 12.0), ("S3", 12.0)])
 def test_the_pupil_is_found_within_its_uncertainty(collimator, largest_sigma):
-    found, walk = measured(collimator, 2)
-    off = found.walk_mm - walk
-    assert off @ np.linalg.solve(found.covariance_mm2, off) / 2 < 4.0
-    assert found.walk_sigma_mm.max() < largest_sigma
-    assert found.without_rim == ()
-    in_front = -found.walk_mm[0] > 4.0 * found.walk_sigma_mm[0]
+    walk_found, walk = measured(collimator, 2)
+    off = walk_found.walk_mm - walk
+    assert off @ np.linalg.solve(walk_found.covariance_mm2, off) / 2 < 4.0
+    assert walk_found.walk_sigma_mm.max() < largest_sigma
+    assert walk_found.without_rim == ()
+    in_front = -walk_found.walk_mm[0] > 4.0 * walk_found.walk_sigma_mm[0]
     assert in_front == (collimator != "S3")

@@ -47,9 +47,11 @@ def test_a_steady_scene_is_no_target(recording):
 
 def test_a_recording_without_flicker_ends_in_a_message(recording):
     raw, _, _ = recording
-    found = measure(raw.path, name="real", target=StarTarget(), image="auto", periods=None, expected_hz=None)
-    assert found.view is None
-    assert "No period stands out" in found.fault
+    measurement = measure(
+        raw.path, name="real", target=StarTarget(), image="auto", periods=None, expected_hz=None
+    )
+    assert measurement.view is None
+    assert "No period stands out" in measurement.fault
 
 
 def test_two_lone_triggers_are_no_flicker(recording):

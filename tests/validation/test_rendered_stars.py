@@ -38,9 +38,9 @@ def test_a_fisheye_is_calibrated_from_its_pictures():
     for pan, tilt, roll in ((0, 0, 7), (9, 4, 7), (-9, -4, 97), (7, -5, 7)):
         rotation = pose_rotation({"pan": pan, "tilt": tilt, "roll": roll}, truth.optics)
         views.append(detect_view(render(truth, rotation), TARGET, name=f"{pan} {tilt} {roll}"))
-    found = calibrate(views, CalibrationOptions(model="spherical", distortion=("kb1", "kb2")))
-    assert found.rms_px < 0.02
-    told = truth.to_dict()["camera"]
+    calibration = calibrate(views, CalibrationOptions(model="spherical", distortion=("kb1", "kb2")))
+    assert calibration.rms_px < 0.02
+    true_values = truth.to_dict()["camera"]
     for name, bound in (("fx", 0.2), ("fy", 0.2), ("cx", 0.1), ("cy", 0.1), ("kb1", 0.001), ("kb2", 0.01)):
-        value = found.values[name]
-        assert abs(value - told[name]) < bound, name
+        value = calibration.values[name]
+        assert abs(value - true_values[name]) < bound, name

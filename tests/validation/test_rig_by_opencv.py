@@ -31,13 +31,13 @@ def by_opencv(drawn, cameras=None):
         None, None, flagsForIntrinsics=np.full((2, 1), held | LENS, np.int32), flags=held,
         criteria=(cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 300, 1e-14),
     )  # fmt: skip
-    found = [
+    calibrated = [
         CameraModel(
             k[0, 0], k[1, 1], k[0, 2], k[1, 2], size, dict(zip(("k1", "k2"), lens.ravel(), strict=False))
         )
         for k, lens, size in zip(matrices, lenses, sizes, strict=True)
     ]
-    return found, cv2.Rodrigues(turns[1])[0], 1000.0 * places[1].ravel(), rms
+    return calibrated, cv2.Rodrigues(turns[1])[0], 1000.0 * places[1].ravel(), rms
 
 
 def rms_px(rig):

@@ -23,17 +23,17 @@ OFFSET_US, GAIN = -812.0, 80e-6
 
 def record(camera, pose, number, path, clock):
     """Write what the camera sends in a pose, by its own clock: events, and an edge at each change of the light."""
-    found = camera.capture(pose, seed=number, light_hz=LIGHT_HZ, periods=PERIODS)
+    capture = camera.capture(pose, seed=number, light_hz=LIGHT_HZ, periods=PERIODS)
     period = 1e6 / LIGHT_HZ
     # Both cameras see one light: the first edge of each recording stands at the same time.
     times = 5000.0 + period / 2.0 * np.arange(2 * PERIODS)
     edges = np.round(clock(times)).astype(np.int64)
-    t = np.round(clock(found.events.t - found.first_edge_us + 5000.0)).astype(np.int64)
+    t = np.round(clock(capture.events.t - capture.first_edge_us + 5000.0)).astype(np.int64)
     first = int(min(t.min(), edges.min())) // 16 * 16 - 160
     order = np.argsort(t, kind="stable")
     writer = Evt3Writer(first, width=CAMERA["width"], height=CAMERA["height"])
     words = writer.write(
-        t[order], *(np.asarray(values)[order] for values in found.events[1:]), until_us=int(t.max()) + 2000,
+        t[order], *(np.asarray(values)[order] for values in capture.events[1:]), until_us=int(t.max()) + 2000,
         trigger_t=edges, trigger_value=(np.arange(len(edges)) % 2 == 0).astype(np.uint8),
     )  # fmt: skip
     path.write_bytes(b"% format EVT3;height=360;width=640\n% end\n" + words.tobytes())
@@ -53,14 +53,14 @@ def folder(tmp_path_factory):
 
 
 def test_rotation_and_clocks_are_those_of_the_simulated_rig(capsys, folder):
-    told = json.loads(out_of(capsys, "rig", folder / "left", folder / "right", "--sync", "--json"))
-    one, other = (
+    answer = json.loads(out_of(capsys, "rig", folder / "left", folder / "right", "--sync", "--json"))
+    left, right = (
         true_rotation(POSES[0], bench_config(SECTIONS[name]).truth_for(SEED)) for name in ("left", "right")
     )
-    off = 206265 * log_map(np.array(told["rotation"]) @ (other @ one.T).T)
-    assert (np.abs(off) < 4.0 * np.array(told["sigma_arcsec"])).all(), (off, told["sigma_arcsec"])
-    assert told["rigid"]
-    for clock in told["clocks"]["recordings"]:
+    off = 206265 * log_map(np.array(answer["rotation"]) @ (right @ left.T).T)
+    assert (np.abs(off) < 4.0 * np.array(answer["sigma_arcsec"])).all(), (off, answer["sigma_arcsec"])
+    assert answer["rigid"]
+    for clock in answer["clocks"]["recordings"]:
         assert clock["offset_us"] == pytest.approx(OFFSET_US, abs=3.0 * clock["sigma_us"])
         assert clock["edges"] == PERIODS
-    assert told["clocks"]["rate_ppm"] == pytest.approx(80.0, abs=3.0 * told["clocks"]["sigma_rate_ppm"])
+    assert answer["clocks"]["rate_ppm"] == pytest.approx(80.0, abs=3.0 * answer["clocks"]["sigma_rate_ppm"])

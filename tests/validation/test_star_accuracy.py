@@ -94,10 +94,10 @@ def test_no_star_is_taken_for_another_at_any_pose(monkeypatch):
     monkeypatch.syspath_prepend(str(script.parent))
     try_pose = runpy.run_path(str(script))["try_pose"]
     poses = [try_pose(1, number) for number in range(40)]
-    found = [pose for pose in poses if "stars" in pose]
-    assert sum(pose["wrong"] for pose in found) == 0
-    assert sum(pose["missed"] for pose in found) <= 0.005 * sum(pose["whole"] for pose in found)
-    assert len(found) >= 30
+    named = [pose for pose in poses if "stars" in pose]
+    assert sum(pose["wrong"] for pose in named) == 0
+    assert sum(pose["missed"] for pose in named) <= 0.005 * sum(pose["whole"] for pose in named)
+    assert len(named) >= 30
     refused = [pose for pose in poses if "refused" in pose]
     assert all(pose["tag"] != "whole" and not pose["expected"] for pose in refused)
 

@@ -59,11 +59,11 @@ def assert_every_star_is_found(picture: np.ndarray, target: TargetConfig, off_px
     pattern, drawing = target.pattern(), draw_target(target)
     seen = cv2.GaussianBlur(picture.astype(np.float32), (0, 0), 1.0)
     seen += np.random.default_rng(1).normal(0.0, 6.0, seen.shape).astype(np.float32)
-    found = detect_stars(seen, pattern)
-    assert found.named_by == "tag"
-    assert found.view.ids.tolist() == pattern.ids.tolist()
+    detection = detect_stars(seen, pattern)
+    assert detection.named_by == "tag"
+    assert detection.view.ids.tolist() == pattern.ids.tolist()
     at_mm = pattern.positions_mm(pattern.ids) + drawing.offset_mm + np.array(target.size_mm) / 2
-    assert np.abs(found.view.points_px - (at_mm * PX_PER_MM - 0.5)).max() < off_px
+    assert np.abs(detection.view.points_px - (at_mm * PX_PER_MM - 0.5)).max() < off_px
 
 
 def assert_black_print(polygons_mm: list[np.ndarray], target: TargetConfig) -> None:

@@ -50,7 +50,7 @@ def print_result(value: float, expanded: float) -> tuple[str, str]:
 def print_plain(value: float) -> str:
     """Return a number with two significant digits, without an exponent.
 
-    >>> [print_plain(one) for one in (0.61023, 0.08094, 174.05, 0.0)]
+    >>> [print_plain(value) for value in (0.61023, 0.08094, 174.05, 0.0)]
     ['0.61', '0.081', '170', '0']
     """
     return _plain(number(float(value), 2))

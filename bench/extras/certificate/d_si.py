@@ -133,7 +133,7 @@ def _written(powers: dict[str, int]) -> str:
 def is_unit(text: str) -> bool:
     r"""Return whether a text is a unit of D-SI.
 
-    >>> [is_unit(one) for one in (r"\metre\per\second", r"\pixel", r"\milli\milli\metre", r"\one\tothe{2}")]
+    >>> [is_unit(text) for text in (r"\metre\per\second", r"\pixel", r"\milli\milli\metre", r"\one\tothe{2}")]
     [True, False, False, False]
     """
     return _UNIT.fullmatch(text) is not None

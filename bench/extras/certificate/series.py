@@ -49,7 +49,7 @@ def is_number_format(text: str) -> bool:
 
     It has ``{number}`` or ``{number:05d}`` exactly once and otherwise only plain characters, ``{year}`` and ``{head}``.
 
-    >>> [is_number_format(one) for one in ("SB-{year}-{number:05d}-{head}", "SB", "{number.__class__}")]
+    >>> [is_number_format(text) for text in ("SB-{year}-{number:05d}-{head}", "SB", "{number.__class__}")]
     [True, False, False]
     """
     return _FORMAT.fullmatch(text) is not None

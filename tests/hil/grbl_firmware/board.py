@@ -101,24 +101,24 @@ class NativeBoard:
     def say(self, data: bytes | str, quiet_s: float = 0.15, within_s: float = 20.0, until: str = "") -> str:
         """Send bytes as they are; return what comes until the line is quiet for so long, or ``until`` has come."""
         os.write(self._host_end, data.encode("latin-1") if isinstance(data, str) else data)
-        said, deadline_s = b"", time.monotonic() + within_s
+        answer, deadline_s = b"", time.monotonic() + within_s
         while time.monotonic() < deadline_s:
             if not select.select([self._host_end], [], [], quiet_s if not until else 0.05)[0]:
                 if not until:
                     break
                 continue
-            said += os.read(self._host_end, 4096)
-            if until and until in said.decode("latin-1"):
+            answer += os.read(self._host_end, 4096)
+            if until and until in answer.decode("latin-1"):
                 break
-        return said.decode("latin-1")
+        return answer.decode("latin-1")
 
     def set_up(self, settings: Mapping[int, float] = FACTORY) -> None:
         """Write settings, and cut the power for a moment, so that it begins with them."""
         self.say("", until="help]\r\n")
         self.say("", quiet_s=0.5)  # a new memory is told as an error
         for number, value in settings.items():
-            said = self.say(f"${number}={value:g}\n", until="\r\n")
-            assert said == "ok\r\n", (number, value, said)
+            answer = self.say(f"${number}={value:g}\n", until="\r\n")
+            assert answer == "ok\r\n", (number, value, answer)
         self.power_off()
         self.power_on()
         self.say("", until="unlock]\r\n")
