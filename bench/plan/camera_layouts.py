@@ -60,6 +60,8 @@ _OTHER_LENSES = {
     "xi": "an omnidirectional or double-sphere camera",
     "mappingcoefficients": "MATLAB's fisheye (Scaramuzza)",
 }
+_BEYOND_OPENCV = ("k4", "p3", "p4")
+"""Metashape's coefficients of r^8, and of the growth of the tangential terms."""
 
 
 @dataclass(frozen=True)

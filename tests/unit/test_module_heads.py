@@ -1,6 +1,8 @@
 """A module has one head and one thing, constants above the first definition, and variables named for what they hold."""
 
 import ast
+import doctest
+import re
 from pathlib import Path
 
 import pytest
@@ -11,9 +13,12 @@ FILES = sorted(
     for package in ("bench", "calib", "drivers", "sequences", "simulators")
     for path in (ROOT / package).rglob("*.py")
 )
+TESTS = sorted((ROOT / "tests").rglob("*.py"))
 DEFINITIONS = (ast.FunctionDef, ast.ClassDef, ast.AsyncFunctionDef)
 NO_NAMES = {"found", "one", "said", "told", "away", "beside"}
 """Words that name no thing: a search for them finds everything."""
+MAY_BIND = re.compile(rf"\b({'|'.join(sorted(NO_NAMES))})\b\s*([=:,()\]]|in\b)")
+"""What stands in a text that binds such a word; most texts have none, and need not be parsed."""
 
 
 def targets(node):
@@ -59,7 +64,9 @@ def second_heads(text):
 
 
 def no_names(text):
-    """Yield variables and parameters whose name is no name of a thing; fields of a class are parts of formats."""
+    """Yield variables, parameters and functions whose name is no name of a thing; fields are parts of formats."""
+    if not MAY_BIND.search(text):
+        return
     nodes = list(ast.walk(ast.parse(text)))
     fields = {
         part.target
@@ -69,10 +76,18 @@ def no_names(text):
         if isinstance(part, ast.AnnAssign)
     }
     for node in nodes:
-        is_bound = isinstance(node, ast.arg) or isinstance(getattr(node, "ctx", None), ast.Store)
-        name = getattr(node, "arg", None) or getattr(node, "id", None)
+        is_bound = isinstance(node, (ast.arg, *DEFINITIONS)) or isinstance(
+            getattr(node, "ctx", None), ast.Store
+        )
+        name = getattr(node, "arg", None) or getattr(node, "id", None) or getattr(node, "name", None)
         if is_bound and name in NO_NAMES and node not in fields:
             yield f"{node.lineno}: {name}"
+
+
+def examples(text):
+    """Yield the doctests of a text, each docstring's as a text of its own."""
+    for docstring in text.split('"""') if ">>> " in text else ():
+        yield "".join(example.source for example in doctest.DocTestParser().get_examples(docstring))
 
 
 @pytest.mark.parametrize("scan", [late_constants, second_heads])
@@ -94,8 +109,16 @@ def test_the_scan_sees_a_late_constant_and_a_second_head():
 def test_variables_are_named_for_what_they_hold():
     unnamed = [
         f"{path.relative_to(ROOT).as_posix()}:{line}"
-        for path in FILES
-        for line in no_names(path.read_text(encoding="utf-8"))
+        for path in [*FILES, *TESTS]
+        for text in [path.read_text(encoding="utf-8")]
+        for part in [text, *examples(text)]
+        for line in no_names(part)
     ]
     assert unnamed == []
-    assert list(no_names("def f(one, b):\n    return [found for found in one]\n")) == ["1: one", "2: found"]
+
+
+def test_the_scan_sees_a_variable_a_parameter_a_function_and_an_example_without_a_name():
+    text = "def said(one, b):\n    return [found for found in one]\n"
+    assert list(no_names(text)) == ["1: said", "1: one", "2: found"]
+    (_, example, _) = examples('def f():\n    """Do it.\n\n    >>> told = 1\n    """\n')
+    assert list(no_names(example)) == ["1: told"]

@@ -60,7 +60,7 @@ class Place:
                 _copy(self.name, copy, captures, only)
             yield copy
 
-    def said(self, text: str, folder: Path) -> str:
+    def renamed(self, text: str, folder: Path) -> str:
         """Return a text with the name of this place where it names the copy in ``folder``."""
         return text.replace(str(folder), self.name) if self.is_remote else text
 

@@ -172,8 +172,8 @@ def find_view(place: Place, number: int, capture: str, task: Task) -> FoundView:
         try:
             view = source.read()
         except CalibrationError as error:
-            where = place.said(error.where or str(source.path), folder)
-            return FoundView(None, size, digest, (place.said(error.what, folder), where, error.remedy))
+            where = place.renamed(error.where or str(source.path), folder)
+            return FoundView(None, size, digest, (place.renamed(error.what, folder), where, error.remedy))
     if kept is None:
         return FoundView(view, size, digest)
     return FoundView(view, size, digest, remarks=tuple(kept.remarks), kept=bool(kept.used))
@@ -283,7 +283,7 @@ def _row(place: Place, folder: Path, result: OfflineResult, files: Mapping[str, 
         "rms_px": solved.rms_px,
         "converged": solved.converged,
         "notes": list(solved.notes),
-        "left_out": [place.said(why, folder) for why in result.skipped],
+        "left_out": [place.renamed(why, folder) for why in result.skipped],
         "before": before,
         "results_sha256": hashlib.sha256(files[RESULTS]).hexdigest() if files else None,
     }
