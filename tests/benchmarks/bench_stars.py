@@ -217,11 +217,11 @@ def main() -> None:
                         options.pictures.mkdir(parents=True, exist_ok=True)
                         image = images.best().image if kind == "best" else images.named(kind)
                         draw(options.pictures / f"{waveform}-{noise}-{kind}.png", image, view, errors)
-            for kind, sums in figures.items():
-                total = {key: sum(f[key] for f in sums) for key in sums[0]}
+            for kind, of_poses in figures.items():
+                total = {key: sum(sums[key] for sums in of_poses) for key in of_poses[0]}
                 rms = (total["square"] / total["stars"] / 2.0) ** 0.5
                 z = (total["z_square"] / total["stars"]) ** 0.5
-                took = measured.spread(f["cpu_s"] for f in sums)
+                took = measured.spread(sums["cpu_s"] for sums in of_poses)
                 print(
                     f"{waveform:7s} {noise:8s} {kind:14s} {rms:7.4f} {z:5.2f} {total['missed']:6.0f}/"
                     f"{total['whole']:<6.0f} {total['wrong']:5.0f} {total['stars']:6.0f} {took.median_s:8.2f} {took.p95_s:6.2f}",

@@ -40,12 +40,8 @@ def errors_of(glass: Collimator, widest: float) -> dict[str, float]:
     columns = [h, square * h, square**2 * h]
     for e in np.eye(2):
         columns += [ones * e, square * e, (h @ e)[:, None] * h, square**2 * e, square * (h @ e)[:, None] * h]
-    coefficients = _fitted(columns, middle)
-    answer = {
-        "radial": coefficients[1],
-        "radial_4": coefficients[2],
-        "shifted": float(np.hypot(coefficients[4], coefficients[9])),
-    }
+    sizes = _fitted(columns, middle)
+    answer = {"radial": sizes[1], "radial_4": sizes[2], "shifted": float(np.hypot(sizes[4], sizes[9]))}
     curvature, astigmatism, coma = [], [], []
     for e in np.eye(2):
         more, less = seen(tuple(ASIDE * e)), seen(tuple(-ASIDE * e))

@@ -39,21 +39,21 @@ def finished(tmp_path_factory, home):
 DISTORTION = {"k1", "k2", "k3"}
 
 
-def errors(answers):
+def errors(run_results):
     """Sizes of the errors in sigmas, by name."""
-    return {row["name"]: abs(row["error_sigmas"]) for row in answers["comparison"]}
+    return {row["name"]: abs(row["error_sigmas"]) for row in run_results["comparison"]}
 
 
 def test_a_run_with_a_frame_camera_ends_with_focal_length_and_principal_point_within_their_uncertainty(
     finished,
 ):
-    answers = results(finished)
-    assert answers["run"]["camera"] == "frame"
-    assert answers["calibration"]["converged"]
-    k = answers["calibration"]["coverage_factor"]
-    assert max(size for name, size in errors(answers).items() if name not in DISTORTION) <= k
-    assert answers["passport"]["number"] == "SIM-2026-01"
-    assert answers["calibration"]["rms_px"] < 0.2  # most of it is the collimator's
+    run_results = results(finished)
+    assert run_results["run"]["camera"] == "frame"
+    assert run_results["calibration"]["converged"]
+    k = run_results["calibration"]["coverage_factor"]
+    assert max(size for name, size in errors(run_results).items() if name not in DISTORTION) <= k
+    assert run_results["passport"]["number"] == "SIM-2026-01"
+    assert run_results["calibration"]["rms_px"] < 0.2  # most of it is the collimator's
 
 
 def test_the_pictures_are_the_evidence_and_the_light_burnt_steadily(finished):

@@ -33,11 +33,11 @@ def test_a_run_takes_the_size_of_the_sensor_from_the_camera(tmp_path, width, hei
     )
     ended = called("run", sequence, "-s", bench, "--seed", 3, "-o", tmp_path / "run", home=tmp_path)
     assert ended.returncode == 0, ended.stderr
-    answers = results(tmp_path / "run")
-    assert answers["calibration"]["image_size"] == [width, height]
-    camera = answers["devices"]["camera"]
+    run_results = results(tmp_path / "run")
+    assert run_results["calibration"]["image_size"] == [width, height]
+    camera = run_results["devices"]["camera"]
     assert (camera["width"], camera["height"]) == (width, height)
     recording = RawFile.open(next((tmp_path / "run" / "captures").glob("*.raw")))
     assert (recording.width, recording.height) == (width, height)
-    (row,) = (row for row in answers["comparison"] if row["name"] == "fx")
+    (row,) = (row for row in run_results["comparison"] if row["name"] == "fx")
     assert abs(row["error_sigmas"]) < 3

@@ -25,11 +25,11 @@ def finished(tmp_path_factory):
 
 @pytest.mark.slow
 def test_the_camera_is_calibrated_with_the_station_s_own_target(finished):
-    answers = results(finished)
-    assert answers["truth"]["target"]["tag_family"] == "25h9"
-    assert answers["truth"]["reticle"]["polarity"] == "negative"
-    (fx,) = [row for row in answers["comparison"] if row["name"] == "fx"]
+    run_results = results(finished)
+    assert run_results["truth"]["target"]["tag_family"] == "25h9"
+    assert run_results["truth"]["reticle"]["polarity"] == "negative"
+    (fx,) = [row for row in run_results["comparison"] if row["name"] == "fx"]
     assert fx["sigma"] < 1.6
     assert abs(fx["error"]) < 3 * fx["sigma"]
-    assert answers["calibration"]["rms_px"] < 0.036
-    assert sum(view["n"] for view in answers["calibration"]["views"]) > 400
+    assert run_results["calibration"]["rms_px"] < 0.036
+    assert sum(view["n"] for view in run_results["calibration"]["views"]) > 400

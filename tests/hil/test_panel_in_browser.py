@@ -109,12 +109,12 @@ def test_a_killed_panel_leaves_no_gap(run, tabs):
         wait(lambda: not tab.is_visible("#link"))
         lines = log_lines(tab)
         assert lines == sorted(set(lines))
-        states = [
+        stored = [
             n
             for n, text in enumerate(tab.eval_on_selector_all("#log li", "a => a.map(b => b.innerText)"))
             if "stored" in text
         ]
-        assert len(states) == 3
+        assert len(stored) == 3
 
 
 def test_the_list_shows_what_changes_in_every_tab_also_after_the_panel_began_anew(run, tabs):

@@ -34,14 +34,14 @@ def test_a_run_ends_with_a_report_and_every_parameter_within_its_uncertainty(fin
     assert answer["converged"]
     assert set(answer["camera"]) >= {"fx", "fy", "cx", "cy", "k1", "k2"}
     assert set(answer["sigma"]) >= {*["x", "y", "r"], *["fx", "fy", "cx", "cy", "k1", "k2"]}
-    answers = answer["results"]
-    assert answers["run"]["collimator"]["serial"] == "SIM-1"
-    assert answers["passport"]["number"] == "SIM-2026-01"
-    assert answers["gimbal_readings"]["entered"]
-    k = answers["calibration"]["coverage_factor"]
-    expanded = {row["name"]: k * row["sigma"] for row in answers["comparison"]}
+    run_results = answer["results"]
+    assert run_results["run"]["collimator"]["serial"] == "SIM-1"
+    assert run_results["passport"]["number"] == "SIM-2026-01"
+    assert run_results["gimbal_readings"]["entered"]
+    k = run_results["calibration"]["coverage_factor"]
+    expanded = {row["name"]: k * row["sigma"] for row in run_results["comparison"]}
     assert set(expanded) >= {"fx", "fy", "cx", "cy", "k1", "k2", "r"}
-    assert all(abs(row["error"]) <= expanded[row["name"]] for row in answers["comparison"])
+    assert all(abs(row["error"]) <= expanded[row["name"]] for row in run_results["comparison"])
     assert 0.5 < expanded["fx"] < 15  # what certificate and readings can tell of 3345 px from three poses
     assert answer["rms_px"] < 0.2
 
@@ -113,9 +113,8 @@ def test_calibrating_from_bare_captures_comes_within_the_uncertainty(finished, h
     again = called("calibrate", *captures, "--json", home=home)
     assert again.returncode == 0, again.stderr
     bare = json.loads(again.stdout)
-    assert (
-        bare["sigma"]["fx"] > 3 * answer["sigma"]["fx"]
-    )  # captures alone hold no certificate and no readings
+    # Captures alone hold no certificate and no readings.
+    assert bare["sigma"]["fx"] > 3 * answer["sigma"]["fx"]
     assert all(
         abs(bare["camera"][n] - answer["camera"][n]) < 3 * math.hypot(bare["sigma"][n], answer["sigma"][n])
         for n in ("fx", "fy", "cx", "cy", "k1", "k2")

@@ -33,10 +33,10 @@ def test_with_nine_poses_the_slip_is_named(tmp_path) -> None:
     station.write_text(STATION.format(faults=SLIP))
     ended = starbench("run", "nine_pose", "-s", station, "--seed", 7, "-o", folder, home=tmp_path / "home")
     assert ended.returncode == 0, ended.stderr
-    answers = results(folder)
-    assert answers["gimbal"]["verdict"] == "slip"
-    slip = answers["gimbal"]["slip"]
+    run_results = results(folder)
+    assert run_results["gimbal"]["verdict"] == "slip"
+    slip = run_results["gimbal"]["slip"]
     assert (slip["axis"], slip["pose"]) == ("pan_deg", 4)
     assert slip["size_deg"] * 3600 == pytest.approx(17.5, abs=2)
     assert "The pan axis slipped between pose" in (folder / "report.html").read_text()
-    assert max(abs(row["error_sigmas"]) for row in answers["comparison"]) < 4
+    assert max(abs(row["error_sigmas"]) for row in run_results["comparison"]) < 4

@@ -51,8 +51,8 @@ def test_it_measures_until_its_bound_and_the_report_shows_the_course(undisturbed
 
 
 def test_the_final_solve_states_what_the_last_decision_reached(undisturbed):
-    answers = results(undisturbed)
-    k = answers["calibration"]["coverage_factor"]
-    assert answers["untils"][-1]["now"]["expanded_fx_px"] == pytest.approx(
-        k * answers["calibration"]["sigma"]["fx"]
+    run_results = results(undisturbed)
+    k = run_results["calibration"]["coverage_factor"]
+    assert run_results["untils"][-1]["now"]["expanded_fx_px"] == pytest.approx(
+        k * run_results["calibration"]["sigma"]["fx"]
     )

@@ -62,11 +62,9 @@ def parties(root):
 
 def dates(root):
     names = ("receiptDate", "beginPerformanceDate", "endPerformanceDate", "issueDate")
-    dates = [
-        date.fromisoformat(stated[:10]) for name in names if (stated := text(root, f"{CORE}/dcc:{name}"))
-    ]
-    if dates != sorted(dates) or len(dates) < 3:
-        yield f"dates are missing or out of order: {dates}"
+    days = [date.fromisoformat(day[:10]) for name in names if (day := text(root, f"{CORE}/dcc:{name}"))]
+    if days != sorted(days) or len(days) < 3:
+        yield f"dates are missing or out of order: {days}"
 
 
 def amendments(root):
@@ -95,9 +93,9 @@ def texts(root):
     for content in find(root, "//dcc:content"):
         if content.get("lang", "en") not in declared or not (content.text or "").strip():
             yield f"line {content.sourceline}: an empty text, or one of another language"
-    for content in find(root, "//dcc:release"):
-        if not re.fullmatch(r"[A-Za-z] ?(\d{1,3}\.){0,3}\d{1,3}", content.text):
-            yield f"the release {content.text} has not PTB's form v1.2.3"
+    for release in find(root, "//dcc:release"):
+        if not re.fullmatch(r"[A-Za-z] ?(\d{1,3}\.){0,3}\d{1,3}", release.text):
+            yield f"the release {release.text} has not PTB's form v1.2.3"
 
 
 def simulated(root):
@@ -169,9 +167,8 @@ def uncertainties(root):
         if not result.stated or result.U <= 0:
             yield f"{result.label} has no uncertainty"
             continue
-        if (
-            result.of_posterior and result.k >= 2.0
-        ):  # with long tails, k is any number above that of a normal one
+        # With long tails, k is any number above that of a normal one.
+        if result.of_posterior and result.k >= 2.0:
             continue
         quantile = 0.5 * (1.0 + result.p)
         factors = [float(stdtrit(nu, quantile)) for nu in (result.nu, np.floor(result.nu)) if nu < 1e9]

@@ -110,11 +110,11 @@ def results(folder: Path) -> dict:
 
 def numbers(folder: Path) -> dict:
     """What a run measured, without its times and names."""
-    answers = results(folder)
-    images = [{k: v for k, v in pose["image"].items() if k != "window_us"} for pose in answers["poses"]]
+    run_results = results(folder)
+    images = [{k: v for k, v in pose["image"].items() if k != "window_us"} for pose in run_results["poses"]]
     return {
-        "calibration": answers["calibration"],
-        "stars": [pose["stars"] for pose in answers["poses"]],
+        "calibration": run_results["calibration"],
+        "stars": [pose["stars"] for pose in run_results["poses"]],
         "images": images,
-        "accepted": [sum(a["accepted"] for a in pose["attempts"]) for pose in answers["poses"]],
+        "accepted": [sum(a["accepted"] for a in pose["attempts"]) for pose in run_results["poses"]],
     }

@@ -36,13 +36,11 @@ def write_solved_run(folder, *, model="spherical", poses=POSES, end=END):
     measure = RehearsedKind.measure
 
     def measured(self, *words):
-        measured_pose = measure(self, *words)
-        if measured_pose.view is None:
-            return measured_pose
+        pose = measure(self, *words)
+        if pose.view is None:
+            return pose
         return Measurement(
-            measured_pose.view,
-            StoredImage.from_image(image_of(measured_pose.view)),
-            {**measured_pose.facts, "image": IMAGE},
+            pose.view, StoredImage.from_image(image_of(pose.view)), {**pose.facts, "image": IMAGE}
         )
 
     with (

@@ -4,32 +4,26 @@ import documented_api as api
 
 
 def gaps(source):
-    (documented,) = api.documented(source)
-    return list(documented.gaps())
+    (entry,) = api.documented(source)
+    return list(entry.gaps())
 
 
 def test_the_api_leaves_nothing_out():
     names, _ = api.split_by_api()
-    complete = [documented for documented in names if api.must_be_complete(documented)]
+    complete = [entry for entry in names if api.must_be_complete(entry)]
     assert len(complete) > 60
-    assert [
-        f"{documented.place}: {documented.name}: {gap}"
-        for documented in complete
-        for gap in documented.gaps()
-    ] == []
+    assert [f"{entry.place}: {entry.name}: {gap}" for entry in complete for gap in entry.gaps()] == []
 
 
 def test_every_name_of_calib_is_found_with_its_docstring():
     names, _ = api.split_by_api()
     offered = {name for names_of_file in api.calib_api().values() for name in names_of_file.split()}
-    assert offered <= {documented.name for documented in names if documented.docstring}
+    assert offered <= {entry.name for entry in names if entry.docstring}
 
 
 def test_only_the_api_has_sections():
     _, inner = api.split_by_api()
-    assert [
-        f"{documented.place}: {documented.name}" for documented in inner if documented.has_sections()
-    ] == []
+    assert [f"{entry.place}: {entry.name}" for entry in inner if entry.has_sections()] == []
 
 
 def test_the_check_sees_what_is_left_out():

@@ -234,7 +234,7 @@ def _named(place: Place, folder: Path) -> Iterator[None]:
     except FORESEEN as error:
         if not place.is_remote:
             raise
-        placed = partial(place.said, folder=folder)
+        placed = partial(place.renamed, folder=folder)
         raise BenchError(
             placed(error.what), where=placed(error.where), remedy=placed(error.remedy)
         ) from error

@@ -72,7 +72,7 @@ def one_view(change: Callable[[Seen], Seen]) -> ChangeBench:
 def readings(change: Callable[[int, dict[str, float]], dict[str, float]]) -> ChangeBench:
     """Change each reading, counted from 0."""
     return lambda bench: replace(
-        bench, readings_deg=[change(i, dict(reading)) for i, reading in enumerate(bench.readings_deg)]
+        bench, readings_deg=[change(i, dict(pose)) for i, pose in enumerate(bench.readings_deg)]
     )
 
 
@@ -169,28 +169,26 @@ def _shuffled(bench: Bench) -> Bench:
     return replace(bench, readings_deg=[bench.readings_deg[i] for i in order])
 
 
-def _swapped(_: int, reading: dict[str, float]) -> dict[str, float]:
-    return {"pan_deg": reading["tilt_deg"], "tilt_deg": reading["pan_deg"]}
+def _swapped(_: int, pose: dict[str, float]) -> dict[str, float]:
+    return {"pan_deg": pose["tilt_deg"], "tilt_deg": pose["pan_deg"]}
 
 
 def _signs(pan: float, tilt: float) -> ChangeBench:
-    return readings(
-        lambda _, reading: {"pan_deg": pan * reading["pan_deg"], "tilt_deg": tilt * reading["tilt_deg"]}
-    )
+    return readings(lambda _, pose: {"pan_deg": pan * pose["pan_deg"], "tilt_deg": tilt * pose["tilt_deg"]})
 
 
 def _slip(deg: float) -> ChangeBench:
-    return readings(lambda i, reading: {**reading, "pan_deg": reading["pan_deg"] + (deg if i > 4 else 0.0)})
+    return readings(lambda i, pose: {**pose, "pan_deg": pose["pan_deg"] + (deg if i > 4 else 0.0)})
 
 
 def _one_reading(deg: float) -> ChangeBench:
-    return readings(lambda i, reading: {**reading, "pan_deg": reading["pan_deg"] + (deg if i == 4 else 0.0)})
+    return readings(lambda i, pose: {**pose, "pan_deg": pose["pan_deg"] + (deg if i == 4 else 0.0)})
 
 
-def _noisy_readings(i: int, reading: dict[str, float]) -> dict[str, float]:
+def _noisy_readings(i: int, pose: dict[str, float]) -> dict[str, float]:
     return {
         name: angle + 0.012 * float(np.random.default_rng((i, len(name))).normal())
-        for name, angle in reading.items()
+        for name, angle in pose.items()
     }
 
 

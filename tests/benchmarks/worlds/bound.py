@@ -116,10 +116,8 @@ def _reading_information(world: World, reading: dict[str, float], sigma_deg: flo
     still = read(np.zeros(9))
 
     def off(values: Array) -> Array:
-        turned = turn(values[9:]) @ still @ read(values[:9]).T
-        return 0.5 * np.array(
-            [turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]
-        )
+        rest = turn(values[9:]) @ still @ read(values[:9]).T
+        return 0.5 * np.array([rest[2, 1] - rest[1, 2], rest[0, 2] - rest[2, 0], rest[1, 0] - rest[0, 1]])
 
     jacobian = np.array([_slope(off, np.zeros(12), i, _STEP) for i in range(12)]).T / (DEG * sigma_deg)
     return np.asarray(jacobian.T @ jacobian)

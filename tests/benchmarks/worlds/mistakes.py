@@ -75,21 +75,19 @@ def _pitch(factor: float) -> Change:
 def _slip(axis: str, deg: float) -> Change:
     def change(bench: Bench, rng: np.random.Generator) -> Bench:
         first = _after(rng)
-        return readings(lambda i, reading: {**reading, axis: reading[axis] + deg * (i >= first)})(bench)
+        return readings(lambda i, pose: {**pose, axis: pose[axis] + deg * (i >= first)})(bench)
 
     return change
 
 
 def _scale(axis: str, factor: float) -> Change:
-    return lambda bench, _: readings(lambda _i, reading: {**reading, axis: factor * reading[axis]})(bench)
+    return lambda bench, _: readings(lambda _i, pose: {**pose, axis: factor * pose[axis]})(bench)
 
 
 def _one_reading(deg: float) -> Change:
     def change(bench: Bench, rng: np.random.Generator) -> Bench:
         at = _after(rng)
-        return readings(lambda i, reading: {**reading, "pan_deg": reading["pan_deg"] + deg * (i == at)})(
-            bench
-        )
+        return readings(lambda i, pose: {**pose, "pan_deg": pose["pan_deg"] + deg * (i == at)})(bench)
 
     return change
 

@@ -271,10 +271,8 @@ def _coefficients(tangent: Array, radius: Array, family: str) -> tuple[float, di
     columns = np.stack([base ** (2 * i + 1) for i in range(len(names) + 1)], axis=1)
     sizes = np.abs(columns).max(axis=0)
     area = np.sqrt(tangent + tangent[1])  # a sensor has more points farther out
-    coefficients = np.linalg.lstsq(columns / sizes * area[:, None], radius * area, rcond=None)[0] / sizes
-    return float(coefficients[0]), dict(
-        zip(names, (coefficients[1:] / coefficients[0]).tolist(), strict=True)
-    )
+    fitted = np.linalg.lstsq(columns / sizes * area[:, None], radius * area, rcond=None)[0] / sizes
+    return float(fitted[0]), dict(zip(names, (fitted[1:] / fitted[0]).tolist(), strict=True))
 
 
 def _gimbal(rng: np.random.Generator) -> Screws:

@@ -120,10 +120,7 @@ def _data(node: h5py.Dataset) -> Value:
     except OSError:
         chunks = range(node.id.get_num_chunks())
         stored = [node.id.read_direct_chunk(node.id.get_chunk_info(i).chunk_offset)[1] for i in chunks]
-        return [
-            f"{len(stored_bytes)} bytes, {hashlib.sha256(stored_bytes).hexdigest()}"
-            for stored_bytes in stored
-        ]
+        return [f"{len(data)} bytes, {hashlib.sha256(data).hexdigest()}" for data in stored]
 
 
 def _raw(path: Path, folders: Folders) -> Iterator[tuple[str, Value]]:

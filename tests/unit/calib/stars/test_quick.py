@@ -81,7 +81,7 @@ LINEAR = np.array([[22.0, 6.0], [-7.0, 21.0]])
 def test_the_best_place_is_found(guess, sign):
     """The last guesses are so close to the border that parts of the star lie outside."""
     reach = 3.3
-    places_px, score = search_stars(IMAGE, np.array([guess]), LINEAR[None], np.array([reach]), TEMPLATE, sign)
+    at_px, score = search_stars(IMAGE, np.array([guess]), LINEAR[None], np.array([reach]), TEMPLATE, sign)
     steps = np.arange(-4, 5)
     moves = np.stack(np.meshgrid(steps, steps), axis=-1).reshape(-1, 2)
     places = guess + moves[(moves**2).sum(axis=1) <= reach**2 + 0.5]
@@ -89,15 +89,13 @@ def test_the_best_place_is_found(guess, sign):
     expected, _ = star_contrasts(IMAGE, places, shapes, TEMPLATE, sign)
     assert np.isfinite(expected).any()
     assert score[0] == pytest.approx(np.nanmax(expected), abs=1e-4)
-    np.testing.assert_allclose(places_px[0], places[np.nanargmax(expected)])
+    np.testing.assert_allclose(at_px[0], places[np.nanargmax(expected)])
 
 
 def test_no_place_is_found_outside_of_the_image():
     guesses = np.array([[-20.0, 45.0], [60.0, 110.0]])
-    places_px, score = search_stars(
-        IMAGE, guesses, np.array([LINEAR, LINEAR]), np.full(2, 3.0), TEMPLATE, 1.0
-    )
-    assert np.isnan(places_px).all()
+    at_px, score = search_stars(IMAGE, guesses, np.array([LINEAR, LINEAR]), np.full(2, 3.0), TEMPLATE, 1.0)
+    assert np.isnan(at_px).all()
     assert np.isnan(score).all()
 
 

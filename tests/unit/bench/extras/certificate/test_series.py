@@ -232,13 +232,9 @@ class Laboratory(RuleBasedStateMachine):
     @invariant()
     def numbers_have_no_gap(self):
         numbers = self.bench.numbers()
-        assert [certificate.count for certificate in numbers.values()] == list(range(1, len(numbers) + 1))
-        assert {
-            certificate.number for certificate in numbers.values() if certificate.how != "reserved"
-        } == set(self.given)
-        assert [certificate.number for certificate in open_numbers(numbers)] == (
-            [self.left[0]] if self.left else []
-        )
+        assert [entry.count for entry in numbers.values()] == list(range(1, len(numbers) + 1))
+        assert {entry.number for entry in numbers.values() if entry.how != "reserved"} == set(self.given)
+        assert [entry.number for entry in open_numbers(numbers)] == ([self.left[0]] if self.left else [])
 
 
 def test_any_order_of_commands_and_kills_leaves_no_gap(tmp_path):
