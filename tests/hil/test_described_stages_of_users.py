@@ -243,10 +243,10 @@ def test_positions_in_hexadecimal_digits_come_when_the_move_has_ended(clock) -> 
 
 
 @pytest.mark.parametrize(
-    ("status", "told"), [("0GS02", "mechanical time-out"), ("0GS0D", "too much current")]
+    ("status", "fault"), [("0GS02", "mechanical time-out"), ("0GS0D", "too much current")]
 )
 def test_a_status_in_the_place_of_the_position_is_told_and_the_stage_must_be_homed(
-    clock, status, told
+    clock, status, fault
 ) -> None:
     """A mount that is blocked, or has too weak a power supply, ends its move by a status."""
     wire, motor = ell14(clock)
@@ -254,7 +254,7 @@ def test_a_status_in_the_place_of_the_position_is_told_and_the_stage_must_be_hom
     stage.home()
     position = wire.unasked
     wire.unasked = lambda: f"{status}\r\n" if position() else ""
-    with pytest.raises(DriverError, match=told):
+    with pytest.raises(DriverError, match=fault):
         stage.move_to({"pan": -10.0})
     assert not stage.is_homed()
     assert not motor.is_busy
