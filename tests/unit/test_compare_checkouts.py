@@ -72,7 +72,7 @@ def test_times_hashes_folders_and_more_polls_are_no_differences(differences):
     ("changed", "places"),
     [
         ({"fx": 1671.2500000000002}, ["run/exports/opencv.yaml", "run/results.json/calibration/camera/fx"]),
-        ({"said": "The port is missing."}, ["said.stderr"]),
+        ({"message": "The port is missing."}, ["said.stderr"]),
         ({"value": 0.25}, ["run/views.h5/pose-001/points_px"]),
         (
             {"key": "passed"},

@@ -34,9 +34,9 @@ def pictures(n, dtype=np.uint8, size=(48, 64)):
 def test_pictures_come_back_bit_for_bit(tmp_path, dtype, n):
     taken = pictures(n, dtype)
     length = write_frames(tmp_path / "pose.tiff", taken)
-    picture = read_frames(tmp_path / "pose.tiff")
-    assert picture.dtype == dtype
-    assert np.array_equal(picture, taken)
+    frames_read = read_frames(tmp_path / "pose.tiff")
+    assert frames_read.dtype == dtype
+    assert np.array_equal(frames_read, taken)
     assert length == (tmp_path / "pose.tiff").stat().st_size
     assert [file.name for file in tmp_path.iterdir()] == ["pose.tiff"]
 
