@@ -256,7 +256,6 @@ class DaskServers:
         raise TimeoutError("The scheduler does not start.")
 
     def kill_scheduler(self) -> None:
-        """Kill the scheduler."""
         self.scheduler.kill()
         self.scheduler.wait()
 

@@ -86,7 +86,6 @@ def stated(drawn: DrawnBench, profile: str, asked: str) -> tuple[float, float, f
 
 
 def row(profile: str, poses: int, asked: str, seeds: range) -> dict[str, Any]:
-    """One row of the table."""
     began = time.process_time()
     forecast = expected(profile, poses, asked)
     solved = []

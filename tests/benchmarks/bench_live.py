@@ -113,7 +113,6 @@ def time_rows(folder: Path) -> None:
 
 
 def main() -> None:
-    """Print the tables."""
     rows = {"focus": focus_rows, "turn": turn_rows, "time": time_rows}
     parser = measured.options(__doc__)
     parser.add_argument("--rows", choices=tuple(rows), action="append")

@@ -44,5 +44,4 @@ def filled(text: str) -> str:
 
 
 def filled_example(name: str) -> str:
-    """Return a shipped example, filled in."""
     return filled((SHIPPED_STATIONS / f"{name}.yaml").read_text(encoding="utf-8"))

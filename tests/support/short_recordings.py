@@ -41,6 +41,5 @@ def record(
 def images_of(
     truth: Truth, events: Any, flicker: Flicker, window_us: tuple[float, float] = (0.0, WINDOW_US)
 ) -> EventImages:
-    """Return the images of the events."""
     size = (truth.camera.width, truth.camera.height)
     return make_images(events.t, events.x, events.y, events.p, size, flicker, window_us=window_us)
