@@ -246,7 +246,7 @@ def from_text(path: Path, choices: ReadingChoices) -> EventSource:
         layout = _text_layout(file.read(_HEAD_BYTES))
         assert layout is not None
         file.seek(max(0, path.stat().st_size - _HEAD_BYTES))
-        last_line = file.read().rpartition(b"\n")[2].decode("utf-8", "replace")
+        last_line = file.read().rpartition(b"\n")[2].decode("utf-8", "replace").partition("#")[0].strip()
     truncated = bool(last_line) and len(_words(last_line, layout.delimiter)) <= max(layout.places)
     if not layout.sizes and choices.sensor_size is None:
         raise NotARecording(

@@ -197,6 +197,9 @@ def test_the_last_line_of_text_that_was_cut_off_is_left_out_and_told(tmp_path):
     assert_same(import_events(path, SIZED))
     with open_events(path, SIZED) as opened:
         assert opened.truncated
+    path.write_text(path.read_text().replace("45000 3", "# the end"))
+    with open_events(path, SIZED) as opened:
+        assert not opened.truncated
 
 
 @pytest.mark.parametrize("separator", [";", "\t"])
