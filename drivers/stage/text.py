@@ -230,9 +230,7 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
     def _what_says_busy(self) -> str:
         idle = self._description.idle
         answers = [(axis, *self._line.switch(idle, self._of(axis))) for axis in self._axes.values()]
-        axis, _, answer = next(
-            ((a, is_idle, said) for a, is_idle, said in answers if not is_idle), answers[0]
-        )
+        axis, _, answer = next((busy for busy in answers if not busy[1]), answers[0])
         return f"{self._answered(idle, axis, answer)}, which is not under idle in its description"
 
     def _read_final_state(self, axis: TextAxis, *, homing: bool) -> AxisState:
