@@ -25,9 +25,6 @@ def test_halves_differ_by_no_more_than_their_uncertainties_say(views):
     check = split_half_check(views, CalibrationOptions())
     assert 0.0 < check["ratio"] < 2.5
     assert check["worst_px"] >= check["rms_px"] > 0
-    first, second = check["cameras"]
-    assert first != second
-    assert first["fx"] == pytest.approx(second["fx"], rel=0.01)
     assert split_half_check(views[:3], CalibrationOptions()) is None
 
 
