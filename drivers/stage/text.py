@@ -30,7 +30,7 @@ from drivers.wire_log import WireLog
 _STOPS_IN_SILENCE = 2
 """How often a stop is sent at once while no reply comes."""
 _HOMING_BEGINS_S = 1.0
-"""A controller that does not answer the command to home may need this time until it shows the motion; in seconds."""
+"""A controller may need this time until it shows that it homes; in seconds."""
 _SCALE_SLACK = 2e-4
 """Largest relative difference between the scale of the station file and the controller's: it prints few digits."""
 
@@ -71,7 +71,8 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
     ) -> None:
         self._description = description
         self._serial = serial
-        self._homing_since_s = 0.0
+        self._unseen_since_s: dict[str, float] = {}
+        """Times of the commands to home, in seconds, by axis, whose motion the controller has not shown yet."""
         self._awaited: list[tuple[Exchange, dict[str, Value], str]] = []
         """Commands whose late reply has not come, with their values and what was sent; only the first is sent."""
         super().__init__(port, axes, clock=clock, wire_log=wire_log)
@@ -173,8 +174,9 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
         super()._start_homing(check_not_stopped)
 
     def _begin_homing(self, axis: TextAxis) -> None:
-        self._homing_since_s = self._clock.monotonic()
         is_late = self._description.home_replies_at_end
+        if not is_late:
+            self._unseen_since_s[axis.name] = self._clock.monotonic()
         self._order(self._description.home, self._of(axis), is_late=is_late)
 
     def _order(self, command: Exchange, values: dict[str, Value], *, is_late: bool) -> None:
@@ -208,13 +210,11 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
         idle, _ = self._line.switch(self._description.idle, self._of(axis))
         counts = self._line.query(self._description.position, self._of(axis))["counts"]
         problem = "" if homing else "; ".join(self._line.take_notices())
-        busy = not idle or (homing and self._may_still_home(axis))
+        if not idle:
+            self._unseen_since_s.pop(axis.name, None)
+        unseen_s = self._clock.monotonic() - self._unseen_since_s.get(axis.name, -math.inf)
+        busy = not idle or (homing and unseen_s < _HOMING_BEGINS_S)
         return AxisState(axis.to_angle_deg(float(counts)), busy, problem)
-
-    def _may_still_home(self, axis: TextAxis) -> bool:
-        """Whether an idle axis has just been told to home: a controller may need a moment until it moves."""
-        is_new = self._clock.monotonic() - self._homing_since_s < _HOMING_BEGINS_S
-        return is_new and bool(self._without_reference(axis))
 
     def _without_reference(self, axis: TextAxis) -> str:
         """Return the answer of a controller that has no reference, as the end of a sentence; else empty."""
