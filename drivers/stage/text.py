@@ -29,8 +29,8 @@ from drivers.wire_log import WireLog
 
 _STOPS_IN_SILENCE = 2
 """How often a stop is sent at once while no reply comes."""
-_HOMING_BEGINS_S = 1.0
-"""A controller may need this time until it shows that it homes; in seconds."""
+_BEGINS_S = 1.0
+"""A controller may need this time until it shows a motion; in seconds."""
 _SCALE_SLACK = 2e-4
 """Largest relative difference between the scale of the station file and the controller's: it prints few digits."""
 
@@ -71,8 +71,8 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
     ) -> None:
         self._description = description
         self._serial = serial
-        self._unseen_since_s: dict[str, float] = {}
-        """Times of the commands to home, in seconds, by axis, whose motion the controller has not shown yet."""
+        self._unseen: dict[str, tuple[float, float]] = {}
+        """Motions that the controller has not shown yet, by axis: time of the command, s, and target, degrees."""
         self._awaited: list[tuple[Exchange, dict[str, Value], str]] = []
         """Commands whose late reply has not come, with their values and what was sent; only the first is sent."""
         super().__init__(port, axes, clock=clock, wire_log=wire_log)
@@ -165,6 +165,8 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
 
     def _begin_move(self, axis: TextAxis, angle_deg: float) -> None:
         values = self._of(axis, target=axis.to_position(angle_deg))
+        if not self._description.move_replies_at_end:
+            self._unseen[axis.name] = self._clock.monotonic(), angle_deg
         self._order(self._description.move, values, is_late=self._description.move_replies_at_end)
         if self._description.start is not None:
             self._line.query(self._description.start, values, tries=1)
@@ -176,7 +178,7 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
     def _begin_homing(self, axis: TextAxis) -> None:
         is_late = self._description.home_replies_at_end
         if not is_late:
-            self._unseen_since_s[axis.name] = self._clock.monotonic()
+            self._unseen[axis.name] = self._clock.monotonic(), math.nan
         self._order(self._description.home, self._of(axis), is_late=is_late)
 
     def _order(self, command: Exchange, values: dict[str, Value], *, is_late: bool) -> None:
@@ -210,11 +212,16 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
         idle, _ = self._line.switch(self._description.idle, self._of(axis))
         counts = self._line.query(self._description.position, self._of(axis))["counts"]
         problem = "" if homing else "; ".join(self._line.take_notices())
-        if not idle:
-            self._unseen_since_s.pop(axis.name, None)
-        unseen_s = self._clock.monotonic() - self._unseen_since_s.get(axis.name, -math.inf)
-        busy = not idle or (homing and unseen_s < _HOMING_BEGINS_S)
-        return AxisState(axis.to_angle_deg(float(counts)), busy, problem)
+        position_deg = axis.to_angle_deg(float(counts))
+        return AxisState(position_deg, not idle or self._may_still_begin(axis, position_deg, idle), problem)
+
+    def _may_still_begin(self, axis: TextAxis, position_deg: float, idle: bool) -> bool:
+        """Whether an axis that is idle away from its target may not have begun its motion yet."""
+        begun_s, goal_deg = self._unseen.get(axis.name, (-math.inf, math.nan))
+        arrived = abs(position_deg - goal_deg) <= axis.tolerance_deg
+        if not idle or arrived or self._clock.monotonic() - begun_s >= _BEGINS_S:
+            self._unseen.pop(axis.name, None)
+        return axis.name in self._unseen
 
     def _without_reference(self, axis: TextAxis) -> str:
         """Return the answer of a controller that has no reference, as the end of a sentence; else empty."""
@@ -257,6 +264,7 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
 
         On a line without any reply, the clean line is tried only once. A stage without power is then told sooner.
         """
+        self._unseen.clear()
         if self._awaited:
             self._awaited = []
             self._homed_in = None

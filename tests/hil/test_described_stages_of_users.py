@@ -113,18 +113,19 @@ def test_a_homing_that_was_refused_in_silence_is_told_with_the_state(clock) -> N
     assert not stage.is_homed()
 
 
-def test_a_homing_that_begins_late_is_waited_for(clock) -> None:
+def test_a_motion_that_begins_late_is_waited_for(clock) -> None:
     wire, motor = smc100(clock)
     stage = opened(wire, described("smc100"), ("1", 1.0))
     answer, asked_s = wire.answer, [0.0]
+    held: list[str] = []
 
     def late(request: str) -> str:
-        if "OR" in request:
+        if "OR" in request or "PA" in request:
+            held[:] = [request]
             asked_s[0] = clock.now_s
             return ""
-        if asked_s[0] and clock.now_s > asked_s[0] + 0.5:
-            asked_s[0] = 0.0
-            answer("1OR")
+        if held and clock.now_s > asked_s[0] + 0.5:
+            answer(held.pop())
         return answer(request)
 
     wire.answer = late
@@ -135,6 +136,8 @@ def test_a_homing_that_begins_late_is_waited_for(clock) -> None:
         assert stage.is_homed()
         assert motor.position_deg == 0.0
         assert stage.position_deg() == {"pan": 0.0}
+    stage.move_to({"pan": 7.5})
+    assert motor.position_deg == 7.5
 
 
 def test_a_state_that_is_neither_idle_nor_a_motion_is_named(clock) -> None:
