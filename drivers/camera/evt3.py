@@ -27,7 +27,7 @@ PIECE_EVENTS: Final = 1 << 15
 GAPS_KEPT: Final = 64
 """Number of gaps whose times are kept; further gaps are only counted."""
 
-_MOST_BLOCKS: Final = 16
+_MOST_BLOCKS: Final = 4
 """Most blocks of words in a piece, so that a long file without events shows how far it has been read."""
 _TRIGGERS_AT_ONCE: Final = 4096
 _COUNTED_AT_ONCE: Final = 1 << 14
@@ -142,8 +142,7 @@ class Evt3Decoder:
                 n += int(self._state[S.TAKEN])
                 if self._state[S.TAKEN_EDGES]:
                     edges.append(self._copied_triggers())
-                is_last = stop == len(words) and blocks_read >= _MOST_BLOCKS
-                if n > size - MARGIN or self._state[S.STOP_REASON] != StopReason.NONE or is_last:
+                if stop < len(words) or n > size - MARGIN or blocks_read >= _MOST_BLOCKS:
                     yield out.part(0, n), join_triggers(edges)
                     out, n, edges, blocks_read = empty_events(size), 0, [], 0
                 start = self._advance(words, start, stop)
@@ -210,8 +209,7 @@ class Evt3Decoder:
     def _advance(self, words: Words, start: int, stop: int) -> int:
         """Move the byte offset over the words taken; return the index of the next word, or raise RecordingCorrupt."""
         self._next_byte += 2 * (stop - start)
-        reason = StopReason(self._state[S.STOP_REASON])
-        if reason not in (StopReason.NONE, StopReason.ROOM):
+        if stop < len(words) and (reason := StopReason(self._state[S.STOP_REASON])) != StopReason.ROOM:
             raise RecordingCorrupt(
                 self._explain(reason, int(words[stop])),
                 offset=self._next_byte,

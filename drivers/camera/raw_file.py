@@ -96,7 +96,7 @@ class RawFile:
         """Serial number of the camera; empty if the header has none."""
         return self.raw_header.fields.get("serial_number", "")
 
-    def words(self, *, piece_words: int = 1 << 16) -> Iterator[Words]:
+    def words(self, *, piece_words: int = 1 << 18) -> Iterator[Words]:
         """Read the words as they stand in the file, (N,) uint16 at a time. An odd byte at the end is left out.
 
         Events of ``piece_words`` words stay in the processor's caches.
