@@ -22,8 +22,8 @@ from drivers.errors import RecordingCorrupt
 Words = NDArray[np.uint16]
 """EVT3 words, (N,) uint16."""
 
-PIECE_EVENTS: Final = 1 << 15
-"""Events of a piece, which stay in the processor's caches."""
+PIECE_EVENTS: Final = (1 << 16) + MARGIN - 1
+"""Most events of a piece; they stay in the processor's caches. Without vectors there are 1 << 16: a chunk of HDF5."""
 GAPS_KEPT: Final = 64
 """Number of gaps whose times are kept; further gaps are only counted."""
 

@@ -99,7 +99,7 @@ class RawFile:
     def words(self, *, piece_words: int = 1 << 18) -> Iterator[Words]:
         """Read the words as they stand in the file, (N,) uint16 at a time. An odd byte at the end is left out.
 
-        Events of ``piece_words`` words stay in the processor's caches.
+        The words of a piece stay in the processor's caches.
         """
         try:
             with self.path.open("rb") as file:

@@ -24,7 +24,7 @@ _ENCODINGS: Final = {
     "t": "DELTA_BINARY_PACKED",
     "x": "BYTE_STREAM_SPLIT",
     "y": "BYTE_STREAM_SPLIT",
-    "p": "PLAIN",
+    "p": "BYTE_STREAM_SPLIT",
 }
 """Encodings of the columns: with LZ4, a third of the time and of the bytes of pyarrow's own choice."""
 
