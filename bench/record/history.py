@@ -146,6 +146,11 @@ class History:
         return self.failures[-1] if self.ended == "failed" and self.failures else None
 
     @property
+    def waits(self) -> bool:
+        """Whether the run goes on only after a release or an answer."""
+        return bool(self.holder or self.interlock or self.question)
+
+    @property
     def chosen(self) -> Mapping[int, Mapping[str, float]]:
         """Angles of the poses that were chosen in the run, degrees, by pose index."""
         return {d["chosen"]["pose"]: d["chosen"]["angles_deg"] for d in self.decisions if "chosen" in d}

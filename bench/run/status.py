@@ -380,7 +380,7 @@ def _left_s(history: History, plan: RunPlan, entries: Sequence[Entry], now: date
     left = TimeLeft(plan.steps, plan.duration_s)
     for entry in entries:
         left.apply(entry, history)
-    return round(left.left_s(now, held=bool(history.holder)), 1)
+    return round(left.left_s(now, held=history.waits), 1)
 
 
 def _held_by(history: History, suspended: int) -> str:

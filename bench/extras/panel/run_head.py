@@ -303,19 +303,13 @@ def _left_s(model: RunModel, process: ProcessState, now: datetime) -> float | No
         return None
     if history.states and history.states[-1]["state"] in END_STATES:
         return None
-    return model.time_left.left_s(now, held=_waits(model))
-
-
-def _waits(model: RunModel) -> bool:
-    """Return whether the run goes on only after a release or an answer."""
-    history = model.history
-    return bool(history.holder or history.interlock or history.question)
+    return model.time_left.left_s(now, held=history.waits)
 
 
 def _times(model: RunModel, process: ProcessState, now: datetime) -> TimesData:
     history = model.history
     left_s = _left_s(model, process, now)
-    expected = now + timedelta(seconds=left_s) if left_s is not None and not _waits(model) else None
+    expected = now + timedelta(seconds=left_s) if left_s is not None and not history.waits else None
     return {
         "started_utc": history.started_utc,
         "ended_utc": history.states[-1]["utc"] if history.ended and history.states else "",

@@ -91,6 +91,19 @@ def test_a_held_run_shows_its_holder_and_its_time_does_not_count(run, planned):
     assert status.advice.endswith("release")
 
 
+@pytest.mark.parametrize(
+    ("event", "data"),
+    [
+        (Event.ENTERING, {"state": "interlocked", "rule": "temperature", "why": "41 C", "pose": 1}),
+        (Event.ASKED, {"step": 2, "text": "Is the cap off?", "default": "yes", "timeout_s": 600.0}),
+    ],
+    ids=["an interlock", "a question"],
+)
+def test_while_a_run_waits_its_time_left_does_not_pass(run, planned, event, data):
+    run.tell(event, **data)
+    assert run.status(after_s=1000.0).left_s == pytest.approx(planned["duration_s"], abs=0.1)
+
+
 def test_a_result_is_shown_with_the_factor_of_its_uncertainty(run):
     assert run.status().result == ""
     values, sigma = {"fx": 3345.81, "fy": 3346.2, "r": 255.0}, {"fx": 1.94, "fy": 2.0, "r": 0.1}
