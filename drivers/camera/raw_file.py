@@ -25,6 +25,9 @@ from drivers.errors import NotARecording, RecordingFileError
 _READ_ONCE_BYTES: Final = 1 << 24
 """Size of a file up to which its words stay in memory between their count and their decoding."""
 
+_STEP_WORDS: Final = 1 << 16
+"""Steps of what is used of a long recording: with others, its view would have other events."""
+
 
 @dataclass(frozen=True)
 class RecordingStatistics(StreamStatistics):
@@ -135,7 +138,7 @@ class RawFile:
     def bytes_of(self, most_events: int) -> int:
         """Return how many bytes of the file, from its begin, hold at most so many events: all of a short one."""
         size, n = self.raw_header.size_bytes, 0
-        for words in self.words():
+        for words in self.words(piece_words=_STEP_WORDS):
             n += max_event_count(words)
             if n > most_events:
                 return size
