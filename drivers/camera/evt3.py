@@ -131,8 +131,8 @@ class Evt3Decoder:
     ) -> Iterator[tuple[Events, Triggers]]:
         """Decode blocks of words, (N,) uint16, in pieces of at most ``max_events`` events, of which 32 is the least.
 
-        At a malformed word, it first yields what came before, then raises `RecordingCorrupt`. If a block cannot be read,
-        the piece that was begun is not yielded.
+        At a malformed word, it first yields what came before, then raises `RecordingCorrupt`. If a block cannot be
+        read, the piece that was begun is not yielded.
         """
         size = max(max_events, MARGIN)
         out, n, edges, blocks_read = empty_events(size), 0, list[Triggers](), 0
