@@ -39,7 +39,7 @@ _KNOWN = (
 _KINDS = (
     ("OpenCV's XML", {"XML"}),
     ("COLMAP's cameras", {"COLMAP"}),
-    ("ROS's ost.txt", {"INI"}),
+    ("ROS's ost.txt", {"INI", "cameramatrix", "rectification"}),
     ("mrcal's cameramodel", {"lensmodel"}),
     ("EuRoC's sensor.yaml", {"sensortype"}),
     ("Metavision's intrinsics.json", {"nkeptviews"}),

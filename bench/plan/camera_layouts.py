@@ -18,11 +18,13 @@ from bench.plan.camera_values import (
     CALIBRATE_ANEW,
     LENS,
     LONGEST_NAME,
+    MODEL,
     is_like_a_lens,
     plain_name,
     states_a_matrix,
 )
-from bench.plan.stated_values import Values, numbers_of
+from bench.plan.stated_values import Values, listed, numbers_of
+from calib.model.lens import FISHEYE
 
 _MOST_NAMED = 10
 """Names that a message shows."""
@@ -41,6 +43,8 @@ _WORDS = re.compile(r"[A-Za-z][A-Za-z _.-]{3,}\d?")  # no list of numbers, nor o
 _FOUR_ELSEWHERE = (set(_FOUR), {"mu", "mv", "u0", "v0"}, {"fx", "fy", "ppx", "ppy"})
 _BEYOND_OPENCV = ("k4", "p3", "p4")
 """Metashape's coefficients of r^8, and of the growth of the tangential terms."""
+_FISHEYE_OF_MATLAB = frozenset({"FocalLength", "PrincipalPoint", "ImageSize", "DistortionCoefficients", "K"})
+"""All public names of cameraIntrinsicsKB: other programs use some of them too."""
 _MODELS_WITH_COEFFICIENTS = ("distortionmodel", "lensmodel", "distmodel")
 """Names of a lens model, below which some programs write its coefficients."""
 _NAMES_OF_COEFFICIENTS = ("parameters", "params", "coefficients", "coeffs")
@@ -60,8 +64,6 @@ _OTHER_LENSES = {
     "xi": "an omnidirectional or double-sphere camera",
     "mappingcoefficients": "MATLAB's fisheye (Scaramuzza)",
 }
-_BEYOND_OPENCV = ("k4", "p3", "p4")
-"""Metashape's coefficients of r^8, and of the growth of the tangential terms."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,7 @@ class _Layout:
     names: Mapping[str, str] = field(default_factory=dict)  # A plain name there: the name here
     first_pixel: float = 0.0  # Coordinate of the centre of the first pixel there, px
     change: Callable[[dict[str, Any]], dict[str, Any]] = dict
+    applies: Callable[[Values], bool] = lambda _: True  # What must hold beside the marks
 
 
 def _of_matlab(values: dict[str, Any]) -> dict[str, Any]:
@@ -100,6 +103,13 @@ def _of_matlab(values: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+def _is_fisheye_of_matlab(values: Values) -> bool:
+    """Return whether a camera has four coefficients and names no lens model, as cameraIntrinsicsKB does."""
+    lenses = listed(values, ("distortioncoefficients",)).values()
+    counts = [len(numbers_of("the distortion", lens)) for lens in lenses]
+    return counts == [len(FISHEYE)] and not any(map(MODEL.fullmatch, values))
+
+
 def _of_metashape(values: dict[str, Any]) -> dict[str, Any]:
     """Return Metashape's camera: p1 and p2 interchanged, principal point from the middle, affinity b1 and b2."""
     if values["projection"] != "frame":
@@ -108,7 +118,7 @@ def _of_metashape(values: dict[str, Any]) -> dict[str, Any]:
         )
     if beyond := [name for name in _BEYOND_OPENCV if any(numbers_of(name, values.pop(name, 0.0)))]:
         raise OtherForm(
-            f"Metashape's coefficient {beyond[0]} is a term that OpenCV's lens has not",
+            f"Metashape's coefficient {beyond[0]} is a term that OpenCV's lens does not have",
             "In Metashape keep K4, P3 and P4 at zero, optimize the camera again, and save it.",
         )
     names = ("f", "width", "height", "cx", "cy", "b1", "b2", "p1", "p2")
@@ -162,7 +172,7 @@ _LAYOUTS = (
     _Layout("pycolmap", frozenset({"params", "width", "height"}), change=_of_pycolmap),
     _Layout("aniposelib", frozenset({"matrix", "distortions", "size"}), {"matrix": "cameramatrix"}),
     _Layout("MATLAB", frozenset({"RadialDistortion", "ImageSize"}), {}, _ONE_PX, _of_matlab),
-    _Layout("MATLAB", frozenset({"DistortionCoefficients", "ImageSize", "K"}), {}, _ONE_PX, _of_matlab),
+    _Layout("MATLAB", _FISHEYE_OF_MATLAB, {}, _ONE_PX, _of_matlab, _is_fisheye_of_matlab),
     _Layout("Metashape", frozenset({"projection", "f", "width"}), {}, _HALF_PX, _of_metashape),
     _Layout("PhotoScan", frozenset({"projection", "fx", "skew", "k1"}), change=_of_photoscan),
     _Layout(
@@ -237,7 +247,9 @@ def _laid_out(content: Values) -> dict[str, Any]:
         if key in values:
             raise OtherForm(f"its lens is that of {lens}, which is not read", CALIBRATE_ANEW)
     exact = set(map(str, content))
-    layout = next((a for a in _LAYOUTS if a.marks <= set(values) or a.marks <= exact), None)
+    layout = next(
+        (a for a in _LAYOUTS if (a.marks <= set(values) or a.marks <= exact) and a.applies(values)), None
+    )
     if layout is not None:
         values = _renamed(values, layout)
     else:

@@ -69,6 +69,7 @@ _TOOLBOX = re.compile(r"^(\w+)\s*=\s*\[?([-+.\deE;\s]+)\]?;", re.MULTILINE)
 """A line of numbers of Calib_Results.m."""
 _OF_MATLAB = re.compile(rb"^\w+\s*=\s*\[", re.MULTILINE)
 """A line of a file of MATLAB, whose comments begin as a recording does."""
+_COMMENT = re.compile(r"^[ \t]*[#;].*", re.MULTILINE)  # of TOML and INI
 _TOML = re.compile(r"\A(?:\s|#.*\n)*(?:\[[\w. \"'-]+\]\s*$|\w+\s*=)", re.MULTILINE)
 _OTHER_TEXTS = {
     **dict.fromkeys(
@@ -90,13 +91,12 @@ _OTHER_TEXTS = {
     'Intrinsic of "': ("it is what rs-enumerate-devices prints of a RealSense", WRITE_OPENCV),
     "# hugin project file": ("it is a project of Hugin", WRITE_OPENCV),
     "ParGroup: Cam": ("it is a camera of HALCON, whose lenses are others than OpenCV's", WRITE_OPENCV),
-    **dict.fromkeys(
-        ("np.array(", "array([["), ("it is Python code, or a print of numpy's arrays", WRITE_OPENCV)
-    ),
     "<fov_video ": ("it is a calibration of Qualisys, which counts in 1/64 px", WRITE_OPENCV),
     "#polynomial coefficients": ("it is a fisheye of OCamCalib (Scaramuzza)", WRITE_OPENCV),
 }
 """Words that only the texts of a program have, what they are, and what to do."""
+_OF_NUMPY = ("np.array(", "array([[")
+"""Words of Python code and of numpy's prints; a comment of another file may have them too."""
 _OTHER_ROOTS = {
     "document": "In Metashape save the adjusted calibration alone: Tools, Camera Calibration, Save.",
 }
@@ -141,10 +141,23 @@ def values_of(data: bytes) -> tuple[str, list[dict[str, Any]]]:
     for words, (what, remedy) in _OTHER_TEXTS.items():
         if words in text:
             raise OtherForm(what, remedy)
+    try:
+        return _parsed(text)
+    except OtherForm:
+        _require_no_python(text)
+        raise
+
+
+def _parsed(text: str) -> tuple[str, list[dict[str, Any]]]:
     for is_syntax, syntax, read in _SYNTAXES:
         if is_syntax(text):
             return syntax, [read(text)]
     return "YAML", _yaml(text)
+
+
+def _require_no_python(text: str) -> None:
+    if any(words in text for words in _OF_NUMPY):
+        raise OtherForm("it is Python code, or a print of numpy's arrays", WRITE_OPENCV) from None
 
 
 def _toolbox(text: str) -> dict[str, Any]:
@@ -153,20 +166,39 @@ def _toolbox(text: str) -> dict[str, Any]:
 
 
 def _toml(text: str) -> dict[str, Any]:
-    """Read TOML, and INI, whose lists may have blanks between their numbers."""
     if len(text) > MOST_BYTES:
         raise OtherForm("it is too large for a camera")
     try:
         return tomllib.loads(text)
     except (tomllib.TOMLDecodeError, RecursionError) as error:
-        if text.count("[") != text.count("]"):  # it is torn
-            raise OtherForm(f"it is no complete TOML: {str(error)[:80]}", WRITE_OPENCV) from None
+        raise OtherForm(f"it is no complete TOML: {str(error)[:80]}", WRITE_OPENCV) from None
+
+
+def _is_ini_of_names(text: str) -> bool:
+    """Return whether a text looks like TOML, whose parser refuses it although no list is torn."""
+    if not _TOML.match(text) or len(text) > MOST_BYTES:
+        return False
+    lines = _COMMENT.sub("", text)
+    if lines.count("[") != lines.count("]"):
+        return False
+    try:
+        tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError):
+        return True
+    return False
+
+
+def _ini_of_names(text: str) -> dict[str, Any]:
+    """Read INI with a name and its value a line; its lists may have blanks between their numbers."""
     ini = configparser.ConfigParser(interpolation=None)
     try:
         ini.read_string(f"[{ini.default_section}]\n{text}")
     except configparser.Error:
         raise OtherForm("it is no complete TOML, and no INI", WRITE_OPENCV) from None
-    return {name: dict(ini[name]) for name in ini.sections()} or dict(ini.defaults())
+    values: dict[str, Any] = {name: dict(ini[name]) for name in ini.sections()}
+    values = values or dict(ini.defaults())
+    _require_no_python(str(values))
+    return values
 
 
 def _text(data: bytes) -> str:
@@ -363,6 +395,7 @@ _SYNTAXES: Sequence[tuple[Callable[[str], Any], str, Callable[[str], dict[str, A
     (_INI_MATRIX.search, "INI", _ini),
     (_YARP.search, "INI", _yarp),
     (lambda text: {"fc", "cc", "kc"} <= set(_toolbox(text)), "MATLAB", _toolbox),
+    (_is_ini_of_names, "INI", _ini_of_names),
     (_TOML.match, "TOML", _toml),
 )
 """How a text is recognised, its name, and its reader; any other text is YAML."""

@@ -38,15 +38,18 @@ _MATRIX = (
     "cameramatrix", "k", "mtx", "cameramat", "intrinsicmatrix", "intrinsics", "intrinsic", "m", "camk", "cammatrix",
     "cameraintrinsics", "cameraintrinsic", "intrinsicsmatrix",
 )  # fmt: skip
-LENS = re.compile(
-    "(lens|camera|cam)?(d|dist|distortions?)(coef|coefs|coeffs?|coefficients?|params?|parameters?|factors?|vect?|vector)?|kc|coeffs"
-)
+_AFTER = "(coef|coefs|coeffs?|coefficients?|params?|parameters?|factors?|vect?|vector)?"
+LENS = re.compile(f"(lens|camera|cam)?(d|dist|distortions?){_AFTER}|kc|coeffs")
 """Names of the coefficients of a lens."""
 _LIKE_A_LENS = re.compile(".*(dist(?!an)|coef|radial|tangential|lens)")
 """Names that may be those of coefficients."""
-_BESIDE = re.compile(".*(prism|tilt|radial|tangential)")
-"""Names of those that some programs write beside the others."""
-_MODEL = re.compile(
+_BESIDE = re.compile(
+    f"((lens|camera|cam|k|d|dist|distortions?)?{_AFTER}((thin)?prism|radial|tangential|radialtangential)"
+    "|(lens|dist|distortion)?tilt(ed)?)"
+    rf"(dist|distortions?)?{_AFTER}((?<!tilt)\d+)?"
+)
+"""Names of those that some programs write beside the others; ``tilt1`` is a pose."""
+MODEL = re.compile(
     "(distortion|dist|lens|camera|cam|projection|calibration|usefisheye|fisheye)?model(type)?"
     "|(distortion|dist|lens|camera|projection)type|(use|is)?fisheye"
 )
@@ -126,7 +129,7 @@ def camera_of_values(values: Values, family: LensFamily | None) -> CameraModel:
     model, names = _stated_lens(values)
     matrix, four_more = _matrix(values)
     stated = _distortion(values, four_more, is_fisheye=names is FISHEYE or family == "fisheye")
-    _require_no_more(values, is_like_a_lens if stated is None else _BESIDE.match)
+    _require_no_more(values, is_like_a_lens if stated is None else _BESIDE.fullmatch)
     may_be_without = values.get("program", _STATES_ALL) != _STATES_ALL or names == () or _is_rectified(values)
     if stated is None and not may_be_without:
         _require_no_lens(values)
@@ -204,13 +207,15 @@ def _require_no_lens(values: Values) -> None:
 
 
 def _holds_numbers(value: Any) -> bool:
-    """Return whether a list, a text or a mapping holds a number that is not zero."""
+    """Return whether a list, a text of several numbers or a mapping holds a number that is not zero."""
     if isinstance(value, Mapping):
         return any(_holds_numbers([element]) for element in value.values())
     if not isinstance(value, str | list):
         return False
     try:
-        return any(numbers(value))
+        stated = numbers(value)
+        # Of YAML and XML, a number alone is a text too.
+        return any(stated) and not (isinstance(value, str) and len(stated) == 1)
     except OF_OTHER_FORM:
         return False
 
@@ -307,7 +312,7 @@ def _stated_lens(values: Values) -> tuple[str | None, tuple[str, ...] | None]:
         )
     model, names = None, None
     for key, value in values.items():
-        if not (_MODEL.fullmatch(key) or (key == "type" and plain_name(value) in _TYPES)):
+        if not (MODEL.fullmatch(key) or (key == "type" and plain_name(value) in _TYPES)):
             continue
         if value in (None, "") or isinstance(value, Mapping):  # ROS leaves a model empty that was not stated
             continue

@@ -23,11 +23,12 @@ _SAME = 1e-6
 _TIMES = re.compile("[xX*]")
 """Between width and height: 1280x720."""
 _SIZES = (
-    "imagesize", "imgsize", "resolution", "imagersize", "imageresolution", "cameraresolution", "imagedimension", "dim",
+    "imagesize", "imgsize", "resolution", "imagersize", "imageresolution", "cameraresolution", "imagedimension",
 )  # fmt: skip
 _SIZES_OF_ANYTHING = ("size", "dimensions")
 _SIDES_OF_ANYTHING = ("cols", "rows")
-"""Names that may be those of a board or a matrix too: asked if there is no other."""
+_LAST_OF_SIZES = ("dim",)
+"""Names that may be those of a board or a matrix too: asked in this order if there is no other."""
 _SIDES = [
     (f"{of}{width}", f"{of}{height}")
     for of in ("image", "", "img", "imagesize", "resolution", "imgdist")
@@ -62,21 +63,13 @@ def agreed(what: str, by_place: Mapping[str, Sequence[float]]) -> Sequence[float
 
 def size_of_values(values: Values) -> tuple[int, int]:
     """Return width and height of the image, px."""
-    stated = listed(values, _SIZES)
-    stated |= {
+    stated = _sizes(values, _SIZES) | {
         " and ".join(names): [values[name] for name in names] for names in _SIDES if set(names) <= set(values)
-    }
-    stated |= {
-        name: [named[width], named[height]]
-        for name in _SIZES
-        if isinstance(values.get(name), Mapping)
-        and (named := {str(side).lower(): length for side, length in values[name].items()})
-        for width, height in (("width", "height"), ("w", "h"))
-        if {width, height} <= set(named)
     }
     stated = stated or listed(values, _SIZES_OF_ANYTHING)
     if not stated and set(_SIDES_OF_ANYTHING) <= set(values):
         stated = {"cols and rows": [values[name] for name in _SIDES_OF_ANYTHING]}
+    stated = stated or _sizes(values, _LAST_OF_SIZES)
     if not stated:
         raise OtherForm("it does not state the size of the image", "Add image_width and image_height, px.")
     words = {
@@ -89,6 +82,18 @@ def size_of_values(values: Values) -> tuple[int, int]:
             "the size of the image is not a width and a height", "Write image_width and image_height, px."
         )
     return int(sides[0]), int(sides[1])
+
+
+def _sizes(values: Values, names: Iterable[str]) -> dict[str, Any]:
+    """Return the sizes of such names: lists, and width and height one level below."""
+    return listed(values, names) | {
+        name: [named[width], named[height]]
+        for name in names
+        if isinstance(values.get(name), Mapping)
+        and (named := {str(side).lower(): length for side, length in values[name].items()})
+        for width, height in (("width", "height"), ("w", "h"))
+        if {width, height} <= set(named)
+    }
 
 
 def numbers_of(what: str, value: Any) -> list[float]:

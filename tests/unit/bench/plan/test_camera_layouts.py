@@ -235,7 +235,7 @@ FISHEYES = {
     "aniposelib": ANIPOSE.replace(str(D5), str(FISHEYE)).replace("rotation", "fisheye = true\nrotation"),
     "yes": {**LISTS, "D": FISHEYE, "fisheye": "yes"},
     # cameraIntrinsicsKB
-    "MATLAB": {"K": MATLAB_K, "DistortionCoefficients": FISHEYE, "ImageSize": [720, 1280]},
+    "MATLAB": {"FocalLength": [FX, FY], "PrincipalPoint": [CX + 1, CY + 1], "K": MATLAB_K, "DistortionCoefficients": FISHEYE, "ImageSize": [720, 1280]},
     # scripts around cv2.fisheye
     "DIM": {"DIM": SIZE, "K": K, "D": [[value] for value in FISHEYE], "model": "fisheye"},
 }  # fmt: skip
