@@ -209,14 +209,16 @@ def _text_layout(start: bytes) -> _TextLayout | None:
         elif are_numbers and len(words) == _SIZE and not number:
             sizes["the first line"] = (int(float(words[0])), int(float(words[1])))
         elif are_numbers and line[0] not in "#%":
-            names = names if len(names) == len(words) else []  # else they are words of a comment
+            names = names if _is_header(names, line, delimiter) else []  # else they are words of a comment
             own = [name for name in _of_header(names) if name is not None]
             if len(own) < COLUMNS and (own or len(words) != COLUMNS):
                 return None
             places = [names.index(name) for name in own] or range(COLUMNS)
             return _TextLayout(number, delimiter, own, places, sizes, bool(_TRUTHS.search(line)))
         else:
-            names = [word.partition("@")[0] for word in words]
+            above = [word.partition("@")[0] for word in words]
+            if not names or any(named(above)):
+                names = above
             sides = [
                 word.partition("@")[2] for name in ("x", "y") for word in words if word.startswith(f"{name}@")
             ]
@@ -230,6 +232,20 @@ def _words(line: str, delimiter: str | None) -> list[str]:
     line = _UNIT.sub("", line.strip(_MARKS_OF_COMMENTS))
     words = [word.strip(' "') for word in line.rstrip(delimiter).split(delimiter)]
     return [word.replace(",", ".") for word in words] if delimiter in _OF_DECIMAL_COMMAS else words
+
+
+def _is_header(names: list[str], line: str, delimiter: str | None) -> bool:
+    """Return whether words above the first event name its cells, of which the last may be empty or without a name."""
+    words = _words(line, delimiter)
+    count = len(words)
+    own = [names.index(name) for name in named(names) if name is not None]
+    if len(own) < COLUMNS:
+        return len(names) in {count, line.count(delimiter) + 1 if delimiter else count}
+    if len(names) >= count or max(own) >= count:
+        return max(own) < count
+    # The cell without a name may be the first one: R numbers its rows so
+    polarity = words[own[-1]].lower()
+    return delimiter is not None and _TRUTH.get(polarity, polarity) in {"-1", "0", "1"}
 
 
 def _of_header(names: list[str]) -> list[str | None]:
@@ -247,7 +263,8 @@ def from_text(path: Path, choices: ReadingChoices) -> EventSource:
         assert layout is not None
         file.seek(max(0, path.stat().st_size - _HEAD_BYTES))
         last_line = file.read().rpartition(b"\n")[2].decode("utf-8", "replace").partition("#")[0].strip()
-    truncated = bool(last_line) and len(_words(last_line, layout.delimiter)) <= max(layout.places)
+    is_no_event = bool(last_line) and len(_words(last_line, layout.delimiter)) <= max(layout.places)
+    truncated = is_no_event and any(map(str.isdigit, last_line))  # else a mark of the end
     if not layout.sizes and choices.sensor_size is None:
         raise NotARecording(
             "This is a text file of events, which does not state the sensor's size.",
@@ -257,7 +274,7 @@ def from_text(path: Path, choices: ReadingChoices) -> EventSource:
     def parts() -> Iterator[Parts]:
         with path.open(encoding="utf-8-sig", errors="replace") as file:
             lines: Iterator[str] = islice(file, layout.skipped, None)
-            if truncated:
+            if is_no_event:
                 lines = (line for line, _ in pairwise(lines))
             if layout.delimiter in _OF_DECIMAL_COMMAS:
                 lines = (line.replace(",", ".") for line in lines)

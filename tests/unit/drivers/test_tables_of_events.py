@@ -230,6 +230,42 @@ def test_delimiters_behind_the_last_column_are_none(tmp_path):
     assert_same(import_events(path, SIZED))
 
 
+@pytest.mark.parametrize(
+    ("head", "row", "time_us"),
+    [
+        ("t_ms,y,x,p,label", "{},582,137,0,", 1000),
+        ("timestamp_ns;y;x;p;cluster", "{}000000;582;137;0;", 1),
+        ("t_ms,y,x,p,a,b", "{},582,137,0", 1000),
+        ("t_us,y,x,p", "{},582,137,1,3", 1),
+        ("t_us,y,x,p", "{},582,137,ON,3", 1),
+        ("t_ms,y,x,p\n# recorded in the dark", "{},582,137,0", 1000),
+    ],
+)
+def test_names_of_all_columns_are_used_although_a_row_has_more_cells_or_an_empty_one(
+    tmp_path, head, row, time_us
+):
+    (tmp_path / "a.csv").write_text("\n".join([head, *(row.format(1000 + k) for k in range(9))]))
+    events = import_events(tmp_path / "a.csv", ReadingChoices((1280, 720))).events
+    per_us = 1000 if "_ns" in head else time_us
+    assert (events.t[1] - events.t[0], events.x[0], events.y[0]) == (per_us, 137, 582)
+
+
+def test_names_are_not_used_where_the_cell_without_a_name_may_be_the_first(tmp_path):
+    """R's `write.table` with commas, of a small sensor."""
+    (tmp_path / "a.csv").write_text("t,x,y,p\n1,1000,5,60,1\n2,1001,5,61,1\n")
+    with pytest.raises(NotARecording, match="it is a text file"):
+        import_events(tmp_path / "a.csv", SIZED)
+
+
+@pytest.mark.parametrize("end", ["% end", "\x1a", ",,,"])
+def test_a_last_line_without_a_digit_is_no_event_that_was_cut_off(tmp_path, end):
+    path = text(tmp_path / "a.csv", "t,x,y,p\n", "txyp", ",")
+    path.write_text(path.read_text() + end)
+    assert_same(import_events(path, SIZED))
+    with open_events(path, SIZED) as opened:
+        assert not opened.truncated
+
+
 def test_names_of_a_row_without_a_name_are_not_taken_for_others(tmp_path):
     """R's `write.table` numbers the rows, and has no name for the numbers."""
     rows = zip(*(ROWS[name] for name in "txyp"), strict=True)
