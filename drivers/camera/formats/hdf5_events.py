@@ -216,8 +216,10 @@ def _size(file: Any, name: str, header: Mapping[str, str], choices: ReadingChoic
         if sides <= set(group.attrs):
             sizes[f"an attribute of {path}"] = _number(group.attrs["width"]), _number(group.attrs["height"])
         if isinstance(group, h5py.Group) and sides <= set(group):
-            width, height = (whole(dataset(group, side), 64) for side in ("width", "height"))
-            sizes[path] = _number(width), _number(height)
+            stored = [dataset(group, side) for side in ("width", "height")]
+            if all(array.size == 1 for array in stored):  # else columns, such as of boxes around the events
+                width, height = (_number(whole(array, 64)) for array in stored)
+                sizes[path] = width, height
     if "sensor_resolution" in file.attrs:  # of event_utils, in the order of an array's shape
         height, width = np.ravel(file.attrs["sensor_resolution"])[:2]
         sizes["sensor_resolution"] = (_number(width), _number(height))

@@ -262,6 +262,19 @@ def test_a_size_beside_the_columns_is_that_of_the_sensor(written, as_attributes)
         written(fill, ReadingChoices((1280, 720)))
 
 
+def test_columns_of_widths_and_heights_beside_the_events_state_no_size(written):
+    """As of boxes around objects."""
+
+    def fill(file):
+        file.attrs.update(width=SIZE[0], height=SIZE[1])
+        columns(file.create_group("events"))
+        file["events"].update({"width": np.arange(N), "height": np.arange(N)})
+
+    imported = written(fill, ReadingChoices())
+    assert_same(imported)
+    assert (imported.width, imported.height) == SIZE
+
+
 def test_a_file_without_any_stream_says_so():
     with pytest.raises(NotARecording, match="no stream of events"):
         ReadingChoices().chosen([])
