@@ -239,8 +239,8 @@ def long(message: int, data: bytes) -> bytes:
 
 def size(head: bytes, where: str) -> int:
     """Return the size, bytes, of the message with these first six bytes; else raise `ReplyGarbled`."""
-    _, length, destination, source = struct.unpack("<HHBB", head)
-    if source in _RACKS and destination & ~_LONG in {0, HOST}:
+    message, length, destination, source = struct.unpack("<HHBB", head)
+    if message == REQUEST_INFORMATION + 1 and source in _RACKS and destination & ~_LONG in {0, HOST}:
         raise DeviceRefused(
             f"a controller with bays answers (address {source:#x}), which this driver does not know.",
             where=where,

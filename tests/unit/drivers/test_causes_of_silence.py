@@ -7,10 +7,10 @@ from collections.abc import Callable
 
 import pytest
 
-from drivers.errors import DeviceRefused, DriverError, ReplyTimeout
+from drivers.errors import DeviceRefused, DriverError, ReplyGarbled, ReplyTimeout
 from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
-from drivers.stage.thorlabs_controller import INFORMATION_LAYOUT, ThorlabsController
+from drivers.stage.thorlabs_controller import INFORMATION_LAYOUT, ThorlabsController, size
 from drivers.stage.zaber import ZaberStage
 from tests.hil.direct_stages import VirtualClock
 from tests.unit.drivers.grbl_bench import Bench as GrblBench
@@ -93,6 +93,12 @@ def test_a_thorlabs_controller_with_bays_is_told_by_name() -> None:
     with pytest.raises(DeviceRefused, match="a controller with bays answers") as caught:
         ThorlabsController(port, clock=clock)
     assert "BSC20x" in caught.value.remedy
+
+
+def test_a_garbled_address_of_thorlabs_is_no_other_controller() -> None:
+    for source in (0x11, 0x21, 0x2A):
+        with pytest.raises(ReplyGarbled):
+            size(struct.pack("<HHBB", 0x042A, 14, 0x81, source), "pan")
 
 
 def test_a_generator_that_knows_no_such_query_is_not_told_to_be_without_power() -> None:
