@@ -39,7 +39,8 @@ _SPLIT_OF_COMMAS = re.compile(r"[;\s]+")
 _DECIMAL_COMMA = re.compile(r"[-+]?\d+(?:,\d+)?(?:[eE][-+]?\d+)?")
 _QUOTED = re.compile(r'"([-+]?\d+),(\d+(?:[eE][-+]?\d+)?)"')
 """A number with a decimal comma that a spreadsheet has put between quotes."""
-_NO_DATA = re.compile(r"#(?![A-Z0-9/]+[!?]?[,;\t])|sep=.?$|$")
+_NOT_COMPUTED = r"(?:DIV/0!|N/A|NV|REF!|VALUE!|WERT!|BEZUG!|NAME\?|NUM!|ZAHL!|NULL!)(?:[,;\t]|$)"
+_NO_DATA = re.compile(rf"#(?!{_NOT_COMPUTED})|sep=.?$|$")
 """What is no row: a comment, but for a cell that a spreadsheet could not compute (#DIV/0!); its `sep=;`; nothing."""
 _UNITS = re.compile(r"[ _]*[\[(]?(?:px|mm)[\])]?$")
 _MARKS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}

@@ -29,6 +29,8 @@ _OLD_AEDAT: Final = "Starbench reads AEDAT4; iniVation's program DV writes it fr
 _AS_PARQUET: Final = "Write its table as Parquet."
 _UNPACK: Final = "Unpack it first."
 _AS_TEXT: Final = "Save its table as text (CSV)."
+_MEMBER: Final = rb"PK\x03\x04.{26}"
+"""What stands before the name of a file in a zip archive."""
 _IN_PLACE: Final = (
     (
         rb"version https://git-lfs",
@@ -36,8 +38,17 @@ _IN_PLACE: Final = (
         "Fetch the file: git lfs pull",
     ),
     (rb"\s*<(?:!doctype )?html", "a web page", "Download the file itself, on GitHub by `Raw`."),
-    (rb"PK\x03\x04.{26}(?:\[Content_Types\]|_rels/|xl/)", "a spreadsheet", _AS_TEXT),
-    (rb"PK\x03\x04.{26}mimetypeapplication/vnd\.oasis", "a spreadsheet", _AS_TEXT),
+    (
+        _MEMBER + rb"(?:(?:\[Content_Types\]|_rels/|docProps/).*?" + _MEMBER + rb")?xl/",
+        "a spreadsheet",
+        _AS_TEXT,
+    ),
+    (_MEMBER + rb"mimetypeapplication/vnd\.oasis\.opendocument\.spreadsheet", "a spreadsheet", _AS_TEXT),
+    (
+        _MEMBER + rb"(?:\[Content_Types\]|_rels/|docProps/|word/|ppt/|mimetypeapplication/vnd\.oasis)",
+        "a document of an office program",
+        _AS_TEXT,
+    ),
     (rb"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "a document of an office program", _AS_TEXT),
 )
 """What people have in place of the file that a program wrote."""

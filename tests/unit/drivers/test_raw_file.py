@@ -188,6 +188,10 @@ def test_words_that_look_like_a_header_line_are_words_after_its_end():
     assert parse_header(start, where="x").size_bytes == len(start) - 4
 
 
+def zip_start(*names):
+    return b"".join(b"PK\x03\x04" + bytes(26) + name + b"\1\2" for name in names)
+
+
 @pytest.mark.parametrize(
     ("start", "message"),
     [
@@ -201,7 +205,12 @@ def test_words_that_look_like_a_header_line_are_words_after_its_end():
         (b"version https://git-lfs.github.com/spec/v1\noid", "a pointer of Git LFS"),
         (b"rosbag2_bagfile_information:\n  version: 9\n", "ROS 2 bag.* folder"),
         (b"FEA1\0\0\0\0", "a Feather file"),
-        (b"PK\x03\x04" + bytes(26) + b"[Content_Types].xml", "a spreadsheet.*CSV"),
+        (zip_start(b"[Content_Types].xml", b"_rels/.rels", b"xl/workbook.xml"), "a spreadsheet.*CSV"),
+        (zip_start(b"docProps/app.xml", b"xl/workbook.xml"), "a spreadsheet.*CSV"),
+        (zip_start(b"mimetypeapplication/vnd.oasis.opendocument.spreadsheet"), "a spreadsheet.*CSV"),
+        (zip_start(b"[Content_Types].xml", b"word/document.xml"), "a document of an office program.*CSV"),
+        (zip_start(b"[Content_Types].xml", b"ppt/presentation.xml"), "a document of an office program.*CSV"),
+        (zip_start(b"mimetypeapplication/vnd.oasis.opendocument.text"), "a document of an office program"),
         (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1", "an? .*office program.*CSV"),
         (b"\x80\x02}q\0", "a Python pickle"),
         (b"\0" * 100, "nothing but zeros"),

@@ -32,6 +32,7 @@ SAME = {
     "quoted decimal commas": text(ROWS, '"{0}";"{1}";"{2}";"{3}";"{4}"').replace(".", ",").replace(";", ","),
     "a line for a spreadsheet, and rows without content": f"sep=;\n{COMMAS}\n;;;;\n;;;;\n",
     "ID": text(ROWS, header="x,y,X,Y,ID"),
+    "comments of capitals": text(ROWS, header="#STARS, of run 3\n#DATE;2026\n#X,Y,x,y,id\n#NVIDIA,1"),
     "a comma at the end": text(ROWS, "{0},{1},{2},{3},{4},"),
     "UTF-16 of a spreadsheet": text(ROWS, "{0}\t{1}\t{2}\t{3}\t{4}").encode("utf-16"),
 }
@@ -60,12 +61,14 @@ WRONG = {
     "a note of a person": ("taken on Monday\n", "no list of points"),
     "a target that is not flat": (text(ROWS, "{0},{1},{2},{3},5,{4}", "x,y,X,Y,Z,id"), "plane Z = 0"),
     "a cell that was not computed": (f"{text(ROWS)}\n#DIV/0!,2,3,4,25\n", "Not a number"),
+    "a cell that was not computed in German": (f"{text(ROWS)}\n#ZAHL!;2;3;4;25\n", "Not a number"),
+    "a cell of an unknown name": (f"{text(ROWS)}\n#NAME?\t2\t3\t4\t25\n", "Not a number"),
     "umlauts of a spreadsheet": (
         text(ROWS, header="x,y,X,Y,id,H\u00f6he").encode("cp1252"),
         "not UTF-8 text",
     ),
     "a spreadsheet's own file": (
-        b"PK\x03\x04" + bytes(26) + b"[Content_Types].xml",
+        b"PK\x03\x04" + bytes(26) + b"xl/workbook.xml",
         "The file is a spreadsheet",
     ),
     "a column too many": (text(ROWS, "{0},{1},{2},{3},0,{4}"), "6 columns instead of 5"),
