@@ -24,6 +24,9 @@ NEVER_S = math.inf
 MOST_CUTS = 10
 """A run is given up after this number of cuts without a further recorded pose: it may be what cuts the power."""
 
+_MOST_STEP_S = 60.0
+"""The system's time is set back by less while a run takes place."""
+
 
 @dataclass(frozen=True)
 class Item:
@@ -416,8 +419,9 @@ class BatchRecord:
         since, took_s = now, 0.0
         if self.current_run == data["item"]:
             since, took_s = run.begun[-1], mono_s - run.begun_mono_s
-            if took_s < 0:  # the computer has started anew, and its monotonic clock, too
-                took_s = (now - since).total_seconds()
+            passed_s = (now - since).total_seconds()
+            if took_s < 0 or 0 <= passed_s < took_s - _MOST_STEP_S:
+                took_s = max(0.0, passed_s)  # the computer has started anew, and its monotonic clock, too
         run.ended.append(RunAttempt(since, now, data["how"], data["why"], took_s))
         self.current_run = ""
 

@@ -386,3 +386,26 @@ def test_no_run_is_begun_that_would_end_after_the_time_of_day(tmp_path, set_by_s
     Batch(tmp_path, jobs, clock, lambda _: None, work).run()
     assert len(workers.begun) == runs
     assert read_batch(tmp_path).runs["a-001"].ended[0].duration_s == pytest.approx(600.0, abs=1.0)
+
+
+class RestartedClock(NightClock):
+    """The clock of a computer that starts anew: the monotonic one counts from another begin."""
+
+    moved_s = 0.0
+
+    def monotonic(self):
+        return super().monotonic() + self.moved_s
+
+
+@pytest.mark.parametrize("moved_s", [-5000.0, 5000.0])
+def test_the_duration_of_a_run_does_not_depend_on_a_start_of_the_computer(tmp_path, moved_s):
+    clock = RestartedClock()
+    workers = Workers(clock)
+
+    def work(*words):
+        end = workers(*words)
+        clock.moved_s = moved_s
+        return end
+
+    Batch(tmp_path, queue(("a", "")), clock, lambda _: None, work).run()
+    assert read_batch(tmp_path).runs["a-001"].ended[0].duration_s == pytest.approx(600.0, abs=1.0)
