@@ -203,7 +203,11 @@ def _text_layout(start: bytes) -> _TextLayout | None:
             continue
         delimiter = next((sign for sign in ";\t," if sign in line.strip()), None)
         words = _words(line, delimiter)
+        own = [name for name in named(names) if name is not None]
+        # Of cells with names, those of events are numbers; others may be text
+        cells = [words[k] for k in map(names.index, own) if k < len(words)] if len(own) == COLUMNS else []
         are_numbers = bool(words[0]) and all(_NUMBER.fullmatch(word) for word in words if word)
+        are_numbers |= len(cells) == COLUMNS and all(map(_NUMBER.fullmatch, cells))
         if geometry := _GEOMETRY.fullmatch(line.strip()):
             sizes["geometry"] = (int(geometry[1]), int(geometry[2]))
         elif are_numbers and len(words) == _SIZE and not number:
@@ -217,7 +221,7 @@ def _text_layout(start: bytes) -> _TextLayout | None:
             return _TextLayout(number, delimiter, own, places, sizes, bool(_TRUTHS.search(line)))
         else:
             above = [word.partition("@")[0] for word in words]
-            if not names or any(named(above)):
+            if line[0] not in "#%" or not names or any(named(above)):
                 names = above
             sides = [
                 word.partition("@")[2] for name in ("x", "y") for word in words if word.startswith(f"{name}@")

@@ -250,6 +250,14 @@ def test_names_of_all_columns_are_used_although_a_row_has_more_cells_or_an_empty
     assert (events.t[1] - events.t[0], events.x[0], events.y[0]) == (per_us, 137, 582)
 
 
+@pytest.mark.parametrize("labels", [("car", "", "7"), ("car", "dog", ""), ("", "car", "dog")])
+def test_a_label_of_text_takes_no_event_away(tmp_path, labels):
+    rows = [f"{1000 + k},582,137,0,{label}" for k, label in enumerate(labels)]
+    (tmp_path / "a.csv").write_text("\n".join(["t_ms,y,x,p,label", *rows]) + "\n")
+    events = import_events(tmp_path / "a.csv", ReadingChoices((1280, 720))).events
+    assert (len(events.t), set(events.x), set(events.y)) == (3, {137}, {582})
+
+
 def test_names_are_not_used_where_the_cell_without_a_name_may_be_the_first(tmp_path):
     """R's `write.table` with commas, of a small sensor."""
     (tmp_path / "a.csv").write_text("t,x,y,p\n1,1000,5,60,1\n2,1001,5,61,1\n")
