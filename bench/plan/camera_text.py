@@ -96,7 +96,7 @@ _OTHER_TEXTS = {
 }
 """Words that only the texts of a program have, what they are, and what to do."""
 _OF_NUMPY = ("np.array(", "array([[")
-"""Words of Python code and of numpy's prints; a comment of another file may have them too."""
+"""Words of Python code and of arrays that numpy printed. Comments may hold them too, so parsers come first."""
 _OTHER_ROOTS = {
     "document": "In Metashape save the adjusted calibration alone: Tools, Camera Calibration, Save.",
 }

@@ -30,7 +30,7 @@ from drivers.wire_log import WireLog
 _STOPS_IN_SILENCE = 2
 """How often a stop is sent at once while no reply comes."""
 _BEGINS_S = 1.0
-"""A controller may need this time until it shows a motion; in seconds."""
+"""Longest time from a command until the controller reports that the axis moves, s."""
 _SCALE_SLACK = 2e-4
 """Largest relative difference between the scale of the station file and the controller's: it prints few digits."""
 

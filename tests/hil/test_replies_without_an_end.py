@@ -17,7 +17,6 @@ from tests.hil.text_wire import LINES, SPEED, Motor, Wire, described
 pytestmark = pytest.mark.usefixtures("never_late")
 
 SCALE = {"vxm": 80.0, "ludl": 1000.0}
-ADDRESS = {"vxm": "X", "ludl": "X"}
 
 
 def vxm(clock: VirtualClock) -> tuple[Wire, Motor]:
@@ -83,7 +82,7 @@ def opened(device: str) -> tuple[TextStage, Wire, Motor]:
     axis = TextAxis(
         name="pan",
         limits=AxisLimits(-15.0, 15.0, SPEED, 1e3),
-        address=ADDRESS[device],
+        address="X",
         counts_per_deg=SCALE[device],
         tolerance_deg=0.01,
     )

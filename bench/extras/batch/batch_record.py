@@ -25,7 +25,7 @@ MOST_CUTS = 10
 """A run is given up after this number of cuts without a further recorded pose: it may be what cuts the power."""
 
 _MOST_STEP_S = 60.0
-"""The system's time is set back by less while a run takes place."""
+"""A run spans a restart of the computer if the monotonic clock shows so much more time than the system's, s."""
 
 
 @dataclass(frozen=True)

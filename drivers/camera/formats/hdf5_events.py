@@ -2,8 +2,8 @@
 
 - Metavision: ``/CD/events`` (x, y, p, t), ``/EXT_TRIGGER/events`` (p, t, id), the header's keys as attributes.
 - Columns of one length in a group, or a table with names: ``t, x, y, p``, or ``ts, xs, ys, ps``. Our own plain layout,
-  DSEC, e2calib, M3ED and RVT are such; ``triggers/t, value, id``, ``width`` and ``height`` of the file or the group,
-  ``calib/resolution``, ``sensor_resolution`` (height, width) and ``t_offset`` (us) are read if they are there.
+  DSEC, e2calib, M3ED and RVT are written so. Read if present: ``triggers/t, value, id``; ``width`` and ``height`` of
+  the file or the group; ``calib/resolution``; ``sensor_resolution`` (height, width); ``t_offset`` (us).
 - A table ``events`` of N x 4: t, x, y, p (v2e), x, y, t, p (MVSEC) or x, y, p, t; the column that rises has the times.
 
 `event_columns` has the unit of times. Times of 32 bits begin anew after 71.6 minutes.

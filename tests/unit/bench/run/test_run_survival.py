@@ -92,7 +92,7 @@ def test_a_recording_in_which_the_computer_was_suspended_is_made_again(
 
 
 def test_a_light_that_went_dark_is_named_and_not_the_cable_of_the_camera(tmp_path):
-    """Overload protection, a watchdog of the light, or a person: without light a camera sees no triggers either."""
+    """Overload, a watchdog in the light, or a person switches it off; then the camera sees no trigger edges either."""
     scene = Scene(tmp_path)
 
     def hook(name):
