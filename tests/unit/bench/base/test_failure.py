@@ -12,6 +12,7 @@ from rehearsed import Scene
 
 from bench.base.errors import BenchError, JournalBroken, StorageError
 from bench.base.failure import FORESEEN, Failure
+from bench.commands.output import failure_of
 from bench.commands.run import show_run
 from bench.record.device_end import DeviceEnd
 from bench.record.events import Event
@@ -39,6 +40,22 @@ def test_errors_of_all_packages_have_one_shape(base):
     assert (error.what, error.where, error.remedy) == ("It is dark.", "the lamp", "Switch it on.")
     assert str(error) == "the lamp: It is dark. Switch it on."
     assert str(base("It is dark.")) == "It is dark."
+
+
+@pytest.mark.parametrize(
+    "base",
+    [BenchError, CalibrationError, DriverError, SequencesError, SimulatorError],
+    ids=lambda e: e.__name__,
+)
+def test_an_error_that_quotes_a_sentence_has_one_full_stop(base):
+    error = base("It cannot be read: The file is bad..", where="a.raw", remedy="Copy it again.")
+    assert str(error) == "a.raw: It cannot be read: The file is bad. Copy it again."
+    assert base("And so on...").what == "And so on..."
+
+
+def test_what_other_programs_say_is_quoted_with_one_full_stop():
+    assert failure_of(OSError("No disk.")).what == "No disk."
+    assert failure_of(ZeroDivisionError("division by zero.")).what.endswith("division by zero.")
 
 
 def test_a_failure_says_what_its_error_says_and_one_that_nobody_foresaw_is_a_defect():
