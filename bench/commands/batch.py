@@ -55,8 +55,8 @@ def batch(queue: Path, output: Path) -> int:
             where=str(queue),
             remedy="Do its runs one by one with `starbench run`. `plan` and `rehearse` accept the queue here too.",
         )
-    from bench.extras.batch.batch import Batch
-    from bench.extras.batch.batch_plan import read_queue
+    from bench.batch.batch import Batch
+    from bench.batch.batch_plan import read_queue
 
     clock = BenchClock()
     usable_key(home_folder(), clock.utc_now())  # one that processes without a terminal can use
@@ -86,9 +86,9 @@ def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int) -> in
 
     The journals and the summary have the same form as those of a real night.
     """
+    from bench.batch.batch_plan import read_queue
+    from bench.batch.batch_rehearsal import rehearse_batch
     from bench.commands.plan import begin_utc
-    from bench.extras.batch.batch_plan import read_queue
-    from bench.extras.batch.batch_rehearsal import rehearse_batch
     from bench.wording.numbers import duration
 
     read, started_s = read_queue(queue), time.monotonic()
@@ -113,7 +113,7 @@ def rehearse(queue: Path, output: Path, begin: datetime | None, seed: int) -> in
 
 def _to_go_on(folder: Path, summary: BatchSummary) -> Iterator[str]:
     """Yield how the runs that have no result go on, once the cause is removed: the batch begins none of them again."""
-    from bench.extras.batch.batch_summary import RUNS
+    from bench.batch.batch_summary import RUNS
     from bench.record.run_folder import JOURNAL
 
     unfinished = [
@@ -127,7 +127,7 @@ def _to_go_on(folder: Path, summary: BatchSummary) -> Iterator[str]:
 
 def show_summary(folder: Path, summary: BatchSummary) -> int:
     """Print a batch's end; exit status 0 every run has a result, 3 stopped, 4 a limit is not kept, else 1."""
-    from bench.extras.batch.batch_summary import PAGE, summary_lines
+    from bench.batch.batch_summary import PAGE, summary_lines
 
     show(summary, [*summary_lines(summary), *_to_go_on(folder, summary), f"Summary: {folder / PAGE}"])
     if summary["how"] == "finished" and any(item["conformity"] == "FAIL" for item in summary["items"]):

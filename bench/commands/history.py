@@ -13,6 +13,8 @@ from bench.base.clock import BenchClock
 from bench.base.encoding import counted
 from bench.base.errors import UsageError
 from bench.base.home import home_folder
+from bench.charts.chart_findings import find_charts, needs_attention
+from bench.charts.chart_groups import Grouped, group_runs
 from bench.commands.options import (
     AnyPath,
     RunChoice,
@@ -24,8 +26,6 @@ from bench.commands.output import JSON, print_findings, show
 from bench.commands.values import WholeNumber
 from bench.evidence.authorisations import known_authorisations
 from bench.evidence.states import home_trust, shown_state
-from bench.extras.history.chart_findings import find_charts, needs_attention
-from bench.extras.history.chart_groups import Grouped, group_runs
 from bench.extras.history.columns import SCHEMA, Row, table_row
 from bench.extras.history.merged_runs import (
     LedgerSource,

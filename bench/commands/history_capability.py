@@ -10,9 +10,7 @@ from typing import Any
 from bench.base.encoding import counted
 from bench.base.errors import UsageError
 from bench.base.home import home_folder
-from bench.commands.output import print_findings, show
-from bench.extras.history.merged_runs import MergedRuns, RunPlace
-from bench.extras.history.statistics import (
+from bench.charts.statistics import (
     PART,
     REPEATABILITY,
     Capability,
@@ -21,7 +19,9 @@ from bench.extras.history.statistics import (
     plural,
     study,
 )
-from bench.record.run_facts import IndexedRun, RunDetails
+from bench.commands.output import print_findings, show
+from bench.extras.history.merged_runs import MergedRuns
+from bench.record.run_facts import IndexedRun, RunDetails, RunPlace
 from bench.record.run_index import RunIndex
 from bench.wording.numbers import number
 from bench.wording.parameters import unit_text

@@ -21,7 +21,7 @@ from calib.model.result_parts import WORST_CORNER
 from sequences.kinds import QUEUE, kind_of_file
 
 if TYPE_CHECKING:
-    from bench.extras.batch.batch_plan import BatchPlan
+    from bench.batch.batch_plan import BatchPlan
     from bench.plan.plan import Plan
     from bench.record.ledger_marks import LedgerRun
     from bench.solve.expectations import PlanForecast
@@ -210,7 +210,7 @@ def _why(pose: WeighedPose) -> str:
 
 def _show_night(queue: Path, begin: datetime | None) -> int:
     """Print when each run of a queue begins and ends, for which there is no time, and what each job will reach."""
-    from bench.extras.batch.batch_plan import paces, plan_batch, read_queue
+    from bench.batch.batch_plan import paces, plan_batch, read_queue
     from bench.record.ledger import bench_ledger
     from bench.solve.expectations import expected_uncertainty
 
@@ -246,7 +246,7 @@ def begin_utc(queue: Queue, begin: datetime | None) -> datetime:
 
 
 def _night_lines(night: BatchPlan, forecasts: Mapping[str, PlanForecast | None]) -> Iterator[str]:
-    from bench.extras.batch.batch_record import NEVER_S
+    from bench.batch.batch_record import NEVER_S
     from bench.wording.numbers import duration
 
     zone = night.queue.tzinfo

@@ -83,7 +83,7 @@ def run(
     Ctrl-C ends the process at once.
     """
     from bench.base.clock import BenchClock
-    from bench.extras.batch.messages import bench_courier
+    from bench.batch.messages import bench_courier
     from bench.run.launch import Launch, start_run
 
     end = start_run(
@@ -106,7 +106,7 @@ def run(
 def resume(run_folder: Path, dry_run: bool) -> int:
     """Continue a RUN that was stopped, failed or was interrupted. It first prints what it will do."""
     from bench.base.clock import BenchClock
-    from bench.extras.batch.messages import bench_courier
+    from bench.batch.messages import bench_courier
     from bench.run.launch import Launch, read_intentions, resume_run
 
     if dry_run:

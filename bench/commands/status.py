@@ -32,9 +32,9 @@ from bench.record.storage import storage_errors
 from bench.run.status import Status, line_text, read_with_entries
 
 if TYPE_CHECKING:
-    from bench.extras.batch.batch_requests import Request
-    from bench.extras.batch.batch_status import BatchStatus
-    from bench.extras.batch.messages import Delivery
+    from bench.batch.batch_requests import Request
+    from bench.batch.batch_status import BatchStatus
+    from bench.batch.messages import Delivery
     from bench.record.inbox import KnownBy
     from bench.run.control import Command
 
@@ -128,8 +128,8 @@ def _tell_run(folder: Path, words: Mapping[str, Any], by: str | None) -> int:
 
 
 def _tell_batch(folder: Path, word: str, value: str, by: str | None) -> int:
-    from bench.extras.batch.batch_plan import read_job
-    from bench.extras.batch.batch_requests import Request, answer_text, send_request
+    from bench.batch.batch_plan import read_job
+    from bench.batch.batch_requests import Request, answer_text, send_request
     from bench.run.control import operator_at_terminal
 
     who = by or operator_at_terminal()
@@ -160,7 +160,7 @@ def _show_answer(answer: Mapping[str, Any], text: str) -> int:
 @JSON
 def messages(send_now: bool) -> int:
     """List the messages of this bench: sent ones and waiting ones."""
-    from bench.extras.batch.messages import Outbox, send
+    from bench.batch.messages import Outbox, send
 
     outbox = Outbox(home_folder())
     waiting = outbox.deliver(send, BenchClock().utc_now(), all_waiting=True) if send_now else 0
@@ -255,8 +255,8 @@ def status(run_folder: Path, follow: bool, summary: bool) -> int:
 
 def _summarise(folder: Path) -> int:
     """Write and print the current summary of a batch."""
+    from bench.batch.batch_summary import read_batch, write_summary
     from bench.commands.batch import show_summary
-    from bench.extras.batch.batch_summary import read_batch, write_summary
 
     return show_summary(folder, write_summary(folder, read_batch(folder)))
 
@@ -271,7 +271,7 @@ def _show_run(folder: Path) -> int:
 
 
 def _show_batch(folder: Path) -> int:
-    from bench.extras.batch.batch_status import batch_status_text, read_batch_status
+    from bench.batch.batch_status import batch_status_text, read_batch_status
 
     batch_status = read_batch_status(folder)
     show(batch_status.to_dict, batch_status_text(batch_status))
@@ -322,7 +322,7 @@ def _run_shown(folder: Path, *, ticks: bool) -> Iterator[_Shown]:
 
 def _batch_shown(folder: Path, *, ticks: bool) -> Iterator[_Shown]:
     """Yield a batch's status."""
-    from bench.extras.batch.batch_status import batch_status_text, follow_batch
+    from bench.batch.batch_status import batch_status_text, follow_batch
 
     before: list[str] = []
     for now in follow_batch(folder, ticks=ticks):

@@ -23,6 +23,7 @@ from bench.record.storage import read_bounded
 from bench.record.stored_run import object_of
 
 _Part = TypeVar("_Part")
+IN_LEDGER, NOT_IN_LEDGER, NO_LEDGER = "entered", "not in the ledgers", "no ledger"
 
 
 @dataclass(frozen=True)
@@ -70,6 +71,16 @@ class IndexedRun:
     def to_dict(self) -> dict[str, Any]:
         """Return the run as JSON carries it."""
         return {**vars(self), "parameters": parameters_data(self.parameters)}
+
+
+@dataclass(frozen=True)
+class RunPlace:
+    """Where a run stands in the ledgers."""
+
+    bench: str = ""  # Name of the bench; empty if no ledger enters the run
+    ledger: str = ""  # Identity of the ledger; empty as ``bench``
+    # ``entered``, ``not in the ledgers``, or ``no ledger`` for a rehearsal and for a run without a place.
+    state: str = NO_LEDGER
 
 
 def run_facts(history: History, folder: Path) -> IndexedRun:

@@ -24,7 +24,7 @@ EwmaData = TypedDict(
         "beyond": Sequence[int],  # Places at which the average is beyond its limits
     },
 )
-"""Chart of the exponentially weighted moving average (`bench.extras.history.statistics.ewma`); places count from 0."""
+"""Chart of the exponentially weighted moving average (`bench.charts.statistics.ewma`); places count from 0."""
 
 ChartState = Literal["out of control", "check", "in control", "too few"]
 """Worst first; chance can explain ``check``."""
@@ -136,7 +136,7 @@ class DriftSlopeData(TestedSlope):
 
 
 class DriftData(TypedDict):
-    """Drift of a parameter (`bench.extras.history.statistics.Drift`)."""
+    """Drift of a parameter (`bench.charts.statistics.Drift`)."""
 
     per_day: DriftSlopeData | None  # None if it cannot be tested, as per degree Celsius
     per_c: DriftSlopeData | None
@@ -152,7 +152,7 @@ class LimitsData(TypedDict):
     lower: float
     upper: float
     centre: float  # Mean of the baseline
-    sigma: float  # Its short-term standard deviation: mean moving range over `bench.extras.history.statistics.D2`
+    sigma: float  # Its short-term standard deviation: mean moving range over `bench.charts.statistics.D2`
     beyond: Sequence[int]  # Places of the values beyond the limits
     baseline: int
 

@@ -8,7 +8,7 @@ import pytest
 from running import called
 
 from bench.base.clock import BenchClock
-from bench.extras.batch.batch_record import BatchEvent
+from bench.batch.batch_record import BatchEvent
 from bench.record.journal import Journal
 from bench.record.run_folder import JOURNAL
 from bench.record.run_index import QUEUE_COPY

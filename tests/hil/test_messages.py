@@ -9,7 +9,7 @@ from quick_runs import THREE, write_sequence, write_station
 from running import called, results
 from servers import MailServer, WebServer, serving
 
-from bench.extras.batch.messages import DeliveryFailed, Message, channels_of, send
+from bench.batch.messages import DeliveryFailed, Message, channels_of, send
 from bench.stations.messages_section import AppriseConfig, MailConfig, MessagesConfig, WebhookConfig
 
 MESSAGE = Message(

@@ -8,11 +8,11 @@ from station_texts import PLAIN
 
 from bench.base.clock import BenchClock, VirtualClock
 from bench.base.errors import RunFolderError, ScriptError, UsageError
-from bench.extras.batch.batch import Batch
-from bench.extras.batch.batch_plan import plan_batch, read_queue
-from bench.extras.batch.batch_rehearsal import rehearse_batch
-from bench.extras.batch.rehearsal import rehearse_run
-from bench.extras.batch.supervisor import WorkerEnd
+from bench.batch.batch import Batch
+from bench.batch.batch_plan import plan_batch, read_queue
+from bench.batch.batch_rehearsal import rehearse_batch
+from bench.batch.rehearsal import rehearse_run
+from bench.batch.supervisor import WorkerEnd
 from bench.record.journal import read_journal
 from bench.record.run_index import read_run_and_details
 from bench.run.launch import Launch, read_intentions, resume_run

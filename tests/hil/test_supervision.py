@@ -16,7 +16,7 @@ from station_texts import PLAIN
 from waiting import wait_until
 
 from bench.base.clock import Aborted, BenchClock
-from bench.extras.batch.supervisor import OUT_OF_MEMORY, POLL_S, SILENCE_S, adopt, supervise
+from bench.batch.supervisor import OUT_OF_MEMORY, POLL_S, SILENCE_S, adopt, supervise
 from bench.run.crash_log import read_crash
 from bench.run.processes import out_of_memory_kills
 from bench.simulated import SimulatedBench
@@ -194,7 +194,7 @@ def test_a_stop_asked_of_the_next_supervisor_reaches_the_worker_it_found(tmp_pat
 
 def test_what_the_system_ended_for_want_of_memory_counts_as_a_crash(tmp_path, monkeypatch):
     kills = iter([3, 4])
-    monkeypatch.setattr("bench.extras.batch.supervisor.out_of_memory_kills", lambda: next(kills))
+    monkeypatch.setattr("bench.batch.supervisor.out_of_memory_kills", lambda: next(kills))
     folder = tmp_path / "run"
     folder.mkdir()
     command = [sys.executable, "-c", "import os, signal; os.kill(os.getpid(), signal.SIGKILL)"]

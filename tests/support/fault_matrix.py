@@ -18,7 +18,7 @@ import pytest
 from rehearsed import TWO, Journal, Scene, with_runner
 from run_faults import FAULTS, Died, Fault, command
 
-import bench.extras.batch.rehearsal
+import bench.batch.rehearsal
 from bench.base.clock import VirtualClock
 from bench.base.errors import StorageError
 from bench.record.events import Event
@@ -199,14 +199,14 @@ _SOLVED: list[object] = []
 
 def _quick_solution(patch):
     """Solve once for all runs: what is computed is not the matter here."""
-    calibrate = bench.extras.batch.rehearsal.calibrate
+    calibrate = bench.batch.rehearsal.calibrate
 
     def once(views, options):
         if not _SOLVED:
             _SOLVED.append(calibrate(views, options))
         return _SOLVED[0]
 
-    patch.setattr(bench.extras.batch.rehearsal, "calibrate", once)
+    patch.setattr(bench.batch.rehearsal, "calibrate", once)
 
 
 @contextmanager

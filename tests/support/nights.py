@@ -2,8 +2,8 @@
 
 from datetime import UTC, datetime, timedelta
 
-from bench.extras.batch.batch import Batch, worker_command
-from bench.extras.batch.supervisor import WorkerEnd
+from bench.batch.batch import Batch, worker_command
+from bench.batch.supervisor import WorkerEnd
 from bench.record.events import Event
 from bench.record.journal import Journal
 from bench.record.run_folder import RunFolder

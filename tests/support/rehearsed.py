@@ -5,10 +5,10 @@ from functools import partial
 
 from quick_runs import write_sequence, write_station
 
-import bench.extras.batch.rehearsal
+import bench.batch.rehearsal
 from bench.base.clock import VirtualClock
-from bench.extras.batch.rehearsal import RehearsedJob, rehearse_job
-from bench.extras.batch.virtual_devices import VirtualDevices
+from bench.batch.rehearsal import RehearsedJob, rehearse_job
+from bench.batch.virtual_devices import VirtualDevices
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.record.events import Event
@@ -100,7 +100,7 @@ def with_runner(scene, monkeypatch):
             super().__init__(*words, **more)
             scene.runner = self
 
-    monkeypatch.setattr(bench.extras.batch.rehearsal, "Runner", Known)
+    monkeypatch.setattr(bench.batch.rehearsal, "Runner", Known)
     return scene
 
 

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from rehearsed import Scene
 
-from bench.extras.batch.rehearsal import RehearsedKind
+from bench.batch.rehearsal import RehearsedKind
 from bench.measure.measure import Measurement, StoredImage
 from bench.solve.result import ResultWriter
 
@@ -44,7 +44,7 @@ def write_solved_run(folder, *, model="spherical", poses=POSES, end=END):
         )
 
     with (
-        mock.patch("bench.extras.batch.rehearsal.RehearsedResults", ResultWriter),
+        mock.patch("bench.batch.rehearsal.RehearsedResults", ResultWriter),
         mock.patch("bench.solve.result.render_report", return_value="<!DOCTYPE html>"),  # it takes seconds
         mock.patch.object(RehearsedKind, "measure", measured),
     ):

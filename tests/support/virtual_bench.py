@@ -8,12 +8,12 @@ from unittest import mock
 from quick_runs import THREE, write_sequence, write_station
 
 from bench.base.clock import VirtualClock
+from bench.batch.rehearsal import RehearsedJob, RehearsedResults
+from bench.batch.virtual_devices import VirtualDevices
 from bench.evidence.key_trust import read_trust
 from bench.evidence.keys import ensure_key
 from bench.evidence.ledger_check import sealed_strangers
 from bench.evidence.verify import verify_folder
-from bench.extras.batch.rehearsal import RehearsedJob, RehearsedResults
-from bench.extras.batch.virtual_devices import VirtualDevices
 from bench.plan.job import Job
 from bench.record.journal import CAPTURE_STORED, read_journal
 from bench.record.ledger import Ledger

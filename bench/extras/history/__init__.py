@@ -1,1 +1,1 @@
-"""Many runs of one or several benches: ledgers merged, one table, control charts, drift. Writes no run folder."""
+"""Many runs of one or several benches: ledgers merged, one table. Writes no run folder."""

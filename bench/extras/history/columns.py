@@ -13,8 +13,7 @@ from datetime import UTC, datetime
 from typing import Literal, NamedTuple
 
 from bench.evidence.states import ShownState
-from bench.extras.history.merged_runs import RunPlace
-from bench.record.run_facts import IndexedRun, RunDetails
+from bench.record.run_facts import IndexedRun, RunDetails, RunPlace
 from bench.wording.parameters import known_parameters, meaning_of, unit_text
 
 SCHEMA = "starbench/runs-table/1"

@@ -15,14 +15,13 @@ from bench.evidence.public_half import KEY_FILE
 from bench.record.journal_line import Entry
 from bench.record.ledger import LEDGER, Ledger
 from bench.record.ledger_marks import LedgerRun, runs_of
-from bench.record.run_facts import IndexedRun
+from bench.record.run_facts import IN_LEDGER, NO_LEDGER, NOT_IN_LEDGER, IndexedRun, RunPlace
 from bench.record.run_folder import JOURNAL, MANIFEST, RESULTS, is_sealed
 from bench.record.run_index import RunIndex
 from bench.record.storage import sha256_of
 
 _SHORT = 12
 """Characters of a hash that name a ledger."""
-IN_LEDGER, NOT_IN_LEDGER, NO_LEDGER = "entered", "not in the ledgers", "no ledger"
 
 
 @dataclass(frozen=True)
@@ -121,16 +120,6 @@ def merge_ledgers(sources: Iterable[LedgerSource]) -> MergedLedgers:
             entered.setdefault(run.head, EnteredRun(run, source.bench, source.identity))
     merged.entered = entered
     return merged
-
-
-@dataclass(frozen=True)
-class RunPlace:
-    """Where a run stands in the ledgers."""
-
-    bench: str = ""  # Name of the bench; empty if no ledger enters the run
-    ledger: str = ""  # Identity of the ledger; empty as ``bench``
-    # ``entered``, ``not in the ledgers``, or ``no ledger`` for a rehearsal and for a run without a place.
-    state: str = NO_LEDGER
 
 
 @dataclass

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError
-from bench.extras.batch.batch_status import read_batch_status
-from bench.extras.batch.batch_summary import RUNS, read_batch, summarise
+from bench.batch.batch_status import read_batch_status
+from bench.batch.batch_summary import RUNS, read_batch, summarise
 from bench.record.folder_lock import is_locked
 from bench.record.run_folder import JOURNAL
 from bench.record.storage import storage_errors

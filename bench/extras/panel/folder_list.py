@@ -167,7 +167,7 @@ class FolderList:
         }
 
     def _batch(self, folder: Path, journal: Stamp) -> ListedBatch:
-        from bench.extras.batch.batch_status import read_batch_status
+        from bench.batch.batch_status import read_batch_status
         from bench.record.folder_lock import is_locked
 
         now = self._utc_now()

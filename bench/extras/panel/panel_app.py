@@ -19,7 +19,7 @@ from starlette.responses import FileResponse, JSONResponse, RedirectResponse, Re
 from starlette.routing import Route
 
 from bench.base.errors import RunFolderError, UsageError
-from bench.extras.batch.batch_summary import PAGE
+from bench.batch.batch_summary import PAGE
 from bench.extras.panel.batch_view import LOOK_S, BatchView
 from bench.extras.panel.folder_list import FolderList
 from bench.extras.panel.helper_process import PictureAnswer, PictureRequest, picture_of_view

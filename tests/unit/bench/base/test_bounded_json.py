@@ -19,7 +19,7 @@ OWN_DATA = {
     "extras/certificate/pdf.py",
     "commands/certificate.py",
     "commands/status.py",  # channel of a message, from our own outbox
-    "extras/batch/messages.py",
+    "batch/messages.py",
     "record/inbox.py",  # bounded size; pydantic bounds the depth
     "record/run_index.py",  # text that the index wrote
     "solve/compare_numbers.py",

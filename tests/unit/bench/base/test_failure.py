@@ -174,7 +174,7 @@ def test_a_run_that_fails_again_on_a_full_disk_and_needs_no_device_keeps_what_ea
     def full(*_):
         raise StorageError("The disk is full.", where="views.h5", remedy="Make room.")
 
-    monkeypatch.setattr("bench.extras.batch.rehearsal.RehearsedResults.write", full)
+    monkeypatch.setattr("bench.batch.rehearsal.RehearsedResults.write", full)
     scene = Scene(tmp_path, poses=THREE, end=END)
     for opened, head in (
         (True, "The bench is safe; each device confirmed it:"),

@@ -19,8 +19,8 @@ from waiting import wait_until
 
 from bench.base.clock import BenchClock
 from bench.base.text_block import Block
+from bench.batch.batch_status import BatchStatus
 from bench.commands.status import status
-from bench.extras.batch.batch_status import BatchStatus
 from bench.plan.plan import load_documents, make_plan
 from bench.record.events import Event
 from bench.record.journal import Journal
@@ -205,9 +205,7 @@ def test_a_followed_batch_prints_what_has_changed_and_returns_its_end(tmp_path, 
         replace(first, current_run="a-001: recording"),
         replace(first, running=False, ended="aborted", why="by ada@lab", current_run=""),
     ]
-    monkeypatch.setattr(
-        "bench.extras.batch.batch_status.follow_batch", lambda _folder, *, ticks: iter(statuses)
-    )
+    monkeypatch.setattr("bench.batch.batch_status.follow_batch", lambda _folder, *, ticks: iter(statuses))
     assert status.callback(tmp_path, follow=True, summary=False) == 3
     lines = capsys.readouterr().out.splitlines()
     assert lines[:4] == [

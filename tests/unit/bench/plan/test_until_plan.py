@@ -8,7 +8,7 @@ from flat import flatten
 from station_texts import PLAIN
 
 from bench.base.errors import ScriptError, UsageError
-from bench.extras.batch.batch_plan import read_job, read_queue
+from bench.batch.batch_plan import read_job, read_queue
 from bench.plan.job import Job, ParkStep, calibration_options
 from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
 from bench.stations.station import OpenCvCameraConfig

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from report_sample import SMALL, sample
 
-from bench.extras.history.chart_findings import find_charts
+from bench.charts.chart_findings import find_charts
 from bench.report.batch_page import render_batch
 from bench.report.control_chart import render_charts
 from bench.report.html import ReportData, render_report
 from bench.wording.numbers import NOTHING
-from tests.unit.bench.extras.history.test_charts import steady
+from tests.unit.bench.charts.test_charts import steady
 from tests.unit.bench.report.structure import cells
 from tests.unit.bench.report.test_batch_page import item, summary
 

@@ -8,7 +8,7 @@ import pytest
 from quick_runs import THREE
 from rehearsed import Scene, with_runner
 
-import bench.extras.batch.rehearsal
+import bench.batch.rehearsal
 from bench.base.clock import BenchClock
 from bench.measure.measure import Measurement
 from bench.plan.plan import CHECK_S
@@ -29,13 +29,13 @@ def scene(tmp_path):
 def reject(monkeypatch):
     """Let recordings of these names be rejected."""
     rejected = set()
-    measure = bench.extras.batch.rehearsal.RehearsedKind.measure
+    measure = bench.batch.rehearsal.RehearsedKind.measure
 
     def measured(kind, path, *given, **more):
         measurement = measure(kind, path, *given, **more)
         return Measurement(None, None, measurement.facts, "spoilt") if path.stem in rejected else measurement
 
-    monkeypatch.setattr(bench.extras.batch.rehearsal.RehearsedKind, "measure", measured)
+    monkeypatch.setattr(bench.batch.rehearsal.RehearsedKind, "measure", measured)
     return rejected.update
 
 

@@ -163,7 +163,7 @@ def test_a_warm_camera_cools_down_and_the_run_continues(tmp_path):
         return 60.0 - 0.1 * max(0.0, now_s - 3.0) if now_s > 3.0 else 30.0
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bench.extras.batch.virtual_devices.VirtualCamera.temperature_c", celsius)
+        patch.setattr("bench.batch.virtual_devices.VirtualCamera.temperature_c", celsius)
         end = scene.run()
     assert end.how == "finished", end.why
     (released,) = scene.data_of(Event.INTERLOCK_RELEASED)
@@ -174,7 +174,7 @@ def test_a_warm_camera_cools_down_and_the_run_continues(tmp_path):
 def test_stray_light_holds_the_run_until_it_is_dark_again(tmp_path, monkeypatch):
     words = "\ninterlocks: {event_rate: {max_mev_s: 50, release_mev_s: 5, max_hold_s: 900}}\n"
     scene = Scene(tmp_path, station=words)
-    from bench.extras.batch.virtual_devices import VirtualCamera
+    from bench.batch.virtual_devices import VirtualCamera
 
     record = VirtualCamera.record
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from bench.base.errors import UsageError
-from bench.extras.history.statistics import capability, study
+from bench.charts.statistics import capability, study
 
 # AIAG, Measurement Systems Analysis, 4th edition (2010): 10 parts, 3 appraisers, 3 trials (rows of an appraiser).
 AIAG = {

@@ -14,8 +14,8 @@ from bench.base.errors import UsageError
 from bench.commands.cli import cli
 from bench.evidence.states import ShownState
 from bench.extras.history.columns import COLUMNS, SCHEMA, parameter_columns, table_row
-from bench.extras.history.merged_runs import RunPlace
 from bench.extras.history.table import ROWS_AT_ONCE, write_table
+from bench.record.run_facts import RunPlace
 from bench.record.run_index import RunIndex
 
 

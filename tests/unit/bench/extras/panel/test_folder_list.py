@@ -9,7 +9,7 @@ import pytest
 from journals import MadeRun, made_batch
 
 from bench.base.errors import RunFolderError
-from bench.extras.batch.batch_status import batch_status_text, read_batch_status
+from bench.batch.batch_status import batch_status_text, read_batch_status
 from bench.extras.panel.folder_list import FolderList
 from bench.record.folder_lock import lock_folder
 

@@ -10,10 +10,10 @@ from nights import NightClock, Workers, begun, hows, job_words, queue
 from waiting import wait_until
 
 from bench.base.errors import RunFolderError, ScriptError
+from bench.batch.batch import Batch
+from bench.batch.batch_requests import REQUESTS, Request, answer_text, send_request
+from bench.batch.batch_status import batch_status_text, read_batch_status
 from bench.commands.status import tell
-from bench.extras.batch.batch import Batch
-from bench.extras.batch.batch_requests import REQUESTS, Request, answer_text, send_request
-from bench.extras.batch.batch_status import batch_status_text, read_batch_status
 from bench.record.journal import read_journal
 
 
@@ -198,7 +198,7 @@ def test_a_request_that_cannot_be_judged_is_refused_and_ends_no_night(tmp_path, 
     def broken(_job):
         raise ZeroDivisionError("nobody foresaw this")
 
-    monkeypatch.setattr("bench.extras.batch.batch_requests.job_faults", broken)
+    monkeypatch.setattr("bench.batch.batch_requests.job_faults", broken)
     leave(tmp_path, add("b"))
     assert one_run(tmp_path).run()["how"] == "finished"
     assert [data["why"] for data in asked(tmp_path)] == [

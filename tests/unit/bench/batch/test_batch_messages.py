@@ -7,10 +7,10 @@ import pytest
 from station_texts import PLAIN
 
 from bench.base.clock import VirtualClock
+from bench.batch.batch_messages import BatchMessages
+from bench.batch.messages import Message, Outbox, channels_of
+from bench.batch.supervisor import WorkerEnd
 from bench.commands.batch import show_summary
-from bench.extras.batch.batch_messages import BatchMessages
-from bench.extras.batch.messages import Message, Outbox, channels_of
-from bench.extras.batch.supervisor import WorkerEnd
 from bench.record.coverage import Estimate
 from bench.record.device_end import DeviceEnd
 from bench.record.journal import Journal

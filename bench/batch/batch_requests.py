@@ -17,8 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError, RunFolderError
-from bench.extras.batch.batch_plan import job_faults
-from bench.extras.batch.batch_record import (
+from bench.batch.batch_plan import job_faults
+from bench.batch.batch_record import (
     BatchEvent,
     BatchRecord,
     Requested,

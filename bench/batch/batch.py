@@ -16,9 +16,9 @@ from typing import Any, ParamSpec
 from bench.base.clock import Aborted, BenchClock
 from bench.base.errors import BenchError, RunFolderError, ScriptError, UsageError
 from bench.base.home import home_folder
-from bench.extras.batch.batch_messages import BatchMessages
-from bench.extras.batch.batch_plan import planned_duration_s
-from bench.extras.batch.batch_record import (
+from bench.batch.batch_messages import BatchMessages
+from bench.batch.batch_plan import planned_duration_s
+from bench.batch.batch_record import (
     NEVER_S,
     BatchBegun,
     BatchEnded,
@@ -31,11 +31,11 @@ from bench.extras.batch.batch_record import (
     choose_next,
     resume_text,
 )
-from bench.extras.batch.batch_requests import REQUESTS, Request, RequestInbox, refusal
-from bench.extras.batch.batch_status import DoneRun
-from bench.extras.batch.batch_summary import RUNS, missed_goals, summarise, write_summary
-from bench.extras.batch.supervisor import WorkerEnd, adopt, make_safe_after, supervise
-from bench.extras.history.check_standard import standard_problem
+from bench.batch.batch_requests import REQUESTS, Request, RequestInbox, refusal
+from bench.batch.batch_status import DoneRun
+from bench.batch.batch_summary import RUNS, missed_goals, summarise, write_summary
+from bench.batch.supervisor import WorkerEnd, adopt, make_safe_after, supervise
+from bench.charts.check_standard import standard_problem
 from bench.plan.plan import load_documents
 from bench.record.events import event_name
 from bench.record.folder_lock import lock_folder

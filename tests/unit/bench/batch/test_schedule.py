@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bench.extras.batch.batch_plan import Pace, paces, plan_batch, planned_duration_s
-from bench.extras.batch.batch_record import (
+from bench.batch.batch_plan import Pace, paces, plan_batch, planned_duration_s
+from bench.batch.batch_record import (
     Bounds,
     Item,
     bounds_of,

@@ -15,7 +15,7 @@ from waiting import wait_until
 
 from bench.base.clock import VirtualClock
 from bench.base.errors import StorageError
-from bench.extras.batch.messages import LONGEST_PAUSE_S, Courier, DeliveryFailed, Message, Outbox
+from bench.batch.messages import LONGEST_PAUSE_S, Courier, DeliveryFailed, Message, Outbox
 from bench.stations.messages_section import MessagesConfig, WebhookConfig
 
 NOW = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)
@@ -78,7 +78,7 @@ def test_a_system_time_that_was_set_back_keeps_no_message(outbox):
 
 
 def test_a_channel_that_hangs_is_given_up_and_holds_up_no_other(outbox, monkeypatch):
-    monkeypatch.setattr("bench.extras.batch.messages.DEADLINE_S", 0.3)
+    monkeypatch.setattr("bench.batch.messages.DEADLINE_S", 0.3)
     for key in ("k1", "k2"):
         outbox.put(message(key), ["hangs", "up"])
     receiver, tried, over, order = Receiver(), [], threading.Event(), []
@@ -105,7 +105,7 @@ def test_a_channel_that_hangs_is_given_up_and_holds_up_no_other(outbox, monkeypa
 def test_a_process_killed_while_sending_loses_nothing(outbox):
     outbox.put(message(), ["mail"])
     code = (
-        "import os, sys; from datetime import UTC, datetime; from pathlib import Path; from bench.extras.batch.messages import Outbox\n"
+        "import os, sys; from datetime import UTC, datetime; from pathlib import Path; from bench.batch.messages import Outbox\n"
         "Outbox(Path(sys.argv[1])).deliver(lambda *_: os.kill(os.getpid(), 9), datetime.now(UTC), all_waiting=True)"
     )
     assert subprocess.run([sys.executable, "-c", code, outbox.path.parent], check=False).returncode == -9
@@ -185,7 +185,7 @@ def servers(monkeypatch):
             let_go.wait(30)
         taken.setdefault("hangs" if "hangs" in channel else "works", []).append(message.key)
 
-    monkeypatch.setattr("bench.extras.batch.messages.send", send)
+    monkeypatch.setattr("bench.batch.messages.send", send)
     yield taken
     let_go.set()
 

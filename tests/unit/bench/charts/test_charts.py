@@ -7,11 +7,10 @@ from datetime import UTC, datetime, timedelta
 import numpy as np
 import pytest
 
-from bench.extras.history.chart_findings import find_charts, needs_attention
-from bench.extras.history.chart_groups import ChartGroup, ChartKey, ChartRun, group_runs
-from bench.extras.history.merged_runs import RunPlace
+from bench.charts.chart_findings import find_charts, needs_attention
+from bench.charts.chart_groups import ChartGroup, ChartKey, ChartRun, group_runs
 from bench.record.coverage import Estimate
-from bench.record.run_facts import IndexedRun
+from bench.record.run_facts import IndexedRun, RunPlace
 from bench.report.control_chart import MOST_DRAWN, render_charts
 from tests.unit.bench.report.structure import Structure
 

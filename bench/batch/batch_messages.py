@@ -13,12 +13,12 @@ from pathlib import Path
 
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError
-from bench.extras.batch.batch_summary import (
+from bench.batch.batch_summary import (
     batch_name,
     summary_lines,
 )
-from bench.extras.batch.messages import Courier, bench_courier
-from bench.extras.batch.supervisor import WorkerEnd
+from bench.batch.messages import Courier, bench_courier
+from bench.batch.supervisor import WorkerEnd
 from bench.record.stored_run import StoredRun
 from bench.record.summaries import BatchSummary, newest_place
 from bench.run.status import read_plan, read_status, status_text

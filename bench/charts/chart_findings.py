@@ -14,8 +14,8 @@ from typing import get_args
 from scipy import stats
 
 from bench.base.encoding import counted
-from bench.extras.history.chart_groups import ChartGroup, ChartKey, ChartRun, Level
-from bench.extras.history.statistics import (
+from bench.charts.chart_groups import ChartGroup, ChartKey, ChartRun, Level
+from bench.charts.statistics import (
     LEVEL,
     SHEWHART_CHANCE,
     Drift,

@@ -1,4 +1,4 @@
-"""A batch in a rehearsal: all is as in a real one but what `bench.extras.batch.rehearsal` lists.
+"""A batch in a rehearsal: all is as in a real one but what `bench.batch.rehearsal` lists.
 
 It is written in memory if possible, then copied: no sync is needed.
 """
@@ -14,10 +14,10 @@ from pathlib import Path
 from bench.base.clock import VirtualClock
 from bench.base.errors import BenchError, UsageError
 from bench.base.memory_folder import temporary_parent
-from bench.extras.batch.batch import Batch
-from bench.extras.batch.batch_plan import WORKER_S
-from bench.extras.batch.batch_record import Item
-from bench.extras.batch.supervisor import WorkerEnd
+from bench.batch.batch import Batch
+from bench.batch.batch_plan import WORKER_S
+from bench.batch.batch_record import Item
+from bench.batch.supervisor import WorkerEnd
 from bench.record.storage import make_folder, storage_errors
 from bench.record.summaries import BatchSummary
 from sequences.queue import Queue
@@ -65,7 +65,7 @@ def _rehearse(
     say: Callable[[str], None],
     progress: Callable[[int, int], None],
 ) -> BatchSummary:
-    from bench.extras.batch.rehearsal import rehearse_run
+    from bench.batch.rehearsal import rehearse_run
 
     def work(item: Item, run: Path, _log: Path) -> WorkerEnd:
         progress(*batch.runs_done)

@@ -13,7 +13,7 @@ from statistics import median
 from typing import Any, TypeVar
 
 from bench.base.errors import BenchError, ScriptError
-from bench.extras.batch.batch_record import (
+from bench.batch.batch_record import (
     Bounds,
     Item,
     Slot,

@@ -5,10 +5,10 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 from pathlib import Path
 
-from bench.extras.history.chart_findings import find_charts
-from bench.extras.history.chart_groups import group_runs
-from bench.extras.history.merged_runs import RunPlace
+from bench.charts.chart_findings import find_charts
+from bench.charts.chart_groups import group_runs
 from bench.record.ledger import bench_ledger
+from bench.record.run_facts import RunPlace
 from bench.record.run_folder import JOURNAL
 from bench.record.run_index import RunIndex
 from bench.record.summaries import (

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from bench.extras.history.statistics import (
+from bench.charts.statistics import (
     D2,
     E2,
     EWMA_LIMIT,

@@ -11,12 +11,12 @@ from nights import JOB, NightClock, Workers, begun, hows, night, queue
 
 from bench.base.clock import Aborted
 from bench.base.errors import RunFolderError, ScriptError, UsageError
-from bench.extras.batch.batch import Batch, worker_command
-from bench.extras.batch.batch_plan import plan_of, read_queue
-from bench.extras.batch.batch_record import by_priority, items_of
-from bench.extras.batch.batch_status import batch_status_text, read_batch_status
-from bench.extras.batch.batch_summary import read_batch, summarise, summary_lines, write_summary
-from bench.extras.batch.supervisor import WorkerEnd
+from bench.batch.batch import Batch, worker_command
+from bench.batch.batch_plan import plan_of, read_queue
+from bench.batch.batch_record import by_priority, items_of
+from bench.batch.batch_status import batch_status_text, read_batch_status
+from bench.batch.batch_summary import read_batch, summarise, summary_lines, write_summary
+from bench.batch.supervisor import WorkerEnd
 from bench.record.events import Event
 from bench.record.journal import Journal, read_journal
 from bench.report.batch_page import render_batch
@@ -172,7 +172,7 @@ def test_another_queue_is_refused_in_a_folder_that_has_one(tmp_path):
 
 
 def test_the_queue_in_the_documents_is_one_and_names_every_key():
-    document = (Path(__file__).parents[5] / "docs" / "batches.md").read_text(encoding="utf-8")
+    document = (Path(__file__).parents[4] / "docs" / "batches.md").read_text(encoding="utf-8")
     example, *_ = re.findall(r"```yaml\n(.*?)```", document, re.DOTALL)
     shown = check_document(example.encode(), "example", Queue).value
     items = by_priority(items_of(shown.jobs, datetime(2026, 3, 1, tzinfo=UTC)))
@@ -224,7 +224,7 @@ def test_attempts_are_those_in_a_row_that_brought_nothing(tmp_path, gaining, beg
 
 def test_power_cuts_use_up_no_attempt(tmp_path, monkeypatch):
     """Two cuts before the first pose and one failure were three attempts once, and the run was given up."""
-    monkeypatch.setattr("bench.extras.batch.batch.make_safe_after", lambda *_: [])
+    monkeypatch.setattr("bench.batch.batch.make_safe_after", lambda *_: [])
     jobs = queue(("a", ", attempts: 3"))
     for _ in range(2):
         cut_off(tmp_path, jobs)
@@ -242,9 +242,9 @@ def test_the_run_that_was_at_work_is_seen_to_before_another_is_begun(tmp_path, m
     cut_off(tmp_path, top)
     clock, seen = NightClock(), []
     clock.now_s = 900.0  # 20:15: the other one is due, and comes first
-    monkeypatch.setattr("bench.extras.batch.batch.adopt", lambda run, *_: seen.append(f"wait for {run.name}"))
+    monkeypatch.setattr("bench.batch.batch.adopt", lambda run, *_: seen.append(f"wait for {run.name}"))
     monkeypatch.setattr(
-        "bench.extras.batch.batch.make_safe_after", lambda run, *_: seen.append(f"make safe {run.name}") or []
+        "bench.batch.batch.make_safe_after", lambda run, *_: seen.append(f"make safe {run.name}") or []
     )
     workers = Workers(clock)
     batch = Batch(

@@ -214,7 +214,7 @@ class BatchEvent(StrEnum):
     ITEM_ENDED = "item_ended"
     """The attempt ended (a ``WorkerEnd``)."""
     REQUESTED = "requested"
-    """An operator's request (`bench.extras.batch.batch_plan`) and the answer: accepted, or refused with a reason."""
+    """An operator's request (`bench.batch.batch_plan`) and the answer: accepted, or refused with a reason."""
     ENDED = "batch_ended"
     """The batch ended: how and why. If it is called again, it continues."""
 
@@ -238,7 +238,7 @@ class ItemBegun(TypedDict):
 
 
 class ItemEnded(TypedDict):
-    """Payload of ``item_ended``: the run, and its `bench.extras.batch.supervisor.WorkerEnd`."""
+    """Payload of ``item_ended``: the run, and its `bench.batch.supervisor.WorkerEnd`."""
 
     item: str
     how: str

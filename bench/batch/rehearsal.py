@@ -16,7 +16,7 @@ from typing import Any, cast
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError
 from bench.base.progress import Progress
-from bench.extras.batch.virtual_devices import VirtualDevices, read_view
+from bench.batch.virtual_devices import VirtualDevices, read_view
 from bench.measure.camera_kinds import CameraKind, EventKind
 from bench.measure.measure import ExpectedGrid, Measurement
 from bench.plan.job import Job, documents_of

@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 import pytest
 
 from bench.base.clock import BenchClock, VirtualClock
-from bench.extras.batch.supervisor import OUT_OF_MEMORY, QUIET_S, SILENCE_S, adopt, supervise
+from bench.batch.supervisor import OUT_OF_MEMORY, QUIET_S, SILENCE_S, adopt, supervise
 from bench.run.heartbeat import STALL_LIMIT_S, Heartbeat
 from bench.run.processes import waits_for_disk
 
@@ -34,7 +34,7 @@ def test_a_signal_from_outside_is_told_from_an_error_of_the_worker(tmp_path, nam
 
 def test_a_lack_of_memory_is_an_error_of_the_worker(tmp_path, monkeypatch):
     kills = iter([3, 4])
-    monkeypatch.setattr("bench.extras.batch.supervisor.out_of_memory_kills", lambda: next(kills))
+    monkeypatch.setattr("bench.batch.supervisor.out_of_memory_kills", lambda: next(kills))
     (tmp_path / "run").mkdir()
     end = supervise(
         ["sh", "-c", "kill -KILL $$"], tmp_path / "run", tmp_path / "log", BenchClock(), lambda _: None
@@ -56,17 +56,15 @@ class SilentProcess:
 
     def __init__(self, monkeypatch, on_disk=False, load=1.0):
         self.alive = True
-        monkeypatch.setattr("bench.extras.batch.supervisor.waits_for_disk", lambda _pid: on_disk)
+        monkeypatch.setattr("bench.batch.supervisor.waits_for_disk", lambda _pid: on_disk)
+        monkeypatch.setattr("bench.batch.supervisor.read_heartbeat", lambda _folder: Heartbeat(7, 1, 1))
+        monkeypatch.setattr("bench.batch.supervisor.is_locked", lambda _folder: self.alive)
         monkeypatch.setattr(
-            "bench.extras.batch.supervisor.read_heartbeat", lambda _folder: Heartbeat(7, 1, 1)
+            "bench.batch.supervisor.open_process", lambda _sign: os.open(os.devnull, os.O_RDONLY)
         )
-        monkeypatch.setattr("bench.extras.batch.supervisor.is_locked", lambda _folder: self.alive)
-        monkeypatch.setattr(
-            "bench.extras.batch.supervisor.open_process", lambda _sign: os.open(os.devnull, os.O_RDONLY)
-        )
-        monkeypatch.setattr("bench.extras.batch.supervisor.signal.pidfd_send_signal", self.receive)
-        monkeypatch.setattr("bench.extras.batch.supervisor.os.getloadavg", lambda: (load, 0.0, 0.0))
-        monkeypatch.setattr("bench.extras.batch.supervisor.os.cpu_count", lambda: 2)
+        monkeypatch.setattr("bench.batch.supervisor.signal.pidfd_send_signal", self.receive)
+        monkeypatch.setattr("bench.batch.supervisor.os.getloadavg", lambda: (load, 0.0, 0.0))
+        monkeypatch.setattr("bench.batch.supervisor.os.cpu_count", lambda: 2)
 
     def receive(self, _process, number):
         self.alive &= number != signal.SIGABRT

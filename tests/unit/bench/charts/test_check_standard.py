@@ -8,7 +8,7 @@ from many_runs import BEGIN, VALUES, BenchOfRuns
 from nights import begun, night
 from station_texts import PLAIN
 
-from bench.extras.history.check_standard import standard_problem
+from bench.charts.check_standard import standard_problem
 from bench.stations.station import Station
 from sequences.queue import Queue
 from sequences.reader import check_document

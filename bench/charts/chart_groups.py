@@ -8,9 +8,8 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Literal, NamedTuple
 
-from bench.extras.history.merged_runs import RunPlace
 from bench.record.coverage import Estimate
-from bench.record.run_facts import IndexedRun, RunDetails
+from bench.record.run_facts import IndexedRun, RunDetails, RunPlace
 
 Level = Literal["camera", "type"]
 

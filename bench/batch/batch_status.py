@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 from bench.base.encoding import counted
 from bench.base.errors import BenchError
 from bench.base.pasteable import pasteable
-from bench.extras.batch.batch_plan import planned_duration_s
-from bench.extras.batch.batch_record import BatchRecord, Item, UpcomingRun, look_ahead
-from bench.extras.batch.batch_summary import RUNS, missed_goals, read_batch
+from bench.batch.batch_plan import planned_duration_s
+from bench.batch.batch_record import BatchRecord, Item, UpcomingRun, look_ahead
+from bench.batch.batch_summary import RUNS, missed_goals, read_batch
 from bench.record.device_end import NO_END
 from bench.record.folder_lock import is_locked, resume_process, suspended_process
 from bench.record.run_folder import JOURNAL

@@ -12,20 +12,19 @@ from datetime import datetime
 from pathlib import Path
 
 from bench.base.errors import BenchError, RunFolderError
-from bench.extras.batch.batch_record import (
+from bench.batch.batch_record import (
     BatchRecord,
     Requested,
     RunState,
     by_priority,
     replay_batch,
 )
-from bench.extras.history.chart_findings import find_charts, needs_attention
-from bench.extras.history.chart_groups import group_runs
-from bench.extras.history.merged_runs import RunPlace
+from bench.charts.chart_findings import find_charts, needs_attention
+from bench.charts.chart_groups import group_runs
 from bench.record.coverage import REPEATS_TEXT, factors_text, parameters_data
 from bench.record.folder_lock import is_locked
 from bench.record.journal import read_journal
-from bench.record.run_facts import IndexedRun, RunDetails
+from bench.record.run_facts import IndexedRun, RunDetails, RunPlace
 from bench.record.run_folder import JOURNAL, REPORT
 from bench.record.run_index import QUEUE_COPY, read_run_and_details, require_batch
 from bench.record.storage import write_atomic

@@ -8,7 +8,7 @@ from filled_stations import filled_example
 from station_texts import PLAIN
 
 from bench.base.clock import VirtualClock
-from bench.extras.batch.virtual_devices import FIRST_LINE, VirtualDevices, read_view
+from bench.batch.virtual_devices import FIRST_LINE, VirtualDevices, read_view
 from bench.plan.plan import MOVE_EXTRA_S, RECORD_EXTRA_S
 from bench.stations.station import Station
 from calib.target import StarTarget
