@@ -32,7 +32,6 @@ from bench.evidence.keys import BenchKey, usable_key
 from bench.evidence.ledger_check import is_sealed_by, own_public_keys
 from bench.evidence.states import standing_of
 from bench.extras.certificate.certificate_data import Certificate
-from bench.extras.certificate.dcc_signature import signer_of_files
 from bench.extras.certificate.series import Numbered, amending, declare_void, numbers, one_at_a_time
 from bench.record.ledger import Ledger, bench_ledger
 from bench.record.run_folder import CERTIFICATE, MANIFEST
@@ -106,18 +105,6 @@ def new(path: Path) -> int:
     help="Why limits of LAB.YAML are certified as kept though the run says FAIL by its own; it is printed.",
 )
 @click.option(
-    "--xades-key",
-    type=ExistingFile(),
-    metavar="PEM",
-    help="Key of the laboratory that signs the digital certificate (XAdES).",
-)
-@click.option(
-    "--xades-certificate",
-    type=ExistingFile(),
-    metavar="PEM",
-    help="Certificate of that key, followed by the certificates that lead to one that your customers trust.",
-)
-@click.option(
     "--no-again",
     is_flag=True,
     help="Do not make the results again from the recordings. The certificate states it.",
@@ -134,8 +121,6 @@ def issue(
     output: Path,
     reason: str | None,
     despite: str | None,
-    xades_key: Path | None,
-    xades_certificate: Path | None,
     no_again: bool,
     accept_not_compared: bool,
 ) -> int:
@@ -152,9 +137,8 @@ def issue(
     from bench.extras.certificate.issue import issue as issue_first
 
     is_amended = (folder / CERTIFICATE).is_file()
-    dcc_key = _dcc_key(xades_key, xades_certificate)
     why = "" if despite is None else _stated(despite, "--despite-fail")
-    laboratory = _laboratory(dcc_key, again=not no_again and not is_amended)
+    laboratory = _laboratory(again=not no_again and not is_amended)
     if is_amended:
         if reason is None:
             raise click.UsageError("Missing option '--reason': why the certificate is amended.")
@@ -195,18 +179,6 @@ def _issued_lines(issued: Issued) -> Iterator[str]:
         f"SEALED, not authorised. {issued.certificate.authorised_by.name} authorises it:"
         f" {pasteable('certificate', 'authorise', issued.folder)}"
     )
-
-
-def _dcc_key(key: Path | None, certificate: Path | None) -> tuple[Path, Path] | None:
-    """Return both files of the signature in the DCC, or none."""
-    if key is None and certificate is None:
-        return None
-    if key is None or certificate is None:
-        raise UsageError(
-            "The signature in the digital certificate needs a key and its certificate.",
-            remedy="Give both --xades-key and --xades-certificate, or neither.",
-        )
-    return key, certificate
 
 
 @certificate.command(
@@ -368,16 +340,13 @@ def _listed_state(entered: Numbered, trust: Trust, now: datetime, *, is_known: b
         return _NOT_FOUND
 
 
-def _laboratory(dcc_key: tuple[Path, Path] | None, *, again: bool) -> Issuer:
+def _laboratory(*, again: bool) -> Issuer:
     from bench.extras.certificate.issue import Issuer
 
     def key() -> BenchKey:
         return usable_key(home_folder(), datetime.now(UTC), ask_passphrase=ask_passphrase)
 
-    sign = None
-    if dcc_key is not None:
-        sign = signer_of_files(*dcc_key, ask_passphrase=ask_passphrase)
-    return Issuer(bench_ledger(), key, lambda: datetime.now(UTC), partial(verify_sealed, again=again), sign)
+    return Issuer(bench_ledger(), key, lambda: datetime.now(UTC), partial(verify_sealed, again=again))
 
 
 def verify_sealed(folder: Path, *, again: bool) -> Verification:

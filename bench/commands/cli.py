@@ -73,16 +73,11 @@ _CALCULATES = {
 }
 """Parts with compiled loops that a command uses (`bench.base.kernel_cache.PARTS`)."""
 _GONE = {
-    "compare": "The comparison of methods is a benchmark now: `make table1` in the source folder.",
-    "study": "The check of the stated uncertainties is a benchmark now: `make coverage` in the source folder.",
-    "certificate check": "`starbench verify` checks a certificate of Starbench; xmllint and xmlsec1 check any digital "
-    "certificate (docs/certificates.md).",
-    "certificate from-dcc": "Copy focal length, uncertainty and number of the certificate into the station file "
-    "(docs/stations.md#collimator).",
-    "runs --chart": "`runs --chart` is now `starbench history charts`.",
-    "runs --compare": "`runs --compare` is now `starbench history agreement`.",
-    "runs --capability": "`runs --capability` is now `starbench history capability`.",
-    "runs --output": "`runs --output` is now `starbench history table -o FILE`.",
+    **dict.fromkeys(
+        ("certificate --xades-key", "certificate --xades-certificate"),
+        "Certificates have no XML signature of their own: leave the option out. The seal of the bench covers dcc.xml; "
+        "xmlsec1 can sign a copy of it.",
+    ),
 }
 """Commands and options that left, and where their work is done (docs/decisions/0058)."""
 

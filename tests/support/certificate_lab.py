@@ -16,8 +16,8 @@ FIRST = "SIMULATED-SB-2026-00001"
 class Lab:
     """A laboratory with one sealed run, whose clock is set by hand."""
 
-    def __init__(self, path, sign_dcc=None):
-        self.path, self.now, self.says, self.sign_dcc = path, NOW, {}, sign_dcc
+    def __init__(self, path):
+        self.path, self.now, self.says = path, NOW, {}
         self.home = path / "home"
         self.run = write_sealed_run(path / "run", self.home)
         self.lab = path / "lab.yaml"
@@ -28,7 +28,7 @@ class Lab:
 
     def laboratory(self):
         clock, key = (lambda: self.now), (lambda: ensure_key(self.home))
-        return Issuer(self.ledger, key, clock, lambda f: verified(f, **self.says), self.sign_dcc)
+        return Issuer(self.ledger, key, clock, lambda f: verified(f, **self.says))
 
     def issue(self, name="certificate", **facts):
         return issue(self.run, self.lab, self.path / name, self.laboratory(), **facts)
@@ -48,6 +48,6 @@ class Lab:
         return [str(fault) for fault in refused.value.faults]
 
 
-def quick_files(certificate, content, results, lab, plots, sign=None):
+def quick_files(certificate, content, results, lab, plots):
     """The files without PDF, DCC and plots, which take half a second."""
     return {"certificate.json": certificate.to_json(), "results.json": results, "lab.yaml": lab}

@@ -12,11 +12,9 @@ import warnings
 from pathlib import Path
 
 import certificate_sample
-import lab_pki
 import pytest
 
 from bench.extras.certificate.d_si import OUR_UNITS
-from bench.extras.certificate.dcc_signature import sign_dcc
 
 SCHEMAS = Path(named) if (named := os.environ.get("STARBENCH_DCC_SCHEMAS")) else None
 needs_schemas = pytest.mark.skipif(
@@ -24,12 +22,7 @@ needs_schemas = pytest.mark.skipif(
 )
 
 
-def signed_dcc():
-    key, certificate = lab_pki.seal()
-    return sign_dcc(certificate_sample.full_dcc(), key, [certificate], signed_utc=lab_pki.signed_at())
-
-
-DCCS = {"full": certificate_sample.full_dcc, "small": certificate_sample.small_dcc, "signed": signed_dcc}
+DCCS = {"full": certificate_sample.full_dcc, "small": certificate_sample.small_dcc}
 
 
 @pytest.fixture(autouse=True)
@@ -45,15 +38,18 @@ def program(name):
     return shutil.which(name) or pytest.skip(f"{name} is not installed")
 
 
+def schema_of_signatures():
+    """The schema that PTB's imports for signatures, of the package xmlschema."""
+    xmlschema = pytest.importorskip("xmlschema", reason="xmlschema, which has W3C's schema, is not installed")
+    return Path(xmlschema.__file__).parent / "schemas/DSIG/xmldsig-core-schema.xsd"
+
+
 @pytest.fixture
 def catalog(tmp_path):
     """A catalog that maps the imports of the schemas to files, as an environment for xmllint."""
-    import signxml
-
     files = {
         "https://ptb.de/si/v2.1.0/SI_Format.xsd": SCHEMAS / "SI_Format.xsd",
-        "https://www.ptb.de/dcc/d-sig/xmldsig-core-schema.xsd": Path(signxml.__file__).parent
-        / "schemas/xmldsig-core-schema.xsd",
+        "https://www.ptb.de/dcc/d-sig/xmldsig-core-schema.xsd": schema_of_signatures(),
     }
     lines = [
         f'<{kind} {key}="{url}" uri="{file.resolve().as_uri()}"/>'
@@ -81,21 +77,15 @@ def test_valid_by_xmllint(name, tmp_path, catalog):
 def other_schema():
     """The schema compiled by the package xmlschema, an implementation in Python of its own."""
     xmlschema = pytest.importorskip("xmlschema", reason="xmlschema, the second opinion, is not installed")
-    import signxml
-
     return xmlschema.XMLSchema(
         str(SCHEMAS / "dcc.xsd"),
         locations={
             "https://ptb.de/si": str(SCHEMAS / "SI_Format.xsd"),
-            "http://www.w3.org/2000/09/xmldsig#": str(
-                Path(signxml.__file__).parent / "schemas/xmldsig-core-schema.xsd"
-            ),
+            "http://www.w3.org/2000/09/xmldsig#": str(schema_of_signatures()),
         },
         uri_mapper={
             "https://ptb.de/si/v2.1.0/SI_Format.xsd": str(SCHEMAS / "SI_Format.xsd"),
-            "https://www.ptb.de/dcc/d-sig/xmldsig-core-schema.xsd": str(
-                Path(xmlschema.__file__).parent / "schemas/DSIG/xmldsig-core-schema.xsd"
-            ),
+            "https://www.ptb.de/dcc/d-sig/xmldsig-core-schema.xsd": str(schema_of_signatures()),
         },
     )
 
@@ -132,26 +122,6 @@ def remarks(schematron, data):
 def test_the_rules_of_dcclib_find_the_version_only(name, schematron):
     (remark,) = remarks(schematron, DCCS[name]())
     assert remark.startswith("Schema version outdated: You are using schema version '3.2.1'.")
-
-
-@pytest.mark.parametrize("kind", ["rsa", "P-256", "P-384", "P-521"])
-def test_signatures_are_accepted_by_xmlsec1(kind, tmp_path):
-    key, certificate = lab_pki.seal(kind)
-    data = sign_dcc(certificate_sample.full_dcc(), key, [certificate], signed_utc=lab_pki.signed_at())
-    trusted = tmp_path / "trusted.pem"
-    trusted.write_bytes(lab_pki.pem(lab_pki.authority()[1]))
-    path = tmp_path / "dcc.xml"
-    path.write_bytes(data)
-    command = [
-        program("xmlsec1"), "--verify", "--trusted-pem", str(trusted), "--enabled-key-data", "x509,rsa,ec",
-        "--verification-gmt-time", f"{lab_pki.signed_at():%Y-%m-%d %H:%M:%S}",
-        "--id-attr:Id", "http://uri.etsi.org/01903/v1.3.2#:SignedProperties", str(path),
-    ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert "(ok/all): 3/3" in done.stdout + done.stderr
-    path.write_bytes(data.replace(b">3346.0<", b">3346.5<", 1))
-    assert subprocess.run(command, capture_output=True, check=False).returncode != 0
 
 
 def test_units_are_known_to_dsiunits():

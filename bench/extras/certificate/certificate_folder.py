@@ -7,7 +7,7 @@ that is killed leaves no half certificate.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from bench.base.errors import UsageError
@@ -15,7 +15,7 @@ from bench.evidence.keys import BenchKey
 from bench.evidence.seal import remove_unnamed, seal_folder
 from bench.extras.certificate.certificate_data import DCC, PDF, Certificate
 from bench.extras.certificate.dcc import render_dcc
-from bench.extras.certificate.dcc_xml import library
+from bench.extras.certificate.dcc_xml import differs_by_a_signature, library
 from bench.record.results import Results
 from bench.record.run_folder import CERTIFICATE, MANIFEST, RESULTS, is_sealed
 from bench.record.storage import make_folder, sha256_of, storage_errors, write_atomic
@@ -38,13 +38,16 @@ def certificate_files(
     results: bytes,
     lab: bytes,
     plots: Mapping[str, str],
-    sign: Callable[[bytes], bytes] | None = None,
+    stored_dcc: bytes = b"",
 ) -> dict[str, bytes]:
-    """Return the files of a certificate's folder but its seal's; ``sign`` signs the DCC, None leaves it unsigned."""
+    """Return the files of a certificate's folder but its seal's.
+
+    ``stored_dcc`` is the file that the folder holds already; it stays if it differs by an XML signature alone.
+    """
     from bench.extras.certificate.pdf import render_pdf
 
     dcc = render_dcc(certificate)
-    dcc = dcc if sign is None else sign(dcc)
+    dcc = stored_dcc if differs_by_a_signature(stored_dcc, dcc) else dcc
     attachments = {DCC: dcc, RESULTS: results}
     return {
         CERTIFICATE: certificate.to_json(),

@@ -1,7 +1,4 @@
-"""The XML of digital calibration certificates: versions, names, safe reading, elements and bytes.
-
-Reading loads no entity and nothing from other files or the network. lxml (extra ``certificate``) is imported late.
-"""
+"""The XML of digital calibration certificates: version, names and bytes. lxml (an extra) is imported late."""
 
 from __future__ import annotations
 
@@ -9,34 +6,27 @@ import re
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from bench.base.errors import EvidenceError, UsageError
+from bench.base.errors import UsageError
 
 if TYPE_CHECKING:
     from lxml.etree import _Element
 
 
-MOST_BYTES = 32 * 1024 * 1024
-"""Largest DCC that is read. Those of Starbench have some hundred kilobytes."""
-MOST_ELEMENTS = 100_000
-"""Most elements, and most attributes, that are read: each takes some hundred bytes of memory."""
-
-DCC = "https://ptb.de/dcc"
-SI = "https://ptb.de/si"
-DS = "http://www.w3.org/2000/09/xmldsig#"
-XADES = "http://uri.etsi.org/01903/v1.3.2#"
-XSI = "http://www.w3.org/2001/XMLSchema-instance"
-STARBENCH = "urn:starbench:certificate:1"
-NAMESPACES = {"dcc": DCC, "si": SI, "ds": DS, "xades": XADES, "xsi": XSI, "starbench": STARBENCH}
+NAMESPACES = {
+    "dcc": "https://ptb.de/dcc",
+    "si": "https://ptb.de/si",
+    "xsi": "http://www.w3.org/2001/XMLSchema-instance",
+    "starbench": "urn:starbench:certificate:1",
+}
 """Prefixes of this package and their namespaces."""
-ROOT = f"{{{DCC}}}digitalCalibrationCertificate"
-SIGNATURE = f"{{{DS}}}Signature"
+DCC_VERSION = "3.2.1"
+"""Version of the DCC; its schema imports D-SI 2.1.0."""
 
-
-DCC_VERSION, SI_VERSION = "3.2.1", "2.1.0"
-"""Version of the DCC, and of D-SI, which its schema imports. They are only valid together."""
-
-_DOCTYPE = re.compile(rb"<!(?:DOCTYPE|ENTITY)", re.IGNORECASE)
 _NOT_XML = re.compile("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+SIGNATURE = re.compile(rb"<ds:Signature[\s/>]")
+"""Begin of a signature inside a DCC: earlier versions wrote one at its end on request."""
+_SIGNATURE_END = b"</ds:Signature>\n"
+_END = b"</dcc:digitalCalibrationCertificate>\n"
 
 
 def library(name: str) -> Any:
@@ -48,62 +38,6 @@ def library(name: str) -> Any:
             f"{name.partition('.')[0]} is not installed. Certificates need it.",
             remedy="Install it: pip install 'starbench[certificate]'.",
         ) from error
-
-
-def read_xml(data: bytes, where: str) -> _Element:
-    """Read XML from a source that is not trusted: UTF-8 without document type or entity, and not too large."""
-    etree = library("lxml.etree")
-    if len(data) > MOST_BYTES:
-        raise _unreadable(f"it has {len(data)} bytes; at most {MOST_BYTES} are read", where)
-    if data.count(b"<") > 2 * MOST_ELEMENTS or data.count(b"=") > MOST_ELEMENTS:
-        raise _unreadable(f"it has more than {MOST_ELEMENTS} elements or attributes", where)
-    if b"\x00" in data:
-        raise _unreadable("it is not XML in UTF-8", where)
-    if _DOCTYPE.search(data):
-        raise _unreadable("it declares a document type or an entity, which a DCC never needs", where)
-    parser = etree.XMLParser(
-        resolve_entities=False,
-        no_network=True,
-        load_dtd=False,
-        dtd_validation=False,
-        attribute_defaults=False,
-        huge_tree=False,
-        remove_blank_text=False,
-        strip_cdata=False,
-        collect_ids=False,
-    )
-    try:
-        root = etree.fromstring(data, parser)
-    except (etree.XMLSyntaxError, ValueError, LookupError) as error:
-        raise _unreadable(f"it is not well-formed XML ({error})", where) from error
-    if (root.getroottree().docinfo.encoding or "UTF-8").upper() not in ("UTF-8", "US-ASCII", "ASCII"):
-        raise _unreadable("it is not XML in UTF-8", where)
-    return root
-
-
-def read_dcc(data: bytes, where: str) -> _Element:
-    """Read a digital calibration certificate of version `DCC_VERSION`, from a source that is not trusted."""
-    root = read_xml(data, where)
-    if root.tag != ROOT:
-        raise EvidenceError(
-            f"This XML file is not a digital calibration certificate: its root is {short(str(root.tag))}.",
-            where=where,
-            remedy="Name the dcc.xml of a certificate.",
-        )
-    stated = root.get("schemaVersion", "")
-    if stated != DCC_VERSION:
-        raise EvidenceError(
-            f"The DCC has version {short(stated) or 'none'}; known: {DCC_VERSION} with D-SI {SI_VERSION}.",
-            where=where,
-            remedy="Ask its issuer for a known version, or check it with another program.",
-        )
-    return root
-
-
-def short(text: str, most: int = 80) -> str:
-    """Return text of others for a message: on one line, unprintable characters as ``?``, cut with ``…``."""
-    joined = "".join(each if each.isprintable() else "?" for each in " ".join(text[: 8 * most].split()))
-    return joined if len(joined) <= most else joined[: most - 1] + "…"
 
 
 def printable(text: str) -> str:
@@ -118,9 +52,13 @@ def to_bytes(root: _Element) -> bytes:
     return b'<?xml version="1.0" encoding="UTF-8"?>\n' + body.strip() + b"\n"
 
 
-def _unreadable(what: str, where: str) -> EvidenceError:
-    return EvidenceError(
-        f"The XML cannot be read: {what}.",
-        where=where,
-        remedy="Name the XML file of a certificate. If it is one, get it from the laboratory again.",
+def differs_by_a_signature(stored: bytes, dcc: bytes) -> bool:
+    """Return whether a file is this DCC with one signature before its end, and nothing else."""
+    begin = dcc.removesuffix(_END)
+    inside = stored.removeprefix(begin).removesuffix(_END)
+    return (
+        stored == begin + inside + _END
+        and SIGNATURE.match(inside) is not None
+        and len(SIGNATURE.findall(inside)) == 1
+        and inside.endswith(_SIGNATURE_END)
     )

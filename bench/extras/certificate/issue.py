@@ -30,7 +30,6 @@ from bench.extras.certificate.certificate_folder import (
 )
 from bench.extras.certificate.clauses import faults_of_lab
 from bench.extras.certificate.compose import Identity, compose, further_statement
-from bench.extras.certificate.dcc import render_dcc
 from bench.extras.certificate.lab_config import LabConfig, read_lab
 from bench.extras.certificate.limits import needed_reason
 from bench.extras.certificate.sealed_run import Source, Verify, read_sealed_run
@@ -64,8 +63,6 @@ class Issuer:
     key: Callable[[], BenchKey]
     utc_now: Callable[[], datetime]  # Returns the present time, with its time zone
     verify: Verify
-    # Signs a DCC with the laboratory's key, given the time of signing; None for DCCs without a signature.
-    sign_dcc: Callable[[bytes, datetime], bytes] | None = None
 
 
 @dataclass(frozen=True)
@@ -133,8 +130,6 @@ def make_certificate(
         completed = complete_open(laboratory.ledger)
         key = laboratory.key()
         now = laboratory.utc_now()
-        if laboratory.sign_dcc is not None:  # a key that cannot sign is refused before a number is taken
-            laboratory.sign_dcc(render_dcc(trial), now)
         replaced = None if amended is None else amended(trial)
         wanted = replace(
             _wanted(source, lab.value, folder, amends, further),
@@ -145,10 +140,7 @@ def make_certificate(
             trial_identity, number=number.number, issued_utc=number.issued_utc, amends=replaced
         )
         certificate = compose(source.results, lab.value, identity)
-        sign = _signer(laboratory, number.issued_utc)
-        files = certificate_files(
-            certificate, source.results, source.results_bytes, lab.text, source.plots, sign=sign
-        )
+        files = certificate_files(certificate, source.results, source.results_bytes, lab.text, source.plots)
         seal = write_sealed(folder, files, key)
         _enter(laboratory.ledger, certificate, seal)
     return Issued(certificate, folder, seal, tuple(completed))
@@ -246,12 +238,6 @@ def finished_certificate(entered: Numbered) -> Certificate | None:
     data = read_bounded(folder / CERTIFICATE)
     certificate = Certificate.from_json(data, str(folder / CERTIFICATE))
     return certificate if certificate.number == entered.number else None
-
-
-def _signer(laboratory: Issuer, utc: str) -> Callable[[bytes], bytes] | None:
-    """Return what signs a DCC at a time; None if DCCs are not signed."""
-    sign = laboratory.sign_dcc
-    return None if sign is None else lambda dcc: sign(dcc, datetime.fromisoformat(utc))
 
 
 def _wanted(source: Source, lab: LabConfig, folder: Path, amends: str, further: str) -> Wanted:

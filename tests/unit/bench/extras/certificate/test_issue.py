@@ -15,8 +15,8 @@ from bench.base.errors import EvidenceError, RunFolderError, UsageError
 from bench.evidence.findings import SealFault
 from bench.extras.certificate import certificate_folder, sealed_run
 from bench.extras.certificate import issue as issue_module
-from bench.extras.certificate.amend import amend
-from bench.extras.certificate.certificate_data import Software
+from bench.extras.certificate.amend import amend, plots_in
+from bench.extras.certificate.certificate_data import Certificate, Software
 from bench.extras.certificate.certificate_folder import certificate_files
 from bench.extras.certificate.check import check_certificate
 from bench.extras.certificate.issue import issue
@@ -89,6 +89,25 @@ def test_a_change_by_whoever_holds_the_key_is_found_and_no_version_takes_other_n
             assert check_certificate(copied).faults
     (copied / "dcc.xml").unlink()
     assert ("dcc.xml", "missing") in [(fault.where, fault.kind) for fault in check_certificate(copied).faults]
+
+
+def test_a_signature_inside_the_dcc_is_named_as_not_checked_and_hides_no_change(copied):
+    """Earlier versions signed the DCC on request."""
+    end = b"</dcc:digitalCalibrationCertificate>\n"
+    signature = b'<ds:Signature xmlns:ds="http://www.w3.org/2000/09/xmldsig#"></ds:Signature>\n'
+    certificate = Certificate.from_json((copied / "certificate.json").read_bytes())
+    results, lab = ((copied / name).read_bytes() for name in ("results.json", "lab.yaml"))
+    signed = (copied / "dcc.xml").read_bytes().replace(end, signature + end)
+    files = certificate_files(
+        certificate, json.loads(results), results, lab, plots_in(copied), stored_dcc=signed
+    )
+    for name, data in files.items():
+        (copied / name).write_bytes(data)
+    verification = check_certificate(copied)
+    assert (verification.faults, verification.not_compared) == ([], [])
+    assert any("xmlsec1" in remark for remark in verification.remarks)
+    (copied / "dcc.xml").write_bytes(signed.replace(b"3346.0", b"3346.5", 1))
+    assert [fault.where for fault in check_certificate(copied).faults] == ["dcc.xml", "certificate.pdf"]
 
 
 def test_a_statement_that_issuing_does_not_make_is_found(copied):
