@@ -319,11 +319,7 @@ def test_a_home_folder_that_cannot_be_written_gets_a_hint_to_choose_another(caps
 @pytest.mark.parametrize(
     ("words", "where"),
     [
-        (("runs", "--chart", "fx"), "is now `starbench history charts`."),
-        (("compare", "table1"), "`make table1`"),
-        (("study", "--runs", "9"), "`make coverage`"),
-        (("certificate", "check", "dcc.xml"), "xmllint"),
-        (("certificate", "from-dcc", "dcc.xml"), "station file"),
+        (("certificate", "issue", "runs/a", "--xades-key=key.pem"), "xmlsec1"),
     ],
 )
 def test_a_command_that_left_is_refused_with_where_its_work_is_done(say, words, where):
