@@ -1,6 +1,7 @@
 """The site of the documents: `make docs` builds it into build/site, and it needs no network.
 
-The pages are those that GitHub shows. `README.md` is the front page; the lists below its headings are the side bar.
+The pages are those that GitHub shows. `README.md` is the front page; the lists below the headings of `pages.md` are the side bar.
+Decisions and measured tables are left out of the search, so that it gives the page that says how.
 Links to files outside of the documents are shown as names, and formulas are MathML, which browsers draw themselves.
 """
 
@@ -51,6 +52,12 @@ def _as_site(app: Any, page: str, source: list[str]) -> None:
     text = _LINK.sub(lambda link: link[0] if _within(folder, link[2]) else link[1], text)
     if page.endswith("README"):
         text = "".join(_with_side_bar(text))
+    if page == root_doc:
+        text += "".join(map(_side_bar, _parts((DOCS / "pages.md").read_text(encoding="utf-8"))))
+    if page == "pages":
+        text = "---\norphan: true\n---\n" + text
+    if page.startswith(("decisions/", "measured/")):
+        text = "---\nnosearch: true\n---\n" + text
     source[0] = text
 
 
@@ -64,7 +71,11 @@ def _within(folder: Path, target: str) -> bool:
 
 def _with_side_bar(text: str) -> list[str]:
     """Add to each part of a front page the pages that its list names, for the side bar."""
-    return [part + _side_bar(part) for part in re.split(r"^(?=## )", text, flags=re.MULTILINE)]
+    return [part + _side_bar(part) for part in _parts(text)]
+
+
+def _parts(text: str) -> list[str]:
+    return re.split(r"^(?=## )", text, flags=re.MULTILINE)
 
 
 def _side_bar(part: str) -> str:

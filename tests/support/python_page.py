@@ -1,4 +1,4 @@
-"""Run the code of docs/python.md, and write its output into the page.
+"""Run the code of docs/python.md below "A run", and write its output into the page.
 
 starbench run three_pose --station simulated --seed 1 --output runs/demo
 python tests/support/python_page.py FOLDER_OF_runs
@@ -16,6 +16,7 @@ from pathlib import Path
 
 PAGE = Path(__file__).parents[2] / "docs" / "python.md"
 BLOCK = re.compile(r"(```python\n(.*?)```\n)(\n```text\n.*?```\n)?", re.DOTALL)
+RUN = "## A run\n"
 _WIDTH = 120
 
 
@@ -44,4 +45,5 @@ def written(text: str) -> str:
 if __name__ == "__main__":
     os.environ.setdefault("MPLBACKEND", "agg")
     os.chdir(sys.argv[1])
-    PAGE.write_text(written(PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    views, heading, run = PAGE.read_text(encoding="utf-8").partition(RUN)
+    PAGE.write_text(views + heading + written(run), encoding="utf-8")
