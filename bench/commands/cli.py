@@ -35,7 +35,7 @@ SECTIONS = {
         "batch": "Do all runs of a queue file; a second process supervises each run.",
         "rehearse": "Try a queue without devices: a night takes about a minute.",
         "runs": "List runs.",
-        "history": "Show control charts, agreement, gauge study and table of many runs.",
+        "history": "Show control charts, agreement and table of many runs.",
         "ledger": "Check the ledger of this bench; explain a break in it.",
         "messages": "List or send the messages of this bench.",
     },
@@ -78,6 +78,10 @@ _GONE = {
         "Certificates have no XML signature of their own: leave the option out. The seal of the bench covers dcc.xml; "
         "xmlsec1 can sign a copy of it.",
     ),
+    "history capability": "The gauge study left: write `starbench history table -o runs.csv`, and study that with a "
+    "statistics program.",
+    "panel --line": "The page of a line left: `starbench run ... --expect-serial -` reads a scanner and says PASS or "
+    "FAIL.",
 }
 """Commands and options that left, and where their work is done (docs/decisions/0058)."""
 

@@ -1,4 +1,4 @@
-"""The command `history`: control charts, agreement, gauge study and table of many runs."""
+"""The command `history`: control charts, agreement and table of many runs."""
 
 from __future__ import annotations
 
@@ -49,33 +49,25 @@ _MOST_GROUPS = 12
 """Most groups of one kind that the terminal describes; it counts the others."""
 
 
-_CHARTS, _AGREEMENT, _CAPABILITY, _TABLE = "charts", "agreement", "capability", "table"
-_TAKES = {"baseline": _CHARTS, "factors": _CAPABILITY}
-"""What alone takes an option."""
+_CHARTS, _AGREEMENT, _TABLE = "charts", "agreement", "table"
 
 
 @command(
     "starbench history charts --baseline 30",
     "starbench history agreement --serial 00051234",
-    "starbench history capability runs/study --factors operator,day",
     "starbench history table -o runs.parquet",
     status=status_text(
         "0 nothing is out of control and nothing drifts, 1 something is or does, a run is missing or was changed, or a "
         "ledger is broken{invalid}{ctrl_c}"
     ),
 )
-@click.argument("what", type=click.Choice([_CHARTS, _AGREEMENT, _CAPABILITY, _TABLE]))
+@click.argument("what", type=click.Choice([_CHARTS, _AGREEMENT, _TABLE]))
 @run_options
 @click.option(
     "--baseline",
     type=WholeNumber(2),
     metavar="N",
     help="charts: calculate the limits from the first N runs.  [default: from all]",
-)
-@click.option(
-    "--factors",
-    metavar="FACTOR,...",
-    help="capability: reproducibility by operator, bench or day, several with commas.  [default: operator]",
 )
 @click.option(
     "--output",
@@ -85,32 +77,27 @@ _TAKES = {"baseline": _CHARTS, "factors": _CAPABILITY}
     help="charts: file for the page [default: runs-charts.html]. table: a new .parquet or .csv file.",
 )
 @JSON
-def history(what: str, output: Path | None, **given: Any) -> int:
+def history(what: str, baseline: int | None, output: Path | None, **given: Any) -> int:
     """Show what many runs tell together: those in FOLDER, or all runs in the ledger of this bench.
 
     charts: an HTML page with control charts and drift tests. agreement: whether the results of one camera agree within
-    their uncertainties. capability: a gauge study of several cameras (%GRR, number of distinct categories, Cp, Cpk).
-    table: all runs as a table. Simulated and real runs, different targets and different models are never mixed.
+    their uncertainties. table: all runs as a table. Simulated and real runs, different targets and different models are
+    never mixed.
     """
-    for option, owner in _TAKES.items():
-        if given[option] is not None and what != owner:
-            raise UsageError(
-                f"`history {what}` has no --{option}.", remedy=f"Leave it out; `history {owner}` has it."
-            )
+    if baseline is not None and what != _CHARTS:
+        raise UsageError(
+            f"`history {what}` has no --baseline.", remedy="Leave it out; `history charts` has it."
+        )
     choice = RunChoice.of(given)
-    if output is not None and what in {_AGREEMENT, _CAPABILITY}:
+    if output is not None and what == _AGREEMENT:
         raise UsageError(f"`history {what}` writes no file.", remedy="Leave out --output.")
     if what == _CHARTS:
         page = output or Path("runs-charts.html")
-        return _chart_runs(choice, given["baseline"], page)
+        return _chart_runs(choice, baseline, page)
     if what == _TABLE:
         if output is None:
             raise UsageError("The file is missing.", remedy="Name it: --output runs.parquet, or .csv.")
         return _export_runs(choice, output)
-    if what == _CAPABILITY:
-        from bench.commands.history_capability import show_capability
-
-        return show_capability(find_runs(choice), given["factors"] or "operator")
     return _show_agreement(find_runs(choice))
 
 

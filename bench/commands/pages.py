@@ -31,43 +31,23 @@ def align(station: str, **page: Any) -> int:
 @command(
     "starbench panel",
     "starbench panel runs/night --port 8800 --no-browser",
-    "starbench panel --line nine_pose --station my_bench.yaml --operator 'A. Operator'",
 )
 @click.argument("folder", required=False, type=ExistingFolder())
-@click.option(
-    "--line",
-    metavar="SEQUENCE",
-    help="Begin with a page for a line: scan a camera, press START, read PASS or FAIL. It needs --station.",
-)
-@click.option("--station", "-s", metavar="STATION", help="Station of the line: a file, or a name.")
-@click.option("--operator", metavar="NAME", help="Operator of the line.  [default: user@host]")
 @page_options
 def panel(
     folder: Path | None,
-    line: str | None,
-    station: str | None,
-    operator: str | None,
     **page: Any,
 ) -> int:
     """Show the runs and batches in FOLDER in a browser; without FOLDER, those in runs/.
 
     The first line of the output is the address of the page, with a token: keep it to yourself. The pages show each run
     as it is, also one that began before the panel. Their buttons do what `starbench tell` does: hold, release, skip,
-    abort and answer. The panel uses no device: if it ends, or is killed, every run continues. With --line, its first
-    page begins runs, one camera after the other.
+    abort and answer. The panel uses no device: if it ends, or is killed, every run continues.
     """
-    from bench.base.errors import UsageError
-    from bench.extras.panel.line import Line
     from bench.extras.panel.panel_app import panel_app
-    from bench.run.control import operator_at_terminal
     from bench.web.server import serve_pages
 
-    how = _served(**page)
-    root = folder or Path("runs")
-    if (line is None) != (station is None):
-        raise UsageError("--line and --station need each other.", remedy="Give both, or neither.")
-    of_line = Line(root, line, station, operator or operator_at_terminal()) if line and station else None
-    serve_pages(panel_app(root, of_line), **how)
+    serve_pages(panel_app(folder or Path("runs")), **_served(**page))
     return 0
 
 

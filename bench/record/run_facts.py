@@ -133,7 +133,6 @@ class ResultFacts(TypedDict):
     degrees_of_freedom: float | None
     corner_expanded_px: float | None
     conformity: Literal["PASS", "FAIL"] | None
-    limits: Mapping[str, tuple[float | None, float | None]]  # Lower and upper, by result
     results_fault: str | None
 
 
@@ -249,7 +248,6 @@ def _from_results(results: Results, fault: str | None) -> ResultFacts:
     corner = _part(_part(results.get("projection")).get("worst_corner"))
     conformity = _part(results.get("conformity"))
     passed = conformity.get("passed")
-    statements = conformity.get("statements") or []
     return {
         "laboratory": _text(run.get("laboratory")),
         "collimator_serial": _text(_part(run.get("collimator")).get("serial")),
@@ -258,7 +256,6 @@ def _from_results(results: Results, fault: str | None) -> ResultFacts:
         "degrees_of_freedom": calibration.get("degrees_of_freedom"),
         "corner_expanded_px": corner.get("expanded_px"),
         "conformity": None if passed is None else "PASS" if passed else "FAIL",
-        "limits": {statement["result"]: (statement["lower"], statement["upper"]) for statement in statements},
         "results_fault": fault,
     }
 

@@ -1,5 +1,6 @@
 """Bad input at the command line: one clear message that names place and remedy, a status that is not 0, nothing made."""
 
+import io
 import shutil
 from pathlib import Path
 
@@ -46,6 +47,38 @@ def test_another_serial_number_on_the_port_is_refused_before_anything_moves(caps
     assert "100102" in message
     assert '"home' not in Path("out/wire.jsonl").read_text()
     assert " move " not in Path("out/wire.jsonl").read_text()
+
+
+def test_another_camera_than_the_expected_one_is_refused_before_anything_moves(capsys):
+    station = write("station.yaml", PLAIN)
+    words = ("--output", "out", "--expect-serial", "00099999")
+    status, (_, message) = ended(capsys, "run", "three_pose", "--station", station, *words)
+    assert status == 1
+    assert "00099999" in message
+    assert '"home' not in Path("out/wire.jsonl").read_text()
+    assert " move " not in Path("out/wire.jsonl").read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--expect-serial", "-"], "No serial number was scanned."),
+        (["--expect-serial", "a\tb"], "is no serial number."),
+        (
+            ["--expect-serial", "5", "--set", "station.camera.serial=6"],
+            "--expect-serial cannot be used with --set",
+        ),
+    ],
+)
+def test_a_text_that_is_no_serial_number_is_one_clear_error_and_nothing_is_written(
+    capsys, monkeypatch, words, message
+):
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    status, (out, err) = ended(capsys, "run", "three_pose", "-s", "simulated", "-o", "out", *words)
+    assert (status, out) == (2, "")
+    assert message in err
+    assert len(err.strip().splitlines()) == 1
+    assert not Path("out").exists()
 
 
 def test_recordings_that_are_none_or_cut_short_are_named(capsys, evk4_recording):

@@ -120,11 +120,11 @@ def test_a_killed_panel_leaves_no_gap(run, tabs):
 def test_the_list_shows_what_changes_in_every_tab_also_after_the_panel_began_anew(run, tabs):
     root = run.folder.parent
     with served(panel_app(root)) as server:
-        first = tabs.open(f"{server.url}runs")
+        first = tabs.open(server.url)
         wait_text(first, "#groups", "run7")
         MadeRun(root / "run8").begin()
         wait_text(first, "#groups", "run8")
-        second = tabs.open(f"{server.url}runs")  # it joins the stream of the first, which has begun
+        second = tabs.open(server.url)  # it joins the stream of the first, which has begun
         wait_text(second, "#groups", "run7")
         wait_text(second, "#groups", "run8")
         (root / "run8").rename(root.parent / "run8")

@@ -19,7 +19,7 @@ AXES = (("pan", "1"), ("tilt", "2"))
 SOFTWARE = {"starbench": "0.1.0", "python": "3.11.7", "numpy": "2.4.6"}
 
 
-def results_of(folder, serial, target, limits=None):
+def results_of(folder, serial, target):
     run = {"laboratory": "Test laboratory", "collimator": {"serial": "C-1"}, "target": {"serial": target}}
     results = {
         "schema": "starbench/results/1",
@@ -29,8 +29,6 @@ def results_of(folder, serial, target, limits=None):
         "projection": {"worst_corner": {"expanded_px": 0.61}},
         "devices": {"camera": {"serial": serial}},
     }
-    if limits:
-        results["conformity"] = {"passed": True, "rule": "", "reasons": [], "statements": limits}
     data = json.dumps(results).encode()
     (folder / "results.json").write_bytes(data)
     return hashlib.sha256(data).hexdigest()
@@ -54,7 +52,6 @@ def write_run(
     ended="finished",
     poses=3,
     operator="ada",
-    limits=None,
     solved=(),
     deviations=(),
 ):
@@ -95,7 +92,7 @@ def write_run(
                 Event.SOLVED, model=model, converged=True, rms_px=0.081, values=dict(values), sigma=dict(sigmas),
                 coverage_factor=2.2, **dict(solved),
             )  # fmt: skip
-            files = {"results.json": results_of(folder, serial, target, limits)}
+            files = {"results.json": results_of(folder, serial, target)}
             journal.append(Event.WRITTEN, head="", files=files, wire={})
         if ended:
             journal.append(Event.RUN_ENDED, how=ended, why="")

@@ -1,4 +1,4 @@
-"""The panel's pages: each route reads a folder or fills an inbox; those of a line also begin a run as a process."""
+"""The panel's pages: each route reads a folder or fills an inbox."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from bench.batch.batch_summary import PAGE
 from bench.extras.panel.batch_view import LOOK_S, BatchView
 from bench.extras.panel.folder_list import FolderList
 from bench.extras.panel.helper_process import PictureAnswer, PictureRequest, picture_of_view
-from bench.extras.panel.line import Line
 from bench.extras.panel.list_changes import ListChanges
 from bench.extras.panel.shown_run import LogLine
 from bench.extras.panel.watching import MOST_LOG_LINES, Extras, Helper, RunWatch, Watcher
@@ -53,8 +52,7 @@ async def _told(text: Callable[[], tuple[str, int]], every_s: float) -> AsyncIte
 class Panel:
     """The panel of one folder."""
 
-    def __init__(self, root: Path, line: Line | None = None) -> None:
-        self._line = line
+    def __init__(self, root: Path) -> None:
         self._list = FolderList(root)
         self._watcher = Watcher()
         self._helper, self._background = Helper(), Helper()
@@ -70,8 +68,6 @@ class Panel:
         return page_app(
             [
                 Route("/", self._first_page),
-                Route("/runs", _page("list.html")),
-                *(self._line_routes(self._line) if self._line is not None else ()),
                 Route("/run/{key:path}", _page("run.html")),
                 Route("/batch/{key:path}", _page("batch.html")),
                 Route("/report/{key:path}", self._report),
@@ -105,31 +101,7 @@ class Panel:
             await asyncio.to_thread(self._watcher.close)
 
     # ---------------------------------------------------------------- pages
-    def _line_routes(self, line: Line) -> list[Route]:
-        """Return the page of a line, and what it asks for."""
-
-        async def state(_request: Request) -> Response:
-            return JSONResponse(await run_in_threadpool(line.state))
-
-        async def begin(request: Request) -> Response:
-            given = await read_object(request)
-            await run_in_threadpool(line.begin, str(given.get("serial", "")))
-            return await state(request)
-
-        async def stop(request: Request) -> Response:
-            await run_in_threadpool(line.stop, known_by(request))
-            return await state(request)
-
-        return [
-            Route("/line", _page("line.html")),
-            Route("/api/line", state),
-            Route("/api/line/begin", begin, methods=["POST"]),
-            Route("/api/line/stop", stop, methods=["POST"]),
-        ]
-
     async def _first_page(self, _request: Request) -> Response:
-        if self._line is not None:
-            return RedirectResponse("/line", status_code=303)
         if (self._list.root / JOURNAL).is_file():  # the folder is a run or a batch itself
             return RedirectResponse(f"/{_kind_of(self._list.root)}/.", status_code=303)
         return FileResponse(ASSETS / "list.html")
@@ -323,6 +295,6 @@ def _command_fault(given: dict[str, Any]) -> str:
     return "This is not a command that a run understands."
 
 
-def panel_app(root: Path, line: Line | None = None) -> Starlette:
-    """Return the panel of a folder; the page of the line, if there is one, is the first."""
-    return Panel(root, line).app()
+def panel_app(root: Path) -> Starlette:
+    """Return the panel of a folder."""
+    return Panel(root).app()

@@ -320,6 +320,8 @@ def test_a_home_folder_that_cannot_be_written_gets_a_hint_to_choose_another(caps
     ("words", "where"),
     [
         (("certificate", "issue", "runs/a", "--xades-key=key.pem"), "xmlsec1"),
+        (("history", "capability", "runs"), "`starbench history table"),
+        (("panel", "--line", "nine_pose"), "--expect-serial"),
     ],
 )
 def test_a_command_that_left_is_refused_with_where_its_work_is_done(say, words, where):
