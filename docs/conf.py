@@ -1,6 +1,6 @@
 """The site of the documents: `make docs` builds it into build/site, and it needs no network.
 
-The pages are those that GitHub shows. `README.md` is the front page; the lists below the headings of `pages.md` are the side bar.
+The pages are those that GitHub shows. `README.md` is the front page; the lists of `pages.md` are the side bar.
 Decisions and measured tables are left out of the search, so that it gives the page that says how.
 Links to files outside of the documents are shown as names, and formulas are MathML, which browsers draw themselves.
 """
