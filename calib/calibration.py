@@ -26,8 +26,6 @@ ModelName = Literal["auto", "joint", "spherical", "planar"]
 REFERENCE_MODELS = ("spherical", "planar")
 #: What is estimated if nothing is asked for; the joint adjustment takes it as the family of such lenses.
 DEFAULT_DISTORTION = ("k1", "k2")
-#: Models of earlier versions, which are refused: what they describe is part of the joint adjustment.
-EARLIER_MODELS = ("radial", "pupil", "rim", "field", "coma", "drift")
 #: The version of each engine: results of another version are not compared with those of this one.
 ENGINES = {"joint": 32, "reference": 2}
 
@@ -106,11 +104,6 @@ class CalibrationOptions:
         if self.distortion in ("auto", ("auto",), ["auto"]):
             object.__setattr__(self, "distortion", "k1k2")
             object.__setattr__(self, "compares_lenses", True)
-        if self.model in EARLIER_MODELS:
-            raise InputMismatch(
-                f"The model {self.model} is one of an earlier version.",
-                remedy="Use the model joint: the effects of all earlier models are part of it.",
-            )
         for what, value, known in (
             ("model", self.model, get_args(ModelName)),
             ("loss", self.loss, (*get_args(LossName), None)),

@@ -7,7 +7,7 @@ module opens no file and no device. The fields of each model are explained in ``
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import ConfigDict, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
@@ -323,10 +323,6 @@ class StepConfig(StrictModel):
     """One step: a mapping with the step's word as its only key, or the bare word to use the defaults."""
 
     model_config = ConfigDict(json_schema_extra={"minProperties": 1, "maxProperties": 1})
-    gone: ClassVar[Mapping[str, str]] = {
-        "place": "Boards have left the run: calibrate their recordings with `starbench calibrate FOLDER --board "
-        "checkerboard:11x7:20mm` (docs/boards.md)."
-    }
     bare_words = ("light", "move", "settle", "record", "solve", "report")
 
     light: LightConfig | None = None

@@ -11,8 +11,6 @@ from pydantic_core import PydanticCustomError
 from sequences.strict_model import StrictModel, Within
 
 CalibrationModel = Literal["auto", "joint", "spherical", "planar"]
-EARLIER_MODELS = ("radial", "pupil", "rim", "field", "coma", "drift")
-"""Models of earlier versions; what they describe is part of the joint adjustment."""
 DistortionTerm = Literal["k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6", "skew", "kb1", "kb2", "kb3", "kb4"]
 DistortionSet = Literal[
     "none", "k1", "k1k2", "k1k2k3", "k1k2p1p2", "k1k2k3p1p2", "rational", "fisheye", "auto"
@@ -110,17 +108,6 @@ class SolveConfig(StrictModel):
         Field(description="Of sequences of earlier versions; it has no effect."),
     ] = 0.3
     limits: LimitConfig = LimitConfig()
-
-    @field_validator("model", mode="before")
-    @classmethod
-    def _no_earlier_model(cls, model: Any) -> Any:
-        if model in EARLIER_MODELS:
-            raise PydanticCustomError(
-                "earlier_model",
-                "{model} is a model of an earlier version; write joint, which has its effects.",
-                {"model": model},
-            )
-        return model
 
     @field_validator("distortion")
     @classmethod

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -132,8 +131,6 @@ class StrictModel(BaseModel):
 
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True, defer_build=True)
 
-    gone: ClassVar[Mapping[str, str]] = {}
-    """Keys of earlier versions, each with a sentence that says what to do now."""
     bare_words: ClassVar[tuple[str, ...]] = ()
     """Single words that may be written in place of the whole mapping."""
 

@@ -165,9 +165,6 @@ def _about_unknown_key(key: str, kinds: Iterable[Any]) -> str:
     if key.isdecimal():
         return f"unknown key. {_POINT}, if this is a decimal: a comma separates."
     models = [kind for kind in kinds if _is_model(kind)]
-    for kind in models:
-        if key in getattr(kind, "gone", {}):
-            return f"unknown key. {kind.gone[key]}"
     return f"unknown key.{did_you_mean(key, (name for kind in models for name in kind.model_fields))}"
 
 

@@ -21,7 +21,6 @@ from bench.commands.calibrations import (
     LENS,
     collimator_options,
     engine_options,
-    offline_dict,
     offline_lines,
     stated_camera,
 )
@@ -194,7 +193,7 @@ class _PathOrUrl(ExistingPath):
 
 
 @command(
-    "starbench calibrate runs/cam7 --model joint --compare",
+    "starbench calibrate runs/cam7 --model joint",
     "starbench calibrate runs/cam8 --passport collimator.json --views 1",
     "starbench calibrate points/*.csv --image-size 1280x720 --distortion k1k2k3",
     "starbench calibrate runs/ --each --output recalculated --workers 4",
@@ -202,7 +201,6 @@ class _PathOrUrl(ExistingPath):
 )
 @click.argument("paths", nargs=-1, required=True, metavar="PATH...", type=_PathOrUrl())
 @engine_options
-@click.option("--compare", is_flag=True, help="Compare with OpenCV's planar method and the published recipe.")
 @click.option(
     "--output",
     "-o",
@@ -221,7 +219,6 @@ class _PathOrUrl(ExistingPath):
 @JSON
 def calibrate(
     paths: tuple[Path | str, ...],
-    compare: bool,
     output: Path | None,
     each: bool,
     table_only: bool,
@@ -241,28 +238,20 @@ def calibrate(
     from bench.solve.offline_options import OfflineOptions
 
     chosen = OfflineOptions.from_command_line(**options)
-    if each and compare:
-        raise UsageError("--compare and --each cannot be used together.", remedy="Leave out one of them.")
     if each:
         return calibrate_each(paths, chosen, workers, output, table_only=table_only)
     if table_only or workers is not None:
         what = "--table-only" if table_only else "--workers"
         raise UsageError(f"{what} needs --each.", remedy=f"Add --each, or leave {what} out.")
     places = [ExistingPath().convert(path, None, None) for path in paths]
-    return _calibrate_together(places, chosen, output, compare=compare)
+    return _calibrate_together(places, chosen, output)
 
 
-def _calibrate_together(
-    paths: list[Path],
-    options: OfflineOptions,
-    output: Path | None,
-    *,
-    compare: bool,
-) -> int:
+def _calibrate_together(paths: list[Path], options: OfflineOptions, output: Path | None) -> int:
     """Calibrate from all views, write and seal the results where an output folder is given, and print."""
     from bench.measure.kept_views import KeptViews
     from bench.record.run_folder import REPORT
-    from bench.solve.offline import calibrate_paths, compare_methods
+    from bench.solve.offline import calibrate_paths
     from bench.solve.offline_folder import require_new, write_offline_results
 
     if output is not None:
@@ -275,11 +264,10 @@ def _calibrate_together(
         click.echo(remark, err=True)
     if output is not None:
         write_offline_results(result, output, key)
-    baselines = compare_methods(result) if compare else None
     if not wants_json():
         for line in left_out_lines(result.skipped):
             click.echo(line, err=True)
-    show(lambda: offline_dict(result, baselines), offline_lines(result, baselines))
+    show(result.to_dict, offline_lines(result))
     if output is not None and not wants_json():
         click.echo(f"Report: {output / REPORT}")
     return NOT_KEPT if (judged := result.conformity) and not judged["passed"] else 0

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from bench.plan.camera_values import LensFamily
     from bench.record.results import CalibrationData
     from bench.solve.offline import OfflineResult
-    from calib.studies.reference_methods import MethodFailure, MethodResult
 
 
 LENS = click.option(
@@ -48,27 +47,12 @@ def stated_camera(file: Path, name: str | None, lens: LensFamily | None) -> Came
     return camera_file
 
 
-def offline_dict(
-    result: OfflineResult, baselines: list[MethodResult | MethodFailure] | None
-) -> dict[str, Any]:
-    """Return a calibration made without devices, and the results of other methods if they were asked for."""
-    compared = {} if baselines is None else {"compared": [_baseline_dict(row) for row in baselines]}
-    return {**result.to_dict(), **compared}
-
-
-def offline_lines(
-    result: OfflineResult, baselines: list[MethodResult | MethodFailure] | None
-) -> Iterator[str]:
-    """Return a calibration made without devices as text, and other methods on the same points if there are any."""
-    words = words_for(result.board)
+def offline_lines(result: OfflineResult) -> Iterator[str]:
+    """Return a calibration made without devices as text."""
     if judged := result.conformity:
         yield conformity_headline(judged)
         yield from (f"  {sentence}" for sentence in conformity_sentences(judged))
-    yield calibration_text(cast("CalibrationData", result.calibration.to_dict()), words)
-    if baselines is not None:
-        yield "\n" + comparison_text(baselines)
-        if words.is_board:
-            yield "The published recipe is left out: it needs a target at infinity, not a board."
+    yield calibration_text(cast("CalibrationData", result.calibration.to_dict()), words_for(result.board))
 
 
 def calibration_text(calibration: CalibrationData, words: TargetWords) -> str:
@@ -96,54 +80,6 @@ def calibration_text(calibration: CalibrationData, words: TargetWords) -> str:
     return "\n".join([*lines, *(f"Note: {note}" for note in calibration["notes"])])
 
 
-def _baseline_dict(row: MethodResult | MethodFailure) -> dict[str, Any]:
-    """Return the result of one method for JSON output, or why it has none."""
-    from calib.studies.reference_methods import MethodFailure
-
-    if isinstance(row, MethodFailure):
-        return {"name": row.name, "failed": row.why}
-    return {**vars(row), "camera": row.camera.to_dict(), "sigma": dict(row.sigma)}
-
-
-def comparison_text(baselines: list[MethodResult | MethodFailure]) -> str:
-    """Return the results of several methods on the same points as a table."""
-    from calib.studies.reference_methods import MethodFailure
-
-    head = f"  {'':<34}{'fx':>10}{'U(fx)':>9}{'cx':>10}{'cy':>10}{'rms px':>9}{'left out':>10}"
-    lines = ["On the same points:", head]
-    for row in baselines:
-        if isinstance(row, MethodFailure):
-            lines.append(f"  {row.name:<34}no result: {row.why}")
-            continue
-        left_out = f"{row.left_out_rms_px:.4f}" if row.left_out_rms_px is not None else "-"
-        stated = f"{2 * row.sigma['fx']:.2f}" if "fx" in row.sigma else "-"
-        lines.append(
-            f"  {row.name:<34}{row.camera.fx:>10.2f}{stated:>9}{row.camera.cx:>10.2f}"
-            f"{row.camera.cy:>10.2f}{row.rms_px:>9.4f}{left_out:>10}"
-        )
-    lines.append(
-        "U(fx): 2 times the sigma that the method states (k = 2). left out: rms of views that were not used, with"
-        " only their rotation solved."
-    )
-    return "\n".join(lines)
-
-
-class _Model(click.Choice):
-    """The models of this version; ``auto`` is another word for joint, and a name of an earlier version says so."""
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """See `click.ParamType.convert`."""
-        from sequences.solve_schema import EARLIER_MODELS  # needed for this alone
-
-        if value in EARLIER_MODELS:
-            self.fail(
-                f"{value} is a model of an earlier version. Its effects are part of joint: --model joint.",
-                param,
-                ctx,
-            )
-        return str(super().convert("joint" if value == "auto" else value, param, ctx))
-
-
 class _CutoffFrequency(click.ParamType):
     """Cutoff frequency of the filter that reconstructs pictures, Hz."""
 
@@ -168,7 +104,7 @@ class _CutoffFrequency(click.ParamType):
 _OPTIONS = {
     "model": click.option(
         "--model",
-        type=_Model(["joint", "spherical", "planar"]),
+        type=click.Choice(["joint", "spherical", "planar"]),
         help="joint: the joint adjustment. spherical (of the paper), planar (Zhang's): for comparison.  [default: as"
         " in the run; else joint]",
     ),

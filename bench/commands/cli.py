@@ -78,6 +78,8 @@ _GONE = {
         "Certificates have no XML signature of their own: leave the option out. The seal of the bench covers dcc.xml; "
         "xmlsec1 can sign a copy of it.",
     ),
+    "calibrate --compare": "The comparison left: `make table1` in the source folder compares methods, and "
+    "`calibrate --model planar` is Zhang's method on your views.",
     "history capability": "The gauge study left: write `starbench history table -o runs.csv`, and study that with a "
     "statistics program.",
     "panel --line": "The page of a line left: `starbench run ... --expect-serial -` reads a scanner and says PASS or "

@@ -75,7 +75,7 @@ def passport_make(
     write_passport(output, made, key)
     for line in left_out_lines(result.skipped):
         click.echo(line, err=True)
-    for line in (*offline_lines(result, None), f"Passport: {output}"):
+    for line in (*offline_lines(result), f"Passport: {output}"):
         click.echo(line)
     return 0
 

@@ -32,7 +32,6 @@ from calib.boards.board import Board
 from calib.calibration import CalibrationOptions
 from calib.engine import Calibration
 from calib.errors import CalibrationError, DegenerateViews
-from calib.studies.reference_methods import MethodFailure, MethodResult, reference_results, starbench_result
 from calib.target import StarTarget
 from calib.view import View
 from sequences.script import SolveStep
@@ -243,16 +242,6 @@ def _engine_options(
     if options.passport is not None:
         passport = choices.passport or next(iter(passports.values()))
     return options, passport, cautions
-
-
-def compare_methods(result: OfflineResult) -> list[MethodResult | MethodFailure]:
-    """Compare with the published recipe, if at infinity, and OpenCV's planar method, on the same points."""
-    lens = tuple(result.calibration.camera.distortion)
-    options = replace(result.options, distortion=lens, gimbal=None)
-    return [
-        starbench_result(result.calibration),
-        *reference_results(result.views, options, at_infinity=result.board is None),
-    ]
 
 
 def read_views(

@@ -11,7 +11,7 @@ import os
 import re
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
@@ -272,11 +272,6 @@ def _plain_values(section: Any) -> Any:
 
 class Station(StrictModel):
     """A station file."""
-
-    gone: ClassVar[Mapping[str, str]] = {
-        "board": "Boards have left the run: calibrate their recordings with `starbench calibrate FOLDER --board "
-        "checkerboard:11x7:20mm` (docs/boards.md)."
-    }
 
     format: Literal["starbench/station/1"]
     name: Name

@@ -1,4 +1,4 @@
-"""Studies beyond one calibration: planning, Monte Carlo, reference methods, hand-eye checks, rigs, split halves.
+"""Studies beyond one calibration: planning, Monte Carlo, hand-eye checks, rigs, split halves.
 
 References
 ----------

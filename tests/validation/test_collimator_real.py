@@ -14,8 +14,8 @@ from opencv_planar import NO_LENS, NO_TANGENTIAL, RADIAL_2, by_opencv
 
 from calib.engine import CalibrationOptions, calibrate
 from calib.fit import fit_model
-from calib.studies.reference_methods import opencv_planar, published_recipe
 from calib.target import StarTarget
+from tests.benchmarks.compared.reference_methods import opencv_planar, published_recipe
 from tests.benchmarks.worlds.recordings import SIZE, read
 
 L2 = CalibrationOptions(model="spherical", loss="l2")

@@ -22,7 +22,7 @@ from calib.errors import DegenerateViews, NotConverged
 from calib.model.camera import CameraModel, distortion_names
 from calib.model.closed_forms import central_matrix, poses_from_homographies, zhang_matrix
 from calib.model.rotation import exp_map, nearest_rotation
-from calib.studies.reference_methods import MethodResult
+from tests.benchmarks.compared.reference_methods import MethodResult
 
 from .line_events import EdgePoints
 from .line_geometry import camera_of_projection, projection_of_lines

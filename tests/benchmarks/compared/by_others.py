@@ -23,8 +23,8 @@ from calib.events.grey_image import to_uint8
 from calib.fit import fit_model
 from calib.model.collimator import CENTRE
 from calib.model.passport import Passport
-from calib.studies.reference_methods import MethodResult
 from calib.view import View
+from tests.benchmarks.compared.reference_methods import MethodResult
 
 _WINDOW_PX = 11
 _STOP = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)

@@ -14,9 +14,14 @@ from calib.errors import CalibrationError
 from calib.model.camera import CameraModel
 from calib.model.gimbal_readings import GimbalReadings, ParallaxBound
 from calib.model.passport import Passport
-from calib.studies.reference_methods import MethodResult, opencv_planar, published_recipe, starbench_result
 from calib.target import StarTarget
 from calib.uncertainty.projection_uncertainty import camera_difference, projection_uncertainty
+from tests.benchmarks.compared.reference_methods import (
+    MethodResult,
+    opencv_planar,
+    published_recipe,
+    starbench_result,
+)
 from tests.benchmarks.worlds.knowledge import options_for
 
 from .by_lines import calibrate_by_lines

@@ -127,9 +127,3 @@ def test_what_is_of_another_kind_is_refused_in_words(call, says):
 
 def test_whole_numbers_of_any_type_name_stars():
     assert view(ids=np.arange(N).astype(float)).ids.tolist() == list(range(N))
-
-
-@pytest.mark.parametrize("model", ["radial", "pupil", "rim", "field", "coma", "drift"])
-def test_a_model_of_an_earlier_version_is_refused_with_the_one_of_today(model):
-    with pytest.raises(InputMismatch, match=rf"{model} is one of an earlier version. Use the model joint"):
-        CalibrationOptions(model=model)

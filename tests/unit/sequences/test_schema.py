@@ -9,10 +9,6 @@ from flat import faults_of
     [
         ("steps: []", "s.yaml:3:8: steps: must have 1 or more entries."),
         ("steps: [lihgt]", "s.yaml:3:9: steps[0].lihgt: unknown key. Did you mean 'light'?"),
-        (
-            "steps: [place]",
-            "s.yaml:3:9: steps[0].place: unknown key. Boards have left the run: calibrate their recordings",
-        ),
         ("steps: [wait]", "s.yaml:3:9: steps[0].wait.duration_s: this key is required, but it is missing."),
         (
             "steps: [{wait: }]",
@@ -49,10 +45,6 @@ from flat import faults_of
         (
             "steps: [{solve: {model: sphere}}]",
             "steps[0].solve.model: must be 'auto', 'joint', 'spherical' or 'planar' (got ",
-        ),
-        (
-            "steps: [{solve: {model: radial}}]",
-            "steps[0].solve.model: radial is a model of an earlier version; write joint, which has its effects",
         ),
         ("steps: [{solve: {passport: ''}}]", "steps[0].solve.passport: must not be empty (got '')."),
         (

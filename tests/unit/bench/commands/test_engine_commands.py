@@ -1,4 +1,4 @@
-"""The engine at the command line: comparison, passports, forecasts, on views made here."""
+"""The engine at the command line: passports, forecasts, on views made here."""
 
 import json
 from datetime import UTC, datetime
@@ -29,36 +29,11 @@ def points(tmp_path_factory):
     )
 
 
-def test_other_methods_are_compared_on_the_same_points(capsys, points):
-    answer = json.loads(
-        out_of(capsys, "calibrate", points[0], "--image-size", "1280x720", "--compare", "--json")
-    )
-    names = [row["name"] for row in answer["compared"]]
-    assert [name.split(",")[0] for name in names] == ["Starbench", "published recipe", "OpenCV"]
-    assert all(abs(row["camera"]["fx"] - 3300) < 10 for row in answer["compared"])
-    assert "OpenCV, planar (Zhang)" in out_of(
-        capsys, "calibrate", points[0], "--image-size", "1280x720", "--compare"
-    )
-
-
 def test_values_stand_in_columns(capsys, points):
     output = out_of(capsys, "calibrate", points[0], "--image-size", "1280x720")
     values = [line for line in output.splitlines() if "±" in line and line.startswith("  ")]
     assert any(line.startswith("  radial_4 ") for line in values)
     assert len({line.index("±") for line in values}) == 1
-
-
-def test_a_method_without_a_result_has_a_row_with_the_reason(capsys, points, tmp_path):
-    folder, bench = points
-    made = tmp_path / "collimator.json"
-    out_of(capsys, "passport", "make", folder, "--image-size", "1280x720", "--output", made)
-    words = ("calibrate", folder / "view1.csv", "--image-size", "1280x720", "--passport", made, "--compare")
-    ours, published, opencv = json.loads(out_of(capsys, *words, "--json"))["compared"]
-    assert abs(ours["camera"]["fx"] - bench.camera.fx) < 10
-    assert "camera" in published
-    assert opencv.keys() == {"name", "failed"}
-    assert "same pose" in opencv["failed"]
-    assert f"no result: {opencv['failed']}" in out_of(capsys, *words)
 
 
 CAMERA_INFO = """

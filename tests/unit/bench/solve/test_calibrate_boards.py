@@ -103,14 +103,6 @@ def test_a_folder_fails_only_if_too_little_is_left(folder, tmp_path, capsys):
     assert "README.txt:1" in captured.err
 
 
-def test_a_comparison_on_a_board_has_no_recipe_for_stars(folder, capsys):
-    captured = call(capsys, "calibrate", folder, "--board", "checkerboard:7x5:20mm", "--compare")
-    assert "OpenCV, planar (Zhang)" in captured.out
-    assert "no result" not in captured.out
-    assert "The published recipe is left out: it needs a target at infinity, not a board." in captured.out
-    assert "points; U with" in captured.out
-
-
 @pytest.mark.parametrize(
     ("more", "reason"),
     [

@@ -247,9 +247,3 @@ def test_the_section_on_the_page_of_a_device_is_read_without_a_fault(page):
     before, rest = example.split("stage:\n")
     whole = before + section[1] + "\nlight:\n" + rest.split("light:\n")[1]
     assert check_document(whole.encode(), page, Station).value.stage.axes["pan"].counts_per_deg > 0
-
-
-def test_a_board_in_a_station_is_refused_with_the_command_that_calibrates_from_boards():
-    text = b"format: starbench/station/1\nname: a\nboard: checkerboard:11x7:20mm\n"
-    with pytest.raises(DocumentFaults, match=r"board: unknown key\. Boards have left the run: .*--board"):
-        check_document(text, "a.yaml", Station)

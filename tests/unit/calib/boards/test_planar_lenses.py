@@ -13,8 +13,8 @@ from calib.engine import calibrate
 from calib.errors import CalibrationError, InputMismatch
 from calib.model.camera import CameraModel, distortion_names
 from calib.model.rotation import exp_map
-from calib.studies.reference_methods import opencv_planar
 from calib.view import View
+from tests.benchmarks.compared.reference_methods import opencv_planar
 
 SIZE = (1280, 720)
 BOARD = Board("checkerboard", 9, 6, 25.0)

@@ -4,18 +4,15 @@ import numpy as np
 import pytest
 
 from calib.engine import CalibrationOptions, calibrate
-from calib.model.passport import Passport
-from calib.studies.reference_methods import (
-    MethodFailure,
-    MethodResult,
-    opencv_planar,
-    published_recipe,
-    reference_results,
-    starbench_result,
-)
-from tests.unit.calib.conftest import FisheyeBench
+from tests.benchmarks.compared.reference_methods import opencv_planar, published_recipe, starbench_result
+from tests.unit.calib.conftest import Bench, FisheyeBench
 
 POSES = ((-5, 2), (0.5, -2.5, 10), (5, 2.5, -20), (-3, -2, 60))
+
+
+@pytest.fixture
+def bench():
+    return Bench()
 
 
 @pytest.mark.parametrize("distortion", ["none", "k1k2", "k1k2k3", "k1k2p1p2", "k1k2k3p1p2"])
@@ -51,15 +48,3 @@ def test_on_ideal_data_the_published_recipe_is_our_spherical_model(bench):
     assert published.sigma["r"] == pytest.approx(own.sigma["r"], rel=1e-3)
     assert published.left_out_rms_px == pytest.approx(0.05 * np.sqrt(2), rel=0.2)
     assert own.name == "Starbench, spherical model"
-
-
-def test_a_method_that_fails_says_why_and_the_others_have_results(bench):
-    known = Passport(("x", "y", "r"), np.array([97.0, 140.1, 255.0]), 1e-4 * np.eye(3))
-    published, opencv = reference_results(bench.views()[:1], CalibrationOptions(passport=known))
-    assert isinstance(published, MethodResult)
-    assert isinstance(opencv, MethodFailure)
-    assert opencv.name == "OpenCV, planar (Zhang)"
-    assert "same pose" in opencv.why
-    assert [
-        row.name for row in reference_results(bench.views()[:1], CalibrationOptions(), at_infinity=False)
-    ] == ["OpenCV, planar (Zhang)"]

@@ -18,7 +18,7 @@ from calib.adjustment.loss import Loss
 from calib.adjustment.parameters import AdjustmentParameters
 from calib.arrays import Array
 from calib.calibration import Calibration, CalibrationOptions, rms_and_mean
-from calib.errors import CalibrationError, DegenerateViews, InputMismatch, NotConverged
+from calib.errors import DegenerateViews, InputMismatch, NotConverged
 from calib.fit import fit_model
 from calib.model.camera import PINHOLE, SKEW, CameraModel
 from calib.model.lens import BROWN, FISHEYE, is_fisheye
@@ -45,28 +45,6 @@ class MethodResult:
     # Root mean square residual of left-out views, of which only the rotation was adjusted, px; None with
     # fewer than 3 views.
     left_out_rms_px: float | None
-
-
-@dataclass(frozen=True)
-class MethodFailure:
-    """A method without a result."""
-
-    name: str
-    why: str
-
-
-def reference_results(
-    views: Sequence[View], options: CalibrationOptions, *, at_infinity: bool = True
-) -> list[MethodResult | MethodFailure]:
-    """Calibrate by the published recipe, if the target is at infinity, then OpenCV; a failure gives its reason."""
-    rows: list[MethodResult | MethodFailure] = []
-    methods = ((_PUBLISHED, published_recipe), (_opencv_name(options), opencv_planar))
-    for name, method in methods if at_infinity else methods[1:]:
-        try:
-            rows.append(method(views, options))
-        except CalibrationError as error:
-            rows.append(MethodFailure(name, str(error)))
-    return rows
 
 
 def starbench_result(calibration: Calibration) -> MethodResult:
