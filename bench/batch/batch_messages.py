@@ -6,7 +6,6 @@ the batch uses the same key, so that nobody receives the message twice.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -17,11 +16,12 @@ from bench.batch.batch_summary import (
     batch_name,
     summary_lines,
 )
-from bench.batch.messages import Courier, bench_courier
 from bench.batch.supervisor import WorkerEnd
 from bench.record.stored_run import StoredRun
 from bench.record.summaries import BatchSummary, newest_place
+from bench.run.messages.courier import Courier, courier_of
 from bench.run.status import read_plan, read_status, status_text
+from bench.stations.messages_section import MessagesConfig
 from bench.stations.station import load_station
 from sequences.errors import DocumentFaults
 
@@ -34,12 +34,13 @@ class BatchMessages:
     def __init__(self, clock: BenchClock, say: Callable[[str], None]) -> None:
         self._clock = clock
         self._say = say
-        self._couriers: dict[str, Courier] = {}
+        self._courier: Courier | None = None
+        self._stations: list[MessagesConfig] = []
 
     def run_ended(self, key: str, station: str, run: Path, end: WorkerEnd, line: str) -> None:
         """Send a message about a run that failed, died or hung, which the journal line with this hash records."""
-        courier = self._courier(station)
-        if courier is None or end.how not in REPORTED_BY_BATCH:
+        messages = self._messages_of(station)
+        if messages is None or self._courier is None or end.how not in REPORTED_BY_BATCH:
             return
         what = f"{end.how}{': ' if end.why else ''}{end.why}"
         text, place = _status_of(run, asked=bool(end.devices))
@@ -49,15 +50,20 @@ class BatchMessages:
         simulated = " (SIMULATED)" if read_plan(run).simulated else ""
         subject = f"Starbench: run {key}{simulated} {what}"
         own_message = _journal_head(run) if end.how == "failed" else ""
-        courier.write("failure", subject, text, run=key, folder=run, key=own_message or line, place=place)
+        self._courier.write(
+            messages, "failure", subject, text, run=key, folder=run, key=own_message or line, place=place
+        )
 
     def batch_ended(self, summary: BatchSummary, folder: Path, line: str) -> None:
         """Send what the terminal prints at the batch's end to all; ``line`` is the hash of its journal line."""
+        if self._courier is None:
+            return
         name, how, why = summary["queue"], summary["how"], summary["why"]
         what = f"{how}{': ' if why else ''}{why}"
         text = "\n".join(summary_lines(summary))
-        for courier in self._couriers.values():
-            courier.write(
+        for messages in self._stations:
+            self._courier.write(
+                messages,
                 "end" if how in {"finished", "aborted"} else "failure",
                 f"Starbench: batch {batch_name(summary)} {what}",
                 text,
@@ -70,23 +76,24 @@ class BatchMessages:
     def add_recipients(self, stations: Iterable[str]) -> None:
         """Add the recipients that these stations name."""
         for station in stations:
-            self._courier(station)
+            self._messages_of(station)
 
     def close(self) -> None:
         """Try once more to send the messages that are waiting."""
-        for courier in self._couriers.values():
-            courier.close()
+        if self._courier is not None:
+            self._courier.close()
 
-    def _courier(self, station: str) -> Courier | None:
+    def _messages_of(self, station: str) -> MessagesConfig | None:
+        """Return what a station says about messages, and count it among the recipients; None if it cannot be read."""
         try:
             messages = load_station(station).value.messages
         except DocumentFaults as error:
             self._say(f"{station} cannot be read any more, so no message can be sent: {error}")
             return None
-        name = json.dumps(messages.model_dump(), sort_keys=True)
-        if name not in self._couriers:
-            self._couriers[name] = bench_courier(messages, self._clock, self._say)
-        return self._couriers[name]
+        if messages not in self._stations:
+            self._stations.append(messages)
+            self._courier = self._courier or courier_of(messages, self._clock, self._say)
+        return messages
 
 
 def _status_of(run: Path, *, asked: bool) -> tuple[str, tuple[int, str] | None]:

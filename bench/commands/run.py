@@ -83,7 +83,6 @@ def run(
     Ctrl-C ends the process at once.
     """
     from bench.base.clock import BenchClock
-    from bench.batch.messages import bench_courier
     from bench.run.launch import Launch, start_run
 
     end = start_run(
@@ -92,7 +91,7 @@ def run(
         output=output,
         seed=seed,
         operator=operator,
-        launch=Launch(BenchClock(), ask_passphrase=ask_passphrase, sender=bench_courier),
+        launch=Launch(BenchClock(), ask_passphrase=ask_passphrase),
         settings=settings_of(settings),
         expect_serial=sys.stdin.readline() if expect_serial == "-" else expect_serial,
     )
@@ -106,14 +105,13 @@ def run(
 def resume(run_folder: Path, dry_run: bool) -> int:
     """Continue a RUN that was stopped, failed or was interrupted. It first prints what it will do."""
     from bench.base.clock import BenchClock
-    from bench.batch.messages import bench_courier
     from bench.run.launch import Launch, read_intentions, resume_run
 
     if dry_run:
         lines = list(read_intentions(run_folder))
         show({"schema": "starbench/intentions/1", "intentions": lines}, "\n".join(lines))
         return 0
-    launch = Launch(BenchClock(), ask_passphrase=ask_passphrase, sender=bench_courier)
+    launch = Launch(BenchClock(), ask_passphrase=ask_passphrase)
     return show_run(resume_run(run_folder, launch))
 
 

@@ -34,9 +34,9 @@ from bench.run.status import Status, line_text, read_with_entries
 if TYPE_CHECKING:
     from bench.batch.batch_requests import Request
     from bench.batch.batch_status import BatchStatus
-    from bench.batch.messages import Delivery
     from bench.record.inbox import KnownBy
     from bench.run.control import Command
+    from bench.run.messages.outbox import Delivery
 
 _ANSWERS = {"yes": "continue", "no": "abort"}
 _VALUES = {"skip": "the number of a pose", "add": "the file of a job", "withdraw": "the name of a job"}
@@ -160,26 +160,41 @@ def _show_answer(answer: Mapping[str, Any], text: str) -> int:
 @JSON
 def messages(send_now: bool) -> int:
     """List the messages of this bench: sent ones and waiting ones."""
-    from bench.batch.messages import Outbox, send
+    from bench.run.messages.channels import send
+    from bench.run.messages.outbox import Outbox
 
     outbox = Outbox(home_folder())
-    waiting = outbox.deliver(send, BenchClock().utc_now(), all_waiting=True) if send_now else 0
+    if send_now:
+        outbox.deliver(send, BenchClock().utc_now, all_kept=True)
     deliveries = outbox.deliveries()
     show(
-        {"schema": "starbench/messages/1", "messages": [asdict(delivery) for delivery in deliveries]},
+        {
+            "schema": "starbench/messages/1",
+            "messages": [_delivery_dict(state, delivery) for state, delivery in deliveries],
+        },
         _lines(deliveries),
     )
-    return 1 if waiting else 0
+    return 1 if send_now and any(state != "sent" for state, _ in deliveries) else 0
 
 
-def _lines(deliveries: Sequence[Delivery]) -> Iterator[str]:
-    for delivery in deliveries:
+def _delivery_dict(state: str, delivery: Delivery) -> dict[str, Any]:
+    return {
+        "message": asdict(delivery.message),
+        "channel": {delivery.channel.kind: delivery.channel.model_dump(mode="json")},
+        "state": state,
+        "tries": delivery.tries,
+        "perhaps_twice": delivery.perhaps_twice,
+        "last_error": delivery.last_error,
+    }
+
+
+def _lines(deliveries: Sequence[tuple[str, Delivery]]) -> Iterator[str]:
+    for state, delivery in deliveries:
         marks = f", {delivery.tries} tries" if delivery.tries > 1 else ""
         marks += ", perhaps sent twice" if delivery.perhaps_twice else ""
         marks += f"; {delivery.last_error}" if delivery.last_error else ""
-        kind = next(iter(json.loads(delivery.channel)))
         written, subject = delivery.message.utc[:16].replace("T", " "), delivery.message.subject
-        yield f"{written}  {kind:<7} {delivery.state:<7}  {subject}{marks}"
+        yield f"{written}  {delivery.channel.kind:<7} {state:<7}  {subject}{marks}"
     if not deliveries:
         yield "No messages."
 

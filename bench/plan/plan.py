@@ -19,6 +19,7 @@ from bench.plan.passports import PassportChoice, choose_passport
 from bench.plan.script_check import angle_faults, check_script, find_simulation_faults
 from bench.plan.stated_camera import StatedCameraChoice, choose_stated_camera
 from bench.plan.url_secrets import find_url_secrets
+from bench.stations.messages_section import find_webhooks
 from bench.stations.placeholders import find_placeholders
 from bench.stations.sections import AxisConfig, FrameCameraConfig
 from bench.stations.station import Station, load_station
@@ -362,6 +363,7 @@ def make_plan(
     faults += [*findings.faults, *passport.faults, *checked.faults, *find_placeholders(station.tree)]
     if passport_copy is None:  # a run that has begun holds its files already
         faults += [*find_url_secrets(sequence), *find_url_secrets(station), *find_simulation_faults(station)]
+        faults += find_webhooks(station)
     estimate = Estimate(station.value)
     steps, duration_s = _timed(script, estimate)
     return Plan(

@@ -12,7 +12,7 @@ from bench.base.bounded_json import leaves
 from sequences.reader import Located
 from sequences.tree import DocumentPath, Fault, path_text
 
-_ENV_KEYS = {"source": "source_env", "url": "url_env", "password": "password_env"}
+_ENV_KEYS = {"source": "source_env", "password": "password_env"}
 """Key of a value, and the key that names an environment variable in its place."""
 
 _OF_URL = r"[^\s\"'<>\\]"

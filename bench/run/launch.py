@@ -46,7 +46,7 @@ from bench.run.ledger_entry import (
     ledger_of,
     refuse_broken_ledger,
 )
-from bench.run.run_messages import MakeSender, RunMessages
+from bench.run.messages.run_messages import RunMessages
 from bench.run.runner import RunEnd, Runner
 from bench.run.steps_to_do import intentions
 from bench.solve.result import Outcome
@@ -68,7 +68,6 @@ class Launch:
     clock: BenchClock
     stream: TextIO | None = None  # Stream for progress; standard error by default
     ask_passphrase: AskPassphrase | None = None  # Asks for the passphrase of a protected signing key
-    sender: MakeSender | None = None  # Sends the messages of the run; nothing is sent by default
 
 
 def serial_number(scanned: str) -> str:
@@ -249,9 +248,7 @@ def run_and_seal(
             progress.say(f"Created a signing key for this bench: {key.fingerprint}; see `starbench keys`.")
         for line in first_lines:
             progress.say(line)
-        make = launch.sender
-        sender = make(job.station.messages, clock, progress.say) if make else None
-        messages = RunMessages(sender, folder.path, progress.say)
+        messages = RunMessages(job.station.messages, folder.path, clock, progress.say)
 
         try:
             try:

@@ -28,9 +28,9 @@ from bench.run.control import CommandInbox
 from bench.run.heartbeat import BusyWatch, HeartbeatWriter
 from bench.run.interlocks import Interlocks, Trip, loss_text
 from bench.run.machine import RunMachine
+from bench.run.messages.run_messages import HoldNotifier
 from bench.run.run_context import RunContext, interlocks_of
 from bench.run.run_devices import RunDevices
-from bench.run.run_messages import HoldNotifier
 from bench.run.states import StateWork
 from bench.run.status import RunPlan
 from bench.run.steps import Steps

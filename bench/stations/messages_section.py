@@ -6,13 +6,16 @@ passwords and secret addresses.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import Field, model_validator
+from pydantic.json_schema import SkipJsonSchema
 from pydantic_core import PydanticCustomError
 
 from bench.stations.station_fields import Text, Variable
+from sequences.reader import Located
 from sequences.strict_model import Form, StrictModel
+from sequences.tree import Fault
 
 Occasion = Literal["failure", "hold", "end"]
 Address = Annotated[
@@ -20,13 +23,17 @@ Address = Annotated[
     Field(max_length=254),
     Form(r"^[^\s@<>\"]+@[^\s@<>\"]+$", "one address such as lab@example.org, without a name"),
 ]
-Url = Annotated[
-    str, Field(max_length=2000), Form(r"^https?://[^\s]+$", "an address that begins with http:// or https://")
-]
+WEBHOOKS_LEFT = (
+    "webhooks are served by apprise: put the address, with jsons:// in place of https:// (json:// of http://), into an "
+    "environment variable, and write apprise: [{url_env: NAME}]"
+)
+"""What to write in place of ``webhooks``, which station files had once."""
 
 
 class MailConfig(StrictModel):
     """Mail, sent by SMTP."""
+
+    kind: ClassVar[str] = "mail"
 
     host: Text
     port: Annotated[int, Field(ge=1, le=65535)] = 587
@@ -45,23 +52,15 @@ class MailConfig(StrictModel):
         return self
 
 
-class WebhookConfig(StrictModel):
-    """A JSON object, sent to an address by POST: ``id occasion subject text run folder utc``."""
-
-    url: Url | None = None
-    url_env: Variable | None = None
-
-    @model_validator(mode="after")
-    def _one_address(self) -> WebhookConfig:
-        if (self.url is None) == (self.url_env is None):
-            raise PydanticCustomError("one_address", "give either url or url_env.")
-        return self
-
-
 class AppriseConfig(StrictModel):
-    """A service that the library apprise supports (chat, telephone, ...). Its address is a secret."""
+    """A service that the library apprise supports (chat, telephone, webhook, ...). Its address is a secret."""
+
+    kind: ClassVar[str] = "apprise"
 
     url_env: Variable
+
+
+Channel = MailConfig | AppriseConfig
 
 
 class MessagesConfig(StrictModel):
@@ -69,5 +68,19 @@ class MessagesConfig(StrictModel):
 
     occasions: tuple[Occasion, ...] = ("failure", "hold", "end")
     mail: MailConfig | None = None
-    webhooks: Annotated[tuple[WebhookConfig, ...], Field(max_length=20)] = ()
     apprise: Annotated[tuple[AppriseConfig, ...], Field(max_length=20)] = ()
+    webhooks: SkipJsonSchema[Any] = (
+        None  # In copies of runs that have begun; `find_webhooks` refuses it elsewhere
+    )
+
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """All channels."""
+        return (*([self.mail] if self.mail is not None else []), *self.apprise)
+
+
+def find_webhooks(station: Located[Any]) -> list[Fault]:
+    """Refuse the section ``webhooks``, with what to write in its place."""
+    if station.value.messages.webhooks is None:
+        return []
+    return [station.fault(("messages", "webhooks"), f"{WEBHOOKS_LEFT}.")]

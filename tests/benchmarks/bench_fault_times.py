@@ -4,7 +4,7 @@
 
 FOLDER is new. KIND is a kind of stage, ``flir_ptu`` or ``thorlabs_apt``, with a microcontroller light;
 without it, Zaber stages and a function generator. A real run in a process of its own uses a simulated bench in another process. The fault is ordered while
-pose 2 is at work; a web server in this process receives the messages. Prints a row for each fault: seconds after the
+pose 2 is at work; a mail server in this process receives the messages. Prints a row for each fault: seconds after the
 order, and what was told. The load of the computer stands in the last line.
 """
 
@@ -23,7 +23,7 @@ from pathlib import Path
 import measured
 from quick_runs import write_sequence, write_station
 from running import PATIENCE_S, STARBENCH, entering, environment, journal, start
-from servers import WebServer, serving
+from servers import MailServer, serving
 from station_texts import without
 
 POSES = "[{pan_deg: -6, tilt_deg: 2}, {pan_deg: 6, tilt_deg: 2}, {pan_deg: 0, tilt_deg: -3}]"
@@ -126,9 +126,8 @@ def with_devices(station: Path, kind: str) -> None:
 def measure(folder: Path, fault: str, state: str, kind: str | None) -> str:
     """Do a run with one fault; return its row."""
     folder.mkdir()
-    with serving(WebServer()) as server:
-        hook = f"\nmessages: {{webhooks: [{{url: '{server.url}'}}]}}\n"
-        station = write_station(folder / "station.yaml", hook)
+    with serving(MailServer()) as server:
+        station = write_station(folder / "station.yaml", server.section)
         if kind is not None:
             with_devices(station, kind)
         bench = Bench.started(station, folder / "home")
@@ -151,14 +150,14 @@ def measure(folder: Path, fault: str, state: str, kind: str | None) -> str:
                 now_s = time.monotonic() - began_s
                 if seen_s is None and (what := told_by(journal(run), since)):
                     seen_s = now_s
-                if message_s is None and server.posts:
+                if message_s is None and server.letters:
                     message_s = now_s
                 time.sleep(0.01)
             ended_s = time.monotonic() - began_s
             _, errors = process.communicate()
             if not journal(run):
                 raise SystemExit(f"the run did not begin: {errors}")
-            if message_s is None and server.posts:
+            if message_s is None and server.letters:
                 message_s = ended_s
         finally:
             bench.process.kill()

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from quick_runs import THREE_NAMED, write_sequence, write_station
 from running import PATIENCE_S, entering, has_ended, journal, results, start, wait_for
-from servers import WebServer, serving
+from servers import MailServer, serving
 from station_texts import PLAIN
 from waiting import wait_until
 
@@ -56,17 +56,12 @@ def children(pid):
 
 @pytest.fixture
 def night(tmp_path):
-    """A queue of one run, whose station tells a web server; the folder of its batch."""
-    with serving(WebServer()) as server:
-        hook = f"\nmessages: {{webhooks: [{{url: '{server.url}'}}]}}\n"
-        station = write_station(tmp_path / "station.yaml", hook)
+    """A queue of one run, whose station tells a mail server; the folder of its batch."""
+    with serving(MailServer()) as server:
+        station = write_station(tmp_path / "station.yaml", server.section)
         sequence = write_sequence(tmp_path / "sequence.yaml", THREE_NAMED)
         (tmp_path / "queue.yaml").write_text(QUEUE % (sequence, station))
         yield tmp_path / "queue.yaml", tmp_path / "night", server
-
-
-def subjects(server):
-    return [post["subject"] for _, post in server.posts]
 
 
 def test_a_worker_that_is_killed_and_one_that_hangs_are_noticed_told_and_the_run_is_finished(tmp_path, night):
@@ -92,7 +87,7 @@ def test_a_worker_that_is_killed_and_one_that_hangs_are_noticed_told_and_the_run
     assert results(run)["run"]["resumed"] == 2
     crashes = [line.get("crash") for line in journal(run) if line["event"] == "run_resumed"]
     assert crashes == [None, "Fatal Python error: Aborted"]
-    messages = subjects(server)
+    messages = server.subjects
     assert messages[0] == "Starbench: run cam-001 (SIMULATED) died: by SIGKILL"
     silent = f"gave no sign of life for {ends[1]['noticed_s']:.1f} s"
     assert messages[1].startswith(f"Starbench: run cam-001 (SIMULATED) hung: {silent}")
@@ -100,7 +95,7 @@ def test_a_worker_that_is_killed_and_one_that_hangs_are_noticed_told_and_the_run
         "Starbench: batch Night (SIMULATED) finished",
         "Starbench: run cam-001 (SIMULATED) finished",
     ]
-    assert "No device was asked after that." in server.posts[0][1]["text"]  # they ended with the process
+    assert "No device was asked after that." in server.letters[0].get_content()  # they ended with the process
 
 
 def test_a_worker_ends_safely_with_the_group_of_its_supervisor_and_its_run_is_resumed(tmp_path, night):
@@ -123,7 +118,7 @@ def test_a_worker_ends_safely_with_the_group_of_its_supervisor_and_its_run_is_re
     assert (item["how"], item["attempts"]) == ("finished", 2)
     assert results(run)["run"]["resumed"] == 1
     assert sum(line["event"] == "supervisor_lost" for line in journal(run)) == 1
-    assert [s for s in subjects(server) if "its supervisor has ended" in s]
+    assert [s for s in server.subjects if "its supervisor has ended" in s]
 
 
 WORKER = """

@@ -336,7 +336,7 @@ def odd_folders(run: Path) -> Iterator[Case]:
         yield Case(f"words:{name}", options(*words), named=False)
 
 
-HOME_FILES = ("allowed_signers", "ledger.jsonl", "signing_key", "runs.sqlite", "outbox.sqlite")
+HOME_FILES = ("allowed_signers", "ledger.jsonl", "signing_key", "runs.sqlite", "outbox")
 
 
 def homes(run: Path) -> Iterator[Case]:

@@ -1,21 +1,34 @@
-"""A mail server and a web server on loopback that keep what they are sent, and can be told to misbehave."""
+"""A mail server on loopback that keeps the letters that it is sent."""
 
-import json
 import socketserver
 import threading
 from contextlib import contextmanager
 from email import message_from_bytes, policy
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 
 class MailServer(socketserver.ThreadingTCPServer):
-    """Speaks as much SMTP as takes a letter; refuses recipients named ``nobody``."""
+    """Speaks as much SMTP as takes a letter; refuses recipients named ``nobody``; takes none while it is ``busy``."""
 
     allow_reuse_address = daemon_threads = True
 
-    def __init__(self):
-        self.letters = []
-        super().__init__(("127.0.0.1", 0), _MailSession)
+    def __init__(self, port=0):
+        self.letters, self.busy, self.offered = [], False, threading.Event()
+        super().__init__(("127.0.0.1", port), _MailSession)
+
+    @property
+    def section(self):
+        """The section of a station file that sends messages here."""
+        return mail_section(self.server_address[1])
+
+    @property
+    def subjects(self):
+        return [letter["Subject"] for letter in self.letters]
+
+
+def mail_section(port):
+    """Return the section of a station file that sends messages to a mail server on this computer."""
+    mail = f"host: 127.0.0.1, port: {port}, security: none, sender: b@lab.example, to: [a@lab.example]"
+    return f"\nmessages: {{mail: {{{mail}}}}}\n"
 
 
 class _MailSession(socketserver.StreamRequestHandler):
@@ -40,43 +53,15 @@ class _MailSession(socketserver.StreamRequestHandler):
         lines = []
         while (line := self.rfile.readline()) != b".\r\n":
             lines.append(line)
+        self.server.offered.set()
+        if self.server.busy:
+            self.rfile.read()  # until the client is gone
+            return
         self.server.letters.append(message_from_bytes(b"".join(lines), policy=policy.default))
         self.say("250 taken")
 
     def say(self, text):
         self.wfile.write(text.encode() + b"\r\n")
-
-
-class WebServer(ThreadingHTTPServer):
-    """Keeps every object posted to it with its key; answers with ``status``, and with ``location`` if it is set."""
-
-    def __init__(self, port=0):
-        self.posts, self.status, self.location, self.gets = [], 200, "", []
-        super().__init__(("127.0.0.1", port), _WebSession)
-
-    @property
-    def url(self):
-        return f"http://127.0.0.1:{self.server_port}/runs"
-
-
-class _WebSession(BaseHTTPRequestHandler):
-    def do_POST(self):
-        body = self.rfile.read(int(self.headers["Content-Length"]))
-        self.server.posts.append((self.headers["Idempotency-Key"], json.loads(body)))
-        self.send_response(self.server.status)
-        if self.server.location:
-            self.send_header("Location", self.server.location)
-        self.send_header("Content-Length", "0")
-        self.end_headers()
-
-    def do_GET(self):
-        self.server.gets.append(self.path)
-        self.send_response(200)
-        self.send_header("Content-Length", "0")
-        self.end_headers()
-
-    def log_message(self, *_):
-        pass
 
 
 @contextmanager

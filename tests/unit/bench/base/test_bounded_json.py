@@ -18,8 +18,6 @@ OWN_DATA = {
     "extras/certificate/amend.py",  # text that was written a line before
     "extras/certificate/pdf.py",
     "commands/certificate.py",
-    "commands/status.py",  # channel of a message, from our own outbox
-    "batch/messages.py",
     "record/inbox.py",  # bounded size; pydantic bounds the depth
     "record/run_index.py",  # text that the index wrote
     "solve/compare_numbers.py",

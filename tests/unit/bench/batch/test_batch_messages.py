@@ -8,18 +8,18 @@ from station_texts import PLAIN
 
 from bench.base.clock import VirtualClock
 from bench.batch.batch_messages import BatchMessages
-from bench.batch.messages import Message, Outbox, channels_of
 from bench.batch.supervisor import WorkerEnd
 from bench.commands.batch import show_summary
 from bench.record.coverage import Estimate
 from bench.record.device_end import DeviceEnd
 from bench.record.journal import Journal
 from bench.record.summaries import newest_place
+from bench.run.messages.outbox import Message, Outbox
 from bench.solve.agreement import agreement
 from bench.stations.station import load_station
 
 NOW = datetime(2026, 3, 1, 20, tzinfo=UTC)
-HOOK = "\nmessages: {webhooks: [{url: 'http://127.0.0.1:1/'}]%s}\n"
+MAIL = "\nmessages: {mail: {host: 127.0.0.1, port: 1, security: none, sender: b@lab.example, to: [a@lab.example]}%s}\n"
 
 
 @pytest.fixture
@@ -37,12 +37,12 @@ def messages():
 
 def station(folder, more=""):
     path = folder / "station.yaml"
-    path.write_text(PLAIN + HOOK % more)
+    path.write_text(PLAIN + MAIL % more)
     return str(path)
 
 
 def delivered(outbox):
-    return [(d.message.occasion, d.message.subject) for d in outbox.deliveries()]
+    return [(d.message.occasion, d.message.subject) for _, d in outbox.deliveries()]
 
 
 @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ def test_what_a_failed_run_told_itself_is_not_told_again(tmp_path, outbox, messa
     messages.add_recipients([words])
     outbox.put(
         Message(key, "failure", "by itself", "", "run", "", NOW.isoformat()),
-        channels_of(load_station(words).value.messages),
+        load_station(words).value.messages.channels,
     )
     messages.run_ended("cam-001", words, tmp_path / "run", WorkerEnd("failed", "so"), "a" * 64)
     assert delivered(outbox) == [("failure", "by itself")]
@@ -74,7 +74,7 @@ def test_what_could_not_be_made_safe_is_in_the_message(tmp_path, outbox, message
     ends = [DeviceEnd("stage", "confirmed safe", "it stands"), DeviceEnd("light", "not confirmed", fault)]
     end = WorkerEnd("died", "by SIGKILL", 0.0, ends)
     messages.run_ended("cam-001", station(tmp_path), tmp_path / "run", end, "a" * 64)
-    (delivery,) = outbox.deliveries()
+    ((_, delivery),) = outbox.deliveries()
     assert f"light: not confirmed: {fault}. The light may be on." in delivery.message.text
     assert "stage: confirmed safe: it stands." in delivery.message.text
 
@@ -82,7 +82,7 @@ def test_what_could_not_be_made_safe_is_in_the_message(tmp_path, outbox, message
 def test_nothing_is_claimed_of_devices_that_nobody_asked(tmp_path, outbox, messages):
     """Once every such message said: its stage is stopped, its light is off."""
     messages.run_ended("cam-001", station(tmp_path), tmp_path / "run", WorkerEnd("died", "so"), "a" * 64)
-    (delivery,) = outbox.deliveries()
+    ((_, delivery),) = outbox.deliveries()
     assert "No device was asked after that." in delivery.message.text
     assert "safe" not in delivery.message.text
 
@@ -122,7 +122,7 @@ def test_the_mail_of_a_batch_has_the_means_that_the_terminal_prints(tmp_path, ou
     messages.add_recipients([station(tmp_path)])
     messages.batch_ended(ended, tmp_path, "b" * 64)
     show_summary(tmp_path, ended)
-    (delivery,) = outbox.deliveries()
+    ((_, delivery),) = outbox.deliveries()
     mean, other = (line for line in capsys.readouterr().out.splitlines() if "Birge" in line)
     assert mean.index("±") == other.index("±")
     assert f"± {agreed.expanded:.1f}" in mean
@@ -161,7 +161,7 @@ def test_the_end_of_a_batch_names_a_drift_as_the_control_charts_judge_it(tmp_pat
 def test_everybody_hears_how_the_batch_ended(tmp_path, outbox, messages, how, occasion):
     messages.add_recipients([station(tmp_path)])
     messages.batch_ended(summary(how, [item("cam-001")]), tmp_path, "b" * 64)
-    (delivery,) = outbox.deliveries()
+    ((_, delivery),) = outbox.deliveries()
     assert (delivery.message.occasion, delivery.message.subject) == (
         occasion,
         f"Starbench: batch Night {how}",
@@ -176,7 +176,7 @@ def test_the_message_of_a_simulated_batch_and_its_end_on_the_terminal_say_so(
     messages.add_recipients([station(tmp_path)])
     messages.batch_ended(ended, tmp_path, "b" * 64)
     show_summary(tmp_path, ended)
-    (delivery,) = outbox.deliveries()
+    ((_, delivery),) = outbox.deliveries()
     assert delivery.message.subject == "Starbench: batch Night (SIMULATED) finished"
     assert "Batch Night (SIMULATED): finished" in capsys.readouterr().out
 
@@ -186,7 +186,7 @@ def test_a_message_holds_the_place_of_the_newest_run_in_the_ledger(tmp_path, out
     assert newest_place(items[2:]) is None
     messages.add_recipients([station(tmp_path)])
     messages.batch_ended(summary("finished", items), tmp_path, "c" * 64)
-    (delivery,) = outbox.deliveries()
+    ((_, delivery),) = outbox.deliveries()
     assert (delivery.message.ledger_number, delivery.message.ledger_head) == (10, "b" * 64)
     assert f"Ledger: run 10 of this bench, line {'b' * 64}" in delivery.message.text
 

@@ -171,8 +171,7 @@ def plan_of(tmp_path, more="", sequence="three_pose", **words):
 @pytest.mark.parametrize(
     ("more", "says"),
     [
-        (HOOK, "url_env: NAME in place of url"),
-        ("\nmessages: {webhooks: [{url: 'https://hooks.slack.com/services/T/B/x'}]}\n", "url_env: NAME"),
+        ("\n# tells https://hooks.slack.com/services/T/B/x\n", "a secret address of Slack"),
         (f"\n# the camera is rtsp://admin:{SECRET}@10.0.0.9/\n", "this line contains a URL with a password"),
         (f"\n# the camera is https://x%3A{SECRET}@10.0.0.9/\n", "this line contains a URL with a password"),
         (
@@ -198,6 +197,16 @@ def test_a_sequence_with_a_credential_is_refused(tmp_path):
     (tmp_path / "own.yaml").write_text(f"{text}# from https://u:{SECRET}@git.example/\n")
     (fault,) = plan_of(tmp_path, sequence=str(tmp_path / "own.yaml")).faults
     assert "own.yaml" in str(fault)
+
+
+def test_webhooks_are_refused_at_their_line_with_what_to_write_now(tmp_path):
+    for hook, faults in (("http://127.0.0.1:1/", 1), (f"https://bot:{SECRET}@chat.example/", 2)):
+        found = plan_of(tmp_path, f"\nmessages: {{webhooks: [{{url: '{hook}'}}]}}\n").faults
+        assert len(found) == faults  # of a secret address, the second one says so
+        assert SECRET not in "".join(map(str, found))
+        (fault,) = [fault for fault in found if fault.path == "messages.webhooks"]
+        assert "apprise: [{url_env: NAME}]" in fault.message
+        assert fault.line > PLAIN.count("\n")
 
 
 def test_the_files_of_a_run_that_has_begun_are_read_as_they_are(tmp_path):

@@ -3,81 +3,59 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError
 from bench.record.events import Entering
 from bench.run.interlocks import interlock_text
+from bench.run.messages.courier import courier_of
 from bench.run.status import read_status, status_text
-from bench.stations.messages_section import MessagesConfig
+from bench.stations.messages_section import WEBHOOKS_LEFT, MessagesConfig
 
 HOLD_NOTIFY_INTERVAL_S = 600.0
 """Shortest time between two notifications about holds by the same interlock, s."""
 
 
-class Sender(Protocol):
-    """Takes the messages of a run and delivers them, also after the run has ended."""
-
-    def is_wanted(self, occasion: str) -> bool:
-        """Return whether the station wants messages on ``failure``, ``hold`` or ``end``, and names a channel."""
-
-    def write(
-        self,
-        occasion: str,
-        subject: str,
-        text: str,
-        *,
-        run: str,
-        folder: Path,
-        key: str,
-        place: tuple[int, str] | None = None,
-    ) -> None:
-        """Keep a message, once for each ``key``; ``place`` is the run's number and hash in the ledger."""
-
-    def close(self) -> None:
-        """Try once more to deliver what waits."""
-
-
-MakeSender = Callable[[MessagesConfig, BenchClock, Callable[[str], None]], Sender]
-"""Makes the sender of a station's messages; the last argument prints what could not be sent."""
-
-
-@dataclass(frozen=True)
 class RunMessages:
     """Writes messages about one run; ``say`` prints why one could not be written, and the run continues."""
 
-    sender: Sender | None  # None: the caller watches the run itself
-    folder: Path
-    say: Callable[[str], None]
+    def __init__(
+        self, station: MessagesConfig, folder: Path, clock: BenchClock, say: Callable[[str], None]
+    ) -> None:
+        if station.webhooks is not None:  # of a run that began when they were served
+            say(f"No webhook is told: {WEBHOOKS_LEFT}.")
+        self._station = station
+        self._folder = folder
+        self._say = say
+        self._courier = courier_of(station, clock, say)
 
     def write(self, occasion: str, what: str, key: str) -> None:
         """Write a message on ``failure``, ``hold`` or ``end``, if wanted; ``key`` is the line's hash."""
-        if self.sender is None or not self.sender.is_wanted(occasion):
+        if self._courier is None or occasion not in self._station.occasions:
             return
         try:
-            status = read_status(self.folder)
+            status = read_status(self._folder)
         except BenchError as error:
-            self.say(f"A message could not be written: {error}")
+            self._say(f"A message could not be written: {error}")
             return
         simulated = " (SIMULATED)" if status.simulated else ""
         subject = f"Starbench: run {status.run_id}{simulated} {what}"
-        self.sender.write(
+        self._courier.write(
+            self._station,
             occasion,
             subject,
             status_text(status),
             run=status.run_id,
-            folder=self.folder,
+            folder=self._folder,
             key=key,
             place=status.place,
         )
 
     def close(self) -> None:
         """Try once more to deliver what waits."""
-        if self.sender is not None:
-            self.sender.close()
+        if self._courier is not None:
+            self._courier.close()
 
 
 class HoldNotifier:

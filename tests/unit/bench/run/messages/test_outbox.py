@@ -1,0 +1,241 @@
+"""The outbox: nothing lost, nothing delivered twice but by a process that was killed, nothing tried for ever."""
+
+import subprocess
+import sys
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from bench.base.errors import StorageError
+from bench.run.messages.outbox import (
+    CLAIM,
+    LONGEST_PAUSE_S,
+    MOST_TRIES,
+    DeliveryFailed,
+    Message,
+    Outbox,
+)
+from bench.stations.messages_section import AppriseConfig, MailConfig
+
+NOW = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)
+MAIL = MailConfig(host="mail", sender="b@lab.example", to=("a@lab.example",))
+CHAT = AppriseConfig(url_env="CHAT")
+
+
+def message(key="k1", utc=NOW):
+    return Message(key, "end", f"run {key}", "text", "run", "/runs/run", utc.isoformat())
+
+
+@pytest.fixture
+def outbox(tmp_path):
+    return Outbox(tmp_path / "home")
+
+
+class Receiver:
+    """Takes messages, but for those tries that are told to fail."""
+
+    def __init__(self, failures=0):
+        self.taken, self.failures = [], failures
+
+    def __call__(self, message, channel):
+        if self.failures:
+            self.failures -= 1
+            raise DeliveryFailed("no network")
+        self.taken.append((message.key, channel))
+
+
+def deliver(outbox, send, now=NOW, **words):
+    """Deliver at a moment; return how many wait after that."""
+    outbox.deliver(send, lambda: now, **words)
+    return outbox.waiting()
+
+
+def only(outbox):
+    ((state, delivery),) = outbox.deliveries()
+    return state, delivery
+
+
+def test_an_empty_outbox_leaves_no_file(outbox):
+    assert deliver(outbox, Receiver()) == 0
+    assert outbox.deliveries() == []
+    assert not outbox.folder.exists()
+
+
+def test_a_message_is_put_once_and_delivered_once(outbox):
+    receiver = Receiver()
+    for _ in range(3):
+        outbox.put(message(), [MAIL, CHAT])
+        assert deliver(outbox, receiver) == 0
+    assert sorted(receiver.taken, key=str) == sorted([("k1", MAIL), ("k1", CHAT)], key=str)
+    assert {state for state, _ in outbox.deliveries()} == {"sent"}
+
+
+def test_what_does_not_go_through_is_tried_again_ever_more_seldom(outbox):
+    outbox.put(message(), [MAIL])
+    receiver, at = Receiver(failures=100), NOW
+    deliver(outbox, receiver, at)
+    for pause_s in (5.0, 10.0, 20.0, *[None] * 8, LONGEST_PAUSE_S):
+        if pause_s is None:
+            deliver(outbox, receiver, at, all_kept=True)
+            continue
+        failures = receiver.failures
+        assert deliver(outbox, receiver, at + timedelta(seconds=pause_s - 0.1)) == 1
+        assert receiver.failures == failures
+        at += timedelta(seconds=pause_s)
+        assert deliver(outbox, receiver, at) == 1
+        assert receiver.failures == failures - 1
+    assert only(outbox)[1].last_error == "no network"
+    receiver.failures = 0
+    assert deliver(outbox, receiver, at, all_kept=True) == 0
+    assert only(outbox)[1].last_error == ""
+
+
+def test_after_the_last_try_it_is_given_up_and_told_and_tried_only_when_asked(outbox):
+    outbox.put(message(), [MAIL])
+    receiver, told = Receiver(failures=MOST_TRIES), []
+    for hour in range(MOST_TRIES + 5):
+        told += outbox.deliver(receiver, lambda hour=hour: NOW + timedelta(hours=hour))
+    assert [(d.message.key, d.tries, d.last_error) for d in told] == [("k1", MOST_TRIES, "no network")]
+    assert only(outbox)[0] == "failed"
+    assert (receiver.taken, outbox.waiting()) == ([], 0)
+    deliver(outbox, receiver, all_kept=True)
+    assert receiver.taken == [("k1", MAIL)]
+    assert only(outbox)[0] == "sent"
+
+
+def test_a_system_time_that_was_set_back_keeps_no_message(outbox):
+    outbox.put(message(), [MAIL])
+    receiver = Receiver(failures=1)
+    deliver(outbox, receiver)
+    assert deliver(outbox, receiver, NOW - timedelta(hours=5)) == 0
+    assert len(receiver.taken) == 1
+
+
+def test_a_channel_that_is_down_holds_up_no_other(outbox):
+    for minute, key in enumerate(("k1", "k2")):
+        outbox.put(message(key, NOW + timedelta(minutes=minute)), [CHAT, MAIL])
+    receiver, tried = Receiver(), []
+
+    def send(message, channel):
+        if channel == CHAT:
+            tried.append(message.key)
+            raise DeliveryFailed("timed out")
+        receiver(message, channel)
+
+    assert deliver(outbox, send) == 2
+    assert receiver.taken == [("k1", MAIL), ("k2", MAIL)]
+    assert tried == ["k1"]  # the next one waits for the next round, and goes first then
+    deliver(outbox, send, NOW + timedelta(minutes=1))
+    assert tried == ["k1", "k2"]
+
+
+def test_a_process_killed_while_sending_loses_nothing(outbox):
+    outbox.put(message(), [MAIL])
+    code = (
+        "import os, sys; from datetime import UTC, datetime; from pathlib import Path; from bench.run.messages.outbox import Outbox\n"
+        f"now = datetime.fromisoformat({NOW.isoformat()!r})\n"
+        "Outbox(Path(sys.argv[1])).deliver(lambda *_: os.kill(os.getpid(), 9), lambda: now)"
+    )
+    assert subprocess.run([sys.executable, "-c", code, outbox.folder.parent], check=False).returncode == -9
+    receiver = Receiver()
+    assert deliver(outbox, receiver, NOW + CLAIM - timedelta(seconds=1), all_kept=True) == 1
+    assert (receiver.taken, only(outbox)[0]) == ([], "sending")
+    assert deliver(outbox, receiver, NOW + CLAIM) == 0
+    assert receiver.taken == [("k1", MAIL)]
+    assert only(outbox)[1].perhaps_twice
+
+
+def test_of_two_processes_that_deliver_at_once_one_stands_back(outbox):
+    outbox.put(message(), [MAIL])
+    other, inner = Receiver(), []
+
+    def send(*_):
+        inner.append(deliver(outbox, other, all_kept=True))
+
+    assert deliver(outbox, send) == 0
+    assert inner == [1]
+    assert other.taken == []
+    assert not only(outbox)[1].perhaps_twice
+
+
+def test_two_processes_that_saw_the_same_file_do_not_both_send_it(outbox, monkeypatch):
+    """The other one claims it between this one's look and its claim."""
+    outbox.put(message(), [MAIL])
+    seen, other, mine = outbox._due(NOW, all_kept=False), Receiver(), Receiver()
+    deliver(outbox, other)
+    monkeypatch.setattr(outbox, "_due", lambda *_, **__: seen)
+    assert deliver(outbox, mine) == 0
+    assert (len(other.taken), mine.taken) == (1, [])
+
+
+def test_a_sender_that_outlived_its_claim_does_not_undo_what_another_one_did(outbox):
+    outbox.put(message(), [MAIL])
+    other = Receiver()
+
+    def slow(*_):
+        deliver(outbox, other, NOW + CLAIM)
+        raise DeliveryFailed("timed out")
+
+    assert deliver(outbox, slow) == 0
+    assert other.taken == [("k1", MAIL)]
+    state, delivery = only(outbox)
+    assert (state, delivery.perhaps_twice) == ("sent", True)
+
+
+def test_an_outbox_that_cannot_be_written_says_so(outbox):
+    outbox.folder.parent.mkdir()
+    outbox.folder.touch()
+    with pytest.raises(StorageError) as refused:
+        outbox.put(message(), [MAIL])
+    assert str(outbox.folder) in str(refused.value)
+
+
+def test_a_damaged_file_is_named_and_holds_up_no_other(outbox):
+    outbox.put(message(), [MAIL])
+    damaged = outbox.folder / "x.waiting"
+    damaged.write_bytes(b'{"message": ')
+    (outbox.folder / "notes.txt").touch()
+    receiver = Receiver()
+    assert deliver(outbox, receiver) == 1
+    assert receiver.taken == [("k1", MAIL)]
+    with pytest.raises(StorageError) as refused:
+        outbox.deliveries()
+    assert str(damaged) in str(refused.value)
+
+
+EVENTS = st.tuples(
+    st.sampled_from(["put", "deliver"]), st.sampled_from(["a", "b"]), st.sampled_from(["ok", "down", "die"])
+)
+
+
+@settings(max_examples=25)
+@given(st.lists(EVENTS, max_size=12))
+def test_in_any_order_of_events_each_message_arrives_and_twice_only_where_it_says_so(
+    tmp_path_factory, events
+):
+    outbox, arrived, known = Outbox(tmp_path_factory.mktemp("home")), [], set()
+
+    def send(how):
+        def hand_over(message, _channel):
+            if how == "down":
+                raise DeliveryFailed("down")
+            arrived.append(message.key)
+            if how == "die":
+                raise KeyboardInterrupt
+
+        return hand_over
+
+    for number, (what, key, how) in enumerate([*events, ("deliver", "", "ok")]):
+        if what == "put":
+            outbox.put(message(key), [MAIL])
+            known.add(key)
+            continue
+        with suppress(KeyboardInterrupt):
+            deliver(outbox, send(how), NOW + number * CLAIM, all_kept=True)
+    assert set(arrived) == known
+    doubled = {key for key in known if arrived.count(key) > 1}
+    assert doubled <= {d.message.key for _, d in outbox.deliveries() if d.perhaps_twice}
+    assert all(state == "sent" for state, _ in outbox.deliveries())
