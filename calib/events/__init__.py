@@ -3,8 +3,6 @@
 References
 ----------
 - arXiv:2512.16092: Liu, Liang et al., Collimator-assisted high-precision calibration method for event cameras.
-- Buccheri et al. (1983), Search for pulsed gamma-ray emission from radio pulsars in the COS-B data, Astronomy and
-  Astrophysics 128, 245.
 - Leahy et al. (1983), On searches for pulsed emission with application to four globular cluster X-ray sources,
   Astrophysical Journal 266, 160.
 - Meade (1983), Lock-in Amplifiers: Principles and Applications, Peter Peregrinus.

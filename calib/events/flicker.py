@@ -24,8 +24,10 @@ RATE_BIN_US, RATE_BINS = 100.0, 20_000
 SIGNIFICANCE = 30.0
 #: Least power of the fundamental, as a share of the power of its strongest harmonic.
 FUNDAMENTAL_SHARE = 0.4
-#: Number of harmonics that refine the frequency.
-HARMONICS = 8
+#: Least rate of a burst, as a share of the highest rate, both above the background.
+BURST_SHARE = 0.1
+#: Weight of a burst that the begin or the end of a recording cuts.
+CUT_WEIGHT = 1e-3
 #: Number of bins of the folded rate in which the light's rising edge is found.
 ONSET_BINS = 256
 #: The first events of an edge are those of the fastest pixels, which no others delay on the way through the readout.
@@ -169,9 +171,8 @@ def flicker_from_events(
     """Estimate the flicker from the events, for recordings without triggers.
 
     The power spectra of the ON rate and of the OFF rate are added. Both rates are trains of bursts, whose fundamental
-    is about as strong as any harmonic, so the lowest strong frequency is the flicker's. The power of the first
-    harmonics together then refines the frequency, as in the Z^2_n statistic of Buccheri et al. (1983). The light
-    rises where the ON events of the folded period start.
+    is about as strong as any harmonic, so the lowest strong frequency is the flicker's. The phases of the bursts then
+    refine it. The light rises where the ON events of the folded period start.
 
     The events should be those of the slice that is imaged, because an error of the period grows into an error of the
     phase over time. Power spectrum and epoch folding: Leahy et al. (1983).
@@ -325,26 +326,32 @@ def _search_frequency(rates: Array, bin_us: float, band_hz: tuple[float, float])
             remedy="Check that the light flickers, or wire its sync output to the trigger input.",
         )
     coarse = float(frequencies[peaks[power[peaks] >= FUNDAMENTAL_SHARE * strongest][0]])
-    fine = coarse + np.linspace(-0.25, 0.25, 101) / span_s
-    return float(fine[np.argmax(_harmonic_power(centred, bin_us, fine))])
+    return coarse / _turns_per_burst(rates, coarse * 1e-6 * bin_us * np.arange(bins))
 
 
-def _harmonic_power(rates: Array, bin_us: float, frequencies_hz: Array) -> Array:
-    """Return the sum of the powers of the first harmonics of each frequency, (frequencies,).
+def _turns_per_burst(rates: Array, turns: Array) -> float:
+    """Return the distance of the bursts of ON and OFF events in turns of a period near theirs, from their centres.
 
-    Up to a factor the Z^2_n statistic of Buccheri et al. (1983) for binned times, added over ON and OFF events.
+    Own estimate: the slope of the phases of the bursts, by least squares, weighted by their size. ``rates`` are
+    (2, bins), ``turns`` (bins,).
     """
-    times = np.arange(rates.shape[1]) * (bin_us * 1e-6)
-    power = np.zeros(frequencies_hz.size)
-    first = np.exp(-2j * np.pi * frequencies_hz[:, None] * times[None, :])
-    waves = np.ones_like(first)
-    for harmonic in range(1, HARMONICS + 1):
-        if harmonic * frequencies_hz.max() > 0.4e6 / bin_us:
-            break
-        waves *= first
-        # Not a product of matrices: for so small ones, the threads of the linear algebra wait longer than they work.
-        power += np.sum(np.abs(np.einsum("ft,rt->fr", waves, rates)) ** 2, axis=1)
-    return power
+    design, phases = [], []
+    for polarity, rate in enumerate(rates):
+        excess = np.maximum(rate - np.percentile(rate, 25), 0.0)
+        wave = np.where(excess < BURST_SHARE * excess.max(), 0.0, excess) * np.exp(2j * np.pi * turns)
+        centre = np.angle(wave.sum())
+        cycle = turns - centre / (2 * np.pi) + 0.5  # from quiet to quiet
+        number = (np.floor(cycle) - np.floor(cycle[0])).astype(np.int64)
+        burst = np.bincount(number, wave.real) + 1j * np.bincount(number, wave.imag)
+        weight = np.sqrt(np.abs(burst))
+        # A cut burst has another centre than a whole one. It tells something where there are not two whole ones.
+        weight[0] *= 1.0 if cycle[0] % 1.0 < 0.25 else CUT_WEIGHT
+        weight[-1] *= 1.0 if cycle[-1] % 1.0 > 0.75 else CUT_WEIGHT
+        rows = np.column_stack([np.eye(2)[np.full(burst.size, polarity)], np.arange(burst.size)])
+        design.append(rows * weight[:, None])
+        phases.append(np.angle(burst * np.exp(-1j * centre)) * weight)
+    slope = np.linalg.lstsq(np.concatenate(design), np.concatenate(phases), rcond=None)[0][2]
+    return float(1.0 + slope / (2 * np.pi))
 
 
 def folded_rates(times: EventTimes, start_us: float, period_us: float, bins: int) -> Array:
@@ -363,6 +370,6 @@ def _onset(rate: Array) -> float:
     excess = np.maximum(rate - np.percentile(rate, 25), 0.0)
     peak = int(np.argmax(excess))
     back = np.roll(excess[::-1], peak + 1)
-    quiet = np.flatnonzero(back < 0.1 * excess[peak])
+    quiet = np.flatnonzero(back < BURST_SHARE * excess[peak])
     steps = int(quiet[0]) - 1 if quiet.size else 0
     return ((peak - steps) % ONSET_BINS) / ONSET_BINS

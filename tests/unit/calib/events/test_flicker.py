@@ -54,9 +54,12 @@ def test_a_clean_train_gives_its_period_phase_and_duty(frequency, phase, n, duty
     assert flicker.missing == 0
 
 
-def test_jitter_is_measured():
-    flicker = flicker_from_triggers(*edges(16667, 1000, 400, jitter=20, seed=1))
+def test_jitter_is_measured_and_the_phase_is_that_of_all_edges():
+    t, value = edges(16667, 1000, 400, jitter=20, seed=1)
+    t[0] = 1045  # the first edge alone would give a phase 45 us late
+    flicker = flicker_from_triggers(t, value)
     assert flicker.jitter_us == pytest.approx(20, rel=0.1)
+    assert flicker.phase_us == pytest.approx(1000, abs=4)
 
 
 @pytest.mark.parametrize(
@@ -123,6 +126,21 @@ def test_events_alone_give_period_and_phase(frequency, duty):
     late = (flicker.phase_us - 4321 + period / 2) % period - period / 2
     assert abs(late) < 0.02 * period
     assert flicker.duty == pytest.approx(duty, abs=0.02)
+
+
+@pytest.mark.parametrize("frequency", [50, 60])
+@pytest.mark.parametrize("width_us", [500, 2000, 4000])
+def test_a_burst_that_the_recording_cuts_does_not_shift_the_period(frequency, width_us):
+    period = 1e6 / frequency
+    t = np.concatenate([k / 2 * period + np.linspace(0, width_us, 3000) for k in range(10)])
+    p = np.repeat(np.arange(1, 11) % 2, 3000)
+    order = np.argsort(t)
+    t, p = t[order].astype(np.int64), p[order]
+    for start_us in np.arange(0, 1, 0.05) * period:
+        recorded = slice(*np.searchsorted(t, [start_us, start_us + 51e3]))
+        assert flicker_from_events(t[recorded], p[recorded]).frequency_hz == pytest.approx(
+            frequency, rel=5e-4
+        )
 
 
 def test_a_sine_is_not_taken_for_its_harmonics():
