@@ -25,7 +25,7 @@ def parsed(text: str, known: frozenset[str], readable: frozenset[str] | None) ->
         raise PydanticCustomError("template", "{fault}", {"fault": str(fault)}) from fault
 
 
-def _has(template: Template, value: str, where: str, *, of_axes: bool = False) -> None:
+def check_has(template: Template, value: str, where: str, *, of_axes: bool = False) -> None:
     """Refuse a template without the value that it must have; of several axes, such as ``counts_2``, if it may be."""
     if value and value not in template.read_names and not (of_axes and axes_told(template, value)):
         raise PydanticCustomError(
@@ -41,16 +41,14 @@ def axes_told(template: Template, value: str) -> set[str]:
 
 
 def parsed_request(text: str, known: frozenset[str] = NOTHING, value: str = "") -> Template:
-    """Read a request, which may carry one value, and then must."""
-    request = parsed(text, known, frozenset({value} - {""}))
-    _has(request, value, "belongs")
-    return request
+    """Read a request, which may carry one value."""
+    return parsed(text, known, frozenset({value} - {""}))
 
 
 def parsed_reply(text: str, known: frozenset[str] = NOTHING, value: str = "") -> Template:
     """Read a reply, which must have one value, or need not have any; ``request`` may stand in it too."""
     reply = parsed(text, known | {"request"}, None)
-    _has(reply, value, "stands", of_axes=bool(known))
+    check_has(reply, value, "stands", of_axes=bool(known))
     return reply
 
 
@@ -81,13 +79,18 @@ class Sent(StrictModel):
     # carries, tells: Names of the values that the request carries and that the reply must have; empty for none
     carries: ClassVar[str] = ""
     tells: ClassVar[str] = ""
+    must_carry: ClassVar[bool] = (
+        True  # Whether a request may lack its value: that of a setting with one value only
+    )
 
     send: Line
 
     @field_validator("send")
     @classmethod
     def _is_request(cls, text: str) -> str:
-        parsed_request(text, cls.known, cls.carries)
+        request = parsed_request(text, cls.known, cls.carries)
+        if cls.must_carry:
+            check_has(request, cls.carries, "belongs")
         return text
 
     @field_validator("reply", check_fields=False)  # of the models below

@@ -19,6 +19,7 @@ from bench.stations.described_exchanges import (
     ReplyText,
     RequestText,
     axes_told,
+    check_has,
     parsed,
     parsed_line,
     parsed_reply,
@@ -129,7 +130,11 @@ class LineConfig(StrictModel):
         ),
     ] = 0.0
     checksum: Annotated[
-        Literal["none", "xor"], Field(description="xor: *HH after each request and each reply.")
+        of.Checksum,
+        Field(
+            description="Two hexadecimal digits after each request and each reply: of the XOR of all bytes, behind a"
+            " star, of their sum, or of its two's complement."
+        ),
     ] = "none"
     clear: Annotated[
         str,
@@ -202,10 +207,35 @@ class Described(StrictModel):
         )
 
 
+class _SettingConfig(StrictModel):
+    """What the settings of lights and of axes share."""
+
+    value: Annotated[
+        float | Text | None, Field(description="Value of a constant.", union_mode="left_to_right")
+    ] = None
+    tolerance_percent: Tolerance = 0.0
+
+    if TYPE_CHECKING:
+
+        @property
+        def quantity(self) -> str: ...
+
+        @property
+        def set(self) -> Order: ...
+
+    @model_validator(mode="after")
+    def _has_value(self) -> Self:
+        if (self.quantity == "constant") != (self.value is not None):
+            raise PydanticCustomError("constant_value", "a constant needs value; no other setting has one.")
+        if self.value is None:
+            check_has(parsed_request(self.set.send, self.set.known, "value"), "value", "belongs")
+        return self
+
+
 class _Set(Order):
     """A command that sets a value of a light."""
 
-    carries = "value"
+    carries, must_carry = "value", False
 
 
 class _Get(Query):
@@ -214,7 +244,7 @@ class _Get(Query):
     tells = "value"
 
 
-class LightSettingConfig(StrictModel):
+class LightSettingConfig(_SettingConfig):
     """A setting of a light: written in the order of the file, and read back."""
 
     quantity: Literal["waveform", "frequency_hz", "duty_percent", "level_percent", "sync", "constant"]
@@ -234,13 +264,9 @@ class LightSettingConfig(StrictModel):
         Factor | None, Field(description="Factor of the value that is read, if it is another one.")
     ] = None
     range: tuple[float, float] | None = None
-    value: Annotated[float | None, Field(description="Value of a constant.")] = None
-    tolerance_percent: Tolerance = 0.0
 
     @model_validator(mode="after")
     def _consistent(self) -> LightSettingConfig:
-        if (self.quantity == "constant") != (self.value is not None):
-            raise PydanticCustomError("constant_value", "a constant needs value; no other setting has one.")
         known = _WORDS.get(self.quantity, set())
         if bool(known) != bool(self.words) or not set(self.words) <= known:
             named = ", ".join(sorted(known)) or "none"
@@ -353,7 +379,7 @@ class _Scale(Query):
 class _SetAxis(Order):
     """A command that sets a value of an axis."""
 
-    known, carries = ADDRESS, "value"
+    known, carries, must_carry = ADDRESS, "value", False
 
 
 class _GetAxis(Query):
@@ -362,21 +388,13 @@ class _GetAxis(Query):
     known, tells = ADDRESS, "value"
 
 
-class AxisSettingConfig(StrictModel):
+class AxisSettingConfig(_SettingConfig):
     """A setting of an axis, in counts (``speed``: counts/s): written when the device is opened, and read back."""
 
     quantity: Literal["speed", "acceleration", "lowest", "highest", "constant"]
     set: _SetAxis
     query: _GetAxis
     factor: Annotated[Factor, Field(description="The device's value divided by that in counts.")] = 1.0
-    value: Annotated[float | None, Field(description="Value of a constant.")] = None
-    tolerance_percent: Tolerance = 0.0
-
-    @model_validator(mode="after")
-    def _constant_has_value(self) -> AxisSettingConfig:
-        if (self.quantity == "constant") != (self.value is not None):
-            raise PydanticCustomError("constant_value", "a constant needs value; no other setting has one.")
-        return self
 
     def for_driver(self) -> of.AxisSetting:
         """Return the setting for the driver."""
@@ -393,8 +411,18 @@ class AxisProtocol(StrictModel):
         _AxisCommand | None, Field(description="Starts the move, where `move` sets the target alone.")
     ] = None
     home: _Home
+    at_home: Annotated[
+        float | None, Field(description="Counts at which a finished search of the reference leaves the axis.")
+    ] = None
     encoder: _AxisQuery | None = None
-    reference: StateQuery | None = None
+    reference: Annotated[
+        StateQuery | Literal["own"],
+        Field(description="Whether the axis has a reference; own: the device does not tell."),
+    ] = "own"
+    errors: Annotated[
+        StateQuery | None,
+        Field(description="Errors of commands; asked after each command that the device does not answer."),
+    ] = None
     faults: StateQuery | None = None
     scale: _Scale | None = None
     lowest: _AxisQuery | None = None
@@ -443,6 +471,7 @@ class StageProtocol(Described):
             axis,
             self,
             line=self.of_line(),
+            reference=None if axis.reference == "own" else axis.reference.for_driver(),
             home_replies_at_end=axis.home.reply_comes == "at_end",
             move_replies_at_end=axis.move.reply_comes == "at_end",
             scale_unit=axis.scale.unit if axis.scale else "counts_per_deg",

@@ -14,7 +14,8 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
+from functools import lru_cache, reduce
+from operator import xor
 from typing import Final, Literal
 
 from drivers.errors import OutsideLimits
@@ -49,7 +50,7 @@ _FIRST: Final = {
     "word": "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789_.+-",
 }
 """Characters with which the text after a placeholder of that kind cannot begin; none where its length is fixed."""
-Checksum = Literal["none", "xor"]
+Checksum = Literal["none", "xor", "sum", "complement"]
 AxisQuantity = Literal["speed", "acceleration", "lowest", "highest", "constant"]
 ScaleUnit = Literal["counts_per_deg", "deg_per_count", "arcsec_per_count"]
 LightQuantity = Literal["waveform", "frequency_hz", "duty_percent", "level_percent", "sync", "constant"]
@@ -103,6 +104,14 @@ class Template:
             part if isinstance(part, str) else _written(part, values[part.name]) for part in self.parts
         )
 
+    def as_sent(self, values: Mapping[str, Value], name: str) -> Value:
+        """Return a value of a request with the digits that are sent; a value that does not stand in it, as it is."""
+        read: Value | None = None
+        for part in self.parts:
+            if isinstance(part, Placeholder) and part.kind and part.name == name:
+                read = _read(part, _written(part, values[name]), read)  # a sign stands before its size
+        return values[name] if read is None or isinstance(read, str) else read
+
     def match(self, line: str, known: Mapping[str, Value]) -> dict[str, Value] | None:
         """Read the values of a line without its end; None if it does not have this form, but for the number of blanks.
 
@@ -130,8 +139,8 @@ class Template:
 def parse_template(text: str, *, known: frozenset[str], readable: frozenset[str] | None) -> Template:
     """Read a template: ``{name}`` stands for a known value, ``{name:kind}`` for a value that is read or sent.
 
-    ``known`` and ``readable`` are the names that may stand without and with a kind; ``readable`` None for any. Raises
-    `TemplateFault` if a placeholder is unknown, or a reply could be read in two ways.
+    ``known`` and ``readable`` are the names that may stand without and with a kind; ``readable`` is None for a reply,
+    which may have any. Raises `TemplateFault` if a placeholder is unknown, or a reply could be read in two ways.
 
     >>> reply = parse_template("POS={counts:integer} {unit:word}", known=frozenset(), readable=None)
     >>> reply.match("POS=-120 steps", {})
@@ -155,7 +164,7 @@ def parse_template(text: str, *, known: frozenset[str], readable: frozenset[str]
         raise TemplateFault("a brace has no partner; a placeholder is written {name:kind}.")
     _check_names([part for part in parts if isinstance(part, Placeholder) and part.kind])
     for part, following in zip(parts, [*parts[1:], None], strict=True):
-        if isinstance(part, Placeholder) and part.kind:
+        if isinstance(part, Placeholder) and part.kind and readable is None:
             _check_end(part, following)
     return Template(text, tuple(parts))
 
@@ -256,6 +265,18 @@ def _written(place: Placeholder, value: Value) -> str:
     return f"{value:.{9 if place.digits is None else place.digits}f}"
 
 
+def with_checksum(kind: Checksum, body: bytes) -> bytes:
+    """Return a message with its checksum of eight bits, in two hexadecimal digits.
+
+    >>> [with_checksum(kind, b"AB1") for kind in ("none", "xor", "sum", "complement")]
+    [b'AB1', b'AB1*32', b'AB1B4', b'AB14C']
+    """
+    if kind == "xor":
+        return b"%b*%02X" % (body, reduce(xor, body, 0))
+    total = sum(body) if kind == "sum" else -sum(body)
+    return body if kind == "none" else b"%b%02X" % (body, total & 0xFF)
+
+
 @dataclass(frozen=True)
 class Exchange:
     """A request and its reply."""
@@ -296,9 +317,7 @@ class LineDescription:
     quiet_s: float  # After this time without a byte, the line counts as silent; in seconds
     # Longest time from the opening of the port to the first answer, in seconds: some boards restart then.
     start_s: float
-    # "xor": requests and replies end in ``*`` and two hexadecimal digits, the XOR of all bytes before the
-    # ``*``.
-    checksum: Checksum
+    checksum: Checksum  # What requests and replies end in; `with_checksum` makes it
     # Sent before the end of a request, when a beginning of a request may be in the device's buffer: it makes
     # that request invalid. Without it, a query that was cut could become a command.
     clear: bytes
@@ -331,7 +350,7 @@ class AxisSetting:
     set: Exchange
     query: Exchange
     factor: float = 1.0  # The device's value divided by that in counts; not of a constant
-    constant: float = 0.0  # Value of a setting that does not depend on the station file
+    constant: Value = 0.0  # Value of a setting that does not depend on the station file; a word or a number
     # Largest difference between the value that was written and the one that is read, in percent.
     tolerance_percent: float = 0.0
 
@@ -356,9 +375,9 @@ class StageDescription:
     home_replies_at_end: bool  # Whether the reply to ``home`` comes only when the search has ended
     # Query of the encoder in the units of the counter, value ``counts``; None if there is none.
     encoder: Exchange | None
-    # Query whether an axis has a reference; None if the controller does not tell: only a homing by the driver
-    # counts.
-    reference: Switch | None
+    at_home: float | None  # Counts at which a finished search leaves the axis; None if they are not known
+    reference: Switch | None  # Query whether an axis has a reference; None if the controller does not tell
+    errors: Switch | None  # Query of the errors of commands, which removes them; None if there is none
     faults: Switch | None  # Query of faults of an axis; None if there is none
     scale: Exchange | None  # Query of the controller's scale, value ``scale``; None if it does not tell
     scale_unit: ScaleUnit
@@ -387,7 +406,7 @@ class LightSetting:
     inverse: bool = False  # Whether the device takes the reciprocal, as a period instead of a frequency
     # The device's words by Starbench's (``square``, ``steady``, ``on``, ``off``); empty for a number.
     words: Mapping[str, str] = field(default_factory=dict)
-    constant: float = 0.0  # Value of a setting that does not depend on the sequence
+    constant: Value = 0.0  # Value of a setting that does not depend on the sequence; a word or a number
     lowest: float = float("-inf")
     highest: float = float("inf")
     # Largest difference between the value that was written and the one that is read, in percent.

@@ -9,10 +9,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from functools import reduce
 
 from drivers.clock import Clock
-from drivers.described.description import Exchange, LineDescription, Notice, Switch, Template, Value
+from drivers.described.description import (
+    Exchange,
+    LineDescription,
+    Notice,
+    Switch,
+    Template,
+    Value,
+    with_checksum,
+)
 from drivers.errors import DeviceRefused, ReplyError, ReplyTimeout, WrongDevice
 from drivers.link import LONGEST_LINE, TRIES, Link, ReplyReader, repeat
 from drivers.serial_port import Port
@@ -199,9 +206,9 @@ class DescribedLine(Link):
         return match | {name.removesuffix(own): value for name, value in match.items() if name.endswith(own)}
 
     def _encode(self, request: str) -> bytes:
-        if self._description.checksum == "xor":
-            request = f"{request}*{_xor(request.encode('ascii')):02X}"
-        return request.encode("ascii") + self._description.request_end
+        return (
+            with_checksum(self._description.checksum, request.encode("ascii")) + self._description.request_end
+        )
 
     def _text(self, line: bytes) -> str:
         """Return the text of a line without notices; empty if nothing else is in it. Checks the checksum."""
@@ -210,9 +217,9 @@ class DescribedLine(Link):
         body = _BREAK.sub(b" ", self._take_from(body))
         if not re.fullmatch(rb"[\t -~]*", body):
             raise self.garbled_reply(f"not a reply: {line[:_SHOWN]!r}.")
-        if body and self._description.checksum == "xor":
-            body, star, digits = body.rpartition(b"*")
-            if not star or digits != b"%02X" % _xor(body):
+        if added := len(with_checksum(self._description.checksum, b"")):
+            whole, body = body, body[:-added]
+            if whole and whole != with_checksum(self._description.checksum, body):
                 raise self.garbled_reply(f"a reply without its checksum: {line[:_SHOWN]!r}.")
         return body.decode("ascii").replace("\t", " ").strip()
 
@@ -281,7 +288,3 @@ class DescribedLine(Link):
 def _is_echo(text: str, reply: Template, known: Mapping[str, Value]) -> bool:
     """Return whether a line repeats the request and is no reply: a device may echo in a line of its own."""
     return text == str(known["request"]).rstrip() and reply.match(text, known) is None
-
-
-def _xor(data: bytes) -> int:
-    return reduce(lambda first, other: first ^ other, data, 0)

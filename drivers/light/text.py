@@ -120,7 +120,9 @@ class TextLight(WatchedLight):
     def _set(self, setting: LightSetting, value: Value) -> None:
         """Write a setting, and read it back until two readings agree."""
         asked = setting.constant if setting.quantity == "constant" else value
-        sent: Value = setting.words[str(asked)] if setting.words else self._to_device(setting, float(asked))
+        sent: Value = setting.words[str(asked)] if setting.words else asked
+        if not isinstance(sent, str):
+            sent = self._to_device(setting, sent)
         try:
             self._line.query(setting.set, {"value": sent})
         except DeviceRefused as error:
@@ -128,10 +130,12 @@ class TextLight(WatchedLight):
                 f"{setting.quantity}: {error.what}", where=error.where, remedy=error.remedy
             ) from error
         got = self._agreed(lambda: self._line.query(setting.query)["value"], setting.quantity)
-        if not setting.words:
+        if isinstance(sent, str):
+            fits = _is_word(got, sent)
+        else:
             got = float(got) * setting.factor / setting.query_factor
-            fits = abs(got - float(sent)) <= abs(float(sent)) * setting.tolerance_percent / 100 + 1e-6
-        if not (_is_word(got, str(sent)) if setting.words else fits):
+            fits = abs(got - sent) <= abs(sent) * setting.tolerance_percent / 100 + 1e-6
+        if not fits:
             raise SettingRefused(
                 f"{setting.quantity} reads back differently from what was set: asked {sent}, got {got}.",
                 where=self._line.name,

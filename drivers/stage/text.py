@@ -5,8 +5,8 @@ controller's counts by the scale of the station file. All settings that were wri
 each move: another value means that the controller has restarted, and the reference is lost.
 
 In a mode that another program has left, a setting can be a motion. So opening only asks, and ``home`` sets modes and
-settings; opening writes settings if the controller says that it has a reference, because it may then be moved at once.
-The module moves nothing but by ``home`` and ``move_to``; ``drivers.stage.watched`` watches the moves.
+settings. A homing is believed by evidence: a controller may ignore the command in silence, and its counter may be 0
+anywhere. The module moves nothing but by ``home`` and ``move_to``; ``drivers.stage.watched`` watches the moves.
 """
 
 from __future__ import annotations
@@ -31,6 +31,8 @@ _STOPS_IN_SILENCE = 2
 """How often a stop is sent at once while no reply comes."""
 _BEGINS_S = 1.0
 """Longest time from a command until the controller reports that the axis moves, s."""
+_MOST_ERRORS = 40
+"""Errors of other programs' commands that a controller may hold."""
 _SCALE_SLACK = 2e-4
 """Largest relative difference between the scale of the station file and the controller's: it prints few digits."""
 
@@ -73,6 +75,8 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
         self._serial = serial
         self._unseen: dict[str, tuple[float, float]] = {}
         """Motions that the controller has not shown yet, by axis: time of the command, s, and target, degrees."""
+        self._unproven: dict[str, float] = {}
+        """Axes of which nothing shows yet that they search their reference, and where they stood before, degrees."""
         self._awaited: list[tuple[Exchange, dict[str, Value], str]] = []
         """Commands whose late reply has not come, with their values and what was sent; only the first is sent."""
         super().__init__(port, axes, clock=clock, wire_log=wire_log)
@@ -83,13 +87,6 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
     def _set_up(self) -> None:
         self.identify()
         self._bring_to_rest()
-        reference = self._description.reference
-        for axis in self._axes.values():
-            if reference is not None and self._line.switch(reference, self._of(axis))[0]:
-                self._prepare(axis)
-                self._finish_homing(axis)
-            else:
-                self._check_axis(axis, homed=False)
         self._line.take_notices()
 
     @classmethod
@@ -104,13 +101,9 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
         return tuple(AxisIdentity(name, line.maker, line.model, serial, firmware) for name in self._axes)
 
     def _has_reference(self) -> bool:
-        """Whether the controller says so, or this driver has homed; and nothing has changed since."""
-        reference = self._description.reference
-        if reference is None and not self._was_homed():
+        """Whether this driver has homed, the controller does not deny it, and nothing has changed since."""
+        if not self._was_homed() or any(map(self._without_reference, self._axes.values())):
             return False
-        for axis in self._axes.values():
-            if reference is not None and not self._line.switch(reference, self._of(axis))[0]:
-                return False
         return not self._changed_settings()
 
     def faults(self) -> Sequence[str]:
@@ -130,20 +123,19 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
 
     def _check_ready(self, axis: TextAxis) -> None:
         if not self._has_reference():
-            raise no_reference(axis, "the axis has no reference, or its controller has restarted")
+            raise no_reference(axis, "this program has not homed the axis, or its controller has restarted")
         self._line.take_notices()
 
     def _clear_faults(self, axis: TextAxis) -> None:
-        """Undo the modes of other programs, and write the settings again: a restart has undone them."""
-        self._line.take_notices()
-        self._prepare(axis)
-
-    def _prepare(self, axis: TextAxis) -> None:
         """Set modes and settings that an axis can have before it has a reference. Each mode stands between stops."""
-        self._check_axis(axis, homed=False)
+        self._line.take_notices()
+        errors = self._description.errors
+        for _ in range(_MOST_ERRORS if errors is not None else 0):
+            if errors is None or self._line.switch(errors, self._of(axis))[0]:
+                break
         for mode in self._description.modes:
             self._line.query(self._description.stop, self._of(axis))
-            self._line.query(mode)
+            self._command(mode, axis)
             self._line.query(self._description.stop, self._of(axis))
         for setting in self._description.settings:
             if not setting.is_position:
@@ -151,41 +143,62 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
 
     def _finish_homing(self, axis: TextAxis) -> None:
         """Compare what a homing may have changed, and write the other settings."""
-        self._check_axis(axis, homed=True)
+        self._check_axis(axis)
         for setting in self._description.settings:
             self._set(axis, setting)
         for command in self._description.setup:
-            self._line.query(command, self._of(axis))
+            self._command(command, axis)
 
     def _reachable_deg(self, axis: TextAxis, angle_deg: float) -> float:
-        counts = axis.to_position(angle_deg)
-        sent = self._description.move.send.render(self._of(axis, target=counts))
-        read = self._description.move.send.match(sent, self._of(axis))
-        return axis.to_angle_deg(float(read["target"]) if read is not None else counts)
+        values = self._of(axis, target=axis.to_position(angle_deg))
+        return axis.to_angle_deg(float(self._description.move.send.as_sent(values, "target")))
 
     def _begin_move(self, axis: TextAxis, angle_deg: float) -> None:
-        values = self._of(axis, target=axis.to_position(angle_deg))
-        if not self._description.move_replies_at_end:
+        target = axis.to_position(angle_deg)
+        if self._description.move_replies_at_end:
+            self._order_late(self._description.move, self._of(axis, target=target))
+        else:
             self._unseen[axis.name] = self._clock.monotonic(), angle_deg
-        self._order(self._description.move, values, is_late=self._description.move_replies_at_end)
+            self._command(self._description.move, axis, tries=1, target=target)
         if self._description.start is not None:
-            self._line.query(self._description.start, values, tries=1)
+            self._command(self._description.start, axis, tries=1)
 
     def _start_homing(self, check_not_stopped: StopCheck) -> None:
-        self._awaited = []
+        self._awaited, self._unproven = [], {}
         super()._start_homing(check_not_stopped)
 
     def _begin_homing(self, axis: TextAxis) -> None:
-        is_late = self._description.home_replies_at_end
-        if not is_late:
-            self._unseen[axis.name] = self._clock.monotonic(), math.nan
-        self._order(self._description.home, self._of(axis), is_late=is_late)
-
-    def _order(self, command: Exchange, values: dict[str, Value], *, is_late: bool) -> None:
-        """Send what moves an axis; if its reply is late, after those to all before it."""
-        if not is_late:
-            self._line.query(command, values, tries=1)
+        """Start a search; note what will show that it took place, but for a reply that only a finished one has."""
+        if self._description.home_replies_at_end:
+            self._order_late(self._description.home, self._of(axis))
             return
+        if not self._without_reference(axis):  # a new reference shows it
+            self._unproven[axis.name] = self._read_state(axis).position_deg
+        self._unseen[axis.name] = self._clock.monotonic(), math.nan
+        self._command(self._description.home, axis, tries=1)
+
+    def _command(self, command: Exchange, axis: TextAxis, *, tries: int = TRIES, **values: Value) -> None:
+        """Send a command, then look for errors if it has no reply."""
+        self._line.query(command, self._of(axis, **values), tries=tries)
+        self._accepts(command, axis, values)
+
+    def _accepts(self, command: Exchange, axis: TextAxis, values: dict[str, Value]) -> bool:
+        """Ask whether a command without a reply was an error; raise DeviceRefused if so. False if that is not told."""
+        errors = self._description.errors
+        if errors is None or command.reply is not None:
+            return False
+        fine, answer = self._line.switch(errors, self._of(axis))
+        if not fine:
+            raise DeviceRefused(
+                f"the device refuses '{command.send.render(self._of(axis, **values))}'"
+                f"{self._answered(errors, axis, answer)}.",
+                where=axis.name,
+                remedy="Look the answer up in the manual of the device.",
+            )
+        return True
+
+    def _order_late(self, command: Exchange, values: dict[str, Value]) -> None:
+        """Send what moves an axis and is answered when that has ended, after the replies to all before it."""
         self._awaited.append((command, values, ""))
         if len(self._awaited) == 1:
             self._send_awaited()
@@ -213,6 +226,8 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
         counts = self._line.query(self._description.position, self._of(axis))["counts"]
         problem = "" if homing else "; ".join(self._line.take_notices())
         position_deg = axis.to_angle_deg(float(counts))
+        if not idle or abs(position_deg - self._unproven.get(axis.name, position_deg)) > axis.tolerance_deg:
+            self._unproven.pop(axis.name, None)
         return AxisState(position_deg, not idle or self._may_still_begin(axis, position_deg, idle), problem)
 
     def _may_still_begin(self, axis: TextAxis, position_deg: float, idle: bool) -> bool:
@@ -247,10 +262,24 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
             return state._replace(problem="the controller restarted during the move: its position is lost")
         if homing and (without := self._without_reference(axis)):
             return state._replace(problem=f"homing ended without a reference{without}")
+        if homing and (doubt := self._unbelieved(axis, state.position_deg)):
+            return state._replace(problem=doubt)
         if homing:
             self._line.take_notices()  # a search of the reference may touch the limit switches
         faults = self.faults()
         return state._replace(problem=state.problem or "; ".join(faults))
+
+    def _unbelieved(self, axis: TextAxis, position_deg: float) -> str:
+        """Return why an axis that is idle after the search of its reference has not found it; empty if it has."""
+        if axis.name in self._unproven and not self._accepts(self._description.home, axis, {}):
+            return (
+                f"nothing shows that the controller searched the reference: the axis stayed at {position_deg:.4f} deg."
+                " The controller ignored the command, or the axis is at its reference already: then turn it away"
+            )
+        at_home = self._description.at_home
+        if at_home is not None and abs(position_deg - axis.to_angle_deg(at_home)) > axis.tolerance_deg:
+            return f"the search of the reference ended at {axis.to_counts(position_deg)} counts, not at {at_home:g}"
+        return ""
 
     def _read_encoder(self, axis: TextAxis) -> AxisState | None:
         if self._description.encoder is None:
@@ -296,32 +325,22 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
 
     # ------------------------------------------------------------ settings
 
-    def _check_axis(self, axis: TextAxis, *, homed: bool) -> None:
-        """Compare scale and travel with the station's. Before a homing, a device need not know them."""
-        counts_per_deg = self._told(self._description.scale, axis, "scale", homed=homed)
-        if counts_per_deg is not None and (counts_per_deg > 0 or homed):
-            self._check_scale(axis, counts_per_deg)
-        lowest, highest = (
-            self._told(query, axis, "counts", homed=homed)
-            for query in (self._description.lowest, self._description.highest)
+    def _check_axis(self, axis: TextAxis) -> None:
+        """Compare scale and travel with the station's. A device may know them only after a homing."""
+        scale, lowest, highest = (
+            None if query is None else self._number(query, axis, name)
+            for query, name in (
+                (self._description.scale, "scale"),
+                (self._description.lowest, "counts"),
+                (self._description.highest, "counts"),
+            )
         )
-        if not homed and lowest is not None and highest is not None and lowest >= highest:
-            return
+        if scale is not None:
+            self._check_scale(axis, scale)
         ends = sorted(map(axis.to_position, (axis.limits.lowest_deg, axis.limits.highest_deg)))
         motion.check_travel(
             axis.name, (ends[0], ends[1]), (lowest, highest), "counts", slack=1.0, to_deg=axis.to_angle_deg
         )
-
-    def _told(self, query: Exchange | None, axis: TextAxis, name: str, *, homed: bool) -> float | None:
-        """Read a number; None if there is no such query, or the device refuses it before a homing."""
-        if query is None:
-            return None
-        try:
-            return self._number(query, axis, name)
-        except DeviceRefused:
-            if homed:
-                raise
-            return None
 
     def _check_scale(self, axis: TextAxis, counts_per_deg: float) -> None:
         if counts_per_deg <= 0:
@@ -341,39 +360,45 @@ class TextStage(OneLineStage[TextAxis, DescribedLine]):
             )
 
     def _number(self, query: Exchange, axis: TextAxis, name: str) -> float:
-        """Read a number until two readings agree."""
+        return float(self._value(query, axis, name))
+
+    def _value(self, query: Exchange, axis: TextAxis, name: str) -> Value:
+        """Read a value until two readings agree."""
         return read_until_agreed(
-            lambda: float(self._line.query(query, self._of(axis))[name]), what=name, where=self._where
+            lambda: self._line.query(query, self._of(axis))[name], what=name, where=self._where
         )
 
-    def _wanted(self, axis: TextAxis, setting: AxisSetting) -> float:
+    def _wanted(self, axis: TextAxis, setting: AxisSetting) -> Value:
         """Return a setting in the controller's units, rounded as it is sent."""
         limits, scale = axis.limits, abs(axis.counts_per_deg)
         ends = sorted(map(axis.to_position, (limits.lowest_deg, limits.highest_deg)))
-        value = {
+        value: Value = {
             "speed": limits.speed_deg_s * scale * setting.factor,
             "acceleration": limits.acceleration_deg_s2 * scale * setting.factor,
             "lowest": ends[0] * setting.factor,
             "highest": ends[1] * setting.factor,
             "constant": setting.constant,
         }[setting.quantity]
-        sent = setting.set.send.match(setting.set.send.render(self._of(axis, value=value)), self._of(axis))
-        return float(sent["value"]) if sent is not None else value
+        return setting.set.send.as_sent(self._of(axis, value=value), "value")
 
-    def _differs(self, axis: TextAxis, setting: AxisSetting) -> float | None:
+    def _differs(self, axis: TextAxis, setting: AxisSetting) -> Value | None:
         """Return the value that a setting reads, if it is not the wanted one."""
-        wanted = self._wanted(axis, setting)
-        got = self._number(setting.query, axis, "value")
+        wanted, got = self._wanted(axis, setting), self._value(setting.query, axis, "value")
+        if isinstance(wanted, str):
+            return got if got != wanted else None
         slack = abs(wanted) * setting.tolerance_percent / 100.0 + 1e-9
-        return got if abs(got - wanted) > slack else None
+        try:
+            return got if abs(float(got) - wanted) > slack else None
+        except ValueError as error:
+            raise self._line.garbled_reply(f"{got!r} came for the {setting.quantity}, no number.") from error
 
     def _set(self, axis: TextAxis, setting: AxisSetting) -> None:
         if self._differs(axis, setting) is None:
             return
         wanted = self._wanted(axis, setting)
-        self._line.query(setting.set, self._of(axis, value=wanted))
+        self._command(setting.set, axis, value=wanted)
         if (got := self._differs(axis, setting)) is not None:
-            raise reads_otherwise(axis, f"the {setting.quantity}", f"{wanted:g}", f"{got:g}")
+            raise reads_otherwise(axis, f"the {setting.quantity}", shown(wanted), shown(got))
 
     def _changed_settings(self, *, with_positions: bool = True) -> bool:
         """Whether a setting that was written has another value now, as after a restart."""

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from bench.stations.station_text import read_stage_protocol
-from drivers.errors import DriverError, MoveFailed, MoveTimeout, OutsideLimits
+from drivers.errors import DeviceRefused, DriverError, MoveFailed, MoveTimeout, OutsideLimits
 from drivers.stage import AxisLimits
 from drivers.stage.text import TextAxis, TextStage
 from tests.hil.direct_stages import VirtualClock
@@ -43,24 +43,34 @@ def changed(folder: Path, device: str, old: str, new: str) -> Path:
 
 def smc100(clock: VirtualClock) -> tuple[Wire, Motor]:
     wire, motor = Wire(clock, LINES), Motor(clock)
-    known = wire.known = {"VA": "5", "errors": "0000", "state": "0A"}
+    known = wire.known = {"VA": "5", "errors": "0000", "state": "0A", "TE": "@"}
+    awake_s = [0.0]
 
     def answer(request: str) -> str:
         verb, value = request[1:3], request[3:]
+        if clock.now_s < awake_s[0]:
+            return ""
+        if verb == "RS":
+            awake_s[0], known["state"] = clock.now_s + 3.0, "0A"
         if verb == "VE":
             return "1VE SMC_CC v2.0.0\r\n"
         if verb == "PA" and known["state"] != "0A":
             motor.move(float(value))
             known["state"] = "28"
-        if verb == "OR":
+        if verb == "OR" and known["state"] == "0A":
             motor.move(0.0)
             known["state"] = "1E"
+        elif verb == "OR":
+            known["TE"] = "K"  # not allowed in the state READY
         if verb == "VA" and value != "?":
             known["VA"] = value
         if verb == "ST":
             motor.stop()
         if known["state"] in {"1E", "28"} and not motor.is_busy:
             known["state"] = "32" if known["state"] == "1E" else "33"
+        if verb == "TE":
+            error, known["TE"] = known["TE"], "@"
+            return f"1TE{error}\r\n"
         shown = {"TP": f"{motor.position_deg:.5g}", "TS": known["errors"] + known["state"], "VA": known["VA"]}
         return f"1{verb}{shown[verb]}\r\n" if verb in {"TP", "TS"} or value == "?" else ""
 
@@ -104,11 +114,10 @@ def test_a_command_that_the_device_ignored_in_silence_is_a_failed_move(clock) ->
 
 def test_a_homing_that_was_refused_in_silence_is_told_with_the_state(clock) -> None:
     wire, _ = smc100(clock)
-    wire.known["state"] = "3C"  # disabled, at its keypad or by another program: it then takes no OR
     answer = wire.answer
     wire.answer = lambda request: "" if "OR" in request else answer(request)
     stage = opened(wire, described("smc100"), ("1", 1.0))
-    with pytest.raises(MoveFailed, match="homing ended without a reference: '1TS' is answered by '3C'"):
+    with pytest.raises(MoveFailed, match="homing ended without a reference: '1TS' is answered by '0A'"):
         stage.home()
     assert not stage.is_homed()
 
@@ -129,15 +138,17 @@ def test_a_motion_that_begins_late_is_waited_for(clock) -> None:
         return answer(request)
 
     wire.answer = late
-    for _ in range(2):  # the second time, its state tells of a reference from the begin on
-        motor.move(2.0)
-        clock.sleep(1.0)
-        stage.home()
-        assert stage.is_homed()
-        assert motor.position_deg == 0.0
-        assert stage.position_deg() == {"pan": 0.0}
+    motor.move(2.0)
+    clock.sleep(1.0)
+    stage.home()
+    assert stage.is_homed()
+    assert motor.position_deg == 0.0
     stage.move_to({"pan": 7.5})
     assert motor.position_deg == 7.5
+    wire.answer = lambda request: "" if "RS" in request else late(request)
+    with pytest.raises(DeviceRefused, match="'1TE' is answered by 'K'"):  # told late, too
+        stage.home()
+    assert not stage.is_homed()
 
 
 def test_a_state_that_is_neither_idle_nor_a_motion_is_named(clock) -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from drivers.described.description import TemplateFault, parse_template
+from drivers.described.description import TemplateFault, parse_template, with_checksum
 from drivers.errors import OutsideLimits
 
 NONE: frozenset[str] = frozenset()
@@ -97,10 +97,43 @@ def test_a_request_takes_known_values_only() -> None:
         ("{v:integer.5}", -7, "-0007"),
         ("{v:signed_hex.4}", -2, "FFFE"),
         ("A:{v:sign}P{v:size}", -0.4, "A:+P0"),
+        (
+            ":w21={v:word}.",
+            50.0,
+            ":w21=50.",
+        ),  # JDS6600: no reply could end so, for a word may hold a full stop
     ],
 )
 def test_numbers_are_sent_in_the_devices_own_digits(request_, value, text) -> None:
     assert parse_template(request_, known=NONE, readable=frozenset({"v"})).render({"v": value}) == text
+
+
+@pytest.mark.parametrize(
+    ("request_", "value", "sent"),
+    [
+        ("{v:integer}0", 12.4, 12.0),
+        ("{v:number.1}.", -0.26, -0.3),
+        ("{v:sign}P{v:size}", -400.4, -400.0),
+        ("{v:signed_hex.4}", -2.2, -2.0),
+        ("{v:word}.", 50.0, 50.0),
+        ("ABSOL1", 1.0, 1.0),
+    ],
+)
+def test_a_value_is_known_as_it_is_sent(request_, value, sent) -> None:
+    assert parse_template(request_, known=NONE, readable=frozenset({"v"})).as_sent({"v": value}, "v") == sent
+
+
+@pytest.mark.parametrize(
+    ("kind", "body", "digits"),
+    [
+        ("none", b"VOLT=5", b""),
+        ("xor", b"GPGLL,5300.97914,N,00259.98174,E,125926,A", b"*28"),  # a sentence of NMEA 0183
+        ("sum", b"123", b"96"),
+        ("complement", b"1 1 03 home", b"32"),  # as zaber-motion sends it
+    ],
+)
+def test_a_checksum_is_one_of_a_few_kinds(kind, body, digits) -> None:
+    assert with_checksum(kind, body) == body + digits
 
 
 @pytest.mark.parametrize(("kind", "value"), [("hex.2", 256), ("hex.2", -1), ("signed_hex.2", 128)])

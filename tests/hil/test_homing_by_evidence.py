@@ -1,0 +1,186 @@
+"""A homing of a described stage is believed by evidence: controllers ignore the command in silence, and take moves then."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import pytest
+from quick_runs import write_sequence, write_station
+from running import called, journal
+
+from drivers.errors import DeviceRefused, MoveFailed, NotHomed
+from simulators.ports.pseudo_terminal import PseudoTerminal
+from simulators.ports.serial_device import SerialDevice
+from tests.hil.test_described_stages_of_users import changed, gsc02, opened, smc100
+from tests.hil.text_wire import LINES, Motor, Wire, described
+
+SCALE = 400.0
+TRUE_DEG = 1.94
+"""Where the axis of `ps10` stands, while its counter is 0."""
+
+
+def ps10(clock, *, state: str = "R", ignores: str = "") -> tuple[Wire, Motor]:
+    """Connect an OWIS PS10 whose counter another program has set to 0 anywhere; ``ignores`` is a command."""
+    wire, motor = Wire(clock, LINES), Motor(clock, TRUE_DEG)
+    zero_deg = [TRUE_DEG]
+    known = wire.known = {"ERR": "0", "state": state, "PVEL1": "1000", "PSET1": "0", "refused": "0"}
+
+    def answer(request: str) -> str:
+        name, _, value = request.partition("=")
+        if known["state"] == "P" and not motor.is_busy:
+            known["state"], zero_deg[0] = "R", 0.0
+        if name == ignores or (known["state"] != "R" and name in {"REF1", "PGO1"}):
+            known["ERR"] = known["refused"]
+        elif name == "REF1":
+            known["state"] = "P"
+            motor.move(0.0)
+        elif name == "PGO1":
+            motor.move(float(known["PSET1"]) / SCALE + zero_deg[0])
+        elif name == "INIT1":
+            known["state"] = "R"
+        elif name == "STOP1":
+            motor.stop()
+        elif value:
+            known[name] = value
+        if not name.startswith("?"):
+            return ""
+        error, known["ERR"] = known["ERR"], known["ERR"] if name != "?ERR" else "0"
+        return {
+            "?VERSION": "PS10-V1.1", "?SERNUM": "9080145", "?ERR": error,
+            "?ASTAT": "T" if motor.is_busy and known["state"] == "R" else known["state"],
+            "?CNT1": str(round((motor.position_deg - zero_deg[0]) * SCALE)), "?PVEL1": known["PVEL1"],
+        }[name] + "\r"  # fmt: skip
+
+    wire.answer = answer
+    return wire, motor
+
+
+def test_an_axis_that_was_not_initialised_is_by_a_bare_command_and_is_homed(clock) -> None:
+    wire, motor = ps10(clock, state="I")
+    stage = opened(wire, described("ps10"), ("1", SCALE))
+    stage.home()
+    stage.move_to({"pan": 5.0})
+    assert motor.position_deg == pytest.approx(5.0)
+    assert wire.sent.count("INIT1") == 1
+
+
+def test_a_search_that_is_ignored_without_any_trace_is_no_homing(tmp_path, clock) -> None:
+    wire, motor = ps10(clock, ignores="REF1")
+    without_queue = changed(
+        tmp_path, "ps10", '  errors: {send: "?ERR", reply: "{state:integer}", when: [0]}\n', ""
+    )
+    stage = opened(wire, without_queue, ("1", SCALE))
+    with pytest.raises(MoveFailed, match="nothing shows"):
+        stage.home()
+    assert not stage.is_homed()
+    with pytest.raises(NotHomed):
+        stage.move_to({"pan": 5.0})
+    assert motor.position_deg == TRUE_DEG
+
+
+def test_a_search_that_the_error_queue_refuses_is_told_and_old_errors_are_not_taken_for_it(clock) -> None:
+    wire, _ = ps10(clock, ignores="REF1")
+    wire.known |= {"ERR": "7", "refused": "40"}
+    stage = opened(wire, described("ps10"), ("1", SCALE))
+    with pytest.raises(DeviceRefused, match=r"'REF1=4': '\?ERR' is answered by '40'"):
+        stage.home()
+    assert not stage.is_homed()
+
+
+def test_an_axis_at_its_reference_is_homed_by_an_empty_error_queue(clock) -> None:
+    wire, motor = ps10(clock)
+    motor.move(0.0)
+    clock.sleep(1.0)
+    stage = opened(wire, described("ps10"), ("1", SCALE))
+    for _ in range(2):
+        stage.home()
+        assert stage.is_homed()
+
+
+def test_a_reference_that_comes_is_evidence_without_any_motion(clock) -> None:
+    wire, motor = smc100(clock)
+    motor.move(0.0)
+    clock.sleep(1.0)
+    stage = opened(wire, described("smc100"), ("1", 1.0))
+    stage.home()
+    assert stage.is_homed()
+
+
+def test_a_reference_of_another_program_is_none(clock) -> None:
+    """12.000 deg were true for 5: that program had set another zero."""
+    wire, motor = smc100(clock)
+    wire.known["state"] = "32"
+    stage = opened(wire, described("smc100"), ("1", 1.0))
+    assert not stage.is_homed()
+    with pytest.raises(NotHomed):
+        stage.move_to({"pan": 5.0})
+    stage.home()  # a reset brings it to the state in which it searches
+    stage.move_to({"pan": 5.0})
+    assert motor.position_deg == 5.0
+
+
+def test_a_search_that_ends_beside_the_reference_is_no_homing(clock) -> None:
+    wire, motors = gsc02(clock)
+    answer = wire.answer
+
+    def stopped_by_hand(request: str) -> str:
+        replied = answer(request)
+        if request.startswith("H:1"):
+            motors["1"].move(1.0)
+        return replied
+
+    wire.answer = stopped_by_hand
+    stage = opened(wire, described("gsc02"), ("1", SCALE), ("2", SCALE))
+    with pytest.raises(MoveFailed, match="ended at 400 counts, not at 0"):
+        stage.home()
+    assert not stage.is_homed()
+
+
+class SystemTime:
+    """The time of this computer, as `Motor` and `Wire` ask for it."""
+
+    @property
+    def now_s(self) -> float:
+        return time.monotonic()
+
+
+class Lines:
+    """What a `Wire` is connected to, for a pseudo-terminal."""
+
+    baud = 9600
+
+    def __init__(self, wire: Wire) -> None:
+        self.wire = wire
+
+    def receive(self, data: bytes) -> bytes:
+        self.wire.write(data)
+        answers, self.wire.ready = self.wire.ready, b""
+        return answers
+
+    def unsolicited(self) -> bytes:
+        return b""
+
+
+def test_a_run_with_a_stage_that_ignores_its_homing_records_no_view(tmp_path: Path, home: Path) -> None:
+    wire, motor = ps10(SystemTime(), ignores="REF1")
+    description = changed(
+        tmp_path, "ps10", '  errors: {send: "?ERR", reply: "{state:integer}", when: [0]}\n', ""
+    )
+    station = write_station(tmp_path / "station.yaml")
+    with SerialDevice(PseudoTerminal(tmp_path / "gimbal"), Lines(wire), paced=False) as device:
+        head, rest = station.read_text().split("stage:", 1)
+        rest = rest[rest.index("\nlight:") :]
+        station.write_text(
+            f"{head}stage:\n  driver: text\n  protocol: {description}\n  port: {device.address}\n  axes:\n"
+            f'    pan: {{address: "1", counts_per_deg: {SCALE}, limits_deg: [-15, 15], speed_deg_s: 20,'
+            f" acceleration_deg_s2: 1000}}\n{rest}"
+        )
+        sequence = write_sequence(tmp_path / "sequence.yaml", "[{pan_deg: -6}, {pan_deg: 6}, {pan_deg: 0}]")
+        folder = tmp_path / "run"
+        ended = called("run", sequence, "-s", station, "-o", folder, home=home)
+    assert ended.returncode == 1, ended.stderr
+    assert "nothing shows" in ended.stderr
+    assert not any(line["event"] == "recorded" for line in journal(folder))
+    assert not list((folder / "captures").glob("*"))
+    assert motor.position_deg == TRUE_DEG
