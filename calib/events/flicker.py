@@ -326,7 +326,7 @@ def _search_frequency(rates: Array, bin_us: float, band_hz: tuple[float, float])
             remedy="Check that the light flickers, or wire its sync output to the trigger input.",
         )
     coarse = float(frequencies[peaks[power[peaks] >= FUNDAMENTAL_SHARE * strongest][0]])
-    return coarse / _turns_per_burst(rates, coarse * 1e-6 * bin_us * np.arange(bins))
+    return coarse / _turns_per_burst(rates, coarse * 1e-6 * bin_us * np.arange(bins, dtype=np.float64))
 
 
 def _turns_per_burst(rates: Array, turns: Array) -> float:
