@@ -76,7 +76,7 @@ _GONE = {
     **dict.fromkeys(
         ("certificate --xades-key", "certificate --xades-certificate"),
         "Certificates have no XML signature of their own: leave the option out. The seal of the bench covers dcc.xml; "
-        "xmlsec1 can sign a copy of it.",
+        "another program can sign a copy of it.",
     ),
     "calibrate --compare": "The comparison left: `make table1` in the source folder compares methods, and "
     "`calibrate --model planar` is Zhang's method on your views.",

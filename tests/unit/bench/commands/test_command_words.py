@@ -319,7 +319,7 @@ def test_a_home_folder_that_cannot_be_written_gets_a_hint_to_choose_another(caps
 @pytest.mark.parametrize(
     ("words", "where"),
     [
-        (("certificate", "issue", "runs/a", "--xades-key=key.pem"), "xmlsec1"),
+        (("certificate", "issue", "runs/a", "--xades-key=key.pem"), "dcc.xml"),
         (("calibrate", "runs/a", "--compare"), "`make table1`"),
         (("history", "capability", "runs"), "`starbench history table"),
         (("panel", "--line", "nine_pose"), "--expect-serial"),
