@@ -40,8 +40,8 @@ from bench.wording.parameters import unit_text
 from bench.wording.target_words import words_for
 
 if TYPE_CHECKING:
-    from bench.plan.camera_files import CameraFile
-    from bench.plan.camera_values import LensFamily
+    from bench.camera_files.camera_values import LensFamily
+    from bench.camera_files.reader import CameraFile
     from bench.record.results import CheckData
     from calib.calibration import Calibration
     from calib.model.camera import CameraModel
@@ -308,7 +308,8 @@ def check(
     from bench.solve.solution import compared_with
     from calib.errors import DegenerateViews
 
-    stated, choices = stated_camera(file, camera, lens), OfflineOptions.from_command_line(**options)
+    choices = OfflineOptions.from_command_line(**options)
+    stated = stated_camera(file, camera, lens, choices.image_size)
     if choices.board is not None and choices.distortion is None:
         choices = replace(choices, distortion=_lens_of(stated.camera))
     try:

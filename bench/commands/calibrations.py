@@ -17,8 +17,8 @@ from bench.wording.target_words import TargetWords, words_for
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from bench.plan.camera_files import CameraFile
-    from bench.plan.camera_values import LensFamily
+    from bench.camera_files.camera_values import LensFamily
+    from bench.camera_files.reader import CameraFile
     from bench.record.results import CalibrationData
     from bench.solve.offline import OfflineResult
 
@@ -37,11 +37,13 @@ _THROUGH_COLLIMATOR = ("distortion", "passport", "image-size", "views", "origin"
 """Options of commands that take all others from the runs."""
 
 
-def stated_camera(file: Path, name: str | None, lens: LensFamily | None) -> CameraFile:
+def stated_camera(
+    file: Path, name: str | None, lens: LensFamily | None, image_size: tuple[int, int] | None
+) -> CameraFile:
     """Read the camera of a calibration file, and print what is remarkable about it."""
-    from bench.plan.camera_files import read_camera_file
+    from bench.camera_files.reader import read_camera_file
 
-    camera_file = read_camera_file(file, name, lens)
+    camera_file = read_camera_file(file, name, lens, image_size)
     for remark in camera_file.remarks:
         click.echo(f"{file}: {remark}", err=True)
     return camera_file
@@ -121,7 +123,7 @@ _OPTIONS = {
     "image-size": click.option(
         "--image-size",
         metavar="WxH",
-        help="Image size for point files, and for event files that do not state it.",
+        help="Image size, for point files, and for event files and calibrations that do not state it.",
     ),
     "views": click.option("--views", metavar="1,5,9", help="Use only these views. The first one is 1."),
     "origin": click.option(
@@ -159,8 +161,8 @@ _OPTIONS = {
 engine_options = together(*_OPTIONS.values())
 """All options that say how to calibrate."""
 
-BOARD = _OPTIONS["board"]
-"""The option of commands that take a board beside the star target."""
+BOARD, IMAGE_SIZE = _OPTIONS["board"], _OPTIONS["image-size"]
+"""Options that single commands take."""
 
 collimator_options = together(*(_OPTIONS[name] for name in _THROUGH_COLLIMATOR))
 """The options of a calibration through a collimator."""

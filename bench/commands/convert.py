@@ -11,7 +11,7 @@ import click
 
 from bench.base.clock import reliable_interrupts
 from bench.base.errors import UsageError
-from bench.commands.calibrations import CAMERA, LENS, stated_camera
+from bench.commands.calibrations import CAMERA, IMAGE_SIZE, LENS, stated_camera
 from bench.commands.options import (
     AnyPath,
     EventFile,
@@ -29,7 +29,7 @@ from bench.extras.many.workers import Workers
 from bench.record.storage import make_folder, write_atomic
 
 if TYPE_CHECKING:
-    from bench.plan.camera_values import LensFamily
+    from bench.camera_files.camera_values import LensFamily
     from calib.model.camera import Undistortion
     from drivers.camera.event_arrays import ReadingChoices, TimeUnit
 
@@ -205,6 +205,7 @@ def _convert_many(
 )
 @CAMERA
 @LENS
+@IMAGE_SIZE
 @JSON
 def undistort(
     file: Path,
@@ -213,19 +214,21 @@ def undistort(
     preview: Path | None,
     camera: str | None,
     lens: LensFamily | None,
+    image_size: str | None,
 ) -> int:
     """Write the tables that take the distortion of RUN's camera out of events and images.
 
     RUN is a run folder, its results.json, or a calibration of OpenCV, ROS, Kalibr, mrcal, COLMAP or Metavision.
     undistort.npz holds for each pixel its ray and its place in the rectified image, the pair of maps for OpenCV's
-    remap, and the new camera matrix; camera_info.yaml is ROS's, with the new matrix as P.
+    remap, and the camera matrix before and after; camera_info.yaml is ROS's, with the new matrix as P.
     """
     from bench.solve.exports import read_picture_for, undistorted_files
     from bench.solve.offline_folder import require_new
+    from bench.solve.offline_options import parse_image_size
     from calib.model.camera import undistort as tables_of
 
     require_new(output)
-    stated = stated_camera(file, camera, lens).camera
+    stated = stated_camera(file, camera, lens, parse_image_size(image_size)).camera
     picture = read_picture_for(preview, stated) if preview is not None else None
     line = PartsLine("blocks of pixels calculated", "the tables are compressed", quiet=wants_json())
     with line.shown() as reached:
@@ -239,7 +242,8 @@ def undistort(
         return {
             "folder": str(output),
             "files": list(files),
-            "camera_matrix": undistortion.camera.matrix.tolist(),
+            "camera_matrix": stated.matrix.tolist(),
+            "new_camera_matrix": undistortion.camera.matrix.tolist(),
             "without_ray": undistortion.without_ray,
         }
 

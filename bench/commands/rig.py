@@ -18,7 +18,7 @@ from bench.commands.workers import views_line
 from bench.wording.numbers import with_uncertainty
 
 if TYPE_CHECKING:
-    from bench.plan.camera_values import LensFamily
+    from bench.camera_files.camera_values import LensFamily
     from bench.solve.rig import RigFound
     from calib.studies.clock_offset import ClockOffset
     from calib.studies.rig import Rig, RigDifference
@@ -100,7 +100,10 @@ def rig(
     pairs = [pair for pair in ((first, second), boards) if pair]
     clocks = find_clocks(pairs, choices) if sync else ()
     names = camera or (None, None)
-    cameras = [stated_camera(file, name, lens) for file, name in zip(calibration or (), names, strict=False)]
+    cameras = [
+        stated_camera(file, name, lens, choices.image_size)
+        for file, name in zip(calibration or (), names, strict=False)
+    ]
     with views_line(quiet=wants_json()) as progress:
         rig_of_views = find_rig((first, second), boards or (), cameras, choices, progress)
     solved = replace(rig_of_views, clocks=clocks)

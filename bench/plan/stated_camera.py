@@ -17,7 +17,7 @@ from sequences.script import SolveStep, Step
 from sequences.tree import Fault
 
 if TYPE_CHECKING:  # it loads OpenCV, which plans without a check do not need
-    from bench.plan.camera_files import CameraFile
+    from bench.camera_files.reader import CameraFile
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ def choose_stated_camera(
 
 def _read(file: Path, copy: Path | None) -> CameraFile:
     """Read the copy if there is one, else the named file; raises BenchError."""
-    from bench.plan.camera_files import read_camera_file
+    from bench.camera_files.reader import read_camera_file
 
     if copy is None and not file.exists():
         raise UsageError("There is no such file or folder.", where=str(file), remedy="Check the path.")

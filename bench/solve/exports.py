@@ -371,7 +371,9 @@ def undistorted_files(
         rectified_px=undistortion.rectified_px,
         map_x=undistortion.map_px[..., 0],
         map_y=undistortion.map_px[..., 1],
-        camera_matrix=matrix,
+        camera_matrix=camera.matrix,
+        distortion=opencv_coefficients(camera),
+        new_camera_matrix=matrix,
         projection_matrix=np.column_stack([matrix, np.zeros(3)]),
     )
     files = {TABLES: tables.getvalue()}

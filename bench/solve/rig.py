@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from bench.base.bounded_json import parse_json
 from bench.base.errors import UsageError
-from bench.plan.camera_files import CameraFile, form_text
-from bench.plan.camera_text import OtherForm, values_of
-from bench.plan.stated_values import OF_OTHER_FORM
+from bench.camera_files.reader import CameraFile
+from bench.camera_files.texts import OtherForm
 from bench.record.storage import read_bounded
 from bench.solve.exports import (
     NOT_WRITTEN,
@@ -204,12 +204,13 @@ class StatedRig:
 def read_rig_file(path: Path) -> StatedRig:
     """Read the rig of a file, which must hold exactly one."""
     try:
-        content = values_of(read_bounded(path, _MOST_BYTES))[1][0]
+        content = parse_json(read_bounded(path, _MOST_BYTES))
         stated = _of_sdk(content) if "T_slave_master" in content else _own(content)
         _require_possible(stated)
-    except OF_OTHER_FORM as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        why = error if isinstance(error, OtherForm) else "a value is missing or has another form"
         raise NotARig(
-            f"This file does not hold a rig: {form_text(error)}.",
+            f"This file does not hold a rig: {why}.",
             where=str(path),
             remedy="Known are rig.json of this command, and extrinsics.json of the Metavision SDK.",
         ) from error

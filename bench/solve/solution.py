@@ -15,10 +15,10 @@ from typing import Any, cast
 import numpy as np
 
 from bench.base.errors import BenchError
+from bench.camera_files.reader import CameraFile
 from bench.measure.gates import Gate, at_most, solution_gates
 from bench.measure.measure import Measurement, aligned_poses
 from bench.measure.views_file import StoredView
-from bench.plan.camera_files import CameraFile
 from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
 from bench.record.events import Solved

@@ -11,7 +11,7 @@ from calling import out_of, refusal
 from drawn_rig import BOARD as CORNERS_MM
 from drawn_rig import Drawn
 
-from bench.plan.camera_files import read_camera_file
+from bench.camera_files.reader import read_camera_file
 from bench.solve.exports import camera_info
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.rig import find_rig

@@ -11,7 +11,7 @@ import pytest
 import yaml
 from exported_camera import FISHEYES, LENSES, calibration
 
-from bench.plan.camera_files import parse_camera
+from bench.camera_files.reader import parse_camera
 from bench.solve.exports import NOT_WRITTEN, FormatCannotCarry, exports, kalibr_camchain, opencv_yaml
 from calib.model.result_parts import Boresight
 from calib.target import StarTarget

@@ -65,7 +65,11 @@ def test_a_board_is_straight_in_the_image_that_the_tables_give(capsys, calibrate
     info = yaml.safe_load((folder / "new" / "camera_info.yaml").read_text())
     projection = np.reshape(info["projection_matrix"]["data"], (3, 4))
     assert np.array_equal(projection, tables["projection_matrix"])
-    assert np.array_equal(projection[:, :3], answer["camera_matrix"])
+    for of_file in (tables, answer):
+        assert np.array_equal(projection[:, :3], of_file["new_camera_matrix"])
+        assert np.array_equal(np.reshape(info["camera_matrix"]["data"], (3, 3)), of_file["camera_matrix"])
+    assert np.array_equal(tables["camera_matrix"], camera.matrix)
+    assert np.array_equal(tables["distortion"], info["distortion_coefficients"]["data"])
     assert tables["rays"][150, 200] == pytest.approx(camera.rays(np.array([[200.0, 150.0]]))[0], abs=1e-6)
 
 
@@ -79,7 +83,7 @@ def test_the_example_of_the_page_moves_events(capsys, calibrated, monkeypatch):
     exec(example, names)
     rays = camera.rays(np.column_stack([names["x"], names["y"]]).astype(float))
     with np.load("cam7-tables/undistort.npz") as tables:
-        moved = rays @ tables["camera_matrix"].T
+        moved = rays @ tables["new_camera_matrix"].T
     assert np.column_stack([names["new_x"], names["new_y"]]) == pytest.approx(
         moved[:, :2] / moved[:, 2:], abs=1e-2
     )
@@ -109,6 +113,17 @@ def test_the_tables_use_a_thin_prism_and_a_tilted_sensor_and_no_file_drops_them(
     assert np.abs(seen - pixels).max() < 1e-4  # the tables are float32
 
 
+def test_the_arrays_of_opencvs_tutorial_get_tables_with_an_image_size(capsys, tmp_path):
+    camera = CAMERAS["brown"]
+    np.savez(tmp_path / "calib.npz", mtx=camera.matrix, dist=[camera.coefficients[:5]])
+    words = (tmp_path / "calib.npz", "-o", tmp_path / "new")
+    assert "--image-size" in say(capsys, *words, status=2)
+    say(capsys, *words, "--image-size", "400x300")
+    with np.load(tmp_path / "new" / "undistort.npz") as tables:
+        assert tables["rays"][150, 200] == pytest.approx(camera.rays(np.array([[200.0, 150.0]]))[0], abs=1e-6)
+        assert np.array_equal(tables["camera_matrix"], camera.matrix)
+
+
 def test_a_fault_is_one_clear_error_and_nothing_is_written(capsys, tmp_path, calibrated):
     _, folder = calibrated
     cv2.imwrite(str(folder / "small.png"), np.full((30, 40), 128, np.uint8))
@@ -119,6 +134,7 @@ def test_a_fault_is_one_clear_error_and_nothing_is_written(capsys, tmp_path, cal
         (2, "There is no picture in this file", "info.yaml", "--preview", "events.csv"),
         (2, "does not hold a calibrated camera", "no.yaml"),
         (2, "2", "info.yaml", "--keep", "2"),
+        (2, "400 x 300 px", "info.yaml", "--image-size", "640x480"),
     ]
     for status, text, file, *words in faults:
         here = [folder / word if word.endswith((".png", ".csv")) else word for word in words]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from solved_run import write_solved_run
 
-from bench.plan.camera_files import read_camera_file
+from bench.camera_files.reader import read_camera_file
 from bench.record.storage import read_json
 
 
