@@ -208,7 +208,8 @@ def read_rig_file(path: Path) -> StatedRig:
         stated = _of_sdk(content) if "T_slave_master" in content else _own(content)
         _require_possible(stated)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
-        why = error if isinstance(error, OtherForm) else "a value is missing or has another form"
+        why = str(error) if isinstance(error, OtherForm) else "a value has another form"
+        why = f"it has no {error}" if isinstance(error, KeyError) else why
         raise NotARig(
             f"This file does not hold a rig: {why}.",
             where=str(path),

@@ -267,12 +267,12 @@ def test_the_intrinsics_of_one_chain_are_named(capsys, drawn, tmp_path):
         ),
         (
             ("{}/left", "{}/right", *BOARD, "--calibration", "{}/left.yaml", "{}/small.yaml"),
-            "The camera has 640 x 480 px, the view",
-            1,
+            "its image has 640 x 480 px, not those of --image-size",
+            2,
         ),
         (
             ("{}/left", "{}/right", *BOARD, "--calibration", "{}/left.yaml", "{}/two.yaml"),
-            "The file holds 2 cameras: cam0, cam1. Name one with --camera",
+            "it holds 2 cameras: cam0, cam1. Name one with --camera",
             2,
         ),
     ],
