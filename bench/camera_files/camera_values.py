@@ -44,7 +44,10 @@ def camera_of_form(
 def size_of(stated: Sequence[int] | None, given: tuple[int, int] | None) -> tuple[int, int]:
     """Return the size of the image, px, of a file that may state it and a person who may give it."""
     if not stated and not given:
-        raise OtherForm("it does not state the size of the image", "Give --image-size WIDTHxHEIGHT, px.")
+        raise OtherForm(
+            "it does not state the size of the image",
+            "Give --image-size WIDTHxHEIGHT to `check`, `undistort` or `rig`; a sequence needs a file that states it.",
+        )
     width, height = stated or given or ()
     if given not in (None, (width, height)):
         raise OtherForm(
