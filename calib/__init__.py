@@ -98,5 +98,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Return the public names too, which are loaded at their first use: for completion, and for the site."""
-    return sorted({*globals(), *__all__})
+    """Return the public names, also those that are not loaded yet."""
+    return sorted(__all__)

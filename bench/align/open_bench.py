@@ -24,10 +24,11 @@ from bench.base.failure import FORESEEN, Failure
 from bench.measure.camera_kinds import camera_kind
 from bench.record.device_end import DeviceEnd, DeviceName
 from bench.simulated import SimulatedBench
+from bench.stations.cameras import OpenCvCameraConfig
 from bench.stations.devices import Camera, Devices
 from bench.stations.sections import EventCameraConfig, FrameCameraConfig
 from bench.stations.stages_and_lights import LightConfig
-from bench.stations.station import OpenCvCameraConfig, Station
+from bench.stations.station import Station
 from drivers.camera import CameraIdentity, CameraSettings, EventCamera, StatesBiasRanges
 from drivers.camera.frames import FrameCamera, FrameSettings
 from drivers.errors import DriverError

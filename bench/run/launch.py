@@ -51,8 +51,8 @@ from bench.run.runner import RunEnd, Runner
 from bench.run.steps_to_do import intentions
 from bench.solve.result import Outcome
 from bench.solve.software import plugins_of_run, run_software
+from bench.stations.cameras import PictureFolderConfig
 from bench.stations.devices import Devices
-from bench.stations.station import PictureFolderConfig
 from bench.wording.conformity import conformity_headline
 from drivers.wire_log import WireLogFile
 from sequences.reader import OptionSettings

@@ -14,18 +14,12 @@ from bench.base.clock import BenchClock
 from bench.base.errors import SimulationError
 from bench.record.device_end import DeviceEnd, DeviceName, lost_ends, unsafe_devices
 from bench.simulated import SimulatedBench
-from bench.stations import station as station_file
 from bench.stations.device_locks import hold_devices, serial_devices
-from bench.stations.sections import EventCameraSection, FrameCameraSection, PortName
+from bench.stations.sections import PortName
 from bench.stations.station import Station
 from bench.stations.station_fields import SIMULATED_PREFIX
 from drivers.camera import EventCamera
-from drivers.camera.frame_cameras import FolderFrameCamera, OpenCvFrameCamera
 from drivers.camera.frames import FrameCamera
-from drivers.camera.metavision import MetavisionEvk4
-from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
-from drivers.camera.recorded import RecordedCamera
-from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
 from drivers.errors import DriverError
 from drivers.light import Light
 from drivers.stage import Stage
@@ -161,24 +155,6 @@ def open_light(station: Station, port: PortName, clock: BenchClock, wire_log: Wi
     return station.light.open_device(port, clock=clock, wire_log=wire_log)
 
 
-def open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera:  # noqa: PLR0911 - one for each driver
+def open_camera(station: Station, port: PortName, clock: BenchClock) -> Camera:
     """Open the camera of a station. Nothing moves, and nothing is switched on."""
-    match station.camera:
-        case station_file.SimulatedEvk4Config() as config:
-            return SimulatedEvk4Camera.open(
-                port(config.address), serial=config.serial, clock=clock, utc_now=clock.utc_now
-            )
-        case station_file.MetavisionConfig() as config:
-            return MetavisionEvk4.open(serial=config.serial, clock=clock)
-        case station_file.NeuromorphicEvk4Config() as config:
-            return NeuromorphicEvk4.open(serial=config.serial, clock=clock, utc_now=clock.utc_now)
-        case station_file.RecordedCameraConfig() as config:
-            return RecordedCamera.open(config.path, serial=config.serial, clock=clock)
-        case station_file.OpenCvCameraConfig() as config:
-            source = port(config.source_in_use())
-            hidden = f"${config.source_env}" if config.source_env else ""
-            return OpenCvFrameCamera.open(source, serial=config.serial, clock=clock, shown_as=hidden)
-        case station_file.PictureFolderConfig() as config:
-            return FolderFrameCamera.open(config.path, serial=config.serial, clock=clock)
-        case EventCameraSection() | FrameCameraSection() as config:
-            return config.open_device(port, clock=clock)
+    return station.camera.open_device(port, clock=clock)

@@ -16,6 +16,7 @@ from pydantic import (
 )
 from pydantic_core import PydanticCustomError
 
+from bench.base.clock import BenchClock
 from bench.stations.placeholders import UNKNOWN_PORT
 from bench.stations.station_fields import SIMULATED_PREFIX, Frame, Serial, Text
 from drivers.camera import EventCamera
@@ -334,7 +335,12 @@ class BiasesConfig(StrictModel):
 
 
 class EventCameraConfig(StrictModel):
-    """Keys of every event camera."""
+    """An event camera section that opens its own driver, with the keys of every event camera."""
+
+    if TYPE_CHECKING:
+
+        @property
+        def driver(self) -> str: ...  # noqa: D102 - a key
 
     serial: Serial
     biases: BiasesConfig = BiasesConfig()
@@ -351,14 +357,8 @@ class EventCameraConfig(StrictModel):
         """Ports of the camera; a camera on USB has none."""
         return ()
 
-
-class EventCameraSection(EventCameraConfig):
-    """A section of an event camera that opens its own driver: a plug-in's. A subclass has the key ``driver``."""
-
-    driver: str
-
     @abstractmethod
-    def open_device(self, port: PortName, *, clock: Clock) -> EventCamera:
+    def open_device(self, port: PortName, *, clock: BenchClock) -> EventCamera:
         """Open the camera.
 
         Parameters
@@ -378,8 +378,19 @@ class EventCameraSection(EventCameraConfig):
         """
 
 
+class EventCameraSection(EventCameraConfig):
+    """A section of an event camera of a plug-in. A subclass has the key ``driver``, a Literal."""
+
+    driver: str
+
+
 class FrameCameraConfig(StrictModel):
-    """Keys of every frame camera. Its light is steady."""
+    """A frame camera section that opens its own driver, with the keys of every frame camera. Its light is steady."""
+
+    if TYPE_CHECKING:
+
+        @property
+        def driver(self) -> str: ...  # noqa: D102 - a key
 
     serial: Annotated[
         str, Field(max_length=64, description="Serial number on USB. If it is empty, any camera is accepted.")
@@ -404,12 +415,12 @@ class FrameCameraConfig(StrictModel):
         """
         return FrameSettings()
 
+    @abstractmethod
+    def open_device(self, port: PortName, *, clock: BenchClock) -> FrameCamera:
+        """See `EventCameraConfig.open_device`."""
+
 
 class FrameCameraSection(FrameCameraConfig):
-    """A section of a frame camera that opens its own driver: a plug-in's. A subclass has the key ``driver``."""
+    """A section of a frame camera of a plug-in. A subclass has the key ``driver``, a Literal."""
 
     driver: str
-
-    @abstractmethod
-    def open_device(self, port: PortName, *, clock: Clock) -> FrameCamera:
-        """See `EventCameraSection.open_device`."""

@@ -1,48 +1,40 @@
 """The station file: the devices of a bench, their ports, and their limits.
 
-The sections of stage and light are in `stages_and_lights`, that of the camera is here. docs/stations.md describes every
-key.
+The sections of stage and light are in `stages_and_lights`, that of the camera in `cameras`. docs/stations.md describes
+every key.
 """
 
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections.abc import Mapping
 from pathlib import Path, PurePosixPath, PureWindowsPath
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from bench.base.errors import UsageError
-from bench.stations.messages_section import MessagesConfig
-from bench.stations.plugins import with_plugins
-from bench.stations.sections import (
-    AxisConfig,
-    EventCameraConfig,
-    EventCameraSection,
-    FrameCameraConfig,
-    FrameCameraSection,
+from bench.stations.cameras import (
+    CameraConfig,
+    PictureFolderConfig,
+    RecordedCameraConfig,
+    SimulatedEvk4Config,
 )
+from bench.stations.messages_section import MessagesConfig
+from bench.stations.sections import AxisConfig
 from bench.stations.stages_and_lights import LightConfig, StageConfig
 from bench.stations.station_budget import BudgetConfig, CollimatorConfig, GimbalConfig
 from bench.stations.station_fields import (
     SIMULATED_PREFIX,
     FocalLength,
     InterlocksConfig,
-    Port,
     Serial,
     TargetConfig,
     Text,
-    Variable,
-    VideoSource,
 )
 from bench.stations.station_text import use_descriptions
 from calib.studies.predicted_views import TYPICAL_DEFOCUS, TYPICAL_RMS_PX, CollimatorErrors
-from drivers.camera.frames import FrameSettings
-from drivers.port_address import SOURCE_REMEDY, refused_source
 from sequences.reader import Located, find_document, read_document
 from sequences.schema import Name, ResultLimits
 from sequences.strict_model import StrictModel, Within
@@ -56,102 +48,6 @@ SHIPPED_STATIONS = Path(__file__).parent
 
 _TRUTHS = {"true": True, "false": False}
 _NUMBER = re.compile(r"[-+]?(?!0\d)(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
-
-
-class SimulatedEvk4Config(EventCameraConfig):
-    """A simulated EVK4, connected through a local socket."""
-
-    driver: Literal["simulated_evk4"]
-    address: Port
-
-    @property
-    def ports(self) -> tuple[str, ...]:
-        """Address of the camera."""
-        return (self.address,)
-
-
-class MetavisionConfig(EventCameraConfig):
-    """A Prophesee camera, through the Metavision SDK or OpenEB installed on this computer."""
-
-    driver: Literal["metavision"]
-
-
-class NeuromorphicEvk4Config(EventCameraConfig):
-    """An EVK4, through `neuromorphic-drivers` (extra ``evk4``), without the maker's software."""
-
-    driver: Literal["neuromorphic_evk4"]
-
-
-class RecordedCameraConfig(EventCameraConfig):
-    """RAW files replayed as a camera: one for each recording, in the order of their names."""
-
-    driver: Literal["recorded"]
-    path: Path
-
-
-class OpenCvCameraConfig(FrameCameraConfig):
-    """A video source that OpenCV opens: a video device or a network camera."""
-
-    driver: Literal["opencv"]
-    source: Annotated[
-        VideoSource | None,
-        Field(description="/dev/v4l/by-id/..., a number, or a URL (rtsp://, http://, tcp://)."),
-    ] = None
-    source_env: Annotated[
-        Variable | None,
-        Field(description="Environment variable that holds the source, for a URL with a password."),
-    ] = None
-    exposure: Annotated[float | None, Field(description="In the units of the camera's driver.")] = None
-    gain: Annotated[float | None, Field(description="In the units of the camera's driver.")] = None
-
-    @property
-    def ports(self) -> tuple[str, ...]:
-        """Source of the pictures; that of an environment variable is not known here."""
-        return () if self.source is None else (self.source,)
-
-    @model_validator(mode="after")
-    def _one_source(self) -> OpenCvCameraConfig:
-        if (self.source is None) == (self.source_env is None):
-            raise PydanticCustomError("one_source", "give either source or source_env.")
-        return self
-
-    def source_in_use(self, environ: Mapping[str, str] = os.environ) -> str:
-        """Return the source to open; it is secret if an environment variable holds it."""
-        if self.source is not None:
-            return self.source
-        name = str(self.source_env)
-        source = environ.get(name, "")
-        if not source:
-            what = f"The environment variable {name} is not set; the station's camera needs it (source_env)."
-            raise UsageError(what, remedy=f"Set it to the address of the camera: export {name}=...")
-        if refused_source(source) is not None:
-            raise UsageError(f"The environment variable {name} is not a source.", remedy=SOURCE_REMEDY)
-        return source
-
-    def settings(self) -> FrameSettings:
-        """See `FrameCameraConfig.settings`."""
-        return FrameSettings(self.exposure, self.gain)
-
-
-class PictureFolderConfig(FrameCameraConfig):
-    """A folder of pictures replayed as a camera, ``pictures`` for each recording, in the order of their names."""
-
-    driver: Literal["pictures"]
-    path: Path
-
-
-_BuiltIn = (
-    SimulatedEvk4Config
-    | MetavisionConfig
-    | NeuromorphicEvk4Config
-    | RecordedCameraConfig
-    | OpenCvCameraConfig
-    | PictureFolderConfig
-)
-if TYPE_CHECKING:
-    CameraConfig = _BuiltIn | EventCameraSection | FrameCameraSection
-else:
-    CameraConfig = with_plugins("camera", get_args(_BuiltIn))
 
 
 def _absolute(path: str) -> str:

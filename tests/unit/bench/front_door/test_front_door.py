@@ -40,7 +40,7 @@ def test_import_starbench_gives_the_reader_of_runs():
 
     assert starbench.load is load
     assert (starbench.Run, starbench.Pose) == (Run, Pose)
-    assert set(starbench.__all__) <= set(dir(starbench))
+    assert set(dir(starbench)) == set(starbench.__all__)
 
 
 def test_the_installed_copy_is_the_front_door_as_it_is_now():

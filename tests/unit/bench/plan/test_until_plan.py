@@ -11,7 +11,7 @@ from bench.base.errors import ScriptError, UsageError
 from bench.batch.batch_plan import read_job, read_queue
 from bench.plan.job import Job, ParkStep, calibration_options
 from bench.plan.plan import SHIPPED_SEQUENCES, load_documents, make_plan
-from bench.stations.station import OpenCvCameraConfig
+from bench.stations.cameras import OpenCvCameraConfig
 from bench.wording.plan_text import render_plan
 from calib.calibration import LossName, ModelName
 from calib.model.camera import DISTORTION_SETS, SKEW
