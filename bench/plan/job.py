@@ -1,7 +1,4 @@
-"""The task of a run: a sequence on a station, expanded into steps; and the verdict on a recording of one of them.
-
-No device is open here. `Job.judged` decides whether a recording is accepted; `bench.run.steps` whether to try again.
-"""
+"""The task of a run: a sequence on a station, expanded into steps."""
 
 from __future__ import annotations
 
@@ -9,17 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TypeVar
 
 from bench.base.errors import ScriptError
 from bench.measure.camera_kinds import CameraKind, camera_kind
-from bench.measure.expected_grid import grid_from_journal
-from bench.measure.gates import at_most, failed_gate_texts
 from bench.plan.plan import DEFAULT_MODEL, Plan, load_documents, make_plan
-from bench.record.events import AttemptChecked, CaptureStored
-from bench.record.history import Attempt
 from bench.record.run_folder import CHECKED_COPY, PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
-from bench.simulated import SimulatedBench
 from bench.stations.station import Station
 from bench.stations.station_text import description_documents
 from calib.calibration import REFERENCE_MODELS, CalibrationOptions
@@ -31,13 +23,7 @@ from drivers.light import LightSettings
 from sequences.schema import ResultLimitConfig
 from sequences.script import ChooseStep, Flicker, LightStep, MoveStep, RecordStep, SettleStep, SolveStep, Step
 
-if TYPE_CHECKING:
-    from bench.measure.measure import Measurement
-
 PoseStep = TypeVar("PoseStep", bound=MoveStep | RecordStep)
-
-MAX_MOTION_DEG = 0.0005
-"""Largest motion between the begin and the end of a recording, degrees: 0.03 px at f = 3345 px."""
 
 
 @dataclass(frozen=True)
@@ -203,38 +189,6 @@ class Job:
     def _chooses_poses(self) -> bool:
         return any(isinstance(step, ChooseStep) for step in self.steps)
 
-    def judged(self, step: RecordStep, stored: CaptureStored, measurement: Measurement) -> AttemptChecked:
-        """Return what the journal holds about the measurement of a recording: its verdict, and why."""
-        before_deg, after_deg = stored["measured_deg"], stored["measured_after_deg"]
-        gates, other_reasons = self.camera_kind.judge(
-            stored["facts"], step, self.frequency_hz(step), measurement
-        )
-        gates += [  # whether the stage stood still
-            at_most(f"{axis} moved", abs(after_deg[axis] - before_deg[axis]), MAX_MOTION_DEG, "deg")
-            for axis in before_deg
-        ]
-        failed = [gate for gate in gates if measurement.view is not None or gate.name != "stars"]
-        reasons = [*filter(None, [measurement.fault]), *failed_gate_texts(failed), *other_reasons]
-        if "asleep_s" in stored:
-            reasons.insert(0, f"the computer was suspended for {stored['asleep_s']:g} s during the recording")
-        return {
-            "pose": stored["pose"],
-            "attempt": stored["attempt"],
-            "accepted": not reasons,
-            "reasons": reasons,
-            "stars": measurement.stars,
-            "gates": [gate.as_data() for gate in gates],
-            "measured": measurement.facts,
-        }
-
-    def measure_again(self, folder: Path, attempt: Attempt) -> Measurement:
-        """Measure a stored recording from its file alone, with the grid that was expected at its time."""
-        step = self.record_step(attempt.pose_index)
-        path = folder / str(attempt.stored["capture"])
-        return self.camera_kind.measure(
-            path, step, self.frequency_hz(step), self.target, grid_from_journal(attempt)
-        )
-
     def done_after_s(self, step: ScriptStep) -> float | None:
         """Return the expected time from begin of run to the end of a step, s; None if the plan has none."""
         return self._done_after_s.get(step.number)
@@ -242,13 +196,6 @@ class Job:
     @cached_property
     def _done_after_s(self) -> dict[int, float]:
         return {p.step.number: p.done_after_s for p in self.plan.steps}
-
-    def read_truth(self) -> dict[str, Any] | None:
-        """Return the truth of the simulated world, for the final comparison; None on a real bench."""
-        if not self.station.needs_simulated_bench:
-            return None
-        with SimulatedBench(self.station.simulated_world, self.seed) as bench:
-            return bench.truth()
 
 
 def documents_of(plan: Plan) -> dict[str, bytes]:

@@ -15,6 +15,7 @@ from bench.base.errors import PreflightFailed
 from bench.base.progress import Reply, ask
 from bench.measure.expected_grid import grid_from_earlier_poses
 from bench.measure.measure import Measurement
+from bench.measure.verdict import judged
 from bench.plan.job import Job, ScriptStep
 from bench.record import events
 from bench.record.journal import capture_name
@@ -24,7 +25,7 @@ from bench.run.interlocks import Trip, interlock_text
 from bench.run.last_view import leave_view
 from bench.run.machine import MAX_HOLD_S, State
 from bench.run.run_context import RunContext
-from bench.stations.devices import Devices
+from bench.stations.devices import Devices, simulated_truth
 from drivers.camera import CameraIdentity
 from drivers.camera.usb_permission import LEAST_MBIT_S
 from drivers.errors import LightFault, NotHomed
@@ -219,7 +220,7 @@ class StateWork:
         measurement = self._begun.pop(stored["capture"], None) or self._begin_measuring(step, attempt)
         measured = measurement()
         leave_view(self._run.folder.path, pose.index, attempt, measured, job.target)
-        checked = job.judged(step, stored, measured)
+        checked = judged(job.camera_kind, step, job.frequency_hz(step), stored, measured)
         if checked["accepted"]:
             self._measured[pose.index] = measured
         self._run.log.write(events.AttemptChecked, **checked)
@@ -272,7 +273,8 @@ class StateWork:
 
     def reporting(self, *_: Any, **__: Any) -> None:
         """Write results, images, exports and the report; then journal their hashes."""
-        truth = self._run.devices.truth() if self._run.devices.is_open else self._run.job.read_truth()
+        devices, job = self._run.devices, self._run.job
+        truth = devices.truth() if devices.is_open else simulated_truth(job.station, job.seed)
         self._run.results.write(self._run.log, truth)
         outcome = self._run.results.outcome
         if outcome is not None and outcome.verdict is not None:  # a rehearsal writes results alone

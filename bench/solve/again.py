@@ -19,6 +19,7 @@ from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, RunFolderError, StorageError
 from bench.evidence.findings import UNREADABLE, Findings
 from bench.measure.measure import Measurement
+from bench.measure.verdict import judged
 from bench.plan.job import Job
 from bench.plan.plan import load_documents, make_plan
 from bench.record.events import Event
@@ -44,11 +45,13 @@ from bench.solve.compare_trees import (
     compare_plan,
     compare_trees,
 )
+from bench.solve.measured_again import measure_again
 from bench.solve.offline import Reached, nothing_shown
 from bench.solve.result import change_since
 from bench.solve.results_content import other_engine, other_software, results_content, software
 from bench.solve.software import plugins_missing, plugins_of_run, plugins_stated
 from bench.solve.solution import main_numbers, solve_run
+from bench.stations.devices import simulated_truth
 from calib.calibration import Calibration
 from calib.errors import CalibrationError
 from drivers.errors import DriverError
@@ -314,12 +317,12 @@ def _check_attempts(evidence: _Evidence, findings: Findings, progress: Reached) 
                 f"{name} was lost before the run was resumed, so it was not measured again"
             )
             continue
-        again = evidence.job.measure_again(evidence.folder, attempt)
+        again = measure_again(evidence.job, evidence.folder, attempt)
         if attempt.accepted and again.view is not None:
             kept[attempt.pose_index] = again
         if attempt.checked is None:
             continue
-        due = _judged(evidence.job, attempt, again)
+        due = _due_verdict(evidence.job, attempt, again)
         had = {name: attempt.checked.get(name) for name in due}
         where = f"pose {attempt.pose_index} attempt {attempt.attempt}"
         excused = other and had["accepted"] == due["accepted"]
@@ -334,12 +337,13 @@ def _check_attempts(evidence: _Evidence, findings: Findings, progress: Reached) 
     return kept
 
 
-def _judged(job: Job, attempt: Attempt, again: Measurement) -> dict[str, Any]:
+def _due_verdict(job: Job, attempt: Attempt, again: Measurement) -> dict[str, Any]:
     """Return what the journal must hold about a recording; of the expected grid, which is not known, what it states."""
-    judged = job.judged(job.record_step(attempt.pose_index), attempt.stored, again)
+    step = job.record_step(attempt.pose_index)
+    verdict = judged(job.camera_kind, step, job.frequency_hz(step), attempt.stored, again)
     facts = {name: value for name, value in again.facts.items() if name != "expected_grid"}
     stated = attempt.measured.get("expected_grid")
-    return {**judged, "measured": {**facts, **({"expected_grid": stated} if stated is not None else {})}}
+    return {**verdict, "measured": {**facts, **({"expected_grid": stated} if stated is not None else {})}}
 
 
 def _made_again(
@@ -352,7 +356,9 @@ def _made_again(
         return None
     try:
         solution = solve_run(job, evidence.folder, step, history, measured)
-        results = results_content(job, history, solution, job.read_truth(), evidence.used)
+        results = results_content(
+            job, history, solution, simulated_truth(job.station, job.seed), evidence.used
+        )
         stored = StoredRun(evidence.folder).results_as_written.get("previous")
         if stored is not None and evidence.history.ledger:
             results["previous"] = cast("PreviousData", _previous_again(stored, results))

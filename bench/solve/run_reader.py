@@ -289,7 +289,9 @@ def _solve_again(run: StoredRun) -> tuple[Results, list[StoredView]]:
 
 def _picture_again(job: Job, folder: Path, attempt: Attempt) -> Picture:
     """Make the image of an accepted recording again; raise RunFolderError if this is not possible."""
-    measurement = job.measure_again(folder, attempt)
+    from bench.solve.measured_again import measure_again
+
+    measurement = measure_again(job, folder, attempt)
     if measurement.image is None:
         where = str(folder / str(attempt.stored["capture"]))
         raise RunFolderError(f"No image can be made of it: {measurement.fault}", where=where)

@@ -25,6 +25,7 @@ from bench.record.events import Solved
 from bench.record.history import Attempt, History
 from bench.record.results import CheckData, ComparisonRow, GimbalReadingsData
 from bench.solve.checks import gimbal_check, mount_faces, parallax_check, split_half_check
+from bench.solve.measured_again import measure_again
 from bench.solve.solve_options import limited_numbers, readings_result, require_enough_views, solve_options
 from calib.engine import Calibration, CalibrationOptions, calibrate
 from calib.studies.camera_check import CameraCheck, check_camera
@@ -77,9 +78,8 @@ def compare_with_truth(calibration: Calibration, truth: Mapping[str, Any]) -> li
     ]
 
 
-def measure_again(job: Job, folder: Path, attempt: Attempt) -> Measurement:
-    """Find the stars of an accepted recording again, with the grid that was expected when it was recorded."""
-    measurement = job.measure_again(folder, attempt)
+def _stars_found_again(job: Job, folder: Path, attempt: Attempt) -> Measurement:
+    measurement = measure_again(job, folder, attempt)
     if measurement.view is None:
         raise BenchError(
             f"{attempt.stored['capture']} was accepted, but now no stars are found in it: {measurement.fault}",
@@ -104,7 +104,7 @@ def accepted_measurements(
     for index, attempt in accepted:
         check()
         if index not in measured:
-            measured[index] = measure_again(job, folder, attempt)
+            measured[index] = _stars_found_again(job, folder, attempt)
     readings = [attempt.stored["measured_deg"] for _, attempt in accepted]
     return [measured[index] for index, _ in accepted], readings
 

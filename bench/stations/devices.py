@@ -116,6 +116,14 @@ class Devices:
         return endpoint
 
 
+def simulated_truth(station: Station, seed: int) -> dict[str, Any] | None:
+    """Start a station's simulated bench to read its truth, for the final comparison; None on a real bench."""
+    if not station.needs_simulated_bench:
+        return None
+    with SimulatedBench(station.simulated_world, seed) as bench:
+        return bench.truth()
+
+
 def left_devices(error: BaseException) -> list[DeviceEnd]:
     """Return how an opening that failed left the devices that were open before."""
     return list(getattr(error, LEFT_DEVICES, ()))

@@ -12,10 +12,10 @@ from quick_runs import write_sequence, write_station
 from bench.base.clock import BenchClock
 from bench.base.home import HOME_VARIABLE
 from bench.measure.camera_kinds import EventKind
-from bench.plan.job import Job
 from bench.report import plots
 from bench.run.launch import Launch, start_run
 from bench.solve.solution import solve_run
+from bench.stations.devices import simulated_truth
 
 POSES = (
     "[{name: left, pan_deg: -6, tilt_deg: 2}, {name: right, pan_deg: 6, tilt_deg: 2},"
@@ -33,7 +33,7 @@ DOCUMENTS = ("sequence.yaml", "station.yaml", "passport.json")
 @contextmanager
 def kept_in_memory():
     """Plots, stars of a recording and calibrations are made once for the same input."""
-    draw, measure, solve, truth = plots.report_plots, EventKind.measure, solve_run, Job.read_truth
+    draw, measure, solve, truth = plots.report_plots, EventKind.measure, solve_run, simulated_truth
 
     def once(kind, key, make):
         if key not in KEPT[kind]:
@@ -60,12 +60,12 @@ def kept_in_memory():
         key = repr((kept, images, states, history.started["sequence"], history.started_utc[:10]))
         return once("solved", key, lambda: solve(job, folder, step, history, measured))
 
-    def read_truth(job):
-        return once("truth", repr((job.station, job.seed)), lambda: truth(job))
+    def read_truth(station, seed):
+        return once("truth", repr((station, seed)), lambda: truth(station, seed))
 
     with (
         mock.patch("bench.report.plots.report_plots", report_plots),
-        mock.patch.object(Job, "read_truth", read_truth),
+        mock.patch("bench.solve.again.simulated_truth", read_truth),
         mock.patch.object(EventKind, "measure", measure_one),
         mock.patch("bench.solve.again.solve_run", solve_one),
     ):
