@@ -51,11 +51,10 @@ from simulators.faults.fault_injection import BenchParts, fault_action
 from simulators.faults.line_faults import FaultLine
 from simulators.lights.lamp import Lamp
 from simulators.optics.lens_focus import truth_record
-from simulators.pixels.sensor_stream import CameraState, SensorStream
 from simulators.ports.serial_device import Dialect, Port, SerialDevice, TcpPort
+from simulators.warm_up import warm_up
 from simulators.world.trajectory import LoadTrajectory
-from simulators.world.truth import Truth
-from simulators.world.world import AxisMotion, AxisName, LightState, World, with_setup
+from simulators.world.world import AxisMotion, AxisName, World, with_setup
 
 PERIOD_S = 0.02
 """The thread asks to be woken after this time, s."""
@@ -195,13 +194,6 @@ class Bench:
             ) from error
 
 
-def _warm_up(truth: Truth) -> None:
-    """Load or compile the machine code of the pixel model before the first recording needs it."""
-    world = World(truth)
-    world.set_light(LightState(output=True, sync=True))
-    SensorStream(world, CameraState(trigger_in=True), {}).next_frame()
-
-
 def _read_config(path: Path | None) -> BenchConfig:
     """Read the configuration file."""
     if path is None:
@@ -267,7 +259,7 @@ def main(words: Sequence[str] | None = None) -> int:
             pulse = Pulse(pulse_path)
             ready["pulse"] = str(pulse_path)
             print_answer(ready)
-            threading.Thread(target=_warm_up, args=(bench.world.truth,), name="warm-up", daemon=True).start()
+            threading.Thread(target=warm_up, args=(bench.world.truth,), name="warm-up", daemon=True).start()
             ended = ending.set if arguments.until_eof else lambda: None
             threading.Thread(target=take_orders, args=(partial(_execute, bench), ended), daemon=True).start()
             ending.wait()

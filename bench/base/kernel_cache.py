@@ -7,27 +7,23 @@ such a function fails (documentation of numba, ``NUMBA_CACHE_DIR``). So users wh
 from __future__ import annotations
 
 import os
-import sys
 import tempfile
-from collections.abc import Mapping, MutableMapping, Sequence
+from collections.abc import Iterator, Mapping, MutableMapping
 from contextlib import suppress
 from pathlib import Path
 
 VARIABLE = "NUMBA_CACHE_DIR"
 _ROOT = Path(__file__).parents[2]
-_BESIDE = _ROOT / "calib"
-_LAST_KERNELS = {"stars": "edge_pixels.edge_scores", "simulator": "evt3_writer._write"}
-PARTS = tuple(_LAST_KERNELS)
-"""Parts of the program with compiled loops."""
+_BESIDE = _ROOT / "calib" / "__pycache__"
 _PACKAGES_WITH_KERNELS = ("calib", "drivers", "simulators")
 
 
-def set_kernel_cache(environ: MutableMapping[str, str], *, own_folder: Path = _BESIDE) -> None:
+def set_kernel_cache(environ: MutableMapping[str, str], *, beside: Path = _BESIDE) -> None:
     """Set ``NUMBA_CACHE_DIR``, for children too, if numba would find no folder to write to; one that is set stays.
 
     The folder is the user's own in the system's temporary one: a kernel is a program, and another user's must not run.
     """
-    if environ.get(VARIABLE) or _may_write(own_folder / "__pycache__") or _may_write(_user_cache(environ)):
+    if environ.get(VARIABLE) or _may_write(beside) or _may_write(_user_cache(environ)):
         return
     folder = Path(tempfile.gettempdir()) / f"starbench-kernels-{_user_name()}"
     folder.mkdir(mode=0o700, exist_ok=True)
@@ -37,20 +33,16 @@ def set_kernel_cache(environ: MutableMapping[str, str], *, own_folder: Path = _B
     environ[VARIABLE] = str(folder) if usable else tempfile.mkdtemp(prefix="starbench-kernels-")
 
 
-def missing_parts(parts: Sequence[str], environ: Mapping[str, str], *, root: Path = _ROOT) -> tuple[str, ...]:
-    """Return the parts whose loops nobody has compiled, by one of their last kernels (see `remove_stale_kernels`)."""
+def kernel_folder(environ: Mapping[str, str], *, beside: Path = _BESIDE) -> Path:
+    """Return the folder of the compiled loops: the one that is set; else that beside a source, or the user's."""
     if environ.get(VARIABLE):
-        caches = [Path(environ[VARIABLE])]
-    elif _may_write(root / "calib" / "__pycache__"):
-        caches = [root / package for package in _PACKAGES_WITH_KERNELS]
-    else:
-        caches = [_user_cache(environ) / "numba"]
-    ending = f"-*.py{sys.version_info.major}{sys.version_info.minor}.nbi"
-    return tuple(
-        part
-        for part in parts
-        if not any(any(cache.glob(f"**/{_LAST_KERNELS[part]}{ending}")) for cache in caches)
-    )
+        return Path(environ[VARIABLE])
+    return beside if _may_write(beside) else _user_cache(environ)
+
+
+def kernel_sources() -> Iterator[Path]:
+    """Return the source files of the packages with compiled loops."""
+    return (source for package in _PACKAGES_WITH_KERNELS for source in (_ROOT / package).rglob("*.py"))
 
 
 def remove_stale_kernels(root: Path = _ROOT) -> int:

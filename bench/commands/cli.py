@@ -67,11 +67,6 @@ _MODULES = {
     **dict.fromkeys(("devices", "schema", "target", "simulate"), "station"),
 }
 """Modules of the commands that share one; all others have the name of their command."""
-_CALCULATES = {
-    **dict.fromkeys(("run", "resume", "batch"), ("stars", "simulator")),
-    **dict.fromkeys(("verify", "calibrate", "check", "passport", "rig"), ("stars",)),
-}
-"""Parts with compiled loops that a command uses (`bench.base.kernel_cache.PARTS`)."""
 _GONE = {
     **dict.fromkeys(
         ("certificate --xades-key", "certificate --xades-certificate"),
@@ -153,22 +148,7 @@ def main(arguments: list[str] | None = None) -> None:
     args = sys.argv[1:] if arguments is None else arguments
     if args[:1] == ["help"]:  # `starbench help run` is `starbench run --help`
         args = [*args[1:], "--help"]
-    _compile_missing(args)
     sys.exit(_exit_status(lambda: cli.main(args=args, prog_name="starbench", standalone_mode=False), args))
-
-
-def _compile_missing(args: list[str]) -> None:
-    """Compile what a command calculates with, if no earlier process did, before this process uses it."""
-    parts = _CALCULATES.get(args[0], ()) if args else ()
-    if args[:1] == ["verify"] and "--again" not in args:
-        parts = ()
-    if parts and not {"-h", "--help"} & set(args):
-        from bench.base.kernel_cache import missing_parts
-
-        if missing_parts(parts, os.environ):
-            from bench.base.compile_missing import compile_missing
-
-            compile_missing(parts, lambda text: click.echo(text, err=True))
 
 
 def _exit_status(command: Callable[[], Any], arguments: list[str]) -> int:

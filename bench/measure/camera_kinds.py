@@ -10,6 +10,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
+from bench.base.compiled_loops import STARS, compile_loops
 from bench.measure.gates import FILTERS_TO_DISABLE, Gate, recording_gates, rejection_reasons
 from bench.stations.sections import FrameCameraConfig
 from bench.stations.station import Station
@@ -99,6 +100,7 @@ class EventKind:
         motion: bool = True,
     ) -> Measurement:
         """Find the stars in the image of whole periods; ``expected_grid`` is for where the tag does not label them."""
+        compile_loops(STARS)
         name, periods = step.pose.name, periods_in_window(step.window_ms, frequency_hz)
         from bench.measure.measure import measure
 
@@ -183,6 +185,7 @@ class FrameKind:
         motion: bool = True,  # noqa: ARG002
     ) -> Measurement:
         """See `EventKind.measure`. Uses the mean of the frames."""
+        compile_loops(STARS)
         from bench.measure.measure_frames import measure_frames
 
         return measure_frames(path, name=step.pose.name, target=target, expected_grid=expected_grid)

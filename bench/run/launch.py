@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from bench.base.clock import BenchClock, stop_on_signals
+from bench.base.compiled_loops import SIMULATOR, STARS, compile_loops
 from bench.base.errors import BenchError, RunFolderError, UsageError
 from bench.base.home import home_folder
 from bench.base.progress import Progress
@@ -129,6 +130,7 @@ def start_run(
     ledger = ledger_of(launch.clock)
     refuse_broken_ledger(ledger, job)
     key = _key(launch)
+    _compile_loops_for(job)
     folder_path = output or default_folder(plan, launch.clock.utc_now())
     kept_free = int(plan.station.value.disk.min_free_gb * 1e9)
     with RunFolder.create(folder_path, bytes_needed=plan.size_bytes, bytes_kept_free=kept_free) as folder:
@@ -188,6 +190,7 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
             if history.ended == "finished":
                 archive_crash(folder)
                 return ending(seal_finished(folder, journal, key))
+            _compile_loops_for(job)
             extra: dict[str, Any] = {"crash": crash} if crash else {}
             extra |= {"ledger": place} if place != history.ledger else {}
             journal.append(
@@ -198,6 +201,11 @@ def resume_run(folder_path: Path, launch: Launch) -> RunEnd:
             archive_crash(folder)
             lines = [*ledger_lines(place), *intentions(job, history, crash)]
             return ending(run_and_seal(job, folder, journal, launch, key, lines))
+
+
+def _compile_loops_for(job: Job) -> None:
+    """Compile what the run will use, before it opens a device, whose answers do not wait."""
+    compile_loops(STARS, *((SIMULATOR,) if job.station.needs_simulated_bench else ()))
 
 
 def read_intentions(folder_path: Path) -> list[str]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from numpy.typing import NDArray
 
+from bench.base.compiled_loops import STARS, compile_loops
 from bench.base.errors import BenchError, StorageError, UsageError
 from bench.base.pasteable import pasteable
 from bench.measure.expected_grid import grid_from_journal
@@ -347,6 +348,7 @@ def _view_of_other_recording(path: Path, choices: OfflineOptions) -> View:
 
 def _view_of_recording(path: Path, choices: OfflineOptions, shown: Path | None = None) -> View:
     """Find the target in a recording, which messages name ``shown`` if it was made from another file."""
+    compile_loops(STARS)
     from bench.measure.measure import measure, recorded_image
 
     refuse_truncated(path)
@@ -425,6 +427,7 @@ def _view_of_photograph(path: Path, choices: OfflineOptions) -> View:
             raise TargetNotFound(
                 error.what, where=error.where, remedy=f"{error.remedy}{_about_pages(path)}"
             ) from error
+    compile_loops(STARS)
     return downweight_vignetted(detect_view(picture, choices.target, name=path.stem), choices.target)
 
 

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from bench.base import compile_missing as compiling
-from bench.base.kernel_cache import PARTS, VARIABLE, missing_parts, remove_stale_kernels, set_kernel_cache
+from bench.base.kernel_cache import VARIABLE, remove_stale_kernels, set_kernel_cache
 
 ROOT = Path(__file__).parents[4]
 
@@ -28,11 +27,11 @@ def closed(tmp_path, monkeypatch):
 
 def test_where_both_usual_places_are_closed_a_private_folder_is_named_and_named_again(closed):
     environ = {"XDG_CACHE_HOME": str(closed)}
-    set_kernel_cache(environ, own_folder=closed)
+    set_kernel_cache(environ, beside=closed)
     folder = Path(environ[VARIABLE])
     assert folder.stat().st_mode & 0o777 == 0o700
     again = {"XDG_CACHE_HOME": str(closed)}
-    set_kernel_cache(again, own_folder=closed)
+    set_kernel_cache(again, beside=closed)
     assert again[VARIABLE] == str(folder)
 
 
@@ -42,7 +41,7 @@ def test_the_usual_place_is_left_where_there_is_one(closed, tmp_path, usual):
     if usual == "told":
         environ[VARIABLE] = "elsewhere"
     before = dict(environ)
-    set_kernel_cache(environ, own_folder=tmp_path if usual == "beside" else closed)
+    set_kernel_cache(environ, beside=tmp_path if usual == "beside" else closed)
     assert environ == before
 
 
@@ -58,7 +57,7 @@ def test_a_folder_that_somebody_else_could_have_filled_is_not_used(closed, tmp_p
         planted.mkdir()
         planted.chmod(0o777 if how == "open to others" else 0o700)
     environ = {"XDG_CACHE_HOME": str(closed)}
-    set_kernel_cache(environ, own_folder=closed)
+    set_kernel_cache(environ, beside=closed)
     named = Path(environ[VARIABLE])
     assert named != planted
     assert named.stat().st_mode & 0o777 == 0o700
@@ -93,43 +92,3 @@ def test_kernels_older_than_a_source_beside_them_or_without_one_are_removed(tmp_
         [fresh, fresh.with_suffix(".1.nbc"), fresh.with_suffix(".2.nbc")]
     )
     assert remove_stale_kernels(tmp_path / "nowhere") == 0
-
-
-def test_parts_that_no_process_has_compiled_are_named(tmp_path):
-    environ, version = {VARIABLE: str(tmp_path)}, f"py{sys.version_info.major}{sys.version_info.minor}"
-    assert missing_parts(PARTS, environ) == PARTS
-    (tmp_path / "stars_1").mkdir()
-    (tmp_path / "stars_1" / f"edge_pixels.edge_scores-162.{version}.nbi").touch()
-    assert missing_parts(PARTS, environ) == ("simulator",)
-    assert missing_parts(("stars",), environ) == ()
-    for kernel in (
-        "calib/stars/__pycache__/edge_pixels.edge_scores",
-        "simulators/pixels/__pycache__/evt3_writer._write",
-    ):
-        (tmp_path / kernel).parent.mkdir(parents=True)
-        (tmp_path / f"{kernel}-1.{version}.nbi").touch()
-    (tmp_path / "calib" / "__pycache__").mkdir()
-    assert missing_parts(PARTS, {}, root=tmp_path) == ()  # beside their sources, in every package
-
-
-def test_missing_parts_are_compiled_in_processes_of_their_own_and_told(monkeypatch):
-    begun, messages, real = [], [], subprocess.Popen
-
-    def begin(words, **options):
-        begun.append(words[1:])
-        return real([sys.executable, "-c", f"raise SystemExit({int(words[-1] == 'stars')})"], **options)
-
-    monkeypatch.setattr(compiling, "missing_parts", lambda parts, _environ: tuple(parts))
-    monkeypatch.setattr("subprocess.Popen", begin)
-    compiling.compile_missing(("good", "stars"), messages.append)
-    assert begun == [["-m", "bench.warm_up", part] for part in ("good", "stars")]
-    assert messages[0].startswith(
-        "Compiling loops for this processor, once after an installation or an update"
-    )
-    assert any(text.startswith("  good: compiled, ") for text in messages[1:])
-    assert any(text.startswith("  stars: could not be compiled beforehand, ") for text in messages[1:])
-
-
-def test_nothing_is_said_where_all_is_compiled(monkeypatch):
-    monkeypatch.setattr(compiling, "missing_parts", lambda _parts, _environ: ())
-    compiling.compile_missing(PARTS, pytest.fail)

@@ -27,7 +27,7 @@ def crashed(tmp_path, monkeypatch):
         journal.append(Event.RUN_STARTED, id="run", ledger={"number": 1})
         journal.append(Event.ENTERING, state="slewing", pose=1)
     write_crash_log(tmp_path / "run", "Fatal Python error: Segmentation fault")
-    job = SimpleNamespace(station=None)
+    job = SimpleNamespace(station=SimpleNamespace(needs_simulated_bench=False))
     monkeypatch.setattr(launch, "job_of", lambda _folder, entries: (job, replay(entries)))
     monkeypatch.setattr(launch, "run_software", lambda _station: {})
     monkeypatch.setattr(launch, "intentions", lambda *_: [])

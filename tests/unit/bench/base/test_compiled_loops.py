@@ -1,0 +1,93 @@
+"""Loops are compiled by programs of their own, once, and only where they are used."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+from expected_stars import THREE, expected_views, write_points
+from filled_stations import filled
+
+from bench.base import compiled_loops
+from bench.base.clock import BenchClock
+from bench.base.compiled_loops import SIMULATOR, STARS, compile_loops
+from bench.base.kernel_cache import VARIABLE
+from bench.run.launch import Launch, start_run
+from bench.stations.station import SHIPPED_STATIONS
+
+
+@pytest.fixture
+def told(tmp_path, monkeypatch, capsys):
+    """What a new process tells that wants the loops of these programs; no process has compiled any before."""
+    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    source = tmp_path / "source.py"
+    source.touch()
+    monkeypatch.setattr(compiled_loops, "kernel_sources", lambda: iter([source]))
+
+    def told(*programs):
+        compile_loops.cache_clear()
+        compile_loops(*programs)
+        return capsys.readouterr().err
+
+    yield told
+    compile_loops.cache_clear()
+
+
+def test_a_program_compiles_once_until_a_source_changes(told, tmp_path):
+    assert "this: compiled" in told("this")
+    assert told("this") == ""
+    os.utime(tmp_path / "source.py", (1, 1))
+    assert "this: compiled" in told("this")
+
+
+def test_a_program_that_fails_is_told_and_begins_again(told):
+    for _ in range(2):
+        text = told("no_such_program", "this")
+        assert "no_such_program: could not be compiled" in text
+    assert "this: " not in text
+
+
+class _Wanted(Exception):
+    pass
+
+
+@pytest.mark.parametrize(
+    ("station", "programs"), [("simulated", {STARS, SIMULATOR}), ("example_evk4", {STARS})]
+)
+def test_a_run_wants_the_loops_of_its_station_before_its_folder_is_made(
+    station, programs, tmp_path, monkeypatch
+):
+    def wanted(*asked):
+        raise _Wanted(*asked)
+
+    path = tmp_path / "station.yaml"
+    path.write_text(filled((SHIPPED_STATIONS / f"{station}.yaml").read_text()))
+    monkeypatch.setenv("STARBENCH_HOME", str(tmp_path / "home"))
+    monkeypatch.setattr("bench.run.launch.compile_loops", wanted)
+    with pytest.raises(_Wanted) as caught:
+        start_run(
+            "three_pose",
+            str(path),
+            output=tmp_path / "run",
+            seed=1,
+            operator=None,
+            launch=Launch(BenchClock()),
+        )
+    assert set(caught.value.args) == programs
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_calibration_of_points_compiles_nothing(tmp_path):
+    cache = tmp_path / "cache"
+    cache.mkdir()
+    points = write_points(tmp_path / "points", expected_views(THREE, sigma_px=0.01, seed=5), every=3)
+    done = subprocess.run(
+        [sys.executable, "-m", "bench", "calibrate", points],
+        env={**os.environ, VARIABLE: str(cache), "STARBENCH_HOME": str(tmp_path / "home")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "ompil" not in done.stderr
+    assert not [path for path in cache.rglob("*") if path.is_file()]
