@@ -192,8 +192,9 @@ class DeviceHold:
     ``locks_folder()``. Raises `PortDenied` if the lock file cannot be made.
     """
 
-    # BUSY, DENIED: Errors that are raised; a subclass may name errors of its own family.
+    # Raised if another program has the device; of its own family in a subclass.
     BUSY: ClassVar[type[DriverError]] = PortBusy
+    # Raised if this user may not lock it; of its own family in a subclass.
     DENIED: ClassVar[type[DriverError]] = PortDenied
 
     def __init__(self, device: str, *, folder: Path | None = None) -> None:

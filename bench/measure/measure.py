@@ -70,9 +70,8 @@ if hasattr(cv2, "IMWRITE_PNG_FILTER"):  # from OpenCV 4.12 on
 class EventData(NamedTuple):
     """Content of a recording."""
 
-    # events, triggers: Events and trigger edges, times from the first of them on.
-    events: Events
-    triggers: Triggers
+    events: Events  # Events, with times from the first event or edge on
+    triggers: Triggers  # Trigger edges, with times from the first event or edge on
     size: tuple[int, int]  # Width and height of the sensor, px
     origin_us: int  # Time of the first event or edge by the sensor's clock, us
 

@@ -205,10 +205,8 @@ class PlannedStep:
     """A step with its expected duration."""
 
     step: Step
-    # duration_s, done_after_s: Expected duration of the step, and expected time from the start of the run to
-    # the end of the step, s.
-    duration_s: float
-    done_after_s: float
+    duration_s: float  # Expected duration of the step, s
+    done_after_s: float  # Expected time from the start of the run to the end of the step, s
 
 
 @dataclass(frozen=True)
@@ -222,10 +220,8 @@ class Plan:
     remarks: tuple[Fault, ...]  # What the operator should know before the run
     # Expected duration of the whole run with homing and parking, s; with an ``until``, the longest one.
     duration_s: float
-    # size_bytes, most_bytes: Expected disk space, with all poses that an ``until`` allows; and the largest
-    # one, with all attempts at the highest event rate that the gates accept.
-    size_bytes: int
-    most_bytes: int
+    size_bytes: int  # Expected disk space, with all poses that an ``until`` allows
+    most_bytes: int  # Disk space with all attempts at the highest event rate that the gates accept
     # The collimator's passport, and the solve steps that use it.
     passport: PassportChoice = field(default_factory=PassportChoice)
     # The calibration that the steps `check` compare with the result.

@@ -76,12 +76,9 @@ class Sent(StrictModel):
     """What is sent to the device."""
 
     known: ClassVar[frozenset[str]] = NOTHING  # Names that may stand in it and in the reply without a kind
-    # carries, tells: Names of the values that the request carries and that the reply must have; empty for none
-    carries: ClassVar[str] = ""
-    tells: ClassVar[str] = ""
-    must_carry: ClassVar[bool] = (
-        True  # Whether a request may lack its value: that of a setting with one value only
-    )
+    carries: ClassVar[str] = ""  # Name of the value that the request carries; empty for none
+    tells: ClassVar[str] = ""  # Name of the value that the reply must have; empty for none
+    must_carry: ClassVar[bool] = True  # False for a setting with one value only: its request may lack it
 
     send: Line
 

@@ -56,9 +56,8 @@ class Plugin:
     package: str
     section: type[StrictModel] | None  # Class of the section; None if it cannot be used
     trouble: str = ""  # Why it cannot be used; empty if it can
-    # distribution, version: Name of the package, and its version; both are empty if no package is known.
-    distribution: str = ""
-    version: str = ""
+    distribution: str = ""  # Name of the package; empty if no package is known
+    version: str = ""  # Version of the package; empty if no package is known
 
 
 @functools.cache

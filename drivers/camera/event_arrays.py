@@ -41,9 +41,8 @@ class Events(NamedTuple):
 
     # (N,) int64, us: the sensor's clock. Busy sensors let it step back by some microseconds now and then.
     t: NDArray[np.int64]
-    # x, y: (N,) uint16, px: column and row.
-    x: NDArray[np.uint16]
-    y: NDArray[np.uint16]
+    x: NDArray[np.uint16]  # (N,) uint16, px: column
+    y: NDArray[np.uint16]  # (N,) uint16, px: row
     p: NDArray[np.uint8]  # (N,) uint8: polarity, 1 = ON, 0 = OFF
 
     def part(self, begin: int, end: int) -> Events:
@@ -146,9 +145,8 @@ class ReadingState:
 class EventSource:
     """An open file of events, which is read once, piece by piece."""
 
-    # width, height: Size of the sensor, px.
-    width: int
-    height: int
+    width: int  # Of the sensor, px
+    height: int  # Of the sensor, px
     header: Mapping[str, str]
     # Reads events and edges in the order of the file; an edge may come before the events of its time, not after them.
     # It raises as `open_events` does.

@@ -49,14 +49,11 @@ class StreamStatistics:
     events: int
     on_events: int
     triggers: int
-    # first_t_us, last_t_us: The sensor's clock at its first and its last time word, us; both -1 before any
-    # time word.
-    first_t_us: int
-    last_t_us: int
-    # rate_controller_in, rate_controller_out: Number of events into and out of the rate controller, summed
-    # over its windows of 200 us; None if the sensor sent no report.
+    first_t_us: int  # The sensor's clock at its first time word, us; -1 before any
+    last_t_us: int  # The sensor's clock at its last time word, us; -1 before any
+    # Events into the rate controller, over its windows of 200 us; None without reports.
     rate_controller_in: int | None
-    rate_controller_out: int | None
+    rate_controller_out: int | None  # Events out of it, over the same windows; None without reports
     # Number of events that the sensor counted in its windows and that did not arrive; 0 without reports.
     lost_events: int
     # Number of windows in which the sensor's count differs from the number of events that arrived; 0 without

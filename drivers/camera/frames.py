@@ -48,9 +48,8 @@ Frame = NDArray[np.uint8] | NDArray[np.uint16]
 class ImageSize(NamedTuple):
     """Size of an image."""
 
-    # width, height: Columns and rows, px.
-    width: int
-    height: int
+    width: int  # Columns, px
+    height: int  # Rows, px
 
 
 def require_bounded_images(path: Path) -> None:
@@ -169,9 +168,8 @@ class FrameFacts:
 
     serial: str
     model: str
-    # width, height: Size of a frame, px.
-    width: int
-    height: int
+    width: int  # Of a frame, px
+    height: int  # Of a frame, px
     bits: int  # Bit depth, 8 or 16
     frames: int
     bytes: int

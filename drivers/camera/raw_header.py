@@ -45,9 +45,8 @@ class Sensor(NamedTuple):
     """A sensor that ``system_ID`` stands for, and what it sends if the header does not say it."""
 
     encoding: str
-    # width, height: px
-    width: int
-    height: int
+    width: int  # px
+    height: int  # px
 
 
 _VGA: Final = Sensor("EVT2", 640, 480)  # Gen3.0 and Gen3.1
@@ -74,9 +73,8 @@ class RawHeader:
     fields: Mapping[str, str]
     # "EVT2", "EVT21" (32-bit halves in the order low, high), "EVT21-legacy" (high, low) or "EVT3"
     encoding: str
-    # width, height: Size of the sensor, px.
-    width: int
-    height: int
+    width: int  # Of the sensor, px
+    height: int  # Of the sensor, px
     text: bytes
 
     @property

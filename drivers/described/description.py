@@ -346,9 +346,8 @@ class AxisSetting:
     """A setting of an axis that is written where it differs, and read back."""
 
     quantity: AxisQuantity
-    # set, query: How to write it, and how to read it; both carry ``value``.
-    set: Exchange
-    query: Exchange
+    set: Exchange  # How to write it; carries ``value``
+    query: Exchange  # How to read it; the reply has ``value``
     factor: float = 1.0  # The device's value divided by that in counts; not of a constant
     constant: Value = 0.0  # Value of a setting that does not depend on the station file; a word or a number
     # Largest difference between the value that was written and the one that is read, in percent.
@@ -381,10 +380,9 @@ class StageDescription:
     faults: Switch | None  # Query of faults of an axis; None if there is none
     scale: Exchange | None  # Query of the controller's scale, value ``scale``; None if it does not tell
     scale_unit: ScaleUnit
-    # lowest, highest: Queries of the controller's own ends of the travel, value ``counts``; None if it does
-    # not tell.
+    # Query of the controller's own lower end of the travel, ``counts``; None if it does not tell.
     lowest: Exchange | None
-    highest: Exchange | None
+    highest: Exchange | None  # The same of the upper end
     # Commands to the whole device that undo modes of another program. Each stands between two stops, before
     # settings are written: in its mode, a setting could be a motion.
     modes: tuple[Exchange, ...]
@@ -397,9 +395,8 @@ class LightSetting:
     """A setting of a light."""
 
     quantity: LightQuantity
-    # set, query: How to write it, and how to read it; both carry ``value``.
-    set: Exchange
-    query: Exchange
+    set: Exchange  # How to write it; carries ``value``
+    query: Exchange  # How to read it; the reply has ``value``
     # The device's value is this factor times the quantity, or times 1 / quantity if ``inverse``.
     factor: float = 1.0
     query_factor: float = 1.0  # The same of the value that is read

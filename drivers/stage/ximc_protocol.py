@@ -143,9 +143,8 @@ class Status:
     LAYOUT: ClassVar[struct.Struct] = struct.Struct("<xB3xihq16xI9x")
 
     command_state: int  # Latest motion command, and whether it runs or has failed
-    # steps, microsteps: Position, in full steps and microsteps beyond them.
-    steps: int
-    microsteps: int
+    steps: int  # Position, in full steps
+    microsteps: int  # Microsteps of the position beyond the full steps
     encoder: int  # Position, in encoder counts
     flags: int  # State flags; see ``IS_HOMED`` and ``STATE_FLAGS``
 
@@ -195,15 +194,12 @@ class MoveSettings(Settings):
     LAYOUT = struct.Struct("<IBHHIBB9s")
     READ, WRITE = "gmov", "smov"
 
-    # speed, speed_microsteps: Speed, in full steps per second and microsteps per second beyond them.
-    speed: int
-    speed_microsteps: int
-    # acceleration, deceleration: Acceleration and deceleration, in full steps per second squared.
-    acceleration: int
-    deceleration: int
-    # antiplay_speed, antiplay_microsteps: Speed of the backlash compensation, in the units of ``speed``.
-    antiplay_speed: int
-    antiplay_microsteps: int
+    speed: int  # In full steps per second
+    speed_microsteps: int  # Microsteps per second beyond the full steps
+    acceleration: int  # In full steps per second squared
+    deceleration: int  # In full steps per second squared
+    antiplay_speed: int  # Speed of the backlash compensation, in full steps per second
+    antiplay_microsteps: int  # Microsteps per second of it, beyond the full steps
     flags: int
     reserved: bytes
 
@@ -217,12 +213,10 @@ class EdgeSettings(Settings):
 
     border_flags: int
     switch_flags: int
-    # left_steps, left_microsteps, right_steps, right_microsteps: The borders, in full steps and microsteps
-    # beyond them.
-    left_steps: int
-    left_microsteps: int
-    right_steps: int
-    right_microsteps: int
+    left_steps: int  # Left border, in full steps
+    left_microsteps: int  # Microsteps of the left border beyond the full steps
+    right_steps: int  # Right border, in full steps
+    right_microsteps: int  # Microsteps of the right border beyond the full steps
     reserved: bytes
 
 
@@ -235,9 +229,8 @@ class EngineSettings(Settings):
 
     voltage: int
     current: int
-    # speed, speed_microsteps: Highest speed, if a flag limits it.
-    speed: int
-    speed_microsteps: int
+    speed: int  # Highest speed, if a flag limits it, in full steps per second
+    speed_microsteps: int  # Microsteps per second of it, beyond the full steps
     flags: int
     antiplay: int  # Overrun of the compensation of backlash, in full steps
     microstep_mode: int  # Mode n means 2^(n-1) microsteps per full step
@@ -252,14 +245,12 @@ class HomeSettings(Settings):
     LAYOUT = struct.Struct("<IBIBihH9s")
     READ, WRITE = "ghom", "shom"
 
-    # fast, fast_microsteps, slow, slow_microsteps: Speeds, in full steps per second and microsteps beyond them.
-    fast: int
-    fast_microsteps: int
-    slow: int
-    slow_microsteps: int
-    # offset, offset_microsteps: Way from the sensor to the end of the search, in full steps and microsteps.
-    offset: int
-    offset_microsteps: int
+    fast: int  # Fast speed, in full steps per second
+    fast_microsteps: int  # Microsteps per second of it, beyond the full steps
+    slow: int  # Slow speed, in full steps per second
+    slow_microsteps: int  # Microsteps per second of it, beyond the full steps
+    offset: int  # Way from the sensor to the end of the search, in full steps
+    offset_microsteps: int  # Microsteps of it, beyond the full steps
     flags: int
     reserved: bytes
 
