@@ -26,7 +26,8 @@ ModelName = Literal["auto", "joint", "spherical", "planar"]
 REFERENCE_MODELS = ("spherical", "planar")
 #: What is estimated if nothing is asked for; the joint adjustment takes it as the family of such lenses.
 DEFAULT_DISTORTION = ("k1", "k2")
-#: The version of each engine: results of another version are not compared with those of this one.
+#: The revision of each engine, raised when a value or an uncertainty changes, by its stars or its adjustment:
+#: `verify --again` confirms what another revision made only if the numbers agree.
 ENGINES = {"joint": 32, "reference": 2}
 
 

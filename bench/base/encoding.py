@@ -41,6 +41,15 @@ def printable(text: str) -> str:
     return "".join(map(_escaped, text))
 
 
+def printable_line(text: str) -> str:
+    r"""Write ends of lines so, too: a name of a file cannot write a line of its own.
+
+    >>> print(printable_line("a\nSEALED: 20 files"))
+    a\nSEALED: 20 files
+    """
+    return printable(text).replace("\n", r"\n").replace("\t", r"\t")
+
+
 def printable_only(text: str) -> str:
     r"""Replace each character that is not printable, also an end of line, by a question mark.
 

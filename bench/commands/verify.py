@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from bench.base.encoding import printable_line
 from bench.base.home import home_folder
 from bench.base.pasteable import pasteable
 from bench.base.program import forms
@@ -39,9 +40,9 @@ from bench.record.run_folder import JOURNAL
 from bench.record.stored_run import StoredRun
 
 NOT_COMPARED = 4
-"""Exit status of `verify`: no fault was found, but parts that were to be compared could not be."""
+"""Exit status of `verify`: no fault was found, but parts were not compared, or this version does not confirm them."""
 _COMPARED = "The results were made again from the recordings and compared."
-_WORDS = {"ok": "verified", "incomplete": "not compared completely", "failed": "NOT VERIFIED"}
+_WORDS = {"ok": "verified", "incomplete": "not confirmed completely", "failed": "NOT VERIFIED"}
 
 
 @command(
@@ -49,7 +50,7 @@ _WORDS = {"ok": "verified", "incomplete": "not compared completely", "failed": "
     "starbench verify runs/cam7 --serial 00051234 --allowed-signers lab_signers --again",
     "starbench verify runs/* --again --workers 4 -o checked",
     status=status_text(
-        "0 valid, 1 not valid{invalid}, 4 seal valid, but not every part could be compared{ctrl_c}"
+        "0 valid, 1 not valid{invalid}, 4 seal valid, but parts were not compared or not confirmed{ctrl_c}"
     ),
 )
 @click.argument("folders", metavar="FOLDER...", nargs=-1, required=True, type=RunFolder(journal=False))
@@ -113,9 +114,10 @@ def verify_one(
 
 def show_verification(verification: Verification) -> int:
     """Print what a verification found; exit status 0 without fault, 1 with one, 4 if not everything was compared."""
+    lines = _valid_lines(verification) if verification.ok else _fault_lines(verification)
     show(
         verification.to_dict,
-        _valid_lines(verification) if verification.ok else _fault_lines(verification),
+        map(printable_line, lines),
         err=not verification.ok,
     )
     if not verification.ok:
@@ -132,8 +134,7 @@ def _fault_lines(verification: Verification) -> Iterator[str]:
 
 
 def _valid_lines(verification: Verification) -> Iterator[str]:
-    recalculated_in_part = verification.again and not verification.complete
-    numbers = "" if recalculated_in_part else _COMPARED
+    numbers = _COMPARED if verification.complete else ""
     if not verification.again:
         numbers = _not_compared(f"`{pasteable('verify', verification.folder, '--again')}`")
     sealed = f"sealed by {verification.signer} ({verification.fingerprint})"
@@ -153,8 +154,10 @@ def _valid_lines(verification: Verification) -> Iterator[str]:
         yield f"Note: {remark}."
     if verification.not_compared:
         yield "NOT COMPARED. Only the seal protects these parts; whoever holds its key could change them:"
-        for what in verification.not_compared:
-            yield f"  {what}"
+        yield from (f"  {what}" for what in verification.not_compared)
+    if verification.not_confirmed:
+        yield "NOT CONFIRMED by this version, which makes these parts otherwise:"
+        yield from (f"  {what}." for what in verification.not_confirmed)
 
 
 def _not_compared(how: str) -> str:
@@ -173,7 +176,7 @@ def _verify_many(folders: Sequence[Path], check: Check, workers: Workers, output
             state, text, rows[number] = _ended(chosen[number], end, kept, check)
             states[state] += 1
             line.clear()
-            click.echo(text, err=wants_json())
+            click.echo(printable_line(text), err=wants_json())
             line.count()
     counted = ", ".join(f"{states[state]} {word}" for state, word in _WORDS.items() if states[state])
     numbers = "" if check.again else f" {_not_compared('--again')}"
@@ -205,13 +208,9 @@ def _ended(
     simulated = ", SIMULATED devices" if verification.simulated else ""
     text = f"{folder.name}: {verification.state}, {verification.files} files, sealed by {verification.signer}"
     text += f"{camera}{simulated}."
-    if not verification.complete:
-        return (
-            "incomplete",
-            f"{text} NOT COMPARED: {'; '.join(verification.not_compared)}.",
-            verification.to_dict(),
-        )
-    return "ok", text, verification.to_dict()
+    for words, parts in (("COMPARED", verification.not_compared), ("CONFIRMED", verification.not_confirmed)):
+        text += f" NOT {words}: {'; '.join(parts)}." if parts else ""
+    return "ok" if verification.complete else "incomplete", text, verification.to_dict()
 
 
 def again_line(folder: Path) -> PartsLine:

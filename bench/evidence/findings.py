@@ -7,14 +7,12 @@ from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
+
+from bench.base.encoding import printable_line
 
 UNREADABLE = (ValueError, LookupError, TypeError, AttributeError, ArithmeticError, RecursionError)
 """Exceptions raised by reading JSON that is not of the expected form."""
-
-Part = Literal["plan", "results", "exports", "report", "stars and images", "instructions"]
-"""A part of a sealed folder that is made again and compared, as a certificate names it."""
-PARTS: tuple[Part, ...] = ("plan", "results", "exports", "report", "stars and images", "instructions")
 
 
 @dataclass(frozen=True)
@@ -23,13 +21,13 @@ class SealFault:
 
     # ``unsealed``, ``signature``, ``key``, ``manifest``, ``added``, ``changed``, ``missing``, ``link``,
     # ``kind``, ``form``, ``journal``, ``plan``, ``results``, ``exports``, ``report``, ``views``, ``recording``,
-    # ``wire``, ``instructions``, ``certificate``, ``ledger``, ``item``, ``authorisation`` or ``timestamp``.
+    # ``instructions``, ``certificate``, ``ledger``, ``item``, ``authorisation`` or ``timestamp``.
     kind: str
     where: str
     what: str
 
     def __str__(self) -> str:
-        return f"{self.where}: {self.what}"
+        return printable_line(f"{self.where}: {self.what}")
 
 
 @dataclass
@@ -37,11 +35,10 @@ class Findings:
     """What one check found. A check that finds nothing returns an empty one."""
 
     faults: list[SealFault] = field(default_factory=list)
-    # Parts of the folder that were to be compared and could not be, each with the reason, as a sentence
-    # without a full stop. A folder with such a part is not reported as valid without reservation (exit status
-    # 4).
+    # Parts that were to be compared and could not be, each with the reason, as a sentence without a full stop.
     not_compared: list[str] = field(default_factory=list)
-    parts_not_compared: list[Part] = field(default_factory=list)  # The parts that these sentences are about
+    # What another version made and this one calculates otherwise: both numbers and how to install that version.
+    not_confirmed: list[str] = field(default_factory=list)
     # What a reader should know, and what is no lack of the check.
     remarks: list[str] = field(default_factory=list)
 
@@ -49,18 +46,11 @@ class Findings:
         """Add a fault."""
         self.faults.append(SealFault(kind, where, what))
 
-    def could_not_compare(self, what: str, *parts: Part) -> None:
-        """Add what could not be compared, a sentence without a full stop, and the parts that it is about."""
-        self.not_compared.append(what)
-        self.parts_not_compared += [part for part in parts if part not in self.parts_not_compared]
-
     def add(self, other: Findings) -> None:
         """Add everything that another check found."""
         self.faults += other.faults
         self.not_compared += other.not_compared
-        self.parts_not_compared += [
-            part for part in other.parts_not_compared if part not in self.parts_not_compared
-        ]
+        self.not_confirmed += other.not_confirmed
         self.remarks += other.remarks
 
     def derive(self, folder: Path, checks: Iterable[Derivation]) -> None:
@@ -127,8 +117,8 @@ class Verification(Findings):
 
     @property
     def complete(self) -> bool:
-        """Whether no fault was found and every part that was to be compared was compared."""
-        return self.ok and not self.not_compared
+        """Whether no fault was found, and every part that was to be compared was compared and confirmed."""
+        return self.ok and not self.not_compared and not self.not_confirmed
 
     def to_dict(self) -> dict[str, Any]:
         """Return the verification as JSON carries it: ``ok``, ``complete``, and all attributes."""

@@ -1,7 +1,7 @@
 """What a journal states, checked against itself and the files: begin, end, clock, hashes, wire log.
 
 An attacker who holds the bench's key can write the whole chain again. These checks then still find what he did not
-write consistently; `bench.solve.again` compares the journal with what the recordings give.
+write consistently; `bench.again.run` compares the journal with what the recordings give.
 """
 
 from __future__ import annotations

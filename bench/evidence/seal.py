@@ -46,6 +46,7 @@ sha256sum FILE.
     "files": "",
 }
 
+# `verify` compares the file of every version with this text: one that is changed must stay beside the new one.
 _TEXT = """\
 This folder is {what}, sealed by the bench that made it.
 To check it you need OpenSSH (8.9 or newer), sha256sum, and for time stamps openssl, nothing else.

@@ -15,11 +15,22 @@ from typing import Any
 
 from bench.base.bounded_json import canonical_json, parse_json
 from bench.base.errors import EvidenceError, RunFolderError, StorageError
+from bench.evidence.beside_seal import read_beside
 from bench.evidence.findings import UNREADABLE, Derivations, Findings, Verification
 from bench.evidence.journal_check import check_journal
 from bench.evidence.key_trust import Trust
-from bench.evidence.seal import KINDS, NOT_LISTED, kind_of, list_files, read_manifest
+from bench.evidence.seal import (
+    INSTRUCTIONS,
+    KINDS,
+    NOT_LISTED,
+    instructions,
+    kind_of,
+    list_files,
+    read_manifest,
+)
 from bench.evidence.signers import Signer
+from bench.evidence.ssh_keys import fingerprint
+from bench.evidence.sshsig import read_signature
 from bench.evidence.states import LARGEST_SEAL_BYTES, standing_of
 from bench.record.journal import Capture
 from bench.record.run_folder import (
@@ -30,6 +41,7 @@ from bench.record.run_folder import (
     REPORT,
     RESULTS,
     SEQUENCE_COPY,
+    SIGNATURE,
     SOURCES,
     STATION_COPY,
 )
@@ -55,6 +67,8 @@ FILES = {
 """Names of the files that a sealed folder of each kind may have."""
 _CANONICAL = {RESULTS: True, PLAN: True, SOURCES: True, CERTIFICATE: False}
 """JSON files that the program writes in one form only; whether other letters than ASCII are escaped in them."""
+_PRINCIPAL = re.compile(r" -I (\S+) -n ")
+_MOST_INSTRUCTIONS = 1 << 20  # They have 3 kB
 _FOLDERS = {"run": "run folder", "results": "folder of recalculated results", "certificate": "certificate"}
 
 
@@ -72,6 +86,7 @@ def check_listed(folder: Path, findings: Findings) -> dict[str, str] | None:
     _files(findings, folder, manifest)
     for name in sorted(_CANONICAL.keys() & manifest.keys()):
         _form(findings, folder / name)
+    _instructions(findings, folder)
     return manifest
 
 
@@ -82,6 +97,21 @@ def _kind(findings: Findings, manifest: Mapping[str, str]) -> None:
         findings.fault("kind", markers[1], f"a folder with {markers[0]} does not have this file")
     elif not markers and _RUN_FILES & set(manifest):
         findings.fault("kind", JOURNAL, "the file is missing, though the folder has other files of a run")
+
+
+def _instructions(findings: Findings, folder: Path) -> None:
+    """Compare VERIFY.txt with the instructions for the key that sealed the folder: a reader types these commands."""
+    path = folder / INSTRUCTIONS
+    try:
+        key = fingerprint(read_signature(read_beside(folder, SIGNATURE) or b"").public_key)
+    except EvidenceError:
+        return  # told already
+    had = b"" if path.is_symlink() or not path.is_file() else read_bounded(path, _MOST_INSTRUCTIONS)
+    text = had.decode(errors="replace")
+    named = _PRINCIPAL.search(text)
+    if text != instructions(kind_of(folder), principal=named[1] if named else "", fingerprint=key):
+        what = "these are not the instructions for the key that sealed this folder"
+        findings.fault("instructions", INSTRUCTIONS, what)
 
 
 def _form(findings: Findings, path: Path) -> None:

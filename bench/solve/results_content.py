@@ -32,7 +32,7 @@ from bench.record.results import (
 )
 from bench.report.supported import reach_px, star_distance
 from bench.solve.solution import Solution, compare_with_truth
-from calib.calibration import ENGINES, Calibration, ViewSummary
+from calib.calibration import Calibration, ViewSummary
 from calib.model.camera import CameraModel
 from calib.model.result_parts import WORST_CORNER
 from calib.uncertainty.projection_uncertainty import URAD_PER_ARCSEC, ProjectionMap, projection_uncertainty
@@ -213,16 +213,6 @@ def other_software(used: Mapping[str, str], names: Sequence[str] | None = None) 
     """Return which software, by results.json or the journal, differs here: ``numpy 2.1 (here 2.2)``, with commas."""
     here = software()
     return differing_software(used, {name: here[name] for name in names or here})
-
-
-def other_engine(results: Results) -> str:
-    """Return that results were made by another engine than those of this version; empty if they were not."""
-    made = results["calibration"].get("engine", {"name": "an earlier one", "version": 0})
-    if ENGINES.get(made["name"]) == made["version"]:
-        return ""
-    here = " and ".join(f"{name} {number}" for name, number in ENGINES.items())
-    engine = f"{made['name']} {made['version']}" if made["version"] else made["name"]
-    return f"made by another calibration engine ({engine}; this version has {here}), so no number can be compared"
 
 
 def _conditions(history: History, kind: CameraKind) -> Conditions:

@@ -51,9 +51,7 @@ def check_one(folder: Path, check: Check, known: Mapping[str, Any] | None) -> Ch
         rows.append(_derived(folder, check, known))
         derived = rows[-1]["derived"]
         faults = [SealFault(**seal_fault) for seal_fault in derived["faults"]]
-        return Findings(
-            faults, [*derived["not_compared"]], [*derived["parts_not_compared"]], [*derived["remarks"]]
-        )
+        return Findings(faults, *([*derived[name]] for name in ("not_compared", "not_confirmed", "remarks")))
 
     verification = verify_folder(
         folder,
@@ -88,14 +86,13 @@ def derivations_of(
 
     derivations: list[Derivation] = []
     if kind_of(folder) == "run":
-        from bench.solve.recorded_with import check_recorded_with
-        from bench.solve.verdict_check import check_verdict
+        from bench.again.verdict import check_verdict
 
-        derivations += [check_recorded_with, check_verdict]
+        derivations.append(check_verdict)
     if again:
-        from bench.solve.again import check_run_again
+        from bench.again.recalculated import check_recalculated
+        from bench.again.run import check_run_again
         from bench.solve.offline import nothing_shown
-        from bench.solve.recalculated_again import check_recalculated
 
         work = check_run_again if kind_of(folder) == "run" else check_recalculated
         derivations.append(partial(work, progress=progress or nothing_shown))

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from expected_stars import THREE, expected_views, write_points
 
 from bench.base.bounded_json import canonical_json
 from bench.evidence.keys import create_key, load_key
@@ -40,6 +41,14 @@ def children(monkeypatch):
     started, real = [], subprocess.Popen
     monkeypatch.setattr(subprocess, "Popen", lambda *a, **k: started.append(real(*a, **k)) or started[-1])
     return started
+
+
+@pytest.fixture(scope="session")
+def points(tmp_path_factory):
+    """Point files of three views of the bench that the simulated station expects, with every third star."""
+    return write_points(
+        tmp_path_factory.mktemp("points"), expected_views(THREE, sigma_px=0.01, seed=5), every=3
+    )
 
 
 CALIBRATED = {}

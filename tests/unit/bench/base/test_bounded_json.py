@@ -20,7 +20,7 @@ OWN_DATA = {
     "commands/certificate.py",
     "record/inbox.py",  # bounded size; pydantic bounds the depth
     "record/run_index.py",  # text that the index wrote
-    "solve/compare_numbers.py",
+    "again/compare.py",
     "solve/exports.py",
     "simulated.py",  # a process of our own
     "web/guard.py",  # bodies of at most 16 kB

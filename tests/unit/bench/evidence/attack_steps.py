@@ -8,12 +8,11 @@ from dataclasses import replace
 import h5py
 import numpy as np
 
+from bench.again.run import check_run_again
+from bench.again.verdict import check_verdict
 from bench.evidence.verify import verify_folder
 from bench.measure.views_file import read_views
 from bench.plan.job import Job
-from bench.solve.again import check_run_again
-from bench.solve.recorded_with import check_recorded_with
-from bench.solve.verdict_check import check_verdict
 from calib.model.cause import Cause
 
 CAPTURE = "captures/pose-00%d-attempt-1.raw"
@@ -24,7 +23,7 @@ ADDR_X = 2
 
 def checked(folder, trusted, *, again=True):
     """What `verify --again` finds without a ledger, or plain `verify`."""
-    checks = [check_recorded_with, check_verdict, *([check_run_again] if again else [])]
+    checks = [check_verdict, *([check_run_again] if again else [])]
     return verify_folder(folder, trusted, derivations={"run": checks}, again=again)
 
 
@@ -236,12 +235,6 @@ def a_cause(f):
     f.edit_line("solved", lambda data: data["causes"].append(SLEPT))
     verdict = {"kind": "marginal", "headline": "Calibrated, with reservations."}
     line("written", lambda data: data.update(verdict=verdict))(f)
-
-
-def half_wire(f):
-    data = (f / "wire.jsonl").read_bytes()
-    (f / "wire.jsonl").write_bytes(data[: data.index(b"\n", len(data) // 3) + 1])
-    f.tell_of_files()
 
 
 def other_truth(f):

@@ -5,9 +5,9 @@ import random
 
 import pytest
 
+from bench.again.run import check_run_again
 from bench.evidence.ledger_check import ledger_faults_of_run
 from bench.record.ledger import Ledger
-from bench.solve.again import check_run_again
 from tests.unit.bench.evidence.attack_steps import (
     CAPTURE,
     a_year_earlier,

@@ -11,6 +11,7 @@ import pytest
 from click.testing import CliRunner
 from station_texts import PLAIN
 
+from bench.again.recalculated import check_recalculated
 from bench.base.errors import BenchError, StorageError, UsageError
 from bench.commands.cli import cli
 from bench.commands.keys import key_or_draft
@@ -24,7 +25,6 @@ from bench.solve.offline_folder import require_new, write_offline_results
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.passports import write_passport
 from bench.solve.point_files import read_point_file
-from bench.solve.recalculated_again import check_recalculated
 from bench.solve.solve_options import ONE_VIEW
 from bench.solve.view_sources import ViewSource, picture_of, refuse_truncated_jpeg, view_sources
 from calib.errors import DegenerateViews, InputMismatch

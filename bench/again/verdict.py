@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from bench.again.compare import differences
 from bench.base.errors import RunFolderError
 from bench.evidence.findings import UNREADABLE, Findings
 from bench.record.run_folder import JOURNAL, RESULTS
 from bench.record.stored_run import StoredRun
 from bench.report.verdict import verdict
-from bench.solve.compare_numbers import differences
 from bench.solve.results_content import other_software
 
 

@@ -7,6 +7,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from bench.again.compare import differences
+from bench.again.files import MadeAgain, compare_file, compare_files
 from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, StorageError
 from bench.evidence.findings import UNREADABLE, Findings
@@ -15,20 +17,10 @@ from bench.evidence.sshsig import read_signature
 from bench.record.run_folder import PASSPORT_COPY, RESULTS, SIGNATURE, SOURCES
 from bench.record.storage import read_json, sha256_of
 from bench.record.stored_run import StoredRun
-from bench.solve.compare_numbers import differences
-from bench.solve.compare_trees import (
-    MadeAgain,
-    compare_file,
-    compare_instructions,
-    compare_trees,
-)
 from bench.solve.offline import OfflineResult, Reached, calibrate_paths, nothing_shown
 from bench.solve.offline_folder import SealedBy, offline_files, source_data
 from bench.solve.offline_options import StationFile, passport_of_file
-from bench.solve.results_content import (
-    other_engine,
-    other_software,
-)
+from bench.solve.results_content import other_software
 from bench.solve.sources import options_of_data
 from bench.stations.station import load_station
 from calib.errors import CalibrationError
@@ -46,22 +38,19 @@ def check_recalculated(folder: Path, progress: Reached = nothing_shown) -> Findi
     try:
         described, stored = read_json(folder / SOURCES), StoredRun(folder).results_as_written
         used = stored["run"]["software"]
-        compare_instructions(folder, used, findings)
         _check_station(described, findings)
         if stored["sources"] != described["sources"]:
             findings.fault("results", RESULTS, f"its sources are not those of {SOURCES}")
             return findings
-        if why := other_engine(stored) or _cannot(described):
-            findings.could_not_compare(f"{RESULTS} with its sources: {why}", "results")
+        if why := _cannot(described):
+            findings.not_compared.append(f"{RESULTS} with its sources: {why}")
             return findings
         again = _calibrated(folder, described, progress)
         pairs = zip(again.sources, again.views, strict=True)
         sources = [source_data(source, view.name) for source, view in pairs]
         if sources != described["sources"]:
-            findings.could_not_compare(
-                f"{RESULTS} with its sources: the paths hold other files now than those that were calculated from",
-                "results",
-            )
+            why = "the paths hold other files now than those that were calculated from"
+            findings.not_compared.append(f"{RESULTS} with its sources: {why}")
             return findings
         files = offline_files(again, str(stored["run"]["id"]), _sealer(folder, stored), sources=sources)
         results = parse_json(files[RESULTS])
@@ -73,18 +62,11 @@ def check_recalculated(folder: Path, progress: Reached = nothing_shown) -> Findi
         findings.fault("results", RESULTS, f"it cannot be compared with its sources ({error!r})")
         return findings
     for name in (SOURCES, PASSPORT_COPY):
-        compare_file(
-            folder / name, name, files.get(name), "results", other_software(used), findings, "the sources"
-        )
-    made = MadeAgain(
-        results,
-        again.stored_views,
-        str(described["camera_name"]),
-        again.board or again.target,
-        used,
-        source="sources",
-    )
-    compare_trees(folder, made, findings)
+        other = other_software(used)
+        compare_file(folder / name, name, files.get(name), "results", other, findings, "the sources")
+    target = again.board or again.target
+    made = MadeAgain(results, again.stored_views, str(described["camera_name"]), target)
+    compare_files(folder, made, used, findings)
     return findings
 
 

@@ -2,18 +2,19 @@
 
 import copy
 import shutil
+from dataclasses import replace
 from unittest import mock
 
 import numpy as np
 import pytest
 from report_sample import sample
 
+from bench.again.files import MadeAgain, compare_files
 from bench.base.bounded_json import canonical_json
 from bench.evidence.findings import Findings
 from bench.measure.views_file import StoredView, views_file
 from bench.record.stored_calibration import stored_calibration
 from bench.report import plots
-from bench.solve.compare_trees import MadeAgain, compare_trees
 from bench.solve.result import shown_files
 from bench.solve.results_content import software
 from calib.target import StarTarget
@@ -74,8 +75,8 @@ def compared(folder, made, **used):
     results = copy.deepcopy(made[1])
     results["run"]["software"] |= used
     findings = Findings()
-    made_again = MadeAgain(results, made[2], "camera", TARGET, results["run"]["software"], HEAD)
-    compare_trees(folder, made_again, findings)
+    made_again = MadeAgain(results, made[2], "camera", TARGET, HEAD)
+    compare_files(folder, made_again, results["run"]["software"], findings)
     return findings
 
 
@@ -146,6 +147,17 @@ def test_views_that_hold_more_than_their_content_are_a_fault(folder, made):
         file.write(b"x")
     (fault,) = compared(folder, made).faults
     assert fault.kind == "views"
+
+
+@pytest.mark.parametrize(("sigmas", "is_told"), [(0.15, False), (0.25, True)])
+def test_a_star_may_lie_a_tenth_of_its_u_beside(folder, made, sigmas, is_told):
+    first, *others = made[2]
+    sigma = np.sqrt(first.view.covariances_px2[0, 0, 0])
+    points = first.view.points_px + np.array([sigmas * sigma, 0.0])
+    (folder / "views.h5").write_bytes(
+        views_file([replace(first, view=replace(first.view, points_px=points)), *others])
+    )
+    assert bool([fault for fault in compared(folder, made).faults if fault.kind == "views"]) == is_told
 
 
 def test_if_results_are_wrong_nothing_is_said_of_what_follows_from_them(folder, made):

@@ -1,0 +1,1 @@
+"""`verify --again`: recordings measured again, solved again, and the results compared."""
