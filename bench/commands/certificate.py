@@ -109,11 +109,6 @@ def new(path: Path) -> int:
     is_flag=True,
     help="Do not make the results again from the recordings. The certificate states it.",
 )
-@click.option(
-    "--accept-not-compared",
-    is_flag=True,
-    help="Issue it also if this version cannot compare all results with the recordings. The certificate states it.",
-)
 @JSON
 def issue(
     folder: Path,
@@ -122,7 +117,6 @@ def issue(
     reason: str | None,
     despite: str | None,
     no_again: bool,
-    accept_not_compared: bool,
 ) -> int:
     """Issue the calibration certificate of a sealed RUN, by ISO/IEC 17025, or amend the one in the folder CERTIFICATE.
 
@@ -152,7 +146,6 @@ def issue(
             laboratory,
             also=also,
             despite=why,
-            accept_not_compared=accept_not_compared,
         )
     made = issued.certificate
     show(

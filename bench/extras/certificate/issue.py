@@ -83,12 +83,11 @@ def issue(
     *,
     also: str = "",
     despite: str = "",
-    accept_not_compared: bool = False,
 ) -> Issued:
     """Issue the certificate of a sealed run; raises `DocumentFaults` with all faults of lab.yaml.
 
     Without ``also``, the reason, a second one is refused; without ``despite``, one whose own limits pass over a FAIL of
-    the run. ``accept_not_compared`` allows parts that could not be made again.
+    the run.
     """
     require_libraries()
     if finished := finished_before(folder, laboratory.ledger):
@@ -96,7 +95,7 @@ def issue(
     refuse_occupied(folder)
     lab = read_lab(lab_file)
     _refuse_second_early(run, laboratory.ledger, also)
-    source = read_sealed_run(run, laboratory.verify, accept_not_compared=accept_not_compared)
+    source = read_sealed_run(run, laboratory.verify)
     return make_certificate(
         source,
         lab,

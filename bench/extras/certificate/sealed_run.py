@@ -7,16 +7,15 @@ bytes; a verifier that is another program cannot expect the same bytes.
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError, EvidenceError
 from bench.base.pasteable import pasteable
 from bench.base.program import differing_software, hash_of_files, installed_versions
-from bench.evidence.findings import PARTS, Findings, Part, Verification
+from bench.evidence.findings import Findings, Verification
 from bench.extras.certificate.certificate_data import Certificate, Run, Software, sha256
 from bench.extras.certificate.series import amending
 from bench.record.ledger import Ledger
@@ -44,10 +43,6 @@ _ALSO = (
 """Other modules whose code decides a value or a word of a certificate."""
 _SEAL = "Before the issue the sealed run was verified: its seal, every file, its journal and the ledger."
 _SAME = " The results were made again from the recordings, and are the same."
-_PARTLY = (
-    " The results were made again from the recordings by another version of the program than that of the run;"
-    " not compared, and protected by the seal alone: "
-)
 _NOT_MADE = " The results were not made again from the recordings."
 
 Verify = Callable[[Path], Verification]
@@ -76,21 +71,12 @@ def other_writer(software: tuple[Software, ...]) -> str:
 
 def statement_of(verification: Verification) -> str:
     """Return the sentence that states what was verified."""
-    if not verification.again:
-        return _SEAL + _NOT_MADE
-    if verification.complete:
-        return _SEAL + _SAME
-    return _partly(verification.parts_not_compared or ["results"])
-
-
-def _partly(parts: Iterable[Part]) -> str:
-    return f"{_SEAL}{_PARTLY}{', '.join(sorted(parts))}."
+    return _SEAL + (_SAME if verification.again else _NOT_MADE)
 
 
 def is_statement(text: str) -> bool:
     """Return whether a sentence is one that `statement_of` makes."""
-    sets = (chosen for count in range(1, len(PARTS) + 1) for chosen in combinations(PARTS, count))
-    return text in {_SEAL + _SAME, _SEAL + _NOT_MADE, *map(_partly, sets)}
+    return text in {_SEAL + _SAME, _SEAL + _NOT_MADE}
 
 
 def check_run_of_certificate(
@@ -116,7 +102,8 @@ def check_run_of_certificate(
     for fault in run.faults:
         findings.fault(fault.kind, f"{here[0]}/{fault.where}", fault.what)
     findings.not_compared += run.not_compared
-    if run.ok:
+    findings.not_confirmed += run.not_confirmed
+    if run.complete:
         findings.remarks.append(f"the results of the run in {here[0]} were made again from its recordings")
     return findings
 
@@ -133,11 +120,8 @@ class Source:
     verified: str
 
 
-def read_sealed_run(folder: Path, verify: Verify, *, accept_not_compared: bool = False) -> Source:
-    """Verify a finished run with ``verify``, and read what a certificate needs; `EvidenceError` where it may have none.
-
-    With ``accept_not_compared`` the run may have parts that could not be made again.
-    """
+def read_sealed_run(folder: Path, verify: Verify) -> Source:
+    """Verify a finished run with ``verify``, and read what a certificate needs; `EvidenceError` if it may have none."""
     if not is_sealed(folder):
         raise EvidenceError(
             "This run is not sealed: a certificate is made from a sealed run only.",
@@ -146,12 +130,12 @@ def read_sealed_run(folder: Path, verify: Verify, *, accept_not_compared: bool =
         )
     verification = verify(folder)
     _refuse_unverified(folder, verification)
-    if verification.not_compared and not accept_not_compared:
+    if not verification.complete:
+        what = [*verification.not_confirmed, *verification.not_compared]
         raise EvidenceError(
-            f"Not all results of this run could be compared: {'; '.join(verification.not_compared[:_MOST_NAMED])}.",
+            f"This version does not confirm all results of this run: {'; '.join(what[:_MOST_NAMED])}.",
             where=str(folder),
-            remedy="Issue the certificate with the version that made the run. If its seal is enough for you, use"
-            " --accept-not-compared: the certificate then states it.",
+            remedy="Issue the certificate with the version that made the run, or run the sequence again with this one.",
         )
     with storage_errors(folder):
         stored = StoredRun(folder)

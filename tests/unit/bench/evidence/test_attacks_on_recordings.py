@@ -11,6 +11,7 @@ from bench.record.ledger import Ledger
 from tests.unit.bench.evidence.attack_steps import (
     CAPTURE,
     a_year_earlier,
+    by_another_program,
     checked,
     everywhere,
     forged_focal_length,
@@ -35,7 +36,12 @@ def test_the_untouched_run_is_valid_and_follows_from_its_recordings(run_once, tr
     assert any("equal to the last bit" in remark for remark in verification.remarks)
 
 
-QUICK = ("focal length in every file", "image painted over", "gate of a recording in journal and results")
+QUICK = (
+    "a third of every uncertainty by another program",
+    "focal length in every file",
+    "image painted over",
+    "gate of a recording in journal and results",
+)
 
 
 def in_results(change):
@@ -47,7 +53,23 @@ def other_gate(f):
     f.edit_results(lambda r: r["gates"][0].update(value=999))
 
 
+def a_third_of_u(f):
+    """Every standard uncertainty is a third, and everything names another program."""
+
+    def change(results):
+        calibration = results["calibration"]
+        covariance = calibration["covariance"]
+        covariance["matrix"] = [[value / 9 for value in row] for row in covariance["matrix"]]
+        calibration["sigma"] = {name: sigma / 3 for name, sigma in calibration["sigma"].items()}
+
+    by_another_program(f, program="1" * 16)
+    f.edit_results(change)
+    sigma = f.results["calibration"]["sigma"]
+    f.edit_line("solved", lambda data: data.update(sigma={name: sigma[name] for name in data["sigma"]}))
+
+
 AGAIN = {
+    "a third of every uncertainty by another program": (a_third_of_u, "results.json"),
     "focal length in every file": (forged_focal_length, "results.json"),
     "stars moved in the views": (in_views(move_star), "views.h5"),
     "image painted over": (paint, "views.h5"),
@@ -110,7 +132,7 @@ def test_any_changed_digit_of_the_results_is_found(run_once, trusted, tmp_path, 
         forger.seal()
         verification = checked(forger.folder, trusted)
         told_of = verification.faults or [
-            remark for remark in verification.remarks if "by rounding only" in remark
+            remark for remark in verification.remarks if "within a tenth" in remark
         ]
         same = json.loads(changed) == json.loads(text)
         assert same or told_of, f"not found: {text[max(0, at - 60) : at + 20]!r}"

@@ -187,14 +187,13 @@ def test_a_run_that_does_not_verify_is_refused(lab, say, named):
     assert lab.numbers() == {}
 
 
-def test_a_run_that_could_not_be_compared_is_refused_unless_that_is_accepted_and_stated(lab):
-    what = ["report.html: it was made by another version"]
-    lab.says = {"not_compared": what, "parts_not_compared": ["report"], "again": True}
-    with pytest.raises(EvidenceError, match=r"Not all results of this run could be compared: report\.html"):
+@pytest.mark.parametrize("part", ["not_compared", "not_confirmed"])
+def test_no_certificate_is_issued_over_what_was_not_compared_or_is_not_confirmed(lab, part):
+    lab.says = {part: ["report.html: it was made by another version"], "again": True}
+    with pytest.raises(EvidenceError, match=r"report\.html") as refused:
         lab.issue()
+    assert "the version that made the run" in refused.value.remedy
     assert lab.numbers() == {}
-    text = lab.issue(accept_not_compared=True).certificate.statement("verification")
-    assert "not compared, and protected by the seal alone: report." in text
 
 
 @pytest.mark.parametrize(("again", "words"), [(True, "are the same"), (False, "were not made again")])
