@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -165,27 +165,16 @@ def messages(send_now: bool) -> int:
 
     outbox = Outbox(home_folder())
     if send_now:
-        outbox.deliver(send, BenchClock().utc_now, all_kept=True)
+        outbox.deliver(send, BenchClock().utc_now, by_hand=True)
     deliveries = outbox.deliveries()
     show(
         {
             "schema": "starbench/messages/1",
-            "messages": [_delivery_dict(state, delivery) for state, delivery in deliveries],
+            "messages": [{**delivery.to_dict(), "state": state} for state, delivery in deliveries],
         },
         _lines(deliveries),
     )
-    return 1 if send_now and any(state != "sent" for state, _ in deliveries) else 0
-
-
-def _delivery_dict(state: str, delivery: Delivery) -> dict[str, Any]:
-    return {
-        "message": asdict(delivery.message),
-        "channel": {delivery.channel.kind: delivery.channel.model_dump(mode="json")},
-        "state": state,
-        "tries": delivery.tries,
-        "perhaps_twice": delivery.perhaps_twice,
-        "last_error": delivery.last_error,
-    }
+    return 1 if send_now and outbox.unsent() else 0
 
 
 def _lines(deliveries: Sequence[tuple[str, Delivery]]) -> Iterator[str]:

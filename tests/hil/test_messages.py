@@ -167,7 +167,6 @@ def test_a_dead_network_holds_up_no_run_and_its_message_goes_out_later(tmp_path)
     assert f"Ledger: run 1 of this bench, line {place['head']}" in text
     (sent,) = kept(home)
     assert (sent["state"], sent["perhaps_twice"], sent["message"]["occasion"]) == ("sent", False, "end")
-    assert (sent["message"]["ledger_number"], sent["message"]["ledger_head"]) == (1, place["head"])
 
 
 def test_a_run_killed_while_its_message_is_under_way_is_sealed_and_the_message_arrives_later(tmp_path):

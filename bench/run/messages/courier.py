@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import queue
 import re
 import threading
 from collections.abc import Callable
@@ -14,7 +15,8 @@ from bench.run.messages.channels import TIMEOUT_S, send
 from bench.run.messages.outbox import Message, Outbox
 from bench.stations.messages_section import MessagesConfig
 
-_LOOK_S = 5.0  # So late at most a message that waits is tried again
+FIRST_PAUSE_S = 5.0  # Doubled after each try that failed
+LONGEST_PAUSE_S = 3600.0
 _UNPRINTABLE = re.compile(r"\x1b\[[0-9;]*[A-Za-z]|[\x00-\x08\x0b-\x1f\x7f]")
 """Colours of a terminal, and control characters: an error of another package may have them."""
 
@@ -26,7 +28,8 @@ class Courier:
         self._outbox = Outbox(home_folder())
         self._clock = clock
         self._say = say
-        self._wake, self._closing = threading.Event(), threading.Event()
+        self._rounds: queue.SimpleQueue[bool] = queue.SimpleQueue()  # False: there is no other one
+        self._rounds.put(True)  # what waits from before
         self._thread = threading.Thread(target=self._deliver, name="messages", daemon=True)
         self._thread.start()
 
@@ -49,57 +52,46 @@ class Courier:
         """
         if occasion not in station.occasions or not station.channels:
             return
-        number, head = place or (None, None)
         if place is not None:
-            text = f"{text}\nLedger: run {number} of this bench, line {head}"
+            text = f"{text}\nLedger: run {place[0]} of this bench, line {place[1]}"
         subject = " ".join(_printable(subject).split())[:200]
         utc = self._clock.utc_now().isoformat()
         message = Message(
-            key,
-            occasion,
-            subject,
-            _printable(text),
-            _printable(run),
-            _printable(str(folder)),
-            utc,
-            number,
-            head,
+            key, occasion, subject, _printable(text), _printable(run), _printable(str(folder)), utc
         )
         try:
             self._outbox.put(message, station.channels)
         except BenchError as error:
             self._say(f"A message could not be put into the outbox and is lost: {error}")
-        self._wake.set()
+        self._rounds.put(True)
 
     def close(self, patience_s: float = 2 * TIMEOUT_S) -> None:
-        """Try once more, for ``patience_s`` at most, to deliver what waits; the rest stays."""
-        self._closing.set()
-        self._wake.set()
+        """Wait, for ``patience_s`` at most, until each message was tried once; the rest stays."""
+        self._rounds.put(False)
         self._thread.join(patience_s)
         try:
-            waiting = self._outbox.waiting()
+            unsent = self._outbox.unsent()
         except BenchError as error:
             self._say(f"Messages cannot be delivered: {error}")
             return
-        if waiting:
-            self._say(f"Messages not delivered yet: {waiting}. See `starbench messages`.")
+        if unsent:
+            self._say(f"Messages not delivered yet: {unsent}. See `starbench messages`.")
 
     def _deliver(self) -> None:
-        closing = False
+        pause_s = FIRST_PAUSE_S
         try:
-            while not closing:
-                self._wake.wait(_LOOK_S)
-                self._wake.clear()
-                closing = (
-                    self._closing.is_set()
-                )  # read before the last delivery, which then misses no message
-                for given_up in self._outbox.deliver(send, self._clock.utc_now):
-                    what = f"given up after {given_up.tries} tries: {given_up.last_error}"
-                    self._say(
-                        f"The message {given_up.message.subject!r} is {what}. See `starbench messages`."
-                    )
+            while self._next_round(pause_s):
+                failed = self._outbox.deliver(send, self._clock.utc_now)
+                pause_s = min(2 * pause_s, LONGEST_PAUSE_S) if failed else FIRST_PAUSE_S
         except BenchError as error:
             self._say(f"Messages cannot be delivered: {error}")
+
+    def _next_round(self, pause_s: float) -> bool:
+        """Wait for a message, or for the end of a pause; return False once the courier is closed."""
+        try:
+            return self._rounds.get(timeout=pause_s)
+        except queue.Empty:
+            return True
 
 
 def _printable(text: str) -> str:

@@ -1,8 +1,8 @@
 """The outbox of a bench: a folder with one file for each message to each channel; the name's suffix is the state.
 
 ``ID.waiting`` becomes ``ID.sending-MICROSECONDS`` while a process tries to deliver it, then ``ID.sent``, or again
-``ID.waiting``, or ``ID.failed`` after ``MOST_TRIES``. A process claims a file by renaming it, so no other one has it.
-The claim ends at the time in the name: what a killed process was sending is tried again, and may arrive twice.
+``ID.waiting``, or after a week ``ID.failed``. A process claims a file by renaming it, so no other one has it. The name
+has the time of the claim, which does not hold long: what a killed process was sending is tried again.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timedelta
 from functools import cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from pydantic import TypeAdapter
 
@@ -25,15 +25,15 @@ from drivers.durable import sync_folder
 
 OUTBOX = "outbox"
 CLAIM = timedelta(minutes=3)
-"""A claim ends after this time: a mail of ten steps, each within `channels.TIMEOUT_S`, takes 100 s at most."""
-FIRST_PAUSE_S = 5.0  # Doubled after each try
-LONGEST_PAUSE_S = 3600.0
-MOST_TRIES = 100
-"""A delivery is given up after so many tries: a server may be away for four days in which runs are done."""
+"""So long a claim holds: a mail of ten steps, each within `channels.TIMEOUT_S`, takes 100 s at most."""
+GIVEN_UP_AFTER = timedelta(days=7)
+"""A message of this age is given up when it fails again: a network may be away for a weekend."""
+_SENDING = ".sending-"
 _MOST_BYTES = 1_000_000
-_WAITING, _SENDING, _SENT, _FAILED = ".waiting", ".sending-", ".sent", ".failed"
 
 State = Literal["waiting", "sending", "sent", "failed"]
+_STATES: dict[str, State] = {".waiting": "waiting", ".sent": "sent", ".failed": "failed"}
+"""States by the suffix of the file; ``sending`` has the time of its claim behind it."""
 
 
 class DeliveryFailed(Exception):
@@ -51,9 +51,6 @@ class Message:
     run: str  # The run or batch that it is about
     folder: str  # The folder of that
     utc: str  # Time at which it was written, ISO 8601
-    # Number of the run in the bench's ledger; of a batch, that of the newest run. None before the run is entered.
-    ledger_number: int | None = None
-    ledger_head: str | None = None  # Hash of that line of the ledger
 
 
 @dataclass(frozen=True)
@@ -63,9 +60,13 @@ class Delivery:
     message: Message
     channel: Channel
     tries: int = 0
-    next_try_utc: str = ""  # ISO 8601; empty: at once
     perhaps_twice: bool = False  # Whether it may have arrived more than once
     last_error: str = ""  # Why the last try failed; empty if it did not
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the delivery as JSON carries it."""
+        data: dict[str, Any] = _form().dump_python(self, mode="json")
+        return data
 
 
 Send = Callable[[Message, Channel], None]
@@ -84,7 +85,7 @@ class Outbox:
         for channel in channels:
             name = hashlib.sha256(f"{message.key} {channel.model_dump_json()}".encode()).hexdigest()[:24]
             if not any(path.stem == name for path in self._files()):
-                write_atomic(self.folder / f"{name}{_WAITING}", _written(Delivery(message, channel)))
+                write_atomic(self.folder / f"{name}.waiting", _written(Delivery(message, channel)))
 
     def deliveries(self) -> list[tuple[State, Delivery]]:
         """List all deliveries, also those that were sent, oldest first."""
@@ -94,65 +95,54 @@ class Outbox:
             if len(kept) == len(files):  # else another process has renamed one
                 return sorted(kept, key=lambda each: (each[1].message.utc, each[1].message.key))
 
-    def waiting(self) -> int:
-        """Count the deliveries that still wait, or that a process is trying."""
-        return sum(state in {"waiting", "sending"} for state in self._files().values())
+    def unsent(self) -> int:
+        """Count the deliveries that wait, that a process is trying, and that were given up."""
+        return sum(state != "sent" for state in self._files().values())
 
     def deliver(
-        self, send: Send, utc_now: Callable[[], datetime], *, all_kept: bool = False
+        self, send: Send, utc_now: Callable[[], datetime], *, by_hand: bool = False
     ) -> list[Delivery]:
-        """Try the deliveries that are due, one after another; return those that are given up.
+        """Try what waits, one after another; return what failed. By hand, also try what was given up.
 
-        After a failure the other messages to the same channel wait, so that a server that hangs delays no other
-        channel for long. With ``all_kept`` everything that was not sent is tried.
+        After a failure the other messages to the same channel wait, so that a server that hangs does not delay another
+        channel for long.
         """
-        given_up: list[Delivery] = []
-        down: set[Channel] = set()
-        for path, delivery in self._due(utc_now(), all_kept=all_kept):
-            if delivery.channel in down and not all_kept:
-                continue
-            tried = self._try(path, delivery, send, utc_now())
-            if tried is not None and tried.last_error:
-                down.add(tried.channel)
-                given_up += [tried] if tried.tries >= MOST_TRIES else []
-        return given_up
+        failed: list[Delivery] = []
+        for path, delivery in self._due(utc_now(), by_hand=by_hand):
+            if by_hand or delivery.channel not in [each.channel for each in failed]:
+                tried = self._try(path, delivery, send, utc_now())
+                failed += [tried] if tried.last_error else []
+        return failed
 
-    def _due(self, now: datetime, *, all_kept: bool) -> list[tuple[Path, Delivery]]:
+    def _due(self, now: datetime, *, by_hand: bool) -> list[tuple[Path, Delivery]]:
         """Return what may be tried now: the fewest tries first, so that nothing stands behind what always fails."""
         due = []
         for path, state in self._files().items():
-            if state == "sent" or (state == "failed" and not all_kept) or not _is_free(path, now):
-                continue
-            with suppress(StorageError):  # a damaged file holds up no other; `deliveries` names it
-                delivery = _read(path)
-                if delivery is not None and (all_kept or _has_come(delivery, now)):
-                    due.append((path, delivery))
+            free = _is_left(path, now) if state == "sending" else state == "waiting" or by_hand
+            if free and state != "sent":
+                with suppress(StorageError):  # a damaged file holds up no other; `deliveries` names it
+                    due += [(path, each)] if (each := _read(path)) is not None else []
         return sorted(due, key=lambda each: (each[1].tries, each[1].message.utc, each[1].message.key))
 
-    def _try(self, path: Path, delivery: Delivery, send: Send, now: datetime) -> Delivery | None:
-        """Claim a file and try its delivery; return the delivery after that, None if another process was quicker."""
-        claimed = path.with_name(f"{path.stem}{_SENDING}{_microseconds(now + CLAIM)}")
+    def _try(self, path: Path, delivery: Delivery, send: Send, now: datetime) -> Delivery:
+        """Claim a file and try its delivery, unless another process was quicker; return the delivery after that."""
+        claimed = path.with_name(f"{path.stem}{_SENDING}{_microseconds(now)}")
         with storage_errors(path):
             try:
                 path.rename(claimed)
             except FileNotFoundError:
-                return None
-        tries = delivery.tries + 1
-        # A claim that has ended is that of a process which was killed while it was sending.
-        perhaps_twice = delivery.perhaps_twice or path.suffix.startswith(_SENDING)
-        pause_s = min(LONGEST_PAUSE_S, FIRST_PAUSE_S * 2.0 ** min(delivery.tries, 20))
+                return replace(delivery, last_error="")
+        suffix, why = ".sent", ""
         try:
             send(delivery.message, delivery.channel)
         except DeliveryFailed as error:
-            later = (now + timedelta(seconds=pause_s)).isoformat()
-            suffix, why = (_WAITING if tries < MOST_TRIES else _FAILED), str(error)[:500]
-        else:
-            suffix, later, why = _SENT, "", ""
-        tried = replace(
-            delivery, tries=tries, next_try_utc=later, perhaps_twice=perhaps_twice, last_error=why
-        )
+            age = now - datetime.fromisoformat(delivery.message.utc)
+            suffix, why = (".waiting" if age < GIVEN_UP_AFTER else ".failed"), str(error)[:500]
+        # Whoever left a claim behind was killed while it was sending.
+        twice = delivery.perhaps_twice or path.suffix.startswith(_SENDING)
+        tried = replace(delivery, tries=delivery.tries + 1, perhaps_twice=twice, last_error=why)
         with storage_errors(claimed):
-            if claimed.exists():  # else another process took it over, because the claim had ended
+            if claimed.exists():  # else another process took it over, because this one took too long
                 write_atomic(claimed, _written(tried))
                 claimed.rename(claimed.with_suffix(suffix))
                 sync_folder(self.folder)
@@ -163,30 +153,20 @@ class Outbox:
         with storage_errors(self.folder):
             if not self.folder.exists():
                 return {}
-            files = [path for path in self.folder.iterdir() if not is_temporary(path)]
-        return {path: state for path in files if (state := _state(path)) is not None}
+            paths = [path for path in self.folder.iterdir() if not is_temporary(path)]
+        states = {
+            path: "sending" if path.suffix.startswith(_SENDING) else _STATES.get(path.suffix)
+            for path in paths
+        }
+        return {path: state for path, state in states.items() if state is not None}
 
 
-def _state(path: Path) -> State | None:
-    """Return the state of a delivery by the name of its file; None for a file of somebody else."""
-    states: dict[str, State] = {_WAITING: "waiting", _SENT: "sent", _FAILED: "failed"}
-    return "sending" if path.suffix.startswith(_SENDING) else states.get(path.suffix)
-
-
-def _is_free(path: Path, now: datetime) -> bool:
-    """Whether no living claim is on a file; one beyond ``CLAIM`` was made before the system's time was set back."""
-    if not path.suffix.startswith(_SENDING):
-        return True
-    ends = path.suffix.removeprefix(_SENDING)
-    return not (ends.isdigit() and _microseconds(now) < int(ends) <= _microseconds(now + CLAIM))
-
-
-def _has_come(delivery: Delivery, now: datetime) -> bool:
-    """Whether it is time to try; a time beyond the longest pause was noted before the system's time was set back."""
-    if not delivery.next_try_utc:
-        return True
-    left_s = (datetime.fromisoformat(delivery.next_try_utc) - now).total_seconds()
-    return not 0 < left_s <= LONGEST_PAUSE_S
+def _is_left(path: Path, now: datetime) -> bool:
+    """Whether a claim does not hold any more; one from the future was made before the system's time was set back."""
+    claimed = path.suffix.removeprefix(_SENDING)
+    return not claimed.isdigit() or abs(_microseconds(now) - int(claimed)) >= CLAIM / timedelta(
+        microseconds=1
+    )
 
 
 def _microseconds(moment: datetime) -> int:

@@ -187,7 +187,6 @@ def test_a_message_holds_the_place_of_the_newest_run_in_the_ledger(tmp_path, out
     messages.add_recipients([station(tmp_path)])
     messages.batch_ended(summary("finished", items), tmp_path, "c" * 64)
     ((_, delivery),) = outbox.deliveries()
-    assert (delivery.message.ledger_number, delivery.message.ledger_head) == (10, "b" * 64)
     assert f"Ledger: run 10 of this bench, line {'b' * 64}" in delivery.message.text
 
 

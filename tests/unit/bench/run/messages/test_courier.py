@@ -54,7 +54,7 @@ def test_a_server_that_hangs_delays_no_run_and_the_next_run_delivers(outbox, ser
         write(courier, station, key, place=(7, "b" * 64))
     courier.close(0.2)
     assert time.monotonic() - begun < 2
-    assert lines == [f"Messages not delivered yet: {outbox.waiting()}. See `starbench messages`."]
+    assert lines == [f"Messages not delivered yet: {outbox.unsent()}. See `starbench messages`."]
     let_go.set()
     wait_until(lambda: sorted(taken.get("WORKS", [])) == ["first", "second"], 10)
     courier_of(station, VirtualClock(BEGIN), lines.append).close(5.0)
@@ -72,6 +72,25 @@ def test_what_a_terminal_colours_and_what_no_text_can_hold_is_in_no_message(outb
     assert state == "sent"
     assert delivery.message.subject == "failed: TypingError: at 3 \u00b0C?"
     assert delivery.message.text == "failed: TypingError:\n\tat 3 \u00b0C?"
+
+
+def test_what_fails_is_tried_again_ever_more_seldom_and_a_new_message_at_once(outbox, monkeypatch):
+    tries, station = [], station_with("WORKS")
+
+    def send(message, _channel):
+        tries.append((message.key, time.monotonic()))
+        raise DeliveryFailed("down")
+
+    monkeypatch.setattr("bench.run.messages.courier.send", send)
+    monkeypatch.setattr("bench.run.messages.courier.FIRST_PAUSE_S", 0.1)
+    courier = courier_of(station, VirtualClock(BEGIN), [].append)
+    write(courier, station, "old")
+    wait_until(lambda: len(tries) == 4, 10)
+    (_, first), (_, second), (_, third), (_, fourth) = tries
+    assert fourth - third > third - second > second - first
+    write(courier, station, "new")
+    courier.close(5.0)
+    assert [key for key, _ in tries][4] == "new"
 
 
 def test_messages_of_another_station_that_wait_are_delivered_too(outbox, servers):

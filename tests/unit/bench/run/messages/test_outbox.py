@@ -10,14 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from bench.base.errors import StorageError
-from bench.run.messages.outbox import (
-    CLAIM,
-    LONGEST_PAUSE_S,
-    MOST_TRIES,
-    DeliveryFailed,
-    Message,
-    Outbox,
-)
+from bench.run.messages.outbox import CLAIM, GIVEN_UP_AFTER, DeliveryFailed, Message, Outbox
 from bench.stations.messages_section import AppriseConfig, MailConfig
 
 NOW = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)
@@ -48,9 +41,9 @@ class Receiver:
 
 
 def deliver(outbox, send, now=NOW, **words):
-    """Deliver at a moment; return how many wait after that."""
+    """Deliver at a moment; return how many are not sent after that."""
     outbox.deliver(send, lambda: now, **words)
-    return outbox.waiting()
+    return outbox.unsent()
 
 
 def only(outbox):
@@ -73,45 +66,20 @@ def test_a_message_is_put_once_and_delivered_once(outbox):
     assert {state for state, _ in outbox.deliveries()} == {"sent"}
 
 
-def test_what_does_not_go_through_is_tried_again_ever_more_seldom(outbox):
+def test_what_does_not_go_through_is_tried_again_for_a_week_then_given_up_but_for_who_asks(outbox):
     outbox.put(message(), [MAIL])
-    receiver, at = Receiver(failures=100), NOW
-    deliver(outbox, receiver, at)
-    for pause_s in (5.0, 10.0, 20.0, *[None] * 8, LONGEST_PAUSE_S):
-        if pause_s is None:
-            deliver(outbox, receiver, at, all_kept=True)
-            continue
-        failures = receiver.failures
-        assert deliver(outbox, receiver, at + timedelta(seconds=pause_s - 0.1)) == 1
-        assert receiver.failures == failures
-        at += timedelta(seconds=pause_s)
-        assert deliver(outbox, receiver, at) == 1
-        assert receiver.failures == failures - 1
-    assert only(outbox)[1].last_error == "no network"
-    receiver.failures = 0
-    assert deliver(outbox, receiver, at, all_kept=True) == 0
-    assert only(outbox)[1].last_error == ""
-
-
-def test_after_the_last_try_it_is_given_up_and_told_and_tried_only_when_asked(outbox):
-    outbox.put(message(), [MAIL])
-    receiver, told = Receiver(failures=MOST_TRIES), []
-    for hour in range(MOST_TRIES + 5):
-        told += outbox.deliver(receiver, lambda hour=hour: NOW + timedelta(hours=hour))
-    assert [(d.message.key, d.tries, d.last_error) for d in told] == [("k1", MOST_TRIES, "no network")]
-    assert only(outbox)[0] == "failed"
-    assert (receiver.taken, outbox.waiting()) == ([], 0)
-    deliver(outbox, receiver, all_kept=True)
-    assert receiver.taken == [("k1", MAIL)]
-    assert only(outbox)[0] == "sent"
-
-
-def test_a_system_time_that_was_set_back_keeps_no_message(outbox):
-    outbox.put(message(), [MAIL])
-    receiver = Receiver(failures=1)
-    deliver(outbox, receiver)
-    assert deliver(outbox, receiver, NOW - timedelta(hours=5)) == 0
-    assert len(receiver.taken) == 1
+    receiver = Receiver(failures=3)
+    for age in (timedelta(), GIVEN_UP_AFTER - timedelta(hours=1)):
+        assert deliver(outbox, receiver, NOW + age) == 1
+        assert only(outbox)[0] == "waiting"
+    late = NOW + GIVEN_UP_AFTER
+    for _ in range(2):  # the second time it is left alone
+        assert deliver(outbox, receiver, late) == 1
+        state, delivery = only(outbox)
+        assert (state, delivery.tries, delivery.last_error) == ("failed", 3, "no network")
+    assert deliver(outbox, receiver, late, by_hand=True) == 0
+    state, delivery = only(outbox)
+    assert (receiver.taken, state, delivery.last_error) == ([("k1", MAIL)], "sent", "")
 
 
 def test_a_channel_that_is_down_holds_up_no_other(outbox):
@@ -132,7 +100,8 @@ def test_a_channel_that_is_down_holds_up_no_other(outbox):
     assert tried == ["k1", "k2"]
 
 
-def test_a_process_killed_while_sending_loses_nothing(outbox):
+@pytest.mark.parametrize("later", [NOW + CLAIM, NOW - CLAIM])  # the system's time may be set back
+def test_a_process_killed_while_sending_loses_nothing(outbox, later):
     outbox.put(message(), [MAIL])
     code = (
         "import os, sys; from datetime import UTC, datetime; from pathlib import Path; from bench.run.messages.outbox import Outbox\n"
@@ -141,9 +110,9 @@ def test_a_process_killed_while_sending_loses_nothing(outbox):
     )
     assert subprocess.run([sys.executable, "-c", code, outbox.folder.parent], check=False).returncode == -9
     receiver = Receiver()
-    assert deliver(outbox, receiver, NOW + CLAIM - timedelta(seconds=1), all_kept=True) == 1
+    assert deliver(outbox, receiver, NOW + CLAIM - timedelta(seconds=1), by_hand=True) == 1
     assert (receiver.taken, only(outbox)[0]) == ([], "sending")
-    assert deliver(outbox, receiver, NOW + CLAIM) == 0
+    assert deliver(outbox, receiver, later) == 0
     assert receiver.taken == [("k1", MAIL)]
     assert only(outbox)[1].perhaps_twice
 
@@ -153,7 +122,7 @@ def test_of_two_processes_that_deliver_at_once_one_stands_back(outbox):
     other, inner = Receiver(), []
 
     def send(*_):
-        inner.append(deliver(outbox, other, all_kept=True))
+        inner.append(deliver(outbox, other, by_hand=True))
 
     assert deliver(outbox, send) == 0
     assert inner == [1]
@@ -164,7 +133,7 @@ def test_of_two_processes_that_deliver_at_once_one_stands_back(outbox):
 def test_two_processes_that_saw_the_same_file_do_not_both_send_it(outbox, monkeypatch):
     """The other one claims it between this one's look and its claim."""
     outbox.put(message(), [MAIL])
-    seen, other, mine = outbox._due(NOW, all_kept=False), Receiver(), Receiver()
+    seen, other, mine = outbox._due(NOW, by_hand=False), Receiver(), Receiver()
     deliver(outbox, other)
     monkeypatch.setattr(outbox, "_due", lambda *_, **__: seen)
     assert deliver(outbox, mine) == 0
@@ -234,7 +203,7 @@ def test_in_any_order_of_events_each_message_arrives_and_twice_only_where_it_say
             known.add(key)
             continue
         with suppress(KeyboardInterrupt):
-            deliver(outbox, send(how), NOW + number * CLAIM, all_kept=True)
+            deliver(outbox, send(how), NOW + number * CLAIM, by_hand=True)
     assert set(arrived) == known
     doubled = {key for key in known if arrived.count(key) > 1}
     assert doubled <= {d.message.key for _, d in outbox.deliveries() if d.perhaps_twice}
