@@ -37,7 +37,6 @@ _ASSUMED = {
     "time_unit": "the file does not state the unit of its times; they were read as {}. --time-unit says another one.",
     "time_step_us": "its times have too few digits: they are stored in steps of {} us.",
     "sensor_size": "its events fill only {} px of --sensor-size. Is the sensor as large as that?",
-    "columns": "the file does not name its columns; they were read as {}.",
 }
 
 
@@ -51,9 +50,9 @@ _ASSUMED = {
 @click.option(
     "--as",
     "kind",
-    type=click.Choice(["raw", "metavision", "hdf5", "numpy", "parquet"]),
-    help="Format of OUTPUT.  [default: by its name: .raw, .hdf5 (Metavision, ECF), .h5 (plain HDF5), .npz or"
-    " .parquet]",
+    type=click.Choice(["raw", "metavision", "hdf5", "numpy", "parquet", "csv"]),
+    help="Format of OUTPUT.  [default: by its name: .raw, .hdf5 (Metavision, ECF), .h5 (plain HDF5), .npz,"
+    " .parquet or .csv]",
 )
 @click.option(
     "--sensor-size", metavar="WxH", help="Size of the sensor, px, for a SOURCE that does not state it."
@@ -84,10 +83,10 @@ def convert(
     Many SOURCEs are converted into the folder OUTPUT, by all processors of this computer or by the workers of a Dask
     scheduler; say the format with --as. After an interruption, the same command continues.
 
-    Formats: RAW (EVT3), Metavision's HDF5 (ECF), plain HDF5, NumPy's .npz, and Parquet (needs starbench[table]). SOURCE
-    may also be RAW with EVT2 or EVT2.1 words, DAT, HDF5 of others (DSEC, e2calib, M3ED, v2e, MVSEC), NumPy's .npy, text
-    (.txt, .csv), AEDAT4, or a bag of ROS 1 or ROS 2 (file or folder); AEDAT4, bags and some HDF5 need
-    starbench[formats]. What a SOURCE does not state and was assumed is printed. The header of a converted RAW file
+    Formats: RAW (EVT3), Metavision's HDF5 (ECF), plain HDF5, NumPy's .npz, Parquet (needs starbench[table]), and text
+    (CSV, without triggers). SOURCE may also be RAW with EVT2 or EVT2.1 words, DAT; HDF5, .npz, .npy, Parquet or text
+    with columns named t, x, y, p; AEDAT 4, or a bag of ROS 1 or ROS 2 (file or folder); AEDAT 4, bags and some HDF5
+    need starbench[formats]. What a SOURCE does not state and was assumed is printed. The header of a converted RAW file
     states that it was converted, so it cannot be taken for a camera's original file.
     """
     from bench.solve.offline_options import parse_image_size
@@ -108,7 +107,7 @@ def convert(
             where=str(output),
             remedy="Give --as."
             if many
-            else "Use a name that ends in .raw, .hdf5, .h5, .npz or .parquet, or give --as.",
+            else "Use a name that ends in .raw, .hdf5, .h5, .npz, .parquet or .csv, or give --as.",
         )
     if many:
         OutputFolder().check(output)
@@ -147,6 +146,8 @@ def _say(source: Path, output: Path, written: Mapping[str, Any]) -> None:
     if written.get("unknown_words"):
         what = "words whose type EVT3 does not define were left out"
         click.echo(f"{source}: {what}: {written['unknown_words']}.", err=True)
+    if written.get("edges_left_out"):
+        click.echo(f"{source}: CSV holds no triggers; {written['edges_left_out']} were left out.", err=True)
     if written["cut_off"]:
         click.echo(
             f"{source}: the file ends in the middle of a word or a line; everything before it was converted.",

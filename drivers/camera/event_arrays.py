@@ -6,7 +6,7 @@ Every format is read to a source of such pieces; the times of some count from 19
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import Any, Final, Literal, NamedTuple
 
@@ -28,7 +28,6 @@ _SECOND_US: Final = 1_000_000  # us
 _YEAR_2000_US: Final = 946_684_800_000_000
 _YEAR_2100_US: Final = 4_102_444_800_000_000  # us since 1970
 _MOST_NAMED: Final = 8  # A line
-SAY_UNIT: Final = "Say their unit, for example: starbench convert --time-unit ns"
 
 _TYPES: Final[tuple[type[np.generic], ...]] = (np.int64, np.uint16, np.uint16, np.uint8)
 
@@ -141,6 +140,14 @@ class ReadingState:
     unknown_words: int = 0  # Number of words left out because EVT3 does not define their type
 
 
+class UnstatedUnit(NamedTuple):
+    """The unit of times that a file does not state."""
+
+    read_as: TimeUnit
+    is_given: bool  # By the user; else assumed
+    finest: TimeUnit  # The finest unit that the file's numbers can have
+
+
 @dataclass(frozen=True)
 class EventSource:
     """An open file of events, which is read once, piece by piece."""
@@ -154,9 +161,10 @@ class EventSource:
     truncated: bool = False  # Whether the file ends in the middle of a word or an event
     count: int | None = None  # Number of events, if the file states it before they are read
     state: ReadingState = field(default_factory=ReadingState)
-    # What the file does not state and was assumed: "time_unit" (a `TimeUnit`), "columns" (their order in a table); and
-    # "time_step_us", if its numbers are too coarse for its times
+    # What the file does not state and was assumed: "time_unit" (a `TimeUnit`); and "time_step_us", if its numbers are
+    # too coarse for its times
     assumed: Mapping[str, str] = field(default_factory=dict)
+    unit: UnstatedUnit | None = None  # None if the file or its format states the unit of its times
 
 
 def with_edges(pieces: Iterable[Events], edges: Triggers) -> Iterator[Piece]:
@@ -166,24 +174,6 @@ def with_edges(pieces: Iterable[Events], edges: Triggers) -> Iterator[Piece]:
         edges = empty_triggers(0)
     if len(edges.t):
         yield empty_events(0), edges
-
-
-def from_zero(source: EventSource) -> EventSource:
-    """Return a source whose times begin near 0 if its own lie beyond a day, as those that count from 1970 do."""
-    origin = origin_of(source.pieces())
-    if origin.us < MAX_TIME_US:
-        return source
-    if origin.us > _YEAR_2100_US:
-        raise NotARecording(
-            f"Its times begin at {origin.us:.3g} us, after the year 2100: they are not in us.",
-            remedy=SAY_UNIT,
-        )
-
-    def moved() -> Iterator[Piece]:
-        for events, edges in source.pieces():
-            yield events._replace(t=events.t - origin.us), edges._replace(t=edges.t - origin.us)
-
-    return replace(source, header={**source.header, **origin.header}, pieces=moved)
 
 
 def too_many_edges() -> NotARecording:

@@ -18,15 +18,10 @@ _UNREAD_PICTURES: Final = (
     (rb"\0{3}\x0cjP  |\xff\x4f\xff\x51", "a JPEG 2000 picture", _CONVERT),
     (rb"8BPS", "a Photoshop picture", _CONVERT),
 )
-_JOIN: Final = (
-    "If it is a part of a recording that was split, join the parts in their order first. If it holds a camera's words"
-    " alone, write their header before them, such as lines of `% evt 3.0`, `% geometry 1280x720` and `% end`."
+FORMS_OF_EVENTS: Final = (
+    "Starbench reads RAW, DAT and HDF5 of Prophesee with their headers; HDF5, .npz, .npy, Parquet and text with columns"
+    " named t, x, y and p; ROS bags; and AEDAT 4. Convert the file to one of them, such as with the program faery."
 )
-_NAME_COLUMNS: Final = "If it holds events, write the names of its columns above them: t, x, y, p."
-_AS_NPZ: Final = "Save its columns with NumPy: an .npz file of t (us), x, y and p."
-_AS_UTF8: Final = "Write it again as UTF-8."
-_OLD_AEDAT: Final = "Starbench reads AEDAT4; iniVation's program DV writes it from older files."
-_AS_PARQUET: Final = "Write its table as Parquet."
 _UNPACK: Final = "Unpack it first."
 _AS_TEXT: Final = "Save its table as text (CSV)."
 _MEMBER: Final = rb"PK\x03\x04.{26}"
@@ -57,31 +52,14 @@ _OTHERS: Final = (
     (b"\x89HDF", "an HDF5 file", ""),
     (b"\x89PNG", "a PNG image", ""),
     (b"\xff\xd8\xff", "a JPEG image", ""),
+    (b"II*\x00", "a TIFF image", ""),
+    (b"MM\x00*", "a TIFF image", ""),
+    (b"PK\x03\x04", "a zip archive", _UNPACK),
     (b"\x1f\x8b", "a gzip archive", _UNPACK),
     (b"BZh", "a bzip2 archive", _UNPACK),
     (b"\xfd7zXZ\x00", "an xz archive", _UNPACK),
     (b"\x28\xb5\x2f\xfd", "a Zstandard archive", _UNPACK),
     (b"7z\xbc\xaf\x27\x1c", "a 7z archive", _UNPACK),
-    (b"PK\x03\x04", "a zip archive", ""),
-    (b"#!AER-DAT1.0", "an AEDAT 1.0 file", _OLD_AEDAT),
-    (b"#!AER-DAT2.0", "an AEDAT 2.0 file", _OLD_AEDAT),
-    (b"#!AER-DAT3.0", "an AEDAT 3.0 file", _OLD_AEDAT),
-    (b"#!AER-DAT3.1", "an AEDAT 3.1 file", _OLD_AEDAT),
-    (b"#!AER-DAT", "an AEDAT file", ""),
-    (b"Event Stream", "an Event Stream file (.es)", "Convert it with the program faery."),
-    (b"MATLAB", "a MATLAB file", _AS_NPZ),
-    (b"\x93NUMPY", "a NumPy array", ""),
-    *((bytes((0x80, protocol)), "a Python pickle", _AS_NPZ) for protocol in range(2, 6)),
-    (b"PAR1", "a Parquet file", ""),
-    (b"ARROW1", "a Feather file of Arrow", _AS_PARQUET),
-    (b"FEA1", "a Feather file of Arrow", _AS_PARQUET),
-    (b"rosbag2_bagfile_information", "the description of a ROS 2 bag", "Give the bag's folder."),
-    (b"SQLite format 3\x00", "a SQLite database", "If it is of a ROS 2 bag, give the bag's folder."),
-    (b"II*\x00", "a TIFF image", ""),
-    (b"MM\x00*", "a TIFF image", ""),
-    (b"%PDF", "a PDF document", ""),
-    (b"\xff\xfe", "a text file in UTF-16", _AS_UTF8),
-    (b"\xfe\xff", "a text file in UTF-16", _AS_UTF8),
 )
 _OF_PHOTO_CAMERAS: Final = {
     ".arw", ".cr2", ".cr3", ".dng", ".nef", ".nrw", ".orf", ".pef", ".raf", ".rw2", ".srw",
@@ -117,5 +95,5 @@ def kind_of_file(start: bytes, ending: str = "") -> tuple[str, str]:
     if not start.strip(b"\0"):
         return "nothing but zeros", "Copy the file again: its contents are lost here."
     if all(byte in b"\t\r\n" or 32 <= byte != 127 for byte in start[:512]):
-        return "a text file", _NAME_COLUMNS
-    return "binary data without a RAW header", _JOIN
+        return "a text file", FORMS_OF_EVENTS
+    return "binary data without a RAW header", FORMS_OF_EVENTS

@@ -25,6 +25,8 @@ MAX_HEADER_BYTES: Final = 65536
 MAX_SIDE_PX: Final = 2048
 """Largest width and height of a sensor: EVT3 addresses have 11 bits."""
 
+_OF_INDEX: Final = frozenset({"index_version", "magic_number", "ts_shift_us"})
+"""Keys of OpenEB's index of a recording (i_events_stream.cpp); no recording has one of them."""
 _COPY_AGAIN: Final = "Copy the file again from the computer that recorded it."
 _CORRECT: Final = "Correct its header in a copy of the file."
 GIVE_SIZE: Final = (
@@ -107,7 +109,7 @@ def parse_header(
             else f"has a header that does not end within {MAX_HEADER_BYTES} bytes"
         )
         raise NotARecording(f"The file {end}.", where=where, remedy=_COPY_AGAIN)
-    if "index_version" in fields:  # OpenEB, i_events_stream.cpp
+    if _OF_INDEX & fields.keys():
         raise NotARecording(
             "This file holds no events. It is the index that Metavision writes beside a recording.",
             where=where,

@@ -28,6 +28,7 @@ _ENDINGS: Mapping[str, str] = {
     "hdf5": ".h5",
     "numpy": ".npz",
     "parquet": ".parquet",
+    "csv": ".csv",
 }
 _PART = ".part-"
 

@@ -1,8 +1,8 @@
-"""Columns of events as programs write them: by names, or as a table of four columns in one of three orders.
+"""Columns of events by their names, and the unit of their times.
 
-The unit of times may stand in a column's name (``timestamp_us``). What a file does not state is assumed: times with
-fractions are in s, all others in us. `EventSource.assumed` says so, and `UnitCheck` refuses what no camera sends: times
-in ns or ms that were read so.
+The unit may stand in a column's name (``timestamp_us``). Where the file does not state it, times with fractions are
+taken for s, all others for us; `EventSource.assumed` says so. `UnitCheck` compares that, and a unit that the user
+gives, with what cameras send.
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ from drivers.camera.event_arrays import (
     ReadingChoices,
     TimeUnit,
     Triggers,
+    UnstatedUnit,
     as_events,
     empty_triggers,
-    from_zero,
     with_edges,
 )
+from drivers.camera.formats.time_units import NS, from_zero
 from drivers.camera.raw_header import agreed_size
 from drivers.errors import NotARecording, UnreadableEvents
 
@@ -47,27 +48,14 @@ _UNITS: Final[Mapping[str, TimeUnit]] = {
 _UNIT_OF_NAME: Final = re.compile(r"(.*?)(?:_({0})|[ _]?[(\[]({0})[)\]])".format("|".join(_UNITS)))
 _MICRO: Final = re.compile("[\u00b5\u03bc]")
 """The sign of a millionth, and the Greek letter."""
-_OF_WHOLE: Final = (0, 1, 2, 3)
-_OF_FRACTIONS: Final = (2, 0, 1, 3)
-_ORDERS: Final = (_OF_WHOLE, _OF_FRACTIONS, (3, 0, 1, 2))
-"""Places of t, x, y and p in the tables of known programs."""
-_NS: Final[Mapping[TimeUnit, int]] = {"s": 1_000_000_000, "ms": 1_000_000, "us": 1000, "ns": 1}
+_WHOLE: Final = 0.01
+"""Farther from a whole number lies no number that only the arithmetic of a program has moved."""
 _US_NS: Final = 1000  # Nanoseconds of a microsecond
 _MOST_STEP_US: Final = 1.0
 """Steps of the clock of a camera. Those of seconds in 32 bits are larger from 16 s on."""
-_COARSE_US: Final = 1000  # A millisecond
-_LEAST_TIMES: Final = 8
-"""So many different times that are all whole thousands of us are no chance: 1e-24 with a clock of 1 us."""
-_LEAST_RATE: Final = 0.005
-"""Events a second and pixel: a twentieth of the background of a sensor at rest (0.1, Nozaki and Delbruck 2017)."""
-_LARGEST_RATE: Final = 200.0
-"""Three times that of the busiest known recordings (69: boxes_translation of the Event Camera Dataset)."""
-_LEAST_EVENTS: Final = 100
-"""Fewer events say nothing about their rate."""
-
 
 Parts = Sequence[NDArray[Any]]
-"""Some rows: the columns t, x, y and p, or one table."""
+"""Some rows: the columns t, x, y and p, or one table with names."""
 
 
 def named(available: Iterable[str]) -> list[str | None]:
@@ -105,55 +93,41 @@ def _split(name: str) -> tuple[str, TimeUnit | None]:
 
 
 def is_table(shape: Sequence[int], dtype: np.dtype[Any]) -> bool:
-    """Return whether an array is a table of events: with named columns, or with four."""
-    if dtype.names is not None:
-        return len(shape) == 1 and None not in named(dtype.names)
-    return len(shape) == 2 and shape[1] == COLUMNS and dtype.kind in "iuf"
+    """Return whether an array is a table of events, with named columns."""
+    return len(shape) == 1 and dtype.names is not None and None not in named(dtype.names)
 
 
 class ColumnReader:
     """Turns pieces of columns, or of one table, into events.
 
-    >>> table = np.array([[7, 9, 0.25, 1], [7, 9, 0.5, 0]])
-    >>> reader = ColumnReader([table], None)
-    >>> reader.events([table]).t.tolist(), reader.assumed
-    ([250000, 500000], {'time_unit': 's', 'columns': 'x, y, t, p'})
+    >>> columns = [np.array([0.25, 0.5]), np.array([7, 7]), np.array([9, 9]), np.array([1, 0])]
+    >>> reader = ColumnReader(columns, None)
+    >>> reader.events(columns).t.tolist(), reader.assumed
+    ([250000, 500000], {'time_unit': 's'})
     """
 
     def __init__(self, first: Parts, given: TimeUnit | None, stated: TimeUnit | None = None) -> None:
-        """Decide order and unit by the first rows; the user gives a unit, or the file states it."""
+        """Decide the unit by the first rows; the user gives it, or the file states it."""
         self.assumed: dict[str, str] = {}
-        self._order = _order(first[0]) if first and first[0].ndim > 1 else None
-        if self._order is not None:
-            self.assumed["columns"] = ", ".join("txyp"[self._order.index(k)] for k in range(COLUMNS))
         if first and first[0].dtype.names is not None:
             stated = stated or unit_of_name(required(first[0].dtype.names)[0])
         if given and stated and given != stated:
             raise NotARecording(f"The file states its times in {stated}.", remedy="Leave out --time-unit.")
-        times = self._columns(first)[0] if first else np.empty(0)
-        has_fractions = _has_fractions(times)
+        times = _columns(first)[0] if first else np.empty(0)
         unit = given or stated
         if unit is None:
-            unit = "s" if has_fractions else "us"
-            self.assumed = {"time_unit": unit, **self.assumed}
-        self._ns = _NS[unit]
+            unit = "s" if _has_fractions(times) else "us"
+            self.assumed = {"time_unit": unit}
+        self.unit = None if stated else UnstatedUnit(unit, is_given=given is not None, finest=_finest(times))
+        self._ns = NS[unit]
         if (step_us := _step_of(times) * self._ns / _US_NS) > _MOST_STEP_US:
             self.assumed["time_step_us"] = f"{step_us:.3g}"
         self._clock = Clock32()
 
     def events(self, parts: Parts) -> Events:
         """Return the events of the next rows. Raises NotARecording if they are none."""
-        t, x, y, p = self._columns(parts)
-        return as_events(self._times(t), *map(_whole_of, (x, y, _signed(p))))
-
-    def _columns(self, parts: Parts) -> list[NDArray[Any]]:
-        """Return t, x, y and p of rows of a table, or of columns."""
-        table = parts[0]
-        if table.dtype.names is not None:
-            return [table[name] for name in required(table.dtype.names)]
-        if self._order is not None:
-            return [np.ascontiguousarray(table[:, k]) for k in self._order]
-        return list(parts)
+        t, x, y, p = _columns(parts)
+        return as_events(self._times(t), *map(_whole_of, (x, y, p)))
 
     def _times(self, t: NDArray[Any]) -> NDArray[Any]:
         """Return times in us, as whole numbers."""
@@ -171,26 +145,12 @@ class ColumnReader:
         return t // _US_NS if self._ns < _US_NS else t * (self._ns // _US_NS)
 
 
-def _order(table: NDArray[Any]) -> Sequence[int]:
-    """Return the places of t, x, y and p in a table: where times rise, and polarities are; else as usual for its type.
-
-    Raises NotARecording if no column can be that of polarities.
-    """
-    usual = _OF_WHOLE if table.dtype.kind in "iu" else _OF_FRACTIONS
-    fitting = [order for order in (usual, *_ORDERS) if np.isin(_signed(table[:, order[3]]), (-1, 0, 1)).all()]
-    if not fitting:
-        raise UnreadableEvents("no column of its table holds polarities, which are -1, 0 or 1.")
-    rising = [order for order in fitting if _rises(table[:, order[0]])]
-    return (rising or fitting)[0]
-
-
-def _signed(p: NDArray[Any]) -> NDArray[Any]:
-    """Return polarities of which -1 may have been written as the largest unsigned number; 255 may as well mean ON."""
-    return p.astype(f"i{p.itemsize}") if p.dtype.kind == "u" and p.itemsize > 1 else p
-
-
-def _rises(column: NDArray[Any]) -> bool:
-    return not (column[1:] < column[:-1]).any() and bool((column[-1:] > column[:1]).all())
+def _columns(parts: Parts) -> list[NDArray[Any]]:
+    """Return t, x, y and p of rows of a table, or of columns."""
+    table = parts[0]
+    if table.dtype.names is not None:
+        return [table[name] for name in required(table.dtype.names)]
+    return list(parts)
 
 
 def _step_of(times: NDArray[Any]) -> float:
@@ -198,8 +158,13 @@ def _step_of(times: NDArray[Any]) -> float:
     return float(np.spacing(np.abs(times).max())) if times.dtype.kind == "f" and len(times) else 0.0
 
 
-def _has_fractions(t: NDArray[Any]) -> bool:
-    return t.dtype.kind == "f" and not np.array_equal(t, np.rint(t))
+def _has_fractions(t: NDArray[Any], least: float = 0.0) -> bool:
+    return t.dtype.kind == "f" and bool((np.abs(t - np.rint(t)) > least).any())
+
+
+def _finest(times: NDArray[Any]) -> TimeUnit:
+    """Return the finest unit that times can have: no camera counts parts of a ns."""
+    return "us" if _has_fractions(times, _WHOLE) else "ns"
 
 
 def _whole_of(values: NDArray[Any]) -> NDArray[Any]:
@@ -223,6 +188,7 @@ class Columns:
     header: Mapping[str, str] = field(default_factory=dict)
     edges: Triggers = field(default_factory=lambda: empty_triggers(0))
     unit: TimeUnit | None = None  # As the file states it
+    offset_us: int = 0  # To be added to all times
 
     def source(self, choices: ReadingChoices) -> EventSource:
         """Return the events; ``choices`` say what the file does not state."""
@@ -233,51 +199,17 @@ class Columns:
             return ColumnReader(first, choices.time_unit, self.unit)
 
         def events() -> Iterator[Events]:
-            return map(reader().events, self.parts())
+            for part in map(reader().events, self.parts()):
+                yield part._replace(t=part.t + self.offset_us) if self.offset_us else part
 
+        opened = reader()
         return from_zero(
             EventSource(
                 *size,
                 self.header,
-                lambda: with_edges(events(), self.edges),
+                lambda: with_edges(events(), self.edges._replace(t=self.edges.t + self.offset_us)),
                 count=self.count,
-                assumed=reader().assumed,
+                assumed=opened.assumed,
+                unit=opened.unit,
             )
-        )
-
-
-class UnitCheck:
-    """Compares the times of a source whose unit is assumed with what cameras send."""
-
-    def __init__(self, source: EventSource) -> None:
-        self._unit = source.assumed.get("time_unit")
-        self._pixels = source.width * source.height
-        self._is_coarse, self._first_us, self._last_us, self._count = True, 0, 0, 0
-
-    def add(self, t: NDArray[np.int64]) -> None:
-        """Take the next times, us."""
-        if self._unit is None or not len(t):
-            return
-        self._first_us = self._first_us if self._count else int(t[0])
-        self._last_us, self._count = int(t[-1]), self._count + len(t)
-        self._is_coarse = self._is_coarse and not (t % _COARSE_US).any()
-
-    def end(self) -> None:
-        """Refuse (`NotARecording`) times that are in another unit: all in whole ms, or at an impossible rate."""
-        span_us = self._last_us - self._first_us
-        if self._unit is None or self._count < _LEAST_EVENTS or span_us <= 0:
-            return
-        rate = 1e6 * self._count / span_us / self._pixels
-        likely = "ms" if self._unit == "s" or rate > _LARGEST_RATE else "ns"
-        read = f"Its times, read as {self._unit},"
-        if self._is_coarse and span_us >= _LEAST_TIMES * _COARSE_US:
-            what = f"{read} are all whole ms, and no camera counts so coarsely"
-        elif rate < _LEAST_RATE or (rate > _LARGEST_RATE and self._unit == "us"):
-            bound = f"less than {_LEAST_RATE:g}" if rate < _LEAST_RATE else f"more than {_LARGEST_RATE:g}"
-            what = f"{read} last {span_us / 1e6:.6g} s with {rate:.2g} events a second and pixel, {bound}"
-        else:
-            return
-        raise NotARecording(
-            f"{what}: they are probably in {likely}. The file does not state their unit.",
-            remedy=f"Say it: starbench convert --time-unit {likely}, or us, ms, s or ns.",
         )

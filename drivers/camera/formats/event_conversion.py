@@ -1,9 +1,9 @@
-"""Convert a file of events to another format: RAW, Metavision's HDF5, plain HDF5, NumPy; each to each, and to Parquet.
+"""Convert a file of events: RAW, Metavision's HDF5, plain HDF5, NumPy; each to each, and to Parquet and CSV.
 
 Files of other programs are read too (`event_files`). A RAW file made here does not hold a camera's own bytes, and its
 header says so; else it states what the source states, and nothing more. All files are read piece by piece; only for a
 new NumPy file all events are in memory. What the new format cannot represent is lost: the sensor's counters outside
-RAW, back-steps of its clock in Metavision's HDF5.
+RAW, back-steps of its clock in Metavision's HDF5, edges in CSV.
 
 Every reader decodes the EVT3 words of a new RAW file alike: a TIME_HIGH is followed by a TIME_LOW before anything else,
 and steps by one through any gap, so that no turn of the 24-bit clock is lost. Times are absolute from the start of the
@@ -38,6 +38,7 @@ from drivers.camera.evt3_state import MAX_BACK_STEP_US
 from drivers.camera.formats.event_exports import (
     ExportSummary,
     Progress,
+    export_csv,
     export_hdf5,
     export_metavision,
     export_numpy,
@@ -51,7 +52,7 @@ from drivers.camera.raw_header import MAX_SIDE_PX, encoding_of, header_fields, r
 from drivers.camera.raw_writer import new_file
 from drivers.errors import NotARecording, RecordingFileError
 
-Kind = Literal["raw", "metavision", "hdf5", "numpy", "parquet"]
+Kind = Literal["raw", "metavision", "hdf5", "numpy", "parquet", "csv"]
 KINDS: Final[tuple[Kind, ...]] = get_args(Kind)
 
 _BY_ENDING: Final[Mapping[str, Kind]] = {
@@ -60,12 +61,14 @@ _BY_ENDING: Final[Mapping[str, Kind]] = {
     ".h5": "hdf5",
     ".npz": "numpy",
     ".parquet": "parquet",
+    ".csv": "csv",
 }
 _EXPORTS: Final = {
     "metavision": export_metavision,
     "hdf5": export_hdf5,
     "numpy": export_numpy,
     "parquet": export_parquet,
+    "csv": export_csv,
 }
 
 _OF_LAYOUT: Final = frozenset(
@@ -82,8 +85,8 @@ _MAX_CHANNEL: Final = 15  # EVT3 has 4 bits
 def kind_of_name(path: Path) -> Kind | None:
     """Return the kind of file that a name stands for, or None: Metavision writes ``.hdf5``, others ``.h5``.
 
-    >>> [kind_of_name(Path(name)) for name in ("a.raw", "a.hdf5", "a.h5", "a.npz", "a.parquet", "a.csv")]
-    ['raw', 'metavision', 'hdf5', 'numpy', 'parquet', None]
+    >>> [kind_of_name(Path(name)) for name in ("a.raw", "a.hdf5", "a.h5", "a.npz", "a.csv", "a.txt")]
+    ['raw', 'metavision', 'hdf5', 'numpy', 'csv', None]
     """
     return _BY_ENDING.get(path.suffix.lower())
 

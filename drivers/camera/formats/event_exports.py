@@ -1,4 +1,4 @@
-"""Write events to new files for analysis: Metavision's HDF5, plain HDF5, NumPy and Parquet.
+"""Write events to new files for analysis: Metavision's HDF5, plain HDF5, NumPy, Parquet and CSV.
 
 The RAW file stays the evidence. All other files are computed from it and hold less: no counters of the sensor, and in
 Metavision's HDF5 no time may step back. They appear complete or not at all, and are never overwritten. Layouts:
@@ -11,6 +11,8 @@ Metavision's HDF5 no time may step back. They appear complete or not at all, and
 - NumPy: an ``.npz`` of ``t, x, y, p, trigger_t, trigger_value, trigger_id, size`` (width, height) and the ``header`` as
   JSON.
 - Parquet: see `parquet_export`.
+- CSV: the lines ``%geometry:`` width, height and ``x,y,p,t_us``, then an event a line; no edges. Without the names, it
+  is Prophesee's CSV.
 
 Source: Prophesee, "HDF5 Event File Format", https://docs.prophesee.ai/stable/data/file_formats/hdf5.html.
 """
@@ -23,7 +25,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -83,6 +85,7 @@ class ExportSummary:
     moved_events: int = 0
     # Whether the source ends in the middle of a word, as half of all recordings do that were cut off.
     cut_off: bool = False
+    edges_left_out: int = 0  # Because the format holds none
     # Number of words left out because EVT3 does not define their type
     unknown_words: int = 0
     # Time from the first to the last event, us; 0 if the source's words were copied
@@ -239,6 +242,18 @@ def export_parquet(source: EventSource, path: Path, progress: Progress = lambda 
     with new_file(path) as part:
         write_parquet(part, source, reading.chunks(GROUP_EVENTS), reading.triggers)
     return reading.summary()
+
+
+def export_csv(source: EventSource, path: Path, progress: Progress = lambda _: None) -> ExportSummary:
+    """Write a CSV file, with bounded memory; the path must not exist."""
+    reading = _Reading(source, progress)
+    with new_file(path) as part, part.open("x", encoding="ascii", newline="\n") as file:
+        file.write(f"%geometry:{source.width},{source.height}\nx,y,p,t_us\n")
+        for t, x, y, p in reading.events():
+            rows = zip(x.tolist(), y.tolist(), p.tolist(), t.tolist(), strict=True)
+            file.writelines(map("%d,%d,%d,%d\n".__mod__, rows))
+    summary = reading.summary()
+    return replace(summary, triggers=0, edges_left_out=summary.triggers)
 
 
 def _attributes(source: EventSource) -> Mapping[str, str]:

@@ -19,9 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.camera.event_arrays import (
-    MAX_TIME_US,
     MOST_TRIGGERS,
-    SAY_UNIT,
     Events,
     EventSource,
     Piece,
@@ -30,13 +28,13 @@ from drivers.camera.event_arrays import (
     too_many_edges,
 )
 from drivers.camera.evt3 import Words
-from drivers.camera.file_kinds import in_place_of_file
+from drivers.camera.file_kinds import FORMS_OF_EVENTS, in_place_of_file
 from drivers.camera.formats import prophesee_words
-from drivers.camera.formats.event_columns import UnitCheck
 from drivers.camera.formats.hdf5_events import opened_hdf5
 from drivers.camera.formats.library_process import NO_EVENTS, source_of_library
 from drivers.camera.formats.library_reader import AEDAT4_MAGIC, is_bag
 from drivers.camera.formats.table_files import NPY_MAGIC, PARQUET_MAGIC, is_table_of_text
+from drivers.camera.formats.time_units import UnitCheck
 from drivers.camera.raw_check import read_start, require_whole
 from drivers.camera.raw_file import RawFile, unreadable
 from drivers.camera.raw_header import parse_header
@@ -44,7 +42,6 @@ from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError, 
 
 _MOST_BACK_STEP_US: Final = 10_000
 """Times of one camera may step back by the length of a packet or two, which a computer has mixed up."""
-_EVENT_FILES: Final = "Give a file of events: RAW, HDF5, .npz, .npy, Parquet, text, DAT, AEDAT4 or a ROS bag."
 _COPY_AGAIN: Final = "Copy it again from its origin, or export it again from the original recording."
 _HDF5: Final = b"\x89HDF\r\n\x1a\n"
 _UNREADABLE: Final = (
@@ -146,7 +143,7 @@ def _errors_of(path: Path) -> Iterator[None]:
             raise
         named = error.remedy and not isinstance(error, UnreadableEvents)
         what = error.what if named else f"{NO_EVENTS}: {error.what}"
-        raise NotARecording(what, where=str(path), remedy=error.remedy or _EVENT_FILES) from error
+        raise NotARecording(what, where=str(path), remedy=error.remedy or FORMS_OF_EVENTS) from error
     except _UNREADABLE as error:
         what = f"{NO_EVENTS}: it is damaged, or has another layout than its first bytes say."
         raise NotARecording(what, where=str(path), remedy=_COPY_AGAIN) from error
@@ -181,14 +178,8 @@ def _checked(pieces: Iterator[Piece], of: EventSource) -> Iterator[Piece]:
             if before is not None and events.t[0] < before[1]:
                 _require_rising(np.array([before[1], events.t[0]]), read)
             _require_rising(events.t, read + (before is not None))
+            of.state.times_us = before[0] if before else int(events.t[0]), int(events.t[-1])
             unit.add(events.t)
-            first_us, last_us = before[0] if before else int(events.t[0]), int(events.t[-1])
-            of.state.times_us = first_us, last_us
-            if last_us - first_us > MAX_TIME_US:
-                raise NotARecording(
-                    f"Its times span {(last_us - first_us) / MAX_TIME_US:.0f} days: they are not in us.",
-                    remedy=SAY_UNIT,
-                )
         read += len(events.t)
         edges += len(triggers.t)
         if edges > MOST_TRIGGERS:

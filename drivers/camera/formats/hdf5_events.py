@@ -1,15 +1,13 @@
 """Find the events in an HDF5 file, whoever wrote it, and read them piece by piece.
 
 - Metavision: ``/CD/events`` (x, y, p, t), ``/EXT_TRIGGER/events`` (p, t, id), the header's keys as attributes.
-- Columns of one length in a group, or a table with names: ``t, x, y, p``, or ``ts, xs, ys, ps``. Our own plain layout,
-  DSEC, e2calib, M3ED and RVT are written so. Read if present: ``triggers/t, value, id``; ``width`` and ``height`` of
-  the file or the group; ``calib/resolution``; ``sensor_resolution`` (height, width); ``t_offset`` (us).
-- A table ``events`` of N x 4: t, x, y, p (v2e), x, y, t, p (MVSEC) or x, y, p, t; the column that rises has the times.
+- Columns of one length in a group, or a table with names: ``t, x, y, p``. Our own plain layout is written so. Read if
+  present: ``triggers/t, value, id``; ``width`` and ``height`` of the file or the group; ``t_offset``, us, which is
+  added to the times.
 
 `event_columns` has the unit of times. Times of 32 bits begin anew after 71.6 minutes.
 
-Sources: Prophesee, "HDF5 Event File Format", https://docs.prophesee.ai/stable/data/file_formats/hdf5.html; DSEC,
-https://dsec.ifi.uzh.ch/data-format; M3ED, https://m3ed.io/data_overview; MVSEC, https://daniilidis-group.github.io/mvsec.
+Source: Prophesee, "HDF5 Event File Format", https://docs.prophesee.ai/stable/data/file_formats/hdf5.html.
 """
 
 from __future__ import annotations
@@ -29,14 +27,14 @@ from drivers.camera.event_arrays import (
     ReadingChoices,
     Triggers,
     as_triggers,
-    date_of,
     empty_triggers,
     even_pieces,
     require_one_length,
     require_ratio,
 )
+from drivers.camera.file_kinds import FORMS_OF_EVENTS
 from drivers.camera.formats import ecf
-from drivers.camera.formats.event_columns import COLUMNS, Columns, Parts, is_table, named, unit_of_name
+from drivers.camera.formats.event_columns import Columns, Parts, is_table, named, unit_of_name
 from drivers.camera.formats.hdf5_reading import (
     dataset,
     filters,
@@ -61,8 +59,7 @@ CD_TYPE: Final = np.dtype(
 )
 PIECE_EVENTS: Final = 500_000
 _CD: Final = "CD/events"
-_OF_US: Final = ("header", "t_offset", "ms_to_idx")
-"""Members of files of Starbench and DSEC, whose times are in us."""
+_OFFSET: Final = "t_offset"
 _MOST_GROUPS: Final = 1000  # Files of events have a few; a hostile one has no end of them
 _MOST_PX: Final = 1 << 16  # No sensor has more; a wrong number would ask for the memory
 _MOST_MEMBERS: Final = 10_000  # Event files have some tens
@@ -86,9 +83,12 @@ def opened_hdf5(file: Any, choices: ReadingChoices, *, by_library: bool = False)
         return None
 
     def read(array: Any) -> Iterator[tuple[NDArray[Any]]]:
-        parts = rows_by_library(array) if by_library else rows(array, _decoded_ecf if is_ecf else None)
-        is_matrix = len(array.shape) > 1 and array.shape[1:] == (COLUMNS,)
-        return ((part if is_matrix else part.reshape(-1),) for part in parts)
+        return (
+            (part.reshape(-1),)
+            for part in (
+                rows_by_library(array) if by_library else rows(array, _decoded_ecf if is_ecf else None)
+            )
+        )
 
     def parts() -> Iterator[Parts]:
         even = [even_pieces(read(array), PIECE_EVENTS) for array in arrays.values()]
@@ -97,15 +97,41 @@ def opened_hdf5(file: Any, choices: ReadingChoices, *, by_library: bool = False)
     header = (
         texts(file) if name == _CD else texts(member(file, "header")) if has_member(file, "header") else {}
     )
-    offset = _number(member(file, "t_offset")[()]) if has_member(file, "t_offset") else None
-    if offset is not None:
-        header |= {"time_origin_us": str(offset), **date_of(offset)}
-    size = _size(file, name, header, choices)
     path, times = next(iter(arrays.items()))
-    is_of_us = times.dtype.kind != "f" and any(has_member(file, group_name) for group_name in (*_OF_US, "CD"))
+    is_of_us = times.dtype.kind != "f" and (name == _CD or has_member(file, "header"))
     unit = "us" if is_of_us else unit_of_name(path.rpartition("/")[2])
-    columns = Columns(parts, lengths.popitem()[1], {"the file": size}, header, _triggers(file), unit)
+    if (offset_us := _offset(file, name)) is not None:
+        if times.dtype.kind == "f" or unit not in {None, "us"}:
+            raise UnreadableEvents(f"{_OFFSET} is added to whole numbers of us; {path} has others.")
+        unit = "us"
+    columns = Columns(
+        parts,
+        lengths.popitem()[1],
+        {"the file": _size(file, name, header, choices)},
+        header,
+        _triggers(file),
+        unit,
+        offset_us or 0,
+    )
     return columns.source(replace(choices, sensor_size=None))
+
+
+def _offset(file: Any, name: str) -> int | None:
+    """Return the time that is to be added to those of a stream, us, as an array of the file or of the stream's group.
+
+    Raises NotARecording if there are two, or it is no whole number.
+    """
+    group = file[name] if name else file
+    holders = {
+        holder.name: holder for holder in (file, group, group.parent) if isinstance(holder, h5py.Group)
+    }
+    offsets = [
+        *(whole(dataset(holder, _OFFSET), 64) for holder in holders.values() if has_member(holder, _OFFSET)),
+        *(holder.attrs[_OFFSET] for holder in (*holders.values(), group) if _OFFSET in holder.attrs),
+    ]
+    if len(offsets) > 1:
+        raise UnreadableEvents(f"it states {_OFFSET} {len(offsets)} times.")
+    return _number(offsets[0]) if offsets else None
 
 
 def _streams(file: Any) -> list[str]:
@@ -126,7 +152,7 @@ def _streams(file: Any) -> list[str]:
                 links.append(path)
             elif isinstance(child := group[key], h5py.Group) and len(waiting) < _MOST_GROUPS:
                 waiting.append((path, child))
-            elif isinstance(child, h5py.Dataset) and (key == "events" or _has_names(child)):
+            elif isinstance(child, h5py.Dataset) and is_table(child.shape or (), child.dtype):
                 complete.append(path)
             else:
                 others.append(path[:_LONGEST_NAME])
@@ -136,13 +162,9 @@ def _streams(file: Any) -> list[str]:
         raise NotARecording(
             "The file holds no events: no group of this HDF5 file has columns t, x, y and p; it holds"
             f" {', '.join(others[:_MOST_NAMED]) or 'nothing'}.",
-            remedy="Give a file of events, or write its columns by these names in a copy.",
+            remedy=FORMS_OF_EVENTS,
         )
     return complete or incomplete
-
-
-def _has_names(table: Any) -> bool:
-    return table.dtype.names is not None and is_table(table.shape or (), table.dtype)
 
 
 def _arrays(file: Any, name: str) -> dict[str, Any]:
@@ -156,17 +178,10 @@ def _arrays(file: Any, name: str) -> dict[str, Any]:
 
 
 def _length(array: Any, path: str) -> int:
-    """Return the number of rows. Raises NotARecording if the array is no list, and no table of four columns.
-
-    MATLAB has no lists: it writes N x 1 or 1 x N.
-    """
-    if path.endswith("events") and array.shape[1:] == (COLUMNS,):
-        return int(array.shape[0])
+    """Return the number of rows. Raises NotARecording if the array is no list; MATLAB writes one as N x 1 or 1 x N."""
     if not array.shape or array.size != max(array.shape):
         sides = " x ".join(map(str, array.shape)) or "no side"
-        raise UnreadableEvents(
-            f"{path} is an array of {sides}; a list is needed, or a table of N x {COLUMNS}."
-        )
+        raise UnreadableEvents(f"{path} is an array of {sides}; a list is needed.")
     return int(array.size)
 
 
@@ -220,13 +235,6 @@ def _size(file: Any, name: str, header: Mapping[str, str], choices: ReadingChoic
             if all(array.size == 1 for array in stored):  # else columns, such as of boxes around the events
                 width, height = (_number(whole(array, 64)) for array in stored)
                 sizes[path] = width, height
-    if "sensor_resolution" in file.attrs:  # of event_utils, in the order of an array's shape
-        height, width = np.ravel(file.attrs["sensor_resolution"])[:2]
-        sizes["sensor_resolution"] = (_number(width), _number(height))
-    resolution = f"{name}/calib/resolution"
-    if name and name != _CD and resolution in file:
-        width, height = whole(dataset(file, resolution), 64)
-        sizes["calib/resolution"] = (_number(width), _number(height))
     return stated_size(header, "", choices.sensor_size, others=sizes, most_px=_MOST_PX)
 
 

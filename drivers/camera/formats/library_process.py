@@ -28,6 +28,7 @@ from drivers.camera.event_arrays import (
     Piece,
     ReadingChoices,
     Triggers,
+    UnstatedUnit,
     empty_events,
     empty_triggers,
 )
@@ -89,7 +90,8 @@ def _source(stream: IO[bytes], path: Path) -> EventSource:
     size = int(text["width"]), int(text["height"])
     count = None if text["count"] is None else int(text["count"])
     assumed = {str(key): str(value) for key, value in text["assumed"].items()}
-    return EventSource(*size, header, pieces, bool(text["truncated"]), count, assumed=assumed)
+    unit = None if text["unit"] is None else UnstatedUnit(*text["unit"])
+    return EventSource(*size, header, pieces, bool(text["truncated"]), count, assumed=assumed, unit=unit)
 
 
 def _message(stream: IO[bytes], path: Path) -> tuple[Mapping[str, Any], Events, Triggers]:

@@ -9,9 +9,8 @@ events are written as messages.
 - HDF5 that only its library can read, with the filters of the package ``hdf5plugin``.
 - iniVation's AEDAT4, through the package ``aedat``.
 - ROS bags, of ROS 1 and ROS 2, through the package ``rosbags``; no ROS is needed. Messages: ``EventArray`` of
-  ``dvs_msgs``, ``prophesee_event_msgs``, ``dv_ros_msgs`` and ``dv_ros2_msgs`` (one struct an event), and
-  ``event_camera_msgs/EventPacket``, until 2023 ``event_array_msgs/EventArray``, with the encodings ``evt3`` and
-  ``evt21`` (the camera's words, with its edges), ``mono`` and ``libcaer``.
+  ``dvs_msgs`` and ``prophesee_event_msgs`` (one struct an event), and ``event_camera_msgs/EventPacket``, until 2023
+  ``event_array_msgs/EventArray``, with the encodings ``evt3`` and ``evt21`` (the camera's words, with its edges).
 
 The times of the last two count from 1970; a recording of Starbench begins at 0. The second before the first event
 becomes 0, and stands in the header as ``time_origin_us``.
@@ -23,7 +22,6 @@ https://github.com/ros-event-camera/event_camera_codecs.
 from __future__ import annotations
 
 import json
-import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
@@ -34,7 +32,6 @@ import numpy as np
 
 from drivers.camera.event_arrays import (
     MOST_TRIGGERS,
-    Clock32,
     Events,
     EventSource,
     Piece,
@@ -65,24 +62,19 @@ AEDAT4_MAGIC: Final = b"#!AER-DAT4.0"
 _RISING: Final = 1  # Of AEDAT4's trigger sources
 _FALLING: Final = 2  # Of AEDAT4's trigger sources
 
-_HEAD_BYTES: Final = 1 << 16  # The description of the streams stands at the begin
-_STREAM: Final = re.compile(rb'<node name="([0-9]+)"')
-_SOURCE: Final = re.compile(rb'<attr key="source"[^>]*>([ -;=-~]{1,80})</attr>')
-
 MAGIC_1: Final = b"#ROSBAG V2.0"
 MAGIC_MCAP: Final = b"\x89MCAP0\r\n"
 MAGIC_SQLITE: Final = b"SQLite format 3\x00"
 _OF_EVENTS: Final = ("EventArray", "EventPacket")
 
-_OF_WORDS: Final = ("evt3", "evt21")
-"""Encodings whose words depend on the words before them."""
 _HEADER: Final = "std_msgs/Header header\n"
 _PACKET_TEXT: Final = (
     f"{_HEADER}uint32 height\nuint32 width\nuint64 seq\nuint64 time_base\nstring encoding\n"
     "bool is_bigendian\nuint8[] events\n"
 )
 _EVENT: Final = "uint16 x\nuint16 y\nbuiltin_interfaces/Time ts\nbool polarity\n"
-_OF_STRUCTS: Final = ("dvs_msgs", "prophesee_event_msgs", "dv_ros2_msgs")
+_STRUCTS: Final = "structs"  # In place of an encoding: a struct an event
+_OF_STRUCTS: Final = ("dvs_msgs", "prophesee_event_msgs")
 DEFINITIONS: Final = {
     **{f"{package}/msg/Event": _EVENT for package in _OF_STRUCTS},
     **{
@@ -102,7 +94,7 @@ def main(kind: str, path: Path, choices: ReadingChoices) -> None:
         of_tables = {"npz": from_npz, "npy": from_npy, "parquet": from_parquet, "text": from_text}
         open_file = {**of_tables, "hdf5": _from_hdf5, "aedat4": _from_aedat4, "bag": _from_bag}[kind]
         source = open_file(path, choices)
-        facts = {name: getattr(source, name) for name in ("count", "width", "height", "truncated")}
+        facts = {name: getattr(source, name) for name in ("count", "width", "height", "truncated", "unit")}
         _write({**facts, "header": dict(source.header), "assumed": dict(source.assumed)})
         for events, edges in source.pieces():
             for begin in range(0, max(len(events.t), len(edges.t)), _PIECE):
@@ -170,8 +162,7 @@ def _from_aedat4(path: Path, choices: ReadingChoices) -> EventSource:
         {"the stream": (int(width), int(height))} if width and height else {}, choices.sensor_size, ""
     )
     origin = origin_of(_aedat4_pieces(path, int(name), 0))
-    header = {**origin.header, **_camera_of_stream(path, name)}
-    return _source_of_stream(lambda: _aedat4_pieces(path, int(name), origin.us), size, header)
+    return _source_of_stream(lambda: _aedat4_pieces(path, int(name), origin.us), size, origin.header)
 
 
 def _source_of_stream(
@@ -193,15 +184,6 @@ def _source_of_stream(
     return EventSource(
         *size, header, lambda: with_edges((events for events, _ in stream()), joined), count=count
     )
-
-
-def _camera_of_stream(path: Path, name: str) -> dict[str, str]:
-    """Return the camera that the file's description names for a stream: its model and serial number."""
-    with path.open("rb") as file:
-        _, *nodes = _STREAM.split(file.read(_HEAD_BYTES))
-    of_number = dict(zip(nodes[::2], nodes[1::2], strict=True))
-    optimum = _SOURCE.search(of_number.get(name.encode(), b""))
-    return {"camera": optimum[1].decode("ascii")} if optimum else {}
 
 
 def _decoder(path: Path) -> Any:
@@ -340,9 +322,9 @@ def _bag_pieces(path: Path, topic: str, size: tuple[int, int], origin: int) -> I
         last = None
         for connection, _, raw in reader.messages(used):
             message = decode(raw, connection.msgtype)
-            encoding = getattr(message, "encoding", "structs")
+            encoding = getattr(message, "encoding", _STRUCTS)
             number = getattr(message, "seq", None)
-            if encoding in _OF_WORDS and last is not None and number - last > 1:
+            if number is not None and last is not None and number - last > 1:
                 raise NotARecording(
                     f"{number - last - 1} messages of {topic} are missing after number {last}: ROS lost them, and the"
                     f" words of {encoding} cannot be read without them.",
@@ -367,13 +349,12 @@ def _decoder_of(encoding: str, size: tuple[int, int], where: str) -> Callable[[A
 
         of_vectors = Evt2Decoder("EVT21")
         return lambda message: [of_vectors.decode(_bytes(message))]
-    plain = {"structs": _of_structs, "mono": _of_mono, "libcaer": _of_libcaer}
-    if encoding not in plain:
+    if encoding != _STRUCTS:
         raise NotARecording(
-            f"Its events are encoded as {encoding[:40]!r}; evt3, evt21, mono and libcaer can be read.",
-            remedy="Record the topic in another encoding, or as dvs_msgs/EventArray.",
+            f"Its events are encoded as {encoding[:40]!r}; evt3 and evt21 can be read.",
+            remedy="Record the topic in one of them, or as dvs_msgs/EventArray.",
         )
-    return lambda message: [(plain[encoding](message), empty_triggers(0))]
+    return lambda message: [(_of_structs(message), empty_triggers(0))]
 
 
 def _bytes(message: Any) -> bytes:
@@ -392,29 +373,6 @@ def _of_structs(message: Any) -> Events:
         events.t[k] = event.ts.sec * 1_000_000 + event.ts.nanosec // 1000
         events.x[k], events.y[k], events.p[k] = event.x, event.y, event.polarity
     return events
-
-
-def _of_mono(message: Any) -> Events:
-    """Read 8 bytes an event: time since ``time_base`` in ns [31:0], x [46:32], y [62:48], polarity [63]."""
-    packed = np.frombuffer(_whole_events(message), ">u8" if message.is_bigendian else "<u8")
-    t = (np.int64(message.time_base) + (packed & 0xFFFFFFFF).astype(np.int64)) // 1000
-    x, y = ((packed >> 32) & 0x7FFF).astype(np.uint16), ((packed >> 48) & 0x7FFF).astype(np.uint16)
-    return Events(t, x, y, (packed >> 63).astype(np.uint8))
-
-
-def _of_libcaer(message: Any) -> Events:
-    """Read 8 bytes an event: polarity [1], y [16:2], x [31:17], then time since ``time_base`` in us, 31 bits."""
-    rows = np.frombuffer(_whole_events(message), [("data", "<u4"), ("t", "<i4")])
-    t = np.int64(message.time_base) // 1000 + Clock32(31).continued(rows["t"])
-    data = rows["data"]
-    x, y = ((data >> 17) & 0x7FFF).astype(np.uint16), ((data >> 2) & 0x7FFF).astype(np.uint16)
-    return Events(t, x, y, (data >> 1 & 1).astype(np.uint8))
-
-
-def _whole_events(message: Any) -> bytes:
-    if len(message.events) % 8:
-        raise UnreadableEvents("a message of events ends in the middle of an event.")
-    return _bytes(message)
 
 
 if __name__ == "__main__":

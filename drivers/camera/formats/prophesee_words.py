@@ -7,7 +7,7 @@ uint32, then in version 2 x [13:0], y [27:14] and polarity [31:28]; in version 1
 
 Sources: Prophesee, "EVT 2.0 Format", https://docs.prophesee.ai/stable/data/encoding_formats/evt2.html; "EVT 2.1
 Format", .../evt21.html; "DAT File Format", https://docs.prophesee.ai/stable/data/file_formats/dat.html. Order of the
-halves of EVT2.1: OpenEB (evt21_event_types.h). Version 1 of DAT: expelliarmus, faery.
+halves of EVT2.1: OpenEB (evt21_event_types.h). Version 1 of DAT: expelliarmus.
 """
 
 from __future__ import annotations
@@ -46,17 +46,10 @@ _DAT_LAYOUTS: Final = {"1": (9, 8, 1), "2": (14, 14, 4)}
 
 
 def is_dat(start: bytes) -> bool:
-    """Return whether a file that starts with these bytes is a DAT file of events.
-
-    It is, by the line that Prophesee's writers give to these files as their first, or by a header that states a version
-    and a size but no encoding of RAW, as faery writes it.
-    """
+    """Return whether a file is a DAT file: a line of its header says so, by Prophesee's writers the first."""
     lines = start[:_HEAD_BYTES].split(b"\n")
     head = takewhile(lambda line: line.startswith(b"% "), lines)
-    if any(line.startswith(b"% Data file containing") for line in head):
-        return True
-    keys = {line.split()[1].lower() for line in lines if line.startswith(b"% ") and len(line.split()) > 1}
-    return {b"version", b"width", b"height"} <= keys and not keys & {b"evt", b"format"}
+    return any(line.startswith(b"% Data file containing") for line in head)
 
 
 class _S(IntEnum):

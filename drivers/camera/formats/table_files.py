@@ -1,10 +1,11 @@
 """Read tables of events from files of NumPy, of Parquet and of text, in the process of `library_reader`.
 
-- ``.npz`` as `event_exports` writes it; edges, size and header may be missing. Else, as ``.npy``, one array with named
-  columns (tonic, expelliarmus, N-ImageNet) or of N x 4 (EV-IMO, esim_py).
-- Parquet, as `parquet_export` and evlib write it; metadata may be missing.
-- Text: a line for each event, with names above it or without; above them may stand comments and the sensor's size:
-  ``%geometry:1280,720`` (Prophesee's CSV), two numbers (E2VID), or names ``x@1280`` and ``y@720`` (faery).
+- ``.npz`` as `event_exports` writes it; edges, size and header may be missing. Else, as ``.npy``, an array with named
+  columns.
+- Parquet, as `parquet_export` writes it; metadata may be missing.
+- Text: a line for each event, below the names of its columns; without names ``t x y p``. Above may stand comments
+  (``#``, ``%``). A line ``%geometry:1280,720`` states the sensor's size, and without names the order ``x,y,p,t`` of
+  Prophesee's CSV.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from __future__ import annotations
 import json
 import re
 import zipfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import chain, islice, pairwise
@@ -51,18 +52,13 @@ PIECE_EVENTS: Final = 500_000  # Read at once
 _MOST_ARRAYS: Final = 32
 """An archive with more arrays is none of events."""
 _HEAD_BYTES: Final = 1 << 16
-_GEOMETRY: Final = re.compile(r"[%# ]*geometry *[:=]? *(\d{1,5}) *[,x ] *(\d{1,5}) *", re.IGNORECASE)
-_MARKS_OF_COMMENTS: Final = "#% \t\r\n"
+_GEOMETRY: Final = re.compile(r"% *geometry *: *(\d{1,5}) *, *(\d{1,5}) *", re.IGNORECASE)
+_MARKS_OF_COMMENTS: Final = ("#", "%")
 _UNIT: Final = re.compile(r"[ \t]+(?=[\[(])")
 """Between a name and its unit: ``timestamp [us]``."""
-_OF_DECIMAL_COMMAS: Final = (";", "\t")
-"""Delimiters of the spreadsheets of countries that write 0,5."""
 _LONGEST_LINE: Final = 60  # Of a message
-_SIZE: Final = 2
-"""Numbers of a line that states the size."""
-_TRUTH: Final = {"true": "1", "false": "0", "on": "1", "off": "0"}
-"""Polarities as pandas and people write them."""
-_TRUTHS: Final = re.compile(r"\b(?:true|false|on|off)\b", re.IGNORECASE)
+_SIDES: Final = 2  # Of a sensor
+_TRUTHS: Final = re.compile(r"\b(?:true|false)\b", re.IGNORECASE)
 _NUMBER: Final = re.compile(rf"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?|{_TRUTHS.pattern}", re.IGNORECASE)
 
 
@@ -83,7 +79,7 @@ def from_npz(path: Path, choices: ReadingChoices) -> EventSource:
         )
         sides = [file[name] for name in ("size", "width", "height") if name in file]
         width, height = (
-            map(int, np.concatenate([np.ravel(side) for side in sides])[:_SIZE]) if sides else (0, 0)
+            map(int, np.concatenate([np.ravel(side) for side in sides])[:_SIDES]) if sides else (0, 0)
         )
         is_ours = "header" in file
         header = json.loads(str(file["header"])) if is_ours else {}
@@ -96,29 +92,14 @@ def from_npz(path: Path, choices: ReadingChoices) -> EventSource:
 def _events_of(file: Mapping[str, Any], choices: ReadingChoices) -> tuple[Parts, TimeUnit | None]:
     """Return the columns of an archive, or its one table, and the unit that the name of the times states."""
     names = named(file)
-    if None in names and len(file) <= _MOST_ARRAYS:
-        unread: list[UnreadableEvents] = []
-        tables = dict(_tables(file, unread))
+    if names.count(None) == COLUMNS and len(file) <= _MOST_ARRAYS:
+        tables = {name: table for name in file if is_table((table := _array(file, name)).shape, table.dtype)}
         if tables:
             return [tables[choices.chosen(tables)]], None
-        if unread:
-            raise unread[0]
     own = [name or missing for name, missing in zip(names, Events._fields, strict=True)]
     arrays = [_array(file, name) for name in own]
     require_one_length({name: len(column) for name, column in zip(own, arrays, strict=True)})
     return arrays, unit_of_name(own[0])
-
-
-def _tables(file: Mapping[str, Any], unread: list[UnreadableEvents]) -> Iterator[tuple[str, Any]]:
-    """Yield the tables of events of an archive; the errors of its other arrays, such as of objects, are collected."""
-    for name in file:
-        try:
-            table = _array(file, name)
-        except UnreadableEvents as error:
-            unread.append(error)
-        else:
-            if is_table(table.shape, table.dtype):
-                yield name, table
 
 
 def _array(file: Mapping[str, Any], name: str) -> Any:
@@ -131,14 +112,14 @@ def _array(file: Mapping[str, Any], name: str) -> Any:
 
 
 def from_npy(path: Path, choices: ReadingChoices) -> EventSource:
-    """Open NumPy's ``.npy``: an array with named columns, or of four."""
+    """Open NumPy's ``.npy``: an array with named columns."""
     try:
         table = np.load(path, allow_pickle=False)
     except ValueError as error:
         raise UnreadableEvents("this .npy file is no whole array of numbers.") from error
     if not is_table(table.shape, table.dtype):
         shape = " x ".join(map(str, table.shape))
-        raise UnreadableEvents(f"this array of {shape} has no columns t, x, y and p, and not four columns.")
+        raise UnreadableEvents(f"this array of {shape} has no columns named t, x, y and p.")
     return Columns(lambda: iter([[table]]), len(table)).source(choices)
 
 
@@ -182,82 +163,53 @@ class _TextLayout(NamedTuple):
 
     skipped: int  # Lines above the first event
     delimiter: str | None
-    names: list[str]  # Of the columns; empty without names
-    places: Sequence[int]  # Of t, x, y and p; without names, of the four columns
+    times: str  # Name of the column of times
+    places: list[int]  # Of t, x, y and p in a line
     sizes: dict[str, tuple[int, int]]
     has_truths: bool  # Whether polarities are the words true and false
 
 
 def is_table_of_text(start: bytes) -> bool:
-    """Return whether a file that starts with these bytes is text with a line of four or more numbers an event."""
+    """Return whether a file that starts with these bytes is text with a line of numbers an event."""
     is_recording = bool(encoding_of(header_fields(start)[0]))
     return not is_recording and _text_layout(start) is not None
 
 
 def _text_layout(start: bytes) -> _TextLayout | None:
-    sizes, names, delimiter = dict[str, tuple[int, int]](), list[str](), None
+    """Return where the events of a text file stand; None if no line is one of numbers whose names are known."""
+    sizes, header, commented = dict[str, tuple[int, int]](), list[str](), list[str]()
     if b"\0" in start[:_HEAD_BYTES]:
         return None
     for number, line in enumerate(start[:_HEAD_BYTES].decode("utf-8-sig", "replace").splitlines()):
-        if not line.strip(_MARKS_OF_COMMENTS):
-            continue
         delimiter = next((sign for sign in ";\t," if sign in line.strip()), None)
         words = _words(line, delimiter)
-        own = [name for name in named(names) if name is not None]
-        # Of cells with names, those of events are numbers; others may be text
-        cells = [words[k] for k in map(names.index, own) if k < len(words)] if len(own) == COLUMNS else []
-        are_numbers = bool(words[0]) and all(_NUMBER.fullmatch(word) for word in words if word)
-        are_numbers |= len(cells) == COLUMNS and all(map(_NUMBER.fullmatch, cells))
         if geometry := _GEOMETRY.fullmatch(line.strip()):
             sizes["geometry"] = (int(geometry[1]), int(geometry[2]))
-        elif are_numbers and len(words) == _SIZE and not number:
-            sizes["the first line"] = (int(float(words[0])), int(float(words[1])))
-        elif are_numbers and line[0] not in "#%":
-            names = names if _is_header(names, line, delimiter) else []  # else they are words of a comment
-            own = [name for name in _of_header(names) if name is not None]
-            if len(own) < COLUMNS and (own or len(words) != COLUMNS):
-                return None
-            places = [names.index(name) for name in own] or range(COLUMNS)
-            return _TextLayout(number, delimiter, own, places, sizes, bool(_TRUTHS.search(line)))
+        elif line.startswith(_MARKS_OF_COMMENTS):
+            commented = words if None not in named(words) else commented
+        elif not words or not any(map(_NUMBER.fullmatch, words)):
+            header = words or header
         else:
-            above = [word.partition("@")[0] for word in words]
-            if line[0] not in "#%" or not names or any(named(above)):
-                names = above
-            sides = [
-                word.partition("@")[2] for name in ("x", "y") for word in words if word.startswith(f"{name}@")
-            ]
-            if len(sides) == _SIZE and all(map(str.isdecimal, sides)):
-                sizes["the names of columns"] = (int(sides[0]), int(sides[1]))
+            names = header or (commented if len(commented) == len(words) else _without_names(sizes))
+            places = [names.index(name) for name in named(names) if name is not None]
+            if len(places) < COLUMNS or not max(places) < len(words) <= len(names):
+                return None
+            if not all(_NUMBER.fullmatch(words[k]) for k in places):
+                return None
+            has_truths = bool(_TRUTHS.search(line))
+            return _TextLayout(number, delimiter, names[places[0]], places, sizes, has_truths)
     return None
 
 
+def _without_names(sizes: Mapping[str, tuple[int, int]]) -> list[str]:
+    """Return what the cells of a line are that no line names; Prophesee's CSV states the size."""
+    return ["x", "y", "p", "t"] if sizes else ["t", "x", "y", "p"]
+
+
 def _words(line: str, delimiter: str | None) -> list[str]:
-    """Return the cells of a line: none for blanks behind its last delimiter, and numbers with a decimal point."""
-    line = _UNIT.sub("", line.strip(_MARKS_OF_COMMENTS))
-    words = [word.strip(' "') for word in line.rstrip(delimiter).split(delimiter)]
-    return [word.replace(",", ".") for word in words] if delimiter in _OF_DECIMAL_COMMAS else words
-
-
-def _is_header(names: list[str], line: str, delimiter: str | None) -> bool:
-    """Return whether words above the first event name its cells, of which the last may be empty or without a name."""
-    words = _words(line, delimiter)
-    count = len(words)
-    own = [names.index(name) for name in named(names) if name is not None]
-    if len(own) < COLUMNS:
-        return len(names) in {count, line.count(delimiter) + 1 if delimiter else count}
-    if len(names) >= count or max(own) >= count:
-        return max(own) < count
-    # The cell without a name may be the first one: R numbers its rows so
-    polarity = words[own[-1]].lower()
-    return delimiter is not None and _TRUTH.get(polarity, polarity) in {"-1", "0", "1"}
-
-
-def _of_header(names: list[str]) -> list[str | None]:
-    """Return which names of a header are t, x, y and p; of four, the unknown one is the one that is missing."""
-    own = named(names)
-    if len(names) == COLUMNS and own.count(None) == 1:
-        own[own.index(None)] = next(name for name in names if name not in own)
-    return own
+    """Return the cells of a line; none for what stands behind its last delimiter if that is blank."""
+    text = _UNIT.sub("", line.lstrip("#%").strip())
+    return [word.strip(' "') for word in text.rstrip(delimiter).split(delimiter)] if text else []
 
 
 def from_text(path: Path, choices: ReadingChoices) -> EventSource:
@@ -267,8 +219,7 @@ def from_text(path: Path, choices: ReadingChoices) -> EventSource:
         assert layout is not None
         file.seek(max(0, path.stat().st_size - _HEAD_BYTES))
         last_line = file.read().rpartition(b"\n")[2].decode("utf-8", "replace").partition("#")[0].strip()
-    is_no_event = bool(last_line) and len(_words(last_line, layout.delimiter)) <= max(layout.places)
-    truncated = is_no_event and any(map(str.isdigit, last_line))  # else a mark of the end
+    truncated = bool(last_line) and len(_words(last_line, layout.delimiter)) <= max(layout.places)
     if not layout.sizes and choices.sensor_size is None:
         raise NotARecording(
             "This is a text file of events, which does not state the sensor's size.",
@@ -278,18 +229,18 @@ def from_text(path: Path, choices: ReadingChoices) -> EventSource:
     def parts() -> Iterator[Parts]:
         with path.open(encoding="utf-8-sig", errors="replace") as file:
             lines: Iterator[str] = islice(file, layout.skipped, None)
-            if is_no_event:
+            if truncated:
                 lines = (line for line, _ in pairwise(lines))
-            if layout.delimiter in _OF_DECIMAL_COMMAS:
-                lines = (line.replace(",", ".") for line in lines)
             if layout.has_truths:
-                lines = (_TRUTHS.sub(lambda word: _TRUTH[word[0].lower()], line) for line in lines)
+                lines = (
+                    _TRUTHS.sub(lambda word: str(int(word[0].lower() == "true")), line) for line in lines
+                )
             for first in filter(str.strip, lines):
                 table = _rows(chain([first], lines), path, layout)
-                yield [table[:, k] for k in range(COLUMNS)] if layout.names else [table]
+                yield [table[:, k] for k in range(COLUMNS)]
 
-    unit = unit_of_name(layout.names[0]) if layout.names else None
-    return replace(Columns(parts, None, layout.sizes, unit=unit).source(choices), truncated=truncated)
+    columns = Columns(parts, None, layout.sizes, unit=unit_of_name(layout.times))
+    return replace(columns.source(choices), truncated=truncated)
 
 
 def _rows(lines: Iterator[str], path: Path, layout: _TextLayout) -> Any:
