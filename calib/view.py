@@ -20,7 +20,10 @@ _SHAPES: dict[str, tuple[tuple[int, ...], str]] = {
     "ids": ((), "Give one number for each point, in a row."),
     "points_px": ((2,), "Points as OpenCV has them, (N, 1, 2): give points.reshape(-1, 2)."),
     "target_mm": ((2,), "Object points as OpenCV has them, (N, 3): leave out Z, points[:, :2]."),
-    "covariances_px2": ((2, 2), "The same for every point: np.tile(0.02**2 * np.eye(2), (N, 1, 1))."),
+    "covariances_px2": (
+        (2, 2),
+        "Give a matrix for each point, or one number for all, their 1-sigma: 0.02 px.",
+    ),
 }
 #: Shape of each array after its first axis, and what to do with another one.
 
@@ -63,7 +66,8 @@ class View:
     target_mm
         (N, 2) float64, mm, positions X, Y on the target plane (Z = 0).
     covariances_px2
-        (N, 2, 2) float64, px^2, covariance of each image point: symmetric, with positive variances along every axis.
+        (N, 2, 2) float64, px^2, covariance of each image point: symmetric, with positive variances along every axis. A
+        single number is taken too: the 1-sigma of every point along each axis, px.
     rim
         The rim of the beam in the image; None if there is no image, as for a list of points.
 
@@ -79,13 +83,15 @@ class View:
     ids: Ints
     points_px: Array
     target_mm: Array
-    covariances_px2: Array
+    covariances_px2: Array = field(default_factory=lambda: np.empty(0))
     rim: RimPoints | None = None
     _remembered: dict[str, object] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         for name, kind in _ARRAYS.items():
             own = self._numbers(name).astype(kind)  # a copy
+            if name == "covariances_px2" and not own.ndim:
+                own = np.tile(own * abs(own) * np.eye(2), (self.ids.size, 1, 1))  # none of a negative one
             own.setflags(write=False)
             object.__setattr__(self, name, own)
         object.__setattr__(self, "image_size", self._sides())
@@ -144,7 +150,7 @@ class View:
             raise InputMismatch(
                 f"The covariance of point {self.ids[wrong[0]]} is not symmetric with positive variances.",
                 where=f"view {self.name}",
-                remedy="If you do not know it, give every point the same, such as 0.02^2 px^2 for x and for y.",
+                remedy="If you do not know it, give the 1-sigma of all points, px, such as 0.02.",
             )
 
     def __repr__(self) -> str:

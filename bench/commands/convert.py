@@ -89,7 +89,7 @@ def convert(
     need starbench[formats]. What a SOURCE does not state and was assumed is printed. The header of a converted RAW file
     states that it was converted, so it cannot be taken for a camera's original file.
     """
-    from bench.solve.offline_options import parse_image_size
+    from bench.base.image_size import parse_image_size
     from drivers.camera.event_arrays import ReadingChoices
     from drivers.camera.formats import event_conversion
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Self, cast
 
 from bench.base.errors import UsageError
+from bench.base.image_size import parse_image_size
 from bench.evidence.passport_seal import read_passport_seal
 from bench.plan.job import Job
 from bench.plan.passports import NO_PASSPORT, PassportInUse, read_passport_file
@@ -181,20 +182,6 @@ def parse_board(text: str | None, model: str | None = None, passport: str | None
         return Board.parse(text)
     except CalibrationError as error:
         raise UsageError(error.what, where="--board", remedy=error.remedy) from error
-
-
-def parse_image_size(text: str | None, where: str = "--image-size") -> tuple[int, int] | None:
-    """Return width and height, px, of an option WIDTHxHEIGHT; None if it is not given."""
-    if text is None:
-        return None
-    size = re.fullmatch(r"([1-9]\d{0,5})[xX]([1-9]\d{0,5})", text.strip())
-    if size is None:
-        raise UsageError(
-            f"{text!r} is not an image size.",
-            where=where,
-            remedy="Write it as WIDTHxHEIGHT: 1280x720.",
-        )
-    return int(size[1]), int(size[2])
 
 
 def _parse_view_numbers(text: str | None) -> tuple[int, ...] | None:

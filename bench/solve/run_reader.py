@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -99,6 +100,9 @@ class Run:
     results: Results = field(repr=False)
     calibration: Calibration
     poses: tuple[Pose, ...] = field(repr=False)
+
+    def _repr_html_(self) -> str:
+        return f"<p>{escape(str(self.folder))}: {len(self.poses)} poses</p>{self.calibration._repr_html_()}"
 
     @property
     def camera(self) -> CameraModel:

@@ -7,6 +7,7 @@ smooth map of the others is left out, because no star is better than a wrong one
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property, partial
@@ -77,7 +78,7 @@ class Detection:
 
 
 def detect_view(
-    image: AnyArray, target: StarTarget, *, name: str = "view", expected: Array | None = None
+    image: AnyArray, target: StarTarget, *, name: str | None = None, expected: Array | None = None
 ) -> View:
     """Detect the target's stars as a view.
 
@@ -88,7 +89,7 @@ def detect_view(
     target
         Printed target.
     name
-        Name of the pose, for the view and for messages.
+        Name of the pose, for the view and for messages; None for one that the image's numbers decide.
     expected
         (3, 3) float64, homography from [column row 1] of the target's grid to [u v 1] px, right to a third of a
         pitch, by the pose. It is needed only if the tag is not in view.
@@ -110,7 +111,7 @@ def detect_stars(
     image: AnyArray,
     target: StarTarget,
     *,
-    name: str = "view",
+    name: str | None = None,
     expected: Array | None = None,
     picture: Bytes | None = None,
 ) -> Detection:
@@ -123,6 +124,7 @@ def detect_stars(
     Raises TooFewStars: If fewer than `MIN_STARS` stars pass all tests.
     Raises InputMismatch: If the image does not have two axes, or is empty.
     """
+    name = name or f"view-{zlib.crc32(np.ascontiguousarray(image)):08x}"
     with placed(f"view {name}"):
         require_grey_plane(image)
         values = np.asarray(image, np.float32)

@@ -20,7 +20,8 @@ _UNREAD_PICTURES: Final = (
 )
 FORMS_OF_EVENTS: Final = (
     "Starbench reads RAW, DAT and HDF5 of Prophesee with their headers; HDF5, .npz, .npy, Parquet and text with columns"
-    " named t, x, y and p; ROS bags; and AEDAT 4. Convert the file to one of them, such as with the program faery."
+    " named t, x, y and p; ROS bags; and AEDAT 4. Convert the file to one of them, such as to AEDAT 4 with the"
+    " program faery."
 )
 _UNPACK: Final = "Unpack it first."
 _AS_TEXT: Final = "Save its table as text (CSV)."

@@ -53,7 +53,7 @@ def test_faery_reads_and_writes_the_same_events(tmp_path, converted):
     rows = faery.events_stream_from_file(converted("raw", "raw")).to_array()
     assert_same([rows["t"], rows["x"], rows["y"], rows["on"]])
     stream = faery.events_stream_from_array(table(faery.EVENTS_DTYPE), SIZE)
-    for name, begins_at_0 in (("a.csv", False), ("a.dat", True), ("a.raw", True)):
+    for name, begins_at_0 in (("a.aedat4", False), ("a.raw", True)):
         stream.to_file(tmp_path / name)
         assert_same(read(tmp_path / name), begins_at_0=begins_at_0)
 

@@ -122,13 +122,10 @@ def _offset(file: Any, name: str) -> int | None:
     Raises NotARecording if there are two, or it is no whole number.
     """
     group = file[name] if name else file
-    holders = {
-        holder.name: holder for holder in (file, group, group.parent) if isinstance(holder, h5py.Group)
-    }
-    offsets = [
-        *(whole(dataset(holder, _OFFSET), 64) for holder in holders.values() if has_member(holder, _OFFSET)),
-        *(holder.attrs[_OFFSET] for holder in (*holders.values(), group) if _OFFSET in holder.attrs),
-    ]
+    nodes = {node.name: node for node in (file, group.parent, group)}.values()
+    holders = [node for node in nodes if isinstance(node, h5py.Group) and has_member(node, _OFFSET)]
+    offsets = [node.attrs[_OFFSET] for node in nodes if _OFFSET in node.attrs]
+    offsets += [whole(dataset(holder, _OFFSET), 64) for holder in holders]
     if len(offsets) > 1:
         raise UnreadableEvents(f"it states {_OFFSET} {len(offsets)} times.")
     return _number(offsets[0]) if offsets else None

@@ -24,6 +24,19 @@ def view(**changed):
     return View("left", **{"image_size": (640, 480), **given, **changed})
 
 
+def test_one_number_of_px_is_the_sigma_of_every_point():
+    assert np.array_equal(view(covariances_px2=0.2).covariances_px2, view().covariances_px2)
+    for wrong in (0, -0.2, np.nan):
+        with pytest.raises(InputMismatch):
+            view(covariances_px2=wrong)
+
+
+def test_a_view_without_covariances_says_how_to_give_them():
+    whole = view()
+    with pytest.raises(InputMismatch, match=r"covariances_px2.*one number for all.*px"):
+        View("left", whole.image_size, whole.ids, whole.points_px, whole.target_mm)
+
+
 @pytest.fixture
 def result():
     return replace(calibration("k1k2"), coverage_factors={"fx": 2.1, "k1": 2.6}, notes=("a < b " * 60,) * 9)

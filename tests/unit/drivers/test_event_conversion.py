@@ -38,11 +38,11 @@ def raw(tmp_path):
 ENDINGS = {"raw": ".raw", "metavision": ".hdf5", "hdf5": ".h5", "numpy": ".npz"}
 
 
-READ_TOO = [kind for kind in KINDS if kind != "parquet"]
+WITH_EDGES = [kind for kind in KINDS if kind not in {"parquet", "csv"}]
 
 
-@pytest.mark.parametrize("first", [kind for kind in READ_TOO if kind != "raw"])
-@pytest.mark.parametrize("second", READ_TOO)
+@pytest.mark.parametrize("first", [kind for kind in WITH_EDGES if kind != "raw"])
+@pytest.mark.parametrize("second", WITH_EDGES)
 def test_every_way_between_kinds_keeps_every_event_and_edge(raw, tmp_path, first, second):
     events, triggers = drawn_stream()
     between, end = tmp_path / f"between{ENDINGS[first]}", tmp_path / f"end{ENDINGS[second]}"
@@ -56,6 +56,18 @@ def test_every_way_between_kinds_keeps_every_event_and_edge(raw, tmp_path, first
         streams = imported.events, imported.triggers
     assert same(streams[0], events)
     assert same(streams[1], triggers)
+
+
+def test_csv_is_read_again_with_its_size_and_the_unit_of_its_times_and_names_what_it_leaves_out(
+    raw, tmp_path
+):
+    written = convert(raw, tmp_path / "pose.csv", "csv")
+    assert (written.events, written.triggers, written.edges_left_out) == (5000, 0, 40)
+    imported = import_events(tmp_path / "pose.csv")
+    assert same(imported.events, drawn_stream()[0])
+    assert (imported.width, imported.height) == (1280, 720)
+    again = convert(tmp_path / "pose.csv", tmp_path / "again.npz", "numpy")
+    assert not again.assumed
 
 
 def test_a_converted_raw_file_says_so_and_keeps_whose_it_was(raw, tmp_path):

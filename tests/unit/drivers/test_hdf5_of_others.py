@@ -1,4 +1,4 @@
-"""Events in HDF5 files of other programs: DSEC, e2calib, M3ED, v2e, MVSEC, and Metavision without its table of edges."""
+"""Events in HDF5 files of other programs: columns t, x, y and p, and Metavision without its table of edges."""
 
 import zipfile
 
@@ -8,6 +8,7 @@ import pytest
 from imported import import_events
 
 from drivers.camera.event_arrays import ReadingChoices
+from drivers.camera.file_kinds import FORMS_OF_EVENTS
 from drivers.camera.formats.event_conversion import convert
 from drivers.camera.raw_file import RawFile
 from drivers.errors import CameraSoftwareMissing, NotARecording
@@ -37,6 +38,10 @@ def assert_same(imported, origin_us=0):
     assert all(np.array_equal(getattr(imported.events, name), ROWS[name]) for name in "xyp")
 
 
+def assert_since(imported, begin_us):
+    assert_same(imported, int(imported.header["time_origin_us"]) - begin_us)
+
+
 @pytest.fixture
 def written(tmp_path):
     """Write a file and read it again."""
@@ -54,32 +59,62 @@ def dsec(file, **stored):
     file["ms_to_idx"], file["t_offset"] = np.arange(3), np.int64(YEAR_2020_US)
 
 
-def test_the_times_of_dsec_keep_their_origin(written):
-    imported = written(dsec)
-    assert_same(imported)
+@pytest.mark.parametrize("offset", [YEAR_2020_US, np.float64(YEAR_2020_US), np.array([YEAR_2020_US])])
+@pytest.mark.parametrize("where", ["", "events"])
+@pytest.mark.parametrize("as_attribute", [True, False])
+def test_an_offset_of_times_is_added(written, offset, where, as_attribute):
+    def fill(file):
+        columns(file.create_group("events"), chunks=(100,))
+        group = file[f"/{where}"]
+        (group.attrs if as_attribute else group)["t_offset"] = offset
+
+    imported = written(fill)
+    assert_since(imported, YEAR_2020_US)
     assert (imported.width, imported.height) == SIZE
-    assert imported.header["time_origin_us"] == str(YEAR_2020_US)
     assert imported.header["date"] == "2020-09-13 12:26:40"
 
 
-@pytest.mark.parametrize("offset", [np.float64(YEAR_2020_US), np.array([YEAR_2020_US])])
-def test_an_offset_of_times_may_be_a_float_or_a_list_of_one(written, offset):
+def test_a_small_offset_of_times_is_added_to_the_edges_too(written):
     def fill(file):
-        dsec(file)
-        del file["t_offset"]
-        file["t_offset"] = offset
+        columns(file.create_group("events"))
+        file["t_offset"] = 7000
+        for name, value in (("t", 41), ("value", 1), ("id", 0)):
+            file[f"triggers/{name}"] = np.array([value])
 
-    assert written(fill).header["time_origin_us"] == str(YEAR_2020_US)
+    imported = written(fill)
+    assert_same(imported, -7000)
+    assert imported.triggers.t.tolist() == [7041]
+
+
+@pytest.mark.parametrize(
+    ("times", "offsets"),
+    [
+        ({"t": ROWS["t"]}, {"t_offset": 5, "events/t_offset": 5}),
+        ({"t": ROWS["t"]}, {"t_offset": np.array([1, 2])}),
+        ({"t": ROWS["t"]}, {"t_offset": 0.5}),
+        ({"t": ROWS["t"] * 1e-6}, {"t_offset": 5}),
+        ({"t_ns": ROWS["t"]}, {"t_offset": 5}),
+    ],
+)
+def test_an_offset_that_cannot_be_added_is_refused(written, times, offsets):
+    def fill(file):
+        columns(file.create_group("events"))
+        del file["events/t"]
+        file["events"].update(times)
+        file.update(offsets)
+
+    with pytest.raises(NotARecording, match=r"t_offset|whole number"):
+        written(fill)
 
 
 @pytest.mark.parametrize("filter_of_plugin", ["Blosc", "Blosc2", "Zstd", "LZ4", "Bitshuffle"])
 def test_every_filter_of_the_plugin_is_read(written, filter_of_plugin):
     plugin = pytest.importorskip("hdf5plugin")
-    assert_same(written(lambda file: dsec(file, **getattr(plugin, filter_of_plugin)())))
+    assert_since(written(lambda file: dsec(file, **getattr(plugin, filter_of_plugin)())), YEAR_2020_US)
 
 
 def test_a_filter_of_hdf5_itself_is_read(written):
-    assert_same(written(lambda file: dsec(file, compression="lzf")))
+    assert_since(written(lambda file: dsec(file, compression="lzf")), YEAR_2020_US)
 
 
 def test_a_filter_that_is_not_installed_is_named_with_the_package(tmp_path, monkeypatch):
@@ -118,48 +153,18 @@ def test_columns_at_the_root_whose_times_count_from_1970_begin_near_0(written):
     assert imported.header["date"] == "2020-09-13 12:26:40"
 
 
-def m3ed(file):
+def two_cameras(file):
     for side in ("left", "right"):
         columns(file.create_group(f"prophesee/{side}"), kinds=("i8", "u2", "u2", "i1"))
-        file[f"prophesee/{side}/calib/resolution"] = np.array([1280, 720])
     file["prophesee/right/x"][:] = 0
     file["ovc/imu/t"] = file["ovc/imu/x"] = file["ovc/imu/y"] = np.zeros(3)
 
 
-@pytest.mark.parametrize("name", ["prophesee/left", "/prophesee/left/"])
-def test_one_camera_of_m3ed_is_chosen_and_states_its_size(written, name):
-    imported = written(m3ed, ReadingChoices(stream=name))
-    assert_same(imported)
-    assert (imported.width, imported.height) == (1280, 720)
-
-
 def test_several_cameras_are_listed_with_the_way_to_choose(written):
     with pytest.raises(NotARecording, match=r"prophesee/left, prophesee/right\. Choose one: .*--stream"):
-        written(m3ed)
+        written(two_cameras)
     with pytest.raises(NotARecording, match="no stream 'middle'"):
-        written(m3ed, ReadingChoices(stream="middle"))
-
-
-def test_the_table_of_v2e_is_read(written):
-    table = np.stack([ROWS[name] for name in "txyp"], axis=1).astype("u4")
-    assert_same(written(lambda file: file.create_dataset("events", data=table, compression="gzip")))
-
-
-def test_polarities_of_minus_1_may_be_the_largest_unsigned_number(written):
-    """v2e writes its table as unsigned numbers."""
-    negative = np.where(ROWS["p"], 1, -1)
-
-    def table(file):
-        rows = np.stack([ROWS["t"], ROWS["x"], ROWS["y"], negative], axis=1)
-        file["events"] = rows.astype(np.int64).astype(np.uint32)
-
-    def parts(file):
-        columns(file.create_group("events"))
-        del file["events/p"]
-        file["events/p"] = negative.astype(np.int64).astype(np.uint16)
-
-    assert_same(written(table))
-    assert_same(written(parts))
+        written(two_cameras, ReadingChoices(stream="middle"))
 
 
 @pytest.mark.parametrize("shape", [(N, 1), (1, N)])
@@ -172,20 +177,6 @@ def test_the_columns_of_matlab_have_two_sides(written, shape, chunks):
             file.create_dataset(f"events/{name}", data=values.reshape(shape), chunks=chunks)
 
     assert_same(written(fill))
-
-
-def test_a_table_on_its_side_is_refused_with_its_shape(written):
-    with pytest.raises(
-        NotARecording, match="events is an array of 4 x 1200; a list is needed, or a table of N x 4"
-    ):
-        written(lambda file: file.create_dataset("events", data=np.stack(list(ROWS.values()))))
-
-
-@pytest.mark.parametrize("chunks", [True, None, (100, 1)])
-def test_the_table_of_mvsec_has_its_columns_in_another_order_and_times_in_seconds(written, chunks):
-    values = [ROWS["x"], ROWS["y"], 1e-6 * ROWS["t"], np.where(ROWS["p"], 1, -1)]
-    table = np.stack(values, axis=1).astype("f8")
-    assert_same(written(lambda file: file.create_dataset("davis/left/events", data=table, chunks=chunks)))
 
 
 @pytest.mark.parametrize("names", [("ts", "xs", "ys", "ps"), ("timestamps", "x", "y", "polarities")])
@@ -287,20 +278,19 @@ def test_a_missing_size_is_told_with_the_way_to_state_it(written):
         written(dsec, ReadingChoices())
 
 
-def test_a_file_of_no_events_is_told(written):
-    message = "no group of this HDF5 file has columns t, x, y and p; it holds left/images"
-    with pytest.raises(NotARecording, match=message) as caught:
-        written(lambda file: file.create_dataset("left/images", data=np.zeros((2, 3))))
-    assert "Copy" not in caught.value.remedy
+@pytest.mark.parametrize("shape", [(N, 4), (4, N), (2, 3)])
+def test_arrays_without_names_are_refused_with_the_forms_that_are_read(written, shape):
+    with pytest.raises(NotARecording, match="holds left/events") as caught:
+        written(lambda file: file.create_dataset("left/events", data=np.zeros(shape)))
+    assert caught.value.remedy == FORMS_OF_EVENTS
 
 
 def test_a_file_of_others_becomes_a_recording(written, tmp_path):
     written(dsec)
     convert(tmp_path / "events.h5", tmp_path / "a.raw", "raw", SIZED)
     recording = RawFile.open(tmp_path / "a.raw")
-    assert recording.header["time_origin_us"] == str(YEAR_2020_US)
     events, _ = recording.read()
-    assert np.array_equal(events.t, ROWS["t"])
+    assert np.array_equal(events.t + int(recording.header["time_origin_us"]), ROWS["t"] + YEAR_2020_US)
 
 
 def test_a_zip_archive_of_other_things_is_told_as_what_it_is(tmp_path):

@@ -41,13 +41,12 @@ def test_evt2_by_hand(tmp_path):
     assert (edges.t.tolist(), edges.value.tolist(), edges.id.tolist()) == ([134], [1], [1])
 
 
-@pytest.mark.parametrize("version", ["evt2", "dat2"])
-def test_files_written_by_faery(tmp_path, version):
+def test_files_written_by_faery(tmp_path):
     faery = pytest.importorskip("faery")
     rows = some_events()
     stream = faery.events_stream_from_array(rows.astype(faery.EVENTS_DTYPE), dimensions=(640, 480))
-    path = tmp_path / ("a.raw" if version == "evt2" else "a.dat")
-    stream.to_file(path, version=version)
+    path = tmp_path / "a.raw"
+    stream.to_file(path, version="evt2")
     imported = import_events(path)
     assert (imported.width, imported.height) == (640, 480)
     assert_same(imported, rows, origin_us=int(rows["t"][0]) - int(imported.events.t[0]))
@@ -137,15 +136,6 @@ def test_version_1_of_dat_has_another_layout(tmp_path, version):
     path = tmp_path / "a.dat"
     path.write_bytes(dat_head(version) + table.tobytes())
     assert_same(import_events(path), rows)
-
-
-def test_version_1_of_dat_written_by_faery(tmp_path):
-    faery = pytest.importorskip("faery")
-    rows = some_events(600)
-    rows["x"], rows["y"] = rows["x"] % 304, rows["y"] % 240
-    stream = faery.events_stream_from_array(rows.astype(faery.EVENTS_DTYPE), dimensions=(304, 240))
-    stream.to_file(tmp_path / "a.dat", version="dat1")
-    assert_same(import_events(tmp_path / "a.dat"), rows, origin_us=64)
 
 
 def test_a_dat_file_without_a_size_is_read_with_one_that_is_given(tmp_path):

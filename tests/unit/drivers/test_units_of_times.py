@@ -71,12 +71,6 @@ def test_us_and_s_are_read_and_told_as_assumed(tmp_path, t):
     assert np.array_equal(t_us, T_US)
 
 
-def test_the_order_of_a_table_is_told_as_assumed(tmp_path):
-    np.save(tmp_path / "a.npy", np.stack([OTHERS["x"], OTHERS["y"], T_US, OTHERS["p"]], axis=1))
-    written = convert(tmp_path / "a.npy", tmp_path / "b.raw", "raw", ReadingChoices(SIZE))
-    assert written.assumed == {"time_unit": "us", "columns": "x, y, t, p"}
-
-
 @pytest.mark.parametrize("rate", [0.006, 150.0])
 def test_rates_between_rest_and_flicker_are_read(tmp_path, rate):
     span_us = 1e6 * N / (SIZE[0] * SIZE[1] * rate)
@@ -84,15 +78,37 @@ def test_rates_between_rest_and_flicker_are_read(tmp_path, rate):
     assert np.array_equal(import_events(npz(tmp_path, t), ReadingChoices(SIZE)).events.t, t)
 
 
-def test_a_camera_at_rest_is_read_once_the_unit_is_said(tmp_path):
-    t = T_US * 1000 + FRACTIONS
-    assert np.array_equal(import_events(npz(tmp_path, t), ReadingChoices(SIZE, time_unit="us")).events.t, t)
+@pytest.mark.parametrize("given", ["us", "ms", "s"])
+def test_a_given_unit_is_compared_with_the_rate_of_events(tmp_path, given):
+    """A still camera is read once the name of its column states the unit."""
+    t = np.sort(T_US * 1000 + FRACTIONS)
+    with pytest.raises(NotARecording, match=f"probably in ns.*--time-unit says {given}.*--time-unit ns"):
+        import_events(npz(tmp_path, t), ReadingChoices(SIZE, time_unit=given))
+    np.savez(tmp_path / "a.npz", t_us=t, **OTHERS)
+    assert np.array_equal(import_events(tmp_path / "a.npz", ReadingChoices(SIZE)).events.t, t)
+
+
+def test_times_in_us_with_parts_of_a_us_are_told_by_every_unit_that_fits(tmp_path):
+    """As of seconds times 1e6: 0.2 s; the 0.0002 s of ns would fit the rate too, but not parts of a ns."""
+    few = {name: values[::3] for name, values in OTHERS.items()}
+    np.savez(tmp_path / "a.npz", t=(T_US + FRACTIONS / 1000)[::3], **few)
+    with pytest.raises(NotARecording, match=r"probably in us.*--time-unit us\.$"):
+        import_events(tmp_path / "a.npz", ReadingChoices(SIZE))
+    with pytest.raises(NotARecording, match=r"parts of a ns.*probably in us"):
+        import_events(tmp_path / "a.npz", ReadingChoices(SIZE, time_unit="ns"))
+    t_us = import_events(tmp_path / "a.npz", ReadingChoices(SIZE, time_unit="us")).events.t
+    assert np.abs(t_us - T_US[::3]).max() <= 1
+
+
+def test_units_that_fit_alike_are_offered_in_the_order_of_their_rates(tmp_path):
+    with pytest.raises(NotARecording, match=r"--time-unit us, or ns\."):
+        import_events(npz(tmp_path, np.linspace(0, 1.3e6, N) // 1), ReadingChoices(SIZE, time_unit="ms"))
 
 
 def test_a_layout_whose_times_are_in_us_needs_no_guess(tmp_path):
-    """DSEC, and Starbench's own files, at any rate."""
+    """Those that add an offset, and Starbench's own, at any rate."""
     t = T_US * 1000
-    path = hdf5(tmp_path, t, ms_to_idx=np.zeros(3))
+    path = hdf5(tmp_path, t, t_offset=0)
     assert np.array_equal(import_events(path, ReadingChoices(SIZE)).events.t, t)
     convert(path, tmp_path / "b.npz", "numpy", ReadingChoices(SIZE, time_unit="us"))
     convert(tmp_path / "b.npz", tmp_path / "c.h5", "hdf5", ReadingChoices())
@@ -107,7 +123,7 @@ def test_the_name_of_a_column_states_the_unit(tmp_path, name):
 
 def test_a_unit_that_contradicts_the_file_is_refused(tmp_path):
     with pytest.raises(NotARecording, match=r"states its times in us\. Leave out --time-unit"):
-        import_events(hdf5(tmp_path, T_US, ms_to_idx=np.zeros(3)), ReadingChoices(SIZE, time_unit="ns"))
+        import_events(hdf5(tmp_path, T_US, t_offset=0), ReadingChoices(SIZE, time_unit="ns"))
     (tmp_path / "a.raw").write_bytes(b"% evt 3.0\n% geometry 640x480\n% end\n")
     with pytest.raises(NotARecording, match="Leave out --time-unit"):
         import_events(tmp_path / "a.raw", ReadingChoices(time_unit="ns"))
@@ -119,26 +135,11 @@ def test_height_before_width_is_told_as_the_cause(tmp_path):
         import_events(path, ReadingChoices((480, 640)))
 
 
-@pytest.mark.parametrize(
-    "state",
-    [
-        lambda file: file.attrs.__setitem__("sensor_resolution", (480, 640)),  # event_utils
-        lambda file: file.update({"height": 480, "width": 640}),
-    ],
-)
-def test_the_size_is_read_where_others_write_it(tmp_path, state):
-    path = hdf5(tmp_path, T_US)
-    with h5py.File(path, "a") as file:
-        state(file)
-    imported = import_events(path)
-    assert (imported.width, imported.height) == SIZE
-
-
 @pytest.mark.parametrize("unit", ["ns", "ms"])
 def test_times_since_1970_in_another_unit_are_read_once_it_is_said(tmp_path, unit):
     since = 1_600_000_000_000_000 + T_US
     path = npz(tmp_path, since * 1000 if unit == "ns" else since * 1e-3)
-    with pytest.raises(NotARecording, match="after the year 2100: they are not in us"):
+    with pytest.raises(NotARecording, match=f"after the year 2100: they are probably in {unit}"):
         import_events(path, ReadingChoices(SIZE))
     imported = import_events(path, ReadingChoices(SIZE, time_unit=unit))
     assert np.abs(imported.events.t - imported.events.t[0] - (T_US - T_US[0])).max() <= 1

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from operator import methodcaller
 
 import numpy as np
 import pytest
@@ -29,6 +30,12 @@ def edit(folder, change):
     results = json.loads(path.read_bytes())
     change(results)
     path.write_text(json.dumps(results))
+
+
+def test_a_notebook_shows_a_run_as_a_table_below_its_folder(folder):
+    shown = methodcaller("_repr_html_")(load(folder))  # as Jupyter calls it
+    assert folder.name in shown
+    assert "<table" in shown
 
 
 def test_camera_collimator_and_covariance_are_those_of_the_results(folder):

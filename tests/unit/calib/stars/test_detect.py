@@ -122,6 +122,13 @@ def test_stars_are_found_at_any_roll_and_either_contrast(roll, bright):
     assert (np.diff(detection.view.ids) > 0).all()
 
 
+def test_views_without_a_name_are_named_apart_and_always_the_same():
+    images = [drawn(roll=roll)[1] for roll in (2, 37, 2)]
+    first, second, again = (detect_view(image, TARGET).name for image in images)
+    assert first == again != second
+    assert detect_view(images[0], TARGET, name="left").name == "left"
+
+
 @pytest.mark.parametrize("pitch", [20, 28, 55, 80])
 def test_stars_are_found_small_and_large(pitch):
     scene, image = drawn(pitch_px=pitch, roll=12, size=(400, 320) if pitch < 40 else (800, 640))
