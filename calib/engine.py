@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from calib.calibration import DEFAULT_DISTORTION, REFERENCE_MODELS, Calibration, CalibrationOptions
 from calib.diagnosis.checks import check_image_size, check_views, require_one_target
+from calib.diagnosis.flat_board import require_turns
 from calib.diagnosis.gross_stars import find_gross_stars, without_gross_stars
 from calib.errors import DegenerateViews, InputMismatch
 from calib.fit import fit_model, summarize
@@ -71,6 +72,8 @@ def calibrate(views: Iterable[View] | View, options: CalibrationOptions | None =
     known_r = options.passport.values_by_name["r"] if options.passport else None
     right = without_gross_stars(views, wrong)
     doubts = check_views(right, known_r_mm=known_r)
+    if options.model not in REFERENCE_MODELS and not (options.passport or options.gimbal):
+        require_turns(right)
     if options.model in REFERENCE_MODELS:
         result = summarize(fit_model(views, options, options.model, wrong=wrong))
     else:

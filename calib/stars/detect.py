@@ -124,7 +124,7 @@ def detect_stars(
     Raises TooFewStars: If fewer than `MIN_STARS` stars pass all tests.
     Raises InputMismatch: If the image does not have two axes, or is empty.
     """
-    name = name or f"view-{zlib.crc32(np.ascontiguousarray(image)):08x}"
+    name = name or f"view-{zlib.crc32(np.ascontiguousarray(image).tobytes()):08x}"
     with placed(f"view {name}"):
         require_grey_plane(image)
         values = np.asarray(image, np.float32)
