@@ -223,9 +223,9 @@ def undistort(
     undistort.npz holds for each pixel its ray and its place in the rectified image, the pair of maps for OpenCV's
     remap, and the camera matrix before and after; camera_info.yaml is ROS's, with the new matrix as P.
     """
+    from bench.base.image_size import parse_image_size
     from bench.solve.exports import read_picture_for, undistorted_files
     from bench.solve.offline_folder import require_new
-    from bench.solve.offline_options import parse_image_size
     from calib.model.camera import undistort as tables_of
 
     require_new(output)
