@@ -17,7 +17,6 @@ from bench.commands.output import JSON, ask_passphrase, left_out_lines, show
 from bench.commands.values import Number
 from bench.commands.workers import views_line
 from bench.evidence.keys import BenchKey, usable_key
-from bench.evidence.passport_seal import read_passport_seal
 from bench.wording.numbers import with_uncertainty
 from bench.wording.parameters import unit_text
 
@@ -102,16 +101,15 @@ def _key() -> BenchKey:
 @JSON
 def passport_show(path: Path, sealed: Path | None) -> int:
     """Show the values of a passport, their uncertainties, its hash and its seal."""
-    from bench.plan.passports import read_passport_file
+    from bench.plan.passport_file import read_passport_file
 
     if sealed is not None:
         from bench.solve.passports import seal_file
 
         seal_file(path, sealed, _key())
         path = sealed
-    own_passport, data = read_passport_file(path)
-    seal, sha256 = read_passport_seal(data), hashlib.sha256(data).hexdigest()
-    sealed_by = seal.fingerprint if seal else None
+    own_passport, data, seal = read_passport_file(path)
+    sha256, sealed_by = hashlib.sha256(data).hexdigest(), seal.fingerprint if seal else None
     show(
         lambda: {**own_passport.to_dict(), "sha256": sha256, "sealed_by": sealed_by},
         _lines(own_passport, sha256, sealed_by),

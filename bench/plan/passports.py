@@ -7,24 +7,19 @@ folder.
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-import numpy as np
-
-from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, EvidenceError, UsageError
 from bench.base.home import home_folder
-from bench.record.storage import storage_errors
+from bench.plan.passport_file import passport_bytes, read_passport_file
 from bench.stations.station import Station
 from bench.stations.station_budget import CertificateConfig, CollimatorConfig
 from calib.calibration import REFERENCE_MODELS
-from calib.errors import InputMismatch
-from calib.model.collimator import ABERRATIONS, CENTRE
+from calib.model.collimator import CENTRE
 from calib.model.passport import Passport
 from sequences.reader import Located
 from sequences.schema import Sequence
@@ -33,34 +28,6 @@ from sequences.tree import DocumentPath, Fault
 
 if TYPE_CHECKING:
     from bench.evidence.passport_seal import PassportSeal
-
-_MOST = 1e6
-"""Largest size of a value, mm; no collimator is a kilometre long."""
-LEAST_R_MM = 0.1
-"""Smallest focal length of a collimator, mm."""
-_LEAST_SIGMA = 1e-7
-"""Smallest standard uncertainty, mm: a tenth of a nanometre."""
-_LEAST_RELATIVE_SIGMA_OF_R = 1e-8
-_LEAST_EIGENVALUE = 1e-13
-"""Smallest eigenvalue of the correlation matrix; rounding alone gives values below it."""
-_ASYMMETRY = 1e-9  # Rounding of numbers with 15 digits, far above
-_MOST_NUMBERS = 10_000  # A covariance of 100 parameters
-
-_LARGEST_BYTES = 1_000_000  # 10,000 numbers take a quarter
-_KEYS = frozenset(
-    {
-        "schema",
-        "names",
-        "values",
-        "covariance",
-        "reference",
-        "disagreement",
-        "views",
-        "conditions",
-        "length",
-        "seal",
-    }
-)
 
 NO_PASSPORT = "none"
 """Word in a sequence: use no passport, not even the station's."""
@@ -87,62 +54,6 @@ def require_copy(copy: Path) -> Path:
     return copy
 
 
-def refuse_absurd_numbers(document: Mapping[str, Any]) -> None:
-    """Refuse values and covariances of a size that no collimator has, before anything is calculated with them."""
-    for name in ("values", "covariance"):
-        numbers = list(_numbers(document.get(name)))
-        if len(numbers) > _MOST_NUMBERS:
-            raise InputMismatch(f"Its {name} has more than {_MOST_NUMBERS} numbers.", where="passport")
-        for number in numbers:
-            if not abs(number) <= _MOST:
-                raise InputMismatch(f"Its {name} contains {number:g}, which is too large.", where="passport")
-
-
-def _numbers(value: Any) -> list[float]:
-    """Return all numbers of nested lists; other things are left to the reader of the passport."""
-    if isinstance(value, list):
-        return [number for element in value for number in _numbers(element)]
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return []
-    try:
-        return [float(value)]
-    except OverflowError:
-        return [float("inf")]
-
-
-def refuse_indefinite(passport: Passport) -> None:
-    """Refuse a covariance that is not symmetric and positive definite, or states a certainty that nobody has.
-
-    Own limits: below 0.1 nm of the centre, or 1e-8 of the focal length, nothing is measured. Eigenvalues are the
-    correlation matrix's: without units.
-    """
-    covariance = passport.covariance
-    variances = covariance.diagonal()
-    least = {
-        name: max(
-            _LEAST_SIGMA if name in CENTRE else 0.0,
-            _LEAST_RELATIVE_SIGMA_OF_R * abs(value) if name == "r" else 0.0,
-        )
-        for name, value in passport.values_by_name.items()
-    }
-    for name, variance in zip(passport.names, variances.tolist(), strict=True):
-        if not variance > least[name] ** 2:
-            what = f"The variance of {name} in its covariance is {variance:g}; "
-            raise InputMismatch(
-                f"{what}no measurement is that certain. A variance is the square of a standard uncertainty, mm².",
-                where="passport",
-            )
-    scale = np.sqrt(variances)
-    correlation = covariance / np.outer(scale, scale)
-    if not np.allclose(correlation, correlation.T, rtol=0.0, atol=_ASYMMETRY):
-        raise InputMismatch("Its covariance is not symmetric.", where="passport")
-    if np.linalg.eigvalsh(correlation)[0] < _LEAST_EIGENVALUE:
-        raise InputMismatch(
-            "Its covariance is not positive definite: the uncertainties contradict each other.",
-            where="passport",
-        )
-
-
 def determines_one_view(passport: Passport) -> bool:
     """Return whether one view is enough to calibrate a camera: the passport holds the collimator's whole centre.
 
@@ -150,71 +61,6 @@ def determines_one_view(passport: Passport) -> bool:
     unknowns; with r alone 9.
     """
     return set(CENTRE) <= set(passport.names)
-
-
-def read_passport_file(path: Path) -> tuple[Passport, bytes]:
-    """Read a passport file."""
-    if path.is_dir():
-        raise UsageError("This is a folder, not a passport file.", where=str(path), remedy="Name the file.")
-    if not path.is_file():
-        raise UsageError("There is no such passport file.", where=str(path), remedy="Check the path.")
-    with storage_errors(path):
-        if path.stat().st_size > _LARGEST_BYTES:
-            raise UsageError("The file is too large for a passport.", where=str(path))
-        data = path.read_bytes()
-    return parse_passport(data, str(path)), data
-
-
-def parse_passport(data: bytes, where: str) -> Passport:
-    """Read the bytes of a passport; `UsageError` says why it is none: changed, an unknown parameter, absurd numbers."""
-    from bench.evidence.passport_seal import read_passport_seal
-
-    remedy = "Make a passport with `starbench passport make`."
-    try:
-        shape: Any = parse_json(data)
-        document = shape if isinstance(shape, dict) else {}
-        seal = read_passport_seal(data)
-        if "seal" in document and seal is None:
-            raise UsageError(
-                "The seal of this passport is not on its second line: the file was written anew by another program.",
-                where=where,
-                remedy="Use the file as it was made.",
-            )
-        if unknown_keys := sorted(set(document) - _KEYS):
-            raise UsageError(f"A passport has no key {unknown_keys[0][:40]!r}.", where=where, remedy=remedy)
-        refuse_absurd_numbers(document)
-        passport = Passport.from_dict(document)
-        refuse_indefinite(passport)
-    except json.JSONDecodeError as error:
-        what = f"The file is not a passport. It is not JSON, line {error.lineno}, column {error.colno}: {error.msg}."
-        raise UsageError(what, where=where, remedy=remedy) from error
-    except EvidenceError as error:
-        raise UsageError(error.what, where=where, remedy=error.remedy) from error
-    except ValueError as error:
-        raise UsageError(
-            f"The file is not a passport (not JSON: {error}).", where=where, remedy=remedy
-        ) from error
-    except InputMismatch as error:
-        raise UsageError(error.what, where=where, remedy=remedy) from error
-    unknown = [name for name in passport.terms if not _is_known(name)]
-    if unknown:
-        raise UsageError(
-            f"The passport has the unknown parameter {unknown[0]!r}.", where=where, remedy=remedy
-        )
-    if not passport.values_by_name["r"] > LEAST_R_MM:
-        what = f"The passport's radius r is not positive, or below {LEAST_R_MM:g} mm; no collimator is that short."
-        raise UsageError(what, where=where, remedy=remedy)
-    return passport
-
-
-def _is_known(name: str) -> bool:
-    """Return whether a parameter is a term of the collimator, or a coefficient of its common field (``common_7``)."""
-    return name in ABERRATIONS or (name.startswith("common_") and name.removeprefix("common_").isdecimal())
-
-
-def passport_bytes(passport: Passport) -> bytes:
-    """Return the bytes of a passport's file."""
-    return (json.dumps(passport.to_dict(), indent=1, allow_nan=False) + "\n").encode()
 
 
 @dataclass(frozen=True, eq=False)
@@ -433,10 +279,8 @@ class _Named:
             assert self.certificate is not None
             data = passport_bytes(self.certificate)
             return PassportInUse(self.certificate, data, self.source, name, self.other_accepted)
-        from bench.evidence.passport_seal import read_passport_seal
-
-        passport, data = read_passport_file(path)
-        return PassportInUse(passport, data, self.source, name, self.other_accepted, read_passport_seal(data))
+        passport, data, seal = read_passport_file(path)
+        return PassportInUse(passport, data, self.source, name, self.other_accepted, seal)
 
 
 def _named(sequence: Located[Sequence], station: Located[Station], step: SolveStep) -> _Named | None:

@@ -11,9 +11,9 @@ from typing import Self, cast
 
 from bench.base.errors import UsageError
 from bench.base.image_size import parse_image_size
-from bench.evidence.passport_seal import read_passport_seal
 from bench.plan.job import Job
-from bench.plan.passports import NO_PASSPORT, PassportInUse, read_passport_file
+from bench.plan.passport_file import read_passport_file
+from bench.plan.passports import NO_PASSPORT, PassportInUse
 from bench.plan.plan import DEFAULT_MODEL
 from bench.solve.point_files import Origin
 from bench.solve.solve_options import solve_options
@@ -163,8 +163,7 @@ def _target_of_station(name: str | None) -> tuple[StarTarget, StationFile | None
 
 def passport_of_file(path: Path, name: str = "") -> PassportInUse:
     """Read the passport that the command line names, or a copy of it; raise UsageError or StorageError."""
-    passport, data = read_passport_file(path)
-    seal = read_passport_seal(data)
+    passport, data, seal = read_passport_file(path)
     return PassportInUse(passport, data, "command line", name or path.name, seal=seal)
 
 

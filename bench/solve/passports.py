@@ -12,8 +12,8 @@ from typing import Any
 
 from bench.base.errors import UsageError
 from bench.evidence.keys import BenchKey
-from bench.evidence.passport_seal import read_passport_seal, seal_passport
-from bench.plan.passports import passport_bytes, read_passport_file
+from bench.evidence.passport_seal import seal_passport
+from bench.plan.passport_file import passport_bytes, read_passport_file
 from bench.record.run_folder import MANIFEST, is_sealed
 from bench.record.storage import sha256_of, storage_errors, write_atomic
 from calib.engine import Calibration
@@ -32,8 +32,8 @@ def write_passport(path: Path, passport: Passport, key: BenchKey | None = None) 
 
 def seal_file(path: Path, output: Path, key: BenchKey) -> None:
     """Write a sealed copy of a passport that has no seal, to a new file."""
-    passport, data = read_passport_file(path)
-    if (seal := read_passport_seal(data)) is not None:
+    passport, _, seal = read_passport_file(path)
+    if seal is not None:
         raise UsageError(f"This passport is sealed already, by {seal.fingerprint}.", where=str(path))
     write_passport(output, passport, key)
 

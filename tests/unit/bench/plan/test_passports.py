@@ -15,7 +15,7 @@ from station_texts import PLAIN
 from bench.base.errors import EvidenceError, UsageError
 from bench.evidence.passport_seal import read_passport_seal, seal_passport
 from bench.plan.job import Job, calibration_options, documents_of
-from bench.plan.passports import parse_passport, passport_bytes, read_passport_file
+from bench.plan.passport_file import parse_passport, passport_bytes, read_passport_file
 from bench.plan.plan import load_documents, make_plan
 from bench.record.run_folder import PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
 from bench.solve.passports import seal_file, seals_of, write_passport
@@ -142,10 +142,10 @@ def test_the_sequence_wins_over_the_station_and_none_switches_it_off(bench, tmp_
     ("content", "fault_text"),
     [
         (None, "There is no such passport file."),
-        ("{", "not JSON, line 1, column 2: "),
-        ("[]", "Not a passport: its schema is None."),
+        ("{", "line 1 column 2"),
+        ("[]", "Not a passport"),
         ("\xff", "The file is not a passport"),
-        ('{"schema": "starbench/results/1"}', "its schema is 'starbench/results/1'"),
+        ('{"schema": "starbench/results/1"}', "schema is 'starbench/results/1'"),
         ("1" * 1_000_001, "The file is too large for a passport."),
         (
             json.dumps(Passport.of_radius(255.0, 0.05).to_dict() | {"values": [-255.0]}),
@@ -157,7 +157,7 @@ def test_the_sequence_wins_over_the_station_and_none_switches_it_off(bench, tmp_
                 | {"names": ["r", "wobble"], "values": [255, 1], "covariance": [[1, 0], [0, 1]]}
                 | {"reference": [1, 2, 3]}
             ),
-            "unknown parameter 'wobble'",
+            "names.1 is 'wobble'",
         ),
     ],
 )
@@ -340,7 +340,7 @@ def test_a_sealed_passport_written_anew_by_another_program_is_refused(key, inden
         (np.diag([1e-3, 1e-3, 1e-300]), "variance of r"),
         (np.diag([1e-3, 1e-3, (255e-9) ** 2]), "variance of r"),
         (np.diag([1e-3, 1e-3, -1e-3]), "positive semidefinite|variance"),
-        (np.diag([1e-3, 1e-3, 1e300]), "too large"),
+        (np.diag([1e-3, 1e-3, 1e300]), r"covariance\.2\.2 is 1e\+300"),
         (np.full((3, 3), 1e-3), "positive definite"),
         (np.array([[1e-12, 0, 5e-13], [0, 1e-3, 0], [0, 0, 1e-12]]), "variance|symmetric"),
         (np.array([[1e-9, 0, 5e-10], [0, 1e-9, 0], [0, 0, 1e-9]]), "not symmetric"),
@@ -367,7 +367,7 @@ def test_values_that_no_collimator_has_are_refused(values):
         ('"collimator": "C-1"', '"collimator": "C-1", "collimator": "C-2"', "'collimator' is there twice"),
         ("255.0", "NaN", "NaN is not a number"),
         ("255.0", "Infinity", "Infinity is not a number"),
-        ("255.0", "1e999", "too large|finite"),
+        ("255.0", "1e999", r"values\.2 is inf"),
     ],
 )
 def test_json_that_readers_take_differently_is_refused(old, new, says):
