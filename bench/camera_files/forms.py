@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Final, Literal
 
 import numpy as np
@@ -24,8 +23,6 @@ LONGEST_NAME: Final = 40
 """Characters of a name that a message shows."""
 _MOST_NAMED = 20
 """Names that a message shows."""
-_BETWEEN = re.compile(r"[][(),;]")  # as Python and numpy print lists
-_NOT_A_NUMBER = re.compile(r"\.(nan|inf)", re.IGNORECASE)  # as YAML writes it
 _KALIBR = re.compile(r"cam\d+")
 _OF_PAIR = frozenset(("R", "T", "E", "F", "R1", "R2", "P1", "P2", "Q", "pose_covariance"))
 """What OpenCV's stereo sample writes beside M1, D1, M2 and D2, and Starbench beside that: poses and rectification."""
@@ -60,9 +57,8 @@ def _numbers(value: Any) -> Iterator[float]:
         for element in value:
             yield from _numbers(element)
     else:
-        words = _BETWEEN.sub(" ", _NOT_A_NUMBER.sub(r"\1", str(value))).split()
         try:
-            yield from map(float, words)
+            yield from map(float, str(value).replace(",", " ").split())
         except ValueError:
             raise ValueError("is no list of numbers") from None
 
@@ -85,16 +81,25 @@ class CameraForm(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
     kind: ClassVar[str]  # What the file is, in words; {} is its syntax
     harmless: ClassVar[tuple[str, ...]] = ()
+    lenses: ClassVar[Mapping[Any, Lens | None]] = {
+        None: None
+    }  # By the model; None if it says nothing of the lens
     matrix: Numbers  # 3 x 3, row after row, or fx fy cx cy
     coefficients: Numbers
     size: Numbers | None = _named("imagesize", "imagersize", "resolution", "cameraresolution", default=None)
     width: int | None = _named("imagewidth", "width", default=None)
     height: int | None = _named("imageheight", "height", default=None)
+    model: str | bool | None = None
 
     @property
     def lens(self) -> Lens | None:
         """Names of the coefficients; None if the file does not state the lens model."""
-        return None
+        if self.model not in self.lenses:
+            raise OtherForm(
+                f"its lens model {str(self.model)[:LONGEST_NAME]!r} is not read",
+                f"Calibrate with one of {', '.join(filter(None, self.lenses))}.",
+            )
+        return self.lenses[self.model]
 
     @property
     def remarks(self) -> list[str]:
@@ -103,15 +108,13 @@ class CameraForm(BaseModel):
 
     def image_size(self) -> tuple[int, int] | None:
         """Return width and height, px; None if the file does not state them."""
-        sides = [] if self.width is None and self.height is None else [self.width or 0, self.height or 0]
-        stated = [side for side in (self.size, sides) if side]
-        if not stated:
-            return None
-        if any(len(size) != 2 or any(side != int(side) for side in size) for size in stated):
-            raise OtherForm("the size of the image is not a width and a height")
-        if stated[0] != stated[-1]:
+        sides = [side for side in (self.width, self.height) if side is not None]
+        first, *others = [size for size in (self.size, sides) if size] or [[]]
+        if any(other != first for other in others):
             raise OtherForm("it states two sizes of the image")
-        return int(stated[0][0]), int(stated[0][1])
+        if first and (len(first) != 2 or any(side != int(side) for side in first)):
+            raise OtherForm("the size of the image is not a width and a height")
+        return (int(first[0]), int(first[1])) if first else None
 
 
 class OpenCv(CameraForm):
@@ -126,82 +129,43 @@ class OpenCv(CameraForm):
     )
     matrix: Numbers = _named("cameramatrix", "mtx", "k", "m")
     coefficients: Numbers = _named("distortioncoefficients", "distcoeffs", "distcoeff", "dist", "d")
-    fisheye: bool | None = _named("fisheyemodel", default=None)
+    lenses: ClassVar[Mapping[Any, Lens | None]] = {None: None, False: OPENCV, True: FISHEYE}
+    model: bool | None = _named("fisheyemodel", default=None)
     names: Words | None = _named("parameternames", default=None)
     covariance: Numbers | None = _named("parametercovariance", default=None)
 
-    @property
-    def lens(self) -> Lens | None:
-        """See `CameraForm`."""
-        return None if self.fisheye is None else FISHEYE if self.fisheye else OPENCV
 
-
-class _OfNamedLens(CameraForm):
-    """A camera whose file names its lens model."""
-
-    lenses: ClassVar[Mapping[str, Lens]]
-    model: str
-
-    @property
-    def lens(self) -> Lens | None:
-        """See `CameraForm`."""
-        if self.model not in self.lenses:
-            raise OtherForm(
-                f"its lens model {self.model[:LONGEST_NAME]!r} is not read",
-                f"Calibrate with one of {', '.join(self.lenses)}.",
-            )
-        return self.lenses[self.model]
-
-
-class _Region(BaseModel):
-    """ROS's region of interest; the whole image has the size of the camera, or none."""
-
-    x_offset: int = 0
-    y_offset: int = 0
-    width: int = 0
-    height: int = 0
-
-
-class Ros(_OfNamedLens):
+class Ros(CameraForm):
     """ROS's camera_info, as a file and as `topic echo` prints its message."""
 
     kind = "ROS's camera_info"
     harmless = _words("header cameraname rectificationmatrix projectionmatrix r p")
-    lenses = MappingProxyType(
-        {"plumb_bob": OPENCV[:5], "rational_polynomial": OPENCV, "equidistant": FISHEYE}
-    )
+    lenses: ClassVar[Mapping[Any, Lens | None]] = {
+        "": None, None: None, "plumb_bob": OPENCV[:5], "rational_polynomial": OPENCV, "equidistant": FISHEYE,
+    }  # fmt: skip
     matrix: Numbers = _named("cameramatrix", "k")
     coefficients: Numbers = _named("distortioncoefficients", "d")
-    model: Annotated[str, BeforeValidator(lambda word: word or "")] = _named("distortionmodel", default="")
+    model: str | None = _named("distortionmodel", default=None)
     binning_x: int = _named("binningx", default=0)
     binning_y: int = _named("binningy", default=0)
-    region: _Region = _named("roi", default=_Region())
-
-    @property
-    def lens(self) -> Lens | None:
-        """See `CameraForm`. Older programs name no model."""
-        return super().lens if self.model else None
+    roi: dict[str, int | bool] = {}
 
     @property
     def remarks(self) -> list[str]:
         """See `CameraForm`: whether the images are binned, or of a part of the sensor."""
-        region, remarks = self.region, list[str]()
-        if max(self.binning_x, self.binning_y) > 1:
-            remarks.append(
-                f"Its images are binned by {self.binning_x} x {self.binning_y}; this camera is that of the whole image."
-            )
-        is_whole = (region.width, region.height) in ((0, 0), (self.width, self.height))
-        if region.x_offset or region.y_offset or not is_whole:
-            remarks.append("Its images are of a region of interest; this camera is that of the whole image.")
-        return remarks
+        x, y, width, height = (self.roi.get(name, 0) for name in ("x_offset", "y_offset", "width", "height"))
+        is_whole = (x, y) == (0, 0) and (width, height) in ((0, 0), (self.width, self.height))
+        if is_whole and max(self.binning_x, self.binning_y) <= 1:
+            return []
+        return ["Its images are binned or of a region of interest; this camera is that of the whole image."]
 
 
-class Kalibr(_OfNamedLens):
+class Kalibr(CameraForm):
     """A camera of Kalibr's camchain."""
 
     kind = "Kalibr's camchain"
     harmless = _words("rostopic camoverlaps timeshiftcamimu linedelay")
-    lenses = MappingProxyType({"radtan": OPENCV[:4], "equidistant": FISHEYE, "none": ()})
+    lenses: ClassVar[Mapping[Any, Lens | None]] = {"radtan": OPENCV[:4], "equidistant": FISHEYE, "none": ()}
     matrix: Numbers = _named("intrinsics")
     coefficients: Numbers = _named("distortioncoeffs")
     model: str = _named("distortionmodel")
@@ -226,22 +190,19 @@ class CameraGeometry(CameraForm):
     kind = "Metavision's camera-geometry.json"
     matrix: Numbers = _named("k")
     coefficients: Numbers = _named("d")
-    type: Literal["pinhole"]
-
-    @property
-    def lens(self) -> Lens | None:
-        """See `CameraForm`."""
-        return OPENCV
+    lenses: ClassVar[Mapping[Any, Lens | None]] = {"pinhole": OPENCV}
+    model: str = _named("type")
 
 
-class Mrcal(_OfNamedLens):
+class Mrcal(CameraForm):
     """mrcal's cameramodel."""
 
     kind = "mrcal's cameramodel"
     harmless = _words("extrinsics rtcamref icamintrinsics optimizationinputs validintrinsicsregion")
-    lenses = MappingProxyType(
-        {"LENSMODEL_PINHOLE": ()} | {f"LENSMODEL_OPENCV{count}": OPENCV[:count] for count in (4, 5, 8, 12)}
-    )
+    lenses: ClassVar[Mapping[Any, Lens | None]] = {
+        "LENSMODEL_PINHOLE": (),
+        **{f"LENSMODEL_OPENCV{count}": OPENCV[:count] for count in (4, 5, 8, 12)},
+    }
     model: str = _named("lensmodel")
 
 

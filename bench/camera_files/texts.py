@@ -20,12 +20,13 @@ import numpy as np
 
 from bench.base.bounded_json import parse_json
 from drivers.camera.file_kinds import in_place_of_file
-from sequences.yaml_text import MOST_BYTES, parse
+from sequences.yaml_text import parse
 
 MOST_FILE_BYTES: Final = 20_000_000
 """Far above a camera file, packed or not: mrcal adds its measurements to a camera, about 1 MB."""
 _MOST_LEVELS = 40  # Far above camera files; a hostile one ends here
-_MOST_ENTRIES = 100_000  # Far above camera files; a hostile one ends here
+_MOST_ENTRIES = 300_000
+"""Values of a file: OpenCV's sample adds its image points to a camera, some 50,000 numbers."""
 #: A longer list of numbers, in characters, is no part of a camera, but what it was calibrated from.
 _LONGEST_LIST = 100_000
 _NPZ = b"PK\x03\x04"
@@ -57,6 +58,8 @@ def values_of(data: bytes) -> tuple[str, dict[str, Any]]:
         raise OtherForm("it is no text in UTF-8") from None
     if not text or "\0" in text:
         raise OtherForm("it is a binary file" if text else "it is empty")
+    if max(text.count("<"), text.count(",")) > _MOST_ENTRIES:
+        raise OtherForm("it is too large for a camera")
     for is_syntax, syntax, read in _SYNTAXES:
         if is_syntax(text):
             return syntax, read(text)
@@ -94,8 +97,6 @@ def _json(text: str) -> dict[str, Any]:
 
 def _mrcal(text: str) -> dict[str, Any]:
     """Read mrcal's dictionary of Python."""
-    if text.count(",") > _MOST_ENTRIES:
-        raise OtherForm("it is too large for a camera")
     try:
         return _mapping(ast.literal_eval(text))
     except (ValueError, SyntaxError, TypeError, MemoryError, RecursionError):
@@ -111,8 +112,6 @@ def _mapping(document: Any) -> dict[str, Any]:
 def _yaml(text: str) -> dict[str, Any]:
     """Read YAML, and what OpenCV and ROS write beside it: tags, a first line that YAML has not, an end of a message."""
     body = _NUMBERS.sub(_as_text, re.sub(r"\A%YAML.*", "", text))
-    if len(body) > MOST_BYTES:
-        raise OtherForm("it is too large for a camera")
     documents = [part for part in _SEPARATOR.split(body) if part.strip()]
     if len(documents) > 1:
         raise OtherForm(
@@ -134,8 +133,6 @@ def _as_text(listed: re.Match[str]) -> str:
 
 def _xml(text: str) -> dict[str, Any]:
     """Read OpenCV's XML: the names of elements are keys, and elements `_` are a list."""
-    if text.count("<") > _MOST_ENTRIES:
-        raise OtherForm("it is too large for a camera")
     try:
         root = ET.fromstring(text)  # noqa: S314 - it fetches nothing, and expat bounds what entities grow to
     except ET.ParseError as error:
