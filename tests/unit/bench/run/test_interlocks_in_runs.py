@@ -6,7 +6,7 @@ from rehearsed import Scene, with_runner
 from bench.base.clock import VirtualClock
 from bench.record.events import Event
 from bench.run.interlocks import Interlocks
-from bench.run.run_messages import HoldNotifier
+from bench.run.messages.run_messages import HoldNotifier
 from bench.run.status import read_status, status_text
 
 
