@@ -227,12 +227,13 @@ class DeviceHold:
 
 
 def _file_name(device: str) -> str:
-    """Return a readable file name that is different for every device.
+    """Return a readable file name that is different for every device, and the same in capitals and small letters.
 
     >>> _file_name("evk4 00050423")
     'starbench-evk4-00050423-4642f8a7.lock'
     """
-    readable = re.sub(r"[^A-Za-z0-9]+", "-", device).strip("-")[:60]
+    device = device.casefold()
+    readable = re.sub("[^a-z0-9]+", "-", device).strip("-")[:60]
     return f"starbench-{readable}-{hashlib.sha256(device.encode()).hexdigest()[:8]}.lock"
 
 

@@ -27,6 +27,7 @@ from drivers.errors import PortError, PortLost, ReplyError, ReplyGarbled, ReplyT
 from drivers.lateness import REMEDY as BUSY_REMEDY
 from drivers.lateness import Deadline, busy_text
 from drivers.serial_port import Port, Reopening
+from drivers.silence import KEPT, ONE_AT_A_TIME, Cause, known_cause, why_incomplete
 from drivers.wire_log import Direction, WireLog
 
 TRIES: Final = 3
@@ -48,6 +49,7 @@ _LONGEST_WAIT_S = 0.25
 life."""
 
 T = TypeVar("T")
+P = TypeVar("P")
 
 
 def do_nothing(*_arguments: object) -> None:
@@ -185,18 +187,12 @@ class ReplyReader:
             late_s = self._deadline.late_s() - longer_s
             left_s = min(self._deadline.left_s(), _LONGEST_WAIT_S, late_s)
             longer_s += max(left_s, 0.0)
-        have = self._link.unread
-        cut = f"; only {have[:40]!r} came" if have else ""
-        what, remedy = f"no complete reply within {self._deadline_s:g} s{cut}", self._link.SILENT_REMEDY
-        late_s = self._deadline.starved_s()
-        if late_s:
-            what, remedy = f"{what}; {busy_text(late_s)}", BUSY_REMEDY
-        elif self._unknown and not have:
-            what += f", after the request {self._unknown[:40]!r}; another one was answered just before"
-            remedy = (
-                "The line works: check that the station file names the right driver, model and addresses."
-            )
-        raise ReplyTimeout(f"{what}.", where=self._link.name, remedy=remedy, late_s=late_s)
+        what, late_s = f"no complete reply within {self._deadline_s:g} s", self._deadline.starved_s()
+        why, remedy = (
+            Cause(busy_text(late_s), BUSY_REMEDY) if late_s else self._link.why_silent(self._unknown)
+        )
+        end = f"; {why}." if why else "."
+        raise ReplyTimeout(f"{what}{end}", where=self._link.name, remedy=remedy, late_s=late_s)
 
 
 class Link(ABC):
@@ -225,6 +221,7 @@ class Link(ABC):
         self._clock = clock
         self._wire_log = wire_log
         self._buffer = bytearray()
+        self._heard = b""  # The latest bytes, read or not
         self._in_step = True
         """Whether the next reply belongs to the next request, as far as is known."""
         self._proven = False  # Whether the device has just answered the marker of ``prove_in_step``
@@ -340,7 +337,7 @@ class Link(ABC):
         """Send bytes that have no reply."""
         with self.lock:
             self._note(">", data)
-            self._port.write(data)
+            self._at_port(self._port.write, data)
 
     def bring_into_step(self) -> None:
         """Resynchronise when an old reply is unread, or may still come, except `urgently`."""
@@ -362,7 +359,22 @@ class Link(ABC):
         ``remedy`` is empty for what helps on most lines of this kind.
         """
         self.mark_out_of_step()
-        return ReplyGarbled(what, where=self.name, remedy=remedy or self.GARBLED_REMEDY)
+        why, known_remedy = known_cause(self._heard) or ("", "")
+        what = f"{what} Perhaps {why}." if why else what
+        return ReplyGarbled(what, where=self.name, remedy=known_remedy or remedy or self.GARBLED_REMEDY)
+
+    def why_silent(self, unknown: bytes = b"") -> Cause:
+        """Return why a request has no reply; ``unknown`` as for `ReplyReader`."""
+        if cause := known_cause(self._heard):
+            return cause
+        if self._buffer:
+            return why_incomplete(self.unread, self.terminator)
+        if unknown:
+            return Cause(
+                f"the request {unknown[:40]!r} has none; another one was answered just before",
+                "The line works: check that the station file names the right driver, model and addresses.",
+            )
+        return Cause("", self.SILENT_REMEDY + (ONE_AT_A_TIME if "://" in self.name else ""))
 
     def drain(self) -> bytes:
         """Throw away what arrives until the line is silent, but for fillers; `ReplyGarbled` if it never is."""
@@ -445,11 +457,12 @@ class Link(ABC):
 
     def receive(self, timeout_s: float) -> bool:
         """Wait for bytes and keep them as unread; return whether any came. ``timeout_s`` is for the first byte."""
-        data = self._port.read(timeout_s)
+        data = self._at_port(self._port.read, timeout_s)
         self._clock.monotonic()
         if data:
             self._note("<", data)
             self._buffer += data
+            self._heard = (self._heard + data)[-KEPT:]
         return bool(data)
 
     def take(self, count: int) -> bytes | None:
@@ -479,6 +492,18 @@ class Link(ABC):
         return self.take(end + len(self.terminator))
 
     # ------------------------------------------------------------ inside
+
+    def _at_port(self, action: Callable[[P], T], argument: P) -> T:
+        """Read or write; a port that is lost gets the cause that the other end has told before it closed it."""
+        try:
+            return action(argument)
+        except PortLost as lost:
+            cause = known_cause(self._heard)
+            if cause is None:
+                raise
+            raise PortLost(
+                f"{lost.what} Before, {cause.what}.", where=self.name, remedy=cause.remedy
+            ) from lost
 
     def _take_strays(self) -> None:
         """Take unsolicited lines that came since the last exchange; anything else is a late reply."""

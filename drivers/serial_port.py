@@ -25,6 +25,7 @@ from drivers import file_lock
 from drivers.clock import Clock
 from drivers.errors import PortBusy, PortDenied, PortError, PortLost, PortNotFound
 from drivers.port_address import PORT_REMEDY, refused_port
+from drivers.silence import ONE_AT_A_TIME
 from drivers.wire_log import WireLog
 
 try:
@@ -174,28 +175,32 @@ class SerialPort:
 
     def _read_slice(self, may_wait: bool) -> bytes:
         data = b""
-        if may_wait and not self._serial.in_waiting:
-            data = bytes(self._serial.read(1))
-        # For a socket, in_waiting is 1 however many bytes wait.
-        while len(data) < _MOST_BYTES and (waiting := self._serial.in_waiting):
-            data += self._serial.read(waiting)
+        try:
+            if may_wait and not self._serial.in_waiting:
+                data = bytes(self._serial.read(1))
+            # For a socket, in_waiting is 1 however many bytes wait.
+            while len(data) < _MOST_BYTES and (waiting := self._serial.in_waiting):
+                data += self._serial.read(waiting)
+        except _LOST:
+            if not data:  # else the next read raises: what the other end said before it closed tells why
+                raise
         return data
 
     def _try(self, action: Callable[P, T], *arguments: P.args, **named: P.kwargs) -> T:
         if self._lost or not self._serial.is_open:
-            raise self._port_lost("it was closed or lost before.")
+            raise port_lost(self._name, "it was closed or lost before.")
         try:
             return action(*arguments, **named)
         except _LOST as error:
             self._lost = True
-            raise self._port_lost(f"the system reports: {error}.") from error
+            raise port_lost(self._name, f"the system reports: {error}.") from error
 
-    def _port_lost(self, why: str) -> PortLost:
-        return PortLost(
-            f"the port is gone; {why}",
-            where=self._name,
-            remedy="Check that the device is powered and plugged in, then resume.",
-        )
+
+def port_lost(name: str, why: str) -> PortLost:
+    """Build the error of a port, or of a connection on a network, that was open and is gone."""
+    more = ONE_AT_A_TIME if "://" in name else ""
+    remedy = f"Check that the device is powered and plugged in, then resume.{more}"
+    return PortLost(f"the port is gone; {why}", where=name, remedy=remedy)
 
 
 @runtime_checkable

@@ -15,8 +15,9 @@ import re
 from collections.abc import Callable
 from typing import Any, Final
 
-from drivers.errors import PortLost, PortNotFound
+from drivers.errors import PortNotFound
 from drivers.file_lock import DeviceHold
+from drivers.serial_port import port_lost
 
 VISA_PREFIX: Final = "visa:"
 _INSTALL: Final = 'Install it: pip install "starbench[visa]".'
@@ -116,16 +117,8 @@ class VisaPort:
                 return action(argument)
             except Exception as error:  # PyVISA passes on the errors of many libraries
                 self._close_resource()
-                raise _lost(self._name) from error
-        raise _lost(self._name)
-
-
-def _lost(name: str) -> PortLost:
-    return PortLost(
-        "the connection to the instrument is gone.",
-        where=name,
-        remedy="Check that it is powered and plugged in, then resume.",
-    )
+                raise port_lost(self._name, f"PyVISA reports: {error}.") from error
+        raise port_lost(self._name, "it was closed or lost before.")
 
 
 def _open(address: str) -> Any:

@@ -31,6 +31,7 @@ from drivers.errors import (
     WrongDevice,
 )
 from drivers.file_lock import CameraLock
+from drivers.serial_number import is_same_serial
 
 DEV: Final = Path("/dev")
 """Folder of the device files."""
@@ -339,7 +340,7 @@ class OpenCvFrameCamera:
                     remedy="Plug the camera in; `starbench devices` lists the connected cameras.",
                 )
             serial = usb_serial(self._device, self._system)
-        if self._serial and serial != self._serial:
+        if self._serial and not is_same_serial(serial, self._serial):
             answer = f"camera {serial}" if serial else "a camera without a serial number"
             raise WrongDevice(
                 f"This is {answer}, not {self._serial}.",

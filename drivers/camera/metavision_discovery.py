@@ -32,6 +32,10 @@ OLDEST_FIRMWARE: Final = "3.8"
 """The maker's software refuses an EVK4 with an older firmware."""
 _DENIED: Final = "LIBUSB_ERROR_ACCESS"
 """Word of the software on standard error for a camera that this user may not use."""
+_BUSY: Final = "LIBUSB_ERROR_BUSY"
+"""Word of the software for a camera that another program has opened."""
+_PLUGINS: Final = "MV_HAL_PLUGIN_PATH"
+"""Environment variable by which the software finds its plug-ins, one for each maker of cameras."""
 _MUTE: Final = "LIBUSB_ERROR_TIMEOUT"
 """Word of the software for a camera that does not answer."""
 _REPLUG: Final = "Pull the camera's cable, wait for 5 s, plug it in again, then resume the run."
@@ -102,7 +106,7 @@ def _look() -> tuple[tuple[FoundCamera, ...], bool]:
         raise CameraError(
             f"The software cannot list cameras ({reason_of(error)}).",
             where="metavision_hal",
-            remedy="Check that its plugins are found (MV_HAL_PLUGIN_PATH), and that this user may use USB.",
+            remedy=f"Check that its plugins are found ({_PLUGINS}), and that this user may use USB.",
         ) from error
     cameras = [
         FoundCamera(
@@ -140,16 +144,16 @@ def not_opened(serial: str | None, reason: str) -> CameraNotFound:
             " maker's software refuses it.",
             remedy=f"{_UPDATE}, then resume the run.",
         )
-    if cameras:
-        seen = ", ".join(unusable.serial for unusable in cameras)
-        hints: list[str] = []
-    else:
-        seen, hints = "none", unreadable_cameras() or _hints(denied=denied)
+    seen = ", ".join(unusable.serial for unusable in cameras) or "none"
+    hints = [] if cameras else unreadable_cameras() or _hints(denied=denied)
+    if _BUSY in reason:
+        hints = ["Another program uses it."]
+    cable = "" if cameras or hints else "the camera's cable and power, "
     return CameraNotFound(
         f"Cannot open {camera}{reason}; the maker's software finds these cameras: {seen}."
         f"{''.join(f' {hint}' for hint in hints)}",
-        remedy="Check the camera's cable and power, the serial number in the station file, the udev rules, and that no"
-        " other program uses the camera.",
+        remedy=f"Check {cable}the serial number in the station file, the udev rules, and that no other program uses the"
+        " camera.",
     )
 
 
@@ -158,7 +162,11 @@ def _hints(*, denied: bool) -> list[str]:
     if denied:
         text = f"A Prophesee camera is connected, but this user may not use it ({_DENIED}): install the udev rules"
         return [f"{text} of its maker (in OpenEB: hal_psee_plugins/resources/rules), then plug it in again."]
-    return [f"A {name} is connected; perhaps another program uses it." for name in connected_cameras() or ()]
+    return [
+        f"A {name} is connected. The software does not find its plug-in ({_PLUGINS} must name the folder of"
+        " hal_plugin_prophesee), or another program uses the camera."
+        for name in connected_cameras() or ()
+    ]
 
 
 def stated(about: Mapping[str, Any], ending: str) -> str:

@@ -19,6 +19,7 @@ from drivers.camera.raw_file import RawFile
 from drivers.camera.recording import EventCameraDriver, recording_facts, refuse_roi
 from drivers.clock import Clock
 from drivers.errors import CameraNotFound, CameraSettingRefused, RecordingFailed, WrongDevice
+from drivers.serial_number import is_same_serial
 
 _PIECE_WORDS: Final = 1024  # Small, so that a recording ends near its duration
 
@@ -60,7 +61,7 @@ class RecordedCamera(EventCameraDriver):
         first = self._files[0]
         wanted = first.serial if self._serial is None else self._serial
         for file in self._files:
-            if file.serial != wanted:
+            if not is_same_serial(file.serial, wanted):
                 raise WrongDevice(
                     f"This file was recorded by camera {file.serial or 'without serial number'}, "
                     f"not {wanted or 'without serial number'}.",

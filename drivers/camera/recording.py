@@ -31,6 +31,7 @@ from drivers.errors import (
     WrongDevice,
 )
 from drivers.file_lock import CameraLock, event_camera_name
+from drivers.serial_number import is_same_serial
 
 _CLOCK_AT_ZERO: Final = b"\x00\x80\x00\x60"
 """TIME_HIGH and TIME_LOW: the shortest valid stream."""
@@ -121,7 +122,7 @@ class EventCameraDriver(ABC):
 
     def _require_serial(self, identity: CameraIdentity) -> CameraIdentity:
         """Return the identity; raise WrongDevice if another camera was asked for when this one was opened."""
-        if self._serial is not None and identity.serial != self._serial:
+        if self._serial is not None and not is_same_serial(identity.serial, self._serial):
             raise WrongDevice(
                 f"This is camera {identity.serial}, not {self._serial}.",
                 where=self._where,

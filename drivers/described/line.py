@@ -22,6 +22,7 @@ from drivers.described.description import (
 )
 from drivers.errors import DeviceRefused, ReplyError, ReplyTimeout, WrongDevice
 from drivers.link import LONGEST_LINE, TRIES, Link, ReplyReader, repeat
+from drivers.serial_number import is_same_serial
 from drivers.serial_port import Port
 from drivers.wire_log import WireLog
 
@@ -132,7 +133,7 @@ class DescribedLine(Link):
         """Ask for the serial number (empty: the device has none); refuse another one than expected, if any is."""
         serial = self._description.serial
         own_serial = shown(self.query(serial)["serial"]) if serial is not None else ""
-        if expected and own_serial != expected:
+        if expected and not is_same_serial(own_serial, expected):
             raise WrongDevice(
                 f"the station file names serial {expected}, but the device answers"
                 f" '{own_serial or 'no serial number'}'. Nothing was moved or switched.",
@@ -156,23 +157,8 @@ class DescribedLine(Link):
             return text
 
         with self.lock:
-            try:
-                text = self.exchange(self._encode(request), read_reply)
-            except ReplyTimeout as error:
-                raise self._with_line_end(error) from error
+            text = self.exchange(self._encode(request), read_reply)
             return self._match(exchange, request, text, values) if exchange.reply is not None else {}
-
-    def _with_line_end(self, error: ReplyTimeout) -> ReplyTimeout:
-        """Return an error that names the end of a reply if it is another one than described."""
-        end = {b"\r": "CR", b"\n": "LF"}.get(self.unread[-1:])
-        if end is None:
-            return error
-        return ReplyTimeout(
-            f"{error.what} It ends in {end}, not as described.",
-            where=error.where,
-            remedy="Correct reply_end in the device's description.",
-            late_s=error.late_s,
-        )
 
     def _match(
         self, exchange: Exchange, request: str, text: str, values: Mapping[str, Value]

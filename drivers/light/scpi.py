@@ -14,6 +14,7 @@ from drivers.errors import SettingRefused, WrongDevice
 from drivers.light import LightIdentity, LightSettings
 from drivers.light.scpi_dialects import DIALECTS, DialectName, GeneratorReading, Load, Mode, Setting
 from drivers.light.watched import WatchedLight
+from drivers.serial_number import is_same_serial
 from drivers.serial_port import Port, closed_on_error
 from drivers.text_line import InstrumentError, ScpiLine
 from drivers.wire_log import WireLog
@@ -58,7 +59,7 @@ class ScpiLight(WatchedLight):
     def identify(self) -> LightIdentity:
         """See `Light.identify`; the serial number is compared with the one in the station file."""
         identity = LightIdentity(*self._line.identity)
-        if self._serial is not None and identity.serial != self._serial:
+        if self._serial is not None and not is_same_serial(identity.serial, self._serial):
             raise WrongDevice(
                 f"the station file names serial {self._serial}, but {identity.maker} {identity.model} with"
                 f" serial {identity.serial} answers. Nothing was set.",

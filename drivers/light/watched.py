@@ -99,6 +99,12 @@ class WatchedLight(OnOnePort, ABC):
 
     def on(self) -> None:
         """See `Light.on`. A light that restarted meanwhile is switched off again."""
+        if self._applied is None:  # it would shine as another program has left it
+            raise SettingRefused(
+                f"its settings were not applied, or were refused. The {self.OUTPUT} was not switched on.",
+                where=self._line.name,
+                remedy="Apply settings first that the light takes.",
+            )
         self._switch_on()
         if not self.is_on():
             reads, remedy = self._stays_dark()

@@ -18,9 +18,11 @@ from drivers.errors import (
     MoveTimeout,
     NotHomed,
     PortLost,
+    ReplyError,
     WrongDevice,
 )
 from drivers.link import Link, Reading, read_position_until_agreed
+from drivers.serial_number import is_same_serial
 from drivers.serial_port import OnOnePort, Port, closed_on_error
 from drivers.stage import AxisIdentity, AxisLimits, motion
 from drivers.stage.motion import A, MoveWatch
@@ -244,6 +246,8 @@ class WatchedStage(ABC, Generic[A]):
             self._watch(goal_deg, dict.fromkeys(goal_deg, allowed_s), check_not_stopped)
             self._rest_deg |= goal_deg
         except DriverError as error:
+            if isinstance(error, ReplyError | PortLost):  # nobody saw where the axes stopped
+                self._position_doubt = self._position_doubt or error.what
             raise self._stopped_after(error) from error
 
     def stop(self) -> None:
@@ -276,7 +280,7 @@ class WatchedStage(ABC, Generic[A]):
 
     def _require_serial(self, axis: A, serial: str, answers: str, *, where: str = "", remedy: str) -> None:
         """Raise WrongDevice unless the serial number is the one in the station file, if that has one."""
-        if axis.serial and serial != axis.serial:
+        if axis.serial and not is_same_serial(serial, axis.serial):
             raise WrongDevice(
                 f"the station file names serial {axis.serial} for {axis.name}, but {answers}. Nothing was moved.",
                 where=where or self._where,

@@ -177,7 +177,7 @@ def test_more_or_less_of_a_line_end_than_described_is_no_reply(rig, described, s
 
 def test_another_line_end_than_described_is_named(rig) -> None:
     rig.line.spoil = lambda reply: reply.replace(b"\r\n", b"\n")
-    with pytest.raises(ReplyTimeout, match="It ends in LF, not as described") as error:
+    with pytest.raises(ReplyTimeout, match="It ends in LF, which is not the expected end") as error:
         again(rig, axis())
     assert "reply_end" in error.value.remedy
 

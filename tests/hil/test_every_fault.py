@@ -144,6 +144,24 @@ def test_a_line_that_is_bad_for_ever_is_an_error_or_the_truth(rig, fault) -> Non
         assert isinstance(error, ReplyError)
 
 
+def test_after_a_move_that_ended_in_silence_the_axis_is_not_homed(rig, monkeypatch) -> None:
+    """A stop that nobody confirmed has left it anywhere, and what answers later may have restarted."""
+    clock, sleep = rig.line.clock, rig.line.clock.sleep
+
+    def falls_silent(seconds: float) -> None:
+        monkeypatch.undo()
+        rig.order("gimbal lost count=0")
+        sleep(seconds)
+
+    monkeypatch.setattr(clock, "sleep", falls_silent)  # the driver sleeps once the move has begun
+    assert isinstance(move(rig), ReplyError)
+    rig.order("gimbal mend")
+    assert not rig.stage.is_homed()
+    assert isinstance(move(rig, 1.0), NotHomed)
+    rig.stage.home()
+    assert move(rig, 1.0) is None
+
+
 def test_another_baud_rate_is_an_error_and_nothing_moves(rig) -> None:
     rig.order("gimbal baud rate=4800")
     assert isinstance(move(rig), ReplyError)

@@ -17,7 +17,7 @@ from bench.stations.device_locks import serial_devices
 from bench.stations.devices import Devices
 from bench.stations.station import Station
 from drivers.errors import PortBusy
-from drivers.file_lock import FOLDER_VARIABLE, DeviceHold
+from drivers.file_lock import FOLDER_VARIABLE, DeviceHold, event_camera_name
 from sequences.reader import check_document
 from simulators.ports.pseudo_terminal import PseudoTerminal
 from simulators.ports.serial_device import SerialDevice, TcpPort
@@ -70,6 +70,14 @@ def test_the_same_stage_by_another_port_is_refused_until_the_first_is_closed(por
     finally:
         first.close()
     opened(ports[1]).close()
+
+
+def test_a_serial_number_in_capitals_or_in_small_letters_is_one_device() -> None:
+    """Drivers of one camera print its hexadecimal digits in two ways."""
+    hold = DeviceHold(event_camera_name("00CA51"))
+    with pytest.raises(PortBusy):
+        DeviceHold(event_camera_name("00ca51"))
+    hold.release()
 
 
 def test_a_killed_process_leaves_no_hold(ports) -> None:

@@ -95,6 +95,16 @@ def test_a_step_mode_that_comes_into_force_by_the_homing_is_no_other_scale(unit,
         stage.move_to({"pan": 5.0})
 
 
+def test_a_scale_of_another_step_mode_before_the_reset_is_read_and_not_refused(unit) -> None:
+    """A PTU-E46 whose step mode another program has changed: the reset of the homing brings the chosen one back."""
+    left_in(unit, b"WPF RP ", after_s=60.0)
+    left_in(unit, b"WPH ")
+    stage = unit.reopen()
+    stage.home()
+    stage.move_to({"pan": 5.0})
+    assert unit.true_deg() == pytest.approx(5.0, abs=0.002)
+
+
 def test_a_unit_that_knows_no_scale_before_its_first_reset_is_homed(unit) -> None:
     unit.controller.controller.before_reset = True
     stage = unit.reopen()

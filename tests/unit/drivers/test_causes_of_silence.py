@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import re
+import socket
 import struct
 from collections.abc import Callable
 
 import pytest
 
-from drivers.errors import DeviceRefused, DriverError, ReplyGarbled, ReplyTimeout
+from drivers.errors import DeviceRefused, DriverError, PortLost, ReplyGarbled, ReplyTimeout
 from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
+from drivers.serial_port import SerialPort
 from drivers.stage.thorlabs_controller import INFORMATION_LAYOUT, ThorlabsController, size
 from drivers.stage.zaber import ZaberStage
 from tests.hil.direct_stages import VirtualClock
@@ -101,12 +104,84 @@ def test_a_garbled_address_of_thorlabs_is_no_other_controller() -> None:
             size(struct.pack("<HHBB", 0x042A, 14, 0x81, source), "pan")
 
 
+def test_a_pendant_that_has_the_control_is_named_and_no_cable_is_doubted() -> None:
+    """grblHAL reports ``|MPG:1`` then, and takes no line: issues 311 of ioSender, and 339, 486 and 931 of grblHAL."""
+    bench = GrblBench()
+    receive = bench.line.device.receive
+    bench.line.device.receive = lambda data: receive(data) if data == b"?" else b""
+    bench.change(lambda line: line.replace(b">", b"|MPG:1>"))
+    with pytest.raises(ReplyTimeout, match=r"a pendant \(MPG\) has the control") as caught:
+        bench.open()
+    assert "pendant" in caught.value.remedy
+    assert "cable" not in caught.value.remedy
+
+
+SAID = {
+    "Port already in use\r\n": "in use",
+    "\r\nmoxa login: ": "login",
+    "Username:": "login",
+}
+
+
+@pytest.mark.parametrize(("said", "words"), SAID.items())
+@pytest.mark.parametrize("closes", [True, False])
+def test_what_the_other_end_says_before_it_is_silent_or_closes_is_the_cause(said, words, closes) -> None:
+    clock = VirtualClock()
+    port = OtherDevice(clock, lambda _data: b"")
+    port.ready, read = said.encode(), port.read
+
+    def read_or_close(timeout_s: float) -> bytes:
+        if closes and not port.ready:
+            raise PortLost("the port is gone.")
+        return read(timeout_s)
+
+    port.read = read_or_close
+    with pytest.raises((PortLost, ReplyTimeout), match=words) as caught:
+        ScpiLight(port, clock=clock)
+    assert not re.search("cable|powered|switched on|baud", caught.value.remedy)
+
+
+@pytest.mark.parametrize(
+    ("answer", "name", "words"),
+    [
+        (b"", "/dev/ttyUSB0", "switched on"),
+        (b"", "socket://10.0.0.7:5025", "no other one is connected"),
+        (b"Keysight", "/dev/ttyUSB0", "right driver, baud rate and frame"),
+    ],
+)
+def test_power_is_doubted_only_where_nothing_came_and_another_program_on_a_network(
+    answer, name, words
+) -> None:
+    clock = VirtualClock()
+    port = OtherDevice(clock, lambda _data: answer)
+    port.name = name
+    with pytest.raises(ReplyTimeout) as caught:
+        ScpiLight(port, clock=clock)
+    assert words in caught.value.remedy
+    assert ("switched on" in caught.value.remedy) == (not answer)
+
+
+@pytest.mark.parametrize(
+    ("said", "words"),
+    [(b"", "no other one is connected"), (b"Port already in use\r\n", "End the other program")],
+)
+def test_a_connection_that_is_closed_at_once_is_that_of_another_program(said, words) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = SerialPort(f"socket://127.0.0.1:{server.getsockname()[1]}", baudrate=9600)
+        line, _ = server.accept()
+        line.sendall(said)
+        line.close()
+        with pytest.raises(PortLost) as caught:
+            ZaberStage(port, axes(), clock=VirtualClock())
+    assert words in caught.value.remedy
+
+
 def test_a_generator_that_knows_no_such_query_is_not_told_to_be_without_power() -> None:
     """An instrument of another make answers ``*IDN?``, is silent to what it does not know, and has no queue."""
     clock = VirtualClock()
     identity = b"UNI-T Technologies,UTG962E,AWG1234567,1.08\n"
     port = OtherDevice(clock, answers_lines(lambda line: identity if line == b"*IDN?" else b""))
     light = ScpiLight(port, dialect="numbered", clock=clock)
-    with pytest.raises(ReplyTimeout, match=r"after the request b'SOUR1:VOLT:LOW\?") as caught:
+    with pytest.raises(ReplyTimeout, match=r"the request b'SOUR1:VOLT:LOW\?.* has none") as caught:
         light.apply(LightSettings())
     assert "The line works" in caught.value.remedy

@@ -88,13 +88,15 @@ def test_a_board_that_reports_by_itself_is_driven(bench, every_s) -> None:
     runs(bench)
 
 
-def test_a_board_that_reports_by_itself_is_stopped_and_a_lost_reply_does_no_harm(bench) -> None:
+def test_a_board_that_reports_by_itself_is_stopped_and_homed_after_a_lost_reply(bench) -> None:
     reports_by_itself(bench, 0.05)
     stage = bench.homed()
     bench.line.lose_next(b"$J")
     with pytest.raises(ReplyError, match="no complete reply"):
         stage.move_to(TARGET)
     assert bench.at_rest()
+    assert not stage.is_homed()
+    stage.home()
     stage.move_to(TARGET)
     assert stage.position_deg() == TARGET
 

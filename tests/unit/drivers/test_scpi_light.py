@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import pytest
 
@@ -35,6 +36,10 @@ def test_another_serial_number_is_refused(bench) -> None:
         bench.open(serial="SG0043")
     assert bench.line.closed
     assert bench.commands() == []
+
+
+def test_a_serial_number_may_be_written_in_small_letters(bench) -> None:
+    assert bench.open(serial="sg0042").identify().serial == "SG0042"
 
 
 def test_a_flicker_is_set_in_the_generators_words(light, bench) -> None:
@@ -90,13 +95,26 @@ def test_errors_from_before_us_are_not_ours(bench) -> None:
     assert bench.open().apply(FLICKER) == FLICKER
 
 
+def test_a_light_whose_settings_were_refused_stays_dark(light, bench) -> None:
+    light.apply(FLICKER)
+    with pytest.raises(SettingRefused):
+        light.apply(replace(FLICKER, frequency_hz=1e12))
+    with pytest.raises(SettingRefused, match="not switched on"):
+        light.on()
+    assert not light.is_on()
+    light.apply(FLICKER)
+    light.on()
+
+
 def test_an_output_that_does_not_come_on_is_a_fault(light, bench) -> None:
+    light.apply(FLICKER)
     bench.turn("OUTP ON", "OUTP OFF")
     with pytest.raises(LightFault, match="switched on, but reads off"):
         light.on()
 
 
 def test_an_output_that_does_not_go_off_is_a_fault(light, bench) -> None:
+    light.apply(FLICKER)
     light.on()
     bench.turn("OUTP OFF", "OUTP ON")
     with pytest.raises(LightFault, match="by hand"):
@@ -105,6 +123,7 @@ def test_an_output_that_does_not_go_off_is_a_fault(light, bench) -> None:
 
 
 def test_an_output_that_goes_dark_by_itself_is_told(light, bench) -> None:
+    light.apply(FLICKER)
     light.on()
     assert light.faults() == []
     bench.device.trip()
