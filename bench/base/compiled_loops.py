@@ -73,6 +73,7 @@ def _is_compiled(program: str) -> bool:
 
 def _keep_compiled(program: str) -> None:
     with suppress(OSError):  # a folder that cannot be written: the program runs again for the next process
+        _record(program).parent.mkdir(parents=True, exist_ok=True)
         _record(program).write_text(_state(), encoding="utf-8")
 
 

@@ -19,7 +19,7 @@ from bench.stations.station import SHIPPED_STATIONS
 @pytest.fixture
 def told(tmp_path, monkeypatch, capsys):
     """What a new process tells that wants the loops of these programs; no process has compiled any before."""
-    monkeypatch.setenv(VARIABLE, str(tmp_path))
+    monkeypatch.setenv(VARIABLE, str(tmp_path / "not yet made"))
     source = tmp_path / "source.py"
     source.touch()
     monkeypatch.setattr(compiled_loops, "kernel_sources", lambda: iter([source]))
