@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 
+from bench.base.encoding import printable_line
 from bench.base.errors import BenchError
 from calib.errors import CalibrationError
 from drivers.errors import DriverError, NotARecording, RecordingCorrupt
@@ -27,7 +28,7 @@ class Failure:
     @property
     def message(self) -> str:
         """Place, what is wrong, and remedy, as people read them."""
-        place = f"{self.where}: " if self.where else ""
+        place = f"{printable_line(self.where)}: " if self.where else ""
         advice = f" {self.remedy.strip()}" if self.remedy else ""
         return f"{place}{self.what}{advice}"
 

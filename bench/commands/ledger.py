@@ -67,7 +67,7 @@ def _one_line(reason: str, option: str) -> str:
 
 def ledger_findings(ledger: Ledger) -> tuple[list[str], list[str]]:
     """Return unexplained breaks of the ledger, with what to do; explained ones, and places not asked."""
-    faults, explained = ledger.breaks(None, sealed_strangers(ledger.home))
+    faults, explained = ledger.breaks(None, sealed_strangers(ledger.home, Path()))
     if faults:
         faults[-1] += f" {EXPLAIN}"
     return faults, [*map(_explained_text, explained), *ledger.warnings]
@@ -108,7 +108,7 @@ def _check_lines(facts: Mapping[str, Any], notes: Sequence[str]) -> Iterator[str
         lines, runs = counted(facts["lines"], "line"), counted(facts["runs"], "run")
         yield f"{facts['file']}: {lines}, {runs}\nhead {facts['head']}"
     elif facts["lines"] == 0:
-        yield f"{facts['file']}: no ledger yet."
+        yield f"{facts['file']}: there is no ledger."
     for place in facts["second_places"]:
         newest = place["newest"]
         state = f"up to line {newest['lines']}" if newest else place["trouble"] or "no marks"
@@ -135,7 +135,7 @@ def _explain_breaks(reason: str, by: str | None) -> int:
     from bench.run.control import operator_at_terminal
 
     bench_own, person = bench_ledger(), by or operator_at_terminal()
-    breaks = bench_own.explain(reason, person, strangers=sealed_strangers(bench_own.home))
+    breaks = bench_own.explain(reason, person, strangers=sealed_strangers(bench_own.home, Path()))
     show(
         {"schema": "starbench/ledger-explained/1", "by": person, "reason": reason, "breaks": breaks},
         [*map(str, breaks), f"Entered in the ledger as {person}: {reason}"],

@@ -5,22 +5,24 @@ A folder is this bench's if the bench's key, or an earlier key of the same name,
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 from bench.base.errors import BenchError
+from bench.evidence.findings import UNREADABLE
 from bench.evidence.public_half import KEY_FILE, read_public
 from bench.evidence.signers import NAMESPACE, SIGNERS_FILE, read_signers
 from bench.evidence.sshsig import is_valid, read_signature
 from bench.record.events import Event
 from bench.record.ledger import Ledger
 from bench.record.ledger_marks import EXPLAIN, STILL_OPEN, KnownRun, LedgerRun, Strangers
-from bench.record.run_folder import MANIFEST, SIGNATURE, is_sealed
+from bench.record.run_folder import CERTIFICATE, JOURNAL, MANIFEST, SIGNATURE, is_sealed
 from bench.record.run_index import RunIndex
-from bench.record.storage import read_bounded, sha256_of
+from bench.record.storage import read_bounded, read_json, sha256_of
 from bench.record.stored_run import StoredRun
 
 _LARGEST_SIGNATURE_BYTES = 64 * 1024  # One of RSA with 16,384 bits has 6 kB
@@ -56,16 +58,35 @@ def is_sealed_by(folder: Path, keys: Collection[bytes]) -> bool:
         return False
 
 
-def sealed_strangers(home: Path) -> Strangers:
-    """Return a function that finds the sealed runs of this bench that its ledger does not have."""
+def sealed_strangers(home: Path, beside: Path | None = None) -> Strangers:
+    """Return a function that finds the sealed runs of this bench that its ledger does not have.
+
+    It asks the index of runs; without a line of the ledger also the folders, two levels deep, of ``beside``.
+    """
 
     def find(heads: Collection[str]) -> Sequence[KnownRun]:
         known = set(heads)
-        lost = [run for run in RunIndex(home).entered() if run.head not in known]
+        entered = [*RunIndex(home).entered(), *(_named_below(beside) if beside and not known else ())]
+        lost = {run.head: run for run in entered if run.head not in known}
         keys = own_public_keys(home) if lost else set()
-        return [run for run in lost if is_sealed_by(Path(run.folder), keys)]
+        return [run for run in lost.values() if is_sealed_by(Path(run.folder), keys)]
 
     return find
+
+
+def _named_below(folder: Path) -> Iterator[KnownRun]:
+    """Yield what sealed runs and certificates below a folder state of their line in a ledger."""
+    for pattern in (SIGNATURE, f"*/{SIGNATURE}", f"*/*/{SIGNATURE}"):
+        for sealed in (path.parent for path in folder.glob(pattern)):
+            with suppress(OSError, BenchError, *UNREADABLE):
+                if (sealed / CERTIFICATE).is_file():
+                    run = read_json(sealed / CERTIFICATE)["run"]
+                    yield KnownRun(
+                        str(sealed), str(run["id"]), int(run["ledger_number"]), str(run["ledger_head"])
+                    )
+                elif (sealed / JOURNAL).is_file():
+                    place = StoredRun(sealed).history.ledger
+                    yield KnownRun(str(sealed), sealed.name, place["number"], place["head"])
 
 
 @dataclass(frozen=True)

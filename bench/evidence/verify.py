@@ -61,7 +61,8 @@ FILES = {
     ),
     "results": re.compile(rf"{_RESULT_FILES}|sources\.json"),
     "certificate": re.compile(
-        r"certificate\.json|results\.json|lab\.yaml|dcc\.xml|certificate\.pdf|VERIFY\.txt|plots/[a-z]{1,40}\.svg"
+        r"certificate\.json|results\.json|lab\.yaml|dcc\.xml|certificate\.pdf|VERIFY\.txt"
+        r"|plots/(uncertainty|direction|coverage|vectors|regions|distortion)\.svg"
     ),
 }
 """Names of the files that a sealed folder of each kind may have."""

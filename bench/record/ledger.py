@@ -47,6 +47,7 @@ from bench.record.ledger_marks import (
     write_own_mark,
 )
 from bench.record.run_folder import MANIFEST, is_sealed
+from bench.record.run_verdict import RunVerdict
 from bench.record.storage import make_folder, sha256_of, storage_errors
 from drivers.durable import sync_folder
 
@@ -227,14 +228,15 @@ class Ledger:
         self._write_anchors(anchor)
         return place
 
-    def end(self, number: int, *, how: str, folder: Path) -> None:
-        """Enter how a run ended (again after a resume): ``finished``, ``aborted``, ``failed``; and its seal, if any."""
+    def end(self, number: int, *, how: str, folder: Path, verdict: RunVerdict | None = None) -> None:
+        """Enter how a run ended (again after a resume): ``finished``, ``aborted``, ``failed``; its seal and verdict."""
         with storage_errors(folder):
             seal = sha256_of(folder / MANIFEST) if is_sealed(folder) else None
         with self._mended() as journal:
             begun = any(e.event == RUN_BEGUN and e.data["number"] == number for e in journal.entries)
             lost = {} if begun else {"lost": True, "folder": str(folder)}
-            journal.append(RUN_ENDED, number=number, how=how, seal=seal, **lost)
+            judged = {} if verdict is None else {"verdict": verdict._asdict()}
+            journal.append(RUN_ENDED, number=number, how=how, seal=seal, **judged, **lost)
         self._write_anchors()
 
     def refuse_break(self, anchor: str | None, strangers: Strangers = no_strangers) -> None:

@@ -19,6 +19,7 @@ from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, EvidenceError, JournalBroken, StorageError
 from bench.record.journal_line import Entry
 from bench.record.run_folder import MANIFEST
+from bench.record.run_verdict import RunVerdict, read_verdict
 from bench.record.storage import read_bounded, storage_errors, write_atomic
 from drivers.durable import O_BINARY, sync_folder, write_all
 
@@ -233,6 +234,7 @@ class LedgerRun(NamedTuple):
     seal: str | None = None  # SHA-256 of its list of files; None when it was not sealed
     head: str = ""  # Hash of the line that enters it
     ended_utc: str = ""  # Time of the line with its end and its seal; empty without one
+    verdict: RunVerdict | None = None  # None if it has no results, or an earlier version entered it
 
 
 @dataclass(frozen=True)
@@ -271,7 +273,8 @@ def runs_of(entries: Iterable[Entry]) -> list[LedgerRun]:
                 runs.append(LedgerRun(number, *names, begun_utc=entry.utc, head=entry.hash))
             elif entry.event == RUN_ENDED and not data.get("lost"):
                 at = place_of[data["number"]]
-                runs[at] = runs[at]._replace(how=data["how"], seal=data["seal"], ended_utc=entry.utc)
+                end = {"how": data["how"], "seal": data["seal"], "verdict": read_verdict(data)}
+                runs[at] = runs[at]._replace(ended_utc=entry.utc, **end)
         except (LookupError, TypeError, ValueError) as error:
             raise JournalBroken(
                 f"Line {entry.seq + 1} of the ledger is not a line about a run.",

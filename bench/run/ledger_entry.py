@@ -19,6 +19,7 @@ from bench.record.events import LedgerPlace
 from bench.record.ledger import Ledger
 from bench.record.ledger_marks import EXPLAIN
 from bench.record.run_index import RunIndex
+from bench.record.run_verdict import run_verdict
 from bench.run.runner import RunEnd
 
 
@@ -71,17 +72,18 @@ def ledger_lines(place: LedgerPlace) -> list[str]:
 
 @contextmanager
 def ledger_entry(ledger: Ledger, place: LedgerPlace, folder: Path) -> Iterator[Callable[[RunEnd], RunEnd]]:
-    """Write to the ledger how the run of the block ended; "failed" if the block raises."""
-    how = "failed"
+    """Write to the ledger how the run of the block ended, and its verdict; "failed" if the block raises."""
+    how, verdict = "failed", None
 
     def ending(end: RunEnd) -> RunEnd:
-        nonlocal how
+        nonlocal how, verdict
         how = end.how
+        verdict = run_verdict(end.outcome.results) if end.outcome else None
         return end
 
     try:
         yield ending
     finally:
-        ledger.end(place["number"], how=how, folder=folder)
+        ledger.end(place["number"], how=how, folder=folder, verdict=verdict)
         with suppress(BenchError):  # the index is made from journals: it can be made again
             RunIndex(ledger.home).runs([folder])

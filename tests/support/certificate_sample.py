@@ -29,6 +29,7 @@ RESULTS = Path(__file__).with_name("certificate_results.json")
 ISSUED = "2026-11-21T08:30:00Z"
 NOW = datetime(2026, 11, 21, 8, 30, tzinfo=UTC)
 KEY = "SHA256:" + "A" * 43
+FAILED = "1 FAIL against Customer drawing 4711, focal length"
 LAB = f"""\
 format: starbench/lab/1
 numbers: {{format: "SB-{{year}}-{{number:05d}}"}}
@@ -100,7 +101,8 @@ def full_certificate() -> Certificate:
     changes = (Change("customer.address.street", "Mill Lane 2", "Mill Lane 3"),)
     reason = "The customer's address was wrong."
     amends = Amends("SIMULATED-SB-2026-00016", "ef" * 32, reason, changes)
-    made = compose(sample_results(), sample_lab().value, identity(amends=amends))
+    verdicts = f"Finished runs of this camera on this bench, by its ledger: {FAILED}; 2 without limits."
+    made = compose(sample_results(), sample_lab().value, identity(amends=amends, verdicts=verdicts))
     skipped = Deviation("Pose 4 (below) was skipped by the operator: too few stars.", "run")
     values = (ValueBefore("fx", 3345.1, 2.9, "px"), ValueBefore("k1", 0.051, None, "1"))
     source = "Certificate SB-2025-00104 of this laboratory"

@@ -13,7 +13,7 @@ from bench.evidence.findings import UNREADABLE, Findings
 from bench.evidence.ledger_check import is_sealed_by, own_public_keys, sealed_strangers
 from bench.extras.certificate.amend import changes_of, plots_in
 from bench.extras.certificate.certificate_data import DCC, PDF, Certificate, sha256
-from bench.extras.certificate.certificate_folder import LAB, certificate_files, require_libraries
+from bench.extras.certificate.certificate_folder import LAB, PLOTS, certificate_files, require_libraries
 from bench.extras.certificate.clauses import faults_of_lab
 from bench.extras.certificate.compose import FURTHER, Identity, compose
 from bench.extras.certificate.dcc_xml import SIGNATURE
@@ -54,6 +54,9 @@ def check_certificate(folder: Path, ledger: Ledger | None = None) -> Findings:
     names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
     for name in sorted(_FILES - names):
         findings.fault("missing", name, "a certificate has this file")
+    for name, svg in plots_in(folder).items():
+        if not svg.endswith("</svg>"):
+            findings.fault(_KIND, f"{PLOTS}/{name}.svg", "something follows the plot")
     if findings.faults:
         return findings
     try:
@@ -97,8 +100,9 @@ def _derive(folder: Path, certificate: Certificate, findings: Findings) -> None:
             _KIND, CERTIFICATE, "it does not state as issuing does why the run has a further certificate"
         )
     stated = certificate.statement("verification")
+    verdicts = certificate.statement("verdicts")
     identity = Identity(
-        certificate.number, certificate.issued_utc, run, certificate.amends, also, despite, stated
+        certificate.number, certificate.issued_utc, run, certificate.amends, also, despite, stated, verdicts
     )
     again = compose(content, lab.value, identity)
     if bool(passes_over_fail(content, lab.value, again.conformity)) != bool(despite):

@@ -126,6 +126,7 @@ def statements_of(results: Results, lab: LabConfig, identity: Identity) -> tuple
         ("not_included", f"Not known and not included in the uncertainty: {left_out}." if left_out else ""),
         ("traceability", lab.traceability or ""),
         ("verification", identity.verified),
+        ("verdicts", identity.verdicts),
         ("earlier_runs", _earlier_runs(results)),
         ("adjustment", _ADJUSTMENT),
         ("customer_data", _CUSTOMER_DATA if lab.customer_supplied else ""),
@@ -176,6 +177,7 @@ class Identity:
     also: str = ""  # `further_statement` of a second certificate of the run; empty if it is the first one
     despite: str = ""  # Why it states a pass over a FAIL of the run; empty if it does not
     verified: str = ""  # What was verified before the issue, in words
+    verdicts: str = ""  # How the runs of the camera were judged (`bench.extras.certificate.verdicts`)
 
 
 def compose(sealed: Results, lab: LabConfig, identity: Identity) -> Certificate:

@@ -61,6 +61,7 @@ _STATEMENT_NAMES = {
     "also": "Further information",
     "limits": "Limits of the laboratory beside those of the run",
     "limits_reason": "Reason for the limits of the laboratory",
+    "verdicts": "Verdicts of the runs of the item",
     "earlier_runs": "Earlier runs of the item",
     "notes": "Notes on the results",
     "not_included": "Not included in the uncertainty",

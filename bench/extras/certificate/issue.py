@@ -43,6 +43,7 @@ from bench.extras.certificate.series import (
     refuse_second,
     reserve,
 )
+from bench.extras.certificate.verdicts import verdict_history
 from bench.record.ledger import Ledger
 from bench.record.run_folder import CERTIFICATE, MANIFEST, RESULTS, is_sealed
 from bench.record.storage import (
@@ -124,7 +125,8 @@ def make_certificate(
     without that; None if it amends none.
     """
     folder = folder.absolute()
-    trial_identity, trial = _tried(source, lab, further, despite)
+    verdicts = verdict_history(laboratory.ledger.runs(), source.results, lab.value)
+    trial_identity, trial = _tried(source, lab, further, despite, verdicts)
     with one_at_a_time(laboratory.ledger.home):
         completed = complete_open(laboratory.ledger)
         key = laboratory.key()
@@ -146,13 +148,15 @@ def make_certificate(
 
 
 def _tried(
-    source: Source, lab: Located[LabConfig], further: str, despite: str
+    source: Source, lab: Located[LabConfig], further: str, despite: str, verdicts: str
 ) -> tuple[Identity, Certificate]:
     """Compose the certificate without a number, so that none is taken for one that cannot be issued."""
     try:
         if faults := faults_of_lab(lab, source.results, source.run.sequence_sha256):
             raise DocumentFaults(faults, lab.tree)
-        identity = Identity("0", "1970-01-01T00:00:00Z", source.run, None, further, despite, source.verified)
+        identity = Identity(
+            "0", "1970-01-01T00:00:00Z", source.run, None, further, despite, source.verified, verdicts
+        )
         trial = compose(source.results, lab.value, identity)
         reason = needed_reason(source.results, lab.value, trial.conformity, despite)
         if reason != despite:  # an amended one may not need it any more

@@ -65,7 +65,7 @@ def kept_in_memory():
 
     with (
         mock.patch("bench.report.plots.report_plots", report_plots),
-        mock.patch("bench.solve.again.simulated_truth", read_truth),
+        mock.patch("bench.again.run.simulated_truth", read_truth),
         mock.patch.object(EventKind, "measure", measure_one),
         mock.patch("bench.again.run.solve_run", solve_one),
     ):

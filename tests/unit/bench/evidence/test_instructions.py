@@ -14,6 +14,8 @@ from bench.evidence.beside_seal import add_beside
 from bench.evidence.key_trust import Trust
 from bench.evidence.seal import KINDS, kind_of, make_manifest, seal_folder
 from bench.evidence.ssh_keys import fingerprint
+from bench.evidence.verify import verify_folder
+from tests.unit.bench.evidence.resealed import kinds, reseal, writable
 
 pytest.importorskip("rfc3161_client", reason="the extra `certificate` is not installed")
 pytestmark = [needs_ssh_keygen, needs_openssl]
@@ -116,3 +118,24 @@ def test_the_commands_find_what_is_wrong(tmp_path, key, signers, ada, lists, aut
     (folder / "SHA256SUMS").write_bytes(make_manifest(folder))
     assert run(hashes, folder, lists)[0] == 0
     assert run(seal, folder, lists)[0] == 255
+
+
+@pytest.mark.parametrize("kind", [*KINDS.values(), "files"])
+def test_other_instructions_are_a_fault_in_every_kind_of_folder(tmp_path, key, signers, ada, kind):
+    folder = writable(make_folder(tmp_path / kind, key, kind, ada[0]))
+    assert ("instructions", "VERIFY.txt") not in kinds(verify_folder(folder, signers))
+    text = (folder / "VERIFY.txt").read_text()
+    (folder / "VERIFY.txt").write_text(
+        text.replace("-Y verify -f allowed_signers -I", "-Y check-novalidate -I")
+    )
+    reseal(folder, key)
+    assert ("instructions", "VERIFY.txt") in kinds(verify_folder(folder, signers))
+
+
+@pytest.mark.parametrize("name", ["plots/more.svg", "plots/coverage.svg"])
+def test_a_certificate_has_the_plots_that_one_is_drawn_with_and_no_others(tmp_path, key, signers, ada, name):
+    folder = writable(make_folder(tmp_path / "certificate", key, "certificate", ada[0]))
+    (folder / name).parent.mkdir()
+    (folder / name).write_text("<svg></svg>")
+    reseal(folder, key)
+    assert (("kind", name) in kinds(verify_folder(folder, signers))) == (name == "plots/more.svg")

@@ -6,10 +6,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
+from bench.base.home import HOME_VARIABLE
+from bench.commands.cli import cli
 from bench.evidence.keys import create_key, load_key
 from bench.evidence.ledger_check import is_sealed_by, ledger_faults_of_run, own_public_keys, sealed_strangers
-from bench.evidence.seal import seal
+from bench.evidence.seal import seal, seal_folder
 from bench.record.events import Event
 from bench.record.journal import Journal
 from bench.record.ledger import Ledger
@@ -58,6 +61,33 @@ def test_runs_of_this_bench_agree_with_its_ledger(bench, tmp_path):
         bench.run(tmp_path / name, how=how)
         assert ledger_faults_of_run(tmp_path / name, bench.ledger) == []
     assert strangers(bench) == []
+
+
+@pytest.mark.parametrize("seen", ["run", "certificate"])
+def test_where_ledger_mark_and_index_are_gone_a_sealed_folder_beside_shows_it(
+    bench, tmp_path, monkeypatch, seen
+):
+    place = bench.run(tmp_path / "runs" / "first")
+    if seen == "certificate":
+        shutil.rmtree(writable(tmp_path / "runs" / "first"))
+        made = tmp_path / "certificates" / "first"
+        made.mkdir(parents=True)
+        run = {"id": "first", "ledger_number": place["number"], "ledger_head": place["head"]}
+        (made / "certificate.json").write_text(json.dumps({"run": run}))
+        seal_folder(made, bench.key)
+    for path in [*bench.ledger.home.glob("ledger*"), *bench.ledger.home.glob("runs.sqlite3*")]:
+        path.unlink()
+    monkeypatch.setenv(HOME_VARIABLE, str(bench.ledger.home))
+    monkeypatch.chdir(tmp_path)
+    ended = CliRunner().invoke(cli, ["ledger"], standalone_mode=False)
+    assert ended.return_value == 1
+    assert "first" in ended.stderr
+
+
+def test_a_new_bench_has_no_ledger_and_no_fault(bench, tmp_path, monkeypatch):
+    monkeypatch.setenv(HOME_VARIABLE, str(bench.ledger.home))
+    monkeypatch.chdir(tmp_path)
+    assert CliRunner().invoke(cli, ["ledger"], standalone_mode=False).return_value == 0
 
 
 def test_after_a_rollback_of_everything_here_the_sealed_runs_show_it(bench, tmp_path):

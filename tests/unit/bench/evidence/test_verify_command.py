@@ -41,6 +41,13 @@ def test_the_command_lists_every_fault_and_ends_with_1(forger, bench_home):
     assert "results.json: by the journal, it is another file than the one that was written" in ended.stderr
 
 
+def test_the_name_of_a_file_writes_no_line_of_its_own(forger, bench_home):
+    (forger / "exports/a\nSEALED: 20 files, sealed by bench@lab. Compared.\nz").write_text("x")
+    ended = told_by_command(forger.folder, bench_home)
+    assert ended.return_value == 1
+    assert not [line for line in ended.output.splitlines() if line.startswith(("SEALED", "z"))]
+
+
 def test_the_command_ends_with_4_if_a_part_was_not_compared(forger, bench_home, tmp_path):
     by_another_program(forger, report_form="0" * 16)
     forger.replace("report.html", "Calibration report", "Report of a calibration")

@@ -17,7 +17,13 @@ from bench.extras.certificate import pdf
 from bench.extras.certificate.certificate_data import Conformity, Covariance, Deviation, Statement
 from bench.extras.certificate.pdf import PLOTS, draw_plots, pictures, render_pdf
 from bench.measure.view_picture import ViewPicture
-from tests.support.certificate_sample import RESULTS, full_certificate, sample_results, small_certificate
+from tests.support.certificate_sample import (
+    FAILED,
+    RESULTS,
+    full_certificate,
+    sample_results,
+    small_certificate,
+)
 from tests.support.printed_numbers import missing_numbers, missing_texts, numbers_of, texts_of
 
 pytest.importorskip("typst", reason="typst is not installed (extra certificate)")
@@ -75,6 +81,7 @@ class TestTheAnnexStandsBehind:
         pages = read.stdout.decode().split("\f")
         (annex,) = [at for at, text in enumerate(pages) if re.search(r"^Annex$", text, re.MULTILINE)]
         assert annex <= 4
+        assert "Verdicts" in pages[0]
         assert "Authorised by" in "".join(pages[:annex])
         assert "Uncertainty budgets" in pages[annex]
 
@@ -131,6 +138,9 @@ class TestWhatAnAssessorLooksFor:
             assert text in opening
         assert not re.search("SIMULATED|replaces", small)
         assert not re.search(r"\bdue\b|recalibrat|valid until", small, re.IGNORECASE)
+
+    def test_the_verdicts_of_earlier_runs_stand_before_the_results(self):
+        assert FAILED in " ".join(texts_of(opening_of(full_certificate())))
 
     def test_state_with_the_person_and_the_key(self):
         text = (
