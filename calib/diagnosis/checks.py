@@ -14,7 +14,7 @@ from itertools import combinations, pairwise
 import numpy as np
 
 from calib.arrays import Array, rms_length
-from calib.diagnosis.gross_stars import noise_px
+from calib.diagnosis.gross_stars import OUTSIDE_PX, noise_px, outside_image
 from calib.errors import InputMismatch
 from calib.model.camera import CameraModel
 from calib.model.closed_forms import linear_solution
@@ -53,9 +53,6 @@ KNOWN_SIZES: tuple[Size, ...] = (
     (1280, 960), (1280, 1024), (1440, 1080), (1600, 1200), (1632, 1224), (1920, 1080), (1920, 1200),
     (2048, 1536), (2448, 2048), (2592, 1944), (4096, 3000),
 )  # fmt: skip
-#: Points up to this far outside of the outermost pixel centres are inside of the image, px: half a pixel, and another
-#: half for points whose origin is the corner.
-_OUTSIDE_PX = 1.0
 #: Points that all lie within this are shares of the image: no target of four points is as small, px.
 _SHARES_PX = 2.0
 #: Places of one point of the target may differ by this share of a pitch, beside whole columns and rows.
@@ -224,13 +221,13 @@ def require_points_inside(views: Sequence[View]) -> None:
             remedy="Give px.",
         )
     for view in views:
-        limit = np.array(view.image_size) - 1.0 + _OUTSIDE_PX
-        outside = ((view.points_px < -_OUTSIDE_PX) | (view.points_px > limit)).any(axis=1)
+        limit = np.array(view.image_size) - 1.0 + OUTSIDE_PX
+        outside = outside_image(view)
         if not outside.any():
             continue
-        beyond = np.maximum(view.points_px - limit, -_OUTSIDE_PX - view.points_px).max(axis=1)
+        beyond = np.maximum(view.points_px - limit, -OUTSIDE_PX - view.points_px).max(axis=1)
         x, y = view.points_px[int(beyond.argmax())]
-        before = min(view.points_px.min() for view in views) < -_OUTSIDE_PX
+        before = min(view.points_px.min() for view in views) < -OUTSIDE_PX
         size = None if before else _known_size(_reached(views), 2.0 * _NEAR_BORDER)
         hint = f" The points fit into {size[0]} x {size[1]}." if size else ""
         raise InputMismatch(
@@ -281,7 +278,7 @@ def _known_size(
     """Return the smallest known size that explains the views, and whose border they reach to a share of it, or None."""
     for size in sorted(KNOWN_SIZES, key=lambda size: size[0] * size[1]):
         known = np.array(size, float)
-        close = (reached <= known - 1.0 + _OUTSIDE_PX) & (known - reached < share * known)
+        close = (reached <= known - 1.0 + OUTSIDE_PX) & (known - reached < share * known)
         if close.all() and explains(known):
             return size
     return None

@@ -23,6 +23,11 @@ from calib.view import View
 
 #: A view with a larger share of gross errors is refused.
 MAX_SHARE = 0.2
+#: Points up to this far outside of the outermost pixel centres are inside of the image, px: half a pixel, and another
+#: half for points whose origin is the corner.
+OUTSIDE_PX = 1.0
+#: One point outside of the image, or up to this share of all, is left out.
+_FEW_OUTSIDE = 0.002
 
 
 @dataclass(frozen=True)
@@ -31,11 +36,26 @@ class GrossStars:
 
     view: str
     wrong: Bools  # (N,) bool, which of the N stars of the view have a gross error
-    distances_px: Array  # (K,) float64, px, distance of each of them from where its neighbours predict it
+    distances_px: (
+        Array  # (K,) float64, px, distance of those that neighbours contradict from where they predict it
+    )
+    outside: int = 0  # How many of them lie outside of the image
 
     @property
     def sentence(self) -> str:
         """Names the view, the number of stars and their distances; empty if there are none."""
+        return " ".join(filter(None, (self._far, self._outside)))
+
+    @property
+    def _outside(self) -> str:
+        if not self.outside:
+            return ""
+        lie, they = ("lies", "it was") if self.outside == 1 else ("lie", "they were")
+        which = f"{self.outside} of {len(self.wrong)} points in view {self.view}"
+        return f"{which} {lie} outside of the image; {they} left out."
+
+    @property
+    def _far(self) -> str:
         count = len(self.distances_px)
         if not count:
             return ""
@@ -52,9 +72,29 @@ class GrossStars:
 def find_gross_stars(views: Sequence[View]) -> tuple[GrossStars, ...]:
     """Find the gross errors of each view: stars whose point or id their neighbours on the target contradict.
 
-    By `contradicts_neighbours`; `InputMismatch` names a view in which more than a fifth of the stars are wrong.
+    By `contradicts_neighbours`; `InputMismatch` names a view in which more than a fifth of the stars are wrong. So are
+    stars outside of the image, if they are few: many show that its size is wrong.
     """
-    return tuple(_gross_stars(view) for view in views)
+    outside = [outside_image(view) for view in views]
+    few = sum(map(np.count_nonzero, outside)) <= max(1.0, _FEW_OUTSIDE * sum(map(len, views)))
+    return tuple(
+        _with_outside(view, own) if few and own.any() else _gross_stars(view)
+        for view, own in zip(views, outside, strict=True)
+    )
+
+
+def outside_image(view: View) -> Bools:
+    """Tell which of the N stars of a view lie outside of its image."""
+    limit = np.array(view.image_size) - 1.0 + OUTSIDE_PX
+    return np.asarray(((view.points_px < -OUTSIDE_PX) | (view.points_px > limit)).any(axis=1))
+
+
+def _with_outside(view: View, outside: Bools) -> GrossStars:
+    """Return the gross errors of the stars inside of the image, and those outside with them."""
+    inside = _gross_stars(view.part(~outside))
+    wrong = outside.copy()
+    wrong[~outside] = inside.wrong
+    return GrossStars(view.name, wrong, inside.distances_px, int(np.count_nonzero(outside)))
 
 
 def without_gross_stars(views: Sequence[View], gross: Sequence[GrossStars]) -> list[View]:

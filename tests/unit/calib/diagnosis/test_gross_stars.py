@@ -92,3 +92,17 @@ def test_a_view_of_random_ids_is_refused_by_name(seed):
     view = Bench().views(rng, 0.05)[1]
     with pytest.raises(InputMismatch, match="view pose-002"):
         find_gross_stars([replace(view, points_px=rng.permutation(view.points_px))])
+
+
+def test_one_point_outside_of_the_image_is_left_out_and_named():
+    views = Bench().views(np.random.default_rng(5), 0.05)
+    narrower = (int(np.sort(np.concatenate([view.points_px[:, 0] for view in views]))[-2]) + 1, 720)
+    views = [replace(view, image_size=narrower) for view in views]
+    outside = [view.points_px[:, 0] > narrower[0] for view in views]
+    assert sum(map(np.count_nonzero, outside)) == 1
+    result = calibrate(views, CalibrationOptions())
+    (note,) = [note for note in result.notes if "outside of the image" in note]
+    assert views[int(np.argmax([own.any() for own in outside]))].name in note
+    for own, weights in zip(outside, result.weights, strict=True):
+        assert (weights[own] == 0.0).all()
+        assert len(weights) == len(own)

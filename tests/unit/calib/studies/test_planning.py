@@ -127,6 +127,16 @@ NINE = [{"pan_deg": pan, "tilt_deg": tilt} for pan in (-6.0, 0.0, 6.0) for tilt 
 CERTIFICATE = Passport.of_radius(255.0, 0.05, length="seen")
 
 
+def test_a_certificate_that_does_not_say_its_length_is_expected_to_tell_less():
+    """Either meaning counts by half: then the focal length, of which defocus makes another length, is open by percents."""
+    seen, unsaid = (
+        forecast(replace(BENCH, passport=passport), POSES)
+        for passport in (CERTIFICATE, Passport.of_radius(255.0, 0.05))
+    )
+    assert unsaid.sigma["r"] > 5.0 * seen.sigma["r"]
+    assert unsaid.sigma["fx"] > 1.5 * seen.sigma["fx"]
+
+
 def readings(bound):
     return GimbalReadings((), 0.002, parallax=bound, source="test")
 
