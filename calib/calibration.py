@@ -155,9 +155,8 @@ class ViewSummary:
 
     name: str  # The view's name
     n: int
-    # rms_px, mean_px: Root mean square and mean of the lengths of its residual vectors, px.
-    rms_px: float
-    mean_px: float
+    rms_px: float  # Root mean square of the lengths of its residual vectors, px
+    mean_px: float  # Mean of the lengths of its residual vectors, px
 
 
 @dataclass(frozen=True, eq=False, repr=False)

@@ -47,18 +47,14 @@ class DoneRun(NamedTuple):
 class BatchStatus:
     """Status of a batch."""
 
-    # folder, queue, zone: Folder of the batch, name of its queue, and time zone of the printed times.
-    folder: str
-    queue: str
-    zone: tzinfo | None
-    # running, rehearsal, simulated: Whether a process works on it; whether it is a rehearsal; whether any
-    # device of a run is simulated.
-    running: bool
-    rehearsal: bool
-    simulated: bool
-    # ended, why: How it ended, and why; empty if it has not ended.
-    ended: str
-    why: str
+    folder: str  # Folder of the batch
+    queue: str  # Name of the queue
+    zone: tzinfo | None  # Time zone of the printed times
+    running: bool  # Whether a process works on it
+    rehearsal: bool  # Whether it is a rehearsal
+    simulated: bool  # Whether any device of a run is simulated
+    ended: str  # How it ended; empty if it has not ended
+    why: str  # Why it ended so; empty if there is nothing to say
     done: tuple[DoneRun, ...]
     current_run: str  # The run in progress, in words; empty between runs
     # Runs in progress and to come, in their order; runs without time are last.

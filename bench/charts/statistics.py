@@ -117,9 +117,8 @@ def _places(condition: NDArray[np.bool_]) -> tuple[int, ...]:
 class Drift:
     """The drift of one parameter."""
 
-    # per_day, per_c: Slopes; None if they cannot be tested.
-    per_day: TestedSlope | None
-    per_c: TestedSlope | None
+    per_day: TestedSlope | None  # Slope over the time; None if it cannot be tested
+    per_c: TestedSlope | None  # Slope over the temperature; None if it cannot be tested
     # Whether both slopes were fitted together, so that each holds with the other quantity unchanged.
     joint: bool
     # False if time and temperature changed together, so that the slopes cannot be told apart.

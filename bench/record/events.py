@@ -337,9 +337,8 @@ class UntilDecided(TypedDict):
     """Payload of ``until_decided``: the uncertainties after the poses so far, and either ``chosen`` or ``ended``."""
 
     step: int
-    # until, until_last: Numbers of the first and the last step of the ``until``.
-    until: int
-    until_last: int
+    until: int  # Number of the first step of the ``until``
+    until_last: int  # Number of its last step
     recorded: int  # Accepted recordings of the ``until``
     poses: int  # Accepted recordings in the calibration: those before the ``until`` too
     worked_s: float  # Time that the ``until`` has worked, s
@@ -354,9 +353,8 @@ class UntilDecided(TypedDict):
     lacks: Literal["", "rim", "roll"]
     problem: NotRequired[str]  # Why there is no calibration yet; absent if there is one
     chosen: NotRequired[ChosenPose]
-    # ended, why: How the ``until`` ended, and the reason in words.
-    ended: NotRequired[UntilEnd]
-    why: NotRequired[str]
+    ended: NotRequired[UntilEnd]  # How the ``until`` ended
+    why: NotRequired[str]  # Why it ended so, in words
 
 
 class Recovered(TypedDict):

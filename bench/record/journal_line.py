@@ -37,9 +37,8 @@ class Entry(
     mono_s: float  # Monotonic clock of the process that wrote it, s; comparable within one process only
     event: str
     data: Mapping[str, Any]
-    # prev, hash: SHA-256 of the line before, and of this line.
-    prev: str
-    hash: str
+    prev: str  # SHA-256 of the line before
+    hash: str  # SHA-256 of this line
 
 
 def encode_line(

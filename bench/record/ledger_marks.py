@@ -295,9 +295,8 @@ class KnownRun:
 
     folder: str
     run_id: str
-    # number, head: Its number, and the hash of its line, as its journal states them.
-    number: int
-    head: str
+    number: int  # Its number in the ledger, as its journal states it
+    head: str  # Hash of its line in the ledger, as its journal states it
 
 
 Strangers = Callable[[Collection[str]], Sequence[KnownRun]]
@@ -317,9 +316,8 @@ class Break:
     utc: str  # When it was found, ISO 8601
     what: tuple[str, ...]
     heads: frozenset[str]  # Heads that other places knew and the ledger had not
-    # reason, by: What a person stated, and who; None while nobody has.
-    reason: str | None = None
-    by: str | None = None
+    reason: str | None = None  # What a person stated as the reason; None while nobody has
+    by: str | None = None  # Who stated it; None while nobody has
 
     def __str__(self) -> str:
         return f"On {self.utc[:16].replace('T', ' ')} UTC the ledger was found broken: {' '.join(self.what)}"

@@ -32,36 +32,28 @@ class IndexedRun:
 
     folder: str = ""
     id: str = ""
-    # sequence, station, camera, operator, simulated, rehearsal: What was run; ``camera`` is the serial
-    # number, empty while no camera has answered.
-    sequence: str = ""
-    station: str = ""
-    camera: str = ""
-    operator: str | None = None
-    simulated: bool = False
-    rehearsal: bool = False
+    sequence: str = ""  # Name of the sequence
+    station: str = ""  # Name of the station
+    camera: str = ""  # Serial number of the camera; empty while none has answered
+    operator: str | None = None  # Name of the operator, if it is known
+    simulated: bool = False  # Whether any device is simulated
+    rehearsal: bool = False  # Whether it is a rehearsal
     begun_utc: str = ""  # Time of the start, ISO 8601
     how: str = ""  # ``finished``, ``aborted``, ``failed``, ``running``, or ``cut off``
     sealed: bool = False  # Whether it is sealed
-    # accepted, recordings, deviations: Number of recorded poses, of recordings made for them (also lost
-    # ones), and of deviations from the sequence.
-    accepted: int = 0
-    recordings: int = 0
-    deviations: int = 0
+    accepted: int = 0  # Number of recorded poses
+    recordings: int = 0  # Number of recordings made for them, also lost ones
+    deviations: int = 0  # Number of deviations from the sequence
     # Temperature of the camera, mean of the accepted recordings, degrees Celsius; None if the camera does not
     # report it.
     temperature_c: float | None = None
-    # model, rms_px: Model and root mean square of the residuals of its calibration, px; None without a
-    # calibration.
-    model: str | None = None
-    rms_px: float | None = None
+    model: str | None = None  # Model of its calibration; None without one
+    rms_px: float | None = None  # Root mean square of the residuals, px; None without a calibration
     parameters: Mapping[str, Estimate] = field(default_factory=dict)  # By name
     # The common k of its expanded uncertainties; None without a calibration, or if an earlier version made it.
     coverage_factor: float | None = None
-    # ledger_number, ledger_head: Its number in the ledger of its bench, and the hash of its line there; None
-    # for a rehearsal.
-    ledger_number: int | None = None
-    ledger_head: str | None = None
+    ledger_number: int | None = None  # Its number in the ledger of its bench; None for a rehearsal
+    ledger_head: str | None = None  # Hash of its line in the ledger; None for a rehearsal
 
     @property
     def kind(self) -> str:

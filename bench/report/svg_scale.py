@@ -24,9 +24,8 @@ _NARROW, _WIDE_LETTERS = frozenset(" .,:;|!'()[]fijlrtI\N{PRIME}"), frozenset("m
 class Scale:
     """The range of an axis, and how its values are spread."""
 
-    # low, high: Value at the left or lower end, and at the right or upper end; ``low`` may be the larger one.
-    low: float
-    high: float
+    low: float  # Value at the left or lower end; it may be larger than ``high``
+    high: float  # Value at the right or upper end
     kind: Literal["linear", "log"] = "linear"
     # Positions of the ticks and their labels; None for round numbers.
     ticks: Sequence[tuple[float, str]] | None = None

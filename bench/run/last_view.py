@@ -33,9 +33,8 @@ _MOST_BYTES = 64 << 20  # A PNG of 16 Mpx and its stars
 class LastView:
     """The picture of a recording."""
 
-    # pose, attempt: Number of the pose and of the attempt, from 1.
-    pose: int
-    attempt: int
+    pose: int  # Number of the pose, from 1
+    attempt: int  # Number of the attempt, from 1
     nodes: Sequence[Sequence[float]]
     points_px: Sequence[Sequence[float]]  # Place of each star, [x, y], px, to a thousandth
     fault: str  # Why no stars were found; empty if there are some

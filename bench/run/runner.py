@@ -63,9 +63,8 @@ class _EndData(TypedDict):
 class RunEnd:
     """How a run ended."""
 
-    # how, why: ``finished``, ``aborted`` or ``failed``; and why it did not finish.
-    how: End
-    why: str
+    how: End  # ``finished``, ``aborted`` or ``failed``
+    why: str  # Why it did not finish
     folder: Path
     outcome: Outcome | None  # Result of the run, if there is one
     unsafe: Sequence[str] = ()  # Devices that did not confirm a safe state, as text; empty if all did

@@ -143,29 +143,23 @@ _ENTRY_TEXTS: Mapping[str, Callable[[Any], str]] = {
 class Status:
     """Status of a run."""
 
-    # run_id, folder, simulated: Name and folder of the run, and whether any device is simulated.
-    run_id: str
-    folder: str
-    simulated: bool
-    # running, sealed: Whether a process works on the run, and whether it is finished and sealed.
-    running: bool
-    sealed: bool
+    run_id: str  # Name of the run
+    folder: str  # Folder of the run
+    simulated: bool  # Whether any device is simulated
+    running: bool  # Whether a process works on the run
+    sealed: bool  # Whether the run is finished and sealed
     evidence: str  # ``DRAFT``, ``SEALED`` or ``AUTHORISED``, and who signed, as one line
     # Last state that was entered; if no process works on the run, the state in which it was left.
     state: str
-    # ended, why: ``finished``, ``aborted`` or ``failed``, and why; empty while the run has not ended.
-    ended: str
-    why: str
-    # pose, pose_name: Number and name of the pose at work; None and empty between poses.
-    pose: int | None
-    pose_name: str
-    # poses, accepted, skipped, attempts: How many poses there are, how many are recorded, how many are
-    # skipped; how many recordings were made. Poses that the run may still choose are not counted.
-    poses: int
+    ended: str  # ``finished``, ``aborted`` or ``failed``; empty while it has not ended
+    why: str  # Why it ended so; empty while it has not ended
+    pose: int | None  # Number of the pose at work; None between poses
+    pose_name: str  # Name of the pose at work; empty between poses
+    poses: int  # Number of poses, without those that the run may still choose
     most_poses: int  # How many poses there are at most, with those that the run may still choose
-    accepted: int
-    skipped: int
-    attempts: int
+    accepted: int  # Number of poses that are recorded
+    skipped: int  # Number of poses that are skipped
+    attempts: int  # Number of recordings made
     # What an ``until`` has reached, and its goals; empty if the run has decided nothing yet.
     uncertainty: str
     goals_missed: Sequence[str]  # Each ``until`` that ended without its goals, as sentences
@@ -176,24 +170,18 @@ class Status:
     left_s: float | None  # Expected time until the end, s; None if no process works on the run
     held_by: str  # Operator or interlock that holds the run, and why; empty while none does
     question: str  # Question to the operator; empty while there is none
-    # resumed, deviations: How often the run was resumed; deviations from the sequence.
-    resumed: int
-    deviations: Sequence[str]
-    # last, advice: Last journal lines as text, the newest last; and what to do next.
-    last: Sequence[str]
-    advice: str
+    resumed: int  # How often the run was resumed
+    deviations: Sequence[str]  # Deviations from the sequence
+    last: Sequence[str]  # Last journal lines as text, the newest last
+    advice: str  # What to do next
     report: str = ""  # Path of its report, or of the page of a run that ended early; empty while it has none
     # How stage, light and camera were left: ``device``, ``state``, ``said``. Empty while a process works on
     # the run.
     devices: Sequence[Mapping[str, str]] = ()
-    # busy, lateness: How late a busy computer was, as text and in seconds (`drivers.lateness`); empty if
-    # the journal has none.
-    busy: str = ""
-    lateness: LatenessData = field(default_factory=LatenessData)
-    # ledger_number, ledger_head: Number of the run in its bench's ledger, and the hash of its line there;
-    # None for a rehearsal.
-    ledger_number: int | None = None
-    ledger_head: str | None = None
+    busy: str = ""  # How late a busy computer was, as text; empty if the journal does not say
+    lateness: LatenessData = field(default_factory=LatenessData)  # The same in seconds (`drivers.lateness`)
+    ledger_number: int | None = None  # Number in the ledger of its bench; None for a rehearsal
+    ledger_head: str | None = None  # Hash of its line in the ledger; None for a rehearsal
 
     @property
     def poses_text(self) -> str:

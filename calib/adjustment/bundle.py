@@ -216,9 +216,8 @@ class ViewScores:
 
     information: Array  # (n, G, G) float64 information
     score: Array  # (n, G) float64 contribution to the negative gradient of the cost
-    # answer, own: (n, L, G) and (n, L) float64. If the shared parameters step by s, a view steps by own - answer s.
-    answer: Array
-    own: Array
+    answer: Array  # (n, L, G) float64; if the shared parameters step by s, a view steps by own - answer s
+    own: Array  # (n, L) float64, step of a view while the shared parameters stay
 
 
 @dataclass(frozen=True)

@@ -199,9 +199,8 @@ def _gains(rest: Array, hypotheses: Sequence[Sequence[int]]) -> Array:
 class GimbalFault(Fault):
     """A fault of the gimbal, or of one pose, that the rotations show."""
 
-    # size_deg, sigma_deg: Size of the fault and its 1-sigma, degrees; for ``pose`` the angle it is off
-    size_deg: float
-    sigma_deg: float
+    size_deg: float  # Size of the fault, degrees; for ``pose`` the angle by which it is off
+    sigma_deg: float  # 1-sigma of the size, degrees
     probability: float  # That there is no such fault
     # Kind of another fault that explains the data nearly as well; None if there is none.
     rival: FaultKind | None = None

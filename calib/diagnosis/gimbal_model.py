@@ -176,15 +176,13 @@ class GimbalFit:
     """A minimum of the sum of squares."""
 
     model: GimbalModel
-    # camera_from_head, base_from_target: (3, 3) float64 rotations A and B.
-    camera_from_head: Array
-    base_from_target: Array
+    camera_from_head: Array  # (3, 3) float64 rotation A
+    base_from_target: Array  # (3, 3) float64 rotation B
     values: Array  # (p,) float64 values of the model
     off: Array  # (3 n,) float64 seen minus read, as rotation vectors about the camera's axes, rad
     jacobian: Array  # (3 n, 6 + p) float64 derivatives of the rotations by A, B and the values
-    # motors, leaning: (n, 3, 3) and (n, 3) axes as `Gimbal.turned` returns them, seen from the camera.
-    motors: Array
-    leaning: Array
+    motors: Array  # (n, 3, 3) axes as `Gimbal.turned` returns them, seen from the camera
+    leaning: Array  # (n, 3) axis of the lean as `Gimbal.turned` returns it, seen from the camera
     chi_square: float
 
     def columns(self, fault: Fault) -> Array:

@@ -94,20 +94,17 @@ def whole_period_window(
 class PixelSums(NamedTuple):
     """Sums over the events of each pixel, all (H, W)."""
 
-    # on_count, off_count: uint32, number of events of each polarity.
-    on_count: NDArray[np.uint32]
-    off_count: NDArray[np.uint32]
-    # on_burst, off_burst: int32, number of the last burst in which the pixel fired, from 1; 0 if there was
-    # none.
-    on_burst: NDArray[np.int32]
+    on_count: NDArray[np.uint32]  # uint32, number of ON events
+    off_count: NDArray[np.uint32]  # uint32, number of OFF events
+    on_burst: NDArray[np.int32]  # int32, last ON burst in which the pixel fired, from 1; 0 if there was none
+    # int32, last OFF burst in which the pixel fired, from 1; 0 if there was none
     off_burst: NDArray[np.int32]
     # float32, us, sum over the ON bursts of the time from the start of the burst to the pixel's first ON
     # event.
     on_latency: Array32
     lock_in: Array32  # float32, sum of polarity times cosine of the flicker's phase
-    # on_fired, off_fired: uint16, number of bursts in which the pixel fired.
-    on_fired: NDArray[np.uint16]
-    off_fired: NDArray[np.uint16]
+    on_fired: NDArray[np.uint16]  # uint16, number of ON bursts in which the pixel fired
+    off_fired: NDArray[np.uint16]  # uint16, number of OFF bursts in which the pixel fired
     last_polarity: NDArray[np.int8]  # int8, polarity of the last event: +1 ON, -1 OFF, 0 if there was none
 
     @classmethod

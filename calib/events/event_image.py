@@ -70,9 +70,8 @@ class ChosenImage(NamedTuple):
 class SliceFacts:
     """Properties of a slice of events; gates and reports use them."""
 
-    # start_us, end_us: Start and end of the window used, us: whole periods.
-    start_us: float
-    end_us: float
+    start_us: float  # Start of the window used, us; the window has whole periods
+    end_us: float  # End of the window used, us
     periods: int
     on_share: float
     lit_pixels: int  # Number of pixels that fire on at least the share `LIT_SHARE` of the edges

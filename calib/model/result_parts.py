@@ -37,10 +37,9 @@ class BudgetRow:
     source: str  # Where the value comes from
     # Distribution of the value; ``normal``, ``rectangular``, ``triangular`` or ``u-shaped``.
     distribution: str = "normal"
-    # value, unit, divisor: Stated value, its unit, and the value over its standard uncertainty; None, an
-    # empty text and None if the row is not about one value.
-    value: float | None = None
-    unit: str = ""
+    value: float | None = None  # Stated value; None if the row is not about one value
+    unit: str = ""  # Unit of the value; empty if the row is not about one value
+    # Value over its standard uncertainty; None if the row is not about one value
     divisor: float | None = None
     degrees_of_freedom: float | None = None  # Degrees of freedom; None if they are infinite
     # For each quantity the change, px, by one unit of the value; empty if the row is not about one value.
@@ -68,12 +67,10 @@ class Witness:
     name: str  # What is stated, in words
     source: str  # Who states it
     unit: str  # Unit of the numbers; empty for shares and for a joint statement
-    # stated, sigma: Stated value and its standard uncertainty; None for a joint statement of several values.
-    stated: float | None
-    sigma: float | None
-    # expected, expected_sigma: The same by all others; None for a joint statement.
-    expected: float | None
-    expected_sigma: float | None
+    stated: float | None  # Stated value; None for a joint statement of several values
+    sigma: float | None  # Standard uncertainty of the stated value; None for a joint statement
+    expected: float | None  # Value by all others; None for a joint statement
+    expected_sigma: float | None  # Standard uncertainty of that; None for a joint statement
     # Stated minus expected over the sigma of that difference: 2 is unusual, 3 a contradiction. For a joint
     # statement the root mean square, without a sign.
     innovation: float
@@ -104,11 +101,11 @@ class GimbalEstimate:
     # Whether the readings entered the estimate; False if they contradicted the stars, and all other numbers
     # then tell how.
     entered: bool
-    # values, sigma: Parameters by name and their 1-sigma: rotation vectors of mounting and standing, deg;
-    # scales (true angle over reading); the angle between pan and tilt minus a right angle, deg; parallax
-    # along x and y (displacement of the pattern per unit tangent of the turn, as a share of r).
+    # Parameters by name: rotation vectors of mounting and standing, deg; scales (true angle over reading); the
+    # angle between pan and tilt minus a right angle, deg; parallax along x and y (displacement of the pattern per
+    # unit tangent of the turn, as a share of r).
     values: Mapping[str, float]
-    sigma: Mapping[str, float]
+    sigma: Mapping[str, float]  # Their 1-sigma, by name
     chi_square: float
     degrees_of_freedom: int
     rms_deg: float  # Root mean square rotation between reading and stars, degrees

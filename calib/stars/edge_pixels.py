@@ -34,14 +34,10 @@ class EdgePixels(NamedTuple):
     first: Ints
     # (M,) float32, px, signed distance from the nearest edge, computed from the first centres.
     tau: Array32
-    # along_x, along_y: (M,) float32, dimensionless, derivatives of tau with respect to the centre of the
-    # star.
-    along_x: Array32
-    along_y: Array32
-    # u, v: (M,) float32, pitches, place in the star: derivatives of tau with respect to the slope of the
-    # threshold.
-    u: Array32
-    v: Array32
+    along_x: Array32  # (M,) float32, derivative of tau with respect to the x of the star's centre
+    along_y: Array32  # (M,) float32, derivative of tau with respect to the y of the star's centre
+    u: Array32  # (M,) float32, pitches, place in the star: derivative of tau by the threshold's slope
+    v: Array32  # (M,) float32, pitches, the same along the other axis
     level: Bytes  # (M,) uint8, level of brightness
 
 

@@ -108,10 +108,9 @@ class GrowthStart(NamedTuple):
     homography: Array
     sign: float  # +1 if white is bright in the image, -1 if it is dark
     nodes: Ints  # (M, 2) int64, nodes that are searched first
-    # anchor_grid, anchor_px: (K, 2) float64, pitches and px, points known beforehand on the grid and in the
-    # image, which take part in all fits.
+    # (K, 2) float64, pitches: points known beforehand, which take part in all fits
     anchor_grid: Array = np.zeros((0, 2))
-    anchor_px: Array = np.zeros((0, 2))
+    anchor_px: Array = np.zeros((0, 2))  # (K, 2) float64, px: the same points in the image
 
 
 def start_at_tag(tag: TagDetection, target: StarTarget) -> GrowthStart:

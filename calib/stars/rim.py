@@ -118,10 +118,8 @@ def _polar(offsets: Array, count: int) -> tuple[Ints, Array, Array]:
 class _Fall(NamedTuple):
     """Where the level falls in each section."""
 
-    # place, sigma: (C,) distance of the rim from the circle's centre and its 1-sigma, mm; nan if a section
-    # has no rim.
-    place: Array
-    sigma: Array
+    place: Array  # (C,) distance of the rim from the circle's centre, mm; nan if a section has no rim
+    sigma: Array  # (C,) 1-sigma of the place, mm; nan if a section has no rim
     # (C,) distance along the rim from the middle of the section to the middle of the samples that show it,
     # mm.
     shift: Array

@@ -38,14 +38,10 @@ class Parallax:
     """The parallax of a gimbal in front of a collimator that is out of focus."""
 
     bound: ParallaxBound
-    # share, share_sigma: Displacement of the pattern per unit tangent of the turn, as a share of r, and its
-    # standard uncertainty.
-    share: float
-    share_sigma: float
-    # fx_px, fx_sigma_px: Error of fx, px, that the readings of the gimbal would cause if the parallax were
-    # neglected, and its standard uncertainty.
-    fx_px: float
-    fx_sigma_px: float
+    share: float  # Displacement of the pattern per unit tangent of the turn, as a share of r
+    share_sigma: float  # Standard uncertainty of the share
+    fx_px: float  # Error of fx, px, by the readings of the gimbal if the parallax were neglected
+    fx_sigma_px: float  # Standard uncertainty of that error, px
 
 
 @dataclass(frozen=True)
@@ -55,10 +51,9 @@ class PupilWalk:
     # (2,) float64, motion of the disc along the target's x and y, mm per unit tangent of the turn.
     walk_mm: Array
     covariance_mm2: Array  # (2, 2) float64, covariance of the walk, mm^2
-    # pupil_off_pivot_mm, sigma_mm: Distance of the entrance pupil in front of the pivot, mm, if x and y have
-    # the same pivot, and its standard uncertainty. If the walks along x and y differ significantly, the
-    # uncertainty covers both.
+    # Distance of the entrance pupil in front of the pivot, mm, if x and y have the same pivot
     pupil_off_pivot_mm: float
+    # Its standard uncertainty, mm; it covers the walks along x and y if they differ significantly
     sigma_mm: float
     views: int
     without_rim: tuple[str, ...]

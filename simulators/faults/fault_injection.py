@@ -54,10 +54,9 @@ class BenchParts:
     ports: Mapping[str, SerialDevice]
     lines: Mapping[str, FaultLine]
     axis_ports: Mapping[str, str]
-    # light, lamp, camera: The light's driver, the lamp behind it, and the event camera.
-    light: LightDriver
-    lamp: Lamp
-    camera: SimulatedEvk4
+    light: LightDriver  # Driver of the light
+    lamp: Lamp  # Lamp behind the driver
+    camera: SimulatedEvk4  # Event camera
     clock: Callable[[], float]  # Returns the time in seconds
     frame_camera: SimulatedFrameCamera | None = None  # The frame camera; None if the bench has none
     hands: CameraHands | None = None  # Hands at the camera's mount and lens; None if they cannot be changed

@@ -95,9 +95,8 @@ class LineFault:
     # Probability with which a message is affected; messages that are not affected do not count.
     chance: float = 1.0
     delay_s: float = 0.5  # Delay of a late reply, s
-    # pattern, replacement: Regular expression that ``replaced`` searches in a message, and its replacement.
-    pattern: bytes = b""
-    replacement: bytes = b""
+    pattern: bytes = b""  # Regular expression that ``replaced`` searches in a message
+    replacement: bytes = b""  # What ``replaced`` writes in its place
 
 
 def _garbled(_fault: LineFault, reply: bytes, rng: np.random.Generator) -> Pieces:

@@ -55,9 +55,8 @@ class Output:
 
     mode: int = CONTINUOUS  # ``CONTINUOUS``, ``SWITCHED`` or ``PULSE``
     percent: float = 0.0  # Brightness, percent of the lamp's rating
-    # width_ms, delay_ms: Width of a pulse, and its delay after the trigger, ms.
-    width_ms: float = 1.0
-    delay_ms: float = 0.005
+    width_ms: float = 1.0  # Width of a pulse, ms
+    delay_ms: float = 0.005  # Delay of a pulse after its trigger, ms
     retrigger_ms: float = 0.0  # Time after a pulse in which triggers are ignored, ms
 
 

@@ -86,13 +86,11 @@ class Settings:
     shape: Shape = "sine"
     frequency_hz: float = 1000.0  # Frequency, Hz
     duty_percent: float = 50.0  # Duty cycle of the square wave, percent
-    # low_v, high_v: Levels at the load that is set, V.
-    low_v: float = -0.05
-    high_v: float = 0.05
+    low_v: float = -0.05  # Lower level at the load that is set, V
+    high_v: float = 0.05  # Upper level at the load that is set, V
     load_ohm: float = SOURCE_OHM
-    # output, sync: Whether the output and the sync output are on.
-    output: bool = False
-    sync: bool = True
+    output: bool = False  # Whether the output is on
+    sync: bool = True  # Whether the sync output is on
     sync_inverted: bool = False  # Whether the sync output falls where it otherwise rises
     sync_channel: str = "CH1"  # Channel whose edges the sync output gives; only those of CH1 fit the light
 
@@ -241,11 +239,10 @@ def _voltage_share(load_ohm: float) -> float:
 class GeneratorModel:
     """Identity of a generator, and its variant of the language."""
 
-    # serial, maker, name, firmware: Fields of the answer to ``*IDN?``.
-    serial: str = "SG0042"
-    maker: str = "Keysight Technologies"
-    name: str = "33250A"
-    firmware: str = "2.05-1.01-2.00-03-2"
+    serial: str = "SG0042"  # Serial number in the answer to ``*IDN?``
+    maker: str = "Keysight Technologies"  # Maker in that answer
+    name: str = "33250A"  # Model in that answer
+    firmware: str = "2.05-1.01-2.00-03-2"  # Firmware in that answer
     error_queue: bool = True  # Whether it answers ``SYST:ERR?``; some generators do not
     # Whether headers carry a channel number (``SOUR1:FREQ``, ``OUTP1``), and the state of the output is read
     # as ON or OFF instead of 1 or 0.

@@ -185,9 +185,8 @@ def _rim_field(cosine: FloatArray, sine: FloatArray, coefficients: FloatArray) -
 class Disc(NamedTuple):
     """Disc of light in one pose."""
 
-    # x, y: Centre on the target plane, mm.
-    x: float
-    y: float
+    x: float  # x of the centre on the target plane, mm
+    y: float  # y of the centre on the target plane, mm
     radius: float  # Mean radius, mm
     # (EDGE_TERMS,) float64: relative change of the radius in direction phi, as coefficients of cos 2 phi, sin
     # 2 phi, cos 3 phi, ...; (0,) for a circle.

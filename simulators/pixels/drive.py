@@ -59,9 +59,8 @@ class Drive(NamedTuple):
     kind: int
     period_us: float  # Length of a period
     high_us: float  # Length of the high part of a square's period
-    # w_high, w_low: Upper and lower level of the light, nominal brightness = 1.
-    w_high: float
-    w_low: float
+    w_high: float  # Upper level of the light, nominal brightness = 1
+    w_low: float  # Lower level of the light, nominal brightness = 1
     ambient: float  # Constant light, nominal brightness = 1
     q_us: float
     start_us: float

@@ -125,9 +125,8 @@ class Events(NamedTuple):
     """Contrast events, in the order in which they are read."""
 
     t: NDArray[np.int64]  # (N,) int64, time on the sensor's clock, us
-    # x, y: (N,) uint16, column and row.
-    x: NDArray[np.uint16]
-    y: NDArray[np.uint16]
+    x: NDArray[np.uint16]  # (N,) uint16, column
+    y: NDArray[np.uint16]  # (N,) uint16, row
     p: NDArray[np.uint8]  # (N,) uint8, polarity, 1 = ON
 
 

@@ -63,9 +63,8 @@ class AxisModel:
     mechanics: Mechanics
     serial: str = ""  # Serial number of the controller or of the stage
     limit_deg: float = 15.0  # Soft limit in both directions, degrees
-    # speed_deg_s, acceleration_deg_s2: Ramp settings at power-up, degrees/s and degrees/s^2.
-    speed_deg_s: float = 40.0
-    acceleration_deg_s2: float = 200.0
+    speed_deg_s: float = 40.0  # Speed at power-up, degrees/s
+    acceleration_deg_s2: float = 200.0  # Acceleration at power-up, degrees/s^2
     encoder: bool = True  # Whether the shaft has an encoder
     name: str = ""  # Model, as the controller states it; empty for the usual one
 

@@ -366,9 +366,8 @@ def _motion_ramp(arguments: list[int], speed: float, acceleration: float) -> tup
 class Request(NamedTuple):
     """A parsed request."""
 
-    # device, axis: Address; 0 stands for all.
-    device: int
-    axis: int
+    device: int  # Number of the device; 0 stands for all
+    axis: int  # Number of the axis; 0 stands for all
     message_id: str | None  # Two digits; None if the request has no id
     words: list[str]
 

@@ -64,9 +64,8 @@ class Piece(NamedTuple):
     """An interval of constant acceleration; the last one of a trajectory lasts until the next command."""
 
     start_s: float
-    # position, velocity: Those of the motor at that time, counts and counts/s.
-    position: float
-    velocity: float
+    position: float  # Position of the motor at that time, counts
+    velocity: float  # Velocity of the motor at that time, counts/s
     acceleration: float  # Constant acceleration, counts/s^2
 
     def position_at(self, t_s: float) -> float:

@@ -91,17 +91,15 @@ FNumber = Annotated[
 class CameraTruth(Section):
     """The camera's lens in OpenCV's conventions, pixel centres at integers."""
 
-    # fx, fy, cx, cy: Focal lengths and principal point, px.
-    fx: _FocalLength = 3345.06
-    fy: _FocalLength = 3345.27
-    cx: Number = 642.10
-    cy: Number = 363.32
-    # k1, k2, p1, p2, k3: Radial and tangential distortion on normalised coordinates (Brown 1966, 1971).
-    k1: Number = 0.06
-    k2: Number = -0.90
-    p1: Number = 0.0
-    p2: Number = 0.0
-    k3: Number = 0.0
+    fx: _FocalLength = 3345.06  # Focal length along x, px
+    fy: _FocalLength = 3345.27  # Focal length along y, px
+    cx: Number = 642.10  # x of the principal point, px
+    cy: Number = 363.32  # y of the principal point, px
+    k1: Number = 0.06  # Radial distortion, r^2 on normalised coordinates (Brown 1966, 1971)
+    k2: Number = -0.90  # Radial distortion, r^4
+    p1: Number = 0.0  # Tangential distortion, its axis along y
+    p2: Number = 0.0  # Tangential distortion, its axis along x
+    k3: Number = 0.0  # Radial distortion, r^6
     # With k1, k2 and k3 the polynomial of a fisheye's angle (Kannala and Brandt 2006); 0 for a pinhole.
     k4: Number = 0.0
     projection: str = "pinhole"  # "pinhole" or "fisheye"
@@ -113,27 +111,23 @@ class CameraTruth(Section):
 class CollimatorTruth(Section):
     """Position of the camera's centre in the target's frame, the disc of light, and the collimator's errors."""
 
-    # x, y, r: The camera's centre is (x, y, -r), mm of the target plane.
-    x: Number = 24.0 * PITCH_MM + 0.7
-    y: Number = 35.0 * PITCH_MM - 0.4
-    r: Positive = 255.0
+    x: Number = 24.0 * PITCH_MM + 0.7  # The camera's centre is (x, y, -r), mm of the target plane
+    y: Number = 35.0 * PITCH_MM - 0.4  # See ``x``
+    r: Positive = 255.0  # Distance of the camera's centre from the target plane, mm
     half_angle_deg: Positive = 12.0
-    # disc_x, disc_y: Centre of the disc on the target, mm, from (x, y).
-    disc_x: Number = 0.0
-    disc_y: Number = 0.0
+    disc_x: Number = 0.0  # x of the disc's centre on the target, mm, from ``x``
+    disc_y: Number = 0.0  # y of the disc's centre on the target, mm, from ``y``
     # Width of the vignetted rim, as a share of the disc's radius; brightness falls smoothly from 1 to 0 over
     # it.
     rim: NotNegative = 0.08
     # Displacement of the disc on the target along x and y, mm, per unit of the tangent of the camera's turn.
     disc_walk: Pair = (0.0, 0.0)
-    # defocus, spherical, coma, astigmatism, field_curvature, distortion: Third-order errors of the
-    # collimator, dimensionless; see ``collimator_errors``.
-    defocus: Number = 0.0
-    spherical: Number = 0.0
-    coma: Number = 0.0
-    astigmatism: Number = 0.0
-    field_curvature: Number = 0.0
-    distortion: Number = 0.0
+    defocus: Number = 0.0  # Defocus of the target, dimensionless as all five below; see ``collimator_errors``
+    spherical: Number = 0.0  # Spherical aberration
+    coma: Number = 0.0  # Coma
+    astigmatism: Number = 0.0  # Astigmatism
+    field_curvature: Number = 0.0  # Field curvature
+    distortion: Number = 0.0  # Distortion
     # Outward displacement of points at the disc's edge, where the camera's pupil is partly filled; it grows
     # with the fourth power of the distance from the disc's centre.
     rim_roll_mm: Number = 0.0
@@ -170,9 +164,8 @@ class OpticsTruth(Section):
     """Blur and illumination of the image, and the mounting of the camera on the gimbal."""
 
     psf_px: NotNegative = 0.7
-    # gradient_x, gradient_y: Relative change of illumination over the disc's radius, along the target's axes.
-    gradient_x: Number = 0.08
-    gradient_y: Number = -0.05
+    gradient_x: Number = 0.08  # Relative change of illumination over the disc's radius, along the target's x
+    gradient_y: Number = -0.05  # The same along the target's y
     black: NotNegative = 0.01  # Light that passes the reticle's black segments, as a share of the white ones'
     stray: NotNegative = 0.0
     room: NotNegative = (
@@ -190,9 +183,8 @@ class NoiseTruth(Section):
         0.12  # Relative standard deviation of a pixel's contrast thresholds (fixed pattern)
     )
     background_hz: NotNegative = 1.0  # Mean rate of background events of a pixel
-    # hot_share, hot_hz: Share of pixels that are hot, and the rate of their events.
-    hot_share: NotNegative = 2e-5
-    hot_hz: NotNegative = 2000.0
+    hot_share: NotNegative = 2e-5  # Share of pixels that are hot
+    hot_hz: NotNegative = 2000.0  # Rate of the events of a hot pixel
     # Standard deviation of the reference level after a reset, in units of log intensity.
     reset_noise: NotNegative = 0.01
     dead_share: NotNegative = 0.0  # Share of pixels that never fire
@@ -202,13 +194,10 @@ class NoiseTruth(Section):
 class ThermalTruth(Section):
     """Temperature of the camera, and what depends on it by the `LAW`."""
 
-    # room_c, room_c_per_h: Temperature of the room when the bench is switched on, and its rate of change.
-    room_c: Number = 23.5
-    room_c_per_h: Number = 0.0
-    # self_heating_c, warm_up_min: Final temperature of the camera above the room, and the time constant of
-    # its rise; 0: it is warm at once.
-    self_heating_c: Number = 18.0
-    warm_up_min: NotNegative = 0.0
+    room_c: Number = 23.5  # Temperature of the room when the bench is switched on
+    room_c_per_h: Number = 0.0  # Rate of change of the room's temperature
+    self_heating_c: Number = 18.0  # Final temperature of the camera above the room
+    warm_up_min: NotNegative = 0.0  # Time constant of its rise; 0: it is warm at once
     focal_ppm_per_c: Number = 0.0  # Relative change of the focal lengths, 1e-6 per degree
 
 
