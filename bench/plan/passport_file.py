@@ -94,7 +94,8 @@ def parse_passport(data: bytes, where: str) -> PassportFile:
     try:
         document: Any = parse_json(data)
         seal = read_passport_seal(data)
-        if _Form.model_validate(document).seal is not None and seal is None:
+        form = _Form.model_validate(document if isinstance(document, dict) else {})
+        if form.seal is not None and seal is None:
             raise UsageError(
                 "The seal of this passport is not on its second line: the file was written anew by another program.",
                 where=where,
@@ -120,7 +121,12 @@ def _words_of(error: ValidationError) -> str:
         return f"Not a passport: it has no {place}."
     if fault["type"] == "extra_forbidden":
         return f"A passport has no key {place[:40]!r}."
-    return f"Not a passport: {place or 'it'} is {fault['input']!r:.40}: {fault['msg'].removeprefix('Value error, ')}."
+    own = (
+        fault["msg"].removeprefix("Value error, ")
+        if fault["type"] == "value_error"
+        else "no passport has that"
+    )
+    return f"Not a passport: {place} is {fault['input']!r:.40}; {own}."
 
 
 def _refuse_indefinite(passport: Passport) -> None:

@@ -76,7 +76,7 @@ def test_a_lens_that_became_longer_is_told_with_its_place_and_cause(capsys, poin
     assert "A change of scale explains it" in shown
 
 
-def test_one_view_without_a_known_collimator_says_what_it_can_see(capsys, points, camera_info):
+def test_one_view_without_a_known_collimator_says_what_it_can_see(capsys, points, camera_info, tmp_path):
     words = ["check", points[0] / "view1.csv", "--image-size", "1280x720", "--calibration"]
     shown = out_of(capsys, *words, camera_info())
     assert shown.startswith(
@@ -87,6 +87,9 @@ def test_one_view_without_a_known_collimator_says_what_it_can_see(capsys, points
     answer = json.loads(out_of(capsys, *words, camera_info(), "--json"))
     assert (answer["one_view"], answer["right"]) == (True, True)
     assert answer["seen_from"]["scale"] > 0.001
+    true = points[1].camera  # a file without a size, as OpenCV's tutorial writes it
+    np.savez(tmp_path / "calib.npz", mtx=true.matrix, dist=true.coefficients[:5])
+    assert "RIGHT as far as" in out_of(capsys, *words, tmp_path / "calib.npz")
 
 
 def test_a_rig_without_a_common_pose_is_refused_before_any_calibration(capsys, points, tmp_path, monkeypatch):
