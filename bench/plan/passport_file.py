@@ -11,7 +11,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError, UsageError
-from bench.record.storage import storage_errors
+from bench.record.storage import read_bounded
 from calib.errors import InputMismatch
 from calib.model.collimator import ABERRATIONS, CENTRE
 from calib.model.passport import SCHEMA, Passport
@@ -76,15 +76,9 @@ class PassportFile(NamedTuple):
 
 def read_passport_file(path: Path) -> PassportFile:
     """Read a passport file."""
-    if path.is_dir():
-        raise UsageError("This is a folder, not a passport file.", where=str(path), remedy="Name the file.")
-    if not path.is_file():
+    if not path.exists():
         raise UsageError("There is no such passport file.", where=str(path), remedy="Check the path.")
-    with storage_errors(path):
-        if path.stat().st_size > _LARGEST_BYTES:
-            raise UsageError("The file is too large for a passport.", where=str(path))
-        data = path.read_bytes()
-    return parse_passport(data, str(path))
+    return parse_passport(read_bounded(path, _LARGEST_BYTES), str(path))
 
 
 def parse_passport(data: bytes, where: str) -> PassportFile:
@@ -140,15 +134,9 @@ def _refuse_indefinite(passport: Passport) -> None:
         raise InputMismatch(what, where="passport")
     covariance = passport.covariance
     variances = covariance.diagonal()
-    least = {
-        name: max(
-            _LEAST_SIGMA if name in CENTRE else 0.0,
-            _LEAST_RELATIVE_SIGMA_OF_R * abs(value) if name == "r" else 0.0,
-        )
-        for name, value in passport.values_by_name.items()
-    }
-    for name, variance in zip(passport.names, variances.tolist(), strict=True):
-        if not variance > least[name] ** 2:
+    for name, value, variance in zip(passport.names, passport.values, variances, strict=True):
+        least = _LEAST_SIGMA if name in CENTRE else 0.0
+        if not variance > max(least, _LEAST_RELATIVE_SIGMA_OF_R * value if name == "r" else 0.0) ** 2:
             what = f"The variance of {name} in its covariance is {variance:g}; "
             raise InputMismatch(
                 f"{what}no measurement is that certain. A variance is the square of a standard uncertainty, mm².",
