@@ -81,7 +81,10 @@ def _npz(data: bytes) -> dict[str, Any]:
 def _array(arrays: Mapping[str, Any], name: str) -> Any:
     try:
         array = arrays[name]
-    except ValueError:  # numpy's answer to an object, and to a torn array
+    except (
+        ValueError,
+        MemoryError,
+    ):  # numpy's answers to an object, to a torn array, and to one of too many numbers
         return None
     return array.tolist() if isinstance(array, np.ndarray) else None
 

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import json
+import zipfile
 from pathlib import Path
 
 import cv2
@@ -75,6 +76,15 @@ def npz(size=None, **arrays):
     poses[:] = [np.zeros((3, 1)), np.zeros(3)]
     file = io.BytesIO()
     np.savez(file, **{"mtx": np.array(K), "dist": np.array([D5]), "rvecs": poses, "tvecs": poses, **arrays})
+    return file.getvalue()
+
+
+def npz_that_claims(shape):
+    """np.savez whose camera matrix claims another shape than it has numbers."""
+    head = f"{{'descr': '<f8', 'fortran_order': False, 'shape': {shape}, }}".encode()
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        archive.writestr("mtx.npy", b"\x93NUMPY\x01\x00" + len(head).to_bytes(2, "little") + head)
     return file.getvalue()
 
 
@@ -360,6 +370,7 @@ SPOILT = {
     "torn JSON": (json.dumps(LISTS)[:60], "no complete JSON"),
     "torn mrcal": (mrcal(D5)[:200], "no complete dictionary"),
     "torn npz": (npz()[:-100], "np.savez"),
+    "npz of too many numbers": (npz_that_claims((10**18,)), "mtx"),
     "large npz": (npz(mtx=np.zeros(3_000_000)), "too large"),
     "entities that grow": (
         f'<!DOCTYPE a [<!ENTITY e0 "{"K" * 1000}">{ENTITIES}]><opencv_storage>&e6;</opencv_storage>', "no complete XML",
