@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.stations.sections import FrameCameraConfig
+from bench.stations.sections import FrameCameraSection
 from bench.stations.station import Station
 from bench.stations.station_budget import CertificateConfig
 from calib.errors import CalibrationError, FlickerNotFound, TooFewEvents
@@ -259,7 +259,7 @@ class LiveSetting:
             r_mm = collimator.certificate.r_mm
         return cls(
             target=station.target.pattern(),
-            camera="frame" if isinstance(station.camera, FrameCameraConfig) else "event",
+            camera="frame" if isinstance(station.camera, FrameCameraSection) else "event",
             frequency_hz=frequency_hz,
             light_on=light_on,
             level_percent=level_percent,

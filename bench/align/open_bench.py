@@ -26,7 +26,7 @@ from bench.record.device_end import DeviceEnd, DeviceName
 from bench.simulated import SimulatedBench
 from bench.stations.cameras import OpenCvCameraConfig
 from bench.stations.devices import Camera, Devices
-from bench.stations.sections import EventCameraConfig, FrameCameraConfig
+from bench.stations.sections import EventCameraSection, FrameCameraSection
 from bench.stations.stages_and_lights import LightConfig
 from bench.stations.station import Station
 from drivers.camera import CameraIdentity, CameraSettings, EventCamera, StatesBiasRanges
@@ -84,7 +84,7 @@ class CameraControl:
     @property
     def is_event(self) -> bool:
         """Whether this is an event camera."""
-        return not isinstance(self._config, FrameCameraConfig)
+        return not isinstance(self._config, FrameCameraSection)
 
     @property
     def biases(self) -> Mapping[str, int]:
@@ -119,7 +119,7 @@ class CameraControl:
                 where="camera",
                 remedy="Give a value in this range.",
             )
-        config = cast("EventCameraConfig", self._config)
+        config = cast("EventCameraSection", self._config)
         with self._lock:
             # The names are those of the station; other biases keep the value that was read back.
             wanted = {bias: now for bias, now in self.biases.items() if bias in ranges} | {name: value}

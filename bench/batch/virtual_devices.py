@@ -21,7 +21,7 @@ from bench.plan.plan import HOMING_EXTRA_S, LIGHT_OFF_S, LIGHT_ON_S, MOVE_EXTRA_
 from bench.record.storage import read_bounded
 from bench.simulated import make_rehearsed_world
 from bench.stations.devices import Devices
-from bench.stations.sections import FrameCameraConfig
+from bench.stations.sections import FrameCameraSection
 from bench.stations.station import Station
 from calib.target import StarTarget
 from calib.view import View
@@ -48,7 +48,7 @@ class VirtualDevices(Devices):
         self._world = make_rehearsed_world(_configuration(station), seed)
         self.stage = VirtualStage({name: axis.limits for name, axis in station.axes.items()}, clock)
         self.light = VirtualLight(clock)
-        simulated = station.needs_simulated_bench and not isinstance(station.camera, FrameCameraConfig)
+        simulated = station.needs_simulated_bench and not isinstance(station.camera, FrameCameraSection)
         serial = self._world.bench.camera_serial if simulated else station.camera.serial
         if serial != station.camera.serial:
             raise WrongDevice(

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from bench.base.compiled_loops import STARS, compile_loops
 from bench.measure.gates import FILTERS_TO_DISABLE, Gate, recording_gates, rejection_reasons
-from bench.stations.sections import FrameCameraConfig
+from bench.stations.sections import FrameCameraSection
 from bench.stations.station import Station
 from calib.target import StarTarget
 from drivers.camera import CameraSettings, EventCamera, RecordingFacts
@@ -235,6 +235,6 @@ CameraKind = EventKind | FrameKind
 def camera_kind(station: Station) -> CameraKind:
     """Return what a run does with a station's camera."""
     config = station.camera
-    if isinstance(config, FrameCameraConfig):
+    if isinstance(config, FrameCameraSection):
         return FrameKind(config.pictures, config.settings())
     return EventKind(config.biases.named(), config.roi)

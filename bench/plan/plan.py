@@ -21,7 +21,7 @@ from bench.plan.stated_camera import StatedCameraChoice, choose_stated_camera
 from bench.plan.url_secrets import find_url_secrets
 from bench.stations.messages_section import find_webhooks
 from bench.stations.placeholders import find_placeholders
-from bench.stations.sections import AxisConfig, FrameCameraConfig
+from bench.stations.sections import AxisConfig, FrameCameraSection
 from bench.stations.station import Station, load_station
 from calib.model.passport import Passport
 from drivers.stage.motion import travel_time_s
@@ -84,7 +84,7 @@ class Estimate:
         self.size_bytes = self.most_bytes = REPORT_BYTES
         self._axes: Mapping[str, AxisConfig] = station.axes
         camera = station.camera
-        self._pictures = camera.pictures if isinstance(camera, FrameCameraConfig) else 0
+        self._pictures = camera.pictures if isinstance(camera, FrameCameraSection) else 0
         self._picture_bytes = math.prod(station.expected.image_size if station.expected else PICTURE_SIZE)
         self._at_deg: dict[str, float] = dict.fromkeys(self._axes, 0.0)
         self._frequency_hz: float | None = None

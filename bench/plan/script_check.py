@@ -13,7 +13,7 @@ from typing import NamedTuple
 from bench.base.bounded_json import leaves
 from bench.plan.passports import NO_PASSPORT, setting_path
 from bench.simulated import fault_of_simulation
-from bench.stations.sections import FrameCameraConfig
+from bench.stations.sections import FrameCameraSection
 from bench.stations.station import Station
 from bench.stations.station_fields import SIMULATED_PREFIX
 from calib.calibration import REFERENCE_MODELS, CalibrationOptions
@@ -136,14 +136,14 @@ def _light_faults(document: Located[Sequence], steps: tuple[Step, ...], station:
 
 def _flickers(flicker: Flicker, station: Station) -> bool:
     """Whether the light will flicker: for a frame camera it is always steady."""
-    return flicker.waveform != "steady" and not isinstance(station.camera, FrameCameraConfig)
+    return flicker.waveform != "steady" and not isinstance(station.camera, FrameCameraSection)
 
 
 def _recording_faults(
     document: Located[Sequence], steps: tuple[Step, ...], station: Station
 ) -> Iterator[Fault]:
     flicker: Flicker | None = None
-    takes_pictures = isinstance(station.camera, FrameCameraConfig)
+    takes_pictures = isinstance(station.camera, FrameCameraSection)
     for step in steps:
         if isinstance(step, LightStep):
             flicker = step.flicker

@@ -16,14 +16,14 @@ from pydantic_core import PydanticCustomError
 from bench.base.clock import BenchClock
 from bench.base.errors import UsageError
 from bench.stations.plugins import with_plugins
-from bench.stations.sections import EventCameraConfig, FrameCameraConfig, PortName
+from bench.stations.sections import EventCameraSection, FrameCameraSection, PortName
 from bench.stations.station_fields import Port, Variable, VideoSource
 from drivers.camera import EventCamera
 from drivers.camera.frames import FrameCamera, FrameSettings
 from drivers.port_address import SOURCE_REMEDY, refused_source
 
 
-class SimulatedEvk4Config(EventCameraConfig):
+class SimulatedEvk4Config(EventCameraSection):
     """A simulated EVK4, connected through a local socket."""
 
     driver: Literal["simulated_evk4"]
@@ -35,7 +35,7 @@ class SimulatedEvk4Config(EventCameraConfig):
         return (self.address,)
 
     def open_device(self, port: PortName, *, clock: BenchClock) -> EventCamera:
-        """See `EventCameraConfig.open_device`."""
+        """See `EventCameraSection.open_device`."""
         from drivers.camera.simulated_evk4 import SimulatedEvk4Camera
 
         return SimulatedEvk4Camera.open(
@@ -43,44 +43,44 @@ class SimulatedEvk4Config(EventCameraConfig):
         )
 
 
-class MetavisionConfig(EventCameraConfig):
+class MetavisionConfig(EventCameraSection):
     """A Prophesee camera, through the Metavision SDK or OpenEB installed on this computer."""
 
     driver: Literal["metavision"]
 
     def open_device(self, port: PortName, *, clock: BenchClock) -> EventCamera:  # noqa: ARG002 - it has no port
-        """See `EventCameraConfig.open_device`."""
+        """See `EventCameraSection.open_device`."""
         from drivers.camera.metavision import MetavisionEvk4
 
         return MetavisionEvk4.open(serial=self.serial, clock=clock)
 
 
-class NeuromorphicEvk4Config(EventCameraConfig):
+class NeuromorphicEvk4Config(EventCameraSection):
     """An EVK4, through `neuromorphic-drivers` (extra ``evk4``), without the maker's software."""
 
     driver: Literal["neuromorphic_evk4"]
 
     def open_device(self, port: PortName, *, clock: BenchClock) -> EventCamera:  # noqa: ARG002 - it has no port
-        """See `EventCameraConfig.open_device`."""
+        """See `EventCameraSection.open_device`."""
         from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
 
         return NeuromorphicEvk4.open(serial=self.serial, clock=clock, utc_now=clock.utc_now)
 
 
-class RecordedCameraConfig(EventCameraConfig):
+class RecordedCameraConfig(EventCameraSection):
     """RAW files replayed as a camera: one for each recording, in the order of their names."""
 
     driver: Literal["recorded"]
     path: Path
 
     def open_device(self, port: PortName, *, clock: BenchClock) -> EventCamera:  # noqa: ARG002 - it has no port
-        """See `EventCameraConfig.open_device`."""
+        """See `EventCameraSection.open_device`."""
         from drivers.camera.recorded import RecordedCamera
 
         return RecordedCamera.open(self.path, serial=self.serial, clock=clock)
 
 
-class OpenCvCameraConfig(FrameCameraConfig):
+class OpenCvCameraConfig(FrameCameraSection):
     """A video source that OpenCV opens: a video device or a network camera."""
 
     driver: Literal["opencv"]
@@ -120,11 +120,11 @@ class OpenCvCameraConfig(FrameCameraConfig):
         return source
 
     def settings(self) -> FrameSettings:
-        """See `FrameCameraConfig.settings`."""
+        """See `FrameCameraSection.settings`."""
         return FrameSettings(self.exposure, self.gain)
 
     def open_device(self, port: PortName, *, clock: BenchClock) -> FrameCamera:
-        """See `FrameCameraConfig.open_device`."""
+        """See `FrameCameraSection.open_device`."""
         from drivers.camera.frame_cameras import OpenCvFrameCamera
 
         source = port(self.source_in_use())
@@ -132,21 +132,21 @@ class OpenCvCameraConfig(FrameCameraConfig):
         return OpenCvFrameCamera.open(source, serial=self.serial, clock=clock, shown_as=hidden)
 
 
-class PictureFolderConfig(FrameCameraConfig):
+class PictureFolderConfig(FrameCameraSection):
     """A folder of pictures replayed as a camera, ``pictures`` for each recording, in the order of their names."""
 
     driver: Literal["pictures"]
     path: Path
 
     def open_device(self, port: PortName, *, clock: BenchClock) -> FrameCamera:  # noqa: ARG002 - it has no port
-        """See `FrameCameraConfig.open_device`."""
+        """See `FrameCameraSection.open_device`."""
         from drivers.camera.frame_cameras import FolderFrameCamera
 
         return FolderFrameCamera.open(self.path, serial=self.serial, clock=clock)
 
 
 if TYPE_CHECKING:
-    CameraConfig = EventCameraConfig | FrameCameraConfig
+    CameraConfig = EventCameraSection | FrameCameraSection
 else:
     CameraConfig = with_plugins(
         "camera",

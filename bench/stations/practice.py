@@ -6,7 +6,7 @@ from bench.base.clock import BenchClock
 from bench.simulated import SimulatedBench
 from bench.stations.asked_devices import ask_light, ask_stage
 from bench.stations.discovery import Discovery
-from bench.stations.sections import EventCameraConfig
+from bench.stations.sections import EventCameraSection
 from bench.stations.stages_and_lights import ScpiLightConfig, ZaberStageConfig
 from bench.stations.station import load_station
 from bench.stations.station_draft import StandIns, draft_station
@@ -17,7 +17,7 @@ def draft_stand_ins(light: str) -> str:
     shipped = load_station("simulated").value
     assert isinstance(shipped.stage, ZaberStageConfig)
     assert isinstance(shipped.light, ScpiLightConfig)
-    assert isinstance(shipped.camera, EventCameraConfig)
+    assert isinstance(shipped.camera, EventCameraSection)
     clock = BenchClock()
     # The scale of a goniometer is on its data sheet only; the shipped station states that of the simulated one.
     scale = next(iter(shipped.stage.axes.values())).microsteps_per_deg

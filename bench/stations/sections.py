@@ -334,8 +334,8 @@ class BiasesConfig(StrictModel):
         return self.model_dump(exclude_unset=True)
 
 
-class EventCameraConfig(StrictModel):
-    """An event camera section that opens its own driver, with the keys of every event camera."""
+class EventCameraSection(StrictModel):
+    """An event camera section that opens its own driver. A subclass has the key ``driver``, a Literal."""
 
     if TYPE_CHECKING:
 
@@ -378,14 +378,8 @@ class EventCameraConfig(StrictModel):
         """
 
 
-class EventCameraSection(EventCameraConfig):
-    """A section of an event camera of a plug-in. A subclass has the key ``driver``, a Literal."""
-
-    driver: str
-
-
-class FrameCameraConfig(StrictModel):
-    """A frame camera section that opens its own driver, with the keys of every frame camera. Its light is steady."""
+class FrameCameraSection(StrictModel):
+    """A frame camera section that opens its own driver. A subclass has the key ``driver``. Its light is steady."""
 
     if TYPE_CHECKING:
 
@@ -417,10 +411,4 @@ class FrameCameraConfig(StrictModel):
 
     @abstractmethod
     def open_device(self, port: PortName, *, clock: BenchClock) -> FrameCamera:
-        """See `EventCameraConfig.open_device`."""
-
-
-class FrameCameraSection(FrameCameraConfig):
-    """A section of a frame camera of a plug-in. A subclass has the key ``driver``, a Literal."""
-
-    driver: str
+        """See `EventCameraSection.open_device`."""
