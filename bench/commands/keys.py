@@ -113,8 +113,8 @@ def keys_create(principal: str | None, passphrase: bool) -> int:
     click.echo(f"Created {key.fingerprint}. Line for the allowed_signers file of those who verify:")
     click.echo(f"  {key.signers_line}")
     click.echo(
-        f"Keep copies of {home_folder()}. Also name a second place for its ledger on another disk or share, in the"
-        "\nstation file: ledger: {anchor: /share/bench-ledger}. A restored copy that is too old is then noticed."
+        f"Keep copies of {home_folder()}, and in another place the newest head of its ledger, which each report and\n"
+        "message prints: it shows whether a restored copy is too old."
     )
     return 0
 

@@ -101,8 +101,8 @@ def event_name(payload: Callable[..., object]) -> str:
 class LedgerPlace(TypedDict):
     """Where a run stands in the bench's ledger: its number, the ledger's head, and the runs of its camera by end.
 
-    ``faults`` states breaks that nobody had explained when the run began, ``warnings`` second places that could not be
-    used.
+    ``faults`` states breaks that nobody had explained when the run began, ``warnings`` what else a person
+    should know of the ledger.
     """
 
     number: int

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from functools import cached_property
 from pathlib import Path
@@ -31,12 +31,8 @@ from bench.record.ledger_marks import (
     Break,
     LedgerMark,
     LedgerRun,
-    OwnMark,
     RunFault,
     Strangers,
-    Witness,
-    append_to_anchor,
-    ask_anchor,
     breaks_of,
     find_breaks,
     highest_counts,
@@ -52,7 +48,6 @@ from bench.record.storage import make_folder, sha256_of, storage_errors
 from drivers.durable import sync_folder
 
 LEDGER = "ledger.jsonl"
-PLACE_FORGOTTEN = "place_forgotten"
 RUN_EXPLAINED = "run_explained"
 """A person states why the folder of a sealed run is missing, or was changed."""
 _SAY_WHAT = "state what became of it: `starbench ledger --explain TEXT`."
@@ -74,7 +69,7 @@ class _Read:
 class Ledger:
     """The ledger of a bench. Every method asks the file anew, because other processes write to it too.
 
-    ``warnings`` are second places that could not be read or written by the last call; nothing was stopped by them.
+    ``warnings`` tell what of its own mark could not be written by the last call; nothing was stopped by it.
     """
 
     def __init__(
@@ -109,15 +104,13 @@ class Ledger:
     def locked(self) -> Iterator[Journal]:
         """Lock the ledger against other processes, verify it, and open it for writing; a break raises `EvidenceError`.
 
-        A number that follows from the lines before is so given once. The lock waits: keep the block short. The new head
-        goes to the second places afterwards.
+        A number that follows from the lines before is so given once. The lock waits: keep the block short.
         """
         self.warnings = []
         with self._held():
             refuse(find_breaks(self.entries(), self._own_mark()).what, self.path)
             with self._opened() as journal:
                 yield journal
-        self._write_anchors()
 
     # ------------------------------------------------------------ lock and marks
 
@@ -140,58 +133,21 @@ class Ledger:
                 if journal.head != before:
                     self._write_own_mark(journal.entries)
 
-    def _own_mark(self) -> OwnMark | str | None:
+    def _own_mark(self) -> LedgerMark | str | None:
         """Return the bench's own mark, or why its content is none. A disk that fails is no break: `StorageError`."""
         try:
             return read_own_mark(self.home)
         except EvidenceError as error:
             return str(error)
 
-    @contextmanager
-    def _warned(self, what: str) -> Iterator[None]:
-        """Turn what fails after the ledger was written into a warning."""
-        try:
-            yield
-        except BenchError as error:
-            self.warnings.append(f"{what}: {error}")
-
     def _write_own_mark(self, entries: Sequence[Entry]) -> None:
         """Write the bench's own mark; what fails becomes a warning."""
         counts = dict(sorted(highest_counts(entries).items()))
         mark = LedgerMark(len(entries), highest_run(entries), entries[-1].hash, entries[-1].utc, counts)
-        with self._warned("The bench's own mark of the ledger cannot be written"):
-            own = self._own_mark()
-            write_own_mark(self.home, replace(own, mark=mark) if isinstance(own, OwnMark) else OwnMark(mark))
-
-    def _places(self) -> tuple[str, ...]:
-        """Return the second places that were used before."""
-        own = self._own_mark()
-        return own.anchors if isinstance(own, OwnMark) else ()
-
-    def _ask_anchors(self, anchor: str | None) -> list[Witness]:
-        """Ask all second places: those that were used before, and the one that a station names."""
-        used = self._places()
-        places = dict.fromkeys([*used, *([anchor] if anchor else [])])
-        return [ask_anchor(Path(place), was_there=place in used) for place in places]
-
-    def _write_anchors(self, anchor: str | None = None) -> None:
-        """Write the newest head to all second places; what fails becomes a warning."""
-        with self._warned("The bench's own mark of the ledger cannot be read"):
-            own = self._own_mark()
-            if not isinstance(own, OwnMark):
-                return
-            for place in dict.fromkeys([*own.anchors, *([anchor] if anchor else [])]):
-                with self._warned("The second place of the ledger cannot be written"):
-                    append_to_anchor(Path(place), own.mark)
-            if anchor and anchor not in own.anchors:
-                self._change_anchors(lambda known: (*known, anchor))
-
-    def _change_anchors(self, change: Callable[[tuple[str, ...]], tuple[str, ...]]) -> None:
-        """Change the list of second places that the bench's own mark holds; what fails becomes a warning."""
-        with self._warned("The bench's own mark of the ledger cannot be written"), self._held():
-            own = self._own_mark()
-            if isinstance(own, OwnMark):
-                write_own_mark(self.home, replace(own, anchors=tuple(dict.fromkeys(change(own.anchors)))))
+        try:
+            write_own_mark(self.home, mark)
+        except BenchError as error:
+            self.warnings.append(f"The bench's own mark of the ledger cannot be written: {error}")
 
     # ------------------------------------------------------------ runs
 
@@ -202,7 +158,6 @@ class Ledger:
         folder: Path,
         camera: str,
         simulated: bool,
-        anchor: str | None = None,
         strict: bool = False,
         strangers: Strangers = no_strangers,
     ) -> LedgerPlace:
@@ -211,8 +166,7 @@ class Ledger:
         With ``strict``, a break that nobody explained raises `EvidenceError`. ``strangers`` finds sealed runs of this
         bench that are not in the ledger.
         """
-        witnesses = self._ask_anchors(anchor)
-        with self._mended(witnesses, strangers, strict=strict) as journal:
+        with self._mended(strangers, strict=strict) as journal:
             entries = journal.entries
             faults = [f"{gap} {EXPLAIN}" for gap in breaks_of(entries) if gap.reason is None]
             number = 1 + highest_run(entries)
@@ -225,7 +179,6 @@ class Ledger:
             place: LedgerPlace = {"number": number, "head": journal.head, "of_camera": of_camera}
             if faults:
                 place["faults"] = faults
-        self._write_anchors(anchor)
         return place
 
     def end(self, number: int, *, how: str, folder: Path, verdict: RunVerdict | None = None) -> None:
@@ -237,11 +190,10 @@ class Ledger:
             lost = {} if begun else {"lost": True, "folder": str(folder)}
             judged = {} if verdict is None else {"verdict": verdict._asdict()}
             journal.append(RUN_ENDED, number=number, how=how, seal=seal, **judged, **lost)
-        self._write_anchors()
 
-    def refuse_break(self, anchor: str | None, strangers: Strangers = no_strangers) -> None:
+    def refuse_break(self, strangers: Strangers = no_strangers) -> None:
         """Refuse a ledger with a break that nobody has explained. A run checks this before it makes its folder."""
-        faults, _ = self.breaks(anchor, strangers)
+        faults, _ = self.breaks(strangers)
         refuse(faults, self.path)
 
     def contains(self, place: Mapping[str, Any]) -> bool:
@@ -282,16 +234,12 @@ class Ledger:
 
     # ------------------------------------------------------------ breaks
 
-    def breaks(
-        self, anchor: str | None = None, strangers: Strangers = no_strangers
-    ) -> tuple[list[str], list[Break]]:
+    def breaks(self, strangers: Strangers = no_strangers) -> tuple[list[str], list[Break]]:
         """Return a sentence for each break that nobody explained, by all places that know of the ledger."""
-        own, witnesses = self._own_mark(), self._ask_anchors(anchor)
         entries, _, recorded, damage = self.read()
         if damage:
             return [f"The ledger is damaged: {damage}"], []
-        findings = find_breaks(entries, own, witnesses, strangers)
-        self.warnings = findings.warnings
+        findings = find_breaks(entries, self._own_mark(), strangers)
         unexplained = [str(gap) for gap in recorded if gap.reason is None]
         return [*unexplained, *findings.what], [gap for gap in recorded if gap.reason is not None]
 
@@ -303,15 +251,12 @@ class Ledger:
         except (JournalBroken, LookupError, TypeError) as error:
             return [], [], [], str(error) or type(error).__name__
 
-    def explain(
-        self, reason: str, by: str, *, anchor: str | None = None, strangers: Strangers = no_strangers
-    ) -> list[str]:
+    def explain(self, reason: str, by: str, *, strangers: Strangers = no_strangers) -> list[str]:
         """Record every break that is not recorded yet, and state the reason of every one without a reason, if any.
 
         A sealed run whose folder is missing or was changed is explained, too.
         """
-        witnesses = self._ask_anchors(anchor)
-        with self._mended(witnesses, strangers) as journal:
+        with self._mended(strangers) as journal:
             open_breaks = [gap for gap in breaks_of(journal.entries) if gap.reason is None]
             for open_break in open_breaks:
                 journal.append(BREAK_EXPLAINED, line=open_break.line, reason=reason, by=by)
@@ -319,26 +264,13 @@ class Ledger:
         for fault in runs:
             head, kind = fault.key
             self.append(RUN_EXPLAINED, run=head, fault=kind, what=str(fault), reason=reason, by=by)
-        self._write_anchors(anchor)
         if not open_breaks and not runs:
             raise UsageError("The ledger has no break to explain.", where=str(self.path))
         return [*map(str, open_breaks), *map(str, runs)]
 
-    def forget_place(self, place: str, *, reason: str, by: str) -> None:
-        """Stop writing to a second place, and enter why."""
-        known = self._places()
-        if place not in known:
-            raise UsageError(
-                f"{place} is not a second place of this ledger.",
-                remedy=f"It has: {', '.join(known)}." if known else "It has none.",
-            )
-        self.append(PLACE_FORGOTTEN, place=place, reason=reason, by=by)
-        self._change_anchors(lambda places: tuple(anchor for anchor in places if anchor != place))
-
     @contextmanager
     def _mended(
         self,
-        witnesses: Sequence[Witness] = (),
         strangers: Strangers = no_strangers,
         *,
         strict: bool = False,
@@ -346,8 +278,8 @@ class Ledger:
         """Lock and open the ledger, and record a break as its next line. A damaged file is kept under another name."""
         with self._held():
             entries, _, recorded, damage = self.read()
-            findings = find_breaks(entries, self._own_mark(), witnesses, strangers)
-            self.warnings = findings.warnings
+            findings = find_breaks(entries, self._own_mark(), strangers)
+            self.warnings = []
             what = [f"The ledger was damaged: {damage}"] if damage else findings.what
             if strict:
                 refuse([*what, *(str(gap) for gap in recorded if gap.reason is None)], self.path)

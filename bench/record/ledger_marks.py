@@ -1,36 +1,27 @@
-"""What other places know of the ledger: the bench's own mark, and the second places that stations name.
+"""What is known of the ledger beside it: ``ledger_high``, the bench's own mark, and the sealed runs.
 
-They show lines cut off the end, and a deleted file: such a chain is still valid. ``ledger_high`` lies beside the
-ledger; a second place (``ledger: {anchor: PATH}``) is a file on another disk or share. Neither is trusted.
+They show lines cut off the end, and a deleted file: such a chain is still valid.
 """
 
 from __future__ import annotations
 
 import json
-import os
-import threading
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple
 
 from bench.base.bounded_json import parse_json
-from bench.base.errors import BenchError, EvidenceError, JournalBroken, StorageError
+from bench.base.errors import EvidenceError, JournalBroken
 from bench.record.journal_line import Entry
 from bench.record.run_folder import MANIFEST
 from bench.record.run_verdict import RunVerdict, read_verdict
 from bench.record.storage import read_bounded, storage_errors, write_atomic
-from drivers.durable import O_BINARY, sync_folder, write_all
 
 MARK = "ledger_high"
-ANCHOR_PATIENCE_S = 10.0
-"""Longest wait for a second place, s; a share that does not answer must not stop a run."""
-_MOST_ANCHOR_BYTES = 64 << 20  # Hundreds of thousands of marks
 _MOST_MARK_BYTES = 1 << 20  # A mark has some hundred bytes, with counts of series some thousand
 _MARK_FORM = "is not a mark of a ledger"
 
-Found = TypeVar("Found")
 RUN_BEGUN = "run_begun"
 RUN_ENDED = "run_ended"
 STILL_OPEN = "open"
@@ -86,15 +77,7 @@ def parse_mark(line: bytes) -> LedgerMark:
     return LedgerMark(numbers[0], numbers[1], head, utc, counts)
 
 
-@dataclass(frozen=True)
-class OwnMark:
-    """Content of ``ledger_high``."""
-
-    mark: LedgerMark
-    anchors: tuple[str, ...] = ()
-
-
-def read_own_mark(home: Path) -> OwnMark | None:
+def read_own_mark(home: Path) -> LedgerMark | None:
     """Read ``ledger_high``; None if there is no such file."""
     path = home / MARK
     with storage_errors(path):
@@ -102,123 +85,18 @@ def read_own_mark(home: Path) -> OwnMark | None:
             return None
         data = read_bounded(path, _MOST_MARK_BYTES)
     try:
-        mark, anchors = parse_mark(data), parse_json(data).get("anchors", ())
+        return parse_mark(data)
     except ValueError as error:
         raise EvidenceError(
             "This file does not hold the state of the ledger.",
             where=str(path),
             remedy="Somebody changed it. State what happened: `starbench ledger --explain TEXT`.",
         ) from error
-    named = anchors if isinstance(anchors, list) else ()
-    return OwnMark(mark, tuple(place for place in named if isinstance(place, str)))
 
 
-def write_own_mark(home: Path, own: OwnMark) -> None:
+def write_own_mark(home: Path, mark: LedgerMark) -> None:
     """Write ``ledger_high``."""
-    record = {**own.mark.to_dict(), "anchors": list(own.anchors)}
-    write_atomic(home / MARK, (json.dumps(record, separators=(",", ":")) + "\n").encode())
-
-
-def read_anchor(path: Path) -> list[LedgerMark]:
-    """Read the marks of a second place, first to last, without an incomplete last line."""
-
-    def read() -> bytes:
-        with storage_errors(path), path.open("rb") as stream:
-            return stream.read(_MOST_ANCHOR_BYTES)
-
-    marks = []
-    for number, line in enumerate(_in_time(read, path).split(b"\n")[:-1], start=1):
-        try:
-            marks.append(parse_mark(line))
-        except ValueError as error:
-            raise StorageError(
-                "This line is not a mark of a ledger.",
-                where=f"{path}:{number}",
-                remedy="Another program wrote it. Give each bench a file of its own: `ledger: {anchor: PATH}`.",
-            ) from error
-    return marks
-
-
-def append_to_anchor(path: Path, mark: LedgerMark) -> None:
-    """Add a mark to a second place and sync it. The file is made if it is missing; its folder is not."""
-
-    def append() -> None:
-        with storage_errors(path):
-            is_new = not path.exists()
-            descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_APPEND | O_BINARY, 0o644)
-            try:
-                drop_torn_line(descriptor)
-                write_all(descriptor, mark.to_line())
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
-            if is_new:
-                sync_folder(path.parent)
-
-    _in_time(append, path)
-
-
-def drop_torn_line(descriptor: int) -> None:
-    """Remove what a power cut has left of a line at the end of a second place."""
-    size = os.fstat(descriptor).st_size
-    back = min(size, 4096)
-    os.lseek(descriptor, size - back, os.SEEK_SET)
-    tail = os.read(descriptor, back)
-    if tail and not tail.endswith(b"\n"):
-        os.ftruncate(descriptor, size - back + tail.rfind(b"\n") + 1)
-
-
-def _in_time(work: Callable[[], Found], path: Path) -> Found:
-    """Do work on a second place in a thread; raise StorageError if it does not end in time."""
-    done: list[Found] = []
-    failed: list[BaseException] = []
-
-    def thread() -> None:
-        try:
-            done.append(work())
-        except BaseException as error:  # noqa: BLE001 - raised again below, in the caller's thread
-            failed.append(error)
-
-    worker = threading.Thread(target=thread, name="ledger anchor", daemon=True)
-    worker.start()
-    worker.join(ANCHOR_PATIENCE_S)
-    if failed:
-        raise failed[0]
-    if not done:
-        raise StorageError(
-            f"The second place of the ledger does not answer within {ANCHOR_PATIENCE_S:.0f} s.",
-            where=str(path),
-            remedy="Check the disk or share.",
-        )
-    return done[0]
-
-
-@dataclass(frozen=True)
-class Witness:
-    """What one place knows of the ledger, or why it cannot be asked."""
-
-    place: str
-    marks: Sequence[LedgerMark] = ()  # Its marks, first to last
-    trouble: str = ""  # Why it cannot be read; empty if it can
-    was_there: bool = True  # Whether this bench has written to it before
-
-    def objections(self, entries: Sequence[Entry], excused: Iterable[str]) -> list[LedgerMark]:
-        """Return the marks that a ledger contradicts, first to last, from the last one that a break names."""
-        known = set(excused)
-        begin = max((i + 1 for i, mark in enumerate(self.marks) if mark.head in known), default=0)
-        return [mark for mark in self.marks[begin:] if mark.disagreement(entries)]
-
-
-def ask_anchor(path: Path, *, was_there: bool) -> Witness:
-    """Read a second place; what goes wrong, as its loss if it ``was_there``, becomes its ``trouble``."""
-    if not was_there:
-        with suppress(OSError):
-            if path.parent.is_dir() and not path.exists():
-                return Witness(str(path), was_there=False)
-    try:
-        return Witness(str(path), read_anchor(path), was_there=was_there)
-    except BenchError as error:
-        return Witness(str(path), trouble=error.what, was_there=was_there)
+    write_atomic(home / MARK, mark.to_line())
 
 
 class LedgerRun(NamedTuple):
@@ -330,11 +208,6 @@ class BreakFindings:
     what: list[str] = field(default_factory=list)  # The findings, as sentences; empty if there is no break
     # What other places know, as a line ``ledger_broken`` holds it.
     known: list[Mapping[str, Any]] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)  # One sentence for each place that could not be read
-
-    def knows(self, place: str, mark: LedgerMark) -> None:
-        """Add what a place knows."""
-        self.known.append({"place": place, **mark.to_dict()})
 
 
 def breaks_of(entries: Iterable[Entry]) -> list[Break]:
@@ -382,16 +255,13 @@ def highest_counts(entries: Iterable[Entry]) -> dict[str, int]:
 
 def find_breaks(
     entries: Sequence[Entry],
-    own: OwnMark | str | None,
-    anchors: Iterable[Witness] = (),
+    own: LedgerMark | str | None,
     strangers: Strangers = no_strangers,
 ) -> BreakFindings:
     """Compare a ledger with all places that know of it; ``own`` is None without a mark, a text if it cannot be read."""
     findings = BreakFindings()
     excused = {head for gap in breaks_of(entries) for head in gap.heads}
     _ask_own_mark(findings, entries, own, excused)
-    for witness in anchors:
-        _ask_anchor(findings, entries, witness, excused)
     lost = [run for run in strangers({entry.hash for entry in entries}) if run.head not in excused]
     numbers = {e.data["number"]: e.data["run"] for e in entries if e.event == RUN_BEGUN}
     for run in lost:
@@ -407,7 +277,7 @@ def find_breaks(
 
 
 def _ask_own_mark(
-    findings: BreakFindings, entries: Sequence[Entry], own: OwnMark | str | None, excused: Collection[str]
+    findings: BreakFindings, entries: Sequence[Entry], own: LedgerMark | str | None, excused: Collection[str]
 ) -> None:
     if isinstance(own, str):
         findings.what.append(f"The bench's own mark of the ledger cannot be read: {own}")
@@ -415,27 +285,6 @@ def _ask_own_mark(
         since = max((e.seq for e in entries if e.event == LEDGER_BROKEN), default=-1)
         if len(entries[since + 1 :]) > 1:  # after the first line, the process may have been killed
             findings.what.append("The bench's own mark of the ledger (ledger_high) was deleted.")
-    elif own.mark.head not in excused and (what := own.mark.disagreement(entries)):
+    elif own.head not in excused and (what := own.disagreement(entries)):
         findings.what.append(f"The ledger {what} (as ledger_high knows).")
-        findings.knows("ledger_high", own.mark)
-
-
-def _ask_anchor(
-    findings: BreakFindings, entries: Sequence[Entry], witness: Witness, excused: Collection[str]
-) -> None:
-    if witness.trouble:
-        findings.warnings.append(
-            f"The second place of the ledger {witness.place} cannot be read: {witness.trouble}"
-        )
-    elif witness.was_there and not witness.marks:
-        findings.warnings.append(f"The second place of the ledger {witness.place} is empty; it had marks.")
-    elif objecting := witness.objections(entries, excused):
-        last = max(objecting, key=lambda mark: mark.lines)
-        hint = (
-            ""
-            if witness.was_there
-            else " Or the file is another bench's: then give this bench a file of its own."
-        )
-        findings.what.append(f"The ledger {last.disagreement(entries)} (as {witness.place} knows).{hint}")
-        for mark in dict.fromkeys([last, objecting[-1]]):
-            findings.knows(witness.place, mark)
+        findings.known.append({"place": "ledger_high", **own.to_dict()})

@@ -22,6 +22,11 @@ from bench.record.run_index import RunIndex
 from bench.record.run_verdict import run_verdict
 from bench.run.runner import RunEnd
 
+_NO_SECOND_PLACE = (
+    "ledger.anchor of the station file is not used any more: keep the head of the ledger, which each report and message"
+    " prints, in another place"
+)
+
 
 def ledger_of(clock: BenchClock) -> Ledger:
     """Return the ledger of this bench; its file may not exist."""
@@ -31,17 +36,16 @@ def ledger_of(clock: BenchClock) -> Ledger:
 def refuse_broken_ledger(ledger: Ledger, job: Job) -> None:
     """Refuse a run if its station is strict and the ledger has a break that nobody has explained."""
     if job.station.ledger.strict:
-        ledger.refuse_break(job.station.ledger.anchor, sealed_strangers(ledger.home))
+        ledger.refuse_break(sealed_strangers(ledger.home))
 
 
 def enter_in_ledger(ledger: Ledger, job: Job, folder: Path, known: LedgerPlace | None = None) -> LedgerPlace:
     """Enter a run in the ledger if it is not there at ``known``, as where it began on another bench."""
     station = job.station
-    anchor, strict = station.ledger.anchor, station.ledger.strict
     strangers = sealed_strangers(ledger.home)
     if known and ledger.contains(known):
         refuse_broken_ledger(ledger, job)
-        faults, _ = ledger.breaks(anchor, strangers)
+        faults, _ = ledger.breaks(strangers)
         place: LedgerPlace = {
             "number": known["number"],
             "head": known["head"],
@@ -55,10 +59,11 @@ def enter_in_ledger(ledger: Ledger, job: Job, folder: Path, known: LedgerPlace |
             folder=folder,
             camera=station.camera.serial,
             simulated=job.simulated,
-            anchor=anchor,
-            strict=strict,
+            strict=station.ledger.strict,
             strangers=strangers,
         )
+    if station.ledger.anchor:
+        ledger.warnings.append(_NO_SECOND_PLACE)
     if ledger.warnings:
         place["warnings"] = list(ledger.warnings)
     return place

@@ -60,14 +60,14 @@ def _absolute(path: str) -> str:
 
 
 class LedgerConfig(StrictModel):
-    """Second place for the head of the bench's ledger, and what an unexplained break of the ledger does."""
+    """What an unexplained break of the bench's ledger does."""
 
     anchor: Annotated[
         str | None,
         Field(
             min_length=2,
             max_length=4096,
-            description="File on another disk or share; each new head of the ledger is added to it.",
+            description="Not used any more; stations of earlier runs name it.",
         ),
         AfterValidator(lambda path: None if path is None else _absolute(path)),
     ] = None

@@ -103,4 +103,4 @@ class VirtualBench:
     def breaks(self):
         """What the ledger finds of itself and of the runs that are sealed."""
         ledger = self.ledger()
-        return [*ledger.breaks(None, sealed_strangers(self.home))[0], *map(str, ledger.faults())]
+        return [*ledger.breaks(sealed_strangers(self.home))[0], *map(str, ledger.faults())]

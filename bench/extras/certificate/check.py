@@ -255,7 +255,7 @@ def _compare_with_number(
 
 def _compare_with_breaks(ledger: Ledger, findings: Findings) -> None:
     """Tell what is missing in the ledger: a lost line may have replaced the certificate, or declared it void."""
-    faults, explained = ledger.breaks(None, sealed_strangers(ledger.home))
+    faults, explained = ledger.breaks(sealed_strangers(ledger.home))
     for what in faults:
         findings.fault(
             "ledger",

@@ -242,7 +242,7 @@ def _next(
     """Return the next number, its series and count; enter as lost those that were given and are not in the ledger."""
     series = series_of(wanted.number_format, year=now.year, simulated=wanted.simulated)
     last = sum(entered.series == series for entered in by_number.values())
-    # A break of the ledger states what its mark and the second place know of lines that were lost.
+    # A break of the ledger states what its mark knows of lines that were lost.
     in_breaks = highest_counts(journal.entries).get(series, 0)
     highest = max(in_breaks, wanted.count_beside(series))
     for count in range(last + 1, highest + 1):

@@ -53,7 +53,7 @@ def bench(tmp_path):
 
 
 def strangers(bench):
-    return bench.ledger.breaks(None, sealed_strangers(bench.ledger.home))[0]
+    return bench.ledger.breaks(sealed_strangers(bench.ledger.home))[0]
 
 
 def test_runs_of_this_bench_agree_with_its_ledger(bench, tmp_path):

@@ -2,7 +2,6 @@
 
 import json
 import tempfile
-import time
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from unittest import mock
@@ -23,12 +22,6 @@ CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lamb
 @pytest.fixture
 def ledger(tmp_path):
     return Ledger(tmp_path / "home", **CLOCKS)
-
-
-@pytest.fixture
-def anchor(tmp_path):
-    (tmp_path / "share").mkdir()
-    return tmp_path / "share" / "bench2.heads"
 
 
 def begin(ledger, run="run", **more):
@@ -140,7 +133,7 @@ def test_an_explained_break_stands_in_the_ledger_and_is_no_fault_any_more(ledger
     with pytest.raises(EvidenceError, match="starbench ledger --explain"):
         begin(ledger, strict=True)
     with pytest.raises(EvidenceError):
-        ledger.refuse_break(None)
+        ledger.refuse_break()
     assert len(ledger.entries()) == 2
     begin(ledger)
     with pytest.raises(EvidenceError, match="starbench ledger --explain"):  # recorded, but not explained
@@ -156,116 +149,39 @@ def test_an_explained_break_stands_in_the_ledger_and_is_no_fault_any_more(ledger
         ledger.explain("again", "Ada")
 
 
-@pytest.mark.parametrize("restored", [True, False], ids=["restored from a copy", "deleted"])
-def test_a_second_place_shows_that_the_whole_folder_was_replaced(ledger, anchor, restored):
-    runs(ledger, 1, anchor=str(anchor))
-    home = {path: path.read_bytes() for path in ledger.home.iterdir()}
-    runs(ledger, 2)
-    for path, data in home.items():
-        path.write_bytes(data) if restored else path.unlink()
-    assert [f"as {anchor} knows" in fault for fault in faults(ledger)] == [
-        True
-    ] * restored  # else nothing here knows
-    place = begin(ledger, anchor=str(anchor))
-    assert place["number"] == 4
-    assert f"has {2 * restored} of at least 6 lines" in place["faults"][0]
-    assert len(faults(ledger)) == 1
-    ledger.explain("restored", "Ada")
-    assert ledger.breaks()[0] == []
-
-
-@pytest.mark.parametrize(
-    ("harm", "lines"),
-    [(lambda data: data[: data.index(b"\n") + 1], 1), (lambda data: data + b'{"lines":3,"ru', 2)],
-)
-def test_a_second_place_that_is_behind_or_cut_off_is_no_break_and_catches_up(ledger, anchor, harm, lines):
-    runs(ledger, 1, anchor=str(anchor))
-    anchor.write_bytes(harm(anchor.read_bytes()))
-    assert ledger.breaks() == ([], [])
-    begin(ledger)
-    marks = [json.loads(line) for line in anchor.read_bytes().splitlines()]
-    assert [mark["lines"] for mark in marks] == [*range(1, lines + 1), 3]
-    assert marks[-1]["head"] == ledger.entries()[-1].hash
-
-
-SPOIL = {
-    "folder gone": lambda anchor: anchor.parent.rename(anchor.parents[1] / "unmounted"),
-    "file gone": Path.unlink,
-    "empty": lambda anchor: anchor.write_bytes(b""),
-    "read-only": lambda _: None,
-    "another program": lambda anchor: anchor.write_bytes(b"hello\n"),
-    "a folder": lambda anchor: [anchor.unlink(), anchor.mkdir()],
-}
-
-
-@pytest.mark.parametrize("spoil", SPOIL)
-def test_a_second_place_that_cannot_be_used_is_a_warning_and_stops_nothing(ledger, anchor, spoil):
-    runs(ledger, 1, anchor=str(anchor))
-    SPOIL[spoil](anchor)
-    denied = PermissionError(13, "denied", str(anchor)) if spoil == "read-only" else None
-    with mock.patch("bench.record.ledger_marks.drop_torn_line", side_effect=denied):
-        place = begin(ledger, strict=True)
-    assert place["number"] == 2
-    assert str(anchor) in " ".join(ledger.warnings)
-
-
-def test_a_second_place_that_never_answers_is_a_warning(ledger, anchor):
-    runs(ledger, 1, anchor=str(anchor))
-    with (
-        mock.patch("bench.record.ledger_marks.ANCHOR_PATIENCE_S", 0.05),
-        mock.patch("bench.record.ledger_marks.drop_torn_line", side_effect=lambda _: time.sleep(0.3)),
-    ):
-        begin(ledger)
-    assert "does not answer" in " ".join(ledger.warnings)
-
-
-def test_a_second_place_of_another_bench_is_told_from_a_rollback_by_a_hint(ledger, anchor, tmp_path):
-    runs(Ledger(tmp_path / "other", **CLOCKS), 3, anchor=str(anchor))
-    runs(ledger, 1)
-    assert "the file is another bench's" in faults(ledger, str(anchor))[0]
-
-
-def test_a_second_place_that_is_no_longer_used_is_forgotten_with_a_reason(ledger, anchor):
-    runs(ledger, 1, anchor=str(anchor))
-    ledger.forget_place(str(anchor), reason="a new server", by="Ada")
-    before = anchor.read_bytes()
-    runs(ledger, 1)
-    assert anchor.read_bytes() == before
-    assert ledger.entries()[2].data == {"place": str(anchor), "reason": "a new server", "by": "Ada"}
-    with pytest.raises(UsageError, match="It has none"):
-        ledger.forget_place(str(anchor), reason="again", by="Ada")
-
-
-def test_a_home_that_cannot_be_written_after_the_begin_stops_no_run(ledger, anchor):
+def test_a_home_that_cannot_be_written_after_the_begin_stops_no_run(ledger):
     failed = StorageError("The disk is full.", where="ledger_high")
     with mock.patch("bench.record.ledger.write_own_mark", side_effect=failed):
-        assert begin(ledger, anchor=str(anchor))["number"] == 1
+        assert begin(ledger)["number"] == 1
     assert "disk is full" in ledger.warnings[0]
 
 
-def test_the_second_place_knows_the_highest_number_of_each_series(ledger, anchor):
-    runs(ledger, 1, anchor=str(anchor))
+def test_a_mark_of_earlier_versions_that_names_second_places_is_read(ledger):
+    runs(ledger, 1)
+    mark = json.loads((ledger.home / MARK).read_bytes())
+    (ledger.home / MARK).write_text(json.dumps({**mark, "anchors": ["/mnt/office/bench2.heads"]}) + "\n")
+    assert ledger.breaks() == ([], [])
+    assert begin(ledger)["number"] == 2
+
+
+def test_a_break_keeps_the_highest_number_of_each_series(ledger):
+    runs(ledger, 1)
     for count in (1, 2):
         ledger.append("certificate_reserved", number=f"2026-{count:04}", series="2026", count=count)
-    for path in ledger.home.iterdir():
-        path.unlink()
-    begin(ledger, anchor=str(anchor))
+    ledger.path.unlink()
+    begin(ledger)
     assert highest_counts(ledger.entries()) == {"2026": 2}
-    ledger.append("certificate_reserved", number="2026-0003", series="2026", count=3)
-    assert highest_counts(ledger.entries()) == {"2026": 3}
-    assert json.loads(anchor.read_bytes().splitlines()[-1])["counts"] == {"2026": 3}
 
 
 class LedgerStory(RuleBasedStateMachine):
     """Runs, certificates and attacks in any order: what was taken out is noticed; nothing else is."""
 
-    @initialize(with_anchor=st.booleans())
-    def start(self, with_anchor):
+    @initialize()
+    def start(self):
         self.folder = tempfile.TemporaryDirectory()
         root = Path(self.folder.name)
         self.now = datetime(2026, 3, 1, tzinfo=UTC)
         self.ledger = Ledger(root / "home", utc_now=self.tick, monotonic=self.seconds)
-        self.anchor = str(root / "anchor") if with_anchor else None
         self.broken, self.numbers, self.open = False, [], []
 
     def seconds(self):
@@ -283,7 +199,7 @@ class LedgerStory(RuleBasedStateMachine):
 
     @rule()
     def begin(self):
-        place = begin(self.ledger, anchor=self.anchor)
+        place = begin(self.ledger)
         assert ("faults" in place) == self.broken
         self.numbers.append(place["number"])
         self.open.append(place["number"])
@@ -301,7 +217,7 @@ class LedgerStory(RuleBasedStateMachine):
     @precondition(lambda self: self.broken)
     @rule()
     def explain(self):
-        self.ledger.explain("tried", "Ada", anchor=self.anchor)
+        self.ledger.explain("tried", "Ada")
         self.broken = False
 
     @precondition(lambda self: self.lines())
@@ -324,20 +240,10 @@ class LedgerStory(RuleBasedStateMachine):
         self.ledger.path.write_bytes(data)
         self.broken = True
 
-    @precondition(lambda self: self.anchor and (self.ledger.home / MARK).exists() and self.lines())
-    @rule()
-    def delete_with_the_own_mark(self):
-        """The second place alone knows of it then: the next begin compares with it."""
-        if not Path(self.anchor).exists():
-            return
-        self.ledger.path.unlink()
-        (self.ledger.home / MARK).unlink()
-        self.broken = True
-
     @invariant()
     def a_break_is_seen(self):
         if hasattr(self, "ledger"):
-            assert bool(self.ledger.breaks(self.anchor)[0]) == self.broken
+            assert bool(self.ledger.breaks()[0]) == self.broken
 
     @invariant()
     def no_number_is_given_twice(self):
