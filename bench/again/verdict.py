@@ -43,7 +43,7 @@ def check_verdict(folder: Path) -> Findings:
     stated = run.history.verdict
     if stated is None:
         findings.fault("journal", JOURNAL, "it has no verdict; this version of the program writes one")
-    elif (stated["kind"], stated["headline"]) != (due.kind, due.headline):
+    elif (stated["kind"], stated["headline"]) != (due.kind, due.line):
         what = f"its verdict is {stated['headline']!r} ({stated['kind']})"
-        findings.fault("journal", JOURNAL, f"{what}; by the results it is {due.headline!r} ({due.kind})")
+        findings.fault("journal", JOURNAL, f"{what}; by the results it is {due.line!r} ({due.kind})")
     return findings

@@ -310,7 +310,7 @@ class VerdictData(TypedDict):
     """The verdict on a calibration, as the head of its report has it."""
 
     kind: str  # ``pass``, ``marginal`` or ``fail``
-    headline: str
+    headline: str  # With its first reservation, if nothing that a person did explains it
 
 
 class Written(TypedDict):

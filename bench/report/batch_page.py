@@ -6,6 +6,7 @@ It needs ``summary.json`` alone; the template escapes every text.
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Sequence
 from datetime import datetime, tzinfo
 from functools import partial
@@ -42,6 +43,7 @@ def render_batch(summary: BatchSummary) -> str:
         figures=_key_figures(summary),
         timeline=timeline(summary["items"], zone),
         failures=[(item["item"], item["how"], item["why"] or NOTHING, item["attempts"]) for item in failures],
+        resumes=_resumes(summary, failures),
         not_begun=[item["item"] for item in summary["items"] if item["how"] == "not begun"],
         not_kept=[item["item"] for item in summary["items"] if item["conformity"] == "FAIL"],
         remarks=[
@@ -58,6 +60,13 @@ def render_batch(summary: BatchSummary) -> str:
         requests=summary["requests"],
         ledger=_newest_line(summary["items"]),
     )
+
+
+def _resumes(summary: BatchSummary, failures: Sequence[ItemData]) -> list[str]:
+    """Return the commands by which runs without a result go on, from the folder of the batch; none while it works."""
+    if summary["rehearsal"] or summary["how"] != "failed":
+        return []
+    return [f"starbench resume {shlex.quote(item['folder'])}" for item in failures if item["begun_utc"]]
 
 
 def _zone(summary: BatchSummary) -> tzinfo | None:

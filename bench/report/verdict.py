@@ -134,6 +134,12 @@ class Verdict:
     # What a person did to the bench, the most probable first; it stands before all else.
     causes: tuple[str, ...] = ()
 
+    @property
+    def line(self) -> str:
+        """The headline with its first reservation, for status, panel, messages and lists; they print causes beside it."""
+        reservation = "" if self.kind == "pass" or self.causes else next(iter(self.reasons), "")
+        return f"{self.headline} {reservation}".rstrip()
+
 
 def verdict(results: Results) -> Verdict:
     """Return the verdict: ``fail`` if not converged, or a gate or limit failed; ``marginal`` with other reasons."""

@@ -134,7 +134,7 @@ class ResultWriter:
             self._folder.write_atomic(name, data)
         judged = verdict(results)
         self.outcome = Outcome(
-            results, self._folder.path / REPORT, head, {"kind": judged.kind, "headline": judged.headline}
+            results, self._folder.path / REPORT, head, {"kind": judged.kind, "headline": judged.line}
         )
 
 

@@ -100,6 +100,14 @@ def test_the_page_tells_failures_and_what_was_not_begun_with_local_times():
     assert "SIMULATED" not in html
 
 
+def test_the_page_has_the_command_by_which_each_begun_run_goes_on():
+    failed = item("cam-1", "failed", "The lamp is open.")
+    page = render_batch(summary(failed, item("cam-2", "not begun", begun_utc=None), how="failed"))
+    assert "starbench resume runs/cam-1" in page
+    assert "resume runs/cam-2" not in page
+    assert "starbench resume" not in render_batch(summary(failed, how="failed", rehearsal=True))
+
+
 def test_the_page_says_in_words_whether_the_results_agree():
     def page(*runs):
         return render_batch(summary(cameras=[of_runs(runs)]))

@@ -40,6 +40,7 @@ def test_gates_that_fail_and_reservations_change_it(data):
     judged = verdict_with(data, deviations=["Pose 2 was skipped."])
     assert (judged.kind, judged.headline) == ("marginal", "Calibrated, with reservations.")
     assert judged.reasons == ("Pose 2 was skipped.",)
+    assert judged.line == "Calibrated, with reservations. Pose 2 was skipped."
 
 
 def test_a_note_that_doubts_the_values_is_on_the_first_screen_and_a_pause_is_not(data):
