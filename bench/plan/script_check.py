@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import NamedTuple
 
 from bench.base.bounded_json import leaves
@@ -42,6 +42,9 @@ SMALLEST_SHARE_PERCENT = 1.0
 """A duty or level up to this is remarked: 0.5 and 1 are what half and all are as shares."""
 LEAST_SPREAD_DEG = 1.0
 """Poses that are all nearer to each other are remarked: 20 degrees to each side are less than 1 in radians."""
+PAST_THE_RIM_DEG = 1.5
+"""A pose that looks farther past the rim is remarked: half angle and zero of the stage are known to a degree or so, and the
+parallax test looks one degree past the rim, to see it."""
 WHOLE_PERIOD_SLACK = 0.02
 """A window may be shorter than a period by this fraction and still mean a whole period (16.6 ms at 60 Hz)."""
 
@@ -81,6 +84,7 @@ def check_script(
                     *_remarks(document, steps),
                     *_unit_remarks(document, steps),
                     *_steady_remarks(document, steps, station),
+                    *_beam_remarks(document, steps, station),
                 }
             )
         ),
@@ -318,6 +322,28 @@ def _steady_remarks(
         flicker = step.flicker if isinstance(step, LightStep) else None
         if flicker is not None and flicker.waveform != "steady" and not _flickers(flicker, station):
             yield document.fault(step.path, "the station has a frame camera: the light is steady instead.")
+
+
+def _beam_remarks(document: Located[Sequence], steps: tuple[Step, ...], station: Station) -> Iterator[Fault]:
+    """Yield a remark for each pose whose middle of the image lies outside the beam, if the station states the beam."""
+    if station.expected is None:
+        return
+    half_angle_deg = station.expected.half_angle_deg
+    for step in steps:
+        if isinstance(step, RecordStep) and not step.pose.chosen_in_run:
+            off_axis_deg = off_axis(step.pose.angles_deg)
+            if off_axis_deg > half_angle_deg + PAST_THE_RIM_DEG:
+                yield document.fault(
+                    step.path,
+                    f"pose {step.pose.index} ({step.pose.name}) looks past the beam: {off_axis_deg:.1f} degrees from"
+                    f" its axis, and the beam ends at {half_angle_deg:g}. Much of the image stays dark.",
+                )
+
+
+def off_axis(angles_deg: Mapping[str, float]) -> float:
+    """Return the angle between the axes of camera and beam, degrees, if they agree at the stage's zero."""
+    pan, tilt = (math.radians(angles_deg.get(axis, 0.0)) for axis in ("pan", "tilt"))
+    return math.degrees(math.acos(math.cos(pan) * math.cos(tilt)))
 
 
 def find_simulation_faults(station: Located[Station]) -> list[Fault]:

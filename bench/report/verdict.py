@@ -136,7 +136,7 @@ class Verdict:
 
     @property
     def line(self) -> str:
-        """The headline with its first reservation, for status, panel, messages and lists; they print causes beside it."""
+        """The headline with its first reservation, for status, panel, messages, lists; causes stand beside it there."""
         reservation = "" if self.kind == "pass" or self.causes else next(iter(self.reasons), "")
         return f"{self.headline} {reservation}".rstrip()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Mapping
 
 from bench.base.encoding import counted, size_text
@@ -15,6 +16,8 @@ from sequences.script import Flicker, LightStep, MoveStep, PromptStep, RecordSte
 
 MOST_LINES = 120
 """In a longer plan the steps in the middle are left out."""
+DRAWN_ROWS, MOST_DRAWN = 17, 40
+"""Size of the drawing of the beam, in lines of a terminal; of more poses, the numbers hide each other."""
 
 
 def render_plan(plan: Plan) -> str:
@@ -29,11 +32,37 @@ def render_plan(plan: Plan) -> str:
         ]
     if plan.remarks:
         lines += ["Remarks:", *map(str, plan.remarks), ""]
-    lines += [_steps(plan), ""]
+    lines += [_steps(plan), "", *_poses_in_the_beam(plan)]
     if plan.passport.in_use is not None:
         lines += [*_passport_lines(plan.passport.in_use), ""]
     lines.append(_totals(plan))
     return "\n".join(lines)
+
+
+def _poses_in_the_beam(plan: Plan) -> list[str]:
+    """Return the beam with the number of each pose where the camera looks, from the collimator; none without a beam.
+
+    Tilt is drawn upwards, pan to the right; of poses at one place, the first is shown.
+    """
+    expected, poses = plan.station.value.expected, plan.poses
+    if expected is None or not 0 < len(poses) <= MOST_DRAWN:
+        return []
+    edge_deg = expected.half_angle_deg
+    reach_deg = max(edge_deg, *(abs(pose.angles_deg.get(a, 0.0)) for pose in poses for a in ("pan", "tilt")))
+    rows = [[" "] * (2 * DRAWN_ROWS) for _ in range(DRAWN_ROWS)]
+
+    def put(pan_deg: float, tilt_deg: float, text: str) -> None:
+        row = round((1 - tilt_deg / reach_deg) * (DRAWN_ROWS - 1) / 2)
+        column = round((1 + pan_deg / reach_deg) * (DRAWN_ROWS - 1))
+        if rows[row][column] in " .":
+            rows[row][column : column + len(text)] = text
+
+    for turn in range(0, 360, 5):
+        put(edge_deg * math.cos(math.radians(turn)), edge_deg * math.sin(math.radians(turn)), ".")
+    for pose in poses:
+        put(pose.angles_deg.get("pan", 0.0), pose.angles_deg.get("tilt", 0.0), str(pose.index))
+    title = f"Where the poses look; the dots are the rim of the beam, {edge_deg:g} degrees from its axis:"
+    return [title, *("  " + "".join(row).rstrip() for row in rows), ""]
 
 
 def _steps(plan: Plan) -> str:

@@ -293,6 +293,18 @@ def test_a_share_in_place_of_per_cent_is_remarked(written, remarked):
     assert [remark.message for remark in planned(f"{written}\n{GOOD}").remarks] == remarked
 
 
+def test_a_pose_that_looks_past_the_beam_is_remarked_and_drawn_outside_of_it():
+    made = planned(GOOD.replace("pan_deg: 2", "pan_deg: -14.5"))
+    (remark,) = made.remarks
+    assert "pose 2" in remark.message
+    assert "14.5 degrees" in remark.message
+    drawn = [line for line in render_plan(made).splitlines() if line.startswith("  ")]
+    assert any(line.startswith("  2 ") and line.count(".") == 2 for line in drawn)
+    assert (
+        planned(GOOD.replace("pan_deg: 2", "pan_deg: 13")).remarks == ()
+    )  # the zero of a stage is not exact
+
+
 def test_angles_that_look_like_radians_are_remarked():
     (remark,) = planned(GOOD.replace("pan_deg: 2", "pan_deg: 0.79")).remarks
     assert "all poses lie within 0.21 degrees" in remark.message
