@@ -43,8 +43,8 @@ SMALLEST_SHARE_PERCENT = 1.0
 LEAST_SPREAD_DEG = 1.0
 """Poses that are all nearer to each other are remarked: 20 degrees to each side are less than 1 in radians."""
 PAST_THE_RIM_DEG = 1.5
-"""A pose that looks farther past the rim is remarked: half angle and zero of the stage are known to a degree or so, and the
-parallax test looks one degree past the rim, to see it."""
+"""A pose that looks farther past the rim is remarked: half angle and zero of the stage are known to a degree or so, and
+the parallax test looks one degree past the rim, to see it."""
 WHOLE_PERIOD_SLACK = 0.02
 """A window may be shorter than a period by this fraction and still mean a whole period (16.6 ms at 60 Hz)."""
 

@@ -61,7 +61,7 @@ def _poses_in_the_beam(plan: Plan) -> list[str]:
         put(edge_deg * math.cos(math.radians(turn)), edge_deg * math.sin(math.radians(turn)), ".")
     for pose in poses:
         put(pose.angles_deg.get("pan", 0.0), pose.angles_deg.get("tilt", 0.0), str(pose.index))
-    title = f"Where the poses look; the dots are the rim of the beam, {edge_deg:g} degrees from its axis:"
+    title = f"Where the poses look; dots: the rim of the beam, {edge_deg:g} degrees from its axis."
     return [title, *("  " + "".join(row).rstrip() for row in rows), ""]
 
 
