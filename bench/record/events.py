@@ -113,7 +113,7 @@ class LedgerPlace(TypedDict):
 
 
 class RunStarted(TypedDict):
-    """Payload of ``run_started``; ``plugins`` states, by package, the drivers that it brought: ``stage turntable``."""
+    """Payload of ``run_started``; ``plugins`` states, by package, the drivers that it brought: ``stage epics_motor``."""
 
     id: str
     sequence: str

@@ -42,7 +42,7 @@ def files_software(endings: Iterable[str]) -> dict[str, str]:
 
 
 def plugins_of_run(station: Station) -> dict[str, dict[str, list[str]]]:
-    """Return ``plugins`` of a station as ``run_started`` states them, ``["stage turntable"]`` a package; or nothing."""
+    """Return ``plugins`` of a station as ``run_started`` states them, ``["stage epics_motor"]`` a package; or nothing."""
     by_distribution: dict[str, list[str]] = {}
     for plugin in used_plugins(station):
         by_distribution.setdefault(plugin.distribution, []).append(f"{plugin.kind} {plugin.name}")
@@ -50,7 +50,7 @@ def plugins_of_run(station: Station) -> dict[str, dict[str, list[str]]]:
 
 
 def plugins_stated(started: RunStarted) -> dict[str, str]:
-    """Return the plug-ins that a run used, by its journal: ``{"starbench-turntable 1.0": "stage turntable"}``."""
+    """Return the plug-ins that a run used, by its journal: ``{"starbench-epics 1.0": "stage epics_motor"}``."""
     versions = started.get("software") or {}
     return {
         f"{name} {versions.get(name, _NOT_STATED)}": ", ".join(drivers)

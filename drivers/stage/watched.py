@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Generic, NamedTuple, TypeVar
+from contextlib import AbstractContextManager
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import (
@@ -21,7 +22,7 @@ from drivers.errors import (
     ReplyError,
     WrongDevice,
 )
-from drivers.link import Link, Reading, read_position_until_agreed
+from drivers.link import Reading, read_position_until_agreed
 from drivers.serial_number import is_same_serial
 from drivers.serial_port import OnOnePort, Port, closed_on_error
 from drivers.stage import AxisIdentity, AxisLimits, motion
@@ -40,7 +41,21 @@ StopCheck = Callable[[], None]
 A driver calls it with the line's lock held, and keeps the lock until its command is out. A stop then either comes
 before the command, which is not sent, or after it, and stops what the command has started.
 """
-L = TypeVar("L", bound=Link)
+L = TypeVar("L", bound="AxisLine")
+
+
+class AxisLine(Protocol):
+    """What the watch of a move needs of the line to an axis, or of a maker's library: `drivers.link.Link` has it."""
+
+    @property
+    def lock(self) -> AbstractContextManager[Any]:
+        """While a thread holds it, no other thread can command the axis."""
+
+    def listen(self, duration_s: float) -> None:
+        """Wait, not longer than this; no clock of a run interrupts it."""
+
+    def close(self) -> None:
+        """Let the device go. A second call does nothing."""
 
 
 class AxisState(NamedTuple):
@@ -62,7 +77,7 @@ class WatchedStage(ABC, Generic[A]):
 
     def __init__(self, axes: Sequence[A], *, clock: Clock, where: str) -> None:
         self._axes = {axis.name: axis for axis in axes}
-        self._lines: Mapping[str, Link] = {}
+        self._lines: Mapping[str, AxisLine] = {}
         """The line of each axis; axes may share one."""
         self._clock = clock
         self._where = where

@@ -6,12 +6,14 @@ docs/plugins.md explains it. No run uses this package.
 """
 
 from bench.extras.plugin_tests.cameras import CameraContract, FrameCameraContract, SimulatedCamera
-from bench.extras.plugin_tests.rig import SimulatedLight, SimulatedStage
-from bench.extras.plugin_tests.stages import LightContract, StageContract
+from bench.extras.plugin_tests.rig import LibraryStage, SimulatedLight, SimulatedStage
+from bench.extras.plugin_tests.stages import LibraryStageContract, LightContract, StageContract
 
 __all__ = [
     "CameraContract",
     "FrameCameraContract",
+    "LibraryStage",
+    "LibraryStageContract",
     "LightContract",
     "SimulatedCamera",
     "SimulatedLight",

@@ -80,8 +80,8 @@ class SimulatedDevice(Protocol):
         ...
 
 
-class SimulatedStage(SimulatedDevice, Protocol):
-    """A simulated stage."""
+class WithAngles(Protocol):
+    """What tells where its axes really are."""
 
     def angles_deg(self) -> Mapping[str, float]:
         """Return where the axes really are.
@@ -91,6 +91,23 @@ class SimulatedStage(SimulatedDevice, Protocol):
         mapping
             Angle by axis, in degrees.
         """
+        ...
+
+
+class SimulatedStage(SimulatedDevice, WithAngles, Protocol):
+    """A simulated stage on a line of bytes."""
+
+
+class LibraryStage(WithAngles, Protocol):
+    """A simulated stage that a maker's library can reach, or a stand-in for that library."""
+
+    @property
+    def address(self) -> str:
+        """What stands for ``PORT`` in the section; empty for a stage that has no port."""
+        ...
+
+    def unplug(self) -> None:
+        """Take it off the library; it stays so."""
         ...
 
 

@@ -5,14 +5,24 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, contextmanager, suppress
+from contextlib import AbstractContextManager, closing, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import pytest
 
-from bench.extras.plugin_tests.rig import SPOILT, Rig, SimulatedLight, SimulatedStage, fails_in_time, rig
+from bench.extras.plugin_tests.rig import (
+    SPOILT,
+    LibraryStage,
+    Rig,
+    SimulatedLight,
+    SimulatedStage,
+    WithAngles,
+    fails_in_time,
+    rig,
+    station_of,
+)
 from bench.stations.devices import open_light, open_stage
 from bench.stations.station import Station
 from drivers.clock import SystemClock
@@ -29,6 +39,9 @@ from drivers.errors import (
 )
 from drivers.light import Light, LightSettings
 from drivers.stage import Stage
+
+Opener = Callable[..., Any]
+"""Opens the device of a contract; keywords are keys of its section with other values."""
 
 
 class ContractClock(SystemClock):
@@ -76,6 +89,30 @@ class DeviceTime:
         time.sleep(0.005)
         assert self._held_s is not None
         self._held_s += 0.01
+
+
+class RealTime(DeviceTime):
+    """The system's time, for a device whose time no test can hold."""
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Let the time pass.
+
+        Yields
+        ------
+        None
+            At once.
+        """
+        yield
+
+    def step(self) -> None:
+        """Let 5 ms pass."""
+        time.sleep(0.005)
+
+
+def _opened(kind: Literal["stage", "light"], station: Station) -> Any:
+    clock: Any = ContractClock()
+    return (open_stage if kind == "stage" else open_light)(station, str, clock, None)
 
 
 class SerialContract:
@@ -131,34 +168,38 @@ class SerialContract:
         with rig(self.kind, self.section, simulated, tmp_path) as made:
             yield made
 
-    def _opened(self, station: Station) -> Any:
-        clock: Any = ContractClock()
-        return (open_stage if self.kind == "stage" else open_light)(station, str, clock, None)
+    @pytest.fixture
+    def opens(self, rig: Rig) -> Opener:
+        """Opens the device, with changed keys of its section."""
+        return lambda **changes: _opened(self.kind, rig.station(changes))
 
-    def test_a_stranger_on_the_port_is_refused(self, rig: Rig) -> None:
+    def test_a_stranger_on_the_port_is_refused(self, rig: Rig, opens: Opener) -> None:
         """A stranger on the port is refused."""
         rig.spoil("stranger", count=None)
-        fails_in_time(lambda: self._opened(rig.station({})))
+        fails_in_time(opens)
 
 
-class StageContract(SerialContract):
-    """Derive from this class, name it ``Test...``, and give ``section`` and ``device``, a `SimulatedStage`.
-
-    All axes of the section need limits that contain 0.
+class AnyStageContract:
+    """What the contracts of stages share, on lines of bytes and behind a maker's library.
 
     Attributes
     ----------
+    section
+        The section of the station file; ``PORT`` stands in place of what names the simulated stage.
+    other_serial
+        A serial number that the simulated stage does not have; empty if it has none.
     tolerance_deg
         Largest difference between a reading and the simulated axis, in degrees.
     """
 
-    kind = "stage"
+    section: ClassVar[Mapping[str, Any]]
+    other_serial: ClassVar[str] = ""
     tolerance_deg: ClassVar[float] = 0.01
 
     @pytest.fixture
-    def stage(self, rig: Rig) -> Iterator[Stage]:
+    def stage(self, opens: Opener) -> Iterator[Stage]:
         """The open stage."""
-        with closing(self._opened(rig.station({}))) as stage:
+        with closing(opens()) as stage:
             yield stage
 
     @pytest.fixture
@@ -167,21 +208,21 @@ class StageContract(SerialContract):
         stage.home()
         return stage
 
-    def test_opening_and_closing_move_nothing(self, rig: Rig, simulated: SimulatedStage) -> None:
+    def test_opening_and_closing_move_nothing(self, opens: Opener, simulated: WithAngles) -> None:
         """Opening and closing move nothing."""
         before = dict(simulated.angles_deg())
         for _ in range(2):
-            self._opened(rig.station({})).close()
+            opens().close()
         assert dict(simulated.angles_deg()) == pytest.approx(before, abs=1e-6)
 
-    def test_the_axes_are_those_of_the_section(self, rig: Rig, stage: Stage) -> None:
+    def test_the_axes_are_those_of_the_section(self, stage: Stage) -> None:
         """The axes are those of the section."""
-        names = list(rig.station({}).axes)
+        names = list(self.section["axes"])
         assert list(stage.axes) == names
         assert [axis.name for axis in stage.identify()] == names
         assert list(stage.limits) == names
 
-    def test_without_a_reference_nothing_moves(self, stage: Stage, simulated: SimulatedStage) -> None:
+    def test_without_a_reference_nothing_moves(self, stage: Stage, simulated: WithAngles) -> None:
         """Without a reference nothing moves."""
         if stage.is_homed():
             pytest.skip("this device knows its position from power-up on")
@@ -189,9 +230,7 @@ class StageContract(SerialContract):
         fails_in_time(lambda: stage.move_to({stage.axes[0]: 1.0}), NotHomed)
         assert dict(simulated.angles_deg()) == pytest.approx(before, abs=1e-6)
 
-    def test_homing_and_moves_end_where_the_readings_say(
-        self, homed: Stage, simulated: SimulatedStage
-    ) -> None:
+    def test_homing_and_moves_end_where_the_readings_say(self, homed: Stage, simulated: WithAngles) -> None:
         """Homing and moves end where the readings say."""
         assert homed.is_homed()
         for share in (0.5, -0.7, 0.0):
@@ -201,7 +240,7 @@ class StageContract(SerialContract):
             assert dict(simulated.angles_deg()) == pytest.approx(goal, abs=self.tolerance_deg)
         assert list(homed.faults()) == []
 
-    def test_a_target_outside_the_limits_moves_nothing(self, homed: Stage, simulated: SimulatedStage) -> None:
+    def test_a_target_outside_the_limits_moves_nothing(self, homed: Stage, simulated: WithAngles) -> None:
         """A target outside the limits moves nothing."""
         before = dict(simulated.angles_deg())
         for name in homed.axes:
@@ -213,7 +252,7 @@ class StageContract(SerialContract):
         assert dict(simulated.angles_deg()) == pytest.approx(before, abs=1e-6)
 
     def test_a_stop_from_another_thread_ends_a_move(
-        self, homed: Stage, simulated: SimulatedStage, device_time: DeviceTime
+        self, homed: Stage, simulated: WithAngles, device_time: DeviceTime
     ) -> None:
         """A stop from another thread ends a move."""
         name = homed.axes[0]
@@ -233,17 +272,26 @@ class StageContract(SerialContract):
         assert simulated.angles_deg()[name] == pytest.approx(rest, abs=0.05)
         assert rest < _at(homed, name, 1.0) - 0.1, "the stop came too late: the axis was at its target"
 
-    def test_another_serial_number_is_refused(self, rig: Rig, simulated: SimulatedStage) -> None:
+    def test_another_serial_number_is_refused(self, opens: Opener, simulated: WithAngles) -> None:
         """Another serial number is refused."""
         if not self.other_serial:
             pytest.skip("this device has no serial number")
         before = dict(simulated.angles_deg())
-        fails_in_time(lambda: self._opened(rig.station({"serial": self.other_serial})), WrongDevice)
+        fails_in_time(lambda: opens(serial=self.other_serial), WrongDevice)
         assert dict(simulated.angles_deg()) == pytest.approx(before, abs=1e-6)
 
-    def test_a_second_opening_is_refused(self, rig: Rig, stage: Stage) -> None:
+
+class StageContract(AnyStageContract, SerialContract):
+    """Derive from this class, name it ``Test...``, and give ``section`` and ``device``, a `SimulatedStage`.
+
+    All axes of the section need limits that contain 0.
+    """
+
+    kind = "stage"
+
+    def test_a_second_opening_is_refused(self, opens: Opener, stage: Stage) -> None:
         """A second opening is refused."""
-        fails_in_time(lambda: self._opened(rig.station({})), PortBusy)
+        fails_in_time(opens, PortBusy)
         assert stage.position_deg()
 
     @pytest.mark.parametrize("kind", SPOILT)
@@ -268,7 +316,7 @@ class StageContract(SerialContract):
         fails_in_time(homed.stop)
 
     def test_a_pulled_cable_is_a_lost_port_and_nothing_moves_when_it_is_back(
-        self, rig: Rig, homed: Stage, simulated: SimulatedStage
+        self, rig: Rig, opens: Opener, homed: Stage, simulated: SimulatedStage
     ) -> None:
         """A pulled cable is a lost port and nothing moves when it is back."""
         rig.plugged.unplug()
@@ -276,9 +324,63 @@ class StageContract(SerialContract):
         homed.close()
         rig.plugged.replug()
         before = dict(simulated.angles_deg())
-        with closing(self._opened(rig.station({}))) as again:
+        with closing(opens()) as again:
             again.identify()
         assert dict(simulated.angles_deg()) == pytest.approx(before, abs=1e-4)
+
+
+class LibraryStageContract(AnyStageContract):
+    """The contract of a stage behind a maker's library. Derive, name it ``Test...``, give ``section``, ``connected``.
+
+    All axes of the section need limits that contain 0.
+    """
+
+    def connected(self) -> AbstractContextManager[LibraryStage]:
+        """Connect a simulated stage, or a stand-in for the library, fresh from power-up.
+
+        Returns
+        -------
+        context manager
+            Gives the stage, and takes it away.
+
+        Raises
+        ------
+        NotImplementedError
+            If a subclass does not write it.
+        """
+        raise NotImplementedError
+
+    @pytest.fixture
+    def device_time(self) -> DeviceTime:
+        """The system's time, which nobody can hold."""
+        return RealTime()
+
+    @pytest.fixture
+    def simulated(self) -> Iterator[LibraryStage]:
+        """The simulated stage."""
+        with self.connected() as stage:
+            yield stage
+
+    @pytest.fixture
+    def opens(self, simulated: LibraryStage) -> Opener:
+        """Opens the stage, with changed keys of its section."""
+        return lambda **changes: _opened(
+            "stage", station_of("stage", self.section, simulated.address, changes)
+        )
+
+    def test_a_lost_device_is_an_error_in_bounded_time(
+        self, opens: Opener, homed: Stage, simulated: LibraryStage
+    ) -> None:
+        """A lost device is an error in bounded time, for each of its methods and for opening it."""
+        simulated.unplug()
+        for act in (
+            homed.position_deg,
+            homed.stop,
+            homed.home,
+            lambda: homed.move_to({homed.axes[0]: 1.0}),
+            opens,
+        ):
+            fails_in_time(act)
 
 
 def _at(stage: Stage, name: str, share: float) -> float:
@@ -303,9 +405,9 @@ class LightContract(SerialContract):
     impossible: ClassVar[LightSettings] = LightSettings("square", 1e12, 50.0, 0.0, 3.0)
 
     @pytest.fixture
-    def light(self, rig: Rig) -> Iterator[Light]:
+    def light(self, opens: Opener) -> Iterator[Light]:
         """The open light."""
-        with closing(self._opened(rig.station({}))) as light:
+        with closing(opens()) as light:
             yield light
 
     def test_settings_are_read_back_and_the_light_stays_dark(
@@ -338,28 +440,28 @@ class LightContract(SerialContract):
         fails_in_time(lambda: light.apply(self.impossible), SettingRefused)
         light.apply(self.flicker)
 
-    def test_opening_and_closing_switch_nothing(self, rig: Rig, simulated: SimulatedLight) -> None:
+    def test_opening_and_closing_switch_nothing(self, opens: Opener, simulated: SimulatedLight) -> None:
         """Opening and closing switch nothing."""
-        with closing(self._opened(rig.station({}))) as light:
+        with closing(opens()) as light:
             assert not simulated.is_lit()
             light.apply(self.flicker)
             light.on()
         assert simulated.is_lit()
-        with closing(self._opened(rig.station({}))) as again:
+        with closing(opens()) as again:
             assert simulated.is_lit()
             assert again.is_on()
             again.off()
         assert not simulated.is_lit()
 
-    def test_another_serial_number_is_refused(self, rig: Rig) -> None:
+    def test_another_serial_number_is_refused(self, opens: Opener) -> None:
         """Another serial number is refused."""
         if not self.other_serial:
             pytest.skip("this device has no serial number")
-        fails_in_time(lambda: self._opened(rig.station({"serial": self.other_serial})), WrongDevice)
+        fails_in_time(lambda: opens(serial=self.other_serial), WrongDevice)
 
-    def test_a_second_opening_is_refused(self, rig: Rig, light: Light) -> None:
+    def test_a_second_opening_is_refused(self, opens: Opener, light: Light) -> None:
         """A second opening is refused."""
-        fails_in_time(lambda: self._opened(rig.station({})), PortBusy)
+        fails_in_time(opens, PortBusy)
         assert light.is_on() is False
 
     @pytest.mark.parametrize("kind", SPOILT)
