@@ -19,7 +19,7 @@ class Cause(NamedTuple):
 
 _CAUSES: Final = (
     (
-        re.compile(rb"\|MPG:1"),  # grblHAL's report; it takes no lines meanwhile
+        re.compile(rb"(?s)\|MPG:1(?!.*\|MPG:0)"),  # grblHAL's report; it takes no lines meanwhile
         Cause("a pendant (MPG) has the control of the board", "Give the control back at the pendant."),
     ),
     (

@@ -113,7 +113,7 @@ class LedgerPlace(TypedDict):
 
 
 class RunStarted(TypedDict):
-    """Payload of ``run_started``; ``plugins`` states, by package, the drivers that it brought: ``stage epics_motor``."""
+    """Payload of ``run_started``; ``plugins`` states the drivers of each package: ``stage epics_motor``."""
 
     id: str
     sequence: str

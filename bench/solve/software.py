@@ -42,7 +42,7 @@ def files_software(endings: Iterable[str]) -> dict[str, str]:
 
 
 def plugins_of_run(station: Station) -> dict[str, dict[str, list[str]]]:
-    """Return ``plugins`` of a station as ``run_started`` states them, ``["stage epics_motor"]`` a package; or nothing."""
+    """Return ``plugins`` of a station as ``run_started`` has them, ``["stage epics_motor"]`` a package; or nothing."""
     by_distribution: dict[str, list[str]] = {}
     for plugin in used_plugins(station):
         by_distribution.setdefault(plugin.distribution, []).append(f"{plugin.kind} {plugin.name}")

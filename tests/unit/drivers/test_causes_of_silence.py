@@ -16,6 +16,7 @@ from drivers.serial_port import SerialPort
 from drivers.stage.thorlabs_controller import INFORMATION_LAYOUT, ThorlabsController, size
 from drivers.stage.zaber import ZaberStage
 from tests.hil.direct_stages import VirtualClock
+from tests.unit.drivers.generator_bench import Bench as GeneratorBench
 from tests.unit.drivers.grbl_bench import Bench as GrblBench
 from tests.unit.drivers.zaber_bench import Bench as ZaberBench
 from tests.unit.drivers.zaber_bench import axes
@@ -114,6 +115,25 @@ def test_a_pendant_that_has_the_control_is_named_and_no_cable_is_doubted() -> No
         bench.open()
     assert "pendant" in caught.value.remedy
     assert "cable" not in caught.value.remedy
+
+
+def test_a_pendant_that_has_given_the_control_back_is_no_cause() -> None:
+    """grblHAL tells both changes: issue 218 of ioSender."""
+    clock = VirtualClock()
+    port = OtherDevice(clock, lambda _data: b"")
+    port.ready = b"<Idle|MPos:0.000|MPG:1>\r\n<Idle|MPos:0.000|MPG:0>\r\n"
+    with pytest.raises(ReplyTimeout) as caught:
+        ScpiLight(port, clock=clock)
+    assert "pendant" not in str(caught.value)
+
+
+def test_a_banner_of_a_device_server_is_no_answer_and_no_fault() -> None:
+    """Of ser2net's issue 133: it comes as soon as the port is open."""
+    bench = GeneratorBench()
+    bench.line.ready = (
+        b"ser2net port telnet(rfc2217),tcp,5001 device serialdev,/dev/ttyDUT1,115200n81\r\n\r\n"
+    )
+    assert bench.open().identify().serial == "SG0042"
 
 
 SAID = {
