@@ -42,13 +42,11 @@ def align_on_page(
     opening = threading.Thread(target=_open, args=(session,), name="align-open", daemon=True)
 
     def ready() -> None:
-        print_line(server.address)
+        server.welcome(open_browser=open_browser)
         print_line(
             f"Station: {session.station.value.name}. Ctrl-C stops the stage, switches the light off, and ends."
         )
         opening.start()
-        if open_browser:
-            server.open_browser()
 
     try:
         server.serve(ready, partial(_stop_soon, session))

@@ -362,8 +362,9 @@ page_options = together(
         default="127.0.0.1",
         metavar="NAME",
         help="Name or address at which to serve the page. If other computers can reach it, the page needs a token: the "
-        "one in the variable STARBENCH_PAGE_TOKEN; without it, a new one in the printed address.  [default: "
-        "127.0.0.1, this computer only]",
+        "one in the variable STARBENCH_PAGE_TOKEN; without it, a new one in the printed address. The connection is not "
+        "encrypted. An encrypted one needs no --host: ssh -L PORT:127.0.0.1:PORT COMPUTER.  [default: 127.0.0.1, this "
+        "computer only]",
     ),
     click.option(
         "--no-token",

@@ -37,12 +37,12 @@ from bench.web.token import (
     PageToken,
     WrongTokens,
     address_of,
-    client_name,
     is_loopback,
 )
 
 SIGN_IN = "/sign-in"
-_SIGNED_IN = "starbench.signed_in"
+SIGNED_IN = "starbench.signed_in"
+"""Key of the ASGI scope: whether the request has shown the token or the cookie."""
 ASSETS = "/assets/"
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data: blob:;"
@@ -58,6 +58,7 @@ _HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
 }
 _SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
+_ERROR = 400  # HTTP: this status and higher ones
 _COOKIE_AGE_S = 30 * 24 * 3600  # A month: the page of a bench stays open
 
 
@@ -77,8 +78,7 @@ class Guard:
         self._names = frozenset({"localhost", "127.0.0.1", "::1", host.lower(), *_own_names(host)})
         self._addresses_allowed = not is_loopback(host)
         self._cookie = f"starbench-{port}"  # browsers share cookies between the ports of a host
-        self._port = port
-        self._token = None if token is None else token.text.encode()
+        self._token = token
         self._session = secrets.token_urlsafe(MADE_BYTES)
         self._session_host = (
             f"starbench-{secrets.token_hex(NAME_BYTES)}.localhost" if token and is_loopback(host) else ""
@@ -101,6 +101,8 @@ class Guard:
                     headers.setdefault(name, value)
                 if not scope["path"].startswith(ASSETS):
                     headers.setdefault("Cache-Control", "no-store")
+                if message["status"] >= _ERROR and not scope.get(SIGNED_IN):
+                    headers["Connection"] = "close"
             await send(message)
 
         answer = await self._answer(Request(scope, receive))
@@ -133,7 +135,7 @@ class Guard:
             return await self._sign_in(request, host)
         elif not self._has_cookie(request):
             refusal = _ask_to_sign_in(request)
-        request.scope[_SIGNED_IN] = refusal is None
+        request.scope[SIGNED_IN] = refusal is None
         return refusal
 
     def _move_to_session_host(self, request: Request, host: str) -> Response:
@@ -150,14 +152,15 @@ class Guard:
         return self._addresses_allowed and address_of(name) is not None
 
     def _refusal_of(self, given: str, request: Request) -> Response | None:
-        """Return the answer to a wrong token, or to any token of a client that sent many; None for the right one."""
-        client = request.client
-        name = client_name(client.host, client.port, self._port) if client is not None else ""
-        if self._wrong.refuse(name):
+        """Return the answer to a wrong token, or to any token of an address that sent many; None for the right one."""
+        address = request.client.host if request.client is not None else ""
+        if self._wrong.refuse(address):
             return _refusal(429, "The token was wrong 10 times.", "Wait one minute, then try again.")
-        if self._token is not None and hmac.compare_digest(given.encode(), self._token):
+        assert self._token is not None
+        if hmac.compare_digest(given.encode(), self._token.text.encode()):
             return None
-        self._wrong.add(name)
+        if not self._token.made:  # nobody guesses 128 random bits, at any rate
+            self._wrong.add(address)
         return _refusal(
             403 if request.url.path == SIGN_IN else 401,
             "This token is wrong.",
@@ -179,7 +182,11 @@ class Guard:
             return HTMLResponse((Path(__file__).parent / "assets" / "sign_in.html").read_text("utf-8"))
         if request.method != "POST":
             return _refusal(405, "This is not possible here.", "Use the form.")
-        refusal = self._refusal_of(await _given_token(request), request)
+        try:
+            given = (await read_object(request)).get("token")
+        except UsageError as error:
+            return error_answer(Failure.of(error), 400)
+        refusal = self._refusal_of(given if isinstance(given, str) else "", request)
         if refusal is not None:
             return refusal
         answer = JSONResponse({"signed_in": True})
@@ -220,18 +227,9 @@ def _same_origin(headers: Headers, host: str) -> bool:
     return bool(separator) and scheme in {"http", "https"} and netloc.lower() == host.lower()
 
 
-async def _given_token(request: Request) -> str:
-    """Return the token of a sign-in; empty if the request holds none."""
-    try:
-        given = (await read_object(request)).get("token")
-    except UsageError:
-        return ""
-    return given if isinstance(given, str) else ""
-
-
 def known_by(request: Request) -> Literal["token", "typed"]:
     """Return how the name of a person on a page is known: who had the token, or only what somebody typed."""
-    return "token" if request.scope.get(_SIGNED_IN) else "typed"
+    return "token" if request.scope.get(SIGNED_IN) else "typed"
 
 
 def _refusal(status: int, what: str, remedy: str) -> Response:

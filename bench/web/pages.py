@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import re
 from collections.abc import Callable, Sequence
 from contextlib import AbstractAsyncContextManager
@@ -16,13 +15,12 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import BaseRoute, Mount
 from starlette.staticfiles import StaticFiles
 
-from bench.base.bounded_json import parse_json
+from bench.base.bounded_json import canonical_json, parse_json
 from bench.base.errors import RunFolderError, UsageError
 from bench.base.failure import FORESEEN, Failure
 
 ASSETS = Path(__file__).parent / "assets"
 _MOST_BYTES = 16_384  # Requests of the pages have some hundred
-BODY_S = 10.0  # They arrive at once; a slow sender holds a connection
 _WHOLE_NUMBER = re.compile(r"[0-9]{1,15}")
 _NOT_FOUND, _CONFLICT, _INVALID = 404, 409, 400  # HTTP
 
@@ -43,19 +41,17 @@ def page_app(
 
 
 async def read_object(request: Request) -> dict[str, Any]:
-    """Read the JSON object that a request carries: at most 16 KiB, and within 10 s."""
+    """Read the JSON object that a request carries: at most 16 KiB, finite numbers, and text that UTF-8 can hold."""
     body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > _MOST_BYTES:
+            raise UsageError("The request is too long.", remedy="Load the page again.")
     try:
-        async with asyncio.timeout(BODY_S):
-            async for part in request.stream():
-                body += part
-                if len(body) > _MOST_BYTES:
-                    raise UsageError("The request is too long.", remedy="Load the page again.")
         content = parse_json(body)
-    except TimeoutError as error:
-        raise UsageError("The request did not end in time.", remedy="Load the page again.") from error
+        canonical_json(content, ascii_only=False)  # not of infinity, nor of half a surrogate pair
     except ValueError as error:
-        raise UsageError("The request is not JSON.", remedy="Load the page again.") from error
+        raise UsageError("The request is not valid JSON.", remedy="Load the page again.") from error
     if not isinstance(content, dict):
         raise UsageError("The request is not a JSON object.", remedy="Load the page again.")
     return content

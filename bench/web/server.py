@@ -15,24 +15,29 @@ import sys
 import tempfile
 import threading
 import webbrowser
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 
 import uvicorn
-from starlette.types import ASGIApp, Receive, Scope, Send
+from starlette.types import ASGIApp
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from bench.base.clock import stopping_signals
 from bench.base.errors import UsageError
-from bench.web.guard import SIGN_IN, Guard
+from bench.web.guard import SIGN_IN, SIGNED_IN, Guard
 from bench.web.server_sent import CLOSING
-from bench.web.token import PageToken, address_of, require_token
+from bench.web.token import PageToken, address_of, is_loopback, require_token
 
 LOOPBACK = "127.0.0.1"
 _CLOSE_S = 2  # Streams never end by themselves
-HEAD_S = 10.0  # A request's head arrives at once; a slow sender holds a connection
-_BACKLOG = 128  # That of Python's own servers
+REQUEST_S = 10.0  # A request of the pages arrives at once; a slow sender holds a connection
+_WAITING = 1024  # Connections that the system keeps until they are accepted; it delays others by a second
+_ACCEPTED = 64  # Most that one turn of the loop accepts
+MOST_CONNECTIONS = 512
+"""Half of the 1024 files that a process may often have. Its own limit, uvicorn applies to everybody alike."""
 
 
 def print_line(text: str) -> None:
@@ -48,22 +53,14 @@ def serve_pages(
     port: int = 0,
     token: PageToken | None = None,
     open_browser: bool = True,
-    announce: Callable[[str], None] = print_line,
 ) -> None:
     """Serve pages until SIGINT, SIGTERM or SIGHUP, then raise `KeyboardInterrupt`. Only for the main thread.
 
-    Port 0 is any free one; ``token`` None: none is needed. ``announce`` gets the URL when the server accepts
-    connections. `UsageError`: port in use, strange address, or others could use the pages without a token.
+    Port 0 is any free one; ``token`` None: none is needed. The address is printed when the server accepts connections.
+    `UsageError`: port in use, strange address, or others could use the pages without a token.
     """
     server = PageServer(app, host=host, port=port, token=token)
-
-    def ready() -> None:
-        announce(server.address)
-        if open_browser:
-            server.open_browser()
-
-    server.serve(ready)
-    if server.ended_by_signal:
+    if server.serve(partial(server.welcome, open_browser=open_browser)):
         raise KeyboardInterrupt
 
 
@@ -78,9 +75,10 @@ class PageServer:
         self.port = int(self._socket.getsockname()[1])
         self.url = f"http://{_shown(host)}:{self.port}/"
         self.address = self.url
-        """What is printed for a person: the URL, with the token if this start made it."""
+        """What a person opens: the URL, with the token if this start made it."""
         if token is not None and token.made:
             self.address = f"{self.url}{SIGN_IN.lstrip('/')}#token={token.text}"
+        self._in_the_open = not is_loopback(host)
         self._browser_folder: tempfile.TemporaryDirectory[str] | None = None
         guard = Guard(app, host=host, port=self.port, token=token)
         config = uvicorn.Config(
@@ -94,20 +92,17 @@ class PageServer:
             server_header=False,
             timeout_graceful_shutdown=_CLOSE_S,
             timeout_keep_alive=30,
+            backlog=_ACCEPTED,
         )
         self._server = _Server(config)
 
-    @property
-    def ended_by_signal(self) -> bool:
-        """Whether a signal has ended the server."""
-        return self._server.ended_by_signal
-
     def serve(
         self, ready: Callable[[], None] = lambda: None, at_signal: Callable[[], None] = lambda: None
-    ) -> None:
-        """Serve until a signal, or `stop` from another thread; ``ready`` is called when it accepts connections.
+    ) -> bool:
+        """Serve until a signal, or `stop` from another thread, and return whether it was a signal.
 
-        ``at_signal`` is called in the handler of each signal, before anything else; it must not wait.
+        ``ready`` is called when the server accepts connections, ``at_signal`` in the handler of each
+        signal, before anything else; it must not wait.
         """
         self._server.ready, self._server.at_signal = ready, at_signal
         try:
@@ -116,6 +111,19 @@ class PageServer:
             self._socket.close()
             if self._browser_folder is not None:
                 self._browser_folder.cleanup()
+        return self._server.ended_by_signal
+
+    def welcome(self, *, open_browser: bool) -> None:
+        """Print the address, and who can read along; open the pages in a browser if that is wanted."""
+        print_line(self.address)
+        if self._in_the_open:
+            print_line(
+                "This connection is not encrypted: who can read the network can read the token. For an encrypted one, "
+                f"start with --port {self.port} and without --host, and run on the other computer: "
+                f"ssh -L {self.port}:{LOOPBACK}:{self.port} {socket.gethostname()}"
+            )
+        if open_browser:
+            self.open_browser()
 
     def open_browser(self) -> None:
         """Open the pages by a file that leads on: unlike a process's arguments, other users cannot read it."""
@@ -134,30 +142,47 @@ class PageServer:
 
 
 class _Protocol(H11Protocol):
-    """A connection; it is closed if the head of a request takes too long. Uvicorn itself waits for ever."""
-
-    _late: asyncio.TimerHandle | None = None
+    """A connection. It is closed if a request takes too long, or for a new one; uvicorn itself does neither."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin to wait for a request."""
         super().connection_made(transport)
-        self._late = self.loop.call_later(HEAD_S, transport.close)
+        self.address = self.client[0] if self.client is not None else ""
+        self.heard_s = self.loop.time()
+        self._late = self.loop.call_later(REQUEST_S, transport.close)
+        self._make_room()
 
     def data_received(self, data: bytes) -> None:
         """Take a part of a request."""
         super().data_received(data)
-        working = self.cycle is not None and not self.cycle.response_complete
-        if working and self._late is not None:
+        self.heard_s = self.loop.time()
+        if self.cycle is not None and not self.cycle.more_body and not self.cycle.response_complete:
             self._late.cancel()
-            self._late = None
-        elif not working and self._late is None:
-            self._late = self.loop.call_later(HEAD_S, self.transport.close)
+        elif self._late.cancelled():
+            self._late = self.loop.call_later(REQUEST_S, self.transport.close)
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End the wait."""
         super().connection_lost(exc)
-        if self._late is not None:
-            self._late.cancel()
+        self._late.cancel()
+
+    def _make_room(self) -> None:
+        """Of too many connections, close those of strangers: of the address with most, those silent longest.
+
+        They are as many as one turn accepts: a cookie is seen within three turns, so a new connection lives until then.
+        """
+        if len(self.connections) <= MOST_CONNECTIONS:
+            return
+        strangers = [one for one in self.connections if isinstance(one, _Protocol) and one.is_strange()]
+        held = Counter(one.address for one in strangers)
+        strangers.sort(key=lambda one: (-held[one.address], one.heard_s))
+        for one in strangers[:_ACCEPTED]:
+            self.connections.discard(one)
+            one.transport.abort()
+
+    def is_strange(self) -> bool:
+        """Return whether its last request was not that of somebody who is signed in."""
+        return self.scope is None or not self.scope.get(SIGNED_IN)
 
 
 class _Server(uvicorn.Server):
@@ -168,26 +193,20 @@ class _Server(uvicorn.Server):
         self.ready: Callable[[], None] = lambda: None
         self.at_signal: Callable[[], None] = lambda: None
         self.ended_by_signal = False
-        self._closing: asyncio.Event | None = None
+        self._closing = asyncio.Event()
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Begin to accept connections. Raises whatever the application raised at its start."""
-        self._closing = closing = asyncio.Event()
-        inner = self.config.loaded_app
-
-        async def app(scope: Scope, receive: Receive, send: Send) -> None:
-            scope[CLOSING] = closing
-            await inner(scope, receive, send)
-
-        self.config.loaded_app = app
+        self.lifespan.state[CLOSING] = self._closing
         await super().startup(sockets)
+        for one in sockets or []:
+            one.listen(_WAITING)  # asyncio has set this, too, to what one turn accepts
         if self.started and not self.should_exit:
             self.ready()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """End the streams, then everything else."""
-        if self._closing is not None:
-            self._closing.set()
+        self._closing.set()
         await super().shutdown(sockets)
 
     @contextmanager
@@ -220,7 +239,7 @@ def _bound_socket(host: str, port: int) -> socket.socket:
         if os.name == "posix":  # on Windows this option would let two servers share the port
             bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         bound.bind(address)
-        bound.listen(_BACKLOG)
+        bound.listen(_WAITING)
     except OSError as error:
         bound.close()
         raise _bind_error(error, host, port) from error

@@ -20,7 +20,7 @@ from starlette.types import Receive, Scope, Send
 
 HEARTBEAT_S = 2.0
 CLOSING = "starbench.closing"
-"""Key of the ASGI scope: an event that is set when the server closes; every stream then ends."""
+"""Key of the state in an ASGI scope: an event that is set when the server closes; every stream then ends."""
 _RETRY_MS = 500  # A page is back soon after a restart
 _HEADERS = [
     (b"content-type", b"text/event-stream; charset=utf-8"),
@@ -75,7 +75,7 @@ class EventStream:
         """Send the stream."""
         await send({"type": "http.response.start", "status": 200, "headers": _HEADERS})
         await _send_part(send, f"retry: {_RETRY_MS}\n\n".encode())
-        closing = scope.get(CLOSING)
+        closing = scope.get("state", {}).get(CLOSING)
         ends = {asyncio.ensure_future(_gone(receive))}
         if closing is not None:
             ends.add(asyncio.ensure_future(closing.wait()))

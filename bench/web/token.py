@@ -1,4 +1,4 @@
-"""The token that a browser needs for the pages, and how many wrong tokens a client may send.
+"""The token that a browser needs for the pages, and how many wrong tokens an address may send.
 
 Every process of this computer can ask the pages, whoever runs it, so they need a secret. Unless a person
 gives one, each start makes one, and the printed address holds it. A person's token comes from an
@@ -14,7 +14,6 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
-from pathlib import Path
 
 from bench.base.errors import UsageError
 
@@ -23,8 +22,7 @@ LEAST_LENGTH = 12  # Characters; wrong ones are limited too
 MADE_BYTES = 16  # 128 bit
 NAME_BYTES = 8  # 64 bits in the name of a host: no page of another site can guess where the cookie goes
 _MOST_WRONG, _WRONG_WINDOW_S = 10, 60.0  # A person mistypes less often; guessing stays hopeless
-_MOST_CLIENTS = 1000  # A scan from many addresses must not fill the memory
-_USER_COLUMN = 7  # Of /proc/net/tcp: uid
+_MOST_ADDRESSES = 1000  # A scan from many addresses must not fill the memory
 
 
 @dataclass(frozen=True)
@@ -79,36 +77,19 @@ def address_of(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | Non
 
 
 class WrongTokens:
-    """Counts the wrong tokens of each client, so that guessing is slow and nobody shuts out another client."""
+    """Counts the wrong tokens of each address, so that guessing is slow and no address shuts out another."""
 
     def __init__(self, monotonic: Callable[[], float]) -> None:
         self._monotonic = monotonic
         self._wrong_s: dict[str, deque[float]] = {}
 
-    def refuse(self, client: str) -> bool:
-        """Return whether a client has sent too many wrong tokens in the last minute."""
-        wrong_s = self._wrong_s.get(client, deque())
+    def refuse(self, address: str) -> bool:
+        """Return whether an address has sent too many wrong tokens in the last minute."""
+        wrong_s = self._wrong_s.get(address, deque())
         return len(wrong_s) == _MOST_WRONG and self._monotonic() - wrong_s[0] < _WRONG_WINDOW_S
 
-    def add(self, client: str) -> None:
-        """Note a wrong token; of very many clients the first ones are forgotten."""
-        self._wrong_s.setdefault(client, deque(maxlen=_MOST_WRONG)).append(self._monotonic())
-        if len(self._wrong_s) > _MOST_CLIENTS:
+    def add(self, address: str) -> None:
+        """Note a wrong token; of very many addresses the first ones are forgotten."""
+        self._wrong_s.setdefault(address, deque(maxlen=_MOST_WRONG)).append(self._monotonic())
+        if len(self._wrong_s) > _MOST_ADDRESSES:
             del self._wrong_s[next(iter(self._wrong_s))]
-
-
-def client_name(host: str, port: int, own_port: int) -> str:
-    """Return what tells clients apart: the address; on Linux, for this computer, also the user's number."""
-    return f"{host} {_local_user(port, own_port)}" if is_loopback(host) else host
-
-
-def _local_user(port: int, own_port: int) -> str:
-    """Return the number of the user whose process has a connection to the server, or empty (columns: proc(5))."""
-    ends = f":{port:04X}", f":{own_port:04X}"
-    for table in (Path("/proc/net/tcp"), Path("/proc/net/tcp6")):
-        with suppress(OSError):
-            for line in table.read_text("ascii").splitlines():
-                columns = line.split()
-                if columns[1].endswith(ends[0]) and columns[2].endswith(ends[1]):
-                    return columns[_USER_COLUMN]
-    return ""

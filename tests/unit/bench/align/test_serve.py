@@ -116,7 +116,7 @@ def test_the_page_answers_while_the_devices_open(aligned, monkeypatch):
     release, answers = threading.Event(), []
     session, _ = fake_session(opener=lambda *_: release.wait(5) and FakeDevices())
     urls = []
-    monkeypatch.setattr(serve, "print_line", urls.append)
+    monkeypatch.setattr("bench.web.server.print_line", urls.append)
 
     def look():
         answers.append(httpx.get(f"{urls[0]}state").json()["devices"]["state"])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import time
+from contextlib import ExitStack
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -131,12 +132,18 @@ def test_only_a_token_that_was_made_stands_in_the_printed_address_and_the_browse
 
 
 @pytest.mark.parametrize(
-    "begun", [b"", b"GET / HTTP/1.1\r\nHost: 127", b"GET / HTTP/1.1\r\nHost: {host}\r\n\r\nGET /"]
+    "begun",
+    [
+        b"",
+        b"GET / HTTP/1.1\r\nHost: 127",
+        b"GET / HTTP/1.1\r\nHost: {host}\r\n\r\nGET /",
+        b"POST /do HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nContent-Length: 9\r\n\r\n{",
+    ],
 )
-def test_a_head_that_does_not_end_is_closed_after_a_time(monkeypatch, begun):
-    monkeypatch.setattr("bench.web.server.HEAD_S", 1.0)
+def test_a_request_that_does_not_end_is_closed_after_a_time(monkeypatch, begun):
+    monkeypatch.setattr("bench.web.server.REQUEST_S", 1.0)
     with (
-        served(_Counter().app()) as server,
+        served(_app_that_reads()) as server,
         socket.create_connection(("127.0.0.1", server.port), timeout=5.0) as half,
     ):
         half.sendall(begun.replace(b"{host}", f"127.0.0.1:{server.port}".encode()))
@@ -150,18 +157,69 @@ def test_a_head_that_does_not_end_is_closed_after_a_time(monkeypatch, begun):
         assert time.monotonic() - begin < 4.0
 
 
-def test_a_body_that_does_not_end_is_answered(monkeypatch):
-    monkeypatch.setattr("bench.web.pages.BODY_S", 0.2)
+def test_who_is_signed_in_is_answered_while_strangers_hold_connections(monkeypatch, capfd):
+    monkeypatch.setattr("bench.web.server._ACCEPTED", 8)
+    monkeypatch.setattr("bench.web.server.MOST_CONNECTIONS", 64)
+    counter, token = _Counter(), "0123456789abcdef"
+    signed_in = {"Authorization": f"Bearer {token}"}
+    with (
+        served(counter.app(), token=PageToken(token)) as server,
+        httpx.stream("GET", f"{server.url}stream", headers=signed_in) as stream,
+        ExitStack() as opened,
+    ):
+        lines = stream.iter_lines()
+        host = urlsplit(httpx.get(server.url, headers={"Accept": "text/html"}).headers["Location"]).netloc
+        longest_s, strangers = 0.0, []
+        for number in range(300):
+            stranger = opened.enter_context(socket.create_connection(("127.0.0.1", server.port), timeout=5.0))
+            stranger.sendall(
+                f"POST /sign-in HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nContent-Length: 9\r\n\r\n".encode()
+            )
+            strangers.append(stranger)
+            if number % 60 == 59:
+                begin = time.monotonic()
+                assert httpx.get(server.url, headers=signed_in).text == "page"
+                longest_s = max(longest_s, time.monotonic() - begin)
+        assert longest_s < 1.0
+        assert 0 < 300 - sum(map(_is_closed, strangers)) <= 64
+        counter.changes.tell()
+        assert _ids(lines, 1) == [1]
+    assert capfd.readouterr() == ("", "")
 
+
+def test_a_stranger_who_is_refused_is_closed():
+    with (
+        served(_Counter().app(), token=PageToken("0123456789abcdef")) as server,
+        socket.create_connection(("127.0.0.1", server.port), timeout=5.0) as stranger,
+    ):
+        stranger.sendall(f"GET / HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n\r\n".encode())
+        answer = b"".join(iter(lambda: stranger.recv(65536), b""))
+        assert answer.startswith(b"HTTP/1.1 401")
+
+
+def test_a_server_for_others_says_that_the_line_is_not_encrypted_and_names_a_tunnel(capsys):
+    with served(_Counter().app(), host="0.0.0.0", token=PageToken("0123456789abcdef")) as server:
+        server.welcome(open_browser=False)
+    address, note = capsys.readouterr().out.splitlines()
+    assert address == server.address
+    assert "not encrypted" in note
+    assert f"ssh -L {server.port}:127.0.0.1:{server.port} " in note
+
+
+def _app_that_reads():
     async def read(request):
         return JSONResponse(await read_object(request))
 
-    with (
-        served(page_app([Route("/do", read, methods=["POST"])])) as server,
-        socket.create_connection(("127.0.0.1", server.port), timeout=5.0) as half,
-    ):
-        host = f"127.0.0.1:{server.port}"
-        half.sendall(
-            f"POST /do HTTP/1.1\r\nHost: {host}\r\nOrigin: http://{host}\r\nContent-Length: 9\r\n\r\n{{".encode()
-        )
-        assert half.recv(65536).startswith(b"HTTP/1.1 400")
+    return page_app(
+        [Route("/do", read, methods=["POST"]), Route("/", lambda _request: PlainTextResponse("page"))]
+    )
+
+
+def _is_closed(connection):
+    connection.setblocking(False)
+    try:
+        return connection.recv(65536) == b""
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
