@@ -35,7 +35,6 @@ if TYPE_CHECKING:
 
 _ASSUMED = {
     "time_unit": "the file does not state the unit of its times; they were read as {}. --time-unit says another one.",
-    "time_step_us": "its times have too few digits: they are stored in steps of {} us.",
     "sensor_size": "its events fill only {} px of --sensor-size. Is the sensor as large as that?",
 }
 

@@ -161,8 +161,7 @@ class EventSource:
     truncated: bool = False  # Whether the file ends in the middle of a word or an event
     count: int | None = None  # Number of events, if the file states it before they are read
     state: ReadingState = field(default_factory=ReadingState)
-    # What the file does not state and was assumed: "time_unit" (a `TimeUnit`); and "time_step_us", if its numbers are
-    # too coarse for its times
+    # What the file does not state and was assumed: "time_unit" (a `TimeUnit`)
     assumed: Mapping[str, str] = field(default_factory=dict)
     unit: UnstatedUnit | None = None  # None if the file or its format states the unit of its times
 

@@ -51,8 +51,6 @@ _MICRO: Final = re.compile("[\u00b5\u03bc]")
 _WHOLE: Final = 0.01
 """Farther from a whole number lies no number that only the arithmetic of a program has moved."""
 _US_NS: Final = 1000  # Nanoseconds of a microsecond
-_MOST_STEP_US: Final = 1.0
-"""Steps of the clock of a camera. Those of seconds in 32 bits are larger from 16 s on."""
 
 Parts = Sequence[NDArray[Any]]
 """Some rows: the columns t, x, y and p, or one table with names."""
@@ -120,8 +118,6 @@ class ColumnReader:
             self.assumed = {"time_unit": unit}
         self.unit = None if stated else UnstatedUnit(unit, is_given=given is not None, finest=_finest(times))
         self._ns = NS[unit]
-        if (step_us := _step_of(times) * self._ns / _US_NS) > _MOST_STEP_US:
-            self.assumed["time_step_us"] = f"{step_us:.3g}"
         self._clock = Clock32()
 
     def events(self, parts: Parts) -> Events:
@@ -151,11 +147,6 @@ def _columns(parts: Parts) -> list[NDArray[Any]]:
     if table.dtype.names is not None:
         return [table[name] for name in required(table.dtype.names)]
     return list(parts)
-
-
-def _step_of(times: NDArray[Any]) -> float:
-    """Return the distance of neighbouring numbers of the type of times, at the largest of them."""
-    return float(np.spacing(np.abs(times).max())) if times.dtype.kind == "f" and len(times) else 0.0
 
 
 def _has_fractions(t: NDArray[Any], least: float = 0.0) -> bool:

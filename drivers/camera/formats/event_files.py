@@ -160,7 +160,11 @@ def _errors_of(path: Path) -> Iterator[None]:
 def _require_possible(events: Events, of: EventSource) -> None:
     x, y, p = int(events.x.max()), int(events.y.max()), int(events.p.max())
     if x >= of.width or y >= of.height:
-        raise _outside(x, y, of)
+        raise NotARecording(
+            f"An event at column {x} or row {y} lies outside the sensor of {of.width} x {of.height} px.",
+            remedy="Check the size of the sensor that the file, or your option, states: width x height; columns and"
+            " rows count from 0.",
+        )
     if p > 1:
         raise UnreadableEvents(f"an event has the polarity {p}; 0 and 1 are possible.")
     of.state.filled_px = max(of.state.filled_px[0], x + 1), max(of.state.filled_px[1], y + 1)
@@ -190,22 +194,6 @@ def _checked(pieces: Iterator[Piece], of: EventSource) -> Iterator[Piece]:
     unit.end()
     if of.count is not None and read != of.count:
         raise UnreadableEvents(f"{of.count - read} of its {of.count} events are missing.")
-
-
-def _outside(x: int, y: int, of: EventSource) -> NotARecording:
-    """Build the error of events up to a column or a row that the sensor has not."""
-    size = f"the sensor of {of.width} x {of.height} px"
-    if x < of.height and y < of.width:
-        return NotARecording(
-            f"An event at column {x} or row {y} lies outside {size}, and within {of.height} x {of.width}: the height"
-            " stands before the width, or y before x.",
-            remedy=f"State the size as {of.height}x{of.width}, or write x, the column, and y in a copy of the file.",
-        )
-    counted = ", as if columns and rows were counted from 1" if x <= of.width and y <= of.height else ""
-    return NotARecording(
-        f"An event at column {x} or row {y} lies outside {size}{counted}.",
-        remedy="Check the size of the sensor that the file, or your option, states.",
-    )
 
 
 def _require_rising(t: NDArray[np.int64], before: int) -> None:

@@ -132,36 +132,31 @@ def _offset(file: Any, name: str) -> int | None:
 
 
 def _streams(file: Any) -> list[str]:
-    """Find the events of a file: groups with the columns of events, and tables of that name."""
-    complete: list[str] = []
-    incomplete: list[str] = []
-    links: list[str] = []
+    """Find the events of a file: groups with the columns of events, of which one may be missing, and tables."""
+    streams: dict[bool, list[str]] = {True: [], False: []}  # By whether they are whole
     others: list[str] = []
     waiting = [("", file)]
     for name, group in waiting:
         members = {key: group.get(key, getlink=True) for key in islice(group, _MOST_MEMBERS)}
-        missing = named(members).count(None)
-        if missing <= 1:
-            (incomplete if missing else complete).append(name)
+        if (missing := named(members).count(None)) <= 1:
+            streams[not missing].append(name)
         for key, link in members.items():
             path = f"{name}/{key}".lstrip("/")
             if not isinstance(link, h5py.HardLink):
-                links.append(path)
+                others.append(f"{path[:_LONGEST_NAME]}, {_ELSEWHERE}")
             elif isinstance(child := group[key], h5py.Group) and len(waiting) < _MOST_GROUPS:
                 waiting.append((path, child))
             elif isinstance(child, h5py.Dataset) and is_table(child.shape or (), child.dtype):
-                complete.append(path)
+                streams[True].append(path)
             else:
                 others.append(path[:_LONGEST_NAME])
-    if not complete and not incomplete:
-        if links:
-            raise UnreadableEvents(f"{links[0]} is {_ELSEWHERE}.")
+    if not any(streams.values()):
         raise NotARecording(
             "The file holds no events: no group of this HDF5 file has columns t, x, y and p; it holds"
             f" {', '.join(others[:_MOST_NAMED]) or 'nothing'}.",
             remedy=FORMS_OF_EVENTS,
         )
-    return complete or incomplete
+    return streams[True] or streams[False]
 
 
 def _arrays(file: Any, name: str) -> dict[str, Any]:
@@ -221,17 +216,12 @@ def _edges(file: Any, path: str) -> NDArray[Any]:
 
 def _size(file: Any, name: str, header: Mapping[str, str], choices: ReadingChoices) -> tuple[int, int]:
     """Return width and height, px, wherever the file states them, else as given."""
-    sizes = {}
-    groups = {"the file": file, name: file[name]} if name and name != _CD else {"the file": file}
-    for path, group in groups.items():
-        sides = {"width", "height"}
-        if sides <= set(group.attrs):
-            sizes[f"an attribute of {path}"] = _number(group.attrs["width"]), _number(group.attrs["height"])
-        if isinstance(group, h5py.Group) and sides <= set(group):
-            stored = [dataset(group, side) for side in ("width", "height")]
-            if all(array.size == 1 for array in stored):  # else columns, such as of boxes around the events
-                width, height = (_number(whole(array, 64)) for array in stored)
-                sizes[path] = width, height
+    groups = [file, file[name]] if name and name != _CD else [file]
+    sizes = {
+        f"an attribute of {group.name}": (_number(group.attrs["width"]), _number(group.attrs["height"]))
+        for group in groups
+        if {"width", "height"} <= set(group.attrs)
+    }
     return stated_size(header, "", choices.sensor_size, others=sizes, most_px=_MOST_PX)
 
 

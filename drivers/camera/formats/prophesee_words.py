@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from enum import IntEnum
-from itertools import takewhile
 from pathlib import Path
 from typing import Any, Final
 
@@ -39,17 +38,14 @@ _PIECE_BYTES: Final = 1 << 19
 _TRIGGER_TYPES: Final = (0x0E,)  # Event types of DAT files: external triggers
 _CD_TYPES: Final = (0x00, 0x0C)  # 2D and CD events, which have the same layout
 _DAT_EVENT_BYTES: Final = 8  # Time and place, four bytes each
-_HEAD_BYTES: Final = 4096
 _MOST_DAT_PX: Final = 1 << 14  # 14 bits of a coordinate
 _DAT_LAYOUTS: Final = {"1": (9, 8, 1), "2": (14, 14, 4)}
 """Number of bits of x, y and polarity, by the version of a DAT file."""
 
 
 def is_dat(start: bytes) -> bool:
-    """Return whether a file is a DAT file: a line of its header says so, by Prophesee's writers the first."""
-    lines = start[:_HEAD_BYTES].split(b"\n")
-    head = takewhile(lambda line: line.startswith(b"% "), lines)
-    return any(line.startswith(b"% Data file containing") for line in head)
+    """Return whether a file is a DAT file, by the first line of Prophesee's writers."""
+    return start.startswith(b"% Data file containing")
 
 
 class _S(IntEnum):

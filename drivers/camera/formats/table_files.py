@@ -77,10 +77,7 @@ def from_npz(path: Path, choices: ReadingChoices) -> EventSource:
             if has_edges
             else empty_triggers(0)
         )
-        sides = [file[name] for name in ("size", "width", "height") if name in file]
-        width, height = (
-            map(int, np.concatenate([np.ravel(side) for side in sides])[:_SIDES]) if sides else (0, 0)
-        )
+        width, height = map(int, np.ravel(file["size"])[:_SIDES]) if "size" in file else (0, 0)
         is_ours = "header" in file
         header = json.loads(str(file["header"])) if is_ours else {}
     sizes = {"the file": (width, height)} if width and height else {}
@@ -124,7 +121,7 @@ def from_npy(path: Path, choices: ReadingChoices) -> EventSource:
 
 
 def from_parquet(path: Path, choices: ReadingChoices) -> EventSource:
-    """Open a Parquet file with the columns of events; those of a duration state their unit."""
+    """Open a Parquet file with the columns of events."""
     pa = require_pyarrow()
     opened = ExitStack()
     try:
@@ -132,8 +129,6 @@ def from_parquet(path: Path, choices: ReadingChoices) -> EventSource:
     except pa.ArrowException as error:
         raise UnreadableEvents("this Parquet file is damaged or incomplete.") from error
     names = required(file.schema_arrow.names)
-    kind = file.schema_arrow.field(names[0]).type
-    is_time = pa.types.is_duration(kind) or pa.types.is_timestamp(kind)
     stated = {key.decode(): value.decode() for key, value in (file.metadata.metadata or {}).items()}
     sizes = (
         {"the file": (int(stated["width"]), int(stated["height"]))}
@@ -147,12 +142,9 @@ def from_parquet(path: Path, choices: ReadingChoices) -> EventSource:
 
     def parts() -> Iterator[Parts]:
         for batch in file.iter_batches(PIECE_EVENTS, columns=names):
-            columns = [batch.column(name) for name in names]
-            if is_time:
-                columns[0] = columns[0].cast(pa.int64())
-            yield [column.to_numpy(zero_copy_only=False) for column in columns]
+            yield [batch.column(name).to_numpy(zero_copy_only=False) for name in names]
 
-    unit = "us" if "header" in stated else kind.unit if is_time else unit_of_name(names[0])
+    unit = "us" if "header" in stated else unit_of_name(names[0])
     header = json.loads(stated.get("header", "{}"))
     columns = Columns(parts, file.metadata.num_rows, sizes, header, triggers or empty_triggers(0), unit)
     return columns.source(choices)

@@ -236,34 +236,17 @@ def test_our_own_layout_without_edges_states_its_size(written):
     assert (imported.width, imported.height) == SIZE
 
 
-@pytest.mark.parametrize("as_attributes", [True, False])
-def test_a_size_beside_the_columns_is_that_of_the_sensor(written, as_attributes):
-    """RVT writes height and width into the group of the events."""
-
+def test_a_size_beside_the_columns_is_that_of_the_sensor(written):
     def fill(file):
         group = file.create_group("events")
         columns(group)
-        sides = dict(zip(("width", "height"), SIZE, strict=True))
-        (group.attrs if as_attributes else group).update(sides)
+        group.attrs.update(width=SIZE[0], height=SIZE[1])
 
     imported = written(fill, ReadingChoices())
     assert_same(imported)
     assert (imported.width, imported.height) == SIZE
     with pytest.raises(NotARecording, match="contradict each other"):
         written(fill, ReadingChoices((1280, 720)))
-
-
-def test_columns_of_widths_and_heights_beside_the_events_state_no_size(written):
-    """As of boxes around objects."""
-
-    def fill(file):
-        file.attrs.update(width=SIZE[0], height=SIZE[1])
-        columns(file.create_group("events"))
-        file["events"].update({"width": np.arange(N), "height": np.arange(N)})
-
-    imported = written(fill, ReadingChoices())
-    assert_same(imported)
-    assert (imported.width, imported.height) == SIZE
 
 
 def test_a_file_without_any_stream_says_so():

@@ -105,7 +105,7 @@ def longer(file):
 
 HOSTILE = {
     external_link: "events/t is a link to another place",
-    external_group: "events is a link to another place",
+    external_group: "events, a link to another place",
     soft_link: "events/t is a link to another place",
     external_storage: "events/t keeps its data in another file",
     virtual: "events/t keeps its data in another file",

@@ -185,10 +185,3 @@ def test_memory_is_bounded_whatever_the_size(tmp_path):
     tracemalloc.stop()
     assert count == 3_000_000
     assert peak < 40e6
-
-
-def test_a_line_above_the_first_one_of_prophesee_leaves_it_a_dat_file(tmp_path):
-    """As expelliarmus writes it."""
-    rows, path = some_events(50), tmp_path / "a.dat"
-    path.write_bytes(b"% This DAT file has been generated through another program\n" + dat_rows(rows))
-    assert_same(import_events(path), rows)

@@ -221,15 +221,6 @@ def test_a_label_of_text_takes_no_event_away(tmp_path, labels):
 # ------------------------------------------------------------ Parquet
 
 
-def test_parquet_of_evlib_states_its_unit(tmp_path):
-    pa, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
-    columns = {"x": ROWS["x"].astype("i2"), "y": ROWS["y"].astype("i2"), "polarity": ROWS["p"].astype("i1")}
-    for unit, per_us in (("us", 1), ("ns", 1000)):
-        t = pa.array(ROWS["t"] * per_us).cast(pa.duration(unit))
-        parquet.write_table(pa.table({"t": t, **columns}), tmp_path / "a.parquet")
-        assert_same(import_events(tmp_path / "a.parquet", SIZED))
-
-
 def test_what_is_written_as_parquet_is_read_again_with_its_edges(tmp_path):
     pytest.importorskip("pyarrow")
     edges = {"t": np.array([800, 900]), "value": np.array([1, 0]), "id": np.array([0, 0])}

@@ -129,12 +129,6 @@ def test_a_unit_that_contradicts_the_file_is_refused(tmp_path):
         import_events(tmp_path / "a.raw", ReadingChoices(time_unit="ns"))
 
 
-def test_height_before_width_is_told_as_the_cause(tmp_path):
-    path = npz(tmp_path, T_US)
-    with pytest.raises(NotARecording, match=r"the height stands before the width, or y before x.*640x480"):
-        import_events(path, ReadingChoices((480, 640)))
-
-
 @pytest.mark.parametrize("unit", ["ns", "ms"])
 def test_times_since_1970_in_another_unit_are_read_once_it_is_said(tmp_path, unit):
     since = 1_600_000_000_000_000 + T_US
@@ -146,24 +140,11 @@ def test_times_since_1970_in_another_unit_are_read_once_it_is_said(tmp_path, uni
     assert imported.header["date"] == "2020-09-13 12:26:40"
 
 
-def test_times_with_too_few_digits_are_told(tmp_path):
-    """Seconds in 32 bits, as many files of NumPy have them."""
-    path = npz(tmp_path, (100 + T_US * 1e-6).astype("f4"))
-    written = convert(path, tmp_path / "b.npz", "numpy", ReadingChoices(SIZE))
-    assert written.assumed["time_step_us"] == "7.63"
-
-
 def test_times_that_are_no_numbers_are_told(tmp_path):
     t = T_US * 1e-6
     t[7] = np.nan
     with pytest.raises(NotARecording, match="some of its times are no numbers"):
         import_events(npz(tmp_path, t), ReadingChoices(SIZE))
-
-
-def test_columns_counted_from_1_are_told_as_the_cause(tmp_path):
-    path = npz(tmp_path, T_US, x=OTHERS["x"] + 1, y=OTHERS["y"] + 1)
-    with pytest.raises(NotARecording, match="as if columns and rows were counted from 1"):
-        import_events(path, ReadingChoices(SIZE))
 
 
 @pytest.mark.parametrize(("size", "is_told"), [((1280, 720), True), ((640, 480), False), ((640, 720), False)])

@@ -69,7 +69,7 @@ WRONG = {
     ),
     "a spreadsheet's own file": (
         b"PK\x03\x04" + bytes(26) + b"xl/workbook.xml",
-        "The file is a spreadsheet",
+        "The file is a document of an office program",
     ),
     "a column too many": (text(ROWS, "{0},{1},{2},{3},0,{4}"), "6 columns instead of 5"),
     "points and commas as decimal marks": ("1.000,5;2,5;3,5;4,5;6\n", "8 columns|9 columns"),
