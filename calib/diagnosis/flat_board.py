@@ -24,6 +24,8 @@ _STARS, _STEPS, _TOLERANCE = 40, 40, 1e-8
 _OF_HOMOGRAPHY, _OF_TURN, _OF_PLACE, _OF_CAMERA = 8, 3, 6, 4
 #: Chance of an F as large as this among views through a collimator, as the prior odds of the engine's hypotheses.
 _LEVEL = 1e-3
+#: Residuals smaller than this share of a star's sigma say nothing.
+_ROUNDING = 0.01
 #: Way of the centre over distance times turn: 0 through a collimator, 1 if the camera looks at one place of a board.
 _TURNS, _ORBITS = 0.0, 1.0
 
@@ -34,6 +36,7 @@ def require_turns(views: Sequence[View]) -> None:
     Through a collimator all views have one centre (arXiv:2512.16092, eq. 3); with a centre for each, the planar model
     contains that one. The F-test compares what both leave after short adjustments. What the places leave is an error of
     glass and lens that all views have in common: it counts as the numbers of one homography, however many the stars.
+    Points without errors leave rounding alone.
     """
     n = len(views)
     freed = (_OF_PLACE - _OF_TURN) * (n - 1)
@@ -41,7 +44,8 @@ def require_turns(views: Sequence[View]) -> None:
     if left < 1:
         return
     turned, placed = (_adjusted(views, planar=planar) for planar in (False, True))
-    share = turned.cost / placed.cost
+    rounding = _ROUNDING**2 * 2 * _STARS * n
+    share = (turned.cost + rounding) / (placed.cost + rounding)
     if fdtrc(freed, left, max(0.0, (share - 1.0) * left / freed)) < _LEVEL and _orbits(placed.parameters):
         raise DegenerateViews(
             "These views show a flat board at a finite distance: the camera was at other places. The residuals of turns"

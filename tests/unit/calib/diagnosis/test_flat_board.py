@@ -1,5 +1,7 @@
 """A flat board given to the model of a collimator is told at once; no bench with a collimator is taken for one."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from drawn_benches import POSES, draw_bench
@@ -43,3 +45,13 @@ def test_views_of_a_flat_board_are_told_with_the_model_that_is_right(n, noise_px
 @pytest.mark.parametrize("n", [3, 9])
 def test_views_through_a_collimator_are_none_of_a_flat_board(profile, n):
     require_turns(draw_bench(profile, POSES[n], seed=5).views)
+
+
+@pytest.mark.parametrize("stars", [4, 60])
+def test_points_without_errors_are_none_of_a_flat_board(stars):
+    views = draw_bench("ideal", POSES[9], seed=5, star_sigma_px=1e-12).views
+    chance = np.random.default_rng(1)
+    kept = [np.isin(np.arange(len(view)), chance.permutation(len(view))[:stars]) for view in views]
+    require_turns(
+        [replace(view.part(some), covariances_px2=0.02) for view, some in zip(views, kept, strict=True)]
+    )
