@@ -154,12 +154,12 @@ def _show_answer(answer: Mapping[str, Any], text: str) -> int:
 @command(
     "starbench messages",
     "starbench messages --send",
-    status=status_text("0 messages shown, 1 a message is still waiting after --send{invalid}{ctrl_c}"),
+    status=status_text("0 messages shown, 1 a message is not sent after --send{invalid}{ctrl_c}"),
 )
-@click.option("--send", "send_now", is_flag=True, help="Try to send the waiting messages now.")
+@click.option("--send", "send_now", is_flag=True, help="Try now to send all that was not sent.")
 @JSON
 def messages(send_now: bool) -> int:
-    """List the messages of this bench: sent ones and waiting ones."""
+    """List the messages of this bench: those that were sent, that wait, and that were given up."""
     from bench.run.messages.channels import send
     from bench.run.messages.outbox import Outbox
 

@@ -13,6 +13,7 @@ from bench.record.run_folder import RunFolder
 from bench.run import launch
 from bench.run.crash_log import CRASH_LOG, write_crash_log
 from bench.run.launch import Launch, resume_run
+from bench.run.runner import RunEnd
 
 CLOCKS = {"utc_now": lambda: datetime(2026, 3, 1, tzinfo=UTC), "monotonic": lambda: 0.0}
 
@@ -35,7 +36,9 @@ def crashed(tmp_path, monkeypatch):
         launch, "ledger_of", lambda _: SimpleNamespace(home=tmp_path / "home", end=lambda *_, **__: None)
     )
     monkeypatch.setattr(launch, "enter_in_ledger", lambda _ledger, _job, _folder, known: known)
-    monkeypatch.setattr(launch, "run_and_seal", lambda *_, **__: SimpleNamespace(how="finished"))
+    monkeypatch.setattr(
+        launch, "run_and_seal", lambda *_, **__: RunEnd("finished", "", tmp_path / "run", None)
+    )
     return tmp_path / "run"
 
 
