@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime, time, timedelta
 from enum import StrEnum
 from statistics import fmean
-from typing import Any, NotRequired, TypedDict, cast
+from typing import Any, NotRequired, TypedDict
 from zoneinfo import ZoneInfo
 
 from pydantic import ValidationError
@@ -376,15 +376,15 @@ class BatchRecord:
     def _apply(self, entry: Entry, now: datetime) -> None:
         match entry.event:
             case BatchEvent.BEGUN:
-                self._begin(cast("BatchBegun", entry.data), now)
+                self._begin(entry.of(BatchBegun), now)
             case BatchEvent.ITEM_BEGUN:
-                self._begin_run(cast("ItemBegun", entry.data), now, entry.mono_s)
+                self._begin_run(entry.of(ItemBegun), now, entry.mono_s)
             case BatchEvent.ITEM_ENDED:
-                self._end_run(cast("ItemEnded", entry.data), now, entry.mono_s)
+                self._end_run(entry.of(ItemEnded), now, entry.mono_s)
             case BatchEvent.REQUESTED:
-                self._answer(cast("Requested", entry.data), now)
+                self._answer(entry.of(Requested), now)
             case BatchEvent.ENDED:
-                ended = cast("BatchEnded", entry.data)
+                ended = entry.of(BatchEnded)
                 self.ended, self.why = ended["how"], ended["why"]
 
     def _begin(self, data: BatchBegun, now: datetime) -> None:

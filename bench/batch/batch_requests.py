@@ -11,7 +11,7 @@ import time
 import uuid
 from collections.abc import Callable
 from pathlib import Path
-from typing import Literal, cast
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
@@ -142,7 +142,7 @@ def _answer_in(folder: Path, request_id: str) -> Requested | None:
     entries, _ = read_journal(folder / JOURNAL)
     answers = (e for e in reversed(entries) if e.event == BatchEvent.REQUESTED and e.data["id"] == request_id)
     entry = next(answers, None)
-    return cast("Requested", entry.data) if entry is not None else None
+    return entry.of(Requested) if entry is not None else None
 
 
 def answer_text(answer: Requested | None) -> str:

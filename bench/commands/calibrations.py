@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -54,7 +54,9 @@ def offline_lines(result: OfflineResult) -> Iterator[str]:
     if judged := result.conformity:
         yield conformity_headline(judged)
         yield from (f"  {sentence}" for sentence in conformity_sentences(judged))
-    yield calibration_text(cast("CalibrationData", result.calibration.to_dict()), words_for(result.board))
+    from bench.record.stored_calibration import calibration_data
+
+    yield calibration_text(calibration_data(result.calibration), words_for(result.board))
 
 
 def calibration_text(calibration: CalibrationData, words: TargetWords) -> str:

@@ -28,6 +28,7 @@ from sequences.tree import DocumentPath, Fault
 
 if TYPE_CHECKING:
     from bench.evidence.passport_seal import PassportSeal
+    from bench.record.results import PassportData
 
 NO_PASSPORT = "none"
 """Word in a sequence: use no passport, not even the station's."""
@@ -101,7 +102,7 @@ class PassportInUse:
             float(stated_c) if isinstance(stated_c, int | float) and not isinstance(stated_c, bool) else None
         )
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> PassportData:
         """Return what results.json states: origin, identity, validity, values, standard uncertainties, hash."""
         stated, passport = self.passport.conditions, self.passport
         sigma = {name: float(passport.covariance[i, i] ** 0.5) for i, name in enumerate(passport.names)}

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import NamedTuple, ParamSpec, cast
+from typing import Any, NamedTuple, ParamSpec
 
 import calib.errors
 from bench.base.errors import JournalBroken
@@ -75,13 +75,17 @@ class Attempt:
         return () if self.checked is None else self.checked["gates"]
 
 
+def _nothing() -> Any:
+    return {}
+
+
 @dataclass
 class History:
     """A run so far. A payload whose line is not written yet is an empty mapping."""
 
-    started: RunStarted = field(default_factory=lambda: cast("RunStarted", {}))
+    started: RunStarted = field(default_factory=_nothing)
     started_utc: str = ""
-    devices: Devices = field(default_factory=lambda: cast("Devices", {}))
+    devices: Devices = field(default_factory=_nothing)
     devices_left: Sequence[Mapping[str, str]] = ()
     """How each device was left after the last step that needs devices; empty before, or if nothing states it."""
     devices_at_end: Sequence[Mapping[str, str]] = ()
@@ -106,13 +110,13 @@ class History:
     """Operator who asked to skip a pose, by pose index."""
     skipped: dict[int, str] = field(default_factory=dict)
     """Why a pose is skipped, by pose index."""
-    ledger: LedgerPlace = field(default_factory=lambda: cast("LedgerPlace", {}))
+    ledger: LedgerPlace = field(default_factory=_nothing)
     """Its place in the laboratory's ledger (`bench.record.ledger`)."""
     lateness: LatenessData = field(default_factory=LatenessData)
     """How late a busy computer woke the process, by its last line about it (`drivers.lateness`); empty before one."""
     busy: str = ""
     """How late the computer was when the journal last said that it is too busy, as text; empty if it never was."""
-    solved: Solved = field(default_factory=lambda: cast("Solved", {}))
+    solved: Solved = field(default_factory=_nothing)
     """Main numbers of its calibration; empty while it has none."""
     verdict: VerdictData | None = None
     """The verdict of its report; None while it has none."""
@@ -237,7 +241,7 @@ def apply_entry(history: History, entry: Entry) -> None:
         case Event.STEP_DONE:
             history.done_steps.add(int(data["step"]))
         case Event.RUN_STARTED:
-            history.started, history.started_utc = cast("RunStarted", data), entry.utc
+            history.started, history.started_utc = entry.of(RunStarted), entry.utc
             history.ledger = data.get("ledger", {})
         case Event.RUN_RESUMED:
             history.resumed += 1
@@ -252,12 +256,12 @@ def apply_entry(history: History, entry: Entry) -> None:
         case Event.SOLVED | Event.WRITTEN:
             _apply_result(history, entry)
         case Event.COMMANDED:
-            _apply_command(history, cast("Commanded", data))
+            _apply_command(history, entry.of(Commanded))
         case Event.RUN_ENDED:
             history.ended, history.why = str(data["how"]), str(data["why"])
             history.devices_at_end = tuple(data.get("devices", ()))
             if "error" in data:
-                history.failures.append(cast("FailureData", data["error"]))
+                history.failures.append(data["error"])
             _clear_hold(history)
             count_crash(history, data.get("crashed"))
         case _:
@@ -267,16 +271,16 @@ def apply_entry(history: History, entry: Entry) -> None:
 def _apply_result(history: History, entry: Entry) -> None:
     """Keep the numbers of a calibration, or the verdict on the last one."""
     if entry.event == Event.SOLVED:
-        history.solved, history.verdict = cast("Solved", entry.data), None
+        history.solved, history.verdict = entry.of(Solved), None
     else:
-        history.verdict = cast("VerdictData | None", entry.data.get("verdict"))
+        history.verdict = entry.data.get("verdict")
 
 
 def _apply_devices(history: History, entry: Entry) -> None:
     if entry.event == Event.DEVICES_LEFT:
         history.devices_left = tuple(entry.data["devices"])
         return
-    history.devices = cast("Devices", entry.data)
+    history.devices = entry.of(Devices)
     history.devices_left = history.devices_at_end = ()
 
 
@@ -300,13 +304,13 @@ def _apply_pose_entry(history: History, entry: Entry) -> None:
             history.skipped[int(data["pose"])] = str(data["what"])
             history.deviations.append(str(data["what"]))
         case Event.UNTIL_DECIDED:
-            history.decisions.append(cast("UntilDecided", data))
+            history.decisions.append(entry.of(UntilDecided))
         case Event.ATTEMPT_LOST:
             history.lost[int(data["pose"])] = history.lost.get(int(data["pose"]), 0) + 1
         case Event.ATTEMPT_CHECKED:
-            history.check(int(data["pose"]), int(data["attempt"]), cast("AttemptChecked", data))
+            history.check(int(data["pose"]), int(data["attempt"]), entry.of(AttemptChecked))
         case Event.CAPTURE_STORED:
-            stored = cast("CaptureStored", data)
+            stored = entry.of(CaptureStored)
             history.add(Attempt(int(data["pose"]), str(data["pose_name"]), int(data["attempt"]), stored))
 
 

@@ -17,11 +17,12 @@ import os
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from operator import itemgetter
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar, cast
 
 from bench.base.bounded_json import parse_json
 
 FIRST_PREV = "0" * 64
+Form = TypeVar("Form")
 OWN_KEYS = ("seq", "utc", "mono_s", "event", "prev", "hash")
 """Keys of a line that the data of an event must not use."""
 _own_values = itemgetter(*OWN_KEYS)
@@ -39,6 +40,10 @@ class Entry(
     data: Mapping[str, Any]
     prev: str  # SHA-256 of the line before
     hash: str  # SHA-256 of this line
+
+    def of(self, _form: type[Form]) -> Form:
+        """Return the data with the type that its event has (`bench.record.events`); they are not checked."""
+        return cast("Form", self.data)
 
 
 def encode_line(

@@ -461,9 +461,20 @@ class ParallaxData(TypedDict, total=False):
     """Where the entrance pupil is by the parallax test, or ``why_not``."""
 
     why_not: str
-    says: Sequence[str]
+    walk_mm: Sequence[Any]  # Of the centre of the disc, by axis of the gimbal
+    walk_covariance_mm2: Sequence[Any]
     pupil_off_pivot_mm: Stated
+    axes_differ: bool
+    difference_in_sigmas: float
     without_rim: Sequence[str]
+    station_entry: str
+    stated_mm: Stated | None  # Of the station file
+    defocus: (
+        Mapping[str, Any] | None
+    )  # ``value``, ``sigma``, ``source``; None, as the rest, if none is stated
+    parallax: Stated | None
+    fx_px: Stated | None
+    says: Sequence[str]
 
 
 class Results(TypedDict):

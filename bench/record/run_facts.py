@@ -263,7 +263,7 @@ def _named_hash(entries: Sequence[Entry]) -> str | None:
     """Return the hash of results.json in the last line about written files."""
     for entry in reversed(entries):
         if entry.event == Event.WRITTEN:
-            return _text(_part(cast("Written", entry.data).get("files")).get(RESULTS))
+            return _text(_part(entry.of(Written).get("files")).get(RESULTS))
     return None
 
 

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
-from bench.record.results import CameraData
+from bench.record.results import CalibrationData, CameraData
 from calib.arrays import Array
 from calib.calibration import Calibration, ViewSummary
 from calib.model.camera import PINHOLE, CameraModel
@@ -19,6 +19,11 @@ _SAME = (
     *("coverage_factor", "left_out_rms_px", "budget"),
 )
 """What results.json states of a calibration as `Calibration` holds it."""
+
+
+def calibration_data(calibration: Calibration) -> CalibrationData:
+    """Return ``calibration`` of results.json: the one place where the engine's result gets the type of the file."""
+    return cast("CalibrationData", calibration.to_dict())
 
 
 def stored_calibration(stored: Mapping[str, Any]) -> Calibration:

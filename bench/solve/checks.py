@@ -7,12 +7,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from bench.measure.expected_grid import engine_angles_deg
-from bench.record.results import GimbalCheckData, GimbalFaultData, GimbalPairs, HalvesData, MountFaceData
+from bench.record.results import (
+    GimbalCheckData,
+    GimbalFaultData,
+    GimbalPairs,
+    HalvesData,
+    MountFaceData,
+    ParallaxData,
+    Stated,
+)
 from bench.stations.station import Station
 from bench.stations.station_budget import GimbalConfig
 from calib.diagnosis.gimbal_faults import GimbalFault
@@ -139,7 +146,7 @@ def mount_faces(calibration: Calibration, station: Station) -> list[MountFaceDat
 
 def parallax_check(
     calibration: Calibration, views: Sequence[View], station: Station, sequence: str
-) -> dict[str, Any] | None:
+) -> ParallaxData | None:
     """Measure how far the entrance pupil is off the pivot, and its parallax (docs/results.md); or ``why_not``."""
     if calibration.collimator is None:
         why_not = "The planar model has no collimator, so the motion of the beam's disc has no scale. Use model: joint."
@@ -182,7 +189,7 @@ def _parallax(walk: PupilWalk, calibration: Calibration, station: Station) -> Pa
     )
 
 
-def _stated(station: Station) -> dict[str, float] | None:
+def _stated(station: Station) -> Stated | None:
     """Return the place of the pupil that the station states, mm."""
     off = station.gimbal.pupil_off_pivot_mm if station.gimbal is not None else None
     return None if off is None else {"value": off.value, "sigma": off.sigma}

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from bench.base.encoding import counted
 from bench.base.errors import BenchError, UsageError
@@ -16,7 +16,8 @@ from bench.measure.views_file import StoredView
 from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
 from bench.record.conformity import conformity
-from bench.record.results import CalibrationData, ConformityData, GimbalReadingsData
+from bench.record.results import ConformityData, GimbalReadingsData
+from bench.record.stored_calibration import calibration_data
 from bench.solve.loose_recordings import RECORDINGS, camera_serial, first_names, used_recordings
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.solution import calibrated
@@ -78,7 +79,7 @@ class OfflineResult:
         """PASS or FAIL by the limits of the run's station and sequence; None if there are none."""
         if self.job is None:
             return None
-        return conformity(cast("CalibrationData", self.calibration.to_dict()), self.job.limits, [])
+        return conformity(calibration_data(self.calibration), self.job.limits, [])
 
     @property
     def readings(self) -> GimbalReadingsData | None:

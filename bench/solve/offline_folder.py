@@ -22,10 +22,11 @@ from bench.plan.job import Job
 from bench.record.recovery import EXPORTS
 from bench.record.run_folder import MANIFEST, PASSPORT_COPY, RESULTS, SOURCES, is_sealed
 from bench.record.storage import make_folder, sha256_of, storage_errors, write_atomic
+from bench.record.stored_calibration import calibration_data
 from bench.solve import results_content
 from bench.solve.offline import OfflineResult
 from bench.solve.result import shown_files
-from bench.solve.results_content import calculated, collimator_data, target_data
+from bench.solve.results_content import collimator_data, projection, target_data
 from bench.solve.software import files_software
 from bench.solve.sources import options_data
 from bench.solve.view_sources import PHOTOGRAPHS, ViewSource, jobs_of
@@ -134,7 +135,10 @@ def offline_results(
         "schema": results_content.SCHEMA,
         "run": _run_facts(result, name, sealed_by),
         "devices": {},
-        **calculated(result.calibration, result.passport, result.readings, result.views),
+        "calibration": calibration_data(result.calibration),
+        "projection": projection(result.calibration, result.views),
+        "passport": result.passport.to_dict() if result.passport else None,
+        "gimbal_readings": result.readings,
         "poses": _pose_rows(result),
         "gates": [],
         **({"conformity": conformity} if (conformity := result.conformity) else {}),

@@ -1,14 +1,11 @@
-"""The content of results.json of a run: what its journal and its documents state, and what was calculated.
-
-`journal_content` holds everything that follows from journal, sequence and station alone, without a calculation.
-"""
+"""The content of results.json of a run: what its journal and its documents state, and what was calculated."""
 
 from __future__ import annotations
 
 import platform
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,19 +14,19 @@ from bench import __version__
 from bench.base.program import differing_software, forms
 from bench.measure.camera_kinds import CameraKind
 from bench.plan.job import Job
-from bench.plan.passports import PassportInUse
 from bench.record.conformity import conformity
 from bench.record.events import AttemptData
 from bench.record.history import Attempt, History
 from bench.record.measured_facts import GateData
 from bench.record.results import (
     Conditions,
-    GimbalReadingsData,
     PoseData,
     ProjectionData,
     Results,
+    RunData,
     SupportedPart,
 )
+from bench.record.stored_calibration import calibration_data
 from bench.report.supported import reach_px, star_distance
 from bench.solve.solution import Solution, compare_with_truth
 from calib.calibration import Calibration, ViewSummary
@@ -105,81 +102,84 @@ def results_content(
     truth: Mapping[str, Any] | None,
     software_used: Mapping[str, str],
 ) -> Results:
-    """Return the content of results.json of a run, without the comparison with an earlier run."""
-    calibration = solution.calibration
-    of_journal = journal_content(job, history, calibration.views)
-    views = [view.view for view in solution.views]
-    numbers = calculated(calibration, solution.passport, solution.readings, views)
-    judged = [gate.as_data() for gate in solution.judged]
-    gates = [*judged, *of_journal.pop("gates")]
+    """Return the content of results.json of a run, without the comparison with an earlier run.
+
+    The parts are in the order of the file; those that do not apply are missing.
+    """
+    calibration, checks = solution.calibration, solution.checks
+    made = calibration_data(calibration)
+    gates = [gate.as_data() for gate in solution.judged] + _pose_gates(history)
     failed = [gate["name"] for gate in gates if gate["verdict"] == "fail"]
     # PASS or FAIL by the limits of the station and the sequence, and by a check, as far as there are any.
-    judged_limits = conformity(numbers["calibration"], job.limits, failed, checks="check" in solution.checks)
-    content = {
+    judged_limits = conformity(made, job.limits, failed, checks=checks.check is not None)
+    results: Results = {
         "schema": SCHEMA,
-        "run": {**of_journal.pop("run"), "software": dict(software_used)},
-        "devices": of_journal.pop("devices"),
-        "conditions": of_journal.pop("conditions"),
-        **numbers,
-        **solution.checks,
-        "poses": of_journal.pop("poses"),
-        "gates": gates,
-        **({"conformity": judged_limits} if judged_limits is not None else {}),
-        **of_journal,
-        "causes": list(history.solved.get("causes", ())),
-        "truth": dict(truth) if truth is not None else None,
-        "comparison": compare_with_truth(calibration, truth) if truth is not None else [],
+        "run": {**run_data(job, history), "software": dict(software_used)},
+        "devices": history.devices,
+        "conditions": _conditions(history, job.camera_kind),
+        "calibration": made,
+        "projection": projection(calibration, [view.view for view in solution.views]),
+        "passport": solution.passport.to_dict() if solution.passport else None,
+        "gimbal_readings": solution.readings,
     }
-    return cast("Results", content)
+    if checks.halves is not None:
+        results["halves"] = checks.halves
+    if checks.gimbal is not None:
+        results["gimbal"] = checks.gimbal
+    if checks.parallax is not None:
+        results["parallax"] = checks.parallax
+    if checks.mount_faces is not None:
+        results["mount_faces"] = checks.mount_faces
+    if checks.check is not None:
+        results["check"] = checks.check
+    results["poses"] = pose_data(history, calibration.views, job.camera_kind)
+    results["gates"] = gates
+    if judged_limits is not None:
+        results["conformity"] = judged_limits
+    _add_course(results, history)
+    results["causes"] = list(history.solved.get("causes", ()))
+    results["truth"] = dict(truth) if truth is not None else None
+    results["comparison"] = compare_with_truth(calibration, truth) if truth is not None else []
+    return results
 
 
-def calculated(
-    calibration: Calibration,
-    passport: PassportInUse | None,
-    readings: GimbalReadingsData | None,
-    views: Sequence[View],
-) -> dict[str, Any]:
-    """Return the part of results.json that was calculated, of a run or from files."""
-    return {
-        "calibration": calibration.to_dict(),
-        "projection": projection(calibration, views),
-        "passport": passport.to_dict() if passport else None,
-        "gimbal_readings": readings,
+def run_data(job: Job, history: History) -> RunData:
+    """Return ``run`` of results.json, without its software."""
+    started = history.started
+    run: RunData = {
+        "id": started["id"],
+        "sequence": started["sequence"],
+        "station": started["station"],
+        "started_utc": history.started_utc,
+        "finished_utc": history.states[-1]["utc"],
+        "seed": started["seed"],
+        "operator": started["operator"],
+        "laboratory": job.station.laboratory,
+        "collimator": collimator_data(job),
     }
+    if stated := target_data(job):
+        run["target"] = stated
+    run["simulated"] = job.simulated
+    run["camera"] = job.camera_kind.name
+    run["resumed"] = history.resumed
+    if started.get("plugins"):
+        run["plugins"] = started["plugins"]
+    if history.ledger:
+        run["ledger"] = history.ledger
+    return run
 
 
-def journal_content(job: Job, history: History, views: Sequence[ViewSummary]) -> dict[str, Any]:
-    """Return the part of results.json that follows from journal, sequence and station alone."""
-    started, kind = history.started, job.camera_kind
-    return {
-        "run": {
-            "id": started["id"],
-            "sequence": started["sequence"],
-            "station": started["station"],
-            "started_utc": history.started_utc,
-            "finished_utc": history.states[-1]["utc"],
-            "seed": started["seed"],
-            "operator": started["operator"],
-            "laboratory": job.station.laboratory,
-            "collimator": collimator_data(job),
-            **({"target": stated} if (stated := target_data(job)) else {}),
-            "simulated": job.simulated,
-            "camera": kind.name,
-            "resumed": history.resumed,
-            **({"plugins": dict(started["plugins"])} if started.get("plugins") else {}),
-            **({"ledger": dict(history.ledger)} if history.ledger else {}),
-        },
-        "devices": dict(history.devices),
-        "conditions": _conditions(history, kind),
-        "poses": _poses(history, views, kind),
-        "gates": _pose_gates(history),
-        **({"untils": list(history.decisions)} if history.decisions else {}),
-        "deviations": list(history.deviations),
-        "holds": list(history.holds),
-        **({"failures": list(history.failures)} if history.failures else {}),
-        **({"devices_left": [dict(end) for end in history.devices_left]} if history.devices_left else {}),
-        "states": list(history.states),
-    }
+def _add_course(results: Results, history: History) -> None:
+    """Add what happened on the way: decisions, deviations, pauses, failures, how devices were left, states."""
+    if history.decisions:
+        results["untils"] = list(history.decisions)
+    results["deviations"] = list(history.deviations)
+    results["holds"] = list(history.holds)
+    if history.failures:
+        results["failures"] = list(history.failures)
+    if history.devices_left:
+        results["devices_left"] = list(history.devices_left)
+    results["states"] = list(history.states)
 
 
 def projection(calibration: Calibration, views: Sequence[View]) -> ProjectionData | None:
@@ -224,7 +224,8 @@ def _conditions(history: History, kind: CameraKind) -> Conditions:
     return {"light": light, "camera": kind.conditions([s["facts"] for s in stored])}
 
 
-def _poses(history: History, views: Sequence[ViewSummary], kind: CameraKind) -> list[PoseData]:
+def pose_data(history: History, views: Sequence[ViewSummary], kind: CameraKind) -> list[PoseData]:
+    """Return ``poses`` of results.json: each pose with its recordings."""
     summaries = {view.name: view for view in views}
     poses: list[PoseData] = []
     for index in sorted({a.pose_index for a in history.attempts}):

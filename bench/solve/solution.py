@@ -23,7 +23,15 @@ from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
 from bench.record.events import Solved
 from bench.record.history import Attempt, History
-from bench.record.results import CheckData, ComparisonRow, GimbalReadingsData
+from bench.record.results import (
+    CheckData,
+    ComparisonRow,
+    GimbalCheckData,
+    GimbalReadingsData,
+    HalvesData,
+    MountFaceData,
+    ParallaxData,
+)
 from bench.solve.checks import gimbal_check, mount_faces, parallax_check, split_half_check
 from bench.solve.measured_again import measure_again
 from bench.solve.solve_options import limited_numbers, readings_result, require_enough_views, solve_options
@@ -115,14 +123,24 @@ def views_in(measurements: Iterable[Measurement]) -> list[View]:
 
 
 @dataclass(frozen=True)
+class Checks:
+    """What results.json states of a calibration besides its values; None for what cannot be calculated."""
+
+    halves: HalvesData | None
+    gimbal: GimbalCheckData | None
+    parallax: ParallaxData | None
+    mount_faces: Sequence[MountFaceData] | None
+    check: CheckData | None
+
+
+@dataclass(frozen=True)
 class Solution:
     """A calibration, the data that it was made of, and how it was judged."""
 
     calibration: Calibration
     views: Sequence[StoredView]
     judged: Sequence[Gate]
-    # `halves`, `gimbal`, `parallax` and `mount_faces` of the results, as far as they can be calculated.
-    checks: Mapping[str, Any]
+    checks: Checks
     # Whether the readings of the gimbal entered, with what statement, or why not.
     readings: GimbalReadingsData
     passport: PassportInUse | None = None  # The collimator's passport that the calibration used, if any
@@ -142,20 +160,19 @@ def solve_run(
     options = solve_options(job, step, readings)
     notes = _notes(job, step, history, measurements)
     calibration = calibrated(views, options, notes, check)
-    checks: dict[str, Any] = {
-        "halves": split_half_check(views, options),
-        "gimbal": gimbal_check(calibration, readings, job.station.gimbal),
-        "parallax": parallax_check(calibration, views, job.station, str(history.started["sequence"])),
-        "mount_faces": mount_faces(calibration, job.station),
-    }
-    compared = stated_camera_check(job, step, calibration)
-    checks["check"] = compared
+    checks = Checks(
+        halves=split_half_check(views, options),
+        gimbal=gimbal_check(calibration, readings, job.station.gimbal),
+        parallax=parallax_check(calibration, views, job.station, str(history.started["sequence"])),
+        mount_faces=mount_faces(calibration, job.station),
+        check=stated_camera_check(job, step, calibration),
+    )
     check()
     return Solution(
         calibration,
         _stored_views(measurements, calibration),
-        [*solution_gates(step.limits, limited_numbers(calibration)), *check_gates(compared)],
-        {name: outcome for name, outcome in checks.items() if outcome is not None},
+        [*solution_gates(step.limits, limited_numbers(calibration)), *check_gates(checks.check)],
+        checks,
         readings_result(
             calibration,
             options,

@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import cast
 
 from bench.extras.panel.journal_tail import JournalTail
 from bench.extras.panel.shown_run import LogLine, PoseRow, PoseState
@@ -156,27 +155,27 @@ class RunModel:
             case Event.ENTERING:
                 self.last_target_deg = data.get("target_deg", self.last_target_deg)
             case Event.ASKED:
-                self.asked, self.asked_utc = cast("Asked", data), entry.utc
+                self.asked, self.asked_utc = entry.of(Asked), entry.utc
 
     def _change_rows(self, entry: Entry) -> None:
         match entry.event:
             case Event.ENTERING:
-                self._enter(cast("Entering", entry.data))
+                self._enter(entry.of(Entering))
             case Event.ATTEMPT_CHECKED:
-                self._check(cast("AttemptChecked", entry.data))
+                self._check(entry.of(AttemptChecked))
             case Event.CAPTURE_STORED:
-                stored = cast("CaptureStored", entry.data)
+                stored = entry.of(CaptureStored)
                 row, number = self._row_at(stored["pose"]), stored["attempt"]
                 self._change({**row, "attempts": number, "last": number})
             case Event.ATTEMPT_LOST:
-                lost = cast("AttemptLost", entry.data)
+                lost = entry.of(AttemptLost)
                 row, number = self._row_at(lost["pose"]), lost["attempt"]
                 self._change({**row, "state": "lost", "attempts": number, "why": lost["why"]})
             case Event.POSE_SKIPPED:
-                skipped = cast("PoseSkipped", entry.data)
+                skipped = entry.of(PoseSkipped)
                 self._change({**self._row_at(skipped["pose"]), "state": "skipped", "why": skipped["what"]})
             case Event.UNTIL_DECIDED:
-                decided = cast("UntilDecided", entry.data)
+                decided = entry.of(UntilDecided)
                 if "chosen" in decided:
                     chosen = decided["chosen"]
                     row = _row(chosen["pose"], chosen["pose_name"], chosen["angles_deg"])

@@ -7,7 +7,7 @@ from bench.record.events import Event
 from bench.record.history import replay
 from bench.record.journal import read_journal
 from bench.run.control import Command
-from bench.solve.results_content import journal_content
+from bench.solve.results_content import pose_data
 
 
 def doomed(folder, on_failure, attempts=2):
@@ -20,8 +20,9 @@ def doomed(folder, on_failure, attempts=2):
 
 
 def content(scene):
-    """What the results would tell of the journal."""
-    return journal_content(scene.task, replay(read_journal(scene.folder / "journal.jsonl")[0]), [])
+    """What the results would tell of the poses."""
+    history = replay(read_journal(scene.folder / "journal.jsonl")[0])
+    return {"poses": pose_data(history, [], scene.task.camera_kind), "deviations": history.deviations}
 
 
 def test_a_pose_that_keeps_failing_is_skipped_where_the_sequence_says_so(tmp_path):
