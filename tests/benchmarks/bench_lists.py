@@ -21,7 +21,7 @@ from pathlib import Path
 import measured
 
 from bench.base.home import home_folder
-from bench.record.ledger_marks import RUN_BEGUN, RUN_ENDED, LedgerMark, OwnMark, highest_run, write_own_mark
+from bench.record.ledger_marks import RUN_BEGUN, RUN_ENDED, LedgerMark, highest_run, write_own_mark
 from bench.record.run_index import INDEX
 from bench.record.storage import sha256_of
 from bench.record.unsynced_journal import UnsyncedJournal
@@ -52,7 +52,7 @@ def make_home(home: Path, runs: list[Path]) -> None:
             ledger.append(RUN_BEGUN, number=number, **facts)
             ledger.append(RUN_ENDED, number=number, how="finished", seal=seal)
         lines, last = len(ledger.entries), ledger.entries[-1]
-    write_own_mark(home, OwnMark(LedgerMark(lines, before + len(runs), last.hash, last.utc)))
+    write_own_mark(home, LedgerMark(lines, before + len(runs), last.hash, last.utc))
 
 
 def looks_s(folder: Path) -> list[float]:

@@ -9,7 +9,7 @@ import json
 from datetime import UTC, datetime, timedelta
 
 from bench.record.events import Event
-from bench.record.ledger_marks import RUN_BEGUN, RUN_ENDED, LedgerMark, OwnMark, write_own_mark
+from bench.record.ledger_marks import RUN_BEGUN, RUN_ENDED, LedgerMark, write_own_mark
 from bench.record.unsynced_journal import UnsyncedJournal
 
 BEGIN = datetime(2026, 1, 5, 8, 0, tzinfo=UTC)
@@ -129,5 +129,5 @@ class BenchOfRuns:
         self.journal.close()
         entries = self.journal.entries
         mark = LedgerMark(len(entries), self.number, entries[-1].hash, entries[-1].utc)
-        write_own_mark(self.home, OwnMark(mark))
+        write_own_mark(self.home, mark)
         return self.home

@@ -19,7 +19,7 @@ from bench.extras.history.merged_runs import (
     read_source,
 )
 from bench.record.ledger import LEDGER, Ledger
-from bench.record.ledger_marks import LedgerMark, LedgerRun, OwnMark, write_own_mark
+from bench.record.ledger_marks import LedgerMark, LedgerRun, write_own_mark
 from bench.record.run_index import RunIndex, run_folders
 
 
@@ -50,7 +50,7 @@ def cut(home, lines):
     kept = (home / LEDGER).read_bytes().splitlines(keepends=True)[:lines]
     (home / LEDGER).write_bytes(b"".join(kept))
     last = json.loads(kept[-1])
-    write_own_mark(home, OwnMark(LedgerMark(lines, last["number"], last["hash"], last["utc"])))
+    write_own_mark(home, LedgerMark(lines, last["number"], last["hash"], last["utc"]))
 
 
 def test_two_benches_become_one_list_with_the_same_numbers_kept_apart(tmp_path, two):
