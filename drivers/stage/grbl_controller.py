@@ -121,23 +121,17 @@ class GrblController(Link):
                 remedy=_CLEAR_ALARM,
             )
         if self.restarts == restarts:
-            self._require_silence()
-            raise ReplyTimeout(
-                "the board does not answer, and a reset brings no welcome message.",
-                where=self.name,
-                remedy="Check that the board is switched on, its cable, and that the station file has its baud rate.",
-            )
-
-    def _require_silence(self) -> None:
-        """Refuse a device that answers the end of a line, as no mute board does: another firmware, or another rate."""
-        self.write(b"\n")
-        self.receive(self.reply_s)
-        if heard := self.drain():
-            raise ReplyGarbled(
-                f"the device answers {heard[:_SHOWN]!r}, and no status report.",
-                where=self.name,
-                remedy=f"{_FIRMWARES} Check the port and the baud rate, too.",
-            )
+            self.write(
+                b"\n"
+            )  # which a mute board does not answer, but another firmware, or one at another rate
+            self.receive(self.reply_s)
+            if heard := self.drain():
+                raise self.garbled_reply(
+                    f"the device answers {heard[:_SHOWN]!r}, and no status report.", _FIRMWARES
+                )
+            why, remedy = self.why_silent()
+            what = f"the board does not answer, and a reset brings no welcome message{why and f': {why}'}."
+            raise ReplyTimeout(what, where=self.name, remedy=remedy)
 
     def start_homing(self) -> None:
         """Start homing. The board answers nothing until homing has ended.

@@ -5,14 +5,14 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Iterator, Mapping
-from contextlib import AbstractContextManager, closing, suppress
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import pytest
 
-from bench.extras.plugin_tests.rig import fails_in_time, station_of
+from bench.extras.plugin_tests.rig import Connected, ConnectedContract, fails_in_time, station_of
 from bench.extras.plugin_tests.stages import ContractClock
 from bench.stations.devices import open_camera
 from drivers.camera import CameraSettings, EventCamera
@@ -26,17 +26,8 @@ _LONGEST_END_S = 15.0
 """Longest time until a stopped recording ends, s."""
 
 
-class SimulatedCamera(Protocol):
+class SimulatedCamera(Connected, Protocol):
     """A simulated camera that a driver can reach."""
-
-    @property
-    def address(self) -> str:
-        """What stands for ``PORT`` in the section; empty for a camera that has no port."""
-        ...
-
-    def unplug(self) -> None:
-        """Pull its cable; it stays unplugged."""
-        ...
 
 
 class Interrupted(Exception):
@@ -61,45 +52,21 @@ class InterruptingClock(ContractClock):
             super().sleep(min(ends_s - self.monotonic(), 0.05))
 
 
-class AnyCameraContract:
+class AnyCameraContract(ConnectedContract):
     """What the contracts of event cameras and of frame cameras share.
 
     Attributes
     ----------
-    section
-        The section of the station file; ``PORT`` stands in place of the address.
     other_serial
         A serial number that the simulated camera does not have.
     """
 
-    section: ClassVar[Mapping[str, Any]]
     other_serial: ClassVar[str]
     _ending: ClassVar[str]
     _short: ClassVar[float]
     """How much a test takes that is to be complete: s of a recording, or frames."""
     _long: ClassVar[float]
     """How much a test asks for where something ends the recording early."""
-
-    def connected(self) -> AbstractContextManager[SimulatedCamera]:
-        """Connect a simulated camera, fresh from power-up.
-
-        Returns
-        -------
-        context manager
-            Gives the camera, and takes it away.
-
-        Raises
-        ------
-        NotImplementedError
-            If a subclass does not write it.
-        """
-        raise NotImplementedError
-
-    @pytest.fixture
-    def simulated(self) -> Iterator[SimulatedCamera]:
-        """The simulated camera."""
-        with self.connected() as camera:
-            yield camera
 
     @pytest.fixture
     def clock(self) -> InterruptingClock:

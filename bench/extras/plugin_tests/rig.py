@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, ClassVar, Final, Protocol
 
 import numpy as np
 import pytest
@@ -98,17 +98,21 @@ class SimulatedStage(SimulatedDevice, WithAngles, Protocol):
     """A simulated stage on a line of bytes."""
 
 
-class LibraryStage(WithAngles, Protocol):
-    """A simulated stage that a maker's library can reach, or a stand-in for that library."""
+class Connected(Protocol):
+    """A simulated device that a driver can reach without a line of bytes."""
 
     @property
     def address(self) -> str:
-        """What stands for ``PORT`` in the section; empty for a stage that has no port."""
+        """What stands for ``PORT`` in the section; empty for a device that has no port."""
         ...
 
     def unplug(self) -> None:
-        """Take it off the library; it stays so."""
+        """Pull its cable, or take it off the maker's library; it stays so."""
         ...
+
+
+class LibraryStage(Connected, WithAngles, Protocol):
+    """A simulated stage that a maker's library can reach, or a stand-in for that library."""
 
 
 class SimulatedLight(SimulatedDevice, Protocol):
@@ -123,6 +127,39 @@ class SimulatedLight(SimulatedDevice, Protocol):
             Whether it is.
         """
         ...
+
+
+class ConnectedContract:
+    """What the contracts of cameras and of stages behind a library share.
+
+    Attributes
+    ----------
+    section
+        The section of the station file; ``PORT`` stands in place of the address.
+    """
+
+    section: ClassVar[Mapping[str, Any]]
+
+    def connected(self) -> AbstractContextManager[Any]:
+        """Connect a simulated device, or a stand-in for the library, fresh from power-up.
+
+        Returns
+        -------
+        context manager
+            Gives the device, and takes it away.
+
+        Raises
+        ------
+        NotImplementedError
+            If a subclass does not write it.
+        """
+        raise NotImplementedError
+
+    @pytest.fixture
+    def simulated(self) -> Iterator[Any]:
+        """The simulated device."""
+        with self.connected() as device:
+            yield device
 
 
 @dataclass

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, closing, contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, ClassVar, Literal
@@ -14,6 +14,7 @@ import pytest
 
 from bench.extras.plugin_tests.rig import (
     SPOILT,
+    ConnectedContract,
     LibraryStage,
     Rig,
     SimulatedLight,
@@ -329,37 +330,16 @@ class StageContract(AnyStageContract, SerialContract):
         assert dict(simulated.angles_deg()) == pytest.approx(before, abs=1e-4)
 
 
-class LibraryStageContract(AnyStageContract):
+class LibraryStageContract(ConnectedContract, AnyStageContract):
     """The contract of a stage behind a maker's library. Derive, name it ``Test...``, give ``section``, ``connected``.
 
     All axes of the section need limits that contain 0.
     """
 
-    def connected(self) -> AbstractContextManager[LibraryStage]:
-        """Connect a simulated stage, or a stand-in for the library, fresh from power-up.
-
-        Returns
-        -------
-        context manager
-            Gives the stage, and takes it away.
-
-        Raises
-        ------
-        NotImplementedError
-            If a subclass does not write it.
-        """
-        raise NotImplementedError
-
     @pytest.fixture
     def device_time(self) -> DeviceTime:
         """The system's time, which nobody can hold."""
         return RealTime()
-
-    @pytest.fixture
-    def simulated(self) -> Iterator[LibraryStage]:
-        """The simulated stage."""
-        with self.connected() as stage:
-            yield stage
 
     @pytest.fixture
     def opens(self, simulated: LibraryStage) -> Opener:
