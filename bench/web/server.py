@@ -90,6 +90,7 @@ class PageServer:
             lifespan="on",
             ws="none",
             server_header=False,
+            proxy_headers=False,  # else a client of this computer says by a header which address it has
             timeout_graceful_shutdown=_CLOSE_S,
             timeout_keep_alive=30,
             backlog=_ACCEPTED,

@@ -197,6 +197,17 @@ def test_a_stranger_who_is_refused_is_closed():
         assert answer.startswith(b"HTTP/1.1 401")
 
 
+def test_no_header_gives_a_guesser_another_address():
+    with served(_Counter().app(), token=PageToken("0123456789abcdef")) as server, httpx.Client() as client:
+        guesses = [
+            client.get(
+                server.url, headers={"Authorization": "Bearer no", "X-Forwarded-For": f"192.0.2.{number}"}
+            )
+            for number in range(12)
+        ]
+    assert [guess.status_code for guess in guesses] == [401] * 10 + [429] * 2
+
+
 def test_a_server_for_others_says_that_the_line_is_not_encrypted_and_names_a_tunnel(capsys):
     with served(_Counter().app(), host="0.0.0.0", token=PageToken("0123456789abcdef")) as server:
         server.welcome(open_browser=False)
