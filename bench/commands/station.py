@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError, UsageError
@@ -208,10 +209,12 @@ def station() -> None:
 @click.option("--no-questions", is_flag=True, help="Send nothing to any port.")
 @click.option(
     "--stand-ins",
-    type=click.Choice(["keysight", "rigol", "siglent"]),
-    help="Take all devices from the simulated bench, with a generator of this make.",
+    type=click.Choice(["keysight", "rigol", "siglent", "gardasoft", "microcontroller"]),
+    help="Take all devices from the simulated bench, with this light and the stage that --stage names.",
 )
+@click.pass_context
 def station_new(
+    context: click.Context,
     path: Path,
     stage: str,
     light: str,
@@ -236,7 +239,15 @@ def station_new(
     from bench.stations.station_draft import draft_station, free_ports, ports_to_ask
 
     if stand_ins:
-        write_atomic(path, draft_stand_ins(stand_ins).encode())
+        unused = ("light", "camera", "ports", "no_questions")
+        given = [name for name in unused if context.get_parameter_source(name) is ParameterSource.COMMANDLINE]
+        if given:
+            option = {"ports": "port"}.get(given[0], given[0].replace("_", "-"))
+            raise UsageError(
+                f"--{option} is not used with --stand-ins, which takes light and camera of the simulated bench.",
+                remedy=f"Leave out --{option}. --stand-ins names the light, --stage the stage.",
+            )
+        write_atomic(path, draft_stand_ins(stand_ins, stage).encode())
         show(
             {"station": str(path)},
             [f"Written: {path}. Check it with: {pasteable('plan', 'three_pose', '-s', path)}"],
@@ -250,7 +261,9 @@ def station_new(
     answered = ask_stage(stage, own_ports, clock)
     taken = answered.ports if answered else set()
     asked = answered, ask_light(light, [port for port in all_ports if port not in taken], clock)
-    draft = draft_station(discovery, stage=stage, light=light, camera=camera, asked=asked)
+    draft = draft_station(
+        discovery, stage=stage, light=light, camera=camera, asked=asked, certified=certified_length()
+    )
     write_atomic(path, draft.encode())
     for device in asked:
         if device is not None:
@@ -266,6 +279,20 @@ def station_new(
             "To practise without these devices: starbench station new practice.yaml --stand-ins keysight"
         )
     return 0
+
+
+def certified_length() -> str | None:
+    """Ask which length the collimator's certificate states; None if there is none, or nobody can be asked."""
+    if not sys.stdin.isatty():
+        return None
+    answer: str = click.prompt(
+        "Which length does the certificate of the collimator state? focal_length: of the glass, as makers state it;"
+        " seen: as a camera on a goniometer saw it; none: there is no certificate",
+        type=click.Choice(["focal_length", "seen", "none"]),
+        default="none",
+        err=True,
+    )
+    return None if answer == "none" else answer
 
 
 def may_restart(ports: Sequence[str]) -> bool:

@@ -6,7 +6,10 @@ until `placeholders` are replaced.
 
 from __future__ import annotations
 
+import json
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from jinja2 import Template
 
@@ -22,9 +25,10 @@ CAMERAS = ("metavision", "neuromorphic_evk4", "opencv", "recorded", "pictures")
 class StandIns:
     """Devices of the simulated bench, which take the place of real ones in a new station file."""
 
-    light: str  # Make of the generator
+    simulation: Mapping[str, Any]  # The section of this name
     camera_serial: str
     high_v: float  # Voltage of the lamp's full brightness, V
+    scale: float | None  # Counts per degree of the stage, by its data sheet; None if its controller states it
 
 
 def free_ports(discovery: Discovery) -> list[str]:
@@ -52,11 +56,12 @@ def draft_station(
     camera: str | None = None,
     asked: tuple[AskedStage | None, AskedLight | None] = (None, None),
     stand_ins: StandIns | None = None,
+    certified: str | None = None,
 ) -> str:
     """Write a new station file; ``asked`` is what stage and light answered, None where they did not.
 
     Without an answer, the first free port is the stage's, the second the light's. ``camera`` is one of `CAMERAS`; None
-    for the first connected one in their order.
+    for the first connected one in their order. ``certified`` is which length a certificate of the collimator states.
     """
     asked_stage, asked_light = asked
     taken = {*(asked_stage.ports if asked_stage else ()), *([asked_light.port] if asked_light else [])}
@@ -72,7 +77,7 @@ def draft_station(
     return draft.render(
         ports=discovery.ports,
         stage=stage,
-        stage_port="sim:gimbal" if stand_ins else stage_port,
+        stage_port="sim:gimbal" if stand_ins and not asked_stage else stage_port,
         axes=asked_stage.axes if asked_stage else (),
         light=light,
         light_port="sim:light" if stand_ins else light_port,
@@ -81,4 +86,6 @@ def draft_station(
         serial=first.serial if first else "",
         source=first.source if first else UNKNOWN_SOURCE,
         stand_ins=stand_ins,
+        certified=certified,
+        simulation=json.dumps(stand_ins.simulation) if stand_ins else "",
     )

@@ -433,6 +433,13 @@ def test_the_command_that_is_offered_next_can_be_pasted(capsys, tmp_path, words,
     assert offered[offered.index(option) + 1] == str(path)
 
 
+def test_an_option_that_stand_ins_do_not_use_is_refused(capsys, tmp_path):
+    path = tmp_path / "practice.yaml"
+    said = refusal(capsys, "station", "new", path, "--stand-ins", "keysight", "--light", "gardasoft")
+    assert "--light" in said
+    assert not path.exists()
+
+
 def test_the_home_folder_is_expanded_where_the_shell_does_not(capsys, tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path / "me"))
     monkeypatch.chdir(tmp_path)

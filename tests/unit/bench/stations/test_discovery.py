@@ -164,20 +164,40 @@ def test_every_family_of_devices_can_be_drafted(name, config, simulated):
 
 
 @pytest.mark.parametrize(
-    ("kind", "dialect"), [("keysight", "keysight"), ("rigol", "numbered"), ("siglent", "siglent")]
+    ("light", "driver", "stage"),
+    [
+        ("keysight", "scpi", "zaber_ascii"),
+        ("rigol", "scpi", "ximc"),
+        ("siglent", "scpi", "esp30x"),
+        ("gardasoft", "gardasoft", "grbl"),
+        ("microcontroller", "text", "text"),
+        ("keysight", "scpi", "thorlabs_apt"),
+    ],
 )
-def test_a_station_of_stand_ins_states_what_its_devices_answer_and_can_be_planned(tmp_path, kind, dialect):
+def test_every_stage_and_every_light_has_a_stand_in_that_can_be_planned(tmp_path, light, driver, stage):
     path = tmp_path / "practice.yaml"
-    path.write_text(draft_stand_ins(kind))
-    station = load_station(str(path))
-    assert station.value.light.dialect == dialect
-    assert station.value.light.serial == "SG0042"
-    axes = station.value.stage.axes
-    assert {name: (axis.serial, axis.limits_deg) for name, axis in axes.items()} == {
+    path.write_text(draft_stand_ins(light, stage))
+    station = load_station(str(path)).value
+    assert (station.stage.driver, station.light.driver) == (stage, driver)
+    assert set(station.axes) == {"pan", "tilt"}
+    assert make_plan(*load_documents("three_pose", str(path))).faults == ()
+
+
+def test_a_stand_in_states_what_it_answers(tmp_path):
+    path = tmp_path / "practice.yaml"
+    path.write_text(draft_stand_ins("rigol"))
+    station = load_station(str(path)).value
+    assert (station.light.dialect, station.light.serial) == ("numbered", "SG0042")
+    assert {name: (axis.serial, axis.limits_deg) for name, axis in station.stage.axes.items()} == {
         "pan": ("100101", (-12.0, 12.0)),
         "tilt": ("100102", (-10.0, 10.0)),  # as far as the controller allows
     }
-    assert make_plan(*load_documents("three_pose", str(path))).faults == ()
+
+
+def test_a_draft_states_which_length_the_certificate_of_the_collimator_is(tmp_path):
+    path = tmp_path / "bench.yaml"
+    path.write_text(filled(draft_station(Discovery((), (), ()), stage="zaber_ascii", certified="seen")))
+    assert load_station(str(path)).value.collimator.certificate.length == "seen"
 
 
 def test_stage_and_light_are_found_at_whichever_port_they_answer(tmp_path):
