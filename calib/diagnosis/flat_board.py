@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from scipy.special import fdtrc
 
 from calib.adjustment.bundle import RADIAL_TERM
 from calib.adjustment.initialization import initialized, with_distorted_glass
@@ -38,6 +37,8 @@ def require_turns(views: Sequence[View]) -> None:
     glass and lens that all views have in common: it counts as the numbers of one homography, however many the stars.
     Points without errors leave rounding alone.
     """
+    from scipy.special import fdtrc  # a plan needs none of scipy
+
     n = len(views)
     freed = (_OF_PLACE - _OF_TURN) * (n - 1)
     left = min((_OF_HOMOGRAPHY - _OF_PLACE) * n - _OF_CAMERA, _OF_HOMOGRAPHY)

@@ -435,7 +435,9 @@ def test_the_command_that_is_offered_next_can_be_pasted(capsys, tmp_path, words,
 
 def test_an_option_that_stand_ins_do_not_use_is_refused(capsys, tmp_path):
     path = tmp_path / "practice.yaml"
-    said = refusal(capsys, "station", "new", path, "--stand-ins", "keysight", "--light", "gardasoft")
+    said = refusal(
+        capsys, "station", "new", path, "--stand-ins", "keysight", "--light", "gardasoft", status=2
+    )
     assert "--light" in said
     assert not path.exists()
 
