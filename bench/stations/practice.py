@@ -9,8 +9,8 @@ from typing import Any, Final
 from bench.base.clock import BenchClock
 from bench.simulated import SimulatedBench
 from bench.stations.asked_devices import AskedAxis, AskedStage, ask_light, ask_stage
-from bench.stations.cameras import EventCameraSection
 from bench.stations.discovery import Discovery
+from bench.stations.sections import EventCameraSection
 from bench.stations.stages_and_lights import ScpiLightConfig
 from bench.stations.station import load_station
 from bench.stations.station_draft import StandIns, draft_station
@@ -41,7 +41,7 @@ _STAGES: Final[Mapping[str, tuple[Mapping[str, Any], float | None]]] = {
         {"kind": "thorlabs_apt", "pan": {"serial": "27000101"}, "tilt": {"serial": "27000102"}},
         409_600 / 3,
     ),
-    "text": ({"kind": "flir_ptu", "pan": {"serial": "E1042"}}, 800.0),
+    "text": ({"kind": "flir_ptu", "pan": {"serial": "E1042"}, "tilt": {"limit_deg": 15.0}}, 800.0),
 }
 """Simulated stages by driver, with the scale that a data sheet states; None where the controller states it."""
 
