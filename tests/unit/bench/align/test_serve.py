@@ -35,9 +35,11 @@ def _interrupt_when(condition, *, first=lambda: None):
     """Send SIGINT to this process as soon as a condition holds."""
 
     def wait():
-        wait_until(condition)
-        first()
-        os.kill(os.getpid(), signal.SIGINT)
+        try:
+            wait_until(condition, within_s=120.0)  # loops may have to be compiled first
+            first()
+        finally:
+            os.kill(os.getpid(), signal.SIGINT)
 
     thread = threading.Thread(target=wait, daemon=True)
     thread.start()
