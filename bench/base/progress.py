@@ -35,22 +35,19 @@ _readers: dict[TextIO, queue.SimpleQueue[str]] = {}
 class Progress:
     """Shows a run's progress, ``total_s`` expected: a live line on a terminal; elsewhere a line for each state.
 
-    ``poses`` is how many poses the run has, as text; it may change.
+    ``poses`` is how many poses the run has, as text, and ``left_s`` tells the time left, s; both may be set anew.
     """
 
-    def __init__(
-        self, monotonic: Callable[[], float], total_s: float, poses: str = "", stream: TextIO | None = None
-    ) -> None:
-        self._monotonic = monotonic
+    def __init__(self, total_s: float, poses: str = "", stream: TextIO | None = None) -> None:
         self._total_s = total_s
+        self.left_s: Callable[[], float] = lambda: total_s
         self.poses = poses
         self._console = Console(
             file=cast("TextIO", Steering(stream or sys.stderr)), stderr=stream is None, highlight=False
         )
         # A terminal that cannot overwrite a line gets one line for each change, as a file does.
         self._can_overwrite = self._console.is_terminal and not self._console.is_dumb_terminal
-        self._state, self._detail, self._pose, self._done_s = "idle", "", 0, 0.0
-        self._counted_from_s = monotonic()
+        self._state, self._detail, self._pose = "idle", "", 0
         self._live = Live(
             console=self._console, transient=True, get_renderable=self._line, refresh_per_second=8
         )
@@ -63,11 +60,6 @@ class Progress:
     def __exit__(self, *_: object) -> None:
         with suppress(OSError):  # the terminal is closed
             self._live.stop()
-
-    def done(self, seconds: float) -> None:
-        """Set how much of the expected duration has passed, s from the start of the run in the plan."""
-        if seconds >= self._done_s:  # a recording may be accepted after the move that follows it
-            self._done_s, self._counted_from_s = seconds, self._monotonic()
 
     def show(self, state: str, *, pose: int | None = None, detail: str = "") -> None:
         """Show the present state, pose (from 1; None: unchanged), and in brackets further words."""
@@ -85,10 +77,6 @@ class Progress:
             self._console.print(text, soft_wrap=True)
         except OSError:  # the terminal is closed; that does not affect the run
             self._console = Console(quiet=True)
-
-    def left_s(self) -> float:
-        """Return the expected time to the end of the run, s: that of the plan, counted down during the step."""
-        return max(0.0, self._total_s - self._done_s - (self._monotonic() - self._counted_from_s))
 
     def _where(self) -> str:
         if not self._pose:

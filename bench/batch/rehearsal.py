@@ -188,7 +188,7 @@ def rehearse_job(
             if begun and replay(journal.entries).ended == "finished":
                 return RunEnd("finished", "", held.path, None)
             _journal_begin(journal, job, held, again=begun)
-            progress = Progress(clock.monotonic, job.plan.duration_s, stream=io.StringIO())
+            progress = Progress(job.plan.duration_s, stream=io.StringIO())
 
             def decide(*given: Any) -> UntilDecided:
                 clock.sleep(CHOOSE_S)

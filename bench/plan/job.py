@@ -189,14 +189,6 @@ class Job:
     def _chooses_poses(self) -> bool:
         return any(isinstance(step, ChooseStep) for step in self.steps)
 
-    def done_after_s(self, step: ScriptStep) -> float | None:
-        """Return the expected time from begin of run to the end of a step, s; None if the plan has none."""
-        return self._done_after_s.get(step.number)
-
-    @cached_property
-    def _done_after_s(self) -> dict[int, float]:
-        return {p.step.number: p.done_after_s for p in self.plan.steps}
-
 
 def documents_of(plan: Plan) -> dict[str, bytes]:
     """Return what a run folder keeps from its begin on, bytes by name: all documents to repeat the run from."""

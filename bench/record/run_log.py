@@ -13,6 +13,7 @@ from bench.record.events import (
 )
 from bench.record.history import History, P, apply_entry, replay
 from bench.record.journal import Journal
+from bench.record.journal_line import Entry
 
 _WITHOUT_HARDWARE = frozenset({"settling", "checking"})
 """States in which nothing moves, is switched or is stored."""
@@ -25,6 +26,14 @@ class RunLog:
         self.journal = journal
         self.history = replay(journal.entries)
         self._lock = threading.RLock()
+        self._followers: list[Callable[[Entry, History], None]] = []
+
+    def follow(self, follower: Callable[[Entry, History], None]) -> None:
+        """Tell a follower each line of the journal with the history after it: those that are there, then all others."""
+        with self._lock:
+            for entry in self.journal.entries:
+                follower(entry, self.history)
+            self._followers.append(follower)
 
     @contextmanager
     def held(self) -> Iterator[History]:
@@ -40,7 +49,10 @@ class RunLog:
         event = Event(event_name(payload))
         write = self.journal.append_unsynced if _is_repeatable(event, data) else self.journal.append
         with self._lock:
-            apply_entry(self.history, write(event, **data))
+            entry = write(event, **data)
+            apply_entry(self.history, entry)
+            for follower in self._followers:
+                follower(entry, self.history)
 
 
 def _is_repeatable(event: Event, data: Mapping[str, Any]) -> bool:

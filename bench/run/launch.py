@@ -246,7 +246,7 @@ def run_and_seal(
     """Do the work of a run, and seal its folder if it finished."""
     clock = launch.clock
     wire_log = WireLogFile(folder.path / WIRE_LOG)
-    progress = Progress(clock.monotonic, job.plan.duration_s, stream=launch.stream)
+    progress = Progress(job.plan.duration_s, stream=launch.stream)
 
     def open_devices() -> Devices:
         return Devices(job.station, seed=job.seed, clock=clock, wire_log=wire_log)

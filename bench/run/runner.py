@@ -35,6 +35,7 @@ from bench.run.states import StateWork
 from bench.run.status import RunPlan
 from bench.run.steps import Steps
 from bench.run.steps_to_do import pose_names, poses_crashed_too_often, steps_to_do
+from bench.run.time_left import TimeLeft
 from bench.solve.interim import Decide, decide_until
 from bench.solve.result import Outcome, ResultWriter
 from bench.stations.devices import Devices
@@ -116,6 +117,9 @@ class Runner:
         self._heartbeat = HeartbeatWriter(folder.path, clock)
         self._names = pose_names(job, log.history)
         self._plan = RunPlan.from_dict(job.plan.to_dict())
+        time_left = TimeLeft(self._plan.steps, self._plan.duration_s)
+        log.follow(time_left.apply)
+        progress.left_s = lambda: time_left.left_s(clock.utc_now(), held=log.history.waits)
         self._count_poses()
         round_tasks = (
             self._heartbeat.beat,
@@ -289,12 +293,9 @@ class Runner:
             self._finish_step(step)
 
     def _finish_step(self, step: ScriptStep) -> None:
-        """Journal that a step is done, once, and show it."""
+        """Journal that a step is done, once."""
         if step.number not in self.context.log.history.done_steps:
             self.context.log.write(events.StepDone, step=step.number)
-        done_s = self.context.job.done_after_s(step)
-        if done_s is not None:
-            self._progress.done(done_s)
 
     def _show_decision(self, step: ChooseStep) -> None:
         """Show what an ``until`` decided; its chosen pose can be skipped by command from now on."""

@@ -6,6 +6,7 @@ Devices are used through their protocols only. While a run is held, the light is
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import asdict
 from functools import partial
 from typing import Any, Final, cast
@@ -26,6 +27,7 @@ from bench.run.last_view import leave_view
 from bench.run.machine import MAX_HOLD_S, State
 from bench.run.run_context import RunContext
 from bench.stations.devices import Devices, simulated_truth
+from calib.progress import shown_by
 from drivers.camera import CameraIdentity
 from drivers.camera.usb_permission import LEAST_MBIT_S
 from drivers.errors import LightFault, NotHomed
@@ -242,7 +244,8 @@ class StateWork:
         history = self._run.log.history
         if any(decided["step"] == step.number for decided in history.decisions):
             return
-        decided = self._run.decide(step, history, self._measured, self._run.clock.check)
+        with self._stops_between_rounds():
+            decided = self._run.decide(step, history, self._measured, self._run.clock.check)
         self._run.log.write(events.UntilDecided, **decided)
 
     def backing_off(self, _step: RecordStep, *, wait_s: float, **_: Any) -> None:
@@ -268,8 +271,15 @@ class StateWork:
 
     def solving(self, step: SolveStep, **_: Any) -> None:
         """Calibrate from the accepted recordings."""
-        solved = self._run.results.solve(step, self._run.log.history, self._measured, self._run.clock.check)
+        with self._stops_between_rounds():
+            solved = self._run.results.solve(
+                step, self._run.log.history, self._measured, self._run.clock.check
+            )
         self._run.log.write(events.Solved, **solved)
+
+    def _stops_between_rounds(self) -> AbstractContextManager[None]:
+        """Let a request to stop end a calibration after the present round of its search."""
+        return shown_by(lambda _done, _expected: self._run.clock.check())
 
     def reporting(self, *_: Any, **__: Any) -> None:
         """Write results, images, exports and the report; then journal their hashes."""

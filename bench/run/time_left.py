@@ -13,6 +13,7 @@ from sequences.script import PromptStep, SettleStep, WaitStep
 
 _LEAST_STEPS = 3  # Done before they say how fast the others go
 _SMALLEST, _LARGEST = 0.5, 50.0  # Pace that is believed
+_LEAST_LEFT_S = 1.0  # While something is to be done, no time left is 0:00
 _FIXED = frozenset(step.word for step in (PromptStep, WaitStep, SettleStep))
 """Steps that take the time that the sequence states, on any bench."""
 _MARKS = frozenset({Event.STEP_DONE, Event.RUN_STARTED, Event.RUN_RESUMED})
@@ -63,12 +64,23 @@ class TimeLeft:
         return fixed_s + max(0.0, until_s - self._begun_s - fixed_s) * self.pace
 
     def left_s(self, now: datetime, *, held: bool) -> float:
-        """Return the time left, s, scaled by the steps so far; it does not pass while the run is held."""
+        """Return the time left, s, scaled by the steps so far; it does not pass while the run is held.
+
+        A step that is late is expected to need as long again as it is late already. So the time left ends with the run.
+        """
         left_s = self._scaled_s(self._duration_s, self._fixed_s)
         if held or not self._mark_utc:
             return left_s
-        since_s = (now - datetime.fromisoformat(self._mark_utc)).total_seconds()
-        return max(0.0, left_s - max(0.0, since_s))
+        since_s = max(0.0, (now - datetime.fromisoformat(self._mark_utc)).total_seconds())
+        step_s = self._present_step_s()
+        return max(_LEAST_LEFT_S, left_s - step_s + abs(step_s - since_s))
+
+    def _present_step_s(self) -> float:
+        """Return the scaled time of the step at work; after the last one, of what follows it."""
+        for number, after_s in self._after_s.items():
+            if after_s > self._begun_s:
+                return self._scaled_s(after_s, self._fixed_after_s[number])
+        return self._scaled_s(self._duration_s, self._fixed_s)
 
     def left_at_step_s(self, step: int) -> float:
         """Return the planned time from the last step done to the begin of a later step, scaled, s."""
