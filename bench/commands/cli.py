@@ -15,37 +15,32 @@ from typing import Any
 import click
 
 from bench import __version__
+from bench.base.entry_points import COMMANDS, EntryPoint, entry_points, is_stale, missing
 from bench.commands.options import RUN_STATUS
 
 SECTIONS = {
-    "Before a run": {"align": "Aim and focus the camera with a live picture."},
-    "A run": {
+    "Before a run": {
         "plan": "Check a sequence or a queue; show time, disk space and expected uncertainty.",
+    },
+    "A run": {
         "run": "Run a sequence on a station and write a sealed report.",
         "resume": "Continue a run that was stopped, failed or was interrupted.",
         "verify": "Check a sealed run, certificate or recalculated results.",
     },
     "While it runs, from another terminal": {
-        "panel": "Watch and steer runs and batches in a browser.",
         "status": "Show the status of a run or a batch.",
         "tell": "Hold, release or abort a run, skip a pose, answer a question; change a batch.",
     },
-    "After a run": {"certificate": "Issue, amend, authorise and list calibration certificates."},
     "Many runs": {
         "batch": "Do all runs of a queue file; a second process supervises each run.",
         "rehearse": "Try a queue without devices: a night takes about a minute.",
         "runs": "List runs.",
-        "history": "Show control charts, agreement and table of many runs.",
         "ledger": "Check the ledger of this bench; explain a break in it.",
         "messages": "List or send the messages of this bench.",
     },
     "Without devices": {
         "calibrate": "Calibrate from runs, recordings, images or point files: together, or each run alone.",
         "passport": "Calibrate a collimator once; a camera then needs 1 to 3 views.",
-        "check": "Check by new views whether a calibration is still right.",
-        "undistort": "Write tables that take the distortion out of events and images.",
-        "rig": "Calculate how two cameras of a rig stand to each other.",
-        "convert": "Convert event files to and from the formats of other programs.",
     },
     "The bench": {
         "devices": "List connected devices.",
@@ -56,13 +51,10 @@ SECTIONS = {
         "schema": "Print the JSON Schema of a kind of file, for an editor.",
     },
 }
-"""Commands by their purpose, each with its line in ``starbench --help``."""
+"""The core's commands by their purpose, each with its line in ``starbench --help``; packages bring more."""
 _MODULES = {
     "resume": "run",
     "rehearse": "batch",
-    "check": "calibrate",
-    "undistort": "convert",
-    **dict.fromkeys(("align", "panel"), "pages"),
     **dict.fromkeys(("tell", "messages"), "status"),
     **dict.fromkeys(("devices", "schema", "target", "simulate"), "station"),
 }
@@ -86,14 +78,25 @@ _GONE = {
 class LazyCommands(click.Group):
     """Lists its commands by purpose, each on one whole line at any terminal width; imports one when it is called."""
 
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """See `click.Group.list_commands`."""
+        del ctx
+        return [name for commands in _sections().values() for name in commands]
+
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """See `click.Group.get_command`."""
         del ctx
-        if cmd_name not in self.commands:
-            return None
-        module = import_module(f"bench.commands.{_MODULES.get(cmd_name, cmd_name)}")
-        command: click.Command = getattr(module, cmd_name)
-        return command
+        command: click.Command
+        if any(cmd_name in commands for commands in SECTIONS.values()):
+            command = getattr(import_module(f"bench.commands.{_MODULES.get(cmd_name, cmd_name)}"), cmd_name)
+            return command
+        for entry in entry_points(COMMANDS).values():
+            if _stated(entry)[0] == cmd_name:
+                command = entry.load()
+                return command
+        if is_stale(COMMANDS, cmd_name):
+            raise missing(COMMANDS, cmd_name)
+        return None
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -108,15 +111,31 @@ class LazyCommands(click.Group):
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """See `click.Group.format_commands`."""
         del ctx
-        for title, commands in SECTIONS.items():
+        for title, commands in _sections().items():
             with formatter.section(title):
                 formatter.write_dl(list(commands.items()), col_max=13)
 
 
+def _sections() -> dict[str, dict[str, str]]:
+    """Return the core's commands and those that packages bring, by section."""
+    sections = {title: dict(commands) for title, commands in SECTIONS.items()}
+    known = {name for commands in SECTIONS.values() for name in commands}
+    for entry in entry_points(COMMANDS).values():
+        name, title, line = _stated(entry)
+        if name not in known:
+            sections.setdefault(title, {})[name] = line
+            known.add(name)
+    return sections
+
+
+def _stated(entry: EntryPoint) -> tuple[str, str, str]:
+    """Return name, section and line in ``--help`` of a command, from its entry point's ``name | section | line``."""
+    name, section, line, *_ = (*map(str.strip, entry.name.split("|")), "", "")
+    return name, section or "Of other packages", line
+
+
 @click.group(
     cls=LazyCommands,
-    # Stand-ins, so that click can list and suggest names; `get_command` returns the commands themselves.
-    commands={name: click.Command(name) for section in SECTIONS.values() for name in section},
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100},
     epilog=f"Exit status: {RUN_STATUS}",
 )

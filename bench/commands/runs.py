@@ -9,6 +9,7 @@ from typing import Any
 
 import click
 
+from bench.base.clock import BenchClock
 from bench.base.encoding import counted
 from bench.base.errors import JournalBroken
 from bench.base.home import home_folder
@@ -19,6 +20,7 @@ from bench.commands.workers import CountLine
 from bench.evidence.authorisations import entered_authorisations, lost_authorisations
 from bench.evidence.findings import State
 from bench.evidence.listed_states import listed_states
+from bench.evidence.merged_runs import LedgerSource, MergedRuns, merge_ledgers, merge_runs, read_source
 from bench.record.ledger import Ledger, bench_ledger
 from bench.record.run_facts import IndexedRun
 from bench.record.run_folder import JOURNAL
@@ -47,8 +49,6 @@ def runs(**given: Any) -> int:
     """
     choice = RunChoice.of(given)
     if choice.ledgers:
-        from bench.commands.history import find_runs
-
         merged = find_runs(choice)
         listed, faults, notes = merged.runs, merged.faults, merged.notes
     else:
@@ -56,6 +56,24 @@ def runs(**given: Any) -> int:
     findings = {"faults": faults, **({"notes": notes} if notes else {})}
     show(lambda: {**_runs_dict(listed), **findings}, _runs_lines(listed))
     return print_findings(faults, notes)
+
+
+def find_runs(choice: RunChoice) -> MergedRuns:
+    """Find runs by ledgers and folders, and name what does not agree."""
+    home, clock = home_folder(), BenchClock()
+
+    def source(folder: Path, *, required: bool) -> LedgerSource:
+        ledger = Ledger(folder, utc_now=clock.utc_now, monotonic=clock.monotonic)
+        return read_source(ledger, required=required)
+
+    named = [source(folder, required=True) for folder in choice.ledgers]
+    ledgers = merge_ledgers(named or [source(home, required=False)])
+    folders = run_folders(choice.folder) if choice.folder else []
+    index = RunIndex(home)
+    merged = merge_runs(index, ledgers, folders, only_folders=bool(choice.folder and not choice.ledgers))
+    if any(value is not None for value in choice.filters.values()):
+        merged.runs, _ = index.runs([Path(run.folder) for run in merged.runs], **choice.filters)
+    return merged
 
 
 def _runs_of_bench(choice: RunChoice) -> tuple[list[IndexedRun], list[str], list[str]]:

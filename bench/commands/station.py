@@ -14,6 +14,7 @@ import click
 from click.core import ParameterSource
 
 from bench.base.clock import BenchClock
+from bench.base.entry_points import SCHEMAS, entry_points, load
 from bench.base.errors import BenchError, UsageError
 from bench.base.pasteable import pasteable
 from bench.commands.options import (
@@ -306,28 +307,25 @@ def may_restart(ports: Sequence[str]) -> bool:
 
 
 @command("starbench schema sequence > sequence.schema.json")
-@click.argument("document", type=click.Choice(["sequence", "station", "queue", "job", "lab", "runs-table"]))
+@click.argument(
+    "document", type=click.Choice(["sequence", "station", "queue", "job", *sorted(entry_points(SCHEMAS))])
+)
 def schema(document: str) -> int:
     """Print the JSON Schema of sequence, station, queue, job or lab files, for use by text editors.
 
     runs-table: the columns that `starbench history table` writes, each with its meaning and its unit.
     """
-    from pydantic import BaseModel
-
-    from bench.extras.certificate.lab_config import LabConfig
-    from bench.extras.history.columns import json_schema
     from bench.stations.station import Station
     from sequences.queue import JobFile, Queue
     from sequences.schema import Sequence
 
-    models: dict[str, type[BaseModel]] = {
-        "sequence": Sequence,
-        "station": Station,
-        "queue": Queue,
-        "job": JobFile,
-        "lab": LabConfig,
+    own = {
+        "sequence": Sequence.model_json_schema,
+        "station": Station.model_json_schema,
+        "queue": Queue.model_json_schema,
+        "job": JobFile.model_json_schema,
     }
-    print_json(json_schema() if document == "runs-table" else models[document].model_json_schema())
+    print_json(own[document]() if document in own else load(SCHEMAS, document)())
     return 0
 
 

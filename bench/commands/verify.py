@@ -28,16 +28,17 @@ from bench.commands.output import JSON, show, wants_json
 from bench.commands.workers import WORKERS, CountLine, PartsLine, kept_work, open_workers
 from bench.evidence.authorisations import compare_authorisation, known_authorisations
 from bench.evidence.findings import Derivation, Findings, Verification
+from bench.evidence.folder_kinds import brought_kinds, folder_kind
 from bench.evidence.key_trust import Trust, read_trust
 from bench.evidence.ledger_check import ledger_faults_of_run
 from bench.evidence.seal import kind_of
 from bench.evidence.verify import verify_folder
-from bench.extras.many.verifications import VERIFIED, Check, Checked, check_one, derivations_of
-from bench.extras.many.work import KeptRows
-from bench.extras.many.workers import Finished, Workers, map_work
 from bench.record.ledger import bench_ledger
 from bench.record.run_folder import JOURNAL
 from bench.record.stored_run import StoredRun
+from bench.work.kept_rows import KeptRows
+from bench.work.verifications import VERIFIED, Check, Checked, check_one, derivations_of
+from bench.work.workers import Finished, Workers, map_work
 
 NOT_COMPARED = 4
 """Exit status of `verify`: no fault was found, but parts were not compared, or this version does not confirm them."""
@@ -146,10 +147,7 @@ def _valid_lines(verification: Verification) -> Iterator[str]:
     if verification.run_id is not None:
         simulated = " SIMULATED devices." if verification.simulated else ""
         camera = verification.camera_serial or "without number"
-        what = {"results": "Recalculated results", "certificate": "Certificate of run"}.get(
-            verification.kind, "Run"
-        )
-        yield f"{what} {verification.run_id}, camera {camera}.{simulated}"
+        yield f"{folder_kind(Path(verification.folder)).shown} {verification.run_id}, camera {camera}.{simulated}"
     for remark in verification.remarks:
         yield f"Note: {remark}."
     if verification.not_compared:
@@ -228,49 +226,38 @@ def derivations(trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
             findings.derive(folder, derivations_of(folder, again=again, progress=reached))
         return findings
 
-    return {
-        "run": [_check_ledger, of_folder, check_authorisation],
-        "results": [of_folder, check_authorisation],
-        "certificate": [*_checks_of_certificate(trust, again=again), check_authorisation],
+    of_kinds: dict[str, list[Derivation]] = {
+        "run": [_check_ledger, of_folder],
+        "results": [of_folder],
+        **_brought_checks(trust, again=again),
     }
+    return {name: [*checks, check_authorisation] for name, checks in of_kinds.items()}
 
 
 def _checks_of_this_bench(folder: Path, kind: str, check: Check) -> Findings:
     """Compare a folder with the ledger of this bench, which no worker has."""
-    of_kind: dict[str, list[Derivation]] = {
-        "certificate": _checks_of_certificate(check.trust, again=check.again),
+    of_kinds: dict[str, list[Derivation]] = {
         "run": [_check_ledger],
+        **_brought_checks(check.trust, again=check.again),
     }
     findings = Findings()
-    findings.derive(folder, of_kind.get(kind, []))
+    findings.derive(folder, of_kinds.get(kind, []))
     findings.add(check_authorisation(folder))
     return findings
 
 
-def _checks_of_certificate(trust: Trust, *, again: bool) -> list[Derivation]:
-    """Return the checks of a certificate; with --again also that of its run, from the recordings."""
+def _brought_checks(trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
+    """Return the checks of the kinds of folder that installed packages add."""
 
     def verify_run(run: Path) -> Verification:
         return verify_one(run, trust, again=True)
 
-    def of_run(folder: Path) -> Findings:
-        from bench.extras.certificate.sealed_run import check_run_of_certificate
-
-        return check_run_of_certificate(folder, bench_ledger(), verify_run)
-
-    return [_check_certificate, *([of_run] if again else [])]
+    return {kind.name: [*kind.checks(verify_run if again else None)] for kind in brought_kinds()}
 
 
 def check_authorisation(folder: Path) -> Findings:
     """Compare a folder with the authorisation that the ledger of this bench names. It is the last check of a folder."""
     return compare_authorisation(folder, known_authorisations(home_folder()))
-
-
-def _check_certificate(folder: Path) -> Findings:
-    """Derive a certificate again, and compare it with the ledger of this bench."""
-    from bench.extras.certificate.check import check_certificate
-
-    return check_certificate(folder, bench_ledger())
 
 
 def _check_ledger(folder: Path) -> Findings:

@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, cast
 
 import click
 
 from bench.base.clock import reliable_interrupts
 from bench.base.encoding import clock_text, printable
+from bench.base.entry_points import WORKERS as BROUGHT
+from bench.base.entry_points import ExtraMissing, load
 from bench.base.lost_output import Steering
-
-if TYPE_CHECKING:
-    from bench.extras.many.work import KeptRows
-    from bench.extras.many.workers import Workers, WorkLeft
+from bench.work.kept_rows import KeptRows
+from bench.work.workers import Serial, Workers, WorkLeft
 
 CONTINUES = "What is done is kept; the same command continues."
 _MOST_PROCESSES = 1024
-_LEAST_BYTES = 4 << 30
-"""Memory that each process on this computer may use at least: a share of this computer's may be less."""
 _EVERY_S = 30.0  # A log of a night stays readable
 _EVERY_ON_A_TERMINAL_S = 0.25  # More often is not seen
 
@@ -58,29 +55,18 @@ WORKERS = click.option(
 
 
 def open_workers(who: int | str | None, *, most: int | None = None) -> Workers:
-    """Return who does the work, to be closed: a number of processes (None: one a processor) or a Dask scheduler.
+    """Return who does the work, to be closed: a number of processes (None: as many as suit) or a scheduler's workers.
 
-    ``most`` is the number of pieces, if known; a single one is done here, unless processes are asked for.
+    ``most`` is the number of pieces, if known. Without an installed package for processes, None is this process alone.
     """
     if isinstance(who, str):
-        from bench.extras.many.processes import DaskWorkers
-
-        return DaskWorkers(who)
-    from bench.extras.many.processes import Processes, processors
-    from bench.extras.many.workers import Serial
-
-    count = min(who or processors(), max(1, most) if most is not None else _MOST_PROCESSES)
-    if count == 1 and who is None:
-        return Serial()
-    return Processes(count, max(_LEAST_BYTES, _memory_bytes() // count))
-
-
-def _memory_bytes() -> int:
-    """Return how much memory this computer has; 0 where the system does not say."""
+        return cast("Workers", load(BROUGHT, who.partition("://")[0])(who))
     try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):
-        return 0
+        return cast("Workers", load(BROUGHT, "processes")(who, most))
+    except ExtraMissing:
+        if who is not None:
+            raise
+        return Serial()
 
 
 @contextmanager
@@ -88,8 +74,6 @@ def kept_work(
     workers: Workers, folder: Path | None, file: str, line: CountLine, done: str
 ) -> Iterator[KeptRows | None]:
     """Yield what keeps done pieces of work in a folder, None without one; an interruption is told with their number."""
-    from bench.extras.many.work import KeptRows
-
     with reliable_interrupts(), ExitStack() as stack:
         stack.callback(workers.close)
         kept = stack.enter_context(KeptRows(folder, file)) if folder is not None else None
@@ -146,8 +130,6 @@ class CountLine(LiveLine):
     def __init__(self, total: int, things: str, *, quiet: bool = False) -> None:
         super().__init__(quiet=quiet)
         self.done, self._total, self._things = 0, total, things
-        from bench.extras.many.workers import WorkLeft
-
         self._time = WorkLeft()
 
     def count(self, more: int = 1) -> None:
@@ -177,8 +159,6 @@ class PartsLine(LiveLine):
         monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
         super().__init__(quiet=quiet)
-        from bench.extras.many.workers import WorkLeft
-
         self._things, self._then, self._count = things, then, ""
         self._work_left = partial(WorkLeft, monotonic)
         self._time = self._calculation = self._work_left()

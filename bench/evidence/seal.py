@@ -16,35 +16,13 @@ from pathlib import Path
 
 from bench.base.errors import EvidenceError
 from bench.base.pasteable import pasteable
+from bench.evidence.folder_kinds import FolderKind, folder_kind
 from bench.evidence.keys import BenchKey
 from bench.evidence.signers import NAMESPACE
 from bench.record.journal import CAPTURES
-from bench.record.run_folder import CERTIFICATE, JOURNAL, MANIFEST, SIGNATURE, SOURCES, RunFolder, is_sealed
+from bench.record.run_folder import JOURNAL, MANIFEST, SIGNATURE, RunFolder, is_sealed
 from bench.record.storage import TEMPORARY, sha256_of, storage_errors, write_atomic
 from drivers.durable import sync_file
-
-KINDS = {JOURNAL: "run", CERTIFICATE: "certificate", SOURCES: "results"}
-"""Kind of a sealed folder by the file that only this kind has."""
-
-_WHAT = {
-    "run": "the record of one run of Starbench",
-    "certificate": "a calibration certificate made by Starbench",
-    "results": "a calibration that Starbench calculated from existing files (a recalculation)",
-    "files": "a set of files made by Starbench",
-}
-
-_MORE = {
-    "run": "",
-    "certificate": """
-certificate.json names the person who is to authorise it (authorised_by), with the fingerprint of the
-person's key. ssh-keygen must print the same fingerprint.
-""",
-    "results": """
-sources.json names the files that these results were calculated from, with their SHA-256. To check one:
-sha256sum FILE.
-""",
-    "files": "",
-}
 
 # `verify` compares the file of every version with this text: one that is changed must stay beside the new one.
 _TEXT = """\
@@ -116,12 +94,14 @@ _LINE = re.compile(r"([0-9a-f]{64})  ([^\\\x00-\x1f\x7f]+)")
 
 def kind_of(path: Path) -> str:
     """Return what a folder is, by its content: ``run``, ``certificate``, ``results`` (recalculated) or ``files``."""
-    return next((kind for name, kind in KINDS.items() if (path / name).is_file()), "files")
+    return folder_kind(path).name
 
 
-def instructions(kind: str, *, principal: str, fingerprint: str) -> str:
+def instructions(kind: FolderKind, *, principal: str, fingerprint: str) -> str:
     """Return the text of ``VERIFY.txt`` for a folder of this kind, sealed by this bench."""
-    return _TEXT.format(what=_WHAT[kind], more=_MORE[kind], principal=principal, fingerprint=fingerprint)
+    return _TEXT.format(
+        what=kind.content, more=kind.instructions, principal=principal, fingerprint=fingerprint
+    )
 
 
 def seal(folder: RunFolder, key: BenchKey) -> str:
@@ -138,7 +118,7 @@ def seal_folder(path: Path, key: BenchKey) -> str:
     with storage_errors(path):
         for name in (INSTRUCTIONS, MANIFEST, SIGNATURE):  # of a process that died while it sealed
             (path / f".{name}{TEMPORARY}").unlink(missing_ok=True)
-    text = instructions(kind_of(path), principal=key.principal, fingerprint=key.fingerprint)
+    text = instructions(folder_kind(path), principal=key.principal, fingerprint=key.fingerprint)
     write_atomic(path / INSTRUCTIONS, text.encode())
     _sync_files(path)
     manifest = make_manifest(path)

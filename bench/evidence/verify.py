@@ -17,11 +17,11 @@ from bench.base.bounded_json import canonical_json, parse_json
 from bench.base.errors import EvidenceError, RunFolderError, StorageError
 from bench.evidence.beside_seal import read_beside
 from bench.evidence.findings import UNREADABLE, Derivations, Findings, Verification
+from bench.evidence.folder_kinds import folder_kind, markers
 from bench.evidence.journal_check import check_journal
 from bench.evidence.key_trust import Trust
 from bench.evidence.seal import (
     INSTRUCTIONS,
-    KINDS,
     NOT_LISTED,
     instructions,
     kind_of,
@@ -49,28 +49,10 @@ from bench.record.storage import read_bounded, read_json, sha256_of, storage_err
 
 _RUN_FILES = frozenset({RESULTS, REPORT, PLAN, SEQUENCE_COPY, STATION_COPY})
 """Files of runs; a folder that has them and no file of a kind is a run, or results, whose main file was removed."""
-_EXPORTS = (
-    r"exports/(opencv|ros_camera_info|kalibr_camchain|boresight)\.yaml|exports/mrcal\.cameramodel|exports/colmap_cameras\.txt"
-    r"|exports/metavision\.json|exports/camera-geometry\.json|exports/not-written\.txt"
-)
-_RESULT_FILES = rf"results\.json|report\.html|views\.h5|passport\.json|VERIFY\.txt|{_EXPORTS}"
-FILES = {
-    "run": re.compile(
-        rf"{_RESULT_FILES}|journal\.jsonl|sequence\.yaml|station\.yaml|checked-calibration|plan\.json|wire\.jsonl(\.[0-9]{{1,3}})?"
-        r"|captures/pose-[0-9]{3,6}-attempt-[0-9]{1,4}\.[a-z0-9]{1,5}|quarantine/[^/]+\.[0-9]{1,4}"
-    ),
-    "results": re.compile(rf"{_RESULT_FILES}|sources\.json"),
-    "certificate": re.compile(
-        r"certificate\.json|results\.json|lab\.yaml|dcc\.xml|certificate\.pdf|VERIFY\.txt"
-        r"|plots/(uncertainty|direction|coverage|vectors|regions|distortion)\.svg"
-    ),
-}
-"""Names of the files that a sealed folder of each kind may have."""
-_CANONICAL = {RESULTS: True, PLAN: True, SOURCES: True, CERTIFICATE: False}
+_CANONICAL = {RESULTS: True, PLAN: True, SOURCES: True}
 """JSON files that the program writes in one form only; whether other letters than ASCII are escaped in them."""
 _PRINCIPAL = re.compile(r" -I (\S+) -n ")
 _MOST_INSTRUCTIONS = 1 << 20  # They have 3 kB
-_FOLDERS = {"run": "run folder", "results": "folder of recalculated results", "certificate": "certificate"}
 
 
 def check_listed(folder: Path, findings: Findings) -> dict[str, str] | None:
@@ -85,18 +67,19 @@ def check_listed(folder: Path, findings: Findings) -> dict[str, str] | None:
         manifest = {}
     _kind(findings, manifest)
     _files(findings, folder, manifest)
-    for name in sorted(_CANONICAL.keys() & manifest.keys()):
-        _form(findings, folder / name)
+    canonical = {**_CANONICAL, **folder_kind(folder).canonical}
+    for name in sorted(canonical.keys() & manifest.keys()):
+        _form(findings, folder / name, ascii_only=canonical[name])
     _instructions(findings, folder)
     return manifest
 
 
 def _kind(findings: Findings, manifest: Mapping[str, str]) -> None:
     """Refuse a folder whose kind is not certain: its checks could be avoided by a file of another kind."""
-    markers = [name for name in KINDS if name in manifest]
-    if len(markers) > 1:
-        findings.fault("kind", markers[1], f"a folder with {markers[0]} does not have this file")
-    elif not markers and _RUN_FILES & set(manifest):
+    found = [name for name in markers() if name in manifest]
+    if len(found) > 1:
+        findings.fault("kind", found[1], f"a folder with {found[0]} does not have this file")
+    elif not found and _RUN_FILES & set(manifest):
         findings.fault("kind", JOURNAL, "the file is missing, though the folder has other files of a run")
 
 
@@ -110,12 +93,12 @@ def _instructions(findings: Findings, folder: Path) -> None:
     had = b"" if path.is_symlink() or not path.is_file() else read_bounded(path, _MOST_INSTRUCTIONS)
     text = had.decode(errors="replace")
     named = _PRINCIPAL.search(text)
-    if text != instructions(kind_of(folder), principal=named[1] if named else "", fingerprint=key):
+    if text != instructions(folder_kind(folder), principal=named[1] if named else "", fingerprint=key):
         what = "these are not the instructions for the key that sealed this folder"
         findings.fault("instructions", INSTRUCTIONS, what)
 
 
-def _form(findings: Findings, path: Path) -> None:
+def _form(findings: Findings, path: Path, *, ascii_only: bool) -> None:
     """Check that a JSON file has the form that the program gives it, so that every reader reads the same."""
     if path.is_symlink() or not path.is_file():
         return  # told already
@@ -127,7 +110,7 @@ def _form(findings: Findings, path: Path) -> None:
             findings.fault("form", path.name, f"the file cannot be read ({error})")
         return
     try:
-        is_same = canonical_json(content, ascii_only=_CANONICAL[path.name]) == data
+        is_same = canonical_json(content, ascii_only=ascii_only) == data
     except ValueError:  # a number that is not finite
         is_same = False
     if not is_same:
@@ -135,7 +118,7 @@ def _form(findings: Findings, path: Path) -> None:
 
 
 def _files(findings: Findings, folder: Path, manifest: Mapping[str, str]) -> None:
-    there, of_kind = list_files(folder), FILES.get(kind_of(folder))
+    there, of_kind = list_files(folder), folder_kind(folder)
     for name, kind in sorted(there.items()):
         if name in NOT_LISTED:  # `standing_of` checks these
             continue
@@ -143,8 +126,8 @@ def _files(findings: Findings, folder: Path, manifest: Mapping[str, str]) -> Non
             findings.fault("link" if kind == "link" else "added", name, f"this is a {kind}, not a file")
         elif name not in manifest:
             findings.fault("added", name, "the file was added after sealing: move it out of the folder")
-        elif of_kind is not None and not of_kind.fullmatch(name):
-            findings.fault("kind", name, f"no {_FOLDERS[kind_of(folder)]} has this file")
+        elif of_kind.files is not None and not of_kind.files.fullmatch(name):
+            findings.fault("kind", name, f"no {of_kind.noun} has this file")
     for name, sha256 in manifest.items():
         if name not in there:
             findings.fault("missing", name, "the file is missing")
@@ -169,7 +152,9 @@ def verify_folder(
     zone, None for the system's; ``at`` is as for `standing_of`. ``camera_serial`` reveals a report of another camera.
     ``again`` is only stated.
     """
-    if not folder.is_dir() or not any((folder / name).exists() for name in (MANIFEST, *KINDS)):
+    if not folder.is_dir() or not any(
+        (folder / name).exists() for name in (MANIFEST, CERTIFICATE, *markers())
+    ):
         raise RunFolderError(
             "This is not a run folder, and no other folder that Starbench seals.",
             where=str(folder),

@@ -36,14 +36,14 @@ from quick_runs import THREE, write_sequence, write_station
 from varied_runs import make_runs
 
 from bench.base.program import forms
-from bench.extras.many.places import Place, find_places
 from bench.extras.many.processes import Processes
-from bench.extras.many.recalculation import Recalculation
-from bench.extras.many.results_folders import TABLE, ResultsFolders
-from bench.extras.many.tasks import Task, find_view
-from bench.extras.many.workers import Serial, Work
 from bench.measure.kept_views import FOLDER
 from bench.solve.offline_options import OfflineOptions
+from bench.work.places import Place, find_places
+from bench.work.recalculation import Recalculation
+from bench.work.results_folders import TABLE, ResultsFolders
+from bench.work.tasks import Task, find_view
+from bench.work.workers import Serial, Work
 
 ROOT = Path(__file__).parents[2]
 

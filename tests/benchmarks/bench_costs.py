@@ -23,9 +23,6 @@ from measured import Spread
 
 from bench.base.program import forms
 from bench.evidence.keys import create_key
-from bench.extras.many.places import Place
-from bench.extras.many.results_folders import ResultsFolders
-from bench.extras.many.tasks import Task, list_recordings
 from bench.measure.kept_views import pack_view
 from bench.measure.measure import measure
 from bench.record.storage import sha256_of
@@ -33,6 +30,9 @@ from bench.solve.offline import calibrate_sources
 from bench.solve.offline_folder import offline_files
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.view_sources import view_sources
+from bench.work.places import Place
+from bench.work.results_folders import ResultsFolders
+from bench.work.tasks import Task, list_recordings
 from calib.target import StarTarget
 from drivers.camera.raw_file import RawFile
 

@@ -55,7 +55,8 @@ def written_with() -> tuple[Software, ...]:
     import bench
 
     root = Path(bench.__file__).parent.parent
-    files = [path for path in (root / _FOLDER).rglob("*") if path.suffix in _ENDINGS]
+    folder = root / _FOLDER
+    files = [path for path in folder.rglob("*") if path.suffix in _ENDINGS and path.parent == folder]
     form = hash_of_files(root, [*files, *(root / name for name in _ALSO)])
     installed = installed_versions(_LIBRARIES)
     return (Software(FORM, form), *(Software(name, version) for name, version in installed.items()))

@@ -1,1 +1,1 @@
-"""Much work on many processors: a map of pure functions over items, and the recalculation of many runs with it."""
+"""Workers for much work: the processes of this computer, and the workers of a Dask scheduler."""

@@ -20,10 +20,13 @@ from typing import Any
 
 from bench.base.errors import UsageError
 from bench.base.failure import Failure
-from bench.extras.many.workers import Finished, Work, Workers, WorkersLost, do
+from bench.work.workers import Finished, Serial, Work, Workers, WorkersLost, do
 
 _ONE_THREAD = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 _END_S = 2.0
+_MOST_PROCESSES = 1024
+_LEAST_BYTES = 4 << 30
+"""Memory that each process on this computer may use at least: a share of this computer's may be less."""
 _SILENCE_S = 60.0
 """How long to wait while the scheduler has no worker."""
 _CONNECT_S = 10.0  # A scheduler that is there answers at once
@@ -196,6 +199,25 @@ def _one_thread() -> Iterator[None]:
 def processors() -> int:
     """Return how many processors this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def open_processes(count: int | None, most: int | None) -> Workers:
+    """Return ``count`` processes (None: one a processor), not more than ``most`` pieces of work if that is known.
+
+    A single one is this process, unless it is asked for.
+    """
+    size = min(count or processors(), max(1, most) if most is not None else _MOST_PROCESSES)
+    if size == 1 and count is None:
+        return Serial()
+    return Processes(size, max(_LEAST_BYTES, _memory_bytes() // size))
+
+
+def _memory_bytes() -> int:
+    """Return how much memory this computer has; 0 where the system does not say."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return 0
 
 
 class DaskWorkers(Workers):

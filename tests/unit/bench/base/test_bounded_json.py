@@ -17,7 +17,7 @@ OWN_DATA = {
     "base/bounded_json.py",
     "extras/certificate/amend.py",  # text that was written a line before
     "extras/certificate/pdf.py",
-    "commands/certificate.py",
+    "extras/certificate/commands/certificate.py",
     "record/inbox.py",  # bounded size; pydantic bounds the depth
     "record/run_index.py",  # text that the index wrote
     "again/compare.py",

@@ -16,8 +16,8 @@ from journals import MadeRun
 
 from bench.base.errors import StorageError
 from bench.commands.cli import cli
-from bench.commands.history import signed
 from bench.commands.output import print_error
+from bench.extras.history.commands import signed
 
 RUN_COMMANDS = [
     ("resume",),

@@ -12,7 +12,7 @@ from authorising import needs_openssl, needs_ssh_keygen
 from bench.evidence.authorisation import authorise
 from bench.evidence.beside_seal import add_beside
 from bench.evidence.key_trust import Trust
-from bench.evidence.seal import KINDS, kind_of, make_manifest, seal_folder
+from bench.evidence.seal import kind_of, make_manifest, seal_folder
 from bench.evidence.ssh_keys import fingerprint
 from bench.evidence.verify import verify_folder
 from tests.unit.bench.evidence.resealed import kinds, reseal, writable
@@ -21,6 +21,7 @@ pytest.importorskip("rfc3161_client", reason="the extra `certificate` is not ins
 pytestmark = [needs_ssh_keygen, needs_openssl]
 
 NOW = datetime.now(UTC)
+MARKERS = {"run": "journal.jsonl", "certificate": "certificate.json", "results": "sources.json"}
 
 
 @pytest.fixture
@@ -38,7 +39,7 @@ def lists(tmp_path, home, ada, authority):
 def make_folder(path, key, kind, ada):
     path.mkdir()
     named = {"name": "Ada", "role": "head", "key_fingerprint": fingerprint(ada.public_key)}
-    marker = next((name for name, its in KINDS.items() if its == kind), "any.txt")
+    marker = MARKERS.get(kind, "any.txt")
     (path / marker).write_text(json.dumps({"authorised_by": named}) + "\n")
     (path / "exports").mkdir()
     (path / "exports" / "opencv.yaml").write_text("fx: 1\n")
@@ -120,7 +121,7 @@ def test_the_commands_find_what_is_wrong(tmp_path, key, signers, ada, lists, aut
     assert run(seal, folder, lists)[0] == 255
 
 
-@pytest.mark.parametrize("kind", [*KINDS.values(), "files"])
+@pytest.mark.parametrize("kind", [*MARKERS, "files"])
 def test_other_instructions_are_a_fault_in_every_kind_of_folder(tmp_path, key, signers, ada, kind):
     folder = writable(make_folder(tmp_path / kind, key, kind, ada[0]))
     assert ("instructions", "VERIFY.txt") not in kinds(verify_folder(folder, signers))

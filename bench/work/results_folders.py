@@ -14,17 +14,17 @@ from typing import Any
 from bench.base.errors import EvidenceError, StorageError, UsageError
 from bench.evidence.keys import BenchKey
 from bench.evidence.seal import remove_unnamed, seal_folder
-from bench.extras.many.tasks import (
-    DoneRow,
-    RunRow,
-)
-from bench.extras.many.work import (
-    Table,
-    line_of,
-)
 from bench.record.run_folder import RESULTS
 from bench.record.storage import sha256_of, storage_errors, write_atomic
 from bench.solve.offline_folder import write_files
+from bench.work.kept_rows import (
+    Table,
+    line_of,
+)
+from bench.work.tasks import (
+    DoneRow,
+    RunRow,
+)
 from drivers.durable import sync_folder
 
 TABLE = "recalculated.jsonl"

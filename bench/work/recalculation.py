@@ -13,9 +13,10 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from bench.base.failure import FORESEEN, Failure
-from bench.extras.many.places import Place
-from bench.extras.many.results_folders import ResultsFolders
-from bench.extras.many.tasks import (
+from bench.solve.offline_folder import SealedBy
+from bench.work.places import Place
+from bench.work.results_folders import ResultsFolders
+from bench.work.tasks import (
     ROW_FORMAT,
     CalibratedData,
     DoneRow,
@@ -29,8 +30,7 @@ from bench.extras.many.tasks import (
     find_view,
     list_recordings,
 )
-from bench.extras.many.workers import Finished, Work, Workers, WorkLeft, rounds
-from bench.solve.offline_folder import SealedBy
+from bench.work.workers import Finished, Work, Workers, WorkLeft, rounds
 
 _AHEAD = 8
 """Runs behind URLs that are listed at the same time: most of that time is spent waiting for answers."""

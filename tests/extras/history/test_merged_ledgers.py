@@ -7,7 +7,7 @@ from datetime import timedelta
 import pytest
 from many_runs import BEGIN, BenchOfRuns, write_run
 
-from bench.extras.history.merged_runs import (
+from bench.evidence.merged_runs import (
     IN_LEDGER,
     NO_LEDGER,
     NOT_IN_LEDGER,

@@ -8,7 +8,7 @@ import cluster_work
 import pytest
 
 from bench.extras.many.processes import DaskWorkers, Processes
-from bench.extras.many.workers import Serial, Work, WorkLeft, map_work
+from bench.work.workers import Serial, Work, WorkLeft, map_work
 
 
 def ends(workers, *works):

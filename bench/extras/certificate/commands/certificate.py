@@ -15,7 +15,6 @@ from bench.base.bounded_json import parse_json
 from bench.base.errors import EvidenceError, UsageError
 from bench.base.home import home_folder
 from bench.base.pasteable import pasteable
-from bench.commands.certificate_authorise import authorise, timestamp
 from bench.commands.options import (
     OPERATOR,
     ExistingFile,
@@ -32,6 +31,7 @@ from bench.evidence.keys import BenchKey, usable_key
 from bench.evidence.ledger_check import is_sealed_by, own_public_keys
 from bench.evidence.states import standing_of
 from bench.extras.certificate.certificate_data import Certificate
+from bench.extras.certificate.commands.authorise import authorise, timestamp
 from bench.extras.certificate.series import Numbered, amending, declare_void, numbers, one_at_a_time
 from bench.record.ledger import Ledger, bench_ledger
 from bench.record.run_folder import CERTIFICATE, MANIFEST

@@ -13,11 +13,11 @@ from bench.base.program import forms
 from bench.commands.cli import cli
 from bench.evidence.findings import Findings
 from bench.evidence.key_trust import Trust
-from bench.extras.many import verifications
-from bench.extras.many.conversions import convert_many, plan_targets
-from bench.extras.many.verifications import Check, check_one
-from bench.extras.many.work import KeptRows
-from bench.extras.many.workers import Serial
+from bench.extras.tools.conversions import convert_many, plan_targets
+from bench.work import verifications
+from bench.work.kept_rows import KeptRows
+from bench.work.verifications import Check, check_one
+from bench.work.workers import Serial
 from drivers.camera import CameraIdentity
 from drivers.camera.event_arrays import Events, Triggers
 from drivers.camera.formats.event_conversion import Evt3Encoder
@@ -92,8 +92,8 @@ def test_an_interrupted_conversion_goes_on_and_replaces_nothing_of_others(record
     assert not list(out.glob(".part*"))
     with np.load(out / "p2.npz") as arrays:
         assert len(arrays["t"]) == 4000
-    monkeypatch.setattr("bench.extras.many.conversions.forms", lambda: {"program": "newer"})
-    monkeypatch.setattr("bench.extras.many.conversions.require_program_of", lambda _program: None)
+    monkeypatch.setattr("bench.extras.tools.conversions.forms", lambda: {"program": "newer"})
+    monkeypatch.setattr("bench.extras.tools.conversions.require_program_of", lambda _program: None)
     assert [end.before for end in converted(recordings, out)] == [False, False], "by another program, again"
     before = (out / "p1.npz").read_bytes()
     recordings[0].write_bytes(recordings[1].read_bytes())
@@ -104,7 +104,7 @@ def test_an_interrupted_conversion_goes_on_and_replaces_nothing_of_others(record
 
 
 def test_the_command_converts_many_into_a_folder(recordings, tmp_path, monkeypatch):
-    monkeypatch.setattr("bench.commands.convert.open_workers", lambda *_, **__: Serial())
+    monkeypatch.setattr("bench.extras.tools.convert.open_workers", lambda *_, **__: Serial())
     words = ["convert", *recordings, tmp_path / "out", "--as", "numpy"]
     ended = run(*words)
     assert "2 of 2 files converted." in ended.stdout

@@ -16,8 +16,6 @@ from typing import Literal, TypedDict
 from bench.base.bounded_json import content_key
 from bench.base.errors import BenchError
 from bench.base.failure import FORESEEN
-from bench.extras.many.places import Place
-from bench.extras.many.work import require_program_of
 from bench.measure.kept_views import KeptViews
 from bench.record.run_folder import JOURNAL, PASSPORT_COPY, RESULTS, SEQUENCE_COPY, STATION_COPY
 from bench.record.storage import sha256_of, storage_errors
@@ -27,6 +25,8 @@ from bench.solve.offline_folder import SealedBy, offline_files
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.sources import options_data
 from bench.solve.view_sources import ViewSource, view_sources
+from bench.work.kept_rows import require_program_of
+from bench.work.places import Place
 from calib.errors import CalibrationError
 from calib.view import View
 from drivers.camera.raw_check import require_regular, require_whole

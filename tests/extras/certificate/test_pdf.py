@@ -54,7 +54,7 @@ class TestSameInputSameBytes:
     def test_in_another_process_with_another_clock_place_and_language(self, tmp_path):
         code = (
             "import sys, hashlib; sys.path.insert(0, sys.argv[1])\n"
-            "from tests.unit.bench.extras.certificate.test_pdf import *\n"
+            "from tests.extras.certificate.test_pdf import *\n"
             "print(hashlib.sha256(render_pdf(full_certificate(), sample_results(), ATTACHED)).hexdigest())"
         )
         command = [sys.executable, "-c", code, str(RESULTS.parents[2])]

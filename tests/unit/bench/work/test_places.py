@@ -9,12 +9,12 @@ from solved_run import write_solved_run
 
 from bench.base.errors import StorageError, UsageError
 from bench.base.program import forms
-from bench.extras.many.places import Place, find_places
-from bench.extras.many.recalculation import listed_ahead
-from bench.extras.many.tasks import FoundView, Task, calibrate_found, list_recordings
 from bench.measure.views_file import read_views
 from bench.record.storage import sha256_of
 from bench.solve.offline_options import OfflineOptions
+from bench.work.places import Place, find_places
+from bench.work.recalculation import listed_ahead
+from bench.work.tasks import FoundView, Task, calibrate_found, list_recordings
 
 fsspec = pytest.importorskip("fsspec")
 TASK = Task(OfflineOptions(), forms()["program"], kept="")
@@ -120,7 +120,7 @@ def test_runs_behind_a_url_are_listed_ahead_in_their_order(monkeypatch):
             raise StorageError("gone", where=place.name)
         return place.name
 
-    monkeypatch.setattr("bench.extras.many.recalculation.list_recordings", list_one)
+    monkeypatch.setattr("bench.work.recalculation.list_recordings", list_one)
     places = [Place(f"s3://runs/{number}") for number in range(80)]
     source = listed_ahead(places, TASK)
     for number in range(16):

@@ -290,7 +290,7 @@ def facts_of(folder: Path) -> dict[str, str]:
     place = run.get("ledger_number", _part(run, "ledger").get("number"))
     simulated = certificate.get("simulated", _part(results, "run").get("simulated"))
     facts = {
-        "Kind": f"{_KINDS[kind]}{number}",
+        "Kind": f"{_KINDS.get(kind, kind.capitalize())}{number}",
         "Customer": str(_part(certificate, "customer").get("name", "")),
         "Camera": _words(camera, ("maker", "model", "serial")),
         "Lens": _words(lens, ("maker", "model", "serial")),

@@ -14,10 +14,10 @@ from typing import Any
 
 from bench.base.bounded_json import content_key
 from bench.evidence.findings import Derivation, Findings, SealFault, Verification
+from bench.evidence.folder_kinds import brought_kinds
 from bench.evidence.key_trust import Trust
 from bench.evidence.verify import verify_folder
-from bench.extras.many.conversions import content_hash
-from bench.extras.many.work import require_program_of
+from bench.work.kept_rows import content_hash, require_program_of
 
 VERIFIED = "verified.jsonl"
 
@@ -58,7 +58,11 @@ def check_one(folder: Path, check: Check, known: Mapping[str, Any] | None) -> Ch
         check.trust,
         at=check.at,
         camera_serial=check.camera_serial,
-        derivations={"run": [derive], "results": [derive], "certificate": [lambda _folder: Findings()]},
+        derivations={
+            "run": [derive],
+            "results": [derive],
+            **{kind.name: [lambda _folder: Findings()] for kind in brought_kinds()},
+        },
         again=check.again,
     )
     row = rows[0] if rows else None

@@ -9,7 +9,6 @@ from typing import Any
 
 import click
 
-from bench.base.clock import BenchClock
 from bench.base.encoding import counted
 from bench.base.errors import UsageError
 from bench.base.home import home_folder
@@ -23,22 +22,16 @@ from bench.commands.options import (
     status_text,
 )
 from bench.commands.output import JSON, print_findings, show
+from bench.commands.runs import find_runs
 from bench.commands.values import WholeNumber
 from bench.evidence.authorisations import known_authorisations
+from bench.evidence.merged_runs import MergedRuns
 from bench.evidence.states import home_trust, shown_state
 from bench.extras.history.columns import SCHEMA, Row, table_row
-from bench.extras.history.merged_runs import (
-    LedgerSource,
-    MergedRuns,
-    merge_ledgers,
-    merge_runs,
-    read_source,
-)
 from bench.extras.history.table import require_writable_table, write_table
 from bench.record.coverage import REPEATS_TEXT
-from bench.record.ledger import Ledger
 from bench.record.run_facts import IndexedRun
-from bench.record.run_index import RunIndex, run_folders
+from bench.record.run_index import RunIndex
 from bench.record.storage import write_atomic
 from bench.record.summaries import ChartGroupData, drifts, has_limits
 from bench.report.control_chart import render_charts
@@ -116,24 +109,6 @@ def _show_agreement(merged: MergedRuns) -> int:
         _agreement_lines(solved, compared),
     )
     return print_findings(merged.faults, merged.notes)
-
-
-def find_runs(choice: RunChoice) -> MergedRuns:
-    """Find runs by ledgers and folders, and name what does not agree."""
-    home, clock = home_folder(), BenchClock()
-
-    def source(folder: Path, *, required: bool) -> LedgerSource:
-        ledger = Ledger(folder, utc_now=clock.utc_now, monotonic=clock.monotonic)
-        return read_source(ledger, required=required)
-
-    named = [source(folder, required=True) for folder in choice.ledgers]
-    ledgers = merge_ledgers(named or [source(home, required=False)])
-    folders = run_folders(choice.folder) if choice.folder else []
-    index = RunIndex(home)
-    merged = merge_runs(index, ledgers, folders, only_folders=bool(choice.folder and not choice.ledgers))
-    if any(value is not None for value in choice.filters.values()):
-        merged.runs, _ = index.runs([Path(run.folder) for run in merged.runs], **choice.filters)
-    return merged
 
 
 def _export_runs(choice: RunChoice, path: Path) -> int:

@@ -6,7 +6,6 @@ file with its name is complete, and its row says which bytes it was made of.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,9 +14,9 @@ from typing import Any
 from bench.base.errors import BenchError, UsageError
 from bench.base.failure import Failure
 from bench.base.program import forms
-from bench.extras.many.work import KeptRows, require_program_of
-from bench.extras.many.workers import Finished, Workers, map_work
 from bench.record.storage import sha256_of, storage_errors
+from bench.work.kept_rows import KeptRows, content_hash, require_program_of
+from bench.work.workers import Finished, Workers, map_work
 from drivers.camera.event_arrays import ReadingChoices
 from drivers.durable import sync_folder
 
@@ -124,15 +123,6 @@ def convert_one(
     written = convert(source, part, kind, choices)  # type: ignore[arg-type]
     made = {"source": str(source), "sha256": sha256_of(part), "program": program, "summary": asdict(written)}
     return {**decided_by, **made}, False
-
-
-def content_hash(path: Path) -> str:
-    """Return the hash of a file, or of a folder's files and their names."""
-    if not path.is_dir():
-        return sha256_of(path)
-    files = sorted(inner for inner in path.rglob("*") if inner.is_file())
-    listed = "\n".join(f"{sha256_of(file)}  {file.relative_to(path).as_posix()}" for file in files)
-    return hashlib.sha256(listed.encode()).hexdigest()
 
 
 def _part_of(target: Path) -> Path:

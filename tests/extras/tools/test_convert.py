@@ -7,8 +7,8 @@ from click.testing import CliRunner
 from running import called
 
 from bench.base.errors import UsageError
-from bench.commands.convert import convert
 from bench.commands.workers import CountLine
+from bench.extras.tools.convert import convert
 from bench.solve.offline_options import OfflineOptions
 from bench.solve.view_sources import view_sources
 from drivers.camera.raw_file import RawFile

@@ -6,6 +6,7 @@ the disk, by the hash of all that decides them, as synced lines of JSON; half a 
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Mapping
@@ -17,7 +18,7 @@ from bench.base.bounded_json import parse_json
 from bench.base.errors import BenchError, UsageError
 from bench.base.program import forms
 from bench.record.folder_lock import lock_folder
-from bench.record.storage import make_folder, storage_errors, whole_lines
+from bench.record.storage import make_folder, sha256_of, storage_errors, whole_lines
 from drivers.durable import write_all
 
 
@@ -28,6 +29,15 @@ def require_program_of(program: str) -> None:
             f"This worker has another Starbench ({here}) than the command ({program}).",
             remedy="Install the same version on all computers, and restart the workers.",
         )
+
+
+def content_hash(path: Path) -> str:
+    """Return the hash of a file, or of a folder's files and their names."""
+    if not path.is_dir():
+        return sha256_of(path)
+    files = sorted(inner for inner in path.rglob("*") if inner.is_file())
+    listed = "\n".join(f"{sha256_of(file)}  {file.relative_to(path).as_posix()}" for file in files)
+    return hashlib.sha256(listed.encode()).hexdigest()
 
 
 class Table:

@@ -7,8 +7,8 @@ import pytest
 
 from bench.base.errors import UsageError
 from bench.extras.many.processes import DaskWorkers
-from bench.extras.many.workers import Work, WorkersLost
-from tests.unit.bench.extras.many.test_work import DASK, ends
+from bench.work.workers import Work, WorkersLost
+from tests.extras.many.test_work import DASK, ends
 
 distributed = pytest.importorskip("distributed")
 

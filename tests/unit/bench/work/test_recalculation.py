@@ -13,13 +13,13 @@ from bench.commands.cli import cli
 from bench.evidence.keys import create_key
 from bench.evidence.signers import SIGNERS_FILE, read_signers
 from bench.evidence.verify import verify_folder
-from bench.extras.many.places import Place, find_places
-from bench.extras.many.recalculation import Recalculation
-from bench.extras.many.results_folders import TABLE, ResultsFolders
-from bench.extras.many.tasks import Task, list_recordings
-from bench.extras.many.workers import Serial, WorkersLost
 from bench.solve.offline import calibrate_paths
 from bench.solve.offline_options import OfflineOptions
+from bench.work.places import Place, find_places
+from bench.work.recalculation import Recalculation
+from bench.work.results_folders import TABLE, ResultsFolders
+from bench.work.tasks import Task, list_recordings
+from bench.work.workers import Serial, WorkersLost
 
 CHOICES = OfflineOptions(model="spherical", distortion="k1", image_size=(1280, 720))
 
@@ -99,7 +99,7 @@ def test_a_recording_that_never_ends_or_was_never_written_fails_its_folder_alone
         assert path.name != "left.csv", "it was read"
         return "0"
 
-    monkeypatch.setattr("bench.extras.many.tasks.sha256_of", hash_of)
+    monkeypatch.setattr("bench.work.tasks.sha256_of", hash_of)
     (row,) = recalculate([bad])
     assert row["state"] == "failed"
     what = {"device": "a device, not a file", "holes": "The file is incomplete"}[wrong]

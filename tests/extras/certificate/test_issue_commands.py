@@ -9,7 +9,7 @@ from certificate_sample import LAB, verified, write_sealed_run
 from click.testing import CliRunner
 
 from bench.base.errors import BenchError, UsageError
-from bench.commands import certificate
+from bench.extras.certificate.commands import certificate
 from bench.commands.cli import cli
 from bench.extras.certificate import issue as issue_module
 from bench.extras.certificate.lab_config import LabConfig

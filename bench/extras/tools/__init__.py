@@ -1,0 +1,1 @@
+"""Commands that use results and recordings: convert, undistort, rig and check."""

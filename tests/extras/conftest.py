@@ -1,0 +1,13 @@
+"""What the tests of the extras share with those of the bench: a small sealed run, a key, views."""
+
+from tests.unit.bench.conftest import (  # noqa: F401
+    calibrated_once,
+    children,
+    home,
+    key,
+    own_kept_views,
+    points,
+    sealed,
+    sealed_once,
+    signers,
+)
