@@ -9,9 +9,9 @@ from certificate_sample import LAB, verified, write_sealed_run
 from click.testing import CliRunner
 
 from bench.base.errors import BenchError, UsageError
-from bench.extras.certificate.commands import certificate
 from bench.commands.cli import cli
 from bench.extras.certificate import issue as issue_module
+from bench.extras.certificate.commands import certificate
 from bench.extras.certificate.lab_config import LabConfig
 from bench.record.ledger import Ledger
 from sequences.errors import DocumentFaults
@@ -28,8 +28,7 @@ class LaterClock(datetime):
         return LATER.astimezone(tz)
 
 
-def quick_files(certificate, content, results, lab, plots, *, sign):
-    assert sign is None
+def quick_files(certificate, content, results, lab, plots):
     return {"certificate.json": certificate.to_json(), "results.json": results, "lab.yaml": lab}
 
 
