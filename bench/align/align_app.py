@@ -40,7 +40,7 @@ def align_app(session: Session, files: PageFiles | None = None) -> Starlette:
             Route("/image", pages.image),
             Route("/state", pages.state),
             Route("/files", pages.files),
-            Route("/course", pages.course),
+            Route("/focus", pages.focus),
             Route("/do/{what}", pages.do, methods=["POST"]),
         ],
         assets=PAGE,
@@ -65,9 +65,9 @@ class _Pages:
     async def files(self, _request: Request) -> Response:
         return JSONResponse(self._files.as_data())
 
-    async def course(self, _request: Request) -> Response:
+    async def focus(self, _request: Request) -> Response:
         session = self._session
-        widths_px = session.bench.loop.course() if session.is_open else []
+        widths_px = session.bench.loop.focus_curve() if session.is_open else []
         return JSONResponse({"edge_width_px": [[round(t, 3), round(w, 3)] for t, w in widths_px]})
 
     async def image(self, _request: Request) -> Response:
@@ -132,6 +132,7 @@ def _picture_data(session: Session) -> dict[str, Any]:
         "images_per_s": round(loop.images_per_s(), 2) if loop else 0.0,
         "stars_per_s": round(loop.stars_per_s(), 2) if loop else 0.0,
         "figures": picture.figures.to_json(),
+        "rows": [row._asdict() for row in picture.rows],
     }
 
 

@@ -1,8 +1,7 @@
-"""The focus figures of a live picture.
+"""The focus of a live picture as one number, from out of focus to sharp: the edge width.
 
-The edge width is one number from far out of focus to sharp. Near focus, it is the width of the stars' edges. Farther
-out, it follows from the blur circle that the print around the tag shows. If neither stars nor a tag are found, only the
-sharpness is measured. The module computes with arrays.
+Near focus, it is the width of the stars' edges. Farther out, it follows from the blur circle that the print around the
+tag shows. If neither stars nor a tag are found, it is unknown. The module computes with arrays.
 """
 
 from __future__ import annotations
@@ -15,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.model.homography import fit_homography
-from calib.stars.beam import Beam
-from calib.stars.focus import blur_circle, coarse_detail, edge_widths_px, sharpness
+from calib.stars.focus import blur_circle, edge_widths_px
 from calib.stars.quick import QuickStars
 from calib.target import StarTarget
 
@@ -37,7 +35,6 @@ _TRUSTED_CIRCLE_PX: Final = 9.0
 _SIGMA_OF_CIRCLE: Final = 0.25
 """Standard deviation of the points of a uniform disc along one axis, as a share of the diameter."""
 _NEAR_TAG: Final = 40  # Stars about the tag: enough for a median, near enough for one edge width
-_TILT_PX, _TILT_SHARE = 0.15, 0.15  # Two sides differ clearly beyond both; the share is of the sharper one
 
 
 @dataclass(frozen=True)
@@ -47,30 +44,12 @@ class FocusFigures:
     edge_width_px: float | None = None  # Standard deviation of the edges' blur, px
     # Diameter of the circle by which the print around the tag is blurred, px.
     blur_circle_px: float | None = None
-    # Amount of detail in the beam, without unit; it depends on what is in the picture.
-    sharpness: float | None = None
-    coarse_detail: float | None = None
     # Edge width of each region of `REGIONS`, px.
     regions: Mapping[str, float | None] = field(default_factory=dict)
-    tilt: str = ""  # Which side of the field is less sharp, a sentence; empty if none is
-    # The course so far: smallest edge width, most sharpness and coarse detail; best edge width since the camera was
-    # turned, px, if the present one is clearly worse, else None.
-    best_edge_width_px: float | None = None
-    best_sharpness: float | None = None
-    best_coarse_detail: float | None = None
-    better_before_px: float | None = None
-    # What the last turn of the ring has done: ``better``, ``worse``, or empty before the first one; and how far to turn
-    # next, in units of the last turn, below 0 to turn back.
-    trend: str = ""
-    turn_on: float | None = None
-    turning: bool = False  # Whether the figures change from picture to picture
-    at_stop: bool = False  # Whether a person has said that the ring is at the end of its travel
-    unchanged_s: float | None = None  # Time since the last change that a turn has made, s; None if unknown
 
 
 def measure_focus(
     image: NDArray[np.float32],
-    beam: Beam,
     stars: QuickStars | None,
     target: StarTarget,
     *,
@@ -81,10 +60,8 @@ def measure_focus(
 
     The regions of ``before``, a picture shortly before, are kept; None to measure all regions.
     """
-    detail = sharpness(image, beam.lit) if beam.share > 0.0 else None
-    coarse = coarse_detail(image, beam.lit) if beam.share > 0.0 else None
     if stars is None:
-        return FocusFigures(sharpness=detail, coarse_detail=coarse)
+        return FocusFigures()
     kept = {} if before is None else {name: w for name, w in before.regions.items() if name not in again}
     regions = _region_widths(image, stars, target, kept)
     known = [width for width in regions.values() if width is not None]
@@ -94,32 +71,7 @@ def measure_focus(
         circle = _circle(image, stars, target)
     if circle is not None and (width is None or circle >= _TRUSTED_CIRCLE_PX):
         width = max(width or 0.0, _SIGMA_OF_CIRCLE * circle)
-    return FocusFigures(width, circle, detail, coarse, regions, tilt_of(regions))
-
-
-def tilt_of(regions: Mapping[str, float | None]) -> str:
-    """Return as a sentence which side of the field is less sharp, by the regions' edge widths, px (None: unknown).
-
-    It is empty if no side is clearly less sharp, or a side is unknown.
-
-    >>> tilt_of({"top left": 0.8, "top right": 1.2, "bottom left": 0.8, "bottom right": 1.2})
-    'Edges are 1.2 px wide on the right and 0.8 px on the left.'
-    """
-    differences = []
-    for near, other in (("left", "right"), ("top", "bottom")):
-        widths = [[w for name, w in regions.items() if side in name.split()] for side in (near, other)]
-        sides = [float(np.mean([w for w in ws if w is not None])) for ws in widths if ws and None not in ws]
-        if len(sides) == 2 and abs(sides[1] - sides[0]) > max(_TILT_PX, _TILT_SHARE * min(sides)):
-            (low, less), (high, more) = sorted(((sides[0], near), (sides[1], other)))
-            where = {
-                "left": "on the left",
-                "right": "on the right",
-                "top": "at the top",
-                "bottom": "at the bottom",
-            }
-            text = f"Edges are {high:.1f} px wide {where[more]} and {low:.1f} px {where[less]}."
-            differences.append((high - low, text))
-    return max(differences)[1] if differences else ""
+    return FocusFigures(width, circle, regions)
 
 
 def _region_widths(

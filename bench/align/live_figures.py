@@ -14,27 +14,24 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from bench.align.advice import Advice, advice_for, dropped_share, first_advice
 from bench.align.focus import FocusFigures
-from bench.align.focus_advice import RingTurn
-from bench.align.focus_course import FocusCourse
 from bench.align.live_image import LiveImage, LiveSetting, LiveSlice, SignalFigures, read_image, show
-from bench.align.seen import Seen
 from bench.align.star_watch import Found, StarWatch, StopWatch
+from bench.align.steady_turn import SteadyTurn
 from bench.align.where_to_turn import SeenMotion, TurnFigures, where_to_turn
 from bench.base.bounded_json import mapped
+from bench.measure.gates import FILTERS_TO_DISABLE
 from calib.errors import CalibrationError
 from calib.stars.beam import Beam, find_beam
 from calib.stars.focus import contrast
 from calib.stars.quick import QuickStars
 from calib.stars.tag import DarkSquare
 from drivers.camera import RecordingFacts
+from drivers.camera.frames import FrameFacts
 from drivers.errors import RecordingFileError
 
 __all__ = ["LiveFigures", "LiveMeter", "LiveSetting", "LiveSlice"]
 
-TURNING: Final = "The stage turns. Advice comes when it stands."
-"""The only advice while the stage turns: what a blurred picture lacks is no fault of the bench."""
 JPEG_QUALITY: Final = 82
 _COMPARED_EVERY_S: Final = 1.0
 """Time from one measurement of the frequency by the events to the next, s."""
@@ -58,6 +55,8 @@ class LiveFigures:
     signal: SignalFigures = field(default_factory=SignalFigures)
     hot_pixels: int | None = None  # Number of pixels that fire far more often than their surroundings
     temperature_c: float | None = None  # Temperature of the sensor, deg C
+    recording_faults: Sequence[str] = ()  # What is wrong with the recording itself, each in some words
+    moving: bool = False  # Whether the stage turned meanwhile
     # Id, column and row, px, of each star found; id -1 if it is not known which star it is.
     stars: Sequence[tuple[int, float, float]] = ()
     # Time of the slice in which the stars were measured, s. It may be an earlier slice than this one.
@@ -65,6 +64,7 @@ class LiveFigures:
     # Whether these stars were found before, and only measured again at their places.
     stars_followed: bool = False
     tag_id: int | None = None  # Number of the target's tag if it was found
+    other_tag: str = ""  # What is wrong with the tags seen; empty if nothing is
     tag_corners_px: Corners | None = None  # Corners of the tag, px, in the order of the print
     square: DarkSquare | None = None  # A dark square that looks like the tag, if the tag was not read
     # disc_centre_px, disc_radius_px: Centre (column, row) and radius of the beam's disc in the image, px.
@@ -72,15 +72,10 @@ class LiveFigures:
     disc_radius_px: float | None = None
     rim_in_view: bool | None = None  # Whether some of the beam's rim is inside the frame
     beam_share: float | None = None
-    focus: FocusFigures = field(default_factory=FocusFigures)  # With those of the course
+    focus: FocusFigures = field(default_factory=FocusFigures)
     contrast: float | None = None  # Contrast of the pattern, 0 to 1
     saturation: float | None = None
     turn: TurnFigures = field(default_factory=TurnFigures)  # Where to turn
-    advice: Sequence[str] = ()  # What to do, plain sentences, the most important first
-    flicker_advice: Sequence[str] = ()  # Those that only a slice of several flicker periods can give
-    ring: RingTurn | None = (
-        None  # The turn of the focus ring that the advice asks for; None if it asks for none
-    )
     # Duration of each stage of the measurement, ms.
     took_ms: Mapping[str, float] = field(default_factory=dict)
 
@@ -89,7 +84,6 @@ class LiveFigures:
         plain = asdict(self) | {
             "stars": [(number, round(x, 2), round(y, 2)) for number, x, y in self.stars],
             "square": self.square and self.square._asdict(),
-            "ring": self.ring and self.ring._asdict(),
         }
         return cast("dict[str, Any]", mapped(plain, _plain))
 
@@ -104,14 +98,13 @@ class LiveMeter:
 
     def __init__(self, *, stars_every_s: float = 0.4) -> None:
         self._stars = StarWatch(stars_every_s=stars_every_s)
-        self._course = FocusCourse()
         self._motion = SeenMotion()
+        self._steady = SteadyTurn()
         self._event_hz: tuple[float, float] | None = None
-        self._light: tuple[bool | None, float | None] = None, None
         self._size = (1280, 720)
 
     def measure(self, part: LiveSlice, setting: LiveSetting) -> tuple[bytes, LiveFigures]:
-        """Measure the next slice: image, signal, stars, focus, where to turn, advice.
+        """Measure the next slice: image, signal, stars, focus, where to turn.
 
         The image is a tone-mapped JPEG; dark, with figures that say why, if the slice shows nothing. Never raises.
         """
@@ -119,8 +112,7 @@ class LiveMeter:
         try:
             image = read_image(part.path, setting, compare=self._compares(part))
         except (CalibrationError, RecordingFileError) as error:
-            why = f"The slice cannot be read: {error.what} {error.remedy}".strip()
-            return self._dark(part, (*first_advice(setting), why), watch)
+            return self._dark(part, f"cannot be read: {error.what} {error.remedy}".strip(), watch)
         self._size = image.values.shape[1], image.values.shape[0]
         event_hz = self._by_events(part, image)
         shown = _jpeg(show(image.values))
@@ -129,40 +121,24 @@ class LiveMeter:
         in_beam = contrast(image.values, beam.lit) if beam.share > 0.0 else None
         watch.lap("beam")
         stars = self._stars.look(part, setting, image, beam, watch)
-        if part.moving or self._light != (setting.light_on, setting.level_percent):
-            self._light = setting.light_on, setting.level_percent
-            self._course.turned()
-        if stars.time_s == part.time_s and stars.focus != FocusFigures():
-            self._course.add(part.time_s, stars.focus)
-        seen = Seen(
-            image=image,
-            facts=part.facts,
-            beam=beam,
-            stars=stars.stars,
-            other_tag=stars.other_tag,
-            focus=self._course.judged(stars.focus),
-            contrast=in_beam,
-            turn=self._turn(part, setting, beam, stars),
-        )
-        figures = _figures(part, setting, seen, stars)
-        advice = Advice((TURNING,)) if part.moving else advice_for(seen, setting)
+        figures = _figures(part, setting, image, beam, stars)
         return shown, replace(
             figures,
             signal=replace(figures.signal, event_hz=event_hz),
-            advice=advice.sentences,
-            flicker_advice=advice.of_flicker,
-            ring=advice.ring,
-            took_ms=watch.lap("advice"),
+            contrast=in_beam,
+            turn=self._steady.steady(self._turn(part, setting, beam, stars), image.values, part.reading_deg),
+            took_ms=watch.lap("turn"),
         )
 
-    def _dark(self, part: LiveSlice, advice: tuple[str, ...], watch: StopWatch) -> tuple[bytes, LiveFigures]:
+    def _dark(self, part: LiveSlice, why: str, watch: StopWatch) -> tuple[bytes, LiveFigures]:
         """Return the dark image of a slice that shows nothing, with figures that say why."""
         figures = LiveFigures(
             time_s=part.time_s,
             width_px=self._size[0],
             height_px=self._size[1],
             temperature_c=_temperature_c(part),
-            advice=advice,
+            recording_faults=(why,),
+            moving=part.moving,
             took_ms=watch.lap("image"),
         )
         return _jpeg(np.zeros(self._size[::-1], np.uint8)), figures
@@ -171,15 +147,11 @@ class LiveMeter:
         """Do nothing: unlike `bench.align.meter.MeterProcess`, there is no process to end."""
 
     def forget(self) -> None:
-        """Forget the course of the focus and the last stars, for example after the lens was changed."""
-        self._course.forget()
+        """Forget the last stars and how they moved, for example after the lens was changed."""
         self._motion.forget()
+        self._steady = SteadyTurn()
         self._stars.forget()
         self._event_hz = None
-
-    def at_stop(self) -> None:
-        """Note that the focus ring is at the end of its travel."""
-        self._course.at_stop()
 
     def _turn(self, part: LiveSlice, setting: LiveSetting, beam: Beam, stars: Found) -> TurnFigures:
         """Find out where to turn, and learn how the tag has moved since the last search for it."""
@@ -213,9 +185,11 @@ def _jpeg(image: NDArray[np.uint8]) -> bytes:
     return jpeg.tobytes() if coded else b""
 
 
-def _figures(part: LiveSlice, setting: LiveSetting, seen: Seen, star_figures: Found) -> LiveFigures:
-    """Collect the figures of a slice, without advice."""
-    image, beam, stars = seen.image, seen.beam, seen.stars
+def _figures(
+    part: LiveSlice, setting: LiveSetting, image: LiveImage, beam: Beam, found: Found
+) -> LiveFigures:
+    """Collect the figures of a slice, without contrast and turns."""
+    stars = found.stars
     signal = image.signal or SignalFigures()
     tag = stars.tag if stars is not None else None
     return LiveFigures(
@@ -226,21 +200,46 @@ def _figures(part: LiveSlice, setting: LiveSetting, seen: Seen, star_figures: Fo
         signal=replace(signal, trigger_hz=None) if setting.light_on is False else signal,
         hot_pixels=image.hot_pixels,
         temperature_c=_temperature_c(part),
+        recording_faults=tuple(_recording_faults(part.facts)),
+        moving=part.moving,
         stars=() if stars is None else tuple(_star_list(stars)),
-        stars_time_s=star_figures.time_s if stars is not None else None,
-        stars_followed=star_figures.followed,
+        stars_time_s=found.time_s if stars is not None else None,
+        stars_followed=found.followed,
         tag_id=setting.target.tag_id if tag is not None else None,
+        other_tag=found.other_tag,
         tag_corners_px=None if tag is None else tuple((float(x), float(y)) for x, y in tag.corners_px),
-        square=star_figures.square,
+        square=found.square,
         disc_centre_px=beam.centre_px,
         disc_radius_px=beam.radius_px,
         rim_in_view=beam.rim_in_view,
         beam_share=beam.share,
-        focus=seen.focus,
-        contrast=seen.contrast,
-        saturation=image.saturation if image.signal is None else dropped_share(part.facts),
-        turn=seen.turn,
+        focus=found.focus,
+        saturation=image.saturation if image.signal is None else _dropped_share(part.facts),
     )
+
+
+def _recording_faults(facts: RecordingFacts | FrameFacts | None) -> Iterator[str]:
+    """Yield what the driver reports against a recording."""
+    if facts is None:
+        return
+    if not facts.complete:
+        yield "ended too early"
+    if isinstance(facts, RecordingFacts):
+        if facts.gaps:
+            yield f"data lost ({facts.gaps[0]})"
+        if active := [name.upper() for name in FILTERS_TO_DISABLE if facts.filters.get(name)]:
+            yield f"filter {', '.join(active)} is on"
+
+
+def _dropped_share(facts: RecordingFacts | FrameFacts | None) -> float | None:
+    """Return the share, 0 to 1, of events that the rate controller dropped; None if the camera does not count."""
+    if (
+        not isinstance(facts, RecordingFacts)
+        or not facts.rate_controller_in
+        or facts.rate_controller_out is None
+    ):
+        return None
+    return max(0.0, 1.0 - facts.rate_controller_out / facts.rate_controller_in)
 
 
 def _star_list(stars: QuickStars) -> Iterator[tuple[int, float, float]]:

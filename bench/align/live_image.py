@@ -211,8 +211,7 @@ class LiveSetting:
     target: StarTarget
     camera: Literal["event", "frame"] = "event"
     frequency_hz: float | None = None  # Frequency of the light's flicker as set, Hz; None if unknown
-    # Whether the light is on by its own read-back; None if unknown. It is used for the wording of the advice
-    # only.
+    # Whether the light is on by its own read-back; None if unknown.
     light_on: bool | None = None
     level_percent: float | None = None  # Level of the light as asked for, percent; None if unknown
     homed: bool | None = None  # Whether every axis of the stage has a reference; None if unknown
@@ -277,7 +276,7 @@ class LiveSlice:
     """A recorded slice."""
 
     path: Path  # RAW file of an event camera, or picture file of a frame camera
-    # Time of the recording on any steady clock, s; the course of the focus is plotted over it.
+    # Time of the recording on any steady clock, s; the focus is plotted over it.
     time_s: float = 0.0
     # What the driver states about the recording; None if unknown.
     facts: RecordingFacts | FrameFacts | None = None

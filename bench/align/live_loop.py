@@ -14,13 +14,15 @@ import tempfile
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from bench.align.live_figures import TURNING, LiveFigures, LiveSetting, LiveSlice
+from bench.align.figure_rows import FigureRow, SteadyVerdicts, figure_rows
+from bench.align.focus_curve import FocusCurve
+from bench.align.live_figures import LiveFigures, LiveSetting, LiveSlice
 from bench.align.meter import Meter
 from bench.base.background import settle
 from bench.base.clock import Aborted
@@ -38,7 +40,16 @@ SHORT_S = 1 / 60
 """Length of most slices, s, rounded to whole flicker periods, at least one. A short slice makes a quick picture."""
 LONGEST_SLICE_S = 4.0
 """Longest slice, s. With a slower flicker, a slice holds no whole period."""
-_OF_LONGER = ("trigger_hz", "event_hz", "jitter_us", "event_jitter_us")
+_OF_LONGER = (
+    "triggers",
+    "triggers_expected",
+    "sync_edges",
+    "sync_fault",
+    "trigger_hz",
+    "event_hz",
+    "jitter_us",
+    "event_jitter_us",
+)
 _LEARNT = 0.3
 """Weight of the newest duration in the expected ones."""
 _RATE_OVER_S = 4.0  # Long enough for two digits of the rate, short enough to follow a change
@@ -98,13 +109,8 @@ def slice_periods(setting: LiveSetting) -> int:
 
 def with_signal_of(figures: LiveFigures, signal: LiveFigures) -> LiveFigures:
     """Return the figures of a short slice, completed by those of the last slice of `SIGNAL_PERIODS` or more."""
-    kept = () if figures.advice == (TURNING,) else signal.flicker_advice
     longer = {name: getattr(signal.signal, name) for name in _OF_LONGER}
-    return replace(
-        figures,
-        signal=replace(figures.signal, **longer),
-        advice=(*kept, *(line for line in figures.advice if line not in kept)),
-    )
+    return replace(figures, signal=replace(figures.signal, **longer))
 
 
 def learnt_s(known_s: float, newest_s: float) -> float:
@@ -135,6 +141,7 @@ class LivePicture:
     number: int = 0  # Counts the pictures, from 1; 0 before the first one
     jpeg: bytes = b""  # White print is bright
     figures: LiveFigures = field(default_factory=LiveFigures)
+    rows: Sequence[FigureRow] = ()  # What the page shows of them
     made_s: float = 0.0  # Time at which the picture was ready, s since 1970
     # record_ms, measure_ms: Duration of the recording and of the measurement, ms.
     record_ms: float = 0.0
@@ -174,13 +181,15 @@ class LiveLoop:
         self._began_s: float | None = None
         self._record_s, self._measure_s = 0.0, 0.0
         self._closing = False
-        self._forget_asked = self._stop_noted = False
+        self._forget_asked = False
         self._signal_s = -math.inf
         self._signal = LiveFigures()
         self._light: tuple[bool | None, float | None] = (None, None)
+        self._lit: tuple[bool | None, float | None] = (None, None)
         self._times_s: deque[float] = deque(maxlen=200)
         self._star_times_s: deque[tuple[float, float]] = deque(maxlen=200)
-        self._course: deque[tuple[float, float]] = deque(maxlen=2400)
+        self._curve = FocusCurve()
+        self._verdicts = SteadyVerdicts()
         self.latest = LivePicture()
         """The newest picture."""
         self.failure: Failure | None = None
@@ -208,17 +217,12 @@ class LiveLoop:
         return future
 
     def forget(self) -> None:
-        """Forget the course of the focus, before the next slice is measured."""
+        """Forget the curve of the focus and the stars, before the next slice is measured."""
         self._forget_asked = True
-        self._course.clear()
 
-    def at_stop(self) -> None:
-        """Note that the focus ring is at the end of its travel, before the next slice is measured."""
-        self._stop_noted = True
-
-    def course(self) -> list[tuple[float, float]]:
-        """Return the course of the focus: time of each slice in which it was measured, s, and edge width, px."""
-        return list(self._course)
+    def focus_curve(self) -> list[tuple[float, float]]:
+        """Return the curve of the focus: time of each slice in which it was measured, s, and edge width, px."""
+        return self._curve.points()
 
     def images_per_s(self) -> float:
         """Return how many pictures came in a second, over the last seconds."""
@@ -356,31 +360,38 @@ class LiveLoop:
         if self._forget_asked:
             self._forget_asked = False
             self._meter.forget()
-        if self._stop_noted:
-            self._stop_noted = False
-            self._meter.at_stop()
+            self._curve.forget()
         jpeg, figures = self._meter.measure(recorded.part, recorded.setting)
         if recorded.shows_signal:
             self._signal = figures
         else:
             figures = with_signal_of(figures, self._signal)
+        self._follow_focus(figures, recorded.setting)
         now_s = time.monotonic()
         self.latest = LivePicture(
             self.latest.number + 1,
             jpeg,
             figures,
+            self._verdicts.steady(figure_rows(figures, recorded.setting, self._curve.best_px)),
             time.time(),
             recorded.record_ms,
             (now_s - started_s) * 1e3,
         )
         self._times_s.append(now_s)
-        if figures.focus.edge_width_px is not None:
-            self._course.append((figures.time_s, figures.focus.edge_width_px))
         searched_s = figures.stars_time_s
         if searched_s is not None and (not self._star_times_s or self._star_times_s[-1][1] != searched_s):
             self._star_times_s.append((now_s, searched_s))
         self.failure = None
         self._on_picture()
+
+    def _follow_focus(self, figures: LiveFigures, setting: LiveSetting) -> None:
+        """Add the edge width of a picture to the curve; light and pose begin the best anew."""
+        lit = setting.light_on, setting.level_percent
+        if figures.moving or lit != self._lit:
+            self._lit = lit
+            self._curve.begin_best()
+        if figures.stars_time_s is not None and figures.focus.edge_width_px is not None:
+            self._curve.add(figures.stars_time_s, figures.focus.edge_width_px)
 
     def _fail(self, failure: Failure) -> None:
         if self._closing:

@@ -13,7 +13,6 @@ from bench.base.errors import BenchError
 from bench.base.worker_process import WorkerProcess, answer_questions
 
 _FORGET: Final = "forget"
-_AT_STOP: Final = "at_stop"
 _ONE_THREAD: Final = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 """Small matrices gain nothing from more threads, and these take the cores from camera and page."""
 
@@ -36,14 +35,9 @@ class MeterProcess:
         return answer
 
     def forget(self) -> None:
-        """Forget the course of the focus. A process that has just ended has forgotten already."""
+        """Forget what was seen. A process that has just ended has forgotten already."""
         with suppress(BenchError):
             self._ask(_FORGET)
-
-    def at_stop(self) -> None:
-        """Note that the focus ring is at the end of its travel."""
-        with suppress(BenchError):
-            self._ask(_AT_STOP)
 
     def close(self) -> None:
         """End the measuring."""
@@ -70,8 +64,6 @@ def main() -> None:
         try:
             if question == _FORGET:
                 return meter.forget()
-            if question == _AT_STOP:
-                return meter.at_stop()
             return meter.measure(*question)
         except Exception as error:  # noqa: BLE001 - one bad slice must not end the measuring
             return f"{type(error).__name__}: {error}"

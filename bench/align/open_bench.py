@@ -80,6 +80,7 @@ class CameraControl:
         """The camera, as it states itself."""
         self.settings, self.reasons = self._kind.prepare(camera)
         """Settings as read back, and every reason against a run."""
+        self._of_station = dict(self.settings)  # With these the camera was opened, as a run opens it
 
     @property
     def is_event(self) -> bool:
@@ -162,11 +163,20 @@ class CameraControl:
             "height_px": identity.height,
             "lens": self._config.lens,
             "biases": [
-                {"name": name, "value": value, "lowest": ranges[name][0], "highest": ranges[name][1]}
+                {
+                    "name": name,
+                    "value": value,
+                    "lowest": ranges[name][0],
+                    "highest": ranges[name][1],
+                    "expected": self._of_station["biases"].get(name),
+                }
                 for name, value in self.biases.items()
                 if name in ranges
             ],
-            "frame": dict(self.frame_settings),
+            "frame": [
+                {"name": name, "value": value, "expected": self._of_station.get(name)}
+                for name, value in self.frame_settings.items()
+            ],
             "reasons": list(self.reasons),
         }
 

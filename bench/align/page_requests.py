@@ -83,7 +83,7 @@ class PageRequests:
     def actions(self) -> Mapping[str, Action]:
         """Return what the page can ask for, by the names that it uses."""
         named = ("jog", "home", "light", "bias", "frame", "hands", "check", "propose", "write")
-        more = ("stop", "leave", "take", "beat", "forget", "at_stop")
+        more = ("stop", "leave", "take", "beat", "forget")
         return {"open": self.reopen} | {name: getattr(self, name) for name in (*named, *more)}
 
     # ------------------------------------------------------------ what turns or opens something
@@ -202,14 +202,9 @@ class PageRequests:
         self._session.owners.beat(page)
 
     def forget(self, page: str, _body: Mapping[str, Any]) -> None:
-        """Begin the course of the focus anew."""
+        """Begin the curve of the focus anew."""
         self._session.bench.loop.forget()
-        self._told(page, "began the course of the focus anew")
-
-    def at_stop(self, page: str, _body: Mapping[str, Any]) -> None:
-        """Note that the focus ring is at the end of its travel."""
-        self._session.bench.loop.at_stop()
-        self._told(page, "reported that the focus ring is at its stop")
+        self._told(page, "began the curve of the focus anew")
 
     # ------------------------------------------------------------ inside
 

@@ -29,6 +29,7 @@ Verdict = Literal["good", "bad", "open"]
 Found = tuple[Verdict, str, str]
 """Verdict of a check, what it found, and what to do."""
 _NO_REMEDY = "Correct this, then check again."
+_SEE_FIGURES = "Compare the figures with what is expected beside them, then check again."
 _SILENT = ("It did not answer in time.", "Check again. If this stays, press Try again.")
 
 
@@ -153,7 +154,7 @@ def _recording(session: Session, bench: Bench, step: RecordStep | None) -> list[
                 "recording: stars",
                 "bad",
                 measured.fault,
-                "Follow the advice above the picture, then check again.",
+                _SEE_FIGURES,
             )
         )
     checks += [_gate(gate) for gate in gates if not (measured.fault and gate.name == "stars")]
@@ -171,7 +172,7 @@ def _gate(gate: Gate) -> Check:
     value = f"{gate.value:.4g} {gate.unit}".strip()
     limit = gate.limit.replace(">=", "at least").replace("<=", "at most")
     measured = f"{value}; a run needs {limit} {gate.unit}".strip() + "."
-    remedy = ADVICE.get(gate.name, "Follow the advice above the picture, then check again.")
+    remedy = ADVICE.get(gate.name, _SEE_FIGURES)
     remedy = f"{remedy[0].upper()}{remedy[1:]}".rstrip(".") + "."
     bad = gate.verdict == "fail"
     return Check(f"recording: {gate.name}", "bad" if bad else "good", measured, remedy if bad else "")

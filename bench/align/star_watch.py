@@ -113,7 +113,7 @@ class StarWatch:
             self._found = None
             return Found(part.time_s, None, "", FocusFigures(), 0.0)
         if last is not None and not self._is_due(part):
-            kept = self._followed(last, part, setting, image, beam, watch)
+            kept = self._followed(last, part, setting, image, watch)
             if kept is not None:
                 return kept
         started_s = time.perf_counter()
@@ -126,7 +126,7 @@ class StarWatch:
         if not other_tag and (stars is None or (stars.tag is None and not stars.named_by)):
             square = find_dark_square(image.values, beam, side_px=setting.tag_side_px)
         watch.lap("stars")
-        focus = measure_focus(image.values, beam, stars, setting.target)
+        focus = measure_focus(image.values, stars, setting.target)
         watch.lap("focus")
         took_s = time.perf_counter() - started_s
         self._found = Found(part.time_s, stars, other_tag, focus, took_s, square, part.time_s)
@@ -149,7 +149,6 @@ class StarWatch:
         part: LiveSlice,
         setting: LiveSetting,
         image: LiveImage,
-        beam: Beam,
         watch: StopWatch,
     ) -> Found | None:
         """Return what was found last, measured again if possible; None if stars must be searched at once."""
@@ -162,7 +161,7 @@ class StarWatch:
             # The middle, and one of the other regions in turn.
             self._turn = self._turn % (len(REGIONS) - 1) + 1
             again = [list(REGIONS)[number] for number in (0, self._turn)]
-            focus = measure_focus(image.values, beam, stars, setting.target, before=last.focus, again=again)
+            focus = measure_focus(image.values, stars, setting.target, before=last.focus, again=again)
             watch.lap("focus")
             self._found = last._replace(time_s=part.time_s, stars=stars, focus=focus, followed=True)
             return self._found

@@ -33,8 +33,8 @@ _SIZES: Final = (0.5, 2.0)
 _UNUSUAL_DEG: Final = 30.0
 """Difference of the directions from which the motion seen counts, and not the signs of the bench."""
 _UPRIGHT: Final = {"pan": np.array([1.0, 0.0]), "tilt": np.array([0.0, -1.0])}
-ROLL_WANTED_DEG: Final = 10.0
-"""Roll of the pattern against the pixel grid at which stars are located best (docs/stars.md)."""
+ROLL_WANTED_DEG, LEAST_ROLL_DEG = 10.0, 5.0
+"""Roll of the pattern against the pixel grid at which stars are located best, and least one (docs/stars.md)."""
 CENTRED_DEG, CENTRED_PX = 0.25, 15.0
 """Offset up to which the pattern counts as centred, degrees, or px if no focal length is known."""
 BEAM_STEP_DEG, BEAM_STEP_PX = 1.0, 50.0
@@ -244,12 +244,12 @@ def roll_deg(grid: NDArray[np.float64] | None, size: tuple[int, int]) -> float |
 def roll_by_deg(roll: float) -> float:
     """Return by how much to roll the pattern so that its angle against the pixels is `ROLL_WANTED_DEG`.
 
-    The present angle is -22.5 to 22.5 degrees; positive turns clockwise. 0 if it is at least half of the wanted one.
+    The present angle is -22.5 to 22.5 degrees; positive turns clockwise. 0 if it is `LEAST_ROLL_DEG` or more.
 
     >>> roll_by_deg(1.0), roll_by_deg(-2.0), roll_by_deg(12.0)
     (9.0, -8.0, 0.0)
     """
-    return 0.0 if abs(roll) >= ROLL_WANTED_DEG / 2.0 else math.copysign(ROLL_WANTED_DEG, roll) - roll
+    return 0.0 if abs(roll) >= LEAST_ROLL_DEG else math.copysign(ROLL_WANTED_DEG, roll) - roll
 
 
 def rim_poses(

@@ -1,6 +1,6 @@
 """How sharp a live picture is: the width of the stars' edges, the blur of the print, and a figure without any print.
 
-Four measures cover a lens from far out of focus to sharp:
+Three measures cover a lens from out of focus to sharp:
 
 edge width
     Standard deviation of the blur, px, of stars that are found (`calib.stars.likelihood.edge_width_px`): up to 1.3 px.
@@ -10,8 +10,6 @@ blur circle
 sharpness
     Standard deviation of the picture's details, as a share of white: it grows while the lens is turned towards focus,
     whatever is in the picture. It has no unit and depends on the scene.
-coarse detail
-    The same of details of 10 to 30 px: it still falls from 20 to 60 px, where the sharpness is nearly flat.
 
 The module uses arrays and the print; it knows no lens and no time.
 """
@@ -131,23 +129,6 @@ def sharpness(image: AnyArray, lit: Bytes) -> float | None:
     reduced = cv2.resize(share, None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
     wide = cv2.resize(cv2.GaussianBlur(reduced, (0, 0), 6.0), (share.shape[1], share.shape[0]))
     return float((share - wide)[inside].std())
-
-
-def coarse_detail(image: AnyArray, lit: Bytes) -> float | None:
-    """Return how much coarse detail, about 0.01 to 0.1, an image has inside the beam, for a lens far out of focus.
-
-    Own figure: the standard deviation of a difference of Gaussians (Marr and Hildreth, 1980) of 8 and 24 px, as a share
-    of white. With blur circles of 0, 20, 40 and 60 px it is 0.080, 0.056, 0.031 and 0.014 under a bright light, and
-    0.074, 0.073, 0.071 and 0.061 at a tenth of it. Arguments and None as of `sharpness`.
-    """
-    small = cv2.resize(np.asarray(image, np.float32), None, fx=0.25, fy=0.25, interpolation=cv2.INTER_AREA)
-    white = float(np.quantile(small, 0.97))
-    inside = _inside(lit, small.shape, 9)
-    if white <= 0.0 or np.count_nonzero(inside) < 500:
-        return None
-    share = np.clip(small / white, 0.0, 1.5)
-    detail = cv2.GaussianBlur(share, (0, 0), 2.0) - cv2.GaussianBlur(share, (0, 0), 6.0)
-    return float(detail[inside].std())
 
 
 def contrast(image: AnyArray, lit: Bytes) -> float | None:

@@ -36,7 +36,7 @@ def figures(
 
 def focus_rows(folder: Path) -> None:
     """Print the focus figures."""
-    print("light        circle px | measured  edge px  sharpness  stars")
+    print("light        circle px | measured  edge px  stars")
     for waveform, level in (("square", 100.0), ("square", 30.0), ("square", 10.0), ("sine", 100.0)):
         for circle in (0.0, 2.0, 4.0, 6.0, 8.0, 10.0, 14.0, 18.0, 24.0):
             live_figures = []
@@ -48,7 +48,7 @@ def focus_rows(folder: Path) -> None:
                     figures(folder, truth, angles, light, LiveMeter(stars_every_s=0.0), float(number))
                 )
             columns = []
-            for key, form in (("blur_circle_px", ".1f"), ("edge_width_px", ".2f"), ("sharpness", ".3f")):
+            for key, form in (("blur_circle_px", ".1f"), ("edge_width_px", ".2f")):
                 values = [value for f in live_figures if (value := getattr(f.focus, key)) is not None]
                 columns.append(f"{min(values):{form}}-{max(values):{form}}" if values else "-")
             stars = "/".join(str(len(f.stars)) for f in live_figures)

@@ -82,7 +82,7 @@ def test_a_person_looks_jogs_stops_and_writes_down(chromium, bench, tmp_path):
 
 
 @pytest.mark.parametrize(("width", "height"), [(1366, 768), (1920, 1080)])
-def test_advice_and_picture_are_whole_and_together_wherever_the_page_is_scrolled(
+def test_verdict_and_picture_are_whole_and_together_wherever_the_page_is_scrolled(
     chromium, bench, width, height
 ):
     server, session, _ = bench
@@ -94,9 +94,9 @@ def test_advice_and_picture_are_whole_and_together_wherever_the_page_is_scrolled
     for name in ("home", "check", "write-card"):
         page.tab.evaluate(f"document.getElementById('{name}').scrollIntoView({{block: 'end'}})")
         header = page.tab.evaluate(f"{box}('stop')")[1]
-        wait_until(lambda edge=header: page.tab.evaluate(f"{box}('advice')")[0] >= edge)
-        advice, picture = (page.tab.evaluate(f"{box}('{part}')") for part in ("advice", "picture"))
-        assert header <= advice[0] < advice[1] <= picture[0] < picture[1] <= height, name
+        wait_until(lambda edge=header: page.tab.evaluate(f"{box}('whole')")[0] >= edge)
+        verdict, picture = (page.tab.evaluate(f"{box}('{part}')") for part in ("whole", "picture"))
+        assert header <= verdict[0] < verdict[1] <= picture[0] < picture[1] <= height, name
         assert picture[2] > 0.4 * width
     page.tab.focus("#check")
     on_top = "(r => document.elementFromPoint(r.left + r.width / 2, r.top + r.height / 2).id)"
@@ -109,7 +109,7 @@ def test_before_home_the_page_turns_to_no_angle_and_writes_none(chromium, bench)
     devices.stage.homed = False
     page = Tab(chromium, server.url)
     page.wait_text("#stage-state", "not homed")
-    page.wait_text("#advice", "Press Home")
+    page.wait_text("#whole", "Stage")
     page.wait_text("#turn-note", "Press Home first")
     assert page.tab.is_disabled("#turn-there")
     assert page.tab.is_disabled("[name=what][value=zero]")
@@ -144,7 +144,7 @@ def test_the_picture_stays_in_view_and_stop_is_never_covered(chromium, bench, wi
         "(r => document.elementFromPoint(r.left + r.width / 2, r.top + r.height / 2).id)"
         "(document.getElementById('stop').getBoundingClientRect())"
     )
-    for card in ("bias-card", "light-card", "course"):
+    for card in ("bias-card", "light-card", "curve"):
         page.tab.evaluate(f"document.getElementById('{card}').scrollIntoView({{block: 'end'}})")
         wait_until(lambda: page.tab.evaluate(f"{ends}('picture')")[0] >= 0)
         top, bottom, right = page.tab.evaluate(f"{ends}('picture')")

@@ -2,8 +2,7 @@
 // Nothing is sent to the devices when the page opens, reloads or reconnects.
 import { el, fill, get, listen, post, setText, showLink } from "/assets/bench.js";
 import { draw } from "/assets/own/overlay.js";
-import { showRing } from "/assets/own/ring.js";
-import { beginCourse, forgetCourse, showFigures } from "/assets/own/figures.js";
+import { beginCurve, forgetCurve, showFigures } from "/assets/own/figures.js";
 
 const at = (id) => document.getElementById(id);
 const page = ownId();
@@ -71,15 +70,27 @@ function showState(next) {
     input.dataset.barred = state.devices.state === "open" && holds() ? "" : "1";
     input.disabled = input.dataset.barred === "1" || input.dataset.off === "1";
   }
-  if (state.devices.state !== "open") showAdvice(waitingText(), null);
-  else if (state.camera.failure) showAdvice(["No new pictures come. See above."], null);
+  showWhole();
 }
 
-function waitingText() {
-  if (state.devices.state === "opening") return ["Opening the devices. Nothing is moved."];
-  if (state.devices.state === "failed") return ["The devices are not open. See above."];
-  return ["The devices are closed."];
+/** Say in one line which figures are not as expected; the figures themselves say by how much. */
+function showWhole() {
+  const waiting = { opening: "Opening the devices. Nothing is moved.", failed: "The devices are not open. See above.", closed: "The devices are closed." };
+  if (state.devices.state !== "open") { setText(at("whole"), waiting[state.devices.state]); return; }
+  if (state.camera.failure) { setText(at("whole"), "No new pictures come. See above."); return; }
+  if (!picture || !picture.rows.length) { setText(at("whole"), "No picture yet."); return; }
+  const off = [...picture.rows.filter((row) => row.good === false).map((row) => row.name), ...cameraSettings().filter(isChanged).map((setting) => setting.name)];
+  at("whole").className = `banner ${off.length ? "warn" : "good"}`;
+  setText(at("whole"), picture.figures.moving ? "The stage turns." : off.length ? `Not as expected: ${off.join(", ")}.` : "Every figure is as expected. \"Ready for a run?\" makes the checks of a run.");
 }
+
+/** Biases of an event camera, or exposure and gain of a frame camera. */
+function cameraSettings() {
+  const camera = state.camera;
+  return !camera ? [] : camera.kind === "frame" ? camera.frame : camera.biases;
+}
+
+const isChanged = (setting) => setting.expected !== null && setting.value !== setting.expected;
 
 function showHolder() {
   const { holder, pages } = state.controls;
@@ -174,7 +185,7 @@ function keep(input, value) {
 
 function showBiases() {
   const camera = state.camera, frame = camera && camera.kind === "frame";
-  const settings = !camera ? [] : frame ? Object.entries(camera.frame).map(([name, value]) => ({ name, value })) : camera.biases;
+  const settings = cameraSettings();
   at("bias-card").hidden = settings.length === 0;
   setText(at("bias-title"), frame ? "Exposure and gain" : "Biases");
   setText(at("bias-note"), frame ? "in the units of the camera's driver, as read back" : "offsets from the factory values, as read back");
@@ -182,7 +193,10 @@ function showBiases() {
   const holder = at("biases");
   if (holder.childElementCount !== settings.length) fill(holder, ...settings.map(frame ? frameRow : biasRow));
   settings.forEach((setting, i) => {
-    for (const input of holder.children[i].querySelectorAll("input")) keep(input, setting.value);
+    const row = holder.children[i];
+    for (const input of row.querySelectorAll("input")) keep(input, setting.value);
+    row.classList.toggle("off", isChanged(setting));
+    setText(row.querySelector(".note"), `${setting.lowest === undefined ? "" : `${setting.lowest} to ${setting.highest}; `}${setting.expected === null ? "" : `expected: ${setting.expected}, as in the station file`}`);
   });
 }
 
@@ -194,7 +208,7 @@ function frameRow(setting) {
     if (state) showBiases();
   };
   return el("div", { class: "bias" }, el("code", {}, setting.name), el("span", {}),
-    el("input", { type: "number", step: "any", onchange: send, "aria-label": setting.name }));
+    el("input", { type: "number", step: "any", onchange: send, "aria-label": setting.name }), el("span", { class: "note" }));
 }
 
 function biasRow(bias) {
@@ -207,7 +221,7 @@ function biasRow(bias) {
   };
   const range = { min: bias.lowest, max: bias.highest, step: 1, onchange: send, "aria-label": bias.name };
   return el("div", { class: "bias" }, el("code", {}, bias.name), el("input", { type: "range", ...range }),
-    el("input", { type: "number", ...range }), el("span", { class: "note" }, `${bias.lowest} to ${bias.highest}`));
+    el("input", { type: "number", ...range }), el("span", { class: "note" }));
 }
 
 function showHands() {
@@ -234,16 +248,6 @@ function showLog() {
     el("time", {}, `${new Date(m.time_s * 1000).toISOString().slice(11, 19)} UTC`), m.text)));
 }
 
-function showAdvice(lines, ring) {
-  const key = JSON.stringify([lines, ring]), box = at("advice");
-  if (box.dataset.key === key) return;
-  box.dataset.key = key;
-  box.classList.toggle("single", lines.length === 1);
-  fill(at("advice-list"), ...lines.map((line) => el("li", {}, line)));
-  at("ring").hidden = !ring;
-  if (ring) showRing(at("ring-arrow"), ring);
-}
-
 // ---------------------------------------------------------------- showing pictures
 
 function showPicture(next) {
@@ -254,11 +258,9 @@ function showPicture(next) {
   if (next.number < shownNumber) shownNumber = 0; // the devices were opened again
   const f = next.figures;
   if (f.stars_time_s !== window.alignStats.starsTimeS) { window.alignStats.searches += 1; window.alignStats.starsTimeS = f.stars_time_s; }
-  if (state && state.devices.state === "open") {
-    showAdvice(f.advice.length ? f.advice : ["This picture needs no improvement. Check with \"Ready for a run?\" whether the bench is ready."], f.ring);
-  }
+  if (state) showWhole();
   setText(at("rates"), `Picture ${next.number}${f.image_kind === "none" ? "" : ` (${f.image_kind})`}: ${next.images_per_s.toFixed(1)} pictures/s, stars ${next.stars_per_s.toFixed(1)} times/s; recorded in ${Math.round(next.record_ms)} ms, measured in ${Math.round(next.measure_ms)} ms`);
-  showFigures(f);
+  showFigures(f, next.rows);
   showTurn(f);
   fetchImage();
 }
@@ -299,6 +301,7 @@ function showTurn(f) {
     const step = turn.unit === "°" ? turn[axis.name] : null;
     if (axis.name !== "roll" && !(axis.name in beyond) && typeof step === "number" && Math.abs(step) >= 0.05) wanted[axis.name] = Math.round(step * 100) / 100;
   }
+  const hand = Object.entries(beyond).map(([axis, angle]) => ` ${axis} would be at ${angle.toFixed(1)}°, beyond its limit: turn the camera in its mount.`).join("");
   const large = Object.values(wanted).some((step) => Math.abs(step) > 5);
   for (const name of Object.keys(wanted)) wanted[name] = Math.max(-5, Math.min(5, wanted[name]));
   const button = at("turn-there"), homed = !(state && state.stage && state.stage.homed === false);
@@ -306,7 +309,7 @@ function showTurn(f) {
   button.dataset.off = homed && Object.keys(wanted).length ? "" : "1";
   button.disabled = button.dataset.barred !== "" || button.dataset.off === "1";
   setText(at("turn-note"), !homed ? "Press Home first: the angles of the stage are not known." : Object.keys(wanted).length
-    ? `Turns ${Object.entries(wanted).map(([n, s]) => `${n} by ${s > 0 ? "+" : ""}${s.toFixed(turn.of === "beam" ? 0 : 1)}°`).join(", ")}${large ? "; at most 5° at a time" : ""}` : "");
+    ? `Turns ${Object.entries(wanted).map(([n, s]) => `${n} by ${s > 0 ? "+" : ""}${s.toFixed(turn.of === "beam" ? 0 : 1)}°`).join(", ")}${large ? "; at most 5° at a time" : ""}.${hand}` : hand);
 }
 
 /** What the devices may still do when the link is lost, by what was known last. */
@@ -329,8 +332,9 @@ async function check() {
     el("span", { class: `mark ${colours[c.verdict]}`, title: c.verdict }, marks[c.verdict]),
     el("span", {}, el("b", {}, `${c.name}: `), c.found),
     c.remedy ? el("span", { class: "remedy" }, c.remedy) : null)));
-  const bad = found.filter((c) => c.verdict === "bad").length, open = found.filter((c) => c.verdict === "open").length;
-  setText(at("check-note"), bad ? `${bad} of ${found.length} not passed` : open ? `${open} of ${found.length} not checked yet` : "All passed: ready for a run");
+  const named = (verdict) => found.filter((c) => c.verdict === verdict).map((c) => c.name).join(", ");
+  const bad = named("bad"), open = named("open");
+  setText(at("check-note"), [bad && `Not ready: ${bad}.`, open && `Not checked yet: ${open}.`].filter(Boolean).join(" ") || "All passed: ready for a run");
   at("check-note").className = `note ${bad ? "bad" : open ? "warn" : "good"}`;
 }
 
@@ -341,6 +345,12 @@ async function loadFiles() {
   const names = [...files.sequences, ...files.shipped];
   fill(at("sequences"), ...names.map((name) => el("option", { value: name })));
   fill(at("check-sequence"), el("option", { value: "" }, "none"), ...names.map((name) => el("option", { value: name }, name)));
+}
+
+/** Open a dialog; on a phone it lies at the end of the page. */
+function show(dialog) {
+  at(dialog).show();
+  at(dialog).scrollIntoView({ block: "nearest" });
 }
 
 async function propose(body) {
@@ -355,7 +365,7 @@ async function propose(body) {
   }, line || " ")));
   setText(at("change-error"), "");
   at("write").disabled = !found.difference && !found.is_copy;
-  at("change").show();
+  show("change");
 }
 
 async function write() {
@@ -377,15 +387,14 @@ document.addEventListener("keydown", (event) => {
   for (const dialog of document.querySelectorAll("dialog[open]")) dialog.close();
 });
 at("take").addEventListener("click", () => ask("take"));
-at("home").addEventListener("click", () => at("sure").show());
+at("home").addEventListener("click", () => show("sure"));
 at("home-now").addEventListener("click", () => { at("sure").close(); ask("home"); });
 at("home-not").addEventListener("click", () => at("sure").close());
 at("turn-there").addEventListener("click", () => ask("jog", { steps_deg: JSON.parse(at("turn-there").dataset.steps) }));
 at("light-on").addEventListener("click", () => sendLight({ on: true }));
 at("light-off").addEventListener("click", () => ask("light", { on: false }));
 at("light-form").addEventListener("submit", (event) => { event.preventDefault(); sendLight({}); });
-at("at-stop").addEventListener("click", () => ask("at_stop"));
-at("forget").addEventListener("click", () => { forgetCourse(); ask("forget"); });
+at("forget").addEventListener("click", () => { forgetCurve(); ask("forget"); });
 at("check").addEventListener("click", check);
 at("propose").addEventListener("click", () => propose({
   kind: "station", copy: at("copy").value.trim(),
@@ -429,7 +438,7 @@ for (const f of [1.4, 2, 2.8, 4, 5.6, 8]) {
 
 addEventListener("pagehide", () => navigator.sendBeacon("/do/leave", JSON.stringify({ page })));
 addEventListener("visibilitychange", fetchImage);
-for (const [name, selector] of [["--top", ".top"], ["--advice", "#advice"], ["--view", ".view"]]) {
+for (const [name, selector] of [["--top", ".top"], ["--whole", "#whole"], ["--view", ".view"]]) {
   new ResizeObserver(([part]) => document.documentElement.style.setProperty(name, `${part.target.offsetHeight}px`)).observe(document.querySelector(selector));
 }
 addEventListener("resize", () => redraw(picture && picture.figures));
@@ -441,4 +450,4 @@ listen(`/stream?page=${page}`, { state: showState, picture: showPicture }, {
   onlink: (isUp, lastMs) => showLink(isUp, lastMs, "Starbench", isUp ? "" : mayBeOn()),
 });
 loadFiles();
-get("/course").then((found) => beginCourse(found.edge_width_px)).catch(() => {});
+get("/focus").then((found) => beginCurve(found.edge_width_px)).catch(() => {});

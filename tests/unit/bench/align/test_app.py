@@ -217,16 +217,12 @@ def test_no_angle_is_written_before_the_stage_is_homed(bench, page, tmp_path, bo
     assert "The stage moves." in page.refused("propose", **body)
 
 
-def test_the_stop_of_the_ring_reaches_the_measurement(bench, page, monkeypatch):
+def test_forgetting_the_focus_reaches_the_measurement_and_the_curve(bench, page, monkeypatch):
     noted = []
-
-    def note(meter):
-        noted.append(meter)
-
-    monkeypatch.setattr(LiveMeter, "at_stop", note)
-    assert page.do("at_stop").status_code == 200
-    wait_until(lambda: len(noted) == 1)
-    assert "reported that the focus ring is at its stop" in bench[1].state()["messages"][-1]["text"]
+    monkeypatch.setattr(LiveMeter, "forget", lambda _meter: noted.append(True))
+    assert page.do("forget").status_code == 200
+    wait_until(lambda: noted == [True])
+    assert httpx.get(bench[0] + "focus").json() == {"edge_width_px": []}
 
 
 def test_the_checks_say_what_is_not_checked_yet(bench, page):

@@ -1,10 +1,11 @@
 """The align session with fakes: who may move what, and that a stop, a lost page and the end leave the bench safe."""
 
+import dataclasses
 import threading
 import time
 
 import pytest
-from align_fakes import FakeDevices, FakeStage, fake_session
+from align_fakes import FakeCamera, FakeDevices, FakeStage, fake_session
 from waiting import wait_until
 
 from bench.align import live_loop
@@ -328,19 +329,14 @@ def test_most_slices_are_short_and_some_show_the_flicker(opened, monkeypatch):
     assert 1 not in lengths[1:first]  # the first slice after a change of the light shows the flicker
 
 
-def test_a_short_slice_keeps_the_flicker_and_the_advice_about_it_of_the_last_longer_one():
-    wrong = "The flicker is 50.00 Hz, but the light is set to 60.00 Hz."
-    short = LiveFigures(time_s=2.0, signal=SignalFigures(on_share=0.4), advice=("Turn the focus ring.",))
+def test_a_short_slice_keeps_the_flicker_of_the_last_longer_one():
+    short = LiveFigures(time_s=2.0, signal=SignalFigures(on_share=0.4))
     longer = LiveFigures(
-        time_s=1.0,
-        signal=SignalFigures(trigger_hz=50.0, jitter_us=0.5),
-        advice=(wrong, "Turn pan."),
-        flicker_advice=(wrong,),
+        time_s=1.0, signal=SignalFigures(sync_edges=8, trigger_hz=50.0, jitter_us=0.5, sync_fault="odd")
     )
     shown = with_signal_of(short, longer)
     assert shown.time_s == 2.0
-    assert shown.signal == SignalFigures(trigger_hz=50.0, jitter_us=0.5, on_share=0.4)
-    assert shown.advice == (wrong, "Turn the focus ring.")
+    assert shown.signal == dataclasses.replace(longer.signal, on_share=0.4)
 
 
 class LateStage:
@@ -408,3 +404,24 @@ def test_a_page_is_told_of_a_move_that_fails_where_the_stage_stands():
     wait_until(lambda: states[-1].failure is not None and states[-1].work is None)
     control.close()
     assert "the motor is stuck" in states[-1].failure.what
+
+
+class ReadingCamera(FakeCamera):
+    """A camera that reads all its biases back."""
+
+    def apply(self, settings):
+        return dataclasses.replace(settings, biases={"bias_fo": 0, "bias_hpf": 0} | dict(settings.biases))
+
+
+def test_a_changed_bias_is_shown_beside_that_of_the_station_file():
+    devices = FakeDevices()
+    devices.camera = ReadingCamera()
+    session, _ = fake_session(devices)
+    assert session.open() is None
+    try:
+        session.bench.camera.set_bias("bias_fo", 7)
+        shown = {bias["name"]: bias for bias in session.state()["camera"]["biases"]}
+        assert (shown["bias_fo"]["value"], shown["bias_fo"]["expected"]) == (7, 0)
+        assert (shown["bias_hpf"]["value"], shown["bias_hpf"]["expected"]) == (0, 0)
+    finally:
+        session.close()
