@@ -21,7 +21,7 @@ from bench.report.calibration_tables import witness_rows
 from bench.report.phone_tables import label_cells
 from bench.report.pictured_poses import pictured_poses, thinned
 from bench.report.pose_tables import courses
-from bench.report.residual_words import rim_text
+from bench.report.residual_words import direction_text, rim_text
 from bench.report.run_tables import left
 from bench.report.verdict import change, verdict
 from bench.wording import numbers, parameters
@@ -66,7 +66,14 @@ def render_report(data: ReportData) -> str:
         takes_pictures=results["run"].get("camera") == "frame",
         verdict=verdict(results),
         journal_head=data.journal_head,
-        rim=rim_text(data.views, results["calibration"]["camera"], words),
+        stands_out=[
+            text
+            for text in (
+                rim_text(data.views, results["calibration"]["camera"], words),
+                direction_text(data.views, results["calibration"]["image_size"]),
+            )
+            if text
+        ],
         **parts,
     )
 

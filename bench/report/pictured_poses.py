@@ -18,7 +18,8 @@ _WORST = 3  # Views that somebody looks at first
 _NOT_PASSED = ("fail", "marginal")
 
 PLOTS = (
-    "uncertainty", "direction", "distortion", "scene", "vectors", "coverage", "regions", "change", "change_ratio",
+    "uncertainty", "direction", "distortion", "scene", "vectors", "cloud", "coverage", "regions",
+    "change", "change_ratio",
 )  # fmt: skip
 """Names of the plots in the template."""
 MOST_STARS = 12_000

@@ -22,13 +22,18 @@ from bench.report.pictured_poses import PLOTS, thinned
 from bench.report.pose_scene import pose_scene
 from bench.report.svg_plot import (
     INK,
+    PANEL,
     POSE_COLOURS,
     WIDE,
     Axes,
     Key,
+    Picture,
+    Words,
+    axes_in,
     painted,
     shade,
 )
+from bench.report.svg_scale import Scale
 from bench.wording.target_words import STARS, TargetWords, words_of
 from calib.model.result_parts import WORST_CORNER
 from calib.uncertainty.projection_uncertainty import (
@@ -39,6 +44,7 @@ from calib.uncertainty.projection_uncertainty import (
 
 Array = NDArray[np.float64]
 
+_CLOUD_PERCENTILE = 99.5  # A few gross residuals must not make all others a dot
 _REGIONS = (4, 3)  # Columns and rows, near the shape of sensors; each has stars enough for a mean
 _WIDE_ANGLE_DEG = 25.0  # From here a pixel at the rim is a fifth less angle than in the middle: cos^2
 
@@ -58,6 +64,27 @@ def residual_vectors(
         axes.strokes(detected, detected + magnification * residuals, colour, 1.0)
     _scale_bar(axes, image_size, magnification)
     return axes.picture.svg()
+
+
+def residual_cloud(views: Sequence[ViewPicture]) -> str:
+    """Draw the residuals around zero, a colour a pose (Fig. 3 of arXiv:2512.16092); the circle is their RMS length."""
+    lengths = np.linalg.norm(np.concatenate([view.residuals for view in views]), axis=1)
+    rms = float(np.sqrt(np.mean(lengths**2)))
+    reach = 1.15 * max(float(np.percentile(lengths, _CLOUD_PERCENTILE)), 1e-6)
+    words = Words(("Residuals around zero; circle: their RMS length",), "column, px", "row, px")
+    picture = Picture(
+        PANEL[0],
+        1.1 * PANEL[0],
+        "cloud",
+        "Residuals around zero",
+        f"Root mean square of the length: {rms:.3g} px.",
+    )
+    axes = axes_in(picture, Scale(-reach, reach), Scale(reach, -reach), words, equal=True)
+    for colour, _, residuals in _by_colour(thinned(views)):
+        axes.dots(residuals[np.linalg.norm(residuals, axis=1) <= reach], colour, 2.2, 0.6)
+    turn = np.radians(np.arange(0.0, 365.0, 5.0))
+    axes.line(rms * np.column_stack([np.cos(turn), np.sin(turn)]), INK)
+    return picture.svg()
 
 
 def coverage(
@@ -186,6 +213,7 @@ def star_plots(results: Results, views: Sequence[ViewPicture]) -> dict[str, str]
     camera = results["calibration"]["camera"]
     centre, words = (camera["cx"], camera["cy"]), words_of(results)
     return {
+        "cloud": residual_cloud(views),
         "vectors": residual_vectors(views, (width, height), words),
         "coverage": coverage(views, (width, height), centre, words),
         "regions": regions(views, (width, height), words),

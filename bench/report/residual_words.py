@@ -1,4 +1,4 @@
-"""What stands out in the residuals, as a sentence; empty if nothing does."""
+"""What stands out in the residuals, as sentences; empty if nothing does."""
 
 from __future__ import annotations
 
@@ -12,8 +12,43 @@ _OUTER, _INNER = 0.8, 0.5
 _LEAST_POINTS = 30  # In each part
 _STANDS_OUT = 1.3
 """Ratio of the RMS residuals from which a reader sees the difference in the plot."""
+_ONE_DIRECTION = 0.5  # Mean over RMS: from here on a reader sees that the lines are parallel
 _SIGMAS = 4.0
 """The ratio exceeds 1 by this many standard deviations: 1 in 30,000 reports of a right model says so by chance."""
+
+
+_COLUMNS, _ROWS = ("left", "middle", "right"), ("upper", "central", "lower")
+
+
+def direction_text(views: Sequence[ViewPicture], image_size: Sequence[int]) -> str:
+    """Return in which part of the image the residuals have one direction, with what that means; empty if none has.
+
+    Of n independent residuals, the mean of each coordinate has the standard deviation of one over the root of n.
+    """
+    import numpy as np
+
+    seen = [view for view in views if len(view.detected)]
+    if not seen:
+        return ""
+    points = np.concatenate([view.detected for view in seen])
+    residuals = np.concatenate([view.residuals for view in seen])
+    part = np.clip((3 * points / np.asarray(image_size)).astype(int), 0, 2)
+    found = []
+    for column, row in np.ndindex(3, 3):
+        of_part = residuals[(part == (column, row)).all(axis=1)]
+        if len(of_part) < _LEAST_POINTS:
+            continue
+        rms = float(np.sqrt(np.mean(np.sum(of_part**2, axis=1))))
+        mean = float(np.linalg.norm(of_part.mean(axis=0)))
+        if mean > max(_ONE_DIRECTION * rms, _SIGMAS * rms / np.sqrt(2 * len(of_part))):
+            found.append((mean, f"{_ROWS[row]} {_COLUMNS[column]}"))
+    if not found:
+        return ""
+    mean, where = max(found)
+    return (
+        f"In the {where} part of the image, the residuals have one direction: {mean:.2g} px on the mean. The model does"
+        f" not explain this part, and a direction that is measured there may be off by as much."
+    )
 
 
 def rim_text(views: Sequence[ViewPicture], camera: Mapping[str, float], words: TargetWords) -> str:

@@ -9,7 +9,7 @@ from report_sample import SMALL, sample
 from bench.measure.view_picture import ViewPicture
 from bench.report.phone_tables import label_cells
 from bench.report.pose_scene import pose_scene
-from bench.report.residual_words import rim_text
+from bench.report.residual_words import direction_text, rim_text
 from bench.wording.target_words import STARS
 
 FOLD = re.compile(r'<details id="details">.*?</details>', re.DOTALL)
@@ -54,6 +54,15 @@ def test_residuals_at_the_rim_are_told_only_if_they_stand_out(rim_px, stands_out
 def test_few_stars_at_the_rim_say_nothing():
     assert rim_text(residuals(rim_px=2.0, stars=60), {"cx": 640.0, "cy": 360.0}, STARS) == ""
     assert rim_text([], {"cx": 640.0, "cy": 360.0}, STARS) == ""
+
+
+def test_residuals_of_one_direction_are_told_with_their_part_of_the_image():
+    (noise,) = residuals(rim_px=0.1)
+    assert direction_text([noise], (1280, 720)) == ""
+    corner = (noise.detected < [400, 230]).all(axis=1)[:, None]
+    shifted = ViewPicture("one", None, noise.detected, noise.reprojected + 0.3 * corner, noise.ids)
+    assert "upper left" in direction_text([shifted], (1280, 720))
+    assert direction_text([], (1280, 720)) == ""
 
 
 def test_the_scene_shows_each_pose_from_the_camera_to_the_target():
