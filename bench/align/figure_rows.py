@@ -145,12 +145,14 @@ def _flicker(figures: LiveFigures, setting: LiveSetting) -> Iterator[FigureRow]:
     there = bool(signal.sync_edges) or not gates.require_triggers
     come = there and not signal.sync_fault and missed <= gates.limits.get("max_triggers_missed", 1)
     yield FigureRow("signal", "Sync edges", edges, "", "all" if gates.require_triggers else "", come)
-    for name, measured_hz, digits, tolerance in (
-        ("Flicker by triggers", signal.trigger_hz, 2, FREQUENCY_TOLERANCE["triggers"]),
-        ("Flicker by events", signal.event_hz, 1, _FREQUENCY_SLACK),
+    # Events give the frequency less well: they count where no sync edges do.
+    events_count = signal.trigger_hz is None
+    for name, measured_hz, digits, tolerance, counts in (
+        ("Flicker by triggers", signal.trigger_hz, 2, FREQUENCY_TOLERANCE["triggers"], True),
+        ("Flicker by events", signal.event_hz, 1, _FREQUENCY_SLACK, events_count),
     ):
         row = _ranged("signal", name, measured_hz, digits, "Hz")
-        if wanted_hz:
+        if wanted_hz and counts:
             good = None if measured_hz is None else abs(measured_hz / wanted_hz - 1.0) <= tolerance
             row = row._replace(expected=f"{wanted_hz:.{digits}f}", good=good)
         yield row

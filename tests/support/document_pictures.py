@@ -97,10 +97,11 @@ def align_picture(browser: Any, folder: Path) -> None:
             page.click("#home-now")
             wait(lambda: session.bench.stage.state.homed and not session.bench.stage.moving, "homing")
             page.click("#light-on")
-            for step in ("20", "-5"):  # out of focus, and some of the way back
+            for step in ("20", "-5", "-5"):  # out of focus, and some of the way back
                 button = f"[data-action='lens turn'] [data-step='{step}']"
                 page.eval_on_selector(button, "button => button.click()")
                 page.wait_for_timeout(8000)
+            page.eval_on_selector("#curve", "curve => curve.scrollIntoView({block: 'end'})")
             save(shot(page), "align.png")
     finally:
         session.close()

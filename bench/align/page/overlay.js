@@ -81,7 +81,6 @@ function square(c, found, x, y, scale, ratio) {
   c.stroke();
   c.setLineDash([]);
   cross(c, x(u), y(v), 7 * ratio);
-  label(c, "dark square, tag not read", x(u - half), y(v - half * Math.SQRT2), ratio);
 }
 
 function label(c, text, x, y, ratio) {

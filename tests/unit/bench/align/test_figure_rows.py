@@ -40,6 +40,12 @@ def test_a_number_is_judged_by_the_range_that_stands_beside_it(share, good):
     assert (row.expected, row.good) == ("25 to 75", good)
 
 
+def test_the_frequency_by_events_counts_where_no_sync_edges_do():
+    assert rows_of(signal=SignalFigures(event_hz=70.0))["Flicker by events"].good is False
+    both = rows_of(signal=SignalFigures(event_hz=70.0, trigger_hz=60.01))
+    assert (both["Flicker by events"].good, both["Flicker by triggers"].good) == (None, True)
+
+
 def test_a_frame_camera_has_no_rows_of_events():
     frames = LiveSetting.of_station(load_station("simulated_frames").value, light_on=True)
     assert {"Event rate", "Sync edges", "Hot pixels"}.isdisjoint(rows_of(frames))
