@@ -36,12 +36,12 @@ Group = Literal["bench", "signal", "focus", "turn"]
 class FigureRow(NamedTuple):
     """A figure as the page shows it."""
 
-    group: Group
     name: str
     value: str  # With its digits; empty if it was not measured
     unit: str = ""
     expected: str = ""  # What a run expects; empty if it expects nothing
     good: bool | None = None  # Whether the value is as expected; None if it is not judged
+    group: Group = "signal"
 
 
 class SteadyVerdicts:
@@ -71,60 +71,48 @@ class SteadyVerdicts:
 
 def figure_rows(figures: LiveFigures, setting: LiveSetting, best_px: float | None = None) -> list[FigureRow]:
     """Return all rows of a picture; ``best_px`` is the best edge width so far."""
-    bench = list(_bench(figures, setting))
-    seen = [*_signal(figures, setting), *_focus(figures, setting, best_px), *_turn(figures)]
+    homed = FigureRow("Stage", "homed" if setting.homed else "not homed", "", "homed", setting.homed, "bench")
+    lit = FigureRow("Light", "on" if setting.light_on else "off", "", "on", setting.light_on, "bench")
+    faults = "; ".join(figures.recording_faults)
+    recording = FigureRow("Recording", faults or "whole", "", "whole", not faults)
+    seen = [
+        *_signal(figures, setting),
+        *(row._replace(group="focus") for row in _focus(figures, setting, best_px)),
+        *(row._replace(group="turn") for row in _turn(figures)),
+    ]
     # What a picture lacks while it is dark, or while the stage turns, is no fault of its own.
     if figures.moving or setting.light_on is False:
         seen = [row._replace(good=None) for row in seen]
-    return bench + seen
-
-
-def _bench(figures: LiveFigures, setting: LiveSetting) -> Iterator[FigureRow]:
-    """Yield the state of the devices."""
-    yield _state("Stage", setting.homed, "homed", "not homed")
-    yield _state("Light", setting.light_on, "on", "off")
-    text = "; ".join(figures.recording_faults)
-    yield FigureRow("signal", "Recording", text or "whole", "", "whole", not text)
+    return [homed, lit, recording, *seen]
 
 
 def _signal(figures: LiveFigures, setting: LiveSetting) -> Iterator[FigureRow]:
     """Yield the stars and what they are seen by."""
-    yield _ranged("signal", "Stars", len(figures.stars), 0, low=setting.gates.min_stars)
+    yield _ranged("Stars", len(figures.stars), 0, low=setting.gates.min_stars)
     known = figures.turn.of == "tag"  # read, or known by the stars around it
     tag = figures.other_tag or ("found" if known else "not found")
-    yield FigureRow(
-        "signal", f"Tag {setting.target.tag_id}", tag, "", "found", known and not figures.other_tag
-    )
-    yield _ranged("signal", "Contrast", _percent(figures.contrast), 0, "%", low=_LEAST_CONTRAST_PERCENT)
+    yield FigureRow(f"Tag {setting.target.tag_id}", tag, "", "found", known and not figures.other_tag)
+    yield _ranged("Contrast", _percent(figures.contrast), 0, "%", low=_LEAST_CONTRAST_PERCENT)
     if setting.camera == "frame":
-        yield _ranged(
-            "signal", "Saturated", _percent(figures.saturation), 1, "%", high=100.0 * MOST_SATURATED
-        )
+        yield _ranged("Saturated", _percent(figures.saturation), 1, "%", high=100.0 * MOST_SATURATED)
     else:
         yield from _events(figures, setting)
         yield from _flicker(figures, setting)
-    yield _ranged("signal", "Sensor", figures.temperature_c, 1, "°C")
+    yield _ranged("Sensor", figures.temperature_c, 1, "°C")
 
 
 def _events(figures: LiveFigures, setting: LiveSetting) -> Iterator[FigureRow]:
     """Yield rates and shares of the events."""
     signal, gates = figures.signal, setting.gates
-    rate = signal.events_per_s
-    yield _ranged(
-        "signal",
-        "Event rate",
-        None if rate is None else rate / 1e6,
-        1,
-        "Mev/s",
-        high=gates.max_event_rate_mev_s,
-    )
-    yield _ranged("signal", "Events an edge", _events_an_edge(figures, setting), 2, low=_LEAST_EVENTS_AN_EDGE)
-    yield _ranged("signal", "Link load", _percent(signal.link_share), 0, "%", high=_LOADED_LINK_PERCENT)
+    rate_mev_s = None if signal.events_per_s is None else signal.events_per_s / 1e6
+    yield _ranged("Event rate", rate_mev_s, 1, "Mev/s", high=gates.max_event_rate_mev_s)
+    yield _ranged("Events an edge", _events_an_edge(figures, setting), 2, low=_LEAST_EVENTS_AN_EDGE)
+    yield _ranged("Link load", _percent(signal.link_share), 0, "%", high=_LOADED_LINK_PERCENT)
     dropped = gates.limits.get("max_rate_controller_loss_percent")
-    yield _ranged("signal", "Dropped events", _percent(figures.saturation), 1, "%", high=dropped)
+    yield _ranged("Dropped events", _percent(figures.saturation), 1, "%", high=dropped)
     low, high = _ON_SHARES_PERCENT
-    yield _ranged("signal", "ON share", _percent(signal.on_share), 0, "%", low=low, high=high)
-    yield _ranged("signal", "Hot pixels", figures.hot_pixels, 0, high=_MANY_HOT)
+    yield _ranged("ON share", _percent(signal.on_share), 0, "%", low=low, high=high)
+    yield _ranged("Hot pixels", figures.hot_pixels, 0, high=_MANY_HOT)
 
 
 def _events_an_edge(figures: LiveFigures, setting: LiveSetting) -> float | None:
@@ -144,39 +132,32 @@ def _flicker(figures: LiveFigures, setting: LiveSetting) -> Iterator[FigureRow]:
     )
     there = bool(signal.sync_edges) or not gates.require_triggers
     come = there and not signal.sync_fault and missed <= gates.limits.get("max_triggers_missed", 1)
-    yield FigureRow("signal", "Sync edges", edges, "", "all" if gates.require_triggers else "", come)
+    yield FigureRow("Sync edges", edges, "", "all" if gates.require_triggers else "", come)
     # Events give the frequency less well: they count where no sync edges do.
     events_count = signal.trigger_hz is None
     for name, measured_hz, digits, tolerance, counts in (
         ("Flicker by triggers", signal.trigger_hz, 2, FREQUENCY_TOLERANCE["triggers"], True),
         ("Flicker by events", signal.event_hz, 1, _FREQUENCY_SLACK, events_count),
     ):
-        row = _ranged("signal", name, measured_hz, digits, "Hz")
+        row = _ranged(name, measured_hz, digits, "Hz")
         if wanted_hz and counts:
             good = None if measured_hz is None else abs(measured_hz / wanted_hz - 1.0) <= tolerance
             row = row._replace(expected=f"{wanted_hz:.{digits}f}", good=good)
         yield row
-    yield _ranged(
-        "signal",
-        "Jitter of the sync",
-        signal.jitter_us,
-        1,
-        "µs",
-        high=gates.limits.get("max_trigger_jitter_us"),
-    )
-    yield _ranged("signal", "Jitter of the events", signal.event_jitter_us, 1, "µs")
+    jitter_limit = gates.limits.get("max_trigger_jitter_us")
+    yield _ranged("Jitter of the sync", signal.jitter_us, 1, "µs", high=jitter_limit)
 
 
 def _focus(figures: LiveFigures, setting: LiveSetting, best_px: float | None) -> Iterator[FigureRow]:
     """Yield the edge width, the best one, and how far the present one is from it."""
     width = figures.focus.edge_width_px
     limit = min(setting.gates.limits.get("max_edge_width_px", SHARP_PX), SHARP_PX)
-    row = _ranged("focus", "Edge width", width, 2, "px", high=limit)
+    row = _ranged("Edge width", width, 2, "px", high=limit)
     # Where a tag or stars are missing from a lit picture, the lens may be out of focus.
     yield row._replace(good=False) if width is None else row
-    yield _ranged("focus", "Best so far", best_px, 2, "px")
+    yield _ranged("Best so far", best_px, 2, "px")
     above = None if width is None or best_px is None else max(0.0, width - best_px)
-    yield _ranged("focus", "Above the best", above, 2, "px")
+    yield _ranged("Above the best", above, 2, "px")
 
 
 def _turn(figures: LiveFigures) -> Iterator[FigureRow]:
@@ -188,26 +169,18 @@ def _turn(figures: LiveFigures) -> Iterator[FigureRow]:
     for name, by in zip(names, (turn.pan, turn.tilt), strict=True):
         digits = 0 if in_px or turn.of == "beam" else 1
         text = "" if by is None else f"{round(by, digits) + 0.0:+.{digits}f}"  # no -0.0
-        yield FigureRow("turn", name, text, turn.unit, near, turn.centred if turn.of else None)
+        yield FigureRow(name, text, turn.unit, near, turn.centred if turn.of else None)
     roll = "" if turn.roll_deg is None else f"{turn.roll_deg:+.1f}"
     enough = None if turn.roll_by_deg is None else turn.roll_by_deg == 0.0
-    yield FigureRow(
-        "turn", "Roll to the pixels", roll, "°", f"{LEAST_ROLL_DEG:g}° or more either way", enough
-    )
+    yield FigureRow("Roll to the pixels", roll, "°", f"{LEAST_ROLL_DEG:g}° or more either way", enough)
     by_roll = "" if turn.roll_by_deg is None else f"{turn.roll_by_deg:+.0f}"
-    yield FigureRow("turn", "Roll it by", by_roll, "°")
-    yield _ranged("turn", "Frame in the beam", _percent(figures.beam_share), 0, "%", low=_LEAST_LIT_PERCENT)
+    yield FigureRow("Roll it by", by_roll, "°")
+    yield _ranged("Frame in the beam", _percent(figures.beam_share), 0, "%", low=_LEAST_LIT_PERCENT)
     rim = {None: "", True: "in view", False: "not in view"}[figures.rim_in_view]
-    yield FigureRow("turn", "Rim of the beam", rim)
-
-
-def _state(name: str, holds: bool | None, good: str, bad: str) -> FigureRow:
-    """Return the row of a device's state; None if it is unknown."""
-    return FigureRow("bench", name, "unknown" if holds is None else good if holds else bad, "", good, holds)
+    yield FigureRow("Rim of the beam", rim)
 
 
 def _ranged(
-    group: Group,
     name: str,
     value: float | None,
     digits: int,
@@ -225,9 +198,9 @@ def _ranged(
     elif high is not None:
         expected = f"at most {high:g}"
     if value is None or not math.isfinite(value):
-        return FigureRow(group, name, "", unit, expected)
-    good = (low is None or value >= low) and (high is None or value <= high) if expected else None
-    return FigureRow(group, name, f"{value:.{digits}f}", unit, expected, good)
+        return FigureRow(name, "", unit, expected)
+    good = bool((low is None or value >= low) and (high is None or value <= high)) if expected else None
+    return FigureRow(name, f"{value:.{digits}f}", unit, expected, good)
 
 
 def _percent(share: float | None) -> float | None:

@@ -30,8 +30,9 @@ _HALF_SIZE: Final = (0.25, 0.3)  # Of a region, as shares of width and height
 _STARS_A_REGION: Final = 9  # The nearest to its middle; their edges give one width
 _CIRCLE_FROM_PX: Final = 1.2
 """Edge width below which the blur circle is far from one that counts, px."""
-_TRUSTED_CIRCLE_PX: Final = 9.0
-"""Blur circle from which it counts more than the stars' edges; these stop to grow there."""
+_CIRCLES_PX: Final = (6.0, 9.0)
+"""Blur circles from which it counts, and counts fully, where it shows more blur than the stars' edges: these stop to
+grow at 9 px, and bright light gives a sharp lens a circle of 5.8 px. A step would look like a turn of the ring."""
 _SIGMA_OF_CIRCLE: Final = 0.25
 """Standard deviation of the points of a uniform disc along one axis, as a share of the diameter."""
 _NEAR_TAG: Final = 40  # Stars about the tag: enough for a median, near enough for one edge width
@@ -69,8 +70,11 @@ def measure_focus(
     circle = before.blur_circle_px if before is not None else None
     if before is None or width is None or width > _CIRCLE_FROM_PX:
         circle = _circle(image, stars, target)
-    if circle is not None and (width is None or circle >= _TRUSTED_CIRCLE_PX):
-        width = max(width or 0.0, _SIGMA_OF_CIRCLE * circle)
+    if circle is not None:
+        by_circle = _SIGMA_OF_CIRCLE * circle
+        star_width = by_circle if width is None else width
+        weight = float(np.interp(circle, _CIRCLES_PX, (0.0, 1.0)))
+        width = star_width + weight * max(0.0, by_circle - star_width)
     return FocusFigures(width, circle, regions)
 
 

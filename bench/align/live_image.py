@@ -35,7 +35,6 @@ LINK_GBIT_S: Final = 1.6
 """Data that the link of an EVK4 carries, Gbit/s."""
 _MOST_EVENTS: Final = 150_000
 """Number of events from which the flicker is searched; more do not make the figure better."""
-_LEAST_PERIODS: Final = 3  # A straight line goes through two; only the third has something left over
 _SHORT_PERIODS: Final = 1.9
 _TIME_LOW, _TIME_HIGH = 0x6, 0x8  # Types of EVT3's clock words
 _CLOCK: Final = 1 << 24
@@ -69,8 +68,6 @@ class SignalFigures:
     trigger_hz: float | None = None
     event_hz: float | None = None
     jitter_us: float | None = None  # Rms distance of the sync edges from an even train, us
-    # Rms distance of the ON bursts from an even train, us. It takes three whole periods.
-    event_jitter_us: float | None = None
     sync_fault: str = ""  # What is wrong with the sync edges; empty if nothing is, or there are none
 
 
@@ -93,7 +90,6 @@ def measure_signal(
         signal,
         flicker=flicker,
         event_hz=by_events.frequency_hz if by_events else None,
-        event_jitter_us=burst_jitter_us(events, flicker) if flicker else None,
     )
 
 
@@ -111,29 +107,6 @@ def shows_flicker(signal: SignalFigures | None) -> bool:
     if signal is None or signal.flicker is None or not signal.events_per_s:
         return False
     return signal.events / signal.events_per_s * signal.flicker.frequency_hz >= _SHORT_PERIODS
-
-
-def burst_jitter_us(events: Events, flicker: Flicker) -> float | None:
-    """Return how far the ON bursts are from an even train, rms in us; None below three whole periods.
-
-    Own estimate: the median time of the ON events of each period, against a straight line through these times.
-    """
-    if not len(events.t):
-        return None
-    # The window begins a quarter period before the light rises, so that no burst is cut.
-    starts = flicker.rising_edges_us(0.0, float(events.t[-1])) - 0.25 * flicker.period_us
-    starts = starts[(starts >= 0.0) & (starts + flicker.period_us <= float(events.t[-1]) + 1.0)]
-    middles = []
-    for start in starts:
-        first, last = np.searchsorted(events.t, [math.ceil(start), math.ceil(start + flicker.period_us)])
-        on = events.t[first:last][events.p[first:last] > 0]
-        if len(on) >= 100:
-            middles.append(float(np.median(on)))
-    if len(middles) < _LEAST_PERIODS:
-        return None
-    numbers = np.round((np.array(middles) - middles[0]) / flicker.period_us)
-    off = np.array(middles) - np.polyval(np.polyfit(numbers, middles, 1), numbers)
-    return float(np.sqrt((off**2).sum() / (len(off) - 2)))
 
 
 class _Counted(NamedTuple):

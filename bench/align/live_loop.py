@@ -48,7 +48,6 @@ _OF_LONGER = (
     "trigger_hz",
     "event_hz",
     "jitter_us",
-    "event_jitter_us",
 )
 _LEARNT = 0.3
 """Weight of the newest duration in the expected ones."""

@@ -59,7 +59,7 @@ def test_the_tag_is_found_or_not_and_another_one_is_told():
 
 
 def test_a_single_picture_over_a_limit_changes_no_verdict():
-    verdicts, row = SteadyVerdicts(), FigureRow("signal", "Contrast", "40", "%", "at least 30", good=True)
+    verdicts, row = SteadyVerdicts(), FigureRow("Contrast", "40", "%", "at least 30", good=True)
     shown = [
         verdicts.steady([row._replace(good=good)])[0].good
         for good in (True, False, True, False, False, False)

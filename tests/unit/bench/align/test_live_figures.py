@@ -37,7 +37,9 @@ def figures_of(path, setting=SETTING, **part):
 
 def off(figures, setting=SETTING):
     """The rows that are not as expected."""
-    return {row.name: row.value for row in figure_rows(figures, setting) if row.good is False}
+    rows = figure_rows(figures, setting)
+    json.dumps(rows, allow_nan=False)
+    return {row.name: row.value for row in rows if row.good is False}
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +59,6 @@ def test_a_good_slice_shows_everything_and_needs_nothing(good):
     assert f.signal.trigger_hz == pytest.approx(60.0, rel=1e-4)
     assert f.signal.event_hz == pytest.approx(60.0, rel=5e-3)
     assert f.signal.jitter_us < 1.0
-    assert f.signal.event_jitter_us < 100.0
     assert 60e6 < f.signal.events_per_s < 120e6
     assert 0.1 < f.signal.link_share < 0.3
     assert 0.3 < f.signal.on_share < 0.6

@@ -14,7 +14,6 @@ from bench.align.live_figures import LiveMeter, LiveSlice
 from bench.align.live_image import (
     LINK_GBIT_S,
     LiveSetting,
-    burst_jitter_us,
     count_slice,
     measure_signal,
     read_image,
@@ -25,7 +24,6 @@ from bench.base import memory_folder
 from bench.base.errors import BenchError
 from bench.stations.station import load_station
 from calib.events.event_image import make_images
-from calib.events.flicker import Flicker
 from drivers.camera.event_arrays import Events, Triggers
 from drivers.camera.raw_file import RawFile
 from simulators.pixels.evt3_writer import Evt3Writer
@@ -190,15 +188,6 @@ def test_the_jitter_of_the_sync_is_the_drawn_one():
         events_of(2000 + PERIOD_US * np.arange(40)), edges(40, jitter_us=25.0), 1000, None
     )
     assert signal.jitter_us == pytest.approx(25.0, rel=0.25)
-
-
-def test_the_jitter_of_the_bursts_is_the_drawn_one():
-    random = np.random.default_rng(6)
-    at = 4000 + PERIOD_US * np.arange(60) + random.normal(0.0, 80.0, 60)
-    flicker = Flicker(PERIOD_US, 4000.0, 0.5, 0.0, 0, "triggers")
-    assert burst_jitter_us(events_of(at), flicker) == pytest.approx(80.0, rel=0.3)
-    assert burst_jitter_us(events_of(at[:2]), flicker) is None
-    assert burst_jitter_us(EMPTY, flicker) is None
 
 
 EMPTY = Events(np.zeros(0, np.int64), np.zeros(0, np.uint16), np.zeros(0, np.uint16), np.zeros(0, np.uint8))
