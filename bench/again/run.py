@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from bench.again.compare import Difference, Limits, Maker, differences, judge
 from bench.again.files import MadeAgain, compare_files, compare_plan, maker_of
@@ -24,7 +24,7 @@ from bench.plan.plan import load_documents, make_plan
 from bench.record.events import Event
 from bench.record.history import Attempt, History, replay
 from bench.record.journal_line import Entry
-from bench.record.results import PreviousData
+from bench.record.results import PreviousData, Results
 from bench.record.run_folder import (
     JOURNAL,
     PASSPORT_COPY,
@@ -258,7 +258,7 @@ def _made_again(
         results = results_content(job, history, solution, truth, used)
         stored = evidence.results.get("previous")
         if stored is not None and history.ledger:
-            results["previous"] = cast("PreviousData", _previous_again(stored, results))
+            results["previous"] = _previous_again(stored, results)
     except (BenchError, CalibrationError, DriverError) as error:
         findings.fault("results", RESULTS, f"the run cannot be calibrated again: {error}")
         return None
@@ -269,10 +269,10 @@ def _made_again(
     return MadeAgain(results, solution.views, job.camera_name, job.target, evidence.head)
 
 
-def _previous_again(stored: Mapping[str, Any], results: Mapping[str, Any]) -> dict[str, Any]:
+def _previous_again(stored: PreviousData, results: Results) -> PreviousData:
     """Return the comparison with the earlier run that the results name; its folder may have gone."""
     if stored.get("run") is None:
-        return dict(stored)
+        return stored
     return {**stored, "change": change_since(stored["calibration"], results["calibration"])}
 
 

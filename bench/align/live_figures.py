@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -85,7 +85,7 @@ class LiveFigures:
             "stars": [(number, round(x, 2), round(y, 2)) for number, x, y in self.stars],
             "square": self.square and self.square._asdict(),
         }
-        return cast("dict[str, Any]", mapped(plain, _plain))
+        return {name: mapped(value, _plain) for name, value in plain.items()}
 
 
 class LiveMeter:

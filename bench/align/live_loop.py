@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 from bench.align.figure_rows import FigureRow, SteadyVerdicts, figure_rows
 from bench.align.focus_curve import FocusCurve
@@ -28,9 +28,10 @@ from bench.base.background import settle
 from bench.base.clock import Aborted
 from bench.base.failure import Failure
 from bench.base.memory_folder import temporary_parent
+from bench.measure.camera_kinds import event_camera, frame_camera
 from bench.stations.devices import Camera
-from drivers.camera import EventCamera, PreviewCamera, RecordingFacts
-from drivers.camera.frames import FrameCamera, FrameFacts
+from drivers.camera import PreviewCamera, RecordingFacts
+from drivers.camera.frames import FrameFacts
 from drivers.errors import DriverError
 
 _ROOM_BYTES = 500_000_000
@@ -305,11 +306,11 @@ class LiveLoop:
         facts: Recorded
         if setting.camera == "frame":
             path = self._folder / f"slice-{number}.tif"
-            facts = cast("FrameCamera", self._camera).capture(path, 1)
+            facts = frame_camera(self._camera).capture(path, 1)
         else:
             path = self._folder / f"slice-{number}.raw"
             try:
-                camera = cast("EventCamera", self._camera)
+                camera = event_camera(self._camera)
                 take = camera.preview if isinstance(camera, PreviewCamera) else camera.record
                 facts = take(path, slice_duration_s(setting, wanted))
             except DriverError:

@@ -12,7 +12,7 @@ import threading
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any, TypeVar, cast
+from typing import Any, TypeVar
 
 from bench.align.controls import StageControl
 from bench.align.live_figures import LiveSetting
@@ -21,16 +21,16 @@ from bench.align.meter import Meter
 from bench.base.clock import BenchClock
 from bench.base.errors import ControlRefused
 from bench.base.failure import FORESEEN, Failure
-from bench.measure.camera_kinds import camera_kind
+from bench.measure.camera_kinds import camera_kind, event_camera, frame_camera
 from bench.record.device_end import DeviceEnd, DeviceName
 from bench.simulated import SimulatedBench
 from bench.stations.cameras import OpenCvCameraConfig
 from bench.stations.devices import Camera, Devices
-from bench.stations.sections import EventCameraSection, FrameCameraSection
+from bench.stations.sections import FrameCameraSection
 from bench.stations.stages_and_lights import LightConfig
 from bench.stations.station import Station
-from drivers.camera import CameraIdentity, CameraSettings, EventCamera, StatesBiasRanges
-from drivers.camera.frames import FrameCamera, FrameSettings
+from drivers.camera import CameraIdentity, CameraSettings, StatesBiasRanges
+from drivers.camera.frames import FrameSettings
 from drivers.errors import DriverError
 from drivers.light import Light, LightSettings
 from sequences.schema import FlickerConfig
@@ -106,8 +106,8 @@ class CameraControl:
 
     def set_bias(self, name: str, value: int) -> Mapping[str, int]:
         """Change one bias, offset in the camera's own steps; read all back. When refused, nothing was sent."""
-        ranges = self._ranges
-        if not self.is_event or name not in ranges:
+        ranges, config = self._ranges, self._config
+        if isinstance(config, FrameCameraSection) or name not in ranges:
             raise ControlRefused(
                 f"This camera has no bias {name!r}. Nothing was sent.",
                 where="camera",
@@ -120,13 +120,11 @@ class CameraControl:
                 where="camera",
                 remedy="Give a value in this range.",
             )
-        config = cast("EventCameraSection", self._config)
         with self._lock:
             # The names are those of the station; other biases keep the value that was read back.
             wanted = {bias: now for bias, now in self.biases.items() if bias in ranges} | {name: value}
             settings = CameraSettings(wanted, trigger_in=True, roi=config.roi)
-            event_camera = cast("EventCamera", self._camera)
-            applied = self._between_slices(lambda: event_camera.apply(settings))
+            applied = self._between_slices(lambda: event_camera(self._camera).apply(settings))
             self.settings = {**self.settings, "biases": dict(applied.biases)}
         self._on_change()
         return self.biases
@@ -141,8 +139,7 @@ class CameraControl:
             )
         with self._lock:
             wanted = FrameSettings(**{**self.frame_settings, name: value})
-            frame_camera = cast("FrameCamera", self._camera)
-            applied = self._between_slices(lambda: frame_camera.apply(wanted))
+            applied = self._between_slices(lambda: frame_camera(self._camera).apply(wanted))
             self.settings = {**self.settings, **asdict(applied)}
         self._on_change()
         return self.frame_settings

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal
 
 from bench.align.open_bench import ANSWER_S, Bench
 from bench.align.session import Session
@@ -18,6 +18,7 @@ from bench.base.failure import FORESEEN, Failure
 from bench.measure.camera_kinds import camera_kind
 from bench.measure.gates import ADVICE, Gate
 from bench.plan.plan import Plan, load_documents, make_plan
+from bench.record.as_data import as_data
 from bench.record.events import RecordedData
 from bench.stations.placeholders import find_placeholders
 from drivers.light import LightSettings
@@ -139,7 +140,7 @@ def _recording(session: Session, bench: Bench, step: RecordStep | None) -> list[
             lambda: kind.record(bench.devices.camera, path, step, frequency_hz)
         ).result(timeout=ANSWER_S + 2 * step.window_ms * 1e-3)
         measured = kind.measure(path, step, frequency_hz, session.station.value.target.pattern(), None)
-        gates, others = kind.judge(cast("RecordedData", asdict(facts)), step, frequency_hz, measured)
+        gates, others = kind.judge(as_data(facts, RecordedData), step, frequency_hz, measured)
     except TimeoutError:
         return [Check("recording", "bad", *_SILENT)]
     except FORESEEN as error:

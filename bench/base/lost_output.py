@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import os
 import sys
-from typing import Any, TextIO
+from typing import Any, TextIO, cast
 
 from bench.base.encoding import printable
 
@@ -57,6 +57,11 @@ class Steering:
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
+
+    @classmethod
+    def of(cls, stream: TextIO) -> TextIO:
+        """Return the stream for a display: all that is not written here is the stream's own."""
+        return cast("TextIO", cls(stream))
 
     def write(self, text: str) -> int:
         """Write text with control characters."""

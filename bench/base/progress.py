@@ -10,7 +10,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self, TextIO, cast
+from typing import Self, TextIO
 
 from rich.console import Console
 from rich.live import Live
@@ -43,7 +43,7 @@ class Progress:
         self.left_s: Callable[[], float] = lambda: total_s
         self.poses = poses
         self._console = Console(
-            file=cast("TextIO", Steering(stream or sys.stderr)), stderr=stream is None, highlight=False
+            file=Steering.of(stream or sys.stderr), stderr=stream is None, highlight=False
         )
         # A terminal that cannot overwrite a line gets one line for each change, as a file does.
         self._can_overwrite = self._console.is_terminal and not self._console.is_dumb_terminal

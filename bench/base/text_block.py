@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
-from typing import TextIO, cast
+from typing import TextIO
 
 from rich.cells import cell_len, set_cell_size
 from rich.console import Console
@@ -29,7 +29,7 @@ class Block:
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._console = Console(
-            file=cast("TextIO", Steering(stream or sys.stdout)), highlight=False, markup=False, emoji=False
+            file=Steering.of(stream or sys.stdout), highlight=False, markup=False, emoji=False
         )
         self._rows = 0
         self._size = self._console.size

@@ -11,7 +11,7 @@ import json
 from collections.abc import Callable, Mapping, MutableMapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 from bench.base.clock import BenchClock
 from bench.base.errors import BenchError
@@ -28,6 +28,7 @@ from bench.record.measured_facts import MeasuredFacts
 from bench.record.results import Results
 from bench.record.run_folder import JOURNAL, PLAN, RESULTS, RunFolder
 from bench.record.run_log import RunLog
+from bench.record.stored_calibration import calibration_data
 from bench.record.unsynced_journal import UnsyncedJournal
 from bench.run.runner import RunEnd, Runner
 from bench.solve.interim import decide_until
@@ -127,17 +128,18 @@ class RehearsedResults(ResultWriter):
                 remedy="Add a solve step to the sequence.",
             )
         self._clock.sleep(REPORT_S)
-        results = {
+        results: Results = {
             "schema": SCHEMA,
             "rehearsal": True,
             "run": {"id": log.history.started["id"], "started_utc": log.history.started_utc},
-            "calibration": self._calibration.to_dict(),
+            "calibration": calibration_data(self._calibration),
             "comparison": compare_with_truth(self._calibration, truth) if truth is not None else [],
-            **({"untils": list(log.history.decisions)} if log.history.decisions else {}),
-            "deviations": list(log.history.deviations),
         }
+        if log.history.decisions:
+            results["untils"] = list(log.history.decisions)
+        results["deviations"] = list(log.history.deviations)
         data = (json.dumps(results, indent=1, allow_nan=False) + "\n").encode()
-        self.outcome = Outcome(cast("Results", results), self._folder.write_atomic(RESULTS, data))
+        self.outcome = Outcome(results, self._folder.write_atomic(RESULTS, data))
 
 
 def rehearse_run(

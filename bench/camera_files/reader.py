@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, cast
+from typing import Final
 
 import numpy as np
 
@@ -14,7 +14,6 @@ from bench.camera_files.camera_values import Array, LensFamily, camera_of_form, 
 from bench.camera_files.forms import LARGEST, LONGEST_NAME, Values, cameras_of, form_of
 from bench.camera_files.possible_camera import is_far_from_middle, require_possible_camera
 from bench.camera_files.texts import MOST_FILE_BYTES, OtherForm, values_of
-from bench.record.results import CameraData
 from bench.record.run_folder import RESULTS
 from bench.record.storage import read_bounded
 from bench.record.stored_calibration import camera_covariance, camera_of
@@ -85,7 +84,7 @@ def parse_camera(
         if isinstance(ours, dict) and "camera" in ours:
             size = size_of(ours["image_size"], image_size)
             camera = camera_of(ours["camera"], size)
-            covariance = camera_covariance(cast("CameraData", ours))
+            covariance = camera_covariance(ours["camera"], ours.get("covariance"))
             kind, remarks = "the result of a run", list[str]()
         else:
             form = form_of(syntax, _chosen(cameras_of(syntax, content), name))

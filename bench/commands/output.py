@@ -151,7 +151,7 @@ def print_error(error: Exception, arguments: Sequence[str]) -> int:
     return 2 if isinstance(error, INVALID_FILES) else getattr(error, "exit_status", 1)
 
 
-def error_object(failure: Failure) -> dict[str, str]:
+def error_object(failure: Failure) -> dict[str, object]:
     """Return an error as JSON: ``kind``, ``message`` (all in one sentence or more), ``what``, ``where``, ``remedy``."""
     return {"kind": failure.kind, "message": failure.message, **failure.to_dict()}
 

@@ -5,18 +5,18 @@ An event camera records the light's flicker; a frame camera takes images in stea
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from bench.base.compiled_loops import STARS, compile_loops
 from bench.measure.gates import FILTERS_TO_DISABLE, Gate, recording_gates, rejection_reasons
 from bench.stations.sections import FrameCameraSection
 from bench.stations.station import Station
 from calib.target import StarTarget
-from drivers.camera import CameraSettings, EventCamera, RecordingFacts
-from drivers.camera.frames import FrameCamera, FrameFacts, FrameSettings
+from drivers.camera import CameraSettings, RecordingFacts
+from drivers.camera.frames import FrameFacts, FrameSettings
 from sequences.script import Flicker, RecordStep
 
 if TYPE_CHECKING:  # a plan needs none of these
@@ -25,7 +25,10 @@ if TYPE_CHECKING:  # a plan needs none of these
     from bench.record.measured_facts import RecordingCounts
     from bench.record.results import CameraConditions
     from bench.stations.devices import Camera
+    from drivers.camera import EventCamera
+    from drivers.camera.frames import FrameCamera
 
+Facts = TypeVar("Facts", RecordingFacts, FrameFacts)
 RECORDING_MARGIN_S = 1e-3
 """Time recorded in addition to the whole periods and the one that is cut at the ends, s."""
 
@@ -50,6 +53,20 @@ def recording_duration_s(window_ms: float, frequency_hz: float) -> float:
     return (periods_in_window(window_ms, frequency_hz) + 1) / frequency_hz + RECORDING_MARGIN_S
 
 
+def event_camera(camera: Camera) -> EventCamera:
+    """Return the camera of a station whose file states an event camera; TypeError for another one."""
+    if hasattr(camera, "capture"):
+        raise TypeError("this is a frame camera")
+    return camera
+
+
+def frame_camera(camera: Camera) -> FrameCamera:
+    """Return the camera of a station whose file states a frame camera; TypeError for another one."""
+    if hasattr(camera, "record"):
+        raise TypeError("this is an event camera")
+    return camera
+
+
 class EventKind:
     """An event camera under a flickering light; without a region of interest, the whole sensor sends events."""
 
@@ -72,9 +89,8 @@ class EventKind:
         from drivers.camera.recording import compile_decoder
 
         compile_decoder()
-        event_camera = cast("EventCamera", camera)
-        settings = event_camera.apply(self._settings)
-        filters = event_camera.filters()
+        opened = event_camera(camera)
+        settings, filters = opened.apply(self._settings), opened.filters()
         reasons = [
             f"camera: its {f.upper()} filter cannot be switched off"
             for f in FILTERS_TO_DISABLE
@@ -87,7 +103,7 @@ class EventKind:
     def record(self, camera: Camera, path: Path, step: RecordStep, frequency_hz: float) -> RecordingFacts:
         """Record into a new file, long enough for the window's whole periods at the flicker's frequency."""
         duration_s = recording_duration_s(step.window_ms, frequency_hz)
-        return cast("EventCamera", camera).record(path, duration_s)
+        return event_camera(camera).record(path, duration_s)
 
     def measure(
         self,
@@ -119,13 +135,13 @@ class EventKind:
         self, facts: RecordedData, step: RecordStep, frequency_hz: float, measurement: Measurement
     ) -> tuple[list[Gate], list[str]]:
         """Judge a recording by its numbers: stars, event rate, triggers, flicker and motion."""
-        recorded = _of_events(facts)
+        recorded = _recorded(RecordingFacts, facts)
         gates = recording_gates(recorded, step.gates, frequency_hz, measurement.facts, measurement.stars)
         return gates, rejection_reasons(recorded, step.gates)
 
     def counts(self, facts: RecordedData) -> RecordingCounts:
         """Return what results state about a recording: events, triggers, duration and event rate."""
-        recorded = _of_events(facts)
+        recorded = _recorded(RecordingFacts, facts)
         events, duration_s = recorded.events, recorded.duration_s
         return {
             "events": events,
@@ -137,7 +153,7 @@ class EventKind:
 
     def conditions(self, accepted: Sequence[RecordedData]) -> CameraConditions:
         """Return the camera's state at the last of the accepted recordings, at least one; and the mean temperature."""
-        recorded = [_of_events(facts) for facts in accepted]
+        recorded = [_recorded(RecordingFacts, facts) for facts in accepted]
         last = recorded[-1]
         temperatures = [record.temperature_c for record in recorded if record.temperature_c is not None]
         return {
@@ -146,10 +162,6 @@ class EventKind:
             "temperature_c": sum(temperatures) / len(temperatures) if temperatures else None,
             "illumination_lux": last.illumination_lux,
         }
-
-
-def _of_events(facts: RecordedData) -> RecordingFacts:
-    return RecordingFacts(**cast("Mapping[str, Any]", facts))
 
 
 class FrameKind:
@@ -168,11 +180,11 @@ class FrameKind:
 
     def prepare(self, camera: Camera) -> tuple[dict[str, Any], list[str]]:
         """See `EventKind.prepare`. Sets exposure and gain."""
-        return asdict(cast("FrameCamera", camera).apply(self._settings)), []
+        return asdict(frame_camera(camera).apply(self._settings)), []
 
     def record(self, camera: Camera, path: Path, step: RecordStep, frequency_hz: float) -> FrameFacts:  # noqa: ARG002
         """See `EventKind.record`. Takes the frames."""
-        return cast("FrameCamera", camera).capture(path, self._frames)
+        return frame_camera(camera).capture(path, self._frames)
 
     def measure(
         self,
@@ -200,13 +212,13 @@ class FrameKind:
         """See `EventKind.judge`. Judges stars, saturation and motion."""
         from bench.measure.measure_frames import frame_gates, frame_rejection_reasons
 
-        recorded = _of_frames(facts)
+        recorded = _recorded(FrameFacts, facts)
         gates = frame_gates(recorded, step.gates, measurement)
         return gates, frame_rejection_reasons(recorded)
 
     def counts(self, facts: RecordedData) -> RecordingCounts:
         """See `EventKind.counts`. Number of frames, and percentage of saturated pixels."""
-        recorded = _of_frames(facts)
+        recorded = _recorded(FrameFacts, facts)
         return {
             "pictures": recorded.frames,
             "bits": recorded.bits,
@@ -215,7 +227,7 @@ class FrameKind:
 
     def conditions(self, accepted: Sequence[RecordedData]) -> CameraConditions:
         """See `EventKind.conditions`. Frames per pose, bit depth, and the settings asked for."""
-        last = _of_frames(accepted[-1])
+        last = _recorded(FrameFacts, accepted[-1])
         conditions: CameraConditions = {"pictures": last.frames, "bits": last.bits}
         if self._settings.exposure is not None:
             conditions["exposure"] = self._settings.exposure
@@ -224,8 +236,9 @@ class FrameKind:
         return conditions
 
 
-def _of_frames(facts: RecordedData) -> FrameFacts:
-    return FrameFacts(**cast("Mapping[str, Any]", facts))
+def _recorded(facts_of: Callable[..., Facts], data: RecordedData) -> Facts:
+    """Return the facts of a recording as the driver of this kind of camera has them."""
+    return facts_of(**data)
 
 
 CameraKind = EventKind | FrameKind

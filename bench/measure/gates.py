@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Literal, cast
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
 
 from drivers.camera import RecordingFacts
 from sequences.schema import GateConfig, Waveform
@@ -57,7 +57,13 @@ class Gate:
 
     def as_data(self) -> GateData:
         """Return the gate as results and journal hold it."""
-        return cast("GateData", asdict(self))
+        return {
+            "name": self.name,
+            "value": self.value,
+            "unit": self.unit,
+            "limit": self.limit,
+            "verdict": self.verdict,
+        }
 
 
 def at_least(name: str, value: float, limit: float, unit: str) -> Gate:

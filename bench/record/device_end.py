@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal, cast
+from typing import (
+    Final,
+    Literal,
+    NotRequired,  # pydantic checks these types, on Python 3.11 too
+)
+
+from typing_extensions import TypedDict
 
 DeviceName = Literal["stage", "light", "camera"]
 EndState = Literal["confirmed safe", "not confirmed", "never opened"]
@@ -24,6 +30,14 @@ _UNTOUCHED: Final[Mapping[DeviceName, str]] = {
     "light": "This run did not switch it. The light may be on.",
     "camera": "",
 }
+
+
+class DeviceEndData(TypedDict):
+    """How one device was left, as the journal and JSON hold it (`DeviceEnd`)."""
+
+    device: DeviceName
+    state: EndState
+    said: NotRequired[str]
 
 
 @dataclass(frozen=True)
@@ -48,14 +62,14 @@ class DeviceEnd:
             return ""
         return (_MAY_BE if self.state == "not confirmed" else _UNTOUCHED)[self.device]
 
-    def to_dict(self) -> dict[str, str]:
-        """Return the state as the journal and JSON hold it: ``device``, ``state``, ``said``."""
+    def to_dict(self) -> DeviceEndData:
+        """Return the state as the journal and JSON hold it."""
         return {"device": self.device, "state": self.state, "said": self.said}
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, str]) -> DeviceEnd:
+    def from_dict(cls, data: DeviceEndData) -> DeviceEnd:
         """Read what `to_dict` wrote."""
-        return cls(cast("DeviceName", data["device"]), cast("EndState", data["state"]), data.get("said", ""))
+        return cls(data["device"], data["state"], data.get("said", ""))
 
 
 def all_ends(known: Sequence[DeviceEnd]) -> list[DeviceEnd]:

@@ -16,6 +16,8 @@ from typing import (
 
 from typing_extensions import TypedDict
 
+from bench.base.failure import FailureData
+from bench.record.device_end import DeviceEndData
 from bench.record.journal import CAPTURE_STORED
 from bench.record.measured_facts import GateData, MeasuredFacts, RecordingCounts
 from drivers.lateness import LatenessData
@@ -60,7 +62,7 @@ class Devices(TypedDict):
 class DevicesLeft(TypedDict):
     """Payload of ``devices_left``: each device as in `RunEnded`, asked after the last step that needs devices."""
 
-    devices: Sequence[Mapping[str, str]]
+    devices: Sequence[DeviceEndData]
 
 
 class Event(StrEnum):
@@ -433,15 +435,6 @@ class Deviation(TypedDict):
     wire_log_ended_s: NotRequired[float]
 
 
-class FailureData(TypedDict):
-    """An error as JSON holds it (`bench.base.failure.Failure`)."""
-
-    kind: str
-    what: str
-    where: str
-    remedy: str
-
-
 class RunEnded(TypedDict):
     """Payload of ``run_ended``; ``error`` where the run failed, ``crashed`` where the error was not foreseen.
 
@@ -452,5 +445,5 @@ class RunEnded(TypedDict):
     why: str
     error: NotRequired[FailureData]
     crashed: NotRequired[bool]
-    devices: NotRequired[Sequence[Mapping[str, str]]]
+    devices: NotRequired[Sequence[DeviceEndData]]
     lateness: NotRequired[LatenessData]

@@ -10,14 +10,15 @@ from typing import Any, NamedTuple, ParamSpec
 
 import calib.errors
 from bench.base.errors import JournalBroken
+from bench.base.failure import FailureData
 from bench.base.pasteable import pasteable
+from bench.record.device_end import DeviceEndData
 from bench.record.events import (
     AttemptChecked,
     CaptureStored,
     Commanded,
     Devices,
     Event,
-    FailureData,
     LedgerPlace,
     RunStarted,
     Solved,
@@ -86,9 +87,9 @@ class History:
     started: RunStarted = field(default_factory=_nothing)
     started_utc: str = ""
     devices: Devices = field(default_factory=_nothing)
-    devices_left: Sequence[Mapping[str, str]] = ()
+    devices_left: Sequence[DeviceEndData] = ()
     """How each device was left after the last step that needs devices; empty before, or if nothing states it."""
-    devices_at_end: Sequence[Mapping[str, str]] = ()
+    devices_at_end: Sequence[DeviceEndData] = ()
     """How each device was left at the last end of the run; empty if nothing states it."""
     done_steps: set[int] = field(default_factory=set)
     attempts: list[Attempt] = field(default_factory=list)

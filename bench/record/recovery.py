@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import TYPE_CHECKING, TypedDict, cast
+from typing import TYPE_CHECKING, TypedDict
 
 from bench.record.journal import CAPTURES, Capture, Journal, stored_captures
 from bench.record.run_folder import PART, REPORT, RESULTS, RunFolder
@@ -29,9 +29,7 @@ def recover(folder: RunFolder, journal: Journal) -> Recovered:
     Recordings that are incomplete, changed or not in the journal go to ``quarantine/``; temporary files are deleted.
     """
     stored = stored_captures(journal.entries)
-    by_state: dict[str, list[str]] = {
-        state: [] for state in ("intact", "missing", "changed", "interrupted", "unnamed")
-    }
+    by_state: dict[str, list[str]] = {state: [] for state in ("intact", "changed", "interrupted", "unnamed")}
     make_folder(folder.path / CAPTURES)
     with storage_errors(folder.path):
         for path in [p for p in folder.path.rglob("*") if is_temporary(p)]:
@@ -42,8 +40,13 @@ def recover(folder: RunFolder, journal: Journal) -> Recovered:
             by_state[state].append(name)
             if state != "intact":
                 folder.quarantine(path)
-    by_state["missing"] = sorted(set(stored) - set(by_state["intact"]) - set(by_state["changed"]))
-    return cast("Recovered", by_state)
+    return {
+        "intact": by_state["intact"],
+        "missing": sorted(set(stored) - set(by_state["intact"]) - set(by_state["changed"])),
+        "changed": by_state["changed"],
+        "interrupted": by_state["interrupted"],
+        "unnamed": by_state["unnamed"],
+    }
 
 
 def _state_of(path: Path, capture: Capture | None) -> str:

@@ -16,10 +16,11 @@ from typing import (
 
 from typing_extensions import TypedDict
 
+from bench.base.failure import FailureData
+from bench.record.device_end import DeviceEndData
 from bench.record.events import (
     AttemptData,
     CauseData,
-    FailureData,
     LedgerPlace,
     LightSettingsData,
     StateEntered,
@@ -117,16 +118,6 @@ class WitnessData(TypedDict):
     fault_probability: float
 
 
-class AmplitudeData(TypedDict):
-    """The size of a family of errors, estimated from the views (`calib.model.result_parts.Amplitude`)."""
-
-    name: str
-    value: float
-    log_sigma: float  # 1-sigma of the natural logarithm
-    unit: str
-    expected: float
-
-
 class CameraData(TypedDict):
     """A calibrated camera: what is needed to project, with its uncertainty."""
 
@@ -139,17 +130,10 @@ class CameraData(TypedDict):
     coverage_factors: NotRequired[Numbers]  # The k of each value; empty or missing if all have the common one
 
 
-class EngineData(TypedDict):
-    """The engine that made a calibration."""
-
-    name: str
-    version: int
-
-
 class CalibrationData(CameraData):
     """A calibration (`calib.calibration.Calibration.to_dict`)."""
 
-    engine: EngineData
+    engine: Mapping[str, str | int]  # ``name`` and ``version``
     converged: bool
     iterations: int
     collimator: Numbers | None  # None for a planar model
@@ -168,42 +152,32 @@ class CalibrationData(CameraData):
     budget_rows: Sequence[BudgetRowData]
     not_included: Sequence[str]
     witnesses: Sequence[WitnessData]
-    amplitudes: Sequence[AmplitudeData]
+    amplitudes: Sequence[Mapping[str, str | float]]  # Each `calib.model.result_parts.Amplitude`
 
 
 class Direction(TypedDict):
-    """Expanded uncertainty of a direction; None where nothing determines it."""
-
-    expanded_px: float | None
-    expanded_urad: float | None
-
-
-class KnownDirection(TypedDict):
     """Expanded uncertainty of a direction."""
 
     expanded_px: float
     expanded_urad: float
+    corner: NotRequired[str]  # ``top left`` ..., of the corner of the sensor with the largest uncertainty
 
 
-class CornerDirection(KnownDirection):
-    """The corner of the sensor with the largest uncertainty: ``top left`` ..."""
-
-    corner: str
-
-
-class SupportedPart(Direction):
+class SupportedPart(TypedDict):
     """The part of the sensor with stars near: ``reach_px`` to the next star; its share, and the largest U there."""
 
     reach_px: float
     share: float
+    expanded_px: float | None  # None, as the next, where nothing determines a direction
+    expanded_urad: float | None
 
 
 class ProjectionData(TypedDict):
     """Uncertainty of directions over the sensor."""
 
     coverage_factor: float
-    worst_corner: CornerDirection
-    median: KnownDirection
+    worst_corner: Direction
+    median: Direction
     supported: SupportedPart | None
 
 
@@ -232,33 +206,14 @@ class ReadingsStatement(TypedDict):
     eccentricity_deg: float
 
 
-class ParallaxBound(TypedDict):
-    """The parallax that follows from the stated defocus and the stated place of the entrance pupil."""
-
-    defocus: float
-    defocus_sigma: float
-    pupil_off_pivot_mm: float
-    pupil_off_pivot_sigma_mm: float
-    pupil_beside_axes_mm: NotRequired[float]  # 1-sigma; earlier versions did not state it
-    parallax: NotRequired[float]  # Missing, as its sigma, without a collimator
-    parallax_sigma: NotRequired[float]
-
-
 class GimbalReadingsData(TypedDict):
     """Whether the readings of the gimbal entered the calibration, with what statement, or why not."""
 
     entered: bool
     statement: ReadingsStatement | None
-    bound: ParallaxBound | None
+    # A `calib.model.gimbal_readings.ParallaxBound`; ``parallax`` and ``parallax_sigma`` with a collimator.
+    bound: Numbers | None
     why_not: str | None
-
-
-class GimbalPairs(TypedDict):
-    """Angle seen over angle read, over all pairs of poses."""
-
-    ratio: float
-    spread: float
-    count: int
 
 
 class GimbalFaultData(TypedDict):
@@ -283,7 +238,7 @@ class GimbalCheckData(TypedDict):
     excess_arcsec: float
     verdict: str
     says: Sequence[str]
-    pairs: GimbalPairs | None
+    pairs: Numbers | None  # ``ratio spread count`` of angle seen over angle read, over all pairs of poses
     slip: GimbalFaultData | None
     faults: Sequence[GimbalFaultData]
 
@@ -441,39 +396,23 @@ class PreviousData(TypedDict):
     change: NotRequired[ChangeData | None]
 
 
-class SourceData(TypedDict):
-    """An input file of a calibration without devices."""
-
-    view: str
-    path: str
-    size_bytes: int
-    sha256: str
-
-
-class Stated(TypedDict):
-    """A value with its standard uncertainty."""
-
-    value: float
-    sigma: float
-
-
 class ParallaxData(TypedDict, total=False):
     """Where the entrance pupil is by the parallax test, or ``why_not``."""
 
     why_not: str
     walk_mm: Sequence[Any]  # Of the centre of the disc, by axis of the gimbal
     walk_covariance_mm2: Sequence[Any]
-    pupil_off_pivot_mm: Stated
+    pupil_off_pivot_mm: Numbers  # ``value`` and ``sigma``, as those that follow
     axes_differ: bool
     difference_in_sigmas: float
     without_rim: Sequence[str]
     station_entry: str
-    stated_mm: Stated | None  # Of the station file
+    stated_mm: Numbers | None  # Of the station file
     defocus: (
         Mapping[str, Any] | None
     )  # ``value``, ``sigma``, ``source``; None, as the rest, if none is stated
-    parallax: Stated | None
-    fx_px: Stated | None
+    parallax: Numbers | None
+    fx_px: Numbers | None
     says: Sequence[str]
 
 
@@ -481,6 +420,7 @@ class Results(TypedDict):
     """The content of results.json of a run, or of a calibration from files without devices."""
 
     schema: str
+    rehearsal: NotRequired[bool]  # Nothing was measured
     run: RunData
     devices: NotRequired[Mapping[str, Any]]  # Identities, as the journal's ``devices`` holds them
     conditions: NotRequired[Conditions]
@@ -500,9 +440,10 @@ class Results(TypedDict):
     deviations: NotRequired[Sequence[str]]
     holds: NotRequired[Sequence[str]]  # Pauses that a person asked for and ended
     failures: NotRequired[Sequence[FailureData]]
-    devices_left: NotRequired[Sequence[Mapping[str, str]]]
+    devices_left: NotRequired[Sequence[DeviceEndData]]
     states: NotRequired[Sequence[StateEntered]]
-    sources: NotRequired[Sequence[SourceData]]
+    # ``view path size_bytes sha256`` of each input file of a calibration without devices
+    sources: NotRequired[Sequence[Mapping[str, str | int]]]
     truth: NotRequired[Mapping[str, Any] | None]
     comparison: NotRequired[Sequence[ComparisonRow]]
     previous: NotRequired[PreviousData]

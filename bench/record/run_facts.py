@@ -210,9 +210,9 @@ def with_results(details: JournalDetails, folder: Path) -> RunDetails:
     try:
         facts = _from_results(results, fault)
     except (AttributeError, LookupError, TypeError, ValueError):
-        results, fault = cast("Results", {}), f"{RESULTS} was written by another program."
+        results, fault = None, f"{RESULTS} was written by another program."
         facts = _from_results(results, fault)
-    notes = _part(results.get("calibration")).get("notes", [])
+    notes = _part(_part(results).get("calibration")).get("notes", [])
     warnings = [str(note) for note in notes] if isinstance(notes, list) else []
     warnings += [*details["warnings"], *([fault] if fault else [])]
     return {**details, **facts, "warnings": warnings}
@@ -235,7 +235,8 @@ def _conditions(history: History) -> RunConditions:
     }
 
 
-def _from_results(results: Results, fault: str | None) -> ResultFacts:
+def _from_results(stored: Results | None, fault: str | None) -> ResultFacts:
+    results = _part(stored)
     run, calibration = _part(results.get("run")), _part(results.get("calibration"))
     corner = _part(_part(results.get("projection")).get("worst_corner"))
     conformity = _part(results.get("conformity"))
@@ -267,21 +268,20 @@ def _named_hash(entries: Sequence[Entry]) -> str | None:
     return None
 
 
-def _results(named: str | None, folder: Path) -> tuple[Results, str | None]:
-    """Return results.json of a hash, empty where it cannot be used, and what is wrong with it as a sentence."""
-    nothing = cast("Results", {})
+def _results(named: str | None, folder: Path) -> tuple[Results | None, str | None]:
+    """Return results.json of a hash, None where it cannot be used, and what is wrong with it as a sentence."""
     if named is None:
-        return nothing, None
+        return None, None
     try:
         data = read_bounded(folder / RESULTS)
     except BenchError as error:
-        return nothing, f"{RESULTS} cannot be read: {error.what}"
+        return None, f"{RESULTS} cannot be read: {error.what}"
     if hashlib.sha256(data).hexdigest() != named:
-        return nothing, f"{RESULTS} was changed: its SHA-256 is not the one in the journal."
+        return None, f"{RESULTS} was changed: its SHA-256 is not the one in the journal."
     try:
         return object_of(data, folder / RESULTS), None
     except BenchError as error:
-        return nothing, f"{RESULTS} cannot be read: {error.what}"
+        return None, f"{RESULTS} cannot be read: {error.what}"
 
 
 def _type_of(device: DeviceData) -> str:

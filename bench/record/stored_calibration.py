@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
 
-from bench.record.results import CalibrationData, CameraData
+from bench.record.results import CalibrationData, CovarianceData
 from calib.arrays import Array
 from calib.calibration import Calibration, ViewSummary
 from calib.model.camera import PINHOLE, CameraModel
@@ -76,11 +76,10 @@ def camera_of(values: Mapping[str, float], image_size: Sequence[int]) -> CameraM
     return CameraModel(fx, fy, cx, cy, (width, height), lens)
 
 
-def camera_covariance(calibration: CameraData) -> Array | None:
-    """Return the covariance, (K, K), of ``calibration.camera``; None if it is not stated for all values."""
-    covariance = calibration.get("covariance") or {"names": [], "matrix": []}
-    values = list(calibration["camera"])
-    if not set(values) <= set(covariance["names"]):
+def camera_covariance(camera: Iterable[str], covariance: CovarianceData | None) -> Array | None:
+    """Return the covariance, (K, K), of the values of ``camera``; None if it is not stated for all of them."""
+    values = list(camera)
+    if covariance is None or not set(values) <= set(covariance["names"]):
         return None
     at = [covariance["names"].index(name) for name in values]
     return np.array(covariance["matrix"], dtype=np.float64)[np.ix_(at, at)]

@@ -218,7 +218,7 @@ def change_maps(then: CameraData, now: CameraData) -> tuple[Array, Array, Array]
     """
     of_both = []
     for calibration in (then, now):
-        covariance = camera_covariance(calibration)
+        covariance = camera_covariance(calibration["camera"], calibration.get("covariance"))
         if covariance is None:
             return None
         camera = camera_of(calibration["camera"], calibration["image_size"])

@@ -225,7 +225,7 @@ def camera_plots(
 ) -> dict[str, str]:
     """Draw for a certificate what camera and covariance give, in arcsec, without labels for those who do not see it."""
     calibration = results["calibration"]
-    covariance = camera_covariance(calibration)
+    covariance = camera_covariance(calibration["camera"], calibration.get("covariance"))
     if covariance is None:
         return {}
     camera = camera_of(calibration["camera"], calibration["image_size"])

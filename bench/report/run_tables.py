@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from bench.record.device_end import DeviceEnd
-from bench.record.events import FailureData, LedgerPlace
+from bench.base.failure import FailureData
+from bench.record.device_end import DeviceEnd, DeviceEndData
+from bench.record.events import LedgerPlace
 from bench.record.results import (
     CheckData,
     GimbalEstimateData,
     GimbalReadingsData,
-    ParallaxBound,
+    Numbers,
     ParallaxData,
     PassportData,
     Results,
@@ -171,7 +172,7 @@ def _agreement(estimate: GimbalEstimateData | None) -> str:
     )
 
 
-def _bound(bound: ParallaxBound) -> str:
+def _bound(bound: Numbers) -> str:
     text = (
         f"parallax bounded by a defocus of {bound['defocus']:g}, standard uncertainty {bound['defocus_sigma']:g}, "
         f"and a pupil {bound['pupil_off_pivot_mm']:g} mm off the pivot, standard uncertainty "
@@ -220,7 +221,7 @@ def connections(identified: Mapping[str, Any]) -> list[tuple[str, str]]:
     return [(_readable(name), str(value)) for name, value in (identified.get("connections") or {}).items()]
 
 
-def left(ends_of_devices: Sequence[Mapping[str, str]]) -> list[tuple[str, str, str]]:
+def left(ends_of_devices: Sequence[DeviceEndData]) -> list[tuple[str, str, str]]:
     """List device, state, and answer (or what may be the case) after the last step that needs devices."""
     ends = [DeviceEnd.from_dict(end) for end in ends_of_devices]
     return [(end.device, end.state, " ".join(filter(None, (end.said, end.advice)))) for end in ends]

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
-from typing import Any, cast
+from typing import Any
 
+from bench.measure.camera_kinds import event_camera
 from bench.plan.job import Job
 from bench.record import events
 from bench.record.device_end import NOT_ASKED, DeviceEnd, all_ends, lost_ends, unsafe_devices
@@ -16,7 +17,6 @@ from bench.run.interlocks import (
     loss_text,
 )
 from bench.stations.devices import Devices, left_devices
-from drivers.camera import EventCamera
 from drivers.errors import DriverError, WrongDevice
 
 PROBE = "probe.raw"
@@ -112,7 +112,7 @@ class RunDevices:
         if self._devices is not None:
             ends = [end.to_dict() for end in all_ends(self._devices.make_each_safe())]
         elif history.devices_at_end:
-            ends = [dict(end) for end in history.devices_at_end]
+            ends = list(history.devices_at_end)
         else:
             ends = [end.to_dict() for end in lost_ends(NOT_ASKED)]
         self._log.write(events.DevicesLeft, devices=ends)
@@ -148,7 +148,7 @@ class RunDevices:
         """Read the temperature of the event camera's sensor, degrees Celsius; None if it is not known."""
         if self._devices is None or not self._is_event_camera:
             return None
-        return cast("EventCamera", self._devices.camera).temperature_c()
+        return event_camera(self._devices.camera).temperature_c()
 
     def last_mev_s(self) -> float:
         """Return the event rate of the last recording, millions a second; 0 without one, or after a dark one."""
@@ -164,7 +164,7 @@ class RunDevices:
             return 0.0
         part = self._folder.part_path(PROBE)
         try:
-            facts = cast("EventCamera", self.opened.camera).record(part, duration_s)
+            facts = event_camera(self.opened.camera).record(part, duration_s)
         finally:
             with storage_errors(part):
                 part.unlink(missing_ok=True)

@@ -5,11 +5,11 @@ However a run ends, the stage is stopped, the light is off and the camera is sto
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Literal, NotRequired, TypedDict, cast
+from typing import Literal, NotRequired, TypedDict
 
 from bench.base.clock import Aborted, BenchClock, Interrupted
 from bench.base.errors import StorageError
@@ -17,8 +17,8 @@ from bench.base.failure import FORESEEN, Failure
 from bench.base.progress import Progress
 from bench.plan.job import DEVICE_STEPS, Job, ScriptStep
 from bench.record import events
-from bench.record.device_end import DeviceEnd
-from bench.record.events import Entering, FailureData, LeftOff
+from bench.record.device_end import DeviceEnd, DeviceEndData
+from bench.record.events import Entering, LeftOff
 from bench.record.history import way_on
 from bench.record.journal import Journal
 from bench.record.recovery import WIRE_LOG
@@ -56,7 +56,7 @@ End = Literal["finished", "aborted", "failed"]
 class _EndData(TypedDict):
     """What every end of a run adds to its line of the journal."""
 
-    devices: Sequence[Mapping[str, str]]
+    devices: Sequence[DeviceEndData]
     lateness: NotRequired[LatenessData]
 
 
@@ -242,7 +242,7 @@ class Runner:
         if failure is None:
             self.context.log.write(events.RunEnded, how=how, why=why, **self._end_data())
             return
-        error, data = cast("FailureData", failure.to_dict()), self._end_data()
+        error, data = failure.to_dict(), self._end_data()
         if crashed:
             self.context.log.write(events.RunEnded, how=how, why=why, error=error, crashed=True, **data)
         else:

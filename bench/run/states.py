@@ -7,9 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import asdict
 from functools import partial
-from typing import Any, Final, cast
+from typing import Any, Final, Literal
 
 from bench.base.clock import Aborted
 from bench.base.errors import PreflightFailed
@@ -19,6 +18,7 @@ from bench.measure.measure import Measurement
 from bench.measure.verdict import judged
 from bench.plan.job import Job, ScriptStep
 from bench.record import events
+from bench.record.as_data import as_data
 from bench.record.journal import capture_name
 from bench.record.recovery import recover, written_files
 from bench.record.storage import storage_errors
@@ -43,7 +43,7 @@ from sequences.script import (
     WaitStep,
 )
 
-OPTIONAL: Final = ("firmware_built", "link_mbit_s")
+OPTIONAL: Final[tuple[Literal["firmware_built", "link_mbit_s"], ...]] = ("firmware_built", "link_mbit_s")
 """Parts of a camera's identity that are left out where the camera does not state them."""
 NOT_STATED: Final = "not stated by the device"
 HOLD_POLL_S = 0.1  # A person does not notice it
@@ -69,11 +69,14 @@ def preflight(devices: Devices, job: Job) -> events.Devices:
             f"The bench is not ready: {'; '.join(reasons)}.",
             remedy="Correct this and run again.",
         )
-    stated = {name: value for name, value in asdict(camera).items() if name not in OPTIONAL or value}
+    stated = as_data(camera, events.CameraDeviceData)
+    for name in OPTIONAL:
+        if not stated[name]:
+            del stated[name]
     identities: events.Devices = {
-        "camera": cast("events.CameraDeviceData", {**stated, "lens": job.station.camera.lens}),
-        "stage": [cast("events.DeviceData", asdict(axis)) for axis in stage],
-        "light": cast("events.DeviceData", asdict(light)),
+        "camera": {**stated, "lens": job.station.camera.lens},
+        "stage": [as_data(axis, events.DeviceData) for axis in stage],
+        "light": as_data(light, events.DeviceData),
         "camera_settings": settings,
     }
     if job.camera_kind.name == "event":
@@ -209,8 +212,8 @@ class StateWork:
             commanded_deg=dict(pose.angles_deg),
             measured_deg=before,
             measured_after_deg=after,
-            light=cast("events.LightSettingsData", asdict(light)),
-            facts=cast("events.RecordedData", asdict(facts)),
+            light=as_data(light, events.LightSettingsData),
+            facts=as_data(facts, events.RecordedData),
             **({"asleep_s": round(asleep_s, 1)} if asleep_s > _ASLEEP_S else {}),
         )
         self._begun = {capture.name: self._begin_measuring(step, attempt)}

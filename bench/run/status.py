@@ -16,7 +16,7 @@ from bench.base.pasteable import pasteable
 from bench.evidence.authorisations import known_authorisations
 from bench.evidence.states import home_trust, shown_state
 from bench.record.coverage import estimates, factors_text
-from bench.record.device_end import NO_END, NOT_ASKED, DeviceEnd, all_ends, lost_ends
+from bench.record.device_end import NO_END, NOT_ASKED, DeviceEnd, DeviceEndData, all_ends, lost_ends
 from bench.record.events import (
     AttemptChecked,
     Commanded,
@@ -177,7 +177,7 @@ class Status:
     report: str = ""  # Path of its report, or of the page of a run that ended early; empty while it has none
     # How stage, light and camera were left: ``device``, ``state``, ``said``. Empty while a process works on
     # the run.
-    devices: Sequence[Mapping[str, str]] = ()
+    devices: Sequence[DeviceEndData] = ()
     busy: str = ""  # How late a busy computer was, as text; empty if the journal does not say
     lateness: LatenessData = field(default_factory=LatenessData)  # The same in seconds (`drivers.lateness`)
     ledger_number: int | None = None  # Number in the ledger of its bench; None for a rehearsal
@@ -340,7 +340,7 @@ def evidence_text(folder: Path, now: datetime) -> str:
     return shown_state(folder, home_trust(home), now, known_authorisations(home)).text
 
 
-def _devices_left(history: History) -> tuple[Mapping[str, str], ...]:
+def _devices_left(history: History) -> tuple[DeviceEndData, ...]:
     """Return how each device was left, by the last line that states it; a process that was killed states nothing."""
     stated = history.devices_at_end or history.devices_left
     if stated or history.ended:

@@ -10,17 +10,16 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from bench.base.clock import BenchClock
 from bench.base.errors import UsageError
-from bench.measure.camera_kinds import camera_kind
+from bench.measure.camera_kinds import camera_kind, event_camera
 from bench.stations.devices import Devices
 from bench.stations.station import Station
-from drivers.camera import EventCamera
 from drivers.camera.event_arrays import Events, Triggers
 from drivers.camera.raw_file import RawFile
 from sequences.script import Flicker
@@ -69,7 +68,7 @@ def check_wiring(devices: Devices, station: Station, clock: BenchClock) -> Wirin
         raise UsageError(
             "The wiring test needs an event camera.", remedy="Give a station file with an event camera."
         )
-    camera = cast("EventCamera", devices.camera)
+    camera = event_camera(devices.camera)
     devices.light.identify()
     camera.identify()
     kind.prepare(camera)

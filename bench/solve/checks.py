@@ -14,11 +14,10 @@ from bench.measure.expected_grid import engine_angles_deg
 from bench.record.results import (
     GimbalCheckData,
     GimbalFaultData,
-    GimbalPairs,
     HalvesData,
     MountFaceData,
+    Numbers,
     ParallaxData,
-    Stated,
 )
 from bench.stations.station import Station
 from bench.stations.station_budget import GimbalConfig
@@ -106,7 +105,7 @@ def _focal_uncertainty(calibration: Calibration) -> float | None:
     return max(shares, default=None)
 
 
-def _pairs(pairs: PairRatios) -> GimbalPairs:
+def _pairs(pairs: PairRatios) -> Numbers:
     """Return the ratios of the pairs of poses, for results.json."""
     return {"ratio": pairs.ratio, "spread": pairs.spread, "count": pairs.count}
 
@@ -189,7 +188,7 @@ def _parallax(walk: PupilWalk, calibration: Calibration, station: Station) -> Pa
     )
 
 
-def _stated(station: Station) -> Stated | None:
+def _stated(station: Station) -> Numbers | None:
     """Return the place of the pupil that the station states, mm."""
     off = station.gimbal.pupil_off_pivot_mm if station.gimbal is not None else None
     return None if off is None else {"value": off.value, "sigma": off.sigma}

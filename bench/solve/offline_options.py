@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Self, cast
+from typing import Self
 
 from bench.base.errors import UsageError
 from bench.base.image_size import parse_image_size
@@ -23,6 +23,7 @@ from calib.calibration import REFERENCE_MODELS, ModelName
 from calib.engine import CalibrationOptions
 from calib.errors import CalibrationError
 from calib.target import StarTarget
+from sequences.schema import ImageKind
 from sequences.script import SolveStep
 from sequences.solve_schema import Readings
 
@@ -59,7 +60,7 @@ class OfflineOptions:
     readings: Readings | None = None
     image_size: tuple[int, int] | None = None  # Width and height for point files, px
     view_numbers: tuple[int, ...] | None = None  # Numbers of the views to use, from 1; None for all
-    image: str = "auto"  # Kind of event image for RAW captures
+    image: ImageKind = "auto"  # Kind of event image for RAW captures
     origin: Origin = "corner"  # Pixel origin of point files
     target: StarTarget = field(default_factory=StarTarget)
     # The board at finite distance that the views show in place of the star target; None for the star target.
@@ -74,11 +75,11 @@ class OfflineOptions:
     def from_command_line(
         cls,
         *,
-        model: str | None = None,
+        model: ModelName | None = None,
         distortion: str | None = None,
         image_size: str | None = None,
         views: str | None = None,
-        origin: str = "corner",
+        origin: Origin = "corner",
         station: str | None = None,
         passport: str | None = None,
         board: str | None = None,
@@ -101,13 +102,13 @@ class OfflineOptions:
         named = passport if passport != NO_PASSPORT else None
         target, station_file = _target_of_station(station)
         made = cls(
-            model=cast("ModelName | None", model),
+            model=model,
             distortion=distortion,
             passport=passport_of_file(Path(named)) if named else None,
             without_passport=passport == NO_PASSPORT,
             image_size=parse_image_size(image_size),
             view_numbers=_parse_view_numbers(views),
-            origin=cast("Origin", origin),
+            origin=origin,
             target=target,
             board=shown,
             reconstruct_hz=reconstruct_hz,

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from bench.measure.kept_views import KeptViews, view_key
 from bench.measure.measure import Measurement
 from bench.measure.views_file import VIEWS, StoredView, views_file
 from bench.plan.job import Job
+from bench.record.as_data import as_data
 from bench.record.coverage import coverage_factor
 from bench.record.events import CauseData, Solved, VerdictData
 from bench.record.history import History
@@ -102,7 +103,7 @@ class ResultWriter:
         causes = causes_of_run(
             self._job, history, self._solution.calibration, partial(self._last_results, history)
         )
-        return {**solved, "causes": [cast("CauseData", cause.to_dict()) for cause in causes]}
+        return {**solved, "causes": [as_data(cause, CauseData) for cause in causes]}
 
     def _last_results(self, history: History) -> Results | None:
         """Return the results of the last run of this sequence with this camera on this bench; None without any."""
@@ -198,12 +199,13 @@ def _compared(run: LedgerRun, last: Results, sha256: str, results: Results) -> P
     """Return the earlier calibration with the change of the projection, in px and in units of its uncertainty."""
     try:
         _refuse_other_camera(last, results)
-        covariance = camera_covariance(last["calibration"])
+        then = last["calibration"]
+        covariance = camera_covariance(then["camera"], then.get("covariance"))
     except (KeyError, TypeError, AttributeError) as error:
         raise NotComparableError("its results are not readable.") from error
     if covariance is None:
         raise NotComparableError("its uncertainties are not complete.")
-    then, run_of, conditions = last["calibration"], last["run"], last.get("conditions")
+    run_of, conditions = last["run"], last.get("conditions")
     earlier: CameraData = {
         "image_size": list(then["image_size"]),
         "model": then["model"],

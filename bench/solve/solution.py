@@ -188,8 +188,12 @@ def stated_camera_check(job: Job, step: SolveStep, calibration: Calibration) -> 
     stated = job.plan.checked.in_use
     if stated is None or step.checked is None:
         return None
-    check = compared_with(stated.file, calibration)
-    return cast("CheckData", {**check.to_dict(), "stated": stated.to_dict()})
+    return {**check_data(compared_with(stated.file, calibration)), "stated": stated.to_dict()}
+
+
+def check_data(check: CameraCheck) -> CheckData:
+    """Return ``check`` of results.json, without what it says of the stated file."""
+    return cast("CheckData", check.to_dict())
 
 
 def compared_with(stated: CameraFile, calibration: Calibration) -> CameraCheck:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -135,11 +135,11 @@ def readings_result(
     }
 
 
-def _bound(calibration: Calibration, readings: GimbalReadings | None) -> results.ParallaxBound | None:
+def _bound(calibration: Calibration, readings: GimbalReadings | None) -> results.Numbers | None:
     bound = readings.parallax if readings else None
     if bound is None:
         return None
-    stated = cast("results.ParallaxBound", asdict(bound))
+    stated = asdict(bound)
     if calibration.collimator is None:
         return stated
     parallax, sigma = bound.mean_and_sigma(calibration.collimator.r)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 from numpy.typing import NDArray
 
@@ -29,7 +29,6 @@ from calib.errors import InputMismatch, TargetNotFound, TooFewStars
 from calib.view import View
 from drivers.camera.file_kinds import in_place_of_file, kind_of_file, unread_picture
 from drivers.errors import DriverError, RecordingCorrupt, RecordingFileError
-from sequences.schema import ImageKind
 from sequences.script import RecordStep
 
 if TYPE_CHECKING:  # what finds stars is loaded where stars are found: views may be kept from before
@@ -174,7 +173,7 @@ def _run_sources(folder: Path, choices: OfflineOptions) -> Iterator[ViewSource]:
             yield ViewSource(path, read, decided_by=_decided_by("recording", path, choices))
             continue
         step = job.record_step(index)
-        step = step if choices.image == "auto" else replace(step, image=cast("ImageKind", choices.image))
+        step = step if choices.image == "auto" else replace(step, image=choices.image)
         read = partial(_view_of_run, job, path, step, grid_from_journal(attempt))
         decided_by = decided_by_run(job, step, attempt)
         yield ViewSource(path, read, job=job, started=history.started, attempt=attempt, decided_by=decided_by)

@@ -24,7 +24,7 @@ from bench.extras.certificate.lab_config import ItemConfig
 from bench.extras.certificate.limits import limits_of_others
 from bench.record.events import LightSettingsData
 from bench.record.measured_facts import GateData
-from bench.record.results import BoresightData, CalibrationData, CameraConditions, KnownDirection, Results
+from bench.record.results import BoresightData, CalibrationData, CameraConditions, Direction, Results
 from bench.record.stored_calibration import camera_covariance, camera_of
 from bench.wording.parameters import unit_of
 from calib.uncertainty.projection_uncertainty import URAD_PER_ARCSEC, projection_uncertainty
@@ -116,7 +116,7 @@ def further_of(results: Results) -> tuple[FurtherResult, ...]:
 
 def _at_centre(calibration: CalibrationData) -> list[FurtherResult]:
     """Return the expanded uncertainty of the projection in the centre of the image."""
-    covariance = camera_covariance(calibration)
+    covariance = camera_covariance(calibration["camera"], calibration.get("covariance"))
     if covariance is None:
         return []
     projection_map = projection_uncertainty(
@@ -124,7 +124,7 @@ def _at_centre(calibration: CalibrationData) -> list[FurtherResult]:
     )
     row, column = (size // 2 for size in projection_map.sigma_px.shape)
     k = float(calibration["coverage_factor"])
-    centre: KnownDirection = {
+    centre: Direction = {
         "expanded_px": k * float(projection_map.sigma_px[row, column]),
         "expanded_urad": k * float(projection_map.sigma_arcsec[row, column]) * URAD_PER_ARCSEC,
     }
@@ -159,7 +159,7 @@ def _boresight(boresight: BoresightData | None) -> Iterator[FurtherResult]:
         )
 
 
-def _projection(id_: str, name: str, direction: KnownDirection) -> list[FurtherResult]:
+def _projection(id_: str, name: str, direction: Direction) -> list[FurtherResult]:
     return [
         _further(id_, name, float(direction["expanded_px"]), "px"),
         _further(id_, name, float(direction["expanded_urad"]) / URAD_PER_ARCSEC, "arcsec"),

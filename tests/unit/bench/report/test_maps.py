@@ -42,7 +42,7 @@ def test_the_distortion_curve_is_brown_s_with_the_propagated_uncertainty(data):
     calibration = data.results["calibration"]
     camera, covariance = (
         camera_of(calibration["camera"], calibration["image_size"]),
-        camera_covariance(calibration),
+        camera_covariance(calibration["camera"], calibration["covariance"]),
     )
     angles = np.linspace(0, 12, 25)
     shown, sigma = displacement(camera, covariance, angles)
