@@ -6,12 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
+from bench.record.as_data import as_data
+from bench.record.measured_facts import GateData
 from drivers.camera import RecordingFacts
 from sequences.schema import GateConfig, Waveform
 from sequences.script import Gates
 
 if TYPE_CHECKING:
-    from bench.record.measured_facts import GateData, MeasuredFacts
+    from bench.record.measured_facts import MeasuredFacts
 
 Verdict = Literal["pass", "marginal", "fail"]
 
@@ -57,13 +59,7 @@ class Gate:
 
     def as_data(self) -> GateData:
         """Return the gate as results and journal hold it."""
-        return {
-            "name": self.name,
-            "value": self.value,
-            "unit": self.unit,
-            "limit": self.limit,
-            "verdict": self.verdict,
-        }
+        return as_data(self, GateData)
 
 
 def at_least(name: str, value: float, limit: float, unit: str) -> Gate:
