@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +24,7 @@ from bench.commands.output import JSON, NOT_KEPT, left_out_lines, show, wants_js
 from bench.commands.workers import WORKERS, LiveLine, open_workers, views_line
 from bench.measure.kept_views import FOLDER
 from bench.record.coverage import factors_text
+from bench.record.storage import new_output
 from bench.solve.offline_options import OfflineOptions
 from bench.wording.numbers import with_uncertainty
 from bench.wording.parameters import unit_text
@@ -236,18 +237,17 @@ def _calibrate_together(paths: list[Path], options: OfflineOptions, output: Path
     from bench.measure.kept_views import KeptViews
     from bench.record.run_folder import REPORT
     from bench.solve.offline import calibrate_paths
-    from bench.solve.offline_folder import require_new, write_offline_results
+    from bench.solve.offline_folder import write_offline_results
 
-    if output is not None:
-        require_new(output)
-    key = None if output is None else key_or_draft()
     kept = KeptViews.of_bench()
-    with views_line(quiet=wants_json()) as progress:
-        result = calibrate_paths(paths, options, kept, progress)
-    for remark in kept.remarks:
-        click.echo(remark, err=True)
-    if output is not None:
-        write_offline_results(result, output, key)
+    with new_output(output) if output is not None else nullcontext() as part:
+        key = None if output is None else key_or_draft()
+        with views_line(quiet=wants_json()) as progress:
+            result = calibrate_paths(paths, options, kept, progress)
+        for remark in kept.remarks:
+            click.echo(remark, err=True)
+        if output is not None and part is not None:
+            write_offline_results(result, output.resolve().name, part, key)
     if not wants_json():
         for line in left_out_lines(result.skipped):
             click.echo(line, err=True)

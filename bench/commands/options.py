@@ -187,12 +187,11 @@ class NewFile(_Path):
 
     def check(self, path: Path) -> None:
         """Check that the name is free and the folder exists."""
-        if path.exists() or path.is_symlink():
-            raise UsageError(
-                "A file or folder with this name already exists.",
-                where=str(path),
-                remedy="Choose another name.",
-            )
+        from bench.record.storage import require_free
+
+        require_free(path)
+        if path.is_dir():
+            raise UsageError("This is a folder, not a file.", where=str(path), remedy="Name a new file.")
         if not path.parent.is_dir():
             raise UsageError(
                 f"There is no folder {path.parent}.", where=str(path), remedy="Create the folder first."

@@ -56,22 +56,24 @@ def passport_make(
     paths: tuple[Path, ...], output: Path, collimator: str | None, temperature_c: float | None, **options: Any
 ) -> int:
     """Make a collimator's passport from the views in one or more PATHs."""
+    from bench.record.storage import new_output
     from bench.solve.offline import calibrate_paths
     from bench.solve.offline_options import OfflineOptions
-    from bench.solve.passports import passport_from_calibration, seals_of, write_passport
+    from bench.solve.passports import passport_from_calibration, sealed_bytes, seals_of
 
-    key = _key()
-    with views_line() as progress:
-        result = calibrate_paths(paths, OfflineOptions.from_command_line(**options), progress=progress)
-    made = passport_from_calibration(
-        result.calibration,
-        collimator=collimator or result.collimator.serial,
-        temperature_c=temperature_c if temperature_c is not None else result.collimator.temperature_c,
-        now=datetime.now(UTC),
-        sources=[str(path) for path in paths],
-        seals=seals_of(paths),
-    )
-    write_passport(output, made, key)
+    with new_output(output) as part:
+        key = _key()
+        with views_line() as progress:
+            result = calibrate_paths(paths, OfflineOptions.from_command_line(**options), progress=progress)
+        made = passport_from_calibration(
+            result.calibration,
+            collimator=collimator or result.collimator.serial,
+            temperature_c=temperature_c if temperature_c is not None else result.collimator.temperature_c,
+            now=datetime.now(UTC),
+            sources=[str(path) for path in paths],
+            seals=seals_of(paths),
+        )
+        part.write_bytes(sealed_bytes(made, key))
     for line in left_out_lines(result.skipped):
         click.echo(line, err=True)
     for line in (*offline_lines(result), f"Passport: {output}"):

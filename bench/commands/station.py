@@ -99,11 +99,11 @@ def _lines(target: TargetConfig, optics: Optics, use: TargetUse) -> Iterator[str
 
 def _draw(target: TargetConfig, path: Path) -> int:
     """Write the drawing of a target, never over an existing file."""
-    from bench.record.storage import write_atomic
+    from bench.record.storage import write_new
     from bench.stations.reticle_files import drawing_file
     from bench.stations.target_shapes import title_of
 
-    write_atomic(path, drawing_file(target, path))
+    write_new(path, drawing_file(target, path))
     width, height = target.size_mm
     opaque = "black" if target.polarity == "positive" else "white"
     what = f"{title_of(target)}; {width:.6g} x {height:.6g} mm; {target.polarity}"
@@ -232,7 +232,7 @@ def station_new(
     asked only if you agree. Standa and Thorlabs controllers are asked at ports that carry their maker's name, and at
     --port.
     """
-    from bench.record.storage import write_atomic
+    from bench.record.storage import write_new
     from bench.stations.asked_devices import RESTARTS, ask_light, ask_stage
     from bench.stations.discovery import discover
     from bench.stations.placeholders import UNKNOWN_SERIAL
@@ -248,7 +248,7 @@ def station_new(
                 f"--{option} is not used with --stand-ins, which takes light and camera of the simulated bench.",
                 remedy=f"Leave out --{option}. --stand-ins names the light, --stage the stage.",
             )
-        write_atomic(path, draft_stand_ins(stand_ins, stage).encode())
+        write_new(path, draft_stand_ins(stand_ins, stage).encode())
         show(
             {"station": str(path)},
             [f"Written: {path}. Check it with: {pasteable('plan', 'three_pose', '-s', path)}"],
@@ -265,7 +265,7 @@ def station_new(
     draft = draft_station(
         discovery, stage=stage, light=light, camera=camera, asked=asked, certified=certified_length()
     )
-    write_atomic(path, draft.encode())
+    write_new(path, draft.encode())
     for device in asked:
         if device is not None:
             click.echo(f"It answered: {device.what} at {device.port}.")

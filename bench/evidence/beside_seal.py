@@ -17,8 +17,9 @@ from pathlib import Path
 from bench.base.errors import EvidenceError
 from bench.base.pasteable import pasteable
 from bench.evidence.seal import RESERVED
-from bench.record.storage import TEMPORARY, storage_errors
+from bench.record.storage import storage_errors
 from drivers.durable import sync_folder, write_all
+from drivers.new_output import TEMPORARY
 
 MOST_BYTES = 1 << 20
 """Signatures and time stamps have some kilobytes; a larger file is not read."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import re
-import shutil
 import stat
 from pathlib import Path
 
@@ -21,8 +20,9 @@ from bench.evidence.keys import BenchKey
 from bench.evidence.signers import NAMESPACE
 from bench.record.journal import CAPTURES
 from bench.record.run_folder import JOURNAL, MANIFEST, SIGNATURE, RunFolder, is_sealed
-from bench.record.storage import TEMPORARY, sha256_of, storage_errors, write_atomic
+from bench.record.storage import sha256_of, storage_errors, write_atomic
 from drivers.durable import sync_file
+from drivers.new_output import TEMPORARY
 
 # `verify` compares the file of every version with this text: one that is changed must stay beside the new one.
 _TEXT = """\
@@ -211,13 +211,3 @@ def make_read_only(path: Path) -> None:
             for name in files:
                 (folder / name).chmod(0o444)
             folder.chmod(0o555)
-
-
-def remove_unnamed(part: Path) -> None:
-    """Remove a folder that never got its final name, if it is there; its seal may have made it read-only."""
-    if part.is_symlink() or not part.is_dir():
-        return
-    with storage_errors(part):
-        for folder_name, _, _ in os.walk(part):
-            Path(folder_name).chmod(0o755)
-        shutil.rmtree(part)

@@ -10,17 +10,18 @@ import hashlib
 import os
 import shutil
 import stat
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from bench.base.bounded_json import parse_json
-from bench.base.errors import StorageError
+from bench.base.errors import StorageError, UsageError
+from drivers import new_output as outputs
 from drivers.durable import FOLDERS_OPEN, O_BINARY, sync_file, sync_folder, write_all
+from drivers.new_output import TEMPORARY, unfinished
 
 HASH_CHUNK_BYTES = 1 << 20  # Memory that a hash takes
-TEMPORARY = ".tmp"
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _DENIED = {errno.EACCES, errno.EPERM, errno.EROFS}
@@ -73,7 +74,7 @@ def make_folder(folder: Path) -> None:
 
 def write_atomic(path: Path, data: bytes, *, mode: int = 0o644) -> None:
     """Write a file so that at any moment it has either its new contents or its old ones."""
-    part = path.with_name(f".{path.name}{TEMPORARY}")
+    part = unfinished(path)
     with storage_errors(path):
         part.unlink(missing_ok=True)
         try:
@@ -84,6 +85,62 @@ def write_atomic(path: Path, data: bytes, *, mode: int = 0o644) -> None:
                 part.unlink()
             raise
         sync_folder(path.parent)
+
+
+@contextmanager
+def new_output(path: Path) -> Iterator[Path]:
+    """Provide a path for a new file or folder, which gets its name at the end of the block (`drivers.new_output`).
+
+    Parents are made. Raises UsageError if the name is taken, or another process is writing it.
+    """
+    make_folder(path.absolute().parent)
+    with storage_errors(path):
+        try:
+            with outputs.new_output(path) as part:
+                yield part
+        except FileExistsError as error:
+            raise _taken(path) from error
+        except BlockingIOError as error:
+            raise UsageError(
+                f"Another process is writing it now: {error.strerror}.",
+                where=str(path),
+                remedy="Wait until that process ends, or choose another name.",
+            ) from error
+
+
+def discard_unfinished(path: Path) -> None:
+    """Remove what a killed process left of a new output."""
+    with storage_errors(path), suppress(BlockingIOError):
+        outputs.discard_unfinished(path)
+
+
+def require_free(path: Path) -> None:
+    """Refuse a name that no new output may get: nothing is ever overwritten."""
+    with storage_errors(path):
+        if not outputs.is_free(path):
+            raise _taken(path)
+
+
+def _taken(path: Path) -> UsageError:
+    if path.is_dir() and (occupant := next(path.iterdir(), None)) is not None:
+        what = f"The folder is not empty: it contains {occupant.name}."
+    else:
+        what = "A file or folder with this name already exists."
+    return UsageError(what, where=str(path), remedy="Choose another name; nothing is ever overwritten.")
+
+
+def write_new(path: Path, data: bytes) -> None:
+    """Write a new file, refused if the name is taken."""
+    with new_output(path) as part:
+        _write_new(part, data, 0o644)
+
+
+def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
+    """Write files into a folder in their order, by their paths within it; folders are made."""
+    make_folder(folder)
+    for name, data in files.items():
+        make_folder((folder / name).parent)
+        write_atomic(folder / name, data)
 
 
 def remove(path: Path) -> None:

@@ -16,8 +16,9 @@ from bench.base.clock import BenchClock
 from bench.base.supervised import outlive_supervisor, supervisor
 from bench.record import events
 from bench.record.run_log import RunLog
-from bench.record.storage import TEMPORARY, storage_errors
+from bench.record.storage import storage_errors
 from bench.run.processes import start_ticks, thread_waits_for_disk
+from drivers.new_output import TEMPORARY
 
 CONTROL = "control"
 HEARTBEAT = ".heartbeat"

@@ -16,8 +16,9 @@ from typing import TYPE_CHECKING
 
 from bench.base.bounded_json import parse_json
 from bench.base.errors import StorageError
-from bench.record.storage import TEMPORARY, read_bounded
+from bench.record.storage import read_bounded
 from bench.run.heartbeat import CONTROL
+from drivers.new_output import TEMPORARY
 
 if TYPE_CHECKING:
     from bench.measure.measure import Measurement

@@ -14,14 +14,12 @@ from pathlib import Path
 from typing import Any, Self
 
 from bench.base.bounded_json import canonical_json, mapped
-from bench.base.errors import UsageError
 from bench.evidence.keys import BenchKey
 from bench.evidence.seal import seal_folder
 from bench.measure.views_file import VIEWS, views_file
 from bench.plan.job import Job
-from bench.record.recovery import EXPORTS
 from bench.record.run_folder import MANIFEST, PASSPORT_COPY, RESULTS, SOURCES, is_sealed
-from bench.record.storage import make_folder, sha256_of, storage_errors, write_atomic
+from bench.record.storage import sha256_of, storage_errors, write_files
 from bench.record.stored_calibration import calibration_data
 from bench.solve import results_content
 from bench.solve.offline import OfflineResult
@@ -52,31 +50,13 @@ class SealedBy:
         return None if key is None else cls(key.principal, key.fingerprint)
 
 
-def require_new(folder: Path) -> None:
-    """Refuse a folder that holds anything."""
-    with storage_errors(folder):
-        occupant = next(folder.iterdir(), None) if folder.is_dir() else None
-    if occupant is not None:
-        raise UsageError(
-            f"The folder is not empty: it contains {occupant.name}.",
-            where=str(folder),
-            remedy="Choose a new folder; results are never overwritten.",
-        )
-
-
-def write_offline_results(result: OfflineResult, folder: Path, key: BenchKey | None = None) -> None:
-    """Write an offline calibration to a new folder, ``results.json`` last, then seal it, or leave it a draft."""
-    require_new(folder)
-    write_files(folder, offline_files(result, folder.resolve().name, SealedBy.of(key)))
+def write_offline_results(
+    result: OfflineResult, name: str, folder: Path, key: BenchKey | None = None
+) -> None:
+    """Write an offline calibration of this name to a new folder, then seal it, or leave it a draft."""
+    write_files(folder, offline_files(result, name, SealedBy.of(key)))
     if key is not None:
         seal_folder(folder, key)
-
-
-def write_files(folder: Path, files: Mapping[str, bytes]) -> None:
-    """Write the files of `offline_files` to a folder, made if it does not exist, in their order."""
-    make_folder(folder / EXPORTS)
-    for name, data in files.items():
-        write_atomic(folder / name, data)
 
 
 def offline_files(

@@ -15,19 +15,15 @@ from bench.evidence.keys import BenchKey
 from bench.evidence.passport_seal import seal_passport
 from bench.plan.passport_file import passport_bytes, read_passport_file
 from bench.record.run_folder import MANIFEST, is_sealed
-from bench.record.storage import sha256_of, storage_errors, write_atomic
+from bench.record.storage import sha256_of, storage_errors, write_new
 from calib.engine import Calibration
 from calib.model.passport import Passport
 
 
-def write_passport(path: Path, passport: Passport, key: BenchKey | None = None) -> None:
-    """Write a passport to a new file, sealed if there is a key."""
-    if path.exists():
-        raise UsageError(
-            "A file with this name already exists.", where=str(path), remedy="Choose another name."
-        )
+def sealed_bytes(passport: Passport, key: BenchKey | None = None) -> bytes:
+    """Return the file of a passport, sealed if there is a key."""
     data = passport_bytes(passport)
-    write_atomic(path, seal_passport(data, key) if key is not None else data)
+    return seal_passport(data, key) if key is not None else data
 
 
 def seal_file(path: Path, output: Path, key: BenchKey) -> None:
@@ -35,7 +31,7 @@ def seal_file(path: Path, output: Path, key: BenchKey) -> None:
     passport, _, seal = read_passport_file(path)
     if seal is not None:
         raise UsageError(f"This passport is sealed already, by {seal.fingerprint}.", where=str(path))
-    write_passport(output, passport, key)
+    write_new(output, sealed_bytes(passport, key))
 
 
 def seals_of(paths: Sequence[Path]) -> dict[str, str]:

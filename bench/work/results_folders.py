@@ -11,12 +11,11 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-from bench.base.errors import EvidenceError, StorageError, UsageError
+from bench.base.errors import UsageError
 from bench.evidence.keys import BenchKey
-from bench.evidence.seal import remove_unnamed, seal_folder
+from bench.evidence.seal import seal_folder
 from bench.record.run_folder import RESULTS
-from bench.record.storage import sha256_of, storage_errors, write_atomic
-from bench.solve.offline_folder import write_files
+from bench.record.storage import new_output, sha256_of, storage_errors, write_atomic, write_files
 from bench.work.kept_rows import (
     Table,
     line_of,
@@ -25,10 +24,9 @@ from bench.work.tasks import (
     DoneRow,
     RunRow,
 )
-from drivers.durable import sync_folder
+from drivers.new_output import TEMPORARY, remove_unfinished
 
 TABLE = "recalculated.jsonl"
-_PART = ".part-"
 _KEY_SHOWN = 8  # Hexadecimal digits that tell folders of one name apart
 
 
@@ -49,8 +47,8 @@ class ResultsFolders(Table):
         self._reserved: set[str] = set()
         super().__init__(folder, TABLE)
         try:
-            for part in folder.glob(f"{_PART}*"):  # of a process that was killed
-                remove_unnamed(part)
+            for left in folder.glob(f".*{TEMPORARY}"):  # of a process that was killed
+                remove_unfinished(left)
         except BaseException:
             self.__exit__()
             raise
@@ -83,18 +81,11 @@ class ResultsFolders(Table):
 
     def write(self, name: str, files: Mapping[str, bytes], row: DoneRow) -> None:
         """Write, seal and name a folder of results, and add its row."""
-        part = self.folder / f"{_PART}{name}"
-        try:
+        with new_output(self.folder / name) as part:
             write_files(part, files)
             if self.key is not None:
                 seal_folder(part, self.key)
-        except (StorageError, EvidenceError):
-            remove_unnamed(part)
-            raise
-        self.append(row)
-        with storage_errors(part):
-            part.rename(self.folder / name)
-            sync_folder(self.folder)
+            self.append(row)
 
     def finish(self, rows: Iterable[RunRow]) -> None:
         """Write the table again, in the order given; rows of folders that were not given this time stay behind them."""

@@ -1,8 +1,6 @@
 """Write a new RAW file to disk: never over another file, written once, synced.
 
-A converted file appears complete or not at all (`new_file`): it is written under another name, synced, then renamed. If
-an error or Ctrl-C interrupts the writing, the partial file is removed. A killed process leaves it under the name
-``.part``, and the next one writes it anew.
+A converted file appears complete or not at all (`new_file`). A recording stays as far as it was written.
 """
 
 from __future__ import annotations
@@ -18,18 +16,19 @@ from typing import Final, Self
 
 from drivers import durable
 from drivers.durable import O_BINARY, sync_folder
-from drivers.errors import DriverError, RecordingFailed, RecordingFileError
+from drivers.errors import RecordingFailed, RecordingFileError
+from drivers.new_output import new_output
 
 FULL_BYTES: Final = 1 << 20
 """A disk with less free space than this counts as full."""
 
 _REMEDIES: Final = {
-    errno.EEXIST: ("The file exists already", "Recordings are never overwritten: choose another name."),
-    errno.ENOSPC: ("The disk is full", "Free space on that disk, then record again."),
-    errno.EDQUOT: ("The disk quota is used up", "Free space within the quota, then record again."),
+    errno.EEXIST: ("The file exists already", "Files are never overwritten: choose another name."),
+    errno.ENOSPC: ("The disk is full", "Free space on that disk, then try again."),
+    errno.EDQUOT: ("The disk quota is used up", "Free space within the quota, then try again."),
     errno.EACCES: ("This user has no write permission", "Give yourself write permission on the folder."),
     errno.EPERM: ("This user has no write permission", "Give yourself write permission on the folder."),
-    errno.EROFS: ("The disk is read-only", "Record to a disk that can be written."),
+    errno.EROFS: ("The disk is read-only", "Use a disk that can be written."),
     errno.ENOENT: ("There is no such folder", "Make the folder first."),
     errno.ENOTDIR: ("A part of the path is no folder", "Check the path."),
 }
@@ -37,19 +36,10 @@ _REMEDIES: Final = {
 
 @contextmanager
 def new_file(path: Path) -> Iterator[Path]:
-    """Provide a path to write to; at the end of the block the file is renamed to ``path``, which must not exist."""
-    part = path.with_name(f"{path.name}.part")
+    """Provide a path to write to, as `drivers.new_output`; RecordingFileError if the file cannot be written."""
     try:
-        if path.exists():
-            raise _exists(path)
-        try:
-            part.unlink(missing_ok=True)
+        with new_output(path) as part:
             yield part
-            sync_file(part)
-            _name(part, path)
-        except BaseException:
-            part.unlink(missing_ok=True)
-            raise
     except OSError as error:
         raise write_error(path, error) from error
 
@@ -61,32 +51,16 @@ def reason(error: OSError) -> str:
 
 def write_error(path: Path, error: OSError) -> RecordingFileError:
     """Build the error of a file that cannot be written, with the system's reason."""
-    return RecordingFileError(
-        f"The file cannot be written{reason(error)}.",
-        where=str(path),
-        remedy="Check that its folder exists, that you may write to it, and that the disk has space.",
+    what, remedy = _REMEDIES.get(
+        error.errno or 0,
+        (
+            f"The file cannot be written{reason(error)}",
+            "Check that its folder exists, that you may write to it, and that the disk has space.",
+        ),
     )
-
-
-def _name(part: Path, path: Path) -> None:
-    """Give the file its name. Raises RecordingFileError if another program has taken the name meanwhile."""
-    try:
-        os.link(part, path)
-    except FileExistsError:
-        raise _exists(path) from None
-    except OSError:  # a file system without hard links
-        if path.exists():
-            raise _exists(path) from None
-        part.rename(path)
-    else:
-        part.unlink()
-    sync_file(path)
-
-
-def _exists(path: Path) -> DriverError:
-    return RecordingFileError(
-        "The file exists already.", where=str(path), remedy="Choose another name, or remove the file."
-    )
+    if isinstance(error, BlockingIOError):
+        what, remedy = f"Another process is writing it now: {error.strerror}", "Wait until that process ends."
+    return RecordingFileError(f"{what}.", where=str(path), remedy=remedy)
 
 
 class RawWriter:

@@ -16,7 +16,6 @@ from bench.base.errors import EvidenceError, UsageError
 from bench.base.pasteable import pasteable
 from bench.evidence.keys import BenchKey
 from bench.evidence.ledger_check import own_public_keys
-from bench.evidence.seal import remove_unnamed
 from bench.extras.certificate import facts_of_run
 from bench.extras.certificate.beside import count_beside
 from bench.extras.certificate.budget_rows import BudgetDiffers
@@ -25,7 +24,6 @@ from bench.extras.certificate.certificate_folder import (
     certificate_files,
     refuse_occupied,
     require_libraries,
-    unfinished,
     write_sealed,
 )
 from bench.extras.certificate.clauses import faults_of_lab
@@ -47,6 +45,7 @@ from bench.extras.certificate.verdicts import verdict_history
 from bench.record.ledger import Ledger
 from bench.record.run_folder import CERTIFICATE, MANIFEST, RESULTS, is_sealed
 from bench.record.storage import (
+    discard_unfinished,
     read_bounded,
     sha256_of,
     storage_errors,
@@ -194,13 +193,13 @@ def complete_open(ledger: Ledger) -> list[str]:
     done = []
     for open_number in open_numbers(numbers(ledger.entries())):
         certificate = finished_certificate(open_number)
+        if open_number.folder:
+            discard_unfinished(Path(open_number.folder))
         if certificate is not None:
             with storage_errors(Path(open_number.folder)):
                 seal = sha256_of(Path(open_number.folder) / MANIFEST)
             _enter(ledger, certificate, seal)
             done.append(open_number.number)
-        elif open_number.folder:
-            remove_unnamed(unfinished(Path(open_number.folder)))
     return done
 
 

@@ -69,8 +69,8 @@ def convert_many(
 ) -> None:
     """Convert files. One that fails stops no other; ``choices`` say what the sources do not state themselves."""
     folder, program = kept.path.parent, forms()["program"]
-    for part in folder.glob(f"{_PART}*"):
-        part.unlink()
+    for left in (*folder.glob(f"{_PART}*"), *folder.glob(f".{_PART}*")):  # of a process that was killed
+        left.unlink()
     rows = [kept.get(target.name) for _, target in pairs]
     work = (
         (source.absolute(), target.absolute(), kind, row, program, choices or ReadingChoices())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, replace
 from itertools import chain
 from pathlib import Path
@@ -89,34 +90,31 @@ def rig(
     FIRST and SECOND are run folders or folders of files. Views of the same name must show the same pose of the rig.
     Behind a collimator they give the rotation, of a board the translation too.
     """
-    from bench.record.storage import make_folder, write_atomic
+    from bench.record.storage import new_output, write_files
     from bench.solve.offline_options import OfflineOptions
     from bench.solve.rig import find_clocks, find_rig, read_rig_file, rig_exports
 
     earlier = read_rig_file(stated) if stated else None
     choices = OfflineOptions.from_command_line(**options)
-    if output is not None and output.exists() and any(output.iterdir()):
-        raise UsageError("The folder is not empty.", where=str(output), remedy="Choose another --output.")
     pairs = [pair for pair in ((first, second), boards) if pair]
-    clocks = find_clocks(pairs, choices) if sync else ()
     names = camera or (None, None)
-    cameras = [
-        stated_camera(file, name, lens, choices.image_size)
-        for file, name in zip(calibration or (), names, strict=False)
-    ]
-    with views_line(quiet=wants_json()) as progress:
-        rig_of_views = find_rig((first, second), boards or (), cameras, choices, progress)
-    solved = replace(rig_of_views, clocks=clocks)
-    if output is not None and solved.rig.translation_mm is None:
-        raise UsageError(
-            "These views give no translation, and the files hold one.",
-            remedy="Add views of a board (--boards, --board), or leave out --output.",
-        )
-    content = solved.to_dict()
-    if output is not None:
-        make_folder(output)
-        for name, data in rig_exports(solved.rig, content).items():
-            write_atomic(output / name, data)
+    with new_output(output) if output is not None else nullcontext() as part:
+        clocks = find_clocks(pairs, choices) if sync else ()
+        cameras = [
+            stated_camera(file, name, lens, choices.image_size)
+            for file, name in zip(calibration or (), names, strict=False)
+        ]
+        with views_line(quiet=wants_json()) as progress:
+            rig_of_views = find_rig((first, second), boards or (), cameras, choices, progress)
+        solved = replace(rig_of_views, clocks=clocks)
+        if part is not None and solved.rig.translation_mm is None:
+            raise UsageError(
+                "These views give no translation, and the files hold one.",
+                remedy="Add views of a board (--boards, --board), or leave out --output.",
+            )
+        content = solved.to_dict()
+        if part is not None:
+            write_files(part, rig_exports(solved.rig, content))
     if stated is None or earlier is None:
         show(lambda: content, _lines(solved))
         return 0

@@ -13,7 +13,7 @@ from bench.commands.options import ExistingFile, ExistingPath, OutputFolder, com
 from bench.commands.output import JSON, show, wants_json
 from bench.commands.values import Number
 from bench.commands.workers import PartsLine
-from bench.record.storage import make_folder, write_atomic
+from bench.record.storage import new_output, write_files
 
 if TYPE_CHECKING:
     from bench.camera_files.camera_values import LensFamily
@@ -59,19 +59,16 @@ def undistort(
     """
     from bench.base.image_size import parse_image_size
     from bench.solve.exports import read_picture_for, undistorted_files
-    from bench.solve.offline_folder import require_new
     from calib.model.camera import undistort as tables_of
 
-    require_new(output)
-    stated = stated_camera(file, camera, lens, parse_image_size(image_size)).camera
-    picture = read_picture_for(preview, stated) if preview is not None else None
-    line = PartsLine("blocks of pixels calculated", "the tables are compressed", quiet=wants_json())
-    with line.shown() as reached:
-        undistortion = tables_of(stated, keep, reached)
-        files = undistorted_files(stated, undistortion, picture)
-    make_folder(output)
-    for name, data in files.items():
-        write_atomic(output / name, data)
+    with new_output(output) as part:
+        stated = stated_camera(file, camera, lens, parse_image_size(image_size)).camera
+        picture = read_picture_for(preview, stated) if preview is not None else None
+        line = PartsLine("blocks of pixels calculated", "the tables are compressed", quiet=wants_json())
+        with line.shown() as reached:
+            undistortion = tables_of(stated, keep, reached)
+            files = undistorted_files(stated, undistortion, picture)
+        write_files(part, files)
 
     def as_json() -> dict[str, Any]:
         return {

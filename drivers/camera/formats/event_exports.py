@@ -47,6 +47,7 @@ from drivers.camera.formats import ecf
 from drivers.camera.formats.hdf5_events import CD_TYPE
 from drivers.camera.formats.parquet_export import GROUP_EVENTS, write_parquet
 from drivers.camera.formats.planes import planes_of
+from drivers.camera.formats.unfailing_stream import UnfailingStream
 from drivers.camera.raw_header import MAX_SIDE_PX
 from drivers.camera.raw_writer import new_file
 from drivers.errors import RecordingFileError
@@ -159,7 +160,7 @@ def export_metavision(source: EventSource, path: Path, progress: Progress = lamb
             where=str(path),
             remedy="Write plain HDF5 (.h5) or .npz.",
         )
-    with _new_hdf5(path) as file:
+    with _new_hdf5(path) as (file, disk):
         for key, value in _attributes(source).items():
             file.attrs.create(key, value, dtype=_ASCII)
         events = _ecf_dataset(file.create_group("CD"))
@@ -181,6 +182,7 @@ def export_metavision(source: EventSource, path: Path, progress: Progress = lamb
         for more, data in _packed(rising(), ecf.encode):
             events.id.set_extent((n + more,))
             events.id.write_direct_chunk((n,), data)
+            disk.raise_failure()
             n += more
         index.write(file["CD"])
         _write_triggers(file.create_group("EXT_TRIGGER"), reading.triggers())
@@ -191,7 +193,7 @@ def export_hdf5(source: EventSource, path: Path, progress: Progress = lambda _: 
     """Write a plain HDF5 file, with bounded memory; the path must not exist."""
     n = 0
     reading = _Reading(source, progress)
-    with _new_hdf5(path) as file:
+    with _new_hdf5(path) as (file, disk):
         file.attrs.update(width=source.width, height=source.height)
         file.create_group("header").attrs.update(source.header)
         stored = {
@@ -211,6 +213,7 @@ def export_hdf5(source: EventSource, path: Path, progress: Progress = lambda _: 
             for column, data in zip(stored.values(), packed, strict=True):
                 column.id.set_extent((n + more,))
                 column.id.write_direct_chunk((n,), data)
+            disk.raise_failure()
             n += more
         for name, values in reading.triggers()._asdict().items():
             file.create_dataset(f"triggers/{name}", data=values)
@@ -335,6 +338,9 @@ def _first_of_windows(t: Any, origin_us: int) -> Any:
 
 
 @contextmanager
-def _new_hdf5(path: Path) -> Iterator[Any]:
-    with new_file(path) as part, h5py.File(part, "x") as file:
-        yield file
+def _new_hdf5(path: Path) -> Iterator[tuple[Any, UnfailingStream]]:
+    with new_file(path) as part, part.open("x+b", buffering=0) as stream:
+        disk = UnfailingStream(stream)
+        with h5py.File(disk, "w") as file:
+            yield file, disk
+        disk.raise_failure()

@@ -247,7 +247,7 @@ ENDED_LATER = {**sample_results()["run"], "finished_utc": (NOW + timedelta(days=
     ("change", "error", "named"),
     [
         (unsealed, EvidenceError, "is not sealed"),
-        (lambda lab: (lab.path / "certificate").mkdir(), UsageError, "already exists"),
+        (lambda lab: (lab.path / "certificate").touch(), UsageError, "already exists"),
         (
             of_results(run={**sample_results()["run"], "board": "checkerboard:11x7:20mm"}),
             EvidenceError,

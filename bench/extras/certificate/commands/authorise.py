@@ -52,7 +52,7 @@ from bench.evidence.timestamp import (
 from bench.evidence.tsa_client import ask_authority, check_url, make_request
 from bench.record.ledger import bench_ledger
 from bench.record.run_folder import CERTIFICATE, MANIFEST, SIGNATURE
-from bench.record.storage import read_json, storage_errors, write_atomic
+from bench.record.storage import read_json, storage_errors, write_new
 from bench.record.stored_run import StoredRun
 
 _NAMES = {"seal": TIMESTAMP, "authorisation": AUTHORISATION_TIMESTAMP}
@@ -101,7 +101,7 @@ def timestamp(
 def _write_request(folder: Path, what: str | None, path: Path) -> int:
     """Write a request for a time stamp; ``what`` is None for the authorisation if there is one, else the seal."""
     name = _free_names(folder, what)[0]
-    write_atomic(path, make_request(_signed(folder, name), nonce=False).data)
+    write_new(path, make_request(_signed(folder, name), nonce=False).data)
     show(
         {"schema": "starbench/request/1", "request": str(path), "of": STAMPED[name]},
         f"Request for a time stamp of {STAMPED[name]}: {path}\nSend it to an authority, for example with:\n"

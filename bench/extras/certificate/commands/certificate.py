@@ -35,7 +35,7 @@ from bench.extras.certificate.commands.authorise import authorise, timestamp
 from bench.extras.certificate.series import Numbered, amending, declare_void, numbers, one_at_a_time
 from bench.record.ledger import Ledger, bench_ledger
 from bench.record.run_folder import CERTIFICATE, MANIFEST
-from bench.record.storage import read_bounded, sha256_of, storage_errors, write_atomic
+from bench.record.storage import read_bounded, sha256_of, write_new
 
 if TYPE_CHECKING:
     from bench.extras.certificate.issue import Issued, Issuer
@@ -65,8 +65,7 @@ def new(path: Path) -> int:
     """Create an example of lab.yaml at PATH, with comments. Replace every REPLACE in it."""
     from bench.extras.certificate.lab_config import EXAMPLE
 
-    with storage_errors(path):
-        write_atomic(path, EXAMPLE.read_bytes())
+    write_new(path, EXAMPLE.read_bytes())
     click.echo(
         f"Written: {path}. Replace every REPLACE in it;"
         f" then: {pasteable('certificate', 'issue', 'RUN', '-c', path, '-o', 'FOLDER')}"

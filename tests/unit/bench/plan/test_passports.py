@@ -18,7 +18,7 @@ from bench.plan.job import Job, calibration_options, documents_of
 from bench.plan.passport_file import parse_passport, passport_bytes, read_passport_file
 from bench.plan.plan import load_documents, make_plan
 from bench.record.run_folder import PASSPORT_COPY, SEQUENCE_COPY, STATION_COPY
-from bench.solve.passports import seal_file, seals_of, write_passport
+from bench.solve.passports import seal_file, sealed_bytes, seals_of
 from bench.wording.plan_text import render_plan
 from calib.model.passport import Passport
 
@@ -383,7 +383,7 @@ def test_a_passport_without_a_seal_gets_one_in_a_new_file(tmp_path, key):
     assert read_passport_file(tmp_path / "sealed.json")[0].to_dict() == passport().to_dict()
     with pytest.raises(UsageError, match="sealed already"):
         seal_file(tmp_path / "sealed.json", tmp_path / "again.json", key)
-    write_passport(tmp_path / "plain.json", passport())
+    (tmp_path / "plain.json").write_bytes(sealed_bytes(passport()))
     assert read_passport_seal((tmp_path / "plain.json").read_bytes()) is None
 
 

@@ -21,9 +21,9 @@ from bench.evidence.verify import verify_folder
 from bench.solve import loose_recordings
 from bench.solve.loose_recordings import used_part, used_recordings
 from bench.solve.offline import calibrate_paths, odd_sizes, require_one_camera, views_of_one_size
-from bench.solve.offline_folder import require_new, write_offline_results
+from bench.solve.offline_folder import write_offline_results
 from bench.solve.offline_options import OfflineOptions
-from bench.solve.passports import write_passport
+from bench.solve.passports import sealed_bytes
 from bench.solve.point_files import read_point_file
 from bench.solve.solve_options import ONE_VIEW
 from bench.solve.view_sources import ViewSource, picture_of, refuse_truncated_jpeg, view_sources
@@ -256,7 +256,7 @@ def test_a_file_that_is_not_text_or_not_there_is_refused(tmp_path):
 def passport(tmp_path_factory):
     """A passport file of a certificate."""
     path = tmp_path_factory.mktemp("passport") / "p.json"
-    write_passport(path, Passport.of_radius(255.0, 0.05, {"certificate": "T-1"}, ""))
+    path.write_bytes(sealed_bytes(Passport.of_radius(255.0, 0.05, {"certificate": "T-1"}, "")))
     return str(path)
 
 
@@ -280,7 +280,7 @@ def test_the_folder_holds_results_report_exports_and_the_hashes_of_the_inputs(
     points, passport, certified, tmp_path
 ):
     out = tmp_path / "out"
-    write_offline_results(certified, out)
+    write_offline_results(certified, "out", out)
     results = json.loads((out / "results.json").read_text())
     assert results["schema"] == "starbench/results/1"
     assert (results["run"]["offline"], results["run"]["simulated"]) == (True, False)
@@ -306,7 +306,7 @@ def test_the_folder_holds_results_report_exports_and_the_hashes_of_the_inputs(
 
 def test_the_folder_is_sealed_and_says_that_it_is_a_recalculation(uncertified, tmp_path, key, signers):
     out = tmp_path / "out"
-    write_offline_results(uncertified, out, key)
+    write_offline_results(uncertified, "out", out, key)
     run = json.loads((out / "results.json").read_text())["run"]
     assert run["sealed_by"] == {"principal": key.principal, "fingerprint": key.fingerprint}
     assert "a recalculation" in run["statement"]
@@ -341,7 +341,7 @@ def test_metavision_s_json_describes_the_target_of_the_station(points, tmp_path)
     station = tmp_path / "station.yaml"
     station.write_text(OWN_TARGET)
     result = calibrate_paths([points], options(station=str(station), model="planar"))
-    write_offline_results(result, tmp_path / "out")
+    write_offline_results(result, "out", tmp_path / "out")
     pattern = json.loads((tmp_path / "out" / "exports" / "metavision.json").read_text())["pattern"]
     assert (pattern["n_cols"], pattern["n_rows"], pattern["square_width"]) == (60, 80, 0.004)
 
@@ -350,7 +350,7 @@ def test_the_station_file_of_the_target_is_stated_with_its_hash(points, tmp_path
     station, sources = tmp_path / "station.yaml", tmp_path / "out" / "sources.json"
     station.write_text(PLAIN)
     result = calibrate_paths([points], options(station=str(station), model="planar"))
-    write_offline_results(result, tmp_path / "out", key)
+    write_offline_results(result, "out", tmp_path / "out", key)
     described = json.loads(sources.read_text())
     hashed = hashlib.sha256(PLAIN.encode()).hexdigest()
     assert described["station"] == {"name": str(station), "path": str(station), "sha256": hashed}
@@ -379,8 +379,6 @@ def test_an_included_station_is_stated_and_none_is_none():
 
 
 def test_a_folder_with_anything_in_it_is_refused_before_anything_is_calibrated(points, tmp_path):
-    require_new(tmp_path / "none")
-    require_new(tmp_path)
     (tmp_path / "note.txt").touch()
     ended = CliRunner().invoke(cli, ["calibrate", str(points), "-o", str(tmp_path)])
     assert ended.exit_code != 0
@@ -404,7 +402,7 @@ def test_one_view_without_a_passport_of_the_centre_says_what_one_would_give(
         with pytest.raises(DegenerateViews) as caught:
             calibrate_paths([points / "left.csv"], options(passport=given))
         assert ONE_VIEW in str(caught.value)
-    write_passport(tmp_path / "whole.json", uncertified.calibration.passport())
+    (tmp_path / "whole.json").write_bytes(sealed_bytes(uncertified.calibration.passport()))
     single = calibrate_paths([points / "left.csv"], options(passport=str(tmp_path / "whole.json")))
     assert single.calibration.sigma["fx"] < 0.02 * single.calibration.camera.fx
 

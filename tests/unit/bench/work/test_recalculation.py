@@ -138,7 +138,7 @@ def test_an_interrupted_recalculation_goes_on_where_it_was(folders, tmp_path):
     assert [row["state"] for row in table(tmp_path / "out")] == ["done"]
     with (tmp_path / "out" / TABLE).open("a") as stream:  # as after a power cut
         stream.write('{"folder": "torn')
-    part = tmp_path / "out" / ".part-cam2-00000000"
+    part = tmp_path / "out" / ".cam2-00000000.tmp"
     part.mkdir()
     (part / "results.json").write_text("{}")
     part.chmod(0o555)
