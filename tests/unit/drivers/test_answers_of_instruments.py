@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from drivers.errors import ReplyError, SettingRefused
 from drivers.light import LightIdentity, LightSettings
 from drivers.quantity import read_quantity
-from tests.unit.drivers.generator_bench import Bench
+from tests.unit.drivers.light.generator_bench import Bench
 
 pytestmark = pytest.mark.usefixtures("never_late")
 

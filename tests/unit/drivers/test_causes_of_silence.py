@@ -16,10 +16,10 @@ from drivers.serial_port import SerialPort
 from drivers.stage.thorlabs_controller import INFORMATION_LAYOUT, ThorlabsController, size
 from drivers.stage.zaber import ZaberStage
 from tests.hil.direct_stages import VirtualClock
-from tests.unit.drivers.generator_bench import Bench as GeneratorBench
-from tests.unit.drivers.grbl_bench import Bench as GrblBench
-from tests.unit.drivers.zaber_bench import Bench as ZaberBench
-from tests.unit.drivers.zaber_bench import axes
+from tests.unit.drivers.light.generator_bench import Bench as GeneratorBench
+from tests.unit.drivers.stage.grbl_bench import Bench as GrblBench
+from tests.unit.drivers.stage.zaber_bench import Bench as ZaberBench
+from tests.unit.drivers.stage.zaber_bench import axes
 
 pytestmark = pytest.mark.usefixtures("never_late")
 

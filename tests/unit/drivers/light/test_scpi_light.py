@@ -11,7 +11,7 @@ from drivers.errors import DriverError, LightFault, ReplyError, SettingRefused, 
 from drivers.light import LightSettings
 from drivers.light.scpi import ScpiLight
 from drivers.text_line import ScpiLine
-from tests.unit.drivers.generator_bench import Bench
+from tests.unit.drivers.light.generator_bench import Bench
 
 pytestmark = pytest.mark.usefixtures("never_late")
 

@@ -9,7 +9,7 @@ import pytest
 
 from drivers.camera.neuromorphic_evk4 import NeuromorphicEvk4
 from drivers.errors import CameraNotFound
-from tests.unit.drivers.neuromorphic_fake import BIASES, Biases, Configuration, Device, Ring
+from tests.unit.drivers.camera.neuromorphic_fake import BIASES, Biases, Configuration, Device, Ring
 
 
 @pytest.fixture

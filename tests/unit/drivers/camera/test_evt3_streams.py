@@ -11,7 +11,7 @@ from drivers.camera.event_arrays import Events, Triggers, empty_events
 from drivers.camera.evt3 import Evt3Decoder
 from drivers.camera.evt3_kernel import max_event_count
 from drivers.errors import RecordingCorrupt
-from tests.unit.drivers.evt3_words import (
+from tests.unit.drivers.camera.evt3_words import (
     HEIGHT,
     LOOP_US,
     WIDTH,

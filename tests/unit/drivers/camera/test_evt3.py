@@ -6,7 +6,7 @@ import pytest
 from drivers.camera.event_arrays import empty_events
 from drivers.camera.evt3 import Evt3Decoder
 from drivers.errors import RecordingCorrupt
-from tests.unit.drivers.evt3_words import (
+from tests.unit.drivers.camera.evt3_words import (
     HEIGHT,
     LOOP_US,
     WIDTH,

@@ -13,8 +13,8 @@ from drivers.errors import DriverError, NotHomed, OutsideLimits
 from drivers.stage.zaber import ZaberAxis
 from simulators.stages.axis_motion import MotionFault
 from simulators.stages.zaber import CommandRejected, ZaberController
-from tests.unit.drivers import zaber_bench
-from tests.unit.drivers.zaber_bench import SCALE
+from tests.unit.drivers.stage import zaber_bench
+from tests.unit.drivers.stage.zaber_bench import SCALE
 
 pytestmark = pytest.mark.usefixtures("never_late")
 

@@ -5,7 +5,7 @@ import sys
 import pytest
 
 from drivers.camera.metavision import MetavisionEvk4
-from tests.unit.drivers.metavision.fake_hal import SERIAL, Device, Hal
+from tests.unit.drivers.camera.metavision.fake_hal import SERIAL, Device, Hal
 
 
 @pytest.fixture

@@ -20,7 +20,7 @@ from drivers.errors import (
     CameraSoftwareMissing,
     WrongDevice,
 )
-from tests.unit.drivers.metavision.fake_hal import SERIAL, Device
+from tests.unit.drivers.camera.metavision.fake_hal import SERIAL, Device
 
 
 def test_missing_software_is_told_with_how_to_get_it(monkeypatch, clock):

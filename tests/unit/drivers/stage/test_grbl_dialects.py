@@ -9,7 +9,7 @@ import pytest
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyError
 from drivers.stage.grbl_protocol import parse_build_info
 from simulators.stages.grbl import FIRMWARES
-from tests.unit.drivers.grbl_bench import LIMITS, Bench
+from tests.unit.drivers.stage.grbl_bench import LIMITS, Bench
 
 pytestmark = pytest.mark.usefixtures("never_late")
 

@@ -11,7 +11,7 @@ from drivers.camera import metavision as metavision_driver
 from drivers.camera.metavision import MetavisionEvk4
 from drivers.camera.raw_file import RawFile
 from drivers.errors import CameraLost, RecordingFailed
-from tests.unit.drivers.metavision.fake_hal import HEADER, RISING, SERIAL, Device
+from tests.unit.drivers.camera.metavision.fake_hal import HEADER, RISING, SERIAL, Device
 
 
 def test_a_camera_without_optional_facilities_works(device, camera, tmp_path):

@@ -19,7 +19,7 @@ from drivers.errors import (
     CameraSoftwareMissing,
     WrongDevice,
 )
-from tests.unit.drivers.neuromorphic_fake import SERIAL, Biases, Configuration, Device
+from tests.unit.drivers.camera.neuromorphic_fake import SERIAL, Biases, Configuration, Device
 
 NOW = datetime(2026, 11, 20, 4, 5, 6, tzinfo=UTC)
 

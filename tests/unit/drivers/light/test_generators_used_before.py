@@ -6,7 +6,7 @@ import pytest
 
 from drivers.errors import SettingRefused
 from drivers.light import LightSettings
-from tests.unit.drivers.generator_bench import Bench
+from tests.unit.drivers.light.generator_bench import Bench
 
 MODES = ("BURS:STAT", "SWE:STAT", "AM:STAT", "FM:STAT", "FSK:STAT")
 OTHERS = pytest.mark.parametrize("dialect", ["keysight", "numbered", "siglent"])

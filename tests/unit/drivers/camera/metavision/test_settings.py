@@ -5,7 +5,7 @@ import pytest
 from drivers.camera import CameraSettings
 from drivers.camera.metavision import MetavisionEvk4
 from drivers.errors import CameraLost, CameraSettingRefused
-from tests.unit.drivers.metavision.fake_hal import (
+from tests.unit.drivers.camera.metavision.fake_hal import (
     OTHER_SENSORS,
     SERIAL,
     Channel,

@@ -23,7 +23,7 @@ from drivers.stage import grbl_controller
 from drivers.stage.grbl_protocol import parse_report
 from simulators.stages.axis_motion import MotionFault
 from simulators.stages.grbl_planner import Planner
-from tests.unit.drivers.grbl_bench import CANCEL, JOG, RESET, Bench
+from tests.unit.drivers.stage.grbl_bench import CANCEL, JOG, RESET, Bench
 
 pytestmark = pytest.mark.usefixtures("never_late")
 

@@ -14,7 +14,7 @@ from drivers.errors import DeviceRefused, MoveFailed, NotHomed, OutsideLimits, R
 from drivers.stage import AxisLimits
 from drivers.stage.zaber_protocol import checksum
 from tests.hil.mutated import words, zaber_line
-from tests.unit.drivers.zaber_bench import SCALE, Bench
+from tests.unit.drivers.stage.zaber_bench import SCALE, Bench
 
 pytestmark = pytest.mark.usefixtures("never_late")
 
