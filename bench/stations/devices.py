@@ -27,7 +27,6 @@ from drivers.wire_log import WireLog
 
 Camera = EventCamera | FrameCamera
 
-
 LEFT_DEVICES = "left_devices"
 """Attribute of the error of an opening that failed: how it left the devices that were open before."""
 

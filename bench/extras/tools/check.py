@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -18,7 +18,6 @@ from bench.wording.numbers import with_uncertainty
 if TYPE_CHECKING:
     from bench.camera_files.camera_values import LensFamily
     from bench.camera_files.reader import CameraFile
-    from bench.record.results import CheckData
     from calib.calibration import Calibration
     from calib.model.camera import CameraModel
     from calib.studies.camera_check import CameraCheck
@@ -113,9 +112,10 @@ def _lines(
     checked: CameraCheck, stated: CameraFile, calibration: Calibration, skipped: list[str]
 ) -> Iterator[str]:
     yield from left_out_lines(skipped)
+    from bench.solve.solution import check_data
     from bench.wording.camera_check import check_sentences
 
-    yield from check_sentences(cast("CheckData", checked.to_dict()))
+    yield from check_sentences(check_data(checked))
     yield f"Change of the image and its U, px (k = {checked.coverage_factor:.2f}, for all places at once):"
     for start in range(0, len(checked.regions), 3):
         row = checked.regions[start : start + 3]
