@@ -35,9 +35,11 @@ from calib.events.flicker import Flicker, first_on_delay_us, flicker_from_times,
 from calib.events.grey_image import to_uint8
 from calib.model.homography import fit_homography
 from calib.stars.beam import find_beam
-from calib.stars.detect import detect_stars
+from calib.stars.centring import smooth
+from calib.stars.detect import BLUR_PX, detect_stars
 from calib.stars.focus import sharpness
 from calib.stars.motion import Halves, shift_between_halves
+from calib.stars.period import star_steps
 from calib.stars.rim import downweight_vignetted, find_rim
 from calib.target import StarTarget
 from calib.view import View
@@ -221,6 +223,8 @@ def why_no_target(error: TargetNotFound, facts: MeasuredFacts, whole: NDArray[np
     """Return the error of an image, (H, W), without a target: what is told if it is dark, or out of focus, instead."""
     image = facts.get("image")
     if image is None or image["lit_pixels"] >= LEAST_LIT * whole.size:
+        if isinstance(error, StarsUnnamed) or star_steps(smooth(whole, BLUR_PX)) is not None:
+            return error  # the print is in focus, whatever else is wrong
         detail = sharpness(whole, find_beam(whole).lit)
         if detail is None or detail >= _BLURRED:
             return error

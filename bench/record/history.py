@@ -199,6 +199,10 @@ class History:
         """Return the accepted recording of each pose that has one, in the order of their acceptance."""
         return MappingProxyType(self._accepted)
 
+    def last_good(self, pose_index: int) -> Attempt | None:
+        """Return the recording that was accepted last: of a pose, else of the run; None without any."""
+        return self._accepted.get(pose_index) or next(reversed(self._accepted.values()), None)
+
     def attempts_at(self, pose_index: int) -> Sequence[Attempt]:
         """Return all recordings stored at a pose, numbered from 1, in order."""
         return [self.attempts[place] for place in self._places_of_pose.get(pose_index, ())]

@@ -180,11 +180,15 @@ def _css_text(value: object) -> str:
 
 
 def render_ended(
-    history: History, way_on: tuple[str, str], journal_head: str, namespace: str, picture: bytes = b""
+    history: History,
+    way_on: tuple[str, str],
+    journal_head: str,
+    namespace: str,
+    pictures: Sequence[tuple[str, bytes]] = (),
 ) -> str:
     """Render the page of a run that did not finish; the hash of its last line identifies the whole journal.
 
-    ``picture`` is the image of the recording that was refused last, as PNG.
+    ``pictures`` are captions and images, PNG: the recording that was refused last, and a good one beside it.
     """
     failure = history.failure
     reason = {
@@ -198,7 +202,7 @@ def render_ended(
         run=history.started,
         how="failed" if history.ended == "failed" else "was aborted",
         way_on=way_on,
-        picture=base64.b64encode(picture).decode(),
+        pictures=[(caption, base64.b64encode(png).decode()) for caption, png in pictures],
         identification=_identification(history),
         recordings=history.attempts,
         accepted=len(history.accepted()),

@@ -271,7 +271,7 @@ def run_and_seal(
                 journal.close()
                 seal(folder, sealing_key())
             else:
-                write_ended_page(folder, sealing_key, progress.say)
+                write_ended_page(folder, sealing_key, progress.say, job.target)
             what = f"{end.how}{_passed(end)}{': ' if end.why else ''}{end.why}{_devices_left(end)}"
             messages.write("failure" if end.how == "failed" else "end", what, journal.head)
         except BaseException as error:

@@ -14,6 +14,7 @@ from bench.base.pasteable import pasteable
 from bench.plan.job import ParkStep, ScriptStep
 from bench.record import events
 from bench.record.events import Circumstances
+from bench.record.history import History
 from bench.record.journal import capture_name
 from bench.run.machine import RunMachine, Trigger
 from bench.run.run_context import RunContext
@@ -165,6 +166,7 @@ class Steps:
         while reasons := self._try_attempts(step, reasons):
             pose = step.pose
             what = f"Pose {pose.index} ({pose.name}) failed {counted(step.attempts, 'attempt')}: {_joined(reasons)}."
+            what += seen_before(self._run.log.history, pose.index)
             if step.on_failure == "fail":
                 raise PoseFailed(
                     what,
@@ -241,6 +243,24 @@ class Steps:
         reasons = history.attempts_at(pose.index)[-1].reasons
         self._run.say(f"Pose {pose.index} ({pose.name}), attempt {attempt}: {_joined(reasons)}")
         return reasons
+
+
+def seen_before(history: History, pose_index: int) -> str:
+    """Return a sentence about the last good recording of a run, if a pose shows no stars now; else nothing."""
+    here, good = history.attempts_at(pose_index), history.last_good(pose_index)
+    if (
+        good is None
+        or good.checked is None
+        or not here
+        or here[-1].checked is None
+        or here[-1].checked["stars"]
+    ):
+        return ""
+    angles = ", ".join(f"{axis} {angle:g}" for axis, angle in good.stored["commanded_deg"].items())
+    width_px = good.measured.get("edge_width_px")
+    edges = "" if width_px is None else f", with edges {width_px:.2f} px wide"
+    where = f"pose {good.pose_index} ({good.pose_name}; {angles} degrees)"
+    return f" Earlier in this run, {where} showed {good.checked['stars']} stars{edges}."
 
 
 def _joined(reasons: Sequence[str]) -> str:

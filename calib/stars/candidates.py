@@ -13,7 +13,8 @@ import numpy as np
 
 from calib.arrays import Array, Array32, Bools, Bytes, Ints, selected
 from calib.errors import StarsUnnamed, TargetNotFound
-from calib.model.homography import apply_homography, fit_homography
+from calib.model.homography import apply_homography, fit_homography, linear_at
+from calib.stars.beam import find_beam
 from calib.stars.grid_map import predict_locally
 from calib.stars.growth import GrowthStart, StarGrid, find_lattice, grow_star_grid, start_at_tag
 from calib.stars.tag import TagDetection, find_tag
@@ -33,6 +34,9 @@ _QUARTER_TURNS = [np.linalg.matrix_power(np.array([[0, -1], [1, 0]]), quarter) f
 MIN_STARS = 12
 #: Largest share of the stars found without the tag that may lie where none is printed.
 MAX_STRAY = 0.02
+#: Share of an image without light, or of the light without stars, from which on it is told: in the poses that a
+#: sequence needs, it is up to a quarter.
+HALF = 0.5
 #: Least distance of a corner of the tag from the image, px, by a homography, for the tag to be cut.
 CUT_PX = 10.0
 
@@ -114,9 +118,23 @@ def label_by_tag(image: Array32, grown: StarGrid, sign: float, target: StarTarge
     else:
         return matches[0][1]
     raise StarsUnnamed(
-        f"The image shows {len(nodes)} stars, but {what}",
+        f"The image shows {len(nodes)} stars, but {what}{_seen_besides(image, nodes, h)}",
         remedy="Turn the camera so that more of the tag is in view.",
     )
+
+
+def _seen_besides(image: Array32, nodes: Ints, h: Array) -> str:
+    """Return sentences about a large part of an image, (H, W), that shows no light, or light without stars."""
+    lit = find_beam(image).share
+    covered = len(nodes) * float(np.median(np.abs(np.linalg.det(linear_at(h, nodes.astype(float))))))
+    bare = 1.0 - covered / max(lit * image.size, covered)
+    said = ""
+    if 0.0 < lit < HALF:
+        dark = f"{100 * (1 - lit):.0f} % of the image is dark"
+        said += f" {dark}: the camera looks past the beam, or something stands in it."
+    if bare > HALF:
+        said += f" {100 * bare:.0f} % of the light shows no stars: other light lies over them, such as a reflection."
+    return said
 
 
 def _right_share(white_here: Bools, modules: Array, quarter: int, target: StarTarget) -> float:

@@ -7,7 +7,8 @@ Growth starts at the tag, or, in images without a readable tag, at some star any
 its grid, are found by the rotational symmetry of a star: its brightness has n periods in a turn, with n half the number
 of segments. The response at a place is the magnitude of the n-th angular Fourier coefficient on a ring around it, so it
 is the same for either contrast. It is largest at stars. Among the strongest places, one with four neighbours at the
-corners of a square gives the directions of the grid. It does not identify stars.
+corners of a square gives the directions of the grid; without any such place, `calib.stars.period` gives them. It does
+not identify stars.
 """
 
 from __future__ import annotations
@@ -22,7 +23,9 @@ import numpy as np
 
 from calib.arrays import Array, Array32, Bools, Ints
 from calib.model.homography import apply_homography, fit_affine, fit_homography, linear_at
+from calib.stars.beam import find_beam
 from calib.stars.grid_map import predict_locally
+from calib.stars.period import star_steps
 from calib.stars.tag import TagDetection
 from calib.stars.template import SEARCH_RADII, SHARP_CORRELATION, StarTemplate, correlations, values_at
 from calib.target import StarTarget
@@ -58,6 +61,8 @@ PAST, MIN_SHARE = 0.5, 0.05
 SQUARENESS = 0.2
 #: Least correlation with their pattern of the first star and its neighbours, without the tag.
 MIN_FIRST_CORRELATION = 0.5
+#: Radius of the search for a star around any place if only the period is known, pitches: nearly half a cell's diagonal.
+PERIOD_REACH = 0.6
 #: Largest number of candidates that are tried in a group.
 MAX_TRIED = 25
 
@@ -234,6 +239,26 @@ def find_lattice(image: Array32, segments: int) -> GrowthStart | None:
                     start = _confirmed_start(image, place, steps / candidate.scale, segments)
                     if start is not None:
                         return start
+    return _start_by_period(image, segments)
+
+
+def _start_by_period(image: Array32, segments: int) -> GrowthStart | None:
+    """Return where growth may start if the image repeats itself, although no star's neighbours are candidates."""
+    steps = star_steps(image)
+    if steps is None:
+        return None
+    template = StarTemplate.of(segments, SEARCH_RADII)
+    beam = find_beam(image)
+    lit = np.argwhere(beam.lit)[:, ::-1] * beam.scale
+    tried = lit[np.linspace(0, len(lit) - 1, MAX_TRIED).astype(int)]
+    shapes = np.tile(steps, (len(tried), 1, 1))
+    reach = np.full(len(tried), PERIOD_REACH * np.sqrt(abs(np.linalg.det(steps))))
+    for sign in (1.0, -1.0):
+        places, score = search_stars(image, tried, shapes, reach, template, sign)
+        for place in places[score >= MIN_FIRST_CORRELATION]:
+            start = _confirmed_start(image, place, steps, segments)
+            if start is not None:
+                return start
     return None
 
 

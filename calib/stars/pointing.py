@@ -120,8 +120,7 @@ def predict_grid(
     prediction = _predicted(observed, starts, _gimbal_rotation(reading_deg))
     if not prediction.sigma_pitches <= MAX_SIGMA_PITCHES:
         raise DegenerateViews(
-            f"{len(seen)} earlier views with the tag predict the stars from the gimbal's reading to "
-            f"{prediction.sigma_pitches:.2g} squares (1 sigma); {MAX_SIGMA_PITCHES:g} are needed.",
+            f"The {len(seen)} earlier views with the tag do not tell yet which star stands where at this reading.",
             where="gimbal",
             remedy=_REMEDY,
         )

@@ -1,8 +1,13 @@
 """A run that failed or was aborted has a page: why, what to do, what was recorded; signed, and gone when it goes on."""
 
+import base64
+import re
 from datetime import UTC, datetime
 
+import cv2
+import numpy as np
 import pytest
+from virtual_camera import VirtualCamera
 
 from bench.base.errors import EvidenceError
 from bench.evidence.keys import create_key
@@ -13,6 +18,7 @@ from bench.record.journal import Journal
 from bench.record.run_folder import JOURNAL, PAGE_SIGNATURE, REPORT, RunFolder
 from bench.run.ended_page import remove_ended_page, write_ended_page
 from bench.wording.numbers import NOTHING
+from calib.target import StarTarget
 from tests.unit.bench.report.structure import cells
 
 NOW = datetime(2026, 3, 1, 20, 0, tzinfo=UTC)
@@ -47,7 +53,7 @@ def folder(tmp_path):
 
 
 def test_the_page_says_why_what_to_do_and_what_was_recorded(folder, key):
-    write_ended_page(folder, lambda: key, pytest.fail)
+    write_ended_page(folder, lambda: key, pytest.fail, StarTarget())
     page = (folder.path / REPORT).read_text()
     assert "The run failed." in page
     assert "Pose 1 &lt;left&gt; failed. (captures/a.raw)" in page
@@ -56,6 +62,26 @@ def test_the_page_says_why_what_to_do_and_what_was_recorded(folder, key):
     assert "0 of 1 recordings accepted" in page
     assert "The picture is dark; stars 0, needed &gt;= 40" in page
     assert "SIMULATED" in page
+
+
+def test_beside_the_refused_picture_stands_the_last_good_one_with_its_stars(folder, key, monkeypatch):
+    camera = {"width": 640, "height": 360, "fx": 1672, "fy": 1672, "cx": 320, "cy": 180}
+    lit = VirtualCamera({"camera": camera}, 1).picture({})
+    with Journal.open(folder.journal_path, utc_now=lambda: NOW, monotonic=lambda: 0.0) as journal:
+        for pose, accepted in ((2, True), (3, False)):
+            stored = {"pose": pose, "pose_name": f"p{pose}", "attempt": 1, "capture": f"captures/{pose}.raw"}
+            journal.append(Event.CAPTURE_STORED, **stored, facts={})
+            journal.append(
+                Event.ATTEMPT_CHECKED, pose=pose, attempt=1, accepted=accepted, stars=9, reasons=[], gates=[], measured={}
+            )  # fmt: skip
+        journal.append(Event.RUN_ENDED, how="failed", why="dark", error=ERROR, devices=[])
+    monkeypatch.setattr("bench.measure.measure.recorded_image", lambda path: lit * (path.name == "2.raw"))
+    write_ended_page(folder, lambda: key, pytest.fail, StarTarget())
+    shown = re.findall(r'base64,([^"]+)" alt="([^"]+)"', (folder.path / REPORT).read_text())
+    refused, good = (cv2.imdecode(np.frombuffer(base64.b64decode(png), np.uint8), -1) for png, _ in shown)
+    assert refused.max() == 0
+    assert "p2" in shown[1][1]
+    assert np.count_nonzero(np.ptp(good, axis=2)) > 1000  # the rings alone have a colour
 
 
 def test_each_recording_shows_whether_it_was_accepted(folder, key):
@@ -71,7 +97,7 @@ def test_each_recording_shows_whether_it_was_accepted(folder, key):
         journal.append(
             Event.ATTEMPT_CHECKED, pose=1, attempt=2, accepted=True, stars=193, reasons=[], gates=[], measured={}
         )  # fmt: skip
-    write_ended_page(folder, lambda: key, pytest.fail)
+    write_ended_page(folder, lambda: key, pytest.fail, StarTarget())
     why = "The picture is dark; stars 0, needed >= 40"
     assert cells((folder.path / REPORT).read_text(), "Recordings") == [
         ["left", "1", "[fail] refused", "0", "49\u202f893", why, "captures/a.raw"],
@@ -86,7 +112,7 @@ def test_a_run_whose_journal_says_that_it_finished_keeps_its_report(folder, key)
         journal.append(Event.RUN_RESUMED, torn_bytes=0, software={})
         journal.append(Event.RUN_ENDED, how="finished", why="", devices=[])
     (folder.path / REPORT).write_text("the report")
-    write_ended_page(folder, lambda: key, pytest.fail)
+    write_ended_page(folder, lambda: key, pytest.fail, StarTarget())
     assert (folder.path / REPORT).read_text() == "the report"
     assert not (folder.path / PAGE_SIGNATURE).exists()
 
@@ -99,7 +125,7 @@ def verified(folder, tmp_path):
 
 
 def test_verify_says_that_the_bench_signed_the_page(folder, key, tmp_path):
-    write_ended_page(folder, lambda: key, pytest.fail)
+    write_ended_page(folder, lambda: key, pytest.fail, StarTarget())
     faults, statements = verified(folder, tmp_path)
     assert faults == set()
     assert statements[0].startswith("report.html is the page of a run that did not finish, signed by ")
@@ -107,13 +133,13 @@ def test_verify_says_that_the_bench_signed_the_page(folder, key, tmp_path):
 
 
 def test_verify_finds_a_changed_page_a_foreign_key_and_another_journal(folder, key, tmp_path):
-    write_ended_page(folder, lambda: key, pytest.fail)
+    write_ended_page(folder, lambda: key, pytest.fail, StarTarget())
     page = (folder.path / REPORT).read_bytes()
     (folder.path / REPORT).write_bytes(page.replace(b"0 of 1", b"1 of 1"))
     assert verified(folder, tmp_path) == ({("signature", PAGE_SIGNATURE)}, [])
-    write_ended_page(folder, lambda: create_key(tmp_path / "other"), pytest.fail)
+    write_ended_page(folder, lambda: create_key(tmp_path / "other"), pytest.fail, StarTarget())
     assert verified(folder, tmp_path) == ({("key", PAGE_SIGNATURE)}, [])
-    write_ended_page(folder, lambda: key, pytest.fail)
+    write_ended_page(folder, lambda: key, pytest.fail, StarTarget())
     lines = (folder.path / JOURNAL).read_bytes().splitlines(keepends=True)
     (folder.path / JOURNAL).write_bytes(b"".join(lines[:-1]))
     assert verified(folder, tmp_path) == ({("journal", JOURNAL)}, [])
@@ -122,7 +148,7 @@ def test_verify_finds_a_changed_page_a_foreign_key_and_another_journal(folder, k
 
 
 def test_a_run_that_goes_on_has_no_page_of_its_earlier_end(folder, key):
-    write_ended_page(folder, lambda: key, pytest.fail)
+    write_ended_page(folder, lambda: key, pytest.fail, StarTarget())
     remove_ended_page(folder)
     assert not (folder.path / REPORT).exists()
     assert not (folder.path / PAGE_SIGNATURE).exists()
@@ -136,5 +162,5 @@ def test_a_page_that_cannot_be_signed_is_said(folder):
         raise EvidenceError("The key expired.")
 
     lines = []
-    write_ended_page(folder, no_key, lines.append)
+    write_ended_page(folder, no_key, lines.append, StarTarget())
     assert lines == ["The page of the run could not be written: The key expired."]
