@@ -16,7 +16,7 @@ SEED ?= 1
 # An editable install holds a copy of these files (docs/decisions/0025).
 FRONT_DOOR := $(wildcard bench/front_door/*.py)
 
-.PHONY: pictures demo night test test-slow lint types format bench table1 docs coverage lock release clean help
+.PHONY: pictures demo night test test-core test-slow lint types format bench table1 docs coverage lock release clean help
 .DEFAULT_GOAL := help
 
 help: ## say what there is
@@ -60,6 +60,9 @@ night: $(VENV)/installed ## rehearse a night of sixty runs on a virtual clock; o
 
 test: $(VENV)/installed-dev lint types ## every check that CI runs
 	$(BIN)/pytest -n 4 --dist worksteal -m "not slow" --durations=100
+
+test-core: $(VENV)/installed-dev ## the tests of the core alone, without those of the extras
+	$(BIN)/pytest -n 4 --dist worksteal -m "not slow" --ignore=tests/extras --ignore=bench/extras
 
 test-slow: $(VENV)/installed-dev ## the long ones: kills, seeds, Monte Carlo
 	$(BIN)/pytest -m slow

@@ -21,7 +21,12 @@ COMMANDS = "starbench.commands"
 FOLDERS = "starbench.folders"
 SCHEMAS = "starbench.schemas"
 WORKERS = "starbench.workers"
-_WORDS = {COMMANDS: "command", FOLDERS: "kind of folder with", SCHEMAS: "schema", WORKERS: "workers"}
+_WORDS = {
+    COMMANDS: "command",
+    FOLDERS: "kind of folder with",
+    SCHEMAS: "schema",
+    WORKERS: "option --workers with",
+}
 _METADATA = ".dist-info"
 _SOURCE = Path(__file__).parents[2]
 
@@ -50,7 +55,7 @@ class EntryPoint:
             if error.name is None or not f"{module}.".startswith(f"{error.name}."):
                 raise self._unusable(error) from error
             needed = module.rpartition(".")[0] or module
-            what = f"The {self._named} needs {needed}, which is missing."
+            what = f"The {self._named} needs the package {needed}, which is missing."
             raise ExtraMissing(what, remedy=f"Install it again: {self.package} declares it.") from error
         except Exception as error:  # a package of others may raise anything
             raise self._unusable(error) from error

@@ -28,7 +28,7 @@ _OF_OTHER_FORM = (KeyError, TypeError, ValueError, IndexError, AttributeError, O
 READ: Final = (
     "Read are results.json of a run, and files of OpenCV (YAML, XML, JSON, or npz with mtx and dist), ROS"
     " (camera_info), Kalibr (camchain), Metavision (intrinsics.json, camera-geometry.json), COLMAP (cameras.txt) and"
-    " mrcal (cameramodel): docs/check.md."
+    " mrcal (cameramodel): docs/extras/tools/check.md."
 )
 
 

@@ -28,7 +28,7 @@ from bench.commands.output import JSON, show, wants_json
 from bench.commands.workers import WORKERS, CountLine, PartsLine, kept_work, open_workers
 from bench.evidence.authorisations import compare_authorisation, known_authorisations
 from bench.evidence.findings import Derivation, Findings, Verification
-from bench.evidence.folder_kinds import brought_kinds, folder_kind
+from bench.evidence.folder_kinds import folder_kind
 from bench.evidence.key_trust import Trust, read_trust
 from bench.evidence.ledger_check import ledger_faults_of_run
 from bench.evidence.seal import kind_of
@@ -109,7 +109,7 @@ def verify_one(
     folder: Path, trust: Trust, *, again: bool, at: datetime | None = None, camera_serial: str | None = None
 ) -> Verification:
     """Verify a folder with the ledger of this bench, and with ``again`` with its recordings."""
-    checks = derivations(trust, again=again)
+    checks = derivations(folder, trust, again=again)
     return verify_folder(folder, trust, at=at, camera_serial=camera_serial, derivations=checks, again=again)
 
 
@@ -217,8 +217,8 @@ def again_line(folder: Path) -> PartsLine:
     return PartsLine(things, "the results are calculated again", quiet=wants_json())
 
 
-def derivations(trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
-    """Return each kind's further checks for `verify_folder`: ledger, recordings, and with ``again`` the numbers."""
+def derivations(folder: Path, trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
+    """Return the further checks of a folder for `verify_folder`: ledger, recordings, with ``again`` the numbers."""
 
     def of_folder(folder: Path) -> Findings:
         findings = Findings()
@@ -227,9 +227,9 @@ def derivations(trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
         return findings
 
     of_kinds: dict[str, list[Derivation]] = {
+        **_checks_of_kind(folder, trust, again=again),
         "run": [_check_ledger, of_folder],
         "results": [of_folder],
-        **_brought_checks(trust, again=again),
     }
     return {name: [*checks, check_authorisation] for name, checks in of_kinds.items()}
 
@@ -237,8 +237,8 @@ def derivations(trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
 def _checks_of_this_bench(folder: Path, kind: str, check: Check) -> Findings:
     """Compare a folder with the ledger of this bench, which no worker has."""
     of_kinds: dict[str, list[Derivation]] = {
+        **_checks_of_kind(folder, check.trust, again=check.again),
         "run": [_check_ledger],
-        **_brought_checks(check.trust, again=check.again),
     }
     findings = Findings()
     findings.derive(folder, of_kinds.get(kind, []))
@@ -246,13 +246,15 @@ def _checks_of_this_bench(folder: Path, kind: str, check: Check) -> Findings:
     return findings
 
 
-def _brought_checks(trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
-    """Return the checks of the kinds of folder that installed packages add."""
+def _checks_of_kind(folder: Path, trust: Trust, *, again: bool) -> dict[str, list[Derivation]]:
+    """Return the checks that the kind of a folder brings."""
 
     def verify_run(run: Path) -> Verification:
         return verify_one(run, trust, again=True)
 
-    return {kind.name: [*kind.checks(verify_run if again else None)] for kind in brought_kinds()}
+    kind = folder_kind(folder)
+    checks = list(kind.checks(verify_run if again else None))
+    return {kind.name: checks} if checks else {}
 
 
 def check_authorisation(folder: Path) -> Findings:

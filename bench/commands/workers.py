@@ -50,7 +50,7 @@ WORKERS = click.option(
     type=_Who(),
     metavar="N|ADDRESS",
     help="Number of processes on this computer; or use the workers of a Dask scheduler, tcp://host:8786 or"
-    " tls://host:8786 (docs/cluster.md).  [default: one process for each processor]",
+    " tls://host:8786 (docs/extras/many/cluster.md).  [default: one process for each processor]",
 )
 
 

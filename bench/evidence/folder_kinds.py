@@ -99,8 +99,3 @@ def folder_kind(folder: Path) -> FolderKind:
     if (folder / CERTIFICATE).is_file():  # a person can still check its authorisation
         raise missing(FOLDERS, CERTIFICATE)
     return _OTHER
-
-
-def brought_kinds() -> Sequence[FolderKind]:
-    """Return the kinds that installed packages add."""
-    return [entry.load() for entry in entry_points(FOLDERS).values()]

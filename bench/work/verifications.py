@@ -14,7 +14,7 @@ from typing import Any
 
 from bench.base.bounded_json import content_key
 from bench.evidence.findings import Derivation, Findings, SealFault, Verification
-from bench.evidence.folder_kinds import brought_kinds
+from bench.evidence.folder_kinds import folder_kind
 from bench.evidence.key_trust import Trust
 from bench.evidence.verify import verify_folder
 from bench.work.kept_rows import content_hash, require_program_of
@@ -53,15 +53,16 @@ def check_one(folder: Path, check: Check, known: Mapping[str, Any] | None) -> Ch
         faults = [SealFault(**seal_fault) for seal_fault in derived["faults"]]
         return Findings(faults, *([*derived[name]] for name in ("not_compared", "not_confirmed", "remarks")))
 
+    kind = folder_kind(folder)
     verification = verify_folder(
         folder,
         check.trust,
         at=check.at,
         camera_serial=check.camera_serial,
         derivations={
+            **({kind.name: [lambda _folder: Findings()]} if kind.checks(None) else {}),
             "run": [derive],
             "results": [derive],
-            **{kind.name: [lambda _folder: Findings()] for kind in brought_kinds()},
         },
         again=check.again,
     )

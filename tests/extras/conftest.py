@@ -5,6 +5,7 @@ from tests.unit.bench.conftest import (  # noqa: F401
     children,
     home,
     key,
+    make_run,
     own_kept_views,
     points,
     sealed,

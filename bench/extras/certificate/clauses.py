@@ -1,7 +1,7 @@
 """What lab.yaml and the run must answer: clauses of ISO/IEC 17025:2017, each with the keys of lab.yaml that answer it.
 
-A certificate that leaves a clause open, or contradicts the run, is refused. docs/certificates.md has the table of all
-clauses, also of those that the run or a fixed text answers.
+A certificate that leaves a clause open, or contradicts the run, is refused. docs/extras/certificate/certificates.md has
+the table of all clauses, also of those that the run or a fixed text answers.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """The file ``lab.yaml``: what a certificate says that a run cannot know. One file for each calibrated item.
 
 Its parts are parts of `certificate_data.Certificate` too. Nearly every key may be left out here;
-`bench.extras.certificate.clauses` refuses what is open. docs/certificates.md has them all.
+`bench.extras.certificate.clauses` refuses what is open. docs/extras/certificate/certificates.md has them all.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from bench.extras.certificate.lab_config import EXAMPLE, LabConfig, read_lab
 from sequences.errors import DocumentFaults
 
 NUMBERS = 'numbers: {format: "SB-{year}-{number:05d}"}'
-PAGE = Path(__file__).parents[3] / "docs" / "certificates.md"
+PAGE = Path(__file__).parents[3] / "docs" / "extras" / "certificate" / "certificates.md"
 NOTHING = "format: starbench/lab/1\n"
 
 

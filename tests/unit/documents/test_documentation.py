@@ -28,7 +28,7 @@ from sequences.solve_schema import LimitConfig, SolveConfig
 ROOT = Path(__file__).parents[3]
 DOCS = {
     name: (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
-    for name in ("sequences", "stations", "check")
+    for name in ("sequences", "stations", "extras/tools/check")
 }
 EXAMPLES = [
     (name, text)

@@ -76,7 +76,7 @@ def test_a_board_is_straight_in_the_image_that_the_tables_give(capsys, calibrate
 def test_the_example_of_the_page_moves_events(capsys, calibrated, monkeypatch):
     camera, folder = calibrated
     say(capsys, folder / "info.yaml", "-o", folder / "cam7-tables")
-    page = (Path(__file__).parents[4] / "docs" / "undistort.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "extras" / "tools" / "undistort.md").read_text()
     example = page.partition("```python\n")[2].partition("```")[0].replace("640", "399").replace("360", "299")
     monkeypatch.chdir(folder)
     names = {}

@@ -1,0 +1,87 @@
+"""The core without `bench/extras`: it works, and what needs an extra says which."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+PACKAGES = ("bench", "calib", "drivers", "sequences", "simulators")
+
+
+class Core:
+    """A copy of the program whose extras were deleted."""
+
+    def __init__(self, folder):
+        self.folder = folder
+        for name in PACKAGES:
+            shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("extras"))
+        (folder / "work").mkdir()
+        (folder / "home").mkdir()
+        (folder / "home" / "allowed_signers").touch()
+
+    def __call__(self, *words, status=0):
+        environment = {
+            **os.environ,
+            "PYTHONPATH": str(self.folder),
+            "STARBENCH_HOME": str(self.folder / "home"),
+        }
+        done = subprocess.run(
+            [sys.executable, "-m", "bench", *words],
+            cwd=self.folder / "work",
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=600,
+            check=False,
+        )
+        assert done.returncode == status, done.stderr
+        return done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module")
+def core(tmp_path_factory):
+    return Core(tmp_path_factory.mktemp("core"))
+
+
+def test_the_core_lists_plans_and_draws(core):
+    assert "resume" in core("--help")
+    assert "Three poses" in core("plan", "three_pose", "-s", "simulated")
+    core("target", "-s", "simulated", "-o", "target.svg")
+    core("station", "new", "bench.yaml", "--stand-ins", "keysight")
+    core("keys", "show")
+
+
+@pytest.mark.parametrize(
+    ("words", "extra"),
+    [
+        (["history", "charts"], "bench.extras.history"),
+        (["certificate", "new", "lab.yaml"], "bench.extras.certificate"),
+        (["schema", "lab"], "bench.extras.certificate"),
+        (["verify", "."], "bench.extras.certificate"),
+        (["calibrate", ".", "--each", "--workers", "2"], "bench.extras.many"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else "",
+)
+def test_what_needs_an_extra_says_which(core, words, extra):
+    (core.folder / "work" / "certificate.json").write_text("{}")
+    assert extra in core(*words, status=2)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1500)  # the copy compiles its loops
+def test_the_core_runs_verifies_and_calibrates(core):
+    core("run", "three_pose", "-s", "simulated", "--seed", "1", "-o", "runs/one")
+    assert "sealed" in core("resume", "runs/one", status=1)
+    assert "finished" in core("status", "runs/one")
+    core("verify", "runs/one", status=4)
+    core("verify", "runs/one", "--again")
+    core("calibrate", "runs/one")
+    core("calibrate", "runs/one", "--each", "-o", "each")
+    (core.folder / "work" / "queue.yaml").write_text(
+        "format: starbench/queue/1\nname: Night\njobs: [{name: one, sequence: three_pose, station: simulated}]\n"
+    )
+    core("batch", "queue.yaml", "-o", "night")
