@@ -32,7 +32,7 @@ _CIRCLE_FROM_PX: Final = 1.2
 """Edge width below which the blur circle is far from one that counts, px."""
 _CIRCLES_PX: Final = (6.0, 6.5)
 """Blur circles from which it counts, and counts fully, where it shows more blur than the stars' edges: these may look
-sharp from 9 px on, and bright light gives a sharp lens a circle of 5.8 px. A step would look like a turn of the ring."""
+sharp from 9 px on, and bright light gives a sharp lens a circle of 5.8 px. A step would look like a turn."""
 _SIGMA_OF_CIRCLE: Final = 0.25
 """Standard deviation of the points of a uniform disc along one axis, as a share of the diameter."""
 _NEAR_TAG: Final = 40  # Stars about the tag: enough for a median, near enough for one edge width
