@@ -40,6 +40,7 @@ napoleon_google_docstring = False
 napoleon_use_ivar = True
 
 DOCS = Path(__file__).parent
+_MERMAID = re.compile(r"```mermaid\n.*?```", re.DOTALL)
 _LINK = re.compile(r"\[([^\]]*)\]\(([^)#\s]+)(#[^)]*)?\)")
 _LISTED = re.compile(r"\]\((?!https?:|\.\./)([^)#\s]+\.(?:md|rst))\)")
 
@@ -48,7 +49,7 @@ def _as_site(app: Any, page: str, source: list[str]) -> None:
     """Turn a page of GitHub into one of the site."""
     del app
     folder = (DOCS / page).parent
-    text = source[0].replace("```mermaid", "```text")
+    text = _MERMAID.sub("![The states of a run](pictures/states.svg)", source[0])
     text = _LINK.sub(lambda link: link[0] if _within(folder, link[2]) else link[1], text)
     if page.endswith("README"):
         text = "".join(_with_side_bar(text))
