@@ -105,16 +105,17 @@ def test_verdict_and_picture_are_whole_and_together_wherever_the_page_is_scrolle
 
 
 def test_on_a_phone_nothing_scrolls_inside_a_box_and_ready_names_what_is_not(chromium, bench):
-    server, _, devices = bench
+    server, session, devices = bench
     devices.stage.fault = "pan: stalled"
+    session.light(level_percent=50.0)
     page = Tab(chromium, server.url)
-    page.tab.set_viewport_size({"width": 390, "height": 844})
+    page.tab.set_viewport_size({"width": 390, "height": 500})
     page.wait("alignStats.images > 0")
     page.tab.click("#check")
     page.wait_text("#check-note", "Not ready: stage: faults.")
     page.wait_text("#check-note", "Not checked yet: recording.")
     page.tab.click("#propose")
-    page.wait("document.getElementById('change').open")
+    page.wait_text("#difference", "+  high_v: 2.5")
     inside = (
         "[...document.querySelectorAll('body *')].filter(one => /auto|scroll/.test(getComputedStyle(one).overflow)"
         " && (one.scrollHeight > one.clientHeight + 1 || one.scrollWidth > one.clientWidth + 1)).length"
