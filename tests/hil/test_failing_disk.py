@@ -2,33 +2,20 @@
 
 import hashlib
 import os
-import shutil
 import subprocess
-from pathlib import Path
 
 import pytest
+from failing_calls import build_library
 from quick_runs import THREE_NAMED, write_sequence, write_station
 from running import PATIENCE_S, STARBENCH, environment, journal, starbench
-
-CONTROL = Path("/usr/lib/fiu/fiu_run_preload.so")
-"""Reads from the environment what is to fail."""
-SHIM = Path(__file__).parents[1] / "support" / "failing_disk.c"
 
 
 @pytest.fixture(scope="module")
 def shim(tmp_path_factory):
     """The library that lets file operations fail, compiled."""
-    if not CONTROL.exists() or shutil.which("cc") is None:
-        pytest.skip("needs libfiu (fiu-utils, libfiu-dev) and a C compiler")
-    library = tmp_path_factory.mktemp("shim") / "failing_disk.so"
-    built = subprocess.run(
-        ["cc", "-shared", "-fPIC", "-o", library, SHIM, "-lfiu", "-ldl"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    if built.returncode:
-        pytest.skip(f"failing_disk.c is not compiled here: {built.stderr.strip()}")
+    library = build_library(tmp_path_factory.mktemp("shim"))
+    if library is None:
+        pytest.skip("needs Linux and a C compiler")
     return library
 
 
@@ -40,9 +27,9 @@ def files(tmp_path):
 def run_on_failing_disk(shim, tmp_path, files, what, probability, seed):
     sequence, station = files
     failing = {
-        "LD_PRELOAD": f"{CONTROL} {shim}",
-        "FIU_ENABLE": f"enable_random name={what},probability={probability}",
-        "FIU_CTRL_FIFO": "",
+        "LD_PRELOAD": str(shim),
+        "FAILING_KIND": what,
+        "FAILING_PROBABILITY": str(probability),
         "FAILING_FOLDER": str(tmp_path / "run"),
         "FAILING_SEED": str(seed),
     }
@@ -68,7 +55,7 @@ def hashes(folder, names):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(6))
-@pytest.mark.parametrize(("what", "probability"), [("disk/write", 0.004), ("disk/sync", 0.03)])
+@pytest.mark.parametrize(("what", "probability"), [("write", 0.004), ("sync", 0.03)])
 def test_a_run_on_a_failing_disk_ends_in_words_and_is_finished_on_a_good_one(
     shim, tmp_path, files, what, probability, seed
 ):
@@ -96,7 +83,7 @@ def test_a_run_on_a_failing_disk_ends_in_words_and_is_finished_on_a_good_one(
 
 @pytest.mark.slow
 def test_a_sync_that_fails_is_told_as_the_disks_error(shim, tmp_path, files):
-    ended = run_on_failing_disk(shim, tmp_path, files, "disk/sync", 1.0, 0)
+    ended = run_on_failing_disk(shim, tmp_path, files, "sync", 1.0, 0)
     assert ended.returncode == 1, os.fspath(shim)
     assert "Input/output error" in ended.stderr
     assert "Traceback" not in ended.stderr

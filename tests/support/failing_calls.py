@@ -1,138 +1,136 @@
-"""One call to the file system fails, the n-th below some folders, as a disk that is full or broken lets it fail.
+"""The n-th call of libc that changes a file below a folder fails, or kills the process, as `failing_disk.c` lets it.
 
-As SQLite is tested: the same work is repeated, and each time the next of its calls is the one that fails, until all
-calls pass. Patched are the functions of ``os`` and ``io`` that this program and pathlib call; Python's own buffered files
-count by their opening.
+As SQLite is tested: a work is repeated, and each time the next of its calls fails, until all calls pass. Each try is a fork
+of a process that has loaded everything and done the work once.
 """
 
+import ctypes
 import errno
-import io
 import os
 import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import traceback
 from collections import Counter
-from contextlib import ExitStack
+from dataclasses import dataclass
 from pathlib import Path
-from unittest import mock
 
-PATHS = ("open", "truncate", "rename", "replace", "link", "unlink", "mkdir", "chmod")
-DESCRIPTORS = ("write", "fsync", "ftruncate")
-ERRORS = (errno.ENOSPC, errno.EIO)
+from bench.base.errors import BenchError
 
-
-class FailingCalls:
-    """Counts the calls below a folder within its block; the one after ``passing`` fails, none if that is negative."""
-
-    def __init__(self, folder: Path, passing: int = -1, number: int = errno.EIO):
-        self.folder, self.passing, self.number = str(folder), passing, number
-        self.calls, self.failed = 0, ""
-        self._stack = ExitStack()
-
-    def __enter__(self):
-        for name in PATHS:
-            self._patch(os, name, lambda args: str(args[0]) if not isinstance(args[0], int) else "")
-        for name in DESCRIPTORS:
-            self._patch(os, name, lambda args: opened_at(args[0]))
-        self._stack.enter_context(mock.patch.object(io, "open", self._open(io.open)))
-        self._stack.enter_context(mock.patch.object(io, "FileIO", self._raw_file()))
-        return self
-
-    def __exit__(self, *_):
-        self._stack.close()
-
-    def _patch(self, owner, name, place_of):
-        real = getattr(owner, name)
-
-        def call(*args, **more):
-            place = place_of(args)
-            if self._fails(place, f"{name} {place}"):
-                if name == "write":  # a part reaches the disk
-                    real(args[0], bytes(args[1])[: len(args[1]) // 2])
-                raise self._error(args[0] if name in PATHS else None)
-            return real(*args, **more)
-
-        self._stack.enter_context(mock.patch.object(owner, name, call))
-
-    def _open(self, real):
-        def call(file, mode="r", *args, **more):
-            if (
-                not isinstance(file, int)
-                and set(mode) & set("wax+")
-                and self._fails(str(file), f"open {file}")
-            ):
-                raise self._error(file)
-            return real(file, mode, *args, **more)
-
-        return call
-
-    def _raw_file(self):
-        calls = self
-
-        class RawFile(io.FileIO):
-            def write(self, data):
-                if calls._fails(str(self.name), f"write {self.name}"):
-                    super().write(bytes(data)[: len(data) // 2])
-                    raise calls._error(None)
-                return super().write(data)
-
-        return RawFile
-
-    def _fails(self, place, what):
-        if not place.startswith(self.folder):
-            return False
-        self.calls += 1
-        if self.calls != self.passing + 1:
-            return False
-        self.failed = what
-        return True
-
-    def _error(self, file):
-        return OSError(self.number, os.strerror(self.number), *([str(file)] if file is not None else []))
+COMMANDS = [
+    *(f"convert {kind}" for kind in ("raw", "metavision", "hdf5", "parquet", "csv", "numpy")),
+    *("target", "station new", "certificate new", "undistort", "passport make", "calibrate", "rig"),
+]
+"""Works of `failing_works` that are command lines."""
+KILLED = 0
+MODES = (errno.ENOSPC, errno.EIO, KILLED)
+TRACEBACK_STATUS = 3
+_SOURCE = Path(__file__).with_name("failing_disk.c")
 
 
-def opened_at(descriptor):
-    """The path that a descriptor was opened at; empty if it is none of a file."""
+def build_library(folder):
+    """Compile the library that is to be preloaded; None where there is no compiler."""
+    if sys.platform != "linux" or shutil.which("cc") is None:
+        return None
+    library = folder / "failing_disk.so"
+    subprocess.run(["cc", "-O1", "-shared", "-fPIC", "-o", library, _SOURCE, "-ldl"], check=True)
+    return library
+
+
+@dataclass(frozen=True)
+class Tried:
+    """The end of a try: its exit status, negative for a signal; what it said; the call that failed; calls in all."""
+
+    status: int
+    said: str
+    failed: str
+    calls: int
+
+
+def tried(work, folder, call=0, mode=errno.EIO):
+    """Do a work in a fork, in which one call below the folder fails; none if ``call`` is 0."""
+    libc = ctypes.CDLL(None)
+    libc.failed_call.restype = ctypes.c_char_p
+    with tempfile.TemporaryFile() as said:
+        sys.stdout.flush()
+        child = os.fork()
+        if child == 0:
+            status = TRACEBACK_STATUS
+            try:
+                os.dup2(said.fileno(), 1)
+                os.dup2(said.fileno(), 2)
+                libc.fail_call(os.fsencode(folder), call, mode)
+                status = _status_of(work)
+            finally:
+                sys.stdout.flush()
+                sys.stderr.flush()
+                os._exit(status)
+        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        said.seek(0)
+        return Tried(status, said.read().decode(), libc.failed_call().decode(), libc.counted_calls())
+
+
+def _status_of(work):
     try:
-        return str(Path(f"/proc/self/fd/{descriptor}").readlink())
-    except OSError:
-        return ""
+        work()
+    except SystemExit as end:
+        return int(end.code or 0)
+    except BenchError as error:
+        print(f"starbench: {error}")
+        return 1
+    except BaseException:  # noqa: BLE001 - the fork must not go on as its parent
+        traceback.print_exc()
+        return TRACEBACK_STATUS
+    return 0
 
 
-def each_call(work, *, first=0, step=1):
-    """Do ``work(passing, number)``, which returns the calls, with each call in turn failing, by each error; yield both.
+def each_call(work, folder, *, first=1, step=1):
+    """Let each call of a work fail in each mode; return the kinds of calls that failed, and what then fell."""
+    kinds, fallen = Counter(), []
+    for mode in MODES:
+        call = first
+        while True:
+            prepared = work.prepare(folder)
+            end = tried(lambda state=prepared: work.do(state), folder, call, mode)
+            if not end.failed:
+                break
+            kinds[kind_of(end.failed, folder)] += 1
+            what = f"{work.name}, call {call} {os.strerror(mode) if mode else 'kills'}, {end.failed}"
+            fault = fault_of(end, folder, mode)
+            try:
+                work.check(prepared, end)
+            except Exception as error:  # noqa: BLE001 - whatever comes of a failing disk is told
+                fault = f"{fault} then {error!r}"
+            if fault:
+                fallen.append(f"{what}: {fault}"[:1500])
+            remove(folder)
+            call += step
+        remove(folder)
+    return kinds, fallen
 
-    ``work`` returns a `FailingCalls`; the loop ends when none failed.
-    """
-    for number in ERRORS:
-        passing = first
-        while (calls := work(passing, number)).failed:
-            yield calls
-            passing += step
+
+def fault_of(end, folder, mode):
+    """What is wrong with the end itself: it crashed, was no sentence, or named no path; empty if nothing."""
+    if mode == KILLED:
+        return "" if end.status == -signal.SIGKILL else f"it was not killed: {end.said}"
+    if end.status < 0 or "Traceback" in end.said or "defect" in end.said:
+        return f"status {end.status}: {end.said}"
+    return "" if end.status == 0 or str(folder) in end.said else f"no path: {end.said}"
 
 
 def kind_of(failed, folder):
     """The kind of a failed call: what was called, and the file's name without its numbers."""
     name, _, place = failed.partition(" ")
-    inside = Path(place).relative_to(folder).parts[-2:] if place != str(folder) else (".",)
+    inside = place.removeprefix(f"{folder}/").split("/")[-2:]
     return f"{name} {re.sub('[0-9a-f]{6,}|[0-9]+', 'N', '/'.join(inside))}"
 
 
-class Tally:
-    """How many calls failed of each kind, and what then fell."""
-
-    def __init__(self):
-        self.tried, self.fallen = Counter(), []
-
-    def add(self, calls):
-        """Count a call that failed."""
-        self.tried[kind_of(calls.failed, calls.folder)] += 1
-
-    def __len__(self):
-        return self.tried.total()
-
-    def show(self, what):
-        """Print a line for each kind, most frequent first, and each that fell."""
-        print(f"\n{what}: {len(self)} failed calls, {len(self.fallen)} of them not overcome")
-        for kind, count in self.tried.most_common():
-            print(f"{count:6d}  {kind}")
-        for fell in self.fallen:
-            print(f"  not overcome: {fell}")
+def remove(folder):
+    """Remove a folder, with what is read-only in it."""
+    for path in (folder, *folder.rglob("*")):
+        if path.is_dir() and not path.is_symlink():
+            path.chmod(0o755)
+    shutil.rmtree(folder)
