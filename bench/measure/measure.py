@@ -33,7 +33,8 @@ from calib.events.event_image import (
 from calib.events.event_times import EventTimes, event_times
 from calib.events.flicker import Flicker, first_on_delay_us, flicker_from_times, flicker_from_triggers
 from calib.events.grey_image import to_uint8
-from calib.model.homography import fit_homography
+from calib.events.silent_lines import SilentLines
+from calib.model.homography import fit_homography, linear_at
 from calib.stars.beam import find_beam
 from calib.stars.centring import smooth
 from calib.stars.detect import BLUR_PX, detect_stars
@@ -83,6 +84,7 @@ class WholeImage(NamedTuple):
 
     image: NDArray[np.float32]  # (H, W) float32
     halves: Halves | None  # As `EventImages.halves`
+    silent: SilentLines = SilentLines()
 
 
 def read_events(path: Path) -> EventData:
@@ -121,7 +123,7 @@ def whole_image(
     if flicker.source == "triggers":
         edges_us = flicker.rising_edges_us(*span_us)
         facts["image"]["first_on_delay_us"] = first_on_delay_us(times, edges_us)
-    return WholeImage(chosen.image, images.halves)
+    return WholeImage(chosen.image, images.halves, images.silent)
 
 
 def recorded_image(path: Path, image: str = "auto") -> NDArray[np.float32]:
@@ -215,6 +217,7 @@ def _image_facts(images: EventImages, chosen: ChosenImage, origin_us: int) -> Me
             "first_on_spread_us": facts.first_on_spread_us,
             "hot_pixels": facts.hot_pixels,
             "silent_rows": facts.silent_rows,
+            "silent_columns": facts.silent_columns,
         }
     }
 
@@ -346,11 +349,31 @@ def measure(
             )
         except TargetNotFound as error:
             raise why_no_target(error, facts, whole.image) from error
+        view = without_crossed(view, whole.silent, np.array(facts["grid"]), target)
         if motion:
             facts["motion_px"] = motion_px(whole.halves, view, target)
         return downweight_vignetted(view, target)
 
     return measurement_of(find)
+
+
+def without_crossed(view: View, silent: SilentLines, grid: NDArray[np.float64], target: StarTarget) -> View:
+    """Leave out the stars that a silent line crosses: what is interpolated there was not seen.
+
+    ``grid`` is (3, 3), from [column row 1] to [u v 1] px.
+    """
+    steps = linear_at(grid, target.node_of(view.ids).astype(float))
+    reach_px = 0.5 * float(np.median(np.sqrt(np.abs(np.linalg.det(steps)))))
+    clear = ~silent.crossed(view.points_px, reach_px)
+    if clear.all():
+        return view
+    return replace(
+        view,
+        ids=view.ids[clear],
+        points_px=view.points_px[clear],
+        target_mm=view.target_mm[clear],
+        covariances_px2=view.covariances_px2[clear],
+    )
 
 
 def find_stars(

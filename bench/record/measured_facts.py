@@ -41,6 +41,7 @@ class ImageFacts(TypedDict, total=False):
     first_on_delay_us: float | None
     hot_pixels: int
     silent_rows: int
+    silent_columns: int
 
 
 class MeasuredFacts(TypedDict, total=False):

@@ -14,6 +14,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from bench.base.encoding import counted
 from bench.base.errors import BenchError
 from bench.camera_files.reader import CameraFile
 from bench.measure.gates import Gate, at_most, solution_gates
@@ -23,6 +24,7 @@ from bench.plan.job import Job
 from bench.plan.passports import PassportInUse
 from bench.record.events import Solved
 from bench.record.history import Attempt, History
+from bench.record.measured_facts import MeasuredFacts
 from bench.record.results import (
     CheckData,
     ComparisonRow,
@@ -233,6 +235,20 @@ def shared_parts(calibration: Calibration) -> dict[str, float]:
     return {name: math.hypot(*(part.get(name, 0.0) for part in parts)) for name in calibration.sigma}
 
 
+def silent_line_notes(facts: Sequence[MeasuredFacts]) -> list[str]:
+    """Return a sentence about the rows and columns of the sensor that sent no events in a recording; or nothing."""
+    images = [fact["image"] for fact in facts if "image" in fact]
+    rows = max((image.get("silent_rows", 0) for image in images), default=0)
+    columns = max((image.get("silent_columns", 0) for image in images), default=0)
+    if not rows and not columns:
+        return []
+    lines = f"{counted(columns, 'column')} and {counted(rows, 'row')} of the sensor"
+    why = "dead, or missed by the readout"
+    return [
+        f"{lines} sent no events beside others that did: they are {why}. They are left out of the images."
+    ]
+
+
 def _notes(job: Job, step: SolveStep, history: History, measurements: Sequence[Measurement]) -> list[str]:
     """Return what a reader must know besides the engine's notes: about the recordings and about the passport."""
     notes = []
@@ -242,6 +258,7 @@ def _notes(job: Job, step: SolveStep, history: History, measurements: Sequence[M
             "and neighbouring stars have the same error. The uncertainties may be up to 1.6 times too small. Roll the "
             "camera by about 10 degrees against the target."
         )
+    notes += silent_line_notes([m.facts for m in measurements])
     in_use = job.plan.passport.in_use
     if in_use is not None and job.plan.passport_for(step) is not None:
         day = datetime.fromisoformat(history.started_utc).date()

@@ -48,6 +48,7 @@ from calib.events.accumulation import (
 )
 from calib.events.event_times import EventTimes, event_times
 from calib.events.flicker import Flicker
+from calib.events.silent_lines import SilentLines
 
 #: Least number of events an edge for the lock-in image; below it, fired-per-edge is used.
 LOCK_IN_MIN_EVENTS = 1.9
@@ -82,8 +83,9 @@ class SliceFacts:
     # readout is saturated.
     first_on_spread_us: float
     hot_pixels: int  # Number of pixels masked because they fire far more often than their surroundings
-    # Number of rows without any event between rows with lit pixels: rows that the readout missed.
+    # Numbers of rows and columns without any event between those with lit pixels.
     silent_rows: int
+    silent_columns: int
     on_window: BurstWindow
 
 
@@ -100,9 +102,20 @@ class EventImages:
     _fired_in_halves: Halves | None
 
     @cached_property
+    def _lit(self) -> Bools:
+        """(H, W), the pixels that fire on at least the share `LIT_SHARE` of the edges; hot ones are none."""
+        least = LIT_SHARE * self.window[2]
+        return np.asarray((self.sums.on_fired >= least) & (self.sums.off_fired >= least) & ~self.hot)
+
+    @cached_property
+    def silent(self) -> SilentLines:
+        """Rows and columns that `named` and `halves` interpolate."""
+        return SilentLines.of((self.sums.on_count > 0) | (self.sums.off_count > 0), self._lit)
+
+    @cached_property
     def facts(self) -> SliceFacts:
         """Properties of the slice."""
-        return _facts(self.sums, self.hot, self.window, self.on_window)
+        return _facts(self.sums, self.hot, self._lit, self.silent, self.window, self.on_window)
 
     @cached_property
     def fired_per_edge(self) -> Array32:
@@ -121,7 +134,9 @@ class EventImages:
             return None
         scale = 255.0 / (2 * (self.window[2] // 2))
         first, second = (
-            without_hot_pixels(np.asarray(cv2.convertScaleAbs(fired, alpha=scale), np.uint8), self.hot)
+            self.silent.filled(
+                without_hot_pixels(np.asarray(cv2.convertScaleAbs(fired, alpha=scale), np.uint8), self.hot)
+            )
             for fired in self._fired_in_halves
         )
         return first, second
@@ -161,7 +176,7 @@ class EventImages:
         }
         if name not in makers:
             raise InputMismatch(f"No event image is called {name!r}. The kinds are {', '.join(makers)}.")
-        return makers[name]()
+        return self.silent.filled(makers[name]())
 
     def _inverted_latency(self) -> Array32:
         length, latency_us = np.float32(self.on_window.length_us), self.sums.mean_latency_us()
@@ -237,18 +252,19 @@ def make_images(
 
 
 def _facts(
-    sums: PixelSums, hot: Bools, window: tuple[float, float, int], on_window: BurstWindow
+    sums: PixelSums,
+    hot: Bools,
+    lit: Bools,
+    silent: SilentLines,
+    window: tuple[float, float, int],
+    on_window: BurstWindow,
 ) -> SliceFacts:
     """Collect the facts of the slice; ``window`` is its start and end, us, and number of periods."""
     start, end, periods = window
-    least = LIT_SHARE * periods
-    lit = (sums.on_fired >= least) & (sums.off_fired >= least) & ~hot
     latency_us, number = sums.mean_latency_us()[lit], int(np.count_nonzero(lit))
     counts = (int(count[lit].sum()) for count in (sums.on_count, sums.off_count))
     on, off = (float(count) / number / periods if number else 0.0 for count in counts)
     on_events = int(sums.on_count.sum())
-    rows = np.flatnonzero(lit.any(axis=1))
-    silent = (sums.on_count == 0).all(axis=1) & (sums.off_count == 0).all(axis=1)
     return SliceFacts(
         start_us=start,
         end_us=end,
@@ -260,7 +276,8 @@ def _facts(
         events_per_edge_off=off,
         first_on_spread_us=float(latency_us.std()) if number else float("nan"),
         hot_pixels=int(np.count_nonzero(hot)),
-        silent_rows=int(np.count_nonzero(silent[rows[0] : rows[-1]])) if len(rows) else 0,
+        silent_rows=len(silent.rows),
+        silent_columns=len(silent.columns),
         on_window=on_window,
     )
 

@@ -215,6 +215,7 @@ def test_the_version_of_the_detector_covers_all_that_finds_stars():
         "drivers.durable",
         "drivers.file_lock",
         "drivers.lateness",
+        "drivers.new_output",
         "sequences.",
     }
     graph = grimp.build_graph(

@@ -101,6 +101,18 @@ def test_a_row_without_events_between_lit_ones_is_silent(events, silent):
     assert images(events).facts.silent_rows == silent
 
 
+def test_a_silent_column_is_counted_and_interpolated_in_every_image():
+    made = images([e for e in lit_square() if e[1] != 6])
+    assert (made.facts.silent_rows, made.facts.silent_columns) == (0, 1)
+    for kind in ("fired-per-edge", "count", "last-polarity"):
+        image = made.named(kind)
+        assert (image[3:9, 6] == image[3:9, 5]).all()
+        assert image[5, 6] != 0
+    assert (made.halves[0][3:9, 6] == 255).all()
+    beside_the_light = images([*lit_square(), (4000, 15, 4, 1)])
+    assert beside_the_light.facts.silent_columns == 0
+
+
 def test_several_events_an_edge_choose_lock_in_and_few_choose_fired_per_edge():
     few, several = images(lit_square(burst=1)).best(), images(lit_square(burst=4)).best()
     assert few.name == "fired-per-edge"
