@@ -1,18 +1,20 @@
 """Open any program's file of events; its contents decide the format, not its name.
 
-HDF5 is read by `hdf5_events`, RAW with EVT2 words and DAT by `prophesee_words`; tables of NumPy, Parquet and text,
-AEDAT4, ROS bags, and HDF5 that only its library can read, by their libraries in another process (`library_process`):
-piece by piece, with bounded memory.
+HDF5 is read by `hdf5_events`, RAW with EVT2 words and DAT by `prophesee_words`; tables of NumPy, Parquet and text, and
+HDF5 that only its library can read, by their libraries in another process (`library_process`): piece by piece, with
+bounded memory. Entry points add formats: AEDAT4, ROS bags, and those of other packages.
 """
 
 from __future__ import annotations
 
+import functools
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import h5py
 import numpy as np
@@ -32,7 +34,6 @@ from drivers.camera.file_kinds import FORMS_OF_EVENTS, in_place_of_file
 from drivers.camera.formats import prophesee_words
 from drivers.camera.formats.hdf5_events import opened_hdf5
 from drivers.camera.formats.library_process import NO_EVENTS, source_of_library
-from drivers.camera.formats.library_reader import AEDAT4_MAGIC, is_bag
 from drivers.camera.formats.table_files import NPY_MAGIC, PARQUET_MAGIC, is_table_of_text
 from drivers.camera.formats.time_units import UnitCheck
 from drivers.camera.raw_check import read_start, require_whole
@@ -43,6 +44,9 @@ from drivers.errors import NotARecording, RecordingCorrupt, RecordingFileError, 
 _MOST_BACK_STEP_US: Final = 10_000
 """Times of one camera may step back by the length of a packet or two, which a computer has mixed up."""
 _COPY_AGAIN: Final = "Copy it again from its origin, or export it again from the original recording."
+GROUP: Final = "starbench.event_files"
+"""Entry points of formats; Starbench's own are declared so too."""
+_RAW: Final = b"% "
 _HDF5: Final = b"\x89HDF\r\n\x1a\n"
 _UNREADABLE: Final = (
     *(TypeError, LookupError, ValueError, OverflowError, RuntimeError, EOFError, NotImplementedError),
@@ -71,15 +75,21 @@ def open_events(path: Path | str, choices: ReadingChoices | None = None) -> Iter
 
 
 def _source(path: Path, choices: ReadingChoices, opened: ExitStack) -> EventSource:
-    start = b"" if path.is_dir() and is_bag(path, b"") else read_start(path)
+    start = b"" if path.is_dir() else read_start(path)
     if start:
         require_whole(path)
     if start.startswith(_HDF5):
         source = opened_hdf5(opened.enter_context(h5py.File(path, "r")), choices)
         return source or opened.enter_context(source_of_library(path, "hdf5", choices))
-    for kind, is_of_kind in _of_library(path, start).items():
+    if not start.startswith(_RAW):
+        for brought in _brought_formats():
+            if brought.recognises(path, start):
+                _require_no_unit(choices)
+                return opened.enter_context(brought.open_events(path, choices))
+    if not start:
+        read_start(path)  # refuses a folder
+    for kind, is_of_kind in _of_table(start).items():
         if is_of_kind:
-            _require_no_unit(choices, of_times=kind in {"bag", "aedat4"})
             return opened.enter_context(source_of_library(path, kind, choices))
     _require_no_unit(choices)
     if prophesee_words.is_dat(start):
@@ -90,21 +100,34 @@ def _source(path: Path, choices: ReadingChoices, opened: ExitStack) -> EventSour
     return prophesee_words.from_evt2(path, header)
 
 
-def _of_library(path: Path, start: bytes) -> dict[str, bool]:
-    """Return by kind whether a file is to be read by its library."""
+@functools.cache
+def _brought_formats() -> Sequence[Any]:
+    """Load the formats that packages declare, as `library_process.LibraryFormat` describes them."""
+    formats = []
+    for entry in entry_points(group=GROUP):
+        try:
+            formats.append(entry.load())
+        except Exception as error:  # a package of others may raise anything
+            what = (
+                f"The reader {entry.name!r} of {entry.value} cannot be used: {type(error).__name__}: {error}."
+            )
+            raise NotARecording(what, remedy="Install its package again, or remove it.") from error
+    return formats
+
+
+def _of_table(start: bytes) -> dict[str, bool]:
+    """Return by kind whether a file is a table, which is read by its library."""
     return {
-        "bag": is_bag(path, start),
         "npz": start[:4] == b"PK\x03\x04" and in_place_of_file(start) is None,
         "npy": start.startswith(NPY_MAGIC),
-        "aedat4": start[:12] == AEDAT4_MAGIC,
         "parquet": start.startswith(PARQUET_MAGIC),
         "text": is_table_of_text(start),
     }
 
 
-def _require_no_unit(choices: ReadingChoices, *, of_times: bool = True) -> None:
-    """Refuse (`NotARecording`) a unit for a file whose format states the unit ``of_times``."""
-    if of_times and choices.time_unit is not None:
+def _require_no_unit(choices: ReadingChoices) -> None:
+    """Refuse (`NotARecording`) a unit for a file whose format states it."""
+    if choices.time_unit is not None:
         raise NotARecording("The format of this file states the unit.", remedy="Leave out --time-unit.")
 
 

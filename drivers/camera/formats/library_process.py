@@ -15,8 +15,9 @@ import select
 import struct
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -72,6 +73,19 @@ def source_of_library(path: Path, kind: str, choices: ReadingChoices) -> Iterato
     finally:
         process.kill()
         process.communicate()
+
+
+@dataclass(frozen=True)
+class LibraryFormat:
+    """A format that `library_reader` reads, as an entry point of ``starbench.event_files`` gives it."""
+
+    kind: str
+    recognises: Callable[[Path, bytes], bool]
+    """Whether a path with these first bytes (none of a folder) is of this format."""
+
+    def open_events(self, path: Path, choices: ReadingChoices) -> AbstractContextManager[EventSource]:
+        """Open a file of this format until the end of the block."""
+        return source_of_library(path, self.kind, choices)
 
 
 def _source(stream: IO[bytes], path: Path) -> EventSource:

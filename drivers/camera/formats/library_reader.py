@@ -237,6 +237,10 @@ def is_bag(path: Path, start: bytes) -> bool:
     )
 
 
+BAG: Final = library_process.LibraryFormat("bag", is_bag)
+AEDAT4: Final = library_process.LibraryFormat("aedat4", lambda _, start: start.startswith(AEDAT4_MAGIC))
+
+
 def _from_bag(path: Path, choices: ReadingChoices) -> EventSource:
     """Open a topic of events of a bag: ``.bag`` of ROS 1; folder of ROS 2, or a file of such a folder."""
     if path.suffix.lower() in {".db3", ".mcap"} and (path.parent / "metadata.yaml").is_file():
