@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import (
-    Final,
-    Literal,
-    NotRequired,  # pydantic checks these types, on Python 3.11 too
-)
+from typing import Final, Literal, NotRequired
 
-from typing_extensions import TypedDict
+from typing_extensions import TypedDict  # pydantic checks these types, on Python 3.11 too
 
 DeviceName = Literal["stage", "light", "camera"]
 EndState = Literal["confirmed safe", "not confirmed", "never opened"]

@@ -216,18 +216,6 @@ class GimbalReadingsData(TypedDict):
     why_not: str | None
 
 
-class GimbalFaultData(TypedDict):
-    """A fault of the gimbal that the readings may show; poses count from 0."""
-
-    kind: str
-    axis: str | None
-    pose: int | None
-    size_deg: float
-    sigma_deg: float
-    probability: float
-    claimed: bool
-
-
 class GimbalCheckData(TypedDict):
     """The hand-eye check: the rotations against the readings of the gimbal."""
 
@@ -239,8 +227,9 @@ class GimbalCheckData(TypedDict):
     verdict: str
     says: Sequence[str]
     pairs: Numbers | None  # ``ratio spread count`` of angle seen over angle read, over all pairs of poses
-    slip: GimbalFaultData | None
-    faults: Sequence[GimbalFaultData]
+    # A fault that the readings may show: ``kind axis pose size_deg sigma_deg probability claimed``; poses from 0.
+    slip: Mapping[str, str | float | bool | None] | None
+    faults: Sequence[Mapping[str, str | float | bool | None]]
 
 
 class HalvesData(TypedDict):

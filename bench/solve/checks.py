@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 
 import numpy as np
 
 from bench.measure.expected_grid import engine_angles_deg
 from bench.record.results import (
     GimbalCheckData,
-    GimbalFaultData,
     HalvesData,
     MountFaceData,
     Numbers,
@@ -22,7 +22,6 @@ from bench.record.results import (
 from bench.stations.station import Station
 from bench.stations.station_budget import GimbalConfig
 from calib.diagnosis.gimbal_faults import GimbalFault
-from calib.diagnosis.gimbal_model import PairRatios
 from calib.diagnosis.hand_eye import check_hand_eye
 from calib.engine import Calibration, CalibrationOptions
 from calib.errors import CalibrationError
@@ -92,7 +91,7 @@ def gimbal_check(
         "excess_arcsec": check.excess_arcsec,
         "verdict": check.verdict.kind,
         "says": [*check.verdict.says, *(_NOT_INDEPENDENT if entered else ())],
-        "pairs": _pairs(check.pairs) if check.pairs is not None else None,
+        "pairs": asdict(check.pairs) if check.pairs is not None else None,
         "slip": slips[0] if slips else None,
         "faults": faults,
     }
@@ -105,12 +104,7 @@ def _focal_uncertainty(calibration: Calibration) -> float | None:
     return max(shares, default=None)
 
 
-def _pairs(pairs: PairRatios) -> Numbers:
-    """Return the ratios of the pairs of poses, for results.json."""
-    return {"ratio": pairs.ratio, "spread": pairs.spread, "count": pairs.count}
-
-
-def _fault(fault: GimbalFault) -> GimbalFaultData:
+def _fault(fault: GimbalFault) -> dict[str, str | float | bool | None]:
     """Return a fault, for results.json; poses count from 0."""
     return {
         "kind": fault.kind,
