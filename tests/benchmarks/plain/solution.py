@@ -1,0 +1,288 @@
+"""The Gaussian posterior for given amplitudes, and their restricted likelihood with its gradient.
+
+Shared unknowns b and those of each pose are an arrow matrix, as in bundle adjustment. The amplitudes maximise the
+likelihood times their prior (Patterson and Thompson, 1971), by L-BFGS, since all unknowns are independent beforehand:
+the gradient of each family is 2 (number - sum of (b^2 + V) / variance).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from calib.arrays import Array
+
+from .equations import Equations
+from .problem import Problem
+
+#: Other 1-sigmas of some shared unknowns, by their places: a hypothesis.
+Wide = Mapping[int, float]
+AS_STATED: Wide = {}
+#: Damping of places of the pupil, in units of what is known of them.
+_PLACES = 1e-2
+
+
+@dataclass(frozen=True)
+class Prior:
+    """The information of what is known beside the stars, for given amplitudes."""
+
+    star: float  # Of the stars, over the stated one
+    reading: float  # Of a component of a reading, rad^-2; 0 without readings
+    shared: Array  # (S,)
+    own: Array  # (F,)
+
+    @classmethod
+    def of(cls, problem: Problem, eta: Array, wide: Wide) -> Prior:
+        """Return that of (A,) logarithms of the amplitudes."""
+        readings, reading = problem.readings, 0.0
+        if readings is not None:
+            reading = float(np.exp(-2.0 * eta[problem.reading])) / readings.sigma_rad**2
+        shared = 1.0 / problem.variances(eta, dict(wide))
+        return cls(float(np.exp(-2.0 * eta[problem.star])), reading, shared, 1.0 / problem.own_variances(eta))
+
+
+@dataclass(frozen=True)
+class Solution:
+    """The posterior at linear equations."""
+
+    equations: Equations
+    eta: Array  # (A,) logarithms of the amplitudes
+    wide: Wide
+    prior: Prior
+    covariance: Array  # (S, S)
+    root_logarithm: float  # log det of the shared information, and of those of the poses
+    own: Array  # (n, L, L) covariance of the unknowns of a pose, the shared ones known
+    follow: Array  # (n, L, S) how they fall with the shared ones
+    step: Array  # (S,) from the state
+    local: Array  # (n, L) the same of the poses
+    _parts: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def problem(self) -> Problem:
+        """What is solved."""
+        return self.equations.problem
+
+    @property
+    def mean(self) -> Array:
+        """(S,) the shared unknowns."""
+        return np.asarray(self.equations.state.b + self.step)
+
+    @cached_property
+    def _b(self) -> Array:
+        return self.mean - self.problem.unknowns.mean
+
+    @cached_property
+    def _f(self) -> Array:
+        return self.equations.state.own + self.local[:, : self.equations.own_size]
+
+    @cached_property
+    def turned(self) -> Array:
+        """(m, 3) rotations from the readings' predictions after the step, rad."""
+        q, readings = self.equations, self.problem.readings
+        if readings is None:
+            return np.zeros((0, 3))
+        return np.asarray(q.off + q.turns(self.local) - q.by_gimbal @ self.step[readings.at])
+
+    @cached_property
+    def star_squares(self) -> float:
+        """Weighted squares of the stars after the step, over their noise."""
+        return self.prior.star * self.equations.left(self.step, self.local)
+
+    @cached_property
+    def reading_squares(self) -> float:
+        """Squares of the readings after the step, over their noise; views of one pose count as one."""
+        if self.problem.readings is None:
+            return 0.0
+        weights = reading_weights(self.equations, self.prior)
+        return float((weights[:, None] * self.turned**2).sum())
+
+    @cached_property
+    def value(self) -> float:
+        """-2 log of likelihood times prior of the amplitudes."""
+        q, p, prior = self.equations, self.problem, self.prior
+        known = float(self._b**2 @ prior.shared) + float((self._f**2 @ prior.own).sum())
+        volume = self.root_logarithm - np.log(prior.shared).sum() - p.n * np.log(prior.own).sum()
+        value = self.star_squares + self.reading_squares + known + volume
+        value += 2.0 * q.observed * self.eta[p.star] - q.logarithm
+        if p.readings is not None:
+            value += 6.0 * p.n * self.eta[p.reading]
+        away = self.eta - p.expected.mean
+        return float(value + away @ p.expected.information @ away)
+
+    @cached_property
+    def own_variances(self) -> Array:
+        """(n, F) posterior variances of the own coefficients."""
+        f = self.equations.own_size
+        follow = self.follow[:, :f]
+        return np.asarray(
+            np.einsum("nff->nf", self.own[:, :f, :f]) + ((follow @ self.covariance) * follow).sum(axis=2)
+        )
+
+    @cached_property
+    def _slopes(self) -> tuple[Array, Array]:
+        """(A,) gradient of `value`, and (A,) its expected curvature along each amplitude alone (Harville, 1977)."""
+        q, p, prior = self.equations, self.problem, self.prior
+        size = len(self.eta)
+        shared, own = np.diag(self.covariance) * prior.shared, self.own_variances * prior.own
+        has = p.at >= 0
+        gradient, curvature = np.zeros(size), np.zeros(size)
+        np.add.at(gradient, p.at[has], 2.0 * (1.0 - shared - self._b**2 * prior.shared)[has])
+        np.add.at(gradient, p.own_at, 2.0 * (1.0 - own - self._f**2 * prior.own).sum(axis=0))
+        np.add.at(curvature, p.at[has], 4.0 * (1.0 - shared[has]) ** 2)
+        np.add.at(curvature, p.own_at, 4.0 * ((1.0 - own) ** 2).sum(axis=0))
+        by_prior = float(shared.sum() + own.sum())
+        if p.readings is not None:
+            trace = self._reading_trace()
+            by_prior += trace
+            gradient[p.reading] += 6.0 * p.n - 2.0 * (self.reading_squares + trace)
+            curvature[p.reading] += 4.0 * max(3.0 * p.n - trace, 1.0)
+        freedom = len(self.step) + own.size + 3 * len(p.poses) - by_prior
+        gradient[p.star] += 2.0 * q.observed - 2.0 * (self.star_squares + freedom)
+        curvature[p.star] += 4.0 * max(q.observed - freedom, 1.0)
+        away = self.eta - p.expected.mean
+        gradient += 2.0 * p.expected.information @ away
+        curvature += 2.0 * np.diag(p.expected.information)
+        self._parts["determined"] = freedom
+        return gradient, curvature
+
+    def _reading_trace(self) -> float:
+        """Return the expected squares of the readings by the covariance alone, over their noise."""
+        q, readings = self.equations, self.problem.readings
+        assert readings is not None
+        total, weights = 0.0, reading_weights(q, self.prior)
+        for v, (pose, slot) in enumerate(zip(self.problem.poses, q.slots, strict=True)):
+            slope = -self.follow[pose, slot]
+            slope[:, readings.at] -= q.by_gimbal[v]
+            spread = self.own[pose, slot, slot] + slope @ self.covariance @ slope.T
+            total += float(weights[v] * np.trace(spread))
+        return total
+
+    @property
+    def gradient(self) -> Array:
+        """(A,) of `value` by the logarithms of the amplitudes."""
+        return self._slopes[0]
+
+    @property
+    def scale(self) -> Array:
+        """(A,) 1-sigma of the logarithm of each amplitude, all others held."""
+        return np.asarray(np.sqrt(2.0 / self._slopes[1]))
+
+    @property
+    def determined(self) -> float:
+        """Number of unknowns that the stars determine, each as far as they do."""
+        _ = self._slopes
+        return self._parts["determined"]
+
+    @property
+    def moved(self) -> float:
+        """How far the step moves focal length, foot and radius, as a share of these."""
+        wide = self.problem.wide[[0, 3, 4, 5]]
+        return float(np.abs(wide @ self.step).max())
+
+    def there(self, share: float = 1.0) -> tuple[Array, Array, Array]:
+        """Return a share of the step, for `State.moved`."""
+        return (
+            share * self.step,
+            share * self.local[:, : self.equations.own_size],
+            share * self.equations.turns(self.local),
+        )
+
+
+def reading_weights(equations: Equations, prior: Prior) -> Array:
+    """Return (m,) the information of each reading: views of one pose count as one."""
+    views = np.bincount(equations.problem.poses)
+    return np.asarray(prior.reading / views[equations.problem.poses])
+
+
+def solve(equations: Equations, eta: Array, wide: Wide = AS_STATED, damping: float = 0.0) -> Solution:
+    """Return the posterior; ``damping`` holds what steps bend (Levenberg, 1944): camera, foot and radius.
+
+    Places of a pupil are held, too: they multiply fields.
+    Raises `numpy.linalg.LinAlgError` if these amplitudes do not determine all unknowns.
+    """
+    p, state, f = equations.problem, equations.state, equations.own_size
+    prior = Prior.of(p, eta, wide)
+    between, alone, right = equations.local
+    h, rs = prior.star * equations.shared, prior.star * equations.shared_right
+    h[np.diag_indices(len(h))] += prior.shared
+    rs += (p.unknowns.mean - state.b) * prior.shared
+    if damping:
+        h += damping * p.wide.T @ p.wide
+        at = p.unknowns.places("place")
+        h[at, at] += _PLACES * damping * prior.shared[at]
+    c, d, rl = prior.star * between, prior.star * alone, prior.star * right
+    d[:, range(d.shape[1]), range(d.shape[1])] += equations.empty
+    d[:, range(f), range(f)] += prior.own
+    rl[:, :f] -= state.own * prior.own
+    if p.readings is not None:
+        _add_readings(equations, prior, (h, rs), (c, d, rl))
+    own = np.asarray(np.linalg.inv(d), np.float64)
+    follow = own @ c
+    covariance, shared_logarithm = _inverse(h - c.reshape(-1, len(h)).T @ follow.reshape(-1, len(h)))
+    step = covariance @ (rs - np.einsum("nls,nl->s", follow, rl))
+    local = (own @ rl[:, :, None])[:, :, 0] - follow @ step
+    logarithm = shared_logarithm + float(np.linalg.slogdet(d)[1].sum())
+    return Solution(equations, eta, wide, prior, covariance, logarithm, own, follow, step, local)
+
+
+def _add_readings(
+    q: Equations, prior: Prior, shared: tuple[Array, Array], of_poses: tuple[Array, Array, Array]
+) -> None:
+    """Add the readings to the information and right-hand sides of shared unknowns and poses."""
+    readings = q.problem.readings
+    assert readings is not None
+    (h, rs), (c, d, rl), at = shared, of_poses, readings.at
+    for v, (weight, pose, slot) in enumerate(
+        zip(reading_weights(q, prior), q.problem.poses, q.slots, strict=True)
+    ):
+        by, off = q.by_gimbal[v], q.off[v]
+        h[np.ix_(at, at)] += weight * by.T @ by
+        rs[at] += weight * by.T @ off
+        c[pose][slot, at] -= weight * by
+        d[pose, slot, slot] += weight * np.eye(3)
+        rl[pose, slot] -= weight * off
+
+
+def _inverse(h: Array) -> tuple[Array, float]:
+    """Return the inverse of a positive definite matrix, and the logarithm of its determinant."""
+    from scipy.linalg.lapack import dpotrf, dpotri  # here: `plan` starts without it
+
+    lower, failed = dpotrf(h, lower=1)
+    if failed:
+        raise np.linalg.LinAlgError("The matrix is not positive definite.")
+    half = np.tril(dpotri(lower, lower=1)[0])
+    inverse = half + half.T
+    inverse[np.diag_indices(len(h))] *= 0.5
+    return inverse, 2.0 * float(np.log(np.diag(lower)).sum())
+
+
+def expected_curvature(solution: Solution) -> Array:
+    """Return the (A, A) curvature that `Solution.value` is expected to have (Harville, 1977).
+
+    With the posterior covariance V and prior variances s^2 it is the sum over the unknowns of two families of 4 times
+    the squares of 1 - V / (s s'). Poses are taken apart.
+    """
+    p, prior, size = solution.problem, solution.prior, len(solution.eta)
+    has = p.at >= 0
+    member = np.zeros((len(p.at), size))
+    member[np.flatnonzero(has), p.at[has]] = 1.0
+    own_member = np.zeros((len(p.own_at), size))
+    own_member[range(len(p.own_at)), p.own_at] = 1.0
+    scale, own_scale, f = np.sqrt(prior.shared), np.sqrt(prior.own), len(prior.own)
+    seen = np.eye(len(scale)) - scale[:, None] * solution.covariance * scale
+    curvature = 4.0 * member.T @ seen**2 @ member
+    for pose in range(p.n):
+        follow = solution.follow[pose, :f]
+        between = own_scale[:, None] * (follow @ solution.covariance) * scale
+        alone = solution.own[pose, :f, :f] + follow @ solution.covariance @ follow.T
+        own = np.eye(f) - own_scale[:, None] * alone * own_scale
+        curvature += 4.0 * own_member.T @ own**2 @ own_member
+        across = 4.0 * own_member.T @ between**2 @ member
+        curvature += across + across.T
+    noises = [p.star] if p.readings is None else [p.star, p.reading]
+    own_curvature = 2.0 / solution.scale**2 - 2.0 * np.diag(p.expected.information)
+    curvature[noises, noises] += own_curvature[noises]
+    return np.asarray(curvature + 2.0 * p.expected.information)

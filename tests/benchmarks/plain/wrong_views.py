@@ -1,0 +1,297 @@
+"""Views whose stars are not where they should be: ids shifted on the lattice, points with another origin.
+
+A shift of all stars of a view, on the target or in the image, is two columns of its basis. So the equations say what
+the likelihood gains by any shifts, with all unknowns and with the own fields of the poses (`AddedColumns`). Where they
+promise enough, the shifted views are adjusted, and the likelihood ratio decides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.arrays import Array, Ints
+from calib.errors import CalibrationError, NotConverged
+from calib.model.likelihood_ratio import DECISIVE, needed
+from calib.model.local_consistency import local_spacing
+from calib.progress import expect
+from calib.view import View
+
+from .added import AddedColumns, displaced
+from .evidence import value_as_weighed
+from .search import Optimum, best_amplitudes, search
+from .solution import solve
+
+#: Odds beforehand that the ids of a view are shifted: they come from a tag, whose code is checked.
+_SHIFTED_IDS = 1e-4
+#: Shifts of ids up to this number of columns and rows are tried.
+MAX_SHIFT = 2
+_SHIFTS = [
+    (i, j) for i in range(-MAX_SHIFT, MAX_SHIFT + 1) for j in range(-MAX_SHIFT, MAX_SHIFT + 1) if i or j
+]
+#: Largest deviation of a star from a node of the lattice, pitches.
+_ON_LATTICE = 0.05
+#: A shift is looked at if -2 log of the likelihood rises by no more than this with it, all linear, and adjusted if it
+#: falls by the second number with better amplitudes: wrong ids have made the own fields of the poses look large. On
+#: drawn gimbals with right ids it would rise by 300 or more from three poses on; with wrong ids of one of nine views
+#: and readings it rose by 9.
+_LOOKED_AT, _PROMISED = -50.0, 4.0
+#: Largest number of shifts that are adjusted at a time, and of steps of the amplitudes.
+_ADJUSTED, _STEPS = 4, 20
+#: Of other shifts that explain much, so many are tried with other sizes: each takes up to four searches.
+_RIVALS = 2
+#: An origin at a pixel's corner instead of its centre, px.
+HALF_PX = 0.5
+
+
+class ShiftedIds(NamedTuple):
+    """Views whose ids are shifted."""
+
+    words: str = ""  # Empty if the views agree, or if no shift explains their errors
+    worth: float = 0.0  # 2 log of the odds of these shifts against none
+
+
+def _shifts(optimum: Optimum, places: Ints) -> AddedColumns:
+    """Return what the likelihood gains by a shift of each of m views along two ``places`` of their bases: K = 2 m."""
+    problem = optimum.solution.problem
+    m = len(problem.poses)
+    columns = np.zeros((m, problem.size, 2 * m))
+    for v in range(m):
+        columns[v, places, [2 * v, 2 * v + 1]] = 1.0
+    return AddedColumns.of(optimum.solution, columns)
+
+
+def _promised(optimum: Optimum, places: Ints, shifts: Array) -> float:
+    """Return by how much -2 log of the likelihood falls with (m, 2) shifts and the best amplitudes then, all linear."""
+    basis = np.zeros((len(shifts), optimum.solution.problem.size))
+    basis[:, places] = shifts
+    there = solve(displaced(optimum.solution.equations, basis), optimum.solution.eta)
+    return _value(optimum) - best_amplitudes(there, _STEPS).value
+
+
+def _value(optimum: Optimum) -> float:
+    """Return -2 log of the likelihood at the best amplitudes, which a long search does not look for at its end."""
+    return best_amplitudes(optimum.solution, _STEPS).value
+
+
+@dataclass(frozen=True)
+class _Moved:
+    """An optimum with some views shifted."""
+
+    shifts: Array  # (m, 2) of the ids, columns and rows
+    gain: float  # By how much -2 log of the likelihood falls
+    optimum: Optimum
+
+
+def _moved(first: Optimum, near: Optimum, rounds: int, shifts_mm: Array) -> Optimum:
+    """Return the optimum with (m, 2) shifts of the views' stars on the target, from the state of a ``near`` one."""
+    problem, stars = first.solution.problem, []
+    for star, shift in zip(problem.stars, shifts_mm, strict=True):
+        disc = star.disc and replace(star.disc, centre_mm=star.disc.centre_mm + shift)
+        mm = star.mm + shift
+        stars.append(replace(star, mm=mm, polynomials=problem.fields.polynomials(mm), disc=disc))
+    places = problem.places
+    if places is not None:
+        of_poses = np.array([shifts_mm[members].mean(axis=0) for members in problem.members])
+        places = replace(places, shown=places.shown + places.per_mm * (of_poses - of_poses.mean(axis=0)))
+    return search(replace(problem, stars=tuple(stars), places=places), near.state, rounds)
+
+
+def _gain(first: Optimum, there: Optimum) -> float:
+    """Return 2 log of the likelihood ratio of an optimum to the first one, with its own weights of the stars.
+
+    Those of the first one weigh a view less whose stars it does not explain.
+    """
+    return value_as_weighed(first, there) - _value(there)
+
+
+def find_shifted_ids(
+    optimum: Optimum, views: Sequence[View], rounds: int, again: Callable[[Sequence[View]], Optimum]
+) -> ShiftedIds:
+    """Look for views whose ids are shifted by columns and rows of the lattice against those of the others.
+
+    The best shift of one view is kept, and the search goes on with the next view, up to half of the views. Where
+    another view would do, too, other sizes of its shift are tried. A pupil that a hand moves can imitate a shift: there
+    each shift is kept only if the views, adjusted ``again``, gain as much.
+    """
+    pitch = _lattice_pitch(views)
+    if len(views) < 2 or pitch is None:
+        return ShiftedIds()
+    each = needed(len(views) * len(_SHIFTS)) - 2.0 * math.log(_SHIFTED_IDS)
+
+    def cost(moved: _Moved) -> float:
+        return each * float(np.count_nonzero(moved.shifts.any(axis=1)))
+
+    def worth(moved: _Moved) -> float:
+        return moved.gain - cost(moved)
+
+    by_hand = optimum.solution.problem.places is not None
+
+    def holds(moved: _Moved) -> bool:
+        if not by_hand:
+            return True
+        return _gain_again(optimum, views, pitch * moved.shifts, again, rounds) >= cost(moved)
+
+    best = _Moved(np.zeros((len(views), 2)), 0.0, optimum)
+    every = [best]
+    while more := _shifted(optimum, best, pitch, rounds):
+        every += more
+        better = max(more, key=worth)
+        if worth(better) <= worth(best) or not holds(better):
+            break
+        best = better
+    if not best.shifts.any():
+        return ShiftedIds()
+    others = sorted((moved for moved in every if worth(moved) > 0.0 and moved is not best), key=worth)
+    for rival in others[-_RIVALS:]:  # another size of its shift may explain more
+        every += _shifted(optimum, rival, pitch, rounds)
+    likeliest = max(every, key=worth)
+    best = likeliest if likeliest is best or holds(likeliest) else best
+    rivals = [moved for moved in every if moved.shifts.any() and worth(moved) > worth(best) - DECISIVE]
+    return ShiftedIds(_note(views, best, rivals, cost(best)), worth(best))
+
+
+def _note(views: Sequence[View], best: _Moved, rivals: Sequence[_Moved], enough: float) -> str:
+    """Return the sentence that names the shifted views, or those of which one is shifted."""
+    others = {_in_words(views, moved) for moved in rivals} - {_in_words(views, best)}
+    if len(views) == 2:  # what all views have in common is another centre
+        others.add(_in_words(views, replace(best, shifts=(best.shifts - best.shifts.sum(axis=0)))))
+    ratio = f"2 log(likelihood ratio) is {best.gain:.0f}; {enough:.0f} is enough"
+    if others:
+        return (
+            "The star ids of one view may be shifted, but these views do not show which one. Shift the ids of "
+            f"{', or '.join([_in_words(views, best), *sorted(others)])}. "
+            f"Then the stars fit far better ({ratio}). Check the ids of these views, or add views."
+        )
+    return (
+        f"The star ids are wrong: shift the ids of {_in_words(views, best)}. "
+        f"Then the stars fit far better ({ratio}). Check the tag or the id file of this view."
+    )
+
+
+def _shifted(first: Optimum, best: _Moved, pitch: float, rounds: int) -> list[_Moved]:
+    """Return the optima with the most promising shifts of one more view, or with another shift of a shifted one."""
+    problem, count = first.solution.problem, len(best.shifts)
+    full = np.count_nonzero(best.shifts.any(axis=1)) >= max(1, (count - 1) // 2)
+    tried = np.repeat(best.shifts[None], count * len(_SHIFTS), axis=0).reshape(count, len(_SHIFTS), count, 2)
+    for v in range(count):
+        tried[v, :, v] = _SHIFTS
+    open_views = [v for v in range(count) if best.shifts[v].any() or not full]
+    hypotheses = tried[open_views].reshape(-1, count, 2)
+    places = problem.shifts
+    steps = (hypotheses - best.shifts) * pitch / problem.fields.r0
+    gains = _shifts(best.optimum, places).gains(steps.reshape(len(steps), -1))
+    gains[~steps.any(axis=(1, 2))] = -np.inf
+
+    def is_promising(k: int) -> bool:
+        if (best.shifts.any(axis=1) == hypotheses[k].any(axis=1)).all():
+            return True  # only by how much is asked
+        with suppress(np.linalg.LinAlgError):
+            return gains[k] > _LOOKED_AT and _promised(best.optimum, places, steps[k]) > _PROMISED
+        return False
+
+    promising = [k for k in np.argsort(-gains)[:_ADJUSTED].tolist() if is_promising(k)]
+    expect(len(promising))
+    shifted = []
+    for k in promising:
+        with suppress(NotConverged, np.linalg.LinAlgError):
+            there = _moved(first, best.optimum, rounds, pitch * hypotheses[k])
+            shifted.append(_Moved(hypotheses[k], _gain(first, there), there))
+    return shifted
+
+
+def _gain_again(
+    optimum: Optimum,
+    views: Sequence[View],
+    shifts_mm: Array,
+    again: Callable[[Sequence[View]], Optimum],
+    rounds: int,
+) -> float:
+    """Return what (m, 2) shifts of stars gain if the shifted views are adjusted anew; 0 if they cannot be.
+
+    Another state may be what gains. So the stars without these shifts are adjusted from there, too.
+    """
+    moved = [
+        replace(view, target_mm=view.target_mm + shift) for view, shift in zip(views, shifts_mm, strict=True)
+    ]
+    try:
+        there = again(moved)
+        unmoved = _moved(optimum, there, rounds, np.zeros_like(shifts_mm))
+    except CalibrationError:
+        return 0.0
+    return min(_value(optimum), unmoved.solution.value) - _value(there)
+
+
+def _in_words(views: Sequence[View], moved: _Moved) -> str:
+    """Return shifts in words, as "view left by 1 column"."""
+    views_in_words = []
+    for view, shift in zip(views, moved.shifts.astype(int).tolist(), strict=True):
+        parts = [
+            f"{number} {name if abs(number) == 1 else name + 's'}"
+            for number, name in zip(shift, ("column", "row"), strict=True)
+            if number
+        ]
+        views_in_words += [f"view {view.name} by {' and '.join(parts)}"] if parts else []
+    return " and ".join(views_in_words)
+
+
+def _lattice_pitch(views: Sequence[View]) -> float | None:
+    """Return the pitch of the lattice on which all stars lie, mm; None if they lie on none."""
+    if min(len(view) for view in views) < 4:
+        return None
+    pitch = min(local_spacing(view.target_mm) for view in views)
+    steps = (np.concatenate([view.target_mm for view in views]) - views[0].target_mm[0]) / pitch
+    return pitch if np.abs(steps - np.round(steps)).max() < _ON_LATTICE else None
+
+
+def find_other_origins(optimum: Optimum, views: Sequence[View]) -> str:
+    """Look for views whose points lie half a pixel away from those of the other views, along both axes.
+
+    Views join the shifted ones, one by one. The likelihood ratio decides how many there are, at most half of all
+    views. An offset of another size must not be decisively more likely. A single view is seldom found, because its own
+    rotation imitates a shift. Three or more views are needed. Returns a sentence; an empty one if all views agree, or
+    if they cannot decide.
+    """
+    if len(views) < 3:
+        return ""
+    shifts = _shifts(optimum, np.array([2, 3]))  # the principal point, in units of f
+    half = HALF_PX / optimum.solution.problem.camera.f0_px
+    ratio, shift = max((_joined(shifts, by) for by in (half, -half)), key=lambda joined: joined[0])
+    if ratio < 0.0:
+        return ""
+    # Offsets of the joined views along each axis, in half pixels.
+    pattern = np.einsum("vj,jk->vjk", shift, np.eye(2)).reshape(-1, 2)
+    normal = pattern.T @ shifts.information @ pattern
+    times = np.linalg.solve(normal, pattern.T @ shifts.gradient)
+    if (times - 1.0) @ normal @ (times - 1.0) > DECISIVE:
+        return ""
+    members, sigmas = np.flatnonzero(shift[:, 0]).tolist(), HALF_PX * np.sqrt(np.diag(np.linalg.inv(normal)))
+    names = [views[i].name for i in members]
+    which = f"view {names[0]} lie" if len(names) == 1 else f"views {', '.join(names)} lie"
+    offset = times * shift[members[0]] * optimum.solution.problem.camera.f0_px
+    along = f"{abs(offset[0]):.2f} px {'right' if offset[0] >= 0 else 'left'}"
+    return (
+        f"The points of {which} {along} and {abs(offset[1]):.2f} px {'down' if offset[1] >= 0 else 'up'} of those of "
+        f"the other views (± {2.0 * sigmas.max():.2g} px, k = 2): their origin seems to differ. "
+        "Check --origin, and give all views the same."
+    )
+
+
+def _joined(shifts: AddedColumns, by: float) -> tuple[float, Array]:
+    """Return 2 log(likelihood ratio) of the best group of views, beyond what is needed, and the (m, 2) shifts, px."""
+    views = len(shifts.gradient) // 2
+    shift, best = np.zeros((views, 2)), (-np.inf, np.zeros((views, 2)))
+    for size in range(1, views // 2 + 1):
+        tried = np.array(
+            [np.where(np.eye(views)[i][:, None] > 0, by, shift) for i in range(views) if not shift[i, 0]]
+        )
+        gains = shifts.gains(tried.reshape(len(tried), -1))
+        shift = tried[gains.argmax()]
+        ratio = float(gains.max()) - needed(2 * math.comb(views, size))
+        best = max(best, (ratio, shift), key=lambda ratio_and_shift: ratio_and_shift[0])
+    return best
