@@ -28,7 +28,7 @@ _WORDS = {
     WORKERS: "option --workers with",
 }
 _METADATA = ".dist-info"
-_SOURCE = Path(__file__).parents[2]
+SOURCE = Path(__file__).parents[2]
 
 
 class ExtraMissing(UsageError):
@@ -75,7 +75,7 @@ def entry_points(group: str) -> Mapping[str, EntryPoint]:
     """Return what is declared for a group, by name; of two with one name, that which Python would find first."""
     return {
         name: EntryPoint(group, name, value, package)
-        for package, lines in reversed(_declared(tuple(sys.path)))
+        for package, lines in reversed(declared_lines(tuple(sys.path)))
         for of_group, name, value in reversed(lines)
         if of_group == group
     }
@@ -96,7 +96,7 @@ def missing(group: str, name: str) -> ExtraMissing:
         return ExtraMissing(
             what,
             remedy="pyproject.toml declares it since the last installation. Install again: "
-            f"pip install --no-deps -e {_SOURCE}",
+            f"pip install --no-deps -e {SOURCE}",
         )
     return ExtraMissing(what, remedy="Install the package that brings it.")
 
@@ -106,7 +106,7 @@ def is_stale(group: str, name: str) -> bool:
     import tomllib
 
     try:
-        with (_SOURCE / "pyproject.toml").open("rb") as file:
+        with (SOURCE / "pyproject.toml").open("rb") as file:
             declared = tomllib.load(file)["project"]["entry-points"].get(group, {})
     except (OSError, KeyError, tomllib.TOMLDecodeError):
         return False
@@ -114,7 +114,7 @@ def is_stale(group: str, name: str) -> bool:
 
 
 @functools.cache
-def _declared(path: tuple[str, ...]) -> Sequence[tuple[str, Sequence[tuple[str, str, str]]]]:
+def declared_lines(path: tuple[str, ...]) -> Sequence[tuple[str, Sequence[tuple[str, str, str]]]]:
     """Return by package the lines of all groups of Starbench: group, name and value."""
     found: dict[str, Sequence[tuple[str, str, str]]] = {}
     for folder in dict.fromkeys(path):

@@ -35,7 +35,7 @@ LOOPBACK = "127.0.0.1"
 _CLOSE_S = 2  # Streams never end by themselves
 REQUEST_S = 10.0  # A request of the pages arrives at once; a slow sender holds a connection
 _WAITING = 1024  # Connections that the system keeps until they are accepted; it delays others by a second
-_ACCEPTED = 64  # Most that one turn of the loop accepts
+ACCEPTED = 64  # Most that one turn of the loop accepts
 MOST_CONNECTIONS = 512
 """Half of the 1024 files that a process may often have. Its own limit, uvicorn applies to everybody alike."""
 
@@ -93,7 +93,7 @@ class PageServer:
             proxy_headers=False,  # else a client of this computer says by a header which address it has
             timeout_graceful_shutdown=_CLOSE_S,
             timeout_keep_alive=30,
-            backlog=_ACCEPTED,
+            backlog=ACCEPTED,
         )
         self._server = _Server(config)
 
@@ -177,7 +177,7 @@ class _Protocol(H11Protocol):
         strangers = [one for one in self.connections if isinstance(one, _Protocol) and one.is_strange()]
         held = Counter(one.address for one in strangers)
         strangers.sort(key=lambda one: (-held[one.address], one.heard_s))
-        for one in strangers[:_ACCEPTED]:
+        for one in strangers[:ACCEPTED]:
             self.connections.discard(one)
             one.transport.abort()
 

@@ -108,13 +108,13 @@ class Outbox:
         channel for long.
         """
         failed: list[Delivery] = []
-        for path, delivery in self._due(utc_now(), by_hand=by_hand):
+        for path, delivery in self.due(utc_now(), by_hand=by_hand):
             if by_hand or delivery.channel not in [each.channel for each in failed]:
                 tried = self._try(path, delivery, send, utc_now())
                 failed += [tried] if tried.last_error else []
         return failed
 
-    def _due(self, now: datetime, *, by_hand: bool) -> list[tuple[Path, Delivery]]:
+    def due(self, now: datetime, *, by_hand: bool) -> list[tuple[Path, Delivery]]:
         """Return what may be tried now: the fewest tries first, so that nothing stands behind what always fails."""
         due = []
         for path, state in self._files().items():

@@ -30,10 +30,10 @@ def install(tmp_path, monkeypatch):
             for group, entries in groups.items()
         )
         (metadata / "entry_points.txt").write_text(text)
-        module._declared.cache_clear()
+        module.declared_lines.cache_clear()
 
     yield installed
-    module._declared.cache_clear()
+    module.declared_lines.cache_clear()
 
 
 def test_the_command_of_the_page_is_listed_without_an_import_and_works(install, capsys, tmp_path):
@@ -67,6 +67,6 @@ def test_an_installation_older_than_its_source_says_how_to_renew_it(tmp_path, mo
     (tmp_path / "pyproject.toml").write_text(
         '[project.entry-points."starbench.commands"]\n"new | A run | New." = "a:b"\n'
     )
-    monkeypatch.setattr(module, "_SOURCE", tmp_path)
+    monkeypatch.setattr(module, "SOURCE", tmp_path)
     assert "pip install --no-deps -e" in refusal(capsys, "new", status=2)
     assert "No such command" in refusal(capsys, "newer", status=2)

@@ -158,7 +158,7 @@ def test_a_request_that_does_not_end_is_closed_after_a_time(monkeypatch, begun):
 
 
 def test_who_is_signed_in_is_answered_while_strangers_hold_connections(monkeypatch, capfd):
-    monkeypatch.setattr("bench.web.server._ACCEPTED", 8)
+    monkeypatch.setattr("bench.web.server.ACCEPTED", 8)
     monkeypatch.setattr("bench.web.server.MOST_CONNECTIONS", 64)
     counter, token = _Counter(), "0123456789abcdef"
     signed_in = {"Authorization": f"Bearer {token}"}
