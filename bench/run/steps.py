@@ -259,8 +259,8 @@ def seen_before(history: History, pose_index: int) -> str:
     angles = ", ".join(f"{axis} {angle:g}" for axis, angle in good.stored["commanded_deg"].items())
     width_px = good.measured.get("edge_width_px")
     edges = "" if width_px is None else f", with edges {width_px:.2f} px wide"
-    where = f"pose {good.pose_index} ({good.pose_name}; {angles} degrees)"
-    return f" Earlier in this run, {where} showed {good.checked['stars']} stars{edges}."
+    stars = counted(good.checked["stars"], "star")
+    return f" Earlier in this run, pose {good.pose_index} (at {angles} degrees) showed {stars}{edges}."
 
 
 def _joined(reasons: Sequence[str]) -> str:

@@ -120,7 +120,7 @@ def predict_grid(
     prediction = _predicted(observed, starts, _gimbal_rotation(reading_deg))
     if not prediction.sigma_pitches <= MAX_SIGMA_PITCHES:
         raise DegenerateViews(
-            f"The {len(seen)} earlier views with the tag do not tell yet which star stands where at this reading.",
+            f"Earlier views with the tag, {len(seen)} so far, do not tell yet which star is where at this reading.",
             where="gimbal",
             remedy=_REMEDY,
         )
