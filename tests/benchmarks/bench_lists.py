@@ -57,7 +57,7 @@ def make_home(home: Path, runs: list[Path]) -> None:
 
 def looks_s(folder: Path) -> list[float]:
     """Return the CPU times of the panel's looks at a folder: until all is listed, then twice again."""
-    from bench.extras.panel.folder_list import FolderList
+    from bench.extras.pages.panel.folder_list import FolderList
 
     listed, times, begun = FolderList(folder), [], time.process_time()
     while listed.look()["unread"]:

@@ -17,8 +17,8 @@ from typing import Any
 import measured
 import numpy as np
 
-from bench.align import live_figures
-from bench.align.live_figures import LiveFigures, LiveMeter, LiveSetting, LiveSlice
+from bench.extras.pages.align import live_figures
+from bench.extras.pages.align.live_figures import LiveFigures, LiveMeter, LiveSetting, LiveSlice
 from bench.stations.station import load_station
 from simulators.optics.picture import TARGET, beam_of, disc_of, project, true_rotation
 from tests.support.live_slices import bench, drive, seen, write_slice

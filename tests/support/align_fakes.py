@@ -7,10 +7,10 @@ from contextlib import contextmanager
 
 from pages import served
 
-from bench.align.align_app import align_app
-from bench.align.live_figures import LiveMeter
-from bench.align.page_requests import PageFiles
-from bench.align.session import Session
+from bench.extras.pages.align.align_app import align_app
+from bench.extras.pages.align.live_figures import LiveMeter
+from bench.extras.pages.align.page_requests import PageFiles
+from bench.extras.pages.align.session import Session
 from bench.stations.station import SHIPPED_STATIONS, load_station
 from drivers.camera import CameraIdentity, CameraSettings, RecordingFacts
 from drivers.errors import LightFault, MoveFailed, NotHomed, PortLost

@@ -18,10 +18,10 @@ from typing import Any
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
-from bench.align.align_app import align_app
-from bench.align.page_requests import PageFiles
-from bench.align.session import Session
-from bench.extras.panel.panel_app import panel_app
+from bench.extras.pages.align.align_app import align_app
+from bench.extras.pages.align.page_requests import PageFiles
+from bench.extras.pages.align.session import Session
+from bench.extras.pages.panel.panel_app import panel_app
 from bench.stations.station import SHIPPED_STATIONS, load_station
 from tests.support.pages import served
 

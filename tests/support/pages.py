@@ -10,7 +10,7 @@ from typing import Any
 
 import httpx
 
-from bench.web.server import PageServer
+from bench.extras.pages.web.server import PageServer
 
 
 @contextmanager

@@ -13,7 +13,7 @@ from bench.base.errors import StorageError
 from bench.record.storage import MOST_BYTES, read_bounded, read_json
 
 OWN_DATA = {
-    "align/open_bench.py",  # answers of the simulated bench, a process of our own
+    "extras/pages/align/open_bench.py",  # answers of the simulated bench, a process of our own
     "base/bounded_json.py",
     "extras/certificate/amend.py",  # text that was written a line before
     "extras/certificate/pdf.py",
@@ -23,8 +23,8 @@ OWN_DATA = {
     "again/compare.py",
     "solve/exports.py",
     "simulated.py",  # a process of our own
-    "web/guard.py",  # bodies of at most 16 kB
-    "web/pages.py",
+    "extras/pages/web/guard.py",  # bodies of at most 16 kB
+    "extras/pages/web/pages.py",
 }
 """Modules that parse JSON which no stranger wrote, or that bound it themselves."""
 

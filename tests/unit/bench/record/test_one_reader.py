@@ -11,7 +11,7 @@ OTHER_JOURNALS = {
     "record/stored_run.py", "record/journal.py",
     "record/ledger.py", "evidence/authorisations.py",  # the ledger, and signatures: chains of lines of their own
     "batch/batch_summary.py", "batch/batch_requests.py",  # the journal of a batch
-    "extras/panel/journal_tail.py",  # follows a journal that grows, line by line
+    "extras/pages/panel/journal_tail.py",  # follows a journal that grows, line by line
     "record/run_facts.py",  # results.json is read only if its bytes are those that the journal names
     "extras/certificate/check.py", "extras/certificate/amend.py", "extras/certificate/issue.py",  # the copy of results.json in the folder of a certificate
 }  # fmt: skip

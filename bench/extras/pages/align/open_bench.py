@@ -1,0 +1,444 @@
+"""A station's devices in the hands of a person who aligns: opened with their controls, and left safe at the end.
+
+Opening moves and switches nothing. Access to the camera goes through the loop that records, so settings change between
+two slices only. Closing stops the stage, switches the light off and closes the camera, each even if another fails.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+from typing import Any, TypeVar
+
+from bench.base.clock import BenchClock
+from bench.base.errors import ControlRefused
+from bench.base.failure import FORESEEN, Failure
+from bench.extras.pages.align.controls import StageControl
+from bench.extras.pages.align.live_figures import LiveSetting
+from bench.extras.pages.align.live_loop import LiveLoop
+from bench.extras.pages.align.meter import Meter
+from bench.measure.camera_kinds import camera_kind, event_camera, frame_camera
+from bench.record.device_end import DeviceEnd, DeviceName
+from bench.simulated import SimulatedBench
+from bench.stations.cameras import OpenCvCameraConfig
+from bench.stations.devices import Camera, Devices
+from bench.stations.sections import FrameCameraSection
+from bench.stations.stages_and_lights import LightConfig
+from bench.stations.station import Station
+from drivers.camera import CameraIdentity, CameraSettings, StatesBiasRanges
+from drivers.camera.frames import FrameSettings
+from drivers.errors import DriverError
+from drivers.light import Light, LightSettings
+from sequences.schema import FlickerConfig
+from sequences.script import Flicker
+
+T = TypeVar("T")
+ANSWER_S = 20.0
+"""Longest wait for the camera between two slices, s."""
+
+
+_IMX636: Mapping[str, tuple[int, int]] = {
+    "bias_diff_on": (-150, 200),
+    "bias_diff_off": (-150, 200),
+    "bias_fo": (-150, 200),
+    "bias_hpf": (0, 255),
+    "bias_refr": (-50, 255),
+}
+"""Ranges of the biases where the camera's driver does not state them; the camera refuses what it cannot do."""
+RANGES = {"duty_percent": (1.0, 99.0), "level_percent": (0.1, 100.0)}
+"""Lowest and highest value of each number besides the frequency, whose range the station states."""
+
+_ALL_OPEN = "All devices are open. Nothing was moved, and the light was not switched."
+
+ACTIONS: Mapping[str, tuple[str, ...]] = {
+    "lens turn": ("deg",),
+    "lens ring": ("deg",),
+    "lens aperture": ("f_number",),
+    "mount turn": ("pan_deg", "tilt_deg", "roll_deg"),
+}
+"""What the hands can do, with the numbers that each needs."""
+
+OpenDevices = Callable[[Station, int, BenchClock], Devices]
+
+
+class CameraControl:
+    """The camera's identity and settings."""
+
+    def __init__(self, camera: Camera, station: Station, on_change: Callable[[], None]) -> None:
+        self._camera = camera
+        self._config = station.camera
+        self._kind = camera_kind(station)
+        self._on_change = on_change
+        self._lock = threading.Lock()
+        self._loop: LiveLoop | None = None
+        self._ranges = camera.bias_ranges() if isinstance(camera, StatesBiasRanges) else _IMX636
+        self.identity: CameraIdentity = camera.identify()
+        """The camera, as it states itself."""
+        self.settings, self.reasons = self._kind.prepare(camera)
+        """Settings as read back, and every reason against a run."""
+        self._of_station = dict(self.settings)  # With these the camera was opened, as a run opens it
+
+    @property
+    def is_event(self) -> bool:
+        """Whether this is an event camera."""
+        return not isinstance(self._config, FrameCameraSection)
+
+    @property
+    def biases(self) -> Mapping[str, int]:
+        """Offsets of the biases from the factory values, as read back."""
+        biases: Mapping[str, int] = self.settings.get("biases", {})
+        return biases
+
+    @property
+    def frame_settings(self) -> Mapping[str, float | None]:
+        """Exposure and gain of a camera that OpenCV opens, as read back; empty for other cameras."""
+        if not isinstance(self._config, OpenCvCameraConfig):
+            return {}
+        return {name: self.settings.get(name) for name in ("exposure", "gain")}
+
+    def use(self, loop: LiveLoop) -> None:
+        """Change settings through this loop from now on."""
+        self._loop = loop
+
+    def set_bias(self, name: str, value: int) -> Mapping[str, int]:
+        """Change one bias, offset in the camera's own steps; read all back. When refused, nothing was sent."""
+        ranges, config = self._ranges, self._config
+        if isinstance(config, FrameCameraSection) or name not in ranges:
+            raise ControlRefused(
+                f"This camera has no bias {name!r}. Nothing was sent.",
+                where="camera",
+                remedy=f"It has {', '.join(ranges)}." if self.is_event else "Set exposure and gain instead.",
+            )
+        low, high = ranges[name]
+        if not low <= value <= high:
+            raise ControlRefused(
+                f"{name} {value} is outside {low} to {high}. Nothing was sent.",
+                where="camera",
+                remedy="Give a value in this range.",
+            )
+        with self._lock:
+            # The names are those of the station; other biases keep the value that was read back.
+            wanted = {bias: now for bias, now in self.biases.items() if bias in ranges} | {name: value}
+            settings = CameraSettings(wanted, trigger_in=True, roi=config.roi)
+            applied = self._between_slices(lambda: event_camera(self._camera).apply(settings))
+            self.settings = {**self.settings, "biases": dict(applied.biases)}
+        self._on_change()
+        return self.biases
+
+    def set_frame(self, name: str, value: float) -> Mapping[str, float | None]:
+        """Change ``exposure`` or ``gain`` of a frame camera that has it (else refused), and read both back."""
+        if name not in self.frame_settings:
+            raise ControlRefused(
+                f"This camera has no setting {name!r}. Nothing was sent.",
+                where="camera",
+                remedy="Set it at the camera, or with its maker's program.",
+            )
+        with self._lock:
+            wanted = FrameSettings(**{**self.frame_settings, name: value})
+            applied = self._between_slices(lambda: frame_camera(self._camera).apply(wanted))
+            self.settings = {**self.settings, **asdict(applied)}
+        self._on_change()
+        return self.frame_settings
+
+    def _between_slices(self, apply: Callable[[], T]) -> T:
+        assert self._loop is not None
+        return self._loop.on_camera(apply).result(timeout=ANSWER_S)
+
+    def as_data(self) -> dict[str, Any]:
+        """Return the camera as the page shows it."""
+        ranges = self._ranges
+        identity = self.identity
+        return {
+            "kind": "event" if self.is_event else "frame",
+            "model": " ".join(part for part in (identity.maker, identity.model) if part),
+            "serial": identity.serial,
+            "width_px": identity.width,
+            "height_px": identity.height,
+            "lens": self._config.lens,
+            "biases": [
+                {
+                    "name": name,
+                    "value": value,
+                    "lowest": ranges[name][0],
+                    "highest": ranges[name][1],
+                    "expected": self._of_station["biases"].get(name),
+                }
+                for name, value in self.biases.items()
+                if name in ranges
+            ],
+            "frame": [
+                {"name": name, "value": value, "expected": self._of_station.get(name)}
+                for name, value in self.frame_settings.items()
+            ],
+            "reasons": list(self.reasons),
+        }
+
+
+@dataclass(frozen=True)
+class LightReading:
+    """What is known of the light."""
+
+    flicker: Flicker  # What was asked for last
+    # Settings as the device reported them last; None before the first reading.
+    settings: LightSettings | None = None
+    on: bool | None = None  # Whether the output is on, as the device reported; None if unknown
+    faults: tuple[str, ...] = ()
+    failure: Failure | None = None  # Why the light does not answer or refuses; None if nothing is wrong
+
+
+class LightControl:
+    """A light in the hands of a person."""
+
+    def __init__(
+        self,
+        light: Light,
+        config: LightConfig,
+        for_camera: Callable[[Flicker], Flicker],
+        on_change: Callable[[], None],
+    ) -> None:
+        self._light = light
+        self._config = config
+        self._for_camera = for_camera
+        self._on_change = on_change
+        self._lock = threading.Lock()
+        start = FlickerConfig()
+        low, high = config.frequency_range_hz
+        self.reading = LightReading(
+            Flicker(
+                start.waveform,
+                min(max(start.frequency_hz, low), high),
+                start.duty_percent,
+                start.level_percent,
+            )
+        )
+        """What is known of the light."""
+
+    def set(self, *, on: bool | None = None, **given: Any) -> LightReading:
+        """Change the light, and read back what it does. When refused, nothing was sent.
+
+        ``on`` None leaves it as it is; ``given`` are attributes of a `Flicker`, the others stay.
+        """
+        self._check(given)
+        with self._lock:
+            flicker = replace(self.reading.flicker, **given)
+            try:
+                if on is False:
+                    self._light.off()
+                if given or on:
+                    self._light.apply(self._config.settings(self._for_camera(flicker)))
+                if on:
+                    self._light.on()
+                self.reading = self._read(flicker)
+            except DriverError as error:
+                self.reading = replace(self.reading, on=None, failure=Failure.of(error))
+                raise
+            finally:
+                self._on_change()
+            return self.reading
+
+    def off(self) -> None:
+        """Switch the light off, and check that it is off."""
+        with self._lock:
+            self._light.off()
+            self.reading = replace(self.reading, on=False)
+        self._on_change()
+
+    def look(self) -> None:
+        """Read whether the light is on, its settings and its faults. Never raises: a failure becomes the state."""
+        with self._lock:
+            before = self.reading
+            try:
+                self.reading = self._read(before.flicker)
+            except DriverError as error:
+                self.reading = replace(before, on=None, failure=Failure.of(error))
+            changed = before != self.reading
+        if changed:
+            self._on_change()
+
+    def as_data(self) -> dict[str, Any]:
+        """Return the light as the page shows it."""
+        now = self.reading
+        settings = now.settings
+        steady = self._for_camera(now.flicker).waveform == "steady"
+        return {
+            "on": now.on,
+            "waveform": self._for_camera(now.flicker).waveform,
+            "steady_only": steady,
+            "frequency_hz": now.flicker.frequency_hz,
+            "duty_percent": now.flicker.duty_percent,
+            "level_percent": now.flicker.level_percent,
+            "read_back": None if settings is None else asdict(settings),
+            "frequency_range_hz": list(self._config.frequency_range_hz),
+            "faults": list(now.faults),
+            "failure": now.failure.to_dict() if now.failure else None,
+        }
+
+    def _read(self, flicker: Flicker) -> LightReading:
+        return LightReading(flicker, self._light.read(), self._light.is_on(), tuple(self._light.faults()))
+
+    def _check(self, given: dict[str, Any]) -> None:
+        """Check the ranges. Raises ControlRefused."""
+        if given.get("waveform", "square") not in ("square", "sine", "steady"):
+            raise ControlRefused(
+                f"The light has no waveform {given['waveform']!r}.",
+                where="light",
+                remedy="Use square or sine.",
+            )
+        ranges = {**RANGES, "frequency_hz": self._config.frequency_range_hz}
+        for name, (low, high) in ranges.items():
+            value = given.get(name, low)
+            if not low <= value <= high:
+                raise ControlRefused(
+                    f"{name} {value:g} is outside {low:g} to {high:g}. Nothing was sent.",
+                    where="light",
+                    remedy="Give a value in this range. The station file states the range of the frequency.",
+                )
+
+
+def follow(bench: Bench, say: Callable[[str], None]) -> None:
+    """Say when stage and light are open too, or why they could not be opened; ``say`` is called by any thread."""
+    if not bench.devices.late:
+        say(_ALL_OPEN)
+    for name, device in bench.devices.late.items():
+        device.listen(partial(_ended, bench, say, name))
+
+
+def try_again(bench: Bench) -> bool:
+    """Begin to open again what could not be opened; False if there was nothing."""
+    failed = [device for device in bench.devices.late.values() if device.state == "failed"]
+    for device in failed:
+        device.start()
+    return bool(failed)
+
+
+def _ended(bench: Bench, say: Callable[[str], None], name: str) -> None:
+    """Read a device that has just been opened, or say why it could not be."""
+    if name == "light":
+        bench.light.look()
+        failure = bench.light.reading.failure
+    else:
+        bench.stage.look_safely(thoroughly=True)
+        failure = bench.stage.failure
+    late = bench.devices.late
+    if late[name].state == "failed" and failure is not None:
+        say(f"The {name} could not be opened. {failure.message}")
+    elif all(device.state == "open" for device in late.values()):
+        say(_ALL_OPEN)
+
+
+class SimulatedHands:
+    """Hands at the simulated camera; on a real bench, ``simulation`` is None."""
+
+    def __init__(self, simulation: SimulatedBench | None) -> None:
+        self._simulation = simulation
+        self._lock = threading.Lock()
+        self.seen: dict[str, Any] | None = None
+        """What a person would see of lens and mount, after the last action; None before the first one."""
+
+    @property
+    def available(self) -> bool:
+        """Whether the bench is a simulated one."""
+        return self._simulation is not None
+
+    def do(self, action: str, numbers: Mapping[str, float]) -> dict[str, Any]:
+        """Do something with the hands; refused on a real bench, and for an unknown action."""
+        if self._simulation is None:
+            raise ControlRefused(
+                "This bench is real: nothing can be turned from here.", remedy="Use your hands."
+            )
+        needed = ACTIONS.get(action)
+        if needed is None or not set(numbers) <= set(needed) or not all(map(math.isfinite, numbers.values())):
+            known = ", ".join(ACTIONS)
+            raise ControlRefused(
+                f"The hands cannot do {action!r} with {dict(numbers)}.", remedy=f"They can: {known}."
+            )
+        words = [action, *(f"{name}={value:g}" for name, value in numbers.items())]
+        with self._lock:
+            answer = self._simulation.order(" ".join(words))
+            try:
+                content = json.loads(answer)
+            except ValueError as error:
+                raise ControlRefused(
+                    "The simulated bench did not answer.", remedy="Press Try again."
+                ) from error
+            if not isinstance(content, dict) or "error" in content:
+                what = content.get("error") if isinstance(content, dict) else answer
+                raise ControlRefused(f"The simulated bench refused: {what}", remedy="Give another value.")
+            self.seen = content.get("now")
+        return self.seen or {}
+
+
+@dataclass(frozen=True)
+class Bench:
+    """The open devices of a session with their controls."""
+
+    devices: Devices
+    clock: BenchClock
+    stage: StageControl
+    light: LightControl
+    camera: CameraControl
+    loop: LiveLoop
+    hands: SimulatedHands  # Hands at the camera of a simulated bench
+
+
+def open_bench(
+    station: Station,
+    seed: int,
+    opener: OpenDevices,
+    make_meter: Callable[[], Meter],
+    setting: Callable[[], LiveSetting],
+    on_change: Callable[[], None],
+    say: Callable[[str], None],
+) -> Bench:
+    """Open all devices, or none, and make their controls; the loop is not started yet."""
+    clock = BenchClock()
+    meter = make_meter()  # first: its process starts while the devices open
+    try:
+        devices = opener(station, seed, clock)
+    except BaseException:
+        meter.close()
+        raise
+    try:
+        light = LightControl(devices.light, station.light, camera_kind(station).light_for, on_change)
+        light.look()
+        camera = CameraControl(devices.camera, station, on_change)
+    except BaseException:
+        devices.close()
+        meter.close()
+        raise
+    stage = StageControl(devices.stage, on_change, say)
+    stage.look_safely(thoroughly=True)
+    loop = LiveLoop(devices.camera, setting, stage.known_deg, on_change, meter, lambda: stage.moving)
+    camera.use(loop)
+    return Bench(devices, clock, stage, light, camera, loop, SimulatedHands(devices.simulation))
+
+
+def close_bench(bench: Bench) -> list[DeviceEnd]:
+    """Stop the stage, switch the light off, end the recording, and close all devices."""
+    confirmed = [
+        _confirm("stage", bench.stage.stop, "stopped; every axis stands."),
+        _confirm("light", bench.light.off, "off, as it reports itself."),
+    ]
+    bench.clock.request_stop("align ends")
+    lost = bench.loop.failure
+    ended = bench.loop.close()
+    with bench.clock.shielded():
+        bench.stage.close()
+        closed = _confirm("camera", bench.devices.close, "closed; it does not record.")
+    if not ended:
+        closed = DeviceEnd("camera", "not confirmed", "its recording has not ended.")
+    elif lost is not None:
+        closed = DeviceEnd("camera", "not confirmed", lost.message)
+    return [*confirmed, closed]
+
+
+def _confirm(device: DeviceName, action: Callable[[], None], answer: str) -> DeviceEnd:
+    try:
+        action()
+    except FORESEEN as error:
+        return DeviceEnd(device, "not confirmed", Failure.of(error).message)
+    return DeviceEnd(device, "confirmed safe", answer)

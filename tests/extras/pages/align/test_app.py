@@ -1,0 +1,264 @@
+"""The requests of the align page: who may ask what, and what a wrong request ends in."""
+
+import json
+import threading
+
+import httpx
+import pytest
+from align_fakes import served_bench
+from waiting import wait_until
+
+from bench.extras.pages.align.live_figures import LiveMeter
+
+ONE, TWO = "page-one", "page-two"
+
+
+class Page:
+    """A client that behaves as a page: it keeps a stream open, and beats."""
+
+    def __init__(self, url, name):
+        self.url, self.name = url, name
+        self.client = httpx.Client(base_url=url, headers={"Origin": url.rstrip("/")}, timeout=10)
+        self.events = []
+        self.open = threading.Event()
+        self.closing = False
+        self.thread = threading.Thread(target=self._listen, daemon=True)
+        self.thread.start()
+        assert self.open.wait(5)
+
+    def _listen(self):
+        event = ""
+        with httpx.stream("GET", f"{self.url}stream?page={self.name}", timeout=10) as stream:
+            for line in stream.iter_lines():
+                if line.startswith("event: "):
+                    event = line[7:]
+                elif line.startswith("data: ") and event in ("state", "picture"):
+                    self.events.append((event, json.loads(line[6:])))
+                    self.open.set()
+                if self.closing:
+                    return
+
+    def do(self, what, /, **body):
+        return self.client.post(f"do/{what}", json={"page": self.name, **body})
+
+    def refused(self, what, /, **body):
+        answer = self.do(what, **body)
+        assert answer.status_code in (400, 409), answer.text
+        error = answer.json()["error"]
+        assert error["what"]
+        assert error["remedy"]
+        return error["what"]
+
+    def state(self):
+        return next(data for event, data in reversed(self.events) if event == "state")
+
+    def close(self):
+        self.closing = True
+        self.thread.join(5)
+        self.client.close()
+
+
+@pytest.fixture
+def bench(tmp_path):
+    with served_bench(tmp_path) as (server, session, devices):
+        yield server.url, session, devices
+
+
+@pytest.fixture
+def page(bench):
+    bench[2].stage.step_deg = 0.02
+    first_page = Page(bench[0], ONE)
+    yield first_page
+    first_page.close()
+
+
+def test_the_page_and_its_files_are_served(bench):
+    for path in ("", "assets/own/align.js", "assets/own/align.css", "assets/own/beat.js", "assets/bench.css"):
+        answer = httpx.get(bench[0] + path)
+        assert answer.status_code == 200, path
+        assert "http://" not in answer.text.replace("http://www.w3.org", ""), path
+        assert "https://" not in answer.text, path
+
+
+def test_a_stream_shows_state_and_pictures_and_the_image_is_fetched(bench, page):
+    wait_until(lambda: any(event == "picture" and data["number"] > 1 for event, data in page.events))
+    state = page.state()
+    assert state["station"]["name"] == "Simulated bench"
+    assert state["controls"]["holder"] == ONE
+    image = httpx.get(bench[0] + "image")
+    assert image.headers["content-type"] == "image/jpeg"
+    assert image.content[:2] == b"\xff\xd8"
+
+
+def test_one_page_holds_the_controls_and_another_may_take_them(bench, page):
+    _, session, devices = bench
+    two = Page(bench[0], TWO)
+    assert page.do("jog", steps_deg={"pan": 0.1}).status_code == 200
+    assert "has the controls" in two.refused("jog", steps_deg={"pan": 0.1})
+    assert "Page 1" in two.refused("light", on=True)
+    assert devices.light.calls == []
+    wait_until(lambda: not session.bench.stage.moving)
+    assert devices.stage.at["pan"] == pytest.approx(0.1)
+    assert two.do("take").status_code == 200
+    assert two.do("jog", steps_deg={"pan": 0.1}).status_code == 200
+    assert "Page 2" in page.refused("jog", steps_deg={"pan": 0.1})
+    wait_until(lambda: page.state()["controls"]["holder"] == TWO)
+    two.close()
+
+
+def test_taking_over_stops_the_motion_of_the_other_page(bench, page):
+    _, session, devices = bench
+    page.do("jog", steps_deg={"pan": 5.0})
+    two = Page(bench[0], TWO)
+    two.do("take")
+    assert "stop" in devices.stage.calls
+    wait_until(lambda: not session.bench.stage.moving)
+    assert devices.stage.at["pan"] < 5
+    two.close()
+
+
+def test_every_page_may_stop(bench, page):
+    _, session, devices = bench
+    page.do("jog", steps_deg={"pan": 5.0})
+    answer = httpx.post(
+        bench[0] + "do/stop", json={"page": "page-other"}, headers={"Origin": bench[0].rstrip("/")}
+    )
+    assert answer.status_code == 200
+    assert "stop" in devices.stage.calls
+    assert not session.bench.stage.moving
+
+
+def test_the_end_of_a_stream_is_enough_even_while_heartbeats_come(bench, page):
+    """A proxy or a worker may go on beating for a page that nobody sees any more."""
+    _, session, devices = bench
+    page.do("jog", steps_deg={"pan": 5.0})
+    page.do("jog", steps_deg={"pan": 5.0})
+    session.owners.is_lost = lambda _page: False
+    page.close()
+    wait_until(lambda: "stop" in devices.stage.calls, 1.0)
+
+
+def test_a_page_that_says_that_it_leaves_stops_its_own_motion_only(bench, page):
+    _, session, devices = bench
+    page.do("jog", steps_deg={"pan": 5.0})
+    httpx.post(bench[0] + "do/leave", json={"page": TWO}, headers={"Origin": bench[0].rstrip("/")})
+    assert "stop" not in devices.stage.calls
+    page.do("leave")
+    assert "stop" in devices.stage.calls
+    assert not session.bench.stage.moving
+
+
+@pytest.mark.parametrize(
+    ("what", "body", "words"),
+    [
+        ("jog", {}, "names no axis"),
+        ("jog", {"steps_deg": {"pan": "1"}}, "pan is not a number"),
+        ("jog", {"steps_deg": {"yaw": 1.0}}, "no axis 'yaw'"),
+        ("jog", {"steps_deg": {"pan": 16.0}}, "not possible"),
+        ("light", {"on": "yes"}, "true or false"),
+        ("light", {"frequency_hz": None}, "not a number"),
+        ("light", {"waveform": "saw"}, "no waveform"),
+        ("bias", {"name": "bias_fo", "value": 1.5}, "whole number"),
+        ("bias", {"name": "bias_fo", "value": 999}, "outside -150 to 200"),
+        ("hands", {"action": "lens turn", "deg": 5}, "real"),
+        ("propose", {}, "what to write"),
+        ("propose", {"kind": "station", "what": []}, "Nothing is chosen"),
+        ("propose", {"kind": "station", "what": ["light"], "copy": "../evil"}, "not a plain file name"),
+        ("propose", {"kind": "pose", "sequence": "/etc/passwd"}, "not a plain file name"),
+        ("propose", {"kind": "pose", "sequence": "nothing"}, "no sequence 'nothing'"),
+        ("check", {"sequence": "nothing"}, "no sequence 'nothing'"),
+        ("dance", {}, "cannot ask for 'dance'"),
+    ],
+)
+def test_a_wrong_request_is_refused_in_words_and_changes_nothing(bench, page, what, body, words):
+    assert words in page.refused(what, **body)
+    assert bench[2].stage.calls == []
+    assert bench[2].light.calls == []
+
+
+def test_a_request_without_page_foreign_host_or_origin_is_refused(bench):
+    url, _, devices = bench
+    origin = {"Origin": url.rstrip("/")}
+    assert httpx.post(url + "do/stop", json={}, headers=origin).status_code == 400
+    assert httpx.post(url + "do/stop", content=b"no json", headers=origin).status_code == 400
+    assert httpx.post(url + "do/stop", json={"page": ONE}).status_code == 403
+    assert (
+        httpx.post(url + "do/stop", json={"page": ONE}, headers={"Origin": "http://x.org"}).status_code == 403
+    )
+    assert httpx.get(url + "state", headers={"Host": "bench.example.org"}).status_code == 421
+    assert devices.stage.calls == []
+
+
+def test_the_present_pose_goes_into_a_copy_of_a_shipped_sequence(bench, page, tmp_path):
+    page.do("jog", steps_deg={"pan": 0.5})
+    wait_until(lambda: not bench[1].bench.stage.moving)
+    assert "came with Starbench" in page.refused("propose", kind="pose", sequence="three_pose")
+    body = {"kind": "pose", "sequence": "three_pose", "name": "centre", "copy": "mine"}
+    shown = page.do("propose", **body).json()["result"]
+    assert "+    - {name: centre, pan_deg: 0.5, tilt_deg: 0}" in shown["difference"]
+    assert page.do("write", **body, mark=shown["mark"]).status_code == 200
+    assert "centre" in (tmp_path / "mine.yaml").read_text()
+    assert "mine.yaml" in httpx.get(bench[0] + "files").json()["sequences"]
+
+
+@pytest.mark.parametrize(
+    "body",
+    [{"kind": "station", "what": ["zero"]}, {"kind": "pose", "sequence": "three_pose", "copy": "mine"}],
+)
+def test_no_angle_is_written_before_the_stage_is_homed(bench, page, tmp_path, body):
+    _, session, devices = bench
+    devices.stage.homed = False  # since the page has looked last
+    refused = page.refused("propose", **body)
+    assert refused == "The stage is not homed, so its angles are not known. Nothing was written."
+    devices.stage.step_deg = 0.005
+    devices.stage.homed = True
+    session.bench.stage.look()
+    assert page.do("jog", steps_deg={"pan": 1.0}).status_code == 200
+    assert "The stage moves." in page.refused("propose", **body)
+
+
+def test_forgetting_the_focus_reaches_the_measurement_and_the_curve(bench, page, monkeypatch):
+    noted = []
+    monkeypatch.setattr(LiveMeter, "forget", lambda _meter: noted.append(True))
+    assert page.do("forget").status_code == 200
+    wait_until(lambda: noted == [True])
+    assert httpx.get(bench[0] + "focus").json() == {"edge_width_px": []}
+
+
+def test_the_checks_say_what_is_not_checked_yet(bench, page):
+    checks = {check["name"]: check for check in page.do("check", sequence="three_pose").json()["result"]}
+    assert checks["stage: identity"]["verdict"] == "good"
+    assert checks["recording"]["verdict"] == "open"
+    assert "light on" in checks["recording"]["remedy"]
+    assert checks["sequence"]["verdict"] == "good"
+    bench[2].stage.fault = "pan: stalled"
+    checks = {check["name"]: check for check in page.do("check").json()["result"]}
+    assert checks["stage: faults"]["verdict"] == "bad"
+    assert "stalled" in checks["stage: faults"]["found"]
+    assert checks["stage: faults"]["remedy"]
+
+
+def test_the_list_says_what_was_done_and_by_which_page(bench):
+    url, session, _ = bench
+    page = Page(url, ONE)
+    name = session.owners.name(ONE)
+    assert name.startswith("Page 1")
+    assert page.do("light", on=True).status_code == 200
+    for level in (50, 10):
+        assert page.do("light", level_percent=level).status_code == 200
+    assert page.do("jog", steps_deg={"pan": 0.5}).status_code == 200
+    wait_until(lambda: not session.bench.stage.moving)
+    assert page.do("stop").status_code == 200
+    assert page.refused("bias", name="bias_diff_on", value=0.5)  # what is refused is not listed
+    assert page.do("propose", kind="station", what=["zero"]).status_code == 200
+    mark = page.do("propose", kind="station", what=["zero"]).json()["result"]["mark"]
+    assert page.do("write", kind="station", what=["zero"], mark=mark).status_code == 200
+    page.close()
+    texts = [entry["text"] for entry in session.state()["messages"]]
+    assert texts[1:] == [
+        f"{name} switched the light on.",
+        f"{name} set the light to square, 60 Hz, duty 50 %, level 10 %.",
+        f"{name} asked for pan 0.50°.",
+        f"The stage was stopped, on request of {name}.",
+        f"{name} wrote {session.station.file}.",
+    ]

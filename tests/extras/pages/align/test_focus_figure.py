@@ -1,0 +1,72 @@
+"""The focus as one number over the travel of the ring, its curve, and the best so far."""
+
+import numpy as np
+import pytest
+
+from bench.extras.pages.align.focus import measure_focus
+from bench.extras.pages.align.focus_curve import KEPT_S, FocusCurve
+from calib.stars.quick import find_stars_quickly
+from simulators.optics.picture import TARGET
+from tests.support.live_slices import bench, fired, seen
+
+
+def figures_of(image):
+    return measure_focus(image, find_stars_quickly(image, TARGET), TARGET)
+
+
+def test_the_edge_width_falls_while_the_ring_is_turned_to_focus():
+    widths = [
+        figures_of(fired(seen(bench(circle_px=circle)), level_percent=20.0)).edge_width_px
+        for circle in (20.0, 9.0, 0.0)
+    ]
+    assert None not in widths
+    assert (np.diff(widths) < -0.1).all(), widths
+    assert widths[-1] == pytest.approx(0.7, abs=0.15)
+    assert widths[0] == pytest.approx(20.0 / 4.0, abs=0.8)
+
+
+def test_without_stars_and_tag_there_is_no_number():
+    image = np.ones((720, 1280), np.float32)
+    image[300:400, 500:700] = 0.0
+    figures = figures_of(image)
+    assert (figures.edge_width_px, figures.blur_circle_px) == (None, None)
+
+
+def curve_of(widths):
+    curve = FocusCurve()
+    for number, width in enumerate(widths):
+        curve.add(float(number), width)
+    return curve
+
+
+def test_the_best_is_no_single_outlier():
+    curve = curve_of([3.0, 2.5, 2.0, 0.4, 1.5, 1.2, 1.1, 1.0, 1.4, 1.9, 2.4, 2.9])
+    assert curve.best_px == pytest.approx(1.1)
+    assert curve_of([0.7, 0.7]).best_px is None
+
+
+def test_the_curve_holds_the_last_minute_and_the_best_is_kept_longer():
+    curve = curve_of([0.7] * 5 + [2.0] * 100)
+    assert curve.points()[0] == (104.0 - KEPT_S, 2.0)
+    assert curve.best_px == 0.7
+
+
+def test_a_picture_that_is_shown_again_counts_once():
+    curve = FocusCurve()
+    for time_s in (1.0, 1.0, 1.0, 2.0):
+        curve.add(time_s, 0.7)
+    assert (len(curve.points()), curve.best_px) == (2, None)
+
+
+def test_the_best_begins_anew_and_the_curve_stays_until_it_is_forgotten():
+    curve = curve_of([0.7] * 5)
+    curve.begin_best()
+    assert (len(curve.points()), curve.best_px) == (5, None)
+    curve.forget()
+    assert curve.points() == []
+
+
+def test_edges_that_look_sharp_in_dim_light_do_not_count():
+    figures = figures_of(fired(seen(bench(circle_px=13.0)), level_percent=10.0))
+    assert figures.regions["centre"] < 2.2  # thresholded edges of stars
+    assert figures.edge_width_px == pytest.approx(13.0 / 4.0, abs=0.6)

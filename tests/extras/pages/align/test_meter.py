@@ -1,0 +1,226 @@
+"""What align measures from slices: figures of the signal, whole periods, and the process that does it."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bench.base import memory_folder
+from bench.base.errors import BenchError
+from bench.extras.pages.align import live_loop as slice_folder
+from bench.extras.pages.align.live_figures import LiveMeter, LiveSlice
+from bench.extras.pages.align.live_image import (
+    LINK_GBIT_S,
+    LiveSetting,
+    count_slice,
+    measure_signal,
+    read_image,
+    whole_periods,
+)
+from bench.extras.pages.align.meter import MeterProcess
+from bench.stations.station import load_station
+from calib.events.event_image import make_images
+from drivers.camera.event_arrays import Events, Triggers
+from drivers.camera.raw_file import RawFile
+from simulators.pixels.evt3_writer import Evt3Writer
+from tests.support.live_slices import HEADER, bench, drive, seen, write_slice
+
+# ---------------------------------------------------------------- the process
+
+SETTING = LiveSetting.of_station(load_station("simulated").value)
+
+
+def test_the_process_measures_survives_a_kill_and_ends(tmp_path, children):
+    part = LiveSlice(tmp_path / "nothing.raw", 1.5)
+    meter = MeterProcess()
+    try:
+        jpeg, figures = meter.measure(part, SETTING)
+        jpeg_here, here = LiveMeter().measure(part, SETTING)
+        assert jpeg == jpeg_here
+        assert figures.recording_faults == here.recording_faults != ()
+        meter.forget()
+        first = children[-1].pid
+        environment = Path(f"/proc/{first}/environ")
+        if environment.exists():  # on Linux
+            assert b"OPENBLAS_NUM_THREADS=1" in environment.read_bytes().split(b"\0")
+        os.kill(first, 9)
+        with pytest.raises(BenchError, match="ended by itself"):
+            meter.measure(part, SETTING)
+        assert meter.measure(part, SETTING)[1].time_s == 1.5
+        assert [child.pid == first for child in children] == [True, False]
+    finally:
+        meter.close()
+    assert all(child.poll() is not None for child in children)
+    began_s = time.monotonic()
+    with pytest.raises(BenchError):
+        meter.measure(part, SETTING)
+    assert time.monotonic() - began_s < 1
+
+
+# ---------------------------------------------------------------- the folder of slices
+
+
+def test_a_folder_is_private_and_those_of_dead_processes_are_removed(tmp_path, monkeypatch):
+    monkeypatch.setattr(memory_folder, "MEMORY", tmp_path)
+    ended = subprocess.run(
+        [sys.executable, "-c", "import os; print(os.getpid())"], capture_output=True, check=True, text=True
+    )
+    left = tmp_path / f"starbench-align-{ended.stdout.strip()}-abc"
+    living = tmp_path / f"starbench-align-{os.getppid()}-abc"
+    other = tmp_path / "starbench-align-notes"
+    for folder in (left, living, other):
+        folder.mkdir()
+    made = slice_folder.make_slice_folder()
+    assert made.parent == tmp_path
+    assert made.stat().st_mode & 0o077 == 0
+    assert not left.exists()
+    assert living.exists()
+    assert other.exists()
+
+
+def test_without_room_in_memory_the_folder_is_on_the_disk(tmp_path, monkeypatch):
+    monkeypatch.setattr(memory_folder, "MEMORY", tmp_path / "none")
+    monkeypatch.setattr(memory_folder.tempfile, "gettempdir", lambda: str(tmp_path))
+    assert slice_folder.make_slice_folder().parent == tmp_path
+
+
+# ---------------------------------------------------------------- whole periods
+
+TIMING = LiveSetting.of_station(load_station("simulated").value, frequency_hz=60.0, light_on=True)
+
+
+def raw_of(path, t, origin_us=0):
+    """Write ON events of one pixel at some times."""
+    t = np.asarray(t, np.int64) + origin_us
+    ones = np.ones(len(t))
+    words = Evt3Writer(origin_us).write(
+        t, ones.astype(np.uint16), ones.astype(np.uint16), ones.astype(np.uint8), until_us=int(t[-1]) + 1
+    )
+    path.write_bytes(HEADER + words.astype("<u2").tobytes())
+    return RawFile.open(path)
+
+
+@pytest.mark.parametrize("origin_us", [0, 4096 * 4095])  # the clock wraps in the second slice
+def test_events_of_whole_periods_are_counted(tmp_path, origin_us):
+    t = np.arange(0, 10_500, 50)
+    counted = count_slice(raw_of(tmp_path / "slice.raw", t, origin_us), 4000.0)
+    assert counted.periods == 2
+    assert counted.counts[1, 1, 1] == counted.counts.sum() == np.count_nonzero(t < 8000)
+    assert counted.statistics.events == len(t)
+
+
+def test_a_slice_shorter_than_a_period_is_counted_as_a_whole(tmp_path):
+    counted = count_slice(raw_of(tmp_path / "slice.raw", [0, 900, 3000]), 4000.0)
+    assert (counted.periods, int(counted.counts.sum())) == (0, 3)
+    assert whole_periods(np.zeros(0, "<u2"), 4000.0) == (0, 0)
+
+
+@pytest.mark.parametrize("waveform", ["square", "sine"])
+def test_the_image_by_counts_is_that_of_the_events(tmp_path, waveform):
+    """A wrong sign or a half of the period left out would lower the correlation."""
+    path = write_slice(tmp_path / "slice.raw", seen(bench()), light=drive(waveform=waveform), periods=2)
+    quick = read_image(path, TIMING, compare=False)
+    raw = RawFile.open(path)
+    events, triggers = raw.read()
+    signal = measure_signal(events, triggers, 1, 60.0)
+    size, window_us = (raw.width, raw.height), (0.0, float(events.t[-1]) + 1.0)
+    exact = make_images(*events, size, signal.flicker, window_us=window_us).best()
+    assert quick.kind == {"fired-per-edge": "fired-per-edge", "lock-in": "events-per-edge"}[exact.name]
+    assert np.corrcoef(quick.values[::3, ::3].ravel(), exact.image[::3, ::3].ravel())[0, 1] > 0.97
+    assert quick.signal.trigger_hz == pytest.approx(signal.trigger_hz)
+    assert quick.signal.events == signal.events
+    assert quick.signal.on_share == pytest.approx(signal.on_share)
+    assert quick.signal.events_per_s == pytest.approx(signal.events_per_s, rel=0.01)
+    assert quick.signal.event_hz is None
+    assert read_image(path, TIMING, compare=True).signal.event_hz == pytest.approx(60.0, rel=0.02)
+
+
+# ---------------------------------------------------------------- the signal
+
+PERIOD_US = 16_667
+
+
+def events_of(bursts_us, each=400, spread_us=200.0):
+    """ON bursts at some times, and OFF bursts half a period later."""
+    random = np.random.default_rng(4)
+    on = np.concatenate([at + random.normal(0.0, spread_us, each) for at in bursts_us])
+    off = np.concatenate([at + PERIOD_US / 2 + random.normal(0.0, spread_us, each // 2) for at in bursts_us])
+    t = np.concatenate([on, off])
+    p = np.concatenate([np.ones(len(on), np.uint8), np.zeros(len(off), np.uint8)])
+    order = np.argsort(t)
+    place = np.zeros(len(t), np.uint16)
+    return Events(np.maximum(t[order], 0.0).astype(np.int64), place, place, p[order])
+
+
+def triggers_of(times_us, values):
+    return Triggers(
+        t=np.array(times_us, np.int64), id=np.zeros(len(times_us), np.uint8), value=np.array(values, np.uint8)
+    )
+
+
+def edges(count, jitter_us=0.0):
+    """Rising and falling sync edges of some periods."""
+    random = np.random.default_rng(5)
+    up = 1000.0 + PERIOD_US * np.arange(count)
+    t = np.column_stack([up, up + PERIOD_US / 2]).ravel() + random.normal(0.0, jitter_us, 2 * count)
+    return triggers_of(t, np.tile([1, 0], count))
+
+
+def test_rates_and_frequencies():
+    signal = measure_signal(events_of(2000 + PERIOD_US * np.arange(12)), edges(12), 1_000_000, 60.0)
+    assert signal.trigger_hz == pytest.approx(1e6 / PERIOD_US, rel=1e-6)
+    assert signal.event_hz == pytest.approx(1e6 / PERIOD_US, rel=1e-3)
+    assert signal.on_share == pytest.approx(2 / 3)
+    assert (signal.triggers, signal.triggers_expected) == (12, 12)
+    duration_s = 12 * PERIOD_US * 1e-6
+    assert signal.events_per_s == pytest.approx(12 * 600 / duration_s, rel=0.05)
+    assert signal.link_share == pytest.approx(8e-3 / (duration_s * LINK_GBIT_S), rel=0.05)
+    assert signal.jitter_us == pytest.approx(0.3, abs=0.3)
+    assert signal.sync_fault == ""
+
+
+def test_the_jitter_of_the_sync_is_the_drawn_one():
+    signal = measure_signal(
+        events_of(2000 + PERIOD_US * np.arange(40)), edges(40, jitter_us=25.0), 1000, None
+    )
+    assert signal.jitter_us == pytest.approx(25.0, rel=0.25)
+
+
+EMPTY = Events(np.zeros(0, np.int64), np.zeros(0, np.uint16), np.zeros(0, np.uint16), np.zeros(0, np.uint8))
+
+
+def test_missing_sync_edges_are_counted():
+    some = edges(12)
+    kept = [0, 1, 2, 3, 20, 21, 22, 23]
+    signal = measure_signal(
+        events_of(2000 + PERIOD_US * np.arange(12)), triggers_of(some.t[kept], some.value[kept]), 1000, 60.0
+    )
+    assert (signal.triggers, signal.triggers_expected) == (4, 12)
+
+
+def test_nothing_is_nothing():
+    none = triggers_of([], [])
+    signal = measure_signal(EMPTY, none, 0, 60.0)
+    assert signal.flicker is None
+    assert (signal.events_per_s, signal.link_share, signal.on_share, signal.trigger_hz) == (
+        None,
+        None,
+        None,
+        None,
+    )
+
+
+def test_edges_without_a_period_are_named():
+    odd = triggers_of([1000, 1700, 9000, 9800, 40_000, 41_000], [1, 0, 1, 0, 1, 0])
+    signal = measure_signal(events_of(2000 + PERIOD_US * np.arange(4)), odd, 1000, 60.0)
+    assert signal.sync_fault
+
+
+def test_a_short_slice_takes_the_set_frequency_for_its_image_only():
+    signal = measure_signal(events_of([3000.0]), triggers_of([], []), 1000, 60.0)
+    assert signal.flicker.frequency_hz == pytest.approx(60.0)
+    assert (signal.trigger_hz, signal.event_hz) == (None, None)

@@ -1,0 +1,427 @@
+"""The align session with fakes: who may move what, and that a stop, a lost page and the end leave the bench safe."""
+
+import dataclasses
+import threading
+import time
+
+import pytest
+from align_fakes import FakeCamera, FakeDevices, FakeStage, fake_session
+from waiting import wait_until
+
+from bench.base.errors import ControlRefused
+from bench.extras.pages.align import live_loop
+from bench.extras.pages.align.controls import StageControl
+from bench.extras.pages.align.live_figures import LiveFigures, LiveMeter
+from bench.extras.pages.align.live_image import SignalFigures
+from bench.extras.pages.align.live_loop import with_signal_of
+from drivers.errors import CameraBusy, CameraLost, DriverError, PortLost, StillOpening
+
+
+def _rest(session):
+    wait_until(lambda: not session.bench.stage.moving)
+
+
+def test_opening_moves_nothing_and_switches_nothing_on(opened):
+    session, devices = opened
+    wait_until(lambda: session.picture().number >= 2)
+    assert devices.stage.calls == []
+    assert devices.light.calls == []
+
+
+def test_the_measurement_knows_the_waveform_and_no_angles_before_homing(opened, monkeypatch):
+    session, devices = opened
+    limits, measure = [], LiveMeter.measure
+    monkeypatch.setattr(
+        LiveMeter,
+        "measure",
+        lambda meter, part, setting: (
+            limits.append(setting.gates.max_event_rate_mev_s) or measure(meter, part, setting)
+        ),
+    )
+    wait_until(lambda: limits == [200.0])
+    session.light(waveform="sine")
+    wait_until(lambda: limits[-1] == 500.0)
+    assert session.bench.stage.known_deg() == {"pan": 0.0, "tilt": 0.0}
+    devices.stage.homed = False
+    session.bench.stage.look()
+    assert session.bench.stage.known_deg() == {}
+
+
+def test_pictures_come_and_no_slice_is_left(opened):
+    session, devices = opened
+    wait_until(lambda: session.picture().number >= 5)
+    picture = session.picture()
+    assert picture.number >= 5
+    assert picture.jpeg[:2] == b"\xff\xd8"
+    assert picture.figures.to_json()["time_s"] > 0
+    folder = devices.camera.paths[0].parent
+    assert len(list(folder.iterdir())) <= 3
+    assert folder.stat().st_mode & 0o077 == 0
+    session.close()
+    assert not folder.exists()
+
+
+def test_a_jog_moves_one_axis_and_steps_add_up(opened):
+    session, devices = opened
+    assert session.bench.stage.move_by({"pan": 0.5}) == {"pan": 0.5}
+    assert session.bench.stage.move_by({"pan": 0.5}) == {"pan": 1.0}
+    _rest(session)
+    assert devices.stage.at == {"pan": 1.0, "tilt": 0.0}
+    devices.stage.at["pan"] = 0.9996  # the counter of a controller counts in steps
+    session.bench.stage.look()
+    assert session.bench.stage.move_by({"pan": -0.1}) == {"pan": 0.9}
+
+
+def test_the_limit_of_an_axis_is_not_passed(opened):
+    session, devices = opened
+    devices.stage.at["tilt"] = 9.9
+    with pytest.raises(
+        ControlRefused, match=r"tilt is at 9.900 deg and its limit is 10 deg. Nothing was moved"
+    ) as e:
+        session.bench.stage.move_by({"tilt": 0.5})
+    assert "at most 0.100 deg" in e.value.remedy
+    assert devices.stage.calls == []
+    for step in (0.0, 6.0, float("nan")):
+        with pytest.raises(ControlRefused, match="not possible"):
+            session.bench.stage.move_by({"tilt": step})
+    with pytest.raises(ControlRefused, match="no axis 'yaw'"):
+        session.bench.stage.move_by({"yaw": 1.0})
+
+
+def test_a_stage_that_is_not_homed_is_not_moved(opened):
+    session, devices = opened
+    devices.stage.homed = False
+    with pytest.raises(ControlRefused, match="not homed"):
+        session.bench.stage.move_by({"pan": 0.5})
+    session.bench.stage.home()
+    with pytest.raises(ControlRefused, match="Homing was not started"):
+        session.bench.stage.home()
+    _rest(session)
+    assert devices.stage.calls == ["home"]
+    session.bench.stage.move_by({"pan": 0.5})
+
+
+def test_a_stop_reaches_the_stage_at_once_and_drops_what_waits(opened):
+    session, devices = opened
+    devices.stage.step_deg = 0.01
+    session.bench.stage.move_by({"pan": 5.0})
+    wait_until(lambda: devices.stage.at["pan"] > 0.1)
+    session.bench.stage.move_by({"pan": 5.0})
+    began_s = time.monotonic()
+    session.stop()
+    assert devices.stage.calls[-1] == "stop"
+    assert time.monotonic() - began_s < 0.2
+    time.sleep(0.1)
+    assert 0 < devices.stage.at["pan"] < 3
+    devices.stage.step_deg = 0.05
+    assert not session.bench.stage.moving
+    assert session.state()["stage"]["failure"] is None  # a stop that was asked for is no fault
+    session.bench.stage.move_by({"pan": 0.1})
+    _rest(session)
+    assert devices.stage.at["pan"] < 3
+
+
+def test_a_stop_just_after_a_jog_leaves_nothing_moving(opened):
+    session, devices = opened
+    for _ in range(30):
+        session.bench.stage.move_by({"pan": 0.2 if devices.stage.at["pan"] < 5 else -5.0})
+        session.stop()
+        assert not session.bench.stage.moving
+        before = dict(devices.stage.at)
+        time.sleep(0.01)
+        assert devices.stage.at == before
+
+
+def test_a_move_that_begins_just_after_a_stop_is_stopped_too(opened):
+    session, devices = opened
+    real, entered = devices.stage.move_to, threading.Event()
+
+    def late(target_deg):
+        entered.set()
+        wait_until(lambda: devices.stage.stops >= 1)
+        real(target_deg)  # the driver has seen no stop since it was called
+
+    devices.stage.move_to = late
+    session.bench.stage.move_by({"pan": 5.0})
+    assert entered.wait(2)
+    session.stop()
+    assert devices.stage.stops >= 2
+    assert not session.bench.stage.moving
+    assert devices.stage.at["pan"] < 2
+
+
+def test_a_failed_move_is_shown_and_the_next_one_is_possible(opened):
+    session, devices = opened
+    devices.stage.fault = "pan: stalled"
+    session.bench.stage.move_by({"pan": 0.5})
+    _rest(session)
+    shown = session.state()["stage"]
+    assert "stalled" in shown["failure"]["what"]
+    assert shown["failure"]["remedy"] == "Free the axis."
+    devices.stage.fault = ""
+    session.bench.stage.move_by({"pan": 0.5})
+    assert session.state()["stage"]["failure"] is None
+
+
+def test_a_page_that_is_lost_stops_its_motion_within_a_second(opened):
+    session, devices = opened
+    devices.stage.step_deg = 0.005
+    session.owners.enter("page-one", "Chrome")
+    session.bench.stage.move_by({"pan": 5.0}, "page-one")
+    session.bench.stage.move_by({"pan": 5.0}, "page-one")
+    began_s = time.monotonic()
+    wait_until(lambda: "stop" in devices.stage.calls)
+    assert time.monotonic() - began_s < 1.5  # 0.8 s on a computer that is not busy
+    _rest(session)
+    assert devices.stage.at["pan"] < 10
+    wait_until(lambda: "is gone" in session.state()["messages"][-1]["text"])
+
+
+def test_a_page_that_beats_is_left_alone(opened):
+    session, devices = opened
+    session.owners.enter("page-one", "Chrome")
+    session.bench.stage.move_by({"pan": 5.0}, "page-one")
+    session.bench.stage.move_by({"pan": 4.0, "tilt": 1.0}, "page-one")
+    for _ in range(12):
+        session.owners.beat("page-one")
+        time.sleep(0.1)
+    assert "stop" not in devices.stage.calls
+
+
+def test_the_light_is_read_back_and_its_range_is_kept(opened):
+    session, devices = opened
+    session.light(frequency_hz=100.0)  # a value alone does not switch it on
+    assert not devices.light.lit
+    assert "on" not in devices.light.calls
+    shown = session.light(on=True, frequency_hz=50.0, level_percent=40.0)
+    assert shown["on"] is True
+    assert shown["read_back"]["frequency_hz"] == 50
+    assert shown["read_back"]["high_v"] == pytest.approx(2.0)
+    assert devices.light.calls[-1] == "on"
+    before = list(devices.light.calls)
+    with pytest.raises(ControlRefused, match=r"frequency_hz 20000 is outside 0\.1 to 10000"):
+        session.light(frequency_hz=20_000.0)
+    with pytest.raises(ControlRefused, match="level_percent 0 is outside"):
+        session.light(level_percent=0.0)
+    with pytest.raises(ControlRefused, match="no waveform"):
+        session.light(waveform="saw")
+    assert devices.light.calls == before
+    assert session.light(on=False)["on"] is False
+
+
+GONE = CameraLost("the cable is out.", where="camera", remedy="Plug it in.")
+
+
+@pytest.mark.parametrize(
+    ("device", "unplugged", "plugged", "used"),
+    [
+        ("light", {"lost": True}, {"lost": False}, lambda session: session.light(on=True)),
+        ("stage", {"lost": True}, {"lost": False}, lambda session: session.bench.stage.move_by({"pan": 0.5})),
+        ("camera", {"fault": GONE}, {"fault": None}, None),
+    ],
+)
+def test_an_unplugged_device_is_shown_and_comes_back(opened, device, unplugged, plugged, used):
+    session, devices = opened
+    wait_until(lambda: session.picture().number >= 1)
+    vars(getattr(devices, device)).update(unplugged)
+    if used is not None:
+        with pytest.raises(DriverError):
+            used(session)
+    wait_until(lambda: session.state()[device]["failure"] is not None)
+    assert session.state()[device]["failure"]["remedy"] == "Plug it in."
+    assert session.state()["stage"]["answers"] == (device != "stage")
+    assert (session.state()["light"]["on"] is None) == (device == "light")
+    vars(getattr(devices, device)).update(plugged)
+    session.bench.light.look()
+    seen = session.picture().number
+    wait_until(lambda: session.state()[device]["failure"] is None and session.picture().number > seen)
+
+
+def test_biases_change_between_two_slices_and_are_read_back(opened):
+    session, devices = opened
+    wait_until(lambda: session.picture().number >= 1)
+    assert session.bench.camera.set_bias("bias_diff_on", 20)["bias_diff_on"] == 20
+    assert session.bench.camera.set_bias("bias_fo", -5)["bias_diff_on"] == 20
+    assert devices.camera.settings.biases["bias_fo"] == -5
+    with pytest.raises(ControlRefused, match="bias_refr 300 is outside -50 to 255"):
+        session.bench.camera.set_bias("bias_refr", 300)
+    with pytest.raises(ControlRefused, match="no bias 'bias_x'"):
+        session.bench.camera.set_bias("bias_x", 0)
+    seen = session.picture().number
+    wait_until(lambda: session.picture().number > seen + 1)
+
+
+def test_the_end_leaves_the_bench_safe_and_says_what_each_device_confirmed(opened):
+    session, devices = opened
+    session.light(on=True)
+    session.bench.stage.move_by({"pan": 5.0})
+    confirmed = session.close()
+    assert [(end.device, end.state) for end in confirmed] == [
+        ("stage", "confirmed safe"),
+        ("light", "confirmed safe"),
+        ("camera", "confirmed safe"),
+    ]
+    assert devices.stage.calls[-1] == "stop"
+    assert not devices.light.lit
+    assert devices.closed
+    assert session.close() == []
+    with pytest.raises(ControlRefused):
+        session.bench.stage.move_by({"pan": 0.1})
+    assert session.open() is None  # a closed session stays closed
+    assert not session.is_open
+
+
+def test_a_camera_that_was_lost_confirms_nothing():
+    session, devices = fake_session()
+    session.open()
+    devices.camera.fault = CameraLost("the cable is out.", where="camera", remedy="Plug it in.")
+    wait_until(lambda: session.state()["camera"]["failure"] is not None)
+    camera = session.close()[-1]
+    assert camera.state == "not confirmed"
+    assert "the cable is out" in camera.text
+
+
+def test_a_busy_camera_ends_in_words_and_can_be_tried_again():
+    answers = [CameraBusy("another program holds it.", where="camera", remedy="Close that program."), None]
+
+    def opener(*_):
+        error = answers.pop(0)
+        if error:
+            raise error
+        return FakeDevices()
+
+    session, _ = fake_session(opener=opener)
+    failure = session.open()
+    assert failure is not None
+    assert failure.remedy == "Close that program."
+    assert session.state()["devices"]["state"] == "failed"
+    with pytest.raises(ControlRefused, match="another program holds it"):
+        session.bench.stage.move_by({"pan": 0.1})
+    assert session.reopen() is None
+    session.close()
+
+
+def test_a_device_that_fails_during_opening_closes_the_others():
+    devices = FakeDevices()
+    devices.camera.identify = lambda: (_ for _ in ()).throw(CameraLost("gone.", where="camera"))
+    session, _ = fake_session(devices)
+    assert session.open().kind == "CameraLost"
+    assert devices.closed
+
+
+def test_most_slices_are_short_and_some_show_the_flicker(opened, monkeypatch):
+    monkeypatch.setattr(live_loop, "SIGNAL_EVERY_S", 0.5)
+    monkeypatch.setattr(live_loop, "SHORTEST_S", 0.02)
+    session, devices = opened
+    lengths = []
+    record = devices.camera.record
+
+    def noted(path, duration_s):
+        lengths.append(round(duration_s * 60))
+        return record(path, duration_s)
+
+    devices.camera.record = noted
+    session.light(on=True, frequency_hz=60.0)
+    wait_until(lambda: lengths.count(4) >= 2, 9.0)
+    assert set(lengths[1:]) == {1, 4}
+    assert lengths.count(1) > 3 * lengths.count(4)
+    first = lengths.index(4)
+    assert 1 not in lengths[1:first]  # the first slice after a change of the light shows the flicker
+
+
+def test_a_short_slice_keeps_the_flicker_of_the_last_longer_one():
+    short = LiveFigures(time_s=2.0, signal=SignalFigures(on_share=0.4))
+    longer = LiveFigures(
+        time_s=1.0, signal=SignalFigures(sync_edges=8, trigger_hz=50.0, jitter_us=0.5, sync_fault="odd")
+    )
+    shown = with_signal_of(short, longer)
+    assert shown.time_s == 2.0
+    assert shown.signal == dataclasses.replace(longer.signal, on_share=0.4)
+
+
+class LateStage:
+    """A stage that is not open until it is tried again."""
+
+    def __init__(self):
+        self.stage, self.state, self.on_end = FakeDevices().stage, "opening", None
+        self.error = StillOpening("The stage is still being opened.", where="stage")
+
+    def listen(self, on_end):
+        self.on_end = on_end
+
+    def end(self, error=None):
+        self.error, self.state = error, "failed" if error else "open"
+        self.on_end()
+
+    def start(self):
+        self.error, self.state = StillOpening("again.", where="stage"), "opening"
+
+    def __getattr__(self, name):
+        if name in ("axes", "limits") or self.error is None:
+            return getattr(self.stage, name)
+        raise self.error
+
+
+def test_pictures_come_while_the_stage_opens_and_after_it_has_failed():
+    devices = FakeDevices()
+    devices.stage = late = LateStage()
+    devices.late = {"stage": late}
+    session, _ = fake_session(devices)
+    assert session.open() is None
+    try:
+        wait_until(lambda: session.picture().number >= 2)
+        assert session.state()["stage"]["failure"]["kind"] == "StillOpening"
+        late.end(PortLost("no such port.", where="gimbal", remedy="Plug it in."))
+        assert session.state()["stage"]["failure"]["remedy"] == "Plug it in."
+        assert session.bench.stage.failure.kind == "PortLost"
+        assert "The stage could not be opened. gimbal: no such port." in messages_of(session)
+        session.light(on=True)
+        with pytest.raises(PortLost):
+            session.bench.stage.move_by({"pan": 0.5})
+        before = session.picture().number
+        assert session.reopen() is None
+        assert late.state == "opening"
+        wait_until(lambda: session.picture().number > before)
+        assert not devices.closed
+        late.end()
+        assert session.state()["stage"]["failure"] is None
+        assert "All devices are open." in messages_of(session)
+        session.bench.stage.move_by({"pan": 0.5})
+    finally:
+        session.close()
+
+
+def messages_of(session):
+    return " ".join(message["text"] for message in session.state()["messages"])
+
+
+def test_a_page_is_told_of_a_move_that_fails_where_the_stage_stands():
+    stage, states = FakeStage(), []
+    control = StageControl(stage, lambda: states.append(control.state), lambda _words: None)
+    control.look(thoroughly=True)
+    stage.fault, stage.faults = "the motor is stuck", list
+    control.home()
+    wait_until(lambda: states[-1].failure is not None and states[-1].work is None)
+    control.close()
+    assert "the motor is stuck" in states[-1].failure.what
+
+
+class ReadingCamera(FakeCamera):
+    """A camera that reads all its biases back."""
+
+    def apply(self, settings):
+        return dataclasses.replace(settings, biases={"bias_fo": 0, "bias_hpf": 0} | dict(settings.biases))
+
+
+def test_a_changed_bias_is_shown_beside_that_of_the_station_file():
+    devices = FakeDevices()
+    devices.camera = ReadingCamera()
+    session, _ = fake_session(devices)
+    assert session.open() is None
+    try:
+        session.bench.camera.set_bias("bias_fo", 7)
+        shown = {bias["name"]: bias for bias in session.state()["camera"]["biases"]}
+        assert (shown["bias_fo"]["value"], shown["bias_fo"]["expected"]) == (7, 0)
+        assert (shown["bias_hpf"]["value"], shown["bias_hpf"]["expected"]) == (0, 0)
+    finally:
+        session.close()

@@ -1,0 +1,261 @@
+"""The align page in a real browser: what a person sees, jogs, stops and writes down. Skipped where no Chromium is."""
+
+import re
+import shutil
+import time
+
+import pytest
+from align_browser import Tab
+from align_fakes import served_bench
+from pages import served
+from waiting import wait_until
+
+from bench.extras.pages.align.align_app import align_app
+from bench.extras.pages.align.page_requests import PageFiles
+from bench.extras.pages.align.session import Session
+from bench.stations.devices import Devices
+from bench.stations.station import SHIPPED_STATIONS, load_station
+from drivers.errors import CameraLost
+
+
+class Wire:
+    """Notes when something was sent to a port."""
+
+    def __init__(self):
+        self.sent = []
+
+    def record(self, _t_s, port, direction, data):
+        if direction == ">":
+            self.sent.append((time.time(), port, data))
+
+
+@pytest.fixture
+def bench(tmp_path):
+    with served_bench(tmp_path) as bench:
+        yield bench
+
+
+def test_a_person_looks_jogs_stops_and_writes_down(chromium, bench, tmp_path):
+    server, session, devices = bench
+    page = Tab(chromium, server.url)
+    page.wait("alignStats.images > 1")
+    page.wait_text("#holder", "This page (page 1) has the controls")
+    assert devices.stage.calls == []  # opening, and looking, moves nothing
+
+    page.tab.click("[data-axis=pan] .plus")
+    page.wait_text("[data-axis=pan] .deg", "0.500°")
+    page.tab.select_option("#step", "5")
+    devices.stage.step_deg = 0.005
+    page.tab.click("[data-axis=tilt] .minus")
+    wait_until(lambda: devices.stage.at["tilt"] < 0)
+    page.tab.click("#stop")
+    wait_until(lambda: "stop" in devices.stage.calls)
+    page.wait_text("#stage-state", "at rest")
+    assert -4.5 < devices.stage.at["tilt"] < 0
+
+    two = Tab(chromium, server.url)
+    two.wait_text("#holder", "Page 1")
+    assert two.tab.is_disabled("[data-axis=pan] .plus")
+    two.tab.click("#take")
+    page.wait_text("#holder", "Page 2")
+    two.close()
+
+    page.tab.click("#take")
+    page.wait("!document.querySelector('#light-on').disabled")
+    page.tab.fill("#level", "50")
+    page.tab.click("#light-on")
+    page.wait_text("#light-state", "on")
+    page.tab.uncheck("[value=biases]")
+    page.tab.click("#propose")
+    page.wait_text("#difference", "+  high_v: 2.5")
+    assert "high_v: 5" in (tmp_path / "bench.yaml").read_text()
+    page.tab.click("#write")
+    wait_until(lambda: "high_v: 2.5" in (tmp_path / "bench.yaml").read_text())
+
+    page.tab.select_option("#step", "5")
+    page.tab.click("[data-axis=pan] .plus")
+    wait_until(lambda: session.bench.stage.moving)
+    stops = devices.stage.stops
+    page.close()  # in motion
+    wait_until(lambda: devices.stage.stops > stops, 1.0)
+    assert page.hosts == {server.url.split("/")[2]}
+
+
+@pytest.mark.parametrize(("width", "height"), [(1366, 768), (1920, 1080)])
+def test_verdict_and_picture_are_whole_and_together_wherever_the_page_is_scrolled(
+    chromium, bench, width, height
+):
+    server, session, _ = bench
+    session.light(on=True)
+    page = Tab(chromium, server.url)
+    page.tab.set_viewport_size({"width": width, "height": height})
+    page.wait("alignStats.images > 0")
+    box = "(id => (r => [r.top, r.bottom, r.width])(document.getElementById(id).getBoundingClientRect()))"
+    for name in ("home", "check", "write-card"):
+        page.tab.evaluate(f"document.getElementById('{name}').scrollIntoView({{block: 'end'}})")
+        header = page.tab.evaluate(f"{box}('stop')")[1]
+        wait_until(lambda edge=header: page.tab.evaluate(f"{box}('whole')")[0] >= edge)
+        verdict, picture = (page.tab.evaluate(f"{box}('{part}')") for part in ("whole", "picture"))
+        assert header <= verdict[0] < verdict[1] <= picture[0] < picture[1] <= height, name
+        assert picture[2] > 0.4 * width
+    page.tab.focus("#check")
+    on_top = "(r => document.elementFromPoint(r.left + r.width / 2, r.top + r.height / 2).id)"
+    assert page.tab.evaluate(f"{on_top}(document.getElementById('check').getBoundingClientRect())") == "check"
+    page.close()
+
+
+def test_on_a_phone_nothing_scrolls_inside_a_box_and_ready_names_what_is_not(chromium, bench):
+    server, session, devices = bench
+    devices.stage.fault = "pan: stalled"
+    session.light(level_percent=50.0)
+    page = Tab(chromium, server.url)
+    page.tab.set_viewport_size({"width": 390, "height": 500})
+    page.wait("alignStats.images > 0")
+    page.tab.click("#check")
+    page.wait_text("#check-note", "Not ready: stage: faults.")
+    page.wait_text("#check-note", "Not checked yet: recording.")
+    page.tab.click("#propose")
+    page.wait_text("#difference", "+  high_v: 2.5")
+    inside = (
+        "[...document.querySelectorAll('body *')].filter(one => /auto|scroll/.test(getComputedStyle(one).overflow)"
+        " && (one.scrollHeight > one.clientHeight + 1 || one.scrollWidth > one.clientWidth + 1)).length"
+    )
+    assert page.tab.evaluate(inside) == 0
+    assert page.tab.evaluate("document.documentElement.scrollWidth") == 390
+    page.close()
+
+
+def test_before_home_the_page_turns_to_no_angle_and_writes_none(chromium, bench):
+    server, session, devices = bench
+    devices.stage.homed = False
+    page = Tab(chromium, server.url)
+    page.wait_text("#stage-state", "not homed")
+    page.wait_text("#whole", "Stage")
+    page.wait_text("#turn-note", "Press Home first")
+    assert page.tab.is_disabled("#turn-there")
+    assert page.tab.is_disabled("[name=what][value=zero]")
+    assert page.tab.is_disabled("#propose-pose")
+    assert not page.tab.is_disabled("#propose")  # biases and level need no angle
+    page.tab.click("#home")
+    page.tab.click("#home-now")
+    page.wait("!document.querySelector('[name=what][value=zero]').disabled")
+    assert session.bench.stage.state.homed
+    page.close()
+
+
+def test_stop_is_red_in_the_dark_too(chromium, bench):
+    page = Tab(chromium, bench[0].url)
+    page.tab.emulate_media(color_scheme="dark")
+    colour = page.tab.evaluate("getComputedStyle(document.getElementById('stop')).backgroundColor")
+    red, green, blue = (int(part) for part in re.findall(r"\d+", colour)[:3])
+    assert red > 180
+    assert max(green, blue) < 60
+    page.close()
+
+
+@pytest.mark.parametrize(("width", "height"), [(1400, 1000), (390, 844)], ids=["desk", "phone"])
+def test_the_picture_stays_in_view_and_stop_is_never_covered(chromium, bench, width, height):
+    server, session, _ = bench
+    session.light(on=True)
+    page = Tab(chromium, server.url)
+    page.tab.set_viewport_size({"width": width, "height": height})
+    page.wait("alignStats.images > 0")
+    ends = "(id => (r => [r.top, r.bottom, r.right])(document.getElementById(id).getBoundingClientRect()))"
+    on_top = (
+        "(r => document.elementFromPoint(r.left + r.width / 2, r.top + r.height / 2).id)"
+        "(document.getElementById('stop').getBoundingClientRect())"
+    )
+    for card in ("bias-card", "light-card", "curve"):
+        page.tab.evaluate(f"document.getElementById('{card}').scrollIntoView({{block: 'end'}})")
+        wait_until(lambda: page.tab.evaluate(f"{ends}('picture')")[0] >= 0)
+        top, bottom, right = page.tab.evaluate(f"{ends}('picture')")
+        assert bottom < height - 200, card  # there is room for what is changed
+        assert right <= width
+        assert top >= page.tab.evaluate(f"{ends}('stop')")[1]
+        assert page.tab.evaluate(on_top) == "stop"
+    server.stop()
+    page.wait_text("#link", "The light may still be on.")
+    assert page.tab.evaluate(on_top) == "stop"
+    page.tab.evaluate("scrollTo(0, 0)")
+    top, bottom, _ = page.tab.evaluate(f"{ends}('link')")
+    assert page.tab.evaluate(f"{ends}('stop')")[1] <= top < bottom < height
+    assert page.tab.evaluate(on_top) == "stop"
+    page.tab.close()
+
+
+def test_lost_devices_are_shown_and_the_old_picture_does_not_look_new(chromium, bench):
+    server, _, devices = bench
+    page = Tab(chromium, server.url)
+    page.wait("alignStats.images > 0")
+    devices.stage.lost = True
+    devices.camera.fault = CameraLost("the cable is out.", where="camera", remedy="Plug it in.")
+    page.wait_text("#trouble", "the cable is out. Plug it in.")
+    page.wait_text("#stage-state", "does not answer")
+    page.wait_text("#dark", "No new picture")
+    devices.stage.lost, devices.camera.fault = False, None
+    page.wait("document.getElementById('trouble').hidden")
+    page.wait("document.getElementById('dark').hidden")
+    page.close()
+
+
+def test_a_reload_in_motion_stops_the_stage_and_the_page_comes_back_with_its_controls(chromium, bench):
+    server, session, devices = bench
+    page = Tab(chromium, server.url)
+    page.wait("alignStats.images > 0")
+    devices.stage.step_deg = 0.005
+    page.tab.select_option("#step", "5")
+    page.tab.click("[data-axis=pan] .plus")
+    wait_until(lambda: session.bench.stage.moving)
+    page.tab.reload()
+    wait_until(lambda: "stop" in devices.stage.calls, 1.0)
+    wait_until(lambda: not session.bench.stage.moving)
+    assert devices.stage.at["pan"] < 5
+    page.wait_text("#holder", "This page")
+    moves = [call for call in devices.stage.calls if call[0] == "move"]
+    time.sleep(0.3)
+    assert [call for call in devices.stage.calls if call[0] == "move"] == moves  # coming back moves nothing
+    page.close()
+
+
+@pytest.mark.slow
+def test_the_simulated_bench_is_aligned_in_the_browser(chromium, tmp_path):
+    """The whole way with real drivers: live image, home, light, jog; a stop reaches the wire in 50 ms."""
+    path = tmp_path / "bench.yaml"
+    shutil.copy(SHIPPED_STATIONS / "simulated.yaml", path)
+    wire = Wire()
+
+    def opener(station, seed, clock):
+        return Devices(station, seed=seed, clock=clock, wire_log=wire)
+
+    session = Session(load_station(str(path)), opener=opener)
+    assert session.open() is None
+    try:
+        with served(align_app(session, PageFiles(str(path), tmp_path))) as server:
+            page = Tab(chromium, server.url)
+            page.wait("alignStats.images > 0", 30)
+            page.tab.click("#home")
+            page.tab.click("#home-now")
+            wait_until(lambda: session.bench.stage.state.homed, 30)
+            page.tab.click("#light-on")
+            page.wait_text("#light-state", "on")
+            seen = session.picture().number
+            wait_until(lambda: session.picture().number > seen + 3, 30)
+            page.tab.click("[data-axis=pan] .plus")
+            page.wait_text("[data-axis=pan] .deg", "0.500°")
+            page.tab.select_option("#step", "5")
+            page.tab.evaluate("addEventListener('pointerdown', () => { window.pressed = Date.now(); }, true)")
+            page.tab.click("[data-axis=pan] .plus")
+            wait_until(lambda: session.bench.stage.moving)
+            page.tab.click("#stop")
+            wait_until(lambda: any(b"stop" in data for _, _, data in wire.sent))
+            stopped_s = next(t for t, _, data in wire.sent if b"stop" in data)
+            assert (
+                stopped_s - page.tab.evaluate("window.pressed") / 1e3 < 0.5
+            )  # on a busy computer; 50 ms on a free one
+            page.wait_text("#stage-state", "at rest")
+            page.tab.click("#check")
+            page.wait_text("#check-note", "ready for a run", 60)
+            page.close()
+    finally:
+        confirmed = session.close()
+    assert all(end.state == "confirmed safe" for end in confirmed)
