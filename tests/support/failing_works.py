@@ -269,10 +269,10 @@ OTHERS = {"run": Run, "certificate": Issue, "authorisation": Authorisation, "led
 
 
 def try_works(folder, steps):
-    """Let the calls of works fail, every so many of each by name; return how many of each kind, and what fell."""
+    """Let the calls of works fail, every so many of each by name; tell how many of each kind, and return what fell."""
     inputs = new(folder / "inputs")
     write_inputs(inputs)
-    by_name, kinds, fallen = commands(inputs), {}, []
+    by_name, fallen = commands(inputs), []
     os.environ["STARBENCH_HOME"] = str(folder / "home")
     tried(lambda: main(["convert", str(inputs / "a.npz"), str(inputs / "a.h5")]), folder)
     patches = [
@@ -296,18 +296,14 @@ def try_works(folder, steps):
                     raise
             remove(folder / "first")
         counted, fell = each_call(work, folder / "here", first=first, step=step)
-        kinds[name] = counted
+        names = Counter()
+        for kind, count in counted.items():
+            names[kind.partition(" ")[0]] += count
+        print(f"{name}: {counted.total()} calls failed or killed: {dict(names)}", *fell, sep="\n", flush=True)
         fallen += fell
-    return kinds, fallen
+    return fallen
 
 
 if __name__ == "__main__":
     cv2.setNumThreads(1)
-    of_works, what_fell = try_works(Path(sys.argv[1]), json.loads(sys.argv[2]))
-    for work_name, counted_kinds in of_works.items():
-        names = Counter()
-        for kind_name, count in counted_kinds.items():
-            names[kind_name.partition(" ")[0]] += count
-        print(f"{work_name}: {counted_kinds.total()} calls failed or killed: {dict(names)}")
-    print(*what_fell, sep="\n")
-    sys.exit(bool(what_fell))
+    sys.exit(bool(try_works(Path(sys.argv[1]), json.loads(sys.argv[2]))))
