@@ -142,7 +142,7 @@ def _with_size(opened: EventSource, source: Path, path: Path) -> ExportSummary:
         file.write(render_fields({**recording.header, "geometry": "{}x{}".format(*size)}))
         for words in recording.words():
             file.write(words.tobytes())
-    return ExportSummary(events, triggers, 0, opened.truncated, opened.state.unknown_words)
+    return ExportSummary(events, triggers, cut_off=opened.truncated, unknown_words=opened.state.unknown_words)
 
 
 def write_raw(

@@ -124,8 +124,13 @@ class _Reading:
     def summary(self, moved: int = 0) -> ExportSummary:
         """Sum up what was read."""
         edges = sum(len(part.t) for part in self._edges)
-        about_end = self._source.truncated, self._source.state.unknown_words
-        return ExportSummary(self._events, edges, moved, *about_end)
+        return ExportSummary(
+            self._events,
+            edges,
+            moved,
+            cut_off=self._source.truncated,
+            unknown_words=self._source.state.unknown_words,
+        )
 
 
 def _packed(
