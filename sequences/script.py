@@ -76,9 +76,8 @@ class Gates:
 class Until:
     """What an ``until`` step asks for, and the steps and poses that it unfolds into."""
 
-    # first, last: Numbers of its first and last step.
-    first: int
-    last: int
+    first: int  # Number of its first step
+    last: int  # Number of its last step
     # Largest expanded uncertainties allowed, px: ``expanded_fx_px``, ``worst_corner_px``.
     goals: Mapping[str, float]
     at_most: int

@@ -12,9 +12,8 @@ DocumentPath = tuple[str | int, ...]
 class Spot(NamedTuple):
     """A place in a file."""
 
-    # line, column: Both count from 1; columns count characters, not bytes.
-    line: int
-    column: int
+    line: int  # From 1
+    column: int  # From 1, in characters, not bytes
 
 
 @dataclass(frozen=True, order=True)
@@ -30,9 +29,8 @@ class Fault:
     """
 
     file: str
-    # line, column: Both count from 1, columns in characters; 0 if the fault has no place inside the file.
-    line: int
-    column: int
+    line: int  # From 1; 0 if the fault has no place inside the file
+    column: int  # From 1, in characters; 0 likewise
     # Keys and indices from the top, for example ``steps[2].record.window_ms``; empty for the whole document.
     path: str
     message: str  # What is wrong and, if the reader can know it, what to write instead
@@ -57,9 +55,8 @@ class Tree:
     # False if the reader stopped before the end of the document: a missing key may then stand in the part not
     # read.
     complete: bool = False
-    # values, keys: Where each value, and each key of a mapping, begins.
-    values: dict[DocumentPath, Spot] = field(default_factory=dict)
-    keys: dict[DocumentPath, Spot] = field(default_factory=dict)
+    values: dict[DocumentPath, Spot] = field(default_factory=dict)  # Where each value begins
+    keys: dict[DocumentPath, Spot] = field(default_factory=dict)  # Where each key of a mapping begins
     faults: list[Fault] = field(default_factory=list)  # What the reader refused; ``value`` holds the rest
 
     def spot(self, path: DocumentPath) -> Spot:

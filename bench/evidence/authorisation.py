@@ -27,9 +27,8 @@ from bench.record.storage import read_json, storage_errors
 class NamedPerson:
     """The person whom a certificate names."""
 
-    # name, fingerprint: Name, and fingerprint of the person's key.
-    name: str
-    fingerprint: str
+    name: str  # Of the person
+    fingerprint: str  # Of the person's key
 
 
 def check_authorisation(folder: Path, trust: Trust, moments: Moments, seal_key: bytes | None) -> Judgement:

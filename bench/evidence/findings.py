@@ -96,14 +96,10 @@ class Verification(Findings):
     statements: list[str] = field(default_factory=list)
     # When the folder says that it was made, by the bench's own clock, UTC; None if it does not say.
     stated: datetime | None = None
-    # signer, fingerprint: Name of the bench in the list of trusted keys (None if its key is not accepted),
-    # and fingerprint of its key.
-    signer: str | None = None
-    fingerprint: str | None = None
-    # person, person_fingerprint: Name and fingerprint of the person who authorised; None if nobody did, or if
-    # it does not hold.
-    person: str | None = None
-    person_fingerprint: str | None = None
+    signer: str | None = None  # Of the bench in the list of trusted keys; None if its key is not accepted
+    fingerprint: str | None = None  # Of its key
+    person: str | None = None  # Who authorised; None if nobody did, or if it does not hold
+    person_fingerprint: str | None = None  # Of that person's key
     files: int = 0
     run_id: str | None = None
     camera_serial: str | None = None

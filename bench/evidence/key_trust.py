@@ -46,9 +46,8 @@ class Moments:
     now: datetime
     proven: Stamp | None  # Time stamp that proves that the signature is not younger; None if there is none
     at: datetime | None  # Moment that the reader states; None if none
-    # earliest, latest: Period that the bench's own clock leaves; for a seal both are its stated time.
-    earliest: datetime
-    latest: datetime
+    earliest: datetime  # Begin of the period that the bench's own clock leaves
+    latest: datetime  # Its end; for a seal both are its stated time
 
     @property
     def own_text(self) -> str:

@@ -97,9 +97,8 @@ class _Said:
     run_id: str
     simulated: bool
     camera: str
-    # begun_utc, last_utc: Times of the line that names the place in the ledger, and of the last line.
-    begun_utc: str
-    last_utc: str
+    begun_utc: str  # Of the line that names the place in the ledger
+    last_utc: str  # Of the last line
 
 
 def ledger_faults_of_run(folder: Path, ledger: Ledger) -> list[str]:

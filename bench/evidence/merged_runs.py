@@ -57,9 +57,8 @@ class MergedLedgers:
 
     sources: Sequence[LedgerSource]
     entered: Mapping[str, EnteredRun]  # Each run once, by the hash of its line
-    # faults, notes: As in `LedgerSource`, of all ledgers and of what they say about each other.
-    faults: list[str] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
+    faults: list[str] = field(default_factory=list)  # As in `LedgerSource`, of all ledgers and between them
+    notes: list[str] = field(default_factory=list)  # The same
 
 
 def read_source(ledger: Ledger, *, required: bool = True) -> LedgerSource:

@@ -40,9 +40,8 @@ class Signer:
     public_key: bytes  # The key as SSH encodes it (the part in base64 after the type)
     # Patterns of the purposes that it may sign for; empty if it may sign for all.
     namespaces: tuple[str, ...] = ()
-    # valid_after, valid_before: Period in which it may sign; None where there is no limit.
-    valid_after: datetime | None = None
-    valid_before: datetime | None = None
+    valid_after: datetime | None = None  # Begin of the period in which it may sign; None: no limit
+    valid_before: datetime | None = None  # Its end; None: no limit
 
     @property
     def line(self) -> str:

@@ -53,9 +53,8 @@ _STATUS = {
 class TrustedAuthorities:
     """Certificates of time stamping authorities that the reader trusts."""
 
-    # others, laboratory: Certificates of other organisations, and of the laboratory's own authority.
-    others: tuple[Certificate, ...] = ()
-    laboratory: tuple[Certificate, ...] = ()
+    others: tuple[Certificate, ...] = ()  # Of other organisations
+    laboratory: tuple[Certificate, ...] = ()  # Of the laboratory's own authority
 
 
 @dataclass(frozen=True)

@@ -174,9 +174,8 @@ class PassportChoice:
     # The passport; None if no solve step uses one, or if it cannot be used.
     in_use: PassportInUse | None = None
     steps: frozenset[int] = frozenset()
-    # faults, remarks: Why it cannot be used, and what speaks against it.
-    faults: tuple[Fault, ...] = ()
-    remarks: tuple[Fault, ...] = ()
+    faults: tuple[Fault, ...] = ()  # Why it cannot be used
+    remarks: tuple[Fault, ...] = ()  # What speaks against it
 
     @property
     def steps_for_one_pose(self) -> frozenset[int]:

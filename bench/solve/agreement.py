@@ -26,9 +26,8 @@ class Agreement:
     """One parameter in several runs."""
 
     name: str
-    # mean, sigma: Mean weighted by 1 / sigma^2, and its standard uncertainty, in the parameter's unit.
-    mean: float
-    sigma: float
+    mean: float  # Weighted by 1 / sigma^2, in the parameter's unit
+    sigma: float  # Standard uncertainty of the mean
     k: float  # Coverage factor: the largest of the runs
     # Birge ratio sqrt(chi^2 / (n - 1)) with what is not shared. It is about 1 if the runs scatter as their
     # uncertainties predict, larger if the camera or the bench changed between runs, and smaller if what limits a run

@@ -49,11 +49,9 @@ class OfflineOptions:
     ``guard_band``, ``readings`` and ``image`` are options of earlier versions, which their sealed results state.
     """
 
-    # model, distortion, guard_band: Options of the engine, see `CalibrationOptions`; ``distortion`` is
-    # the name of a set.
-    model: ModelName | None = None
-    distortion: str | None = None
-    guard_band: float | None = None
+    model: ModelName | None = None  # See `CalibrationOptions`
+    distortion: str | None = None  # Name of a set of coefficients
+    guard_band: float | None = None  # See `CalibrationOptions`
     passport: PassportInUse | None = None
     without_passport: bool = False  # Whether to use no passport, not even that of the run
     # ``witness``: the readings of the run's gimbal do not enter the adjustment.

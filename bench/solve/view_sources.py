@@ -58,11 +58,9 @@ class ViewSource:
     path: Path
     read: Callable[[], View]
     sized: bool = True  # Whether the size of its image is known
-    # job, started, attempt: Task of the run, first line of its journal, and lines about the recording, if the
-    # file is a recording of a run.
-    job: Job | None = None
-    started: RunStarted | None = None
-    attempt: Attempt | None = None
+    job: Job | None = None  # Task of the run, if the file is a recording of a run
+    started: RunStarted | None = None  # First line of that run's journal
+    attempt: Attempt | None = None  # What the journal says about the recording
     # What decides the view besides the bytes of the file, as values that JSON can hold; None for a file whose
     # views are not kept (`bench.measure.kept_views.KeptViews`).
     decided_by: Mapping[str, Any] | None = None

@@ -55,10 +55,9 @@ class Counts:
     """How far a recalculation is."""
 
     runs: int
-    # done, failed, skipped: Runs calibrated now, failed now, and done before.
-    done: int = 0
-    failed: int = 0
-    skipped: int = 0
+    done: int = 0  # Runs calibrated now
+    failed: int = 0  # Runs that failed now
+    skipped: int = 0  # Runs that were done before
     recordings: int = 0
     kept: int = 0
 

@@ -65,9 +65,8 @@ class FoundView:
     """What a recording showed."""
 
     view: View | None  # The stars; None if it is left out
-    # size_bytes, sha256: Size and hash of the recording.
-    size_bytes: int
-    sha256: str
+    size_bytes: int  # Of the recording
+    sha256: str  # Of the recording
     why: tuple[str, str, str] = ("", "", "")  # What is wrong, where, and the remedy, if it is left out
     remarks: Sequence[str] = ()
     kept: bool = False  # Whether the view was kept from an earlier calculation

@@ -70,25 +70,21 @@ def with_unit(text: str, unit: str) -> str:
 class RowSource:
     """The certificate behind a row."""
 
-    # number, date, sha256: Number and date of the certificate, and SHA-256 of it; empty where not stated.
-    number: str = ""
-    date: str = ""
-    sha256: str = ""
-    # value, divisor, unit: Uncertainty as the certificate states it, its divisor (coverage factor) and unit;
-    # None to take the engine's.
-    value: float | None = None
-    divisor: float | None = None
-    unit: str = ""
+    number: str = ""  # Of the certificate; empty where not stated
+    date: str = ""  # Of the certificate; empty where not stated
+    sha256: str = ""  # Of its file; empty where not stated
+    value: float | None = None  # Uncertainty as the certificate states it; None to take the engine's
+    divisor: float | None = None  # Coverage factor; None to take the engine's
+    unit: str = ""  # Of the value
 
 
 @dataclass(frozen=True)
 class Expanded:
     """The uncertainty of a result."""
 
-    # u, nu_eff, k: Standard uncertainty, effective degrees of freedom (None for infinite), coverage factor.
-    u: float
-    nu_eff: float | None
-    k: float
+    u: float  # Standard uncertainty
+    nu_eff: float | None  # Effective degrees of freedom; None for infinite
+    k: float  # Coverage factor
 
     @property
     def U(self) -> float:  # noqa: N802 - the field's symbol

@@ -66,21 +66,19 @@ class Laboratory(_Strict):
     address: Address
     contact: Contact
     accreditation: Accreditation | None  # Its accreditation; None if it has none for this calibration
-    # place_kind, place: Kind of the place where it calibrated (a word of the DCC), and the place in words.
-    place_kind: PlaceKind
-    place: str
+    place_kind: PlaceKind  # Where it calibrated, a word of the DCC
+    place: str  # The same in words
 
 
 @dataclass(frozen=True)
 class Camera(_Strict):
     """The calibrated camera, as it identified itself in the run."""
 
-    # maker, model, sensor, serial, firmware: What the camera reported; empty where it reports nothing.
-    maker: str
-    model: str
-    sensor: str
-    serial: str
-    firmware: str
+    maker: str  # As the camera reported it; empty if it did not
+    model: str  # The same
+    sensor: str  # The same
+    serial: str  # The same
+    firmware: str  # The same
     image_size: tuple[int, ...]  # Width and height, px
     biases: tuple[str, ...]  # Biases and their values as text, sorted by name; empty for a frame camera
     biases_sha256: str  # SHA-256 of the biases; empty for a frame camera
@@ -129,12 +127,10 @@ class Traceability(_Strict):
     U: float | None
     k: float | None
     unit: str
-    # number, issuer, date, sha256: Number, issuer and date of its certificate, and SHA-256 of the
-    # certificate's file; empty where not stated.
-    number: str
-    issuer: str
-    date: str
-    sha256: str
+    number: str  # Of its certificate; empty where not stated
+    issuer: str  # Of that certificate
+    date: str  # Of that certificate
+    sha256: str  # Of the certificate's file; empty where not stated
     statement: str
 
 
@@ -142,22 +138,17 @@ class Traceability(_Strict):
 class Result(_Strict):
     """A result with its uncertainty (7.8.2.1 m, 7.8.4.1 a)."""
 
-    # symbol, name: Symbol as in results.json (``fx``), and name in words.
-    symbol: str
-    name: str
-    # value, u: Value and standard uncertainty, unrounded.
-    value: float
+    symbol: str  # As in results.json (``fx``)
+    name: str  # In words
+    value: float  # Unrounded
     unit: str  # ``px``, ``mm`` or ``1``
-    u: float
+    u: float  # Standard uncertainty, unrounded
     U: float
-    # k, p: Coverage factor, and probability of coverage (0.9545).
-    k: float
-    p: float
+    k: float  # Coverage factor
+    p: float  # Probability of coverage (0.9545)
     nu_eff: float | None  # Effective degrees of freedom; None for infinite
-    # printed_value, printed_uncertainty: Both as printed, to the same digit, with a minus sign ``-`` and a
-    # point.
-    printed_value: str
-    printed_uncertainty: str
+    printed_value: str  # With a minus sign ``-`` and a point
+    printed_uncertainty: str  # To the same digit
     text: str  # The whole statement as printed: ``3346.4 px ± 2.5 px``
     customer_supplied: bool  # Whether the value depends on data that the customer supplied (7.8.2.2)
 
@@ -178,12 +169,10 @@ class FurtherResult(_Strict):
     # ``projection_centre``, ``projection_median``, ``projection_worst_corner``, ``rms``, ``mean`` or
     # ``views``.
     id: str
-    # name, value, unit, text: Name in words, value, unit (``px``, ``arcsec`` or ``1``) and the statement as
-    # printed.
-    name: str
+    name: str  # In words
     value: float
-    unit: str
-    text: str
+    unit: str  # ``px``, ``arcsec`` or ``1``
+    text: str  # The statement as printed
 
 
 @dataclass(frozen=True)
@@ -192,28 +181,19 @@ class BudgetRow(_Strict):
 
     name: str
     type: Literal["A", "B"]  # Type of its evaluation, ``A`` or ``B`` (JCGM 100, 4.2 and 4.3)
-    # value, unit: Stated value, and its unit; None and empty for a source that the adjustment itself gives.
-    value: float | None
-    unit: str
-    # distribution, divisor: Distribution, and the divisor that gives the standard uncertainty; None for a
-    # source without a stated value.
+    value: float | None  # As stated; None for a source that the adjustment itself gives
+    unit: str  # Of the value; empty without one
     distribution: str
-    divisor: float | None
-    # sensitivity, sensitivity_unit: Change of the result by one unit of the value; None and empty for a
-    # source without a stated value.
-    sensitivity: float | None
-    sensitivity_unit: str
-    # u, share: Contribution to the standard uncertainty of the result, in its unit; share of its variance, 0
-    # to 1.
-    u: float
-    share: float
+    divisor: float | None  # Gives the standard uncertainty; None without a stated value
+    sensitivity: float | None  # Change of the result by one unit of the value; None without one
+    sensitivity_unit: str  # Empty without one
+    u: float  # Contribution to the result's standard uncertainty, in its unit
+    share: float  # Of its variance, 0 to 1
     nu: float | None  # Degrees of freedom; None for infinite
     source: str  # Where the value comes from
-    # number, date, sha256: Number and date of its certificate, and SHA-256 of that; empty where there is
-    # none.
-    number: str
-    date: str
-    sha256: str
+    number: str  # Of its certificate; empty where there is none
+    date: str  # Of that certificate
+    sha256: str  # Of that certificate
 
 
 @dataclass(frozen=True)
@@ -248,16 +228,12 @@ class BeforeAdjustment(_Strict):
     """The calibration that was valid before this one, and the change since then (7.8.4.1 d)."""
 
     text: str
-    # number, date, sha256: Number of its certificate or run, its date, SHA-256 of its seal; empty where there
-    # is none.
-    number: str
-    date: str
-    sha256: str
+    number: str  # Of its certificate or run; empty where there is none
+    date: str  # Of that
+    sha256: str  # Of its seal
     values: tuple[ValueBefore, ...]  # Its values; empty if they are not known
-    # change_rms_px, change_largest_px: RMS and largest change of the projection over the image since then;
-    # None if not known.
-    change_rms_px: float | None
-    change_largest_px: float | None
+    change_rms_px: float | None  # Of the projection over the image since then; None if not known
+    change_largest_px: float | None  # The same at its largest place
 
 
 @dataclass(frozen=True)
@@ -266,9 +242,8 @@ class Conformity(_Strict):
 
     symbol: str
     specification: str
-    # lower, upper: Limits of tolerance; None where there is none.
-    lower: float | None
-    upper: float | None
+    lower: float | None  # Limit of tolerance; None where there is none
+    upper: float | None  # The same
     unit: str
     guard_band: float
     rule: str
@@ -290,40 +265,33 @@ class Run(_Strict):
     id: str
     sequence: str
     station: str
-    # ledger_number, ledger_head: Number of the run in the laboratory's ledger and the ledger's hash then;
-    # None and empty if it has none.
-    ledger_number: int | None
-    ledger_head: str
+    ledger_number: int | None  # Of the run in the laboratory's ledger; None if it has none
+    ledger_head: str  # Hash of the ledger then; empty if it has none
     journal_head: str  # Hash of the last line of its journal
-    # seal_sha256, results_sha256: SHA-256 of its SHA256SUMS and of its results.json.
-    seal_sha256: str
-    results_sha256: str
+    seal_sha256: str  # Of its SHA256SUMS
+    results_sha256: str  # Of its results.json
     signer: str
     signer_fingerprint: str
     software: tuple[Software, ...]
-    # sequence_sha256, station_sha256: SHA-256 of sequence.yaml and station.yaml, by its journal; empty in certificates
-    # of earlier versions.
-    sequence_sha256: str = ""
-    station_sha256: str = ""
+    sequence_sha256: str = ""  # By its journal; empty in certificates of earlier versions
+    station_sha256: str = ""  # The same
 
 
 @dataclass(frozen=True)
 class Change(_Strict):
     """A field that differs from the amended certificate."""
 
-    # field, before, after: Path of the field, and its values as text; ``absent`` where there was or is none.
-    field: str
-    before: str
-    after: str
+    field: str  # Its path
+    before: str  # As text; ``absent`` where there was none
+    after: str  # As text; ``absent`` where there is none
 
 
 @dataclass(frozen=True)
 class Amends(_Strict):
     """The certificate that this one replaces (7.8.8)."""
 
-    # number, sha256: Its number, and SHA-256 of its SHA256SUMS.
-    number: str
-    sha256: str
+    number: str  # Of the amended certificate
+    sha256: str  # Of its SHA256SUMS
     reason: str
     changes: tuple[Change, ...]  # What changed, field by field
 
@@ -345,10 +313,9 @@ class Certificate(_Strict):
 
     format: Literal["starbench/certificate/1"]  # ``starbench/certificate/1``
     language: Literal["en"]  # Language of the texts: ``en``
-    # title, number, series: Title, unique number, and format of the series of numbers.
     title: str
-    number: str
-    series: str
+    number: str  # Unique
+    series: str  # Format of the series of numbers
     simulated: bool  # Whether any device of the run was simulated: every page then says SIMULATED
     laboratory: Laboratory
     customer: Customer

@@ -107,22 +107,19 @@ def number_pattern(text: str) -> re.Pattern[str]:
 class Numbered:
     """A number of a series, and what became of it."""
 
-    # number, series, count: The number as printed, its series, and its count in that, from 1.
-    number: str
-    series: str
-    count: int
+    number: str  # As printed
+    series: str  # Of the number
+    count: int  # In its series, from 1
     how: How  # ``reserved``, ``issued``, ``void`` or ``lost``
-    # run_seal, run_id: SHA-256 of the run's SHA256SUMS, and name of the run.
-    run_seal: str
-    run_id: str
+    run_seal: str  # SHA-256 of the run's SHA256SUMS
+    run_id: str  # Name of the run
     folder: str
     issued_utc: str
     amends: str = ""  # Number of the certificate that it replaces; empty if none
     superseded_by: str = ""  # Number of the certificate that replaces it; empty if none does
     seal: str = ""  # SHA-256 of the certificate's SHA256SUMS; empty before it is issued
-    # serial, customer: Serial number of the camera, and name of the customer; empty before it is issued.
-    serial: str = ""
-    customer: str = ""
+    serial: str = ""  # Of the camera; empty before it is issued
+    customer: str = ""  # Name; empty before it is issued
     reason: str = ""  # Why it is void; else empty
 
     @property

@@ -47,10 +47,9 @@ _JSON_TYPES: Mapping[Kind, dict[str, object]] = {
 class Column(NamedTuple):
     """A column of the table."""
 
-    # name, kind, unit, meaning: ``unit`` is empty where there is none.
     name: str
     kind: Kind
-    unit: str
+    unit: str  # Empty where there is none
     meaning: str
 
 

@@ -54,9 +54,8 @@ class LiveFigures:
     # Kind of image shown: ``fired-per-edge``, ``events-per-edge``, ``lock-in``, ``count``, ``picture`` or
     # ``none``.
     image_kind: str = "none"
-    # width_px, height_px: Size of the image, px.
-    width_px: int = 0
-    height_px: int = 0
+    width_px: int = 0  # Of the image
+    height_px: int = 0  # Of the image
     # The signal. While the light is known to be off, `trigger_hz` is None, because a sync output may go on. `event_hz`
     # may be that of an earlier slice.
     signal: SignalFigures = field(default_factory=SignalFigures)
@@ -74,9 +73,8 @@ class LiveFigures:
     other_tag: str = ""  # What is wrong with the tags seen; empty if nothing is
     tag_corners_px: Corners | None = None  # Corners of the tag, px, in the order of the print
     square: DarkSquare | None = None  # A dark square that looks like the tag, if the tag was not read
-    # disc_centre_px, disc_radius_px: Centre (column, row) and radius of the beam's disc in the image, px.
-    disc_centre_px: tuple[float, float] | None = None
-    disc_radius_px: float | None = None
+    disc_centre_px: tuple[float, float] | None = None  # Of the beam's disc in the image (column, row)
+    disc_radius_px: float | None = None  # Of the same disc
     rim_in_view: bool | None = None  # Whether some of the beam's rim is inside the frame
     beam_share: float | None = None
     focus: FocusFigures = field(default_factory=FocusFigures)

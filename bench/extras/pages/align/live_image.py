@@ -64,9 +64,8 @@ class SignalFigures:
     # The flicker that the image is made with; None if there is none. A slice too short to show one is taken
     # to have the frequency to which the light is set; then neither ``trigger_hz`` nor ``event_hz`` is known.
     flicker: Flicker | None = None
-    # trigger_hz, event_hz: Frequency by the sync edges, and by the events alone, Hz.
-    trigger_hz: float | None = None
-    event_hz: float | None = None
+    trigger_hz: float | None = None  # By the sync edges
+    event_hz: float | None = None  # By the events alone
     jitter_us: float | None = None  # Rms distance of the sync edges from an even train, us
     sync_fault: str = ""  # What is wrong with the sync edges; empty if nothing is, or there are none
 

@@ -143,9 +143,8 @@ class LivePicture:
     figures: LiveFigures = field(default_factory=LiveFigures)
     rows: Sequence[FigureRow] = ()  # What the page shows of them
     made_s: float = 0.0  # Time at which the picture was ready, s since 1970
-    # record_ms, measure_ms: Duration of the recording and of the measurement, ms.
-    record_ms: float = 0.0
-    measure_ms: float = 0.0
+    record_ms: float = 0.0  # Duration of the recording
+    measure_ms: float = 0.0  # Duration of the measurement
 
 
 @dataclass(frozen=True)

@@ -114,13 +114,10 @@ class TurnFigures:
     # tag) or ``beam``; empty if none is seen.
     of: str = ""
     unit: str = "°"  # Unit of the turns: ``°``, or ``px`` if no focal length is known
-    # pan, tilt: Turn of each axis that brings it there, in this unit; in px: how far it has to move right and
-    # up. By the beam, in steps of `BEAM_STEP_DEG` or `BEAM_STEP_PX`.
-    pan: float | None = None
-    tilt: float | None = None
-    # tag_off, beam_off: The same turns for the tag, and for the centre of the beam's disc, not rounded.
-    tag_off: Offset | None = None
-    beam_off: Offset | None = None
+    pan: float | None = None  # Turn that brings it there, in this unit; in px: how far it has to move right
+    tilt: float | None = None  # The same; in px: up. By the beam in steps (`BEAM_STEP_DEG`, `BEAM_STEP_PX`)
+    tag_off: Offset | None = None  # The same turns for the tag, not rounded
+    beam_off: Offset | None = None  # For the centre of the beam's disc, not rounded
     # Borders of the frame that the dark square touches; None if none is seen.
     square_borders: tuple[Border, ...] | None = None
     focal_px: float | None = None  # Focal length used, px
