@@ -119,12 +119,12 @@ def _cannot(described: Mapping[str, Any]) -> str:
 def _calibrated(folder: Path, described: Mapping[str, Any], progress: Reached) -> OfflineResult:
     """Calibrate the sources again. Raises the errors of the reader and of the engine, and one of ``UNREADABLE``."""
     stored, passport = described["options"], None
+    station = None if described["station"] is None else StationFile(**described["station"])
     if stored["passport"] is not None:
         passport = passport_of_file(folder / PASSPORT_COPY, str(stored["passport"]))
+        if station is not None and station.passport_source is not None:
+            passport = replace(passport, source=station.passport_source)
     given = described["option_target"]
     target = StarTarget(**{**given, "tag_square": tuple(given["tag_square"])})
-    station = described["station"]
-    options = replace(
-        options_of_data(stored, passport, target), station=None if station is None else StationFile(**station)
-    )
+    options = replace(options_of_data(stored, passport, target), station=station)
     return calibrate_paths([Path(path) for path in described["paths"]], options, progress=progress)

@@ -139,7 +139,7 @@ _OPTIONS = {
         "--station",
         "-s",
         type=CheckedStation(),
-        help="Station file that describes the target, if it is not the standard target.",
+        help="Station file that states target and collimator, for files that are of no run.",
     ),
     "board": click.option(
         "--board",

@@ -17,7 +17,6 @@ from bench.stations.station_text import description_documents
 from calib.calibration import REFERENCE_MODELS, CalibrationOptions
 from calib.model.gimbal_readings import GimbalReadings
 from calib.model.passport import Passport
-from calib.model.type_b_terms import TypeBTerm
 from calib.target import StarTarget
 from drivers.light import LightSettings
 from sequences.schema import ResultLimitConfig
@@ -50,7 +49,6 @@ def calibration_options(
     step: SolveStep,
     passport: Passport | None = None,
     gimbal: GimbalReadings | None = None,
-    budget: tuple[TypeBTerm, ...] = (),
 ) -> CalibrationOptions:
     """Return the engine's options for a solve step; one without a model is solved with ``auto``."""
     passport = passport if step.model not in REFERENCE_MODELS else None
@@ -62,7 +60,6 @@ def calibration_options(
         passport=passport,
         guard_band=step.guard_band,
         gimbal=gimbal,
-        budget=budget,
     )
 
 

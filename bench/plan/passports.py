@@ -215,18 +215,34 @@ def choose_passport(
     if others:
         fault = others[0].fault("the solve steps use different passports; a run uses one.")
         return PassportChoice(faults=(fault,))
+    return _checked(first, station.value.collimator, frozenset(used), copy, today)
+
+
+def station_passport(station: Located[Station], today: date) -> PassportChoice:
+    """Read and check the passport or certificate that a station states, for files that are of no run."""
+    named = _of_station(station, other_accepted=False)
+    return (
+        PassportChoice()
+        if named is None
+        else _checked(named, station.value.collimator, frozenset(), None, today)
+    )
+
+
+def _checked(
+    first: _Named, collimator: CollimatorConfig, used: frozenset[int], copy: Path | None, today: date
+) -> PassportChoice:
+    """Read the named passport of the steps ``used``, and judge whether it suits the collimator and the day."""
     try:
         in_use = first.read(copy)
     except BenchError as error:
-        return PassportChoice(steps=frozenset(used), faults=(first.fault(str(error)),))
-    collimator = station.value.collimator
+        return PassportChoice(steps=used, faults=(first.fault(str(error)),))
     differs = in_use.serial is not None and collimator.serial not in (None, in_use.serial)
     if differs and not in_use.other_accepted:
         message = (
             f"the passport belongs to the collimator {in_use.serial}; the station's is {collimator.serial}. Name the "
             "right passport, or accept this one: solve: {other_collimator: accept}."
         )
-        return PassportChoice(in_use, frozenset(used), (first.fault(message),))
+        return PassportChoice(in_use, used, (first.fault(message),))
     cautions = in_use.cautions(collimator, today)
     if copy is None:
         unknown = _unknown_seal(in_use)
@@ -236,10 +252,10 @@ def choose_passport(
                 f"{what} The station refuses it (collimator: {{unsealed_passport: refuse}}). Seal it with"
                 " `starbench passport show FILE --seal NEW`, or trust its key with `starbench keys trust`."
             )
-            return PassportChoice(in_use, frozenset(used), (first.fault(message),))
+            return PassportChoice(in_use, used, (first.fault(message),))
         cautions += [unknown] if unknown else []
     remarks = tuple(first.fault(caution) for caution in cautions)
-    return PassportChoice(in_use, frozenset(used), remarks=remarks)
+    return PassportChoice(in_use, used, remarks=remarks)
 
 
 def _unknown_seal(in_use: PassportInUse) -> str:
@@ -292,16 +308,21 @@ def _named(sequence: Located[Sequence], station: Located[Station], step: SolveSt
         path = setting_path(sequence, step.path, "passport", "solve")
         file = sequence.file_at(path, step.passport)
         return _Named(sequence, path, "sequence", file, None, accepted)
+    return None if step.model in REFERENCE_MODELS else _of_station(station, other_accepted=accepted)
+
+
+def _of_station(station: Located[Station], *, other_accepted: bool) -> _Named | None:
+    """Return the passport file or the certificate that the station states."""
     collimator = station.value.collimator
-    if step.model in REFERENCE_MODELS:
-        return None
     if collimator.passport is not None:
         path = ("collimator", "passport")
         file = station.file_at(path, collimator.passport)
-        return _Named(station, path, "station", file, None, accepted)
+        return _Named(station, path, "station", file, None, other_accepted)
     if isinstance(collimator.certificate, CertificateConfig):
         made = certificate_passport(collimator, collimator.certificate)
-        return _Named(station, ("collimator", "certificate"), "station certificate", None, made, accepted)
+        return _Named(
+            station, ("collimator", "certificate"), "station certificate", None, made, other_accepted
+        )
     return None
 
 

@@ -135,7 +135,29 @@ def calibrate_paths(
         sources = [with_kept_views(source, kept) for source in sources]
     result = calibrate_sources(sources, choices, progress)
     left = [sentence for path in paths for sentence in left_beside(path)]
-    return replace(result, paths=tuple(paths), skipped=[*result.skipped, *left])
+    skipped = [*station_left_out(result.sources, choices), *result.skipped, *left]
+    return replace(result, paths=tuple(paths), skipped=skipped)
+
+
+def _is_one_run(sources: Sequence[ViewSource]) -> bool:
+    jobs = jobs_of(sources)
+    return len(jobs) == 1 and jobs[0] is not None
+
+
+def station_left_out(sources: Sequence[ViewSource], choices: OfflineOptions) -> list[str]:
+    """Return a sentence on what the station of the command line states and this calibration does not use."""
+    file = choices.station
+    station = file.station if file else None
+    if file is None or station is None:
+        return []
+    if _is_one_run(sources):
+        return [f"{file.name}: A run is calibrated with the station file in its folder."]
+    if choices.board is not None:
+        return [f"{file.name}: A board is seen without the collimator."]
+    if station.gimbal is None:
+        return []
+    what = "its section gimbal, since only a run has readings of the stage."
+    return [f"{file.name}: {what}"]
 
 
 def only_view(paths: Sequence[Path], choices: OfflineOptions) -> View | None:
@@ -166,6 +188,8 @@ def calibrate_sources(
     chosen = [sources[n - 1] for n in choices.view_numbers] if choices.view_numbers else sources
     views, used, skipped = read_views(chosen, progress)
     require_one_camera(used)
+    if _is_one_run(used):
+        choices = choices.for_one_run()
     options, passport, cautions = _engine_options(used, choices)
     moving = {source.path for source in used if source.view_name}
     used_parts = used_recordings((source.path for source in used if source.job is None), moving)
@@ -239,9 +263,8 @@ def _engine_options(
             cautions.append(
                 "The views do not have one passport of a collimator in common, so none was used. Name one (--passport)."
             )
-    passport = None
-    if options.passport is not None:
-        passport = choices.passport or next(iter(passports.values()))
+    known = (choices.passport, *passports.values())
+    passport = next((one for one in known if one and one.passport is options.passport), None)
     return options, passport, cautions
 
 

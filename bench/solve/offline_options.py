@@ -6,6 +6,7 @@ import hashlib
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Self
 
@@ -13,16 +14,18 @@ from bench.base.errors import UsageError
 from bench.base.image_size import parse_image_size
 from bench.plan.job import Job
 from bench.plan.passport_file import read_passport_file
-from bench.plan.passports import NO_PASSPORT, PassportInUse
+from bench.plan.passports import NO_PASSPORT, PassportChoice, PassportInUse, PassportSource, station_passport
 from bench.plan.plan import DEFAULT_MODEL
 from bench.solve.point_files import Origin
-from bench.solve.solve_options import solve_options
-from bench.stations.station import load_station
+from bench.solve.solve_options import solve_options, with_statements
+from bench.stations.station import Station, load_station
 from calib.boards.board import Board
 from calib.calibration import REFERENCE_MODELS, ModelName
 from calib.engine import CalibrationOptions
 from calib.errors import CalibrationError
 from calib.target import StarTarget
+from sequences.errors import DocumentFaults
+from sequences.reader import check_document
 from sequences.schema import ImageKind
 from sequences.script import SolveStep
 from sequences.solve_schema import Readings
@@ -35,11 +38,18 @@ _LENS_OF_BOARDS = ("k1", "k2", "p1", "p2")
 
 @dataclass(frozen=True)
 class StationFile:
-    """The station file that the command line gave for the target."""
+    """The station file that the command line gave for what is known of target and collimator."""
 
     name: str  # As it was given: a path, or the name of a station that is included
     path: str
     sha256: str  # Hash of its bytes
+    text: str = ""  # Its content; empty in results of earlier versions, which used its target alone
+    passport_source: PassportSource | None = None  # Which passport of the options it states, if any
+
+    @property
+    def station(self) -> Station | None:
+        """What the file states; None without its text."""
+        return check_document(self.text.encode(), self.name, Station).value if self.text else None
 
 
 @dataclass(frozen=True)
@@ -66,7 +76,7 @@ class OfflineOptions:
     # Cutoff frequency at which pictures of a moving camera are reconstructed from RAW files, Hz; None for
     # recordings of a camera that stands still before a flickering target.
     reconstruct_hz: float | None = None
-    # The station file whose target is ``target``; None for the standard target.
+    # The station file of ``target``, for files that are of no run; None for the standard target.
     station: StationFile | None = None
 
     @classmethod
@@ -98,11 +108,12 @@ class OfflineOptions:
             )
         model = "planar" if shown else model
         named = passport if passport != NO_PASSPORT else None
-        target, station_file = _target_of_station(station)
+        uses_passport = passport != NO_PASSPORT and model not in REFERENCE_MODELS
+        target, station_file, stated = _of_station(station, with_passport=uses_passport and named is None)
         made = cls(
             model=model,
             distortion=distortion,
-            passport=passport_of_file(Path(named)) if named else None,
+            passport=passport_of_file(Path(named)) if named else stated,
             without_passport=passport == NO_PASSPORT,
             image_size=parse_image_size(image_size),
             view_numbers=_parse_view_numbers(views),
@@ -122,12 +133,19 @@ class OfflineOptions:
         """Return the engine's options for views that are not from one run; without a model, ``auto``."""
         none = self.without_passport or self.model in REFERENCE_MODELS
         used = self.passport or (None if none else passport)
-        return CalibrationOptions(
+        options = CalibrationOptions(
             self.model or DEFAULT_MODEL,
             self.distortion or (_LENS_OF_BOARDS if self.board else ("k1", "k2")),
             passport=used.passport if used else None,
             guard_band=self.guard_band or 1.0,
         )
+        station = self.station.station if self.station and not self.board else None
+        return options if station is None else with_statements(options, station)
+
+    def for_one_run(self) -> Self:
+        """Return the options without the station's passport: a run has its own station."""
+        of_station = self.passport is not None and self.passport.source != "command line"
+        return replace(self, passport=None) if of_station else self
 
     def of_run(
         self, job: Job, step: SolveStep, measured_deg: Sequence[Mapping[str, float]]
@@ -150,14 +168,26 @@ class OfflineOptions:
         )
 
 
-def _target_of_station(name: str | None) -> tuple[StarTarget, StationFile | None]:
-    """Return the target of the station that the command line names, and its file."""
+def _of_station(
+    name: str | None, *, with_passport: bool
+) -> tuple[StarTarget, StationFile | None, PassportInUse | None]:
+    """Return the target of the station that the command line names, its file, and the passport that it states."""
     if not name:
-        return StarTarget(), None
+        return StarTarget(), None, None
     read = load_station(name)
     path = (read.folder or Path()) / Path(read.file).name
-    station_file = StationFile(name, str(path.absolute()), hashlib.sha256(read.text).hexdigest())
-    return read.value.target.pattern(), station_file
+    choice = station_passport(read, datetime.now(UTC).date()) if with_passport else PassportChoice()
+    if choice.faults:
+        raise DocumentFaults(choice.faults)
+    stated = choice.in_use
+    file = StationFile(
+        name,
+        str(path.absolute()),
+        hashlib.sha256(read.text).hexdigest(),
+        read.text.decode(),
+        stated.source if stated else None,
+    )
+    return read.value.target.pattern(), file, stated
 
 
 def passport_of_file(path: Path, name: str = "") -> PassportInUse:

@@ -42,9 +42,14 @@ def solve_options(
 
     station = job.station
     readings = None if step.readings == "witness" else gimbal_readings(station, measured_deg)
+    return with_statements(calibration_options(step, job.plan.passport_for(step), readings), station)
+
+
+def with_statements(options: CalibrationOptions, station: Station) -> CalibrationOptions:
+    """Return options with what a station states besides passport and readings: budget, radial prior and focus."""
     budget = station.budget.terms(station.collimator)
-    options = calibration_options(step, job.plan.passport_for(step), readings, budget)
-    return replace(options, radial_sigma=stated_radial_sigma(station), focus=stated_focus(station))
+    radial_sigma, focus = stated_radial_sigma(station), stated_focus(station)
+    return replace(options, budget=budget, radial_sigma=radial_sigma, focus=focus)
 
 
 def stated_focus(station: Station) -> TargetFocus | None:

@@ -154,6 +154,7 @@ def calibration_key(content: Mapping[str, str], task: Task) -> str:
     choices = task.choices
     passport = None if choices.passport is None else hashlib.sha256(choices.passport.data).hexdigest()
     options = {**options_data(choices), "target": asdict(choices.target), "passport_sha256": passport}
+    options["station_sha256"] = None if choices.station is None else choices.station.sha256
     return content_key(
         {"format": ROW_FORMAT, "content": content, "options": options, "program": task.program}
     )

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from station_texts import PLAIN
+from station_texts import IDEAL, PLAIN, without
 
 from bench.again.recalculated import check_recalculated
 from bench.base.errors import BenchError, StorageError, UsageError
@@ -353,7 +353,8 @@ def test_the_station_file_of_the_target_is_stated_with_its_hash(points, tmp_path
     write_offline_results(result, "out", tmp_path / "out", key)
     described = json.loads(sources.read_text())
     hashed = hashlib.sha256(PLAIN.encode()).hexdigest()
-    assert described["station"] == {"name": str(station), "path": str(station), "sha256": hashed}
+    stated = {"name": str(station), "path": str(station), "sha256": hashed, "text": PLAIN}
+    assert described["station"] == {**stated, "passport_source": None}
 
     def of_station_file():
         checked = check_recalculated(tmp_path / "out")
@@ -369,6 +370,45 @@ def test_the_station_file_of_the_target_is_stated_with_its_hash(points, tmp_path
     assert "another station file lies there now" in of_station_file()[0]
     station.unlink()
     assert "is not there any more" in of_station_file()[0]
+
+
+STATED = (
+    without(IDEAL, "collimator")
+    + """
+collimator:
+  nominal_r_mm: 255
+  certificate: {r_mm: 255.0, uncertainty_mm: 0.1, k: 2, number: T-1, length: seen}
+  defocus: {value: 0.001, sigma: 0.0005}
+  pupil_to_focus_mm: {value: -20, sigma: 5}
+"""
+)
+
+
+def test_loose_files_take_what_the_station_states_and_say_that_the_stage_s_readings_are_left_out(
+    points, tmp_path, key
+):
+    station = tmp_path / "station.yaml"
+    station.write_text(STATED)
+    result = calibrate_paths([points], options(station=str(station)))
+    used = result.options
+    assert used.passport.values_by_name["r"] == 255.0
+    assert (used.focus.defocus, used.focus.pupil_to_focus_mm) == ((0.001, 0.0005), (-20, 5))
+    assert {term.kind for term in used.budget} >= {"print_scale", "print_bow"}
+    assert used.radial_sigma is not None
+    assert result.passport.source == "station certificate"
+    assert used.gimbal is None
+    assert str(station) in result.skipped[0]
+    assert "gimbal" in result.skipped[0]
+    write_offline_results(result, "out", tmp_path / "out", key)
+    station.unlink()
+    assert check_recalculated(tmp_path / "out").faults == []
+
+
+@pytest.mark.parametrize("other", [{"passport": "none"}, {"model": "planar"}])
+def test_a_station_s_certificate_is_not_used_where_no_passport_is(other, tmp_path):
+    station = tmp_path / "station.yaml"
+    station.write_text(STATED)
+    assert options(station=str(station), **other).passport is None
 
 
 def test_an_included_station_is_stated_and_none_is_none():
