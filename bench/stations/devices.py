@@ -42,6 +42,7 @@ class Devices:
 
     def __init__(self, station: Station, *, seed: int, clock: BenchClock, wire_log: WireLog | None) -> None:
         self._clock = clock
+        self._station = station
         self._simulation: SimulatedBench | None = None
         with ExitStack() as opened, self._left_safe():
             if station.needs_simulated_bench:
@@ -56,8 +57,10 @@ class Devices:
             self._opened = opened.pop_all()
 
     def truth(self) -> dict[str, Any] | None:
-        """Read the true parameters of the simulated bench, for the final comparison only; None on a real bench."""
-        return self._simulation.truth() if self._simulation is not None else None
+        """Read what is true of views of the simulated bench, for the final comparison only; None for other views."""
+        if self._simulation is None or not self._station.sees_simulated_bench:
+            return None
+        return self._simulation.truth()
 
     @property
     def simulation(self) -> SimulatedBench | None:
@@ -117,8 +120,8 @@ class Devices:
 
 
 def simulated_truth(station: Station, seed: int) -> dict[str, Any] | None:
-    """Start a station's simulated bench to read its truth, for the final comparison; None on a real bench."""
-    if not station.needs_simulated_bench:
+    """Start a station's simulated bench to read what `Devices.truth` tells."""
+    if not station.sees_simulated_bench:
         return None
     with SimulatedBench(station.simulated_world, seed) as bench:
         return bench.truth()

@@ -123,6 +123,7 @@ class SeparateDevices(Devices):
 
     def __init__(self, station: Station, seed: int, clock: BenchClock) -> None:
         self._clock = clock
+        self._station = station
         self._simulation: SimulatedBench | None = None
 
         def late_device(name: str, devices: tuple[str, ...], open_device: Callable[..., Any]) -> LateDevice:

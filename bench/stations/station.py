@@ -201,6 +201,14 @@ class Station(StrictModel):
         return any(port.startswith(SIMULATED_PREFIX) for port in ports)
 
     @property
+    def sees_simulated_bench(self) -> bool:
+        """Whether a simulated camera looks from a simulated stage: else the views are not of the simulated world."""
+        return all(
+            any(port.startswith(SIMULATED_PREFIX) for port in device.ports)
+            for device in (self.stage, self.camera)
+        )
+
+    @property
     def simulated_world(self) -> dict[str, Any]:
         """Configuration of the simulated bench: section ``simulation``, with the target of this station."""
         given, print_ = self.simulation or {}, self.target.in_simulation()

@@ -63,6 +63,9 @@ _LARGEST_FIELD = 3e-4
 _LARGEST_PARALLAX = 0.03
 #: Readings may be those of other poses: degrees beside what they say. Sigmas of stars may be in another unit.
 _NOISIEST_READINGS, _NOISIEST_STARS = 1e6, 1e4
+#: No star is taken as found better than this, px: a tenth of what the best recordings show. Stars that are more exact
+#: than the shapes of the fields are (points without noise) would deny what is stated: U(fx) was 33 px in place of 1.3.
+_FINEST_STARS_PX = 1e-3
 
 
 class Pupil(Enum):
@@ -164,6 +167,7 @@ class Hyperprior:
     mean: Array  # (A,)
     covariance: Array  # (A, A)
     lever: Lever
+    star_px: float  # Usual stated noise of a star
 
     @cached_property
     def stiff(self) -> Array:
@@ -186,12 +190,14 @@ class Hyperprior:
     def bounds(self) -> list[tuple[float, float]]:
         """Smallest and largest logarithm of each amplitude in the search."""
         reach = _REACH * np.sqrt(np.diag(self.covariance))
-        high = self.mean + reach
+        low, high = self.mean - reach, self.mean + reach
         fields = [at for at, name in enumerate(self.names) if name in (*POSE, *COMMON, *TURN, *TURN_2)]
         high[fields] = np.minimum(high[fields], np.log(_LARGEST_FIELD))
         high[self.at(PARALLAX)] = np.log(_LARGEST_PARALLAX)
         high[self.at(READING)], high[self.at(STAR)] = np.log([_NOISIEST_READINGS, _NOISIEST_STARS])
-        return list(zip((self.mean - reach).tolist(), high.tolist(), strict=True))
+        finest = min(_FINEST_STARS_PX / self.star_px, 1.0)  # Stars that are stated as finer are believed
+        low[self.at(STAR)] = max(low[self.at(STAR)], np.log(finest))
+        return list(zip(low.tolist(), high.tolist(), strict=True))
 
     def at(self, name: str) -> int:
         """Return the place of an amplitude."""
@@ -211,8 +217,11 @@ def _families(pupil: Pupil, *, passport: bool) -> list[Family]:
     return [family.first(counts.get(family.names, len(family.names))) for family in FAMILIES]
 
 
-def hyperprior(lever: Lever, pupil: Pupil, *, passport: bool = False) -> Hyperprior:
-    """Return the hyperprior. ``passport``: whether a passport states the irregular errors of the glass."""
+def hyperprior(lever: Lever, pupil: Pupil, *, passport: bool = False, star_px: float = 1.0) -> Hyperprior:
+    """Return the hyperprior.
+
+    ``passport``: whether a passport states the irregular errors of the glass. ``star_px``: usual stated star noise.
+    """
     families = _families(pupil, passport=passport)
     names = tuple(name for family in families for name in family.names)
     mean = np.log([median for family in families for median in family.medians])
@@ -227,4 +236,4 @@ def hyperprior(lever: Lever, pupil: Pupil, *, passport: bool = False) -> Hyperpr
     mean[parallax] += np.log(lever.middle)
     covariance[parallax, parallax] += lever.spread**2
     mean += np.log(times_as_far(lever, pupil)) * np.array([_BY_PUPIL.get(name, 0.0) for name in names])
-    return Hyperprior(names, mean, covariance, lever)
+    return Hyperprior(names, mean, covariance, lever, star_px)

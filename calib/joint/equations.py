@@ -162,6 +162,11 @@ class Bench:
         """Number of poses."""
         return int(self.poses.max()) + 1
 
+    @cached_property
+    def usual_sigma_px(self) -> float:
+        """Median stated noise of the stars."""
+        return float(np.median(np.concatenate([star.sigma_px for star in self.stars])))
+
     @property
     def gimbal(self) -> tuple[str, ...]:
         """Names of the gimbal's unknowns."""
@@ -338,7 +343,7 @@ class Bench:
         spread = robust_sigma(lengths)
         scaled = (np.concatenate(lengths) / spread) ** 2
         costs, edge_px = [], _RIM_EDGE_PX / spread
-        usual = float(np.median(np.concatenate([star.sigma_px for star in self.stars])))
+        usual = self.usual_sigma_px
         for size in usual * _RIM_NOISES:
             own = np.concatenate([star.precision(RimNoise(size, edge_px)) for star in self.stars])
             costs.append(float(np.minimum(own * scaled, _LONGEST**2).sum()) - 2.0 * float(np.log(own).sum()))

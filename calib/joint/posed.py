@@ -110,7 +110,6 @@ def posed(
     shared = np.zeros(len(layout.names))
     shared[layout.places(tuple(values))] = list(values.values())
     shared[layout.places([name for name in circumstances.gimbal if name in SCALES])] = 1.0
-    hyper = amp.hyperprior(lever, pupil, passport=bool(layout.bench.passport))
     rims = [discs.of_views[pose] for pose in poses] if discs else []
     bench = Bench(
         layout,
@@ -123,6 +122,7 @@ def posed(
         pupils.shown if pupils else sines_of(turns),
         tuple(rims),
     )
+    hyper = amp.hyperprior(lever, pupil, passport=bool(layout.bench.passport), star_px=bench.usual_sigma_px)
     gimbal = readings.start(start.rotations) if readings else None
     state = State(shared, np.zeros((bench.n_poses, len(layout.own.places))), start.rotations, gimbal)
     wander = discs.wander if discs and pupil is not amp.Pupil.HELD else -np.inf

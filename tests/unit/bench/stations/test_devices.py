@@ -5,9 +5,10 @@ from unittest.mock import create_autospec
 
 import pytest
 from filled_stations import filled_example
+from station_texts import PLAIN
 
 from bench.base.clock import BenchClock
-from bench.stations.devices import Devices
+from bench.stations.devices import Devices, simulated_truth
 from bench.stations.station import Station
 from drivers.camera.frame_cameras import FolderFrameCamera, OpenCvFrameCamera
 from drivers.camera.metavision import MetavisionEvk4
@@ -128,3 +129,11 @@ def test_each_driver_gets_what_the_file_says(section, driver, given, options, op
 def test_the_level_of_a_strobe_controller_is_a_share_of_its_full_percent():
     light = station_with("light: {driver: gardasoft, port: /dev/f, model: RT420F-20, full_percent: 50}").light
     assert light.settings(Flicker("square", 60.0, 50.0, 40.0)).high_v == 2.0
+
+
+@pytest.mark.parametrize("where", ["stage", "camera", "neither"])
+def test_the_simulated_truth_is_that_of_a_simulated_camera_on_a_simulated_stage_only(where):
+    elsewhere = {"stage": ("port: sim:gimbal", "port: /dev/a"), "camera": ("sim:camera", "127.0.0.1:5")}
+    text = PLAIN.replace(*elsewhere[where]) if where in elsewhere else PLAIN
+    truth = simulated_truth(check_document(text.encode(), "b.yaml", Station).value, 7)
+    assert (truth is not None) == (where == "neither")
