@@ -47,13 +47,14 @@ _LISTED = re.compile(r"\]\((?!https?:|\.\./)([^)#\s]+\.(?:md|rst))\)")
 
 def _as_site(app: Any, page: str, source: list[str]) -> None:
     """Turn a page of GitHub into one of the site."""
-    del app
     folder = (DOCS / page).parent
     text = _MERMAID.sub("![The states of a run](pictures/states.svg)", source[0])
     text = _LINK.sub(lambda link: link[0] if _within(folder, link[2]) else link[1], text)
     if page.endswith("README"):
         text = "".join(_with_side_bar(text))
     if page == root_doc:
+        if app is not None:
+            app.env.note_dependency(str(DOCS / "pages.md"))
         text += "".join(map(_side_bar, _parts((DOCS / "pages.md").read_text(encoding="utf-8"))))
     if page == "pages":
         text = "---\norphan: true\n---\n" + text
@@ -88,6 +89,12 @@ def _side_bar(part: str) -> str:
     return "\n".join(["\n```{toctree}", ":hidden:", *caption, "", *pages, "```", ""])
 
 
+def _as_typed(app: Any, context: Any, lines: list[str]) -> None:
+    """Keep the star of ``runs/*`` in the examples of a command: it begins no emphasis."""
+    del app, context
+    lines[:] = [line.replace("*", r"\*") for line in lines]
+
+
 def _draw_formula(translator: Any, node: Any) -> None:
     """Write a formula within a line as MathML."""
     from docutils import nodes
@@ -117,6 +124,7 @@ def setup(app: Any) -> None:
 
     assert isinstance(app, Sphinx)
     app.connect("source-read", _as_site)
+    app.connect("sphinx-click-process-epilog", _as_typed)
     app.connect("build-finished", _add_index)
     app.registry.html_inline_math_renderers["mathml"] = (_draw_formula, None)
     app.registry.html_block_math_renderers["mathml"] = (_draw_formula_block, None)
