@@ -8,9 +8,7 @@ The wait for a reply runs on the system's own clock and ends at its deadline, wh
 of step; drivers wait *between* exchanges, through their clock. A stop is sent without resynchronising, after one
 exchange of another thread at most.
 
-Only what does no harm when it is sent twice is repeated: questions, settings and stops. A value is believed when
-consecutive readings agree: a checksum of eight bits lets one in 256 heavily garbled replies pass, and most text
-protocols have none.
+Only what does no harm when it is sent twice is repeated: questions, settings and stops.
 """
 
 from __future__ import annotations
@@ -18,9 +16,9 @@ from __future__ import annotations
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import ClassVar, Final, NamedTuple, TypeVar
+from typing import ClassVar, Final, TypeVar
 
 from drivers.clock import Clock
 from drivers.errors import PortError, PortLost, ReplyError, ReplyGarbled, ReplyTimeout
@@ -34,7 +32,6 @@ TRIES: Final = 3
 """How often a request is sent in all, before its last error is passed on."""
 TRIES_WHEN_LATE: Final = 3
 """How much more often a request is sent when time-outs came from a computer that is too busy."""
-_MOST_READINGS: Final = 5  # Two that agree are wanted
 
 LONGEST_LINE = 4096
 """Longest line, in bytes. A longer one comes from a device that sends without pause, or from another protocol."""
@@ -87,66 +84,6 @@ def repeat(
                 raise
             before_next()
     return attempt()
-
-
-def read_until_agreed(read: Callable[[], T], *, what: str, where: str) -> T:
-    """Read until two consecutive readings are equal, at most five times; else raise `ReplyGarbled`.
-
-    >>> values = iter([5, 7, 7])
-    >>> read_until_agreed(lambda: next(values), what="the value", where="")
-    7
-    """
-    before = read()
-    for _ in range(_MOST_READINGS - 1):
-        now = read()
-        if now == before:
-            return now
-        before = now
-    raise _disagreement(what, where)
-
-
-class Reading(NamedTuple):
-    """One reading of an axis."""
-
-    t_s: float  # Time of the reading, in seconds
-    position_deg: float  # Position, in degrees
-    moving: bool  # Whether the axis was moving
-
-
-def read_position_until_agreed(
-    read: Callable[[], Reading], *, tolerance_deg: float, speed_deg_s: float, what: str, where: str
-) -> float:
-    """Read a position, degrees, until consecutive readings agree, at most five times; else raise `ReplyGarbled`.
-
-    Of an axis at rest, two equal readings agree, or three within the tolerance (a servo trembles): the median counts.
-    Of a moving axis, two readings agree when the axis can have moved from one to the other in the time between them.
-    """
-    readings = [read()]
-    for _ in range(_MOST_READINGS - 1):
-        readings.append(read())
-        if (position_deg := _agreed(readings, tolerance_deg, speed_deg_s)) is not None:
-            return position_deg
-    raise _disagreement(what, where)
-
-
-def _agreed(readings: Sequence[Reading], tolerance_deg: float, speed_deg_s: float) -> float | None:
-    """Return the position on which the latest readings agree; None when they do not."""
-    before, now = readings[-2:]
-    if before.moving or now.moving:
-        reach_deg = tolerance_deg + speed_deg_s * (now.t_s - before.t_s)
-        return now.position_deg if abs(now.position_deg - before.position_deg) <= reach_deg else None
-    if now.position_deg == before.position_deg:
-        return now.position_deg
-    low, *middle, high = sorted(reading.position_deg for reading in readings[-3:])
-    return middle[0] if middle and high - low <= tolerance_deg else None
-
-
-def _disagreement(what: str, where: str) -> ReplyGarbled:
-    return ReplyGarbled(
-        f"{_MOST_READINGS} readings of {what} do not agree.",
-        where=where,
-        remedy="Check the cable, and that nobody operates the device by hand.",
-    )
 
 
 class ReplyReader:

@@ -10,9 +10,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import ClassVar, Final, TypeVar
 
+from drivers.agreed_reading import read_until_agreed
 from drivers.errors import LightFault, ReplyTimeout, SettingRefused
 from drivers.light import LightIdentity, LightSettings
-from drivers.link import Link, read_until_agreed
+from drivers.link import Link
 from drivers.serial_port import LineSettings, OnOnePort, Port, ReopeningPort
 from drivers.visa_port import VISA_PREFIX, VisaPort, socket_url
 

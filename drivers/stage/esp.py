@@ -14,9 +14,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from drivers.agreed_reading import read_until_agreed
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyTimeout
-from drivers.link import read_until_agreed
 from drivers.serial_port import Port
 from drivers.stage import AxisIdentity, motion
 from drivers.stage.motion import Axis

@@ -15,11 +15,12 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from drivers.agreed_reading import read_until_agreed
 from drivers.clock import Clock
 from drivers.described.description import AxisSetting, Exchange, StageDescription, Switch, Value
 from drivers.described.line import DescribedLine, shown
 from drivers.errors import DeviceRefused, OutsideLimits, ReplyError, ReplyTimeout
-from drivers.link import TRIES, read_until_agreed
+from drivers.link import TRIES
 from drivers.serial_port import LineSettings, Port
 from drivers.stage import AxisIdentity, motion
 from drivers.stage.motion import Axis

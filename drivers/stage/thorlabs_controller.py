@@ -16,9 +16,10 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final, Self, TypeVar
 
+from drivers.agreed_reading import read_until_agreed
 from drivers.clock import Clock
 from drivers.errors import DeviceRefused, ReplyGarbled, ReplyTimeout
-from drivers.link import TRIES, read_until_agreed, repeat
+from drivers.link import TRIES, repeat
 from drivers.serial_port import Port
 from drivers.stage.line_per_axis import AxisController
 from drivers.stage.refusals import read_back_otherwise

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
+from drivers.agreed_reading import Reading, read_position_until_agreed
 from drivers.clock import Clock
 from drivers.errors import (
     DriverError,
@@ -22,7 +23,6 @@ from drivers.errors import (
     ReplyError,
     WrongDevice,
 )
-from drivers.link import Reading, read_position_until_agreed
 from drivers.serial_number import is_same_serial
 from drivers.serial_port import OnOnePort, Port, closed_on_error
 from drivers.stage import AxisIdentity, AxisLimits, motion

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 from caproto.asyncio.server import start_server
@@ -44,9 +45,8 @@ class SimulatedRecord:
             start_server(self._motor.pvdb, interfaces=["127.0.0.1"], startup_hook=self._starts)
         )
         try:
-            self._loop.run_until_complete(self._task)
-        except asyncio.CancelledError:
-            pass
+            with suppress(asyncio.CancelledError):  # `unplug` ends the server so
+                self._loop.run_until_complete(self._task)
         finally:
             for task in asyncio.all_tasks(self._loop):
                 task.cancel()

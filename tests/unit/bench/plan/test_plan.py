@@ -15,7 +15,6 @@ from bench.base.errors import ScriptError
 from bench.measure.camera_kinds import periods_in_window, recording_duration_s
 from bench.plan.plan import POSE_BYTES, REPORT_BYTES, load_documents, make_plan
 from bench.stations.station import SHIPPED_STATIONS, Station
-from bench.wording.numbers import duration
 from bench.wording.plan_text import render_plan
 from drivers.stage.motion import travel_time_s
 from sequences.errors import DocumentFaults
@@ -407,21 +406,6 @@ def test_a_sequence_with_other_numbers_is_planned_or_refused_never_anything_else
     assert made.duration_s > 0
     assert json.dumps(made.to_dict(), allow_nan=False)
     assert ("This plan cannot be run" in render_plan(made)) == bool(made.faults)
-
-
-@pytest.mark.parametrize(
-    ("seconds", "text"),
-    [(0, "0 ms"), (0.9996, "1.0 s"), (9.94, "9.9 s"), (9.96, "10 s"), (59.4, "59 s"), (59.6, "1 min 0 s"), (3599, "59 min 59 s"), (3600, "1 h 0 min")],
-)  # fmt: skip
-def test_a_duration_is_said_as_people_say_it(seconds, text):
-    assert duration(seconds) == text
-
-
-@given(st.floats(0, 1e7))
-def test_a_duration_is_said_without_sixty_seconds_or_minutes(seconds):
-    text = duration(seconds)
-    assert "60 s" not in text
-    assert "60 min" not in text
 
 
 SOLVED = """\

@@ -4,8 +4,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from drivers.agreed_reading import Reading, read_position_until_agreed, read_until_agreed
 from drivers.errors import MoveFailed, MoveTimeout, OutsideLimits, ReplyGarbled
-from drivers.link import Reading, read_position_until_agreed, read_until_agreed
 from drivers.stage import AxisLimits
 from drivers.stage.esp import EspAxis
 from drivers.stage.motion import (
